@@ -1,0 +1,32 @@
+"""Calibration of three-axis sensors: pure functions of recordings.
+
+The domain contract, fixed once (``tests/unit/test_contract.py`` holds it with literal numbers):
+
+Frames
+    ``b`` body (forward, right, down), ``n`` local (north, east, down), ``s`` sensor. ``R_nb`` takes body
+    vectors to north-east-down. Rotations are named ``<to>_from_<from>``; quaternions are ``w x y z``.
+Specific force
+    Level and at rest the accelerometer reads ``(0, 0, -g)``. What is written to a vehicle refers to the
+    ``g = 9.80665 m/s2`` of the firmwares (:data:`STANDARD_GRAVITY`); local gravity serves diagnosis.
+Units
+    Seconds (float64), m/s2, rad/s, uT, degC, A; throttle and motors 0..1. A unit suffix appears in a name
+    only at an edge of the program (``_mgauss``, ``_cdegc``, ``_ms``).
+Instances
+    Count from 0, as MAVLink does: ``RAW_IMU``/``SCALED_IMU`` carry instance 0, ``SCALED_IMU2`` instance 1.
+Sensor equation
+    ``measured = M truth + b + p(T)`` with ``p(T_ref) = 0``;
+    ``corrected = C (measured - b - p(T))`` with ``C = M^-1``. :class:`calib.triad.TriadModel` owns it.
+Uncertainty
+    Every estimate carries a covariance and a list of what the data do not determine.
+
+The package opens files that it is given and nothing else: no sockets, no clocks, no printing.
+"""
+
+from __future__ import annotations
+
+STANDARD_GRAVITY = 9.80665
+"""Gravity that both firmwares calibrate against, m/s2 (ArduPilot AP_Math/definitions.h, PX4 geo.h)."""
+
+__version__ = "0.1.0"
+
+__all__ = ["STANDARD_GRAVITY", "__version__"]

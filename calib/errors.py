@@ -1,0 +1,49 @@
+"""Everything that ``calib`` raises on purpose.
+
+.. code-block:: text
+
+    CalibError
+    +-- InvalidInputError          what was handed in is not what it claims to be
+    |   +-- UnreadableError        a file or a byte stream cannot be read as the stated format
+    +-- UndeterminedError          the data do not determine what was asked; names the movement that would
+    +-- FirmwareError              an autopilot cannot take, hold or undo what was asked
+    +-- ProcedureError             a procedure was driven in a way that it does not allow
+
+The docstring of a class is its default message.
+"""
+
+from __future__ import annotations
+
+
+class CalibError(Exception):
+    """The calibration could not be computed."""
+
+    def __init__(self, message: str | None = None) -> None:
+        super().__init__(message or self.__doc__)
+
+
+class InvalidInputError(CalibError, ValueError):
+    """The input is not valid: check its shape, its unit and that every number is finite."""
+
+
+class UnreadableError(InvalidInputError):
+    """The file cannot be read as a recording: give a table (.csv, .npz) or a telemetry log (.tlog)."""
+
+
+class UndeterminedError(CalibError):
+    """The data do not determine the parameters that were asked for."""
+
+    def __init__(self, message: str | None = None, *, missing: tuple[str, ...] = (), remedy: str = "") -> None:
+        super().__init__(message)
+        self.missing = missing
+        """Names of the parameters that stay undetermined."""
+        self.remedy = remedy
+        """The movement or measurement that would determine them."""
+
+
+class FirmwareError(CalibError):
+    """The autopilot cannot hold this calibration."""
+
+
+class ProcedureError(CalibError):
+    """The procedure does not accept this answer at this step."""

@@ -1,0 +1,145 @@
+"""What every method returns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import InvalidInputError
+from calib.recording import Sensor
+from calib.triad import TriadModel
+
+Array = NDArray[np.float64]
+
+AXES = "xyz"
+
+
+class FitStatus(StrEnum):
+    """What may be done with a fit."""
+
+    OK = "ok"  # every parameter of the method is determined
+    PARTIAL = "partial"  # some parameters are undetermined, by name; the others hold
+    REFUSED = "refused"  # nothing of it may be used; the message says why and what would help
+
+
+def parameter_names(polynomial_degree: int = 0) -> tuple[str, ...]:
+    """Names in the order of every covariance: 3 offsets, 9 matrix entries by rows, then axis by axis p1, p2 ...
+
+    >>> parameter_names(1)[:4], parameter_names(1)[-3:]
+    (('offset_x', 'offset_y', 'offset_z', 'matrix_xx'), ('poly1_x', 'poly1_y', 'poly1_z'))
+    """
+    offsets = tuple(f"offset_{a}" for a in AXES)
+    matrix = tuple(f"matrix_{a}{b}" for a in AXES for b in AXES)
+    poly = tuple(f"poly{j + 1}_{a}" for a in AXES for j in range(polynomial_degree))
+    return offsets + matrix + poly
+
+
+@dataclass(frozen=True, eq=False)
+class FitResult:
+    """A sensor model with its uncertainty, and what the data do not say about it.
+
+    `covariance` is square over :func:`parameter_names`; an entry that the method holds fixed, or that is listed in
+    `undetermined`, has zero variance there. A symmetric matrix fills both of its halves. With n polynomial terms the
+    coefficients follow axis by axis: x p1..pn, y p1..pn, z p1..pn (in natural units about ``polynomial.t_ref``).
+    """
+
+    method: str
+    sensor: Sensor
+    instance: int
+    status: FitStatus
+    message: str
+    model: TriadModel
+    covariance: Array
+    unit: str
+    n_samples: int
+    n_used: int
+    residual_rms: float
+    condition_number: float
+    relative: bool = False
+    """True: fitted on what was streamed, with the calibration in force unknown; never absolute values."""
+    undetermined: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    temperature: float | None = None
+    """Mean temperature of the sensor during the fit, degC; None: not known. For thermal fits: t_ref."""
+    quality: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    """Numbers about the data: coverage, heading error, degrees of freedom, chi2 ... (JSON-able)."""
+    native: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    """The method's own form, e.g. A and b of accelcal, slopes and intercepts (JSON-able)."""
+
+    def __post_init__(self) -> None:
+        covariance = np.array(self.covariance, dtype=np.float64)
+        size = len(self.names)
+        if covariance.shape != (size, size):
+            raise InvalidInputError(f"covariance is {covariance.shape}, the model has {size} parameters")
+        if not np.isfinite(covariance).all():
+            raise InvalidInputError(f"covariance of {self.method} is not finite; refuse the fit instead")
+        unknown = set(self.undetermined) - set(self.names)
+        if unknown:
+            raise InvalidInputError(f"undetermined names no parameter of the model: {sorted(unknown)}")
+        object.__setattr__(self, "covariance", covariance)
+
+    @property
+    def degree(self) -> int:
+        """Number of polynomial terms of the model."""
+        return 0 if self.model.polynomial is None else self.model.polynomial.coefficients.shape[1]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names in the order of the covariance."""
+        return parameter_names(self.degree)
+
+    @property
+    def values(self) -> Array:
+        """Parameter values in the order of the covariance."""
+        poly = self.model.polynomial
+        return np.concatenate(
+            [self.model.offset, self.model.matrix.ravel(), [] if poly is None else poly.coefficients.ravel()]
+        )
+
+    @property
+    def sd(self) -> Array:
+        """Standard deviations in the order of the covariance; nan where undetermined, 0 where fixed."""
+        sd = np.sqrt(np.clip(np.diag(self.covariance), 0.0, None))
+        sd[[n in self.undetermined for n in self.names]] = np.nan
+        return sd
+
+    def determined(self, *names: str) -> bool:
+        """Whether all of `names` may be used."""
+        return self.status != FitStatus.REFUSED and not set(names) & set(self.undetermined)
+
+
+def refused(
+    method: str,
+    sensor: Sensor,
+    instance: int,
+    message: str,
+    *,
+    unit: str,
+    n_samples: int,
+    undetermined: tuple[str, ...] = parameter_names(),
+    quality: Mapping[str, Any] = MappingProxyType({}),
+) -> FitResult:
+    """A fit of which nothing may be used, with the reason and the remedy in `message`."""
+    size = len(parameter_names())
+    return FitResult(
+        method=method,
+        sensor=sensor,
+        instance=instance,
+        status=FitStatus.REFUSED,
+        message=message,
+        model=TriadModel(),
+        covariance=np.zeros((size, size)),
+        unit=unit,
+        n_samples=n_samples,
+        n_used=0,
+        residual_rms=0.0,
+        condition_number=0.0,
+        undetermined=undetermined,
+        quality=quality,
+    )

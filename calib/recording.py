@@ -1,0 +1,289 @@
+"""Recordings: what every reader makes and every method takes.
+
+A :class:`Recording` holds :class:`Channel` s, each at its own rate and never forced onto one grid, the parameters of
+the vehicle as a timeline, and what else was said meanwhile.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import InvalidInputError
+
+Array = NDArray[np.float64]
+
+
+class Sensor(StrEnum):
+    """What a channel measures; the comment gives the columns and the unit."""
+
+    ACCEL = "accel"  # x y z, m/s2
+    GYRO = "gyro"  # x y z, rad/s
+    MAG = "mag"  # x y z, uT
+    TEMPERATURE = "temperature"  # of the inertial unit of the same instance, degC
+    CURRENT = "current"  # A
+    THROTTLE = "throttle"  # 0..1
+    MOTOR = "motor"  # one column a motor, 0..1
+    ROTOR_SPEED = "rotor_speed"  # one column a rotor, Hz
+    ATTITUDE = "attitude"  # w x y z, body to north-east-down
+    POSITION = "position"  # latitude deg, longitude deg, altitude m
+
+
+class Stage(StrEnum):
+    """How far the firmware has worked on the numbers."""
+
+    RAW = "raw"  # no calibration in force, or undone
+    CORRECTED = "corrected"  # calibration in force applied
+    FILTERED = "filtered"  # corrected, then low-pass filtered
+    DEBIASED = "debiased"  # an estimator's bias is subtracted too: useless for calibration
+
+
+class Rounding(StrEnum):
+    """How the numbers were made discrete."""
+
+    NONE = "none"
+    NEAREST = "nearest"
+    TOWARD_ZERO = "toward_zero"  # C++ float to int16: bins (k, k+1), and a zero bin of double width
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """One sensor's samples at its own time stamps.
+
+    Parameters
+    ----------
+    sensor, instance
+        What it measures; instances count from 0.
+    t : shape (N,)
+        Seconds on the vehicle's clock, non-decreasing.
+    values : shape (N, k)
+        One row a time stamp. Truncated streams carry the middle of their bin, so means are unbiased.
+    unit : str
+        ``m/s2 rad/s uT degC A 1`` or ``counts``.
+    stage, source
+        What the firmware did to it, and the message or column it came from.
+    quantum : float
+        Width of a quantisation bin in `unit`; 0 for none.
+    rounding
+        How the quantum came about.
+    zero_bin : shape (N, k) or None
+        True where a truncated sample lies in the zero bin, which is two quanta wide. None: no such bin.
+    """
+
+    sensor: Sensor
+    instance: int
+    t: Array
+    values: Array
+    unit: str
+    stage: Stage
+    source: str
+    quantum: float = 0.0
+    rounding: Rounding = Rounding.NONE
+    zero_bin: NDArray[np.bool_] | None = None
+
+    def __post_init__(self) -> None:
+        t = np.ascontiguousarray(self.t, dtype=np.float64)
+        values = np.ascontiguousarray(self.values, dtype=np.float64)
+        if values.ndim == 1:
+            values = values[:, None]
+        if t.ndim != 1 or values.ndim != 2 or len(t) != len(values):
+            raise InvalidInputError(
+                f"{self.sensor} of {self.source}: {len(t)} time stamps for values of shape {values.shape}; "
+                "one row a time stamp is needed"
+            )
+        object.__setattr__(self, "t", t)
+        object.__setattr__(self, "values", values)
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def between(self, start: float, end: float) -> Channel:
+        """The samples with ``start <= t < end``."""
+        i, j = np.searchsorted(self.t, (start, end))
+        return self.take(slice(int(i), int(j)))
+
+    def take(self, rows: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Channel:
+        """The samples of `rows`."""
+        zero_bin = None if self.zero_bin is None else self.zero_bin[rows]
+        return dataclasses.replace(self, t=self.t[rows], values=self.values[rows], zero_bin=zero_bin)
+
+    @property
+    def key(self) -> tuple[Sensor, int, str]:
+        """What tells channels of one recording apart: sensor, instance, source."""
+        return self.sensor, self.instance, self.source
+
+
+@dataclass(frozen=True)
+class ParameterEntry:
+    """A parameter's value as it was seen at time `t` (s, vehicle clock)."""
+
+    t: float
+    name: str
+    value: float | int
+
+
+@dataclass(frozen=True)
+class ParameterTimeline:
+    """The vehicle's parameters as they were seen over time.
+
+    `end_observed` is True when the calibration parameters were read again after the last sample, so that a change
+    in the middle cannot have gone unseen.
+    """
+
+    entries: tuple[ParameterEntry, ...] = ()
+    end_observed: bool = False
+
+    def __bool__(self) -> bool:
+        return bool(self.entries)
+
+    def at(self, t: float) -> dict[str, float | int]:
+        """Every parameter's last value seen up to `t`, or its first one if it was only seen later."""
+        state: dict[str, float | int] = {}
+        for entry in self.entries:
+            if entry.t <= t or entry.name not in state:
+                state[entry.name] = entry.value
+        return state
+
+    def final(self) -> dict[str, float | int]:
+        """Every parameter's last value."""
+        return {entry.name: entry.value for entry in self.entries}
+
+    def changes(self, prefixes: tuple[str, ...] = ("",)) -> tuple[ParameterEntry, ...]:
+        """The entries whose value differs from the one seen before under the same name."""
+        seen: dict[str, float | int] = {}
+        changed = []
+        for entry in self.entries:
+            if entry.name.startswith(prefixes):
+                if entry.name in seen and seen[entry.name] != entry.value:
+                    changed.append(entry)
+                seen[entry.name] = entry.value
+        return tuple(changed)
+
+    @classmethod
+    def constant(cls, values: Mapping[str, float | int], t: float = -np.inf) -> ParameterTimeline:
+        """A timeline that holds `values` from the beginning to the end."""
+        return cls(tuple(ParameterEntry(t, n, v) for n, v in values.items()), end_observed=True)
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that was said or happened at time `t` (s, vehicle clock)."""
+
+    t: float
+    kind: str  # "text", "reboot", "gap", "armed", "disarmed", "onboard_calibration", "damage"
+    text: str
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A labelled span of a recording: a face, a ring, a turn."""
+
+    label: str
+    start: float
+    end: float
+
+
+@dataclass(frozen=True)
+class Identity:
+    """Whose recording it is. None: not said in the recording."""
+
+    autopilot: str | None = None  # "ardupilot", "px4" or "other"
+    vehicle_type: int | None = None  # MAV_TYPE
+    firmware: tuple[int, int, int] | None = None
+    uid: str | None = None  # uid2 as hexadecimal digits
+    system: int | None = None
+    component: int | None = None
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Channels, parameters, events and identity of one vehicle over one span of time."""
+
+    channels: tuple[Channel, ...]
+    parameters: ParameterTimeline = field(default_factory=ParameterTimeline)
+    events: tuple[Event, ...] = ()
+    segments: tuple[Segment, ...] = ()
+    identity: Identity = field(default_factory=Identity)
+    source: str = ""
+
+    def instances(self, sensor: Sensor) -> tuple[int, ...]:
+        """The instances of `sensor` that have samples, ascending."""
+        return tuple(sorted({c.instance for c in self.channels if c.sensor == sensor and len(c)}))
+
+    def find(self, sensor: Sensor, instance: int = 0) -> tuple[Channel, ...]:
+        """Every channel of that sensor, in the order of the recording."""
+        return tuple(c for c in self.channels if c.sensor == sensor and c.instance == instance and len(c))
+
+    def channel(self, sensor: Sensor, instance: int = 0) -> Channel:
+        """The best channel of that sensor: never a debiased one, finer quantum first, then the longer one.
+
+        Raises
+        ------
+        InvalidInputError
+            If the recording has no such channel.
+        """
+        found = [c for c in self.find(sensor, instance) if c.stage != Stage.DEBIASED]
+        if not found:
+            have = sorted({f"{c.sensor}[{c.instance}]" for c in self.channels if len(c)}) or ["nothing"]
+            raise InvalidInputError(
+                f"the recording has no usable {sensor} of instance {instance} (it has {', '.join(have)})"
+            )
+        return min(found, key=lambda c: (c.quantum, -len(c)))
+
+    def between(self, start: float, end: float) -> Recording:
+        """Only the samples, events and segments with ``start <= t < end``; the parameters stay whole."""
+        return dataclasses.replace(
+            self,
+            channels=tuple(c.between(start, end) for c in self.channels),
+            events=tuple(e for e in self.events if start <= e.t < end),
+            segments=tuple(s for s in self.segments if s.start < end and s.end > start),
+        )
+
+    def with_channels(self, channels: Iterable[Channel]) -> Recording:
+        """The same recording with other channels."""
+        return dataclasses.replace(self, channels=tuple(channels))
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last time stamp over all channels; ``(nan, nan)`` if there is no sample."""
+        ends = [(c.t[0], c.t[-1]) for c in self.channels if len(c)]
+        if not ends:
+            return float("nan"), float("nan")
+        return float(min(e[0] for e in ends)), float(max(e[1] for e in ends))
+
+
+def join(chunks: Iterable[Recording]) -> Recording:
+    """One recording from consecutive chunks of the same vehicle; identity and parameters accumulate."""
+    parts = tuple(chunks)
+    if not parts:
+        return Recording(())
+    pieces: dict[tuple[Sensor, int, str], list[Channel]] = {}
+    for part in parts:
+        for channel in part.channels:
+            pieces.setdefault(channel.key, []).append(channel)
+    entries = tuple(e for p in parts for e in p.parameters.entries)
+    return Recording(
+        channels=tuple(_concatenated(group) for group in pieces.values()),
+        parameters=ParameterTimeline(entries, end_observed=parts[-1].parameters.end_observed),
+        events=tuple(e for p in parts for e in p.events),
+        segments=tuple(s for p in parts for s in p.segments),
+        identity=parts[-1].identity,
+        source=parts[0].source,
+    )
+
+
+def _concatenated(group: list[Channel]) -> Channel:
+    if len(group) == 1:
+        return group[0]
+    zero = [c.zero_bin for c in group]
+    return dataclasses.replace(
+        group[0],
+        t=np.concatenate([c.t for c in group]),
+        values=np.concatenate([c.values for c in group]),
+        zero_bin=np.concatenate([z for z in zero if z is not None]) if all(z is not None for z in zero) else None,
+    )
