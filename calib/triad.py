@@ -112,7 +112,7 @@ class TriadModel:
 
     def upper_triangular(self) -> TriadModel:
         """The model with the same ``|corrected|`` whose matrix is upper triangular with a positive diagonal."""
-        upper: Array = np.linalg.cholesky(self.matrix.T @ self.matrix).T
+        upper = np.asarray(np.linalg.cholesky(self.matrix.T @ self.matrix).T, dtype=np.float64)
         return dataclasses.replace(self, matrix=upper)
 
     @property

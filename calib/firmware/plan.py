@@ -1,0 +1,156 @@
+"""What is to be written to a vehicle, why, at what cost, and how it will be proved.
+
+A :class:`WritePlan` is pure data: ``compose`` of an autopilot makes it from fits, the service executes it, ``verify``
+of the autopilot judges the stream afterwards. It is bound to one vehicle and to the snapshot that it was composed on.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+from calib.recording import Sensor
+
+Value = float | int
+
+
+class ParameterKind(StrEnum):
+    """The type that a parameter has on the wire."""
+
+    REAL32 = "real32"
+    INT32 = "int32"
+    INT16 = "int16"
+    INT8 = "int8"
+    UINT8 = "uint8"
+    UINT16 = "uint16"
+    UINT32 = "uint32"
+
+
+@dataclass(frozen=True)
+class Change:
+    """One parameter to be set. Values are float32-exact for REAL32 and integers otherwise."""
+
+    name: str
+    old: Value | None
+    """None: the vehicle did not list it (hidden group); it is then set by name."""
+    new: Value
+    kind: ParameterKind
+    why: str
+    sd: float | None = None
+    """Standard deviation of `new` in the parameter's unit; None: not an estimate (a flag, an id, a range)."""
+    unit: str = ""
+    sensor: Sensor | None = None
+    instance: int = 0
+    needs_reboot: bool = False
+    session: bool = False
+    """True: a setting of this session (autocal off), restored when the job ends."""
+
+
+@dataclass(frozen=True)
+class Loss:
+    """A part of the fit that this firmware cannot hold, with what it costs."""
+
+    sensor: Sensor
+    instance: int
+    what: str
+    cost: float
+    """Largest effect of leaving it out, over all directions, in `unit`."""
+    unit: str
+    text: str
+
+
+@dataclass(frozen=True)
+class AfterWrite:
+    """A MAVLink command to be sent when every parameter has been read back."""
+
+    command: int
+    params: tuple[float, float, float, float, float, float, float]
+    why: str
+
+
+@dataclass(frozen=True)
+class Fingerprint:
+    """Whose plan it is: any difference means "plan again"."""
+
+    autopilot: str
+    uid: str
+    firmware: str
+    device_ids: tuple[tuple[str, int], ...]
+
+
+@dataclass(frozen=True)
+class WritePlan:
+    """Parameters to be written in this order, and everything that must be said before.
+
+    `blockers` not empty: nothing of it may be written.
+    """
+
+    fingerprint: Fingerprint
+    snapshot_sha256: str
+    changes: tuple[Change, ...]
+    losses: tuple[Loss, ...] = ()
+    after: tuple[AfterWrite, ...] = ()
+    warnings: tuple[str, ...] = ()
+    blockers: tuple[str, ...] = ()
+
+    @property
+    def needs_reboot(self) -> bool:
+        """Whether the vehicle must be restarted before the result can be judged."""
+        return any(change.needs_reboot for change in self.changes)
+
+    @property
+    def sha256(self) -> str:
+        """Digest over everything in the plan; ``apply`` quotes it."""
+        text = json.dumps(dataclasses.asdict(self), sort_keys=True, allow_nan=False)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+class Verdict(StrEnum):
+    """What the stream says of one written parameter."""
+
+    PROVED = "proved"  # the stream agrees with the new value and contradicts the old one
+    CONSISTENT = "consistent"  # agrees with the new value, cannot tell it from another combination
+    NOT_OBSERVABLE = "not_observable"  # its effect is below 3 sd of the stream in these poses
+    CONTRADICTED = "contradicted"  # the stream behaves as if it had not been applied
+
+
+@dataclass(frozen=True)
+class ParameterVerdict:
+    """The physical check of one parameter."""
+
+    name: str
+    verdict: Verdict
+    effect: float
+    """How far the stream would be off if this one parameter had not been applied, in `unit`."""
+    sd: float
+    """Standard deviation of the check, same unit."""
+    unit: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Verification:
+    """The physical check of a plan, and the movement that would prove what is still open."""
+
+    parameters: tuple[ParameterVerdict, ...]
+    movement: str | None = None
+
+    @property
+    def contradicted(self) -> tuple[str, ...]:
+        """Names of the parameters that were accepted but did not take effect."""
+        return tuple(p.name for p in self.parameters if p.verdict == Verdict.CONTRADICTED)
+
+    @property
+    def proved(self) -> bool:
+        """Whether every parameter is proved."""
+        return all(p.verdict == Verdict.PROVED for p in self.parameters)
+
+
+def snapshot_sha256(values: Mapping[str, Value]) -> str:
+    """Digest of a parameter snapshot (the calibration parameters that a plan rests on)."""
+    text = json.dumps({k: repr(v) for k, v in values.items()}, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()

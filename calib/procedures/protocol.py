@@ -1,0 +1,98 @@
+"""What a procedure says and hears: prompts and progress as data, answers as data.
+
+A procedure is fed chunks of raw recording (calibration in force undone) in the order of the vehicle's clock and never
+looks at another clock, so a live job, a replayed .tlog and a test are one code path.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any, Protocol
+
+from calib.fit import FitResult
+from calib.recording import Recording
+
+
+class Pose(StrEnum):
+    """The six faces, in the order and meaning of MAVLink's ``ACCELCAL_VEHICLE_POS`` (1..6), and oblique poses."""
+
+    LEVEL = "level"
+    LEFT = "left"
+    RIGHT = "right"
+    NOSE_DOWN = "nose_down"
+    NOSE_UP = "nose_up"
+    BACK = "back"
+    OBLIQUE = "oblique"
+
+
+@dataclass(frozen=True)
+class Prompt:
+    """What the operator is asked to do now; a panel draws it, a voice says it."""
+
+    step: str
+    """Machine-stable name: ``hold_still``, ``pose``, ``rotate``, ``warm_up``, ``confirm``."""
+    text: str
+    pose: Pose | None = None
+    """The pose that is asked for; None: any, or none."""
+    remaining: tuple[Pose, ...] = ()
+    """Poses still missing; their order is free."""
+    hold_s: float | None = None
+    rotate: bool = False
+    direction: tuple[float, float, float] | None = None
+    """Where to turn next: the body direction (FRD) that should point down. None: no preference."""
+    detected: Pose | None = None
+    stable: bool = False
+    answers: tuple[str, ...] = ()
+    """Answers that this prompt accepts (``finish``, ``skip``); empty: the data answer."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """The field list of a progress bar. `eta` in seconds of the vehicle's clock; None: cannot be said yet."""
+
+    current: float
+    target: float
+    unit: str
+    text: str
+    eta: float | None = None
+    detail: Mapping[str, Any] | None = None
+    """Numbers for the panel: field strength against the model, coverage mask, residual, temperature."""
+
+
+@dataclass(frozen=True)
+class Done:
+    """The asked-for uncertainty is reached, or the operator ended it: one fit a sensor instance."""
+
+    results: tuple[FitResult, ...]
+    because: str
+
+
+@dataclass(frozen=True)
+class GaveUp:
+    """The procedure cannot reach its goal with these data."""
+
+    cause: str
+    remedy: str
+
+
+Step = Prompt | Progress | Done | GaveUp
+
+
+class Procedure(Protocol):
+    """One run of one procedure; fed until it says :class:`Done` or :class:`GaveUp`."""
+
+    def feed(self, chunk: Recording) -> tuple[Step, ...]:
+        """Take the next raw samples; return what changed (a prompt only when it differs from the last one)."""
+        ...
+
+    def answer(self, value: str) -> tuple[Step, ...]:
+        """Take an operator's answer, one of the last prompt's `answers`.
+
+        Raises
+        ------
+        ProcedureError
+            If the present prompt does not accept it.
+        """
+        ...
