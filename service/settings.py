@@ -1,0 +1,142 @@
+"""Settings: one tree, from keyword, environment (``MAVCAL_*``, nested with ``__``) and ``mavcal.toml``; first wins."""
+
+from __future__ import annotations
+
+import os
+import sys
+from ipaddress import ip_address
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, SecretStr
+from pydantic_settings import (
+    BaseSettings,
+    PydanticBaseSettingsSource,
+    SettingsConfigDict,
+    TomlConfigSettingsSource,
+)
+
+
+def default_data_dir() -> Path:
+    """The platform's place for a program's state (XDG on Linux)."""
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Application Support" / "mavcal"
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", str(Path.home()))) / "mavcal"
+    return Path(os.environ.get("XDG_STATE_HOME", str(Path.home() / ".local" / "state"))) / "mavcal"
+
+
+def is_loopback(host: str) -> bool:
+    """Whether `host` (a name or an address to bind to) can be reached from this machine alone."""
+    if host == "localhost":
+        return True
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class ApiKey(_Part):
+    """A key that may use the service, stored as a digest."""
+
+    name: str = Field(min_length=1, description="who holds it; appears in the audit record")
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$", description="digest of the key (`mavcal config key`)")]
+    scopes: frozenset[str] = Field(
+        default=frozenset({"read"}), description="of `read`, `operate`, `write-params`, `admin`"
+    )
+
+
+class MavlinkSettings(_Part):
+    """Who we are on the wire."""
+
+    system: int = Field(default=253, ge=1, le=255, description="our MAVLink system id")
+    component: int = Field(
+        default=190, ge=1, le=255, description="our MAVLink component id; 0 is not valid as a source"
+    )
+    signing_key: SecretStr | None = Field(
+        default=None, description="32 bytes as 64 hexadecimal digits; none: frames are not signed"
+    )
+    allow_unsigned: bool = Field(default=True, description="with a signing key: also listen to unsigned frames")
+
+
+class LimitSettings(_Part):
+    """What one client may cost."""
+
+    upload_bytes: int = Field(default=2 * 1024**3, gt=0, description="largest recording that may be uploaded")
+    event_buffer: int = Field(default=10_000, gt=0, description="events kept a job for replay after a reconnect")
+
+
+def _absolute(path: Path) -> Path:
+    return path.expanduser().absolute()
+
+
+class Settings(BaseSettings):
+    """Everything that can be set."""
+
+    model_config = SettingsConfigDict(
+        env_prefix="MAVCAL_", env_nested_delimiter="__", extra="forbid", frozen=True, toml_file="mavcal.toml"
+    )
+
+    host: str = Field(default="127.0.0.1", description="address to listen on; beyond loopback API keys are required")
+    port: int = Field(default=8765, ge=0, le=65535, description="port to listen on; 0 takes a free one")
+    data_dir: Annotated[Path, AfterValidator(_absolute)] = Field(
+        default_factory=default_data_dir, description="where everything is kept; one process owns it"
+    )
+    connect: tuple[str, ...] = Field(default=(), description="endpoints opened at the start, as `udpin:0.0.0.0:14550`")
+    read_only: bool = Field(default=False, description="never write to a vehicle, whatever is asked")
+    log_json: bool = Field(default=False, description="log as JSON lines instead of text")
+    api_keys: tuple[ApiKey, ...] = Field(default=(), description="who may use the service")
+    frame_ancestors: tuple[str, ...] = Field(
+        default=("'self'",), description="origins that may show the panel in a frame (Content-Security-Policy)"
+    )
+    allowed_hosts: tuple[str, ...] = Field(
+        default=(), description="further host names under which the service may be addressed"
+    )
+    mavlink: MavlinkSettings = Field(default_factory=MavlinkSettings, description="who we are on the wire")
+    limits: LimitSettings = Field(default_factory=LimitSettings, description="what one client may cost")
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,
+        dotenv_settings: PydanticBaseSettingsSource,
+        file_secret_settings: PydanticBaseSettingsSource,
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        """Keyword before environment before file."""
+        return init_settings, env_settings, TomlConfigSettingsSource(settings_cls)
+
+    @property
+    def beyond_loopback(self) -> bool:
+        """Whether the service can be reached from other machines."""
+        return not is_loopback(self.host)
+
+
+def settings_table() -> str:
+    """The settings as a Markdown table; ``docs/settings.md`` is this text."""
+    rows = ["| setting | environment | default | meaning |", "|---|---|---|---|"]
+    rows += [
+        f"| `{name}` | `{env}` | `{default}` | {text} |" for name, env, default, text in _rows(Settings, "", "MAVCAL_")
+    ]
+    return "\n".join(rows) + "\n"
+
+
+def _rows(model: type[BaseModel], prefix: str, env: str) -> list[tuple[str, str, str, str]]:
+    rows: list[tuple[str, str, str, str]] = []
+    for name, info in model.model_fields.items():
+        annotation = info.annotation
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            rows += _rows(annotation, f"{prefix}{name}.", f"{env}{name.upper()}__")
+            continue
+        default = (
+            "the platform's state directory"
+            if name == "data_dir"
+            else repr(info.get_default(call_default_factory=True))
+        )
+        rows.append((prefix + name, env + name.upper(), default, info.description or ""))
+    return rows
