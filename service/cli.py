@@ -1,0 +1,85 @@
+"""The command line: a table of commands, each loaded when it is named."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Sequence
+
+import click
+
+import calib
+from calib.errors import CalibError
+from service.commands.output import EXIT_USAGE, wants_json, write_json
+from service.errors import ServiceError
+
+COMMANDS = {
+    "demo": "Calibrate a simulated vehicle end to end and compare with its truth.",
+    "serve": "Run the service and its panel.",
+    "calibrate": "Calibrate one sensor of a vehicle, headless.",
+    "preflight": "Check a vehicle's sensors; the exit code is the answer.",
+    "fit": "Run one method on a recording.",
+    "inspect": "Tell what is in a recording.",
+    "convert": "Turn a recording into a table.",
+    "simulate": "A simulated flight controller on a socket.",
+    "config": "Show the settings, or their schema.",
+    "doctor": "Check this machine for what the service needs.",
+}
+
+
+class LazyGroup(click.Group):
+    """Imports ``service.commands.<name>`` when that command is asked for, so that help costs nothing."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names in the order of the table."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The command of that name; None: there is none."""
+        if cmd_name not in COMMANDS:
+            return None
+        command = importlib.import_module(f"service.commands.{cmd_name}").command
+        assert isinstance(command, click.Command)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The table, without importing anything."""
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(calib.__version__, prog_name="mavcal")
+def cli() -> None:
+    """Calibrate the sensors of MAVLink vehicles, and prove that the result took effect.
+
+    Exit codes: 0 done; 1 the answer is no (a failed check, a refused fit); 2 wrong use or unreadable input.
+    """
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line; every expected error is one sentence on stderr and an exit code."""
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    try:
+        code = cli.main(args=list(arguments), prog_name="mavcal", standalone_mode=False)
+    except click.ClickException as error:
+        _complain(arguments, "usage", error.format_message())
+        sys.exit(EXIT_USAGE)
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("stopped", err=True)
+        sys.exit(130)
+    except CalibError as error:
+        _complain(arguments, type(error).__name__, str(error))
+        sys.exit(EXIT_USAGE)
+    except ServiceError as error:
+        _complain(arguments, error.code, str(error))
+        sys.exit(EXIT_USAGE)
+    except BrokenPipeError:
+        sys.exit(0)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _complain(arguments: Sequence[str], code: str, message: str) -> None:
+    click.echo(f"mavcal: {message}", err=True)
+    if wants_json(arguments):
+        write_json({"error": {"code": code, "detail": message}})

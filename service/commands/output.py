@@ -1,0 +1,32 @@
+"""How commands answer: one JSON object on stdout with ``--json``, text without; logs and errors on stderr."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import click
+
+EXIT_NO = 1
+"""The answer is no: a failed check, a refused fit."""
+EXIT_USAGE = 2
+"""Wrong use or unreadable input."""
+
+json_option = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+
+
+def wants_json(arguments: Sequence[str]) -> bool:
+    """Whether an error must be told as JSON too."""
+    return "--json" in arguments
+
+
+def write_json(document: Mapping[str, Any]) -> None:
+    """Print one JSON object; a number that is not finite is a bug and raises."""
+    click.echo(json.dumps(document, allow_nan=False, default=_plain))
+
+
+def _plain(value: Any) -> Any:
+    if hasattr(value, "tolist"):  # numpy arrays and scalars
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} is not JSON")
