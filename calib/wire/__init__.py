@@ -1,0 +1,46 @@
+"""MAVLink frames in bytes: to headers and payloads, and back.
+
+A frame is cut out of the bytes, its checksum is verified, and nothing else happens until somebody asks:
+:func:`decode` builds the dialect's message object, which costs several times more than the cut itself.
+"""
+
+from __future__ import annotations
+
+from calib.wire.codec import (
+    Message,
+    ParamValue,
+    RawMessage,
+    decode,
+    decode_param_value,
+    encode,
+    padded_payload,
+    param_bytes,
+    param_set,
+    raw_message,
+)
+from calib.wire.frames import CRC_EXTRA, Frame, FrameParser
+from calib.wire.signing import SignatureState, Signing, check_signature, sign
+from calib.wire.tlog import TlogReader, iter_tlog, tlog_record
+
+__all__ = [
+    "CRC_EXTRA",
+    "Frame",
+    "FrameParser",
+    "Message",
+    "ParamValue",
+    "RawMessage",
+    "SignatureState",
+    "Signing",
+    "TlogReader",
+    "check_signature",
+    "decode",
+    "decode_param_value",
+    "encode",
+    "iter_tlog",
+    "padded_payload",
+    "param_bytes",
+    "param_set",
+    "raw_message",
+    "sign",
+    "tlog_record",
+]
