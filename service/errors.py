@@ -26,6 +26,9 @@
     |   +-- PlanChanged           409
     |   +-- PhysicalJobRunning    409
     |   +-- NotCancellable        409
+    |   +-- NotRevertible         409
+    |   +-- PlanBlocked           409
+    |   +-- IdempotencyConflict   409
     +-- StoreError                500
     |   +-- DiskFull              507
     |   +-- DataDirLocked         409
@@ -244,6 +247,27 @@ class NotCancellable(JobError):
 
     title = "Not cancellable"
     code = "not-cancellable"
+
+
+class NotRevertible(JobError):
+    """The job has written nothing that could be taken back."""
+
+    title = "Nothing to revert"
+    code = "not-revertible"
+
+
+class PlanBlocked(JobError):
+    """The plan may not be written: it has blockers."""
+
+    title = "Plan blocked"
+    code = "plan-blocked"
+
+
+class IdempotencyConflict(JobError):
+    """The Idempotency-Key was used for another request; use a new one for a new request."""
+
+    title = "Idempotency key reused"
+    code = "idempotency-key-reused"
 
 
 class StoreError(ServiceError):

@@ -1,0 +1,13 @@
+"""Durable state: jobs and their events, the write journal, snapshots, plans, and where the samples lie.
+
+:class:`~service.store.protocol.Store` is what the rest of the service sees; :class:`~service.store.sqlite.SqliteStore`
+keeps it in one SQLite file inside a data directory that one process owns. Rows carry plain JSON: what a job or a plan
+means is not known here.
+"""
+
+from __future__ import annotations
+
+from service.store.protocol import Store
+from service.store.sqlite import SqliteStore
+
+__all__ = ["SqliteStore", "Store"]

@@ -1,0 +1,151 @@
+"""What the service asks of durable state.
+
+Every method that changes something returns only when the change would survive a loss of power, except
+:meth:`Store.add_event`, whose rows are lost first. Methods may be called from any thread.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from pathlib import Path
+from typing import Protocol
+
+from service.store.rows import (
+    AuditRow,
+    EventRow,
+    JobRow,
+    JournalRow,
+    Json,
+    LinkRow,
+    RecordingRow,
+    SegmentPurpose,
+    SegmentRow,
+    SnapshotPurpose,
+    SnapshotRow,
+)
+
+
+class JobStore(Protocol):
+    """Jobs, what happened to them, and what was done to vehicles on their behalf."""
+
+    def save_job(self, row: JobRow, *, event: tuple[str, Json] | None = None) -> EventRow | None:
+        """Insert or replace a job; with `event` (kind, data) the change and its event are one transaction."""
+        ...
+
+    def job(self, job_id: str) -> JobRow | None:
+        """The job, or None if there is none of that id."""
+        ...
+
+    def jobs(self, *, vehicle_id: str | None = None, states: Collection[str] | None = None) -> tuple[JobRow, ...]:
+        """Jobs in the order of their creation; None: of every vehicle, in every state."""
+        ...
+
+    def add_event(self, job_id: str, at: float, kind: str, data: Json) -> EventRow:
+        """Append an event. Not forced to the disk: a loss of power may lose the last ones."""
+        ...
+
+    def events(self, job_id: str | None = None, *, after: int = 0, limit: int = 1000) -> tuple[EventRow, ...]:
+        """Events after `after`: a sequence number of that job, or an id over all jobs if `job_id` is None."""
+        ...
+
+    def last_event_id(self) -> int:
+        """The id of the newest event of any job; 0: there is none."""
+        ...
+
+    def drop_events(self, job_id: str, kind: str, *, keep: int) -> None:
+        """Forget all but the last `keep` events of a kind (progress that has been superseded)."""
+        ...
+
+    def add_journal(self, job_id: str, at: float, step: str, data: Json) -> JournalRow:
+        """Append a step to the journal of a job."""
+        ...
+
+    def journal(self, job_id: str) -> tuple[JournalRow, ...]:
+        """The journal of a job, oldest first."""
+        ...
+
+    def add_snapshot(self, job_id: str, at: float, purpose: SnapshotPurpose, sha256: str, body: Json) -> SnapshotRow:
+        """Keep parameters as they were read."""
+        ...
+
+    def snapshot(self, job_id: str, purpose: SnapshotPurpose) -> SnapshotRow | None:
+        """The newest snapshot of that purpose."""
+        ...
+
+    def add_plan(self, job_id: str, sha256: str, at: float, body: Json) -> None:
+        """Keep a plan under its digest; the same plan twice is one."""
+        ...
+
+    def plan(self, job_id: str, sha256: str) -> Json | None:
+        """A plan of that job by its digest."""
+        ...
+
+    def open_segment(self, job_id: str, purpose: SegmentPurpose, path: Path, start_byte: int) -> SegmentRow:
+        """Begin a segment."""
+        ...
+
+    def close_segment(self, segment_id: int, end_byte: int, sha256: str) -> SegmentRow:
+        """State where a segment ends and what it contains."""
+        ...
+
+    def segments(self, job_id: str, purpose: SegmentPurpose | None = None) -> tuple[SegmentRow, ...]:
+        """The segments of a job, oldest first; None: of every purpose."""
+        ...
+
+
+class Store(JobStore, Protocol):
+    """Everything durable."""
+
+    def add_recording(self, row: RecordingRow) -> None:
+        """Keep an uploaded log."""
+        ...
+
+    def recording(self, recording_id: str) -> RecordingRow | None:
+        """An uploaded log, or None."""
+        ...
+
+    def recordings(self) -> tuple[RecordingRow, ...]:
+        """Uploaded logs, oldest first."""
+        ...
+
+    def save_link(self, row: LinkRow) -> None:
+        """Insert or replace a link."""
+        ...
+
+    def delete_link(self, link_id: str) -> None:
+        """Forget a link; one that is not there is no error."""
+        ...
+
+    def links(self) -> tuple[LinkRow, ...]:
+        """Links in the order of their creation."""
+        ...
+
+    def signing_timestamp(self, stream: str) -> int:
+        """The newest accepted signature time stamp of a stream; 0: none yet."""
+        ...
+
+    def save_signing_timestamp(self, stream: str, timestamp: int) -> None:
+        """Raise the time stamp of a stream; a smaller one changes nothing."""
+        ...
+
+    def claim_idempotency_key(self, key: str, request_sha256: str, job_id: str, at: float) -> bool:
+        """Claim a key for a request: True if it is new, False if this very request has claimed it before.
+
+        Raises
+        ------
+        IdempotencyConflict
+            If the key was used for another request.
+        """
+        ...
+
+    def add_audit(self, at: float, actor: str, action: str, subject: str, detail: Json) -> None:
+        """Append to the audit trail."""
+        ...
+
+    def audit(self, *, after: int = 0, limit: int = 1000) -> tuple[AuditRow, ...]:
+        """The audit trail after a row id, oldest first."""
+        ...
+
+    def close(self) -> None:
+        """Close the store and give the data directory back."""
+        ...

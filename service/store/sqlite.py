@@ -1,0 +1,311 @@
+"""The store in one SQLite file: write-ahead log, one connection, one writer at a time.
+
+State is written with ``synchronous = FULL`` (an fsync a commit, about 5 ms), events with ``NORMAL``.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import threading
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from service.errors import DiskFull, IdempotencyConflict, StoreError
+from service.store.datadir import DataDirLock
+from service.store.migrate import migrate, migrations
+from service.store.rows import (
+    AuditRow,
+    EventRow,
+    JobRow,
+    JournalRow,
+    Json,
+    LinkRow,
+    RecordingRow,
+    SegmentPurpose,
+    SegmentRow,
+    SnapshotPurpose,
+    SnapshotRow,
+)
+
+DATABASE = "mavcal.sqlite3"
+
+_DISK_TROUBLE = {sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN}
+
+
+class SqliteStore:
+    """Durable state of one data directory; None keeps it in memory (for tests and one-off commands).
+
+    Raises
+    ------
+    DataDirLocked
+        If another process owns the directory.
+    DiskFull
+        From every method that writes, when the disk is full; nothing of that write remains.
+    """
+
+    def __init__(self, data_dir: Path | None) -> None:
+        self._lock = threading.RLock()
+        self._owned = None if data_dir is None else DataDirLock(data_dir)
+        self._durable: bool | None = None
+        target = ":memory:" if data_dir is None else str(data_dir / DATABASE)
+        try:
+            with _typed_errors():
+                self._db = sqlite3.connect(target, isolation_level=None, check_same_thread=False, timeout=5.0)
+                self._db.execute("PRAGMA journal_mode = WAL")
+                self._db.execute("PRAGMA synchronous = FULL")
+                self._db.execute("PRAGMA foreign_keys = ON")
+                self.version = migrate(self._db, migrations())
+        except StoreError:
+            if self._owned is not None:
+                self._owned.release()
+            raise
+
+    def close(self) -> None:
+        """Close the store and give the data directory back."""
+        with self._lock:
+            self._db.close()
+        if self._owned is not None:
+            self._owned.release()
+
+    # --- jobs and events
+
+    def save_job(self, row: JobRow, *, event: tuple[str, Json] | None = None) -> EventRow | None:
+        """Insert or replace a job; with `event` (kind, data) the change and its event are one transaction."""
+        with self._write() as db:
+            db.execute(
+                "INSERT INTO jobs VALUES (?, ?, ?, ?, ?, ?, ?) ON CONFLICT (id) DO UPDATE SET "
+                "state = excluded.state, updated_at = excluded.updated_at, body = excluded.body",
+                (row.id, row.vehicle_id, row.kind, row.state, row.created_at, row.updated_at, _dump(row.body)),
+            )
+            return None if event is None else _insert_event(db, row.id, row.updated_at, *event)
+
+    def job(self, job_id: str) -> JobRow | None:
+        """The job, or None if there is none of that id."""
+        rows = self._read("SELECT * FROM jobs WHERE id = ?", (job_id,))
+        return _job(rows[0]) if rows else None
+
+    def jobs(self, *, vehicle_id: str | None = None, states: Collection[str] | None = None) -> tuple[JobRow, ...]:
+        """Jobs in the order of their creation; None: of every vehicle, in every state."""
+        rows = self._read(
+            "SELECT * FROM jobs WHERE (?1 IS NULL OR vehicle_id = ?1) AND "
+            "(?2 IS NULL OR state IN (SELECT value FROM json_each(?2))) ORDER BY created_at, rowid",
+            (vehicle_id, None if states is None else json.dumps(sorted(states))),
+        )
+        return tuple(_job(r) for r in rows)
+
+    def add_event(self, job_id: str, at: float, kind: str, data: Json) -> EventRow:
+        """Append an event. Not forced to the disk: a loss of power may lose the last ones."""
+        with self._write(durable=False) as db:
+            return _insert_event(db, job_id, at, kind, data)
+
+    def events(self, job_id: str | None = None, *, after: int = 0, limit: int = 1000) -> tuple[EventRow, ...]:
+        """Events after `after`: a sequence number of that job, or an id over all jobs if `job_id` is None."""
+        if job_id is None:
+            rows = self._read("SELECT * FROM job_events WHERE id > ? ORDER BY id LIMIT ?", (after, limit))
+        else:
+            rows = self._read(
+                "SELECT * FROM job_events WHERE job_id = ? AND sequence > ? ORDER BY sequence LIMIT ?",
+                (job_id, after, limit),
+            )
+        return tuple(EventRow(r[0], r[1], r[2], r[3], r[4], json.loads(r[5])) for r in rows)
+
+    def last_event_id(self) -> int:
+        """The id of the newest event of any job; 0: there is none."""
+        return int(self._read("SELECT coalesce(max(id), 0) FROM job_events")[0][0])
+
+    def drop_events(self, job_id: str, kind: str, *, keep: int) -> None:
+        """Forget all but the last `keep` events of a kind (progress that has been superseded)."""
+        with self._write(durable=False) as db:
+            db.execute(
+                "DELETE FROM job_events WHERE job_id = ?1 AND kind = ?2 AND id NOT IN (SELECT id FROM job_events "
+                "WHERE job_id = ?1 AND kind = ?2 ORDER BY id DESC LIMIT ?3)",
+                (job_id, kind, keep),
+            )
+
+    # --- what was done to vehicles
+
+    def add_journal(self, job_id: str, at: float, step: str, data: Json) -> JournalRow:
+        """Append a step to the journal of a job."""
+        row = self._insert("INSERT INTO journal VALUES (NULL, ?, ?, ?, ?)", (job_id, at, step, _dump(data)))
+        return JournalRow(row, job_id, at, step, data)
+
+    def journal(self, job_id: str) -> tuple[JournalRow, ...]:
+        """The journal of a job, oldest first."""
+        rows = self._read("SELECT * FROM journal WHERE job_id = ? ORDER BY id", (job_id,))
+        return tuple(JournalRow(r[0], r[1], r[2], r[3], json.loads(r[4])) for r in rows)
+
+    def add_snapshot(self, job_id: str, at: float, purpose: SnapshotPurpose, sha256: str, body: Json) -> SnapshotRow:
+        """Keep parameters as they were read."""
+        values = (job_id, at, purpose.value, sha256, _dump(body))
+        row = self._insert("INSERT INTO snapshots VALUES (NULL, ?, ?, ?, ?, ?)", values)
+        return SnapshotRow(row, job_id, at, purpose, sha256, body)
+
+    def snapshot(self, job_id: str, purpose: SnapshotPurpose) -> SnapshotRow | None:
+        """The newest snapshot of that purpose."""
+        rows = self._read(
+            "SELECT * FROM snapshots WHERE job_id = ? AND purpose = ? ORDER BY id DESC LIMIT 1",
+            (job_id, purpose.value),
+        )
+        return next((SnapshotRow(r[0], r[1], r[2], SnapshotPurpose(r[3]), r[4], json.loads(r[5])) for r in rows), None)
+
+    def add_plan(self, job_id: str, sha256: str, at: float, body: Json) -> None:
+        """Keep a plan under its digest; the same plan twice is one."""
+        with self._write() as db:
+            db.execute("INSERT OR IGNORE INTO plans VALUES (?, ?, ?, ?)", (sha256, job_id, at, _dump(body)))
+
+    def plan(self, job_id: str, sha256: str) -> Json | None:
+        """A plan of that job by its digest."""
+        rows = self._read("SELECT body FROM plans WHERE job_id = ? AND sha256 = ?", (job_id, sha256))
+        return json.loads(rows[0][0]) if rows else None
+
+    def open_segment(self, job_id: str, purpose: SegmentPurpose, path: Path, start_byte: int) -> SegmentRow:
+        """Begin a segment."""
+        values = (job_id, purpose.value, str(path), start_byte)
+        row = self._insert("INSERT INTO segments VALUES (NULL, ?, ?, ?, ?, NULL, NULL)", values)
+        return SegmentRow(row, job_id, purpose, path, start_byte, None, None)
+
+    def close_segment(self, segment_id: int, end_byte: int, sha256: str) -> SegmentRow:
+        """State where a segment ends and what it contains."""
+        with self._write() as db:
+            row = db.execute(
+                "UPDATE segments SET end_byte = ?, sha256 = ? WHERE id = ? RETURNING *", (end_byte, sha256, segment_id)
+            ).fetchone()
+            if row is None:
+                raise StoreError(f"there is no segment {segment_id}")
+            return _segment(row)
+
+    def segments(self, job_id: str, purpose: SegmentPurpose | None = None) -> tuple[SegmentRow, ...]:
+        """The segments of a job, oldest first; None: of every purpose."""
+        rows = self._read(
+            "SELECT * FROM segments WHERE job_id = ?1 AND (?2 IS NULL OR purpose = ?2) ORDER BY id",
+            (job_id, None if purpose is None else purpose.value),
+        )
+        return tuple(_segment(r) for r in rows)
+
+    # --- uploads, links, signatures, requests, audit
+
+    def add_recording(self, row: RecordingRow) -> None:
+        """Keep an uploaded log."""
+        values = (row.id, row.at, row.name, str(row.path), row.size, row.sha256, _dump(row.body))
+        self._insert("INSERT INTO recordings VALUES (?, ?, ?, ?, ?, ?, ?)", values)
+
+    def recording(self, recording_id: str) -> RecordingRow | None:
+        """An uploaded log, or None."""
+        rows = self._read("SELECT * FROM recordings WHERE id = ?", (recording_id,))
+        return _recording(rows[0]) if rows else None
+
+    def recordings(self) -> tuple[RecordingRow, ...]:
+        """Uploaded logs, oldest first."""
+        return tuple(_recording(r) for r in self._read("SELECT * FROM recordings ORDER BY at, rowid"))
+
+    def save_link(self, row: LinkRow) -> None:
+        """Insert or replace a link."""
+        sql = "INSERT INTO links VALUES (?, ?, ?) ON CONFLICT (id) DO UPDATE SET url = excluded.url"
+        self._insert(sql, (row.id, row.url, row.at))
+
+    def delete_link(self, link_id: str) -> None:
+        """Forget a link; one that is not there is no error."""
+        self._insert("DELETE FROM links WHERE id = ?", (link_id,))
+
+    def links(self) -> tuple[LinkRow, ...]:
+        """Links in the order of their creation."""
+        return tuple(LinkRow(r[0], r[1], r[2]) for r in self._read("SELECT * FROM links ORDER BY at, rowid"))
+
+    def signing_timestamp(self, stream: str) -> int:
+        """The newest accepted signature time stamp of a stream; 0: none yet."""
+        rows = self._read("SELECT timestamp FROM signing_timestamps WHERE stream = ?", (stream,))
+        return int(rows[0][0]) if rows else 0
+
+    def save_signing_timestamp(self, stream: str, timestamp: int) -> None:
+        """Raise the time stamp of a stream; a smaller one changes nothing."""
+        self._insert(
+            "INSERT INTO signing_timestamps VALUES (?, ?) ON CONFLICT (stream) DO UPDATE SET "
+            "timestamp = max(timestamp, excluded.timestamp)",
+            (stream, timestamp),
+        )
+
+    def claim_idempotency_key(self, key: str, request_sha256: str, job_id: str, at: float) -> bool:
+        """Claim a key for a request: True if it is new, False if this very request has claimed it before."""
+        with self._write() as db:
+            row = db.execute("SELECT request_sha256, job_id FROM idempotency_keys WHERE key = ?", (key,)).fetchone()
+            if row is None:
+                db.execute("INSERT INTO idempotency_keys VALUES (?, ?, ?, ?)", (key, request_sha256, job_id, at))
+                return True
+        if tuple(row) != (request_sha256, job_id):
+            raise IdempotencyConflict
+        return False
+
+    def add_audit(self, at: float, actor: str, action: str, subject: str, detail: Json) -> None:
+        """Append to the audit trail."""
+        values = (at, actor, action, subject, _dump(detail))
+        self._insert("INSERT INTO audit VALUES (NULL, ?, ?, ?, ?, ?)", values)
+
+    def audit(self, *, after: int = 0, limit: int = 1000) -> tuple[AuditRow, ...]:
+        """The audit trail after a row id, oldest first."""
+        rows = self._read("SELECT * FROM audit WHERE id > ? ORDER BY id LIMIT ?", (after, limit))
+        return tuple(AuditRow(r[0], r[1], r[2], r[3], r[4], json.loads(r[5])) for r in rows)
+
+    # --- plumbing
+
+    def _read(self, sql: str, values: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+        with self._lock, _typed_errors():
+            return self._db.execute(sql, values).fetchall()
+
+    def _insert(self, sql: str, values: tuple[Any, ...]) -> int:
+        with self._write() as db:
+            return db.execute(sql, values).lastrowid or 0
+
+    @contextmanager
+    def _write(self, *, durable: bool = True) -> Iterator[sqlite3.Connection]:
+        """One transaction: it is on the disk when this returns (if `durable`), or nothing of it is."""
+        with self._lock, _typed_errors():
+            if durable != self._durable:
+                self._db.execute(f"PRAGMA synchronous = {'FULL' if durable else 'NORMAL'}")
+                self._durable = durable
+            self._db.execute("BEGIN IMMEDIATE")
+            try:
+                yield self._db
+                self._db.execute("COMMIT")
+            except BaseException:
+                if self._db.in_transaction:
+                    self._db.execute("ROLLBACK")
+                raise
+
+
+@contextmanager
+def _typed_errors() -> Iterator[None]:
+    try:
+        yield
+    except sqlite3.Error as error:
+        code = getattr(error, "sqlite_errorcode", 0) & 0xFF  # the low byte is the primary code
+        if code in _DISK_TROUBLE:
+            raise DiskFull(f"{DiskFull.__doc__} ({error})") from error
+        raise StoreError(f"the database refused: {error}") from error
+
+
+def _insert_event(db: sqlite3.Connection, job_id: str, at: float, kind: str, data: Json) -> EventRow:
+    row = db.execute(
+        "INSERT INTO job_events (job_id, sequence, at, kind, data) VALUES (?1, "
+        "(SELECT coalesce(max(sequence), 0) + 1 FROM job_events WHERE job_id = ?1), ?2, ?3, ?4) RETURNING id, sequence",
+        (job_id, at, kind, _dump(data)),
+    ).fetchone()
+    return EventRow(row[0], job_id, row[1], at, kind, data)
+
+
+def _dump(value: Json) -> str:
+    return json.dumps(value, allow_nan=False, separators=(",", ":"))
+
+
+def _job(row: tuple[Any, ...]) -> JobRow:
+    return JobRow(row[0], row[1], row[2], row[3], row[4], row[5], json.loads(row[6]))
+
+
+def _segment(row: tuple[Any, ...]) -> SegmentRow:
+    return SegmentRow(row[0], row[1], SegmentPurpose(row[2]), Path(row[3]), row[4], row[5], row[6])
+
+
+def _recording(row: tuple[Any, ...]) -> RecordingRow:
+    return RecordingRow(row[0], row[1], row[2], Path(row[3]), row[4], row[5], json.loads(row[6]))
