@@ -1,0 +1,53 @@
+"""What every answer gets: a request id, security headers, and the refusal of foreign origins before any route."""
+
+from __future__ import annotations
+
+import secrets
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import Request
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from service.api.problems import problem
+from service.api.security import Guard
+from service.errors import ForbiddenError
+from service.settings import Settings
+
+
+class Envelope:
+    """Plain ASGI middleware, so that event streams pass through unbuffered."""
+
+    def __init__(self, app: ASGIApp, settings: Settings, guard: Guard) -> None:
+        self._app = app
+        self._guard = guard
+        ancestors = " ".join(settings.frame_ancestors)
+        self._policy = f"default-src 'self'; style-src 'self' 'unsafe-inline'; frame-ancestors {ancestors}"
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle one connection."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        scope["request_id"] = secrets.token_hex(8)
+        dressed = self._dressed(scope, send)
+        try:
+            self._guard.check_origin(scope["method"], Headers(scope=scope))
+        except ForbiddenError as error:
+            refusal = problem(Request(scope), error.status_code, error.code, error.title, str(error))
+            await refusal(scope, receive, dressed)
+            return
+        await self._app(scope, receive, dressed)
+
+    def _dressed(self, scope: Scope, send: Send) -> Send:
+        async def dressed(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                headers["X-Request-ID"] = scope["request_id"]
+                headers["X-Content-Type-Options"] = "nosniff"
+                headers["Referrer-Policy"] = "same-origin"
+                docs = scope["path"].endswith(("/docs", "/redoc"))
+                if not docs:  # the interactive documentation brings scripts of its own
+                    headers["Content-Security-Policy"] = self._policy
+            await send(message)
+
+        return dressed

@@ -1,0 +1,138 @@
+"""Who may ask for what: API keys with scopes, and the checks that a browser on the same machine makes necessary.
+
+On loopback without keys everybody on the machine may do everything. A page from elsewhere, opened in a browser on
+that machine, must not: the Host header defeats DNS rebinding, the Origin header defeats cross-site requests.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import secrets
+import time
+from collections.abc import Callable, Mapping
+from enum import StrEnum
+from urllib.parse import urlsplit
+
+from fastapi import Request
+from starlette.datastructures import Headers
+
+from service.errors import AuthError, ForbiddenError
+from service.settings import ApiKey, Settings, is_loopback
+
+COOKIE = "mavcal_key"
+TICKET_S = 30.0
+SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
+
+
+class Scope(StrEnum):
+    """What a key may do."""
+
+    READ = "read"
+    OPERATE = "operate"  # links, jobs, answers, uploads
+    WRITE_PARAMS = "write-params"  # apply and revert: what changes a vehicle
+    ADMIN = "admin"
+
+
+def digest(key: str) -> str:
+    """How a key is kept in the settings."""
+    return hashlib.sha256(key.encode()).hexdigest()
+
+
+def check_exposure(settings: Settings) -> None:
+    """Refuse to listen beyond loopback without keys.
+
+    Raises
+    ------
+    AuthError
+        If the service could be reached from other machines by anybody.
+    """
+    if settings.beyond_loopback and not settings.api_keys:
+        raise AuthError(
+            f"listening on {settings.host} would let anybody on the network write to vehicles: set api_keys "
+            "(`mavcal config key` makes one), or listen on 127.0.0.1"
+        )
+
+
+class Guard:
+    """Decides on one request; made once from the settings."""
+
+    def __init__(self, settings: Settings, clock: Callable[[], float] = time.monotonic) -> None:
+        self._keys: Mapping[str, ApiKey] = {key.sha256: key for key in settings.api_keys}
+        self._hosts = {h.lower() for h in settings.allowed_hosts}
+        self._loopback_only = not settings.beyond_loopback
+        self._clock = clock
+        self._tickets: dict[str, tuple[float, ApiKey]] = {}
+
+    @property
+    def open(self) -> bool:
+        """Whether no keys are needed."""
+        return not self._keys
+
+    def check_origin(self, method: str, headers: Headers) -> None:
+        """Refuse a rebound host name, and a request that another site's page makes."""
+        host = _hostname(f"//{headers.get('host', '')}")
+        if self._loopback_only and not (is_loopback(host) or host in self._hosts):
+            raise ForbiddenError(
+                f"the service is not addressed as {host!r}: add it to allowed_hosts if this name is meant"
+            )
+        if method in SAFE_METHODS:
+            return
+        origin = headers.get("origin")
+        foreign = origin is not None and _hostname(origin) != host and _hostname(origin) not in self._hosts
+        if foreign or headers.get("sec-fetch-site") == "cross-site":
+            raise ForbiddenError(f"a page of {origin} may not change anything here: add its host to allowed_hosts")
+
+    def authenticate(self, request: Request) -> ApiKey | None:
+        """The key of a request; None: no keys are set.
+
+        Raises
+        ------
+        AuthError
+            If there is none, or an unknown one.
+        """
+        if self.open:
+            return None
+        ticket = request.query_params.get("ticket")
+        if ticket is not None:
+            return self._redeem(ticket)
+        scheme, _, bearer = request.headers.get("authorization", "").partition(" ")
+        key = bearer if scheme.lower() == "bearer" else request.cookies.get(COOKIE, "")
+        given = digest(key)
+        for known, owner in self._keys.items():
+            if hmac.compare_digest(known, given):
+                return owner
+        raise AuthError("an API key is needed: send it as `Authorization: Bearer <key>`")
+
+    def ticket(self, key: ApiKey) -> str:
+        """A ticket for one event stream, for browsers, whose EventSource cannot send headers."""
+        now = self._clock()
+        self._tickets = {t: v for t, v in self._tickets.items() if v[0] > now}
+        token = secrets.token_urlsafe(24)
+        self._tickets[token] = (now + TICKET_S, key)
+        return token
+
+    def _redeem(self, token: str) -> ApiKey:
+        until, key = self._tickets.pop(token, (0.0, None))
+        if key is None or until < self._clock():
+            raise AuthError("the ticket is used or older than 30 s: ask for a new one")
+        return key
+
+
+def require(scope: Scope) -> Callable[[Request], None]:
+    """A dependency that lets a request pass only with `scope`."""
+
+    def check(request: Request) -> None:
+        guard: Guard = request.app.state.guard
+        key = guard.authenticate(request)
+        if key is not None and scope not in key.scopes and Scope.ADMIN not in key.scopes:
+            raise ForbiddenError(f"the key of {key.name!r} lacks the scope {scope.value!r}")
+
+    return check
+
+
+def _hostname(url: str) -> str:
+    try:
+        return (urlsplit(url).hostname or "").lower()
+    except ValueError:
+        return ""

@@ -1,0 +1,111 @@
+"""``mavcal doctor``: what this machine lacks for the service."""
+
+from __future__ import annotations
+
+import datetime
+import importlib.metadata
+import os
+import platform
+import shutil
+import socket
+import sys
+import tempfile
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import click
+
+from calib.errors import CalibError
+from service.commands.config import load_settings
+from service.commands.output import EXIT_NO, json_option, write_json
+from service.settings import Settings
+
+DISTRIBUTIONS = ("numpy", "scipy", "pymavlink", "fastapi", "uvicorn", "pyserial", "pyulog", "pygeomag")
+LEAST_FREE_BYTES = 1024**3
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing looked at; `verdict` is pass, warn or fail."""
+
+    id: str
+    verdict: str
+    text: str
+
+
+@click.command()
+@json_option
+def command(as_json: bool) -> int:
+    """Check this machine for what the service needs; exit code 1 if something would fail."""
+    settings = load_settings()
+    findings = [_python(), *_packages(), _data_dir(settings.data_dir), _port(settings), _serial(), _magnetic_model()]
+    if as_json:
+        write_json({"findings": [asdict(f) for f in findings]})
+    else:
+        for finding in findings:
+            click.echo(f"{finding.verdict:4}  {finding.id:14}  {finding.text}")
+    return EXIT_NO if any(f.verdict == "fail" for f in findings) else 0
+
+
+def _python() -> Finding:
+    verdict = "pass" if sys.version_info >= (3, 11) else "fail"
+    return Finding("python", verdict, f"Python {platform.python_version()} (3.11 or newer is needed)")
+
+
+def _packages() -> list[Finding]:
+    findings = []
+    for name in DISTRIBUTIONS:
+        try:
+            findings.append(Finding(name, "pass", importlib.metadata.version(name)))
+        except importlib.metadata.PackageNotFoundError:
+            findings.append(Finding(name, "fail", "not installed: run scripts/setup"))
+    return findings
+
+
+def _data_dir(folder: Path) -> Finding:
+    existing = next(p for p in (folder, *folder.parents) if p.exists())
+    if not os.access(existing, os.W_OK):
+        return Finding("data-dir", "fail", f"{existing} cannot be written: set data_dir")
+    free = shutil.disk_usage(existing).free
+    try:
+        with tempfile.TemporaryFile(dir=existing) as probe:
+            probe.write(b"mavcal")
+    except OSError as error:
+        return Finding("data-dir", "fail", f"{existing}: {error.strerror}: free some space or set data_dir")
+    verdict = "pass" if free > LEAST_FREE_BYTES else "warn"
+    return Finding("data-dir", verdict, f"{folder}, {free / 1024**3:.1f} GiB free")
+
+
+def _port(settings: Settings) -> Finding:
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((settings.host, settings.port))
+        except OSError as error:
+            return Finding("port", "warn", f"{settings.host}:{settings.port}: {error.strerror}; choose another --port")
+    return Finding("port", "pass", f"{settings.host}:{settings.port} is free")
+
+
+def _serial() -> Finding:
+    from serial.tools import list_ports
+
+    ports = [p.device for p in list_ports.comports()]
+    closed = [p for p in ports if not os.access(p, os.R_OK | os.W_OK)]
+    if closed:
+        return Finding("serial", "warn", f"{', '.join(closed)} may not be opened: join the group dialout")
+    return Finding("serial", "pass", ", ".join(ports) or "no serial port here")
+
+
+def _magnetic_model() -> Finding:
+    from calib.earth import earth_field
+
+    today = datetime.datetime.now(tz=datetime.UTC).date()
+    year = today.year + (today.timetuple().tm_yday - 1) / 365.25
+    try:
+        field = earth_field(0.0, 0.0, 0.0, year)
+    except CalibError as error:
+        return Finding("magnetic-model", "fail", str(error))
+    verdict = "pass" if field.valid else "warn"
+    return Finding(
+        "magnetic-model", verdict, f"world magnetic model {'covers' if field.valid else 'ended before'} {year:.2f}"
+    )

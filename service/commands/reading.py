@@ -1,0 +1,71 @@
+"""The options with which every command reads a recording, foreign tables included."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+ACCEL_UNITS = ("si", "g", "mg", "counts")
+GYRO_UNITS = ("si", "deg/s", "mrad/s", "counts")
+MAG_UNITS = ("uT", "mgauss", "gauss", "counts")
+
+
+def _pairs(_ctx: click.Context, _param: click.Parameter, value: str | None) -> dict[str, str]:
+    """``a=1,b=col*2`` as a mapping."""
+    pairs: dict[str, str] = {}
+    for item in (value or "").split(","):
+        if not item.strip():
+            continue
+        name, equals, column = item.partition("=")
+        if not equals or not name.strip() or not column.strip():
+            raise click.BadParameter(f"{item!r} is not NAME=COLUMN; example: mag_x=3,mag_y=4,accel_x=ax*9.80665")
+        pairs[name.strip()] = column.strip()
+    return pairs
+
+
+OPTIONS: tuple[Callable[[Callable[..., Any]], Callable[..., Any]], ...] = (
+    click.option(
+        "--map",
+        "mapping",
+        callback=_pairs,
+        metavar="NAME=COLUMN[*FACTOR],...",
+        help="Columns by header name or 0-based number.",
+    ),
+    click.option("--world", type=click.Choice(["ned", "enu"]), default="ned", show_default=True, help="World frame."),
+    click.option("--body", type=click.Choice(["frd", "flu"]), default="frd", show_default=True, help="Body frame."),
+    click.option("--rate", type=float, default=None, metavar="HZ", help="Makes `t` where the table has none."),
+    click.option("--unit-accel", type=click.Choice(ACCEL_UNITS), default="si", show_default=True, help="Accel unit."),
+    click.option("--unit-gyro", type=click.Choice(GYRO_UNITS), default="si", show_default=True, help="Gyro unit."),
+    click.option("--unit-mag", type=click.Choice(MAG_UNITS), default="uT", show_default=True, help="Mag unit."),
+)
+
+
+def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the reading options to a command function."""
+    for option in reversed(OPTIONS):
+        command = option(command)
+    return command
+
+
+def split_reading(options: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The reading options, as ``calib.logs.read`` takes them, and the rest."""
+    names = {"mapping", "world", "body", "rate", "unit_accel", "unit_gyro", "unit_mag"}
+    reading = {k: v for k, v in options.items() if k in names}
+    return reading, {k: v for k, v in options.items() if k not in names}
+
+
+def readable_file(path: str) -> Path:
+    """The path of a file that exists.
+
+    Raises
+    ------
+    click.BadParameter
+        If there is none.
+    """
+    file = Path(path)
+    if not file.is_file():
+        raise click.BadParameter(f"there is no file {path}")
+    return file
