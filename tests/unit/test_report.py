@@ -1,0 +1,202 @@
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from calib.errors import InvalidInputError
+from calib.firmware.plan import (
+    AfterWrite,
+    Change,
+    Fingerprint,
+    Loss,
+    ParameterKind,
+    ParameterVerdict,
+    Verdict,
+    Verification,
+    WritePlan,
+)
+from calib.fit import FitResult, FitStatus, refused
+from calib.procedures.protocol import Done, GaveUp, Pose, Progress, Prompt
+from calib.recording import Sensor
+from calib.report import (
+    fit_from_json,
+    fit_to_json,
+    plain,
+    plan_from_json,
+    plan_to_json,
+    step_from_json,
+    step_to_json,
+    verification_from_json,
+    verification_to_json,
+)
+from calib.triad import ThermalPolynomial, TriadModel
+
+KEYS_OF_DESIGN = {
+    *("method", "status", "message", "n_samples", "n_used", "relative", "model", "sd", "native"),
+    *("residual_rms", "unit", "condition_number", "undetermined", "warnings", "quality"),
+}
+
+
+def thermal_fit(rng: np.random.Generator) -> FitResult:
+    root = rng.normal(size=(18, 18))
+    covariance = root @ root.T
+    covariance[2, :] = covariance[:, 2] = 0.0
+    covariance[12, :] = covariance[:, 12] = 0.0
+    return FitResult(
+        method="thermal-linear",
+        sensor=Sensor.GYRO,
+        instance=1,
+        status=FitStatus.PARTIAL,
+        message="z never moved",
+        model=TriadModel(
+            rng.normal(size=3), rng.normal(size=(3, 3)), ThermalPolynomial(35.0, -3.25, 61.0, rng.normal(size=(3, 2)))
+        ),
+        covariance=covariance,
+        unit="rad/s",
+        n_samples=10,
+        n_used=9,
+        residual_rms=0.1,
+        condition_number=3.0,
+        undetermined=("offset_z",),
+        warnings=("a warning",),
+        temperature=35.0,
+        quality={"chi2": np.float64(0.1), "mask": np.array([True, False]), "none": None},
+        native={"slopes": [1.0, 2.0, None]},
+    )
+
+
+def plan() -> WritePlan:
+    return WritePlan(
+        fingerprint=Fingerprint("ardupilot", "00ff", "4.7.0", (("INS_ACC_ID", 2753028),)),
+        snapshot_sha256="ab",
+        changes=(
+            Change(
+                "INS_ACCOFFS_X",
+                0.1,
+                float(np.float32(0.3)),
+                ParameterKind.REAL32,
+                "offset",
+                0.001,
+                "m/s2",
+                Sensor.ACCEL,
+            ),
+            Change("COMPASS_LEARN", None, 0, ParameterKind.INT8, "autocal off", session=True),
+        ),
+        losses=(Loss(Sensor.ACCEL, 0, "cross terms", 0.02, "m/s2", "not storable"),),
+        after=(AfterWrite(241, (0.0, 0.0, 0.0, 0.0, 76.0, 0.0, 0.0), "ids"),),
+        warnings=("w",),
+    )
+
+
+def through_text(data: object) -> dict[str, object]:
+    return dict(json.loads(json.dumps(data, allow_nan=False)))
+
+
+def test_the_json_of_a_fit_has_the_keys_of_the_design():
+    data = fit_to_json(thermal_fit(np.random.default_rng(1)))
+    assert data.keys() >= KEYS_OF_DESIGN
+    assert data.keys() - KEYS_OF_DESIGN == {"sensor", "instance", "temperature", "covariance"}
+    assert data["model"].keys() == data["sd"].keys() == {"offset", "matrix", "polynomial"}
+    assert data["model"]["polynomial"].keys() == {"t_ref", "t_min", "t_max", "coefficients"}
+    assert np.shape(data["sd"]["polynomial"]["coefficients"]) == np.shape(data["model"]["polynomial"]["coefficients"])
+
+
+def test_the_sd_is_null_where_undetermined_and_zero_where_fixed():
+    sd = fit_to_json(thermal_fit(np.random.default_rng(1)))["sd"]
+    assert sd["offset"][2] is None
+    assert sd["offset"][0] > 0
+    assert sd["polynomial"]["coefficients"][0][0] == 0.0
+
+
+def test_a_refused_fit_states_no_uncertainty_at_all():
+    data = through_text(fit_to_json(refused("m", Sensor.MAG, 0, "no", unit="uT", n_samples=3)))
+    assert data["sd"] == {"offset": [None] * 3, "matrix": [[None] * 3] * 3, "polynomial": None}
+    assert fit_to_json(fit_from_json(data)) == data
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_a_fit_survives_text_bit_by_bit(seed):
+    fit = thermal_fit(np.random.default_rng(seed))
+    back = fit_from_json(through_text(fit_to_json(fit)))
+    assert (back.covariance == fit.covariance).all()
+    assert (back.values == fit.values).all()
+    assert fit_to_json(back) == fit_to_json(fit)
+    for name in ("method", "sensor", "instance", "status", "undetermined", "warnings", "temperature", "n_used"):
+        assert getattr(back, name) == getattr(fit, name)
+
+
+def test_a_fit_without_its_model_is_an_input_error():
+    data = fit_to_json(thermal_fit(np.random.default_rng(1)))
+    del data["model"]
+    with pytest.raises(InvalidInputError, match="not the JSON of a fit"):
+        fit_from_json(data)
+
+
+def test_a_plan_survives_text_with_its_digest_and_its_integers():
+    original = plan()
+    back = plan_from_json(through_text(plan_to_json(original)))
+    assert back == original
+    assert back.sha256 == original.sha256
+    assert isinstance(back.changes[1].new, int)
+
+
+def test_an_altered_plan_is_not_read():
+    data = plan_to_json(plan())
+    data["changes"][0]["new"] = 9.0
+    with pytest.raises(InvalidInputError, match="plan again"):
+        plan_from_json(data)
+
+
+def test_a_verification_survives_text():
+    check = Verification((ParameterVerdict("A", Verdict.CONTRADICTED, 0.1, 0.01, "m/s2", "t"),), "turn it")
+    data = through_text(verification_to_json(check))
+    assert data["contradicted"] == ["A"]
+    assert data["proved"] is False
+    assert verification_from_json(data) == check
+
+
+@pytest.mark.parametrize(
+    "step",
+    [
+        Prompt("pose", "Hold it", pose=Pose.LEFT, remaining=(Pose.LEFT, Pose.BACK), direction=(0.0, 1.0, 0.0)),
+        Prompt("confirm", "Ready?", answers=("finish",), stable=True, detected=Pose.LEVEL),
+        Progress(1.0, 2.0, "s", "half", eta=None, detail={"mask": [1, 2]}),
+        GaveUp("nothing moved", "move it"),
+    ],
+)
+def test_steps_survive_text(step):
+    data = through_text(step_to_json(step))
+    assert data["type"] in {"prompt", "progress", "gave_up"}
+    assert step_from_json(data) == step
+
+
+def test_done_carries_its_fits():
+    fit = thermal_fit(np.random.default_rng(5))
+    data = through_text(step_to_json(Done((fit,), "accurate enough")))
+    back = step_from_json(data)
+    assert isinstance(back, Done)
+    assert fit_to_json(back.results[0]) == fit_to_json(fit)
+
+
+def test_an_unknown_step_is_an_input_error():
+    with pytest.raises(InvalidInputError, match="'shout'"):
+        step_from_json({"type": "shout"})
+
+
+def test_numbers_that_are_not_finite_become_null():
+    assert plain({"a": np.array([np.nan, np.inf, 1.0]), "b": np.int64(3)}) == {"a": [None, None, 1.0], "b": 3}
+
+
+def test_a_type_without_a_form_is_refused():
+    with pytest.raises(InvalidInputError, match="complex"):
+        plain(1j)
+
+
+def test_dataclass_fields_are_all_written():
+    change = plan().changes[0]
+    assert plain(change).keys() == {f.name for f in dataclasses.fields(Change)}
