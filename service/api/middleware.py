@@ -10,7 +10,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.api.problems import problem
 from service.api.security import Guard
-from service.errors import ForbiddenError
+from service.errors import Forbidden
 from service.settings import Settings
 
 
@@ -32,7 +32,7 @@ class Envelope:
         dressed = self._dressed(scope, send)
         try:
             self._guard.check_origin(scope["method"], Headers(scope=scope))
-        except ForbiddenError as error:
+        except Forbidden as error:
             refusal = problem(Request(scope), error.status_code, error.code, error.title, str(error))
             await refusal(scope, receive, dressed)
             return

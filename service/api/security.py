@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 from fastapi import Request
 from starlette.datastructures import Headers
 
-from service.errors import AuthError, ForbiddenError
+from service.errors import AuthError, Forbidden
 from service.settings import ApiKey, Settings, is_loopback
 
 COOKIE = "mavcal_key"
@@ -73,15 +73,13 @@ class Guard:
         """Refuse a rebound host name, and a request that another site's page makes."""
         host = _hostname(f"//{headers.get('host', '')}")
         if self._loopback_only and not (is_loopback(host) or host in self._hosts):
-            raise ForbiddenError(
-                f"the service is not addressed as {host!r}: add it to allowed_hosts if this name is meant"
-            )
+            raise Forbidden(f"the service is not addressed as {host!r}: add it to allowed_hosts if this name is meant")
         if method in SAFE_METHODS:
             return
         origin = headers.get("origin")
         foreign = origin is not None and _hostname(origin) != host and _hostname(origin) not in self._hosts
         if foreign or headers.get("sec-fetch-site") == "cross-site":
-            raise ForbiddenError(f"a page of {origin} may not change anything here: add its host to allowed_hosts")
+            raise Forbidden(f"a page of {origin} may not change anything here: add its host to allowed_hosts")
 
     def authenticate(self, request: Request) -> ApiKey | None:
         """The key of a request; None: no keys are set.
@@ -126,7 +124,7 @@ def require(scope: Scope) -> Callable[[Request], None]:
         guard: Guard = request.app.state.guard
         key = guard.authenticate(request)
         if key is not None and scope not in key.scopes and Scope.ADMIN not in key.scopes:
-            raise ForbiddenError(f"the key of {key.name!r} lacks the scope {scope.value!r}")
+            raise Forbidden(f"the key of {key.name!r} lacks the scope {scope.value!r}")
 
     return check
 
