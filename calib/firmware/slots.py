@@ -1,0 +1,153 @@
+"""Which row of parameters belongs to which stream.
+
+ArduPilot's inertial units stream by slot. Its compasses stream by *rank* (``COMPASS_PRIOn_ID``) while their parameters
+lie in state slots (``COMPASS_DEV_IDn``). PX4 matches every row by device id. FLIGHT_CONTROLLERS 1.3, 1.4, 2.2.
+"""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from calib.errors import FirmwareError
+from calib.firmware import names
+from calib.firmware.names import Role
+from calib.recording import Sensor
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from calib.firmware.plan import Value
+
+CALIBRATED = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
+"""The sensors that have calibration parameters."""
+
+
+def ardupilot_compass_slot(parameters: Mapping[str, Value], priority: int) -> int:
+    """State slot (0-based) of the compass that streams as instance `priority`.
+
+    A vehicle that stores no ranks uses its slots in order.
+
+    Raises
+    ------
+    FirmwareError
+        If the ranked device id is in no slot that has calibration parameters.
+    """
+    wanted = int(parameters.get(f"COMPASS_PRIO{priority + 1}_ID", 0))
+    if wanted == 0:
+        return priority
+    for slot in range(names.ARDUPILOT_COMPASS_IDS):
+        digit = "" if slot == 0 else str(slot + 1)
+        if int(parameters.get(f"COMPASS_DEV_ID{digit}", 0)) == wanted:
+            if slot >= names.ARDUPILOT_COMPASS_SLOTS:
+                break
+            return slot
+    raise FirmwareError(
+        f"compass {priority + 1} has device id {wanted} (COMPASS_PRIO{priority + 1}_ID), but none of COMPASS_DEV_ID, "
+        "COMPASS_DEV_ID2, COMPASS_DEV_ID3 holds it; restart the vehicle so that it registers its compasses again"
+    )
+
+
+def ardupilot_calibration_names(parameters: Mapping[str, Value], sensor: Sensor, instance: int) -> Mapping[Role, str]:
+    """Names by role of the parameters that correct `sensor` `instance` (0-based, as streamed) of an ArduPilot.
+
+    Raises
+    ------
+    FirmwareError
+        If ArduPilot has no parameters for it.
+    """
+    _check_sensor(sensor)
+    if sensor != Sensor.MAG:
+        return names.ardupilot_imu_names(sensor, instance)
+    return names.ardupilot_compass_names(ardupilot_compass_slot(parameters, instance), instance)
+
+
+def px4_slot(parameters: Mapping[str, Value], sensor: Sensor, instance: int, device_id: int | None = None) -> int:
+    """``CAL_*`` row of `sensor` `instance`.
+
+    The stream does not carry device ids. Without `device_id` the rows that hold an id are taken in their order, which
+    is how the firmware fills them, then the free ones. A wrong guess is caught by the physical check, never by the
+    read-back.
+
+    Raises
+    ------
+    FirmwareError
+        If `device_id` is in no row, or there is no row left.
+    """
+    ids = _px4_ids(parameters, sensor)
+    if device_id is not None:
+        if device_id not in ids:
+            raise FirmwareError(f"no {names.px4_names(sensor, 0)[Role.ID][:-4]}n_ID holds the device id {device_id}")
+        return ids.index(device_id)
+    filled = [slot for slot, held in enumerate(ids) if held != 0]
+    free = [slot for slot, held in enumerate(ids) if held == 0]
+    ordered = filled + free
+    if instance >= len(ordered):
+        raise FirmwareError(f"PX4 has {names.PX4_SLOTS} rows for {sensor}; instance {instance} has none")
+    return ordered[instance]
+
+
+def px4_thermal_slot(parameters: Mapping[str, Value], sensor: Sensor, device_id: int) -> int | None:
+    """``TC_*`` row that holds `device_id`, else the row without an id that is left for it; None: there is no row.
+
+    Sensors without a row share out the free rows in the order of their ``CAL_*`` rows, so a plan over several of them
+    never takes one row twice. A magnetometer has none: PX4 computes its thermal term and never uses it.
+    """
+    if device_id == 0 or not names.px4_thermal_names(sensor, 0):
+        return None
+    held = [
+        int(parameters.get(names.px4_thermal_names(sensor, slot)[Role.THERMAL_ID], 0))
+        for slot in range(names.PX4_SLOTS)
+    ]
+    if device_id in held:
+        return held.index(device_id)
+    without = [i for i in _px4_ids(parameters, sensor) if i not in (0, *held)]
+    free = [slot for slot, owner in enumerate(held) if owner == 0]
+    return dict(zip(without, free, strict=False)).get(device_id)
+
+
+def px4_calibration_names(
+    parameters: Mapping[str, Value], sensor: Sensor, instance: int, device_id: int | None = None
+) -> Mapping[Role, str]:
+    """Names by role of the parameters that correct `sensor` `instance` of a PX4, thermal row included.
+
+    The thermal row is the one that holds the sensor's device id, else a free one (the value of its ``THERMAL_ID``
+    says which); none for a sensor whose id is not known.
+    """
+    _check_sensor(sensor)
+    row = names.px4_names(sensor, px4_slot(parameters, sensor, instance, device_id))
+    thermal = px4_thermal_slot(parameters, sensor, int(parameters.get(row[Role.ID], 0)))
+    if thermal is None:
+        return row
+    return MappingProxyType({**row, **names.px4_thermal_names(sensor, thermal)})
+
+
+def _px4_ids(parameters: Mapping[str, Value], sensor: Sensor) -> list[int]:
+    return [int(parameters.get(names.px4_names(sensor, slot)[Role.ID], 0)) for slot in range(names.PX4_SLOTS)]
+
+
+def ardupilot_sensor_ids(parameters: Mapping[str, Value]) -> dict[tuple[Sensor, int], int]:
+    """Device id of every sensor that the vehicle knows, by streamed instance."""
+    found = {}
+    for sensor in (Sensor.ACCEL, Sensor.GYRO):
+        for slot in range(names.ARDUPILOT_IMU_SLOTS):
+            found[sensor, slot] = int(parameters.get(names.ardupilot_imu_names(sensor, slot)[Role.ID], 0))
+    for priority in range(names.ARDUPILOT_COMPASS_SLOTS):
+        ranked = int(parameters.get(f"COMPASS_PRIO{priority + 1}_ID", 0))
+        own = names.ardupilot_compass_names(priority, priority)[Role.ID]
+        found[Sensor.MAG, priority] = ranked or int(parameters.get(own, 0))
+    return {key: value for key, value in found.items() if value != 0}
+
+
+def px4_sensor_ids(parameters: Mapping[str, Value]) -> dict[tuple[Sensor, int], int]:
+    """Device id of every calibrated sensor, by streamed instance (filled rows in their order)."""
+    found = {}
+    for sensor in CALIBRATED:
+        held = [value for value in _px4_ids(parameters, sensor) if value != 0]
+        found.update({(sensor, i): value for i, value in enumerate(held)})
+    return found
+
+
+def _check_sensor(sensor: Sensor) -> None:
+    if sensor not in CALIBRATED:
+        raise FirmwareError(f"an autopilot holds no calibration of {sensor}; ask for accel, gyro or mag")
