@@ -35,7 +35,8 @@
     +-- AuthError                 401
     |   +-- Forbidden             403
     +-- UploadError               422
-        +-- UploadTooLarge        413
+    |   +-- UploadTooLarge        413
+    +-- RecordingUnknown          404
 
 The docstring of a class is its default message; ``status_code``, ``title`` and ``code`` are what the HTTP
 interface answers with.
@@ -323,3 +324,11 @@ class UploadTooLarge(UploadError):
     status_code = 413
     title = "Upload too large"
     code = "upload-too-large"
+
+
+class RecordingUnknown(ServiceError):
+    """No such recording. GET /api/v1/recordings lists them."""
+
+    status_code = 404
+    title = "Recording unknown"
+    code = "recording-unknown"

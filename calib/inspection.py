@@ -1,0 +1,144 @@
+"""What is in a recording: channels, rates, gaps, ranges, damage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from calib.recording import Channel, Recording
+
+GAP_PERIODS = 5.0
+"""A pause this many median periods long counts as a gap."""
+STUCK_S = 1.0
+"""A value that stays exactly the same this long, in a channel that otherwise changes, is a stuck sensor."""
+MOST_GAPS_LISTED = 20
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A pause in a channel, s on the recording's clock."""
+
+    start: float
+    length: float
+
+
+@dataclass(frozen=True)
+class ChannelSummary:
+    """One channel in numbers; ranges and means have one entry a column, None where no sample is finite."""
+
+    sensor: str
+    instance: int
+    source: str
+    stage: str
+    unit: str
+    samples: int
+    start: float
+    end: float
+    rate: float | None
+    quantum: float
+    gaps: tuple[Gap, ...]
+    n_gaps: int
+    backward_steps: int
+    not_finite: int
+    longest_constant: float
+    least: tuple[float | None, ...]
+    mean: tuple[float | None, ...]
+    most: tuple[float | None, ...]
+
+
+def summarise(channel: Channel) -> ChannelSummary:
+    """Numbers of one channel that has at least one sample."""
+    t, values = channel.t, channel.values
+    steps = np.diff(t)
+    forward = steps[steps > 0]
+    period = float(np.median(forward)) if len(forward) else None
+    wide = np.flatnonzero(steps > GAP_PERIODS * period) if period else np.empty(0, dtype=np.intp)
+    finite = np.isfinite(values)
+    return ChannelSummary(
+        sensor=channel.sensor.value,
+        instance=channel.instance,
+        source=channel.source,
+        stage=channel.stage.value,
+        unit=channel.unit,
+        samples=len(t),
+        start=float(t[0]),
+        end=float(t[-1]),
+        rate=1.0 / period if period else None,
+        quantum=channel.quantum,
+        gaps=tuple(Gap(float(t[i]), float(steps[i])) for i in wide[:MOST_GAPS_LISTED]),
+        n_gaps=len(wide),
+        backward_steps=int((steps < 0).sum()),
+        not_finite=int((~finite.all(axis=1)).sum()),
+        longest_constant=_longest_constant(channel),
+        least=_columns(values, finite, np.min),
+        mean=_columns(values, finite, np.mean),
+        most=_columns(values, finite, np.max),
+    )
+
+
+def inspect(recording: Recording) -> dict[str, Any]:
+    """Everything about a recording as one JSON-able document."""
+    channels = [summarise(c) for c in recording.channels if len(c)]
+    changes = recording.parameters.changes()
+    identity = recording.identity
+    start, end = recording.span
+    return {
+        "source": recording.source,
+        "duration": end - start if channels else 0.0,
+        "identity": {
+            "autopilot": identity.autopilot,
+            "firmware": list(identity.firmware) if identity.firmware else None,
+            "uid": identity.uid,
+            "system": identity.system,
+        },
+        "channels": [_document(c) for c in channels],
+        "parameters": {
+            "count": len(recording.parameters.final()),
+            "end_observed": recording.parameters.end_observed,
+            "changes": [{"t": _or_none(e.t), "name": e.name, "value": _or_none(e.value)} for e in changes],
+        },
+        "segments": [{"label": s.label, "start": s.start, "end": s.end} for s in recording.segments],
+        "events": [{"t": _or_none(e.t), "kind": e.kind, "text": e.text} for e in recording.events],
+        "warnings": [w for c in channels for w in _warnings(c)],
+    }
+
+
+def _longest_constant(channel: Channel) -> float:
+    if len(channel) < 2:
+        return 0.0
+    changed = np.flatnonzero((np.diff(channel.values, axis=0) != 0).any(axis=1))
+    edges = np.concatenate([[0], changed + 1, [len(channel) - 1]])
+    return float(np.max(channel.t[edges[1:]] - channel.t[edges[:-1]]))
+
+
+def _columns(values: Any, finite: Any, reduce: Any) -> tuple[float | None, ...]:
+    columns = range(values.shape[1])
+    return tuple(float(reduce(values[finite[:, k], k])) if finite[:, k].any() else None for k in columns)
+
+
+def _warnings(channel: ChannelSummary) -> list[str]:
+    name = f"{channel.sensor}[{channel.instance}] of {channel.source}"
+    found = []
+    if channel.not_finite:
+        found.append(f"{name}: {channel.not_finite} of {channel.samples} samples are not finite")
+    if channel.backward_steps:
+        found.append(f"{name}: time goes back {channel.backward_steps} times")
+    if channel.n_gaps:
+        longest = max(channel.gaps, key=lambda g: g.length)
+        found.append(f"{name}: {channel.n_gaps} gaps, one of {longest.length:.2f} s at {longest.start:.2f} s")
+    inertial = channel.sensor in {"accel", "gyro", "mag"} and not channel.quantum
+    if inertial and channel.samples > 2 and channel.longest_constant > STUCK_S:
+        found.append(f"{name}: the value stood still for {channel.longest_constant:.1f} s: a stuck sensor")
+    return found
+
+
+def _document(channel: ChannelSummary) -> dict[str, Any]:
+    document = dict(vars(channel))
+    document["gaps"] = [vars(g) for g in channel.gaps]
+    return document
+
+
+def _or_none(value: float) -> float | None:
+    return value if np.isfinite(value) else None
