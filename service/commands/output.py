@@ -22,11 +22,7 @@ def wants_json(arguments: Sequence[str]) -> bool:
 
 
 def write_json(document: Mapping[str, Any]) -> None:
-    """Print one JSON object; a number that is not finite is a bug and raises."""
-    click.echo(json.dumps(document, allow_nan=False, default=_plain))
+    """Print one JSON object; what is not finite becomes null."""
+    from calib.report import plain  # brings numpy, which help and versions do without
 
-
-def _plain(value: Any) -> Any:
-    if hasattr(value, "tolist"):  # numpy arrays and scalars
-        return value.tolist()
-    raise TypeError(f"{type(value).__name__} is not JSON")
+    click.echo(json.dumps(plain(document), allow_nan=False))
