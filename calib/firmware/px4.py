@@ -1,9 +1,203 @@
-"""How PX4 corrects its sensors, and with which parameters (FLIGHT_CONTROLLERS 1.4)."""
+"""How PX4 corrects its sensors: the one place of its formulas and of its thresholds (FLIGHT_CONTROLLERS 1.4, 10).
+
+=============  ============================================================
+accelerometer  ``b = L R [(a - TC(T) - OFF) o SCALE]``
+gyroscope      ``b = L R (g - TC(T) - OFF)``
+magnetometer   ``b = L R S (m + p COMP - OFF)``: the offset is subtracted, in the sensor's frame
+=============  ============================================================
+
+``TC(T) = X0 + X1 d + X2 d^2 + X3 d^3``, ``d = clamp(T) - TREF``; L = Euler(SENS_BOARD_*_OFF), R the board's rotation or
+an external sensor's own. A stored value does not always reach the memory that corrects: see :class:`Px4Calibration`.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.firmware import names
 from calib.firmware.names import PX4_PREFIXES as CALIBRATION_PREFIXES
+from calib.firmware.names import Role
+from calib.firmware.rotations import euler_matrix, rotation_matrix
 from calib.firmware.slots import px4_calibration_names as calibration_names
 from calib.firmware.slots import px4_sensor_ids as sensor_ids
+from calib.firmware.values import need, vector
+from calib.recording import Sensor
+from calib.triad import ThermalPolynomial, TriadModel
 
-__all__ = ["CALIBRATION_PREFIXES", "calibration_names", "sensor_ids"]
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from calib.firmware.plan import Value
+
+__all__ = [
+    "CALIBRATION_PREFIXES",
+    "THRESHOLDS",
+    "UT_PER_GAUSS",
+    "Px4Calibration",
+    "Thresholds",
+    "board_rotation",
+    "calibration_in_force",
+    "calibration_names",
+    "sensor_ids",
+]
+
+Array = NDArray[np.float64]
+
+UT_PER_GAUSS: Final = 100.0
+ROTATION_CUSTOM: Final = 100
+"""CAL_MAGn_ROT from here on: the Euler angles of the row hold."""
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """A new vector replaces the one in memory only if it differs by more than this in norm (parameter units)."""
+
+    offset: float
+    scale: float = 0.01
+    cross: float = 0.01
+
+
+THRESHOLDS: Final[Mapping[Sensor, Thresholds]] = {
+    Sensor.ACCEL: Thresholds(offset=0.01),  # m/s2
+    Sensor.GYRO: Thresholds(offset=0.01),  # rad/s; waived for the first load after boot
+    Sensor.MAG: Thresholds(offset=0.005),  # Gauss
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Px4Calibration:
+    """The values of one sensor that are in PX4's memory, which is what corrects it (parameter units).
+
+    After boot memory starts at offset 0, scale 1, cross terms 0. Every parameter change loads the row again, vector by
+    vector, and a vector within its threshold of the one in memory is ignored
+    (``sensor_calibration/*.cpp`` ``set_offset``, ``set_scale``, ``set_offdiagonal``).
+
+    Examples
+    --------
+    >>> row = {f"CAL_ACC0_{a}OFF": 0.0 for a in "XYZ"} | {f"CAL_ACC0_{a}SCALE": 1.0 for a in "XYZ"} | {"CAL_ACC0_ID": 1}
+    >>> memory = Px4Calibration.load(row, Sensor.ACCEL, 0)
+    >>> memory = memory.update(row | {"CAL_ACC0_XOFF": 0.05})  # 0.05 away from memory: taken
+    >>> float(memory.update(row | {"CAL_ACC0_XOFF": 0.057}).offset[0])  # 0.007 away: ignored
+    0.05
+    """
+
+    sensor: Sensor
+    instance: int
+    offset: Array = field(default_factory=lambda: np.zeros(3))
+    scale: Array = field(default_factory=lambda: np.ones(3))
+    cross: Array = field(default_factory=lambda: np.zeros(3))
+    loaded: bool = False
+    """Whether any value was taken since boot."""
+
+    @classmethod
+    def load(cls, parameters: Mapping[str, Value], sensor: Sensor, instance: int) -> Px4Calibration:
+        """What is in memory after a boot with `parameters`."""
+        return cls(sensor, instance).update(parameters)
+
+    def update(self, parameters: Mapping[str, Value]) -> Px4Calibration:
+        """What is in memory after the firmware has looked at `parameters` again.
+
+        Raises
+        ------
+        FirmwareError
+            If the row of this sensor is not among `parameters`.
+        """
+        roles = calibration_names(parameters, self.sensor, self.instance)
+        if need(parameters, roles[Role.ID]) == 0:
+            return Px4Calibration(self.sensor, self.instance)  # no row of its own: reset
+        limits = THRESHOLDS[self.sensor]
+        first_gyro = self.sensor == Sensor.GYRO and not self.loaded
+        offset, scale, cross = self.offset, self.scale, self.cross
+        stored = _stored(parameters, roles, names.OFFSET)
+        if stored is not None and (first_gyro or _longer(stored - offset, limits.offset)):
+            offset = stored
+        stored = _stored(parameters, roles, names.SCALE)
+        if stored is not None and (stored > 0).all() and _longer(stored - scale, limits.scale):
+            scale = stored
+        stored = _stored(parameters, roles, names.CROSS)
+        if stored is not None and _longer(stored - cross, limits.cross):
+            cross = stored
+        changed = offset is not self.offset or scale is not self.scale or cross is not self.cross
+        return dataclasses.replace(
+            self, offset=offset, scale=scale, cross=cross, loaded=self.loaded or changed or first_gyro
+        )
+
+
+def calibration_in_force(
+    parameters: Mapping[str, Value], sensor: Sensor, instance: int, memory: Px4Calibration | None = None
+) -> TriadModel:
+    """The correction that a PX4 with `parameters` applies: raw sensor frame to corrected body frame, SI and uT.
+
+    `memory` is what earlier writes left in memory; None: as after a boot with `parameters`. For a magnetometer this is
+    what the firmware does inside; the streamed field is raw. The thermal part counts as running where TC_*_ENABLE is 1.
+
+    Raises
+    ------
+    FirmwareError
+        If a parameter that decides the correction is not among `parameters`.
+    """
+    held = memory or Px4Calibration.load(parameters, sensor, instance)
+    roles = calibration_names(parameters, sensor, instance)
+    turn = _mounting(parameters, roles)
+    if sensor == Sensor.MAG:
+        xy, xz, yz = held.cross
+        soft_iron = np.diag(held.scale) + np.array([[0.0, xy, xz], [xy, 0.0, yz], [xz, yz, 0.0]])
+        return TriadModel(UT_PER_GAUSS * held.offset, turn @ soft_iron)
+    constant, polynomial = _thermal(parameters, roles)
+    return TriadModel(held.offset + constant, turn @ np.diag(held.scale), polynomial)
+
+
+def board_rotation(parameters: Mapping[str, Value]) -> Array:
+    """``L R``: SENS_BOARD_ROT, then the level adjustment SENS_BOARD_*_OFF; body from board, shape (3, 3)."""
+    return _level(parameters) @ rotation_matrix("px4", int(need(parameters, names.BOARD_ROTATION["px4"])))
+
+
+def _level(parameters: Mapping[str, Value]) -> Array:
+    return euler_matrix(*(need(parameters, name) for name in names.PX4_LEVEL))
+
+
+def _mounting(parameters: Mapping[str, Value], roles: Mapping[Role, str]) -> Array:
+    number = int(need(parameters, roles[Role.ROTATION]))
+    if number < 0:  # an internal sensor follows the board
+        return board_rotation(parameters)
+    if number >= ROTATION_CUSTOM and Role.ROTATION_ROLL in roles:
+        return _level(parameters) @ euler_matrix(*vector(parameters, roles, names.ROTATION_EULER))
+    return _level(parameters) @ rotation_matrix("px4", number)
+
+
+def _thermal(parameters: Mapping[str, Value], roles: Mapping[Role, str]) -> tuple[Array, ThermalPolynomial | None]:
+    none = np.zeros(3), None
+    if Role.THERMAL_ID not in roles or int(parameters.get(roles[Role.THERMAL_ENABLE], 0)) != 1:
+        return none
+    owner = int(parameters.get(roles[Role.THERMAL_ID], 0))
+    if owner == 0 or owner != int(need(parameters, roles[Role.ID])):
+        return none  # the row that these names would use is still free
+    polynomial = ThermalPolynomial(
+        t_ref=need(parameters, roles[Role.THERMAL_REF]),
+        t_min=need(parameters, roles[Role.THERMAL_MIN]),
+        t_max=need(parameters, roles[Role.THERMAL_MAX]),
+        coefficients=np.stack([vector(parameters, roles, names.THERMAL[k]) for k in (1, 2, 3)], axis=1),
+    )
+    return vector(parameters, roles, names.THERMAL[0]), polynomial
+
+
+def _stored(parameters: Mapping[str, Value], roles: Mapping[Role, str], triple: names.Triple) -> Array | None:
+    """The stored vector; None where the sensor has no such one, or it is not finite (the firmware then keeps its own)."""
+    if triple[0] not in roles:
+        return None
+    missing = [roles[role] for role in triple if roles[role] not in parameters]
+    if missing:
+        need(parameters, missing[0])
+    stored = np.array([float(parameters[roles[role]]) for role in triple])
+    return stored if np.isfinite(stored).all() else None
+
+
+def _longer(difference: Array, limit: float) -> bool:
+    # in single precision, as matrix::Vector::longerThan compares
+    d = difference.astype(np.float32)
+    return bool(np.dot(d, d) > np.float32(limit) * np.float32(limit))

@@ -1,0 +1,122 @@
+"""Mounting rotations by number, as the two firmwares define them.
+
+A number stands for Euler angles roll, pitch, yaw in degrees with ``R = Rz(yaw) Ry(pitch) Rx(roll)``, which takes
+vectors of the turned sensor to the body. Both firmwares share the numbers 0 to 40 (MAVLink ``MAV_SENSOR_ORIENTATION``);
+beyond, they differ (ArduPilot ``AP_Math/rotations.h``, PX4 ``lib/conversion/rotation.h``).
+"""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import FirmwareError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+Array = NDArray[np.float64]
+Euler = tuple[float, float, float]
+
+_SHARED: Final[tuple[Euler, ...]] = (
+    *((0.0, 0.0, 45.0 * k) for k in range(8)),  # 0-7
+    *((180.0, 0.0, 45.0 * k) for k in range(4)),  # 8-11
+    (0.0, 180.0, 0.0),  # 12, where the row above would have roll 180 yaw 180
+    *((180.0, 0.0, 45.0 * k) for k in range(5, 8)),  # 13-15
+    *((90.0, 0.0, 45.0 * k) for k in range(4)),  # 16-19
+    *((270.0, 0.0, 45.0 * k) for k in range(4)),  # 20-23
+    (0.0, 90.0, 0.0),  # 24
+    (0.0, 270.0, 0.0),
+    (0.0, 180.0, 90.0),
+    (0.0, 180.0, 270.0),
+    (90.0, 90.0, 0.0),  # 28
+    (180.0, 90.0, 0.0),
+    (270.0, 90.0, 0.0),
+    (90.0, 180.0, 0.0),
+    (270.0, 180.0, 0.0),  # 32
+    (90.0, 270.0, 0.0),
+    (180.0, 270.0, 0.0),
+    (270.0, 270.0, 0.0),
+    (90.0, 180.0, 90.0),  # 36
+    (90.0, 0.0, 270.0),
+)
+
+_ARDUPILOT_MORE: Final[tuple[Euler, ...]] = (
+    (90.0, 68.8, 293.3),  # 38, the angles of the matrix in AP_Math/vector3.cpp
+    (0.0, 315.0, 0.0),
+    (90.0, 315.0, 0.0),
+    (0.0, 7.0, 0.0),  # 41
+    (45.0, 0.0, 0.0),
+    (315.0, 0.0, 0.0),
+)
+
+_PX4_MORE: Final[tuple[Euler, ...]] = (
+    (90.0, 68.0, 293.0),  # 38, whole degrees in PX4's table
+    (0.0, 315.0, 0.0),
+    (90.0, 315.0, 0.0),
+    (270.0, 0.0, 180.0),  # 41
+    (270.0, 0.0, 270.0),
+    (0.0, 90.0, 180.0),
+    (0.0, 9.0, 180.0),
+    (0.0, 45.0, 0.0),  # 45
+    (270.0, 0.0, 225.0),
+    (270.0, 0.0, 315.0),
+)
+
+ROTATIONS: Final[Mapping[str, tuple[Euler, ...]]] = MappingProxyType(
+    {"ardupilot": _SHARED + _ARDUPILOT_MORE, "px4": _SHARED + _PX4_MORE}
+)
+"""Roll, pitch, yaw in degrees by autopilot and number."""
+
+
+def euler_matrix(roll_deg: float, pitch_deg: float, yaw_deg: float) -> Array:
+    """``Rz(yaw) Ry(pitch) Rx(roll)``, shape (3, 3), angles in degrees; right angles are exact."""
+    c = [_exact(np.cos(np.radians(a))) for a in (roll_deg, pitch_deg, yaw_deg)]
+    s = [_exact(np.sin(np.radians(a))) for a in (roll_deg, pitch_deg, yaw_deg)]
+    rx = np.array([[1.0, 0.0, 0.0], [0.0, c[0], -s[0]], [0.0, s[0], c[0]]])
+    ry = np.array([[c[1], 0.0, s[1]], [0.0, 1.0, 0.0], [-s[1], 0.0, c[1]]])
+    rz = np.array([[c[2], -s[2], 0.0], [s[2], c[2], 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(rz @ ry @ rx, dtype=np.float64)
+
+
+def rotation_matrix(autopilot: str, number: int) -> Array:
+    """``R_body_from_sensor`` of rotation `number`, shape (3, 3).
+
+    Raises
+    ------
+    FirmwareError
+        If the autopilot has no rotation of that number.
+    """
+    table = ROTATIONS[autopilot]
+    if not 0 <= number < len(table):
+        raise FirmwareError(
+            f"mounting rotation {number} is none of {autopilot}'s 0 to {len(table) - 1}; "
+            "set the rotation of the board or sensor first"
+        )
+    return euler_matrix(*table[number])
+
+
+def nearest_rotation(autopilot: str, body_from_sensor: Array) -> tuple[int, float]:
+    """Number of the table's rotation next to `body_from_sensor`, and the angle between them in rad.
+
+    Of two numbers that mean the same rotation the smaller one is returned.
+    """
+    angles = [_angle(rotation_matrix(autopilot, n).T @ body_from_sensor) for n in range(len(ROTATIONS[autopilot]))]
+    best = int(np.argmin(np.round(angles, 9)))
+    return best, float(angles[best])
+
+
+def _angle(rotation: Array) -> float:
+    # atan2 of sine and cosine: exact near 0, where arccos loses half of the digits
+    sine = 0.5 * np.linalg.norm(
+        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
+    )
+    return float(np.arctan2(sine, 0.5 * (np.trace(rotation) - 1.0)))
+
+
+def _exact(value: float) -> float:
+    nearest = round(value)
+    return float(nearest) if abs(value - nearest) < 1e-12 else float(value)

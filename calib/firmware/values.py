@@ -1,0 +1,37 @@
+"""Reading parameter values: one that was never seen is an error and no default."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import FirmwareError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from calib.firmware.names import Role
+    from calib.firmware.plan import Value
+
+
+def need(parameters: Mapping[str, Value], name: str) -> float:
+    """The finite value of `name`.
+
+    Raises
+    ------
+    FirmwareError
+        If it was not seen, or is NaN or infinite.
+    """
+    if name not in parameters:
+        raise FirmwareError(f"{name} was not seen: read the vehicle's parameters before its streams can be undone")
+    value = float(parameters[name])
+    if not np.isfinite(value):
+        raise FirmwareError(f"{name} is {value}: write a number there first")
+    return value
+
+
+def vector(parameters: Mapping[str, Value], roles: Mapping[Role, str], triple: Sequence[Role]) -> NDArray[np.float64]:
+    """The finite values of three roles, shape (3,); errors as :func:`need`."""
+    return np.array([need(parameters, roles[role]) for role in triple])
