@@ -1,0 +1,125 @@
+// Draws what the service says. No decision is taken here.
+
+const GOOD = new Set(["succeeded"]);
+const BAD = new Set(["failed", "in_doubt"]);
+const ENDED = new Set(["succeeded", "reverted", "failed", "cancelled", "interrupted"]);
+const CANCELLABLE = new Set(["queued", "running", "waiting_for_operator", "fitting", "review"]);
+
+/** An element with attributes, properties (`onclick`, `disabled`) and children; text is never parsed as HTML. */
+export function el(tag, attributes = {}, ...children) {
+  const node = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (name in node && typeof value !== "string") node[name] = value;
+    else node.setAttribute(name, value);
+  }
+  node.append(...children.flat().filter((child) => child !== null && child !== undefined));
+  return node;
+}
+
+const number = (value) => (value === null || value === undefined ? "–" : Number(value.toPrecision(6)).toString());
+
+export function vehicleCard(vehicle, procedures, busy, actions) {
+  const state = vehicle.silent ? ["silent", "bad"] : vehicle.armed ? ["armed", "warn"] : ["disarmed", "good"];
+  return el("article", { class: "card" },
+    el("div", { class: "row" },
+      el("h3", {}, `${vehicle.autopilot} ${vehicle.firmware}`),
+      el("span", { class: `state ${state[1]}` }, state[0])),
+    el("p", { class: "quiet small" },
+      `system ${vehicle.system} on ${vehicle.link} · ${vehicle.landed} · loss ${(100 * vehicle.loss).toFixed(1)} %`),
+    vehicle.obstacles.length ? el("p", { class: "small warn" }, `Not writable: ${vehicle.obstacles.join("; ")}`) : null,
+    el("div", { class: "row" }, procedures.map((procedure) =>
+      el("button", { disabled: busy || vehicle.silent, onclick: () => actions.start(vehicle.id, procedure.kind) },
+        procedure.title))));
+}
+
+export function linkRow(link, actions) {
+  return el("li", { class: "row small" },
+    el("span", {}, `${link.url}: ${link.state}${link.reason ? `, ${link.reason}` : ""}`),
+    el("button", { onclick: () => actions.closeLink(link.id) }, "Close"));
+}
+
+export function jobCard(job, actions) {
+  const tone = GOOD.has(job.state) ? "good" : BAD.has(job.state) ? "bad" : "warn";
+  return el("article", { class: "card", "data-job": job.id },
+    el("div", { class: "row" },
+      el("h3", {}, `${job.kind} of ${job.vehicle_id}`),
+      el("span", { class: `state ${ENDED.has(job.state) || BAD.has(job.state) ? tone : ""}` }, job.state.replaceAll("_", " "))),
+    ENDED.has(job.state) ? null : promptPart(job, actions),
+    ENDED.has(job.state) ? null : progressPart(job.progress),
+    outcomePart(job.outcome),
+    standingPart(job.standing ?? []),
+    planPart(job, actions),
+    verificationPart(job.verification),
+    el("div", { class: "row" },
+      CANCELLABLE.has(job.state)
+        ? el("button", { class: "danger", onclick: () => actions.cancel(job.id) }, "Cancel") : null,
+      job.state === "succeeded"
+        ? el("button", { class: "danger", onclick: () => actions.revert(job.id) }, "Take back") : null));
+}
+
+function promptPart(job, actions) {
+  const prompt = job.prompt;
+  if (!prompt) return null;
+  const detail = [];
+  if (prompt.remaining.length) detail.push(`Still missing: ${prompt.remaining.map((p) => p.replaceAll("_", " ")).join(", ")}.`);
+  if (prompt.detected) detail.push(`Detected: ${prompt.detected.replaceAll("_", " ")}${prompt.stable ? ", still" : ""}.`);
+  return el("div", { role: "status" },
+    el("p", { class: "prompt" }, prompt.text),
+    detail.length ? el("p", { class: "quiet" }, detail.join(" ")) : null,
+    el("div", { class: "row" }, prompt.answers.map((answer) =>
+      el("button", { onclick: () => actions.answer(job.id, answer) }, answer))));
+}
+
+function progressPart(progress) {
+  if (!progress) return null;
+  const eta = progress.eta === null ? "" : ` · about ${Math.ceil(progress.eta)} s left`;
+  return el("div", {},
+    el("progress", { max: Math.max(progress.target, 1e-9), value: Math.min(progress.current, progress.target) }),
+    el("p", { class: "quiet small" }, `${progress.text}${eta}`));
+}
+
+function outcomePart(outcome) {
+  if (!outcome) return null;
+  if (outcome.kind === "result") return el("p", { class: "good" }, outcome.text);
+  return el("p", { class: "bad" }, `${outcome.cause} ${outcome.remedy}`);
+}
+
+function standingPart(standing) {
+  if (!standing.length) return null;
+  return el("ul", {}, standing.map((s) =>
+    el("li", { class: "bad small" }, `${s.name}: last heard ${number(s.value)}, was ${number(s.old)}, to be ${number(s.new)}. ${s.note}`)));
+}
+
+function planPart(job, actions) {
+  const plan = job.plan;
+  if (!plan || job.state !== "review") return null;
+  const rows = plan.changes.map((change) => el("tr", {},
+    el("td", {}, change.name),
+    el("td", { class: "number" }, number(change.old)),
+    el("td", { class: "number" }, number(change.new)),
+    el("td", { class: "number" }, number(change.sd)),
+    el("td", {}, change.why)));
+  const accept = (reboot, text) => el("button",
+    { class: "primary", disabled: plan.blockers.length > 0, onclick: () => actions.apply(job.id, plan.sha256, reboot) }, text);
+  return el("div", {},
+    plan.blockers.map((text) => el("p", { class: "bad" }, `Will not be written: ${text}`)),
+    plan.warnings.map((text) => el("p", { class: "warn small" }, text)),
+    el("div", { class: "scroll" }, el("table", {},
+      el("thead", {}, el("tr", {}, ["parameter", "now", "new", "± sd", "why"].map((h) => el("th", {}, h)))),
+      el("tbody", {}, rows))),
+    plan.losses.length ? el("p", { class: "small" }, "What this autopilot cannot hold:") : null,
+    el("ul", {}, plan.losses.map((loss) =>
+      el("li", { class: "small" }, `${loss.text} (costs ${number(loss.cost)} ${loss.unit})`))),
+    el("div", { class: "row" }, accept(false, "Write to the vehicle"),
+      plan.needs_reboot ? accept(true, "Write and restart the vehicle") : null));
+}
+
+function verificationPart(verification) {
+  if (!verification) return null;
+  const tones = { proved: "good", consistent: "warn", not_observable: "warn", contradicted: "bad" };
+  return el("details", {},
+    el("summary", {}, verification.proved ? "Proved on the vehicle" : "What the vehicle's stream proves"),
+    el("ul", { class: "small" }, verification.parameters.map((p) =>
+      el("li", { class: tones[p.verdict] }, `${p.name}: ${p.verdict.replaceAll("_", " ")}. ${p.text}`))),
+    verification.movement ? el("p", { class: "small" }, verification.movement) : null);
+}
