@@ -1,0 +1,31 @@
+"""Links: bytes between this machine and vehicles, recorded, counted, and handed to the event loop in batches."""
+
+from __future__ import annotations
+
+from service.link.endpoint import Endpoint, EndpointKind, parse_endpoint
+from service.link.link import Link
+from service.link.types import (
+    Address,
+    Batch,
+    LinkEvent,
+    LinkEventKind,
+    LinkState,
+    LinkStatistics,
+    OwnIdentity,
+    SigningConfig,
+)
+
+__all__ = [
+    "Address",
+    "Batch",
+    "Endpoint",
+    "EndpointKind",
+    "Link",
+    "LinkEvent",
+    "LinkEventKind",
+    "LinkState",
+    "LinkStatistics",
+    "OwnIdentity",
+    "SigningConfig",
+    "parse_endpoint",
+]

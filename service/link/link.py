@@ -1,0 +1,302 @@
+"""One link to one or more vehicles, as the event loop sees it."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Iterable
+from datetime import UTC, datetime
+from pathlib import Path
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from calib.wire import Message, RawMessage, raw_message
+from service.errors import LinkDown
+from service.link.endpoint import Endpoint, EndpointKind, parse_endpoint
+from service.link.local import FileTransport, SerialTransport, SimTransport
+from service.link.loss import SequenceCounter
+from service.link.reader import Outgoing, Reader, Report, StateChange
+from service.link.recorder import TlogRecorder
+from service.link.transports import TcpServerTransport, TcpTransport, Transport, UdpTransport
+from service.link.types import (
+    Address,
+    Batch,
+    BatchCallback,
+    EventCallback,
+    LinkEvent,
+    LinkEventKind,
+    LinkState,
+    LinkStatistics,
+    OwnIdentity,
+    SigningConfig,
+)
+
+HEARTBEAT_S = 1.0
+_JOIN_S = 10.0
+
+
+def _transport(endpoint: Endpoint) -> Transport:
+    host_port = (endpoint.host, endpoint.port)
+    match endpoint.kind:
+        case EndpointKind.UDPIN:
+            return UdpTransport(endpoint, host_port, None)
+        case EndpointKind.UDPOUT:
+            local_port = int(endpoint.number("local_port", 0))
+            return UdpTransport(endpoint, ("", local_port), host_port)
+        case EndpointKind.TCP:
+            return TcpTransport(endpoint)
+        case EndpointKind.TCPIN:
+            return TcpServerTransport(endpoint)
+        case EndpointKind.SERIAL:
+            return SerialTransport(endpoint)
+        case EndpointKind.FILE:
+            return FileTransport(endpoint)
+        case EndpointKind.SIM:
+            return SimTransport(endpoint)
+
+
+class Link:
+    """A link; everything here is called from the event loop.
+
+    Parameters
+    ----------
+    link_id
+        Names the link, and its recording.
+    endpoint
+        Where to; a string is parsed.
+    tlog_dir
+        Directory of the recording; each opening begins a new file there.
+    ids
+        What we call ourselves on the wire.
+    signing
+        None: frames are neither signed nor are signatures asked for.
+    store_timestamp
+        Called about once a second with the newest signature time stamp, which belongs into the next run's `signing`.
+    """
+
+    def __init__(
+        self,
+        link_id: str,
+        endpoint: Endpoint | str,
+        *,
+        tlog_dir: Path,
+        ids: OwnIdentity | None = None,
+        signing: SigningConfig | None = None,
+        store_timestamp: Callable[[int], None] | None = None,
+    ) -> None:
+        self.id = link_id
+        self.endpoint = parse_endpoint(endpoint) if isinstance(endpoint, str) else endpoint
+        self.ids = ids or OwnIdentity()
+        self.state = LinkState.CLOSED
+        self.reason = "not opened yet"
+        """Why the link is in its state."""
+        self._tlog_dir = tlog_dir
+        self._signing = signing
+        self._store_timestamp = store_timestamp
+        self._stored_timestamp = signing.timestamp if signing else 0
+        self._transport = _transport(self.endpoint)
+        self._recorder: TlogRecorder | None = None
+        self._reader: Reader | None = None
+        self._first_state: asyncio.Future[StateChange] | None = None
+        self._heartbeat: asyncio.TimerHandle | None = None
+        self._batch_subscribers: dict[object, tuple[BatchCallback, frozenset[int] | None]] = {}
+        self._event_subscribers: dict[object, EventCallback] = {}
+
+    async def open(self) -> None:
+        """Start reading and recording.
+
+        Returns once the first attempt has ended. If nobody answers yet the link is ``down`` and goes on trying.
+
+        Raises
+        ------
+        EndpointError, PortBusy
+            If this endpoint can never work as it is.
+        """
+        loop = asyncio.get_running_loop()
+        self._first_state = loop.create_future()
+        stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S%fZ")
+        self._recorder = TlogRecorder(self._tlog_dir / f"{self.id}-{stamp}.tlog")
+        self._reader = Reader(
+            self.id, self._transport, self._recorder, self.ids, self._signing, loop, self._take_reports
+        )
+        self._want()
+        self._reader.start()
+        change = await self._first_state
+        if change.error is not None:
+            await self.close()
+            raise change.error
+        if not self._transport.ends:
+            self._beat()
+
+    async def close(self) -> None:
+        """Stop everything that was started; the recording stays."""
+        if self._heartbeat is not None:
+            self._heartbeat.cancel()
+        reader, self._reader = self._reader, None
+        if reader is not None:
+            reader.stop()
+            await asyncio.get_running_loop().run_in_executor(None, reader.join, _JOIN_S)
+            self._take_reports(reader.take_reports())
+            self._persist_timestamp(reader)
+            reader.release()
+            assert self._recorder is not None
+            self._recorder.close()
+        self._take_reports([StateChange(LinkState.CLOSED, "closed")])
+
+    def subscribe(self, callback: BatchCallback, message_ids: frozenset[int] | None = None) -> Callable[[], None]:
+        """Hand every batch to `callback`, until the function returned here is called.
+
+        `message_ids` are needed at least (None: all); a batch also carries what others asked for.
+        """
+        key = object()
+        self._batch_subscribers[key] = (callback, message_ids)
+        self._want()
+
+        def unsubscribe() -> None:
+            self._batch_subscribers.pop(key, None)
+            self._want()
+
+        return unsubscribe
+
+    def subscribe_events(self, callback: EventCallback) -> Callable[[], None]:
+        """Hand every event to `callback`, until the function returned here is called."""
+        key = object()
+        self._event_subscribers[key] = callback
+        return lambda: (self._event_subscribers.pop(key, None), None)[1]
+
+    def send(self, message: Message | RawMessage, target: tuple[int, int] | None = None) -> None:
+        """Send a message to the peer of a (system, component), or to everybody heard lately.
+
+        Raises
+        ------
+        LinkDown
+            If the link is not connected, or the target was never heard on it.
+        InvalidInputError
+            If the message cannot be encoded.
+        """
+        raw = raw_message(message)
+        reader = self._reader
+        if reader is None or self.state in (LinkState.DOWN, LinkState.CLOSED):
+            raise LinkDown(f"Link {self.id} ({self.endpoint}) is {self.state}: {self.reason}")
+        if self._transport.ends:
+            raise LinkDown(f"Link {self.id} replays a recording: nobody there can answer.")
+        if target is not None and not (reader.peers.address(*target) or self._transport.default_peer()):
+            raise LinkDown(f"Link {self.id}: nobody with system id {target[0]} was heard yet.")
+        reader.send(Outgoing(raw, target))
+
+    @property
+    def tlog(self) -> TlogRecorder:
+        """The recording: its ``path``, ``position`` (bytes written), ``error`` and ``await sync()``."""
+        if self._recorder is None:
+            raise LinkDown(f"Link {self.id} was not opened yet.")
+        return self._recorder
+
+    @property
+    def peers(self) -> dict[tuple[int, int], Address]:
+        """Which address each (system, component) was last heard from."""
+        return self._reader.peers.snapshot() if self._reader else {}
+
+    @property
+    def crc_errors(self) -> int:
+        """Damaged frames on this link, of whomever."""
+        return self._reader.crc_errors if self._reader else 0
+
+    @property
+    def sim_control(self) -> str | None:
+        """``host:port`` of the control channel, if the link runs a simulated vehicle."""
+        return self._transport.control if isinstance(self._transport, SimTransport) else None
+
+    @property
+    def local_port(self) -> int | None:
+        """The port that a listening link has bound, or None."""
+        if isinstance(self._transport, UdpTransport | TcpServerTransport) and self._reader is not None:
+            return self._transport.local_port
+        return None
+
+    def statistics(self, system: int, component: int) -> LinkStatistics:
+        """What came from one sender; all zero if nothing did."""
+        counter = self._reader.counters.get((system, component)) if self._reader else None
+        return (counter or SequenceCounter()).statistics(self.crc_errors, time.monotonic())
+
+    def _want(self) -> None:
+        """Tell the reader the union of what subscribers need."""
+        if self._reader is None:
+            return
+        asked = [ids for _, ids in self._batch_subscribers.values()]
+        self._reader.wanted = None if None in asked else frozenset().union(*(ids for ids in asked if ids is not None))
+
+    def _take_reports(self, reports: Iterable[Report]) -> None:
+        loop = asyncio.get_running_loop()
+        for batch in _merged(reports):
+            if isinstance(batch, Batch):
+                for key in list(self._batch_subscribers):
+                    loop.call_soon(self._hand_batch, key, batch)
+            elif isinstance(batch, StateChange):
+                self._change_state(batch)
+            else:
+                self._announce(batch)
+
+    def _hand_batch(self, key: object, batch: Batch) -> None:
+        """In a call of its own for each subscriber: one that fails takes nothing from the others."""
+        subscriber = self._batch_subscribers.get(key)
+        if subscriber is not None:
+            subscriber[0](batch)
+
+    def _hand_event(self, key: object, event: LinkEvent) -> None:
+        callback = self._event_subscribers.get(key)
+        if callback is not None:
+            callback(event)
+
+    def _announce(self, event: LinkEvent) -> None:
+        loop = asyncio.get_running_loop()
+        for key in list(self._event_subscribers):
+            loop.call_soon(self._hand_event, key, event)
+
+    def _change_state(self, change: StateChange) -> None:
+        if self._first_state is not None and not self._first_state.done():
+            self._first_state.set_result(change)
+        if change.state == self.state and change.reason == self.reason:
+            return
+        self.state, self.reason = change.state, change.reason
+        self._announce(LinkEvent(LinkEventKind.STATE, f"Link {self.id} is {change.state}: {change.reason}"))
+
+    def _beat(self) -> None:
+        """Once a second, from the loop that does the work: a service that hangs falls silent."""
+        if self._reader is None:
+            return
+        self._heartbeat = asyncio.get_running_loop().call_later(HEARTBEAT_S, self._beat)
+        self._persist_timestamp(self._reader)
+        if self.state in (LinkState.UP, LinkState.CONNECTING):
+            self.send(
+                dialect.MAVLink_heartbeat_message(
+                    self.ids.type, dialect.MAV_AUTOPILOT_INVALID, 0, 0, dialect.MAV_STATE_ACTIVE, 3
+                )
+            )
+
+    def _persist_timestamp(self, reader: Reader) -> None:
+        state = reader.signature_state
+        if state is not None and self._store_timestamp is not None and state.timestamp > self._stored_timestamp:
+            self._stored_timestamp = state.timestamp
+            self._store_timestamp(state.timestamp)
+
+
+def _merged(reports: Iterable[Report]) -> list[Report]:
+    """Join neighbouring batches: what gathered while the loop was busy is handed on at once."""
+    merged: list[Report] = []
+    run: list[Batch] = []
+
+    def flush() -> None:
+        if run:
+            frames = tuple(frame for batch in run for frame in batch.frames)
+            error = next((batch.tlog_error for batch in run if batch.tlog_error), None)
+            merged.append(Batch(frames, run[-1].received_at, run[0].tlog_start, run[-1].tlog_end, error))
+            run.clear()
+
+    for report in reports:
+        if isinstance(report, Batch):
+            run.append(report)
+        else:
+            flush()
+            merged.append(report)
+    flush()
+    return merged

@@ -1,0 +1,128 @@
+"""Counting lost frames by sequence numbers of eight bits.
+
+The sequence alone shows a gap modulo 256. What it cannot show is inferred: on Linux a UDP socket says with every
+datagram how many it had to drop so far; elsewhere the sender's own rate says how many frames a silence is worth.
+"""
+
+from __future__ import annotations
+
+from service.link.types import LinkStatistics
+
+_WINDOW_S = 0.5
+_LATE = 64
+"""A number at most this far back is a late or doubled frame, unless many frames are known to be missing."""
+_SEEN_MASK = (1 << _LATE) - 1
+_LONGEST_S = 30.0
+"""A longer silence is an absence, not loss."""
+
+
+class SequenceCounter:
+    """Counts what one sender's sequence numbers show."""
+
+    __slots__ = (
+        "_bytes",
+        "_dropped",
+        "_last",
+        "_last_at",
+        "_received_then",
+        "_seen",
+        "_sent",
+        "_sent_per_s",
+        "_window_at",
+        "bytes_per_s",
+        "duplicated",
+        "frames_per_s",
+        "lost",
+        "lost_inferred",
+        "out_of_order",
+        "received",
+    )
+
+    def __init__(self) -> None:
+        self.received = self.lost = self.lost_inferred = self.duplicated = self.out_of_order = 0
+        self.bytes_per_s = self.frames_per_s = self._sent_per_s = 0.0
+        self._last = -1
+        self._last_at = self._window_at = 0.0
+        self._seen = 1  # bit k: the number k before the newest has come
+        self._dropped = self._sent = self._bytes = self._received_then = 0
+
+    def see(self, sequence: int, now: float, size: int, dropped: int = 0, share: float = 1.0) -> None:
+        """Take note of a frame.
+
+        Parameters
+        ----------
+        sequence
+            0..255.
+        now
+            Monotonic time of its arrival, s.
+        size
+            Bytes of the frame.
+        dropped
+            Datagrams that the socket had to drop so far, of all senders; 0 if that is unknown.
+        share
+            This sender's share of all frames on the socket, 0..1.
+        """
+        self.received += 1
+        self._bytes += size
+        if self._last < 0:
+            self._window_at, step = now, 1
+        else:
+            step = (sequence - self._last) & 0xFF
+            if step != 1 or dropped != self._dropped:
+                step = self._full_step(step, now - self._last_at, (dropped - self._dropped) * share)
+        if step > 0:
+            self.lost += step - 1
+            self._sent += step
+            self._seen = (self._seen << step | 1) & _SEEN_MASK if step < _LATE else 1
+            self._last, self._last_at = sequence, now
+        elif self._seen >> -step & 1:
+            self.duplicated += 1
+        else:
+            self._seen |= 1 << -step
+            self.out_of_order += 1
+            self.lost = max(0, self.lost - 1)
+        self._dropped = dropped
+        if now - self._window_at >= _WINDOW_S:
+            self._roll(now)
+
+    def _full_step(self, step: int, elapsed: float, dropped: float) -> int:
+        """Steps forward (beyond 255 if many frames are missing), or 0 and less for a late frame.
+
+        `step` is the difference of the sequence numbers modulo 256.
+        """
+        back = -step & 0xFF
+        forward = step or 256
+        missing = dropped
+        if not dropped and elapsed < _LONGEST_S:
+            missing = self._sent_per_s * elapsed - 1
+        wraps = max(0, round((missing - (forward - 1)) / 256))
+        # a rate is only a guess: believe it where the sequence agrees, and never without a visible gap
+        agrees = abs(forward - 1 + 256 * wraps - missing) <= max(8.0, missing / 8)
+        if not dropped and (forward == 1 or not agrees):
+            wraps = 0
+        if back < _LATE and not (missing >= 128 and (dropped or agrees)):
+            return -back
+        self.lost_inferred += 256 * wraps
+        return forward + 256 * wraps
+
+    def _roll(self, now: float) -> None:
+        elapsed = now - self._window_at
+        self.bytes_per_s = self._bytes / elapsed
+        self.frames_per_s = (self.received - self._received_then) / elapsed
+        sent = self._sent / elapsed
+        self._sent_per_s = sent if self._sent_per_s == 0.0 else 0.5 * (self._sent_per_s + sent)
+        self._window_at, self._bytes, self._received_then, self._sent = now, 0, self.received, 0
+
+    def statistics(self, crc_errors: int, now: float) -> LinkStatistics:
+        """Snapshot; rates are 0 if nothing came for two seconds."""
+        fresh = now - self._window_at < 2.0 + _WINDOW_S
+        return LinkStatistics(
+            received=self.received,
+            lost=self.lost,
+            lost_inferred=self.lost_inferred,
+            duplicated=self.duplicated,
+            out_of_order=self.out_of_order,
+            crc_errors=crc_errors,
+            bytes_per_s=self.bytes_per_s if fresh else 0.0,
+            frames_per_s=self.frames_per_s if fresh else 0.0,
+        )

@@ -1,0 +1,368 @@
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from calib import wire
+from service.errors import EndpointError, LinkDown, PortBusy
+from service.link import Batch, Link, LinkEvent, LinkEventKind, LinkState, OwnIdentity, SigningConfig
+
+KEY = bytes(range(32))
+
+
+def heartbeat() -> Any:
+    return dialect.MAVLink_heartbeat_message(2, 3, 81, 0, 3, 3)
+
+
+def imu(x: int = 0) -> Any:
+    return dialect.MAVLink_raw_imu_message(10**6, x, 2, -1000, 4, 5, 6, 7, 8, 9, 0, 3500)
+
+
+class Collector:
+    """Takes what a link hands out, and waits for it to be enough."""
+
+    def __init__(self, link: Link, message_ids: frozenset[int] | None = None) -> None:
+        self.batches: list[Batch] = []
+        self.events: list[LinkEvent] = []
+        self._changed = asyncio.Event()
+        link.subscribe(self._batch, message_ids)
+        link.subscribe_events(self._event)
+
+    def _batch(self, batch: Batch) -> None:
+        self.batches.append(batch)
+        self._changed.set()
+
+    def _event(self, event: LinkEvent) -> None:
+        self.events.append(event)
+        self._changed.set()
+
+    @property
+    def frames(self) -> list[wire.Frame]:
+        return [frame for batch in self.batches for frame in batch.frames]
+
+    async def until(self, condition: Callable[[], bool], seconds: float = 8.0) -> None:
+        async with asyncio.timeout(seconds):
+            while not condition():
+                self._changed.clear()
+                with suppress(TimeoutError):
+                    await asyncio.wait_for(self._changed.wait(), 0.1)
+
+
+Opener = Callable[..., Awaitable[Link]]
+
+
+@pytest.fixture
+async def opened(tmp_path: Path) -> AsyncIterator[Opener]:
+    links: list[Link] = []
+
+    async def make(endpoint: str, **kw: Any) -> Link:
+        link = Link(f"link{len(links)}", endpoint, tlog_dir=tmp_path, **kw)
+        await link.open()
+        links.append(link)
+        return link
+
+    yield make
+    for link in links:
+        await link.close()
+
+
+@pytest.fixture
+def peer() -> Any:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as opened:
+        opened.bind(("127.0.0.1", 0))
+        opened.settimeout(5)
+        yield opened
+
+
+def second_socket() -> socket.socket:
+    opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    opened.bind(("127.0.0.1", 0))
+    return opened
+
+
+async def received(peer: socket.socket, message_id: int) -> tuple[wire.Frame, tuple[str, int]]:
+    def take() -> tuple[wire.Frame, tuple[str, int]]:
+        while True:
+            data, address = peer.recvfrom(4096)
+            for frame in wire.FrameParser().feed(data):
+                if frame.message_id == message_id:
+                    return frame, address
+
+    return await asyncio.to_thread(take)
+
+
+async def test_a_heartbeat_comes_in_and_ours_goes_back_to_who_spoke(opened: Opener, peer: socket.socket) -> None:
+    link = await opened("udpin:127.0.0.1:0")
+    collector = Collector(link)
+    assert link.state is LinkState.CONNECTING
+    peer.sendto(wire.encode(heartbeat(), 1, 1, 0), ("127.0.0.1", link.local_port))
+    await collector.until(lambda: len(collector.frames) == 1)
+    assert link.state is LinkState.UP
+    assert link.peers == {(1, 1): peer.getsockname()}
+    frame, _ = await received(peer, 0)
+    ours = wire.decode(frame)
+    assert (frame.system, frame.component, ours.type, ours.autopilot) == (253, 190, 6, 8)
+
+
+async def test_everything_received_and_sent_is_in_the_tlog_where_the_batch_says(
+    opened: Opener, peer: socket.socket
+) -> None:
+    link = await opened("udpin:127.0.0.1:0", ids=OwnIdentity(system=200, component=191))
+    collector = Collector(link, frozenset({27}))
+    for k in range(20):
+        peer.sendto(wire.encode(imu(k), 1, 1, k), ("127.0.0.1", link.local_port))
+    peer.sendto(
+        wire.encode(dialect.MAVLink_vfr_hud_message(0, 0, 0, 0, 0, 0), 1, 1, 20), ("127.0.0.1", link.local_port)
+    )
+    await collector.until(lambda: len(collector.frames) == 20)
+    await received(peer, 0)
+    link.send(dialect.MAVLink_param_request_list_message(1, 1), (1, 1))
+    await received(peer, 21)
+    await link.tlog.sync()
+    data = link.tlog.path.read_bytes()
+    assert link.tlog.position == len(data)
+    recorded = [frame for _, frame in wire.iter_tlog(data)]
+    assert [f.sequence for f in recorded if f.message_id == 27] == list(range(20))
+    assert {(f.system, f.component) for f in recorded if f.message_id == 21} == {(200, 191)}
+    assert sum(f.message_id == 74 for f in recorded) == 1
+    for batch in collector.batches:
+        inside = [f for _, f in wire.iter_tlog(data[batch.tlog_start : batch.tlog_end])]
+        assert [f for f in inside if f.message_id == 27] == list(batch.frames)
+
+
+async def test_a_second_vehicles_torn_datagrams_cost_the_first_nothing(opened: Opener, peer: socket.socket) -> None:
+    link = await opened("udpin:127.0.0.1:0")
+    collector = Collector(link)
+    with second_socket() as other:
+        for k in range(200):
+            peer.sendto(wire.encode(imu(k), 1, 1, k), ("127.0.0.1", link.local_port))
+            whole = wire.encode(imu(k), 2, 1, k)
+            other.sendto(whole[:-7] if k % 5 == 0 else whole, ("127.0.0.1", link.local_port))
+            if k % 50 == 49:
+                await asyncio.sleep(0)
+        await collector.until(lambda: len(collector.frames) >= 360)
+    assert sum(f.system == 1 for f in collector.frames) == 200
+    assert sum(f.system == 2 for f in collector.frames) == 160
+    assert link.statistics(1, 1).lost == 0
+    assert link.statistics(2, 1).lost == 39  # the first of them came before any sequence was known
+
+
+async def test_messages_reach_the_vehicle_they_are_for(opened: Opener, peer: socket.socket) -> None:
+    link = await opened("udpin:127.0.0.1:0")
+    collector = Collector(link)
+    with second_socket() as other:
+        other.settimeout(5)
+        peer.sendto(wire.encode(heartbeat(), 1, 1, 0), ("127.0.0.1", link.local_port))
+        other.sendto(wire.encode(heartbeat(), 2, 1, 0), ("127.0.0.1", link.local_port))
+        await collector.until(lambda: len(collector.frames) == 2)
+        link.send(dialect.MAVLink_param_request_list_message(2, 1), (2, 1))
+        link.send(dialect.MAVLink_param_request_read_message(1, 1, b"A", -1), (1, 1))
+        frame, _ = await received(other, 21)
+        assert wire.decode(frame).target_system == 2
+        peer.settimeout(1.0)
+        frame, _ = await received(peer, 20)
+        peer.settimeout(0.2)
+        with pytest.raises(TimeoutError):
+            await received(peer, 21)
+    with pytest.raises(LinkDown, match="system id 9"):
+        link.send(heartbeat(), (9, 1))
+
+
+async def test_a_vehicle_that_changes_its_address_and_two_that_share_an_id_are_told(
+    opened: Opener, peer: socket.socket
+) -> None:
+    link = await opened("udpin:127.0.0.1:0")
+    collector = Collector(link)
+    to = ("127.0.0.1", link.local_port)
+    with second_socket() as other:
+        peer.sendto(wire.encode(heartbeat(), 1, 1, 0), to)
+        await collector.until(lambda: len(collector.frames) == 1)
+        other.sendto(wire.encode(heartbeat(), 1, 1, 1), to)
+        await collector.until(lambda: any(e.kind is LinkEventKind.PEER_CHANGED for e in collector.events))
+        (moved,) = [e for e in collector.events if e.kind is LinkEventKind.PEER_CHANGED]
+        assert moved.addresses == (peer.getsockname(), other.getsockname())
+        peer.sendto(wire.encode(heartbeat(), 1, 1, 2), to)
+        await collector.until(lambda: any(e.kind is LinkEventKind.DUPLICATE_SYSTEM for e in collector.events))
+
+
+async def test_our_own_ids_from_elsewhere_are_told_and_not_believed(opened: Opener, peer: socket.socket) -> None:
+    link = await opened("udpin:127.0.0.1:0")
+    collector = Collector(link)
+    peer.sendto(wire.encode(heartbeat(), 253, 190, 0), ("127.0.0.1", link.local_port))
+    await collector.until(lambda: any(e.kind is LinkEventKind.OWN_IDS_HEARD for e in collector.events))
+    assert collector.frames == []
+
+
+async def test_a_busy_port_is_refused_with_the_remedy(opened: Opener, peer: socket.socket) -> None:
+    port = peer.getsockname()[1]
+    with pytest.raises(PortBusy, match=f"another program uses port {port}"):
+        await opened(f"udpin:127.0.0.1:{port}")
+
+
+async def test_a_host_that_is_not_there_is_refused(opened: Opener) -> None:
+    with pytest.raises(EndpointError, match="no address"):
+        await opened("udpin:203.0.113.1:14550")
+
+
+async def test_tcp_end_is_noticed_and_the_link_connects_again(opened: Opener) -> None:
+    connections: asyncio.Queue[tuple[asyncio.StreamReader, asyncio.StreamWriter]] = asyncio.Queue()
+    server = await asyncio.start_server(lambda r, w: connections.put_nowait((r, w)), "127.0.0.1", 0)
+    port = server.sockets[0].getsockname()[1]
+    link = await opened(f"tcp:127.0.0.1:{port}")
+    collector = Collector(link)
+    assert link.state is LinkState.UP
+    _, writer = await connections.get()
+    stream = b"".join(wire.encode(imu(k), 1, 1, k) for k in range(100))
+    writer.write(stream[:1111])
+    await writer.drain()
+    writer.write(stream[1111:])
+    await collector.until(lambda: len(collector.frames) == 100)
+    writer.close()
+    await collector.until(lambda: link.state is LinkState.DOWN)
+    assert "closed the connection" in link.reason
+    with pytest.raises(LinkDown, match="closed the connection"):
+        link.send(heartbeat())
+    reader, writer = await asyncio.wait_for(connections.get(), 5)
+    await collector.until(lambda: link.state is LinkState.UP)
+    assert (await asyncio.wait_for(reader.readexactly(21), 5))[0] == 0xFD
+    writer.close()
+    server.close()
+    await server.wait_closed()
+
+
+async def test_a_tcp_port_nobody_listens_on_is_down_with_the_reason_and_tried_again(opened: Opener) -> None:
+    with socket.socket() as placeholder:
+        placeholder.bind(("127.0.0.1", 0))
+        port = placeholder.getsockname()[1]
+    link = await opened(f"tcp:127.0.0.1:{port}")
+    collector = Collector(link)
+    assert link.state is LinkState.DOWN
+    assert "refused" in link.reason
+    accepted = asyncio.Event()
+    server = await asyncio.start_server(lambda _r, w: (accepted.set(), w.close())[1], "127.0.0.1", port)
+    await collector.until(accepted.is_set)
+    server.close()
+    await server.wait_closed()
+
+
+async def test_a_tcp_server_link_serves_who_connects(opened: Opener) -> None:
+    link = await opened("tcpin:127.0.0.1:0")
+    collector = Collector(link)
+    reader, writer = await asyncio.open_connection("127.0.0.1", link.local_port)
+    writer.write(wire.encode(imu(), 1, 1, 0))
+    await collector.until(lambda: len(collector.frames) == 1)
+    link.send(dialect.MAVLink_param_request_list_message(1, 1), (1, 1))
+    parser = wire.FrameParser()
+    async with asyncio.timeout(5):
+        while not any(f.message_id == 21 for f in parser.feed(await reader.read(100))):
+            pass
+    writer.close()
+    await writer.wait_closed()
+
+
+async def test_a_recording_is_replayed_completely(opened: Opener, tmp_path: Path) -> None:
+    path = tmp_path / "flight.tlog"
+    path.write_bytes(b"".join(wire.tlog_record(10**15 + k, wire.encode(imu(k), 1, 1, k)) for k in range(1000)))
+    link = Link("replay", f"file:{path}?speed=0", tlog_dir=tmp_path)
+    collector = Collector(link)  # before it is opened: a replay waits for nobody
+    await link.open()
+    await collector.until(lambda: len(collector.frames) == 1000)
+    await collector.until(lambda: link.state is LinkState.DOWN)
+    assert "ended" in link.reason
+    with pytest.raises(LinkDown):
+        link.send(heartbeat(), (1, 1))
+    await link.close()
+
+
+@pytest.mark.parametrize(("content", "why"), [(None, "cannot be read"), (b"nothing of the kind", "no MAVLink frame")])
+async def test_a_file_that_is_no_recording_is_refused(
+    opened: Opener, tmp_path: Path, content: bytes | None, why: str
+) -> None:
+    path = tmp_path / "x.tlog"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(EndpointError, match=why):
+        await opened(f"file:{path}")
+
+
+async def test_a_full_disk_is_told_and_recording_goes_on_afterwards(opened: Opener, peer: socket.socket) -> None:
+    link = await opened("udpin:127.0.0.1:0")
+    collector = Collector(link)
+    to = ("127.0.0.1", link.local_port)
+    peer.sendto(wire.encode(imu(), 1, 1, 0), to)
+    await collector.until(lambda: len(collector.frames) == 1)
+    recorder = link.tlog
+    good = recorder._file
+    recorder._file = os.open("/dev/full", os.O_WRONLY)
+    before = recorder.position
+    peer.sendto(wire.encode(imu(), 1, 1, 1), to)
+    await collector.until(lambda: len(collector.frames) == 2)
+    assert "Free some space" in str(collector.batches[-1].tlog_error)
+    assert any(e.kind is LinkEventKind.TLOG for e in collector.events)
+    os.close(recorder._file)
+    recorder._file, recorder._retry_at = good, 0.0
+    recorder.position = before
+    peer.sendto(wire.encode(imu(), 1, 1, 2), to)
+    await collector.until(lambda: len(collector.frames) == 3)
+    assert collector.batches[-1].tlog_error is None
+
+
+async def test_signed_links_believe_only_signed_frames_and_keep_the_time_stamp(
+    opened: Opener, peer: socket.socket
+) -> None:
+    stored: list[int] = []
+    link = await opened("udpin:127.0.0.1:0", signing=SigningConfig(KEY, link_id=2), store_timestamp=stored.append)
+    collector = Collector(link)
+    to = ("127.0.0.1", link.local_port)
+    future = 10**12
+    peer.sendto(wire.encode(imu(1), 1, 1, 0), to)
+    peer.sendto(wire.encode(imu(2), 1, 1, 0, wire.Signing(bytes(32), 1, future)), to)
+    peer.sendto(wire.encode(imu(3), 1, 1, 0, wire.Signing(KEY, 1, 5 * 10**11)), to)
+    peer.sendto(wire.encode(imu(4), 1, 1, 1, wire.Signing(KEY, 1, 5 * 10**11 + 1)), to)
+    await collector.until(lambda: len(collector.frames) == 2)
+    assert [wire.decode(f).xacc for f in collector.frames] == [3, 4]
+    assert any(e.kind is LinkEventKind.SIGNATURE_REFUSED for e in collector.events)
+    frame, _ = await received(peer, 0)
+    assert wire.check_signature(frame, KEY)
+    await collector.until(lambda: bool(stored))
+    assert 5 * 10**11 < stored[-1] < future
+
+
+async def test_the_loss_count_is_the_truth_beyond_256(opened: Opener, peer: socket.socket) -> None:
+    link = await opened("udpin:127.0.0.1:0")
+    collector = Collector(link)
+    to = ("127.0.0.1", link.local_port)
+    sequence = 0
+    for k in range(60):  # about 200 frames a second, then a gap of 0.3 s in which 60 are lost
+        if k == 30:
+            sequence += 60
+            await asyncio.sleep(0.3)
+        peer.sendto(wire.encode(imu(k), 1, 1, sequence & 0xFF), to)
+        sequence += 1
+        await asyncio.sleep(0.005)
+    await collector.until(lambda: len(collector.frames) == 60)
+    statistics = link.statistics(1, 1)
+    assert (statistics.received, statistics.lost) == (60, 60)
+
+
+async def test_a_subscriber_that_fails_takes_nothing_from_the_others(opened: Opener, peer: socket.socket) -> None:
+    failures: list[dict[str, Any]] = []
+    asyncio.get_running_loop().set_exception_handler(lambda _loop, context: failures.append(context))
+    link = await opened("udpin:127.0.0.1:0")
+
+    def broken(_batch: Batch) -> None:
+        raise RuntimeError("broken")
+
+    link.subscribe(broken)
+    collector = Collector(link)
+    peer.sendto(wire.encode(imu(), 1, 1, 0), ("127.0.0.1", link.local_port))
+    await collector.until(lambda: len(collector.frames) == 1)
+    assert [str(f["exception"]) for f in failures] == ["broken"]

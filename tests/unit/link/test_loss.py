@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+import pytest
+
+from service.link.loss import SequenceCounter
+
+
+def steady(
+    counter: SequenceCounter, frames: int, rate: float = 200.0, start: int = 0, t: float = 0.0
+) -> tuple[int, float]:
+    """A sender that loses nothing; returns the next sequence and time."""
+    for _ in range(frames):
+        counter.see(start & 0xFF, t, 40)
+        start, t = start + 1, t + 1 / rate
+    return start, t
+
+
+@pytest.mark.parametrize("lost", [1, 7, 60, 200, 255, 257, 300, 700, 1000, 5000])
+def test_a_silence_is_worth_what_the_senders_rate_says(lost: int) -> None:
+    counter = SequenceCounter()
+    sequence, t = steady(counter, 600)
+    steady(counter, 10, start=sequence + lost, t=t + lost / 200.0)
+    assert counter.lost == lost
+    assert counter.lost_inferred == lost // 256 * 256
+    assert (counter.duplicated, counter.out_of_order) == (0, 0)
+
+
+@pytest.mark.parametrize("lost", [3, 255, 256, 512, 700, 92_673])
+def test_what_the_socket_dropped_is_counted_exactly(lost: int) -> None:
+    counter = SequenceCounter()
+    sequence, t = steady(counter, 600)
+    for k in range(10):  # read at once after a stall: arrival times tell nothing
+        counter.see((sequence + lost + k) & 0xFF, t, 40, dropped=lost)
+    assert counter.lost == lost
+
+
+def test_a_stream_that_was_switched_off_is_not_loss() -> None:
+    counter = SequenceCounter()
+    sequence, t = steady(counter, 600)
+    counter.see(sequence & 0xFF, t + 1.0, 21)
+    counter.see((sequence + 1) & 0xFF, t + 2.0, 21)
+    assert counter.lost == 0
+
+
+def test_doubled_and_late_frames_are_told_apart_from_lost_ones() -> None:
+    counter = SequenceCounter()
+    sequence, t = steady(counter, 300)
+    for k, number in enumerate((sequence, sequence, sequence + 2, sequence + 1, sequence + 3, sequence + 1)):
+        counter.see(number & 0xFF, t + 0.005 * k, 40)
+    assert (counter.lost, counter.out_of_order, counter.duplicated) == (0, 1, 2)
+    assert counter.received == 306
+
+
+def test_rates_are_those_of_the_last_moment() -> None:
+    counter = SequenceCounter()
+    _, t = steady(counter, 600)
+    statistics = counter.statistics(4, t)
+    assert statistics.frames_per_s == pytest.approx(200, rel=0.03)
+    assert statistics.bytes_per_s == pytest.approx(8000, rel=0.03)
+    assert statistics.crc_errors == 4
+    assert counter.statistics(0, t + 10).bytes_per_s == 0
+
+
+def test_the_lost_share() -> None:
+    counter = SequenceCounter()
+    counter.see(0, 0.0, 40)
+    counter.see(4, 0.01, 40)
+    assert counter.statistics(0, 0.01).loss == pytest.approx(3 / 5)
+    assert SequenceCounter().statistics(0, 0.0).loss == 0.0
