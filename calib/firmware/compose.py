@@ -1,0 +1,62 @@
+"""Fits into a plan of writing: one function for every autopilot.
+
+What the firmware cannot store, ignores or overwrites is said in the plan (losses and warnings); what must not be
+written at all is a blocker. The plan is pure data; the service executes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from calib.errors import FirmwareError
+from calib.firmware.compose_ardupilot import compose_imu
+from calib.firmware.draft import ComposeOptions, Draft
+from calib.firmware.fitted import pair_fits, usable_fits
+from calib.firmware.plan import Fingerprint, Value, WritePlan
+from calib.fit import FitResult
+from calib.recording import Sensor
+
+__all__ = ["ComposeOptions", "compose"]
+
+DEFAULT_OPTIONS = ComposeOptions()
+
+
+def compose(
+    fits: Sequence[FitResult],
+    parameters: Mapping[str, Value],
+    fingerprint: Fingerprint,
+    *,
+    options: ComposeOptions = DEFAULT_OPTIONS,
+) -> WritePlan:
+    """Plan what to write so that the vehicle corrects as `fits` say.
+
+    Parameters
+    ----------
+    fits
+        Fits of raw recordings (the calibration in force undone), every sensor and instance that was calibrated.
+    parameters
+        The vehicle's parameters as they are now: the plan rests on them.
+    fingerprint
+        Whose plan it is.
+    options
+        What the operator decided.
+
+    Returns
+    -------
+    WritePlan
+        With `blockers` where nothing may be written: values outside the limits or not finite, relative fits,
+        parameters that the vehicle does not have.
+
+    Raises
+    ------
+    FirmwareError
+        If the autopilot is unknown, or its present calibration is not complete enough to build on.
+    """
+    draft = Draft(parameters, options)
+    pairs = pair_fits(usable_fits(draft, fits))
+    imu = [pair for pair in pairs if pair.about.sensor != Sensor.MAG]
+    if fingerprint.autopilot == "ardupilot":
+        compose_imu(draft, imu)
+    else:
+        raise FirmwareError(f"calibrations cannot be written to the autopilot {fingerprint.autopilot}")
+    return draft.plan(fingerprint)

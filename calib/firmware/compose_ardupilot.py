@@ -1,0 +1,243 @@
+"""Fits into ArduPilot's parameters: accelerometers, gyroscopes and their temperature (FLIGHT_CONTROLLERS 1.1, 1.2).
+
+``u = s - P(T) + P(CALTEMP)`` and ``c = SCAL (u - OFFS)``: the offset stands for one temperature, CALTEMP, and an
+unknown CALTEMP (-300) is silently taken as TMIN. Offset and CALTEMP are therefore written together.
+
+Everything here acts at once, without a restart. TCALn_ENABLE is documented as needing one, but only for learning
+(value 2, latched at boot); the correction reads it with every sample, so a plan that switches it to 1 does not ask
+for a restart, and the physical check would tell if a firmware did.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib import STANDARD_GRAVITY
+from calib.firmware import ardupilot, losses
+from calib.firmware.draft import Draft, Rank, Subject
+from calib.firmware.fitted import Pair, offset_at
+from calib.firmware.names import OFFSET, SCALE, Role
+from calib.firmware.plan import ParameterKind
+from calib.firmware.thermal_ardupilot import set_thermal, thermal_in_force
+from calib.fit import AXES, FitResult
+from calib.recording import Sensor
+
+Array = NDArray[np.float64]
+Names = Mapping[Role, str]
+
+CALTEMP_UNKNOWN: Final = -300.0
+PREFLIGHT_CALIBRATION: Final = 241
+STORE_AS_CALIBRATED: Final = 76.0
+
+
+def compose_imu(draft: Draft, pairs: Sequence[Pair]) -> None:
+    """Plan every accelerometer and gyroscope that was fitted."""
+    drifting = {pair.about.instance for pair in pairs if pair.drift is not None}
+    for instance in sorted(drifting):
+        set_thermal(draft, instance, [p for p in pairs if p.about.instance == instance])
+    for pair in pairs:
+        names = ardupilot.calibration_names(draft.parameters, pair.about.sensor, pair.about.instance)
+        absolute = pair.absolute
+        if absolute is None:
+            continue
+        if not _offsets_usable(draft, pair.about, names, absolute):
+            continue
+        _set_offsets(draft, pair.about, names, absolute)
+        if pair.about.sensor == Sensor.ACCEL:
+            _set_scale(draft, pair.about, names, absolute)
+        else:
+            _lose_gyro_matrix(draft, pair.about, absolute)
+    if any(p.about.sensor == Sensor.GYRO and p.absolute is not None for p in pairs):
+        _boot_calibration(draft)
+    _check_other_instances(draft, pairs)
+
+
+def _offsets_usable(draft: Draft, about: Subject, names: Names, fit: FitResult) -> bool:
+    """Whether the undetermined offsets, if any, may stay as they are beside the others."""
+    missing = [a for a in AXES if not fit.determined(f"offset_{a}")]
+    if not missing:
+        return True
+    which = f"{about}: the offset of {', '.join(missing)} is not determined"
+    if about.sensor == Sensor.ACCEL or thermal_in_force(draft, names):
+        draft.block(f"{which}, and the others do not hold without it. {fit.message}")
+        return False
+    draft.warn(f"{which} and stays as it is. {fit.message}")
+    return True
+
+
+def _set_offsets(draft: Draft, about: Subject, names: Names, fit: FitResult) -> None:
+    offset, covariance, temperature = offset_to_write(draft, names, fit)
+    unit = "m/s2" if about.sensor == Sensor.ACCEL else "rad/s"
+    for axis, role in enumerate(OFFSET):
+        if not fit.determined(f"offset_{AXES[axis]}"):
+            continue
+        draft.set_real(
+            names[role],
+            float(offset[axis]),
+            Rank.OFFSET,
+            f"offset of {about}, {AXES[axis]} axis",
+            about=about,
+            sd=float(np.sqrt(covariance[axis, axis])),
+            unit=unit,
+        )
+    _set_temperature(draft, about, names, temperature)
+
+
+def offset_to_write(draft: Draft, roles: Names, fit: FitResult) -> tuple[Array, Array, float | None]:
+    """Offset (3,), its covariance (3, 3) and the temperature it stands for (None: not known).
+
+    A thermal fit is taken at its own reference temperature, moved into the range in which P varies.
+    """
+    if fit.model.polynomial is None:
+        return *offset_at(fit, 0.0), fit.temperature
+    low, high = draft.get(roles[Role.THERMAL_MIN], 0.0), draft.get(roles[Role.THERMAL_MAX], 70.0)
+    temperature = float(np.clip(fit.model.polynomial.t_ref, low, high))
+    return *offset_at(fit, temperature), temperature
+
+
+def _set_temperature(draft: Draft, about: Subject, names: Names, temperature: float | None) -> None:
+    name = names[Role.TEMPERATURE]
+    if temperature is None and thermal_in_force(draft, names):
+        draft.block(
+            f"{about}: temperature compensation is in force, but the temperature during the calibration is not known, "
+            f"so {name} cannot be written with the offset. Repeat with a stream that carries the IMU's temperature"
+        )
+        return
+    if name not in draft.parameters:
+        return  # a board without temperature calibration has no CALTEMP
+    if temperature is None:
+        draft.warn(f"{about}: the temperature is not known; {name} is set to -300 (unknown)")
+    draft.set_real(
+        name,
+        CALTEMP_UNKNOWN if temperature is None else temperature,
+        Rank.TEMPERATURE,
+        f"temperature at which the offset of {about} was taken",
+        about=about,
+        unit="degC",
+    )
+
+
+def _set_scale(draft: Draft, about: Subject, names: Names, fit: FitResult) -> None:
+    matrix_sd = np.diag(fit.covariance)[losses.MATRIX]
+    if not np.any(matrix_sd):
+        _keep_scale(draft, about, names, fit)
+        return
+    undetermined = [n for n in ("matrix_xx", "matrix_yy", "matrix_zz") if not fit.determined(n)]
+    if undetermined:
+        draft.block(f"{about}: {', '.join(undetermined)} are not determined. {fit.message}")
+        return
+    parts = losses.split(fit)
+    for axis, role in enumerate(SCALE):
+        draft.set_real(
+            names[role],
+            float(parts.diagonal[axis]),
+            Rank.SCALE,
+            f"scale of {about}, {AXES[axis]} axis",
+            about=about,
+            sd=float(parts.sd[3 + axis]),
+        )
+    lose_accel(draft, about, parts, np.diag(parts.diagonal), ardupilot.board_rotation(draft.parameters))
+
+
+def _keep_scale(draft: Draft, about: Subject, names: Names, fit: FitResult) -> None:
+    """A fit that assumed scale 1 must not be combined with another scale."""
+    scales = [float(draft.parameters.get(names[role], 1.0)) for role in SCALE]
+    if not np.allclose(scales, 1.0, rtol=0, atol=1e-6) or not np.allclose(fit.model.matrix, np.eye(3)):
+        draft.block(
+            f"{about}: this fit assumes a scale of 1, but {names[SCALE[0]][:-2]} is {scales}; an offset taken that way "
+            "does not fit to it. Calibrate with six poses"
+        )
+
+
+def lose_accel(draft: Draft, about: Subject, parts: losses.Parts, stored: Array, body_from_sensor: Array) -> None:
+    """Announce what of an accelerometer's matrix the firmware cannot hold."""
+    cost = losses.largest_error(stored, parts.symmetric, STANDARD_GRAVITY)
+    if cost > 0.0:
+        draft.lose(
+            about,
+            "cross terms",
+            cost,
+            "m/s2",
+            f"{about}: cross-axis terms {np.array2string(parts.cross, precision=5)} cannot be stored; "
+            f"up to {cost:.4f} m/s2 stay, depending on the attitude",
+        )
+    angle = min(losses.rotation_angle(parts.rotation), losses.rotation_angle(body_from_sensor.T @ parts.rotation))
+    if angle > 1e-9:
+        draft.lose(
+            about,
+            "mounting",
+            2.0 * STANDARD_GRAVITY * np.sin(0.5 * angle),
+            "m/s2",
+            f"{about}: turned by {np.degrees(angle):.3f} deg in its mounting; there is no parameter for one sensor. "
+            "What is common to all sensors goes into the level trim: run the level job",
+        )
+
+
+def _lose_gyro_matrix(draft: Draft, about: Subject, fit: FitResult) -> None:
+    cost = losses.largest_error(np.eye(3), fit.model.matrix, 1.0)
+    if cost > 0.0:
+        draft.lose(
+            about,
+            "scale and misalignment",
+            cost,
+            "rad/s at 1 rad/s",
+            f"{about}: scale and misalignment cannot be stored; up to {100.0 * cost:.3f} % of the rate stay",
+        )
+
+
+def _boot_calibration(draft: Draft) -> None:
+    if int(draft.parameters.get("INS_GYR_CAL", 1)) == 0:
+        return
+    if draft.options.keep_gyro_at_boot:
+        draft.set_integer(
+            "INS_GYR_CAL",
+            0,
+            Rank.SETTING,
+            "keep the gyro offsets: no new estimate at boot",
+            kind=ParameterKind.INT8,
+        )
+    else:
+        draft.warn(
+            "INS_GYR_CAL = 1: the vehicle estimates its gyro offsets anew at every boot and overwrites these. "
+            "To keep them, plan with keep_gyro_at_boot (it sets INS_GYR_CAL to 0)"
+        )
+
+
+def _check_other_instances(draft: Draft, pairs: Sequence[Pair]) -> None:
+    """Code 76 marks every accelerometer, so it is sent only if every used one deserves it (1.1, DESIGN 6)."""
+    fitted = {p.about.instance for p in pairs if p.about.sensor == Sensor.ACCEL and p.at_rest is not None}
+    if not fitted:
+        return
+    doubtful = [i for i in _used_accels(draft) if i not in fitted and not _accel_was_valid(draft, i)]
+    if doubtful:
+        numbers = ", ".join(str(i + 1) for i in doubtful)
+        draft.warn(
+            f"accelerometer {numbers} is in use but was never calibrated, and not by this plan either; code 76 would "
+            "mark it as calibrated, so it is not sent and the vehicle may refuse to arm. Calibrate it, or set its "
+            "INS_USE to 0"
+        )
+    elif draft.options.mark_calibrated:
+        draft.after(
+            PREFLIGHT_CALIBRATION,
+            (0.0, 0.0, 0.0, 0.0, STORE_AS_CALIBRATED, 0.0, 0.0),
+            "store the accelerometers' ids, so that the vehicle takes them as calibrated and arms",
+        )
+
+
+def _used_accels(draft: Draft) -> list[int]:
+    ids = ardupilot.sensor_ids(draft.parameters)
+    found = [i for (sensor, i) in ids if sensor == Sensor.ACCEL]
+    use = {i: ardupilot.calibration_names(draft.parameters, Sensor.ACCEL, i)[Role.USE] for i in found}
+    return sorted(i for i in found if int(draft.parameters.get(use[i], 1)) == 1)
+
+
+def _accel_was_valid(draft: Draft, instance: int) -> bool:
+    """The firmware's own criterion: an offset that is not exactly zero, a scale that is not zero."""
+    names = ardupilot.calibration_names(draft.parameters, Sensor.ACCEL, instance)
+    offsets = [float(draft.parameters.get(names[role], 0.0)) for role in OFFSET]
+    scales = [float(draft.parameters.get(names[role], 1.0)) for role in SCALE]
+    return any(offsets) and all(scales)

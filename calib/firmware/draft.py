@@ -1,0 +1,228 @@
+"""A plan in the making: what every autopilot's composer writes into, in whatever order it thinks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+from types import MappingProxyType
+
+import numpy as np
+
+from calib.firmware.fingerprint import calibration_snapshot
+from calib.firmware.limits import limit_of
+from calib.firmware.plan import (
+    AfterWrite,
+    Change,
+    Fingerprint,
+    Loss,
+    ParameterKind,
+    Value,
+    WritePlan,
+    snapshot_sha256,
+)
+from calib.recording import Sensor
+
+
+class Rank(IntEnum):
+    """Safe order of writing (FLIGHT_CONTROLLERS 3.2): references before what refers to them, scale and ids last.
+
+    An offset without its temperature, or a polynomial that is switched on before it is whole, would be in force for
+    as long as the rest of the plan takes.
+    """
+
+    SESSION = 0  # silence the firmware's own writers first
+    TEMPERATURE = 1
+    THERMAL = 2
+    THERMAL_ENABLE = 3
+    ROTATION = 4
+    OFFSET = 5
+    CROSS = 6
+    SCALE = 7
+    FIELD_SCALE = 8
+    LEVEL = 9
+    SETTING = 10
+    ID = 11
+
+
+@dataclass(frozen=True)
+class ComposeOptions:
+    """What the operator decided beside the fits."""
+
+    keep_gyro_at_boot: bool = False
+    """ArduPilot: write INS_GYR_CAL = 0, so that the next boot does not estimate the gyro offsets anew."""
+    mark_calibrated: bool = True
+    """ArduPilot: send code 76 where every used instance is calibrated."""
+    adjust_level: bool = True
+    """Carry the old level trim over to the new accelerometer calibration."""
+    device_ids: Mapping[tuple[Sensor, int], int] = field(default_factory=lambda: MappingProxyType({}))
+    """PX4: device id of a streamed instance where the vehicle's parameters do not say it."""
+    accel_temperature: Mapping[int, float] = field(default_factory=lambda: MappingProxyType({}))
+    """PX4: temperature (degC) at which CAL_ACC of an instance was taken; PX4 does not store it."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """Which sensor a part of a plan is about."""
+
+    sensor: Sensor
+    instance: int
+
+    def __str__(self) -> str:
+        return f"{self.sensor} {self.instance + 1}"
+
+
+class Draft:
+    """Collects changes, losses, warnings and blockers against one snapshot of the vehicle's parameters."""
+
+    def __init__(self, parameters: Mapping[str, Value], options: ComposeOptions) -> None:
+        self.parameters = parameters
+        self.options = options
+        self._changes: dict[str, tuple[int, int, Change]] = {}
+        self._losses: list[Loss] = []
+        self._after: list[AfterWrite] = []
+        self._warnings: list[str] = []
+        self._blockers: list[str] = []
+
+    def get(self, name: str, default: float) -> float:
+        """The value that will be in the vehicle once the draft is written."""
+        if name in self._changes:
+            return float(self._changes[name][2].new)
+        return float(self.parameters.get(name, default))
+
+    @property
+    def predicted(self) -> dict[str, Value]:
+        """Every parameter as it will be once the draft is written."""
+        return {**self.parameters, **{name: change.new for name, (_, _, change) in self._changes.items()}}
+
+    def set_real(
+        self,
+        name: str,
+        value: float,
+        rank: Rank,
+        why: str,
+        *,
+        about: Subject | None,
+        sd: float | None = None,
+        unit: str = "",
+        needs_reboot: bool = False,
+        hidden: bool = False,
+    ) -> None:
+        """Plan a float parameter, rounded to the float32 that the vehicle holds; no change if it holds it already.
+
+        `hidden`: the firmware does not list the name but takes it (members of a group that is switched off).
+        """
+        if not math.isfinite(value) or not math.isfinite(np.float32(value)):
+            self.block(f"{name} would be {value}: not a finite number. Repeat the calibration; nothing is written")
+            return
+        if not self._known(name, hidden=hidden):
+            return
+        new = float(np.float32(value))
+        limit = limit_of(name)
+        if limit is not None and not limit.low <= new <= limit.high:
+            self.block(limit.refusal(name, new))
+            return
+        old = self.parameters.get(name)
+        if old is not None and np.float32(old) == np.float32(new):
+            self._changes.pop(name, None)
+            return
+        sensor, instance = (about.sensor, about.instance) if about else (None, 0)
+        change = Change(
+            name,
+            None if old is None else float(old),
+            new,
+            ParameterKind.REAL32,
+            why,
+            sd,
+            unit,
+            sensor,
+            instance,
+            needs_reboot,
+        )
+        self._changes[name] = (rank, len(self._changes), change)
+
+    def set_integer(
+        self,
+        name: str,
+        value: int,
+        rank: Rank,
+        why: str,
+        *,
+        kind: ParameterKind,
+        about: Subject | None = None,
+        needs_reboot: bool = False,
+        session: bool = False,
+        hidden: bool = False,
+    ) -> None:
+        """Plan a flag, a number of a rotation or an id."""
+        if not self._known(name, hidden=hidden):
+            return
+        old = self.parameters.get(name)
+        if old is not None and int(old) == value:
+            self._changes.pop(name, None)
+            return
+        sensor, instance = (about.sensor, about.instance) if about else (None, 0)
+        change = Change(
+            name,
+            None if old is None else int(old),
+            value,
+            kind,
+            why,
+            sensor=sensor,
+            instance=instance,
+            needs_reboot=needs_reboot,
+            session=session,
+        )
+        self._changes[name] = (rank, len(self._changes), change)
+
+    def reorder(self, names: Sequence[str]) -> None:
+        """Write `names`, which have one rank, in this order."""
+        places = sorted(self._changes[n][1] for n in names if n in self._changes)
+        for name, place in zip((n for n in names if n in self._changes), places, strict=True):
+            rank, _, change = self._changes[name]
+            self._changes[name] = (rank, place, change)
+
+    def planned(self, names: Sequence[str]) -> tuple[Change, ...]:
+        """The changes among `names`."""
+        return tuple(self._changes[n][2] for n in names if n in self._changes)
+
+    def lose(self, about: Subject, what: str, cost: float, unit: str, text: str) -> None:
+        """Announce a part of a fit that cannot be stored."""
+        self._losses.append(Loss(about.sensor, about.instance, what, float(cost), unit, text))
+
+    def after(self, command: int, params: tuple[float, float, float, float, float, float, float], why: str) -> None:
+        """Send a command when everything has been read back."""
+        self._after.append(AfterWrite(command, params, why))
+
+    def warn(self, text: str) -> None:
+        """Say something that does not stop the write."""
+        if text not in self._warnings:
+            self._warnings.append(text)
+
+    def block(self, text: str) -> None:
+        """Forbid the write."""
+        if text not in self._blockers:
+            self._blockers.append(text)
+
+    def plan(self, fingerprint: Fingerprint) -> WritePlan:
+        """The finished plan, in the order of writing."""
+        ordered = sorted(self._changes.values(), key=lambda item: item[:2])
+        return WritePlan(
+            fingerprint,
+            snapshot_sha256(calibration_snapshot(self.parameters)),
+            tuple(change for _, _, change in ordered),
+            tuple(self._losses),
+            tuple(self._after),
+            tuple(self._warnings),
+            tuple(self._blockers),
+        )
+
+    def _known(self, name: str, *, hidden: bool) -> bool:
+        if hidden or name in self.parameters:
+            return True
+        self.block(
+            f"the vehicle does not list {name}, so it would not take it: this firmware or board does not have it. "
+            "Read the parameters again, or leave this sensor out"
+        )
+        return False

@@ -1,0 +1,98 @@
+"""The parts of a fitted model, what a firmware leaves out of it, and what that costs.
+
+A fit corrects by ``C (m - b)``. Firmwares store a symmetric matrix at most (magnetometers), a diagonal one
+(accelerometers) or none (gyroscopes), so ``C = Q S`` is split by polar decomposition: ``S`` symmetric, ``Q`` a
+rotation (FLIGHT_CONTROLLERS 2.3). What stays in force after the write is ``D (m - b)``; of a true vector ``x`` it
+makes ``D S^-1 x``, so leaving the rest out costs ``|(D - S) S^-1 x|``, at most its 2-norm times ``|x|``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.fit import FitResult
+
+Array = NDArray[np.float64]
+
+OFFSETS = slice(0, 3)
+MATRIX = slice(3, 12)
+POLYNOMIAL = 12
+
+_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """The matrix of a fit as ``C = rotation symmetric``, with the covariance of offset and symmetric part."""
+
+    offset: Array
+    rotation: Array
+    symmetric: Array
+    covariance: Array
+    """(9, 9) over offset x y z, S_xx S_yy S_zz S_xy S_xz S_yz."""
+
+    def rotated(self, body_from_sensor: Array) -> Parts:
+        """The same model of a sensor whose axes were turned: ``R S R^T`` and ``R b``."""
+        jacobian = np.zeros((9, 9))
+        jacobian[:3, :3] = body_from_sensor
+        for column, (i, j) in enumerate(_PAIRS):
+            unit = np.zeros((3, 3))
+            unit[i, j] = unit[j, i] = 1.0
+            turned = body_from_sensor @ unit @ body_from_sensor.T
+            jacobian[3:, 3 + column] = [turned[p] for p in _PAIRS]
+        return Parts(
+            body_from_sensor @ self.offset,
+            self.rotation @ body_from_sensor.T,
+            body_from_sensor @ self.symmetric @ body_from_sensor.T,
+            jacobian @ self.covariance @ jacobian.T,
+        )
+
+    @property
+    def diagonal(self) -> Array:
+        """``diag(S)``, shape (3,)."""
+        return np.diag(self.symmetric).copy()
+
+    @property
+    def cross(self) -> Array:
+        """``S_xy, S_xz, S_yz``, shape (3,)."""
+        return self.symmetric[[0, 0, 1], [1, 2, 2]]
+
+    @property
+    def sd(self) -> Array:
+        """Standard deviations in the order of the covariance."""
+        return np.sqrt(np.clip(np.diag(self.covariance), 0.0, None))
+
+
+def split(fit: FitResult) -> Parts:
+    """Polar decomposition of a fit's matrix, its covariance carried along.
+
+    ``S^2 = C^T C`` gives ``S dS + dS S = dC^T C + C^T dC``, solved in the eigenframe of S.
+    """
+    model = fit.model
+    symmetric = model.symmetric().matrix
+    values, vectors = np.linalg.eigh(symmetric)
+    jacobian = np.zeros((9, 12))
+    jacobian[:3, OFFSETS] = np.eye(3)
+    for k in range(9):
+        change = np.zeros((3, 3))
+        change.flat[k] = 1.0
+        right = vectors.T @ (change.T @ model.matrix + model.matrix.T @ change) @ vectors
+        moved = vectors @ (right / (values[:, None] + values[None, :])) @ vectors.T
+        jacobian[3:, 3 + k] = [moved[p] for p in _PAIRS]
+    covariance = jacobian @ fit.covariance[:12, :12] @ jacobian.T
+    return Parts(model.offset.copy(), model.rotation, symmetric, covariance)
+
+
+def largest_error(stored: Array, fitted: Array, magnitude: float) -> float:
+    """Largest ``|(stored - fitted) fitted^-1 x|`` over all directions of a true vector of length `magnitude`."""
+    return float(np.linalg.norm((stored - fitted) @ np.linalg.inv(fitted), 2) * magnitude)
+
+
+def rotation_angle(rotation: Array) -> float:
+    """Angle of a rotation matrix, rad; exact for small angles too."""
+    skew = rotation - rotation.T
+    sine = 0.5 * float(np.linalg.norm([skew[2, 1], skew[0, 2], skew[1, 0]]))
+    return float(np.arctan2(sine, 0.5 * (float(np.trace(rotation)) - 1.0)))
