@@ -1,0 +1,125 @@
+"""ArduPilot's parameter protocol: C-cast values, late echoes, silence for what it does not like."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from service.simvehicle.parameters import Parameter, ParameterType, Value
+from service.simvehicle.vehicle import Channel, Vehicle
+from service.simvehicle.wire import Received
+
+NO_INDEX = 65535
+ECHO_S = 0.004  # the IO thread's turn between a PARAM_SET and its echo
+SAVE_S = 0.5  # and from there to the storage
+READ_TICK_S = 0.1  # answers to PARAM_REQUEST_READ leave ten times a second
+READ_QUEUE, READ_REPLIES = 20, 5
+LIST_TICK_S, LIST_PER_TICK = 0.01, 20
+INTEGER_NUDGE = 0.01  # AP_Param::set_float adds this before it truncates
+_INTEGER_LIMITS = {
+    ParameterType.INT8: (-128, 127),
+    ParameterType.INT16: (-32768, 32767),
+    ParameterType.INT32: (-2147483648, 2147483647),
+}
+
+
+class ArduPilotParameters:
+    """Answers PARAM_REQUEST_LIST, PARAM_REQUEST_READ and PARAM_SET."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._vehicle = vehicle
+        self._reads: deque[tuple[Channel, str, int]] = deque()
+        self._lists: dict[int, tuple[Channel, int]] = {}
+
+    def boot(self) -> None:
+        """Start the periodic service of requests."""
+        self._reads.clear()
+        self._lists.clear()
+        self._vehicle.every(READ_TICK_S, self._answer_reads)
+
+    def handle(self, channel: Channel, received: Received) -> None:
+        """One message of the parameter protocol."""
+        message = received.message
+        if received.name == "PARAM_REQUEST_LIST":
+            self._start_list(channel)
+        elif received.name == "PARAM_REQUEST_READ":
+            if len(self._reads) < READ_QUEUE:
+                self._reads.append((channel, str(message.param_id), int(message.param_index)))
+        elif received.name == "PARAM_SET":
+            self.set(str(message.param_id), float(message.param_value))
+
+    def value_message(self, parameter: Parameter, index: int = NO_INDEX) -> Any:
+        """PARAM_VALUE: whatever the type, the value is cast to float32."""
+        count = len(self._vehicle.table.listing())
+        return dialect.MAVLink_param_value_message(
+            parameter.name.encode(), float(parameter.value), int(parameter.kind), count, index
+        )
+
+    # --- list and read
+
+    def _start_list(self, channel: Channel) -> None:
+        vehicle = self._vehicle
+        for text in vehicle.banner():  # type: ignore[attr-defined]
+            vehicle.say(text, channel=channel)
+        running = id(channel) in self._lists
+        self._lists[id(channel)] = (channel, 0)
+        if not running:
+            delay = READ_TICK_S - vehicle.time % READ_TICK_S
+            vehicle.at(delay, lambda: self._continue_list(id(channel)))
+
+    def _continue_list(self, key: int) -> None:
+        if key not in self._lists:
+            return
+        channel, done = self._lists[key]
+        listing = self._vehicle.table.listing()
+        for index in range(done, min(done + LIST_PER_TICK, len(listing))):
+            self._vehicle.send(channel, self.value_message(listing[index], index))
+        if done + LIST_PER_TICK >= len(listing):
+            del self._lists[key]
+            return
+        self._lists[key] = (channel, done + LIST_PER_TICK)
+        self._vehicle.at(LIST_TICK_S, lambda: self._continue_list(key))
+
+    def _answer_reads(self) -> None:
+        table = self._vehicle.table
+        for _ in range(min(READ_REPLIES, len(self._reads))):
+            channel, name, index = self._reads.popleft()
+            listing = table.listing()
+            if index >= 0:
+                if index < len(listing):
+                    self._vehicle.send(channel, self.value_message(listing[index], index))
+            elif name in table:
+                self._vehicle.send(channel, self.value_message(table[name]))
+
+    # --- set
+
+    def set(self, name: str, value: float) -> None:
+        """A PARAM_SET: the value acts at once, the echo comes when the IO thread has had its turn."""
+        table = self._vehicle.table
+        self._vehicle.note_set(name, value)
+        if name not in table or not math.isfinite(value) or not self._vehicle.alive:
+            return
+        table.store(name, _converted(table[name], value))
+        self.changed(name)
+
+    def changed(self, name: str) -> None:
+        """Save a value and tell everybody: for a PARAM_SET and for what the firmware itself writes."""
+        names = self._vehicle.table.vector_members(name) or [name]
+        self._vehicle.echo_filter(name, lambda: self._vehicle.at(ECHO_S, lambda: self.announce(names)))
+        self._vehicle.at(ECHO_S + SAVE_S, lambda: self._vehicle.table.save(name))
+
+    def announce(self, names: list[str]) -> None:
+        """PARAM_VALUE of each name on every link."""
+        for name in names:
+            self._vehicle.broadcast(self.value_message(self._vehicle.table[name]))
+
+
+def _converted(parameter: Parameter, value: float) -> Value:
+    if parameter.is_float:
+        return value
+    low, high = _INTEGER_LIMITS.get(parameter.kind, (0, 4294967295))
+    nudged = value + (INTEGER_NUDGE if value > 0 else -INTEGER_NUDGE)
+    return int(min(max(nudged, low), high))

@@ -1,0 +1,80 @@
+"""ArduPilot's sensors at the instants of one tick, converted once for all messages that carry them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from service.simvehicle.ardupilot_sensors import ImuReading
+from service.simvehicle.corrections import truncated
+from service.simvehicle.rotation import euler_from_quaternions
+from service.simvehicle.telemetry import Block, make_block
+from service.simvehicle.world import State
+
+if TYPE_CHECKING:
+    from service.simvehicle.ardupilot import ArduPilotVehicle
+
+G = 9.80665
+MG = G / 1000.0
+MRAD = 1.0e-3
+MAG_DEFECT = 1000.0  # mGauss times this, where Gauss would be mGauss divided by it
+
+Rows = list[list[int]]
+
+
+class Readings:
+    """The sensors at the instants of one tick: every message of an instant carries the same sample."""
+
+    def __init__(self, vehicle: ArduPilotVehicle, times: list[float]) -> None:
+        self._vehicle = vehicle
+        self.state: State = vehicle.world.state(np.asarray(times))
+        self._imus: dict[int, ImuReading] = {}
+        self._integers: dict[int, tuple[Rows, Rows, Rows, list[int]]] = {}
+        self._floats: tuple[list[list[float]], list[list[float]], list[list[float]]] | None = None
+        self._euler: list[list[float]] | None = None
+        self._block: Block | None = None
+
+    def imu(self, instance: int) -> ImuReading:
+        """One IMU's corrected readings."""
+        if instance not in self._imus:
+            self._imus[instance] = self._vehicle.sensors.imu(instance, self.state)
+        return self._imus[instance]
+
+    @property
+    def block(self) -> Block:
+        """Attitude and the like."""
+        if self._block is None:
+            v = self._vehicle
+            primary = self.imu(v.sensors.primary)
+            self._block = make_block(v, self.state, primary.accel, primary.gyro, v.table.vector("AHRS_TRIM"))
+        return self._block
+
+    def integers(self, instance: int) -> tuple[Rows, Rows, Rows, list[int]]:
+        """mG, mrad/s, mGauss and centidegrees as the C++ casts make them."""
+        if instance not in self._integers:
+            imu = self.imu(instance)
+            mag = self._vehicle.sensors.compass(instance, self.state.t)
+            self._integers[instance] = (
+                truncated(imu.accel, MG).tolist(),
+                truncated(imu.gyro, MRAD).tolist(),
+                truncated(mag, 1.0).tolist(),
+                truncated(imu.temperature, 0.01).tolist(),
+            )
+        return self._integers[instance]
+
+    def floats(self) -> tuple[list[list[float]], list[list[float]], list[list[float]]]:
+        """HIGHRES_IMU of the primary: its magnetometer in Gauss, or a million times that."""
+        if self._floats is None:
+            v = self._vehicle
+            imu = self.imu(v.sensors.primary)
+            factor = MAG_DEFECT if v.config.highres_mag_defect else 1.0 / MAG_DEFECT
+            mag = v.sensors.compass(0, self.state.t) * factor
+            self._floats = (imu.accel.tolist(), imu.gyro.tolist(), mag.tolist())
+        return self._floats
+
+    def true_euler(self) -> list[list[float]]:
+        """True roll, pitch, yaw."""
+        if self._euler is None:
+            self._euler = euler_from_quaternions(self.state.q).tolist()
+        return self._euler

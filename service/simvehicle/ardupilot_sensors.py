@@ -1,0 +1,181 @@
+"""ArduPilot's sensor front end: raw readings through the formulas with the parameters in force."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.simvehicle import ardupilot_parameters as names
+from service.simvehicle.corrections import (
+    ArduPilotThermal,
+    ardupilot_accel,
+    ardupilot_compass,
+    ardupilot_gyro,
+)
+from service.simvehicle.errors import ConfigurationError
+from service.simvehicle.magreader import MagReader
+from service.simvehicle.parameters import ParameterTable
+from service.simvehicle.rotation import Array, mounting_matrix
+from service.simvehicle.sensor_faults import SensorFaults
+from service.simvehicle.world import State, World
+
+MGAUSS_PER_UT = 10.0
+COMPASS_PERIOD_S = 0.1  # Copter's battery and compass task
+COMPASS_SUBSAMPLES = 10
+MOTOR_COMPENSATION_THROTTLE, MOTOR_COMPENSATION_CURRENT = 1, 2
+
+
+@dataclass(frozen=True)
+class ImuCalibration:
+    """What is in force for one IMU instance."""
+
+    accel_offset: Array
+    accel_scale: Array
+    gyro_offset: Array
+    accel_thermal: ArduPilotThermal | None
+    gyro_thermal: ArduPilotThermal | None
+    accel_caltemp: float
+    gyro_caltemp: float
+
+
+@dataclass(frozen=True)
+class ImuReading:
+    """Corrected accelerometer and gyroscope (N, 3) in the body frame, and temperature (N,)."""
+
+    accel: Array
+    gyro: Array
+    temperature: Array
+
+
+class ArduPilotSensors:
+    """Corrected readings of every instance; which chip an instance is was settled at boot."""
+
+    def __init__(self, world: World, table: ParameterTable, faults: SensorFaults) -> None:
+        self._world, self._table, self._faults = world, table, faults
+        self.reader = MagReader(world, COMPASS_PERIOD_S, COMPASS_SUBSAMPLES)
+        self.accel_calibrating = False
+        self._cache: dict[int, ImuCalibration] = {}
+        self._cached_version = -1
+        self.detect()
+
+    def detect(self) -> None:
+        """Boot: find the chips that are present and not masked, and latch what needs a reboot."""
+        mask = int(self._table.get("INS_ENABLE_MASK", 127))
+        chips = range(len(self._world.truth.accels))
+        self.chips = [k for k in chips if mask >> k & 1 and not self._faults.absent("accel", k)]
+        self.board = _mounting(self._table.get("AHRS_ORIENTATION"))
+        mags = [k for k in range(len(self._world.truth.mags)) if not self._faults.absent("mag", k)]
+        by_id = {names.MAG_IDS[k]: k for k in mags}
+        wanted = [int(self._table.get(f"COMPASS_PRIO{k}_ID")) for k in (1, 2, 3)]
+        first = [by_id[i] for i in wanted if i in by_id]
+        self.compasses = first + [k for k in mags if k not in first]
+        if not self._table.get("COMPASS_ENABLE", 1.0):
+            self.compasses = []
+        self.reader.restart()
+
+    @property
+    def primary(self) -> int:
+        """The first instance that is used and works."""
+        usable = [
+            i
+            for i in range(len(self.chips))
+            if self._table.get(names.use_name(i), 1.0) and not self._faults.absent("accel", i)
+        ]
+        return usable[0] if usable else 0
+
+    def imu(self, instance: int, state: State, noise_scale: float = 1.0) -> ImuReading:
+        """Corrected readings of one instance at the times of a state; zeros where there is no such instance."""
+        if instance >= len(self.chips) or self._faults.absent("accel", instance):
+            zero = np.zeros((len(state.t), 3))
+            return ImuReading(zero, zero, np.zeros(len(state.t)))
+        chip = self.chips[instance]
+        c = self._calibration(instance)
+        temperature = self._world.temperature_read(chip, state.t)
+        raw_accel = self._world.accel(chip, state, noise_scale)
+        raw_gyro = self._world.gyro(chip, state, noise_scale)
+        thermal = None if c.accel_thermal is None else c.accel_thermal.correction(temperature, c.accel_caltemp)
+        accel = ardupilot_accel(raw_accel, c.accel_offset, c.accel_scale, thermal, self.board)
+        if self.accel_calibrating:
+            accel = raw_accel @ self.board.T
+        thermal = None if c.gyro_thermal is None else c.gyro_thermal.correction(temperature, c.gyro_caltemp)
+        gyro = ardupilot_gyro(raw_gyro, c.gyro_offset, thermal, self.board)
+        if self._faults.stuck("accel", instance):
+            temperature = np.full_like(temperature, temperature[0])
+        return ImuReading(
+            self._faults.apply("accel", instance, accel), self._faults.apply("gyro", instance, gyro), temperature
+        )
+
+    def raw(self, instance: int, state: State) -> tuple[Array, Array]:
+        """Uncorrected accelerometer and gyroscope of an instance, as the onboard calibrations take them."""
+        chip = self.chips[instance]
+        return self._world.accel(chip, state), self._world.gyro(chip, state)
+
+    def _calibration(self, instance: int) -> ImuCalibration:
+        if self._cached_version != self._table.version:
+            self._cache.clear()
+            self._cached_version = self._table.version
+        if instance not in self._cache:
+            self._cache[instance] = self._read(instance)
+        return self._cache[instance]
+
+    def _read(self, instance: int) -> ImuCalibration:
+        t = self._table
+        return ImuCalibration(
+            t.vector(names.accel_offset_name(instance)),
+            t.vector(names.accel_scale_name(instance), 1.0),
+            t.vector(names.gyro_offset_name(instance)),
+            self._thermal(instance, "ACC"),
+            self._thermal(instance, "GYR"),
+            t.get(names.caltemp_name("ACC", instance), names.UNKNOWN_CALTEMP),
+            t.get(names.caltemp_name("GYR", instance), names.UNKNOWN_CALTEMP),
+        )
+
+    def _thermal(self, instance: int, sensor: str) -> ArduPilotThermal | None:
+        group, t = f"INS_TCAL{instance + 1}", self._table
+        if t.get(f"{group}_ENABLE") != 1:
+            return None
+        coefficients = np.stack([t.vector(f"{group}_{sensor}{order}") for order in (1, 2, 3)])
+        return ArduPilotThermal(coefficients, t.get(f"{group}_TMIN"), t.get(f"{group}_TMAX", 70.0))
+
+    def compass_body(self, instance: int, t: Array) -> Array:
+        """Raw field in the body frame of a priority instance, mGauss, before offsets."""
+        chip = self.compasses[instance]
+        raw = self.reader.raw(chip, t) * MGAUSS_PER_UT
+        external = self._table.get(names.compass_external_name(chip)) != 0
+        rotation = _mounting(self._table.get(names.compass_name("ORIENT", chip))) if external else self.board
+        return np.asarray(raw @ rotation.T)
+
+    def compass(self, instance: int, t: Array) -> Array:
+        """Corrected field of a priority instance at times t, mGauss (N, 3); zeros where there is none."""
+        if instance >= len(self.compasses) or self._faults.absent("mag", instance):
+            return np.zeros((len(t), 3))
+        slot, table = self.compasses[instance], self._table
+        corrected = ardupilot_compass(
+            self.compass_body(instance, t),
+            table.vector(names.compass_name("OFS", slot)),
+            table.vector(names.compass_name("DIA", slot), 1.0),
+            table.vector(names.compass_name("ODI", slot)),
+            table.get(names.compass_name("SCALE", slot)),
+            self._motor_term(slot, t),
+        )
+        return self._faults.apply("mag", instance, corrected)
+
+    def _motor_term(self, slot: int, t: Array) -> Array | None:
+        kind = int(self._table.get("COMPASS_MOTCT"))
+        read_at = self.reader.read_at(t)
+        if kind == MOTOR_COMPENSATION_THROTTLE:
+            level = self._world.throttle.at(read_at)
+        elif kind == MOTOR_COMPENSATION_CURRENT:
+            level = self._world.current.at(read_at)
+        else:
+            return None
+        return np.asarray(level[:, None] * self._table.vector(names.compass_name("MOT", slot)))
+
+
+def _mounting(orientation: float) -> Array:
+    """Unknown orientations act as none, as an out-of-range enum does in the firmware."""
+    try:
+        return mounting_matrix(int(orientation))
+    except ConfigurationError:
+        return np.eye(3)

@@ -1,0 +1,202 @@
+"""Faults on demand: what spoils the wire, what the vehicle does wrong, and when."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+from service.simvehicle.errors import ControlError
+from service.simvehicle.impairment import Impairment
+from service.simvehicle.sensor_faults import SensorFault
+
+if TYPE_CHECKING:
+    from service.simvehicle.server import Server
+
+DEFAULT_SILENCE_S = 5.0
+DEFAULT_ECHO_DELAY_S = 1.5
+PERSISTENT = ("loss", "duplication", "reordering", "delay", "bit_errors", "truncation")
+
+
+@dataclass
+class Fault:
+    """One fault that was asked for.
+
+    Attributes:
+        kind: its name.
+        options: its own entries, as given.
+        at_time: vehicle time of the stroke; None: not by time.
+        nth_set: strikes with the n-th PARAM_SET received from now on; None: not by count.
+        struck: vehicle times at which it struck.
+    """
+
+    kind: str
+    options: Mapping[str, Any]
+    at_time: float | None = None
+    nth_set: int | None = None
+    struck: list[float] = field(default_factory=list)
+    done: bool = False
+
+
+class Injector:
+    """Keeps the faults that wait, and lets them strike."""
+
+    def __init__(self, server: Server) -> None:
+        self._server = server
+        self._faults: list[Fault] = []
+        self._echoes: list[tuple[Fault, int]] = []
+        self._kinds: dict[str, Callable[[Fault, str | None], None]] = {
+            **dict.fromkeys(PERSISTENT, self._impair),
+            "reboot": lambda f, _n: self._vehicle.reboot(flush=bool(f.options.get("flush", False))),
+            "silence": self._silence,
+            "lost_echo": lambda f, _n: self._echo(f),
+            "late_echo": lambda f, _n: self._echo(f),
+            "not_applied": self._not_applied,
+            "foreign_write": self._foreign_write,
+            "arm": lambda _f, _n: self._arm(),
+            "onboard_calibration": lambda _f, _n: self._vehicle.start_onboard_calibration(),
+            "stuck": self._sensor,
+            "nan": self._sensor,
+            "absent": self._sensor,
+            "twin": lambda _f, _n: self._server.add_twin(),
+            "move": lambda _f, _n: self._move(),
+        }
+        server_vehicle = server.vehicle
+        server_vehicle.echo_filter = self._filter_echo
+
+    @property
+    def _vehicle(self) -> Any:
+        return self._server.vehicle
+
+    def arm(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """The `fault` verb. Raises ControlError where the kind or the trigger is unknown."""
+        kind = request.get("kind")
+        if kind not in self._kinds:
+            raise ControlError(f"unknown fault {kind!r}; known: {', '.join(self._kinds)}")
+        fault = Fault(str(kind), {k: v for k, v in request.items() if k not in ("kind", "trigger")})
+        trigger = request.get("trigger") or "now"
+        self._faults.append(fault)
+        if trigger == "now":
+            self._strike(fault, None)
+        elif isinstance(trigger, Mapping) and "time" in trigger:
+            fault.at_time = _finite("trigger.time", trigger["time"])
+        elif isinstance(trigger, Mapping) and "after_s" in trigger:
+            fault.at_time = self._vehicle.time + _finite("trigger.after_s", trigger["after_s"])
+        elif isinstance(trigger, Mapping) and "nth_set" in trigger:
+            fault.nth_set = self._vehicle.set_count + int(_finite("trigger.nth_set", trigger["nth_set"]))
+        else:
+            self._faults.remove(fault)
+            raise ControlError('trigger must be "now", {"time": t}, {"after_s": s} or {"nth_set": n}')
+        return {"fault": len(self._faults) - 1}
+
+    def saw_set(self, count: int, name: str) -> None:
+        """A PARAM_SET has arrived and has not acted yet."""
+        for fault in self._faults:
+            if not fault.done and fault.nth_set == count:
+                self._strike(fault, name)
+
+    def tick(self) -> None:
+        """Vehicle time has passed."""
+        for fault in self._faults:
+            if not fault.done and fault.at_time is not None and self._vehicle.time >= fault.at_time:
+                self._strike(fault, None)
+
+    def _strike(self, fault: Fault, name: str | None) -> None:
+        fault.done = True
+        fault.struck.append(self._vehicle.time)
+        self._kinds[fault.kind](fault, name)
+
+    def clear(self) -> None:
+        """End every fault that lasts, and forget those that wait."""
+        for fault in self._faults:
+            fault.done = True
+        self._echoes.clear()
+        for link in self._server.links:
+            link.set_impairments(Impairment(), Impairment())
+        self._vehicle.faults.clear()
+        self._vehicle.table.unpin_all()
+        self._vehicle.silent_until = -math.inf
+        self._server.remove_twins()
+
+    def report(self) -> list[dict[str, Any]]:
+        """Every fault asked for, and when it struck."""
+        return [{"kind": f.kind, **f.options, "struck": f.struck} for f in self._faults]
+
+    # --- the strokes
+
+    def _impair(self, fault: Fault, _name: str | None) -> None:
+        direction = fault.options.get("direction", "both")
+        if direction not in ("in", "out", "both"):
+            raise ControlError(f'direction must be "in", "out" or "both", got {direction!r}')
+        values = _impairment_values(fault)
+        for link in self._server.links:
+            link.set_impairments(
+                replace(link.incoming, **values) if direction != "out" else link.incoming,
+                replace(link.outgoing, **values) if direction != "in" else link.outgoing,
+            )
+
+    def _silence(self, fault: Fault, _name: str | None) -> None:
+        seconds = _finite("duration_s", fault.options.get("duration_s", DEFAULT_SILENCE_S))
+        self._vehicle.silent_until = self._vehicle.time + seconds
+
+    def _echo(self, fault: Fault) -> None:
+        self._echoes.append((fault, int(_finite("count", fault.options.get("count", 1)))))
+
+    def _filter_echo(self, name: str, echo: Callable[[], None]) -> None:
+        """Decide what becomes of the echo of a PARAM_SET."""
+        for i, (fault, left) in enumerate(self._echoes):
+            if fault.options.get("name", name) != name:
+                continue
+            fault.struck.append(self._vehicle.time)
+            self._echoes[i : i + 1] = [(fault, left - 1)] if left > 1 else []
+            if fault.kind == "late_echo":
+                self._vehicle.at(_finite("delay_s", fault.options.get("delay_s", DEFAULT_ECHO_DELAY_S)), echo)
+            return
+        echo()
+
+    def _not_applied(self, fault: Fault, name: str | None) -> None:
+        target = fault.options.get("name", name)
+        if not isinstance(target, str):
+            raise ControlError("not_applied needs the name of a parameter, or a trigger nth_set")
+        if target in self._vehicle.table:
+            self._vehicle.table.pin(target)
+
+    def _foreign_write(self, fault: Fault, name: str | None) -> None:
+        target = fault.options.get("name", name)
+        if not isinstance(target, str) or target not in self._vehicle.table:
+            raise ControlError(f"foreign_write needs the name of a parameter that exists, got {target!r}")
+        value = _finite("value", fault.options.get("value", 0.123))
+        # After the one that triggered it, as a rival's would arrive.
+        self._vehicle.at(0.0, lambda: self._vehicle.foreign_set(target, value))
+
+    def _arm(self) -> None:
+        self._vehicle.armed = True
+        self._vehicle.broadcast(self._vehicle.heartbeat())
+
+    def _sensor(self, fault: Fault, _name: str | None) -> None:
+        sensor = str(fault.options.get("sensor", "accel"))
+        instance = int(_finite("instance", fault.options.get("instance", 0)))
+        self._vehicle.faults.set(sensor, instance, SensorFault(fault.kind))
+
+    def _move(self) -> None:
+        for link in self._server.links:
+            link.move()
+
+
+def _impairment_values(fault: Fault) -> dict[str, float]:
+    if fault.kind == "delay":
+        return {
+            "delay_s": _finite("delay_s", fault.options.get("delay_s", 0.2)),
+            "jitter_s": _finite("jitter_s", fault.options.get("jitter_s", 0.0)),
+        }
+    probability = _finite("p", fault.options.get("p", 0.1))
+    if not 0 <= probability <= 1:
+        raise ControlError(f"p must be a probability, got {probability}")
+    return {fault.kind: probability}
+
+
+def _finite(name: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ControlError(f"{name} must be a finite number, got {value!r}")
+    return float(value)

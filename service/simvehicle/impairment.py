@@ -1,0 +1,118 @@
+"""A link that loses, doubles, delays, swaps, cuts and corrupts what passes, each direction by its own chances."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import random
+import socket
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from service.simvehicle.links import Link
+from service.simvehicle.vehicle import Channel
+from service.simvehicle.wire import Received
+
+REORDER_DELAY_S = 0.05  # how long a swapped frame is held back, wall time
+
+
+@dataclass(frozen=True)
+class Impairment:
+    """Chances per frame, 0..1, and delays in wall seconds."""
+
+    loss: float = 0.0
+    duplication: float = 0.0
+    reordering: float = 0.0
+    bit_errors: float = 0.0
+    truncation: float = 0.0
+    delay_s: float = 0.0
+    jitter_s: float = 0.0
+
+    @property
+    def clean(self) -> bool:
+        """Whether nothing is spoilt."""
+        return self == CLEAN
+
+
+CLEAN = Impairment()
+
+
+class FaultyLink:
+    """A link seen through its impairments; `channel` is the vehicle's end."""
+
+    def __init__(self, link: Link, seed: int) -> None:
+        self._link = link
+        self._random = random.Random(seed)  # noqa: S311 - reproducible faults, no secrets
+        self._held_out: list[tuple[float, int, bytes]] = []
+        self._held_in: list[tuple[float, int, bytes]] = []
+        self._tickets = itertools.count()
+        self.incoming, self.outgoing = CLEAN, CLEAN
+        self.channel: Channel | None = None
+        self.url = link.url
+
+    def set_impairments(self, incoming: Impairment, outgoing: Impairment) -> None:
+        """Spoil what passes from now on."""
+        self.incoming, self.outgoing = incoming, outgoing
+
+    def sockets(self) -> list[socket.socket]:
+        """What to wait on."""
+        return self._link.sockets()
+
+    def send(self, frame: bytes) -> None:
+        """Send one frame, or what is left of it, perhaps later, perhaps twice."""
+        if self.outgoing.clean and not self._held_out:
+            self._link.send(frame)
+            return
+        for delay, piece in self._spoilt(self.outgoing, frame):
+            if delay <= 0:
+                self._link.send(piece)
+            else:
+                heapq.heappush(self._held_out, (time.monotonic() + delay, next(self._tickets), piece))
+
+    def received(self) -> Iterator[Received]:
+        """The intact messages that have arrived and were not lost."""
+        for data in self._link.poll():
+            if self.incoming.clean:
+                yield from self._link.messages(data)
+                continue
+            for delay, piece in self._spoilt(self.incoming, data):
+                heapq.heappush(self._held_in, (time.monotonic() + delay, next(self._tickets), piece))
+        now = time.monotonic()
+        while self._held_in and self._held_in[0][0] <= now:
+            yield from self._link.messages(heapq.heappop(self._held_in)[2])
+
+    def flush(self) -> None:
+        """Send what was held back long enough."""
+        now = time.monotonic()
+        while self._held_out and self._held_out[0][0] <= now:
+            self._link.send(heapq.heappop(self._held_out)[2])
+
+    def _spoilt(self, chances: Impairment, data: bytes) -> Iterator[tuple[float, bytes]]:
+        draw = self._random.random
+        if draw() < chances.loss:
+            return
+        for _ in range(2 if draw() < chances.duplication else 1):
+            piece = bytearray(data)
+            if draw() < chances.bit_errors:
+                position = self._random.randrange(len(piece) * 8)
+                piece[position // 8] ^= 1 << position % 8
+            if draw() < chances.truncation:
+                del piece[self._random.randrange(len(piece)) :]
+            delay = chances.delay_s + chances.jitter_s * draw()
+            if draw() < chances.reordering:
+                delay += REORDER_DELAY_S
+            if piece:
+                yield delay, bytes(piece)
+
+    def vehicle_rebooted(self) -> None:
+        """See Link."""
+        self._link.vehicle_rebooted()
+
+    def move(self) -> None:
+        """See Link."""
+        self._link.move()
+
+    def close(self) -> None:
+        """Release the sockets."""
+        self._link.close()

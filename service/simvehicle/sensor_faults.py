@@ -1,0 +1,59 @@
+"""Sensors that fail: stuck at their last value, not a number, or absent."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+import numpy as np
+
+from service.simvehicle.errors import ControlError
+from service.simvehicle.rotation import Array
+
+
+class SensorFault(StrEnum):
+    """How a sensor fails."""
+
+    STUCK = "stuck"  # values and temperature freeze, messages and time stamps go on
+    NAN = "nan"
+    ABSENT = "absent"
+
+
+SENSORS = ("accel", "gyro", "mag")
+
+
+class SensorFaults:
+    """Which sensors are failing, and what a stuck one last said."""
+
+    def __init__(self) -> None:
+        self._faults: dict[tuple[str, int], SensorFault] = {}
+        self._last: dict[tuple[str, int], Array] = {}
+
+    def set(self, sensor: str, instance: int, fault: SensorFault) -> None:
+        """Let a sensor fail from now on."""
+        if sensor not in SENSORS:
+            raise ControlError(f"unknown sensor {sensor!r}; known: {', '.join(SENSORS)}")
+        self._faults[(sensor, instance)] = fault
+
+    def clear(self) -> None:
+        """All sensors work again."""
+        self._faults.clear()
+
+    def absent(self, sensor: str, instance: int) -> bool:
+        """Whether the firmware does not see this sensor at all."""
+        return self._faults.get((sensor, instance)) is SensorFault.ABSENT
+
+    def stuck(self, sensor: str, instance: int) -> bool:
+        """Whether this sensor repeats itself."""
+        return self._faults.get((sensor, instance)) is SensorFault.STUCK
+
+    def apply(self, sensor: str, instance: int, values: Array) -> Array:
+        """The corrected readings (N, 3) as a failing sensor gives them."""
+        key = (sensor, instance)
+        fault = self._faults.get(key)
+        if fault is None:
+            if len(values):
+                self._last[key] = values[-1].copy()
+            return values
+        if fault is SensorFault.STUCK:
+            return np.tile(self._last.setdefault(key, values[0].copy()), (len(values), 1))
+        return np.full_like(values, np.nan) if fault is SensorFault.NAN else np.zeros_like(values)

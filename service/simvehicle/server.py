@@ -1,0 +1,161 @@
+"""The loop of the process: sockets in, vehicle time forward, frames out, once a tick of the wall clock."""
+
+from __future__ import annotations
+
+import os
+import selectors
+import socket
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+
+from service.simvehicle.config import Autopilot, VehicleConfig
+from service.simvehicle.control import ControlServer
+from service.simvehicle.errors import ControlError
+from service.simvehicle.faults import Injector
+from service.simvehicle.impairment import FaultyLink
+from service.simvehicle.links import Link
+from service.simvehicle.scripts import SCRIPTS
+from service.simvehicle.vehicle import Channel, Vehicle
+from service.simvehicle.verbs import Verbs
+from service.simvehicle.wire import Packer, Received
+
+TICK_S = 0.005
+MAX_STEP_S = 0.1  # of wall time: a process that was suspended does not catch up
+MAX_SPEED = 1000.0
+TWIN_SEED = 1000  # how far a twin's seed is from its vehicle's
+
+
+def make_vehicle(config: VehicleConfig) -> Vehicle:
+    """A vehicle of the configured personality, not yet booted."""
+    # Imported here: each personality only pays for itself.
+    if config.autopilot is Autopilot.ARDUPILOT:
+        from service.simvehicle.ardupilot import ArduPilotVehicle
+
+        return ArduPilotVehicle(config)
+    from service.simvehicle.px4 import Px4Vehicle
+
+    return Px4Vehicle(config)
+
+
+class Server:
+    """One vehicle with its links and its control channel."""
+
+    def __init__(self, vehicle: Vehicle, links: list[Link], control_port: int, speed: float) -> None:
+        self.vehicle = vehicle
+        self.speed = 1.0
+        self.set_speed(speed)
+        self.lag_s = 0.0
+        self._running = True
+        self._stdin: int | None = None
+        self._script: Iterator[float] | None = None
+        self._twins: list[tuple[Vehicle, list[Channel]]] = []
+        self.injector = Injector(self)
+        self.links = [self._joined(link) for link in links]
+        vehicle.on_set = self.injector.saw_set
+        vehicle.on_reboot = self._rebooted
+        self.control = ControlServer(control_port, Verbs(self))
+
+    def _joined(self, link: Link) -> FaultyLink:
+        faulty = FaultyLink(link, self.vehicle.config.seed)
+        channel = Channel(Packer(self.vehicle.config.system_id), faulty.send)
+        self.vehicle.channels.append(channel)
+        faulty.channel = channel
+        return faulty
+
+    def add_twin(self) -> None:
+        """A second vehicle of the same system id speaks on every link."""
+        config = self.vehicle.config
+        twin = make_vehicle(replace(config, seed=config.seed + TWIN_SEED))
+        twin.channels = [Channel(Packer(config.system_id), link.send) for link in self.links]
+        twin.start()
+        self._twins.append((twin, twin.channels))
+
+    def remove_twins(self) -> None:
+        """Only the first vehicle is left."""
+        self._twins.clear()
+
+    def _rebooted(self) -> None:
+        for link in self.links:
+            link.vehicle_rebooted()
+
+    # --- scripts and speed
+
+    def set_speed(self, value: float) -> None:
+        """Seconds of vehicle time per second of wall time."""
+        if not 0 < value <= MAX_SPEED:
+            raise ControlError(f"speed must be above 0 and at most {MAX_SPEED:.0f}, got {value}")
+        self.speed = value
+
+    def run_script(self, name: str) -> None:
+        """Begin a script of SCRIPTS; it ends the one before."""
+        self._script = SCRIPTS[name](self.vehicle)
+        self._step_script(self._script)
+
+    def stop_script(self) -> None:
+        """The operator takes over."""
+        self._script = None
+
+    def _step_script(self, script: Iterator[float]) -> None:
+        if script is not self._script:
+            return
+        wait = next(script, None)
+        if wait is not None:
+            self.vehicle.at(wait, lambda: self._step_script(script))
+
+    # --- the loop
+
+    def run(self, *, follow_stdin: bool = False) -> None:
+        """Run until `stop`, or until stdin ends where asked to follow it."""
+        self._stdin = sys.stdin.fileno() if follow_stdin else None
+        self.vehicle.start()
+        last = time.monotonic()
+        while self._running:
+            self._wait(last + TICK_S - time.monotonic())
+            now = time.monotonic()
+            self._tick(min(now - last, MAX_STEP_S))
+            self.lag_s = max(time.monotonic() - now - TICK_S, 0.0)
+            last = now
+        self.close()
+
+    def _wait(self, seconds: float) -> None:
+        """Wait for the next tick, or shorter if something arrives."""
+        with selectors.DefaultSelector() as selector:
+            for sock in self._sockets():
+                selector.register(sock, selectors.EVENT_READ)
+            if self._stdin is not None:
+                selector.register(self._stdin, selectors.EVENT_READ)
+            for key, _ in selector.select(max(seconds, 0.0)):
+                if key.fd == self._stdin and not os.read(key.fd, 4096):
+                    self.stop()
+
+    def _sockets(self) -> list[socket.socket]:
+        return [*self.control.sockets(), *(s for link in self.links for s in link.sockets())]
+
+    def _tick(self, wall_s: float) -> None:
+        self.control.poll()
+        for link in self.links:
+            for received in link.received():
+                self._deliver(link, received)
+        for vehicle in (self.vehicle, *(twin for twin, _ in self._twins)):
+            vehicle.advance(vehicle.time + wall_s * self.speed)
+        self.injector.tick()
+        for link in self.links:
+            link.flush()
+
+    def _deliver(self, link: FaultyLink, received: Received) -> None:
+        if link.channel is not None:
+            self.vehicle.receive(link.channel, received)
+        for twin, channels in self._twins:
+            twin.receive(channels[self.links.index(link)], received)
+
+    def stop(self) -> None:
+        """End the loop after this tick."""
+        self._running = False
+
+    def close(self) -> None:
+        """Release every socket."""
+        self.control.close()
+        for link in self.links:
+            link.close()

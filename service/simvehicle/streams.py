@@ -1,0 +1,82 @@
+"""When a requested message is due, in vehicle time: each firmware's own rule."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+ARDUPILOT_LOOP_S = 0.0025  # a 400 Hz main loop
+ARDUPILOT_FASTEST_FACTOR = 800  # refused if interval_ms · 800 < loop period in µs
+PX4_LOOP_S = 0.004
+PX4_LEAD_S = 0.0009  # 0.3 of PX4's main-loop delay of 3 ms: how much too early a message may go
+
+
+@dataclass
+class Stream:
+    """One periodic message of one link.
+
+    Attributes:
+        message_id: what is sent.
+        interval: seconds of vehicle time as the firmware keeps it, after its rounding.
+        interval_us: what MESSAGE_INTERVAL reads back.
+    """
+
+    message_id: int
+    interval: float
+    interval_us: int
+    anchor: float
+
+    def due(self, until: float) -> list[float]:
+        """The times up to and including `until` at which the message is sent; each is returned once."""
+        raise NotImplementedError
+
+
+class ArduPilotStream(Stream):
+    """Interval in whole milliseconds; sent by the first main loop after it has passed, without drift."""
+
+    def due(self, until: float) -> list[float]:
+        """See Stream."""
+        times: list[float] = []
+        while True:
+            sent = math.ceil(self.anchor / ARDUPILOT_LOOP_S - 1e-6) * ARDUPILOT_LOOP_S
+            if sent > until:
+                return times
+            times.append(sent)
+            self.anchor += self.interval
+
+
+class Px4Stream(Stream):
+    """MavlinkStream::update: polled every 4 ms; keeps its phase only while less than 1.5 intervals late."""
+
+    def due(self, until: float) -> list[float]:
+        """See Stream."""
+        times: list[float] = []
+        # The first poll that can send: the rest would only be polls that refuse.
+        while True:
+            earliest = self.anchor + self.interval - PX4_LEAD_S
+            poll = (math.floor(earliest / PX4_LOOP_S + 1e-6) + 1) * PX4_LOOP_S
+            if poll > until + 1e-9:
+                return times
+            times.append(poll)
+            late = poll - self.anchor
+            self.anchor = self.anchor + self.interval if late < 1.5 * self.interval else poll
+
+
+def ardupilot_interval_ms(interval_us: float, loop_rate_hz: float) -> int | None:
+    """The whole milliseconds that ArduPilot keeps; None if it refuses the rate as too fast."""
+    interval_ms = max(int(interval_us // 1000), 1)
+    if interval_ms * ARDUPILOT_FASTEST_FACTOR < 1e6 / loop_rate_hz:
+        return None
+    return interval_ms
+
+
+def ardupilot_stream(message_id: int, interval_ms: int, now: float) -> ArduPilotStream:
+    """A stream whose phase is that of its bucket: all messages of one interval go together."""
+    interval = interval_ms * 1e-3
+    return ArduPilotStream(message_id, interval, interval_ms * 1000, (math.floor(now / interval) + 1) * interval)
+
+
+def px4_stream(message_id: int, interval_us: float, now: float) -> Px4Stream:
+    """A stream that begins at the next poll."""
+    interval = interval_us * 1e-6
+    return Px4Stream(message_id, interval, int(interval_us), now - 10 * interval)

@@ -1,0 +1,192 @@
+"""Messages that both personalities send alike: position, attitude, battery, pressure, time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from service.simvehicle.rotation import (
+    Array,
+    euler_from_quaternions,
+    multiply,
+    quaternion_from_euler,
+    shortest_rotation,
+)
+from service.simvehicle.vehicle import Vehicle
+from service.simvehicle.world import State
+
+Builder = Callable[["Block", int], Any]
+
+BATTERY_VOLTS = 12.6
+BATTERY_OHMS = 0.01
+PWM_IDLE, PWM_SPAN = 1000, 1000
+UNUSED_CELL = 65535
+SEA_LEVEL_HPA = 1013.25
+SCALE_HEIGHT_M = 8434.5
+BARO_WARMER_THAN_IMU = 1.0  # °C: HIGHRES_IMU carries this temperature on ArduPilot
+
+
+@dataclass
+class Block:
+    """The instants of one tick: true state, estimated attitude, motors."""
+
+    t: list[float]
+    state: State
+    q_estimated: Array
+    euler: list[list[float]]
+    rate: list[list[float]]
+    throttle: list[float]
+    current: list[float]
+
+
+def make_block(vehicle: Vehicle, state: State, corrected_force: Array, corrected_rate: Array, trim: Array) -> Block:
+    """What the estimator makes of corrected readings: heading is the true one, tilt follows the accelerometer."""
+    q = estimated_attitude(state, corrected_force, trim)
+    return Block(
+        state.t.tolist(),
+        state,
+        q,
+        euler_from_quaternions(q).tolist(),
+        corrected_rate.tolist(),
+        vehicle.world.throttle.at(state.t).tolist(),
+        vehicle.world.current.at(state.t).tolist(),
+    )
+
+
+def estimated_attitude(state: State, corrected_force: Array, trim: Array) -> Array:
+    """Attitude (N, 4) whose down direction is where the corrected accelerometer says it is, minus the level trim."""
+    usable = np.isfinite(corrected_force).all(axis=1) & (np.linalg.norm(corrected_force, axis=1) > 1.0)
+    seen = np.where(usable[:, None], corrected_force, state.force)
+    tilt = shortest_rotation(seen, state.force)
+    untrim = quaternion_from_euler(-float(trim[0]), -float(trim[1]), 0.0)
+    return multiply(multiply(state.q, tilt), untrim)
+
+
+def pressure_hpa(altitude_m: float) -> float:
+    """Static pressure at an altitude."""
+    return SEA_LEVEL_HPA * math.exp(-altitude_m / SCALE_HEIGHT_M)
+
+
+def milliseconds(seconds: float) -> int:
+    """time_boot_ms of a vehicle time."""
+    return int(seconds * 1000 + 1e-6) & 0xFFFFFFFF
+
+
+def microseconds(seconds: float) -> int:
+    """time_usec of a vehicle time."""
+    return int(seconds * 1e6 + 0.5)
+
+
+class Telemetry:
+    """Builders of the common messages, by message id."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._vehicle = vehicle
+        self.builders: dict[int, Builder] = {
+            dialect.MAVLINK_MSG_ID_SYSTEM_TIME: self._system_time,
+            dialect.MAVLINK_MSG_ID_GPS_RAW_INT: self._gps_raw,
+            dialect.MAVLINK_MSG_ID_ATTITUDE: self._attitude,
+            dialect.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: self._attitude_quaternion,
+            dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: self._global_position,
+            dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self._local_position,
+            dialect.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: self._servo_output,
+            dialect.MAVLINK_MSG_ID_VFR_HUD: self._vfr_hud,
+            dialect.MAVLINK_MSG_ID_BATTERY_STATUS: self._battery,
+            dialect.MAVLINK_MSG_ID_SCALED_PRESSURE: self._pressure,
+            dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self._extended_sys_state,
+            dialect.MAVLINK_MSG_ID_VIBRATION: self._vibration,
+        }
+
+    @property
+    def landed_state(self) -> int:
+        """ON_GROUND unless the motors lift."""
+        return int(dialect.MAV_LANDED_STATE_IN_AIR if self.flying else dialect.MAV_LANDED_STATE_ON_GROUND)
+
+    @property
+    def flying(self) -> bool:
+        """Armed with more than a quarter of throttle: the simulated vehicle counts as in the air."""
+        throttle = self._vehicle.world.throttle.at(np.array([self._vehicle.time]))[0]
+        return self._vehicle.armed and bool(throttle > 0.25)
+
+    def autopilot_version(self, capabilities: int, version: int, custom: bytes) -> Any:
+        """AUTOPILOT_VERSION of this vehicle."""
+        zero = [0] * 8
+        uid2 = list(self._vehicle.uid2())
+        return dialect.MAVLink_autopilot_version_message(
+            capabilities, version, 0, 0, 0, list(custom.ljust(8, b"\0")[:8]), zero, zero, 0, 0, 0, uid2
+        )
+
+    def battery_volts(self, amps: float) -> float:
+        """Terminal voltage under load."""
+        return BATTERY_VOLTS - BATTERY_OHMS * amps
+
+    def _system_time(self, block: Block, i: int) -> Any:
+        offset = block.t[i] - self._vehicle.time
+        unix_us = microseconds(self._vehicle.unix_time_s() + offset) if self._vehicle.config.gps else 0
+        return dialect.MAVLink_system_time_message(unix_us, milliseconds(block.t[i]))
+
+    def _gps_raw(self, block: Block, i: int) -> Any:
+        c = self._vehicle.config
+        fix, satellites = (3, 10) if c.gps else (1, 0)
+        lat, lon, alt = (_e7(c.latitude_deg), _e7(c.longitude_deg), int(c.altitude_m * 1000)) if c.gps else (0, 0, 0)
+        return dialect.MAVLink_gps_raw_int_message(
+            microseconds(block.t[i]), fix, lat, lon, alt, 121, 200, 0, 0, satellites
+        )
+
+    def _attitude(self, block: Block, i: int) -> Any:
+        return dialect.MAVLink_attitude_message(milliseconds(block.t[i]), *block.euler[i], *block.rate[i])
+
+    def _attitude_quaternion(self, block: Block, i: int) -> Any:
+        q = block.q_estimated[i].tolist()
+        return dialect.MAVLink_attitude_quaternion_message(milliseconds(block.t[i]), *q, *block.rate[i])
+
+    def _global_position(self, block: Block, i: int) -> Any:
+        c = self._vehicle.config
+        heading = int(math.degrees(block.euler[i][2]) % 360 * 100)
+        lat, lon = (_e7(c.latitude_deg), _e7(c.longitude_deg)) if c.gps else (0, 0)
+        return dialect.MAVLink_global_position_int_message(
+            milliseconds(block.t[i]), lat, lon, int(c.altitude_m * 1000), 0, 0, 0, 0, heading
+        )
+
+    def _local_position(self, block: Block, i: int) -> Any:
+        return dialect.MAVLink_local_position_ned_message(milliseconds(block.t[i]), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def _servo_output(self, block: Block, i: int) -> Any:
+        pwm = PWM_IDLE + int(PWM_SPAN * block.throttle[i])
+        motors = [pwm] * 4 + [0] * 4
+        return dialect.MAVLink_servo_output_raw_message(microseconds(block.t[i]) & 0xFFFFFFFF, 0, *motors)
+
+    def _vfr_hud(self, block: Block, i: int) -> Any:
+        heading = int(math.degrees(block.euler[i][2]) % 360)
+        throttle = round(100 * block.throttle[i])
+        return dialect.MAVLink_vfr_hud_message(0.0, 0.0, heading, throttle, self._vehicle.config.altitude_m, 0.0)
+
+    def _battery(self, block: Block, i: int) -> Any:
+        amps = block.current[i]
+        cells = [int(self.battery_volts(amps) * 1000)] + [UNUSED_CELL] * 9
+        return dialect.MAVLink_battery_status_message(0, 0, 1, 32767, cells, int(amps * 100), 0, -1, 95)
+
+    def _pressure(self, block: Block, i: int) -> Any:
+        temperature = int(self.baro_temperature(block.t[i]) * 100)
+        pressure = pressure_hpa(self._vehicle.config.altitude_m)
+        return dialect.MAVLink_scaled_pressure_message(milliseconds(block.t[i]), pressure, 0.0, temperature)
+
+    def baro_temperature(self, t: float) -> float:
+        """Temperature of the barometer, °C."""
+        return float(self._vehicle.world.thermal.board(np.array([t]))[0]) + BARO_WARMER_THAN_IMU
+
+    def _extended_sys_state(self, _block: Block, _i: int) -> Any:
+        vtol = dialect.MAV_VTOL_STATE_MC if self._vehicle.config.autopilot == "ardupilot" else 0
+        return dialect.MAVLink_extended_sys_state_message(vtol, self.landed_state)
+
+    def _vibration(self, block: Block, i: int) -> Any:
+        return dialect.MAVLink_vibration_message(microseconds(block.t[i]), 0.0, 0.0, 0.0, 0, 0, 0)
+
+
+def _e7(degrees: float) -> int:
+    return round(degrees * 1e7)

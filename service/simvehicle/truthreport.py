@@ -1,0 +1,56 @@
+"""The whole truth of a simulated vehicle as JSON: for tests and demonstrations that judge a calibration."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from service.simvehicle.rotation import mounting_matrix
+from service.simvehicle.truth import T_REF, SensorTruth
+from service.simvehicle.vehicle import Vehicle
+from service.simvehicle.world import World
+
+
+def truth_report(vehicle: Vehicle) -> dict[str, Any]:
+    """Sensor truth by instance: raw = matrix · true + offset + polynomial(T − t_ref) + noise.
+
+    Accelerometer m/s², gyroscope rad/s, magnetometer µT, each in its sensor's frame. Magnetometers also carry
+    `body_offset` and `body_matrix`, the same truth for the field in the body frame: raw_body = R · raw.
+    """
+    world, config = vehicle.world, vehicle.config
+    ids = vehicle.device_ids()
+    return {
+        "autopilot": str(config.autopilot),
+        "seed": config.seed,
+        "t_ref": T_REF,
+        "gravity": config.gravity,
+        "field_ned_ut": list(config.field_ned_ut),
+        "latitude_deg": config.latitude_deg,
+        "longitude_deg": config.longitude_deg,
+        "altitude_m": config.altitude_m,
+        "board_orientation": config.board_orientation,
+        "temperature_offsets": list(config.imu_temperature_offsets[: config.imu_count]),
+        "accels": [_entry(s, ids["accel"][k]) for k, s in enumerate(world.truth.accels)],
+        "gyros": [_entry(s, ids["gyro"][k]) for k, s in enumerate(world.truth.gyros)],
+        "mags": [_mag_entry(world, k, ids["mag"][k]) for k in range(len(world.truth.mags))],
+    }
+
+
+def _entry(sensor: SensorTruth, device_id: int) -> dict[str, Any]:
+    return {"id": device_id, **sensor.as_dict()}
+
+
+def _mag_entry(world: World, k: int, device_id: int) -> dict[str, Any]:
+    sensor = world.truth.mags[k]
+    rotation = mounting_matrix(world.config.mag_orientations[k])
+    return {
+        "id": device_id,
+        "orientation": world.config.mag_orientations[k],
+        "external": world.config.mag_external[k],
+        "body_offset": (rotation @ sensor.offset).tolist(),
+        "body_matrix": (rotation @ sensor.matrix @ rotation.T).tolist(),
+        "body_motor": (rotation @ sensor.motor).tolist(),
+        "correction": np.linalg.inv(sensor.matrix).tolist(),
+        **sensor.as_dict(),
+    }

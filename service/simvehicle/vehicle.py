@@ -1,0 +1,265 @@
+"""What the two personalities share: vehicle time, an agenda, channels with their streams, identity, arming."""
+
+from __future__ import annotations
+
+import hashlib
+import heapq
+import itertools
+import math
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from service.simvehicle.config import VehicleConfig
+from service.simvehicle.errors import ConfigurationError
+from service.simvehicle.parameters import Parameter, ParameterTable
+from service.simvehicle.rotation import Array, euler_from_quaternions
+from service.simvehicle.sensor_faults import SensorFaults
+from service.simvehicle.streams import Stream
+from service.simvehicle.wire import Packer, Received
+from service.simvehicle.world import World
+
+MAX_SETS_KEPT = 10_000
+SLICE_S = 0.5  # the longest piece of vehicle time computed in one block
+
+
+class Channel:
+    """One link of the vehicle: where frames go, and what was asked for on it."""
+
+    def __init__(self, packer: Packer, transmit: Callable[[bytes], None]) -> None:
+        self.packer = packer
+        self.transmit = transmit
+        self.streams: dict[int, Stream] = {}
+        self.heard = False  # whether a ground station has spoken on it
+
+    def send(self, message: Any) -> None:
+        """Pack and send one message."""
+        self.transmit(self.packer.pack(message))
+
+
+class Vehicle(ABC):
+    """A flight controller in vehicle time. `advance` moves it; `receive` gives it a message."""
+
+    def __init__(self, config: VehicleConfig) -> None:
+        self.config = config
+        self.world = World(config)
+        self.faults = SensorFaults()
+        self.channels: list[Channel] = []
+        self.table = self.make_table()
+        self.time = 0.0
+        self.boots = 0
+        self.armed = False
+        self.alive = False  # False while rebooting
+        self.silent_until = -math.inf
+        self.sets: list[tuple[float, str, float]] = []
+        self.set_count = 0
+        self.on_set: Callable[[int, str], None] = lambda _count, _name: None
+        self.on_reboot: Callable[[], None] = lambda: None
+        self.echo_filter: Callable[[str, Callable[[], None]], None] = lambda _name, echo: echo()
+        self._agenda: list[tuple[float, int, Callable[[], None]]] = []
+        self._tickets = itertools.count()
+        self._unix_base = config.unix_time_s or time.time()
+        self._elapsed_before = 0.0
+
+    # --- to be given by a personality
+
+    @abstractmethod
+    def make_table(self) -> ParameterTable:
+        """The parameters of a new vehicle."""
+
+    @abstractmethod
+    def boot(self) -> None:
+        """What the firmware does at vehicle time zero."""
+
+    @abstractmethod
+    def handle(self, channel: Channel, received: Received) -> None:
+        """Answer one message that is addressed to this vehicle."""
+
+    @abstractmethod
+    def sense(self, until: float) -> None:
+        """Bring everything that measures by itself up to a time."""
+
+    @abstractmethod
+    def emit(self, due: list[tuple[float, int, Channel, int]], times: list[float]) -> None:
+        """Send the periodic messages (time, order, channel, message id) that fall due; `times` are their instants."""
+
+    @abstractmethod
+    def heartbeat(self) -> Any:
+        """The HEARTBEAT of this instant."""
+
+    @abstractmethod
+    def in_force(self) -> dict[str, Any]:
+        """The calibration that the firmware's corrections really use, by parameter name."""
+
+    @abstractmethod
+    def device_ids(self) -> dict[str, tuple[int, ...]]:
+        """Ids of the chips: accel, gyro, mag."""
+
+    @abstractmethod
+    def foreign_set(self, name: str, value: float) -> None:
+        """Another ground station writes a parameter."""
+
+    @abstractmethod
+    def start_onboard_calibration(self) -> None:
+        """The vehicle begins a calibration of its own."""
+
+    # --- parameters given from outside
+
+    def load_parameters(self, parameters: list[Parameter]) -> None:
+        """Take the table of another vehicle, in its order, as if it had always been stored here."""
+        self.table.replace_all(parameters)
+
+    def preset_parameters(self, values: Mapping[str, float]) -> None:
+        """Store values before the first boot. Raises ConfigurationError for a name that the vehicle has not."""
+        for name, value in values.items():
+            if name not in self.table:
+                raise ConfigurationError(f"parameters: the vehicle has no {name}")
+            self.table.store(name, value)
+            self.table.save(name)
+
+    # --- time
+
+    def at(self, delay: float, action: Callable[[], None]) -> None:
+        """Do something after `delay` seconds of vehicle time."""
+        heapq.heappush(self._agenda, (self.time + delay, next(self._tickets), action))
+
+    def every(self, period: float, action: Callable[[], None], first: float | None = None) -> None:
+        """Do something again and again until the next reboot."""
+        boots = self.boots
+
+        def again() -> None:
+            if self.boots == boots:
+                action()
+                self.at(period, again)
+
+        self.at(period if first is None else first, again)
+
+    def advance(self, until: float) -> None:
+        """Let vehicle time pass, doing all that falls due on the way. A reboot sets the clock back: then it ends."""
+        boots = self.boots
+        while self.time < until and self.boots == boots:
+            target = min(until, self.time + SLICE_S)
+            if self._agenda and self._agenda[0][0] <= target:
+                moment, _, action = heapq.heappop(self._agenda)
+                self._pass(max(moment, self.time))
+                action()
+            else:
+                self._pass(target)
+
+    def _pass(self, until: float) -> None:
+        if until <= self.time:
+            return
+        if self.alive:
+            self.sense(until)
+            due = [
+                (moment, order, channel, message_id)
+                for channel in self.channels
+                for order, (message_id, stream) in enumerate(channel.streams.items())
+                for moment in stream.due(until)
+            ]
+            if due and not self.mute:
+                due.sort(key=lambda entry: entry[:2])
+                self.emit(due, sorted({entry[0] for entry in due}))
+        self.time = until
+
+    @property
+    def mute(self) -> bool:
+        """Whether nothing is sent now (a fault asked for silence)."""
+        return self.time < self.silent_until
+
+    # --- talking
+
+    def send(self, channel: Channel, message: Any) -> None:
+        """Send on one channel, unless the vehicle is rebooting or silenced."""
+        if self.alive and not self.mute:
+            channel.send(message)
+
+    def broadcast(self, message: Any) -> None:
+        """Send on every channel."""
+        for channel in self.channels:
+            self.send(channel, message)
+
+    def say(self, text: str, severity: int = dialect.MAV_SEVERITY_INFO, channel: Channel | None = None) -> None:
+        """A STATUSTEXT, in chunks of 50 characters where it is longer."""
+        raw = text.encode()
+        identifier = 0 if len(raw) <= 50 else next(self._tickets) % 65535 + 1
+        for sequence, start in enumerate(range(0, len(raw), 50)):
+            message = dialect.MAVLink_statustext_message(severity, raw[start : start + 50], identifier, sequence)
+            if channel is None:
+                self.broadcast(message)
+            else:
+                self.send(channel, message)
+
+    def receive(self, channel: Channel, received: Received) -> None:
+        """Take one message; what is addressed to somebody else is ignored."""
+        if not self.alive:
+            return
+        message = received.message
+        if getattr(message, "target_system", 0) not in (0, self.config.system_id):
+            return
+        if getattr(message, "target_component", 0) not in (0, 1):
+            return
+        channel.heard = True
+        self.handle(channel, received)
+
+    def note_set(self, name: str, value: float) -> None:
+        """Remember that a PARAM_SET arrived, and let faults strike that wait for it."""
+        self.sets.append((self.time, name, value))
+        del self.sets[:-MAX_SETS_KEPT]
+        self.set_count += 1
+        self.on_set(self.set_count, name)
+
+    # --- life
+
+    def start(self) -> None:
+        """Boot for the first time."""
+        self.alive = True
+        self.boot()
+
+    def reboot(self, *, flush: bool = True, away_s: float | None = None) -> None:
+        """Restart: links fall silent, streams are forgotten, unsaved values are lost unless flushed.
+
+        Args:
+            flush: whether pending values are saved first (a commanded reboot) or lost (a power failure).
+            away_s: vehicle seconds of silence; None: the configured ones.
+        """
+        if flush:
+            for parameter in self.table:
+                self.table.save(parameter.name)
+        self.alive, self.armed = False, False
+        self._agenda.clear()
+        for channel in self.channels:
+            channel.streams.clear()
+        self.on_reboot()
+        self.at(self.config.boot_s if away_s is None else away_s, self._boot_again)
+
+    def _boot_again(self) -> None:
+        elapsed = self.time
+        self._elapsed_before += elapsed
+        self.world.restart(elapsed)
+        self.table.restore_saved()
+        self.time, self.silent_until = 0.0, -math.inf
+        self.boots += 1
+        self._agenda.clear()
+        self.alive = True
+        self.boot()
+
+    # --- identity
+
+    def unix_time_s(self) -> float:
+        """UTC of this instant of vehicle time."""
+        return self._unix_base + self._elapsed_before + self.time
+
+    def uid2(self) -> bytes:
+        """Eighteen bytes that differ from seed to seed."""
+        text = f"simvehicle {self.config.autopilot} {self.config.seed}"
+        return hashlib.sha256(text.encode()).digest()[:18]
+
+    def euler(self) -> Array:
+        """True roll, pitch, yaw (rad) at this instant."""
+        q, _ = self.world.motion.evaluate(np.array([self.time]))
+        return np.asarray(euler_from_quaternions(q)[0])

@@ -1,0 +1,189 @@
+"""What the control channel can do to a simulated vehicle, and tell about it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from service.simvehicle.errors import ControlError
+from service.simvehicle.scripts import SCRIPTS
+from service.simvehicle.truthreport import truth_report
+
+if TYPE_CHECKING:
+    from service.simvehicle.server import Server
+
+Request = Mapping[str, Any]
+Reply = dict[str, Any]
+
+DEFAULT_TILT_DEG = 3.0
+DEFAULT_TREMOR_DEG = 0.2
+
+
+class Verbs:
+    """The handler of the control channel."""
+
+    def __init__(self, server: Server) -> None:
+        self._server = server
+        self._verbs: dict[str, Callable[[Request], Reply]] = {
+            "hold": self._hold,
+            "still": self._still,
+            "tumble": self._tumble,
+            "turn": self._turn,
+            "jolt": self._jolt,
+            "warm_up": self._warm_up,
+            "temperature": self._temperature,
+            "throttle": self._throttle,
+            "current": self._current,
+            "arm": lambda _: self._arm(armed=True),
+            "disarm": lambda _: self._arm(armed=False),
+            "reboot": self._reboot,
+            "fault": self._fault,
+            "clear_faults": self._clear_faults,
+            "script": self._script,
+            "truth": lambda _: {"truth": truth_report(self._vehicle)},
+            "parameters": self._parameters,
+            "state": self._state,
+            "speed": self._speed,
+            "shutdown": self._shutdown,
+        }
+
+    @property
+    def _vehicle(self) -> Any:
+        return self._server.vehicle
+
+    def __call__(self, do: str, request: Request) -> Reply:
+        """Carry out one request. Raises ControlError for a verb or an entry that is not known."""
+        verb = self._verbs.get(do)
+        if verb is None:
+            raise ControlError(f"unknown verb {do!r}; known: {', '.join(self._verbs)}")
+        return verb(request)
+
+    # --- motion
+
+    def _hold(self, r: Request) -> Reply:
+        self._server.stop_script()
+        tilt = _number(r, "tilt_deg", DEFAULT_TILT_DEG)
+        tremor = _number(r, "tremor_deg", DEFAULT_TREMOR_DEG)
+        transition = _number(r, "transition_s", 1.5)
+        pose = r.get("pose", "level")
+        reached = self._vehicle.world.motion.hold(self._vehicle.time, pose, tilt, tremor, transition)
+        return {"reached": reached}
+
+    def _still(self, _r: Request) -> Reply:
+        self._server.stop_script()
+        self._vehicle.world.motion.still(self._vehicle.time)
+        return {}
+
+    def _tumble(self, r: Request) -> Reply:
+        self._server.stop_script()
+        self._vehicle.world.motion.tumble(self._vehicle.time, _number(r, "rate_dps", 45.0))
+        return {}
+
+    def _turn(self, r: Request) -> Reply:
+        self._server.stop_script()
+        self._vehicle.world.motion.turn(self._vehicle.time, r.get("axis", [0, 0, 1]), _number(r, "rate_dps", 20.0))
+        return {}
+
+    def _jolt(self, r: Request) -> Reply:
+        self._vehicle.world.motion.jolt(
+            self._vehicle.time, r.get("peak", [3.0, 0.0, 0.0]), _number(r, "duration_s", 0.1)
+        )
+        return {}
+
+    # --- surroundings
+
+    def _warm_up(self, r: Request) -> Reply:
+        start, end = _number(r, "start", 20.0), _number(r, "end", 60.0)
+        self._vehicle.world.thermal.warm_up(self._vehicle.time, start, end, _number(r, "tau_s", 60.0))
+        return {}
+
+    def _temperature(self, r: Request) -> Reply:
+        self._vehicle.world.thermal.hold(self._vehicle.time, _number(r, "value"))
+        return {}
+
+    def _throttle(self, r: Request) -> Reply:
+        self._vehicle.world.throttle.go(self._vehicle.time, _number(r, "value"), _number(r, "ramp_s", 0.0))
+        return {}
+
+    def _current(self, r: Request) -> Reply:
+        self._vehicle.world.current.go(self._vehicle.time, _number(r, "amps"), _number(r, "ramp_s", 0.0))
+        return {}
+
+    def _arm(self, *, armed: bool) -> Reply:
+        self._vehicle.armed = armed
+        self._vehicle.broadcast(self._vehicle.heartbeat())
+        return {"armed": armed}
+
+    def _reboot(self, r: Request) -> Reply:
+        self._vehicle.reboot(flush=bool(r.get("flush", True)))
+        return {}
+
+    # --- faults and scripts
+
+    def _fault(self, r: Request) -> Reply:
+        return self._server.injector.arm(r)
+
+    def _clear_faults(self, _r: Request) -> Reply:
+        self._server.injector.clear()
+        return {}
+
+    def _script(self, r: Request) -> Reply:
+        name = r.get("name")
+        if name not in SCRIPTS:
+            raise ControlError(f"unknown script {name!r}; known: {', '.join(SCRIPTS)}")
+        self._server.run_script(str(name))
+        return {}
+
+    # --- knowledge
+
+    def _parameters(self, _r: Request) -> Reply:
+        vehicle = self._vehicle
+        stored = {p.name: _json_value(p.value) for p in vehicle.table}
+        return {"in_force": {k: _json_value(v) for k, v in vehicle.in_force().items()}, "stored": stored}
+
+    def _state(self, _r: Request) -> Reply:
+        vehicle = self._vehicle
+        t = np.array([vehicle.time])
+        q, rate = vehicle.world.motion.evaluate(t)
+        count = len(vehicle.world.truth.accels)
+        return {
+            "time": vehicle.time,
+            "alive": vehicle.alive,
+            "boots": vehicle.boots,
+            "armed": vehicle.armed,
+            "motion": vehicle.world.motion.name,
+            "quaternion": q[0].tolist(),
+            "euler_deg": np.degrees(vehicle.euler()).tolist(),
+            "rate": rate[0].tolist(),
+            "temperatures": [float(vehicle.world.thermal.imu(k, t)[0]) for k in range(count)],
+            "throttle": float(vehicle.world.throttle.at(t)[0]),
+            "current": float(vehicle.world.current.at(t)[0]),
+            "speed": self._server.speed,
+            "lag_s": self._server.lag_s,
+            "param_sets": vehicle.set_count,
+            "param_set_list": [[when, name, _json_value(value)] for when, name, value in vehicle.sets],
+            "faults": self._server.injector.report(),
+        }
+
+    def _speed(self, r: Request) -> Reply:
+        self._server.set_speed(_number(r, "value"))
+        return {"speed": self._server.speed}
+
+    def _shutdown(self, _r: Request) -> Reply:
+        self._server.stop()
+        return {}
+
+
+def _number(request: Request, name: str, default: float | None = None) -> float:
+    value = request.get(name, default)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ControlError(f"{name} must be a finite number, got {value!r}")
+    return float(value)
+
+
+def _json_value(value: float) -> float | str:
+    """NaN and infinity have no JSON of their own: they go as text."""
+    return value if math.isfinite(value) else str(value)

@@ -1,0 +1,136 @@
+"""Frames in bytes: packing with a sequence number of each link, and reading what a ground station sends.
+
+Only pymavlink's dialect module is used. What arrives is hostile until its checksum holds: it is dropped in silence,
+as the firmwares do.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+MAGIC_V1, MAGIC_V2 = 0xFE, 0xFD
+SIGNATURE_LENGTH = 13
+MAX_BUFFER = 4096
+
+
+@dataclass(frozen=True)
+class Received:
+    """One message that arrived intact: the decoded message, its full-length payload and where it came from."""
+
+    message: Any
+    payload: bytes
+    system: int
+    component: int
+
+    @property
+    def name(self) -> str:
+        """Message name such as PARAM_SET."""
+        return str(self.message.get_type())
+
+
+class Packer:
+    """Packs messages of one vehicle for one link."""
+
+    def __init__(self, system: int, component: int = 1) -> None:
+        self.system, self.component = system, component
+        self._mav = dialect.MAVLink(None, system, component)
+
+    def pack(self, message: Any) -> bytes:
+        """One complete MAVLink 2 frame."""
+        frame: bytes = message.pack(self._mav)
+        self._mav.seq = (self._mav.seq + 1) % 256
+        return frame
+
+    def pack_payload(self, message_class: Any, payload: bytes) -> bytes:
+        """A frame of a payload in wire order: for values that a Python float would alter (int32 in a float field)."""
+        body = payload.rstrip(b"\0") or b"\0"
+        identifier = message_class.id
+        header = struct.pack(
+            "<BBBBBBBHB",
+            MAGIC_V2,
+            len(body),
+            0,
+            0,
+            self._mav.seq,
+            self.system,
+            self.component,
+            identifier & 0xFFFF,
+            identifier >> 16,
+        )
+        self._mav.seq = (self._mav.seq + 1) % 256
+        crc = dialect.x25crc(header[1:] + body + bytes([message_class.crc_extra])).crc
+        return header + body + struct.pack("<H", crc)
+
+
+class Splitter:
+    """Finds intact frames in bytes. One per datagram, or one for the life of a TCP connection."""
+
+    def __init__(self) -> None:
+        self._buffer = bytearray()
+
+    def feed(self, data: bytes, *, final: bool = False) -> Iterator[Received]:
+        """Every intact message that the bytes so far complete; `final`: nothing will follow, so nothing is awaited."""
+        self._buffer += data
+        while True:
+            start = self._next_magic()
+            if start is None:
+                return
+            del self._buffer[:start]
+            length = _frame_length(self._buffer)
+            if length is None or len(self._buffer) < length:
+                if not final and len(self._buffer) <= MAX_BUFFER:
+                    return
+                del self._buffer[0]
+                continue
+            received = _decoded(bytes(self._buffer[:length]))
+            # A false magic number inside damaged bytes must not swallow the good frame behind it.
+            del self._buffer[: length if received is not None else 1]
+            if received is not None:
+                yield received
+
+    def _next_magic(self) -> int | None:
+        positions = [p for p in (self._buffer.find(MAGIC_V1), self._buffer.find(MAGIC_V2)) if p >= 0]
+        if positions:
+            return min(positions)
+        self._buffer.clear()
+        return None
+
+
+def _frame_length(buffer: bytearray) -> int | None:
+    if len(buffer) < 3:
+        return None
+    if buffer[0] == MAGIC_V1:
+        return int(buffer[1]) + 8
+    signed = SIGNATURE_LENGTH if buffer[2] & dialect.MAVLINK_IFLAG_SIGNED else 0
+    return int(buffer[1]) + 12 + signed
+
+
+def _decoded(frame: bytes) -> Received | None:
+    v2 = frame[0] == MAGIC_V2
+    header = 10 if v2 else 6
+    identifier = int.from_bytes(frame[7:10], "little") if v2 else frame[5]
+    message_class = dialect.mavlink_map.get(identifier)
+    if message_class is None:
+        return None
+    end = header + frame[1]
+    crc = dialect.x25crc(frame[1:end] + bytes([message_class.crc_extra])).crc
+    if crc != int.from_bytes(frame[end : end + 2], "little"):
+        return None
+    full = message_class.unpacker.size
+    payload = frame[header:end][:full].ljust(full, b"\0")
+    try:
+        message = dialect.MAVLink(None).decode(bytearray(frame))
+    except (dialect.MAVError, struct.error, UnicodeDecodeError):
+        return None
+    system, component = (frame[5], frame[6]) if v2 else (frame[3], frame[4])
+    return Received(message, payload, system, component)
+
+
+def split_datagram(data: bytes) -> list[Received]:
+    """The intact messages of one datagram; a truncated last frame is lost, as on a real link."""
+    return list(Splitter().feed(data, final=True))

@@ -1,0 +1,104 @@
+"""The physical vehicle: how it moves, how warm it is, what its motors draw, and what its sensors truly read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.simvehicle.config import VehicleConfig
+from service.simvehicle.motion import Motion
+from service.simvehicle.rotation import Array, body_from_ned, mounting_matrix
+from service.simvehicle.thermal import Thermal
+from service.simvehicle.truth import SensorTruth, draw_truth
+
+
+@dataclass
+class Ramp:
+    """A quantity that moves in a straight line to its new value."""
+
+    value: float = 0.0
+    start_value: float = 0.0
+    start: float = 0.0
+    duration: float = 0.0
+
+    def at(self, t: Array) -> Array:
+        """The value at times t (N,)."""
+        if self.duration <= 0:
+            return np.full(len(t), self.value)
+        x = np.clip((t - self.start) / self.duration, 0.0, 1.0)
+        return np.asarray(self.start_value + (self.value - self.start_value) * x)
+
+    def go(self, t: float, value: float, ramp_s: float = 0.0) -> None:
+        """Move to a new value from now on."""
+        self.start_value = float(self.at(np.array([t]))[0])
+        self.value, self.start, self.duration = value, t, ramp_s
+
+    def restart(self, elapsed: float) -> None:
+        """Vehicle time begins again at zero after `elapsed` seconds."""
+        self.start -= elapsed
+
+
+@dataclass(frozen=True)
+class State:
+    """True attitude (N, 4), body rate (N, 3) and body specific force (N, 3) at times (N,)."""
+
+    t: Array
+    q: Array
+    rate: Array
+    force: Array
+
+
+class World:
+    """Truth, motion, temperature and motors of one vehicle, and the raw readings that follow from them."""
+
+    def __init__(self, config: VehicleConfig) -> None:
+        self.config = config
+        self.truth = draw_truth(config)
+        self.motion = Motion(np.random.default_rng([config.seed, 1]), config.yaw_deg)
+        self.thermal = Thermal(config.temperature, np.asarray(config.imu_temperature_offsets), config.temperature_lag_s)
+        self.throttle = Ramp()
+        self.current = Ramp()
+        self.field = np.asarray(config.field_ned_ut)
+        self.gravity = np.array([0.0, 0.0, -config.gravity])
+        self.sensor_from_body = mounting_matrix(config.board_orientation).T
+        self.mag_from_body = tuple(mounting_matrix(config.mag_orientations[k]).T for k in range(config.mag_count))
+        self._noise = np.random.default_rng([config.seed, 2])
+
+    def state(self, t: Array) -> State:
+        """The exact state at ascending times."""
+        q, rate = self.motion.evaluate(t)
+        force = body_from_ned(q, self.gravity) + self.motion.linear_acceleration(t)
+        return State(t, q, rate, force)
+
+    def temperature_read(self, instance: int, t: Array) -> Array:
+        """What the driver of an IMU says: the temperature when it was last read."""
+        period = self.config.temperature_period_s
+        read_at = t if period <= 0 else np.floor(t / period) * period
+        return self.thermal.imu(instance, read_at)
+
+    def accel(self, instance: int, state: State, noise_scale: float = 1.0) -> Array:
+        """Raw accelerometer (N, 3), m/s², in the sensor's frame."""
+        return self._inertial(self.truth.accels[instance], instance, state.force, state.t, noise_scale)
+
+    def gyro(self, instance: int, state: State, noise_scale: float = 1.0) -> Array:
+        """Raw gyroscope (N, 3), rad/s, in the sensor's frame."""
+        return self._inertial(self.truth.gyros[instance], instance, state.rate, state.t, noise_scale)
+
+    def _inertial(self, truth: SensorTruth, instance: int, body: Array, t: Array, noise_scale: float) -> Array:
+        raw = truth.distort(body @ self.sensor_from_body.T, self.thermal.imu(instance, t))
+        return raw + self._noise.normal(0.0, truth.noise * noise_scale, raw.shape)
+
+    def mag(self, instance: int, field_body: Array, t: Array, noise_scale: float = 1.0) -> Array:
+        """Raw magnetometer (N, 3), µT, in the chip's frame, from the Earth field in the body frame."""
+        truth = self.truth.mags[instance]
+        raw = truth.distort(field_body @ self.mag_from_body[instance].T)
+        raw = raw + self.current.at(t)[:, None] * truth.motor
+        return raw + self._noise.normal(0.0, truth.noise * noise_scale, raw.shape)
+
+    def restart(self, elapsed: float) -> None:
+        """The firmware reboots and its clock begins again at zero; the physical world goes on."""
+        self.motion.restart(elapsed)
+        self.thermal.restart(elapsed)
+        self.throttle.restart(elapsed)
+        self.current.restart(elapsed)
