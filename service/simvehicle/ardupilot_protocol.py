@@ -35,10 +35,9 @@ class ArduPilotParameters:
         self._lists: dict[int, tuple[Channel, int]] = {}
 
     def boot(self) -> None:
-        """Start the periodic service of requests."""
+        """Forget requests that a reboot has ended."""
         self._reads.clear()
         self._lists.clear()
-        self._vehicle.every(READ_TICK_S, self._answer_reads)
 
     def handle(self, channel: Channel, received: Received) -> None:
         """One message of the parameter protocol."""
@@ -46,8 +45,7 @@ class ArduPilotParameters:
         if received.name == "PARAM_REQUEST_LIST":
             self._start_list(channel)
         elif received.name == "PARAM_REQUEST_READ":
-            if len(self._reads) < READ_QUEUE:
-                self._reads.append((channel, str(message.param_id), int(message.param_index)))
+            self._queue_read(channel, str(message.param_id), int(message.param_index))
         elif received.name == "PARAM_SET":
             self.set(str(message.param_id), float(message.param_value))
 
@@ -67,8 +65,7 @@ class ArduPilotParameters:
         running = id(channel) in self._lists
         self._lists[id(channel)] = (channel, 0)
         if not running:
-            delay = READ_TICK_S - vehicle.time % READ_TICK_S
-            vehicle.at(delay, lambda: self._continue_list(id(channel)))
+            vehicle.at(self._next_tick(), lambda: self._continue_list(id(channel)))
 
     def _continue_list(self, key: int) -> None:
         if key not in self._lists:
@@ -83,6 +80,16 @@ class ArduPilotParameters:
         self._lists[key] = (channel, done + LIST_PER_TICK)
         self._vehicle.at(LIST_TICK_S, lambda: self._continue_list(key))
 
+    def _queue_read(self, channel: Channel, name: str, index: int) -> None:
+        if len(self._reads) >= READ_QUEUE:
+            return
+        self._reads.append((channel, name, index))
+        if len(self._reads) == 1:
+            self._vehicle.at(self._next_tick(), self._answer_reads)
+
+    def _next_tick(self) -> float:
+        return READ_TICK_S - self._vehicle.time % READ_TICK_S
+
     def _answer_reads(self) -> None:
         table = self._vehicle.table
         for _ in range(min(READ_REPLIES, len(self._reads))):
@@ -93,6 +100,8 @@ class ArduPilotParameters:
                     self._vehicle.send(channel, self.value_message(listing[index], index))
             elif name in table:
                 self._vehicle.send(channel, self.value_message(table[name]))
+        if self._reads:
+            self._vehicle.at(READ_TICK_S, self._answer_reads)
 
     # --- set
 

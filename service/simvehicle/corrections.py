@@ -106,7 +106,7 @@ def px4_mag(
 
 
 def truncated(values: Array, unit: float) -> Array:
-    """C++ conversion of values/unit to int16: toward zero, and saturated (the cast itself would be undefined)."""
-    with np.errstate(invalid="ignore"):
-        counts = np.trunc(values / unit)
-    return np.asarray(np.nan_to_num(np.clip(counts, -32768, 32767), nan=0.0).astype(np.int64))
+    """C++ conversion of values/unit to int16: toward zero, and saturated; NaN gives 0 (both casts are undefined in C++)."""
+    counts = np.clip(values / unit, -32768, 32767)
+    counts[np.isnan(counts)] = 0.0
+    return np.asarray(counts.astype(np.int64))

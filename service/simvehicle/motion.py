@@ -155,14 +155,11 @@ class Tumble:
         z_a = quaternion_from_vector(np.stack([zero, zero, a], axis=1))
         x_b = quaternion_from_vector(np.stack([b, zero, zero], axis=1))
         z_c = quaternion_from_vector(np.stack([zero, zero, c], axis=1))
-        e1, e3 = np.array([1.0, 0, 0]), np.array([0, 0, 1.0])
+        e3 = np.array([0.0, 0.0, 1.0])
+        # Row i of a matrix is the transpose applied to unit vector i.
         after_z = matrices_from_quaternions(z_c)
         after_xz = matrices_from_quaternions(multiply(x_b, z_c))
-        rate = (
-            self._rates[2] * e3
-            + self._rates[1] * np.einsum("nji,j->ni", after_z, e1)
-            + self._rates[0] * np.einsum("nji,j->ni", after_xz, e3)
-        )
+        rate = self._rates[2] * e3 + self._rates[1] * after_z[:, 0] + self._rates[0] * after_xz[:, 2]
         q = multiply(self._q, multiply(multiply(z_a, x_b), z_c))
         return q, speed[:, None] * rate
 

@@ -74,17 +74,15 @@ def quaternion_from_euler(roll: float, pitch: float, yaw: float) -> Array:
 
 def multiply(p: ArrayLike, q: ArrayLike) -> Array:
     """Hamilton product p ⊗ q over the last axis; either may be one quaternion or many."""
-    pw, px, py, pz = np.moveaxis(np.asarray(p, dtype=np.float64), -1, 0)
-    qw, qx, qy, qz = np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0)
-    return np.stack(
-        [
-            pw * qw - px * qx - py * qy - pz * qz,
-            pw * qx + px * qw + py * qz - pz * qy,
-            pw * qy - px * qz + py * qw + pz * qx,
-            pw * qz + px * qy - py * qx + pz * qw,
-        ],
-        axis=-1,
-    )
+    p, q = np.asarray(p, dtype=np.float64), np.asarray(q, dtype=np.float64)
+    pw, px, py, pz = p[..., 0], p[..., 1], p[..., 2], p[..., 3]
+    qw, qx, qy, qz = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    product = np.empty(np.broadcast_shapes(p.shape, q.shape))
+    product[..., 0] = pw * qw - px * qx - py * qy - pz * qz
+    product[..., 1] = pw * qx + px * qw + py * qz - pz * qy
+    product[..., 2] = pw * qy - px * qz + py * qw + pz * qx
+    product[..., 3] = pw * qz + px * qy - py * qx + pz * qw
+    return product
 
 
 def conjugate(q: ArrayLike) -> Array:
@@ -111,18 +109,22 @@ def vector_from_quaternion(q: Array) -> Array:
 
 def matrices_from_quaternions(q: ArrayLike) -> Array:
     """Rotation matrices R_nb (body to NED) of quaternions, shape (..., 4) to (..., 3, 3)."""
-    w, x, y, z = np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.asarray(np.stack([np.stack(row, axis=-1) for row in rows], axis=-2))
+    q = np.asarray(q, dtype=np.float64)
+    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    xx, yy, zz = 2 * x * x, 2 * y * y, 2 * z * z
+    xy, xz, yz = 2 * x * y, 2 * x * z, 2 * y * z
+    wx, wy, wz = 2 * w * x, 2 * w * y, 2 * w * z
+    m = np.empty((*q.shape[:-1], 3, 3))
+    m[..., 0, 0], m[..., 0, 1], m[..., 0, 2] = 1 - yy - zz, xy - wz, xz + wy
+    m[..., 1, 0], m[..., 1, 1], m[..., 1, 2] = xy + wz, 1 - xx - zz, yz - wx
+    m[..., 2, 0], m[..., 2, 1], m[..., 2, 2] = xz - wy, yz + wx, 1 - xx - yy
+    return m
 
 
 def body_from_ned(q: Array, vector: ArrayLike) -> Array:
     """A fixed NED vector seen in the body frames q, shape (N, 4) to (N, 3)."""
-    return np.asarray(np.einsum("nij,i->nj", matrices_from_quaternions(q), np.asarray(vector, dtype=np.float64)))
+    # v·R for each row: the transpose of R_nb applied to v.
+    return np.asarray(np.asarray(vector, dtype=np.float64) @ matrices_from_quaternions(q))
 
 
 def euler_from_quaternions(q: Array) -> Array:
