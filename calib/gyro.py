@@ -1,0 +1,193 @@
+"""The gyroscope at rest: its offset, and why a steady turn is not one."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
+from calib.noise import long_run_variance
+from calib.quantisation import QuantisedMean, mean_of
+from calib.recording import Channel, Sensor
+from calib.triad import TriadModel
+from calib.windows import finite_rows
+
+Array = NDArray[np.float64]
+
+PLAUSIBLE_BIAS = 0.1
+"""Rate at rest, rad/s (5.7 deg/s), above which a gyroscope alone is not believed to be at rest. Consumer gyroscopes are
+specified within +-5 deg/s (ICM-20602, ICM-42688, BMI088: +-1); a hand or a turntable turns faster."""
+LARGEST_BIAS = 0.35
+"""Rate, rad/s (20 deg/s: the zero-rate tolerance of the MPU-6000), that is believed where a compass stands still."""
+METHOD = "gyro-rest"
+_LEAST_SAMPLES = 32
+_WANDER = 0.002
+"""Difference of the rate between the parts of a rest, rad/s (0.1 deg/s), below which no drift is a motion."""
+
+
+def fit_gyro_rest(
+    gyro: Channel,
+    *,
+    accel: Channel | None = None,
+    mag: Channel | None = None,
+    temperature: float | None = None,
+    relative: bool = False,
+) -> FitResult:
+    """Offset of a gyroscope from samples at rest: their mean (METHODS S1), by the likelihood of coarse bins.
+
+    Parameters
+    ----------
+    gyro : Channel
+        Raw samples of one still span (or several, joined), rad/s or counts.
+    accel, mag : Channel or None
+        The same time of the accelerometer and of a compass: they tell a steady turn from a bias. None: only the size
+        of the rate does. In counts nothing does, and the result says so.
+    temperature : float or None
+        Mean temperature of the sensor, degC.
+    relative : bool
+        The calibration in force was not known.
+
+    Returns
+    -------
+    FitResult
+        The offset with its covariance, serial correlation included; Earth's rate (7.3e-5 rad/s) is inside it. Refused
+        if the vehicle moved or turned, or there are too few samples.
+    """
+    given = len(gyro)
+    gyro = gyro.take(finite_rows(gyro.values))
+    if len(gyro) < _LEAST_SAMPLES:
+        return _refused(gyro, given, f"{len(gyro)} finite samples of the gyroscope: {_LEAST_SAMPLES} are needed")
+    estimate = mean_of(gyro)
+    reason = _moved(gyro, estimate)
+    if reason is None and gyro.unit == "rad/s":
+        reason = steady_turn(gyro, accel, mag)
+    if reason is not None:
+        return _refused(gyro, given, f"{reason}; put the vehicle down, leave it alone and try again")
+    silent = np.array(estimate.constant) & (gyro.quantum <= 0.0)  # a constant of unknown resolution
+    if silent.all():
+        return _refused(
+            gyro, given, "the gyroscope reads one constant value on every axis: it is stuck or not connected"
+        )
+    covariance = np.zeros((12, 12))
+    covariance[:3, :3] = estimate.covariance
+    covariance[:3, :3][silent] = 0.0
+    covariance[:3, :3][:, silent] = 0.0
+    residual = gyro.values - estimate.mean
+    return FitResult(
+        method=METHOD,
+        sensor=Sensor.GYRO,
+        instance=gyro.instance,
+        status=FitStatus.PARTIAL if silent.any() else FitStatus.OK,
+        message=f"offset of {len(gyro)} samples at rest",
+        model=TriadModel(offset=np.where(silent, 0.0, estimate.mean)),
+        covariance=covariance,
+        unit=gyro.unit,
+        n_samples=given,
+        n_used=len(gyro),
+        residual_rms=float(np.sqrt((residual**2).mean())),
+        condition_number=1.0,
+        relative=relative,
+        undetermined=tuple(parameter_names()[i] for i in range(3) if silent[i]),
+        warnings=_warnings(gyro, estimate),
+        temperature=temperature,
+        quality={
+            "n_effective": estimate.n_effective,
+            "noise_sd": [float(sd) if np.isfinite(sd) else None for sd in estimate.sd],
+            "one_bin": [AXES[i] for i in range(3) if estimate.constant[i]],
+            "duration": float(gyro.t[-1] - gyro.t[0]),
+        },
+        native={"mean": estimate.mean.tolist()},
+    )
+
+
+def steady_turn(gyro: Channel, accel: Channel | None = None, mag: Channel | None = None) -> str | None:
+    """Why the constant rate of a still span is a turn and not a bias; None if it may be a bias.
+
+    Gravity that turns with the rate, a compass that turns, or a rate above :data:`PLAUSIBLE_BIAS`
+    (:data:`LARGEST_BIAS` where a compass stands still) are evidence of a turn.
+    """
+    rate = mean_of(gyro).mean
+    size = float(np.linalg.norm(rate))
+    if accel is not None and len(accel) >= 16 and _gravity_follows(rate, accel):
+        return f"gravity turns with the {np.degrees(size):.2f} deg/s that the gyroscope reads: the vehicle is turning"
+    compass_moves = _compass_moves(mag) if mag is not None and len(mag) >= 8 else None
+    if compass_moves:
+        return (
+            f"the compass turns while the gyroscope reads a steady {np.degrees(size):.2f} deg/s: the vehicle is turning"
+        )
+    bound = PLAUSIBLE_BIAS if compass_moves is None else LARGEST_BIAS
+    if size > bound:
+        return (
+            f"the gyroscope reads a steady {np.degrees(size):.1f} deg/s, more than a bias "
+            f"({np.degrees(bound):.1f} deg/s): the vehicle is turning, or the sensor is broken"
+        )
+    return None
+
+
+def _refused(gyro: Channel, given: int, message: str) -> FitResult:
+    return refused(
+        METHOD,
+        Sensor.GYRO,
+        gyro.instance,
+        message,
+        unit=gyro.unit,
+        n_samples=given,
+        undetermined=parameter_names()[:3],
+    )
+
+
+def _moved(gyro: Channel, estimate: QuantisedMean) -> str | None:
+    """Why the samples are not one rest: four quarters whose means differ beyond their noise and beyond any drift."""
+    quarters = np.array_split(np.arange(len(gyro)), 4)
+    for axis, name in enumerate(AXES):
+        x = gyro.values[:, axis]
+        means = np.array([x[rows].mean() for rows in quarters])
+        variance = np.array([long_run_variance(x[rows]) / len(rows) for rows in quarters])
+        variance += gyro.quantum**2 / 12.0
+        spread = float(np.ptp(means))
+        noise = 6.0 * float(np.sqrt(2.0 * variance.mean()))
+        floor = _WANDER if gyro.unit == "rad/s" else 2.0 * float(np.nan_to_num(estimate.sd[axis]))
+        if spread > floor + noise:
+            text = f"{np.degrees(spread):.2f} deg/s" if gyro.unit == "rad/s" else f"{spread:.1f} {gyro.unit}"
+            return f"the rate about {name} changed by {text} between the parts of the rest: the vehicle moved"
+    return None
+
+
+def _warnings(gyro: Channel, estimate: QuantisedMean) -> tuple[str, ...]:
+    warnings = []
+    names = ", ".join(AXES[i] for i in range(3) if estimate.constant[i])
+    if names and gyro.quantum > 0.0:
+        warnings.append(
+            f"every sample of {names} lies in one bin of {gyro.quantum:.4g} {gyro.unit}: the offset is anywhere in it, "
+            "and more samples do not help; a finer stream (HIGHRES_IMU) does"
+        )
+    elif names:
+        warnings.append(f"{names} reads one constant value: not estimated, the axis is stuck or too coarse")
+    if gyro.unit != "rad/s":
+        warnings.append(f"in {gyro.unit} a steady turn cannot be told from a bias")
+    return tuple(warnings)
+
+
+def _gravity_follows(rate: Array, accel: Channel) -> bool:
+    """Whether gravity moves between the halves of a span as a turn of `rate` would move it."""
+    middle = len(accel) // 2
+    first, second = mean_of(accel.take(slice(0, middle))), mean_of(accel.take(slice(middle, None)))
+    lag = float(accel.t[middle:].mean() - accel.t[:middle].mean())
+    predicted = -np.cross(rate, first.mean) * lag
+    size = float(np.linalg.norm(predicted))
+    if size < 1e-3 * float(np.linalg.norm(first.mean)):
+        return False
+    along = predicted / size
+    moved = float((second.mean - first.mean) @ along)
+    sd = float(np.sqrt(along @ (first.covariance + second.covariance) @ along))
+    return moved > 0.5 * size and moved > 5.0 * sd
+
+
+def _compass_moves(mag: Channel) -> bool:
+    """Whether a compass scatters far more than from one sample to the next, and by half a microtesla or more."""
+    values = mag.values[finite_rows(mag.values)]
+    if len(values) < 8:
+        return False
+    scatter = float(np.sqrt(values.var(axis=0, ddof=1).sum()))
+    step = float(np.sqrt(0.5 * (np.diff(values, axis=0) ** 2).mean(axis=0).sum()))
+    return scatter > 3.0 * step and scatter > 0.5
