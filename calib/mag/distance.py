@@ -1,0 +1,252 @@
+"""Orthogonal-distance fit of an ellipsoid: debiased Gauss-Newton on normal equations (METHODS 3.1).
+
+For a sample p off the ellipsoid with half axes a (in its eigenframe) the foot point is ``x_i = a_i^2 p_i/(t + a_i^2)``
+where t makes x lie on the ellipsoid; ``w = x/a^2`` is along the normal, the distance is ``d = t |w|``. Noise pushes the
+mean of d out by ``v H`` (v its variance, H the mean curvature), which is subtracted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import UndeterminedError
+from calib.mag.shape import COLUMNS, N_PARAMETERS, ROWS, SYMMETRIC_BASIS, Ellipsoid, six_numbers
+
+Array = NDArray[np.float64]
+
+CHUNK = 8192
+TUKEY = 4.685
+"""Tuning constant of the bisquare weight in standard deviations: 95 % efficiency on normal noise."""
+MAX_STEPS = 60
+ALL_SIDES = "turn the vehicle so that every side points up and down once"
+LARGE = 50_000
+"""From this many samples on the iteration ends within 3 % of a standard deviation: one pass after a good start."""
+
+_FOOT_STEPS = 40
+_FOOT_ACCURACY = 3e-8  # of a Newton step that is the last one: its own error is of the second order
+_MAY_RISE = 1.001  # of the cost in one step: the bias that is subtracted is not part of it
+_ROUNDING = 1e-24  # of a squared distance
+_LONGEST_STEP = 0.3  # of the smallest radius, a step: beyond it the linearisation says nothing
+
+
+@dataclass(frozen=True, eq=False)
+class Pass:
+    """What one pass over the samples leaves behind; parameters as in :mod:`calib.mag.shape`."""
+
+    information: Array
+    """Sum of ``w J^T J``, (9, 9)."""
+    gradient: Array
+    """Sum of ``w J^T r``, (9,)."""
+    cost: float
+    """Sum of the losses of the residuals, in the unit of the samples squared."""
+    residuals: Array
+    """Debiased distances, (N,), positive outside."""
+
+
+def foot_points(points: Array, axes: Array) -> tuple[Array, Array]:
+    """Multiplier t (N,) and ``w = x / axes^2`` (3, N) of `points` (3, N) in the eigenframe of an ellipsoid.
+
+    Newton on ``g(t)^-1/2 - 1`` with ``g = sum (a_i p_i/(t + a_i^2))^2``: exact in one step on a sphere.
+    """
+    squares = (axes**2)[:, None]
+    scaled = axes[:, None] * points
+    t = scaled / squares
+    np.square(t, out=t)
+    t = (np.sqrt(t.sum(axis=0)) - 1.0) * squares.mean()
+    np.square(scaled, out=scaled)
+    lowest = -squares.min() * (1.0 - 1e-12)
+    np.maximum(t, 0.5 * lowest, out=t)
+    enough = _FOOT_ACCURACY * squares.max()
+    inverse, terms = np.empty_like(points), np.empty_like(points)
+    for _ in range(_FOOT_STEPS):
+        np.reciprocal(np.add(t, squares, out=inverse), out=inverse)
+        np.multiply(np.multiply(scaled, inverse, out=terms), inverse, out=terms)
+        g = terms.sum(axis=0)
+        terms *= inverse
+        step = g * (np.sqrt(g) - 1.0) / np.maximum(terms.sum(axis=0), 1e-300)
+        before = t
+        t = np.maximum(t + step, lowest)
+        if max(float((t - before).max()), float((before - t).max())) <= enough:
+            break
+    return t, points / (t + squares)
+
+
+@dataclass(frozen=True, eq=False)
+class Distances:
+    """The residuals of `samples` (N, 3), shifted and scaled to the order of 1, with their normal equations."""
+
+    samples: Array
+
+    def at(self, ellipsoid: Ellipsoid, noise_variance: float, tukey_scale: float | None) -> Pass:
+        """One pass; `noise_variance` is taken for the bias of the distance, `tukey_scale` for robust weights."""
+        axes, frame = np.linalg.eigh(ellipsoid.shape)
+        total = np.zeros((N_PARAMETERS + 1, N_PARAMETERS + 1))
+        cost = 0.0
+        residuals = np.empty(len(self.samples))
+        rows = np.empty((N_PARAMETERS + 1, min(CHUNK, len(self.samples))))
+        for start in range(0, len(self.samples), CHUNK):
+            part = slice(start, start + CHUNK)
+            points = frame.T @ (self.samples[part] - ellipsoid.offset).T
+            block = rows[:, : points.shape[1]]
+            _fill_rows(block, points, axes, noise_variance)
+            residuals[part] = block[9]
+            if tukey_scale is None:
+                total += block @ block.T
+            else:
+                weight, loss = bisquare(block[9], tukey_scale)
+                cost += float(loss.sum())
+                total += (block * weight) @ block.T
+        to_frame = _parameters_in_frame(frame)
+        if tukey_scale is None:
+            cost = float(total[9, 9])
+        return Pass(to_frame.T @ total[:9, :9] @ to_frame, to_frame.T @ total[:9, 9], cost, residuals)
+
+
+def _fill_rows(block: Array, points: Array, axes: Array, noise_variance: float) -> None:
+    """Derivatives of the distance by the nine parameters, in the eigenframe, and the debiased distance below them."""
+    t, w = foot_points(points, axes)
+    length = np.sqrt((w * w).sum(axis=0))
+    normal = np.divide(w, length, out=block[:3])
+    unit = axes[:, None] * w
+    np.multiply(normal, unit, out=block[3:6])
+    for k in (3, 4, 5):
+        i, j = ROWS[k], COLUMNS[k]
+        block[3 + k] = normal[i] * unit[j] + normal[j] * unit[i]
+    np.multiply(t, length, out=block[9])
+    if noise_variance > 0.0:
+        inverse = axes**-2.0
+        curvature = (inverse.sum() - inverse @ (normal * normal)) / (2.0 * length)
+        block[9] -= noise_variance * curvature
+
+
+def bisquare(residuals: Array, scale: float) -> tuple[Array, Array]:
+    """Tukey's weights ``(1 - (r/c)^2)^2`` within ``c = 4.685 scale``, and the loss of every residual."""
+    c2 = (TUKEY * scale) ** 2
+    inside = np.clip(1.0 - residuals * residuals / c2, 0.0, 1.0)
+    return inside * inside, c2 / 3.0 * (1.0 - inside**3)
+
+
+def _parameters_in_frame(frame: Array) -> Array:
+    """(9, 9): parameters of the sensor frame -> those of the eigenframe, ``b' = V^T b`` and ``S' = V^T S V``."""
+    result = np.zeros((N_PARAMETERS, N_PARAMETERS))
+    result[:3, :3] = frame.T
+    for k, direction in enumerate(SYMMETRIC_BASIS):
+        result[3:, 3 + k] = six_numbers(frame.T @ direction @ frame)
+    return result
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A converged fit: `last` belongs to a point that is less than a thousandth of an sd away from `ellipsoid`."""
+
+    ellipsoid: Ellipsoid
+    last: Pass
+    noise_variance: float
+    prior: Array
+    """What was added to the information for the prior, (9, 9)."""
+    steps: int
+
+
+def shape_prior(ellipsoid: Ellipsoid, sd: float | None) -> Array:
+    """Curvature (9, 9) of the prior ``S/r - I ~ N(0, sd^2)`` on each of the six numbers, r the mean diagonal."""
+    prior = np.zeros((N_PARAMETERS, N_PARAMETERS))
+    if sd is not None:
+        off_sphere = np.eye(6)
+        off_sphere[:3, :3] -= 1.0 / 3.0
+        radius = np.trace(ellipsoid.shape) / 3.0
+        prior[3:, 3:] = off_sphere.T @ off_sphere / (radius * sd) ** 2
+    return prior
+
+
+def gauss_newton(
+    distances: Distances,
+    start: Ellipsoid,
+    noise_variance: float,
+    *,
+    debias: bool = True,
+    tukey_scale: float | None = None,
+    prior_sd: float | None = None,
+) -> Solution:
+    """Minimise the distances from `start`; the noise variance is re-estimated on the way.
+
+    Each step solves ``(F + v P) dx = J^T W (d - v H) - v P x``; a step that raises the cost is halved. It ends when the
+    next step is predicted to be below 1e-7 sd (0.03 sd for :data:`LARGE` samples).
+
+    Raises
+    ------
+    UndeterminedError
+        If the iteration leaves for a degenerate ellipsoid or does not settle.
+    """
+    ellipsoid, variance = start, noise_variance
+    origin, step, lowest = start, np.zeros(N_PARAMETERS), np.inf
+    tolerance = 0.03 if len(distances.samples) >= LARGE else 1e-7
+    for count in range(MAX_STEPS):
+        found = distances.at(ellipsoid, variance if debias else 0.0, tukey_scale)
+        prior = shape_prior(ellipsoid, prior_sd)
+        state = _state(ellipsoid)
+        cost = found.cost + variance * float(state @ prior @ state)
+        if cost > lowest * _MAY_RISE + len(distances.samples) * _ROUNDING:
+            step = 0.5 * step
+            ellipsoid = origin.stepped(step)
+            continue
+        origin, lowest = ellipsoid, cost
+        variance = max(_residual_variance(found, tukey_scale), _ROUNDING)
+        normal = found.information + variance * prior
+        step = _solve(normal, found.gradient - variance * prior @ state)
+        in_sd = float(np.sqrt(max(float(step @ normal @ step), 0.0) / variance))
+        longest = max(float(np.abs(step).max()), 1e-30)
+        step = step * min(1.0, _LONGEST_STEP * float(ellipsoid.radii[0]) / longest)
+        ellipsoid = _checked(ellipsoid.stepped(step))
+        if in_sd * _contraction(ellipsoid, step, variance) < tolerance:
+            return Solution(ellipsoid, found, variance, prior, count + 1)
+    raise UndeterminedError(
+        "the ellipsoid of the magnetometer samples does not settle: they determine too little of it",
+        remedy=ALL_SIDES,
+    )
+
+
+def score_rows(samples: Array, ellipsoid: Ellipsoid) -> Array:
+    """Derivatives (9, N) of the distances of `samples` (N, 3) by the nine parameters."""
+    axes, frame = np.linalg.eigh(ellipsoid.shape)
+    rows = np.empty((N_PARAMETERS + 1, len(samples)))
+    _fill_rows(rows, frame.T @ (samples - ellipsoid.offset).T, axes, 0.0)
+    return _parameters_in_frame(frame).T @ rows[:N_PARAMETERS]
+
+
+def _state(ellipsoid: Ellipsoid) -> Array:
+    return np.concatenate([ellipsoid.offset, six_numbers(ellipsoid.shape)])
+
+
+def _residual_variance(found: Pass, tukey_scale: float | None) -> float:
+    if tukey_scale is not None:
+        return tukey_scale**2
+    return float(found.residuals @ found.residuals) / max(len(found.residuals) - N_PARAMETERS, 1)
+
+
+def _contraction(ellipsoid: Ellipsoid, step: Array, variance: float) -> float:
+    """By how much the next step will be shorter: residual times curvature, and the step's own second order."""
+    smallest = float(ellipsoid.radii[0])
+    return min(1.0, 3.0 * (float(np.sqrt(variance)) + float(np.abs(step).max())) / smallest)
+
+
+def _solve(normal: Array, right: Array) -> Array:
+    try:
+        return np.asarray(np.linalg.solve(normal, right))
+    except np.linalg.LinAlgError as error:
+        raise UndeterminedError(
+            "the magnetometer samples leave a parameter of the ellipsoid open",
+            remedy=ALL_SIDES,
+        ) from error
+
+
+def _checked(ellipsoid: Ellipsoid) -> Ellipsoid:
+    radii = ellipsoid.radii
+    if not (np.isfinite(radii).all() and radii[0] > 1e-3 and radii[2] < 1e3):
+        raise UndeterminedError(
+            "the magnetometer samples fit a degenerate ellipsoid only: they cover too small a part of it",
+            remedy=ALL_SIDES,
+        )
+    return ellipsoid

@@ -1,0 +1,58 @@
+"""What the uncertainty of a magnetometer model does to the heading of a level vehicle."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.triad import TriadModel
+
+Array = NDArray[np.float64]
+
+DEFAULT_INCLINATION = math.radians(60.0)
+"""Dip that is assumed where the place is unknown: middle latitudes, rad."""
+
+STEEPEST = math.radians(89.0)
+"""Dip beyond which no compass points anywhere, rad; steeper ones are taken as this."""
+
+_HEADINGS = np.arange(0.0, 2.0 * math.pi, math.pi / 18.0)
+
+
+def heading_sd_deg(
+    model: TriadModel,
+    covariance: Array,
+    strength: float,
+    inclination: float,
+    body_from_sensor: Array | None = None,
+) -> float:
+    """Standard deviation of the heading that `model` gives, in degrees, at the worst heading of a level vehicle.
+
+    ``heading = atan2(-c_y, c_x)`` of the corrected field c; ``dc = dC C^-1 c - C db``.
+
+    Parameters
+    ----------
+    model
+        Offset and matrix; no thermal part.
+    covariance : shape (12, 12)
+        Of offset and matrix, in the order of :func:`calib.fit.parameter_names`.
+    strength
+        Length of the corrected field.
+    inclination
+        Dip of the field, rad.
+    body_from_sensor : shape (3, 3) or None
+        Mounting rotation; None: the sensor's axes are those of the vehicle.
+    """
+    dip = math.copysign(min(abs(inclination), STEEPEST), inclination)
+    horizontal = strength * math.cos(dip)
+    rotation = np.eye(3) if body_from_sensor is None else body_from_sensor
+    zero = np.zeros_like(_HEADINGS)
+    x, y = horizontal * np.cos(_HEADINGS), -horizontal * np.sin(_HEADINGS)
+    field = np.stack([x, y, zero + strength * math.sin(dip)], axis=1) @ rotation
+    gradient = np.stack([y, -x, zero], axis=1) @ rotation / horizontal**2
+    inner = field @ np.linalg.inv(model.matrix).T
+    by_matrix = (gradient[:, :, None] * inner[:, None, :]).reshape(-1, 9)
+    rows = np.concatenate([-gradient @ model.matrix, by_matrix], axis=1)
+    variance = np.einsum("ij,jk,ik->i", rows, covariance, rows)
+    return math.degrees(math.sqrt(max(float(variance.max()), 0.0)))

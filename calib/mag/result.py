@@ -1,0 +1,288 @@
+"""From an ellipsoid with its covariance to a :class:`FitResult`: scale, verdict, warnings, quality."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.earth import EarthField
+from calib.errors import InvalidInputError, UndeterminedError
+from calib.fit import FitResult, FitStatus, parameter_names, refused
+from calib.mag.heading import DEFAULT_INCLINATION, heading_sd_deg
+from calib.mag.samples import axis_word
+from calib.mag.sections import mask_bytes, visited
+from calib.mag.serial import first_correlation, white_variance
+from calib.mag.shape import Ellipsoid, correction, correction_covariance
+from calib.recording import Sensor
+from calib.triad import TriadModel
+
+Array = NDArray[np.float64]
+
+UNDETERMINED_SD = 0.1
+"""Standard deviation relative to the radius from which on a parameter counts as undetermined: the error of the
+linearisation, (sd/R)^2, then reaches a tenth of the sd, and the stated uncertainty is no longer true."""
+
+FIELD_TOLERANCE = 0.2
+"""Departure of the fitted from the modelled field strength, relative, that is reported."""
+
+_ROUGHEST = 0.15  # residual relative to the radius from which on the samples are no ellipsoid
+_MISFIT = 1.3  # residuals larger than the noise by this factor are reported as misfit
+_MANY = 20_000  # samples that are enough to draw a coverage mask
+
+
+@dataclass(frozen=True, eq=False)
+class MagContext:
+    """What a fit is told about the sensor, and not about the samples.
+
+    Parameters
+    ----------
+    unit
+        Of the samples: ``uT`` or ``counts``.
+    noise_sd
+        Noise of one axis in that unit, without quantisation; None: from the residuals.
+    quantum
+        Width of a quantisation bin; its ``q^2/12`` is added to the variance of `noise_sd`.
+    field
+        The true field: its strength ties the scale, its dip the heading error. None: scale and dip are unknown.
+    body_from_sensor
+        Mounting rotation (3, 3), for the heading error only; None: the sensor's axes are the vehicle's.
+    """
+
+    instance: int = 0
+    unit: str = "uT"
+    noise_sd: float | None = None
+    quantum: float = 0.0
+    field: EarthField | None = None
+    body_from_sensor: Array | None = None
+    relative: bool = False
+    temperature: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.noise_sd is not None and not (math.isfinite(self.noise_sd) and self.noise_sd > 0.0):
+            raise InvalidInputError(f"noise of a magnetometer must be positive, not {self.noise_sd}")
+        if not (math.isfinite(self.quantum) and self.quantum >= 0.0):
+            raise InvalidInputError(f"a quantisation bin cannot be {self.quantum} wide")
+
+    @property
+    def noise_variance(self) -> float | None:
+        """Variance of one axis with quantisation, in the unit of the samples squared; None: not known."""
+        return None if self.noise_sd is None else self.noise_sd**2 + self.quantum**2 / 12.0
+
+    @property
+    def strength(self) -> float | None:
+        """Length of the corrected vectors, uT; None: the mean radius of the ellipsoid."""
+        return None if self.field is None else self.field.norm
+
+    @property
+    def inclination(self) -> float:
+        """Dip of the field, rad."""
+        return DEFAULT_INCLINATION if self.field is None else self.field.inclination
+
+
+class MagFacts(TypedDict, total=False):
+    """Keyword arguments of every magnetometer fit: the parameters of :class:`MagContext`."""
+
+    instance: int
+    unit: str
+    noise_sd: float | None
+    quantum: float
+    field: EarthField | None
+    body_from_sensor: Array | None
+    relative: bool
+    temperature: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeFit:
+    """What a method found: an ellipsoid, and everything that tells how far to trust it."""
+
+    method: str
+    ellipsoid: Ellipsoid
+    covariance: Array
+    """(9, 9), correlated residuals included; zero where the method holds a parameter fixed."""
+    residuals: Array
+    """Distances from the ellipsoid of the samples that were used, in order of time."""
+    dof: float
+    condition_number: float
+    form: str = "ellipsoid"
+    """What the samples were held against."""
+    n_outliers: int = 0
+    native: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    warnings: tuple[str, ...] = ()
+    variance_inflation: float = 1.0
+    """Largest factor by which residuals that are correlated in time widened `covariance`."""
+
+    def moved(self, centre: Array, scale: float) -> ShapeFit:
+        """The fit of ``centre + scale * y``, with everything in the unit of that."""
+        return dataclasses.replace(
+            self,
+            ellipsoid=self.ellipsoid.moved(centre, scale),
+            covariance=self.covariance * scale**2,
+            residuals=self.residuals * scale,
+        )
+
+
+def magnetometer_result(fit: ShapeFit, samples: Array, context: MagContext) -> FitResult:
+    """The verdict on `fit` of `samples` (N, 3); refused where the data do not carry it."""
+    model = correction(fit.ellipsoid, context.strength)
+    strength_sd = 0.0 if context.field is None else context.field.norm_sd
+    full = correction_covariance(fit.ellipsoid, fit.covariance, context.strength, strength_sd)
+    quality = _quality(fit, samples, context, model, full)
+    reason = _why_not(fit, model, full)
+    if reason is not None:
+        message, names = reason
+        return refused(
+            fit.method,
+            Sensor.MAG,
+            context.instance,
+            message,
+            unit=context.unit,
+            n_samples=len(samples),
+            undetermined=names,
+            quality=MappingProxyType(quality),
+        )
+    warnings = fit.warnings + _warnings(fit, context, quality)
+    return FitResult(
+        method=fit.method,
+        sensor=Sensor.MAG,
+        instance=context.instance,
+        status=FitStatus.OK,
+        message=_message(fit, quality),
+        model=model,
+        covariance=full,
+        unit=context.unit,
+        n_samples=len(samples),
+        n_used=len(fit.residuals),
+        residual_rms=quality["residual_rms"],
+        condition_number=fit.condition_number,
+        relative=context.relative,
+        warnings=warnings,
+        temperature=context.temperature,
+        quality=MappingProxyType(quality),
+        native=MappingProxyType(_native(fit.ellipsoid, model) | dict(fit.native)),
+    )
+
+
+def refusal(method: str, error: UndeterminedError, n_samples: int, context: MagContext) -> FitResult:
+    """The refused fit that `error` stands for."""
+    message = f"{error}; {error.remedy}" if error.remedy else str(error)
+    names = error.missing or parameter_names()
+    return refused(
+        method, Sensor.MAG, context.instance, message, unit=context.unit, n_samples=n_samples, undetermined=names
+    )
+
+
+def _quality(fit: ShapeFit, samples: Array, context: MagContext, model: TriadModel, full: Array) -> dict[str, Any]:
+    ellipsoid, radius = fit.ellipsoid, fit.ellipsoid.mean_radius
+    strength = radius if context.strength is None else context.strength
+    in_microtesla = context.unit == "uT" or context.strength is not None
+    offset_sd = model.matrix @ full[:3, :3] @ model.matrix.T
+    thinned = samples[:: max(1, len(samples) // _MANY)]
+    seen = visited((thinned - ellipsoid.offset) @ model.matrix.T)
+    squares = float(fit.residuals @ fit.residuals)
+    noise = context.noise_variance
+    floor = white_variance(fit.residuals) if noise is None else noise
+    comparable = context.unit == "uT" and context.strength is not None
+    return {
+        "residual_rms": math.sqrt(squares / len(fit.residuals)),
+        "dof": fit.dof,
+        "chi2": squares / floor if floor > 0.0 else None,
+        "noise_sd": math.sqrt(floor),
+        "noise_from": "successive residuals" if noise is None else "given",
+        "first_correlation": first_correlation(fit.residuals),
+        "variance_inflation": fit.variance_inflation,
+        "n_outliers": fit.n_outliers,
+        "radius": radius,
+        "axis_ratio": float(ellipsoid.radii[2] / ellipsoid.radii[0]),
+        "field_ratio": radius / strength if comparable else None,
+        "heading_sd_deg": heading_sd_deg(model, full, strength, context.inclination, context.body_from_sensor),
+        "heading_dip_deg": math.degrees(context.inclination),
+        "offset_sd_ut": math.sqrt(float(np.linalg.eigvalsh(offset_sd)[-1])) if in_microtesla else None,
+        "coverage_mask": mask_bytes(seen),
+        "coverage": float(seen.mean()),
+    }
+
+
+def _why_not(fit: ShapeFit, model: TriadModel, full: Array) -> tuple[str, tuple[str, ...]] | None:
+    """Why nothing of the fit may be used, and the parameters that are open; None if it may."""
+    radius = fit.ellipsoid.mean_radius
+    rough = float(np.sqrt(np.mean(fit.residuals**2)))
+    if rough > _ROUGHEST * radius:
+        message = (
+            f"the magnetometer samples are {rough / radius:.0%} of the field off every {fit.form}: the field changed "
+            "while turning (keep away from steel, magnets and currents, and repeat)"
+        )
+        if fit.form != "ellipsoid":
+            message += ", or this form is too simple: fit mag-ellipsoid"
+        return message, parameter_names()
+    relative = np.concatenate([full.diagonal()[:3] / radius**2, full.diagonal()[3:] / np.cbrt(_volume(model)) ** 2])
+    open_ones = tuple(n for n, v in zip(parameter_names(), relative, strict=True) if v > UNDETERMINED_SD**2)
+    if not open_ones:
+        return None
+    weakest = np.linalg.eigh(full[:3, :3])[1][:, -1]
+    message = (
+        f"the movement does not determine {', '.join(open_ones)} (offset known to {_worst_offset(full):.3g} at a field "
+        f"of {radius:.3g}): turn the vehicle so that its {axis_word(weakest)} axis points up and down as well"
+    )
+    return message, open_ones
+
+
+def _volume(model: TriadModel) -> float:
+    return abs(float(np.linalg.det(model.matrix)))
+
+
+def _worst_offset(full: Array) -> float:
+    return math.sqrt(float(np.linalg.eigvalsh(full[:3, :3])[-1]))
+
+
+def _warnings(fit: ShapeFit, context: MagContext, quality: Mapping[str, Any]) -> tuple[str, ...]:
+    found = []
+    ratio = quality["field_ratio"]
+    if context.strength is None:
+        found.append("field strength unknown: the matrix keeps the mean radius, its common scale is not calibrated")
+    elif ratio is not None and abs(ratio - 1.0) > FIELD_TOLERANCE:
+        found.append(
+            f"the measured field of {quality['radius']:.1f} uT is {ratio:.2f} times the {context.strength:.1f} uT of "
+            "the magnetic model: steel or a magnet is near, the sensor's scale is off, or the place is wrong"
+        )
+    if context.field is not None and not context.field.valid:
+        found.append(f"the date is outside the years of {context.field.model}: its field strength is extrapolated")
+    chi2 = quality["chi2"]
+    if chi2 is not None and fit.dof > 0:
+        excess = math.sqrt(chi2 / fit.dof)
+        if excess > max(_MISFIT, 1.0 + 3.0 / math.sqrt(2.0 * fit.dof)):
+            found.append(
+                f"residuals are {excess:.1f} times the noise: the samples are not quite an ellipsoid (blur, currents, "
+                f"steel nearby); the stated uncertainty includes it (variance x {quality['variance_inflation']:.1f})"
+            )
+    if fit.dof < 10:
+        found.append(f"only {fit.dof:.0f} samples more than parameters: the stated uncertainty is itself uncertain")
+    if fit.n_outliers:
+        found.append(f"{fit.n_outliers} samples lie off the ellipsoid and were left out")
+    return tuple(found)
+
+
+def _message(fit: ShapeFit, quality: Mapping[str, Any]) -> str:
+    return (
+        f"heading good to {quality['heading_sd_deg']:.2g} deg at a dip of {quality['heading_dip_deg']:.0f} deg, "
+        f"residual {quality['residual_rms']:.3g} at a field of {quality['radius']:.4g}"
+    )
+
+
+def _native(ellipsoid: Ellipsoid, model: TriadModel) -> dict[str, Any]:
+    """The form of MATLAB's magcal: ``corrected = (D - b) A`` by rows, det A = 1, on a sphere of radius `expmfs`."""
+    normal = model.matrix / np.cbrt(_volume(model))
+    return {
+        "b": ellipsoid.offset.tolist(),
+        "A": normal.tolist(),
+        "expmfs": ellipsoid.mean_radius,
+        "radii": ellipsoid.radii.tolist(),
+        "shape": ellipsoid.shape.tolist(),
+    }

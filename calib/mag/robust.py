@@ -1,0 +1,125 @@
+"""Samples that are off: a start that they do not spoil, and how large the noise is without them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import UndeterminedError
+from calib.mag.distance import Distances
+from calib.mag.moments import Moments
+from calib.mag.shape import Ellipsoid
+from calib.mag.sphere import solve_sphere
+
+Array = NDArray[np.float64]
+
+MAD_TO_SD = 1.4826
+"""Standard deviation of normal noise over its median absolute deviation."""
+
+OUTLIER = 6.0
+"""Distance in standard deviations that normal noise does not reach (2e-9)."""
+
+MOST_OUTLIERS = 0.3
+"""Fraction of outliers from which on the samples are refused: the majority is then no longer clear."""
+
+_SMALLEST_SD = 1e-9  # of the radius: exact data have no noise, only rounding
+_TRIM = 3.0
+_TRIMMED_SD = 0.98658  # sd of a standard normal cut at 3
+_ROUNDS = 12
+_TRIALS = 400
+_SCORED = 2000
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Where to begin the iteration."""
+
+    ellipsoid: Ellipsoid
+    noise_sd: float
+    outliers: bool
+    """Whether some samples are off by more than noise ever is."""
+
+
+def find_start(samples: Array, whole: Moments, smallest_sd: float) -> Start:
+    """An ellipsoid near the majority of `samples` (N, 3), scaled to the order of 1; `whole` are their moments.
+
+    Adjusted least squares on all samples; if that leaves outliers, on those within three standard deviations, again
+    and again; if too many drop out that way, on the best of many small subsets.
+
+    Raises
+    ------
+    UndeterminedError
+        If there is no start, not even a sphere.
+    """
+    floor = max(_SMALLEST_SD, smallest_sd)
+    first = _ellipsoid_of(whole)
+    if first is None:
+        offset, radius = solve_sphere(samples)
+        first = Ellipsoid(offset, radius * np.eye(3))
+    residuals = distances_from(samples, first)
+    sd = robust_sd(residuals, floor)
+    if np.abs(residuals).max() <= OUTLIER * sd:
+        return Start(first, sd, outliers=False)
+    best, sd = _concentrated(samples, first, floor)
+    if np.mean(np.abs(distances_from(samples, best)) > OUTLIER * sd) > 0.1:
+        other, other_sd = _concentrated(samples, _consensus(samples, best), floor)
+        if other_sd < sd:
+            best, sd = other, other_sd
+    residuals = distances_from(samples, best)
+    return Start(best, sd, outliers=bool(np.abs(residuals).max() > OUTLIER * sd))
+
+
+def distances_from(samples: Array, ellipsoid: Ellipsoid) -> Array:
+    """Signed distances (N,) of `samples` from `ellipsoid`."""
+    return Distances(samples).at(ellipsoid, 0.0, None).residuals
+
+
+def robust_sd(residuals: Array, floor: float) -> float:
+    """Standard deviation of the majority: median absolute deviation, then the rms within three of it."""
+    sd = max(MAD_TO_SD * float(np.median(np.abs(residuals))), floor)
+    for _ in range(3):
+        inside = residuals[np.abs(residuals) <= _TRIM * sd]
+        sd = max(float(np.sqrt(np.mean(inside**2))) / _TRIMMED_SD, floor) if len(inside) else sd
+    return sd
+
+
+def _ellipsoid_of(moments: Moments) -> Ellipsoid | None:
+    try:
+        ellipsoid, _ = moments.ellipsoid()
+    except UndeterminedError:
+        return None
+    return ellipsoid if ellipsoid.radii[2] < 20.0 * ellipsoid.radii[0] and ellipsoid.radii[2] < 20.0 else None
+
+
+def _concentrated(samples: Array, ellipsoid: Ellipsoid, floor: float) -> tuple[Ellipsoid, float]:
+    """Refit to what lies within three standard deviations until that set stays (Rousseeuw's concentration steps)."""
+    kept = np.zeros(len(samples), dtype=np.bool_)
+    for _ in range(_ROUNDS):
+        residuals = distances_from(samples, ellipsoid)
+        sd = max(MAD_TO_SD * float(np.median(np.abs(residuals))), floor)
+        inside = np.abs(residuals) <= _TRIM * sd
+        if np.array_equal(inside, kept):
+            break
+        kept = inside
+        refit = _ellipsoid_of(Moments.empty(np.zeros(3), 1.0).added(samples[kept]))
+        if refit is None:
+            break
+        ellipsoid = refit
+    return ellipsoid, robust_sd(distances_from(samples, ellipsoid), floor)
+
+
+def _consensus(samples: Array, fallback: Ellipsoid) -> Ellipsoid:
+    """The ellipsoid through ten random samples that is nearest to the majority (least median; fixed seed)."""
+    rng = np.random.default_rng(20)
+    scored = samples if len(samples) <= _SCORED else samples[rng.choice(len(samples), _SCORED, replace=False)]
+    best, least = fallback, float(np.median(np.abs(distances_from(scored, fallback))))
+    for _ in range(_TRIALS):
+        subset = samples[rng.choice(len(samples), 10, replace=False)]
+        candidate = _ellipsoid_of(Moments.empty(np.zeros(3), 1.0).added(subset))
+        if candidate is not None:
+            median = float(np.median(np.abs(distances_from(scored, candidate))))
+            if median < least:
+                best, least = candidate, median
+    return best

@@ -1,0 +1,79 @@
+"""Serial correlation of residuals: what model misfit, repeats and slow disturbances leave behind."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+LONGEST = 1 << 17
+"""Samples looked at: enough for the time constant of any movement by hand."""
+
+_SIGNIFICANT = 3.0  # standard deviations of the first correlation below which residuals count as white
+
+
+def variance_inflation(series: Array) -> float:
+    """Factor on the variance of the sum of `series` (N,), in order of time, over that of white noise.
+
+    The factor is ``1 + 2 sum rho_k`` up to the first pair of correlations that is not positive (Geyer 1992, initial
+    positive sequence); for an AR(1) process it is ``(1 + rho)/(1 - rho)`` (METHODS 3.5). White series: exactly 1.
+    """
+    series = series[:LONGEST]
+    n = len(series)
+    if n < 4 or first_correlation(series) < _SIGNIFICANT / np.sqrt(n):
+        return 1.0
+    power = float(series @ series)
+    spectrum = np.fft.rfft(series, 1 << (2 * n - 1).bit_length())
+    rho = np.fft.irfft(spectrum.real**2 + spectrum.imag**2)[: n // 2] / power
+    pairs = rho[: len(rho) // 2 * 2].reshape(-1, 2).sum(axis=1)
+    stop = int(np.argmax(pairs <= 0.0)) if (pairs <= 0.0).any() else len(pairs)
+    return max(1.0, float(2.0 * pairs[:stop].sum() - 1.0))
+
+
+def first_correlation(series: Array) -> float:
+    """Correlation of each of `series` (N,), whose mean is zero, with the one before."""
+    power = float(series @ series)
+    return float(series[1:] @ series[:-1]) / power if power > 0.0 else 0.0
+
+
+def weakened_information(information: Array, rows: Array, residuals: Array) -> tuple[Array, float]:
+    """`information` (p, p) of a least squares fit, less what is correlated in time; and the largest factor.
+
+    What adds up to the error of the estimate is not the residual but the score ``J_k r_k``, so a misfit that the
+    movement keeps turning through the parameters costs less than one that sits still. Each of the p eigenvectors of
+    the information, whose scores are uncorrelated with each other, is weakened by its own factor.
+
+    Parameters
+    ----------
+    information
+        ``sum J J^T`` over the variance of the residuals.
+    rows : shape (p, N)
+        Derivatives of the residuals; the first :data:`LONGEST` are looked at.
+    residuals : shape (N,)
+        Times their weight, for a robust fit.
+    """
+    values, directions, factors = _score_factors(information, rows, residuals)
+    weakened = (directions * (values / factors)) @ directions.T
+    return 0.5 * (weakened + weakened.T), float(factors.max())
+
+
+def widened_scatter(scatter: Array, rows: Array, residuals: Array) -> tuple[Array, float]:
+    """The covariance `scatter` (p, p) of the sum of scores ``rows_k r_k``, widened likewise; and the largest factor."""
+    values, directions, factors = _score_factors(scatter, rows, residuals)
+    widened = (directions * (values * factors)) @ directions.T
+    return 0.5 * (widened + widened.T), float(factors.max())
+
+
+def _score_factors(scatter: Array, rows: Array, residuals: Array) -> tuple[Array, Array, Array]:
+    values, directions = np.linalg.eigh(scatter)
+    scores = (directions.T @ rows[:, :LONGEST]) * residuals[:LONGEST]
+    return values, directions, np.array([variance_inflation(s) for s in scores])
+
+
+def white_variance(residuals: Array) -> float:
+    """Variance of the part of `residuals` (N,) that is new at every sample: half the mean squared difference."""
+    if len(residuals) < 2:
+        return 0.0
+    steps = np.diff(residuals)
+    return float(steps @ steps) / (2.0 * len(steps))
