@@ -187,7 +187,7 @@ def _thermal(parameters: Mapping[str, Value], roles: Mapping[Role, str]) -> tupl
 
 
 def _stored(parameters: Mapping[str, Value], roles: Mapping[Role, str], triple: names.Triple) -> Array | None:
-    """The stored vector; None where the sensor has no such one, or it is not finite (the firmware then keeps its own)."""
+    """The stored vector; None where the sensor has none, or it is not finite (the firmware then keeps its own)."""
     if triple[0] not in roles:
         return None
     missing = [roles[role] for role in triple if roles[role] not in parameters]

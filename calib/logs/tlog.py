@@ -1,0 +1,122 @@
+"""Telemetry logs (.tlog) to recordings."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from calib.errors import UnreadableError
+from calib.firmware.announcements import AUTOPILOTS
+from calib.firmware.messages import INERTIAL
+from calib.firmware.names import CALIBRATION_PREFIXES
+from calib.firmware.streams import Assembler
+from calib.recording import Event, Identity, Recording
+from calib.wire import TlogReader, decode
+
+if TYPE_CHECKING:
+    from calib.wire import Frame
+
+HEARTBEAT: Final = dialect.MAVLINK_MSG_ID_HEARTBEAT
+INERTIAL_IDS: Final = frozenset(INERTIAL["ardupilot"])
+
+Vehicle = tuple[int, int]
+"""System and component."""
+
+
+def read_tlog(
+    path_or_bytes: Path | str | bytes | memoryview, *, start: int = 0, end: int | None = None, system: int | None = None
+) -> Recording:
+    """Read the bytes ``start:end`` of a .tlog as the recording of one vehicle, at the firmware's stage.
+
+    Parameters
+    ----------
+    path_or_bytes
+        The file, or its content.
+    start, end
+        Byte range of a segment; damaged or cut records are stepped over. None: to the end of the file.
+    system
+        MAVLink system id of the vehicle; None: the one with most inertial frames.
+
+    Returns
+    -------
+    Recording
+        Times are seconds since the vehicle's first boot in the file. ``parameters.end_observed`` is True if every
+        calibration parameter in it was read again after the last inertial sample.
+
+    Raises
+    ------
+    UnreadableError
+        If the file holds no vehicle of ArduPilot or PX4, or not that `system`.
+    """
+    name, data = _content(path_or_bytes)
+    reader = TlogReader(memoryview(data)[start:end])
+    frames: list[tuple[int | None, Frame]] = [(time_us, frame) for time_us, frame in reader]
+    identity = _vehicle([frame for _, frame in frames], system, name)
+    recording = Assembler(identity).feed(frames)
+    events = recording.events
+    if reader.skipped_bytes:
+        damage = f"{reader.skipped_bytes} bytes of {name} belong to no intact record and were stepped over"
+        events = (Event(0.0, "damage", damage), *events)
+    entries = recording.parameters
+    return dataclasses.replace(
+        recording,
+        events=events,
+        source=name,
+        parameters=dataclasses.replace(entries, end_observed=_end_observed(recording)),
+    )
+
+
+def _content(path_or_bytes: Path | str | bytes | memoryview) -> tuple[str, bytes | memoryview]:
+    if isinstance(path_or_bytes, (bytes, memoryview)):
+        return "the telemetry log", path_or_bytes
+    path = Path(path_or_bytes)
+    try:
+        return path.name, path.read_bytes()
+    except OSError as error:
+        raise UnreadableError(f"{path.name} cannot be read: {error.strerror}") from error
+
+
+def _vehicle(frames: list[Frame], system: int | None, name: str) -> Identity:
+    """The vehicle whose recording it is: it must have said who it is, in a HEARTBEAT of its autopilot."""
+    autopilots: dict[Vehicle, str] = {}
+    inertial: Counter[Vehicle] = Counter()
+    for frame in frames:
+        sender = frame.system, frame.component
+        if frame.message_id == HEARTBEAT:
+            message = decode(frame)
+            if message.autopilot != dialect.MAV_AUTOPILOT_INVALID:
+                autopilots.setdefault(sender, AUTOPILOTS.get(message.autopilot, "other"))
+        elif frame.message_id in INERTIAL_IDS:
+            inertial[sender] += 1
+    known = [sender for sender, autopilot in autopilots.items() if autopilot in INERTIAL]
+    if system is not None:
+        known = [sender for sender in known if sender[0] == system]
+    if not known:
+        heard = ", ".join(f"{s}/{c} ({a})" for (s, c), a in autopilots.items()) or "no autopilot"
+        asked = (
+            "an ArduPilot or PX4 vehicle" if system is None else f"an ArduPilot or PX4 vehicle with system id {system}"
+        )
+        raise UnreadableError(
+            f"{name} holds {len(frames)} MAVLink frames and {asked} is not among them (heard: {heard}); "
+            "give a .tlog that was recorded with the vehicle's HEARTBEAT"
+        )
+    chosen = max(known, key=lambda sender: inertial[sender])
+    return Identity(autopilot=autopilots[chosen], system=chosen[0], component=chosen[1])
+
+
+def _end_observed(recording: Recording) -> bool:
+    autopilot = recording.identity.autopilot
+    inertial = [c for c in recording.channels if c.unit in ("m/s2", "rad/s", "uT") and len(c)]
+    if autopilot is None or not inertial:
+        return False
+    last_sample = max(float(c.t[-1]) for c in inertial)
+    seen: dict[str, float] = {}
+    for entry in recording.parameters.entries:
+        if entry.name.startswith(CALIBRATION_PREFIXES[autopilot]):
+            seen[entry.name] = entry.t
+    return bool(seen) and bool(np.min(list(seen.values())) >= last_sample)
