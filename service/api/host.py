@@ -1,0 +1,80 @@
+"""Routes for whoever runs the service: health, metrics, and how host systems find it."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+from fastapi import APIRouter, Depends, Request, Response
+from fastapi.responses import JSONResponse, PlainTextResponse
+from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
+
+import calib
+from service.api.dependencies import ServiceDep
+from service.api.models import TicketModel
+from service.api.problems import explanations
+from service.api.security import TICKET_S, Guard, Scope, require
+
+router = APIRouter(tags=["host"])
+READ = Depends(require(Scope.READ))
+
+DESCRIPTION = "Calibrates the sensors of MAVLink vehicles from the ground, and proves that the result took effect."
+
+
+@router.get("/healthz")
+async def healthz() -> dict[str, str]:
+    """Whether the process answers."""
+    return {"status": "ok"}
+
+
+@router.get("/readyz")
+async def readyz(service: ServiceDep) -> Response:
+    """Whether jobs can be run: the store takes writes and nothing stands in the way."""
+    obstacle = await service.obstacle()
+    if obstacle is None:
+        return JSONResponse({"status": "ready"})
+    return JSONResponse({"status": "not ready", "reason": obstacle}, status_code=503)
+
+
+@router.get("/metrics", dependencies=[READ])
+async def metrics(service: ServiceDep) -> Response:
+    """Counters in the format of Prometheus."""
+    return Response(generate_latest(service.metrics()), media_type=CONTENT_TYPE_LATEST)
+
+
+@router.get("/info", dependencies=[READ])
+async def info() -> dict[str, str]:
+    """Name and versions."""
+    return {"name": "mavcal", "version": calib.__version__, "python": sys.version.split()[0]}
+
+
+@router.get("/register_service")
+async def register_service() -> dict[str, Any]:
+    """How BlueOS lists the service."""
+    return {
+        "name": "mavcal",
+        "description": DESCRIPTION,
+        "icon": "mdi-compass-outline",
+        "company": "mavcal",
+        "version": calib.__version__,
+        "webpage": ".",
+        "api": "docs",
+        "works_in_relative_paths": True,
+        "new_page": False,
+    }
+
+
+@router.get("/problems/{code}")
+async def explain(code: str) -> Response:
+    """What a problem code means; the `type` of a problem document leads here."""
+    text = explanations().get(code)
+    status = 200 if text else 404
+    return PlainTextResponse(text or "There is no such problem.", status_code=status)
+
+
+@router.post("/api/v1/tickets", status_code=201, dependencies=[READ])
+async def ticket(request: Request) -> TicketModel:
+    """Make a ticket for one event stream: `?ticket=...` instead of a header, which a browser's EventSource cannot send."""
+    guard: Guard = request.app.state.guard
+    key = guard.authenticate(request)
+    return TicketModel(ticket=guard.ticket(key) if key else "", valid_s=TICKET_S)

@@ -1,0 +1,120 @@
+"""Routes of jobs."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Header, Response
+from fastapi.sse import EventSourceResponse, ServerSentEvent
+
+from calib.procedures.registry import PROCEDURES
+from calib.report import plan_to_json
+from service.api.dependencies import ServiceDep
+from service.api.models import AnswerRequest, ApplyRequest, JobModel, JobRequest, JobSummary, ProcedureModel
+from service.api.security import Scope, require
+from service.api.views import event_model, job_model, job_summary, procedure_model
+from service.errors import PlanMissing
+from service.exports import MEDIA_TYPES, export
+from service.jobs.model import Accept
+
+router = APIRouter(tags=["jobs"])
+READ = Depends(require(Scope.READ))
+OPERATE = Depends(require(Scope.OPERATE))
+WRITE = Depends(require(Scope.WRITE_PARAMS))
+
+LastEventId = Annotated[int | None, Header(alias="Last-Event-ID", ge=0)]
+
+
+@router.get("/procedures", dependencies=[READ])
+async def procedures() -> list[ProcedureModel]:
+    """What can be calibrated, what each procedure needs, ends on, writes and cannot represent."""
+    return [procedure_model(spec) for spec in PROCEDURES.values()]
+
+
+@router.post("/vehicles/{vehicle_id}/jobs", status_code=202, dependencies=[OPERATE])
+async def start(vehicle_id: str, body: JobRequest, response: Response, service: ServiceDep) -> JobModel:
+    """Start a calibration; 409 if that vehicle has one running."""
+    job = await service.jobs.submit(vehicle_id, body.kind, body.options)
+    model = job_model(job)
+    response.headers["Location"] = model.href
+    return model
+
+
+@router.get("/jobs", dependencies=[READ])
+async def jobs(service: ServiceDep, vehicle_id: str | None = None) -> list[JobSummary]:
+    """Every job, oldest first."""
+    return [job_summary(j) for j in service.jobs.list() if vehicle_id in {None, j.vehicle_id}]
+
+
+@router.get("/jobs/{job_id}", dependencies=[READ])
+async def job(job_id: str, service: ServiceDep) -> JobModel:
+    """One job with its results."""
+    return job_model(service.jobs.get(job_id))
+
+
+@router.delete("/jobs/{job_id}", dependencies=[OPERATE])
+async def cancel(job_id: str, service: ServiceDep) -> JobModel:
+    """Cancel a job that has not written anything."""
+    return job_model(await service.jobs.cancel(job_id))
+
+
+@router.post("/jobs/{job_id}/answers", dependencies=[OPERATE])
+async def answer(job_id: str, body: AnswerRequest, service: ServiceDep) -> JobModel:
+    """Answer the prompt of a job."""
+    return job_model(await service.jobs.answer(job_id, body.value))
+
+
+@router.get("/jobs/{job_id}/plan", dependencies=[READ])
+async def plan(job_id: str, service: ServiceDep) -> dict[str, Any]:
+    """What would be written, why, and what it costs."""
+    found = service.jobs.get(job_id).plan
+    if found is None:
+        raise PlanMissing(f"job {job_id} has no plan (yet): its state tells why")
+    return plan_to_json(found)
+
+
+@router.post("/jobs/{job_id}/apply", status_code=202, dependencies=[WRITE])
+async def apply(
+    job_id: str,
+    body: ApplyRequest,
+    service: ServiceDep,
+    idempotency_key: Annotated[str | None, Header(max_length=200)] = None,
+) -> JobModel:
+    """Accept the plan with this digest and write it; 409 if it is no longer the plan to be written."""
+    accept = Accept(body.plan_sha256, reboot=body.reboot, prove_s=body.prove_s)
+    return job_model(await service.jobs.apply(job_id, accept, idempotency_key))
+
+
+@router.post("/jobs/{job_id}/revert", status_code=202, dependencies=[WRITE])
+async def revert(job_id: str, service: ServiceDep) -> JobModel:
+    """Take back what a job has written, where it still stands."""
+    return job_model(await service.jobs.revert(job_id))
+
+
+@router.get("/jobs/{job_id}/export.{form}", dependencies=[READ])
+async def export_job(job_id: str, form: str, service: ServiceDep) -> Response:
+    """The result as a file: param, parm, params, json, csv or html."""
+    content = export(service.jobs.get(job_id), form)
+    name = f"mavcal-{job_id}.{form}"
+    return Response(
+        content, media_type=MEDIA_TYPES[form], headers={"Content-Disposition": f'inline; filename="{name}"'}
+    )
+
+
+@router.get("/jobs/{job_id}/events", response_class=EventSourceResponse, dependencies=[READ])
+async def job_events(
+    job_id: str, service: ServiceDep, last_event_id: LastEventId = None
+) -> AsyncIterator[ServerSentEvent]:
+    """Everything that happens to a job, from its beginning or from Last-Event-ID on."""
+    service.jobs.get(job_id)
+    async for event in service.jobs.subscribe(job_id, last_event_id or 0):
+        yield ServerSentEvent(data=event_model(event), event="job", id=str(event.sequence))
+
+
+@router.get("/events", response_class=EventSourceResponse, dependencies=[READ])
+async def events(service: ServiceDep, last_event_id: LastEventId = None) -> AsyncIterator[ServerSentEvent]:
+    """Everything that happens to any job, from now or from Last-Event-ID on."""
+    after = service.store.last_event_id() if last_event_id is None else last_event_id
+    async for event in service.jobs.subscribe(None, after):
+        yield ServerSentEvent(data=event_model(event), event="job", id=str(event.id))

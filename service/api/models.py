@@ -1,0 +1,178 @@
+"""What goes over HTTP. These are neither database rows nor domain objects; `views` makes them from those."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Json = dict[str, Any]
+
+
+class _Request(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class LinkRequest(_Request):
+    """Open a link."""
+
+    url: str = Field(description="an endpoint such as udpin:0.0.0.0:14550", examples=["udpin:0.0.0.0:14550"])
+
+
+class JobRequest(_Request):
+    """Start a calibration."""
+
+    kind: str = Field(description="gyro, accel, mag, thermal or level", examples=["gyro"])
+    options: dict[str, float | bool] = Field(default_factory=dict, description="options of that procedure")
+
+
+class AnswerRequest(_Request):
+    """Answer the prompt of a job."""
+
+    value: str = Field(description="one of the answers that the prompt offers", examples=["finish"])
+
+
+class ApplyRequest(_Request):
+    """Accept a plan."""
+
+    plan_sha256: str = Field(pattern="^[0-9a-f]{64}$", description="digest of the plan that is accepted")
+    reboot: bool = Field(default=False, description="restart the vehicle if the plan needs it")
+    prove_s: float = Field(
+        default=120.0, ge=0.0, le=3600.0, description="how long to wait for movements that prove the rest, s"
+    )
+
+
+class FitRequest(_Request):
+    """Fit an uploaded recording."""
+
+    method: str = Field(description="a method of `mavcal fit --help`", examples=["mag-ellipsoid"])
+    options: Json = Field(default_factory=dict, description="options of that method")
+
+
+class LinkModel(BaseModel):
+    """A link."""
+
+    id: str
+    url: str
+    state: str = Field(description="connecting, up, down or closed")
+    reason: str = Field(description="why it is in that state")
+    vehicles: list[str] = Field(description="ids of the vehicles heard on it")
+    crc_errors: int = Field(description="damaged frames, which cannot be attributed to a sender")
+
+
+class VehicleModel(BaseModel):
+    """A vehicle in one page."""
+
+    id: str
+    link: str
+    system: int
+    component: int
+    autopilot: str
+    firmware: str
+    uid: str | None
+    armed: bool
+    landed: str
+    silent: bool = Field(description="no heartbeat for 3 s")
+    writable: bool = Field(description="whether parameters may be written now")
+    obstacles: list[str] = Field(description="why nothing may be written now")
+    evidence: list[str] = Field(description="what the state rests on")
+    texts: list[str] = Field(description="the last things that the vehicle said")
+    received: int
+    lost: int
+    loss: float = Field(description="lost share of everything sent, 0..1")
+    bytes_per_s: float
+    parameters_known: int
+
+
+class ParameterModel(BaseModel):
+    """A parameter as the vehicle states it."""
+
+    name: str
+    value: float | int | None
+    kind: str
+
+
+class ProcedureModel(BaseModel):
+    """A procedure: what it needs, ends on, writes and cannot represent."""
+
+    kind: str
+    title: str
+    sensors: list[str]
+    helpful: list[str]
+    options: list[Json]
+    needs: str
+    ends_on: str
+    autopilots: Json
+    duration_s: float
+
+
+class JobSummary(BaseModel):
+    """A job in a list."""
+
+    id: str
+    href: str
+    vehicle_id: str
+    kind: str
+    state: str
+    created_at: float
+    updated_at: float
+    progress: Json | None
+    prompt: Json | None
+    outcome: Json | None
+
+
+class JobModel(JobSummary):
+    """A job with its results."""
+
+    options: Json
+    warnings: list[str]
+    results: list[Json] = Field(description="one fit a sensor instance, as in `mavcal fit --json`")
+    plan: Json | None
+    verification: Json | None
+    standing: list[Json] = Field(description="parameters in doubt, or left to a third party")
+    segments: list[Json] = Field(description="what the fit was made of: name, byte range and digest of the recording")
+
+
+class RecordingModel(BaseModel):
+    """An uploaded recording."""
+
+    id: str
+    href: str
+    name: str
+    size: int
+    sha256: str
+    uploaded_at: float
+    inspection: Json
+
+
+class FitsModel(BaseModel):
+    """Fits of an uploaded recording."""
+
+    method: str
+    fits: list[Json]
+
+
+class PreflightCheck(BaseModel):
+    """One check of a preflight."""
+
+    id: str
+    verdict: str = Field(description="pass, warn or fail")
+    value: float | str | None
+    limit: float | str | None
+    unit: str
+    reason: str
+    remedy: str
+
+
+class PreflightModel(BaseModel):
+    """Whether the sensors may fly."""
+
+    verdict: str = Field(description="the worst of all checks")
+    checks: list[PreflightCheck]
+
+
+class TicketModel(BaseModel):
+    """A ticket for one event stream."""
+
+    ticket: str
+    valid_s: float

@@ -1,0 +1,67 @@
+"""Routes of uploaded recordings."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Query, Request, Response
+
+from calib.errors import InvalidInputError
+from service.api.dependencies import ServiceDep
+from service.api.models import FitRequest, FitsModel, RecordingModel
+from service.api.security import Scope, require
+from service.api.views import recording_model
+
+router = APIRouter(tags=["recordings"])
+READ = Depends(require(Scope.READ))
+OPERATE = Depends(require(Scope.OPERATE))
+
+
+@router.post(
+    "/recordings",
+    status_code=201,
+    dependencies=[OPERATE],
+    openapi_extra={"requestBody": {"required": True, "content": {"application/octet-stream": {}}}},
+)
+async def upload(
+    request: Request,
+    response: Response,
+    service: ServiceDep,
+    name: Annotated[str, Query(min_length=1, max_length=200, description="file name, whose ending names the format")],
+    reading: Annotated[str, Query(description="JSON of reading options: mapping, world, body, rate, units")] = "{}",
+) -> RecordingModel:
+    """Upload a recording as the body of the request."""
+    row = await service.recordings.add(name, request.stream(), _reading(reading))
+    model = recording_model(row)
+    response.headers["Location"] = model.href
+    return model
+
+
+@router.get("/recordings", dependencies=[READ])
+async def recordings(service: ServiceDep) -> list[RecordingModel]:
+    """Every uploaded recording."""
+    return [recording_model(row) for row in service.recordings.all()]
+
+
+@router.get("/recordings/{recording_id}", dependencies=[READ])
+async def recording(recording_id: str, service: ServiceDep) -> RecordingModel:
+    """One uploaded recording, and what is in it."""
+    return recording_model(service.recordings.get(recording_id))
+
+
+@router.post("/recordings/{recording_id}/fits", dependencies=[OPERATE])
+async def fit(recording_id: str, body: FitRequest, service: ServiceDep) -> FitsModel:
+    """Run one method on an uploaded recording."""
+    fits = await service.recordings.fit(recording_id, body.method, body.options)
+    return FitsModel(method=body.method, fits=fits)
+
+
+def _reading(text: str) -> dict[str, Any]:
+    try:
+        options = json.loads(text)
+    except ValueError:
+        options = None
+    if not isinstance(options, dict):
+        raise InvalidInputError("`reading` is a JSON object of reading options")
+    return options

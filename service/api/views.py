@@ -1,0 +1,89 @@
+"""Wire models from domain objects, and nothing else."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from calib.procedures.spec import ProcedureSpec
+from calib.report import fit_to_json, plain, plan_to_json, step_to_json, verification_to_json
+from service.api.models import (
+    JobModel,
+    JobSummary,
+    LinkModel,
+    ParameterModel,
+    ProcedureModel,
+    RecordingModel,
+    VehicleModel,
+)
+from service.jobs.codec import outcome_to_json
+from service.jobs.model import Job
+from service.link.link import Link
+from service.store.rows import EventRow, RecordingRow
+from service.vehicle.parameters import Parameter
+from service.vehicle.vehicle import Vehicle
+
+Json = dict[str, Any]
+
+
+def job_summary(job: Job) -> JobSummary:
+    """A job for a list."""
+    return JobSummary(**_summary(job))
+
+
+def job_model(job: Job) -> JobModel:
+    """A job with its results."""
+    return JobModel(
+        **_summary(job),
+        options=dict(job.options),
+        warnings=list(job.warnings),
+        results=[fit_to_json(fit) for fit in job.results],
+        plan=None if job.plan is None else plan_to_json(job.plan),
+        verification=None if job.verification is None else verification_to_json(job.verification),
+        standing=[plain(s) for s in job.standing],
+        segments=[{**plain(dataclasses.asdict(s) | {"path": s.path.name})} for s in job.segments],
+    )
+
+
+def event_model(event: EventRow) -> Json:
+    """An event of a job."""
+    return {
+        "job_id": event.job_id,
+        "sequence": event.sequence,
+        "at": event.at,
+        "kind": event.kind,
+        "data": plain(event.data),
+    }
+
+
+def procedure_model(spec: ProcedureSpec) -> ProcedureModel:
+    """A procedure as a row of the table."""
+    return ProcedureModel(**plain({k: v for k, v in vars(spec).items() if k != "aliases"}))
+
+
+def recording_model(row: RecordingRow) -> RecordingModel:
+    """An uploaded recording."""
+    return RecordingModel(
+        id=row.id,
+        href=f"api/v1/recordings/{row.id}",
+        name=row.name,
+        size=row.size,
+        sha256=row.sha256,
+        uploaded_at=row.at,
+        inspection=plain(row.body["inspection"]),
+    )
+
+
+def _summary(job: Job) -> Json:
+    return {
+        "id": job.id,
+        "href": f"api/v1/jobs/{job.id}",
+        "vehicle_id": job.vehicle_id,
+        "kind": job.kind,
+        "state": job.state.value,
+        "created_at": job.created_at,
+        "updated_at": job.updated_at,
+        "progress": None if job.progress is None else step_to_json(job.progress),
+        "prompt": None if job.prompt is None else step_to_json(job.prompt),
+        "outcome": outcome_to_json(job.outcome),
+    }

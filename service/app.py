@@ -1,0 +1,69 @@
+"""The ASGI application; nothing lives outside the object that is made here."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+from fastapi import FastAPI
+from fastapi.responses import FileResponse
+from fastapi.staticfiles import StaticFiles
+
+import calib
+from service.api import host, jobs, links, recordings, vehicles
+from service.api.middleware import Envelope
+from service.api.problems import install_problem_handlers
+from service.api.security import Guard, check_exposure
+from service.core import running_service
+from service.settings import Settings
+
+
+def create_app(settings: Settings) -> FastAPI:
+    """The application; its service runs from startup to shutdown.
+
+    Raises
+    ------
+    AuthError
+        If the settings would let anybody on the network in.
+    """
+    check_exposure(settings)
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        async with running_service(settings) as service:
+            app.state.service = service
+            yield
+
+    app = FastAPI(
+        title="mavcal",
+        version=calib.__version__,
+        description=host.DESCRIPTION,
+        lifespan=lifespan,
+        servers=[{"url": "."}],  # relative: the service may live behind any path prefix
+    )
+    app.state.guard = Guard(settings)
+    install_problem_handlers(app)
+    app.add_middleware(Envelope, settings=settings, guard=app.state.guard)
+    for module in (links, vehicles, jobs, recordings):
+        app.include_router(module.router, prefix="/api/v1")
+    app.include_router(host.router)
+    _add_panel(app)
+    return app
+
+
+def panel_folder() -> Path:
+    """Where the panel's files are: beside the package when installed, in ``web/`` in a clone."""
+    here = Path(__file__).resolve().parent
+    installed = here / "_web"
+    return installed if installed.is_dir() else here.parent / "web"
+
+
+def _add_panel(app: FastAPI) -> None:
+    folder = panel_folder()
+
+    @app.get("/", include_in_schema=False)
+    async def index() -> FileResponse:
+        return FileResponse(folder / "index.html", headers={"Cache-Control": "no-cache"})
+
+    app.mount("/panel", StaticFiles(directory=folder), name="panel")

@@ -1,0 +1,91 @@
+"""``mavcal serve``: the service and its panel."""
+
+from __future__ import annotations
+
+import socket
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from service.commands.config import load_settings
+from service.commands.output import json_option, write_json
+from service.errors import PortBusy
+from service.settings import Settings
+
+
+@click.command()
+@click.option("--connect", multiple=True, metavar="URL", help="Endpoint to open at the start; may be given repeatedly.")
+@click.option("--host", default=None, help="Address to listen on.  [default: 127.0.0.1]")
+@click.option("--port", type=int, default=None, help="Port to listen on; 0 takes a free one.  [default: 8765]")
+@click.option("--data-dir", type=click.Path(path_type=Path), default=None, help="Where everything is kept.")
+@click.option("--read-only", is_flag=True, default=None, help="Never write to a vehicle, whatever is asked.")
+@json_option
+def command(
+    connect: tuple[str, ...],
+    host: str | None,
+    port: int | None,
+    data_dir: Path | None,
+    read_only: bool | None,
+    as_json: bool,
+) -> None:
+    """Run the service and its panel until it is stopped."""
+    settings = load_settings(
+        connect=connect or None, host=host, port=port, data_dir=data_dir, read_only=read_only or None
+    )
+
+    def announce(url: str) -> None:
+        if as_json:
+            write_json({"ready": True, "url": url})
+            sys.stdout.flush()
+        else:
+            click.echo(f"mavcal listens; the panel is at {url}", err=True)
+
+    serve(settings, announce)
+
+
+def serve(settings: Settings, announce: Callable[[str], None]) -> None:
+    """Run until SIGINT or SIGTERM; `announce` is given the panel's address once requests are answered.
+
+    Raises
+    ------
+    PortBusy
+        If the address cannot be listened on.
+    """
+    import uvicorn
+
+    from service.app import create_app
+    from service.logs import configure_logging
+
+    configure_logging(as_json=settings.log_json)
+    app = create_app(settings)
+    listener = _listen(settings.host, settings.port)
+    host, port = listener.getsockname()[:2]
+    shown = "127.0.0.1" if host in {"0.0.0.0", "::"} else host  # noqa: S104 - compared, not bound
+    url = f"http://[{shown}]:{port}/" if ":" in shown else f"http://{shown}:{port}/"
+
+    class Server(uvicorn.Server):
+        """Announces itself when it is up."""
+
+        async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+            await super().startup(sockets)
+            if self.started:
+                announce(url)
+
+    config = uvicorn.Config(app, log_config=None, access_log=False, timeout_graceful_shutdown=5, lifespan="on")
+    Server(config).run(sockets=[listener])
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    family: Any = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((host, port))
+    except OSError as error:
+        listener.close()
+        raise PortBusy(f"cannot listen on {host}:{port} ({error.strerror}): choose another --host or --port") from error
+    listener.set_inheritable(False)
+    return listener
