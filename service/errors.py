@@ -29,6 +29,9 @@
     |   +-- NotRevertible         409
     |   +-- PlanBlocked           409
     |   +-- IdempotencyConflict   409
+    |   +-- CaptureEnded          409
+    |   +-- WriteFailed           409
+    |   +-- WriteStopped          409
     +-- StoreError                500
     |   +-- DiskFull              507
     |   +-- DataDirLocked         409
@@ -269,6 +272,32 @@ class IdempotencyConflict(JobError):
 
     title = "Idempotency key reused"
     code = "idempotency-key-reused"
+
+
+class CaptureEnded(JobError):
+    """The capture cannot be used."""
+
+    title = "Capture ended"
+    code = "capture-ended"
+
+    def __init__(self, message: str | None = None, *, remedy: str = "Start the job again.") -> None:
+        super().__init__(message)
+        self.remedy = remedy
+        """What helps."""
+
+
+class WriteFailed(JobError):
+    """The write did not take effect as planned; what was written is taken back."""
+
+    title = "Write failed"
+    code = "write-failed"
+
+
+class WriteStopped(JobError):
+    """The vehicle is not in a state in which anything may be written: nothing more is sent."""
+
+    title = "Write stopped"
+    code = "write-stopped"
 
 
 class StoreError(ServiceError):

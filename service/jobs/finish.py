@@ -1,0 +1,42 @@
+"""The end of a good write: the plan's commands, session settings back, a last look at every parameter."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from service.jobs.crashpoints import At
+from service.jobs.journal import Sent, Step, same
+from service.jobs.write import Writing, check_in_place, current_values
+
+
+async def finish(w: Writing) -> None:
+    """Do what is left of a verified write; may be called again after a crash.
+
+    Raises
+    ------
+    WriteStopped, WriteFailed, CommandRefused, ParameterError
+    """
+    done = w.handle.written()
+    for index, after in enumerate(w.plan.after):
+        if index not in done.commanded:
+            await w.handle.record(Step.COMMAND, index=index, command=after.command)
+            w.reach(At.BEFORE_COMMAND)
+            await w.guard.run(partial(w.vehicle.command, after.command, after.params))
+            w.reach(At.AFTER_COMMAND)
+            await w.handle.record(Step.COMMANDED, index=index)
+    for sent in reversed(done.sent):
+        if sent.session and sent.name not in done.restored:
+            await _restore(w, sent)
+    values = await current_values(w)
+    check_in_place((change for change in w.plan.changes if not change.session), values)
+
+
+async def _restore(w: Writing, sent: Sent) -> None:
+    value = await w.get(sent.name)
+    if same(value, sent.new, sent.kind) and not same(sent.new, sent.old, sent.kind):
+        await w.handle.record(Step.RESTORE, name=sent.name)
+        w.reach(At.BEFORE_RESTORE)
+        value = await w.set(sent.name, sent.old, sent.kind)
+    if not same(value, sent.old, sent.kind):
+        w.handle.warn(f"{sent.name} was set to {value:g} by somebody else meanwhile and is left so")
+    await w.handle.record(Step.RESTORED, name=sent.name, value=value)

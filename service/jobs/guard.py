@@ -1,0 +1,89 @@
+"""The preconditions of every single write (DESIGN 6, rules 1 to 3), watched also while an answer is awaited."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from typing import TypeVar
+
+from service.errors import ServiceError, WriteStopped
+from service.jobs.port import JobVehicle
+
+T = TypeVar("T")
+
+HEARTBEAT, EXTENDED_SYS_STATE, MAG_CAL_PROGRESS = 0, 245, 191
+_TELLING = frozenset({HEARTBEAT, EXTENDED_SYS_STATE, MAG_CAL_PROGRESS})
+"""Messages that can say at once that a write has to stop."""
+
+
+class Guard:
+    """Stops whatever runs under it as soon as the vehicle may not be written to.
+
+    It remembers who the vehicle was and how often it had restarted when the guard was set up.
+    """
+
+    def __init__(self, vehicle: JobVehicle, watch_s: float) -> None:
+        self._vehicle = vehicle
+        self._watch_s = watch_s
+        self._uid = vehicle.identity.uid
+        self._reboots = vehicle.condition().reboots
+
+    def reason(self) -> str | None:
+        """Why nothing may be written now; None: it may."""
+        now = self._vehicle.condition()
+        if now.silent:
+            return "the vehicle fell silent"
+        if now.armed:
+            return "the vehicle is armed"
+        if now.conflict is not None:
+            return now.conflict
+        if now.reboots != self._reboots:
+            return "the vehicle restarted by itself"
+        if self._vehicle.identity.uid != self._uid:
+            return "another vehicle answers under this one's address"
+        if now.calibrating:
+            return "the vehicle runs a calibration of its own"
+        return "; ".join(now.obstacles) or None
+
+    def check(self) -> None:
+        """Raise WriteStopped if nothing may be written now."""
+        reason = self.reason()
+        if reason is not None:
+            raise WriteStopped(f"{reason}: nothing more is written")
+
+    def expect_restart(self) -> None:
+        """From now on the present number of restarts is the right one."""
+        self._reboots = self._vehicle.condition().reboots
+
+    async def run(self, act: Callable[[], Awaitable[T]]) -> T:
+        """Await ``act()`` and abandon it as soon as the preconditions fail.
+
+        Raises
+        ------
+        WriteStopped
+            Before the start or in the middle. What was sent may still have an effect.
+        """
+        self.check()
+        news = asyncio.Event()
+        unsubscribe = self._vehicle.subscribe(_TELLING, lambda _frames, _error: news.set())
+        task = asyncio.ensure_future(act())
+        try:
+            while not task.done():
+                news.clear()
+                waker = asyncio.ensure_future(news.wait())
+                await asyncio.wait({task, waker}, timeout=self._watch_s, return_when=asyncio.FIRST_COMPLETED)
+                waker.cancel()
+                if not task.done():
+                    self.check()
+            return task.result()
+        finally:
+            unsubscribe()
+            if not task.done():
+                task.cancel()
+                with suppress(asyncio.CancelledError, ServiceError):
+                    await task
+
+    async def sleep(self, seconds: float) -> None:
+        """Wait while the preconditions hold."""
+        await self.run(lambda: asyncio.sleep(seconds))

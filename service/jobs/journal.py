@@ -1,0 +1,225 @@
+"""The journal of a write, folded into what is known, and what must follow from it.
+
+Pure: recovery after a crash, after an armed or silent vehicle and in a running transaction decide by this alone.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+
+from calib.firmware.plan import Change, ParameterKind, Value, WritePlan
+from service.jobs.model import Standing
+from service.store.rows import JournalRow
+
+
+class Step(StrEnum):
+    """What a journal row says. Rows that announce are written before the act, the others after it."""
+
+    ACCEPTED = "accepted"  # the operator's accept; begins a transaction
+    STREAMS = "streams"  # announces changed message intervals, with the old ones
+    STREAMS_RESTORED = "streams_restored"
+    SNAPSHOT = "snapshot"  # old values are on the disk
+    SEND = "send"  # announces PARAM_SET
+    ECHO = "echo"  # the vehicle confirmed this value
+    READ_BACK = "read_back"  # every parameter holds its new value
+    REBOOT = "reboot"  # announces a restart of the vehicle
+    REBOOTED = "rebooted"
+    VERIFIED = "verified"  # the stream does not contradict: from here on only forward
+    COMMAND = "command"  # announces a command of the plan
+    COMMANDED = "commanded"
+    RESTORE = "restore"  # announces that a session setting is put back
+    RESTORED = "restored"
+    ROLL_BACK = "roll_back"  # from here on only backward
+    UNDO = "undo"  # announces that an old value is put back
+    UNDONE = "undone"
+    LEFT = "left"  # somebody else's value is left alone
+    STOPPED = "stopped"  # armed, silent or in conflict: nothing more is written
+    CLOSED = "closed"
+
+
+@dataclass(frozen=True)
+class Sent:
+    """A parameter for which at least one PARAM_SET may have left."""
+
+    name: str
+    old: Value
+    new: Value
+    kind: ParameterKind
+    session: bool
+    confirmed: Value | None = None
+    """The value that the vehicle last confirmed after our last PARAM_SET; None: it has not."""
+
+
+@dataclass(frozen=True)
+class WriteRecord:
+    """What the journal says of the latest transaction of a job."""
+
+    accepted: bool = False
+    sent: tuple[Sent, ...] = ()
+    read_back: bool = False
+    reboot_announced: bool = False
+    rebooted: bool = False
+    verified: bool = False
+    commanded: frozenset[int] = frozenset()
+    restored: frozenset[str] = frozenset()
+    rolling_back: str | None = None
+    undone: frozenset[str] = frozenset()
+    left: Mapping[str, Value] = dataclasses.field(default_factory=dict)
+    closed: bool = False
+    intervals: Mapping[int, int] = dataclasses.field(default_factory=dict)
+    """Message intervals to be restored, microseconds by message id."""
+
+    def of(self, name: str) -> Sent | None:
+        """The parameter of that name, if it was sent."""
+        return next((s for s in self.sent if s.name == name), None)
+
+
+class Next(StrEnum):
+    """What must follow."""
+
+    NOTHING_SENT = "nothing_sent"  # the vehicle is as it was
+    REBOOT = "reboot"
+    VERIFY = "verify"
+    FINISH = "finish"  # verified: commands and session settings remain
+    ROLL_BACK = "roll_back"
+
+
+def fold(rows: Iterable[JournalRow]) -> WriteRecord:
+    """What the rows of a job say, oldest first."""
+    record = WriteRecord()
+    for row in rows:
+        record = _FOLDS[Step(row.step)](record, row.data)
+    return record
+
+
+def decide(record: WriteRecord, plan: WritePlan, values: Mapping[str, Value]) -> Next:
+    """What follows from the journal and from values that were freshly read (every sent parameter must be there)."""
+    if record.rolling_back is not None:
+        return Next.ROLL_BACK
+    if not record.sent:
+        return Next.NOTHING_SENT
+    if not all(_in_place(change, record, values) for change in plan.changes):
+        return Next.ROLL_BACK
+    if record.verified:
+        return Next.FINISH
+    return Next.REBOOT if plan.needs_reboot and not record.rebooted else Next.VERIFY
+
+
+def _in_place(change: Change, record: WriteRecord, values: Mapping[str, Value]) -> bool:
+    sent = record.of(change.name)
+    if sent is None:
+        return False
+    if change.session and (change.name in record.restored or (record.verified and holds(sent, values, "old"))):
+        return True
+    return holds(sent, values, "new")
+
+
+def holds(sent: Sent, values: Mapping[str, Value], which: str) -> bool:
+    """Whether the vehicle holds our ``new`` or the ``old`` value."""
+    return sent.name in values and same(values[sent.name], sent.new if which == "new" else sent.old, sent.kind)
+
+
+def same(a: Value, b: Value, kind: ParameterKind) -> bool:
+    """Whether two values are one on the wire."""
+    return bool(np.float32(a) == np.float32(b)) if kind == ParameterKind.REAL32 else a == b
+
+
+def standing(record: WriteRecord, heard: Mapping[str, Value]) -> tuple[Standing, ...]:
+    """What is known of every parameter that may have been touched.
+
+    `heard` are values heard since the last PARAM_SET of each name. One that was not also confirmed as the answer to
+    that PARAM_SET is no proof: it may be a late echo from before.
+    """
+    found = []
+    for sent in record.sent:
+        value = heard.get(sent.name, sent.confirmed)
+        certain = sent.confirmed is not None and value is not None and same(value, sent.confirmed, sent.kind)
+        note = "set by somebody else" if sent.name in record.left else ""
+        found.append(Standing(sent.name, sent.old, sent.new, value, certain, note))
+    return tuple(found)
+
+
+def _replace_sent(record: WriteRecord, name: str, confirmed: Value | None) -> tuple[Sent, ...]:
+    return tuple(dataclasses.replace(s, confirmed=confirmed) if s.name == name else s for s in record.sent)
+
+
+def _accepted(record: WriteRecord, _: Mapping[str, Any]) -> WriteRecord:
+    return WriteRecord(accepted=True, intervals=record.intervals)
+
+
+def _send(record: WriteRecord, data: Mapping[str, Any]) -> WriteRecord:
+    if record.of(data["name"]) is not None:
+        return dataclasses.replace(record, sent=_replace_sent(record, data["name"], None))
+    sent = Sent(data["name"], data["old"], data["new"], ParameterKind(data["kind"]), data["session"])
+    return dataclasses.replace(record, sent=(*record.sent, sent))
+
+
+def _confirmed(record: WriteRecord, data: Mapping[str, Any]) -> WriteRecord:
+    return dataclasses.replace(record, sent=_replace_sent(record, data["name"], data["value"]))
+
+
+def _unconfirmed(record: WriteRecord, data: Mapping[str, Any]) -> WriteRecord:
+    return dataclasses.replace(record, sent=_replace_sent(record, data["name"], None))
+
+
+def _undone(record: WriteRecord, data: Mapping[str, Any]) -> WriteRecord:
+    done = _confirmed(record, data)
+    return dataclasses.replace(done, undone=record.undone | {data["name"]})
+
+
+def _restored(record: WriteRecord, data: Mapping[str, Any]) -> WriteRecord:
+    done = _confirmed(record, data)
+    return dataclasses.replace(done, restored=record.restored | {data["name"]})
+
+
+def _left(record: WriteRecord, data: Mapping[str, Any]) -> WriteRecord:
+    done = _confirmed(record, data)
+    return dataclasses.replace(done, left={**record.left, data["name"]: data["value"]})
+
+
+def _streams(record: WriteRecord, data: Mapping[str, Any]) -> WriteRecord:
+    # The first announcement holds the intervals as they were before us.
+    new = {int(k): int(v) for k, v in data["intervals"].items()}
+    return dataclasses.replace(record, intervals={**new, **record.intervals})
+
+
+def _roll_back(record: WriteRecord, data: Mapping[str, Any]) -> WriteRecord:
+    return dataclasses.replace(record, rolling_back=record.rolling_back or str(data["because"]), closed=False)
+
+
+def _commanded(record: WriteRecord, data: Mapping[str, Any]) -> WriteRecord:
+    return dataclasses.replace(record, commanded=record.commanded | {int(data["index"])})
+
+
+def _flag(**flags: Any) -> Any:
+    return lambda record, _: dataclasses.replace(record, **flags)
+
+
+_FOLDS: Mapping[Step, Any] = {
+    Step.ACCEPTED: _accepted,
+    Step.STREAMS: _streams,
+    Step.STREAMS_RESTORED: _flag(intervals={}),
+    Step.SNAPSHOT: _flag(),
+    Step.SEND: _send,
+    Step.ECHO: _confirmed,
+    Step.READ_BACK: _flag(read_back=True),
+    Step.REBOOT: _flag(reboot_announced=True),
+    Step.REBOOTED: _flag(rebooted=True),
+    Step.VERIFIED: _flag(verified=True),
+    Step.COMMAND: _flag(),
+    Step.COMMANDED: _commanded,
+    Step.RESTORE: _unconfirmed,
+    Step.RESTORED: _restored,
+    Step.ROLL_BACK: _roll_back,
+    Step.UNDO: _unconfirmed,
+    Step.UNDONE: _undone,
+    Step.LEFT: _left,
+    Step.STOPPED: _flag(),
+    Step.CLOSED: _flag(closed=True),
+}

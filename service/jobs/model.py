@@ -1,0 +1,114 @@
+"""What a job is: one frozen value, and the one function that moves it on."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from calib.firmware.plan import Fingerprint, Value, Verification, WritePlan
+from calib.fit import FitResult
+from calib.procedures.protocol import Progress, Prompt
+from service.errors import IllegalTransition
+from service.jobs.states import JobState, may_follow
+
+
+@dataclass(frozen=True)
+class Result:
+    """The job reached its goal; `text` says what was reached."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Failure:
+    """The job did not reach its goal: why, and what helps."""
+
+    code: str
+    cause: str
+    remedy: str
+
+
+Outcome = Result | Failure
+
+
+@dataclass(frozen=True)
+class Span:
+    """A closed span of a telemetry log."""
+
+    path: Path
+    start_byte: int
+    end_byte: int
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What is known of one parameter that a job has written, or may have."""
+
+    name: str
+    old: Value
+    new: Value
+    value: Value | None
+    """The last value heard; None: none since the last PARAM_SET left."""
+    certain: bool
+    """False: a PARAM_SET may still have changed it since; it holds `old` or `new` then."""
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Accept:
+    """What the operator agreed to."""
+
+    plan_sha256: str
+    reboot: bool = False
+    """Restart the vehicle where the plan needs it; otherwise the operator is asked to."""
+    prove_s: float = 120.0
+    """How long to wait for the movements that prove the rest, in seconds of the vehicle's clock; 0: not at all."""
+    actor: str = "operator"
+
+
+@dataclass(frozen=True)
+class Job:
+    """One calibration of one vehicle. Times are wall-clock seconds since 1970.
+
+    `results` and `plan` exist from ``review`` on; `verification` from the end of ``verifying`` on; `standing` lists
+    parameters whose state is in doubt or was left to a third party.
+    """
+
+    id: str
+    vehicle_id: str
+    kind: str
+    options: Mapping[str, Any]
+    state: JobState
+    created_at: float
+    updated_at: float
+    fingerprint: Fingerprint | None = None
+    progress: Progress | None = None
+    prompt: Prompt | None = None
+    outcome: Outcome | None = None
+    results: tuple[FitResult, ...] = ()
+    plan: WritePlan | None = None
+    accept: Accept | None = None
+    verification: Verification | None = None
+    segments: tuple[Span, ...] = ()
+    standing: tuple[Standing, ...] = ()
+    warnings: tuple[str, ...] = ()
+    context: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    """What a re-fit needs besides the segment: instances, answers with their times (JSON-able)."""
+
+
+def advance(job: Job, to: JobState, at: float, **changes: Any) -> Job:
+    """The job in state `to`; the only function that changes a state.
+
+    Raises
+    ------
+    IllegalTransition
+        If the table has no such step.
+    """
+    if not may_follow(job.state, to):
+        raise IllegalTransition(f"job {job.id} is {job.state}: it cannot become {to}")
+    return dataclasses.replace(job, state=to, updated_at=max(at, job.updated_at), **changes)

@@ -1,0 +1,36 @@
+"""Times and limits of the job engine. Wall-clock seconds, except where the vehicle's clock is named."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+
+@dataclass(frozen=True)
+class JobSettings:
+    """How patient the engine is."""
+
+    settle_s: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({"ardupilot": 1.2, "px4": 6.0}))
+    """From the last echo to the read-back. ArduPilot saves in an I/O thread within 1 s; PX4 saves after 0.3 to 2 s, and
+    its ``gyro_calibration`` rewrites CAL_GYRO0 5 s after the last change (FLIGHT_CONTROLLERS 3.1, 10)."""
+    check_s: float = 3.0
+    """Length of the stream windows before and after a write, seconds of the vehicle's clock."""
+    window_timeout_s: float = 20.0
+    """How long such a window may take."""
+    gap_limit_s: float = 60.0
+    """How long a capture outlives the loss of its vehicle."""
+    return_limit_s: float = 60.0
+    """How long a job waits after a restart of the service for its vehicle to come back."""
+    reboot_timeout_s: float = 60.0
+    """From our restart command until the vehicle answers again."""
+    operator_reboot_s: float = 1800.0
+    """How long the operator has to restart the vehicle."""
+    set_attempts: int = 3
+    """PARAM_SET rounds a parameter (each with the vehicle layer's own retries) before the write is given up."""
+    watch_s: float = 0.1
+    """How often preconditions are looked at while something is under way."""
+    retry_s: float = 2.0
+    """Between two attempts to resolve a job in doubt."""
+    progress_s: float = 0.5
+    """Between two progress events of a job."""

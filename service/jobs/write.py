@@ -1,0 +1,189 @@
+"""Writing a plan to a vehicle: fresh snapshot, one parameter after the other in the plan's order, read-back.
+
+Everything that is sent is announced in the journal before and confirmed after, so that a crash at any instant leaves
+enough to finish or to take back (:mod:`service.jobs.transaction`).
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Protocol
+
+from calib.firmware.fingerprint import fingerprint
+from calib.firmware.plan import Change, ParameterKind, Value, Verification, WritePlan, snapshot_sha256
+from service.errors import ParameterMissing, PlanBlocked, PlanChanged, WriteFailed
+from service.jobs.crashpoints import At, CrashPoint, nowhere
+from service.jobs.guard import Guard
+from service.jobs.handle import JobHandle
+from service.jobs.journal import Step, same
+from service.jobs.model import Accept
+from service.jobs.port import JobVehicle, Reading
+from service.jobs.settings import JobSettings
+from service.store.rows import SnapshotPurpose
+
+READS_IN_FLIGHT = 5
+"""ArduPilot queues 20 reads and answers 5 at a time; what exceeds that is dropped (FLIGHT_CONTROLLERS 3.1)."""
+
+
+class PhysicalCheck(Protocol):
+    """Looks at the stream before and after a write (DESIGN 6, rule 4)."""
+
+    async def before(self, guard: Guard) -> None:
+        """Keep a window of the stream under the old parameters."""
+        ...
+
+    async def after(self, guard: Guard, values: Mapping[str, Value]) -> Verification:
+        """Judge the stream under the new parameters, `values`; may ask the operator for movements."""
+        ...
+
+
+@dataclass
+class Writing:
+    """What every part of a write transaction works with."""
+
+    handle: JobHandle
+    vehicle: JobVehicle
+    plan: WritePlan
+    accept: Accept
+    check: PhysicalCheck
+    settings: JobSettings = field(default_factory=JobSettings)
+    reach: CrashPoint = nowhere
+    guard: Guard = field(init=False)
+    heard: dict[str, Value] = field(init=False, default_factory=dict)
+    """Values heard since the last PARAM_SET of each name; not proof, a late echo may be among them."""
+
+    def __post_init__(self) -> None:
+        self.guard = Guard(self.vehicle, self.settings.watch_s)
+
+    def hear(self, reading: Reading) -> None:
+        """Take note of a PARAM_VALUE."""
+        self.heard[reading.name] = reading.value
+
+    async def set(self, name: str, value: Value, kind: ParameterKind) -> Value:
+        """Write one parameter under the guard; returns what the vehicle confirmed."""
+        self.heard.pop(name, None)
+        return (await self.guard.run(partial(self.vehicle.set_parameter, name, value, kind))).value
+
+    async def get(self, name: str) -> Value:
+        """Read one parameter under the guard."""
+        return (await self.guard.run(partial(self.vehicle.read_parameter, name))).value
+
+    @property
+    def settle_s(self) -> float:
+        """How long the autopilot takes to save what was written, s."""
+        return self.settings.settle_s.get(self.plan.fingerprint.autopilot, max(self.settings.settle_s.values()))
+
+
+async def read_values(vehicle: JobVehicle, names: Iterable[str]) -> dict[str, Reading]:
+    """Fresh values of `names`, a few requests at a time. Raises ParameterMissing or ParameterTimeout."""
+    gate = asyncio.Semaphore(READS_IN_FLIGHT)
+
+    async def one(name: str) -> Reading:
+        async with gate:
+            return await vehicle.read_parameter(name)
+
+    wanted = tuple(dict.fromkeys(names))
+    try:
+        async with asyncio.TaskGroup() as group:
+            tasks = [group.create_task(one(name)) for name in wanted]
+    except ExceptionGroup as errors:
+        raise errors.exceptions[0] from None
+    return {name: task.result() for name, task in zip(wanted, tasks, strict=True)}
+
+
+async def prepare(w: Writing) -> None:
+    """Make sure that the plan still fits the vehicle, and keep the old values. Nothing is sent to be changed.
+
+    Raises
+    ------
+    PlanBlocked, PlanChanged
+        With what is in the way, or what differs.
+    """
+    if w.plan.blockers:
+        raise PlanBlocked("the plan may not be written: " + "; ".join(w.plan.blockers))
+    kept = w.handle.store.snapshot(w.handle.id, SnapshotPurpose.COMPOSED_ON)
+    composed_on: Mapping[str, Value] = {} if kept is None else kept.body
+    identity = await w.guard.run(w.vehicle.identify)
+    names = [*composed_on, *(change.name for change in w.plan.changes)]
+    try:
+        fresh = await w.guard.run(partial(read_values, w.vehicle, names))
+    except ParameterMissing as error:
+        raise PlanChanged(f"the vehicle no longer has {error.name}: plan again") from error
+    now = {name: fresh[name].value for name in composed_on}
+    differing = [f"{n} was {composed_on[n]:g} and is {v:g}" for n, v in now.items() if v != composed_on[n]]
+    if differing:
+        raise PlanChanged(f"parameters changed since the plan was made: {', '.join(differing)}. Plan again")
+    if snapshot_sha256(now) != w.plan.snapshot_sha256 or fingerprint(identity, now) != w.plan.fingerprint:
+        raise PlanChanged
+    _check_kinds(w.plan, fresh)
+    await _keep_snapshot(w, {change.name: fresh[change.name] for change in w.plan.changes})
+
+
+def _check_kinds(plan: WritePlan, fresh: Mapping[str, Reading]) -> None:
+    wrong = [f"{c.name} is {fresh[c.name].kind}, not {c.kind}" for c in plan.changes if fresh[c.name].kind != c.kind]
+    if wrong:
+        raise PlanChanged(f"the vehicle's types are not those of the plan: {', '.join(wrong)}. Plan again")
+
+
+async def _keep_snapshot(w: Writing, old: Mapping[str, Reading]) -> None:
+    body = {name: {"value": reading.value, "kind": reading.kind.value} for name, reading in old.items()}
+    digest = snapshot_sha256({name: reading.value for name, reading in old.items()})
+    store = w.handle.store
+    await asyncio.to_thread(store.add_snapshot, w.handle.id, w.handle.now(), SnapshotPurpose.BEFORE_WRITE, digest, body)
+    await w.handle.record(Step.SNAPSHOT, sha256=digest)
+    w.reach(At.SNAPSHOT_KEPT)
+
+
+async def send_all(w: Writing) -> None:
+    """Write every parameter of the plan in its order. Raises WriteStopped, ParameterError."""
+    kept = w.handle.store.snapshot(w.handle.id, SnapshotPurpose.BEFORE_WRITE)
+    if kept is None:
+        raise WriteFailed("there is no snapshot of the old values: nothing is written")
+    for change in w.plan.changes:
+        w.guard.check()
+        old = kept.body[change.name]["value"]
+        await w.handle.record(
+            Step.SEND, name=change.name, old=old, new=change.new, kind=change.kind.value, session=change.session
+        )
+        w.reach(At.BEFORE_SEND)
+        value = await w.set(change.name, change.new, change.kind)
+        w.reach(At.AFTER_ECHO)
+        await w.handle.record(Step.ECHO, name=change.name, value=value)
+        w.reach(At.ECHO_KEPT)
+
+
+async def read_back(w: Writing) -> dict[str, Value]:
+    """Wait until the vehicle has saved, then read everything again.
+
+    Raises
+    ------
+    WriteFailed
+        Naming every parameter that does not hold its new value.
+    """
+    await w.guard.sleep(w.settle_s)
+    values = await current_values(w)
+    check_in_place(w.plan.changes, values)
+    await w.handle.record(Step.READ_BACK)
+    w.reach(At.READ_BACK)
+    return values
+
+
+async def current_values(w: Writing) -> dict[str, Value]:
+    """Fresh values of the plan's parameters, under the guard."""
+    names = [change.name for change in w.plan.changes]
+    readings = await w.guard.run(partial(read_values, w.vehicle, names))
+    return {name: reading.value for name, reading in readings.items()}
+
+
+def check_in_place(changes: Iterable[Change], values: Mapping[str, Value]) -> None:
+    """Raise WriteFailed naming every change whose new value is not among `values`."""
+    wrong = [
+        f"{c.name} holds {values[c.name]:.9g} instead of {c.new:.9g}"
+        for c in changes
+        if not same(values[c.name], c.new, c.kind)
+    ]
+    if wrong:
+        raise WriteFailed(f"the read-back differs: {', '.join(wrong)}")

@@ -1,0 +1,157 @@
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from calib.firmware.fingerprint import fingerprint
+from calib.firmware.plan import (
+    AfterWrite,
+    Change,
+    ParameterKind,
+    ParameterVerdict,
+    Value,
+    Verdict,
+    Verification,
+    WritePlan,
+    snapshot_sha256,
+)
+from service.jobs.crashpoints import At, nowhere
+from service.jobs.guard import Guard
+from service.jobs.handle import JobHandle
+from service.jobs.journal import Step
+from service.jobs.model import Accept, Job
+from service.jobs.settings import JobSettings
+from service.jobs.states import JobState
+from service.jobs.transaction import Transaction
+from service.jobs.write import Writing
+from service.store import SqliteStore
+from service.store.rows import SnapshotPurpose
+from service.testing import FakeVehicle
+
+QUICK = JobSettings(
+    settle_s={"ardupilot": 0.0, "px4": 0.0},
+    watch_s=0.001,
+    retry_s=0.001,
+    reboot_timeout_s=0.2,
+    operator_reboot_s=0.2,
+)
+
+OLD = {"INS_GYROFFS_X": 0.0, "INS_GYROFFS_Y": 0.001, "INS_GYROFFS_Z": 0.0, "INS_GYR_ID": 1000.0, "FLAG": 1.0}
+NEW = {"INS_GYROFFS_X": 0.01, "INS_GYROFFS_Y": -0.02, "INS_GYROFFS_Z": 0.005}
+
+
+class Killed(BaseException):
+    """The process ends here."""
+
+
+@dataclass
+class FakeCheck:
+    """A physical check that says what the vehicle holds, without a stream."""
+
+    deaf: set[str] = field(default_factory=set)
+
+    async def before(self, guard: Guard) -> None:
+        guard.check()
+
+    async def after(self, guard: Guard, values: Mapping[str, Value]) -> Verification:
+        guard.check()
+
+        def verdict(name: str) -> Verdict:
+            return Verdict.CONTRADICTED if name in self.deaf else Verdict.PROVED
+
+        return Verification(tuple(ParameterVerdict(n, verdict(n), 1.0, 0.1, "", "") for n in values if n in NEW))
+
+
+def float32(value: float) -> float:
+    return float(np.float32(value))
+
+
+def make_plan(vehicle: FakeVehicle, *, session: bool = False, reboot: bool = False, command: bool = True) -> WritePlan:
+    old = vehicle.values()
+    changes = [
+        Change(n, old[n], float32(v), ParameterKind.REAL32, "offset", sd=1e-4, needs_reboot=reboot)
+        for n, v in NEW.items()
+    ]
+    if session:
+        changes.insert(0, Change("FLAG", 1.0, 0.0, ParameterKind.REAL32, "off for now", session=True))
+    return WritePlan(
+        fingerprint(vehicle.identity, old),
+        snapshot_sha256(old),
+        tuple(changes),
+        after=(AfterWrite(241, (0.0, 0.0, 0.0, 0.0, 76.0, 0.0, 0.0), "marks"),) if command else (),
+    )
+
+
+@dataclass
+class Bench:
+    """A job that was accepted, its vehicle, and a way to run or to resume its write."""
+
+    vehicle: FakeVehicle
+    store: SqliteStore
+    plan: WritePlan
+    handle: JobHandle
+    accept: Accept
+    check: FakeCheck
+    reach: Callable[[At], None] = nowhere
+
+    def attempt(self) -> Writing:
+        return Writing(self.handle, self.vehicle, self.plan, self.accept, self.check, QUICK, self.reach)
+
+    @property
+    def transaction(self) -> Transaction:
+        return Transaction(self.handle, self.attempt, QUICK.retry_s)
+
+    @property
+    def state(self) -> JobState:
+        return self.handle.job.state
+
+    async def apply(self) -> None:
+        await self.handle.record(Step.ACCEPTED)
+        await self.transaction.apply()
+
+    def restarted(self) -> Bench:
+        """The service after a crash: only the store and the vehicle are left."""
+        row = self.store.job(self.handle.id)
+        assert row is not None
+        from service.jobs.codec import job_from_row
+
+        handle = JobHandle(job_from_row(row), self.store, lambda _: None)
+        return Bench(self.vehicle, self.store, self.plan, handle, self.accept, self.check)
+
+    def held(self) -> dict[str, Value]:
+        return {n: self.vehicle.values()[n] for n in NEW}
+
+
+async def until(condition: Callable[[], bool], seconds: float = 5.0) -> None:
+    """Let the loop run until `condition` holds."""
+    async with asyncio.timeout(seconds):
+        while not condition():  # noqa: ASYNC110 - the condition is about the whole world, not about one event
+            await asyncio.sleep(0.001)
+
+
+MakeBench = Callable[..., Bench]
+
+
+@pytest.fixture
+def make_bench() -> Iterator[MakeBench]:
+    stores: list[SqliteStore] = []
+
+    def make(*, session: bool = False, reboot: bool = False, command: bool = True, accept_reboot: bool = True) -> Bench:
+        vehicle = FakeVehicle.with_floats(OLD)
+        store = SqliteStore(None)
+        stores.append(store)
+        plan = make_plan(vehicle, session=session, reboot=reboot, command=command)
+        job = Job("j1", vehicle.id, "gyro", {}, JobState.APPLYING, 0.0, 0.0, fingerprint=plan.fingerprint, plan=plan)
+        handle = JobHandle(job, store, lambda _: None)
+        handle.change("state", {})
+        store.add_snapshot("j1", 0.0, SnapshotPurpose.COMPOSED_ON, plan.snapshot_sha256, vehicle.values())
+        accept = Accept(plan.sha256, reboot=accept_reboot)
+        return Bench(vehicle, store, plan, handle, accept, FakeCheck())
+
+    yield make
+    for store in stores:
+        store.close()

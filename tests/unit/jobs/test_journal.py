@@ -1,0 +1,104 @@
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from calib.firmware.plan import Change, Fingerprint, ParameterKind, Value, WritePlan
+from service.jobs.journal import Next, Step, decide, fold, same, standing
+from service.store.rows import JournalRow
+
+REAL = ParameterKind.REAL32
+
+
+def plan(*, session: bool = False, reboot: bool = False) -> WritePlan:
+    changes = (
+        Change("S", 1, 0, ParameterKind.INT32, "off", session=True),
+        Change("A", 0.0, 0.5, REAL, "offset", needs_reboot=reboot),
+        Change("B", 0.0, 0.25, REAL, "offset"),
+    )
+    return WritePlan(Fingerprint("px4", "u", "1", ()), "0" * 64, changes if session else changes[1:])
+
+
+def rows(*steps: tuple[Step, dict[str, Any]]) -> list[JournalRow]:
+    return [JournalRow(i, "j", 0.0, step.value, data) for i, (step, data) in enumerate(steps)]
+
+
+def send(name: str, new: Value = 0.5, old: Value = 0.0, *, session: bool = False) -> tuple[Step, dict[str, Any]]:
+    kind = "int32" if session else "real32"
+    return Step.SEND, {"name": name, "old": old, "new": new, "kind": kind, "session": session}
+
+
+def echo(name: str, value: Value = 0.5) -> tuple[Step, dict[str, Any]]:
+    return Step.ECHO, {"name": name, "value": value}
+
+
+ACCEPTED: tuple[Step, dict[str, Any]] = (Step.ACCEPTED, {})
+ALL = (ACCEPTED, send("A"), echo("A"), send("B", 0.25), echo("B", 0.25))
+NEW = {"A": 0.5, "B": 0.25}
+
+
+@pytest.mark.parametrize(
+    ("steps", "values", "expected"),
+    [
+        ((ACCEPTED,), {}, Next.NOTHING_SENT),
+        ((ACCEPTED, (Step.SNAPSHOT, {"sha256": "0"})), {}, Next.NOTHING_SENT),
+        ((ACCEPTED, send("A")), {"A": 0.0}, Next.ROLL_BACK),
+        ((ACCEPTED, send("A")), {"A": 0.5}, Next.ROLL_BACK),  # B was never sent
+        (ALL, NEW, Next.VERIFY),
+        (ALL[:-1], NEW, Next.VERIFY),  # the echo was lost with the crash; the vehicle says it is there
+        (ALL, {"A": 0.5, "B": 0.0}, Next.ROLL_BACK),
+        (ALL, {"A": 0.5, "B": 0.7}, Next.ROLL_BACK),  # somebody else's value
+        ((*ALL, (Step.ROLL_BACK, {"because": "x"})), NEW, Next.ROLL_BACK),  # never forward again
+        ((*ALL, (Step.VERIFIED, {})), NEW, Next.FINISH),
+        ((*ALL, (Step.VERIFIED, {})), {"A": 0.5, "B": 0.7}, Next.ROLL_BACK),
+    ],
+)
+def test_what_follows(steps: tuple[tuple[Step, dict[str, Any]], ...], values: dict[str, Value], expected: Next) -> None:
+    assert decide(fold(rows(*steps)), plan(), values) == expected
+
+
+def test_a_reboot_is_asked_for_once() -> None:
+    assert decide(fold(rows(*ALL)), plan(reboot=True), NEW) == Next.REBOOT
+    assert decide(fold(rows(*ALL, (Step.REBOOT, {}))), plan(reboot=True), NEW) == Next.REBOOT
+    assert decide(fold(rows(*ALL, (Step.REBOOT, {}), (Step.REBOOTED, {}))), plan(reboot=True), NEW) == Next.VERIFY
+
+
+def test_a_session_setting_may_be_back_once_the_write_is_verified() -> None:
+    steps = (ACCEPTED, send("S", 0, 1, session=True), echo("S", 0), *ALL[1:])
+    back = {**NEW, "S": 1}
+    assert decide(fold(rows(*steps)), plan(session=True), back) == Next.ROLL_BACK
+    assert decide(fold(rows(*steps, (Step.VERIFIED, {}))), plan(session=True), back) == Next.FINISH
+    third = fold(rows(*steps, (Step.VERIFIED, {}), (Step.RESTORED, {"name": "S", "value": 7})))
+    assert decide(third, plan(session=True), {**NEW, "S": 7}) == Next.FINISH
+
+
+def test_a_new_accept_begins_anew_but_owes_the_message_rates() -> None:
+    record = fold(rows((Step.STREAMS, {"intervals": {"26": 0}}), *ALL, (Step.ROLL_BACK, {"because": "x"}), ACCEPTED))
+    assert (record.sent, record.rolling_back) == ((), None)
+    assert record.intervals == {26: 0}
+
+
+def test_the_first_rates_are_the_ones_to_restore() -> None:
+    record = fold(
+        rows((Step.STREAMS, {"intervals": {"26": 0}}), (Step.STREAMS, {"intervals": {"26": 20000, "27": -1}}))
+    )
+    assert record.intervals == {26: 0, 27: -1}
+    assert fold(rows((Step.STREAMS, {"intervals": {"26": 0}}), (Step.STREAMS_RESTORED, {}))).intervals == {}
+
+
+def test_standing_is_certain_only_where_the_vehicle_confirmed_and_nothing_else_was_heard() -> None:
+    record = fold(rows(ACCEPTED, send("A"), echo("A"), send("B", 0.25)))
+    by_name = {s.name: s for s in standing(record, {})}
+    assert (by_name["A"].value, by_name["A"].certain) == (0.5, True)
+    assert (by_name["B"].value, by_name["B"].certain) == (None, False)
+    late = {s.name: s for s in standing(record, {"A": 0.9, "B": 0.0})}
+    assert (late["A"].value, late["A"].certain) == (0.9, False)
+    assert (late["B"].value, late["B"].certain) == (0.0, False)  # may be an echo from before the PARAM_SET
+
+
+def test_values_are_compared_as_they_are_on_the_wire() -> None:
+    assert same(0.1, 0.10000000149011612, REAL)
+    assert not same(0.1, 0.10000001639127731, REAL)  # the next float32
+    assert same(-8388000, -8388000, ParameterKind.INT32)
+    assert not same(16777217, 16777216, ParameterKind.INT32)

@@ -1,0 +1,332 @@
+from __future__ import annotations
+
+import asyncio
+from contextlib import suppress
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from calib.recording import Identity
+from service.errors import DiskFull
+from service.jobs.crashpoints import At
+from service.jobs.journal import Step
+from service.jobs.model import Failure, Result
+from service.jobs.states import JobState
+
+from .conftest import NEW, OLD, QUICK, Bench, Killed, MakeBench, float32, until
+
+EXPECTED = {name: float32(value) for name, value in NEW.items()}
+BEFORE = {name: float32(OLD[name]) for name in NEW}
+
+
+async def test_a_good_write_is_written_read_back_checked_and_closed(make_bench: MakeBench) -> None:
+    bench = make_bench()
+    await bench.apply()
+    assert bench.state == JobState.SUCCEEDED
+    assert bench.held() == EXPECTED
+    assert [name for name, _ in bench.vehicle.sets] == list(NEW)  # the plan's order, each once
+    assert bench.vehicle.commands == [241]
+    assert isinstance(bench.handle.job.outcome, Result)
+    steps = [row.step for row in bench.store.journal("j1")]
+    assert steps[:4] == ["accepted", "snapshot", "send", "echo"]
+    assert steps[-4:] == ["verified", "command", "commanded", "closed"]
+
+
+async def test_the_snapshot_is_kept_and_the_send_announced_before_anything_is_sent(make_bench: MakeBench) -> None:
+    bench = make_bench()
+    seen: list[tuple[int, list[str]]] = []
+    bench.vehicle.before_set = lambda n: seen.append((n, [row.step for row in bench.store.journal("j1")]))
+    await bench.apply()
+    for number, steps in seen:
+        assert "snapshot" in steps
+        assert steps.count("send") == number
+        assert steps.count("echo") == number - 1
+
+
+async def test_session_settings_come_back(make_bench: MakeBench) -> None:
+    bench = make_bench(session=True)
+    await bench.apply()
+    assert bench.state == JobState.SUCCEEDED
+    assert bench.vehicle.values()["FLAG"] == 1.0
+    assert bench.vehicle.sets[0] == ("FLAG", 0.0)
+    assert bench.vehicle.sets[-1] == ("FLAG", 1.0)
+
+
+@pytest.mark.parametrize(
+    "trouble",
+    [{"armed": True}, {"calibrating": True}, {"obstacles": ("it flies",)}, {"conflict": "two of them"}],
+    ids=["armed", "calibrating", "flying", "conflict"],
+)
+async def test_nothing_is_sent_to_a_vehicle_that_is_not_ready(make_bench: MakeBench, trouble: dict[str, Any]) -> None:
+    bench = make_bench()
+    bench.vehicle.change_state(**trouble)
+    await bench.apply()
+    assert bench.state == JobState.REVIEW
+    assert bench.vehicle.sets == []
+    assert isinstance(bench.handle.job.outcome, Failure)
+    assert bench.handle.job.outcome.code == "write-stopped"
+
+
+@pytest.mark.parametrize("case", ["value", "identity", "missing"])
+async def test_a_plan_for_something_else_is_not_written(make_bench: MakeBench, case: str) -> None:
+    bench = make_bench()
+    if case == "value":
+        bench.vehicle.store("INS_GYR_ID", 77.0)
+    elif case == "identity":
+        bench.vehicle.identity = Identity("ardupilot", 2, (4, 8, 0), "00112233", 1, 1)
+    else:
+        del bench.vehicle.parameters["INS_GYR_ID"]
+    await bench.apply()
+    assert bench.state == JobState.REVIEW
+    assert bench.vehicle.sets == []
+    assert isinstance(bench.handle.job.outcome, Failure)
+    assert bench.handle.job.outcome.code == "plan-changed"
+    assert "lan again" in bench.handle.job.outcome.cause
+
+
+async def test_a_parameter_without_an_answer_takes_everything_back(make_bench: MakeBench) -> None:
+    bench = make_bench()
+    bench.vehicle.before_set = lambda n: bench.vehicle.mute.add("INS_GYROFFS_Z") if n == 2 else None
+
+    def speak_again(at: At) -> None:
+        if at == At.ROLLBACK_BEGUN:
+            bench.vehicle.mute.clear()
+
+    bench.reach = speak_again
+    await bench.apply()
+    assert bench.state == JobState.REVERTED
+    assert bench.held() == BEFORE
+    assert bench.vehicle.sets[-2:] == [  # in reverse order
+        ("INS_GYROFFS_Y", BEFORE["INS_GYROFFS_Y"]),
+        ("INS_GYROFFS_X", BEFORE["INS_GYROFFS_X"]),
+    ]
+    assert isinstance(bench.handle.job.outcome, Failure)
+
+
+async def test_echoed_but_not_stored_is_found_by_the_read_back(make_bench: MakeBench) -> None:
+    bench = make_bench()
+    bench.vehicle.deaf.add("INS_GYROFFS_Y")
+    await bench.apply()
+    assert bench.state == JobState.REVERTED
+    assert bench.held() == BEFORE
+
+
+async def test_stored_but_without_effect_is_found_by_the_stream(make_bench: MakeBench) -> None:
+    bench = make_bench()
+    bench.check.deaf.add("INS_GYROFFS_Y")
+    await bench.apply()
+    assert bench.state == JobState.REVERTED
+    assert bench.held() == BEFORE
+    assert isinstance(bench.handle.job.outcome, Failure)
+    assert "INS_GYROFFS_Y" in bench.handle.job.outcome.cause
+
+
+async def test_a_refused_command_takes_everything_back(make_bench: MakeBench) -> None:
+    bench = make_bench()
+    bench.vehicle.refused_commands.add(241)
+    await bench.apply()
+    assert bench.state == JobState.REVERTED
+    assert bench.held() == BEFORE
+
+
+@pytest.mark.parametrize("trouble", [{"armed": True}, {"silent": True}, {"conflict": "two"}, {"reboots": 1}])
+async def test_trouble_in_the_middle_stops_at_once(make_bench: MakeBench, trouble: dict[str, Any]) -> None:
+    bench = make_bench()
+    bench.vehicle.after_set = lambda n: bench.vehicle.change_state(**trouble) if n == 2 else None
+    running = asyncio.create_task(bench.apply())
+    if "reboots" not in trouble:
+        await until(lambda: bench.state == JobState.IN_DOUBT)
+        sent = len(bench.vehicle.sets)
+        await asyncio.sleep(0.01)
+        assert len(bench.vehicle.sets) == sent == 2  # nothing more, for as long as it lasts
+        true = bench.held()
+        for known in bench.handle.job.standing:
+            assert known.value == true[known.name] if known.certain else true[known.name] in (known.old, known.new)
+        bench.vehicle.change_state(armed=False, silent=False, conflict=None)
+    await running
+    assert bench.state == JobState.REVERTED
+    assert bench.held() == BEFORE
+
+
+async def test_armed_after_the_last_parameter_ends_well(make_bench: MakeBench) -> None:
+    bench = make_bench()
+    bench.vehicle.after_set = lambda n: bench.vehicle.change_state(armed=True) if n == 3 else None
+    running = asyncio.create_task(bench.apply())
+    await until(lambda: bench.state == JobState.IN_DOUBT)
+    bench.vehicle.change_state(armed=False)
+    await running
+    assert bench.state == JobState.SUCCEEDED
+    assert bench.held() == EXPECTED
+
+
+async def test_a_third_partys_value_is_left_and_named(make_bench: MakeBench) -> None:
+    bench = make_bench()
+    bench.vehicle.after_set = lambda n: bench.vehicle.store("INS_GYROFFS_X", 0.125) if n == 3 else None
+    await bench.apply()
+    assert bench.state == JobState.REVERTED
+    assert bench.held() == {**BEFORE, "INS_GYROFFS_X": 0.125}
+    assert [(s.name, s.value) for s in bench.handle.job.standing] == [("INS_GYROFFS_X", 0.125)]
+    assert any("INS_GYROFFS_X" in text for text in bench.handle.job.warnings)
+
+
+async def test_revert_of_a_finished_write(make_bench: MakeBench) -> None:
+    bench = make_bench()
+    await bench.apply()
+    bench.handle.move(JobState.ROLLING_BACK)
+    await bench.transaction.revert()
+    assert bench.state == JobState.REVERTED
+    assert bench.held() == BEFORE
+    assert isinstance(bench.handle.job.outcome, Result)
+
+
+async def test_our_own_restart_is_waited_for(make_bench: MakeBench) -> None:
+    bench = make_bench(reboot=True)
+
+    def reach(at: At) -> None:
+        if at == At.REBOOT_SENT:
+            asyncio.get_running_loop().call_later(0.02, lambda: bench.vehicle.change_state(reboots=1))
+
+    bench.reach = reach
+    await bench.apply()
+    assert bench.vehicle.commands == [246, 241]
+    assert bench.state == JobState.SUCCEEDED
+
+
+async def test_the_operator_is_asked_to_restart(make_bench: MakeBench) -> None:
+    bench = make_bench(reboot=True, accept_reboot=False)
+    running = asyncio.create_task(bench.apply())
+    await until(lambda: bench.handle.job.prompt is not None)
+    assert bench.handle.job.prompt is not None
+    assert bench.state == JobState.WAITING_FOR_REBOOT
+    assert bench.handle.job.prompt.step == "reboot"
+    bench.vehicle.change_state(reboots=1)
+    await running
+    assert bench.state == JobState.SUCCEEDED
+    assert bench.vehicle.commands == [241]
+    assert bench.handle.job.prompt is None
+
+
+async def test_a_full_disk_before_a_send_takes_back_what_was_sent(make_bench: MakeBench) -> None:
+    bench = make_bench()
+    page_limit = bench.store._read("PRAGMA max_page_count")[0][0]
+
+    def full(n: int) -> None:
+        if n == 1:
+            pages = bench.store._read("PRAGMA page_count")[0][0]
+            bench.store._read(f"PRAGMA max_page_count = {pages}")
+            while True:  # use up what is left of the last page
+                try:
+                    bench.store.add_event("j1", 0.0, "filler", {"x": "y" * 50})
+                except DiskFull:
+                    return
+
+    bench.vehicle.after_set = full
+    await bench.apply()
+    assert bench.held() == BEFORE
+    assert bench.state == JobState.REVERTED
+    bench.store._read(f"PRAGMA max_page_count = {page_limit}")
+
+
+CRASHES = [at for at in At if at not in (At.CAPTURE_STARTED, At.CAPTURE_CLOSED, At.FITTED, At.ACCEPTED)]
+
+
+def _kill_at(bench: Bench, at: At, occurrence: int) -> list[At]:
+    struck: list[At] = []
+    count = 0
+
+    def reach(now: At) -> None:
+        nonlocal count
+        count += now == at
+        if now == at and count == occurrence:
+            struck.append(now)
+            raise Killed
+
+    bench.reach = reach
+    return struck
+
+
+async def _resumed(bench: Bench) -> Bench:
+    """What the service does with a job at its start."""
+    again = bench.restarted()
+    if again.state not in (JobState.SUCCEEDED, JobState.REVERTED, JobState.REVIEW):
+        if again.state != JobState.IN_DOUBT:
+            again.handle.move(JobState.IN_DOUBT)
+        await again.transaction.resolve()
+    return again
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    first=st.sampled_from(CRASHES),
+    first_at=st.integers(1, 4),
+    second=st.sampled_from([*CRASHES, None]),
+    deaf=st.booleans(),
+    third_party=st.integers(0, 4),
+    session=st.booleans(),
+)
+def test_killed_anywhere_twice_it_ends_verified_or_as_before(
+    make_bench: MakeBench,
+    first: At,
+    first_at: int,
+    second: At | None,
+    deaf: bool,
+    third_party: int,
+    session: bool,
+) -> None:
+    async def run() -> Bench:
+        bench = make_bench(session=session)
+        if deaf:
+            bench.check.deaf.add("INS_GYROFFS_Y")
+        if third_party:
+            bench.vehicle.after_set = lambda n: (
+                bench.vehicle.store("INS_GYROFFS_X", 0.125) if n == third_party else None
+            )
+        _kill_at(bench, first, first_at)
+        with suppress(Killed):
+            await bench.apply()
+        again = bench.restarted()
+        if second is not None and again.state in (
+            JobState.APPLYING,
+            JobState.VERIFYING,
+            JobState.ROLLING_BACK,
+            JobState.IN_DOUBT,
+        ):
+            _kill_at(again, second, 1)
+            if again.state != JobState.IN_DOUBT:
+                again.handle.move(JobState.IN_DOUBT)
+            with suppress(Killed):
+                await again.transaction.resolve()
+        return await _resumed(again)
+
+    bench = asyncio.run(run())
+    held = bench.held()
+    foreign = {n: v for n, v in held.items() if v not in (BEFORE[n], EXPECTED[n])}
+    assert set(foreign) <= {"INS_GYROFFS_X"}
+    if bench.state == JobState.SUCCEEDED:
+        assert held == EXPECTED
+        assert not deaf
+    else:
+        assert bench.state in (JobState.REVERTED, JobState.REVIEW)
+        assert {n: v for n, v in held.items() if n not in foreign} == {
+            n: v for n, v in BEFORE.items() if n not in foreign
+        }
+        if bench.state == JobState.REVIEW:
+            assert bench.vehicle.sets == []
+    assert bench.vehicle.values()["FLAG"] == 1.0
+
+
+def test_settings_give_each_autopilot_time_to_save() -> None:
+    from service.jobs.settings import JobSettings
+
+    patient = JobSettings()
+    assert patient.settle_s["ardupilot"] >= 1.0  # its I/O thread
+    assert patient.settle_s["px4"] > 5.0  # gyro_calibration rewrites 5 s after the last change
+    assert QUICK.settle_s["px4"] == 0.0
+
+
+def test_every_step_is_understood_by_recovery() -> None:
+    from service.jobs.journal import _FOLDS
+
+    assert set(_FOLDS) == set(Step)
