@@ -1,0 +1,83 @@
+"""Somebody who does with a simulated vehicle what a prompt asks for.
+
+Prompts are the plain data that the service sends: ``step``, ``pose``, ``remaining``, ``rotate``, ``direction`` …
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from service.simvehicle.client import SimulatedVehicle
+
+FACES = ("level", "left", "right", "nose_down", "nose_up", "back")
+
+
+class Operator:
+    """Holds, turns and warms one simulated vehicle.
+
+    Args:
+        vehicle: whom to move.
+        warm_from, warm_to: degC of the warm-up.
+        warm_tau_s: its time constant, vehicle seconds.
+        tumble_dps: how fast the vehicle is turned for its compass.
+    """
+
+    def __init__(
+        self,
+        vehicle: SimulatedVehicle,
+        *,
+        warm_from: float = 20.0,
+        warm_to: float = 62.0,
+        warm_tau_s: float = 100.0,
+        tumble_dps: float = 45.0,
+    ) -> None:
+        self._vehicle = vehicle
+        self._warm_up = {"start": warm_from, "end": warm_to, "tau_s": warm_tau_s}
+        self._tumble_dps = tumble_dps
+        self._doing: object = None
+
+    def follow(self, prompt: Mapping[str, Any] | None) -> None:
+        """Do what `prompt` asks for; None and prompts that ask for nothing new change nothing.
+
+        Raises:
+            ControlError: the vehicle has gone.
+        """
+        if prompt is None:
+            return
+        if prompt["rotate"]:
+            self._once("tumble", "tumble", rate_dps=self._tumble_dps)
+        elif prompt["step"] == "warm_up":
+            self._once("warm_up", "warm_up", **self._warm_up)
+        elif prompt["pose"] is not None or prompt["remaining"]:
+            self._hold(prompt)
+        elif prompt["step"] in {"hold_still", "confirm"} and self._doing == "tumble":
+            self._once("still", "still")
+
+    def rest(self) -> None:
+        """Put the vehicle down, level and untouched."""
+        self._once("rest", "hold", pose=[0.0, 0.0, 0.0], tilt_deg=0.0, tremor_deg=0.0)
+
+    def _hold(self, prompt: Mapping[str, Any]) -> None:
+        wanted = prompt["pose"] or prompt["remaining"][0]
+        if wanted in FACES:
+            self._once(("hold", wanted), "hold", pose=wanted)
+            return
+        direction = prompt["direction"]
+        if direction is not None:  # without one: hold on to what is being held
+            self._once(("oblique", tuple(direction)), "hold", pose=_attitude(direction))
+
+    def _once(self, what: object, do: str, **options: Any) -> None:
+        if self._doing != what:
+            self._vehicle.call(do, **options)
+            self._doing = what
+
+
+def _attitude(down: Sequence[float]) -> list[float]:
+    """Roll, pitch and yaw (deg) in which the body direction `down` points to the ground.
+
+    Down in the body is (-sin pitch, sin roll cos pitch, cos roll cos pitch).
+    """
+    x, y, z = down
+    return [math.degrees(math.atan2(y, z)), math.degrees(math.atan2(-x, math.hypot(y, z))), 0.0]
