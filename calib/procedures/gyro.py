@@ -1,0 +1,207 @@
+"""The gyro's zero-rate offset, from a vehicle at rest.
+
+Rest is judged by the accelerometer as well, and a steady turn is not rest: one about a level axis turns gravity, one
+about the vertical turns the compass's field; without a compass only its rate tells, and the result says so.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import numpy as np
+
+from calib.fit import FitResult, FitStatus
+from calib.gyro import fit_gyro_rest
+from calib.procedures.context import ProcedureContext
+from calib.procedures.motion import Verdict, statistics
+from calib.procedures.pool import Pool, Tail
+from calib.procedures.protocol import Done, Progress, Prompt
+from calib.procedures.results import annotated, mean_temperature
+from calib.procedures.roster import Frame, Instance, label
+from calib.procedures.spec import Holds, Option, Options, ProcedureSpec
+from calib.procedures.ticked import TickedProcedure
+from calib.recording import Array, Sensor
+
+SPEC = ProcedureSpec(
+    kind="gyro",
+    title="Gyro offset at rest",
+    sensors=(Sensor.GYRO, Sensor.ACCEL),
+    helpful=(Sensor.TEMPERATURE, Sensor.MAG),
+    options=(
+        Option("uncertainty", 0.01, "standard deviation to reach on every axis of every gyro", "deg/s", 0.001, 1.0),
+        Option("patience", 120.0, "gives up after this time without rest", "s", 10.0, 3600.0),
+    ),
+    needs="the vehicle lying still on a firm surface; its attitude does not matter",
+    ends_on="standard deviation of the offset on every axis of every gyro (0.01 deg/s), or the stream's resolution",
+    autopilots={
+        "ardupilot": Holds(
+            writes=("INS_GYROFFS_*, INS_GYR2OFFS_*, INS_GYR3OFFS_*", "INS_GYRn_CALTEMP"),
+            cannot_represent=("gyro scale", "gyro misalignment", "offsets that survive a boot while INS_GYR_CAL = 1"),
+        ),
+        "px4": Holds(
+            writes=("CAL_GYROn_XOFF, _YOFF, _ZOFF",),
+            cannot_represent=("gyro scale", "gyro misalignment", "a change below 0.01 rad/s before the next boot"),
+        ),
+    },
+    duration_s=10.0,
+    aliases=("gyro-rest",),
+)
+
+GUARD_TICKS = 2
+"""Half a second before a movement was noticed is not rest either."""
+
+SHORTEST = 5.0
+"""Least time at rest, s: a compass then sees a turn of half a degree per second, and slow disturbances show."""
+
+STALL = 10.0
+"""Rest without getting nearer to the goal, s: more time does not help, the stream's resolution limits it."""
+
+FIELD_CHANGE = 0.3
+"""Least change of a compass's field that counts as a turn, uT: three steps of a stream in mgauss."""
+
+
+class GyroProcedure(TickedProcedure):
+    """Collects samples of one undisturbed rest until the offsets are known as well as asked for."""
+
+    spec: ClassVar[ProcedureSpec] = SPEC
+
+    def __init__(self, options: Options, context: ProcedureContext) -> None:
+        super().__init__(options, context)
+        self._target = math.radians(options["uncertainty"])
+        self._why = "no samples yet"
+        self._begin_rest()
+
+    def _begin_rest(self) -> None:
+        self._pool = Pool((Sensor.GYRO, Sensor.ACCEL, Sensor.MAG, Sensor.TEMPERATURE))
+        self._tail = Tail(GUARD_TICKS)
+        self._field = FieldWatch()
+        self._rest = self._judged_at = self._better_at = 0.0
+        self._best = math.inf
+
+    def _on_start(self, present: set[Instance]) -> None:
+        self._say(Prompt("hold_still", "Put the vehicle on a firm surface and do not touch it."))
+
+    def _on_tick(self, start: float, end: float, frame: Frame) -> None:
+        verdict = self._watch.update(frame)
+        turned = self._field.update(frame) if verdict.counted else ""
+        if not verdict.still or turned:
+            self._disturbed(verdict.why or turned)
+        elif verdict.counted:
+            self._collect(frame, end - start)
+        if self.outcome is None:
+            self._tell(verdict)
+
+    def _disturbed(self, why: str) -> None:
+        self._why = why
+        self._watch.reset()
+        self._begin_rest()
+        self._say(Prompt("hold_still", f"Not at rest: {why}. Leave the vehicle alone on a firm surface."))
+        if self.elapsed >= self.options["patience"]:
+            self._give_up(
+                f"no rest that is long enough within {self.elapsed:.0f} s: {why}",
+                "put the vehicle on a firm surface away from people and engines, then start again",
+            )
+
+    def _collect(self, frame: Frame, seconds: float) -> None:
+        self._say(Prompt("hold_still", "At rest: leave the vehicle alone.", stable=True))
+        kept = self._tail.push(frame)
+        if kept is None:
+            return
+        self._pool.add(kept)
+        self._rest += seconds
+        if self._rest >= SHORTEST and self._rest - self._judged_at >= 1.0:
+            self._judged_at = self._rest
+            self._judge()
+
+    def _judge(self) -> None:
+        fits = tuple(self._fit(i) for i in self.present(Sensor.GYRO))
+        refusal = next((f for f in fits if f.status == FitStatus.REFUSED), None)
+        if refusal is not None:
+            self._disturbed(f"{label(Sensor.GYRO, refusal.instance)}: {refusal.message}")
+            return
+        reached = max(float(np.nanmax(f.sd[:3])) for f in fits)
+        if reached < 0.98 * self._best:
+            self._best, self._better_at = reached, self._rest
+        if reached <= self._target:
+            self._end(fits, f"every offset is known to {math.degrees(reached):.4f} deg/s or better")
+        elif self._rest - self._better_at >= max(STALL, 0.1 * self._rest):
+            # The deviation of a mean falls by 5 % while the time grows by 10 %, unless the bins are too coarse.
+            limit = f"{math.degrees(reached):.4f} deg/s, not {math.degrees(self._target):.4f}"
+            self._warn(f"the resolution of the stream allows {limit}: a longer rest does not help")
+            self._end(fits, f"the resolution of the stream allows {limit}")
+
+    def _fit(self, instance: int) -> FitResult:
+        return fit_gyro_rest(
+            self._pool.channel((Sensor.GYRO, instance)),
+            accel=self._pool.get((Sensor.ACCEL, instance)),
+            mag=next((self._pool.get((Sensor.MAG, i)) for i in self.present(Sensor.MAG)), None),
+            temperature=mean_temperature(self._pool, instance),
+            relative=self.context.relative,
+        )
+
+    def _end(self, fits: tuple[FitResult, ...], because: str) -> None:
+        self._dropped_rows()
+        if not self._field.seen:
+            self._warn(
+                "no compass streamed: a slow steady turn about the vertical would look like an offset; "
+                "be sure that the vehicle stood still"
+            )
+        results = tuple(annotated(f, self.context, self.warnings) for f in fits)
+        self._finish(Done(results, because))
+
+    def _tell(self, verdict: Verdict) -> None:
+        known = math.isfinite(self._best)
+        # The standard deviation of a mean falls with the square root of the time.
+        eta = self._rest * max((self._best / self._target) ** 2 - 1.0, 0.0) if known and verdict.counted else None
+        text = f"at rest for {self._rest:.0f} s" if verdict.still else self._why
+        detail = {"rest_s": self._rest, "warnings": self.warnings[:]}
+        current = math.degrees(self._best) if known else 0.0
+        self._report(Progress(current, math.degrees(self._target), "deg/s", text, eta, detail))
+
+    def _missing(self) -> tuple[str, str]:
+        if not math.isfinite(self._best):
+            return (
+                f"the last rest was {self._rest:.1f} s long ({self._why})",
+                f"leave the vehicle alone for {SHORTEST + 1.0:.0f} s or more",
+            )
+        return (
+            f"the offsets are known to {math.degrees(self._best):.4f} deg/s, not to {math.degrees(self._target):.4f}",
+            "let it rest longer, or ask for less",
+        )
+
+
+class FieldWatch:
+    """The compasses' view of a turn: a field that has changed since the rest began."""
+
+    def __init__(self) -> None:
+        self.seen = False
+        self._first: dict[Instance, list[Array]] = {}
+        self._latest: dict[Instance, list[Array]] = {}
+
+    def update(self, frame: Frame) -> str:
+        """Take a tick at rest; what turned, or nothing."""
+        for instance, channel in frame.items():
+            if instance[0] != Sensor.MAG:
+                continue
+            self.seen = True
+            first = self._first.setdefault(instance, [])
+            latest = self._latest.setdefault(instance, [])
+            (first if len(first) < _FIELD_TICKS else latest).append(channel.values)
+            del latest[:-_FIELD_TICKS]
+            if len(latest) == _FIELD_TICKS:
+                change = _change(np.vstack(first), np.vstack(latest))
+                if change:
+                    return f"{label(*instance)} sees the field change by {change:.1f} uT: a turn, or something magnetic"
+        return ""
+
+
+_FIELD_TICKS = 8
+
+
+def _change(before: Array, after: Array) -> float:
+    """Change of the mean field, uT, where it is one; else 0."""
+    a, b = statistics(before), statistics(after)
+    error = np.sqrt(a.spread**2 / max(a.n - 1, 1) + b.spread**2 / max(b.n - 1, 1))
+    change = np.abs(a.mean - b.mean)
+    return float(change.max()) if (change > np.maximum(FIELD_CHANGE, 6.0 * error)).any() else 0.0

@@ -1,0 +1,99 @@
+"""One hold of one pose: its samples, and how well the length of its mean specific force is known."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.procedures.pool import Pool, Tail
+from calib.procedures.poses import angle
+from calib.procedures.protocol import Pose
+from calib.procedures.roster import Frame
+from calib.recording import Array, Sensor
+from calib.stillness import PoseMean, Still, pose_means
+
+GUARD_TICKS = 1
+"""A quarter of a second before a movement was noticed is not part of the hold."""
+
+SHORTEST = 2.0
+"""A hold is at least this long, s: a tremor of 1 Hz and more averages out."""
+
+LONGEST = 20.0
+"""A hold is taken as it is after this time, s: nobody holds a pose for longer."""
+
+CREEP = math.radians(8.0)
+"""A hold whose direction has crept this far is another pose."""
+
+
+class Hold:
+    """Collects the ticks of a hold."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+        self.direction: Array | None = None
+        self._pool = Pool((Sensor.ACCEL, Sensor.GYRO, Sensor.TEMPERATURE))
+        self._tail = Tail(GUARD_TICKS)
+        self._lengths: dict[int, list[float]] = {}
+
+    def add(self, frame: Frame, seconds: float, direction: Array) -> None:
+        """Take a still tick in which `direction` points down."""
+        if self.direction is None:
+            self.direction = direction
+        kept = self._tail.push(frame)
+        if kept is None:
+            return
+        self._pool.add(kept)
+        self.seconds += seconds
+        for (sensor, instance), channel in kept.items():
+            if sensor == Sensor.ACCEL:
+                self._lengths.setdefault(instance, []).append(float(np.linalg.norm(channel.values.mean(axis=0))))
+
+    def crept(self, direction: Array) -> bool:
+        """Whether `direction` is another pose than the one that this hold began with."""
+        return self.direction is not None and angle(self.direction, direction) > CREEP
+
+    @property
+    def error(self) -> float:
+        """Standard error of the mean's length over the worst accelerometer, m/s2.
+
+        From the scatter of the ticks' means, so that a tremor's slow part counts; |C (m - b)| = g sees lengths only.
+        """
+        series = self._lengths.values()
+        if not series or min(map(len, series)) < 4:
+            return math.inf
+        return max(float(np.std(s, ddof=1)) / math.sqrt(len(s)) for s in series)
+
+    def complete(self, goal: float) -> bool:
+        """Whether the hold may end."""
+        return self.seconds >= LONGEST or (self.seconds >= SHORTEST and self.error <= goal)
+
+    def mean(self, instance: int) -> PoseMean | None:
+        """Mean of one accelerometer over the hold; None: it gave too few samples."""
+        if (Sensor.ACCEL, instance) not in self._pool:
+            return None
+        accel = self._pool.channel((Sensor.ACCEL, instance))
+        still = Still(float(accel.t[0]), float(np.nextafter(accel.t[-1], np.inf)), None, None)
+        gyro, temperature = (
+            self._pool.channel((sensor, instance)) if (sensor, instance) in self._pool else None
+            for sensor in (Sensor.GYRO, Sensor.TEMPERATURE)
+        )
+        means = pose_means(accel, (still,), gyro=gyro, temperature=temperature)
+        return means[0] if means else None
+
+
+@dataclass(frozen=True, eq=False)
+class TakenPose:
+    """A pose that was held long enough: the mean specific force of every accelerometer."""
+
+    number: int
+    pose: Pose
+    direction: Array
+    means: dict[int, PoseMean]
+
+
+def taken(hold: Hold, number: int, pose: Pose, direction: Array, instances: tuple[int, ...]) -> TakenPose:
+    """The pose that `hold` gives for the accelerometers `instances`."""
+    means = {i: hold.mean(i) for i in instances}
+    return TakenPose(number, pose, direction, {i: m for i, m in means.items() if m is not None})

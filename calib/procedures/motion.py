@@ -1,0 +1,189 @@
+"""Whether the vehicle is still, tick by tick, and what moves if it is not.
+
+The live judgement that prompts and collection rest on; :mod:`calib.stillness` finds still spans in recordings. It
+looks at every unit's accelerometer and gyro, because each sees what the other cannot: a steady turn leaves the gyro's
+spread small, a turn about the vertical leaves the accelerometer alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.gyro import LARGEST_BIAS
+from calib.procedures.roster import Frame, Instance, label
+from calib.recording import Array, Sensor
+
+_AXES = "xyz"
+
+
+@dataclass(frozen=True)
+class StillLimits:
+    """Bounds on one tick, per axis. Wander: how far a tick's mean may lie from the mean of the last seconds."""
+
+    accel_wander: float
+    gyro_wander: float
+    accel_spread: float
+    gyro_spread: float
+    rate: float
+    """Largest plausible zero-rate offset plus what the hold allows, rad/s."""
+
+
+RESTING = StillLimits(
+    accel_wander=0.06, gyro_wander=math.radians(0.25), accel_spread=0.6, gyro_spread=0.06, rate=LARGEST_BIAS
+)
+"""On a firm surface: 0.35 deg of tilt, and noise up to six times a poor sensor's."""
+
+HELD = StillLimits(
+    accel_wander=0.7,
+    gyro_wander=math.radians(12),
+    accel_spread=1.2,
+    gyro_spread=math.radians(20),
+    rate=math.radians(35),
+)
+"""In human hands: 4 deg of wander and a tremor of some deg/s."""
+
+REFERENCE_TICKS = 20
+"""The mean that a tick is compared with reaches back 5 s, so that a slow thermal drift is no movement."""
+
+SETTLE_TICKS = 3
+"""A run of still ticks counts from its fourth tick on: the first ones may hold the end of the movement."""
+
+
+@dataclass(frozen=True, eq=False)
+class TickStatistics:
+    """Mean, standard deviation and number of one sensor's samples in one tick."""
+
+    mean: Array
+    spread: Array
+    n: int
+
+
+def statistics(values: Array) -> TickStatistics:
+    """Of `values` with shape (n, 3)."""
+    mean = values.mean(axis=0)
+    deviation = values - mean
+    return TickStatistics(mean, np.sqrt((deviation * deviation).mean(axis=0)), len(values))
+
+
+class _Reference:
+    """Mean over the last ticks of one sensor, and the standard error that noise gives to one tick's mean."""
+
+    def __init__(self) -> None:
+        self._means = np.zeros((REFERENCE_TICKS, 3))
+        self._errors = np.zeros((REFERENCE_TICKS, 3))
+        self._count = 0
+        self.mean = np.zeros(3)
+        self.error = np.zeros(3)
+
+    def add(self, tick: TickStatistics) -> None:
+        row = self._count % REFERENCE_TICKS
+        self._means[row] = tick.mean
+        self._errors[row] = tick.spread / math.sqrt(max(tick.n - 1, 1))
+        self._count += 1
+        rows = min(self._count, REFERENCE_TICKS)
+        self.mean = self._means[:rows].mean(axis=0)
+        self.error = self._errors[:rows].mean(axis=0)
+
+    def clear(self) -> None:
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a tick belongs to a still run.
+
+    `ticks` counts the run's ticks so far, `why` says what moves (empty while still).
+    """
+
+    still: bool
+    ticks: int
+    why: str
+
+    @property
+    def counted(self) -> bool:
+        """Whether the tick is still and the run past its settling time."""
+        return self.still and self.ticks > SETTLE_TICKS
+
+
+class StillWatch:
+    """Judges tick after tick against the run of still ticks before it."""
+
+    def __init__(self, limits: StillLimits, inertial: Iterable[Instance]) -> None:
+        self._limits = limits
+        self._references = {i: _Reference() for i in inertial if i[0] in (Sensor.ACCEL, Sensor.GYRO)}
+        self._ticks = 0
+        self.latest: dict[Instance, TickStatistics] = {}
+        """Statistics of the last tick."""
+
+    def drop(self, instance: Instance) -> None:
+        """Look at this instance no more."""
+        self._references.pop(instance, None)
+        self.latest.pop(instance, None)
+
+    def reset(self) -> None:
+        """Begin a new run."""
+        self._ticks = 0
+        for reference in self._references.values():
+            reference.clear()
+
+    def mean(self, instance: Instance) -> Array:
+        """Mean over the last seconds of the present run."""
+        return self._references[instance].mean
+
+    def update(self, frame: Frame) -> Verdict:
+        """Take a tick."""
+        self.latest = {i: statistics(frame[i].values) for i in self._references if i in frame}
+        if not self.latest:
+            self.reset()
+            return Verdict(still=False, ticks=0, why="no samples come in")
+        ratio, why = max((self._judge(i, tick) for i, tick in self.latest.items()), key=lambda r: r[0])
+        if ratio > 1.0:
+            self.reset()
+        still = ratio <= 1.0
+        self._ticks += 1
+        for instance, tick in self.latest.items():
+            self._references[instance].add(tick)
+        return Verdict(still, self._ticks if still else 0, "" if still else why)
+
+    def _judge(self, instance: Instance, tick: TickStatistics) -> tuple[float, str]:
+        """How far beyond its bounds the tick is (above 1: not still), and in words."""
+        accel = instance[0] == Sensor.ACCEL
+        limits = self._limits
+        checks = [self._spread(instance, tick, limits.accel_spread if accel else limits.gyro_spread)]
+        if not accel:
+            checks.append(self._rate(instance, tick))
+        if len(self._references[instance]):
+            checks.append(self._wander(instance, tick, limits.accel_wander if accel else limits.gyro_wander))
+        return max(checks, key=lambda r: r[0])
+
+    def _spread(self, instance: Instance, tick: TickStatistics, bound: float) -> tuple[float, str]:
+        axis = int(tick.spread.argmax())
+        amount = _in_words(instance[0], float(tick.spread[axis]))
+        return float(tick.spread[axis]) / bound, f"{label(*instance)} sees shaking of {amount} along {_AXES[axis]}"
+
+    def _rate(self, instance: Instance, tick: TickStatistics) -> tuple[float, str]:
+        rate = float(np.linalg.norm(tick.mean))
+        axis = int(np.abs(tick.mean).argmax())
+        text = f"{label(*instance)} sees a turn of {math.degrees(rate):.1f} deg/s, mostly about {_AXES[axis]}"
+        return rate / self._limits.rate, text
+
+    def _wander(self, instance: Instance, tick: TickStatistics, bound: float) -> tuple[float, str]:
+        reference = self._references[instance]
+        deviation = np.abs(tick.mean - reference.mean)
+        # Noise alone moves a tick's mean: five of its standard errors are no movement.
+        allowed = np.maximum(bound, 5.0 * reference.error)
+        axis = int((deviation / allowed).argmax())
+        verb = "turns" if instance[0] == Sensor.GYRO else "is tilted or pushed"
+        text = f"the vehicle {verb}: {label(*instance)} changed by {_in_words(instance[0], float(deviation[axis]))}"
+        return float(deviation[axis] / allowed[axis]), f"{text} along {_AXES[axis]}"
+
+
+def _in_words(sensor: Sensor, amount: float) -> str:
+    return f"{amount:.2f} m/s2" if sensor == Sensor.ACCEL else f"{math.degrees(amount):.1f} deg/s"

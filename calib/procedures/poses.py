@@ -1,0 +1,102 @@
+"""Poses: recognised from gravity, counted, and the next one that would tell most."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from calib.procedures.protocol import Pose
+from calib.recording import Array
+
+FACES = (Pose.LEVEL, Pose.LEFT, Pose.RIGHT, Pose.NOSE_DOWN, Pose.NOSE_UP, Pose.BACK)
+
+DOWN = {
+    Pose.LEVEL: (0.0, 0.0, 1.0),
+    Pose.LEFT: (0.0, -1.0, 0.0),
+    Pose.RIGHT: (0.0, 1.0, 0.0),
+    Pose.NOSE_DOWN: (1.0, 0.0, 0.0),
+    Pose.NOSE_UP: (-1.0, 0.0, 0.0),
+    Pose.BACK: (0.0, 0.0, -1.0),
+}
+"""The body direction (FRD) that points down in each face."""
+
+TEXTS = {
+    Pose.LEVEL: "level",
+    Pose.LEFT: "on its left side",
+    Pose.RIGHT: "on its right side",
+    Pose.NOSE_DOWN: "nose down",
+    Pose.NOSE_UP: "nose up",
+    Pose.BACK: "on its back",
+    Pose.OBLIQUE: "tilted between two or three faces",
+}
+
+FACE_WITHIN = math.radians(22.0)
+"""A hand holds a face to better than this; beyond it the pose is oblique. Half of the angle between a face and the
+edge between two faces."""
+
+APART = math.radians(20.0)
+"""Oblique poses nearer to each other than this count once."""
+
+_CANDIDATES = np.array([v for v in itertools.product((-1.0, 0.0, 1.0), repeat=3) if np.count_nonzero(v) > 1])
+_CANDIDATES /= np.linalg.norm(_CANDIDATES, axis=1)[:, None]
+
+
+def down(specific_force: Array) -> Array:
+    """Unit vector of the body direction that points down: at rest the specific force points up."""
+    return np.asarray(-specific_force / np.linalg.norm(specific_force), dtype=np.float64)
+
+
+def angle(a: Array, b: Array) -> float:
+    """Between two unit vectors, rad."""
+    return math.acos(float(np.clip(a @ b, -1.0, 1.0)))
+
+
+def recognise(direction: Array) -> Pose:
+    """The face that `direction` (unit, points down) belongs to, or an oblique pose.
+
+    >>> recognise(np.array([0.1, 0.0, 0.995]))
+    <Pose.LEVEL: 'level'>
+    """
+    nearest = max(FACES, key=lambda face: float(np.dot(DOWN[face], direction)))
+    return nearest if angle(np.array(DOWN[nearest]), direction) <= FACE_WITHIN else Pose.OBLIQUE
+
+
+def remaining(taken: Iterable[Array], obliques: int) -> tuple[Pose, ...]:
+    """Faces that no direction of `taken` belongs to, and as many oblique poses as are missing of `obliques`."""
+    directions = list(taken)
+    poses = {recognise(d) for d in directions}
+    faces = tuple(face for face in FACES if face not in poses)
+    return faces + (Pose.OBLIQUE,) * max(0, obliques - len(distinct_obliques(directions)))
+
+
+def distinct_obliques(directions: Iterable[Array]) -> list[Array]:
+    """The oblique directions that lie at least :data:`APART` from each other."""
+    kept: list[Array] = []
+    for direction in directions:
+        if recognise(direction) == Pose.OBLIQUE and all(angle(direction, k) >= APART for k in kept):
+            kept.append(direction)
+    return kept
+
+
+def suggest(taken: Sequence[Array]) -> tuple[float, float, float]:
+    """The oblique direction farthest from all that were taken, as the body direction to point down."""
+    if not taken:
+        best = _CANDIDATES[0]
+    else:
+        nearest = (_CANDIDATES @ np.array(taken).T).max(axis=1)
+        best = _CANDIDATES[int(np.round(nearest, 6).argmin())]
+    return float(best[0]), float(best[1]), float(best[2])
+
+
+def in_words(direction: Sequence[float]) -> str:
+    """The sides of the vehicle that point down, in words.
+
+    >>> in_words((0.7, -0.7, 0.0))
+    'the nose and the left side'
+    """
+    names = (("the nose", "the tail"), ("the right side", "the left side"), ("the belly", "the top"))
+    parts = [names[i][0 if x > 0 else 1] for i, x in enumerate(direction) if abs(x) > 0.35]
+    return " and ".join([", ".join(parts[:-1]), parts[-1]] if len(parts) > 1 else parts)

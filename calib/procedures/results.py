@@ -1,0 +1,23 @@
+"""Finishing touches that every procedure's fits share."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+
+from calib.fit import FitResult
+from calib.procedures.context import ProcedureContext
+from calib.procedures.pool import Pool
+from calib.recording import Sensor
+
+
+def mean_temperature(pool: Pool, instance: int) -> float | None:
+    """Mean temperature of an inertial unit over what was kept, degC; None: it does not stream."""
+    key = (Sensor.TEMPERATURE, instance)
+    return float(pool.channel(key).values.mean()) if key in pool else None
+
+
+def annotated(fit: FitResult, context: ProcedureContext, warnings: Iterable[str]) -> FitResult:
+    """The fit with the capture's warnings, and `relative` if the calibration in force is unknown."""
+    extra = tuple(w for w in warnings if w not in fit.warnings)
+    return dataclasses.replace(fit, warnings=fit.warnings + extra, relative=fit.relative or context.relative)

@@ -1,0 +1,131 @@
+"""Which channel speaks for which sensor instance, and which instances fall out on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from calib.procedures.intake import TICK, Key, Tick
+from calib.recording import Array, Channel, Sensor
+
+Instance = tuple[Sensor, int]
+Frame = dict[Instance, Channel]
+"""The samples of one tick, one channel an instance."""
+
+ROSTER = 2.0
+"""How long the streams are watched before it is settled which channel speaks for an instance, s."""
+
+ROSTER_EXPECTED = 5.0
+"""How long an expected instance that does not stream is waited for, s."""
+
+LOST_TICKS = round(5.0 / TICK)
+"""An instance without new values for 5 s while others stream is lost."""
+
+STUCK_TICKS = round(2.0 / TICK)
+"""Exact repeats over 2 s where the sensor must have changed: it is frozen."""
+
+MOVED = {Sensor.ACCEL: 1.0, Sensor.GYRO: 0.2, Sensor.MAG: 3.0}
+"""A change of a tick's mean by more than this is a movement, not noise; m/s2, rad/s, uT."""
+
+EVIDENCE = {
+    Sensor.ACCEL: {Sensor.ACCEL},
+    Sensor.GYRO: {Sensor.ACCEL, Sensor.GYRO},
+    Sensor.MAG: {Sensor.ACCEL, Sensor.GYRO, Sensor.MAG},
+}
+"""Whose movement a sensor must share: a turn about the vertical moves no accelerometer, a current only compasses."""
+
+NAMES = {Sensor.ACCEL: "accelerometer", Sensor.GYRO: "gyro", Sensor.MAG: "compass", Sensor.TEMPERATURE: "thermometer"}
+
+
+def label(sensor: Sensor, instance: int) -> str:
+    """How an operator calls it: instances count from 1 on every ground station's screen.
+
+    >>> label(Sensor.MAG, 0)
+    'compass 1'
+    """
+    return f"{NAMES[sensor]} {instance + 1}"
+
+
+@dataclass(frozen=True)
+class Roster:
+    """The channel key of every instance that takes part."""
+
+    keys: Mapping[Instance, Key]
+
+    def frame(self, tick: Tick) -> Frame:
+        """The tick's samples by instance."""
+        return {i: tick.channels[k] for i, k in self.keys.items() if k in tick.channels}
+
+
+def choose(ticks: Iterable[Tick]) -> Roster:
+    """For every instance the channel with the finest quantum, then the one with more samples.
+
+    The same rule as :meth:`calib.recording.Recording.channel`.
+    """
+    count: dict[Key, int] = {}
+    quantum: dict[Key, float] = {}
+    for tick in ticks:
+        for key, channel in tick.channels.items():
+            count[key] = count.get(key, 0) + len(channel)
+            quantum[key] = channel.quantum
+    best: dict[Instance, Key] = {}
+    for key in sorted(count, key=lambda k: (quantum[k], -count[k], k[2])):
+        best.setdefault((key[0], key[1]), key)
+    return Roster(dict(sorted(best.items())))
+
+
+@dataclass
+class Attendance:
+    """Notices instances that stop, freeze, or were expected and never came."""
+
+    present: set[Instance]
+    _silent: dict[Instance, int] = field(default_factory=dict)
+    _last: dict[Instance, tuple[float, ...]] = field(default_factory=dict)
+    _constant: dict[Instance, int] = field(default_factory=dict)
+    _mean: dict[Instance, Array] = field(default_factory=dict)
+
+    def update(self, frame: Frame) -> tuple[tuple[Instance, str], ...]:
+        """Take a tick; return the instances that fall out with it, each with its reason."""
+        constant = {i for i in self.present & frame.keys() if self._repeats(i, frame[i])}
+        movers = self._movers(frame, constant)
+        out = []
+        for instance in sorted(self.present):
+            if instance not in frame:
+                self._silent[instance] = self._silent.get(instance, 0) + 1
+                if self._silent[instance] >= LOST_TICKS:
+                    out.append((instance, f"{label(*instance)} stopped giving new values"))
+                continue
+            self._silent[instance] = 0
+            # A quiet quantised sensor at rest repeats rightly: only a movement that others saw speaks against it.
+            if instance not in constant:
+                self._constant[instance] = 0
+            elif frame[instance].quantum == 0.0 or any(m[0] in EVIDENCE[instance[0]] for m in movers):
+                self._constant[instance] = self._constant.get(instance, 0) + 1
+                if self._constant[instance] >= STUCK_TICKS:
+                    out.append((instance, f"{label(*instance)} is frozen: it repeats one value"))
+        self.present -= {instance for instance, _ in out}
+        return tuple(out)
+
+    def _repeats(self, instance: Instance, channel: Channel) -> bool:
+        if instance[0] == Sensor.TEMPERATURE:
+            return False
+        values = channel.values
+        first, last = tuple(values[0]), tuple(values[-1])
+        previous = self._last.get(instance)
+        self._last[instance] = last
+        return first == last == previous and bool((values == values[0]).all())
+
+    def _movers(self, frame: Frame, constant: set[Instance]) -> set[Instance]:
+        movers = set()
+        for instance in self.present & frame.keys() - constant:
+            bound = MOVED.get(instance[0])
+            if bound is None:
+                continue
+            mean = frame[instance].values.mean(axis=0)
+            before = self._mean.get(instance)
+            self._mean[instance] = mean
+            if before is not None and np.abs(mean - before).max() > bound:
+                movers.add(instance)
+        return movers

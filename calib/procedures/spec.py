@@ -1,0 +1,98 @@
+"""What a procedure is before it runs: its options, what it needs, ends on, writes and cannot represent.
+
+The specifications are the one place of these facts: the service validates options with them, a panel shows them, and
+``docs/procedures.md`` is generated from them (:mod:`calib.procedures.table`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+from calib.errors import InvalidInputError
+from calib.recording import Sensor
+
+OptionValue = float | bool
+Options = Mapping[str, OptionValue]
+
+
+@dataclass(frozen=True)
+class Option:
+    """A number or a switch that the operator may set when the job is started."""
+
+    name: str
+    default: OptionValue
+    help: str
+    unit: str = ""
+    low: float = -math.inf
+    high: float = math.inf
+
+    def check(self, value: Any) -> OptionValue:
+        """`value` as this option's type.
+
+        Raises
+        ------
+        InvalidInputError
+            If it has another type or lies outside the limits.
+        """
+        if isinstance(self.default, bool):
+            if not isinstance(value, bool):
+                raise InvalidInputError(f"option {self.name} is a switch: give true or false, not {value!r}")
+            return value
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise InvalidInputError(f"option {self.name} is a finite number{self._unit()}, not {value!r}")
+        if not self.low <= value <= self.high:
+            raise InvalidInputError(
+                f"option {self.name} is {value:g}{self._unit()}; it must lie between {self.low:g} and {self.high:g}"
+            )
+        return float(value)
+
+    def _unit(self) -> str:
+        return f" {self.unit}" if self.unit else ""
+
+
+@dataclass(frozen=True)
+class Holds:
+    """What one autopilot keeps of a procedure's result."""
+
+    writes: tuple[str, ...]
+    cannot_represent: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class ProcedureSpec:
+    """A procedure as a row of the table that operators and programs read.
+
+    `sensors` must stream, `helpful` are used where they stream. `duration_s` is the typical length with the default
+    options, in seconds of the vehicle's clock.
+    """
+
+    kind: str
+    title: str
+    sensors: tuple[Sensor, ...]
+    helpful: tuple[Sensor, ...]
+    options: tuple[Option, ...]
+    needs: str
+    ends_on: str
+    autopilots: Mapping[str, Holds]
+    duration_s: float
+    aliases: tuple[str, ...] = dataclasses.field(default=())
+
+    def validated(self, options: Mapping[str, Any]) -> Options:
+        """Every option of this procedure, defaults filled in.
+
+        Raises
+        ------
+        InvalidInputError
+            If a name is unknown or a value is out of its limits.
+        """
+        known = {option.name: option for option in self.options}
+        unknown = sorted(set(options) - set(known))
+        if unknown:
+            names = ", ".join(known) or "none"
+            raise InvalidInputError(f"{self.kind} has no option {', '.join(unknown)}; its options are: {names}")
+        return MappingProxyType({n: o.check(options.get(n, o.default)) for n, o in known.items()})

@@ -1,0 +1,46 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.procedures import poses
+from calib.procedures.protocol import Pose
+
+
+@pytest.mark.parametrize(
+    ("roll", "pitch", "pose"),
+    [
+        (0, 0, Pose.LEVEL),
+        (-90, 0, Pose.LEFT),
+        (90, 0, Pose.RIGHT),
+        (0, -90, Pose.NOSE_DOWN),
+        (0, 90, Pose.NOSE_UP),
+        (180, 0, Pose.BACK),
+        (12, -9, Pose.LEVEL),
+        (35, 20, Pose.OBLIQUE),
+        (20, -60, Pose.OBLIQUE),
+    ],
+)
+def test_a_pose_is_recognised_from_the_specific_force(roll, pitch, pose):
+    body_from_ned = Rotation.from_euler("ZYX", [70.0, pitch, roll], degrees=True).inv()
+    force = body_from_ned.apply([0.0, 0.0, -9.80665])
+    assert poses.recognise(poses.down(force)) is pose
+
+
+def test_level_at_rest_points_the_belly_down():
+    assert poses.in_words(poses.down(np.array([0.0, 0.0, -9.8]))) == "the belly"
+
+
+def test_remaining_counts_faces_once_and_oblique_poses_only_where_they_differ():
+    taken = [np.array(poses.DOWN[f]) for f in (Pose.LEVEL, Pose.LEFT, Pose.LEVEL)]
+    tilted = np.array([1.0, 1.0, 0.0]) / np.sqrt(2)
+    left = poses.remaining([*taken, tilted, tilted], 3)
+    assert left == (Pose.RIGHT, Pose.NOSE_DOWN, Pose.NOSE_UP, Pose.BACK, Pose.OBLIQUE, Pose.OBLIQUE)
+
+
+def test_the_suggested_direction_is_far_from_every_taken_one():
+    taken = [np.array([1.0, 1.0, 1.0]) / np.sqrt(3), np.array([0.0, -1.0, 0.0])]
+    suggested = np.array(poses.suggest(taken))
+    assert poses.recognise(suggested) is Pose.OBLIQUE
+    assert max(suggested @ d for d in taken) < 0.0
