@@ -1,0 +1,5 @@
+"""``python -m service`` is ``mavcal``."""
+
+from service.cli import main
+
+main()

@@ -1,0 +1,55 @@
+"""Prompts and progress on a terminal; plain lines where there is none."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+import click
+
+BAR = 28
+
+
+class Screen:
+    """Writes to stderr, so that stdout stays for the answer. On a terminal one line is redrawn."""
+
+    def __init__(self, *, quiet: bool = False) -> None:
+        self._quiet = quiet
+        self._terminal = sys.stderr.isatty()
+        self._open = False
+        self._told: tuple[object, ...] = ()
+
+    def line(self, text: str = "", *, bold: bool = False) -> None:
+        """A line that stays."""
+        if self._quiet:
+            return
+        self._close()
+        click.secho(text, err=True, bold=bold)
+
+    def prompt(self, text: str) -> None:
+        """What the operator is asked to do."""
+        self.line(f"  > {text}", bold=True)
+
+    def progress(self, progress: Mapping[str, Any]) -> None:
+        """A bar; without a terminal, a line at every quarter."""
+        if self._quiet:
+            return
+        target = progress["target"] or 1.0
+        share = min(max(progress["current"] / target, 0.0), 1.0)
+        eta = "" if progress["eta"] is None else f"  {progress['eta']:.0f} s left"
+        if not self._terminal:
+            key = (int(share * 4), progress["unit"])
+            if key != self._told:
+                self._told = key
+                click.echo(f"    {share:4.0%}  {progress['text']}", err=True)
+            return
+        bar = "#" * round(share * BAR)
+        text = f"    [{bar:<{BAR}}] {share:4.0%}  {progress['text']}{eta}"
+        click.echo(f"\r{text[:118]:<118}", nl=False, err=True)
+        self._open = True
+
+    def _close(self) -> None:
+        if self._open:
+            click.echo(err=True)
+            self._open = False

@@ -1,0 +1,251 @@
+"""The demonstration: one vehicle, four calibrations, and the verdict of the simulator's own truth."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from calib.report import fit_from_json, plain
+from service.client import ApiError, ServiceClient
+from service.commands.screen import Screen
+from service.demo.judge import Judgement, SensorReport, judge
+from service.simvehicle.client import SimulatedVehicle
+from service.simvehicle.operator import Operator
+
+Json = dict[str, Any]
+
+KINDS = ("gyro", "accel", "mag", "thermal")
+SPEED = 30.0
+"""Vehicle seconds per wall second."""
+START_C = 22.0
+JOB_TIMEOUT_S = 120.0
+ENDED = frozenset({"succeeded", "reverted", "failed", "cancelled", "interrupted", "in_doubt"})
+
+
+class DemoError(Exception):
+    """A calibration of the demonstration did not end as it should."""
+
+
+@dataclass(frozen=True)
+class DemoResult:
+    """What the demonstration found; `ok` decides the exit code."""
+
+    ok: bool
+    reasons: tuple[str, ...]
+    document: Json
+
+
+def run(autopilot: str, *, seed: int, screen: Screen, keep_open: bool = False, speed: float = SPEED) -> DemoResult:
+    """Calibrate a simulated vehicle and judge the result.
+
+    Raises
+    ------
+    DemoError
+        If a job does not end well, with its own reason.
+    """
+    began = time.monotonic()
+    config = {"temperature_c": START_C}
+    with (
+        tempfile.TemporaryDirectory(prefix="mavcal-demo-") as folder,
+        SimulatedVehicle(autopilot, seed=seed, speed=speed, config=config) as vehicle,
+        _service(vehicle.url, Path(folder)) as url,
+    ):
+        screen.line(f"simulated {autopilot}, seed {seed}, {speed:g} times faster than the clock", bold=True)
+        screen.line(f"the panel shows it live at {url}")
+        demo = _Demo(vehicle, ServiceClient(url), screen)
+        demo.calibrate_all()
+        result = demo.result(time.monotonic() - began)
+        if keep_open:
+            screen.line(f"\nthe panel stays at {url}; stop with Ctrl-C")
+            _wait_for_interrupt()
+    return result
+
+
+class _Demo:
+    def __init__(self, vehicle: SimulatedVehicle, client: ServiceClient, screen: Screen) -> None:
+        self._vehicle = vehicle
+        self._client = client
+        self._screen = screen
+        self._operator = Operator(vehicle, warm_from=START_C)
+        self._truth: Json = vehicle.truth()
+        self._judged: list[Judgement] = []
+        self._jobs: list[Json] = []
+
+    def calibrate_all(self) -> None:
+        vehicle_id = self._found()
+        for kind in KINDS:
+            self._operator.rest()
+            before = self._parameters()
+            job = self._calibrate(vehicle_id, kind)
+            fits = [fit_from_json(fit) for fit in job["results"]]
+            judged = judge(self._truth, fits, before, self._parameters())
+            self._judged.append(judged)
+            self._jobs.append(job)
+            self._show(job, judged)
+
+    def result(self, seconds: float) -> DemoResult:
+        whole = Judgement(tuple(r for j in self._judged for r in j.reports))
+        chi2, freedom, p = whole.joint
+        reasons = []
+        for job in self._jobs:
+            verdicts = job["verification"]["parameters"] if job["verification"] else []
+            unproved = [v["name"] for v in verdicts if v["verdict"] != "proved"]
+            if unproved:
+                reasons.append(f"{job['kind']}: not proved on the stream: {', '.join(unproved)}")
+        if not whole.honest:
+            reasons.append(f"largest |error|/sd {whole.largest_z:.2f}, p-value {p:.2g}: the stated sd is not true")
+        self._screen.line()
+        self._screen.line(
+            f"{freedom} parameters written: largest |error|/sd {whole.largest_z:.2f}, "
+            f"chi2 {chi2:.1f}, p-value {p:.3g}; {seconds:.0f} s",
+            bold=True,
+        )
+        self._screen.line("every parameter is proved on the vehicle" if not reasons else "; ".join(reasons), bold=True)
+        self._screen.line("panel: mavcal serve --connect sim:ardupilot, then http://127.0.0.1:8765/")
+        document = {
+            "ok": not reasons,
+            "reasons": reasons,
+            "seed": self._truth["seed"],
+            "autopilot": self._truth["autopilot"],
+            "seconds": seconds,
+            "largest_z": whole.largest_z,
+            "chi2": chi2,
+            "dof": freedom,
+            "p_value": p,
+            "sensors": [_report_document(r) for r in whole.reports],
+            "jobs": [
+                {k: j[k] for k in ("id", "kind", "state", "warnings", "plan", "verification")} for j in self._jobs
+            ],
+        }
+        return DemoResult(not reasons, tuple(reasons), plain(document))
+
+    def _found(self) -> str:
+        until = time.monotonic() + 20.0
+        while time.monotonic() < until:
+            vehicles = self._client.get("/vehicles")
+            if vehicles and not vehicles[0]["silent"] and vehicles[0]["uid"]:
+                return str(vehicles[0]["id"])
+            time.sleep(0.1)
+        raise DemoError("the service did not find the simulated vehicle within 20 s")
+
+    def _parameters(self) -> dict[str, float]:
+        stored: dict[str, float] = self._vehicle.call("parameters")["stored"]
+        return stored
+
+    def _calibrate(self, vehicle_id: str, kind: str) -> Json:
+        self._screen.line()
+        self._screen.line(kind, bold=True)
+        job = self._client.post(f"/vehicles/{vehicle_id}/jobs", {"kind": kind})
+        state = self._follow(job["id"], until={"review"} | ENDED)
+        if state != "review":
+            raise DemoError(_why(self._client.get(f"/jobs/{job['id']}")))
+        job = self._client.get(f"/jobs/{job['id']}")
+        self._show_plan(job["plan"])
+        self._operator.rest()
+        self._apply(job)
+        state = self._follow(job["id"], until=set(ENDED), after_review=True)
+        job = self._client.get(f"/jobs/{job['id']}")
+        if state != "succeeded":
+            raise DemoError(_why(job))
+        return dict(job)
+
+    def _apply(self, job: Json) -> None:
+        digest = job["plan"]["sha256"]
+        until = time.monotonic() + 10.0
+        while True:
+            try:
+                self._client.post(
+                    f"/jobs/{job['id']}/apply", {"plan_sha256": digest, "reboot": True}, Idempotency_Key=job["id"]
+                )
+            except ApiError as error:
+                if error.problem.get("type", "").endswith("vehicle-armed") and time.monotonic() < until:
+                    time.sleep(0.5)  # disarmed for 2 s on the wall clock is a rule
+                    continue
+                raise DemoError(f"{job['kind']}: {error}") from error
+            return
+
+    def _follow(self, job_id: str, *, until: set[str] | frozenset[str], after_review: bool = False) -> str:
+        """Move the vehicle as the job asks until it reaches one of these states."""
+        left_review = not after_review
+        for _id, _name, event in self._client.events(f"/jobs/{job_id}/events"):
+            data = event["data"]
+            if event["kind"] == "progress":
+                self._screen.progress(data)
+            elif event["kind"] == "prompt" and data and left_review:
+                self._screen.prompt(data["text"])
+                self._operator.follow(data)
+            elif event["kind"] == "state":
+                left_review = left_review or data["state"] == "applying"
+                if left_review and data["state"] in until:
+                    return str(data["state"])
+        raise DemoError(f"the events of job {job_id} ended early")
+
+    def _show_plan(self, plan: Json) -> None:
+        for change in plan["changes"]:
+            old = "-" if change["old"] is None else f"{change['old']:.6g}"
+            sd = "" if change["sd"] is None else f" +- {change['sd']:.2g}"
+            self._screen.line(f"    {change['name']:18} {old:>12} -> {change['new']:.6g}{sd} {change['unit']}")
+        for loss in plan["losses"]:
+            self._screen.line(f"    cannot be held: {loss['text']} ({loss['cost']:.3g} {loss['unit']})")
+        for warning in plan["warnings"]:
+            self._screen.line(f"    note: {warning}")
+
+    def _show(self, job: Json, judged: Judgement) -> None:
+        for report in judged.reports:
+            cross = f"; cannot be held {report.cross:.2g}" if report.cross else ""
+            self._screen.line(
+                f"    {report.sensor.value}[{report.instance}] true error {report.before:.4g} -> {report.after:.3g} "
+                f"{report.unit}{cross}; largest |error|/sd {abs(report.score.standardised).max():.2f}"
+            )
+        verdicts = [v["verdict"] for v in job["verification"]["parameters"]]
+        counts = ", ".join(f"{verdicts.count(v)} {v.replace('_', ' ')}" for v in dict.fromkeys(verdicts))
+        self._screen.line(f"    {job['outcome']['text']} (stream check: {counts})")
+
+
+def _report_document(report: SensorReport) -> Json:
+    document = {k: v for k, v in vars(report).items() if k != "score"}
+    return {**document, "z": report.score.standardised, "chi2": report.score.chi2, "names": report.score.names}
+
+
+def _why(job: Mapping[str, Any]) -> str:
+    outcome = job["outcome"] or {"cause": "no outcome", "remedy": ""}
+    return f"{job['kind']}: {job['state']}: {outcome.get('cause', outcome.get('text'))} {outcome.get('remedy', '')}"
+
+
+@contextmanager
+def _service(connect: str, data_dir: Path) -> Iterator[str]:
+    command = [sys.executable, "-m", "service", "serve", "--json", "--port", "0"]
+    command += ["--connect", connect, "--data-dir", str(data_dir)]
+    log = (data_dir / "service.log").open("wb")
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, cwd=data_dir)  # noqa: S603 - our own module
+    try:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        if not line:
+            said = (data_dir / "service.log").read_text(errors="replace").strip().splitlines()
+            raise DemoError(f"the service did not start: {said[-1] if said else 'it said nothing'}")
+        yield str(json.loads(line)["url"])
+    finally:
+        process.terminate()
+        try:
+            process.wait(timeout=10)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        log.close()
+
+
+def _wait_for_interrupt() -> None:
+    try:
+        while True:
+            time.sleep(3600)
+    except KeyboardInterrupt:
+        return
