@@ -1,0 +1,76 @@
+"""What autopilots do to sensor data and what can be done about it: streams, parameters, undoing, plans, proofs.
+
+The knowledge of each firmware lies in its own modules; what is exported here asks for the autopilot by name
+(``ardupilot`` or ``px4``, as in :class:`calib.recording.Identity`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import FirmwareError
+from calib.firmware import ardupilot, px4
+from calib.firmware.names import CALIBRATION_PREFIXES, Role
+from calib.firmware.plan import Value
+from calib.firmware.streams import Assembler, requested_streams
+from calib.firmware.undo import Undo, calibration_changes, undo
+from calib.recording import Sensor
+from calib.triad import TriadModel
+
+__all__ = [
+    "CALIBRATION_PREFIXES",
+    "Assembler",
+    "Undo",
+    "calibration_changes",
+    "calibration_in_force",
+    "calibration_names",
+    "mounting",
+    "requested_streams",
+    "sensor_ids",
+    "undo",
+]
+
+_MODULES = {"ardupilot": ardupilot, "px4": px4}
+
+
+def _of(autopilot: str | None) -> ModuleType:
+    if autopilot not in _MODULES:
+        raise FirmwareError(f"mavcal knows the calibrations of ArduPilot and PX4, not of autopilot {autopilot!r}")
+    return _MODULES[autopilot]
+
+
+def calibration_in_force(
+    autopilot: str | None, parameters: Mapping[str, Value], sensor: Sensor, instance: int
+) -> TriadModel:
+    """The correction that the firmware applies: raw sensor frame to corrected body frame, SI and uT.
+
+    On PX4 as after a boot with `parameters`; see :class:`calib.firmware.px4.Px4Calibration` for values written since.
+    """
+    model: TriadModel = _of(autopilot).calibration_in_force(parameters, sensor, instance)
+    return model
+
+
+def calibration_names(
+    autopilot: str | None, parameters: Mapping[str, Value], sensor: Sensor, instance: int
+) -> Mapping[Role, str]:
+    """Names by role of the parameters that correct `sensor` `instance`."""
+    names: Mapping[Role, str] = _of(autopilot).calibration_names(parameters, sensor, instance)
+    return names
+
+
+def sensor_ids(autopilot: str | None, parameters: Mapping[str, Value]) -> dict[tuple[Sensor, int], int]:
+    """Device id of every sensor that the parameters know, by sensor and streamed instance."""
+    ids: dict[tuple[Sensor, int], int] = _of(autopilot).sensor_ids(parameters)
+    return ids
+
+
+def mounting(
+    autopilot: str | None, parameters: Mapping[str, Value], sensor: Sensor, instance: int
+) -> NDArray[np.float64]:
+    """``R_body_from_sensor``, shape (3, 3): undone samples are in the sensor's frame, poses are the body's."""
+    turn: NDArray[np.float64] = _of(autopilot).mounting(parameters, sensor, instance)
+    return turn

@@ -42,6 +42,7 @@ __all__ = [
     "calibration_names",
     "field_scale",
     "motor_term",
+    "mounting",
     "sensor_ids",
 ]
 
@@ -88,6 +89,13 @@ def calibration_in_force(parameters: Mapping[str, Value], sensor: Sensor, instan
 def board_rotation(parameters: Mapping[str, Value]) -> Array:
     """``R_body_from_board`` of AHRS_ORIENTATION (in force since boot), shape (3, 3)."""
     return _rotation(parameters, need(parameters, names.BOARD_ROTATION["ardupilot"]))
+
+
+def mounting(parameters: Mapping[str, Value], sensor: Sensor, instance: int) -> Array:
+    """``R_body_from_sensor`` of one sensor, shape (3, 3): the board's, or an external compass's own."""
+    if sensor == Sensor.MAG:
+        return _compass_mounting(parameters, calibration_names(parameters, sensor, instance))
+    return board_rotation(parameters)
 
 
 def field_scale(value: float) -> float:
@@ -143,12 +151,15 @@ def _compass_in_force(parameters: Mapping[str, Value], roles: Mapping[Role, str]
         xy, xz, yz = vector(parameters, roles, names.CROSS)
         matrix = np.diag(diagonal) + np.array([[0.0, xy, xz], [xy, 0.0, yz], [xz, yz, 0.0]])
     matrix = matrix * field_scale(parameters.get(roles[Role.FIELD_SCALE], 0.0))
-    if need(parameters, roles[Role.EXTERNAL]):
-        mounting = _rotation(parameters, need(parameters, roles[Role.ROTATION]))
-    else:
-        mounting = board_rotation(parameters)
+    turn = _compass_mounting(parameters, roles)
     # M s (R m + OFS) = M s R (m + R' OFS)
-    return TriadModel(-mounting.T @ offset, matrix @ mounting)
+    return TriadModel(-turn.T @ offset, matrix @ turn)
+
+
+def _compass_mounting(parameters: Mapping[str, Value], roles: Mapping[Role, str]) -> Array:
+    if need(parameters, roles[Role.EXTERNAL]):
+        return _rotation(parameters, need(parameters, roles[Role.ROTATION]))
+    return board_rotation(parameters)
 
 
 def _polynomial(parameters: Mapping[str, Value], roles: Mapping[Role, str]) -> ThermalPolynomial | None:

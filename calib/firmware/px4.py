@@ -43,6 +43,7 @@ __all__ = [
     "board_rotation",
     "calibration_in_force",
     "calibration_names",
+    "mounting",
     "sensor_ids",
 ]
 
@@ -143,7 +144,7 @@ def calibration_in_force(
     """
     held = memory or Px4Calibration.load(parameters, sensor, instance)
     roles = calibration_names(parameters, sensor, instance)
-    turn = _mounting(parameters, roles)
+    turn = mounting(parameters, sensor, instance)
     if sensor == Sensor.MAG:
         xy, xz, yz = held.cross
         soft_iron = np.diag(held.scale) + np.array([[0.0, xy, xz], [xy, 0.0, yz], [xz, yz, 0.0]])
@@ -161,7 +162,9 @@ def _level(parameters: Mapping[str, Value]) -> Array:
     return euler_matrix(*(need(parameters, name) for name in names.PX4_LEVEL))
 
 
-def _mounting(parameters: Mapping[str, Value], roles: Mapping[Role, str]) -> Array:
+def mounting(parameters: Mapping[str, Value], sensor: Sensor, instance: int) -> Array:
+    """``R_body_from_sensor`` of one sensor (L R), shape (3, 3)."""
+    roles = calibration_names(parameters, sensor, instance)
     number = int(need(parameters, roles[Role.ROTATION]))
     if number < 0:  # an internal sensor follows the board
         return board_rotation(parameters)
