@@ -18,8 +18,8 @@ LEAST_VARIANCE = 1e-32
 AXIS_WORDS = ("nose-tail", "left-right", "top-bottom")
 
 
-def check_samples(samples: ArrayLike, minimum: int) -> Array:
-    """`samples` as a finite (N, 3) array with N >= `minimum` that is not one and the same point.
+def check_samples(samples: ArrayLike, minimum: int, *, may_repeat: bool = False) -> Array:
+    """`samples` as a finite (N, 3) array with N >= `minimum`, not one and the same point unless it `may_repeat`.
 
     Raises
     ------
@@ -40,7 +40,7 @@ def check_samples(samples: ArrayLike, minimum: int) -> Array:
             f"{len(array)} magnetometer samples are too few: at least {minimum} in different directions are needed",
             remedy="record longer while turning the vehicle in all directions",
         )
-    if not np.ptp(array, axis=0).any():
+    if not may_repeat and not np.ptp(array, axis=0).any():
         raise UndeterminedError(
             f"all {len(array)} magnetometer samples are the same: the sensor is stuck, or was not turned",
             remedy="turn the vehicle in all directions; if the numbers stay, the sensor is broken",

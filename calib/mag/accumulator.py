@@ -1,0 +1,111 @@
+"""A magnetometer fit that grows with its samples: what a live procedure asks once a second."""
+
+from __future__ import annotations
+
+from typing import Unpack
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from calib.errors import UndeterminedError
+from calib.fit import FitResult
+from calib.mag.coverage import Coverage
+from calib.mag.ellipsoid import FEWEST, fit_ellipsoid
+from calib.mag.moments import Moments
+from calib.mag.result import MagFacts
+from calib.mag.samples import check_samples
+from calib.mag.shape import Ellipsoid
+from calib.mag.sphere import solve_sphere
+
+Array = NDArray[np.float64]
+
+_COVERED = 4000  # samples that are enough to know the coverage
+
+
+class EllipsoidAccumulator:
+    """Samples of one magnetometer, fed in chunks; the fits depend on the samples, not on how they were cut.
+
+    Parameters
+    ----------
+    prior_sd, robust, **facts
+        As for :func:`calib.mag.ellipsoid.fit_ellipsoid`.
+    """
+
+    def __init__(self, *, robust: bool | None = None, prior_sd: float | None = None, **facts: Unpack[MagFacts]) -> None:
+        self._robust = robust
+        self._prior_sd = prior_sd
+        self._facts = facts
+        self._store = np.empty((1024, 3))
+        self._count = 0
+        self._fitted: FitResult | None = None
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def samples(self) -> Array:
+        """All samples so far, (N, 3); read only."""
+        view = self._store[: self._count]
+        view.flags.writeable = False
+        return view
+
+    def add(self, samples: ArrayLike) -> None:
+        """Take in `samples` (N, 3) or (3,), any N.
+
+        Raises
+        ------
+        InvalidInputError
+            If they are not finite or of another shape; nothing is taken in then.
+        """
+        chunk = np.atleast_2d(np.asarray(samples, dtype=np.float64))
+        if not chunk.size:
+            return
+        self._take(check_samples(chunk, 1, may_repeat=True))
+
+    def fit(self) -> FitResult:
+        """The full fit of everything so far; refused as long as too much is missing. Cached until the next sample."""
+        if self._fitted is None:
+            self._fitted = fit_ellipsoid(self.samples, robust=self._robust, prior_sd=self._prior_sd, **self._facts)
+        return self._fitted
+
+    def rough(self) -> Ellipsoid | None:
+        """Whatever shape the samples so far give, an ellipsoid or a sphere; None: they give none."""
+        if self._count < FEWEST:
+            return None
+        samples = self._thinned()
+        centre = samples.mean(axis=0)
+        scale = float(np.linalg.norm(samples.std(axis=0)))
+        if scale == 0.0:
+            return None
+        scaled = (samples - centre) / scale
+        try:
+            found, _ = Moments.empty(np.zeros(3), 1.0).added(scaled).ellipsoid()
+            if found.radii[2] > 3.0 * found.radii[0]:
+                offset, radius = solve_sphere(scaled)
+                found = Ellipsoid(offset, radius * np.eye(3))
+        except UndeterminedError:
+            return None
+        return found.moved(centre, scale)
+
+    def coverage(self) -> Coverage:
+        """Directions of the field that were seen, judged by the shape of now."""
+        shape = self.rough()
+        if shape is None:
+            return Coverage.empty()
+        directions = np.linalg.solve(shape.shape, (self._thinned() - shape.offset).T).T
+        found = Coverage.of(directions[np.linalg.norm(directions, axis=1) > 0.0])
+        share = self._count / max(found.count, 1)
+        return Coverage(found.information * share, found.seen, self._count)
+
+    def _thinned(self) -> Array:
+        return self.samples[:: max(1, self._count // _COVERED)]
+
+    def _take(self, chunk: Array) -> None:
+        needed = self._count + len(chunk)
+        if needed > len(self._store):
+            grown = np.empty((max(needed, 2 * len(self._store)), 3))
+            grown[: self._count] = self._store[: self._count]
+            self._store = grown
+        self._store[self._count : needed] = chunk
+        self._count = needed
+        self._fitted = None

@@ -1,0 +1,155 @@
+"""How far the movement so far has got: information, predicted heading error, and where to turn next."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from calib.errors import InvalidInputError
+from calib.mag.heading import heading_sd_deg
+from calib.mag.sections import N_SECTIONS, mask_bytes, visited
+from calib.mag.shape import COLUMNS, N_PARAMETERS, ROWS, Ellipsoid, correction, correction_covariance
+
+Array = NDArray[np.float64]
+
+# What is believed of any compass before the first sample, relative to the field: it keeps predictions finite.
+_OFFSET_SD = 1.0
+_SOFT_IRON_SD = 0.3
+
+_RING = 24  # field directions that stand for one turn about the vertical
+_SHARE = 0.2  # of the samples so far that a next turn is taken to add
+
+_SIDES = (("nose", "tail"), ("right side", "left side"), ("belly", "top"))
+
+
+@dataclass(frozen=True, eq=False)
+class Advice:
+    """The turn that improves the heading most."""
+
+    direction: tuple[float, float, float]
+    """Body direction (unit vector, FRD) to point down; then turn a full circle about the vertical."""
+    text: str
+    heading_sd_deg: float
+    """Predicted heading error after it, degrees."""
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """Field directions seen so far, in the vehicle's frame, as Fisher information of the nine parameters.
+
+    Immutable and additive: chunks and vehicles can be joined in any order.
+    """
+
+    information: Array
+    """Sum of ``J^T J`` for unit noise and unit field, (9, 9)."""
+    seen: NDArray[np.bool_]
+    """Sections of :mod:`calib.mag.sections` that were visited, (80,)."""
+    count: int
+
+    @classmethod
+    def empty(cls) -> Coverage:
+        """Nothing seen yet."""
+        return cls(np.zeros((N_PARAMETERS, N_PARAMETERS)), np.zeros(N_SECTIONS, dtype=np.bool_), 0)
+
+    @classmethod
+    def of(cls, directions: ArrayLike) -> Coverage:
+        """Of `directions` (N, 3): corrected samples, of any length but 0."""
+        array = np.asarray(directions, dtype=np.float64)
+        if array.ndim != 2 or array.shape[1] != 3:
+            raise InvalidInputError(f"directions must have shape (N, 3), not {array.shape}")
+        if not len(array):
+            return cls.empty()
+        length = np.linalg.norm(array, axis=1, keepdims=True)
+        if not (np.isfinite(length).all() and (length > 0.0).all()):
+            raise InvalidInputError("a direction must be finite and of some length")
+        units = array / length
+        rows = _rows(units)
+        return cls(rows.T @ rows, visited(units), len(units))
+
+    def merged(self, other: Coverage) -> Coverage:
+        """With what `other` has seen."""
+        return Coverage(self.information + other.information, self.seen | other.seen, self.count + other.count)
+
+    @property
+    def fraction(self) -> float:
+        """Share of the 80 sections that were visited."""
+        return float(self.seen.mean())
+
+    @cached_property
+    def mask(self) -> list[int]:
+        """The ten bytes of the mask of visited sections."""
+        return mask_bytes(self.seen)
+
+    def heading_sd_deg(self, relative_noise: float, inclination: float) -> float:
+        """Predicted heading error (degrees, worst heading, level) at a dip of `inclination` (rad).
+
+        `relative_noise` is the noise of one axis over the field strength. Without movement the answer is what is known
+        of any compass, some tens of degrees, never infinite.
+        """
+        return _predicted(self.information, relative_noise, inclination)
+
+    def advice(self, relative_noise: float, inclination: float) -> Advice:
+        """The body direction that should point down next, of the 6 faces, 12 edges and 8 corners.
+
+        Each is judged by the heading error that remains after a full turn about the vertical with it down, at a dip of
+        `inclination` (rad).
+        """
+        weight = max(_SHARE * self.count, _RING) / _RING
+        best: tuple[float, Array] | None = None
+        for down in _CANDIDATES:
+            rows = _rows(ring(down, inclination))
+            sd = _predicted(self.information + weight * (rows.T @ rows), relative_noise, inclination)
+            if best is None or sd < best[0] * (1.0 - 1e-6):
+                best = (sd, down)
+        assert best is not None
+        sd, down = best
+        return Advice((float(down[0]), float(down[1]), float(down[2])), _words(down), sd)
+
+
+def ring(down: Array, inclination: float) -> Array:
+    """Field directions (24, 3) in the body over a turn about the vertical while `down` (3,) points down."""
+    one = np.cross(down, np.eye(3)[int(np.argmin(np.abs(down)))])
+    one /= np.linalg.norm(one)
+    two = np.cross(down, one)
+    angles = np.arange(_RING) * (2.0 * math.pi / _RING)
+    level = np.outer(np.cos(angles), one) + np.outer(np.sin(angles), two)
+    return math.sin(inclination) * down + math.cos(inclination) * level
+
+
+def _rows(units: Array) -> Array:
+    """Derivatives (N, 9) of the distance from the unit sphere: the normal is the direction itself."""
+    products = units[:, ROWS] * units[:, COLUMNS]
+    products[:, 3:] *= 2.0
+    return np.hstack([units, products])
+
+
+def _predicted(information: Array, relative_noise: float, inclination: float) -> float:
+    if not relative_noise > 0.0:
+        raise InvalidInputError(f"the noise of a compass must be positive, not {relative_noise} of the field")
+    believed = np.diag([_OFFSET_SD**-2.0] * 3 + [_SOFT_IRON_SD**-2.0] * 6)
+    covariance = np.linalg.inv(information / relative_noise**2 + believed)
+    unit = Ellipsoid(np.zeros(3), np.eye(3))
+    full = correction_covariance(unit, np.asarray(covariance), None, 0.0)
+    return heading_sd_deg(correction(unit, None), full, 1.0, inclination)
+
+
+def _candidates() -> tuple[Array, ...]:
+    grid = [np.array(c, dtype=np.float64) for c in itertools.product((0, 1, -1), repeat=3) if any(c)]
+    grid.sort(key=lambda c: np.count_nonzero(c))
+    return tuple(c / np.linalg.norm(c) for c in grid)
+
+
+_CANDIDATES = _candidates()
+
+
+def _words(down: Array) -> str:
+    names = [_SIDES[i][0 if down[i] > 0.0 else 1] for i in range(3) if abs(down[i]) > 1e-6]
+    if len(names) == 1:
+        return f"point the {names[0]} down and turn a full circle about the vertical"
+    between = " and ".join([", ".join(names[:-1]), names[-1]])
+    return f"point the edge between {between} down and turn a full circle about the vertical"

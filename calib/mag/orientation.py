@@ -1,0 +1,236 @@
+"""Mounting of a magnetometer: which right-angle rotation makes its field agree with the accelerometer.
+
+Whatever the heading, the angle between field and vertical is fixed by the dip: with g the unit vector down and m the
+unit field, both in the body, ``g . R m = sin(dip)`` holds for the true rotation R alone, provided that the vehicle was
+tilted to all sides.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from calib import STANDARD_GRAVITY
+from calib.errors import InvalidInputError, UndeterminedError
+from calib.mag.sections import sections
+
+Array = NDArray[np.float64]
+
+QUIET = 0.1
+"""Departure of |accel| from gravity, relative, up to which it shows the vertical."""
+
+FEWEST = 20
+"""Samples near 1 g below which nothing is said."""
+
+MARGIN = 4.0
+"""Mean square by which the second best rotation must be worse (ArduPilot asks for 2)."""
+
+_LIKELIHOOD = 10.0  # logarithm of the ratio of likelihoods that is asked for besides: 1 to 22 000
+_EXPLAINS = 0.25  # rms of g . R m - sin(dip), a sine: beyond about 15 degrees nothing is explained
+_KEPT = 0.9  # of the samples, the best: jolts and magnets passed by are in the rest
+_LEAST = 0.01  # rms below which rotations are not told apart: half a degree
+_OPEN = math.radians(5.0)  # sd of a misalignment beyond which it counts as not determined
+
+
+class Verdict(StrEnum):
+    """What the data say about the mounting."""
+
+    AS_STATED = "as_stated"  # no rotation is needed
+    ROTATED = "rotated"  # one other rotation explains the data, the stated one does not
+    AMBIGUOUS = "ambiguous"  # several rotations explain the data: tilt more
+    UNEXPLAINED = "unexplained"  # no right-angle rotation does
+
+
+@dataclass(frozen=True, eq=False)
+class Mounting:
+    """A rotation ``body_from_sensor`` with its name (``roll_180_yaw_90``; ``none``) and angles in degrees.
+
+    Rotations are about z (yaw), then y (pitch), then x (roll): ``R = Rz(yaw) Ry(pitch) Rx(roll)``.
+    """
+
+    name: str
+    roll: int
+    pitch: int
+    yaw: int
+    matrix: Array
+
+
+@dataclass(frozen=True, eq=False)
+class OrientationResult:
+    """The verdict with its evidence."""
+
+    verdict: Verdict
+    best: Mounting
+    message: str
+    rms: dict[str, float]
+    """Rms of ``g . R m - sin(dip)`` by name of the rotation, best first."""
+    log_likelihood_margin: float
+    """Logarithm of the ratio of likelihoods of the best and the second best."""
+    n_used: int
+    misalignment_deg: tuple[float, float, float] | None
+    """Small rotation about body x, y, z that is left over after `best`; None: the tilt does not determine it."""
+    misalignment_sd_deg: tuple[float, float, float] | None
+
+
+def rotation_matrix(roll: float, pitch: float, yaw: float) -> Array:
+    """``Rz(yaw) Ry(pitch) Rx(roll)`` of angles in degrees.
+
+    >>> rotation_matrix(0, 0, 90) @ [1, 0, 0]
+    array([0., 1., 0.])
+    """
+    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(math.radians(a)), math.sin(math.radians(a))) for a in (roll, pitch, yaw))
+    matrix = np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+    return np.asarray(np.where(np.abs(matrix) < 1e-15, 0.0, matrix))
+
+
+def _right_angles() -> tuple[Mounting, ...]:
+    found: dict[bytes, Mounting] = {}
+    turns = (0, 90, 180, 270)
+    # Simplest name first: a rotation about one axis before one about two, yaw before roll before pitch.
+    for roll, pitch, yaw in sorted(
+        itertools.product(turns, turns, turns), key=lambda a: (sum(x != 0 for x in a), a[1] != 0, a[0] != 0, a)
+    ):
+        matrix = rotation_matrix(roll, pitch, yaw)
+        parts = [f"{n}_{a}" for n, a in (("roll", roll), ("pitch", pitch), ("yaw", yaw)) if a]
+        found.setdefault(
+            np.rint(matrix).astype(np.int8).tobytes(),
+            Mounting("_".join(parts) or "none", roll, pitch, yaw, np.rint(matrix)),
+        )
+    return tuple(found.values())
+
+
+RIGHT_ANGLES = _right_angles()
+"""The 24 rotations by right angles; the first is none."""
+
+
+def interpolated(t: ArrayLike, other_t: ArrayLike, other: ArrayLike) -> Array:
+    """Values (N, 3) of `other` (M, 3) at the times `t` (N,), linear between its own times `other_t` (M,)."""
+    times, other_times = np.asarray(t, dtype=np.float64), np.asarray(other_t, dtype=np.float64)
+    return np.stack([np.interp(times, other_times, c) for c in np.asarray(other, dtype=np.float64).T], axis=1)
+
+
+def find_orientation(
+    mag: ArrayLike,
+    accel: ArrayLike,
+    *,
+    inclination: float | None = None,
+    gravity: float = STANDARD_GRAVITY,
+    candidates: tuple[Mounting, ...] = RIGHT_ANGLES,
+) -> OrientationResult:
+    """Find the rotation that is missing between magnetometer and body.
+
+    Parameters
+    ----------
+    mag : shape (N, 3)
+        Corrected field in what is taken for the body frame, any unit.
+    accel : shape (N, 3)
+        Corrected specific force in the body frame at the same times, m/s2.
+    gravity
+        m/s2; samples whose specific force is not within 10 % of it are left out.
+    inclination
+        Dip of the field, rad. None: it is estimated for every rotation, which takes more tilt to tell them apart.
+    candidates
+        Rotations to choose from; the first is the one that is stated now.
+
+    Raises
+    ------
+    InvalidInputError
+        If shapes do not match or numbers are not finite.
+    UndeterminedError
+        If fewer than 20 samples are near 1 g.
+    """
+    field, down = _unit_vectors(mag, accel, gravity)
+    sine = None if inclination is None else math.sin(inclination)
+    squares = np.array([_mean_square(down, field @ c.matrix.T, sine) for c in candidates])
+    order = np.argsort(squares, kind="stable")
+    best, second = candidates[order[0]], squares[order[1]]
+    least = max(squares[order[0]], _LEAST**2)
+    effective = len({*zip(sections(field).tolist(), sections(down).tolist(), strict=True)})
+    margin = 0.5 * effective * (second / least - 1.0)
+    rms = {candidates[i].name: math.sqrt(squares[i]) for i in order}
+    verdict, message = _verdict(candidates, order, squares, margin)
+    misalignment, sd = _misalignment(down, field @ best.matrix.T, sine, effective)
+    return OrientationResult(verdict, best, message, rms, margin, len(field), misalignment, sd)
+
+
+def _unit_vectors(mag: ArrayLike, accel: ArrayLike, gravity: float) -> tuple[Array, Array]:
+    field, force = np.asarray(mag, dtype=np.float64), np.asarray(accel, dtype=np.float64)
+    if field.ndim != 2 or field.shape[1:] != (3,) or field.shape != force.shape:
+        raise InvalidInputError(f"magnetometer {field.shape} and accelerometer {force.shape} must both be (N, 3)")
+    if not (np.isfinite(field).all() and np.isfinite(force).all()):
+        raise InvalidInputError("magnetometer and accelerometer must be finite: drop the other rows first")
+    length, strength = np.linalg.norm(force, axis=1), np.linalg.norm(field, axis=1)
+    used = (np.abs(length / gravity - 1.0) <= QUIET) & (strength > 0.0)
+    if np.count_nonzero(used) < FEWEST:
+        raise UndeterminedError(
+            f"{np.count_nonzero(used)} of {len(field)} samples show the vertical: {FEWEST} are needed",
+            remedy="turn the vehicle more slowly, so that the accelerometer reads gravity alone",
+        )
+    return field[used] / strength[used, None], -force[used] / length[used, None]
+
+
+def _mean_square(down: Array, field: Array, sine: float | None) -> float:
+    """Mean square of ``g . m - sin(dip)`` over the best nine tenths of the samples."""
+    vertical = np.einsum("ij,ij->i", down, field)
+    error = vertical - (float(np.median(vertical)) if sine is None else sine)
+    squares = np.sort(error**2)
+    return float(squares[: max(1, int(_KEPT * len(squares)))].mean())
+
+
+def _verdict(
+    candidates: tuple[Mounting, ...], order: NDArray[np.intp], squares: Array, margin: float
+) -> tuple[Verdict, str]:
+    first, second = candidates[order[0]], candidates[order[1]]
+    rms = math.sqrt(squares[order[0]])
+    if rms > _EXPLAINS:
+        return Verdict.UNEXPLAINED, (
+            f"no right-angle mounting explains the compass: the best ({first.name}) leaves {rms:.2f} of the field "
+            "against the vertical; check the accelerometer's calibration and the mounting angle"
+        )
+    if squares[order[1]] < MARGIN * max(squares[order[0]], _LEAST**2) or margin < _LIKELIHOOD:
+        return Verdict.AMBIGUOUS, (
+            f"the mountings {first.name} and {second.name} explain the compass alike: tilt the vehicle to more sides"
+        )
+    if order[0] == 0:
+        return Verdict.AS_STATED, f"the stated mounting explains the compass, the next best ({second.name}) does not"
+    stated = math.sqrt(squares[0])
+    return Verdict.ROTATED, (
+        f"mounting {first.name} explains the compass (rms {rms:.3f}), the stated one does not (rms {stated:.2f})"
+    )
+
+
+def _misalignment(
+    down: Array, field: Array, sine: float | None, effective: int
+) -> tuple[tuple[float, float, float] | None, tuple[float, float, float] | None]:
+    """Small rotation phi that is left: ``g . (m + phi x m) = sin(dip)``, linear in phi (and in the sine if open)."""
+    rows = np.cross(field, down)
+    right = (0.0 if sine is None else sine) - np.einsum("ij,ij->i", down, field)
+    if sine is None:
+        rows = np.column_stack([rows, -np.ones(len(rows))])
+    close = np.abs(right - np.median(right)) <= 0.5
+    rows, right = rows[close], right[close]
+    normal = rows.T @ rows / len(rows)
+    if np.linalg.cond(normal) > 1e6:
+        return None, None
+    solution = np.linalg.solve(normal, rows.T @ right / len(rows))
+    variance = float(np.mean((right - rows @ solution) ** 2)) * effective / max(effective - len(solution), 1)
+    sd = np.sqrt(np.diag(np.linalg.inv(normal))[:3] * variance / effective)
+    if sd.max() > _OPEN:
+        return None, None
+    angles, errors = np.degrees(solution[:3]), np.degrees(sd)
+    return (float(angles[0]), float(angles[1]), float(angles[2])), (
+        float(errors[0]),
+        float(errors[1]),
+        float(errors[2]),
+    )
