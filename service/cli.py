@@ -17,7 +17,6 @@ COMMANDS = {
     "demo": "Calibrate a simulated vehicle end to end and compare with its truth.",
     "serve": "Run the service and its panel.",
     "calibrate": "Calibrate one sensor of a vehicle, headless.",
-    "preflight": "Check a vehicle's sensors; the exit code is the answer.",
     "fit": "Run one method on a recording.",
     "inspect": "Tell what is in a recording.",
     "convert": "Turn a recording into a table.",

@@ -6,6 +6,7 @@
     +-- LinkError                 503
     |   +-- LinkDown              503
     |   +-- EndpointError         422
+    |   +-- LinkUnknown           404
     |   +-- PortBusy              409
     +-- VehicleError              503
     |   +-- VehicleSilent         503
@@ -28,6 +29,7 @@
     |   +-- NotCancellable        409
     |   +-- NotRevertible         409
     |   +-- PlanBlocked           409
+    |   +-- PlanMissing           404
     |   +-- IdempotencyConflict   409
     |   +-- CaptureEnded          409
     |   +-- WriteFailed           409
@@ -86,6 +88,14 @@ class EndpointError(LinkError):
     code = "endpoint-unknown"
 
 
+class LinkUnknown(LinkError):
+    """No such link. GET /api/v1/links lists them."""
+
+    status_code = 404
+    title = "Link unknown"
+    code = "link-unknown"
+
+
 class PortBusy(LinkError):
     """Another program uses this port. Stop it, or let it forward to another port and connect to that one."""
 
@@ -100,6 +110,9 @@ class VehicleError(ServiceError):
     status_code = 503
     title = "Vehicle error"
     code = "vehicle-error"
+
+    sent: int = 0
+    """While writing a parameter: how many PARAM_SET had left. With 0 the vehicle cannot have changed by them."""
 
 
 class VehicleSilent(VehicleError):
@@ -183,7 +196,6 @@ class ParameterError(VehicleError):
         self.name = name
         """The parameter."""
         self.sent = sent
-        """How many PARAM_SET messages left before the failure: with 0 the vehicle cannot have changed."""
 
 
 class ParameterMissing(ParameterError):
@@ -265,6 +277,14 @@ class PlanBlocked(JobError):
 
     title = "Plan blocked"
     code = "plan-blocked"
+
+
+class PlanMissing(JobError):
+    """The job has no plan."""
+
+    status_code = 404
+    title = "No plan"
+    code = "plan-missing"
 
 
 class IdempotencyConflict(JobError):

@@ -152,25 +152,6 @@ class FitsModel(BaseModel):
     fits: list[Json]
 
 
-class PreflightCheck(BaseModel):
-    """One check of a preflight."""
-
-    id: str
-    verdict: str = Field(description="pass, warn or fail")
-    value: float | str | None
-    limit: float | str | None
-    unit: str
-    reason: str
-    remedy: str
-
-
-class PreflightModel(BaseModel):
-    """Whether the sensors may fly."""
-
-    verdict: str = Field(description="the worst of all checks")
-    checks: list[PreflightCheck]
-
-
 class TicketModel(BaseModel):
     """A ticket for one event stream."""
 

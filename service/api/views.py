@@ -18,9 +18,10 @@ from service.api.models import (
 )
 from service.jobs.codec import outcome_to_json
 from service.jobs.model import Job
-from service.link.link import Link
+from service.link import Link
 from service.store.rows import EventRow, RecordingRow
-from service.vehicle.parameters import Parameter
+from service.vehicle.encoding import Parameter
+from service.vehicle.registry import VehicleRegistry
 from service.vehicle.vehicle import Vehicle
 
 Json = dict[str, Any]
@@ -54,6 +55,51 @@ def event_model(event: EventRow) -> Json:
         "kind": event.kind,
         "data": plain(event.data),
     }
+
+
+def link_model(link: Link, vehicles: VehicleRegistry) -> LinkModel:
+    """A link and who was heard on it."""
+    return LinkModel(
+        id=link.id,
+        url=str(link.endpoint),
+        state=link.state.value,
+        reason=link.reason,
+        vehicles=[v.id for v in vehicles.all() if v.link is link],
+        crc_errors=link.crc_errors,
+    )
+
+
+def vehicle_model(vehicle: Vehicle) -> VehicleModel:
+    """A vehicle in one page."""
+    now = vehicle.clock()
+    state, identity, writable = vehicle.state, vehicle.identity, vehicle.writable()
+    counted = vehicle.link.statistics(vehicle.system, vehicle.component)
+    return VehicleModel(
+        id=vehicle.id,
+        link=vehicle.link.id,
+        system=vehicle.system,
+        component=vehicle.component,
+        autopilot=identity.autopilot.value,
+        firmware=identity.version_text,
+        uid=identity.uid2,
+        armed=bool(state.armed),
+        landed=state.landed.value,
+        silent=state.silent(now),
+        writable=writable.ok,
+        obstacles=list(writable.reasons),
+        evidence=list(state.evidence(now)),
+        texts=[text.text for text in state.texts[-10:]],
+        received=counted.received,
+        lost=counted.lost,
+        loss=counted.loss,
+        bytes_per_s=counted.bytes_per_s,
+        parameters_known=len(vehicle.parameters),
+    )
+
+
+def parameter_model(parameter: Parameter) -> ParameterModel:
+    """A parameter as the vehicle states it; a value that is not finite is null."""
+    return ParameterModel(name=parameter.name, value=plain(parameter.value), kind=parameter.kind.value)
 
 
 def procedure_model(spec: ProcedureSpec) -> ProcedureModel:

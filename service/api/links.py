@@ -1,0 +1,40 @@
+"""Routes of links."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter, Depends, Response
+
+from service.api.dependencies import ServiceDep
+from service.api.models import LinkModel, LinkRequest
+from service.api.security import Scope, require
+from service.api.views import link_model
+
+router = APIRouter(tags=["links"])
+READ = Depends(require(Scope.READ))
+OPERATE = Depends(require(Scope.OPERATE))
+
+
+@router.get("/links", dependencies=[READ])
+async def links(service: ServiceDep) -> list[LinkModel]:
+    """Every open link."""
+    return [link_model(link, service.vehicles) for link in service.links.all()]
+
+
+@router.post("/links", status_code=201, dependencies=[OPERATE])
+async def open_link(body: LinkRequest, response: Response, service: ServiceDep) -> LinkModel:
+    """Open a link; one that is open already is returned as it is."""
+    link = await service.links.open(body.url)
+    response.headers["Location"] = f"api/v1/links/{link.id}"
+    return link_model(link, service.vehicles)
+
+
+@router.get("/links/{link_id}", dependencies=[READ])
+async def link(link_id: str, service: ServiceDep) -> LinkModel:
+    """One link."""
+    return link_model(service.links.get(link_id), service.vehicles)
+
+
+@router.delete("/links/{link_id}", status_code=204, dependencies=[OPERATE])
+async def close_link(link_id: str, service: ServiceDep) -> None:
+    """Close a link; its recording stays."""
+    await service.links.close(link_id)

@@ -1,0 +1,115 @@
+"""The parts of a running service, put together in one place."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import Counter
+from collections.abc import AsyncIterator, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+
+import structlog
+from prometheus_client import CollectorRegistry
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.registry import Collector
+
+from service.errors import ServiceError
+from service.jobs.engine import JobEngine
+from service.links import Links
+from service.recordings import Recordings
+from service.settings import Settings
+from service.store import SqliteStore, Store
+from service.vehicle import VehicleRegistry
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True)
+class Service:
+    """Everything that routes and commands work with."""
+
+    settings: Settings
+    store: Store
+    links: Links
+    vehicles: VehicleRegistry
+    jobs: JobEngine
+    recordings: Recordings
+
+    async def obstacle(self) -> str | None:
+        """Why no job could be run now; None: nothing stands in the way."""
+        try:
+            await asyncio.to_thread(self.store.add_audit, time.time(), "service", "ready", "self", {})
+        except ServiceError as error:
+            return str(error)
+        return None
+
+    def metrics(self) -> CollectorRegistry:
+        """What is counted, ready to be written out."""
+        registry = CollectorRegistry(auto_describe=False)
+        registry.register(_Counts(self))
+        return registry
+
+
+@asynccontextmanager
+async def running_service(settings: Settings) -> AsyncIterator[Service]:
+    """A service from its data directory to its last closed link.
+
+    Raises
+    ------
+    DataDirLocked
+        If another process owns the data directory.
+    EndpointError, PortBusy
+        If an endpoint of the settings can never work as it is.
+    """
+    store = SqliteStore(settings.data_dir)
+    executor = ThreadPoolExecutor(max_workers=2, thread_name_prefix="fit")
+    vehicles = VehicleRegistry()
+    links = Links(store, settings.data_dir / "tlogs", settings.mavlink, attach=vehicles.attach, detach=vehicles.detach)
+    jobs = JobEngine(store, vehicles, executor=executor, read_only=settings.read_only)
+    recordings = Recordings(
+        store, settings.data_dir / "recordings", limit_bytes=settings.limits.upload_bytes, executor=executor
+    )
+    try:
+        await jobs.start()
+        await _open_links(links, settings, store)
+        yield Service(settings, store, links, vehicles, jobs, recordings)
+    finally:
+        await jobs.stop()
+        await links.close_all()
+        vehicles.close()
+        executor.shutdown(wait=False, cancel_futures=True)
+        store.close()
+
+
+async def _open_links(links: Links, settings: Settings, store: Store) -> None:
+    """Open what the settings name, which must work, and what was open before, which may have gone."""
+    for url in settings.connect:
+        await links.open(url, remember=False)
+    for row in store.links():
+        try:
+            await links.open(row.url)
+        except ServiceError as error:
+            log.warning("link not opened again", url=row.url, reason=str(error))
+
+
+class _Counts(Collector):
+    def __init__(self, service: Service) -> None:
+        self._service = service
+
+    def collect(self) -> Iterable[Metric]:
+        labels = ["vehicle"]
+        received = CounterMetricFamily("mavcal_frames_received", "MAVLink frames received", labels=labels)
+        lost = CounterMetricFamily("mavcal_frames_lost", "MAVLink frames lost", labels=labels)
+        for vehicle in self._service.vehicles.all():
+            counted = vehicle.link.statistics(vehicle.system, vehicle.component)
+            received.add_metric([vehicle.id], counted.received)
+            lost.add_metric([vehicle.id], counted.lost)
+        jobs = GaugeMetricFamily("mavcal_jobs", "Jobs by state", labels=["state"])
+        for state, count in Counter(job.state.value for job in self._service.jobs.list()).items():
+            jobs.add_metric([state], count)
+        links = GaugeMetricFamily("mavcal_links", "Links by state", labels=["state"])
+        for state, count in Counter(link.state.value for link in self._service.links.all()).items():
+            links.add_metric([state], count)
+        return [received, lost, jobs, links]

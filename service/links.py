@@ -1,0 +1,107 @@
+"""The links that are open, remembered over restarts."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from service.errors import LinkUnknown
+from service.link import Link, OwnIdentity, SigningConfig, parse_endpoint
+from service.settings import MavlinkSettings
+from service.store.protocol import Store
+from service.store.rows import LinkRow
+
+Attach = Callable[[Link], None]
+
+
+class Links:
+    """Opens and closes links; `attach` is told of each before it is opened, `detach` after it was closed."""
+
+    def __init__(
+        self, store: Store, tlog_dir: Path, settings: MavlinkSettings, *, attach: Attach, detach: Attach
+    ) -> None:
+        self._store = store
+        self._tlog_dir = tlog_dir
+        self._settings = settings
+        self._attach = attach
+        self._detach = detach
+        self._links: dict[str, Link] = {}
+
+    def all(self) -> tuple[Link, ...]:
+        """Every open link, in the order of opening."""
+        return tuple(self._links.values())
+
+    def get(self, link_id: str) -> Link:
+        """The link of that id.
+
+        Raises
+        ------
+        LinkUnknown
+            If there is none.
+        """
+        link = self._links.get(link_id)
+        if link is None:
+            raise LinkUnknown(f"there is no link {link_id}; GET /api/v1/links lists them")
+        return link
+
+    async def open(self, url: str, *, remember: bool = True) -> Link:
+        """Open a link; one that is open already is returned as it is.
+
+        Raises
+        ------
+        EndpointError, PortBusy
+            If this endpoint can never work as it is.
+        """
+        endpoint = parse_endpoint(url)
+        link_id = _slug(str(endpoint))
+        if link_id in self._links:
+            return self._links[link_id]
+        link = Link(
+            link_id,
+            endpoint,
+            tlog_dir=self._tlog_dir,
+            ids=OwnIdentity(system=self._settings.system, component=self._settings.component),
+            signing=self._signing(link_id),
+            store_timestamp=lambda timestamp: self._store.save_signing_timestamp(link_id, timestamp),
+        )
+        self._links[link_id] = link
+        self._attach(link)
+        try:
+            await link.open()
+        except BaseException:
+            del self._links[link_id]
+            self._detach(link)
+            raise
+        if remember:
+            self._store.save_link(LinkRow(link_id, str(endpoint), time.time()))
+        return link
+
+    async def close(self, link_id: str) -> None:
+        """Close a link for good. Raises LinkUnknown if there is none of that id."""
+        link = self.get(link_id)
+        self._store.delete_link(link_id)
+        await self._end(link)
+
+    async def close_all(self) -> None:
+        """Close every link; they are opened again at the next start."""
+        for link in self.all():
+            await self._end(link)
+
+    async def _end(self, link: Link) -> None:
+        del self._links[link.id]
+        await link.close()
+        self._detach(link)
+
+    def _signing(self, link_id: str) -> SigningConfig | None:
+        key = self._settings.signing_key
+        if key is None:
+            return None
+        known = self._store.signing_timestamp(link_id)
+        return SigningConfig(bytes.fromhex(key.get_secret_value()), timestamp=known)
+
+
+def _slug(endpoint: str) -> str:
+    """A name for files and addresses: ``udpin-0.0.0.0-14550``."""
+    return re.sub(r"[^A-Za-z0-9.]+", "-", endpoint).strip("-.")
