@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
-import time
+import shutil
 from collections import Counter
 from collections.abc import AsyncIterator, Iterable
 from concurrent.futures import ThreadPoolExecutor
@@ -25,6 +24,8 @@ from service.vehicle import VehicleRegistry
 
 log = structlog.get_logger(__name__)
 
+LEAST_FREE_BYTES = 64 * 2**20
+
 
 @dataclass(frozen=True)
 class Service:
@@ -37,12 +38,11 @@ class Service:
     jobs: JobEngine
     recordings: Recordings
 
-    async def obstacle(self) -> str | None:
+    def obstacle(self) -> str | None:
         """Why no job could be run now; None: nothing stands in the way."""
-        try:
-            await asyncio.to_thread(self.store.add_audit, time.time(), "service", "ready", "self", {})
-        except ServiceError as error:
-            return str(error)
+        free = shutil.disk_usage(self.settings.data_dir).free
+        if free < LEAST_FREE_BYTES:
+            return f"only {free // 2**20} MiB are free for recordings: free some space"
         return None
 
     def metrics(self) -> CollectorRegistry:

@@ -30,7 +30,7 @@ async def healthz() -> dict[str, str]:
 @router.get("/readyz")
 async def readyz(service: ServiceDep) -> Response:
     """Whether jobs can be run: the store takes writes and nothing stands in the way."""
-    obstacle = await service.obstacle()
+    obstacle = service.obstacle()
     if obstacle is None:
         return JSONResponse({"status": "ready"})
     return JSONResponse({"status": "not ready", "reason": obstacle}, status_code=503)
@@ -74,7 +74,10 @@ async def explain(code: str) -> Response:
 
 @router.post("/api/v1/tickets", status_code=201, dependencies=[READ])
 async def ticket(request: Request) -> TicketModel:
-    """Make a ticket for one event stream: `?ticket=...` instead of a header, which a browser's EventSource cannot send."""
+    """Make a ticket for one event stream.
+
+    A browser's EventSource cannot send headers: give it `?ticket=...` instead.
+    """
     guard: Guard = request.app.state.guard
     key = guard.authenticate(request)
     return TicketModel(ticket=guard.ticket(key) if key else "", valid_s=TICKET_S)
