@@ -30,6 +30,7 @@
     |   +-- NotRevertible         409
     |   +-- PlanBlocked           409
     |   +-- PlanMissing           404
+    |   +-- ExportUnknown         404
     |   +-- IdempotencyConflict   409
     |   +-- CaptureEnded          409
     |   +-- WriteFailed           409
@@ -285,6 +286,14 @@ class PlanMissing(JobError):
     status_code = 404
     title = "No plan"
     code = "plan-missing"
+
+
+class ExportUnknown(JobError):
+    """A job is exported as param, parm, params, json, csv or html."""
+
+    status_code = 404
+    title = "Export unknown"
+    code = "export-unknown"
 
 
 class IdempotencyConflict(JobError):
