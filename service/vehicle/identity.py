@@ -1,0 +1,113 @@
+"""Who a vehicle is: HEARTBEAT says what kind, AUTOPILOT_VERSION says which one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from calib.wire import Message
+from service.vehicle.encoding import ParameterEncoding
+
+
+class Autopilot(StrEnum):
+    """The firmware family."""
+
+    ARDUPILOT = "ardupilot"
+    PX4 = "px4"
+    OTHER = "other"
+
+
+_AUTOPILOTS = {
+    dialect.MAV_AUTOPILOT_ARDUPILOTMEGA: Autopilot.ARDUPILOT,
+    dialect.MAV_AUTOPILOT_PX4: Autopilot.PX4,
+}
+_BYTEWISE, _CAST = 16, 131072
+_RELEASE = {0: "-dev", 64: "-alpha", 128: "-beta", 192: "-rc", 255: ""}
+
+
+@dataclass(frozen=True)
+class VehicleIdentity:
+    """Identity as far as it is known.
+
+    Parameters
+    ----------
+    autopilot, vehicle_type
+        From HEARTBEAT; the type is a MAV_TYPE.
+    version, version_text, git_hash
+        Firmware version as numbers and as text with the hash; None and empty until AUTOPILOT_VERSION has come.
+    board, vendor, product
+        Hardware numbers as the firmware gives them.
+    uid2
+        Unique id in hexadecimal, trailing zeros cut; None if unknown or all zero.
+    capabilities
+        MAV_PROTOCOL_CAPABILITY bits, or None.
+    """
+
+    autopilot: Autopilot
+    vehicle_type: int
+    version: tuple[int, int, int] | None = None
+    version_text: str = ""
+    git_hash: str = ""
+    board: int = 0
+    vendor: int = 0
+    product: int = 0
+    uid2: str | None = None
+    capabilities: int | None = None
+
+    @property
+    def known(self) -> bool:
+        """True once AUTOPILOT_VERSION has come."""
+        return self.capabilities is not None
+
+    @property
+    def encoding(self) -> ParameterEncoding:
+        """How parameter values travel: bit 16 is asked first, since not every firmware sets the other one."""
+        if self.capabilities is not None:
+            if self.capabilities & _BYTEWISE:
+                return ParameterEncoding.BYTEWISE
+            if self.capabilities & _CAST:
+                return ParameterEncoding.CAST
+        return ParameterEncoding.BYTEWISE if self.autopilot is Autopilot.PX4 else ParameterEncoding.CAST
+
+
+def identity_from_heartbeat(message: Message) -> VehicleIdentity:
+    """What a HEARTBEAT tells."""
+    return VehicleIdentity(_AUTOPILOTS.get(message.autopilot, Autopilot.OTHER), message.type)
+
+
+def identity_from_version(known: VehicleIdentity, message: Message) -> VehicleIdentity:
+    """Add what AUTOPILOT_VERSION tells."""
+    number = message.flight_sw_version
+    version = (number >> 24 & 0xFF, number >> 16 & 0xFF, number >> 8 & 0xFF)
+    kind = _RELEASE.get(number & 0xFF, f"-{number & 0xFF}")
+    git_hash = _git_hash(known.autopilot, bytes(message.flight_custom_version))
+    text = ".".join(map(str, version)) + kind
+    return VehicleIdentity(
+        autopilot=known.autopilot,
+        vehicle_type=known.vehicle_type,
+        version=version,
+        version_text=f"{text} ({git_hash})" if git_hash else text,
+        git_hash=git_hash,
+        board=message.board_version,
+        vendor=message.vendor_id,
+        product=message.product_id,
+        uid2=_unique(message),
+        capabilities=message.capabilities,
+    )
+
+
+def _git_hash(autopilot: Autopilot, custom: bytes) -> str:
+    """ArduPilot sends eight characters, PX4 the leading eight bytes of the hash, last byte first."""
+    if autopilot is Autopilot.ARDUPILOT:
+        text = custom.split(b"\x00", 1)[0].decode("ascii", "replace")
+        return text if text.isalnum() else ""
+    return custom[::-1].hex() if any(custom) else ""
+
+
+def _unique(message: Message) -> str | None:
+    uid2 = bytes(message.uid2)
+    if any(uid2):
+        return uid2.rstrip(b"\x00").hex()
+    return f"{message.uid:016x}" if message.uid else None

@@ -1,0 +1,300 @@
+"""The parameter protocol of one vehicle: what its values are, and how they are read and written.
+
+Every PARAM_VALUE that is heard keeps :class:`Parameters` current, whoever asked for it: a change by the firmware or
+by another ground station shows here. Confirmations match the value, not just the name: a firmware may first echo
+the neighbours of a vector, or repeat older values (FLIGHT_CONTROLLERS 3.1, 9, 10).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from calib.wire import Frame, RawMessage, decode, decode_param_value, param_set
+from service.errors import (
+    LinkDown,
+    ParameterError,
+    ParameterMissing,
+    ParameterRejected,
+    ParameterTimeout,
+    VehicleError,
+    VehicleSilent,
+)
+from service.vehicle.encoding import (
+    Parameter,
+    ParameterEncoding,
+    ParameterKind,
+    bits_from_value,
+    same_value,
+    value_from_bits,
+)
+from service.vehicle.waits import Expectation
+
+if TYPE_CHECKING:
+    from service.vehicle.vehicle import Vehicle
+
+HASH_NAME = "_HASH_CHECK"
+"""PX4 sends this as if it were a parameter; it is none, and does not change when calibrations do."""
+NO_INDEX = 65535
+ANSWER_S = 1.0
+TRIES = 3
+_MOST_TRIES = 8
+_VALUE, _ERROR = dialect.MAVLINK_MSG_ID_PARAM_VALUE, dialect.MAVLINK_MSG_ID_PARAM_ERROR
+_DOES_NOT_EXIST = dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST
+_ERRORS = {2: "the value is out of range", 3: "permission denied", 5: "it is read only", 6: "type unsupported"}
+
+ParameterListener = Callable[[Parameter, Parameter | None], None]
+"""Called with a parameter just heard and what was known before (None: nothing)."""
+
+
+@dataclass(frozen=True)
+class Echo:
+    """A confirmed write.
+
+    Parameters
+    ----------
+    parameter
+        As the vehicle holds it now.
+    sent
+        How many PARAM_SET messages it took.
+    confirmed_by
+        ``"echo"`` or ``"read"``.
+    """
+
+    parameter: Parameter
+    sent: int
+    confirmed_by: str
+
+
+class Parameters(Mapping[str, Parameter]):
+    """The parameters of one vehicle as last heard; a mapping by name, with the protocol as methods."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._vehicle = vehicle
+        self._known: dict[str, Parameter] = {}
+        self._listeners: dict[object, ParameterListener] = {}
+        self._jitter = 0.0
+        self.count: int | None = None
+        """Length of the vehicle's list, as last said."""
+        self.hash: bytes | None = None
+        """PX4's hash as last heard."""
+
+    def __getitem__(self, name: str) -> Parameter:
+        return self._known[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(list(self._known))
+
+    def __len__(self) -> int:
+        return len(self._known)
+
+    @property
+    def encoding(self) -> ParameterEncoding:
+        """How this vehicle sends values."""
+        return self._vehicle.identity.encoding
+
+    def listen(self, listener: ParameterListener) -> Callable[[], None]:
+        """Call `listener` for every parameter heard, until the function returned here is called."""
+        key = object()
+        self._listeners[key] = listener
+
+        def unlisten() -> None:
+            self._listeners.pop(key, None)
+
+        return unlisten
+
+    def hear(self, frame: Frame, now: float) -> None:
+        """Take note of a PARAM_VALUE; one with an unknown type or a value that is no number is remembered too."""
+        heard = self._parameter(frame, now)
+        if heard is None:
+            return
+        before = self._known.get(heard.name)
+        if heard.index is None and before is not None:
+            heard = Parameter(heard.name, heard.value, heard.kind, before.index, heard.bits, now)
+        self._known[heard.name] = heard
+        for listener in list(self._listeners.values()):
+            listener(heard, before)
+
+    def _parameter(self, frame: Frame, now: float) -> Parameter | None:
+        """Read a PARAM_VALUE, or None if it is PX4's hash or of a type this protocol does not carry."""
+        name, bits, number, count, index = decode_param_value(frame)
+        if name == HASH_NAME:
+            self.hash = bits
+            return None
+        if index != NO_INDEX:
+            self.count = count
+        if number not in set(ParameterKind):
+            return None
+        kind = ParameterKind(number)
+        value = value_from_bits(bits, kind, self.encoding)
+        return Parameter(name, value, kind, None if index == NO_INDEX else index, bits, now)
+
+    def forget(self) -> None:
+        """Nothing is known any more: the vehicle has restarted."""
+        self._known.clear()
+        self.count = self.hash = None
+
+    async def read(self, name: str) -> Parameter:
+        """Ask for one parameter by name; hidden ones answer too.
+
+        Silence alone may be loss: a parameter that is known to exist is asked along, and only its answers make the
+        silence of this one count.
+
+        Raises
+        ------
+        ParameterMissing
+            If the vehicle answers, but not to this name.
+        ParameterTimeout
+            If the link is too bad to tell, or the parameter was heard before.
+        VehicleSilent
+            If the heartbeat has ceased.
+        """
+        vehicle = self._vehicle
+        canary = self._canary(name)
+        heard: set[str] = set()
+
+        def match(frame: Frame) -> Parameter | ParameterError | None:
+            if frame.message_id == _ERROR:
+                return _refusal(vehicle, frame, name)
+            parameter = self._parameter(frame, vehicle.clock())
+            if parameter is not None:
+                heard.add(parameter.name)
+            return parameter if parameter is not None and parameter.name == name else None
+
+        silences = 0
+        expected: Expectation[Parameter | ParameterError] = vehicle.waits.expect({_VALUE, _ERROR}, match)
+        with expected as answer:
+            for attempt in range(_MOST_TRIES if canary else TRIES + 2):
+                heard.clear()
+                self._request(name)
+                if attempt and canary:
+                    self._request(canary)
+                got = await answer.within(self._patience())
+                if isinstance(got, ParameterError):
+                    raise got
+                if got is not None:
+                    return self._known.get(name, got)
+                silences += canary is None or canary in heard
+                if silences >= TRIES:
+                    break
+        raise self._silence(name, proved=silences >= TRIES)
+
+    def _silence(self, name: str, *, proved: bool) -> VehicleError:
+        vehicle = self._vehicle
+        if vehicle.state.silent(vehicle.clock()):
+            return VehicleSilent(f"{name} was not answered: no heartbeat any more. Check power and link.")
+        if proved and name not in self._known:
+            return ParameterMissing(f"This vehicle has no parameter {name}.", name=name)
+        return ParameterTimeout(f"{name} was asked for repeatedly and not answered. Is the link too slow?", name=name)
+
+    async def set(self, name: str, value: float, kind: ParameterKind | None = None) -> Echo:
+        """Write one parameter and wait until the vehicle says that it holds exactly this value.
+
+        Before every single PARAM_SET the vehicle must be writable (disarmed, landed, alive, not calibrating).
+
+        Parameters
+        ----------
+        name, value
+            REAL32 values are rounded to float32 first; the confirmation must have the same bits.
+        kind
+            None: the kind last heard (asked for if none was). A kind that contradicts the vehicle's is refused: PX4
+            ignores such writes, or takes the bytes of one type for the other.
+
+        Raises
+        ------
+        ParameterRejected
+            The value cannot be sent, or the vehicle holds another one afterwards.
+        ParameterMissing, ParameterTimeout, VehicleSilent
+            It did not answer.
+        VehicleArmed, VehicleBusy, VehicleConflict
+            It may not be written to now.
+
+        Every error of these has ``sent``: how often PARAM_SET had left before it.
+        """
+        vehicle = self._vehicle
+        kind = await self._kind(name, kind)
+        encoding = self.encoding
+        bits = bits_from_value(name, value, kind, encoding)
+
+        def match(frame: Frame) -> Parameter | ParameterError | None:
+            if frame.message_id == _ERROR:
+                return _refusal(vehicle, frame, name)
+            parameter = self._parameter(frame, vehicle.clock())
+            if parameter is None or parameter.name != name or parameter.kind is not kind:
+                return None
+            return parameter if same_value(parameter.bits, bits, kind, encoding) else None
+
+        message = param_set(vehicle.system, vehicle.component, name, bits, kind)
+        sent = 0
+        expected: Expectation[Parameter | ParameterError] = vehicle.waits.expect({_VALUE, _ERROR}, match)
+        with expected as answer:
+            while sent < TRIES:
+                vehicle.require_writable(sent=sent, name=name)
+                self._transmit(message, name, sent)
+                sent += 1
+                got = await answer.within(self._patience())
+                if isinstance(got, ParameterError):
+                    got.sent = sent
+                    raise got
+                if got is not None:
+                    return Echo(got, sent, "echo")
+        return await self._settle(name, value, bits, kind, sent)
+
+    def _transmit(self, message: RawMessage, name: str, sent: int) -> None:
+        try:
+            self._vehicle.send(message)
+        except LinkDown as exc:
+            error = VehicleSilent(f"{name} was sent {sent} times and not confirmed: {exc}")
+            error.sent = sent
+            raise error from exc
+
+    async def _settle(self, name: str, value: float, bits: bytes, kind: ParameterKind, sent: int) -> Echo:
+        """No echo came: ask what the vehicle holds."""
+        try:
+            held = await self.read(name)
+        except VehicleError as exc:
+            exc.sent = sent
+            raise
+        if held.kind is kind and same_value(held.bits, bits, kind, self.encoding):
+            return Echo(held, sent, "read")
+        raise ParameterRejected(f"{name}: {value} was written, the vehicle holds {held.value}.", name=name, sent=sent)
+
+    async def _kind(self, name: str, kind: ParameterKind | None) -> ParameterKind:
+        known = self._known.get(name)
+        if known is None and kind is None:
+            known = await self.read(name)
+        if known is not None and kind is not None and known.kind is not kind:
+            raise ParameterRejected(
+                f"{name} is of type {known.kind.name} on this vehicle and cannot be written as {kind.name}.", name=name
+            )
+        return kind if kind is not None else known.kind if known is not None else ParameterKind.REAL32
+
+    def _request(self, name: str) -> None:
+        vehicle = self._vehicle
+        vehicle.send(
+            dialect.MAVLink_param_request_read_message(
+                vehicle.system, vehicle.component, name.encode("ascii", "replace"), -1
+            )
+        )
+
+    def _canary(self, name: str) -> str | None:
+        return next((other for other in self._known if other != name), None)
+
+    def _patience(self) -> float:
+        """Time to wait for an answer, never quite the same: two programs that ask at once get out of step."""
+        self._jitter = (self._jitter + 0.618) % 1.0
+        return ANSWER_S + 0.3 * self._jitter
+
+
+def _refusal(vehicle: Vehicle, frame: Frame, name: str) -> ParameterError | None:
+    """PARAM_ERROR, where a firmware sends it (most do not)."""
+    message = decode(frame)
+    if message.param_id != name or message.target_system not in (0, vehicle.link.ids.system):
+        return None
+    if message.error == _DOES_NOT_EXIST:
+        return ParameterMissing(f"This vehicle has no parameter {name}.", name=name)
+    said = _ERRORS.get(message.error, f"error {message.error}")
+    return ParameterRejected(f"The vehicle refuses {name}: {said}.", name=name)

@@ -1,0 +1,224 @@
+"""All vehicles on all links."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from calib.wire import Frame, decode
+from service.errors import LinkDown, VehicleError, VehicleUnknown
+from service.link import Batch, Link, LinkEvent
+from service.vehicle.vehicle import CORE_IDS, Vehicle, VehicleEvent, VehicleEventKind
+
+TICK_S = 0.05
+_AUTOPILOT_COMPONENT = 1
+_IDENTIFY_AGAIN_S = 10.0
+
+VehicleCallback = Callable[[VehicleEvent], None]
+
+
+class VehicleRegistry:
+    """Finds vehicles on the links it is attached to, names them and keeps them informed.
+
+    A vehicle is whoever sends HEARTBEAT as component 1 with an autopilot; ground stations and companions are not.
+
+    Parameters
+    ----------
+    clock
+        Monotonic time in seconds.
+    """
+
+    def __init__(self, *, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._vehicles: dict[tuple[str, int, int], Vehicle] = {}
+        self._detachers: dict[str, list[Callable[[], None]]] = {}
+        self._subscribers: dict[object, VehicleCallback] = {}
+        self._identifying: dict[Vehicle, asyncio.Task[None]] = {}
+        self._changed: set[asyncio.Future[None]] = set()
+        self._ticker: asyncio.TimerHandle | None = None
+
+    # --- links ------------------------------------------------------------------------------------------------------
+
+    def attach(self, link: Link) -> None:
+        """Find vehicles on this link; best called before it is opened."""
+        key = link.id
+        self._detachers[key] = [
+            link.subscribe(lambda batch: self._take(link, batch), CORE_IDS),
+            link.subscribe_events(lambda event: self._link_event(link, event)),
+        ]
+        if self._ticker is None:
+            self._tick()
+
+    def detach(self, link: Link) -> None:
+        """Forget this link and its vehicles; whatever waits for them ends with LinkDown."""
+        for detach in self._detachers.pop(link.id, []):
+            detach()
+        for key, vehicle in list(self._vehicles.items()):
+            if vehicle.link is link:
+                del self._vehicles[key]
+                self._stop_identifying(vehicle)
+                vehicle.close(LinkDown(f"Link {link.id} was closed."))
+        if not self._detachers and self._ticker is not None:
+            self._ticker.cancel()
+            self._ticker = None
+
+    def close(self) -> None:
+        """Detach from every link; closes none of them."""
+        for link in {vehicle.link for vehicle in self._vehicles.values()}:
+            self.detach(link)
+        for detachers in self._detachers.values():
+            for detach in detachers:
+                detach()
+        self._detachers.clear()
+        if self._ticker is not None:
+            self._ticker.cancel()
+            self._ticker = None
+
+    # --- vehicles ---------------------------------------------------------------------------------------------------
+
+    def all(self) -> tuple[Vehicle, ...]:
+        """Every vehicle that was heard, in the order in which they were found."""
+        return tuple(self._vehicles.values())
+
+    def get(self, vehicle_id: str) -> Vehicle:
+        """The vehicle of that id, or of the id ``<link>-<system>-<component>`` that it had before it was identified.
+
+        Raises
+        ------
+        VehicleUnknown
+            If there is none.
+        """
+        for vehicle in self._vehicles.values():
+            if vehicle_id in (vehicle.id, _place(vehicle)):
+                return vehicle
+        heard = ", ".join(vehicle.id for vehicle in self._vehicles.values()) or "none"
+        raise VehicleUnknown(f"There is no vehicle {vehicle_id}; heard so far: {heard}.")
+
+    async def wait_for_vehicle(self, link: Link | None = None, *, identified: bool = True) -> Vehicle:
+        """Wait for the first vehicle (on this link), by default until it is known who it is.
+
+        Wrap it in ``asyncio.timeout``: it waits for ever.
+        """
+        while True:
+            for vehicle in self._vehicles.values():
+                if (link is None or vehicle.link is link) and (vehicle.identity.known or not identified):
+                    return vehicle
+            changed = asyncio.get_running_loop().create_future()
+            self._changed.add(changed)
+            try:
+                await changed
+            finally:
+                self._changed.discard(changed)
+
+    def subscribe(self, callback: VehicleCallback) -> Callable[[], None]:
+        """Hand every event of every vehicle to `callback`, until the function returned here is called."""
+        key = object()
+        self._subscribers[key] = callback
+
+        def unsubscribe() -> None:
+            self._subscribers.pop(key, None)
+
+        return unsubscribe
+
+    # --- inside -----------------------------------------------------------------------------------------------------
+
+    def _take(self, link: Link, batch: Batch) -> None:
+        senders: dict[tuple[int, int], list[Frame]] = {}
+        for frame in batch.frames:
+            senders.setdefault((frame.system, frame.component), []).append(frame)
+        for (system, component), frames in senders.items():
+            vehicle = self._vehicles.get((link.id, system, component))
+            if vehicle is None and component == _AUTOPILOT_COMPONENT:
+                vehicle = self._find(link, frames)
+            if vehicle is not None:
+                vehicle.feed(frames, batch)
+
+    def _find(self, link: Link, frames: list[Frame]) -> Vehicle | None:
+        for frame in frames:
+            if frame.message_id == dialect.MAVLINK_MSG_ID_HEARTBEAT:
+                heartbeat = decode(frame)
+                if is_vehicle(heartbeat):
+                    vehicle = Vehicle(
+                        link, frame.system, frame.component, heartbeat, clock=self._clock, announce=self._announce
+                    )
+                    self._vehicles[link.id, frame.system, frame.component] = vehicle
+                    self._announce(VehicleEvent(VehicleEventKind.FOUND, vehicle, f"Heard {vehicle.id}."))
+                    self._identify(vehicle)
+                    return vehicle
+        return None
+
+    def _link_event(self, link: Link, event: LinkEvent) -> None:
+        for vehicle in self._vehicles.values():
+            if vehicle.link is link:
+                vehicle.link_event(event)
+
+    def _tick(self) -> None:
+        self._ticker = asyncio.get_running_loop().call_later(TICK_S, self._tick)
+        for vehicle in list(self._vehicles.values()):
+            vehicle.tick()
+
+    def _announce(self, event: VehicleEvent) -> None:
+        if event.kind is VehicleEventKind.IDENTIFIED:
+            event.vehicle.id = self._name(event.vehicle)
+        elif event.kind is VehicleEventKind.REBOOTED:
+            self._identify(event.vehicle)
+        loop = asyncio.get_running_loop()
+        for key in list(self._subscribers):
+            loop.call_soon(self._hand_event, key, event)
+        for changed in self._changed:
+            if not changed.done():
+                changed.set_result(None)
+
+    def _hand_event(self, key: object, event: VehicleEvent) -> None:
+        callback = self._subscribers.get(key)
+        if callback is not None:
+            callback(event)
+
+    def _name(self, vehicle: Vehicle) -> str:
+        """From the unique id; by place if it has none, or if another vehicle has the same."""
+        uid2 = vehicle.identity.uid2
+        if uid2 is None:
+            return _place(vehicle)
+        name = f"uid-{uid2}"
+        taken = any(other is not vehicle and other.id == name for other in self._vehicles.values())
+        return _place(vehicle) if taken else name
+
+    def _identify(self, vehicle: Vehicle) -> None:
+        self._stop_identifying(vehicle)
+        task = asyncio.get_running_loop().create_task(self._ask_who(vehicle))
+        self._identifying[vehicle] = task
+        task.add_done_callback(lambda done: self._identified(vehicle, done))
+
+    def _identified(self, vehicle: Vehicle, task: asyncio.Task[Any]) -> None:
+        if self._identifying.get(vehicle) is task:
+            del self._identifying[vehicle]
+        if not task.cancelled():
+            task.result()
+
+    def _stop_identifying(self, vehicle: Vehicle) -> None:
+        task = self._identifying.pop(vehicle, None)
+        if task is not None:
+            task.cancel()
+
+    async def _ask_who(self, vehicle: Vehicle) -> None:
+        """Until it answers: a vehicle that is still starting, or behind a bad link, is asked again later."""
+        while True:
+            try:
+                await vehicle.identify()
+            except (VehicleError, LinkDown):
+                await asyncio.sleep(_IDENTIFY_AGAIN_S)
+            else:
+                return
+
+
+def is_vehicle(heartbeat: Any) -> bool:
+    """True for the HEARTBEAT of an autopilot; ground stations, gimbals and companions have none."""
+    return bool(heartbeat.autopilot != dialect.MAV_AUTOPILOT_INVALID and heartbeat.type != dialect.MAV_TYPE_GCS)
+
+
+def _place(vehicle: Vehicle) -> str:
+    return f"{vehicle.link.id}-{vehicle.system}-{vehicle.component}"

@@ -1,0 +1,227 @@
+"""What is known about a vehicle at this moment, and whether it may be written to.
+
+:func:`reduce` is pure: a state, a message and a time make the next state. All times are of the monotonic clock.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from calib.wire import Message
+from service.vehicle.calibration import OnboardCalibration, watch_calibration
+from service.vehicle.texts import ChunkedText, StatusText, add_chunk
+
+SILENT_S = 3.0
+"""A vehicle whose last heartbeat is older than this is silent (FLIGHT_CONTROLLERS 3.2: heartbeat age < 3 s)."""
+DISARMED_S = 2.0
+LANDED_FRESH_S = 10.0
+"""A landed state older than this says no more than UNDEFINED."""
+KEPT_TEXTS = 50
+_BACK_S = 1.0
+_BACK_COUNT = 3
+"""So many messages in a row from before are a reboot; fewer are late ones."""
+
+
+class Landed(StrEnum):
+    """EXTENDED_SYS_STATE.landed_state."""
+
+    UNDEFINED = "undefined"
+    ON_GROUND = "on_ground"
+    IN_AIR = "in_air"
+    TAKEOFF = "takeoff"
+    LANDING = "landing"
+
+
+_LANDED = dict(enumerate(Landed))
+
+
+@dataclass(frozen=True)
+class VehicleState:
+    """A snapshot. None means: not heard yet.
+
+    Parameters
+    ----------
+    armed, disarmed_since
+        From HEARTBEAT; `disarmed_since` is the time from which on every heartbeat said disarmed.
+    landed, throttle
+        EXTENDED_SYS_STATE and VFR_HUD (0..1), with the times they were heard.
+    last_heard, last_heartbeat
+        Any frame at all; a HEARTBEAT. Only the second proves that the vehicle is well: a frozen one may still answer.
+    rebooted
+        How many restarts were noticed by its clock going back.
+    boot_time
+        Latest time since boot that it stamped on a message, s.
+    onboard_calibration
+        The calibration that the vehicle runs by itself, or None.
+    """
+
+    armed: bool | None = None
+    disarmed_since: float | None = None
+    landed: Landed = Landed.UNDEFINED
+    landed_at: float | None = None
+    throttle: float | None = None
+    throttle_at: float | None = None
+    system_status: int | None = None
+    custom_mode: int | None = None
+    last_heard: float | None = None
+    last_heartbeat: float | None = None
+    rebooted: int = 0
+    boot_time: float | None = None
+    onboard_calibration: OnboardCalibration | None = None
+    texts: tuple[StatusText, ...] = ()
+    _backwards: int = 0
+    _chunks: tuple[ChunkedText, ...] = ()
+
+    def silent(self, now: float) -> bool:
+        """True if the last heartbeat is too old, or never came."""
+        return self.last_heartbeat is None or now - self.last_heartbeat > SILENT_S
+
+    def evidence(self, now: float) -> tuple[str, ...]:
+        """What this state rests on, in sentences."""
+        lines = []
+        if self.last_heartbeat is None:
+            lines.append("no HEARTBEAT heard yet")
+        else:
+            says = "armed" if self.armed else "disarmed"
+            lines.append(f"HEARTBEAT {now - self.last_heartbeat:.1f} s ago: {says}, status {self.system_status}")
+        if self.disarmed_since is not None:
+            lines.append(f"disarmed for {now - self.disarmed_since:.1f} s")
+        if self.landed_at is not None:
+            lines.append(f"EXTENDED_SYS_STATE {now - self.landed_at:.1f} s ago: {self.landed}")
+        if self.throttle_at is not None and self.throttle is not None:
+            lines.append(f"VFR_HUD {now - self.throttle_at:.1f} s ago: throttle {self.throttle:.0%}")
+        if self.onboard_calibration is not None:
+            lines.append(self.onboard_calibration.text)
+        if self.rebooted:
+            lines.append(f"restarted {self.rebooted} times since it was found")
+        return tuple(lines)
+
+
+def reduce(state: VehicleState, message: Message, now: float) -> VehicleState:
+    """Take a message of this vehicle into account."""
+    kind = message.get_type()
+    state = replace(state, last_heard=now)
+    if kind == "HEARTBEAT":
+        state = _heartbeat(state, message, now)
+    elif kind == "EXTENDED_SYS_STATE":
+        state = replace(state, landed=_LANDED.get(message.landed_state, Landed.UNDEFINED), landed_at=now)
+    elif kind == "VFR_HUD":
+        state = replace(state, throttle=message.throttle / 100.0, throttle_at=now)
+    text: StatusText | None = None
+    if kind == "STATUSTEXT":
+        chunks, text = add_chunk(state._chunks, message, now)
+        texts = (*state.texts, text)[-KEPT_TEXTS:] if text else state.texts
+        state = replace(state, _chunks=chunks, texts=texts)
+    calibration = watch_calibration(state.onboard_calibration, message, text, now)
+    if calibration is not state.onboard_calibration:
+        state = replace(state, onboard_calibration=calibration)
+    return state
+
+
+def _heartbeat(state: VehicleState, message: Message, now: float) -> VehicleState:
+    armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
+    gap = state.last_heartbeat is None or now - state.last_heartbeat > SILENT_S
+    since = None if armed else now if state.disarmed_since is None or gap else state.disarmed_since
+    return replace(
+        state,
+        armed=armed,
+        disarmed_since=since,
+        system_status=message.system_status,
+        custom_mode=message.custom_mode,
+        last_heartbeat=now,
+    )
+
+
+def note_boot_time(state: VehicleState, boot_time: float) -> VehicleState:
+    """Take the time since boot of a message into account; a clock that stays behind means a restart.
+
+    A single late message does not: several in a row must come from before.
+    """
+    latest = state.boot_time
+    if latest is None or boot_time >= latest - _BACK_S:
+        if state._backwards == 0 and latest is not None and boot_time <= latest:
+            return state
+        return replace(state, boot_time=max(boot_time, latest or 0.0), _backwards=0)
+    if state._backwards + 1 < _BACK_COUNT:
+        return replace(state, _backwards=state._backwards + 1)
+    return restarted(state, boot_time)
+
+
+def restarted(state: VehicleState, boot_time: float | None) -> VehicleState:
+    """The state of a vehicle that has just restarted: what it said before is no longer true."""
+    return VehicleState(
+        last_heard=state.last_heard,
+        last_heartbeat=state.last_heartbeat,
+        armed=state.armed,
+        disarmed_since=None,
+        system_status=state.system_status,
+        custom_mode=state.custom_mode,
+        rebooted=state.rebooted + 1,
+        boot_time=boot_time,
+        texts=state.texts,
+    )
+
+
+def expire(state: VehicleState, now: float) -> VehicleState:
+    """Forget an onboard calibration that has not been heard of for long; the same state if there is none."""
+    calibration = state.onboard_calibration
+    if calibration is not None and calibration.over(now):
+        return replace(state, onboard_calibration=None)
+    return state
+
+
+class Refusal(StrEnum):
+    """Why a vehicle may not be written to."""
+
+    SILENT = "silent"
+    ARMED = "armed"
+    NOT_LANDED = "not_landed"
+    CALIBRATING = "calibrating"
+    CONFLICT = "conflict"
+
+
+@dataclass(frozen=True)
+class Writable:
+    """Whether a parameter may be written now; `reasons` say why not, `refusals` the same for programs."""
+
+    ok: bool
+    reasons: tuple[str, ...] = ()
+    refusals: tuple[Refusal, ...] = ()
+
+
+def writable(state: VehicleState, now: float) -> Writable:
+    """Disarmed for 2 s, on the ground, no onboard calibration, heard within 3 s."""
+    found: list[tuple[Refusal, str]] = []
+    if state.silent(now):
+        found.append((Refusal.SILENT, _silence(state, now)))
+    if state.armed or state.armed is None:
+        found.append((Refusal.ARMED, "the vehicle is armed" if state.armed else "it is not known to be disarmed"))
+    elif state.disarmed_since is None or now - state.disarmed_since < DISARMED_S:
+        found.append((Refusal.ARMED, f"the vehicle is not known to be disarmed for {DISARMED_S:g} s yet"))
+    landed = _not_landed(state, now)
+    if landed:
+        found.append((Refusal.NOT_LANDED, landed))
+    if state.onboard_calibration is not None and not state.onboard_calibration.over(now):
+        found.append((Refusal.CALIBRATING, f"it is calibrating by itself: {state.onboard_calibration.text}"))
+    return Writable(not found, tuple(text for _, text in found), tuple(refusal for refusal, _ in found))
+
+
+def _silence(state: VehicleState, now: float) -> str:
+    if state.last_heartbeat is None:
+        return "no heartbeat was heard yet"
+    since = f"no heartbeat for {now - state.last_heartbeat:.1f} s"
+    if state.last_heard is not None and now - state.last_heard < SILENT_S:
+        return f"{since}, although it still answers: it may have frozen and need a restart"
+    return since
+
+
+def _not_landed(state: VehicleState, now: float) -> str | None:
+    fresh = state.landed_at is not None and now - state.landed_at <= LANDED_FRESH_S
+    if fresh and state.landed is not Landed.UNDEFINED:
+        return None if state.landed is Landed.ON_GROUND else f"the vehicle is not on the ground ({state.landed})"
+    if state.throttle_at is None or now - state.throttle_at > LANDED_FRESH_S or state.throttle is None:
+        return "it is not known whether the vehicle is on the ground: neither landed state nor throttle was heard"
+    return None if state.throttle == 0 else f"its landed state is unknown and the throttle is {state.throttle:.0%}"

@@ -1,0 +1,354 @@
+"""One vehicle: who it is, how it is, and everything that is said to it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import NoReturn
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from calib.wire import Frame, Message, RawMessage, decode
+from service.errors import (
+    CommandTimeout,
+    LinkDown,
+    ServiceError,
+    VehicleArmed,
+    VehicleBusy,
+    VehicleConflict,
+    VehicleError,
+    VehicleSilent,
+)
+from service.link import Batch, Link, LinkEvent, LinkEventKind
+from service.vehicle import commands
+from service.vehicle.boot_time import BOOT_TIME_IDS, boot_time
+from service.vehicle.identity import VehicleIdentity, identity_from_heartbeat, identity_from_version
+from service.vehicle.listing import ParameterSet, Progress, list_all
+from service.vehicle.parameters import Parameters
+from service.vehicle.state import Refusal, VehicleState, Writable, expire, note_boot_time, reduce, writable
+from service.vehicle.waits import Waits
+
+VERSION_ID = dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION
+STATE_IDS = frozenset(
+    {
+        dialect.MAVLINK_MSG_ID_HEARTBEAT,
+        dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
+        dialect.MAVLINK_MSG_ID_VFR_HUD,
+        dialect.MAVLINK_MSG_ID_STATUSTEXT,
+        dialect.MAVLINK_MSG_ID_MAG_CAL_PROGRESS,
+        dialect.MAVLINK_MSG_ID_MAG_CAL_REPORT,
+        dialect.MAVLINK_MSG_ID_COMMAND_LONG,
+    }
+)
+"""Messages that make the state."""
+_CLOCK_IDS = frozenset({dialect.MAVLINK_MSG_ID_SYSTEM_TIME, dialect.MAVLINK_MSG_ID_ATTITUDE})
+CORE_IDS = (
+    STATE_IDS
+    | _CLOCK_IDS
+    | {
+        VERSION_ID,
+        dialect.MAVLINK_MSG_ID_PARAM_VALUE,
+        dialect.MAVLINK_MSG_ID_PARAM_ERROR,
+        dialect.MAVLINK_MSG_ID_COMMAND_ACK,
+        dialect.MAVLINK_MSG_ID_MESSAGE_INTERVAL,
+    }
+)
+"""Messages that every vehicle needs of its link."""
+
+CONFLICT_S = 30.0
+"""A doubt about who is being talked to holds for so long after its last sign."""
+_POLL_S = 2.0
+_IDENTIFY_TRIES = 5
+
+
+class VehicleEventKind(StrEnum):
+    """What happened to a vehicle."""
+
+    FOUND = "found"
+    IDENTIFIED = "identified"
+    ARMED = "armed"
+    DISARMED = "disarmed"
+    LANDED = "landed"
+    SILENT = "silent"
+    HEARD_AGAIN = "heard_again"
+    REBOOTED = "rebooted"
+    CALIBRATING = "calibrating"
+    TEXT = "text"
+    CONFLICT = "conflict"
+    PEER_CHANGED = "peer_changed"
+
+
+@dataclass(frozen=True)
+class VehicleEvent:
+    """One sentence about a vehicle, for people and for jobs."""
+
+    kind: VehicleEventKind
+    vehicle: Vehicle
+    text: str
+
+
+FramesCallback = Callable[[Sequence[Frame], Batch], None]
+
+
+class Vehicle:
+    """A vehicle on a link, addressed by (system, component). Everything is called from the event loop.
+
+    ``state`` is a snapshot that is replaced, never changed; ``parameters`` is what was heard of them last.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        system: int,
+        component: int,
+        heartbeat: Message,
+        *,
+        clock: Callable[[], float],
+        announce: Callable[[VehicleEvent], None],
+    ) -> None:
+        self.link = link
+        self.system = system
+        self.component = component
+        self.clock = clock
+        self.id = f"{link.id}-{system}-{component}"
+        """Stable and URL-safe; the registry makes it from the unique id once that is known."""
+        self.identity: VehicleIdentity = identity_from_heartbeat(heartbeat)
+        self.state = VehicleState()
+        self.waits = Waits(clock)
+        self.parameters = Parameters(self)
+        self.listing_lock = asyncio.Lock()
+        self._announce = announce
+        self._command_locks: dict[int, asyncio.Lock] = {}
+        self._subscribers: dict[object, tuple[frozenset[int], FramesCallback, Callable[[], None]]] = {}
+        self._conflicts: dict[str, tuple[str, float]] = {}
+        self._silent = False
+        self._polled_at = -1e9
+
+    # --- talking ----------------------------------------------------------------------------------------------------
+
+    def send(self, message: Message | RawMessage) -> None:
+        """Send to this vehicle. Raises LinkDown if that is not possible."""
+        self.link.send(message, (self.system, self.component))
+
+    async def command(
+        self,
+        command_id: int,
+        params: Sequence[float] = (),
+        *,
+        timeout: float = 1.5,  # noqa: ASYNC109 - see commands.command
+        retries: int = 2,
+    ) -> None:
+        """See :func:`service.vehicle.commands.command`."""
+        await commands.command(self, command_id, params, timeout=timeout, retries=retries)
+
+    def command_lock(self, command_id: int) -> asyncio.Lock:
+        """An acknowledgement names only the command: one of a kind at a time."""
+        return self._command_locks.setdefault(command_id, asyncio.Lock())
+
+    async def list_parameters(self, progress: Progress | None = None) -> ParameterSet:
+        """See :func:`service.vehicle.listing.list_all`."""
+        return await list_all(self, progress)
+
+    async def request_message(self, message_id: int, *, tries: int = 3) -> Message:
+        """Ask for one message and return it. Raises CommandRefused, CommandTimeout or VehicleSilent."""
+        request = commands.REQUEST_MESSAGE
+        with self.waits.expect({message_id}, decode) as answer:
+            forget = self.subscribe(frozenset({message_id}), lambda _frames, _batch: None)
+            try:
+                for _ in range(tries):
+                    self._send_command(request, message_id)
+                    message = await answer.within(1.0)
+                    if message is not None:
+                        return message
+            finally:
+                forget()
+        await self.command(request, (message_id,), retries=0)
+        raise CommandTimeout(f"Message {message_id} was asked for {tries} times and did not come.")
+
+    def _send_command(self, command_id: int, *params: float) -> None:
+        """Send a command whose acknowledgement does not matter, since its effect is seen."""
+        full = [*map(float, params), *[0.0] * 7][:7]
+        commands.check_allowed(command_id, full)
+        self.send(dialect.MAVLink_command_long_message(self.system, self.component, command_id, 0, *full))
+
+    async def identify(self) -> VehicleIdentity:
+        """Ask who the vehicle is, the new way and the old one. Raises CommandTimeout if it does not say."""
+        with self.waits.expect({VERSION_ID}, decode) as answer:
+            for attempt in range(2 * _IDENTIFY_TRIES):
+                if attempt % 2 == 0:
+                    self._send_command(commands.REQUEST_MESSAGE, VERSION_ID)
+                else:
+                    self._send_command(commands.REQUEST_CAPABILITIES, 1)
+                if await answer.within(1.0) is not None:
+                    return self.identity
+        raise CommandTimeout(f"Vehicle {self.id} does not answer who it is (AUTOPILOT_VERSION).")
+
+    # --- hearing ----------------------------------------------------------------------------------------------------
+
+    def subscribe(self, message_ids: frozenset[int], callback: FramesCallback) -> Callable[[], None]:
+        """Hand this vehicle's frames of these messages to `callback`, until the returned function is called."""
+        key = object()
+        forget_ids = self.link.subscribe(lambda _batch: None, message_ids)
+        self._subscribers[key] = (message_ids, callback, forget_ids)
+
+        def unsubscribe() -> None:
+            if self._subscribers.pop(key, None) is not None:
+                forget_ids()
+
+        return unsubscribe
+
+    def feed(self, frames: Sequence[Frame], batch: Batch) -> None:
+        """Take the frames of this vehicle out of a batch, in order."""
+        now = batch.received_at
+        clock: float | None = None
+        for frame in frames:
+            message_id = frame.message_id
+            clock = boot_time(frame) if message_id in BOOT_TIME_IDS else clock
+            if message_id in STATE_IDS:
+                self._change(reduce(self.state, decode(frame), now))
+            elif message_id == dialect.MAVLINK_MSG_ID_PARAM_VALUE:
+                self.parameters.hear(frame, now)
+            elif message_id == VERSION_ID:
+                self._identified(decode(frame), now)
+            self.waits.feed(frame)
+        if clock is not None:
+            self._change(note_boot_time(self.state, clock))
+        if self.state.last_heard != now:
+            self.state = replace(self.state, last_heard=now)
+        self._hand_on(frames, batch)
+
+    def _hand_on(self, frames: Sequence[Frame], batch: Batch) -> None:
+        loop = asyncio.get_running_loop()
+        for key, (message_ids, _, _) in list(self._subscribers.items()):
+            chosen = [frame for frame in frames if frame.message_id in message_ids]
+            if chosen:
+                loop.call_soon(self._hand_frames, key, chosen, batch)
+
+    def _hand_frames(self, key: object, frames: Sequence[Frame], batch: Batch) -> None:
+        subscriber = self._subscribers.get(key)
+        if subscriber is not None:
+            subscriber[1](frames, batch)
+
+    def _identified(self, message: Message, now: float) -> None:
+        before = self.identity
+        identity = identity_from_version(before, message)
+        if before.uid2 is not None and identity.uid2 is not None and identity.uid2 != before.uid2:
+            self._conflict(
+                "uid2", f"Two vehicles answer to system id {self.system}: {before.uid2} and {identity.uid2}.", now
+            )
+            return
+        self.identity = identity
+        if identity != before:
+            said = f"{identity.autopilot} {identity.version_text}, unique id {identity.uid2 or 'unknown'}"
+            self._tell(VehicleEventKind.IDENTIFIED, said)
+
+    def link_event(self, event: LinkEvent) -> None:
+        """Take an event of the link into account if it concerns this vehicle."""
+        ours = event.system == self.system and event.component == self.component
+        if event.kind is LinkEventKind.OWN_IDS_HEARD or (ours and event.kind is LinkEventKind.DUPLICATE_SYSTEM):
+            self._conflict(event.kind, event.text, self.clock())
+        elif ours and event.kind is LinkEventKind.PEER_CHANGED:
+            self._tell(VehicleEventKind.PEER_CHANGED, event.text)
+
+    def _conflict(self, kind: str, text: str, now: float) -> None:
+        told = kind in self._conflicts and now - self._conflicts[kind][1] < CONFLICT_S
+        self._conflicts[kind] = (text, now)
+        if not told:
+            self._tell(VehicleEventKind.CONFLICT, text)
+
+    # --- state ------------------------------------------------------------------------------------------------------
+
+    @property
+    def conflicts(self) -> tuple[str, ...]:
+        """Doubts about who is being talked to, in sentences."""
+        now = self.clock()
+        return tuple(text for text, at in self._conflicts.values() if now - at < CONFLICT_S)
+
+    def writable(self) -> Writable:
+        """Whether a parameter may be written at this moment, and why not."""
+        found = writable(self.state, self.clock())
+        doubts = self.conflicts
+        if not doubts:
+            return found
+        refusals = (*found.refusals, *(Refusal.CONFLICT for _ in doubts))
+        return Writable(ok=False, reasons=(*found.reasons, *doubts), refusals=refusals)
+
+    def require_writable(self, *, name: str = "", sent: int = 0) -> None:
+        """Raise VehicleSilent, VehicleArmed, VehicleConflict or VehicleBusy if it may not be written to."""
+        found = self.writable()
+        if not found.ok:
+            _refuse(found, name, sent)
+
+    def tick(self) -> None:
+        """Let time pass: deadlines, silence, and asking again for a state that has grown old."""
+        self.waits.tick()
+        now = self.clock()
+        self._change(expire(self.state, now))
+        silent = self.state.last_heartbeat is not None and self.state.silent(now)
+        if silent != self._silent:
+            self._silent = silent
+            kind = VehicleEventKind.SILENT if silent else VehicleEventKind.HEARD_AGAIN
+            self._tell(kind, "No heartbeat for 3 s." if silent else "Its heartbeat is back.")
+        if not silent and now - self._polled_at >= _POLL_S:
+            self._polled_at = now
+            self._poll(now)
+
+    def _poll(self, now: float) -> None:
+        """Ask for what makes the state where the vehicle does not send it by itself; changes no setting."""
+        state = self.state
+        wanted = [dialect.MAVLINK_MSG_ID_SYSTEM_TIME]
+        if state.landed_at is None or now - state.landed_at >= _POLL_S:
+            wanted.append(dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE)
+        if state.throttle_at is None or now - state.throttle_at >= _POLL_S:
+            wanted.append(dialect.MAVLINK_MSG_ID_VFR_HUD)
+        try:
+            for message_id in wanted:
+                self._send_command(commands.REQUEST_MESSAGE, message_id)
+        except LinkDown:
+            return
+
+    def close(self, error: ServiceError) -> None:
+        """End everything that waits for this vehicle, with an error."""
+        self.waits.close(error)
+        for _, _, forget_ids in self._subscribers.values():
+            forget_ids()
+        self._subscribers.clear()
+
+    def _change(self, state: VehicleState) -> None:
+        before, self.state = self.state, state
+        if state is before:
+            return
+        if state.rebooted != before.rebooted:
+            self.parameters.forget()
+            self._tell(VehicleEventKind.REBOOTED, "The vehicle has restarted.")
+        if state.armed != before.armed and state.armed is not None:
+            kind = VehicleEventKind.ARMED if state.armed else VehicleEventKind.DISARMED
+            self._tell(kind, f"The vehicle is {kind}.")
+        if state.landed != before.landed:
+            self._tell(VehicleEventKind.LANDED, f"The vehicle is {state.landed}.")
+        if state.onboard_calibration is not None and before.onboard_calibration is None:
+            self._tell(VehicleEventKind.CALIBRATING, f"It calibrates by itself: {state.onboard_calibration.text}.")
+        if state.texts and state.texts is not before.texts:
+            self._tell(VehicleEventKind.TEXT, state.texts[-1].text)
+
+    def _tell(self, kind: VehicleEventKind, text: str) -> None:
+        self._announce(VehicleEvent(kind, self, text))
+
+
+def _refuse(found: Writable, name: str, sent: int) -> NoReturn:
+    doing = f"{name} was not written" if name else "Nothing is written"
+    if sent:
+        doing = f"{name} was sent {sent} times and not confirmed; it is not sent again"
+    text = f"{doing}: {'; '.join(found.reasons)}."
+    errors: dict[Refusal, type[VehicleError]] = {
+        Refusal.SILENT: VehicleSilent,
+        Refusal.ARMED: VehicleArmed,
+        Refusal.CONFLICT: VehicleConflict,
+        Refusal.NOT_LANDED: VehicleBusy,
+        Refusal.CALIBRATING: VehicleBusy,
+    }
+    error = next(errors[refusal] for refusal in errors if refusal in found.refusals)(text)
+    error.sent = sent
+    raise error
