@@ -105,7 +105,7 @@ class Intake:
             if part is None:
                 continue
             # abs < bound is False for NaN too
-            good: NDArray[np.bool_] = (np.abs(part.values) < SANE).all(axis=1)
+            good: NDArray[np.bool_] = np.logical_and.reduce(np.abs(part.values) < SANE, axis=1)
             if not good.all():
                 self.dropped[key] = self.dropped.get(key, 0) + int(np.count_nonzero(~good))
                 part = part.take(good)

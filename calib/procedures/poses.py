@@ -82,13 +82,21 @@ def distinct_obliques(directions: Iterable[Array]) -> list[Array]:
 
 
 def suggest(taken: Sequence[Array]) -> tuple[float, float, float]:
-    """The oblique direction farthest from all that were taken, as the body direction to point down."""
-    if not taken:
-        best = _CANDIDATES[0]
-    else:
-        nearest = (_CANDIDATES @ np.array(taken).T).max(axis=1)
-        best = _CANDIDATES[int(np.round(nearest, 6).argmin())]
+    """The oblique direction that would tell most of the cross terms, as the body direction to point down.
+
+    A cross term ``c_ij`` changes the length of ``C u`` by ``2 c_ij u_i u_j``: a pose and its opposite tell the same.
+    """
+    seen = _crosses(np.array(taken).reshape(-1, 3))
+    information = seen.T @ seen + 1e-3 * np.eye(3)
+    asked = _crosses(_CANDIDATES)
+    gain = np.einsum("ki,ij,kj->k", asked, np.linalg.inv(information), asked)
+    best = _CANDIDATES[int(np.round(gain, 6).argmax())]
     return float(best[0]), float(best[1]), float(best[2])
+
+
+def _crosses(directions: Array) -> Array:
+    x, y, z = directions.T
+    return np.column_stack([x * y, x * z, y * z])
 
 
 def in_words(direction: Sequence[float]) -> str:

@@ -39,8 +39,15 @@ def test_remaining_counts_faces_once_and_oblique_poses_only_where_they_differ():
     assert left == (Pose.RIGHT, Pose.NOSE_DOWN, Pose.NOSE_UP, Pose.BACK, Pose.OBLIQUE, Pose.OBLIQUE)
 
 
-def test_the_suggested_direction_is_far_from_every_taken_one():
-    taken = [np.array([1.0, 1.0, 1.0]) / np.sqrt(3), np.array([0.0, -1.0, 0.0])]
-    suggested = np.array(poses.suggest(taken))
-    assert poses.recognise(suggested) is Pose.OBLIQUE
-    assert max(suggested @ d for d in taken) < 0.0
+def test_poses_taken_where_suggested_tell_all_cross_terms():
+    taken = [np.array(poses.DOWN[f]) for f in poses.FACES]
+    for _ in range(3):
+        taken.append(np.array(poses.suggest(taken)))
+        assert poses.recognise(taken[-1]) is Pose.OBLIQUE
+    cross = np.array([[x * y, x * z, y * z] for x, y, z in taken])
+    assert np.linalg.cond(cross.T @ cross) < 20.0
+
+
+def test_the_opposite_of_a_taken_pose_is_not_suggested():
+    tilted = np.array([1.0, 1.0, 1.0]) / np.sqrt(3)
+    assert abs(np.dot(poses.suggest([tilted]), tilted)) < 0.5

@@ -1,0 +1,240 @@
+"""Offsets, scales and cross terms of the accelerometers, from poses held by hand.
+
+Nobody holds a drone square: only the length of the specific force is used, ``|C (m - b)| = g`` on the means of poses
+(METHODS 3.3). Six faces and three oblique poses are as many as the unknowns, and only the prior on the cross terms would
+be tested; the fourth oblique pose is the first that the others must agree with.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+from calib.procedures.context import ProcedureContext
+from calib.procedures.frames import body_from_sensor
+from calib.procedures.holds import SHORTEST, Hold, TakenPose, taken
+from calib.procedures.motion import HELD, StillLimits, Verdict
+from calib.procedures.pose_fit import Assessment, assess
+from calib.procedures.poses import FACES, TEXTS, angle, down, in_words, recognise, remaining, suggest
+from calib.procedures.protocol import Done, Pose, Progress, Prompt
+from calib.procedures.results import annotated
+from calib.procedures.roster import Frame, Instance
+from calib.procedures.spec import Holds, Option, Options, ProcedureSpec
+from calib.procedures.ticked import TickedProcedure
+from calib.recording import Array, Sensor
+
+SPEC = ProcedureSpec(
+    kind="accel",
+    title="Accelerometer offsets, scales and cross terms from poses",
+    sensors=(Sensor.ACCEL, Sensor.GYRO),
+    helpful=(Sensor.TEMPERATURE,),
+    options=(
+        Option("uncertainty", 0.005, "standard deviation to reach on every axis of every offset", "m/s2", 5e-4, 0.1),
+        Option("obliques", 4.0, "oblique poses to ask for beside the six faces", "", 3.0, 12.0),
+        Option("patience", 180.0, "gives up after this time without a new pose", "s", 20.0, 3600.0),
+    ),
+    needs="the vehicle held still on its six faces and in four oblique poses, in any order, 2-3 s each",
+    ends_on="standard deviation of every offset (0.005 m/s2), and a residual test with three degrees of freedom or more",
+    autopilots={
+        "ardupilot": Holds(
+            writes=(
+                "INS_ACCOFFS_*, INS_ACC2OFFS_*, INS_ACC3OFFS_*",
+                "INS_ACCSCAL_* ...",
+                "INS_ACCn_CALTEMP",
+                "AHRS_TRIM_*",
+            ),
+            cannot_represent=("cross terms", "a rotation of one accelerometer against another"),
+        ),
+        "px4": Holds(
+            writes=("CAL_ACCn_XOFF ... _ZOFF", "CAL_ACCn_XSCALE ... _ZSCALE", "SENS_BOARD_X_OFF, _Y_OFF"),
+            cannot_represent=(
+                "cross terms",
+                "a change of the scale below 0.01 (norm of the three)",
+                "a change of the offset below 0.01 m/s2, unless thermal compensation runs",
+            ),
+        ),
+    },
+    duration_s=60.0,
+)
+
+EXTRA = 6
+"""Oblique poses asked for beyond the planned ones before giving up."""
+
+RETAKES = 3
+"""Poses taken again before giving up."""
+
+SAME_POSE = math.radians(12.0)
+"""A pose this near to a taken one is the same pose: it tells little that is new."""
+
+NEXT_POSE = math.radians(15.0)
+"""Away from the pose just taken by this much, the next one begins even if the vehicle never swung."""
+
+
+class AccelProcedure(TickedProcedure):
+    """Recognises poses and stillness from the data, takes a mean of each pose, and fits."""
+
+    spec: ClassVar[ProcedureSpec] = SPEC
+    limits: ClassVar[StillLimits] = HELD
+
+    def __init__(self, options: Options, context: ProcedureContext) -> None:
+        super().__init__(options, context)
+        self._target = float(options["uncertainty"])
+        self._poses: list[TakenPose] = []
+        self._counter = 0
+        self._wanted = int(options["obliques"])
+        self._retakes = 0
+        self._hold: Hold | None = None
+        self._here: Array | None = None
+        self._note = ""
+        self._last_taken = 0.0
+        self._assessment: Assessment | None = None
+
+    def _on_start(self, present: set[Instance]) -> None:
+        self._body = {i: body_from_sensor(self.context, Sensor.ACCEL, i) for i in self.present(Sensor.ACCEL)}
+        self._ask(None, stable=False)
+
+    def _on_tick(self, start: float, end: float, frame: Frame) -> None:
+        verdict = self._watch.update(frame)
+        direction = self._direction()
+        if not verdict.still or direction is None:
+            self._moved(verdict)
+        elif self._here is not None and angle(direction, self._here) > NEXT_POSE:
+            self._moved(verdict)
+            self._watch.reset()
+        elif verdict.counted and self._here is None:
+            self._keep(frame, end - start, direction)
+        if self.outcome is None:
+            self._tell(verdict, direction)
+
+    def _direction(self) -> Array | None:
+        """The body direction that points down, as the first accelerometer has it."""
+        for instance in self.present(Sensor.ACCEL):
+            latest = self._watch.latest.get((Sensor.ACCEL, instance))
+            if latest is not None and latest.mean.any():
+                return down(self._body[instance] @ latest.mean)
+        return None
+
+    def _moved(self, verdict: Verdict) -> None:
+        if self._hold is not None and self._hold.seconds > 0.0:
+            self._note = f"The pose was disturbed ({verdict.why or 'it crept away'}): take it again. "
+        self._hold = None
+        self._here = None
+
+    def _keep(self, frame: Frame, seconds: float, direction: Array) -> None:
+        if any(angle(direction, p.direction) < SAME_POSE for p in self._poses):
+            self._note = "This pose is done. "
+            return
+        self._hold = self._hold or Hold()
+        if self._hold.crept(direction):
+            self._moved(Verdict(still=False, ticks=0, why=""))
+            self._watch.reset()
+            return
+        self._hold.add(frame, seconds, direction)
+        if self._hold.complete(0.8 * self._target):
+            self._take_pose(self._hold, direction)
+
+    def _take_pose(self, hold: Hold, direction: Array) -> None:
+        self._counter += 1
+        self._poses.append(taken(hold, self._counter, recognise(direction), direction, self.present(Sensor.ACCEL)))
+        self._hold, self._here, self._note = None, direction, ""
+        self._last_taken = self.time
+        if not self._left():
+            self._evaluate()
+
+    def _evaluate(self) -> None:
+        """All asked-for poses are taken: finish, ask for a further one, take one again, or give up."""
+        assessment = assess(self._poses, self.present(Sensor.ACCEL), self.context.gravity, self._target)
+        self._assessment = assessment
+        if assessment.passed:
+            self._end(assessment)
+        elif assessment.culprit is not None:
+            self._take_again(assessment.culprit, assessment)
+        elif self._wanted < int(self.options["obliques"]) + EXTRA:
+            self._wanted += 1
+            self._note = f"{assessment.short}: a further pose is needed. "
+        else:
+            self._give_up(
+                f"{len(self._poses)} poses do not bring the goal: {assessment.short}",
+                "check that nothing vibrates or moves during the holds and that the flight controller is fixed firmly, "
+                "then start again, or ask for less",
+            )
+
+    def _take_again(self, culprit: TakenPose, assessment: Assessment) -> None:
+        self._retakes += 1
+        name = f"pose {culprit.number} ({TEXTS[culprit.pose]})"
+        if self._retakes > RETAKES:
+            self._give_up(
+                f"the poses contradict each other: {name} disagrees with the others ({assessment.short})",
+                "hold every pose stiller, on a firm support if possible; check that the flight controller is fixed firmly",
+            )
+            return
+        self._poses.remove(culprit)
+        self._note = f"{name[0].upper()}{name[1:]} disagrees with the others: take it again. "
+        if angle(self._here if self._here is not None else culprit.direction, culprit.direction) < SAME_POSE:
+            self._here = None
+        if not self._left():
+            self._evaluate()
+
+    def _end(self, assessment: Assessment) -> None:
+        self._dropped_rows()
+        if any(pose.means[i].temperature is None for pose in self._poses for i in pose.means):
+            self._warn("no temperature streamed: the offsets cannot be tied to the temperature they were taken at")
+        results = tuple(annotated(f, self.context, self.warnings) for f in assessment.fits)
+        self._finish(Done(results, assessment.short))
+
+    def _left(self) -> tuple[Pose, ...]:
+        return remaining([p.direction for p in self._poses], self._wanted)
+
+    def _ask(self, direction: Array | None, *, stable: bool) -> None:
+        left = self._left()
+        detected = recognise(direction) if direction is not None and stable else None
+        towards = None
+        faces = [p for p in left if p in FACES]
+        if stable and self._hold is not None:
+            text = f"{self._note}Hold it {TEXTS[detected] if detected else 'still'}."
+        elif faces:
+            text = f"{self._note}Hold the vehicle still {', '.join(TEXTS[p] for p in faces)}, in any order."
+        else:
+            towards = suggest([p.direction for p in self._poses])
+            text = f"{self._note}Hold the vehicle still, tilted: {in_words(towards)} pointing down."
+        self._say(
+            Prompt(
+                "pose",
+                text,
+                remaining=left,
+                pose=None if faces or not left else Pose.OBLIQUE,
+                hold_s=SHORTEST + 1.0,
+                direction=towards,
+                detected=detected,
+                stable=stable,
+            )
+        )
+
+    def _tell(self, verdict: Verdict, direction: Array | None) -> None:
+        self._ask(direction, stable=verdict.counted)
+        if self.time - max(self._last_taken, self._began) >= self.options["patience"]:
+            cause, remedy = self._missing()
+            moving = verdict.why or "the vehicle lies in a pose that is taken already"
+            self._give_up(f"no new pose within {self.options['patience']:.0f} s ({moving}); {cause}", remedy)
+            return
+        done, total = len(self._poses), len(self._poses) + len(self._left())
+        per_pose = (self.time - self._began) / done if done else SHORTEST + 3.0
+        detail = {
+            "hold_s": self._hold.seconds if self._hold else 0.0,
+            "offset_sd": self._assessment.offset_sd if self._assessment else None,
+            "residual_rms": self._assessment.residual_rms if self._assessment else None,
+            "warnings": self.warnings[:],
+        }
+        text = f"{done} of {total} poses" if verdict.still else f"{done} of {total} poses; {verdict.why}"
+        self._report(Progress(done, total, "poses", text, per_pose * (total - done), detail))
+
+    def _missing(self) -> tuple[str, str]:
+        left = self._left()
+        if not left:
+            short = self._assessment.short if self._assessment else "not judged yet"
+            return short, "hold further oblique poses"
+        names = ", ".join(TEXTS[p] for p in left)
+        return (
+            f"{len(self._poses)} poses were taken and {len(left)} are missing",
+            f"hold the vehicle still for {SHORTEST + 1.0:.0f} s each: {names}",
+        )

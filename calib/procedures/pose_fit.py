@@ -1,0 +1,114 @@
+"""The accelerometer fits of a set of poses, and what they say: enough, another pose, or which one to take again."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.accel import fit_poses
+from calib.fit import FitResult, FitStatus
+from calib.procedures.holds import TakenPose
+from calib.procedures.roster import label
+from calib.recording import Sensor
+
+LEAST_FREEDOM = 3
+"""Degrees of freedom that a residual test must have to mean something."""
+
+CHANCE = 1e-3
+"""Poses that fit worse than this by chance contradict each other."""
+
+CURED = 1e-2
+"""Without the pose that disagrees, the others must fit at least as well as this."""
+
+MARGIN = 6.0
+"""By how much chi2 must fall further without the culprit than without any other pose: twenty to one in likelihood."""
+
+
+@dataclass(frozen=True, eq=False)
+class Assessment:
+    """The fits of all accelerometers and the verdict over them.
+
+    `culprit` is the one pose that contradicts all the others; None: there is none, or it cannot be told which.
+    `contradiction` says that the residual test fails and the inflated uncertainty misses the goal.
+    """
+
+    fits: tuple[FitResult, ...]
+    passed: bool
+    offset_sd: float
+    residual_rms: float
+    contradiction: bool
+    culprit: TakenPose | None
+    short: str
+
+
+def assess(poses: Sequence[TakenPose], instances: Sequence[int], gravity: float, target: float) -> Assessment:
+    """Fit every accelerometer and judge: uncertainty `target` (m/s2) on every offset, and the residual test.
+
+    Where the poses contradict each other the fits' covariance is inflated to their scatter; they pass all the same if
+    that stays within the target, for then the contradiction is smaller than what was asked for.
+    """
+    fits = tuple(_fit(poses, i, gravity) for i in instances)
+    refusal = next((f for f in fits if f.status == FitStatus.REFUSED), None)
+    if refusal is not None:
+        short = f"{label(Sensor.ACCEL, refusal.instance)}: {refusal.message}"
+        return Assessment(
+            fits,
+            passed=False,
+            offset_sd=math.inf,
+            residual_rms=math.inf,
+            contradiction=False,
+            culprit=None,
+            short=short,
+        )
+    sd = max(_offset_sd(f) for f in fits)
+    rms = max(f.residual_rms for f in fits)
+    failing = [f for f in fits if _chance(f) < CHANCE]
+    tested = all(f.quality["dof"] >= LEAST_FREEDOM for f in fits)
+    passed = tested and sd <= target
+    contradiction = bool(failing) and not passed
+    return Assessment(
+        fits=fits,
+        passed=passed,
+        offset_sd=sd,
+        residual_rms=rms,
+        contradiction=contradiction,
+        culprit=_culprit(poses, failing[0].instance, gravity) if contradiction else None,
+        short=_short(sd, rms, target, passed=passed, contradiction=contradiction),
+    )
+
+
+def _fit(poses: Sequence[TakenPose], instance: int, gravity: float) -> FitResult:
+    means = [p.means[instance] for p in poses if instance in p.means]
+    return fit_poses(means, gravity=gravity, instance=instance)
+
+
+def _offset_sd(fit: FitResult) -> float:
+    sd = fit.sd[:3]
+    return math.inf if np.isnan(sd).any() else float(sd.max())
+
+
+def _chance(fit: FitResult) -> float:
+    p_value = fit.quality["p_value"]
+    return 1.0 if p_value is None else float(p_value)
+
+
+def _culprit(poses: Sequence[TakenPose], instance: int, gravity: float) -> TakenPose | None:
+    """The pose without which the others agree, if it is clearly this one."""
+    without = [_fit([p for p in poses if p is not left_out], instance, gravity) for left_out in poses]
+    usable = [k for k, f in enumerate(without) if f.status != FitStatus.REFUSED]
+    order = sorted(usable, key=lambda k: float(without[k].quality["chi2"]))
+    if len(order) < 2 or _chance(without[order[0]]) < CURED:
+        return None
+    best, second = (float(without[k].quality["chi2"]) for k in order[:2])
+    return poses[order[0]] if second - best > MARGIN else None
+
+
+def _short(sd: float, rms: float, target: float, *, passed: bool, contradiction: bool) -> str:
+    if passed:
+        return f"every offset is known to {sd:.4f} m/s2 or better; the poses agree within {rms:.4f} m/s2 (rms)"
+    if contradiction:
+        return f"the poses disagree by {rms:.3f} m/s2 (rms), more than their noise explains"
+    return f"the offsets are known to {sd:.4f} m/s2, not to {target:.4f}"
