@@ -152,8 +152,9 @@ class Assembler:
         unsorted[sorting] = in_order
         ends = np.cumsum([len(rows[key]) for key in keys])
         events = [Event(float(in_order[i]), "reboot", "the vehicle's clock started again") for i in reboots]
+        newest = np.maximum(np.maximum.accumulate(in_order), -np.inf if before is None else before)
         stamped = dict(zip(keys, np.split(unsorted, ends[:-1]), strict=True))
-        return _Times(stamped, where[sorting], np.maximum.accumulate(in_order), before, events)
+        return _Times(stamped, where[sorting], newest, before, events)
 
     def _stamps(self, rows: NDArray[Any]) -> Array:
         if "time_boot_ms" in (rows.dtype.names or ()):
