@@ -130,6 +130,8 @@ class ParameterVerdict:
     """Standard deviation of the check, same unit."""
     unit: str
     text: str
+    acts_on_stream: bool = True
+    """False: no stream depends on it (a flag, an id, a trim behind the sensors); it is judged by read-back alone."""
 
 
 @dataclass(frozen=True)
@@ -146,8 +148,9 @@ class Verification:
 
     @property
     def proved(self) -> bool:
-        """Whether every parameter is proved."""
-        return all(p.verdict == Verdict.PROVED for p in self.parameters)
+        """Whether every parameter that acts on a stream is proved, and there is one."""
+        acting = [p.verdict for p in self.parameters if p.acts_on_stream]
+        return bool(acting) and all(verdict == Verdict.PROVED for verdict in acting)
 
 
 def snapshot_sha256(values: Mapping[str, Value]) -> str:

@@ -1,0 +1,185 @@
+"""The check of one sensor's stream against every combination of the changes that act on it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.firmware.discrepancy import Capture, Undo, covariance, discrepancy, expected_of, true_magnitude
+from calib.firmware.draft import Subject
+from calib.firmware.evidence import Evidence, Reading
+from calib.firmware.fitted import Pair
+from calib.firmware.force import Force
+from calib.firmware.hypotheses import Hypothesis, Judgement, judge
+from calib.fit import FitResult
+from calib.recording import Sensor
+from calib.triad import TriadModel
+
+Array = NDArray[np.float64]
+
+ALL_APPLIED: Hypothesis = frozenset()
+
+
+@dataclass(eq=False)
+class Corrections:
+    """Models and undoing of one sensor under hypotheses, each computed once."""
+
+    force: Force
+    about: Subject
+    _models: dict[Hypothesis, TriadModel] = field(default_factory=dict)
+
+    @property
+    def every(self) -> Hypothesis:
+        """The names of all changes."""
+        return frozenset(change.name for change in self.force.changes)
+
+    def model(self, refused: Hypothesis) -> TriadModel:
+        """The correction in force if `refused` did not take effect."""
+        if refused not in self._models:
+            self._models[refused] = self.force.model(self.about, self.every - refused)
+        return self._models[refused]
+
+    def raw(self, refused: Hypothesis, reading: Reading) -> Array:
+        """What the sensor measured, (3,), if `refused` did not take effect."""
+        motor = self.force.motor(self.about, self.every - refused, reading)
+        return self.model(refused).invert(reading.mean - motor, reading.temperature)
+
+    def readable(self, readings: tuple[Reading, ...]) -> tuple[Reading, ...]:
+        """Those of `readings` that can be undone: a correction by temperature needs the temperature."""
+        thermal = any(self.model(h).polynomial is not None for h in (ALL_APPLIED, self.every))
+        return tuple(r for r in readings if r.temperature is not None or not thermal)
+
+
+@dataclass(frozen=True, eq=False)
+class StreamCheck:
+    """What one sensor's stream says of `names`, the changes that act on it."""
+
+    corrections: Corrections
+    capture: Capture
+    names: tuple[str, ...]
+    judgement: Judgement
+    equality: bool
+    """Whether the captures before and after were compared; False: none before, or the vehicle was moved."""
+
+    @property
+    def unit(self) -> str:
+        """Unit of the stream."""
+        return {Sensor.ACCEL: "m/s2", Sensor.GYRO: "rad/s"}.get(self.capture.sensor, "uT")
+
+    def effect(self, name: str) -> float:
+        """How far the stream would be off, at most over the readings, if `name` alone had not taken effect."""
+        whole, without = (self.corrections.model(h) for h in (ALL_APPLIED, frozenset({name})))
+        largest = 0.0
+        for reading in (*self.capture.after, *self.capture.invariant):
+            raw = self.corrections.raw(ALL_APPLIED, reading)
+            difference = whole.apply(raw, reading.temperature) - without.apply(raw, reading.temperature)
+            motors = (self.corrections.force.motor(self.corrections.about, s, reading) for s in self._sets(name))
+            largest = max(largest, float(np.linalg.norm(difference + np.subtract(*motors))))
+        return largest
+
+    def sd(self, name: str) -> float:
+        """Standard deviation of the check along the effect of `name`, in the unit of the stream."""
+        distance, effect = self.judgement.distance[name], self.effect(name)
+        if distance > 0.0 and effect > 0.0:
+            return effect / distance
+        matrix = self.covariance(self.capture, equality=self.equality)
+        return float(np.sqrt(np.diag(matrix).min()))
+
+    def covariance(self, capture: Capture, *, equality: bool) -> Array:
+        """Covariance of the discrepancy of `capture` with everything in force."""
+        undo = self._undo(ALL_APPLIED)
+        return covariance(capture, self.corrections.model(ALL_APPLIED), undo, equality=equality)
+
+    def distance_in(self, name: str, readings: tuple[Reading, ...]) -> float:
+        """How many standard deviations `name` would be worth with other readings, held against lengths alone."""
+        capture = dataclasses.replace(self.capture, before=None, raw_before=None, after=readings, invariant=readings)
+        root = np.linalg.cholesky(self.covariance(capture, equality=False))
+        shift = discrepancy(capture, self._undo(frozenset({name})), equality=False)
+        shift = shift - discrepancy(capture, self._undo(ALL_APPLIED), equality=False)
+        return float(np.linalg.norm(np.linalg.solve(root, shift)))
+
+    def _undo(self, refused: Hypothesis) -> Undo:
+        return lambda reading: self.corrections.raw(refused, reading)
+
+    def _sets(self, name: str) -> tuple[Hypothesis, Hypothesis]:
+        return self.corrections.every, self.corrections.every - {name}
+
+
+def check_stream(
+    about: Subject, names: tuple[str, ...], force: Force, pair: Pair | None, then: Evidence, now: Evidence
+) -> StreamCheck | None:
+    """Hold the stream of `about` against every combination of `names`; None if there is nothing to hold it against.
+
+    If no combination explains the captures before and after together, the vehicle was moved between them, and only
+    the lengths of its vectors are left. A gyroscope at rest reads the same in any attitude, so it has no such excuse.
+    """
+    corrections = Corrections(force, about)
+    capture = _capture(corrections, pair, then, now)
+    ways = [True] if capture.equality else []
+    if capture.lengths and not (ways and about.sensor == Sensor.GYRO):
+        ways.append(False)
+    check = None
+    for equality in ways:
+        judgement = _judge(corrections, capture, names, equality=equality)
+        check = StreamCheck(corrections, capture, names, judgement, equality)
+        if judgement.explained:
+            return check
+    moved = ways == [True] and about.sensor != Sensor.GYRO
+    return None if moved else check
+
+
+def _capture(corrections: Corrections, pair: Pair | None, then: Evidence, now: Evidence) -> Capture:
+    about = corrections.about
+    readings = corrections.readable(now.readings.get(about, ()))
+    moving = corrections.readable(now.moving.get(about, ()))
+    earlier = corrections.readable(then.readings.get(about, ()))
+    before = earlier[-1] if earlier else None
+    in_force = corrections.model(ALL_APPLIED).polynomial
+    drift = None if pair is None else pair.drift
+    expected = None
+    if pair is not None and pair.absolute is not None:
+        expected = expected_of(pair.at_rest, drift, in_force, _magnitude(about.sensor, pair.absolute))
+    return Capture(
+        sensor=about.sensor,
+        before=before,
+        raw_before=None if before is None else corrections.raw(corrections.every, before),
+        after=readings,
+        invariant=(*readings, *moving),
+        expected=expected,
+        polynomial=in_force if drift is None else drift.model.polynomial,
+    )
+
+
+def _magnitude(sensor: Sensor, fit: FitResult | None) -> float | None:
+    """Length of the true vector; a magnetometer's is in the quality of its fit, if the field was known."""
+    if sensor != Sensor.MAG or fit is None:
+        return true_magnitude(sensor)
+    radius, ratio = fit.quality.get("radius"), fit.quality.get("field_ratio")
+    return None if not radius or not ratio else float(radius) / float(ratio)
+
+
+def _judge(corrections: Corrections, capture: Capture, names: tuple[str, ...], *, equality: bool) -> Judgement:
+    whole = corrections.model(ALL_APPLIED)
+    matrix = covariance(capture, whole, lambda r: corrections.raw(ALL_APPLIED, r), equality=equality)
+    root = np.linalg.cholesky(matrix)
+
+    def whitened(refused: Hypothesis) -> Array:
+        vector = discrepancy(capture, lambda r: corrections.raw(refused, r), equality=equality)
+        return np.asarray(np.linalg.solve(root, vector))
+
+    return judge(names, whitened)
+
+
+def strongest(checks: Mapping[Subject, StreamCheck], name: str) -> StreamCheck | None:
+    """The check with the most to say of `name`: a contradiction first, then the largest distance."""
+    about = [c for c in checks.values() if name in c.names]
+    return max(about, key=lambda c: _weight(c, name), default=None)
+
+
+def _weight(check: StreamCheck, name: str) -> tuple[int, float]:
+    order = ("not_observable", "consistent", "proved", "contradicted")
+    return order.index(check.judgement.verdicts[name].value), check.judgement.distance[name]

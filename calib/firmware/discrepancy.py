@@ -1,0 +1,256 @@
+"""How far the streams are from what a hypothesis about the parameters in force predicts, with the covariance of that.
+
+Under a hypothesis the stream is undone to raw readings. Two things are known of those:
+
+equality
+    the sensor was not touched between the capture before and the capture after the write, so its raw mean is the
+    same (a gyroscope at rest reads the same in any attitude);
+invariance
+    corrected by the fitted model, an accelerometer at rest reads a vector of length g, a gyroscope zero, a
+    magnetometer a vector as long as the field.
+
+Neither needs to know which way the vehicle points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib import STANDARD_GRAVITY
+from calib.firmware.evidence import Reading
+from calib.fit import FitResult
+from calib.recording import Sensor
+from calib.triad import ThermalPolynomial, TriadModel
+
+Array = NDArray[np.float64]
+Undo = Callable[[Reading], Array]
+"""A corrected reading to the raw one, under one hypothesis."""
+
+EARTH_RATE: Final = 7.292115e-5  # rad/s (WGS 84); inside a gyroscope's fitted offset, and different in every attitude
+ATTITUDE_SD: Final = np.radians(0.05)
+"""How still a vehicle lies between two captures that nobody touched it in: a table that someone leans on."""
+BIAS_WALK: Final = 1.5e-5
+"""rad/s per s of gyro bias drift between captures: 0.05 deg/s a minute, the default drift of ArduPilot's simulator."""
+DRIFT_PER_DEGC: Final = {Sensor.ACCEL: 5e-3, Sensor.GYRO: 5e-4, Sensor.MAG: 0.0}
+"""Offset change per degC where no polynomial is known: 0.5 mg and 0.03 deg/s, data sheets of the IMUs in use."""
+STABILITY: Final = {Sensor.ACCEL: 1e-3, Sensor.GYRO: 5e-5, Sensor.MAG: 0.05}
+"""Scatter of a resting sensor from one capture to the next beyond its noise: 0.1 mg, 10 deg/h, 0.5 mgauss."""
+UNKNOWN_TEMPERATURE: Final = 5.0  # degC of change that is allowed for where none was streamed
+_UNDETERMINED: Final = 10.0  # sd of a parameter that the fit leaves open, in its unit
+_ANY_FIELD: Final = 100.0  # uT, sd of a field strength that is not known
+
+
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """What the sensor's true correction is, as far as the fits know it, and how well."""
+
+    model: TriadModel
+    covariance: Array
+    """Over offset (3) and matrix by rows (9)."""
+    temperature: float | None
+    """degC at which the offset was taken; None: not known."""
+    misfit: float
+    """Scatter of the fit's own residuals, in the unit of the stream."""
+    magnitude: float | None
+    """Length of the true vector; None: constant but not known."""
+
+    @property
+    def drifts(self) -> bool:
+        """Whether the drift with temperature is unknown."""
+        return self.model.polynomial is None
+
+
+def expected_of(
+    at_rest: FitResult | None, drift: FitResult | None, in_force: ThermalPolynomial | None, magnitude: float | None
+) -> Expected | None:
+    """Put together what was fitted; None if no fit says where the offset stands.
+
+    `in_force` is the polynomial that the vehicle applies, used where no drift was fitted now.
+    """
+    fit = at_rest if at_rest is not None else drift
+    if fit is None:
+        return None
+    polynomial = in_force if drift is None else drift.model.polynomial
+    offset = fit.model.offset
+    if at_rest is not None and polynomial is not None and at_rest.temperature is not None:
+        offset = offset - polynomial(at_rest.temperature)
+    elif at_rest is not None:
+        polynomial = None
+    known = fit.covariance[:12, :12] + np.diag([_UNDETERMINED**2 * (n in fit.undetermined) for n in fit.names[:12]])
+    return Expected(
+        TriadModel(offset, fit.model.matrix, polynomial),
+        known,
+        fit.temperature,
+        fit.residual_rms if np.isfinite(fit.residual_rms) else 0.0,
+        magnitude,
+    )
+
+
+def true_magnitude(sensor: Sensor) -> float | None:
+    """Length of what the sensor truly sees at rest."""
+    return {Sensor.ACCEL: STANDARD_GRAVITY, Sensor.GYRO: 0.0}.get(sensor)
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """What one sensor read before (None: not captured) and after the write."""
+
+    sensor: Sensor
+    before: Reading | None
+    raw_before: Array | None
+    after: tuple[Reading, ...]
+    invariant: tuple[Reading, ...]
+    """Readings after the write that count for invariance (a turning compass adds its samples)."""
+    expected: Expected | None
+    polynomial: ThermalPolynomial | None
+    """How the raw reading is known to drift with temperature; None: not known."""
+
+    @property
+    def equality(self) -> bool:
+        """Whether the raw reading before and after can be compared."""
+        return self.raw_before is not None and bool(self.after)
+
+    @property
+    def lengths(self) -> bool:
+        """Whether the length of what the sensor reads after the write can be judged."""
+        return self.expected is not None and bool(self.invariant)
+
+    @property
+    def weights(self) -> Array:
+        """Which readings after are compared with the one before: for a gyroscope all, otherwise the first."""
+        n = len(self.after)
+        if self.sensor == Sensor.GYRO:
+            return np.full(n, 1.0 / n)
+        return np.eye(n)[0]
+
+    @property
+    def zero_rate(self) -> bool:
+        """A gyroscope is held against zero only without a capture before: its bias may have moved since the fit."""
+        return self.sensor == Sensor.GYRO and self.raw_before is None
+
+
+def discrepancy(capture: Capture, undo: Undo, *, equality: bool) -> Array:
+    """The vector that is zero, up to its covariance, if the hypothesis behind `undo` is true."""
+    parts = []
+    if equality and capture.raw_before is not None and capture.before is not None:
+        raw = np.array([undo(r) for r in capture.after])
+        drift = _known_drift(capture)
+        parts.append(capture.weights @ (raw - drift) - capture.raw_before)
+    expected = capture.expected
+    if expected is not None and capture.invariant:
+        corrected = np.array([_corrected(expected, undo(r), r) for r in capture.invariant])
+        if capture.sensor != Sensor.GYRO:
+            parts.append(np.linalg.norm(corrected, axis=1) - (expected.magnitude or 0.0))
+        elif capture.zero_rate:
+            parts.append(corrected.mean(axis=0))
+    return np.concatenate(parts) if parts else np.zeros(0)
+
+
+def covariance(capture: Capture, model: TriadModel, undo: Undo, *, equality: bool) -> Array:
+    """Covariance of :func:`discrepancy`, taken where every change is in force (`model`, `undo`)."""
+    back = np.linalg.inv(model.matrix)
+    blocks = []
+    noise: dict[int, Array] = {}
+    readings = list(dict.fromkeys((*capture.after, *capture.invariant)))
+    for k, reading in enumerate(readings):
+        noise[k] = back @ reading.covariance @ back.T
+    place = {id(r): k for k, r in enumerate(readings)}
+    if equality and capture.before is not None:
+        row = np.zeros((3, 3 * len(readings)))
+        for weight, reading in zip(capture.weights, capture.after, strict=True):
+            row[:, 3 * place[id(reading)] : 3 * place[id(reading)] + 3] = weight * np.eye(3)
+        blocks.append((row, _equality_floor(capture, back)))
+    if capture.expected is not None and capture.invariant:
+        blocks += _invariance_blocks(capture, capture.expected, undo, place)
+    rows = np.vstack([row for row, _ in blocks])
+    whole = np.zeros((3 * len(readings), 3 * len(readings)))
+    for k, block in noise.items():
+        whole[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = block
+    result = np.asarray(rows @ whole @ rows.T)
+    start = 0
+    for row, floor in blocks:
+        result[start : start + len(row), start : start + len(row)] += floor
+        start += len(row)
+    return result
+
+
+def _equality_floor(capture: Capture, back: Array) -> Array:
+    """Noise of the capture before, and what may change between two captures that nobody touched."""
+    before, first = capture.before, capture.after[0]
+    assert before is not None
+    floor = back @ before.covariance @ back.T + STABILITY[capture.sensor] ** 2 * np.eye(3)
+    if capture.sensor == Sensor.GYRO:
+        gap = first.t - before.t
+        drift = BIAS_WALK * (gap if gap > 0.0 else 60.0)  # the clock of a restarted vehicle says nothing of the gap
+        floor += (drift**2 + EARTH_RATE**2) * np.eye(3)
+    else:
+        vector = back @ first.mean
+        floor += ATTITUDE_SD**2 * (vector @ vector * np.eye(3) - np.outer(vector, vector))
+    if capture.polynomial is None:
+        change = _temperature_change(before.temperature, first.temperature)
+        floor += (DRIFT_PER_DEGC[capture.sensor] * change) ** 2 * np.eye(3)
+    return np.asarray(floor)
+
+
+def _temperature_change(then: float | None, now: float | None) -> float:
+    return UNKNOWN_TEMPERATURE if then is None or now is None else abs(now - then)
+
+
+def _known_drift(capture: Capture) -> Array:
+    """Change of the raw offset from the reading before to each reading after, (K, 3), where a polynomial is known."""
+    polynomial, before = capture.polynomial, capture.before
+    if polynomial is None or before is None or before.temperature is None:
+        return np.zeros((len(capture.after), 3))
+    now = [before.temperature if r.temperature is None else r.temperature for r in capture.after]
+    return polynomial(np.array(now)) - polynomial(before.temperature)
+
+
+def _corrected(expected: Expected, raw: Array, reading: Reading) -> Array:
+    temperature = reading.temperature if reading.temperature is not None else expected.temperature
+    if expected.model.polynomial is not None and temperature is None:
+        temperature = expected.model.polynomial.t_ref
+    return expected.model.apply(raw, temperature)
+
+
+def _invariance_blocks(
+    capture: Capture, expected: Expected, undo: Undo, place: dict[int, int]
+) -> list[tuple[Array, Array]]:
+    """Rows over the readings and the floor of the invariance part."""
+    if capture.sensor == Sensor.GYRO and not capture.zero_rate:
+        return []
+    size = 3 * len(place)
+    matrix = expected.model.matrix
+    rows, jacobian, floors = [], [], []
+    for reading in capture.invariant:
+        raw = undo(reading)
+        corrected = _corrected(expected, raw, reading)
+        if capture.sensor == Sensor.GYRO:
+            normal = np.eye(3) / len(capture.invariant)
+        else:
+            normal = corrected[None, :] / np.linalg.norm(corrected)
+        row = np.zeros((len(normal), size))
+        k = place[id(reading)]
+        row[:, 3 * k : 3 * k + 3] = normal @ matrix
+        centred = np.linalg.solve(matrix, corrected)
+        rows.append(row)
+        jacobian.append(np.hstack([-normal @ matrix, np.kron(normal, centred[None, :])]))
+        floors.append(_drift_variance(capture.sensor, expected, reading))
+    J = np.sum(jacobian, axis=0) if capture.sensor == Sensor.GYRO else np.vstack(jacobian)
+    floor = J @ expected.covariance @ J.T + np.mean(floors) * J[:, :3] @ J[:, :3].T
+    stability = STABILITY[capture.sensor] ** 2 + (EARTH_RATE**2 if capture.sensor == Sensor.GYRO else 0.0)
+    floor += (expected.misfit**2 * (capture.sensor != Sensor.GYRO) + stability) * np.eye(len(J))
+    if expected.magnitude is None:
+        floor += _ANY_FIELD**2 * np.ones((len(J), len(J)))
+    stacked = np.sum(rows, axis=0) if capture.sensor == Sensor.GYRO else np.vstack(rows)
+    return [(stacked, floor)]
+
+
+def _drift_variance(sensor: Sensor, expected: Expected, reading: Reading) -> float:
+    if not expected.drifts:
+        return 0.0
+    return float((DRIFT_PER_DEGC[sensor] * _temperature_change(expected.temperature, reading.temperature)) ** 2)

@@ -1,0 +1,102 @@
+"""Which combinations of old and new values the streams allow.
+
+A hypothesis says which changes of a plan did *not* take effect. Its discrepancy is a vector that scatters about zero
+with a known covariance if it is true; whitened, that is a unit normal. Two hypotheses a distance ``d`` apart are
+compared along the line between them: one is given up when the data lie more than :data:`THRESHOLD` standard
+deviations from it towards the other, and nearer to the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from calib.firmware.plan import Verdict
+
+Array = NDArray[np.float64]
+Hypothesis = frozenset[str]
+"""Names of the changes that did not take effect."""
+
+THRESHOLD: Final = 3.29
+"""One false alarm in 2000 along one line, so that one parameter has fewer than one in 1000 over several lines."""
+OBSERVABLE: Final = 3.0
+"""Effects below this many standard deviations are not judged (DESIGN 6, rule 4)."""
+UNEXPLAINED: Final = 1e-4
+"""Chance at which no hypothesis is believed."""
+MOST_EXHAUSTIVE: Final = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """What the streams of one sensor say of the changes that act on it."""
+
+    verdicts: dict[str, Verdict]
+    distance: dict[str, float]
+    """How many standard deviations apart "applied" and "not applied" are, for each change alone."""
+    explained: bool
+    """False: the streams agree with no combination of old and new values."""
+
+
+def combinations_of(names: Sequence[str]) -> tuple[Hypothesis, ...]:
+    """Every subset of few `names`; of many: none, all, singles, pairs, all but one, and each group of one stem.
+
+    A firmware that ignores a vector ignores all of it, so the components of a vector are a group.
+    """
+    if len(names) <= MOST_EXHAUSTIVE:
+        sizes = range(len(names) + 1)
+        return tuple(frozenset(c) for size in sizes for c in combinations(names, size))
+    groups: dict[str, set[str]] = {}
+    for name in names:
+        groups.setdefault(_stem(name), set()).add(name)
+    chosen = [frozenset(c) for size in (0, 1, 2) for c in combinations(names, size)]
+    chosen += [frozenset(names), *(frozenset(names) - {n} for n in names)]
+    chosen += [frozenset(a | b) for a in groups.values() for b in groups.values()]
+    return tuple(dict.fromkeys(chosen))
+
+
+def judge(names: Sequence[str], whitened: Callable[[Hypothesis], Array]) -> Judgement:
+    """Weigh every combination of `names` by its whitened discrepancy (n,)."""
+    hypotheses = combinations_of(names)
+    points = np.array([whitened(h) for h in hypotheses])
+    place = {h: k for k, h in enumerate(hypotheses)}
+    applied = points[place[frozenset()]]
+    distance = {n: float(np.linalg.norm(points[place[frozenset({n})]] - applied)) for n in names}
+    explained = bool((points**2).sum(axis=1).min() <= chi2.isf(UNEXPLAINED, max(points.shape[1], 1)))
+    allowed = [h for h, kept in zip(hypotheses, _allowed(points), strict=True) if kept]
+    verdicts = {n: _verdict(n, distance[n], allowed, explained=explained) for n in names}
+    return Judgement(verdicts, distance, explained)
+
+
+def _allowed(points: Array) -> NDArray[np.bool_]:
+    """Which hypotheses no other one beats."""
+    squares = (points**2).sum(axis=1)
+    apart = np.sqrt(np.maximum(squares[:, None] + squares[None, :] - 2.0 * points @ points.T, 0.0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along = (squares[:, None] - squares[None, :] + apart**2) / (2.0 * apart)
+    beaten = (apart > 1e-9) & (along > np.maximum(THRESHOLD, 0.5 * apart))
+    return np.asarray(~beaten.any(axis=1))
+
+
+def _verdict(name: str, distance: float, allowed: Sequence[Hypothesis], *, explained: bool) -> Verdict:
+    if distance < OBSERVABLE:
+        return Verdict.NOT_OBSERVABLE
+    if not explained:
+        return Verdict.CONTRADICTED
+    refused = [name in hypothesis for hypothesis in allowed]
+    if all(refused):
+        return Verdict.CONTRADICTED
+    return Verdict.CONSISTENT if any(refused) else Verdict.PROVED
+
+
+def _stem(name: str) -> str:
+    """What the components of a vector share: INS_ACCOFFS_X -> INS_ACCOFFS, CAL_ACC0_XOFF -> CAL_ACC0_OFF."""
+    head, _, tail = name.rpartition("_")
+    if tail in ("X", "Y", "Z", "0", "1", "2"):
+        return head
+    return f"{head}_{tail[1:]}" if tail[:1] in "XYZ" else name
