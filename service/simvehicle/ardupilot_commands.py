@@ -15,7 +15,7 @@ from service.simvehicle import ardupilot_parameters as names
 from service.simvehicle.ardupilot_magcal import MagCalibration
 from service.simvehicle.parameters import Value
 from service.simvehicle.vehicle import Channel
-from service.simvehicle.wire import Received
+from service.simvehicle.wire import Received, command_parameters
 
 if TYPE_CHECKING:
     from service.simvehicle.ardupilot import ArduPilotVehicle
@@ -84,7 +84,7 @@ class ArduPilotCommands:
         handler = self._handlers.get(command)
         reply_to = (received.system, received.component)
         self._reply = partial(self._acknowledge, channel, command, reply_to)
-        result = UNSUPPORTED if handler is None else handler(channel, _parameters(received))
+        result = UNSUPPORTED if handler is None else handler(channel, command_parameters(received))
         if result is not None:
             self._reply(result)
 
@@ -314,13 +314,3 @@ class ArduPilotCommands:
             vehicle.table.save(name)
         if announce:
             vehicle.parameters.announce(list(values))
-
-
-def _parameters(received: Received) -> Parameters:
-    m = received.message
-    if received.name == "COMMAND_INT":
-        values = [m.param1, m.param2, m.param3, m.param4, m.x, m.y, m.z]
-    else:
-        values = [m.param1, m.param2, m.param3, m.param4, m.param5, m.param6, m.param7]
-    # NaN means "not given": the firmware's integer casts and comparisons see no match.
-    return [0.0 if math.isnan(v) else float(v) for v in values]

@@ -106,7 +106,7 @@ def px4_mag(
 
 
 def truncated(values: Array, unit: float) -> Array:
-    """C++ conversion of values/unit to int16: toward zero, and saturated; NaN gives 0 (both casts are undefined in C++)."""
+    """C++ conversion of values/unit to int16: toward zero; saturated, and 0 for NaN, where C++ leaves it undefined."""
     counts = np.clip(values / unit, -32768, 32767)
     counts[np.isnan(counts)] = 0.0
     return np.asarray(counts.astype(np.int64))

@@ -67,16 +67,16 @@ class ParameterTable:
         self._listing: list[Parameter] | None = None
         self._index: dict[str, int] = {}
 
-    def replace_all(self, parameters: Iterable[Parameter]) -> None:
-        """Hold these parameters instead, in this order; ones that they do not name stay, unlisted."""
+    def replace_all(self, parameters: Iterable[Parameter], *, by_name: bool = False) -> None:
+        """Hold these parameters instead, in this order or by name; ones that they do not name stay, unlisted."""
         given = {p.name: p for p in parameters}
         for name, parameter in self._by_name.items():
             if name not in given:
                 parameter.listed = False
         rest = {name: p for name, p in self._by_name.items() if name not in given}
         self._by_name.clear()
-        self._by_name.update(given)
-        self._by_name.update(rest)
+        everything = given | rest
+        self._by_name.update(sorted(everything.items()) if by_name else everything.items())
         self.saved = {name: p.value for name, p in self._by_name.items()}
         self._listing = None
         self.version += 1

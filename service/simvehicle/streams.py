@@ -79,4 +79,4 @@ def ardupilot_stream(message_id: int, interval_ms: int, now: float) -> ArduPilot
 def px4_stream(message_id: int, interval_us: float, now: float) -> Px4Stream:
     """A stream that begins at the next poll."""
     interval = interval_us * 1e-6
-    return Px4Stream(message_id, interval, int(interval_us), now - 10 * interval)
+    return Px4Stream(message_id, interval, int(interval_us), now - interval)

@@ -6,6 +6,7 @@ as the firmwares do.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -134,3 +135,13 @@ def _decoded(frame: bytes) -> Received | None:
 def split_datagram(data: bytes) -> list[Received]:
     """The intact messages of one datagram; a truncated last frame is lost, as on a real link."""
     return list(Splitter().feed(data, final=True))
+
+
+def command_parameters(received: Received) -> list[float]:
+    """The seven parameters of COMMAND_LONG or COMMAND_INT; NaN, "not given", becomes 0."""
+    m = received.message
+    if received.name == "COMMAND_INT":
+        values = [m.param1, m.param2, m.param3, m.param4, m.x, m.y, m.z]
+    else:
+        values = [m.param1, m.param2, m.param3, m.param4, m.param5, m.param6, m.param7]
+    return [0.0 if math.isnan(v) else float(v) for v in values]

@@ -1,0 +1,140 @@
+"""PX4's onboard calibrations as a ground station sees them: texts, states, values written by the firmware."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from service.simvehicle import px4_parameters as names
+from service.simvehicle.parameters import Value
+from service.simvehicle.px4_memory import SensorMemory
+from service.simvehicle.px4_parameters import vector_names
+from service.simvehicle.rotation import Array
+
+if TYPE_CHECKING:
+    from service.simvehicle.px4 import Px4Vehicle
+
+GYRO_S = 1.05
+GYRO_SAMPLES = 250
+STEP_S = 0.1
+DONE_AFTER_S = 0.12  # from the values to the last text
+STATE_AFTER_S = 1.0  # HEARTBEAT goes on saying CALIBRATING for this long
+WAIT_FOR_SIDES_S = 90.0
+G = 9.80665
+
+
+class Px4Calibration:
+    """One calibration at a time; everything after the first ACK is text."""
+
+    def __init__(self, vehicle: Px4Vehicle) -> None:
+        self._vehicle = vehicle
+        self.running: str | None = None
+        self._until = -math.inf
+
+    def boot(self) -> None:
+        """Nothing runs."""
+        self.running, self._until = None, -math.inf
+
+    @property
+    def shown(self) -> bool:
+        """Whether HEARTBEAT says CALIBRATING."""
+        return self.running is not None or self._vehicle.time < self._until
+
+    def gyro(self) -> None:
+        """Averages 250 samples of every gyroscope, whether or not it turns."""
+        self._begin("gyro")
+        vehicle = self._vehicle
+        t = vehicle.time + np.arange(1, GYRO_SAMPLES + 1) * (GYRO_S / GYRO_SAMPLES)
+        state = vehicle.world.state(t)
+        memories = vehicle.sensors.gyros
+        means = [vehicle.sensors.gyro_before_offset(k, state).mean(axis=0) for k in range(len(memories))]
+        for percent in range(0, 100, 10):
+            vehicle.at(0.058 + percent / 10 * STEP_S, self._texter(f"[cal] progress <{percent}>"))
+        vehicle.at(GYRO_S, lambda: self._finish(_slots("GYRO", memories, means)))
+
+    def level(self) -> None:
+        """Half a second of attitude becomes the board offset."""
+        self._begin("level")
+        vehicle = self._vehicle
+        t = vehicle.time + np.arange(1, 51) * 0.01
+        mean = vehicle.sensors.imu(vehicle.sensors.primary, vehicle.world.state(t)).accel.mean(axis=0)
+        roll = math.degrees(math.atan2(-mean[1], -mean[2]))
+        pitch = math.degrees(math.atan2(mean[0], math.hypot(mean[1], mean[2])))
+        table = vehicle.table
+        values: dict[str, Value] = {
+            "SENS_BOARD_X_OFF": table.get("SENS_BOARD_X_OFF") - roll,
+            "SENS_BOARD_Y_OFF": table.get("SENS_BOARD_Y_OFF") - pitch,
+        }
+        vehicle.at(0.5, lambda: self._finish(values))
+
+    def quick_accel(self) -> None:
+        """One pose, a few samples: the whole difference from gravity, noise included, becomes the offset."""
+        self._begin("accel")
+        vehicle = self._vehicle
+        state = vehicle.world.state(vehicle.time + np.arange(1, 4) * 0.004)
+        offsets = [
+            vehicle.world.accel(k, state).mean(axis=0) - state.force[0] for k in range(len(vehicle.sensors.accels))
+        ]
+        values = _slots("ACC", vehicle.sensors.accels, offsets)
+        for memory in vehicle.sensors.accels:
+            if memory.slot is not None:
+                values |= dict.fromkeys(vector_names(f"CAL_ACC{memory.slot}", "SCALE"), 1.0)
+        vehicle.at(0.01, lambda: self._finish(values))
+
+    def wait_for_sides(self, what: str) -> None:
+        """Six-sided calibrations wait for an operator who never comes, then fail."""
+        self._begin(what)
+        vehicle = self._vehicle
+        vehicle.at(0.1, self._texter("[cal] pending: back front left right up down"))
+        boots = vehicle.boots
+
+        def give_up() -> None:
+            if self.running == what and vehicle.boots == boots:
+                self._end("[cal] calibration failed: timeout: no motion")
+
+        vehicle.at(WAIT_FOR_SIDES_S, give_up)
+
+    def cancel(self) -> None:
+        """All parameters of 241 zero."""
+        if self.running is not None:
+            self._end("[cal] calibration cancelled")
+
+    def _begin(self, what: str) -> None:
+        self.running = what
+        self._vehicle.at(0.004, self._texter(f"[cal] calibration started: 2 {what}"))
+
+    def _finish(self, values: dict[str, Value]) -> None:
+        what = self.running
+        if what is None:
+            return
+        self._vehicle.parameters.write(values)
+        self._vehicle.at(0.06, self._texter("[cal] progress <100>"))
+        self._vehicle.at(DONE_AFTER_S, lambda: self._end(f"[cal] calibration done: {what}"))
+
+    def _end(self, text: str) -> None:
+        self.running, self._until = None, self._vehicle.time + STATE_AFTER_S
+        self._vehicle.say(text)
+
+    def _texter(self, text: str) -> Callable[[], None]:
+        running = self.running
+
+        def say() -> None:
+            if self.running == running:
+                self._vehicle.say(text)
+
+        return say
+
+
+def _slots(kind: str, memories: list[SensorMemory], offsets: list[Array]) -> dict[str, Value]:
+    """What ParametersSave writes for each calibrated sensor."""
+    values: dict[str, Value] = {}
+    for memory, offset in zip(memories, offsets, strict=True):
+        if memory.slot is None:
+            continue
+        base = f"CAL_{kind}{memory.slot}"
+        values |= {f"{base}_ID": memory.device_id, f"{base}_PRIO": names.DEFAULT_PRIORITY, f"{base}_ROT": -1}
+        values |= {n: float(v) for n, v in zip(vector_names(base, "OFF"), offset, strict=True)}
+    return values

@@ -1,0 +1,159 @@
+"""PX4's commands: what it does, what it refuses, and what it says meanwhile."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from service.simvehicle.px4_calibration import Px4Calibration
+from service.simvehicle.vehicle import Channel
+from service.simvehicle.wire import Received, command_parameters
+
+if TYPE_CHECKING:
+    from service.simvehicle.px4 import Px4Vehicle
+
+ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED = 0, 1, 2, 3, 4
+ACCEPT_CODE = 76
+REBOOT_DELAY_S = 0.45
+SHUTDOWN_AWAY_S = 1.2  # the simulator build is started again by its script
+NO_ANSWER = (dialect.MAV_CMD_PREFLIGHT_SET_SENSOR_OFFSETS,)
+
+Parameters = list[float]
+
+
+class Px4Commands:
+    """COMMAND_LONG and COMMAND_INT."""
+
+    def __init__(self, vehicle: Px4Vehicle) -> None:
+        self._vehicle = vehicle
+        self.calibration = Px4Calibration(vehicle)
+        self._handlers: dict[int, Callable[[Channel, Parameters], int | list[int]]] = {
+            dialect.MAV_CMD_PREFLIGHT_CALIBRATION: self._calibrate,
+            dialect.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
+            dialect.MAV_CMD_GET_MESSAGE_INTERVAL: self._get_interval,
+            dialect.MAV_CMD_REQUEST_MESSAGE: self._request_message,
+            dialect.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: self._capabilities,
+            dialect.MAV_CMD_COMPONENT_ARM_DISARM: self._arm,
+            dialect.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: self._reboot,
+            dialect.MAV_CMD_PREFLIGHT_STORAGE: self._storage,
+            dialect.MAV_CMD_RUN_PREARM_CHECKS: lambda _c, _p: REJECTED if self._vehicle.armed else ACCEPTED,
+        }
+
+    @property
+    def calibrating(self) -> bool:
+        """Whether an onboard calibration runs."""
+        return self.calibration.running is not None
+
+    def boot(self) -> None:
+        """Forget what a reboot ends."""
+        self.calibration.boot()
+
+    def handle(self, channel: Channel, received: Received) -> None:
+        """Execute one command; the answer comes at once, before whatever was started has ended."""
+        command = int(received.message.command)
+        if command in NO_ANSWER:
+            return
+        handler = self._handlers.get(command)
+        results = UNSUPPORTED if handler is None else handler(channel, command_parameters(received))
+        for result in results if isinstance(results, list) else [results]:
+            ack = dialect.MAVLink_command_ack_message(command, result, 0, 0, received.system, received.component)
+            self._vehicle.send(channel, ack)
+
+    # --- messages
+
+    def _set_interval(self, channel: Channel, p: Parameters) -> int:
+        if p[2] != 0 or p[3] != 0 or p[6] != 0:
+            return FAILED
+        return ACCEPTED if self._vehicle.set_interval(channel, round(p[0]), p[1]) else FAILED
+
+    def _get_interval(self, channel: Channel, p: Parameters) -> int:
+        interval = self._vehicle.interval_us(channel, round(p[0]))
+        self._vehicle.send(channel, dialect.MAVLink_message_interval_message(round(p[0]), interval))
+        return ACCEPTED
+
+    def _request_message(self, channel: Channel, p: Parameters) -> int:
+        if round(p[0]) == dialect.MAVLINK_MSG_ID_MESSAGE_INTERVAL:
+            return self._get_interval(channel, p[1:])
+        message = self._vehicle.one(round(p[0]))
+        if message is None:
+            return DENIED
+        self._vehicle.send(channel, message)
+        return ACCEPTED
+
+    def _capabilities(self, channel: Channel, _p: Parameters) -> int:
+        self._vehicle.send(channel, self._vehicle.version())
+        return ACCEPTED
+
+    # --- arming and restarting
+
+    def _arm(self, _channel: Channel, p: Parameters) -> int:
+        vehicle = self._vehicle
+        wanted = p[0] == 1
+        if wanted and (not vehicle.ready or self.calibrating):
+            vehicle.say("Arming denied: Resolve system health failures first\t", dialect.MAV_SEVERITY_CRITICAL)
+            return REJECTED
+        if wanted != vehicle.armed:
+            vehicle.armed = wanted
+            vehicle.say(f"{'Armed' if wanted else 'Disarmed'} by external command\t")
+        return ACCEPTED
+
+    def _reboot(self, _channel: Channel, p: Parameters) -> int:
+        vehicle = self._vehicle
+        if vehicle.armed or p[0] not in (1, 2):
+            return DENIED
+        if vehicle.config.sitl:
+            if p[0] == 1:
+                return DENIED
+            vehicle.at(REBOOT_DELAY_S, lambda: vehicle.reboot(flush=False, away_s=SHUTDOWN_AWAY_S))
+            return ACCEPTED
+        vehicle.at(REBOOT_DELAY_S, lambda: vehicle.reboot(flush=False))
+        return ACCEPTED
+
+    def _storage(self, _channel: Channel, p: Parameters) -> int:
+        vehicle = self._vehicle
+        if vehicle.armed or self.calibrating:
+            return REJECTED
+        if p[0] == 0:
+            vehicle.parameters.load()
+        elif p[0] == 1:
+            vehicle.parameters.save()
+        elif p[0] in (2, 4):
+            vehicle.parameters.write({parameter.name: parameter.default for parameter in vehicle.table})
+        else:
+            return DENIED
+        return ACCEPTED
+
+    # --- calibration
+
+    def _calibrate(self, _channel: Channel, p: Parameters) -> int | list[int]:
+        vehicle = self._vehicle
+        if vehicle.armed:
+            return REJECTED
+        if not any(p):
+            self.calibration.cancel()
+            return ACCEPTED
+        if self.calibrating:
+            vehicle.say("command denied during calibration: 241\t", dialect.MAV_SEVERITY_CRITICAL)
+            # Three modules answer: two refuse, one is busy.
+            return [DENIED, DENIED, REJECTED]
+        if ACCEPT_CODE in (p[1], p[4]):
+            return ACCEPTED
+        start = self._calibration_of(p)
+        if start is None:
+            return DENIED
+        start()
+        return ACCEPTED
+
+    def _calibration_of(self, p: Parameters) -> Callable[[], Any] | None:
+        calibration = self.calibration
+        if p[0] == 1:
+            return calibration.gyro
+        if p[1] == 1:
+            return lambda: calibration.wait_for_sides("mag")
+        return {
+            1: lambda: calibration.wait_for_sides("accel"),
+            2: calibration.level,
+            4: calibration.quick_accel,
+        }.get(int(p[4]))

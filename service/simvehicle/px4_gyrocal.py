@@ -1,0 +1,101 @@
+"""PX4's module gyro_calibration: it writes the mean gyroscope into CAL_GYRO by itself.
+
+It looks only at the accelerometer for motion, so a steady turn about the vertical counts as rest. Measured: 5 s after
+the last parameter change, if the offset would move by more than 0.01 rad/s.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from service.simvehicle.parameters import Value
+from service.simvehicle.px4_memory import GYRO_OFFSET_THRESHOLD
+from service.simvehicle.px4_parameters import vector_names
+from service.simvehicle.rotation import Array
+
+if TYPE_CHECKING:
+    from service.simvehicle.px4 import Px4Vehicle
+
+SAMPLE_S = 0.02
+WINDOW_S = 5.0
+MOVED = 0.5  # m/s² from the sample that began the window
+HEAVY = 1.3 * 9.80665
+TEMPERATURE_CHANGE = 1.0  # °C
+
+
+class GyroWriter:
+    """Collects raw gyroscope samples while nothing seems to move; writes their mean after five seconds."""
+
+    def __init__(self, vehicle: Px4Vehicle) -> None:
+        self._vehicle = vehicle
+        self.boot()
+
+    def boot(self) -> None:
+        """IMU_GYRO_CAL_EN is only looked at here: switching it off needs a restart."""
+        self._enabled = self._vehicle.table.get("IMU_GYRO_CAL_EN", 1.0) != 0
+        self._done = 0  # samples taken since vehicle time zero
+        self._reset(0)
+
+    def _reset(self, sample: int) -> None:
+        self._began = sample
+        self._reference: Array | None = None
+        self._temperature: float | None = None
+        self._sums = [np.zeros(3) for _ in self._vehicle.sensors.gyros]
+
+    def advance(self, until: float) -> None:
+        """Take the samples up to a time."""
+        first, last = self._done + 1, int(np.floor(until / SAMPLE_S + 1e-9))
+        if not self._enabled or last < first:
+            return
+        self._done = last
+        vehicle = self._vehicle
+        changed = int(np.ceil(vehicle.parameters.last_change / SAMPLE_S))
+        if vehicle.armed or vehicle.commands.calibrating or changed > last:
+            self._reset(last)
+            return
+        if changed > self._began:
+            self._reset(changed)
+        self._collect(max(first, self._began + 1), last)
+
+    def _collect(self, first: int, last: int) -> None:
+        if last < first:
+            return
+        vehicle = self._vehicle
+        samples = list(range(first, last + 1))
+        state = vehicle.world.state(np.array(samples) * SAMPLE_S)
+        accel = vehicle.world.accel(0, state)
+        temperature = vehicle.world.temperature_read(0, state.t)
+        gyros = [vehicle.sensors.gyro_before_offset(k, state) for k in range(len(vehicle.sensors.gyros))]
+        begin = self._last_motion(samples, accel, temperature)
+        for k, values in enumerate(gyros):
+            self._sums[k] = self._sums[k] + values[begin:].sum(axis=0)
+        if (last - self._began) * SAMPLE_S > WINDOW_S:
+            self._write(last)
+
+    def _last_motion(self, samples: list[int], accel: Array, temperature: Array) -> int:
+        """Index of the first sample after the last sign of motion; begins a new window there."""
+        begin = 0
+        for i, (force, degrees) in enumerate(zip(accel, temperature, strict=True)):
+            if self._reference is None or self._temperature is None:
+                self._reference, self._temperature = force, float(degrees)
+            moved = np.linalg.norm(force - self._reference) > MOVED or np.linalg.norm(force) > HEAVY
+            if moved or abs(degrees - self._temperature) > TEMPERATURE_CHANGE:
+                self._reset(samples[i])
+                self._reference, self._temperature = force, float(degrees)
+                begin = i + 1
+        return begin
+
+    def _write(self, sample: int) -> None:
+        """Store every mean that is far enough from what is in memory."""
+        count = sample - self._began
+        values: dict[str, Value] = {}
+        for memory, total in zip(self._vehicle.sensors.gyros, self._sums, strict=True):
+            mean = total / count
+            if memory.slot is not None and np.linalg.norm(mean - memory.offset) > GYRO_OFFSET_THRESHOLD:
+                base = f"CAL_GYRO{memory.slot}"
+                values |= {n: float(v) for n, v in zip(vector_names(base, "OFF"), mean, strict=True)}
+        if values:
+            self._vehicle.parameters.write(values)
+        self._reset(sample)

@@ -1,0 +1,108 @@
+"""PX4's sensors at the instants of one tick, converted once for all messages that carry them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from service.simvehicle.corrections import truncated
+from service.simvehicle.px4_sensors import GAUSS_PER_UT, Px4Reading
+from service.simvehicle.rotation import Array, body_from_ned
+from service.simvehicle.telemetry import Block, make_block
+from service.simvehicle.world import State
+
+if TYPE_CHECKING:
+    from service.simvehicle.px4 import Px4Vehicle
+
+MG = 9.80665e-3
+MRAD = 1.0e-3
+MGAUSS_PER_GAUSS = 1000.0
+HIGHRES_MAG_HZ = 15.0
+BARO_HZ = 20.0
+ACCEL_GYRO_BITS, MAG_BITS, BARO_BITS = 63, 448, 6656
+
+Rows = list[list[int]]
+Floats = list[list[float]]
+
+
+class Px4Readings:
+    """Every message of an instant carries the same sample."""
+
+    def __init__(self, vehicle: Px4Vehicle, times: list[float]) -> None:
+        self._vehicle = vehicle
+        self.state: State = vehicle.world.state(np.asarray(times))
+        self._imus: dict[int, Px4Reading] = {}
+        self._integers: dict[int, tuple[Rows, Rows, Rows, list[int]]] = {}
+        self._unbiased: tuple[Array, Array] | None = None
+        self._highres: tuple[Floats, Floats, Floats, list[int]] | None = None
+        self._block: Block | None = None
+
+    def imu(self, instance: int) -> Px4Reading:
+        """One IMU's corrected readings."""
+        if instance not in self._imus:
+            self._imus[instance] = self._vehicle.sensors.imu(instance, self.state)
+        return self._imus[instance]
+
+    def integers(self, instance: int) -> tuple[Rows, Rows, Rows, list[int]]:
+        """mG, mrad/s, raw mGauss and centidegrees."""
+        if instance not in self._integers:
+            imu = self.imu(instance)
+            mag = self._vehicle.sensors.raw_mag(instance, self.state.t)
+            temperature = np.round(imu.temperature * 100).astype(np.int64)
+            temperature[temperature == 0] = 1  # 0 would mean "no temperature"
+            self._integers[instance] = (
+                truncated(imu.accel, MG).tolist(),
+                truncated(imu.gyro, MRAD).tolist(),
+                truncated(mag * MGAUSS_PER_GAUSS, 1.0).tolist(),
+                np.clip(temperature, -32768, 32767).tolist(),
+            )
+        return self._integers[instance]
+
+    def unbiased(self) -> tuple[Array, Array]:
+        """Primary accelerometer and gyroscope minus what the estimator takes for bias."""
+        if self._unbiased is None:
+            vehicle = self._vehicle
+            imu, ekf, end = self.imu(vehicle.sensors.primary), vehicle.estimator, float(self.state.t[-1])
+            accel_bias = ekf.accel.advance(end, _error(imu.accel, self.state.force))
+            gyro_bias = ekf.gyro.advance(end, _error(imu.gyro, self.state.rate))
+            self._unbiased = (imu.accel - accel_bias, imu.gyro - gyro_bias)
+        return self._unbiased
+
+    def highres(self) -> tuple[Floats, Floats, Floats, list[int]]:
+        """HIGHRES_IMU: m/s², rad/s, Gauss, and which fields are new."""
+        if self._highres is None:
+            vehicle, t = self._vehicle, self.state.t
+            accel, gyro = self.unbiased()
+            tick = np.floor(t * HIGHRES_MAG_HZ + 1e-6)
+            mag: Array = np.zeros((len(t), 3))
+            if vehicle.sensors.mags:
+                taken = tick / HIGHRES_MAG_HZ
+                mag = vehicle.sensors.mag(0, taken, armed=vehicle.armed)
+                true = body_from_ned(vehicle.world.motion.evaluate(t)[0], vehicle.world.field) * GAUSS_PER_UT
+                mag = mag - vehicle.estimator.mag.advance(float(t[-1]), _error(mag, true))
+            self._highres = (accel.tolist(), gyro.tolist(), mag.tolist(), self._updated(tick))
+        return self._highres
+
+    def _updated(self, mag_tick: Array) -> list[int]:
+        baro_tick = np.floor(self.state.t * BARO_HZ + 1e-6)
+        last_mag, last_baro = self._vehicle.last_ticks
+        self._vehicle.last_ticks = (float(mag_tick[-1]), float(baro_tick[-1]))
+        new_mag = np.diff(mag_tick, prepend=last_mag) > 0
+        new_baro = np.diff(baro_tick, prepend=last_baro) > 0
+        bits = ACCEL_GYRO_BITS + MAG_BITS * new_mag.astype(int) + BARO_BITS * new_baro.astype(int)
+        return [int(b) for b in bits]
+
+    @property
+    def block(self) -> Block:
+        """Attitude and the like, from the estimator."""
+        if self._block is None:
+            accel, gyro = self.unbiased()
+            self._block = make_block(self._vehicle, self.state, accel, gyro, np.zeros(3))
+        return self._block
+
+
+def _error(measured: Array, true: Array) -> Array:
+    """Mean error of a block; a sensor that fails gives the estimator nothing."""
+    error = np.mean(measured - true, axis=0)
+    return np.asarray(np.where(np.isfinite(error), error, 0.0))
