@@ -203,7 +203,7 @@ def gauss_newton(
         if in_sd * _contraction(ellipsoid, step, variance) < tolerance:
             return Solution(ellipsoid, found, variance, prior, count + 1)
     raise UndeterminedError(
-        "the ellipsoid of the magnetometer samples does not settle: they determine too little of it",
+        "the magnetometer samples settle on no ellipsoid: too little of it is covered, or the field changed meanwhile",
         remedy=ALL_SIDES,
     )
 

@@ -17,7 +17,7 @@ from calib.mag.distance import Distances, Solution, bisquare, gauss_newton, scor
 from calib.mag.moments import Moments
 from calib.mag.result import MagContext, MagFacts, ShapeFit, magnetometer_result, refusal
 from calib.mag.robust import MOST_OUTLIERS, Start, find_start, robust_sd
-from calib.mag.samples import LEAST_VARIANCE, check_not_flat, check_samples
+from calib.mag.samples import LEAST_VARIANCE, NEARLY_PLANAR, check_not_flat, check_samples
 from calib.mag.serial import LONGEST, weakened_information
 from calib.mag.shape import N_PARAMETERS
 
@@ -91,15 +91,22 @@ def shape_of(samples: Array, context: MagContext, *, robust: bool | None, prior_
     scaled = (samples - centre) / scale
     moments = Moments.empty(np.zeros(3), 1.0).added(scaled)
     check_not_flat(moments.scatter())
-    start = find_start(scaled, moments, context.quantum / scale / np.sqrt(12.0))
-    distances = Distances(scaled)
-    weigh = start.outliers if robust is None else robust
-    if weigh:
-        solution, tukey_scale = _robust_solution(distances, start, prior_sd)
-    else:
-        tukey_scale = None
-        solution = gauss_newton(distances, start.ellipsoid, start.noise_sd**2, prior_sd=prior_sd)
+    try:
+        solution, tukey_scale = _solved(scaled, moments, context.quantum / scale, robust, prior_sd)
+    except UndeterminedError:
+        check_not_flat(moments.scatter(), NEARLY_PLANAR)
+        raise
     return _with_uncertainty(solution, tukey_scale, scaled, context, scale).moved(centre, scale)
+
+
+def _solved(
+    scaled: Array, moments: Moments, quantum: float, robust: bool | None, prior_sd: float | None
+) -> tuple[Solution, float | None]:
+    """The minimum, and the scale of its bisquare weights; None: they are all one."""
+    start = find_start(scaled, moments, quantum / np.sqrt(12.0))
+    if start.outliers if robust is None else robust:
+        return _robust_solution(Distances(scaled), start, prior_sd)
+    return gauss_newton(Distances(scaled), start.ellipsoid, start.noise_sd**2, prior_sd=prior_sd), None
 
 
 def _robust_solution(distances: Distances, start: Start, prior_sd: float | None) -> tuple[Solution, float]:

@@ -34,6 +34,7 @@ _LIKELIHOOD = 10.0  # logarithm of the ratio of likelihoods that is asked for be
 _EXPLAINS = 0.25  # rms of g . R m - sin(dip), a sine: beyond about 15 degrees nothing is explained
 _KEPT = 0.9  # of the samples, the best: jolts and magnets passed by are in the rest
 _LEAST = 0.01  # rms below which rotations are not told apart: half a degree
+_STILL = 0.02  # rad/s
 _OPEN = math.radians(5.0)  # sd of a misalignment beyond which it counts as not determined
 
 
@@ -75,6 +76,8 @@ class OrientationResult:
     misalignment_deg: tuple[float, float, float] | None
     """Small rotation about body x, y, z that is left over after `best`; None: the tilt does not determine it."""
     misalignment_sd_deg: tuple[float, float, float] | None
+    lag: float | None
+    """By how much the magnetometer is later than the accelerometer, s; None: no gyro was given, or nothing turned."""
 
 
 def rotation_matrix(roll: float, pitch: float, yaw: float) -> Array:
@@ -124,6 +127,7 @@ def find_orientation(
     mag: ArrayLike,
     accel: ArrayLike,
     *,
+    gyro: ArrayLike | None = None,
     inclination: float | None = None,
     gravity: float = STANDARD_GRAVITY,
     candidates: tuple[Mounting, ...] = RIGHT_ANGLES,
@@ -136,6 +140,9 @@ def find_orientation(
         Corrected field in what is taken for the body frame, any unit.
     accel : shape (N, 3)
         Corrected specific force in the body frame at the same times, m/s2.
+    gyro : shape (N, 3) or None
+        Rates at the same times, rad/s: with them a time lag between magnetometer and accelerometer is not taken for a
+        misalignment (50 ms at 60 deg/s are 3 degrees).
     gravity
         m/s2; samples whose specific force is not within 10 % of it are left out.
     inclination
@@ -150,7 +157,10 @@ def find_orientation(
     UndeterminedError
         If fewer than 20 samples are near 1 g.
     """
-    field, down = _unit_vectors(mag, accel, gravity)
+    field, down, used = _unit_vectors(mag, accel, gravity)
+    turning = None if gyro is None else _rates(gyro, used)
+    if turning is not None and float(np.sqrt(np.mean(turning**2))) < _STILL:
+        turning = None  # at rest a lag has no effect and cannot be told
     sine = None if inclination is None else math.sin(inclination)
     squares = np.array([_mean_square(down, field @ c.matrix.T, sine) for c in candidates])
     order = np.argsort(squares, kind="stable")
@@ -160,11 +170,11 @@ def find_orientation(
     margin = 0.5 * effective * (second / least - 1.0)
     rms = {candidates[i].name: math.sqrt(squares[i]) for i in order}
     verdict, message = _verdict(candidates, order, squares, margin)
-    misalignment, sd = _misalignment(down, field @ best.matrix.T, sine, effective)
-    return OrientationResult(verdict, best, message, rms, margin, len(field), misalignment, sd)
+    small = _misalignment(down, field @ best.matrix.T, turning, sine, effective)
+    return OrientationResult(verdict, best, message, rms, margin, len(field), *small)
 
 
-def _unit_vectors(mag: ArrayLike, accel: ArrayLike, gravity: float) -> tuple[Array, Array]:
+def _unit_vectors(mag: ArrayLike, accel: ArrayLike, gravity: float) -> tuple[Array, Array, NDArray[np.bool_]]:
     field, force = np.asarray(mag, dtype=np.float64), np.asarray(accel, dtype=np.float64)
     if field.ndim != 2 or field.shape[1:] != (3,) or field.shape != force.shape:
         raise InvalidInputError(f"magnetometer {field.shape} and accelerometer {force.shape} must both be (N, 3)")
@@ -177,7 +187,14 @@ def _unit_vectors(mag: ArrayLike, accel: ArrayLike, gravity: float) -> tuple[Arr
             f"{np.count_nonzero(used)} of {len(field)} samples show the vertical: {FEWEST} are needed",
             remedy="turn the vehicle more slowly, so that the accelerometer reads gravity alone",
         )
-    return field[used] / strength[used, None], -force[used] / length[used, None]
+    return field[used] / strength[used, None], -force[used] / length[used, None], used
+
+
+def _rates(gyro: ArrayLike, used: NDArray[np.bool_]) -> Array:
+    rates = np.asarray(gyro, dtype=np.float64)
+    if rates.shape != (len(used), 3) or not np.isfinite(rates).all():
+        raise InvalidInputError(f"the gyro {rates.shape} must be finite and match the {len(used)} other samples")
+    return rates[used]
 
 
 def _mean_square(down: Array, field: Array, sine: float | None) -> float:
@@ -211,26 +228,28 @@ def _verdict(
 
 
 def _misalignment(
-    down: Array, field: Array, sine: float | None, effective: int
-) -> tuple[tuple[float, float, float] | None, tuple[float, float, float] | None]:
-    """Small rotation phi that is left: ``g . (m + phi x m) = sin(dip)``, linear in phi (and in the sine if open)."""
-    rows = np.cross(field, down)
-    right = (0.0 if sine is None else sine) - np.einsum("ij,ij->i", down, field)
+    down: Array, field: Array, turning: Array | None, sine: float | None, effective: int
+) -> tuple[tuple[float, float, float] | None, tuple[float, float, float] | None, float | None]:
+    """Small rotation phi and lag tau that are left, linear: ``g . (m + phi x m - tau w x m) = sin(dip)``.
+
+    A field in the body turns by ``-w x m``; m is tau late. The sine is a further unknown where the dip is not given.
+    """
+    columns = [np.cross(field, down)]
+    if turning is not None:
+        columns.append(-np.einsum("ij,ij->i", down, np.cross(turning, field))[:, None])
     if sine is None:
-        rows = np.column_stack([rows, -np.ones(len(rows))])
+        columns.append(-np.ones((len(field), 1)))
+    right = (0.0 if sine is None else sine) - np.einsum("ij,ij->i", down, field)
     close = np.abs(right - np.median(right)) <= 0.5
-    rows, right = rows[close], right[close]
+    rows, right = np.hstack(columns)[close], right[close]
     normal = rows.T @ rows / len(rows)
     if np.linalg.cond(normal) > 1e6:
-        return None, None
+        return None, None, None
     solution = np.linalg.solve(normal, rows.T @ right / len(rows))
     variance = float(np.mean((right - rows @ solution) ** 2)) * effective / max(effective - len(solution), 1)
-    sd = np.sqrt(np.diag(np.linalg.inv(normal))[:3] * variance / effective)
-    if sd.max() > _OPEN:
-        return None, None
-    angles, errors = np.degrees(solution[:3]), np.degrees(sd)
-    return (float(angles[0]), float(angles[1]), float(angles[2])), (
-        float(errors[0]),
-        float(errors[1]),
-        float(errors[2]),
-    )
+    sd = np.sqrt(np.diag(np.linalg.inv(normal)) * variance / effective)
+    if sd[:3].max() > _OPEN:
+        return None, None, None
+    angles, errors = np.degrees(solution[:3]).tolist(), np.degrees(sd[:3]).tolist()
+    lag = None if turning is None else float(solution[3])
+    return (angles[0], angles[1], angles[2]), (errors[0], errors[1], errors[2]), lag

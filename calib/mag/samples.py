@@ -15,6 +15,9 @@ PLANAR = 0.02
 LEAST_VARIANCE = 1e-32
 """Of residuals relative to the radius, squared: exact data have a rounding error at least."""
 
+NEARLY_PLANAR = 0.1
+"""Thickness below which a fit that fails is put down to the movement being flat."""
+
 AXIS_WORDS = ("nose-tail", "left-right", "top-bottom")
 
 
@@ -48,8 +51,10 @@ def check_samples(samples: ArrayLike, minimum: int, *, may_repeat: bool = False)
     return array
 
 
-def check_not_flat(centred_scatter: Array) -> None:
+def check_not_flat(centred_scatter: Array, limit: float = PLANAR) -> None:
     """Refuse a cloud that is a line or a plane, given the (3, 3) scatter matrix about its mean.
+
+    `limit` is the thickness relative to the width up to which it counts as one.
 
     Raises
     ------
@@ -58,12 +63,12 @@ def check_not_flat(centred_scatter: Array) -> None:
     """
     values, vectors = np.linalg.eigh(centred_scatter)
     width = np.sqrt(np.clip(values, 0.0, None))
-    if width[1] < PLANAR * width[2]:
+    if width[1] < limit * width[2]:
         raise UndeterminedError(
             "the magnetometer samples lie on a line: the vehicle was hardly turned, or one axis alone is alive",
             remedy="turn the vehicle through full circles about two different axes",
         )
-    if width[0] < PLANAR * width[2]:
+    if width[0] < limit * width[2]:
         normal = vectors[:, 0]
         raise UndeterminedError(
             f"the magnetometer samples lie in one plane with normal ({normal[0]:.2f}, {normal[1]:.2f}, "
