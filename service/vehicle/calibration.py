@@ -53,14 +53,14 @@ class OnboardCalibration:
 
 
 def watch_calibration(
-    running: OnboardCalibration | None, message: Message, text: StatusText | None, now: float
+    running: OnboardCalibration | None, message: Message, texts: tuple[StatusText, ...], now: float
 ) -> OnboardCalibration | None:
-    """Take a message into account: the calibration that runs, or None."""
+    """Take a message, and the texts that it completed, into account: the calibration that runs, or None."""
     kind = message.get_type()
     if kind == "HEARTBEAT":
         return _heartbeat(running, message, now)
-    if text is not None:
-        return _text(running, text, now)
+    for text in texts:
+        running = _text(running, text, now)
     if kind == "COMMAND_LONG" and message.command == dialect.MAV_CMD_ACCELCAL_VEHICLE_POS:
         if int(message.param1) in (_POSE_SUCCESS, _POSE_FAILED):
             return None

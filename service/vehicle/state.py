@@ -110,12 +110,13 @@ def reduce(state: VehicleState, message: Message, now: float) -> VehicleState:
         state = replace(state, landed=_LANDED.get(message.landed_state, Landed.UNDEFINED), landed_at=now)
     elif kind == "VFR_HUD":
         state = replace(state, throttle=message.throttle / 100.0, throttle_at=now)
-    text: StatusText | None = None
+    texts: tuple[StatusText, ...] = ()
     if kind == "STATUSTEXT":
-        chunks, text = add_chunk(state._chunks, message, now)
-        texts = (*state.texts, text)[-KEPT_TEXTS:] if text else state.texts
-        state = replace(state, _chunks=chunks, texts=texts)
-    calibration = watch_calibration(state.onboard_calibration, message, text, now)
+        chunks, texts = add_chunk(state._chunks, message, now)
+        state = replace(state, _chunks=chunks)
+    if texts:
+        state = replace(state, texts=(*state.texts, *texts)[-KEPT_TEXTS:])
+    calibration = watch_calibration(state.onboard_calibration, message, texts, now)
     if calibration is not state.onboard_calibration:
         state = replace(state, onboard_calibration=calibration)
     return state

@@ -8,6 +8,7 @@ from calib.wire import Message
 
 _CHUNK = 50
 _WAIT_S = 5.0
+_MOST_WAITING = 8
 
 
 @dataclass(frozen=True)
@@ -43,20 +44,17 @@ class ChunkedText:
 
 def add_chunk(
     waiting: tuple[ChunkedText, ...], message: Message, now: float
-) -> tuple[tuple[ChunkedText, ...], StatusText | None]:
-    """Take a STATUSTEXT; return the texts still waiting, and a text that is now as complete as it will be."""
-    overdue = next((chunked for chunked in waiting if now - chunked.at > _WAIT_S), None)
+) -> tuple[tuple[ChunkedText, ...], tuple[StatusText, ...]]:
+    """Take a STATUSTEXT; return the texts still waiting, and those now as complete as they will ever be."""
+    done = [chunked.text(now) for chunked in waiting if now - chunked.at > _WAIT_S]
+    waiting = tuple(chunked for chunked in waiting if now - chunked.at <= _WAIT_S)
     if message.id == 0:
-        return waiting, StatusText(message.text, message.severity, now)
-    if overdue is not None and overdue.id != message.id:
-        waiting = tuple(chunked for chunked in waiting if chunked is not overdue)
-        kept, text = add_chunk(waiting, message, now)
-        return (kept, text) if text else (kept, overdue.text(now))
-    before = next((chunked for chunked in waiting if chunked.id == message.id and now - chunked.at <= _WAIT_S), None)
+        return waiting, (*done, StatusText(message.text, message.severity, now))
+    before = next((chunked for chunked in waiting if chunked.id == message.id), None)
     others = tuple(chunked for chunked in waiting if chunked.id != message.id)
     pieces = dict(before.pieces if before else ())
     pieces[message.chunk_seq] = message.text
     chunked = ChunkedText(message.id, message.severity, before.at if before else now, tuple(sorted(pieces.items())))
     if chunked.complete():
-        return others, chunked.text(now)
-    return (*others, chunked)[-8:], None
+        return others, (*done, chunked.text(now))
+    return (*others, chunked)[-_MOST_WAITING:], tuple(done)

@@ -330,8 +330,9 @@ class Vehicle:
             self._tell(VehicleEventKind.LANDED, f"The vehicle is {state.landed}.")
         if state.onboard_calibration is not None and before.onboard_calibration is None:
             self._tell(VehicleEventKind.CALIBRATING, f"It calibrates by itself: {state.onboard_calibration.text}.")
-        if state.texts and state.texts is not before.texts:
-            self._tell(VehicleEventKind.TEXT, state.texts[-1].text)
+        if state.texts is not before.texts:
+            for text in (text for text in state.texts if text not in before.texts):
+                self._tell(VehicleEventKind.TEXT, text.text)
 
     def _tell(self, kind: VehicleEventKind, text: str) -> None:
         self._announce(VehicleEvent(kind, self, text))
