@@ -99,7 +99,7 @@ def vehicle_model(vehicle: Vehicle) -> VehicleModel:
 
 def parameter_model(parameter: Parameter) -> ParameterModel:
     """A parameter as the vehicle states it; a value that is not finite is null."""
-    return ParameterModel(name=parameter.name, value=plain(parameter.value), kind=parameter.kind.value)
+    return ParameterModel(name=parameter.name, value=plain(parameter.value), kind=parameter.kind.name.lower())
 
 
 def procedure_model(spec: ProcedureSpec) -> ProcedureModel:
