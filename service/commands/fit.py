@@ -1,0 +1,113 @@
+"""``mavcal fit METHOD FILE``: one command a method, made from the table of methods."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+from calib.fit import FitResult, FitStatus
+from calib.methods import METHODS, Method
+from service.commands.output import EXIT_NO, json_option, write_json
+from service.commands.reading import readable_file, reading_options, split_reading
+
+
+@click.group()
+def command() -> None:
+    """Run one method on a recording: a table (.csv, .npz, .mat ...) or a telemetry log (.tlog).
+
+    Exit code 1 if the data do not allow the fit. DataFlash and ULog come later.
+    """
+
+
+def _subcommand(method: Method) -> click.Command:
+    @click.argument("file")
+    @click.option("--export", type=click.Path(path_type=Path, dir_okay=False), help="Write .param, .parm or .params.")
+    @reading_options
+    @json_option
+    def run(file: str, export: Path | None, as_json: bool, **options: Any) -> int:
+        reading, chosen = split_reading(options)
+        return _fit(method, file, reading, {k: v for k, v in chosen.items() if v is not None}, export, as_json)
+
+    made = click.command(method.name, help=f"{method.summary}\n\nNeeds: {method.needs}")(run)
+    made.params += [
+        click.Option(
+            [f"--{option.name.replace('_', '-')}", option.name],
+            type=_parameter_type(option.type),
+            default=None,
+            help=f"{option.help} [default: {option.default}]" if option.default is not None else option.help,
+        )
+        for option in method.options
+    ]
+    return made
+
+
+def _parameter_type(kind: Any) -> Any:
+    return click.Choice(list(kind)) if isinstance(kind, tuple) else kind
+
+
+def _fit(
+    method: Method,
+    file: str,
+    reading: Mapping[str, Any],
+    options: Mapping[str, Any],
+    export: Path | None,
+    as_json: bool,
+) -> int:
+    from calib import logs
+
+    recording = logs.read(readable_file(file), **reading)
+    fits = method.run(recording, options)
+    if export is not None:
+        _export(recording, fits, export)
+    if as_json:
+        write_json(_document(fits))
+    else:
+        for fit in fits:
+            _show(fit)
+    return EXIT_NO if any(fit.status == FitStatus.REFUSED for fit in fits) else 0
+
+
+def _document(fits: tuple[FitResult, ...]) -> dict[str, Any]:
+    """The only fit, or the first one with all of them under ``fits``."""
+    from calib.report import fit_to_json
+
+    documents = [fit_to_json(fit) for fit in fits]
+    return documents[0] if len(documents) == 1 else {**documents[0], "fits": documents}
+
+
+def _export(recording: Any, fits: tuple[FitResult, ...], out: Path) -> None:
+    from calib.firmware.compose import compose
+    from calib.firmware.export import write_export
+    from calib.firmware.fingerprint import fingerprint
+
+    parameters = recording.parameters.final()
+    plan = compose(fits, parameters, fingerprint(recording.identity, parameters))
+    if plan.blockers:
+        raise click.ClickException(f"not exported: {'; '.join(plan.blockers)}")
+    try:
+        write_export(plan, out)
+    except OSError as error:
+        raise click.ClickException(f"{out} cannot be written: {error.strerror}") from error
+    click.echo(f"{out}: {len(plan.changes)} parameters", err=True)
+
+
+def _show(fit: FitResult) -> None:
+    click.echo(f"{fit.method} {fit.sensor.value}[{fit.instance}]: {fit.status.value}. {fit.message}")
+    if fit.status == FitStatus.REFUSED:
+        return
+    for name, value, sd in zip(fit.names, fit.values, fit.sd, strict=True):
+        if name in fit.undetermined:
+            click.echo(f"  {name:12} undetermined")
+        elif sd > 0:
+            click.echo(f"  {name:12} {value: .9g} +- {sd:.2g}")
+    relative = " (relative to the calibration in force, which is not known)" if fit.relative else ""
+    click.echo(f"  residual {fit.residual_rms:.4g} {fit.unit} over {fit.n_used} of {fit.n_samples} samples{relative}")
+    for warning in fit.warnings:
+        click.echo(f"  ! {warning}")
+
+
+for _method in METHODS.values():
+    command.add_command(_subcommand(_method))
