@@ -1,0 +1,166 @@
+"""``mavcal calibrate``: one calibration without a panel, by the same jobs as the service."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from service.commands.config import load_settings
+from service.commands.output import EXIT_NO, json_option, write_json
+
+if TYPE_CHECKING:
+    from calib.firmware.plan import WritePlan
+    from service.commands.screen import Screen
+    from service.core import Service
+    from service.jobs.model import Job
+
+KINDS = ("gyro", "accel", "mag", "thermal", "level")
+
+
+@click.command()
+@click.argument("kind", type=click.Choice(KINDS))
+@click.option("--connect", required=True, metavar="URL", help="Endpoint of the vehicle, as udpin:0.0.0.0:14550.")
+@click.option("--apply", "write", is_flag=True, help="Write the result to the vehicle and prove it.")
+@click.option("--reboot", is_flag=True, help="With --apply: restart the vehicle if the plan needs it.")
+@click.option("--option", "options", multiple=True, metavar="NAME=VALUE", help="Option of the procedure.")
+@click.option("--data-dir", type=click.Path(path_type=Path), default=None, help="Where everything is kept.")
+@click.option("--wait", type=float, default=30.0, show_default=True, help="How long to wait for a vehicle, s.")
+@json_option
+def command(
+    kind: str,
+    connect: str,
+    write: bool,
+    reboot: bool,
+    options: tuple[str, ...],
+    data_dir: Path | None,
+    wait: float,
+    as_json: bool,
+) -> int:
+    """Calibrate one sensor of a vehicle, headless; nothing is written without --apply.
+
+    A line typed while it runs answers the present prompt (`finish`, `skip`). Exit code 1 if the calibration did not
+    succeed.
+    """
+    from service.commands.screen import Screen
+    from service.logs import configure_logging
+
+    settings = load_settings(data_dir=data_dir, connect=(connect,))
+    configure_logging(as_json=settings.log_json)
+    screen = Screen()
+    return asyncio.run(_calibrate(settings, kind, _parsed(options), screen, wait, write, reboot, as_json))
+
+
+async def _calibrate(
+    settings: Any,
+    kind: str,
+    options: dict[str, Any],
+    screen: Screen,
+    wait: float,
+    write: bool,
+    reboot: bool,
+    as_json: bool,
+) -> int:
+    from service.api.views import job_model
+    from service.core import running_service
+    from service.jobs.model import Accept
+    from service.jobs.states import JobState
+
+    async with running_service(settings) as service:
+        try:
+            async with asyncio.timeout(wait):
+                vehicle = await service.vehicles.wait_for_vehicle()
+        except TimeoutError:
+            raise click.ClickException(f"no vehicle was heard on {settings.connect[0]} within {wait:g} s") from None
+        screen.line(f"{vehicle.identity.autopilot} {vehicle.identity.version_text} as {vehicle.id}")
+        job = await service.jobs.submit(vehicle.id, kind, options)
+        typing = asyncio.create_task(_answer_typed_lines(service, job.id))
+        try:
+            job = await _follow(service, job.id, screen)
+            if job.state is JobState.REVIEW and job.plan is not None:
+                _show_plan(job.plan, screen)
+                if write:
+                    await service.jobs.apply(job.id, Accept(job.plan.sha256, reboot=reboot), None)
+                    job = await _follow(service, job.id, screen, leaving=JobState.REVIEW)
+        finally:
+            typing.cancel()
+            with suppress(asyncio.CancelledError):
+                await typing
+        if as_json:
+            write_json(job_model(job).model_dump())
+        good = {JobState.SUCCEEDED} if write else {JobState.REVIEW}
+        _show_end(job, screen, written=write)
+        return 0 if job.state in good else EXIT_NO
+
+
+async def _follow(service: Service, job_id: str, screen: Screen, leaving: Any = None) -> Job:
+    """Show what happens until the job ends or waits for acceptance."""
+    from service.jobs.states import ENDED, JobState
+
+    ends = ENDED | {JobState.REVIEW, JobState.IN_DOUBT}
+    async for event in service.jobs.subscribe(job_id, 0):
+        if event.kind == "prompt" and event.data:
+            screen.prompt(event.data["text"])
+        elif event.kind == "progress":
+            screen.progress(event.data)
+        elif event.kind == "warning":
+            screen.line(f"    note: {event.data['text']}")
+        job = service.jobs.get(job_id)
+        if job.state in ends and job.state is not leaving:
+            return job
+    return service.jobs.get(job_id)
+
+
+async def _answer_typed_lines(service: Service, job_id: str) -> None:
+    from service.errors import ServiceError
+
+    if not sys.stdin.isatty():
+        return
+    loop = asyncio.get_running_loop()
+    reader = asyncio.StreamReader()
+    await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
+    while line := (await reader.readline()).decode().strip():
+        try:
+            await service.jobs.answer(job_id, line)
+        except ServiceError as error:
+            click.echo(f"    {error}", err=True)
+
+
+def _show_plan(plan: WritePlan, screen: Screen) -> None:
+    for change in plan.changes:
+        old = "-" if change.old is None else f"{change.old:.6g}"
+        sd = "" if change.sd is None else f" +- {change.sd:.2g}"
+        screen.line(f"    {change.name:18} {old:>12} -> {change.new:.6g}{sd} {change.unit}")
+    for loss in plan.losses:
+        screen.line(f"    cannot be held: {loss.text} ({loss.cost:.3g} {loss.unit})")
+    for text in (*plan.warnings, *(f"will not be written: {b}" for b in plan.blockers)):
+        screen.line(f"    note: {text}")
+
+
+def _show_end(job: Job, screen: Screen, *, written: bool) -> None:
+    from service.jobs.model import Failure
+
+    if isinstance(job.outcome, Failure):
+        screen.line(f"{job.state.value}: {job.outcome.cause} {job.outcome.remedy}", bold=True)
+    elif job.outcome is not None:
+        screen.line(f"{job.state.value}: {job.outcome.text}", bold=True)
+    elif not written:
+        screen.line("nothing was written; --apply writes it", bold=True)
+
+
+def _parsed(options: tuple[str, ...]) -> dict[str, Any]:
+    parsed: dict[str, Any] = {}
+    for item in options:
+        name, equals, value = item.partition("=")
+        try:
+            parsed[name.strip()] = json.loads(value)
+        except ValueError:
+            equals = ""
+        if not equals:
+            raise click.UsageError(f"{item!r} is not NAME=VALUE with a number, true or false", ctx=None)
+    return parsed
