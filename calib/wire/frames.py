@@ -171,7 +171,11 @@ class FrameParser:
 
     def feed_datagram(self, data: bytes, keep_ids: frozenset[int] | None = None) -> list[Frame]:
         """Take one whole datagram; nothing of it is kept for the next, nothing of the last one is used."""
-        self.reset()
+        if self._rest:
+            self.reset()
+        frame = cut(data, 0, len(data)) if data else _NO_FRAME
+        if isinstance(frame, Frame) and frame.known and len(frame.raw) == len(data):  # nearly always
+            return [frame] if keep_ids is None or frame.message_id in keep_ids else []
         return self._scan(data, keep_ids, final=True)
 
     def finish(self, keep_ids: frozenset[int] | None = None) -> list[Frame]:

@@ -64,26 +64,28 @@ class SequenceCounter:
         """
         self.received += 1
         self._bytes += size
+        step = (sequence - self._last) & 0xFF
         if self._last < 0:
             self._window_at, step = now, 1
-        else:
-            step = (sequence - self._last) & 0xFF
-            if step != 1 or dropped != self._dropped:
-                step = self._full_step(step, now - self._last_at, (dropped - self._dropped) * share)
+        elif step != 1 or dropped != self._dropped:
+            step = self._full_step(step, now - self._last_at, (dropped - self._dropped) * share)
+            self._dropped = dropped
         if step > 0:
-            self.lost += step - 1
-            self._sent += step
-            self._seen = (self._seen << step | 1) & _SEEN_MASK if step < _LATE else 1
-            self._last, self._last_at = sequence, now
+            self._advance(step, sequence, now)
         elif self._seen >> -step & 1:
             self.duplicated += 1
         else:
             self._seen |= 1 << -step
             self.out_of_order += 1
             self.lost = max(0, self.lost - 1)
-        self._dropped = dropped
         if now - self._window_at >= _WINDOW_S:
             self._roll(now)
+
+    def _advance(self, step: int, sequence: int, now: float) -> None:
+        self.lost += step - 1
+        self._sent += step
+        self._seen = (self._seen << step | 1) & _SEEN_MASK if step < _LATE else 1
+        self._last, self._last_at = sequence, now
 
     def _full_step(self, step: int, elapsed: float, dropped: float) -> int:
         """Steps forward (beyond 255 if many frames are missing), or 0 and less for a late frame.

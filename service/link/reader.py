@@ -215,7 +215,8 @@ class Reader(threading.Thread):
     def _take(self, chunks: list[Chunk], now: float) -> None:
         frames: list[tuple[Frame, Chunk]] = []
         for chunk in chunks:
-            frames += [(frame, chunk) for frame in self._parse(chunk)]
+            for frame in self._parse(chunk):
+                frames.append((frame, chunk))
         if frames:
             self._accept(frames, now)
 
@@ -240,18 +241,32 @@ class Reader(threading.Thread):
         self._stream_parsers.clear()
 
     def _accept(self, frames: list[tuple[Frame, Chunk]], now: float) -> None:
-        wanted, kept, records = self.wanted, [], []
+        """Believe, count, route, record and choose, at a few microseconds a frame."""
+        wanted, stamp = self.wanted, self._recorder.stamp()
+        kept: list[Frame] = []
+        records: list[bytes] = []
+        key: tuple[int, ...] = ()
+        peer: Address | None = None
+        counter: SequenceCounter | None = None
         for frame, chunk in frames:
-            if self._refused(frame, chunk, now):
+            if self._suspicious(frame) and self._refused(frame, chunk, now):
                 continue
-            records.append(self._recorder.record(frame.raw))
-            self._count(frame, chunk, now)
+            if frame[2:4] != key or chunk.peer != peer:
+                key, peer = frame[2:4], chunk.peer
+                counter = self._sender(frame.system, frame.component, peer, now)
+            self._frames += 1
+            if counter is not None:
+                share = 1.0 if not chunk.dropped else (counter.received + 1) / self._frames
+                counter.see(frame.sequence, now, len(frame.raw), chunk.dropped, share)
+            records += (stamp, frame.raw)
             if wanted is None or frame.message_id in wanted:
                 kept.append(frame)
-        if not records:
-            return
+        if records:
+            self._record_and_post(kept, records, now)
+
+    def _record_and_post(self, kept: list[Frame], records: list[bytes], now: float) -> None:
         if self._state is LinkState.CONNECTING:
-            self._set_state(LinkState.UP, f"heard {frames[0][1].peer[0]}")
+            self._set_state(LinkState.UP, "a vehicle speaks")
         start = self._recorder.position
         self._write(records)
         if self._congested() and not self._transport.lossless:
@@ -260,6 +275,11 @@ class Reader(threading.Thread):
         self._posted_frames += len(kept)
         if kept or self._recorder.error:
             self._post(Batch(tuple(kept), now, start, self._recorder.position, self._recorder.error))
+
+    def _suspicious(self, frame: Frame) -> bool:
+        return self.signature_state is not None or (
+            frame.system == self._own.system and frame.component == self._own.component
+        )
 
     def _refused(self, frame: Frame, chunk: Chunk, now: float) -> bool:
         """True for frames that must not be believed: wrongly signed, or in our own name."""
@@ -281,19 +301,15 @@ class Reader(threading.Thread):
                 self._post(event)
         return True
 
-    def _count(self, frame: Frame, chunk: Chunk, now: float) -> None:
-        key = (frame.system, frame.component)
-        event = self.peers.see(*key, chunk.peer, now)
+    def _sender(self, system: int, component: int, peer: Address, now: float) -> SequenceCounter | None:
+        """Note who speaks from where; its counter, or None if there are too many senders to count."""
+        event = self.peers.see(system, component, peer, now)
         if event is not None:
             self._post(event)
-        counter = self.counters.get(key)
-        if counter is None:
-            if len(self.counters) >= _MAX_SENDERS:
-                return
-            counter = self.counters.setdefault(key, SequenceCounter())
-        self._frames += 1
-        share = 1.0 if not chunk.dropped else (counter.received + 1) / self._frames
-        counter.see(frame.sequence, now, len(frame.raw), chunk.dropped, share)
+        counter = self.counters.get((system, component))
+        if counter is None and len(self.counters) < _MAX_SENDERS:
+            counter = self.counters.setdefault((system, component), SequenceCounter())
+        return counter
 
     # --- sending ----------------------------------------------------------------------------------------------------
 
@@ -308,7 +324,7 @@ class Reader(threading.Thread):
             self._sent.append(frame)
             for peer in peers:
                 self._transport.send(frame, peer)
-            records.append(self._recorder.record(frame))
+            records += [self._recorder.stamp(), frame]
         if records:
             self._write(records)
 

@@ -32,13 +32,13 @@ class TlogRecorder:
         except OSError as exc:
             raise StoreError(f"cannot record to {path}: {exc.strerror}. Check the data directory.") from exc
 
-    def record(self, raw: bytes) -> bytes:
-        """Make the record of a frame at this moment; times never decrease, even if the wall clock does."""
+    def stamp(self) -> bytes:
+        """The head of a record made now; times never decrease, even if the wall clock does."""
         self._last_us = max(self._last_us, time.time_ns() // 1000)
-        return tlog_record(self._last_us, raw)
+        return tlog_record(self._last_us, b"")
 
     def write(self, records: list[bytes]) -> None:
-        """Append records. A full disk is remembered in :attr:`error` and tried again after a second."""
+        """Append records, each a stamp and a frame. A full disk is remembered in :attr:`error` and tried again."""
         now = time.monotonic()
         if self.error is not None and now < self._retry_at:
             return

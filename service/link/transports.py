@@ -132,7 +132,7 @@ class UdpTransport(Transport):
             except OSError as exc:
                 raise Disconnected(f"the socket failed: {exc.strerror}") from exc
             if only is None or address[0] == only:
-                chunks.append(Chunk(data, (address[0], address[1]), _dropped(ancillary) if ancillary else 0))
+                chunks.append(Chunk(data, address[:2], _dropped(ancillary) if ancillary else 0))
         return chunks
 
     def send(self, data: bytes, peer: Address | None) -> None:
