@@ -16,7 +16,7 @@ BACKWARD_S: Final = 1.0
 """A stamp this much older than the newest one is late, or the clock has started again."""
 CONFIRMATIONS: Final = 3
 """So many old stamps in a row are a reboot; fewer are frames that were held up on their way."""
-REBOOT_GAP_S: Final = 1.0
+REBOOT_GAP_S: Final = 0.5
 """What is put between the last time before a reboot and the first one after it; its true length is not known."""
 
 
