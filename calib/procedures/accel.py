@@ -1,8 +1,8 @@
 """Offsets, scales and cross terms of the accelerometers, from poses held by hand.
 
 Nobody holds a drone square: only the length of the specific force is used, ``|C (m - b)| = g`` on the means of poses
-(METHODS 3.3). Six faces and three oblique poses are as many as the unknowns, and only the prior on the cross terms would
-be tested; the fourth oblique pose is the first that the others must agree with.
+(METHODS 3.3). Six faces and three oblique poses are as many as the unknowns, so that only the prior on the cross terms
+would be tested; the fourth oblique pose is the first that the others must agree with.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ SPEC = ProcedureSpec(
         Option("patience", 180.0, "gives up after this time without a new pose", "s", 20.0, 3600.0),
     ),
     needs="the vehicle held still on its six faces and in four oblique poses, in any order, 2-3 s each",
-    ends_on="standard deviation of every offset (0.005 m/s2), and a residual test with three degrees of freedom or more",
+    ends_on="standard deviation of every offset (0.005 m/s2), and poses that agree (residual test, dof 3 or more)",
     autopilots={
         "ardupilot": Holds(
             writes=(
@@ -165,7 +165,7 @@ class AccelProcedure(TickedProcedure):
         if self._retakes > RETAKES:
             self._give_up(
                 f"the poses contradict each other: {name} disagrees with the others ({assessment.short})",
-                "hold every pose stiller, on a firm support if possible; check that the flight controller is fixed firmly",
+                "hold every pose stiller, on a support if possible; check that the flight controller is fixed firmly",
             )
             return
         self._poses.remove(culprit)

@@ -1,0 +1,192 @@
+"""What a magnetometer procedure knows of one compass: its samples with the motion at their times, and its fit."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from calib.earth import EarthField
+from calib.errors import CalibError, UndeterminedError
+from calib.fit import FitResult, FitStatus, parameter_names, refused
+from calib.mag.accumulator import EllipsoidAccumulator
+from calib.mag.blur import Rates, fit_ellipsoid_deblurred
+from calib.mag.coverage import Coverage
+from calib.mag.heading import DEFAULT_INCLINATION
+from calib.mag.orientation import OrientationResult, Verdict, find_orientation
+from calib.recording import Array, Sensor
+from calib.triad import TriadModel
+
+LEAST = 60
+"""Sharp samples below which no fit is made: fewer do not know their own noise."""
+
+LEAST_NOISE = 1e-4
+"""Noise of one axis over the field strength below which no compass is believed to be."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """How the body moved at the times of a chunk of compass samples: rates over their window, force and rate then."""
+
+    rates: Rates
+    force: Array  # (N, 3) corrected specific force, body
+    turning: Array  # (N, 3) rad/s, body
+
+
+class MagTrack:
+    """One compass.
+
+    Parameters
+    ----------
+    in_force
+        Correction that the vehicle applies (raw to body); None: not known.
+    quantum, relative
+        As the stream has them.
+    """
+
+    def __init__(
+        self, instance: int, field: EarthField | None, in_force: TriadModel | None, *, quantum: float, relative: bool
+    ) -> None:
+        self.instance = instance
+        self.field = field
+        self.in_force = in_force
+        self.body = np.eye(3) if in_force is None else in_force.rotation
+        self.fit: FitResult | None = None
+        self.coverage = Coverage.empty()
+        self.noise = 0.01
+        """Noise of one axis over the field strength, as the residuals of the rough shape have it."""
+        self.predicted = math.inf
+        """Heading error to be expected of what was collected, degrees."""
+        self.strength = math.nan
+        """Length of the field with the calibration in force, over the last tick, uT."""
+        self.nearest = math.inf
+        """Smallest raw length so far, uT."""
+        self.blurred = 0
+        self._relative = relative
+        self._quantum = quantum
+        self._shape = EllipsoidAccumulator()
+        self._rates: list[Rates] = []
+        self._force: list[Array] = []
+        self._turning: list[Array] = []
+
+    def __len__(self) -> int:
+        return len(self._shape)
+
+    def add(self, samples: Array, motion: Motion) -> None:
+        """Take samples (N, 3) with the motion at their times; blurred ones are left out."""
+        if self.in_force is not None:
+            self.strength = float(np.linalg.norm(self.in_force.apply(samples), axis=1).mean())
+        self.nearest = min(self.nearest, float(np.linalg.norm(samples, axis=1).min()))
+        sharp = motion.rates.sharp()
+        self.blurred += int(np.count_nonzero(~sharp))
+        if sharp.any():
+            self._shape.add(samples[sharp])
+            self._rates.append(motion.rates.take(sharp))
+            self._force.append(motion.force[sharp])
+            self._turning.append(motion.turning[sharp])
+
+    def look(self) -> None:
+        """Bring coverage and the predicted heading error up to date."""
+        shape = self._shape.rough()
+        if shape is None:
+            return
+        directions = np.linalg.solve(shape.shape, (self._shape.samples - shape.offset).T).T
+        self.coverage = Coverage.of(directions @ self.body.T)
+        self.noise = max(float(np.linalg.norm(directions, axis=1).std()), LEAST_NOISE)
+        self.predicted = self.coverage.heading_sd_deg(self.noise, self.inclination)
+
+    @property
+    def inclination(self) -> float:
+        """Dip, rad."""
+        return DEFAULT_INCLINATION if self.field is None else self.field.inclination
+
+    @property
+    def heading_sd(self) -> float:
+        """Heading error of the fit, degrees; infinite without one."""
+        if self.fit is None or self.fit.status == FitStatus.REFUSED:
+            return math.inf
+        return float(self.fit.quality["heading_sd_deg"])
+
+    def refit(self) -> None:
+        """Fit everything so far; :attr:`fit` stays None while there is too little."""
+        if len(self) < LEAST:
+            return
+        try:
+            self.fit = fit_ellipsoid_deblurred(
+                self._shape.samples,
+                self._joined_rates(),
+                instance=self.instance,
+                quantum=self._quantum,
+                field=self.field,
+                body_from_sensor=self.body,
+                relative=self._relative,
+            )
+        except CalibError:
+            self.fit = None
+
+    def mounting(self) -> OrientationResult | None:
+        """Which mounting explains the compass; None: the movement says nothing of it, or there is no fit."""
+        if self.fit is None or self.fit.status == FitStatus.REFUSED:
+            return None
+        try:
+            return find_orientation(
+                self.fit.model.apply(self._shape.samples) @ self.body.T,
+                np.vstack(self._force),
+                gyro=np.vstack(self._turning),
+                inclination=None if self.field is None else self.field.inclination,
+            )
+        except UndeterminedError:
+            return None
+
+    def result(self, mounting: OrientationResult | None) -> FitResult:
+        """The fit with what is known of the mounting; refused if no mounting explains the compass."""
+        assert self.fit is not None
+        known = None if mounting is None else _as_quality(mounting)
+        quality = {**self.fit.quality, "orientation": known, "blurred": self.blurred}
+        if mounting is not None and mounting.verdict == Verdict.UNEXPLAINED:
+            return refused(
+                self.fit.method,
+                Sensor.MAG,
+                self.instance,
+                mounting.message,
+                unit=self.fit.unit,
+                n_samples=self.fit.n_samples,
+                undetermined=parameter_names(),
+                quality=quality,
+            )
+        warnings = self.fit.warnings
+        if mounting is None or mounting.verdict == Verdict.AMBIGUOUS:
+            text = "the mounting of the compass could not be checked against the accelerometer"
+            warnings += (text if mounting is None else mounting.message,)
+        elif mounting.verdict == Verdict.ROTATED:
+            warnings += (mounting.message,)
+        return dataclasses.replace(self.fit, quality=quality, warnings=warnings)
+
+    def _joined_rates(self) -> Rates:
+        if len(self._rates) > 1:
+            squares = np.concatenate([r.squares for r in self._rates])
+            known = np.concatenate([r.known for r in self._rates])
+            self._rates = [Rates(squares, known, self._rates[0].window)]
+        return self._rates[0]
+
+
+def _as_quality(mounting: OrientationResult) -> dict[str, Any]:
+    """JSON-able; `matrix` turns what the stated mounting calls body into the body."""
+    best = mounting.best
+    return {
+        "verdict": mounting.verdict.value,
+        "name": best.name,
+        "roll": best.roll,
+        "pitch": best.pitch,
+        "yaw": best.yaw,
+        "matrix": best.matrix.tolist(),
+        "message": mounting.message,
+        "log_likelihood_margin": mounting.log_likelihood_margin,
+        "rms": next(iter(mounting.rms.values())),
+        "misalignment_deg": mounting.misalignment_deg,
+        "misalignment_sd_deg": mounting.misalignment_sd_deg,
+        "lag": mounting.lag,
+    }
