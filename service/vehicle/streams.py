@@ -16,6 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from calib.wire import Frame, decode
 from service.errors import CommandRefused, CommandTimeout, LinkError, VehicleError
 from service.link import Batch
+from service.link.capacity import nominal_capacity, plan_rates, seen_capacity, slowdown
 from service.vehicle import commands
 from service.vehicle.boot_time import boot_time
 from service.vehicle.identity import Autopilot
@@ -58,13 +59,31 @@ class StreamRate:
 class StreamReport:
     """What became of a request for streams; ``await restore()`` puts the old intervals back.
 
-    `previous` are the intervals in us as they were before: -1 off, 0 the firmware's default (also where the vehicle
-    did not say).
+    Parameters
+    ----------
+    vehicle
+        Whose streams.
+    rates
+        One entry for each message asked for; `requested_hz` is what was asked at first.
+    previous
+        The intervals in us as they were before: -1 off, 0 the firmware's default (also where the vehicle did not
+        say). Streams that the vehicle refused to change are not among them.
+    capacity_bytes_per_s
+        What a slow link carries, for which the rates were lowered; None: it carries everything.
     """
 
     vehicle: Vehicle
     rates: Mapping[int, StreamRate]
     previous: Mapping[int, int]
+    capacity_bytes_per_s: float | None = None
+
+    @property
+    def slowdown(self) -> float:
+        """How many times longer than at the requested rates it takes to collect as many samples; 1 if nothing."""
+        if self.capacity_bytes_per_s is None:
+            return 1.0
+        requested = {message_id: rate.requested_hz for message_id, rate in self.rates.items()}
+        return slowdown(requested, {message_id: rate.measured_hz for message_id, rate in self.rates.items()})
 
     @property
     def missing(self) -> tuple[int, ...]:
@@ -112,7 +131,7 @@ async def get_interval(vehicle: Vehicle, message_id: int) -> int | None:
 async def request_streams(
     vehicle: Vehicle, requested_hz: Mapping[int, float], *, measure_s: float = 2.0
 ) -> StreamReport:
-    """Ask for streams, then measure what comes.
+    """Ask for streams, then measure what comes. Where the link is too slow for them, ask for less.
 
     A refusal does not raise: it is in the report, and the stream may come all the same. If this is cancelled half
     way, what was already changed is put back.
@@ -124,34 +143,77 @@ async def request_streams(
     requested_hz
         Rate for each message id; 0 switches it off.
     measure_s
-        How long to watch. 0 leaves every rate at 0.
+        How long to watch (twice as long on a slow link). 0 leaves every rate at 0.
     """
-    previous: dict[int, int] = {}
-    results: dict[int, int | None] = {}
-    report = StreamReport(vehicle, {}, previous)
+    request = _Request(vehicle, dict(requested_hz))
     try:
-        for message_id, rate in requested_hz.items():
-            previous[message_id] = await get_interval(vehicle, message_id) or DEFAULT_INTERVAL
-            results[message_id] = await _ask(vehicle, message_id, rate)
-        wall, own = await measure(vehicle, tuple(requested_hz), measure_s)
+        capacity = nominal_capacity(vehicle.link.endpoint)
+        planned = plan_rates(requested_hz, capacity)
+        await request.ask(planned)
+        seen = await _watch(vehicle, tuple(requested_hz), measure_s)
+        carried = seen_capacity(planned, seen.own, seen.loss, seen.bytes_per_s)
+        if carried is not None and measure_s > 0:
+            capacity = carried
+            await request.ask(plan_rates(planned, carried))
+            seen = await _watch(vehicle, tuple(requested_hz), measure_s)
     except BaseException:
-        await asyncio.shield(report.restore())
+        await asyncio.shield(request.report({}, {}, None).restore())
         raise
-    rates = {
-        message_id: StreamRate(message_id, rate, results[message_id], own[message_id], wall[message_id])
-        for message_id, rate in requested_hz.items()
-    }
-    return StreamReport(vehicle, rates, previous)
+    slower = planned != dict(requested_hz) or carried is not None
+    return request.report(seen.own, seen.wall, capacity if slower else None)
 
 
-async def _ask(vehicle: Vehicle, message_id: int, rate: float) -> int | None:
-    try:
-        await set_interval(vehicle, message_id, 1e6 / rate if rate > 0 else -1)
-    except CommandRefused as exc:
-        return exc.result
-    except CommandTimeout:
-        return None
-    return commands.ACCEPTED
+class _Request:
+    """What was asked of a vehicle so far, and how it was before."""
+
+    def __init__(self, vehicle: Vehicle, requested_hz: dict[int, float]) -> None:
+        self._vehicle = vehicle
+        self._requested = requested_hz
+        self._previous: dict[int, int] = {}
+        self._results: dict[int, int | None] = {}
+
+    async def ask(self, rates_hz: Mapping[int, float]) -> None:
+        """Ask for these rates; remember what was before the first time."""
+        for message_id, rate in rates_hz.items():
+            if message_id not in self._results:
+                self._previous[message_id] = await get_interval(self._vehicle, message_id) or DEFAULT_INTERVAL
+            self._results[message_id] = await self._set(message_id, rate)
+
+    async def _set(self, message_id: int, rate: float) -> int | None:
+        try:
+            await set_interval(self._vehicle, message_id, 1e6 / rate if rate > 0 else -1)
+        except CommandRefused as exc:
+            return exc.result
+        except CommandTimeout:
+            return None
+        return commands.ACCEPTED
+
+    def report(self, own: Mapping[int, float], wall: Mapping[int, float], capacity: float | None) -> StreamReport:
+        """All of it."""
+        rates = {
+            key: StreamRate(key, rate, self._results.get(key), own.get(key, 0.0), wall.get(key, 0.0))
+            for key, rate in self._requested.items()
+        }
+        untouched = {key for key, result in self._results.items() if result not in (commands.ACCEPTED, None)}
+        previous = {key: interval for key, interval in self._previous.items() if key not in untouched}
+        return StreamReport(self._vehicle, rates, previous, capacity)
+
+
+@dataclass(frozen=True)
+class _Seen:
+    wall: Mapping[int, float]
+    own: Mapping[int, float]
+    loss: float
+    bytes_per_s: float
+
+
+async def _watch(vehicle: Vehicle, message_ids: Sequence[int], seconds: float) -> _Seen:
+    before = vehicle.link.statistics(vehicle.system, vehicle.component)
+    wall, own = await measure(vehicle, message_ids, seconds)
+    after = vehicle.link.statistics(vehicle.system, vehicle.component)
+    received, lost = after.received - before.received, after.lost - before.lost
+    loss = max(lost, 0) / (received + lost) if received + lost > 0 else 0.0
+    return _Seen(wall, own, loss, after.bytes_per_s)
 
 
 class _Meter:

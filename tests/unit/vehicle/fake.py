@@ -10,7 +10,7 @@ from typing import Any, TypeVar, cast
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from calib import wire
-from service.link import Batch, Link, OwnIdentity
+from service.link import Batch, Link, LinkStatistics, OwnIdentity, parse_endpoint
 from service.vehicle import Vehicle, VehicleEvent
 
 T = TypeVar("T")
@@ -35,6 +35,9 @@ class FakeLink:
     ids = OwnIdentity()
 
     def __init__(self) -> None:
+        self.endpoint = parse_endpoint("udpin:127.0.0.1:14550")
+        self.received = self.lost = 0
+        self.bytes_per_s = 0.0
         self.sent: list[Any] = []
         self.respond: Responder = lambda _message: ()
         self.vehicle: FakeVehicle | None = None
@@ -52,6 +55,9 @@ class FakeLink:
         assert self.vehicle is not None
         for reply in self.respond(decoded):
             asyncio.get_running_loop().call_soon(self.vehicle.hear, reply)
+
+    def statistics(self, _system: int, _component: int) -> LinkStatistics:
+        return LinkStatistics(received=self.received, lost=self.lost, bytes_per_s=self.bytes_per_s)
 
     def sent_of(self, kind: str) -> list[Any]:
         return [message for message in self.sent if message.get_type() == kind]
