@@ -16,6 +16,7 @@ from prometheus_client.registry import Collector
 
 from service.errors import ServiceError
 from service.jobs.engine import JobEngine
+from service.jobs.fleet import Fleet
 from service.links import Links
 from service.recordings import Recordings
 from service.settings import Settings
@@ -67,7 +68,7 @@ async def running_service(settings: Settings) -> AsyncIterator[Service]:
     executor = ThreadPoolExecutor(max_workers=2, thread_name_prefix="fit")
     vehicles = VehicleRegistry()
     links = Links(store, settings.data_dir / "tlogs", settings.mavlink, attach=vehicles.attach, detach=vehicles.detach)
-    jobs = JobEngine(store, vehicles, executor=executor, read_only=settings.read_only)
+    jobs = JobEngine(store, Fleet(vehicles), executor=executor, read_only=settings.read_only)
     recordings = Recordings(
         store, settings.data_dir / "recordings", limit_bytes=settings.limits.upload_bytes, executor=executor
     )

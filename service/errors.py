@@ -32,7 +32,9 @@
     |   +-- PlanMissing           404
     |   +-- ExportUnknown         404
     |   +-- IdempotencyConflict   409
+    |   +-- AnswerRefused         409
     |   +-- CaptureEnded          409
+    |   |   +-- CaptureLost       409
     |   +-- WriteFailed           409
     |   +-- WriteStopped          409
     +-- StoreError                500
@@ -303,6 +305,13 @@ class IdempotencyConflict(JobError):
     code = "idempotency-key-reused"
 
 
+class AnswerRefused(JobError):
+    """The job asks nothing that this would answer."""
+
+    title = "Answer refused"
+    code = "answer-refused"
+
+
 class CaptureEnded(JobError):
     """The capture cannot be used."""
 
@@ -313,6 +322,13 @@ class CaptureEnded(JobError):
         super().__init__(message)
         self.remedy = remedy
         """What helps."""
+
+
+class CaptureLost(CaptureEnded):
+    """The vehicle was away for too long; what was recorded is kept."""
+
+    title = "Capture interrupted"
+    code = "capture-interrupted"
 
 
 class WriteFailed(JobError):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,7 +14,7 @@ from calib.firmware.plan import ParameterKind, Value
 from calib.recording import Identity
 from calib.wire import Frame
 from service.errors import CommandRefused, ParameterMissing, ParameterRejected, ParameterTimeout, VehicleUnknown
-from service.jobs.port import Condition, FramesCallback, JobVehicle, Reading, StreamsGranted, TlogPosition
+from service.jobs.port import Condition, FramesCallback, JobVehicle, Reading, TlogPosition
 
 FINE = Condition(armed=False, silent=False, reboots=0, calibrating=False, obstacles=(), conflict=None)
 
@@ -47,7 +47,6 @@ class FakeVehicle:
     parameters: dict[str, Reading]
     id: str = "vehicle-1"
     identity: Identity = field(default_factory=lambda: Identity("ardupilot", 2, (4, 7, 0), "00112233", 1, 1))
-    firmware: str = "4.7.0"
     state: Condition = FINE
     before_set: Callable[[int], None] = lambda _: None
     after_set: Callable[[int], None] = lambda _: None
@@ -56,7 +55,7 @@ class FakeVehicle:
     refused_commands: set[int] = field(default_factory=set)
     sets: list[tuple[str, Value]] = field(default_factory=list)
     commands: list[int] = field(default_factory=list)
-    intervals: dict[int, int] = field(default_factory=dict)
+    message_intervals: dict[int, int] = field(default_factory=dict)
     tlog: Path = Path("fake.tlog")
     _frames: list[tuple[frozenset[int], FramesCallback]] = field(default_factory=list)
     _listeners: list[Callable[[Reading], None]] = field(default_factory=list)
@@ -131,17 +130,20 @@ class FakeVehicle:
             raise CommandRefused(f"command {command} was refused", command=command, result=2)
         self.commands.append(command)
 
-    async def request_streams(self, rates: Mapping[int, float]) -> StreamsGranted:
+    async def intervals(self, message_ids: Iterable[int]) -> dict[int, int]:
         """See JobVehicle."""
         await asyncio.sleep(0)
-        previous = {message: self.intervals.get(message, 0) for message in rates}
-        self.intervals |= {message: round(1e6 / rate) for message, rate in rates.items()}
-        return StreamsGranted(previous)
+        return {message: self.message_intervals.get(message, 0) for message in message_ids}
 
     async def set_intervals(self, intervals: Mapping[int, int]) -> None:
         """See JobVehicle."""
         await asyncio.sleep(0)
-        self.intervals |= intervals
+        self.message_intervals |= intervals
+
+    async def measure(self, rates: Mapping[int, float], seconds: float) -> tuple[str, ...]:
+        """See JobVehicle."""
+        await asyncio.sleep(0)
+        return ()
 
     def subscribe(self, message_ids: frozenset[int], callback: FramesCallback) -> Callable[[], None]:
         """See JobVehicle."""

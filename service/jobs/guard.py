@@ -7,7 +7,15 @@ from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from typing import TypeVar
 
-from service.errors import ServiceError, WriteStopped
+from service.errors import (
+    LinkDown,
+    ServiceError,
+    VehicleArmed,
+    VehicleBusy,
+    VehicleConflict,
+    VehicleSilent,
+    WriteStopped,
+)
 from service.jobs.port import JobVehicle
 
 T = TypeVar("T")
@@ -15,6 +23,9 @@ T = TypeVar("T")
 HEARTBEAT, EXTENDED_SYS_STATE, MAG_CAL_PROGRESS = 0, 245, 191
 _TELLING = frozenset({HEARTBEAT, EXTENDED_SYS_STATE, MAG_CAL_PROGRESS})
 """Messages that can say at once that a write has to stop."""
+
+STOPPING = (WriteStopped, VehicleArmed, VehicleBusy, VehicleConflict, VehicleSilent, LinkDown)
+"""Errors after which nothing more may be sent, be it to take something back."""
 
 
 class Guard:
@@ -27,7 +38,8 @@ class Guard:
         self._vehicle = vehicle
         self._watch_s = watch_s
         self._uid = vehicle.identity.uid
-        self._reboots = vehicle.condition().reboots
+        now = vehicle.condition()
+        self._reboots, self._peer = now.reboots, now.peer
 
     def reason(self) -> str | None:
         """Why nothing may be written now; None: it may."""
@@ -38,6 +50,8 @@ class Guard:
             return "the vehicle is armed"
         if now.conflict is not None:
             return now.conflict
+        if now.peer != self._peer:
+            return f"the vehicle speaks from another address ({self._peer}, now {now.peer})"
         if now.reboots != self._reboots:
             return "the vehicle restarted by itself"
         if self._vehicle.identity.uid != self._uid:
@@ -53,8 +67,9 @@ class Guard:
             raise WriteStopped(f"{reason}: nothing more is written")
 
     def expect_restart(self) -> None:
-        """From now on the present number of restarts is the right one."""
-        self._reboots = self._vehicle.condition().reboots
+        """From now on the present number of restarts, and the present address, are the right ones."""
+        now = self._vehicle.condition()
+        self._reboots, self._peer = now.reboots, now.peer
 
     async def run(self, act: Callable[[], Awaitable[T]]) -> T:
         """Await ``act()`` and abandon it as soon as the preconditions fail.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -37,16 +37,8 @@ class Condition:
     """Why nothing may be written now (DESIGN 6 rule 1), one sentence each; empty: it may."""
     conflict: str | None
     """Why it is not certain whom we talk to (DESIGN 6 rule 3); None: it is."""
-
-
-@dataclass(frozen=True)
-class StreamsGranted:
-    """What became of a request for streams."""
-
-    previous: Mapping[int, int]
-    """Intervals before, microseconds by message id, to be restored; 0: the vehicle's default, -1: off."""
-    warnings: tuple[str, ...] = ()
-    """Streams that were refused or come slower than asked, and what that means for the job's length."""
+    peer: str = ""
+    """The address that it speaks from."""
 
 
 @dataclass(frozen=True)
@@ -73,11 +65,6 @@ class JobVehicle(Protocol):
         """Autopilot, firmware version and uid, as last stated by the vehicle."""
         ...
 
-    @property
-    def firmware(self) -> str:
-        """Firmware version and hash as text."""
-        ...
-
     def condition(self) -> Condition:
         """The state now."""
         ...
@@ -102,12 +89,16 @@ class JobVehicle(Protocol):
         """Send a MAV_CMD. Raises CommandRefused or CommandTimeout."""
         ...
 
-    async def request_streams(self, rates: Mapping[int, float]) -> StreamsGranted:
-        """Ask for messages at rates in Hz."""
+    async def intervals(self, message_ids: Iterable[int]) -> dict[int, int]:
+        """Message intervals as they are, us: -1 off, 0 the vehicle's default (also where it does not say)."""
         ...
 
     async def set_intervals(self, intervals: Mapping[int, int]) -> None:
-        """Put back the intervals that :attr:`StreamsGranted.previous` held."""
+        """Set message intervals, us; one that is refused does not stop the others. Raises CommandTimeout, LinkDown."""
+        ...
+
+    async def measure(self, rates: Mapping[int, float], seconds: float) -> tuple[str, ...]:
+        """Watch streams that were asked for at `rates` (Hz); what comes slower, in sentences."""
         ...
 
     def subscribe(self, message_ids: frozenset[int], callback: FramesCallback) -> Callable[[], None]:

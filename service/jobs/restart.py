@@ -9,6 +9,7 @@ from functools import partial
 from calib.procedures.protocol import Prompt
 from service.errors import CommandRefused, CommandTimeout, WriteFailed, WriteStopped
 from service.jobs.crashpoints import At
+from service.jobs.guard import STOPPING
 from service.jobs.journal import Step
 from service.jobs.write import Writing
 
@@ -53,7 +54,7 @@ async def _commanded(w: Writing) -> bool:
     w.reach(At.REBOOT_SENT)
     try:
         # A vehicle that restarts at once acknowledges nothing; whether it did is seen later.
-        with suppress(CommandTimeout, WriteStopped):
+        with suppress(CommandTimeout, *STOPPING):
             await w.guard.run(partial(w.vehicle.command, PREFLIGHT_REBOOT_SHUTDOWN, REBOOT_AUTOPILOT))
     except CommandRefused as refusal:
         w.handle.warn(f"the vehicle refused to restart by itself: {refusal}")

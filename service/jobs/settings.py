@@ -18,6 +18,8 @@ class JobSettings:
     """Length of the stream windows before and after a write, seconds of the vehicle's clock."""
     window_timeout_s: float = 20.0
     """How long such a window may take."""
+    measure_s: float = 1.0
+    """How long the streams of a capture are measured before it begins."""
     gap_limit_s: float = 60.0
     """How long a capture outlives the loss of its vehicle."""
     return_limit_s: float = 60.0
@@ -26,8 +28,8 @@ class JobSettings:
     """From our restart command until the vehicle answers again."""
     operator_reboot_s: float = 1800.0
     """How long the operator has to restart the vehicle."""
-    set_attempts: int = 3
-    """PARAM_SET rounds a parameter (each with the vehicle layer's own retries) before the write is given up."""
+    stall_s: float = 30.0
+    """How long a capture waits for inertial data while the vehicle's heartbeat is there."""
     watch_s: float = 0.1
     """How often preconditions are looked at while something is under way."""
     retry_s: float = 2.0

@@ -22,12 +22,14 @@ from calib.firmware.plan import Value, Verdict, Verification
 from service.errors import ServiceError, WriteFailed, WriteStopped
 from service.jobs.crashpoints import At
 from service.jobs.finish import finish
+from service.jobs.guard import STOPPING
 from service.jobs.handle import JobHandle
 from service.jobs.journal import Next, Step, decide, standing
 from service.jobs.model import Failure, Outcome, Result
 from service.jobs.restart import restart
 from service.jobs.rollback import roll_back
 from service.jobs.states import JobState
+from service.jobs.streams import restore_streams
 from service.jobs.write import Writing, prepare, read_back, read_values, send_all
 
 BY_OPERATOR = "the operator asked for it"
@@ -82,7 +84,7 @@ class Transaction:
         forget = w.vehicle.on_parameter(w.hear)
         try:
             await stage()
-        except WriteStopped as stop:
+        except STOPPING as stop:
             await _doubt(w, str(stop))
         except Exception as error:  # noqa: BLE001 - whatever it was, the vehicle must not stay half-written
             await self._failed(w, error)
@@ -115,7 +117,7 @@ async def _resume(w: Writing) -> None:
     values = {name: reading.value for name, reading in readings.items()}
     following = decide(record, w.plan, values)
     if following == Next.NOTHING_SENT:
-        await _restore_streams(w)
+        await restore_streams(w.handle, w.vehicle)
         await w.handle.record(Step.CLOSED)
         text = "The write was interrupted before the first parameter: the vehicle is as it was."
         w.handle.move(JobState.REVIEW, accept=None, standing=(), outcome=Failure("interrupted", text, "Apply again."))
@@ -141,7 +143,7 @@ async def _onward(w: Writing, following: Next, values: dict[str, Value]) -> None
         await w.handle.record(Step.VERIFIED)
         w.reach(At.VERIFIED)
     await finish(w)
-    await _restore_streams(w)
+    await restore_streams(w.handle, w.vehicle)
     await w.handle.record(Step.CLOSED)
     w.reach(At.CLOSED)
     w.handle.move(JobState.SUCCEEDED, outcome=Result(_summary(w.handle.job.verification)), standing=(), prompt=None)
@@ -152,7 +154,7 @@ async def _take_back(w: Writing, because: str) -> None:
         w.handle.move_anyway(JobState.ROLLING_BACK, standing=(), prompt=None)
     await w.handle.record_anyway(Step.ROLL_BACK, because=because)
     await roll_back(w)
-    await _restore_streams(w)
+    await restore_streams(w.handle, w.vehicle)
     await w.handle.record_anyway(Step.CLOSED)
     w.reach(At.CLOSED)
     record = w.handle.written()
@@ -175,17 +177,6 @@ async def _doubt(w: Writing, reason: str) -> None:
     await w.handle.record_anyway(Step.STOPPED, reason=reason)
     remedy = "Disarm the vehicle and keep it on the ground and in reach: this is then finished or taken back by itself."
     w.handle.move_anyway(JobState.IN_DOUBT, outcome=Failure("in-doubt", reason, remedy), standing=known, prompt=None)
-
-
-async def _restore_streams(w: Writing) -> None:
-    intervals = w.handle.written().intervals
-    if not intervals:
-        return
-    try:
-        await w.vehicle.set_intervals(intervals)
-    except ServiceError as error:
-        w.handle.warn(f"the message rates could not be put back: {error}")
-    await w.handle.record_anyway(Step.STREAMS_RESTORED)
 
 
 def _summary(verification: Verification | None) -> str:

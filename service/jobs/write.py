@@ -94,8 +94,8 @@ async def read_values(vehicle: JobVehicle, names: Iterable[str]) -> dict[str, Re
     return {name: task.result() for name, task in zip(wanted, tasks, strict=True)}
 
 
-async def prepare(w: Writing) -> None:
-    """Make sure that the plan still fits the vehicle, and keep the old values. Nothing is sent to be changed.
+async def check_plan(w: Writing) -> dict[str, Reading]:
+    """Make sure that the plan still fits the vehicle; returns fresh readings of everything that it rests on.
 
     Raises
     ------
@@ -106,19 +106,29 @@ async def prepare(w: Writing) -> None:
         raise PlanBlocked("the plan may not be written: " + "; ".join(w.plan.blockers))
     kept = w.handle.store.snapshot(w.handle.id, SnapshotPurpose.COMPOSED_ON)
     composed_on: Mapping[str, Value] = {} if kept is None else kept.body
-    identity = await w.guard.run(w.vehicle.identify)
-    names = [*composed_on, *(change.name for change in w.plan.changes)]
+    identity = await w.vehicle.identify()
     try:
-        fresh = await w.guard.run(partial(read_values, w.vehicle, names))
+        fresh = await read_values(w.vehicle, [*composed_on, *(change.name for change in w.plan.changes)])
     except ParameterMissing as error:
         raise PlanChanged(f"the vehicle no longer has {error.name}: plan again") from error
     now = {name: fresh[name].value for name in composed_on}
-    differing = [f"{n} was {composed_on[n]:g} and is {v:g}" for n, v in now.items() if v != composed_on[n]]
+    differing = [f"{n} was {composed_on[n]:.9g} and is {v:.9g}" for n, v in now.items() if v != composed_on[n]]
     if differing:
         raise PlanChanged(f"parameters changed since the plan was made: {', '.join(differing)}. Plan again")
     if snapshot_sha256(now) != w.plan.snapshot_sha256 or fingerprint(identity, now) != w.plan.fingerprint:
         raise PlanChanged
     _check_kinds(w.plan, fresh)
+    return fresh
+
+
+async def prepare(w: Writing) -> None:
+    """Check the plan against the vehicle and keep the old values. Nothing is sent yet.
+
+    Raises
+    ------
+    PlanBlocked, PlanChanged, WriteStopped
+    """
+    fresh = await w.guard.run(partial(check_plan, w))
     await _keep_snapshot(w, {change.name: fresh[change.name] for change in w.plan.changes})
 
 

@@ -128,14 +128,12 @@ class Store(JobStore, Protocol):
         """Raise the time stamp of a stream; a smaller one changes nothing."""
         ...
 
-    def claim_idempotency_key(self, key: str, request_sha256: str, job_id: str, at: float) -> bool:
-        """Claim a key for a request: True if it is new, False if this very request has claimed it before.
+    def idempotency_key(self, key: str) -> tuple[str, str] | None:
+        """The request (its digest) and the job that a key was used for; None: it is new."""
+        ...
 
-        Raises
-        ------
-        IdempotencyConflict
-            If the key was used for another request.
-        """
+    def claim_idempotency_key(self, key: str, request_sha256: str, job_id: str, at: float) -> None:
+        """Use a key for a request; raises StoreError if it was used before."""
         ...
 
     def add_audit(self, at: float, actor: str, action: str, subject: str, detail: Json) -> None:

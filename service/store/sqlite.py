@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from service.errors import DiskFull, IdempotencyConflict, StoreError
+from service.errors import DiskFull, StoreError
 from service.store.datadir import DataDirLock
 from service.store.migrate import migrate, migrations
 from service.store.rows import (
@@ -227,16 +227,14 @@ class SqliteStore:
             (stream, timestamp),
         )
 
-    def claim_idempotency_key(self, key: str, request_sha256: str, job_id: str, at: float) -> bool:
-        """Claim a key for a request: True if it is new, False if this very request has claimed it before."""
-        with self._write() as db:
-            row = db.execute("SELECT request_sha256, job_id FROM idempotency_keys WHERE key = ?", (key,)).fetchone()
-            if row is None:
-                db.execute("INSERT INTO idempotency_keys VALUES (?, ?, ?, ?)", (key, request_sha256, job_id, at))
-                return True
-        if tuple(row) != (request_sha256, job_id):
-            raise IdempotencyConflict
-        return False
+    def idempotency_key(self, key: str) -> tuple[str, str] | None:
+        """The request (its digest) and the job that a key was used for; None: it is new."""
+        rows = self._read("SELECT request_sha256, job_id FROM idempotency_keys WHERE key = ?", (key,))
+        return (str(rows[0][0]), str(rows[0][1])) if rows else None
+
+    def claim_idempotency_key(self, key: str, request_sha256: str, job_id: str, at: float) -> None:
+        """Use a key for a request; raises StoreError if it was used before."""
+        self._insert("INSERT INTO idempotency_keys VALUES (?, ?, ?, ?)", (key, request_sha256, job_id, at))
 
     def add_audit(self, at: float, actor: str, action: str, subject: str, detail: Json) -> None:
         """Append to the audit trail."""

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from service.errors import DataDirLocked, DiskFull, IdempotencyConflict, StoreError
+from service.errors import DataDirLocked, DiskFull, StoreError
 from service.store import SqliteStore, Store
 from service.store.migrate import Migration, migrate, migrations
 from service.store.rows import JobRow, LinkRow, RecordingRow, SegmentPurpose, SnapshotPurpose
@@ -136,9 +136,10 @@ def test_signature_time_never_goes_back(store: Store) -> None:
 
 
 def test_idempotency_key_belongs_to_one_request(store: Store) -> None:
-    assert store.claim_idempotency_key("k", DIGEST, "j1", 0.0)
-    assert not store.claim_idempotency_key("k", DIGEST, "j1", 1.0)
-    with pytest.raises(IdempotencyConflict):
+    assert store.idempotency_key("k") is None
+    store.claim_idempotency_key("k", DIGEST, "j1", 0.0)
+    assert store.idempotency_key("k") == (DIGEST, "j1")
+    with pytest.raises(StoreError):
         store.claim_idempotency_key("k", DIGEST, "j2", 1.0)
 
 

@@ -1,0 +1,174 @@
+"""Capturing: streams on, calibration parameters read, frames to the procedure, until it says that it is done.
+
+The segment of the telemetry log begins before the parameters are read and ends after they were read again, so that
+it can be fitted by itself at any time.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from calib.firmware.names import CALIBRATION_PREFIXES
+from calib.firmware.plan import Value
+from calib.firmware.streams import requested_streams
+from calib.procedures.protocol import Done, GaveUp, Progress, Prompt, Step
+from calib.procedures.registry import specification
+from calib.recording import Identity
+from calib.wire import Frame, iter_tlog
+from service.errors import CaptureEnded, DiskFull, LinkDown, ParameterTimeout, VehicleSilent
+from service.jobs.crashpoints import At, CrashPoint, nowhere
+from service.jobs.digest import LiveDigest, changed, read_range
+from service.jobs.handle import JobHandle
+from service.jobs.port import JobVehicle
+from service.jobs.settings import JobSettings
+from service.jobs.spans import close_span, open_span
+from service.jobs.states import JobState
+from service.jobs.streams import ask_for_streams
+from service.jobs.watch import CaptureWatch
+from service.jobs.write import read_values
+from service.store.rows import SegmentPurpose, SegmentRow
+
+BATCH_S = 0.05
+"""Frames are digested at most so often, seconds of the wall clock."""
+
+
+@dataclass
+class Capture:
+    """One capture of one job, begun or resumed after a restart of the service."""
+
+    handle: JobHandle
+    vehicle: JobVehicle
+    settings: JobSettings
+    reach: CrashPoint = nowhere
+    clock: Callable[[], float] = time.monotonic
+    wall: Callable[[], float] = time.time
+    parameters: dict[str, Value] = field(default_factory=dict)
+    """Every listed parameter; the calibration is the same before and after the capture."""
+    _frames: list[Frame] = field(default_factory=list)
+    _disk: DiskFull | None = None
+
+    async def run(self) -> Done:
+        """Capture until the procedure is done. However it ends, the segments of the job are closed then.
+
+        Raises
+        ------
+        CaptureEnded
+            With a remedy, if the capture cannot be used.
+        CaptureLost
+            If the vehicle was away for too long, or is another boot than before a restart of the service.
+        DiskFull, VehicleError, LinkError
+        """
+        earlier = self.handle.store.segments(self.handle.id, SegmentPurpose.CAPTURE)
+        for row in earlier:
+            if row.end_byte is None:
+                await close_span(self.handle.store, row, None)
+        row = open_span(self.handle.store, self.handle.id, SegmentPurpose.CAPTURE, self.vehicle)
+        try:
+            return await self._captured(earlier)
+        finally:
+            await asyncio.shield(close_span(self.handle.store, row, self.vehicle))
+            self.reach(At.CAPTURE_CLOSED)
+
+    async def _captured(self, earlier: Sequence[SegmentRow]) -> Done:
+        identity = await self.vehicle.identify()
+        rates = requested_streams(identity.autopilot or "", specification(self.handle.job.kind).sensors)
+        await ask_for_streams(self.handle, self.vehicle, rates, measure_s=self.settings.measure_s)
+        self.reach(At.CAPTURE_STARTED)
+        forget: Callable[[], None] | None = None
+        try:
+            # Subscribed before the parameters are read, so that live and replay see the same samples.
+            forget = self.vehicle.subscribe(LiveDigest.wanted(identity), self._take)
+            listed = await self.vehicle.list_parameters()
+            self.parameters = {name: reading.value for name, reading in listed.items()}
+            digest, watch = await self._begin(identity, earlier)
+            done = await self._until_done(digest, watch)
+            await self._read_again(identity, watch)
+            return done
+        finally:
+            if forget is not None:
+                forget()
+
+    def _take(self, frames: Sequence[Frame], disk: DiskFull | None) -> None:
+        self._frames += frames
+        self._disk = disk or self._disk
+
+    async def _begin(self, identity: Identity, earlier: Sequence[SegmentRow]) -> tuple[LiveDigest, CaptureWatch]:
+        """A digest that has taken what was recorded before a restart of the service, if anything was."""
+        job = self.handle.job
+        digest = LiveDigest(job.kind, job.options, identity, self.parameters, job.created_at)
+        digest.schedule([(t, value) for t, value in job.context.get("answers", ())])
+        last_record = 0.0
+        for row in earlier:
+            data = await asyncio.to_thread(read_range, row.path, row.start_byte, row.end_byte)
+            records = list(iter_tlog(data))
+            self._told(await asyncio.to_thread(digest.feed, [frame for _, frame in records]))
+            last_record = records[-1][0] / 1e6 if records else last_record
+        watch = CaptureWatch(self.vehicle, self.settings, self.clock, self.handle.warn)
+        if earlier:
+            watch.resume(digest.last_time, last_record, self.wall)
+        return digest, watch
+
+    async def _until_done(self, digest: LiveDigest, watch: CaptureWatch) -> Done:
+        while True:
+            await asyncio.sleep(BATCH_S)
+            steps = [step for value in self._answers(digest) for step in digest.answer(value)]
+            frames, self._frames = self._frames, []
+            if frames:
+                steps += await asyncio.to_thread(digest.feed, frames)
+            self._told(steps)
+            outcome = digest.outcome
+            for warning in digest.warnings:
+                self.handle.warn(warning)
+            if isinstance(outcome, Done):
+                return outcome
+            if self._disk is not None:
+                raise self._disk
+            watch.look(digest)
+            if isinstance(outcome, GaveUp):
+                raise CaptureEnded(outcome.cause, remedy=outcome.remedy)
+
+    def _answers(self, digest: LiveDigest) -> Sequence[str]:
+        """Answers that came, kept with the procedure's time for the replay."""
+        values = []
+        while not self.handle.answers.empty():
+            value = self.handle.answers.get_nowait()
+            given = [*self.handle.job.context.get("answers", ()), [max(digest.time, 0.0), value]]
+            self.handle.change("answer", {"value": value}, context={**self.handle.job.context, "answers": given})
+            values.append(value)
+        return values
+
+    def _told(self, steps: Sequence[Step]) -> None:
+        """Hand prompts and progress on to whoever watches the job."""
+        for step in steps:
+            if isinstance(step, Prompt):
+                self.handle.prompt(step)
+                self._show(JobState.WAITING_FOR_OPERATOR if _asks(step) else JobState.RUNNING)
+            elif isinstance(step, Progress):
+                self.handle.progress(step)
+
+    def _show(self, state: JobState) -> None:
+        if self.handle.job.state != state:
+            self.handle.move(state)
+
+    async def _read_again(self, identity: Identity, watch: CaptureWatch) -> None:
+        """Read the calibration again: a change that was not heard would make the capture useless."""
+        prefixes = CALIBRATION_PREFIXES[identity.autopilot or ""]
+        names = [name for name in self.parameters if name.startswith(prefixes)]
+        while True:
+            try:
+                readings = await read_values(self.vehicle, names)
+                break
+            except (VehicleSilent, ParameterTimeout, LinkDown):
+                watch.look(None)
+                await asyncio.sleep(self.settings.watch_s)
+        for name, reading in readings.items():
+            if reading.value != self.parameters[name]:
+                raise changed(name, self.parameters[name], reading.value)
+
+
+def _asks(prompt: Prompt) -> bool:
+    """Whether the operator has to do something now, and is not already doing it."""
+    return prompt.rotate or (not prompt.stable and (bool(prompt.remaining) or prompt.pose is not None))

@@ -1,0 +1,229 @@
+"""Frames of a running capture to a procedure's steps; and a closed capture to the same procedure's result.
+
+Both ways read the same functions of ``calib``. The live one only guides the operator: what counts is the replay of the
+closed segments, whose digits are the same whenever it is repeated.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from calib.earth import EarthField, earth_field
+from calib.errors import InvalidInputError
+from calib.firmware.names import CALIBRATION_PREFIXES
+from calib.firmware.plan import Value
+from calib.firmware.streams import Assembler
+from calib.firmware.undo import Undo, calibration_changes, undo
+from calib.logs.tlog import read_tlog
+from calib.procedures.context import Answer, ProcedureContext
+from calib.procedures.protocol import Done, GaveUp, Step
+from calib.procedures.registry import create, specification
+from calib.procedures.replay import replay
+from calib.recording import Channel, Identity, ParameterEntry, Recording, Sensor
+from calib.wire import Frame
+from service.errors import CaptureEnded
+from service.jobs.model import Span
+
+POSITION_WAIT_S = 3.0
+"""A compass job waits so long for the vehicle's position, in seconds of its clock: the Earth's field depends on it."""
+
+
+@dataclass(frozen=True)
+class FitRequest:
+    """Everything that the result of a job depends on; can be sent to another process."""
+
+    kind: str
+    options: Mapping[str, Any]
+    spans: tuple[Span, ...]
+    system: int | None
+    created_at: float
+    answers: tuple[tuple[float, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """The result of a job, with the vehicle's parameters as the segments show them at their end."""
+
+    outcome: Done | GaveUp
+    parameters: dict[str, Value]
+
+
+class LiveDigest:
+    """Feeds a procedure with frames as they come.
+
+    Parameters
+    ----------
+    identity, parameters
+        Whose frames, and the calibration in force at the start.
+    created_at
+        Wall-clock time of the job, for the Earth's field.
+    """
+
+    def __init__(
+        self,
+        kind: str,
+        options: Mapping[str, Any],
+        identity: Identity,
+        parameters: Mapping[str, Value],
+        created_at: float,
+    ) -> None:
+        self._assembler = Assembler(identity, parameters)
+        self._undo = Undo(identity, parameters)
+        self._prefixes = CALIBRATION_PREFIXES.get(identity.autopilot or "", ())
+        self._parameters = dict(parameters)
+        self._kind, self._options, self._created_at = kind, options, created_at
+        self._waiting: list[Recording] = []
+        self._procedure = None if Sensor.MAG in specification(kind).sensors else create(kind, options, self._context())
+        self.last_time = float("-inf")
+        """Newest time stamp of an inertial sample, s on the vehicle's clock."""
+        self.restarted = False
+        """Whether the vehicle's clock started anew among the frames."""
+
+    @staticmethod
+    def wanted(identity: Identity) -> frozenset[int]:
+        """The messages that are worth feeding."""
+        return Assembler(identity).message_ids
+
+    @property
+    def time(self) -> float:
+        """The procedure's time, with which answers are stamped."""
+        return float("-inf") if self._procedure is None else self._procedure.time
+
+    @property
+    def outcome(self) -> Done | GaveUp | None:
+        """How the procedure ended; None: it goes on."""
+        return None if self._procedure is None else self._procedure.outcome
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the procedure found worth a warning."""
+        return () if self._procedure is None else tuple(self._procedure.warnings)
+
+    def feed(self, frames: Sequence[Frame]) -> tuple[Step, ...]:
+        """Take frames; return what changed.
+
+        Raises
+        ------
+        CaptureEnded
+            If a calibration parameter changed: the samples before and after cannot be compared.
+        """
+        chunk = self._assembler.feed([(None, frame) for frame in frames])
+        self._refuse_changes(chunk.parameters.entries)
+        self.restarted |= any(event.kind == "reboot" for event in chunk.events)
+        ends = [float(c.t[-1]) for c in chunk.channels if len(c) and c.sensor in (Sensor.ACCEL, Sensor.GYRO)]
+        self.last_time = max([self.last_time, *ends])
+        raw = self._undo.feed(chunk)
+        if self._procedure is not None:
+            return self._procedure.feed(raw)
+        self._waiting.append(raw)
+        return self._begun()
+
+    def answer(self, value: str) -> tuple[Step, ...]:
+        """Hand an operator's answer on. Raises ProcedureError if it does not fit the present prompt."""
+        return () if self._procedure is None else self._procedure.answer(value)
+
+    def schedule(self, answers: Sequence[tuple[float, str]]) -> None:
+        """Answers that were given before the service was restarted."""
+        if self._procedure is not None:
+            self._procedure.schedule([Answer(t, value) for t, value in answers])
+
+    def _begun(self) -> tuple[Step, ...]:
+        """Start a compass procedure once the position is known, or was waited for long enough."""
+        spans = [chunk.span for chunk in self._waiting if chunk.channels]
+        begun = min((s[0] for s in spans), default=self.last_time)
+        field = next((f for f in (field_of(chunk, self._created_at) for chunk in self._waiting) if f), None)
+        if field is None and not self.last_time - begun > POSITION_WAIT_S:
+            return ()
+        self._procedure = create(self._kind, self._options, self._context(field))
+        chunks, self._waiting = self._waiting, []
+        return tuple(step for chunk in chunks for step in self._procedure.feed(chunk))
+
+    def _context(self, field: EarthField | None = None) -> ProcedureContext:
+        return ProcedureContext(self._assembler.identity, earth_field=field, parameters=self._parameters)
+
+    def _refuse_changes(self, entries: Sequence[ParameterEntry]) -> None:
+        for entry in entries:
+            if not entry.name.startswith(self._prefixes):
+                continue
+            before = self._parameters.setdefault(entry.name, entry.value)
+            if before != entry.value:
+                raise changed(entry.name, before, entry.value)
+
+
+def changed(name: str, before: Value, after: Value) -> CaptureEnded:
+    """The refusal of a capture in which a calibration parameter changed."""
+    who = "another ground station, or the vehicle itself"
+    if name.startswith("CAL_GYRO"):
+        who += " (PX4's gyro_calibration, while IMU_GYRO_CAL_EN is 1)"
+    return CaptureEnded(
+        f"{name} changed from {before:.9g} to {after:.9g} during the capture, set by {who}",
+        remedy="Leave the vehicle's calibration alone while a job runs, and start the job again.",
+    )
+
+
+def field_of(recording: Recording, at: float) -> EarthField | None:
+    """The Earth's field where the vehicle first said to be; None: it said nothing usable."""
+    position = next((c for c in recording.channels if c.sensor == Sensor.POSITION and len(c)), None)
+    return None if position is None else _field_at(position, at)
+
+
+def _field_at(position: Channel, at: float) -> EarthField | None:
+    when = datetime.fromtimestamp(at, UTC)
+    year = when.year + (when.timetuple().tm_yday - 1) / 365.25
+    for latitude, longitude, altitude in position.values:
+        if latitude or longitude:  # (0, 0) is "no fix"
+            try:
+                return earth_field(float(latitude), float(longitude), float(altitude), year)
+            except InvalidInputError:
+                continue
+    return None
+
+
+def fit_segments(request: FitRequest) -> Fitted:
+    """Replay closed segments through the job's procedure: the result of the job.
+
+    Raises
+    ------
+    CaptureEnded
+        If a segment is not what it was, or a calibration parameter changed in it.
+    UnreadableError, InvalidInputError, FirmwareError
+    """
+    recording = recording_of(request.spans, request.system)
+    for entry in calibration_changes(recording):
+        before = next(e.value for e in recording.parameters.entries if e.name == entry.name)
+        raise changed(entry.name, before, entry.value)
+    context = ProcedureContext(
+        recording.identity,
+        earth_field=field_of(recording, request.created_at),
+        parameters=recording.parameters.final(),
+    )
+    answers = [Answer(t, value) for t, value in request.answers]
+    outcome = replay(request.kind, request.options, context, undo(recording), answers)
+    return Fitted(outcome, recording.parameters.final())
+
+
+def recording_of(spans: Sequence[Span], system: int | None) -> Recording:
+    """The recording of consecutive segments of one vehicle, not yet undone. Raises CaptureEnded, UnreadableError."""
+    return read_tlog(b"".join(_content(span) for span in spans), system=system)
+
+
+def _content(span: Span) -> bytes:
+    data = read_range(span.path, span.start_byte, span.end_byte)
+    if hashlib.sha256(data).hexdigest() != span.sha256:
+        raise CaptureEnded(f"the recording {span.path.name} is not what it was when the job ended: it was damaged")
+    return data
+
+
+def read_range(path: Path, start: int, end: int | None) -> bytes:
+    """Bytes of a file; None: up to its end. Raises CaptureEnded if it is not there."""
+    try:
+        with path.open("rb") as file:
+            file.seek(start)
+            return file.read() if end is None else file.read(end - start)
+    except OSError as error:
+        raise CaptureEnded(f"the recording {path.name} cannot be read: {error.strerror}") from error

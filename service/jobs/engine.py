@@ -1,0 +1,360 @@
+"""The job engine: one task a job, one physical job a vehicle, any number of vehicles."""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+import time
+import uuid
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
+from concurrent.futures import Executor, ThreadPoolExecutor
+from typing import Any
+
+import structlog
+
+from calib.firmware.streams import requested_streams
+from calib.procedures.registry import specification, validate_options
+from service.errors import AnswerRefused, Forbidden, IdempotencyConflict, JobUnknown, NotCancellable, NotRevertible
+from service.jobs.admission import request_digest, require_acceptable, require_free, require_ready
+from service.jobs.codec import job_from_row
+from service.jobs.crashpoints import At, CrashPoint, nowhere
+from service.jobs.feed import EventFeed
+from service.jobs.handle import JobHandle
+from service.jobs.journal import Step
+from service.jobs.model import Accept, Failure, Job
+from service.jobs.planning import identity_to_json, keep_plan, make_plan
+from service.jobs.port import VehicleSource
+from service.jobs.runner import Runner
+from service.jobs.settings import JobSettings
+from service.jobs.states import CANCELLABLE, CAPTURING, ENDED, WRITING, JobState
+from service.jobs.streams import restore_streams
+from service.jobs.transaction import Transaction
+from service.jobs.verify import StreamCheck
+from service.jobs.write import Writing, check_plan
+from service.store.protocol import Store
+from service.store.rows import EventRow
+
+log = structlog.get_logger(__name__)
+
+
+class JobEngine:
+    """Runs calibrations; every method is called from the event loop.
+
+    Parameters
+    ----------
+    store
+        Holds every job.
+    vehicles
+        Where jobs find theirs.
+    settings
+        How patient the engine is.
+    executor
+        Where closed segments are fitted; any ``concurrent.futures.Executor``. None: two threads of its own.
+    read_only
+        Nothing is ever written to a vehicle.
+    clock, wall
+        Monotonic time for time-outs; wall time for stamps.
+    reach
+        Called at every instant at which a crash would leave another state behind (tests).
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        vehicles: VehicleSource,
+        *,
+        settings: JobSettings | None = None,
+        executor: Executor | None = None,
+        read_only: bool = False,
+        clock: Callable[[], float] = time.monotonic,
+        wall: Callable[[], float] = time.time,
+        reach: CrashPoint = nowhere,
+    ) -> None:
+        self.settings = settings or JobSettings()
+        self._store = store
+        self._vehicles = vehicles
+        self._read_only = read_only
+        self._wall, self._clock, self._reach = wall, clock, reach
+        self._own_executor = ThreadPoolExecutor(2, thread_name_prefix="fit") if executor is None else None
+        pool = executor or self._own_executor
+        assert pool is not None
+        self._runner = Runner(vehicles, self.settings, pool, reach, clock, wall)
+        self._feed = EventFeed(store)
+        self._handles: dict[str, JobHandle] = {}
+        self._tasks: dict[str, asyncio.Task[None]] = {}
+        self._tidying: dict[str, asyncio.Task[None]] = {}
+
+    # --- life
+
+    async def start(self) -> None:
+        """Take up every job of the store where it was left, however the service ended."""
+        for row in self._store.jobs():
+            handle = self._hold(job_from_row(row))
+            state = handle.job.state
+            if state in WRITING:  # the journal and the vehicle decide
+                self._doubt(handle)
+                self._spawn(handle, self._transaction(handle).resolve())
+            elif state in CAPTURING:  # replay what was recorded and go on, if the vehicle is the same boot still
+                self._spawn(handle, self._runner.calibrate(handle))
+            elif state == JobState.FITTING:
+                self._spawn(handle, self._runner.fit(handle))
+            else:
+                self._tidy(handle)
+
+    async def stop(self) -> None:
+        """Stop every task; jobs stay in their states and are taken up at the next start."""
+        self._feed.close()
+        tasks = [*self._tasks.values(), *self._tidying.values()]
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        if self._own_executor is not None:
+            self._own_executor.shutdown(wait=False, cancel_futures=True)
+
+    # --- asking
+
+    def list(self) -> tuple[Job, ...]:
+        """Every job, oldest first."""
+        return tuple(handle.job for handle in self._handles.values())
+
+    def get(self, job_id: str) -> Job:
+        """The job of that id. Raises JobUnknown."""
+        return self._handle(job_id).job
+
+    def subscribe(self, job_id: str | None = None, after: int = 0) -> AsyncIterator[EventRow]:
+        """Events after `after` (a sequence of that job, or an id over all jobs), for ever."""
+        if job_id is not None:
+            self._handle(job_id)
+        return self._feed.subscribe(job_id, after)
+
+    # --- capturing
+
+    async def submit(self, vehicle_id: str, kind: str, options: Mapping[str, Any] | None = None) -> Job:
+        """Start a calibration.
+
+        Raises
+        ------
+        VehicleUnknown, VehicleSilent, VehicleArmed, VehicleBusy, VehicleConflict
+        PhysicalJobRunning
+            If that vehicle has a job that claims it, or one whose write is in doubt.
+        InvalidInputError
+            If the kind or an option is unknown.
+        FirmwareError
+            If the autopilot is neither ArduPilot nor PX4.
+        """
+        spec = specification(kind)
+        chosen = validate_options(kind, options or {})
+        vehicle = self._vehicles.vehicle(vehicle_id)
+        require_free(vehicle.id, self.list())
+        require_ready(vehicle)
+        requested_streams(vehicle.identity.autopilot or "", spec.sensors)
+        if vehicle.identity.firmware is None:
+            await vehicle.identify()
+            require_free(vehicle.id, self.list())
+        now = self._wall()
+        job = Job(uuid.uuid4().hex[:12], vehicle.id, spec.kind, dict(chosen), JobState.QUEUED, now, now)
+        handle = self._hold(job)
+        try:
+            handle.change("state", {"state": job.state.value, "outcome": None})
+        except BaseException:
+            del self._handles[job.id]
+            raise
+        self._spawn(handle, self._captured(handle))
+        return handle.job
+
+    async def cancel(self, job_id: str) -> Job:
+        """Cancel a job that has written nothing; what it recorded is kept. Raises NotCancellable."""
+        handle = self._handle(job_id)
+        state = handle.job.state
+        if state not in CANCELLABLE:
+            raise NotCancellable(f"job {job_id} is {state}: it cannot be cancelled now")
+        handle.move(JobState.CANCELLED, prompt=None, outcome=Failure("cancelled", "The operator cancelled it.", ""))
+        task = self._tasks.get(job_id)
+        if task is not None:
+            task.cancel()
+        return handle.job
+
+    async def answer(self, job_id: str, value: str) -> Job:
+        """Answer the job's prompt. Raises AnswerRefused if it does not accept that."""
+        handle = self._handle(job_id)
+        prompt = handle.job.prompt
+        allowed = () if prompt is None else prompt.answers
+        if value not in allowed:
+            choice = f"it accepts {', '.join(allowed)}" if allowed else "it asks for no answer now"
+            raise AnswerRefused(f"job {job_id} does not take {value!r}: {choice}")
+        handle.answers.put_nowait(value)
+        return handle.job
+
+    async def refit(self, job_id: str) -> Job:
+        """Fit what an interrupted job has recorded. Raises IllegalTransition."""
+        handle = self._handle(job_id)
+        handle.move(JobState.FITTING, outcome=None)
+        self._spawn(handle, self._runner.fit(handle))
+        return handle.job
+
+    # --- writing
+
+    async def plan_again(self, job_id: str) -> Job:
+        """Compose the plan of a job in review anew, on the vehicle's present parameters."""
+        handle = self._handle(job_id)
+        job = handle.job
+        if job.state != JobState.REVIEW:
+            raise NotRevertible(f"job {job_id} is {job.state}: only a job in review can be planned again")
+        vehicle = self._vehicles.vehicle(job.vehicle_id)
+        require_ready(vehicle)
+        identity = await vehicle.identify()
+        listed = await vehicle.list_parameters()
+        parameters = {name: reading.value for name, reading in listed.items()}
+        planned = await asyncio.to_thread(make_plan, job.results, parameters, identity)
+        keep_plan(handle, planned)
+        context = {**handle.job.context, "identity": identity_to_json(identity)}
+        data = {"sha256": planned.plan.sha256}
+        fingerprint = planned.plan.fingerprint
+        handle.change("plan", data, plan=planned.plan, fingerprint=fingerprint, context=context, outcome=None)
+        return handle.job
+
+    async def apply(self, job_id: str, accept: Accept, idempotency_key: str | None = None) -> Job:
+        """Write the job's plan; returns as soon as the plan is found to fit the vehicle still.
+
+        Raises
+        ------
+        PlanChanged
+            If the digest is not that of the plan, or the vehicle is not what the plan was made for: plan again.
+        PlanBlocked, PlanMissing, IllegalTransition, PhysicalJobRunning, IdempotencyConflict
+        VehicleError
+            As for :meth:`submit`.
+        Forbidden
+            If this service never writes.
+        """
+        handle = self._handle(job_id)
+        digest = request_digest(job_id, accept)
+        used = None if idempotency_key is None else self._store.idempotency_key(idempotency_key)
+        if used is not None:
+            if used != (digest, job_id):
+                raise IdempotencyConflict
+            return handle.job
+        self._require_writing()
+        require_acceptable(handle.job, accept)
+        require_free(handle.job.vehicle_id, self.list(), besides=job_id)
+        require_ready(self._vehicles.vehicle(handle.job.vehicle_id))
+        await check_plan(self._attempt(dataclasses.replace(handle.job, accept=accept), handle))
+        require_acceptable(handle.job, accept)  # it may have been accepted, or planned again, meanwhile
+        require_free(handle.job.vehicle_id, self.list(), besides=job_id)
+        if idempotency_key is not None:
+            self._store.claim_idempotency_key(idempotency_key, digest, job_id, self._wall())
+        self._store.add_audit(self._wall(), accept.actor, "apply", job_id, {"plan_sha256": accept.plan_sha256})
+        handle.move(JobState.APPLYING, accept=accept, outcome=None, verification=None, standing=())
+        await handle.record(Step.ACCEPTED, plan_sha256=accept.plan_sha256, actor=accept.actor, reboot=accept.reboot)
+        self._reach(At.ACCEPTED)
+        self._spawn(handle, self._transaction(handle).apply())
+        return handle.job
+
+    async def revert(self, job_id: str, actor: str = "operator") -> Job:
+        """Take back what a job has written, where it still stands.
+
+        Raises
+        ------
+        NotRevertible
+            If the job is not ``succeeded``.
+        PhysicalJobRunning, VehicleError, Forbidden
+        """
+        handle = self._handle(job_id)
+        if handle.job.state != JobState.SUCCEEDED:
+            raise NotRevertible(f"job {job_id} is {handle.job.state}: only a write that succeeded can be taken back")
+        self._require_writing()
+        require_free(handle.job.vehicle_id, self.list(), besides=job_id)
+        require_ready(self._vehicles.vehicle(handle.job.vehicle_id))
+        self._store.add_audit(self._wall(), actor, "revert", job_id, {})
+        handle.move(JobState.ROLLING_BACK, prompt=None)
+        self._spawn(handle, self._transaction(handle).revert())
+        return handle.job
+
+    # --- inside
+
+    def _require_writing(self) -> None:
+        if self._read_only:
+            raise Forbidden("this service runs with --read-only and never writes: export the plan instead")
+
+    def _handle(self, job_id: str) -> JobHandle:
+        handle = self._handles.get(job_id)
+        if handle is None:
+            raise JobUnknown(f"there is no job {job_id}")
+        return handle
+
+    def _hold(self, job: Job) -> JobHandle:
+        handle = JobHandle(
+            job,
+            self._store,
+            self._feed.publish,
+            progress_s=self.settings.progress_s,
+            wall=self._wall,
+            clock=self._clock,
+        )
+        self._handles[job.id] = handle
+        return handle
+
+    def _transaction(self, handle: JobHandle) -> Transaction:
+        return Transaction(handle, lambda: self._attempt(handle.job, handle), self.settings.retry_s)
+
+    def _attempt(self, job: Job, handle: JobHandle) -> Writing:
+        """A context for writing, with the vehicle as it is known now."""
+        assert job.plan is not None
+        accept = job.accept or Accept(job.plan.sha256)
+        vehicle = self._vehicles.vehicle(job.vehicle_id)
+        check = StreamCheck(handle, vehicle, job.plan, accept.prove_s, self.settings, self._clock)
+        return Writing(handle, vehicle, job.plan, accept, check, self.settings, self._reach)
+
+    def _doubt(self, handle: JobHandle) -> None:
+        """A job that the end of the service interrupted while it wrote."""
+        if handle.job.state != JobState.IN_DOUBT:
+            remedy = "Keep the vehicle disarmed, on the ground and in reach: this is finished or taken back by itself."
+            outcome = Failure("in-doubt", "The service was interrupted while it wrote.", remedy)
+            handle.move(JobState.IN_DOUBT, outcome=outcome, prompt=None)
+
+    async def _captured(self, handle: JobHandle) -> None:
+        """A capture, after message rates of an earlier job of this vehicle are back, and with its own put back."""
+        earlier = self._tidying.get(handle.job.vehicle_id)
+        if earlier is not None:
+            await asyncio.wait({earlier})
+        await self._runner.calibrate(handle)
+
+    def _spawn(self, handle: JobHandle, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.create_task(self._supervised(handle, work), name=f"job {handle.id}")
+        self._tasks[handle.id] = task
+        task.add_done_callback(lambda done: self._ended(handle, done))
+
+    async def _supervised(self, handle: JobHandle, work: Coroutine[Any, Any, None]) -> None:
+        try:
+            await work
+        except Exception as error:
+            log.exception("job broke", job=handle.id, state=handle.job.state)
+            if handle.job.state in CAPTURING | {JobState.FITTING}:
+                remedy = "This is a defect of the program; its log says more. What was recorded is kept."
+                handle.move(JobState.FAILED, outcome=Failure("internal-error", str(error), remedy), prompt=None)
+
+    def _ended(self, handle: JobHandle, task: asyncio.Task[None]) -> None:
+        if self._tasks.get(handle.id) is task:
+            del self._tasks[handle.id]
+        if handle.job.state in ENDED | {JobState.REVIEW}:
+            self._tidy(handle)
+            self._store.drop_events(handle.id, "progress", keep=1)
+
+    def _tidy(self, handle: JobHandle) -> None:
+        """Put message rates back that a job has left changed."""
+        if not handle.written().intervals:
+            return
+        vehicle_id = handle.job.vehicle_id
+        task = asyncio.create_task(self._put_back(handle), name=f"rates of {handle.id}")
+        self._tidying[vehicle_id] = task
+
+        def done(ended: asyncio.Task[None]) -> None:
+            if self._tidying.get(vehicle_id) is ended:
+                del self._tidying[vehicle_id]
+            if not ended.cancelled() and ended.exception() is not None:
+                log.warning("message rates not put back", job=handle.id, reason=str(ended.exception()))
+
+        task.add_done_callback(done)
+
+    async def _put_back(self, handle: JobHandle) -> None:
+        vehicle = await self._runner.vehicle(handle)
+        await restore_streams(handle, vehicle)

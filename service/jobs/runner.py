@@ -1,0 +1,122 @@
+"""One job from its start to its plan: capture, fit of the closed segments, compose."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+from calib.errors import CalibError
+from calib.fit import FitStatus
+from calib.procedures.protocol import GaveUp
+from service.errors import CaptureEnded, CaptureLost, ServiceError, VehicleUnknown
+from service.jobs.capture import Capture
+from service.jobs.crashpoints import At, CrashPoint, nowhere
+from service.jobs.digest import FitRequest, Fitted, fit_segments
+from service.jobs.handle import JobHandle
+from service.jobs.model import Failure, Span
+from service.jobs.planning import identity_from_json, identity_to_json, keep_plan, make_plan
+from service.jobs.port import JobVehicle, VehicleSource
+from service.jobs.settings import JobSettings
+from service.jobs.spans import span_of
+from service.jobs.states import JobState
+from service.store.rows import SegmentPurpose
+
+KEPT = "What was recorded is kept and can be fitted later; start the job again."
+
+
+@dataclass
+class Runner:
+    """Runs jobs up to review."""
+
+    source: VehicleSource
+    settings: JobSettings
+    executor: Executor
+    reach: CrashPoint = nowhere
+    clock: Callable[[], float] = time.monotonic
+    wall: Callable[[], float] = time.time
+
+    async def calibrate(self, handle: JobHandle) -> None:
+        """Capture, fit and plan; the job ends in review, failed or interrupted."""
+        try:
+            vehicle = await self.vehicle(handle)
+            if handle.job.state == JobState.QUEUED:
+                context = {**handle.job.context, "identity": identity_to_json(vehicle.identity)}
+                handle.move(JobState.RUNNING, context=context)
+            capture = Capture(handle, vehicle, self.settings, self.reach, self.clock, self.wall)
+            await capture.run()
+        except asyncio.CancelledError:
+            if handle.job.state == JobState.CANCELLED:
+                handle.change("segments", {}, segments=_spans(handle))
+            raise
+        except CaptureLost as lost:
+            self._end(handle, JobState.INTERRUPTED, lost.code, str(lost), lost.remedy)
+        except CaptureEnded as ended:
+            self._end(handle, JobState.FAILED, ended.code, str(ended), ended.remedy)
+        except (ServiceError, CalibError) as error:
+            self._end(handle, JobState.FAILED, _code(error), str(error), "Remove the cause and start the job again.")
+        else:
+            handle.move(JobState.FITTING, segments=_spans(handle), prompt=None)
+            await self.fit(handle)
+
+    async def fit(self, handle: JobHandle) -> None:
+        """Fit the closed segments and plan. The job is fitting; it ends in review or failed."""
+        job = handle.job
+        identity = identity_from_json(job.context["identity"])
+        answers = tuple((float(t), str(value)) for t, value in job.context.get("answers", ()))
+        request = FitRequest(job.kind, dict(job.options), job.segments, identity.system, job.created_at, answers)
+        try:
+            fitted: Fitted = await asyncio.get_running_loop().run_in_executor(self.executor, fit_segments, request)
+            self.reach(At.FITTED)
+            if isinstance(fitted.outcome, GaveUp):
+                raise CaptureEnded(fitted.outcome.cause, remedy=fitted.outcome.remedy)
+            results = fitted.outcome.results
+            planned = await asyncio.to_thread(make_plan, results, fitted.parameters, identity)
+            keep_plan(handle, planned)
+        except CaptureEnded as ended:
+            self._end(handle, JobState.FAILED, ended.code, str(ended), ended.remedy)
+            return
+        except (ServiceError, CalibError) as error:
+            self._end(handle, JobState.FAILED, _code(error), str(error), KEPT)
+            return
+        told = [fit.message for fit in results if fit.status == FitStatus.REFUSED]
+        warnings = tuple(dict.fromkeys((*job.warnings, *told)))
+        handle.move(
+            JobState.REVIEW,
+            results=results,
+            plan=planned.plan,
+            fingerprint=planned.plan.fingerprint,
+            warnings=warnings,
+            prompt=None,
+        )
+
+    async def vehicle(self, handle: JobHandle) -> JobVehicle:
+        """The job's vehicle; after a restart of the service it is waited for."""
+        deadline = self.clock() + self.settings.return_limit_s
+        while True:
+            try:
+                vehicle = self.source.vehicle(handle.job.vehicle_id)
+            except VehicleUnknown:
+                pass
+            else:
+                if not vehicle.condition().silent:
+                    return vehicle
+            if self.clock() > deadline:
+                raise CaptureLost(
+                    f"the vehicle did not come back within {self.settings.return_limit_s:.0f} s", remedy=KEPT
+                )
+            await asyncio.sleep(self.settings.watch_s)
+
+    def _end(self, handle: JobHandle, state: JobState, code: str, cause: str, remedy: str) -> None:
+        handle.move(state, outcome=Failure(code, cause, remedy), segments=_spans(handle), prompt=None)
+
+
+def _spans(handle: JobHandle) -> tuple[Span, ...]:
+    rows = handle.store.segments(handle.id, SegmentPurpose.CAPTURE)
+    return tuple(span_of(row) for row in rows if row.end_byte is not None)
+
+
+def _code(error: Exception) -> str:
+    return str(getattr(error, "code", "calibration-error"))

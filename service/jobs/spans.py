@@ -1,0 +1,41 @@
+"""Segments of telemetry logs: opened when something begins, closed with their digest when it ends."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+
+from service.jobs.digest import read_range
+from service.jobs.model import Span
+from service.jobs.port import JobVehicle
+from service.store.protocol import JobStore
+from service.store.rows import SegmentPurpose, SegmentRow
+
+
+def open_span(store: JobStore, job_id: str, purpose: SegmentPurpose, vehicle: JobVehicle) -> SegmentRow:
+    """Begin a segment where the vehicle's log stands now."""
+    position = vehicle.tlog_position()
+    return store.open_segment(job_id, purpose, position.path, position.byte)
+
+
+async def close_span(store: JobStore, row: SegmentRow, vehicle: JobVehicle | None) -> Span:
+    """End a segment where its log stands now, on the disk, with its digest.
+
+    `vehicle` is None, or has another log, if the segment was left open by a crash: it then ends with its file.
+    """
+    end: int | None = None
+    if vehicle is not None:
+        position = vehicle.tlog_position()
+        if position.path == row.path:
+            await vehicle.sync_tlog()
+            end = position.byte
+    data = await asyncio.to_thread(read_range, row.path, row.start_byte, end)
+    closed = store.close_segment(row.id, row.start_byte + len(data), hashlib.sha256(data).hexdigest())
+    return span_of(closed)
+
+
+def span_of(row: SegmentRow) -> Span:
+    """A closed row as a span."""
+    assert row.end_byte is not None
+    assert row.sha256 is not None
+    return Span(row.path, row.start_byte, row.end_byte, row.sha256)

@@ -1,0 +1,39 @@
+"""Message rates of a session: asked for, remembered in the journal, put back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from service.errors import ServiceError
+from service.jobs.handle import JobHandle
+from service.jobs.journal import Step
+from service.jobs.port import JobVehicle
+
+
+async def ask_for_streams(
+    handle: JobHandle, vehicle: JobVehicle, rates: Mapping[int, float], *, measure_s: float = 0.0
+) -> None:
+    """Have messages sent at `rates` (Hz by message id).
+
+    What was before is in the journal before anything is changed. Raises VehicleError, LinkError.
+    """
+    known = handle.written().intervals
+    before = await vehicle.intervals([message for message in rates if message not in known])
+    if before:
+        await handle.record(Step.STREAMS, intervals={str(k): v for k, v in before.items()})
+    await vehicle.set_intervals({message: round(1e6 / rate) for message, rate in rates.items()})
+    if measure_s > 0.0:
+        for warning in await vehicle.measure(rates, measure_s):
+            handle.warn(warning)
+
+
+async def restore_streams(handle: JobHandle, vehicle: JobVehicle) -> None:
+    """Put the message rates back that the journal remembers; a failure is a warning."""
+    intervals = handle.written().intervals
+    if not intervals:
+        return
+    try:
+        await vehicle.set_intervals(intervals)
+    except ServiceError as error:
+        handle.warn(f"the message rates could not be put back: {error}")
+    await handle.record_anyway(Step.STREAMS_RESTORED)

@@ -1,0 +1,165 @@
+"""The physical check of a write: windows of the stream before and after it, and the movements that prove the rest."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+
+from calib.firmware.plan import Value, Verification, WritePlan
+from calib.firmware.streams import Assembler, requested_streams
+from calib.firmware.verify import verify
+from calib.procedures.protocol import Progress, Prompt
+from calib.recording import Recording, Sensor, join
+from calib.wire import Frame
+from service.errors import CaptureEnded, WriteFailed
+from service.jobs.digest import recording_of
+from service.jobs.guard import Guard
+from service.jobs.handle import JobHandle
+from service.jobs.port import JobVehicle
+from service.jobs.settings import JobSettings
+from service.jobs.spans import close_span, open_span, span_of
+from service.jobs.streams import ask_for_streams
+from service.store.rows import SegmentPurpose, SnapshotPurpose
+
+FINISH = "finish"
+STEP_S = 2.0
+"""A movement is judged anew after so much more of the vehicle's time."""
+POLL_S = 0.02
+
+
+@dataclass
+class Window:
+    """Frames of one vehicle as a growing recording at the firmware's stage."""
+
+    vehicle: JobVehicle
+    settings: JobSettings
+    clock: Callable[[], float] = time.monotonic
+    _assembler: Assembler = field(init=False)
+    _chunks: list[Recording] = field(default_factory=list)
+    _frames: list[Frame] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._assembler = Assembler(self.vehicle.identity)
+
+    async def extend(self, seconds: float) -> Recording:
+        """Add `seconds` of the vehicle's clock; returns everything so far.
+
+        Raises
+        ------
+        CaptureEnded
+            If the samples do not come in time.
+        """
+        forget = self.vehicle.subscribe(self._assembler.message_ids, lambda frames, _disk: self._frames.extend(frames))
+        deadline = self.clock() + self.settings.window_timeout_s
+        begun: float | None = None
+        try:
+            while True:
+                await asyncio.sleep(POLL_S)
+                frames, self._frames = self._frames, []
+                if frames:
+                    self._chunks.append(self._assembler.feed([(None, frame) for frame in frames]))
+                    newest, oldest = _inertial_span(self._chunks[-1])
+                    begun = oldest if begun is None else begun
+                    if newest is not None and begun is not None and newest - begun >= seconds:
+                        return join(self._chunks)
+                if self.clock() > deadline:
+                    raise CaptureEnded("the vehicle sends no inertial data", remedy="Check its sensors and the link.")
+        finally:
+            forget()
+
+
+def _inertial_span(chunk: Recording) -> tuple[float | None, float | None]:
+    """Newest and oldest time stamp of accelerometers and gyros."""
+    spans = [(c.t[-1], c.t[0]) for c in chunk.channels if len(c) and c.sensor in (Sensor.ACCEL, Sensor.GYRO)]
+    return (float(max(s[0] for s in spans)), float(min(s[1] for s in spans))) if spans else (None, None)
+
+
+@dataclass
+class StreamCheck:
+    """See :class:`service.jobs.write.PhysicalCheck`."""
+
+    handle: JobHandle
+    vehicle: JobVehicle
+    plan: WritePlan
+    prove_s: float
+    settings: JobSettings
+    clock: Callable[[], float] = time.monotonic
+    _before: Recording | None = None
+
+    async def before(self, guard: Guard) -> None:
+        """Keep a window of the stream under the old parameters, in memory and as a segment."""
+        await self._streams()
+        row = open_span(self.handle.store, self.handle.id, SegmentPurpose.BEFORE, self.vehicle)
+        try:
+            window = Window(self.vehicle, self.settings, self.clock)
+            self._before = await guard.run(partial(window.extend, self.settings.check_s))
+        finally:
+            await asyncio.shield(close_span(self.handle.store, row, self.vehicle))
+
+    async def after(self, guard: Guard, values: Mapping[str, Value]) -> Verification:
+        """Judge the stream under the new parameters; wait for the movements that prove the rest, if there are any.
+
+        Raises
+        ------
+        WriteStopped
+        WriteFailed
+            If there is no stream to judge.
+        """
+        await self._streams()
+        before = self._before or await asyncio.to_thread(self._recorded)
+        row = open_span(self.handle.store, self.handle.id, SegmentPurpose.AFTER, self.vehicle)
+        try:
+            return await self._judged(guard, before, values)
+        except CaptureEnded as error:
+            raise WriteFailed(f"the write cannot be checked: {error}") from error
+        finally:
+            await asyncio.shield(close_span(self.handle.store, row, self.vehicle))
+
+    async def _judged(self, guard: Guard, before: Recording | None, values: Mapping[str, Value]) -> Verification:
+        window = Window(self.vehicle, self.settings, self.clock)
+        after = await guard.run(partial(window.extend, self.settings.check_s))
+        verification = await self._verify(before, after, values)
+        begun = _end(after)
+        while self._worth_waiting(verification, _end(after) - begun):
+            self._ask(verification, _end(after) - begun)
+            after = await guard.run(partial(window.extend, STEP_S))
+            verification = await self._verify(before, after, values)
+        self.handle.prompt(None)
+        return verification
+
+    def _worth_waiting(self, verification: Verification, waited: float) -> bool:
+        finished = False
+        while not self.handle.answers.empty():
+            finished |= self.handle.answers.get_nowait() == FINISH
+        open_still = verification.movement is not None and not verification.contradicted
+        return open_still and not finished and waited < self.prove_s
+
+    def _ask(self, verification: Verification, waited: float) -> None:
+        assert verification.movement is not None
+        self.handle.prompt(Prompt("prove", verification.movement, answers=(FINISH,)))
+        proved = sum(p.verdict == "proved" for p in verification.parameters)
+        text = f"{proved} of {len(verification.parameters)} parameters proved by the stream"
+        self.handle.progress(Progress(waited, self.prove_s, "s", text, eta=self.prove_s - waited))
+
+    async def _verify(self, before: Recording | None, after: Recording, values: Mapping[str, Value]) -> Verification:
+        kept = self.handle.store.snapshot(self.handle.id, SnapshotPurpose.COMPOSED_ON)
+        known = {**({} if kept is None else kept.body), **values}
+        return await asyncio.to_thread(verify, self.plan, self.handle.job.results, before, after, parameters=known)
+
+    async def _streams(self) -> None:
+        sensors = {change.sensor for change in self.plan.changes if change.sensor is not None}
+        rates = requested_streams(self.plan.fingerprint.autopilot, sensors | {Sensor.ACCEL, Sensor.GYRO})
+        await ask_for_streams(self.handle, self.vehicle, rates)
+
+    def _recorded(self) -> Recording | None:
+        """The window before the write as it lies in the telemetry log; None: a crash left none."""
+        rows = self.handle.store.segments(self.handle.id, SegmentPurpose.BEFORE)
+        closed = [row for row in rows if row.end_byte is not None]
+        return recording_of([span_of(closed[-1])], self.vehicle.identity.system) if closed else None
+
+
+def _end(recording: Recording) -> float:
+    return recording.span[1]

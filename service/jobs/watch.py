@@ -1,0 +1,98 @@
+"""What ends a capture besides the procedure: an armed, restarted, busy, doubtful or vanished vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from service.errors import CaptureEnded, CaptureLost
+from service.jobs.digest import LiveDigest
+from service.jobs.port import Condition, JobVehicle
+from service.jobs.settings import JobSettings
+
+SLACK_S = 5.0
+"""Error of the comparison between the vehicle's clock and ours: frames wait in buffers, the segment's end is not a
+sample's time."""
+
+
+@dataclass
+class CaptureWatch:
+    """Looks at the vehicle between two digests; every reason to stop is one sentence with its remedy."""
+
+    vehicle: JobVehicle
+    settings: JobSettings
+    clock: Callable[[], float]
+    warn: Callable[[str], None]
+    _reboots: int = field(init=False)
+    _silent_since: float | None = None
+    _moved_at: float = field(init=False)
+    _last_time: float = float("-inf")
+    _before: tuple[float, float, Callable[[], float]] | None = None
+
+    def __post_init__(self) -> None:
+        self._reboots = self.vehicle.condition().reboots
+        self._moved_at = self.clock()
+
+    def resume(self, last_time: float, last_record: float, wall: Callable[[], float]) -> None:
+        """The capture goes on from a record at `last_record` (wall clock), at `last_time` of the vehicle."""
+        self._before = (last_time, last_record, wall)
+        self._last_time = last_time
+
+    def look(self, digest: LiveDigest | None) -> None:
+        """Raise CaptureEnded or CaptureLost if the capture has to end here; None: no samples are expected."""
+        now = self.vehicle.condition()
+        self._check_same_boot(digest)
+        self._check_state(now)
+        self._check_silence(now)
+        if digest is not None:
+            self._check_samples(now, digest)
+
+    def _check_state(self, now: Condition) -> None:
+        again = "start the job again"
+        if now.armed:
+            raise CaptureEnded("the vehicle was armed", remedy=f"Disarm it and {again}.")
+        if now.reboots != self._reboots:
+            raise CaptureEnded("the vehicle restarted", remedy=f"Wait until it is up again and {again}.")
+        if now.calibrating:
+            raise CaptureEnded("the vehicle runs a calibration of its own", remedy=f"Let it finish and {again}.")
+        if now.conflict is not None:
+            raise CaptureEnded(now.conflict, remedy=f"Give every vehicle its own system id and {again}.")
+
+    def _check_silence(self, now: Condition) -> None:
+        if not now.silent:
+            if self._silent_since is not None:
+                self.warn("the link was lost for a while: the recording has a gap")
+            self._silent_since = None
+            return
+        if self._silent_since is None:
+            self._silent_since = self.clock()
+        away = self.clock() - self._silent_since
+        if away > self.settings.gap_limit_s:
+            raise CaptureLost(
+                f"the vehicle was silent for {away:.0f} s",
+                remedy="Check its power and the link. What was recorded is kept; start the job again.",
+            )
+
+    def _check_samples(self, now: Condition, digest: LiveDigest) -> None:
+        if digest.last_time > self._last_time or now.silent:
+            self._last_time, self._moved_at = max(digest.last_time, self._last_time), self.clock()
+        elif self.clock() - self._moved_at > self.settings.stall_s:
+            raise CaptureEnded(
+                f"the vehicle sent no inertial data for {self.settings.stall_s:.0f} s, although its heartbeat is there",
+                remedy="Check that its sensors work and that no other program switches the streams off.",
+            )
+
+    def _check_same_boot(self, digest: LiveDigest | None) -> None:
+        """After a restart of the service: the vehicle's clock must have gone on at least as long as ours."""
+        if self._before is None or digest is None:
+            return
+        last_time, last_record, wall = self._before
+        if not digest.restarted and digest.last_time <= last_time:
+            return
+        self._before = None
+        elapsed, needed = digest.last_time - last_time, wall() - last_record
+        if digest.restarted or elapsed < needed - SLACK_S:
+            raise CaptureLost(
+                "the vehicle restarted while the service was away",
+                remedy="What was recorded is kept; start the job again.",
+            )
