@@ -13,7 +13,7 @@ from service.simvehicle.ardupilot_protocol import ArduPilotParameters
 from service.simvehicle.ardupilot_readings import Readings
 from service.simvehicle.ardupilot_sensors import ArduPilotSensors
 from service.simvehicle.config import VehicleConfig
-from service.simvehicle.parameters import ParameterTable
+from service.simvehicle.parameters import Parameter, ParameterTable
 from service.simvehicle.streams import ardupilot_interval_ms, ardupilot_stream
 from service.simvehicle.telemetry import (
     Block,
@@ -29,6 +29,7 @@ CAPABILITIES = 64495
 VERSION = 0x04070000
 GIT_HASH = b"90700977"
 BASE_MODE_DISARMED, ARMED_BIT = 81, 128
+STATISTICS_FIRST_S, STATISTICS_PERIOD_S = 30.43, 31.0
 HIGHRES_FIELDS = 0x1FFF
 SENSORS_HEALTH = 1196530703
 SENSORS_PRESENT = 1399979023
@@ -90,6 +91,12 @@ class ArduPilotVehicle(Vehicle):
     def _listed(self, name: str) -> bool:
         return not names.hidden_by_group(name, self.table.mapping())
 
+    def load_parameters(self, parameters: list[Parameter]) -> None:
+        """See Vehicle. A table that names our accelerometers says that they were calibrated and stored."""
+        super().load_parameters(parameters)
+        ids = names.ACCEL_IDS[: self.config.imu_count]
+        self.commands.accel_ids_stored = {k for k, i in enumerate(ids) if self.table.get(names.id_name("ACC", k)) == i}
+
     def device_ids(self) -> dict[str, tuple[int, ...]]:
         """See Vehicle."""
         return {"accel": names.ACCEL_IDS, "gyro": names.GYRO_IDS, "mag": names.MAG_IDS}
@@ -111,6 +118,7 @@ class ArduPilotVehicle(Vehicle):
             self.commands.store_gyro_offsets(announce=False)
         self.every(1.0, lambda: self.broadcast(self.heartbeat()), first=1.0)
         self.every(10.0, lambda: self.broadcast(self._timesync()))
+        self.every(STATISTICS_PERIOD_S, self._statistics, first=STATISTICS_FIRST_S)
         self.at(0.5, lambda: self.say(self.banner()[0]))
 
     def handle(self, channel: Channel, received: Received) -> None:
@@ -208,6 +216,13 @@ class ArduPilotVehicle(Vehicle):
             SENSORS_PRESENT, SENSORS_ENABLED, SENSORS_HEALTH, 100, int(volts * 1000), int(amps * 100), 95,
             0, 0, 0, 0, 0, 0, 0, 0, 0,
         )  # fmt: skip
+
+    def _statistics(self) -> None:
+        """Runtime, told to everybody unasked each half minute."""
+        if "STAT_RUNTIME" in self.table:
+            total = int(self.table.saved["STAT_RUNTIME"]) + int(self.time)
+            self.table.store("STAT_RUNTIME", total)
+            self.parameters.announce(["STAT_RUNTIME"])
 
     def _timesync(self) -> Any:
         return dialect.MAVLink_timesync_message(0, int(self.time * 1e9) + 1)

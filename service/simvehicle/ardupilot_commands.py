@@ -25,6 +25,7 @@ ACCEPT_CODE = 76
 FORCE_ARM = 21196
 ACCEL_AGAIN_S = 5.0  # a second accelerometer calibration sooner than this is refused
 GYRO_OVERHEAD_S = 0.03
+GYRO_SETTLE_S = 10.0  # the arming check wants gyroscopes that have agreed for so long
 LEVEL_S = 0.55
 REBOOT_DELAY_S = 0.02
 INCONSISTENT_GYRO = math.radians(5.0)
@@ -47,8 +48,7 @@ class ArduPilotCommands:
         }
         self.deaf = False  # compassmot runs: nothing is answered until a reboot
         self.accel_ids_stored: set[int] = set()
-        self._stalled_until = -math.inf
-        self._last_accel = -math.inf
+        self._stalled_until = self._last_accel = self._gyros_settled_at = -math.inf
         self._reboot_reason: str | None = None
         self._reply: Callable[[int], None] = lambda _result: None
         self._handlers: dict[int, Callable[[Channel, Parameters], int | None]] = {
@@ -74,7 +74,7 @@ class ArduPilotCommands:
     def boot(self) -> None:
         """Forget what a reboot ends."""
         self.deaf, self._reboot_reason = False, None
-        self._stalled_until = self._last_accel = -math.inf
+        self._stalled_until = self._last_accel = self._gyros_settled_at = -math.inf
         self.mag_calibration.cancel()
 
     def handle(self, channel: Channel, received: Received) -> None:
@@ -172,10 +172,11 @@ class ArduPilotCommands:
         state = vehicle.world.state(np.array([vehicle.time]))
         readings = [vehicle.sensors.imu(k, state, 0.1) for k in range(len(vehicle.sensors.chips))]
         limit = vehicle.table.get("ARMING_ACCTHRESH", INCONSISTENT_ACCEL_DEFAULT)
-        reasons = []
+        reasons: list[str] = []
         if any(np.linalg.norm(r.accel[0] - readings[0].accel[0]) > limit for r in readings[1:]):
             reasons.append("Accels inconsistent")
-        if any(np.linalg.norm(r.gyro[0] - readings[0].gyro[0]) > INCONSISTENT_GYRO for r in readings[1:]):
+        unsettled = vehicle.time < self._gyros_settled_at
+        if unsettled or any(np.linalg.norm(r.gyro[0] - readings[0].gyro[0]) > INCONSISTENT_GYRO for r in readings[1:]):
             reasons.append("Gyros inconsistent")
         return reasons
 
@@ -248,6 +249,7 @@ class ArduPilotCommands:
 
         def finish() -> None:
             self._reply = reply
+            self._gyros_settled_at = vehicle.time + GYRO_SETTLE_S
             then(ACCEPTED, calibration.gyro_values(vehicle, offsets))
 
         vehicle.at(duration + GYRO_OVERHEAD_S, finish)
