@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.firmware.messages import FIELDS, HIGHRES_IMU, InertialMessage, Reading
+from calib.firmware.messages import HIGHRES_IMU, InertialMessage, Reading
 from calib.recording import Channel, Rounding, Sensor
 
 Array = NDArray[np.float64]
@@ -36,27 +36,31 @@ class MessageSamples:
         reached = np.maximum.accumulate(np.concatenate(([self.newest], t)))
         self.newest = float(reached[-1])
         new, in_order = t > reached[:-1], t >= reached[:-1]
-        present = _present(rows)
-        units = rows["id"].astype(np.int64) if self.message.by_id else np.full(len(rows), self.message.instance)
+        columns = {reading.sensor: _columns(rows, reading) for reading in self.message.readings}
+        present = _present(columns)
         channels = []
         for reading in self.message.readings:
             updated = (rows["fields_updated"] & reading.bits) == reading.bits if reading.bits else True
+            values = columns[reading.sensor]
             if reading.sensor == Sensor.MAG:
-                keep = self._fresh(t, rows, in_order & updated)
-                channels.append(self._channel(reading, compass, t, rows, keep))
+                keep = self._fresh(t, values, in_order & updated & present[Sensor.MAG])
+                channels.append(self._channel(reading, compass, t, values, keep))
                 continue
             keep = new & updated & present[reading.sensor]
-            for unit in np.unique(units[keep]).tolist():
-                channels.append(self._channel(reading, unit, t, rows, keep & (units == unit)))
+            if not self.message.by_id:
+                channels.append(self._channel(reading, self.message.instance, t, values, keep))
+                continue
+            for unit in np.unique(rows["id"][keep]).tolist():
+                channels.append(self._channel(reading, unit, t, values, keep & (rows["id"] == unit)))
         return [channel for channel in channels if len(channel)]
 
-    def _fresh(self, t: Array, rows: NDArray[Any], candidates: Mask) -> Mask:
+    def _fresh(self, t: Array, fields: NDArray[Any], candidates: Mask) -> Mask:
         """Rows with a field that was read anew: it differs from the one before, or its time has come."""
         keep = np.zeros(len(t), dtype=bool)
-        where = np.flatnonzero(candidates & _triple(rows, Sensor.MAG).any(axis=1))
+        where = np.flatnonzero(candidates)
         if not len(where):
             return keep
-        values, times = _triple(rows, Sensor.MAG)[where], t[where]
+        values, times = fields[where], t[where]
         before = np.concatenate((values[:1] if self._field is None else self._field[None], values[:-1]))
         changed = (values != before).any(axis=1)
         changed[0] |= self._field is None
@@ -69,8 +73,8 @@ class MessageSamples:
         self._field, self._field_t = values[-1].copy(), last
         return keep
 
-    def _channel(self, reading: Reading, instance: int, t: Array, rows: NDArray[Any], keep: Mask) -> Channel:
-        raw = _triple(rows, reading.sensor)[keep].astype(np.float64)
+    def _channel(self, reading: Reading, instance: int, t: Array, values: NDArray[Any], keep: Mask) -> Channel:
+        raw = values[keep].astype(np.float64)
         zero_bin = None
         if reading.rounding == Rounding.TOWARD_ZERO:
             zero_bin = raw == 0.0
@@ -93,13 +97,18 @@ class MessageSamples:
         )
 
 
-def _present(rows: NDArray[Any]) -> dict[Sensor, Mask]:
+def _present(columns: dict[Sensor, NDArray[Any]]) -> dict[Sensor, Mask]:
     """Where the sensors are there: an accelerometer never reads three zeros, a good gyroscope at rest may."""
-    accel = _triple(rows, Sensor.ACCEL).any(axis=1)
-    gyro = accel | _triple(rows, Sensor.GYRO).any(axis=1)
-    # 0 says "none": PX4 sends 1 for a true 0 degC; ArduPilot then sends 0, and the next sample tells
-    return {Sensor.ACCEL: accel, Sensor.GYRO: gyro, Sensor.TEMPERATURE: accel & (rows["temperature"] != 0)}
+    present: dict[Sensor, Mask] = {sensor: values.any(axis=1) for sensor, values in columns.items()}
+    present[Sensor.GYRO] |= present[Sensor.ACCEL]
+    if Sensor.TEMPERATURE in present:
+        # 0 says "none": PX4 sends 1 for a true 0 degC; ArduPilot then sends 0, and the next sample tells
+        present[Sensor.TEMPERATURE] &= present[Sensor.ACCEL]
+    return present
 
 
-def _triple(rows: NDArray[Any], sensor: Sensor) -> NDArray[Any]:
-    return np.stack([rows[name] for name in FIELDS[sensor]], axis=1)
+def _columns(rows: NDArray[Any], reading: Reading) -> NDArray[Any]:
+    columns = np.empty((len(rows), len(reading.fields)), rows.dtype[reading.fields[0]])
+    for i, name in enumerate(reading.fields):
+        columns[:, i] = rows[name]
+    return columns

@@ -133,6 +133,8 @@ class Undo:
         return pieces
 
     def _raw(self, channel: Channel, chunk: Recording, pieces: list[Piece]) -> Channel:
+        if len(pieces) == 1:
+            return self._undone(channel, chunk, pieces[0])
         spans = _spans(channel, pieces, self._autopilot)
         parts = [self._undone(channel.take(rows), chunk, piece) for piece, rows in spans]
         if not parts:
@@ -155,10 +157,9 @@ class Undo:
                 )
         raw = model.invert(values, temperature)
         known = np.isfinite(raw).all(axis=1) | ~np.isfinite(channel.values).all(axis=1)
-        undone = dataclasses.replace(
-            channel, values=raw, stage=Stage.RAW, zero_bin=_turned(channel.zero_bin, model.matrix)
-        )
-        return undone.take(np.flatnonzero(known))
+        turned = _turned(channel.zero_bin, model.matrix)
+        undone = dataclasses.replace(channel, values=raw, stage=Stage.RAW, zero_bin=turned)
+        return undone if known.all() else undone.take(np.flatnonzero(known))
 
     def _drive(self, sensor: Sensor, instance: int, channel: Channel, chunk: Recording) -> Array | None:
         """Last value of `sensor` known at each sample, nan before the first; None: it will never be known."""
@@ -198,5 +199,7 @@ def _turned(zero_bin: NDArray[np.bool_] | None, matrix: Array) -> NDArray[np.boo
     """Zero-bin marks of the body's axes, on the axes of the sensor."""
     if zero_bin is None:
         return None
+    if not np.any(matrix - np.diag(np.diag(matrix))):
+        return zero_bin
     weight = np.abs(np.linalg.inv(matrix))
     return np.asarray(zero_bin @ (weight > MIXING * weight.max()).T)
