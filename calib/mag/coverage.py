@@ -86,7 +86,7 @@ class Coverage:
         return mask_bytes(self.seen)
 
     def heading_sd_deg(self, relative_noise: float, inclination: float) -> float:
-        """Predicted heading error (degrees, worst heading, level) at a dip of `inclination` (rad).
+        """Predicted heading error (degrees, worst heading and tilt) at a dip of `inclination` (rad).
 
         `relative_noise` is the noise of one axis over the field strength. Without movement the answer is what is known
         of any compass, some tens of degrees, never infinite.

@@ -35,6 +35,9 @@ _EXPLAINS = 0.25  # rms of g . R m - sin(dip), a sine: beyond about 15 degrees n
 _KEPT = 0.9  # of the samples, the best: jolts and magnets passed by are in the rest
 _LEAST = 0.01  # rms below which rotations are not told apart: half a degree
 _STILL = 0.02  # rad/s
+_JOLT = 0.5  # departure of a sine that is no misalignment any more
+_ROUNDS = 3
+_OPEN_CONDITION = 1e6
 _OPEN = math.radians(5.0)  # sd of a misalignment beyond which it counts as not determined
 
 
@@ -230,26 +233,39 @@ def _verdict(
 def _misalignment(
     down: Array, field: Array, turning: Array | None, sine: float | None, effective: int
 ) -> tuple[tuple[float, float, float] | None, tuple[float, float, float] | None, float | None]:
-    """Small rotation phi and lag tau that are left, linear: ``g . (m + phi x m - tau w x m) = sin(dip)``.
+    """Small rotation phi and lag tau that are left: ``g . (m + phi x m - tau w x m) = sin(dip)``, Gauss-Newton.
 
     A field in the body turns by ``-w x m``; m is tau late. The sine is a further unknown where the dip is not given.
     """
+    found = np.zeros(4)
+    turned = field
+    for _ in range(_ROUNDS):
+        rows, right = _linear_system(down, turned, turning, sine)
+        normal = rows.T @ rows / len(rows)
+        if np.linalg.cond(normal) > _OPEN_CONDITION:
+            return None, None, None
+        solution = np.linalg.solve(normal, rows.T @ right / len(rows))
+        found[:3] += solution[:3]
+        if turning is not None:
+            found[3] += solution[3]
+        turn = found[:3] if turning is None else found[:3] - found[3] * turning
+        once = np.cross(turn, field)
+        turned = field + once + 0.5 * np.cross(turn, once)
+    variance = float(np.mean((right - rows @ solution) ** 2)) * effective / max(effective - len(solution), 1)
+    sd = np.sqrt(np.diag(np.linalg.inv(normal)) * variance / effective)
+    if sd[:3].max() > _OPEN:
+        return None, None, None
+    angles, errors = np.degrees(found[:3]).tolist(), np.degrees(sd[:3]).tolist()
+    lag = None if turning is None else float(found[3])
+    return (angles[0], angles[1], angles[2]), (errors[0], errors[1], errors[2]), lag
+
+
+def _linear_system(down: Array, field: Array, turning: Array | None, sine: float | None) -> tuple[Array, Array]:
     columns = [np.cross(field, down)]
     if turning is not None:
         columns.append(-np.einsum("ij,ij->i", down, np.cross(turning, field))[:, None])
     if sine is None:
         columns.append(-np.ones((len(field), 1)))
     right = (0.0 if sine is None else sine) - np.einsum("ij,ij->i", down, field)
-    close = np.abs(right - np.median(right)) <= 0.5
-    rows, right = np.hstack(columns)[close], right[close]
-    normal = rows.T @ rows / len(rows)
-    if np.linalg.cond(normal) > 1e6:
-        return None, None, None
-    solution = np.linalg.solve(normal, rows.T @ right / len(rows))
-    variance = float(np.mean((right - rows @ solution) ** 2)) * effective / max(effective - len(solution), 1)
-    sd = np.sqrt(np.diag(np.linalg.inv(normal)) * variance / effective)
-    if sd[:3].max() > _OPEN:
-        return None, None, None
-    angles, errors = np.degrees(solution[:3]).tolist(), np.degrees(sd[:3]).tolist()
-    lag = None if turning is None else float(solution[3])
-    return (angles[0], angles[1], angles[2]), (errors[0], errors[1], errors[2]), lag
+    close = np.abs(right - np.median(right)) <= _JOLT
+    return np.hstack(columns)[close], right[close]

@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calib.earth import EarthField
+from calib.errors import InvalidInputError
+from calib.fit import FitStatus
+from calib.mag.accumulator import EllipsoidAccumulator
+from calib.mag.ellipsoid import fit_ellipsoid
+
+FIELD = EarthField.from_elements(49.1, math.radians(66.0), norm_sd=0.15)
+
+
+@settings(max_examples=15, deadline=None)
+@given(cuts=st.lists(st.integers(0, 1500), max_size=6))
+def test_chunking_does_not_matter(cuts: list[int]) -> None:
+    rng = np.random.default_rng(1)
+    u = rng.normal(size=(1500, 3))
+    samples = u / np.linalg.norm(u, axis=1, keepdims=True) * [50.0, 47.0, 52.0] + 0.3 * rng.normal(size=u.shape)
+    grown = EllipsoidAccumulator(field=FIELD)
+    for chunk in np.split(samples, sorted(cuts)):
+        grown.add(chunk)
+    whole = fit_ellipsoid(samples, field=FIELD)
+    assert len(grown) == 1500
+    np.testing.assert_array_equal(grown.fit().values, whole.values)
+    np.testing.assert_array_equal(grown.fit().covariance, whole.covariance)
+
+
+def test_the_fit_is_kept_until_the_next_sample(compass: Any, rng: np.random.Generator) -> None:
+    grown = EllipsoidAccumulator(instance=1)
+    grown.add(compass.read(compass.everywhere(rng, 200), rng))
+    first = grown.fit()
+    assert grown.fit() is first
+    grown.add(compass.read(compass.everywhere(rng, 1), rng)[0])
+    assert grown.fit() is not first
+    assert grown.fit().instance == 1
+
+
+def test_the_prediction_follows_a_movement_that_grows(compass: Any) -> None:
+    rng = np.random.default_rng(2)
+    grown = EllipsoidAccumulator(field=FIELD)
+    assert grown.rough() is None
+    assert grown.coverage().count == 0
+    predicted = []
+    for tilt in (2.0, 20.0, 45.0, 180.0):
+        grown.add(compass.read(compass.tilted(rng, 300, tilt), rng))
+        predicted.append(grown.coverage().heading_sd_deg(0.006, compass.dip))
+    assert predicted == sorted(predicted, reverse=True)
+    fit = grown.fit()
+    assert fit.status == FitStatus.OK
+    assert fit.quality["heading_sd_deg"] == pytest.approx(predicted[-1], rel=0.2)
+    assert grown.coverage().count == len(grown) == 1200
+    rough = grown.rough()
+    assert rough is not None
+    np.testing.assert_allclose(rough.offset, compass.truth.offset, atol=0.3)
+
+
+def test_a_bad_chunk_changes_nothing(compass: Any, rng: np.random.Generator) -> None:
+    grown = EllipsoidAccumulator()
+    grown.add(compass.read(compass.everywhere(rng, 20), rng))
+    with pytest.raises(InvalidInputError, match="finite"):
+        grown.add([[1.0, math.nan, 2.0]])
+    with pytest.raises(InvalidInputError, match="shape"):
+        grown.add([[1.0, 2.0]])
+    grown.add(np.empty((0, 3)))
+    assert len(grown) == 20
+    with pytest.raises(ValueError, match="read-only"):
+        grown.samples[0] = 0.0
+    grown.add([1.0, 2.0, 3.0])
+    assert len(grown) == 21
+
+
+def test_a_sensor_that_stands_still_has_no_shape() -> None:
+    grown = EllipsoidAccumulator()
+    grown.add(np.tile([10.0, 20.0, 30.0], (50, 1)))
+    assert grown.rough() is None
+    assert grown.fit().status == FitStatus.REFUSED

@@ -1,0 +1,144 @@
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.errors import InvalidInputError, UndeterminedError
+from calib.mag.orientation import RIGHT_ANGLES, Verdict, find_orientation, interpolated, rotation_matrix
+
+DIP = math.radians(66.0)
+NORTH_EAST_DOWN = 49.0 * np.array([math.cos(DIP), 0.0, math.sin(DIP)])
+
+
+def moved(rng: np.random.Generator, count: int, tilt_deg: float = 180.0) -> tuple[Any, Any]:
+    """Field in uT and specific force in the body, (count, 3) each, with 0.5 uT and 0.1 m/s2 of noise."""
+    tilt = np.radians(rng.uniform(-tilt_deg, tilt_deg, (count, 2)))
+    attitude = Rotation.from_euler("ZYX", np.column_stack([rng.uniform(-math.pi, math.pi, count), tilt]))
+    mag = attitude.inv().apply(NORTH_EAST_DOWN) + 0.5 * rng.normal(size=(count, 3))
+    return mag, attitude.inv().apply([0.0, 0.0, -9.80665]) + 0.1 * rng.normal(size=(count, 3))
+
+
+def test_twenty_four_rotations_with_names_that_say_them() -> None:
+    assert len(RIGHT_ANGLES) == 24
+    assert RIGHT_ANGLES[0].name == "none"
+    assert len({m.name for m in RIGHT_ANGLES}) == 24
+    for mounting in RIGHT_ANGLES:
+        np.testing.assert_allclose(
+            rotation_matrix(mounting.roll, mounting.pitch, mounting.yaw), mounting.matrix, atol=1e-12
+        )
+        assert np.linalg.det(mounting.matrix) == pytest.approx(1.0)
+        other = Rotation.from_euler("ZYX", [mounting.yaw, mounting.pitch, mounting.roll], degrees=True).as_matrix()
+        np.testing.assert_allclose(mounting.matrix, other, atol=1e-12)
+    names = {m.name for m in RIGHT_ANGLES}
+    assert {"yaw_90", "roll_180", "roll_180_yaw_90", "pitch_180", "roll_90", "pitch_270"} <= names
+
+
+@pytest.mark.parametrize("mounting", RIGHT_ANGLES, ids=lambda m: m.name)
+@pytest.mark.parametrize("dip_known", [True, False])
+def test_every_mounting_is_found(mounting: Any, dip_known: bool) -> None:
+    mag, accel = moved(np.random.default_rng(1), 300)
+    found = find_orientation(mag @ mounting.matrix, accel, inclination=DIP if dip_known else None)
+    assert found.best.name == mounting.name
+    assert found.verdict == (Verdict.AS_STATED if mounting.name == "none" else Verdict.ROTATED)
+    assert found.log_likelihood_margin > 10.0
+    assert next(iter(found.rms)) == mounting.name
+
+
+def test_turns_on_the_level_do_not_tell_a_yaw() -> None:
+    mag, accel = moved(np.random.default_rng(2), 300, tilt_deg=2.0)
+    found = find_orientation(mag @ rotation_matrix(0, 0, 90), accel, inclination=DIP)
+    assert found.verdict == Verdict.AMBIGUOUS
+    assert "tilt" in found.message
+    assert found.misalignment_deg is None
+
+
+def test_moderate_tilt_is_enough_when_the_dip_is_known() -> None:
+    mag, accel = moved(np.random.default_rng(3), 500, tilt_deg=45.0)
+    found = find_orientation(mag @ rotation_matrix(180, 0, 0), accel, inclination=DIP)
+    assert (found.verdict, found.best.name) == (Verdict.ROTATED, "roll_180")
+
+
+def test_a_mounting_between_right_angles_is_not_rounded() -> None:
+    mag, accel = moved(np.random.default_rng(4), 300)
+    found = find_orientation(mag @ rotation_matrix(0, 0, 45), accel, inclination=DIP)
+    assert found.verdict in (Verdict.AMBIGUOUS, Verdict.UNEXPLAINED)
+
+
+def test_a_field_that_has_nothing_to_do_with_the_vertical_is_not_explained() -> None:
+    rng = np.random.default_rng(5)
+    mag, accel = moved(rng, 300)
+    found = find_orientation(rng.permutation(mag), accel, inclination=DIP)
+    assert found.verdict == Verdict.UNEXPLAINED
+
+
+def test_small_misalignment_is_reported_with_its_uncertainty() -> None:
+    mag, accel = moved(np.random.default_rng(6), 2000)
+    small = Rotation.from_rotvec(np.radians([1.0, -2.0, 3.0])).as_matrix()
+    found = find_orientation(mag @ small, accel, inclination=DIP)
+    assert found.verdict == Verdict.AS_STATED
+    assert found.misalignment_deg is not None
+    assert found.misalignment_sd_deg is not None
+    error = np.array(found.misalignment_deg) - [1.0, -2.0, 3.0]
+    assert np.abs(error).max() < 0.25
+    assert 0.005 < max(found.misalignment_sd_deg) < 0.5
+
+
+def test_a_lag_is_not_taken_for_a_misalignment() -> None:
+    """A magnetometer 40 ms late on a vehicle that keeps turning one way at 1 rad/s."""
+    rng = np.random.default_rng(7)
+    t = np.arange(0.0, 60.0, 0.02)
+    rates = np.stack([0.3 * np.sin(0.3 * t), 0.4 * np.cos(0.2 * t), np.full(len(t), 1.0)], axis=1)
+    attitude = [Rotation.random(rng=rng)]
+    for step in Rotation.from_rotvec(rates * 0.02):
+        attitude.append(attitude[-1] * step)
+    poses = Rotation.concatenate(attitude[:-1])
+    mag, accel = poses.inv().apply(NORTH_EAST_DOWN), poses.inv().apply([0.0, 0.0, -9.80665])
+    late = interpolated(t - 0.04, t, mag)
+    plain = find_orientation(late, accel, inclination=DIP)
+    told = find_orientation(late, accel, gyro=rates, inclination=DIP)
+    assert plain.lag is None
+    assert plain.misalignment_deg is not None
+    assert np.abs(plain.misalignment_deg).max() > 0.5
+    assert told.lag == pytest.approx(0.04, abs=0.002)
+    assert told.misalignment_deg is not None
+    assert np.abs(told.misalignment_deg).max() < 0.1
+
+
+def test_at_rest_a_gyro_changes_nothing() -> None:
+    mag, accel = moved(np.random.default_rng(8), 300)
+    plain, still = find_orientation(mag, accel), find_orientation(mag, accel, gyro=np.full((300, 3), 1e-3))
+    assert still.lag is None
+    assert still.misalignment_deg == plain.misalignment_deg
+
+
+def test_shaken_samples_are_left_out() -> None:
+    rng = np.random.default_rng(9)
+    mag, accel = moved(rng, 400)
+    accel[:200] *= 1.5
+    assert find_orientation(mag, accel).n_used < 210
+    with pytest.raises(UndeterminedError, match="20 are needed") as caught:
+        find_orientation(mag[:200], accel[:200])
+    assert "slowly" in caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    ("mag", "accel"),
+    [
+        (np.ones((30, 3)), np.ones((29, 3))),
+        (np.ones((30, 2)), np.ones((30, 2))),
+        (np.full((30, 3), math.nan), np.ones((30, 3))),
+    ],
+)
+def test_wrong_input_is_an_error(mag: Any, accel: Any) -> None:
+    with pytest.raises(InvalidInputError):
+        find_orientation(mag, accel)
+
+
+def test_a_gyro_that_does_not_match_is_an_error() -> None:
+    mag, accel = moved(np.random.default_rng(10), 50)
+    with pytest.raises(InvalidInputError, match="gyro"):
+        find_orientation(mag, accel, gyro=np.ones((49, 3)))
