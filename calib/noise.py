@@ -6,6 +6,8 @@ What a vehicle streams went through a low-pass filter and rides on slow drift, s
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
@@ -16,6 +18,10 @@ _LEAST = 16  # samples below which correlation cannot be told from chance
 _ORDERS = 20  # highest order of the autoregression
 _BLOCKS = 16
 _SIGNIFICANT = 0.001  # chance at which drift between blocks is believed
+_TINY = 1e-300
+_RATIOS = np.concatenate([[0.0], np.geomspace(1e-2, 1e6, 33)])  # variance of the walk over the white one
+_PRIOR = np.concatenate([[8.0], np.ones(33)])  # that there is none: one chance in five
+_LEAST_FREEDOM = 12  # residuals below which colour cannot be told from chance
 
 
 def long_run_variance(series: Array) -> float:
@@ -60,3 +66,72 @@ def _autoregressive_factor(x: Array) -> float:
             best = criterion
             factor = error / (r[0] * (1.0 - phi.sum()) ** 2)
     return float(factor)
+
+
+@dataclass(frozen=True, eq=False)
+class ColouredCovariance:
+    """Covariances (k, p, p) of the p coefficients of k series fitted by least squares, under coloured noise.
+
+    `whiteness` (k,) is the probability that a series has no random walk to speak of; `excess` (k,)
+    is the largest ratio of a coefficient's variance to what white noise would make it.
+    """
+
+    covariances: Array
+    whiteness: Array
+    excess: Array
+
+
+def coloured_covariance(design: Array, series: Array, counts: Array, t: Array, *, gram: Array) -> ColouredCovariance:
+    """Covariance of least squares whose noise is white plus a random walk in time.
+
+    How much walk there is follows from the block means by restricted maximum likelihood, which knows that a fit
+    absorbs slow noise; the answer is averaged over it with the weights of the likelihood. A random walk has more power
+    at the slowest scales than any wander that forgets, so errors of that kind come out on the safe side. The estimate
+    stays ordinary least squares: the best one for the walk is only a twentieth better.
+
+    Parameters
+    ----------
+    design : shape (B, p)
+        Means of the regressors over B consecutive blocks.
+    series : shape (B, k)
+        Means of the k series.
+    counts : shape (B,)
+        Samples of each block.
+    t : shape (B,)
+        Mean time of each block.
+    gram : shape (p, p)
+        ``X^T X`` over all single samples.
+    """
+    weight = np.sqrt(counts)
+    p = design.shape[1]
+    Q, R = np.linalg.qr(design * weight[:, None], mode="complete")
+    back, Q1, Q2 = np.linalg.inv(R[:p]), Q[:, :p], Q[:, p:]
+    outside = Q2.T @ (series * weight[:, None])
+    freedom = len(outside)
+    white = ((outside**2).sum(axis=0) / freedom)[:, None, None] * np.linalg.inv(gram)
+    if freedom < _LEAST_FREEDOM:
+        return ColouredCovariance(white, np.ones(len(white)), np.ones(len(white)))
+    walk = weight[:, None] * _random_walk(t) * weight
+    values, vectors = np.linalg.eigh(Q2.T @ walk @ Q2)
+    size = float(values.mean())
+    v = 1.0 + _RATIOS[:, None] * np.maximum(values, 0.0) / size  # (ratios, freedom)
+    variance = (1.0 / v) @ (vectors.T @ outside) ** 2 / freedom  # (ratios, k)
+    log_likelihood = -0.5 * (np.log(v).sum(axis=1)[:, None] + freedom * np.log(np.maximum(variance, _TINY)))
+    weights = np.exp(log_likelihood - log_likelihood.max(axis=0)) * _PRIOR[:, None]
+    weights /= weights.sum(axis=0)
+    walking = back @ (Q1.T @ walk @ Q1 / size) @ back.T
+    factor = np.einsum("mk,mk->k", weights, variance)
+    slow = np.einsum("mk,mk,m->k", weights, variance, _RATIOS)
+    covariances = factor[:, None, None] * np.linalg.inv(gram) + slow[:, None, None] * walking
+    excess = np.einsum("kpp->kp", covariances) / np.maximum(np.einsum("kpp->kp", white), _TINY)
+    return ColouredCovariance(covariances, weights[_RATIOS < 1.0].sum(axis=0), excess.max(axis=1))
+
+
+def _random_walk(t: Array) -> Array:
+    """Covariance (B, B) of the block means of a random walk over the span of `t`.
+
+    The mean of ``min(s, s')`` over two blocks is the earlier middle; within one block of width w it is w/6 less.
+    """
+    s = (t - t[0]) / max(float(t[-1] - t[0]), _TINY)
+    width = np.diff(s).mean()
+    return np.asarray(np.minimum(s[:, None], s) + (0.5 - np.eye(len(s)) / 6.0) * width, dtype=np.float64)

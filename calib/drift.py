@@ -1,0 +1,264 @@
+"""A sensor's samples against its temperature: block sums, curves with their covariance, and what disturbs them.
+
+The parts of :mod:`calib.thermal`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.polynomial import polynomial as power
+from numpy.typing import NDArray
+
+from calib.errors import InvalidInputError
+from calib.fit import AXES
+from calib.noise import ColouredCovariance, coloured_covariance
+from calib.quantisation import half_widths
+from calib.recording import Channel
+from calib.triad import ThermalPolynomial, TriadModel
+
+Array = NDArray[np.float64]
+
+_BLOCKS = 64
+_NOT_REPEATABLE = 2.0  # half the drift below this many of its own sd, under coloured noise, is no drift of temperature
+_LAG_GAIN = 0.3  # share of the residual that a lag must explain to be named
+_LEAST_SAMPLES = 5
+_REPEATED_RUN = 8
+
+
+@dataclass(frozen=True, eq=False)
+class DriftData:
+    """The finite samples, and what can be said of them before any fit."""
+
+    time: Array
+    t: Array  # degC
+    y: Array  # (N, 3)
+    half: Array  # (N, 3) half widths of the bins
+    constant: NDArray[np.bool_]
+    ignored: int
+
+    @classmethod
+    def of(cls, channel: Channel, temperature: Array) -> DriftData:
+        """The finite rows of `channel` (three axes) with one temperature each."""
+        t = np.asarray(temperature, dtype=np.float64)
+        if t.shape != (len(channel),) or channel.values.shape[1] != 3:
+            raise InvalidInputError(
+                f"{channel.sensor}: {len(channel)} rows of {channel.values.shape[1]} axes with temperatures of shape "
+                f"{t.shape}; one temperature a row of three axes is needed"
+            )
+        good = np.isfinite(t) & np.isfinite(channel.values).all(axis=1)
+        time, y, half = channel.t, channel.values, half_widths(channel)
+        if not good.all():
+            time, t, y, half = time[good], t[good], y[good], half[good]
+        constant = np.ptp(y, axis=0) == 0.0 if len(y) else np.ones(3, dtype=np.bool_)
+        return cls(time, t, y, half, constant, int((~good).sum()))
+
+    def rows(self, keep: NDArray[np.bool_]) -> DriftData:
+        """Only the rows to `keep`."""
+        return dataclasses.replace(self, time=self.time[keep], t=self.t[keep], y=self.y[keep], half=self.half[keep])
+
+    @property
+    def n(self) -> int:
+        """Number of rows."""
+        return len(self.t)
+
+    @property
+    def t_min(self) -> float:
+        """Lowest temperature, degC."""
+        return float(self.t.min())
+
+    @property
+    def t_max(self) -> float:
+        """Highest temperature, degC."""
+        return float(self.t.max())
+
+    @property
+    def span(self) -> float:
+        """Range of temperature, degC."""
+        return self.t_max - self.t_min
+
+    def refusal(self, degree: int, min_span: float) -> str:
+        """Why nothing can be fitted; empty if it can."""
+        if self.n < max(_LEAST_SAMPLES, degree + 2):
+            return f"{self.n} finite rows: {max(_LEAST_SAMPLES, degree + 2)} are needed for degree {degree}"
+        if self.span < min_span:
+            return (
+                f"the temperature moved by {self.span:.1f} degC ({self.t_min:.1f} to {self.t_max:.1f}): "
+                f"{min_span:.0f} are needed; start with a cold board and let it warm up"
+            )
+        if len(np.unique(self.t)) < degree + 2:
+            return f"{len(np.unique(self.t))} different temperatures are not enough for degree {degree}"
+        if self.constant.all():
+            return "every axis reads one constant value: the sensor is stuck or not connected"
+        return ""
+
+
+@dataclass(frozen=True, eq=False)
+class DriftBlocks:
+    """Sums over consecutive blocks of time, from which everything else follows."""
+
+    design: Array  # (B, p) means
+    series: Array  # (B, 3) means
+    counts: Array
+    time: Array
+    gram: Array  # (p, p) over all samples
+    ordinary: Array  # (p, 3)
+    squares: Array  # (3,) sums of squared residuals
+    n: int
+
+    @classmethod
+    def of(cls, x: Array, data: DriftData, *, degree: int, intercept: bool, origin: Array | None) -> DriftBlocks:
+        """Sums of the powers of `x` (N,) and of the axes; without intercept the axes count from `origin` (3,)."""
+        edges = np.linspace(0, data.n, _block_count(data.n) + 1).astype(int)
+        y0 = data.y.mean(axis=0) if origin is None else origin
+        first = 0 if intercept else 1
+        p = degree + 1 - first
+        gram = np.zeros((p + 3, p + 3))
+        means = np.empty((len(edges) - 1, p + 3))
+        time = np.empty(len(edges) - 1)
+        for k, (i, j) in enumerate(pairwise(edges)):
+            z = np.empty((j - i, p + 3))
+            z[:, 0] = x[i:j] if first else 1.0
+            for column in range(1, p):
+                z[:, column] = z[:, column - 1] * x[i:j]
+            z[:, p:] = data.y[i:j] - y0
+            gram += z.T @ z
+            means[k] = z.mean(axis=0)
+            time[k] = data.time[i:j].mean()
+        scale = np.sqrt(np.diag(gram)[:p])
+        scaled = gram[:p, :p] / np.outer(scale, scale)
+        ordinary = np.linalg.solve(scaled, gram[:p, p:] / scale[:, None]) / scale[:, None]
+        squares = np.maximum(np.diag(gram[p:, p:] - gram[p:, :p] @ ordinary), 0.0)
+        blocks = cls(
+            means[:, :p], means[:, p:], np.diff(edges).astype(float), time, gram[:p, :p], ordinary, squares, data.n
+        )
+        if intercept:  # the series were shifted by their mean
+            blocks.ordinary[0] += y0
+            blocks.series[:] += y0
+        return blocks
+
+    @property
+    def condition(self) -> float:
+        """Condition number of the normal equations."""
+        return float(np.linalg.cond(self.gram))
+
+    def residual_rms(self, estimated: NDArray[np.bool_]) -> Array:
+        """Root of the mean square about ordinary least squares, per axis; zero where nothing is estimated."""
+        return np.where(estimated, np.sqrt(self.squares / max(self.n - len(self.gram), 1)), 0.0)
+
+    def noise(self) -> ColouredCovariance:
+        """Covariance of the coefficients under coloured noise."""
+        return coloured_covariance(self.design, self.series, self.counts, self.time, gram=self.gram)
+
+
+@dataclass(frozen=True, eq=False)
+class DriftCurve:
+    """The polynomials about t_ref with their covariances, and how far they move over the span."""
+
+    coefficients: Array  # (p, 3) about t_ref, degC, constant first
+    covariances: Array  # (3, p, p)
+    drift: Array  # (3,) range over the span
+    drift_sd: Array  # (3,) largest sd of the curve about its mean
+
+    @classmethod
+    def of(
+        cls, coefficients: Array, noise: ColouredCovariance, middle: float, half_span: float, t_ref: float
+    ) -> DriftCurve:
+        """From powers of ``(T - middle)/half_span`` to powers of ``T - t_ref``."""
+        p = len(coefficients)
+        grid = np.linspace(-1.0, 1.0, 33)[:, None] ** np.arange(p)
+        centred = grid - grid.mean(axis=0)
+        drift = np.ptp(centred @ coefficients, axis=0)
+        spread = np.sqrt(np.maximum(np.einsum("gp,kpq,gq->kg", centred, noise.covariances, centred), 0.0)).max(axis=1)
+        shift = _about(t_ref, middle, half_span, p)
+        return cls(shift @ coefficients, shift @ noise.covariances @ shift.T, drift, spread)
+
+    def not_repeatable(self, noise: ColouredCovariance) -> NDArray[np.bool_]:
+        """Axes whose drift is within their own slow wander."""
+        coloured = (noise.whiteness < 0.05) & (noise.excess > 9.0)
+        return np.asarray(coloured & (self.drift < 2.0 * _NOT_REPEATABLE * self.drift_sd), dtype=np.bool_)
+
+    def model(
+        self, data: DriftData, t_ref: float, estimated: NDArray[np.bool_], *, shape_only: bool
+    ) -> tuple[TriadModel, Array, tuple[str, ...]]:
+        """Model, covariance over its parameters, and the names that are not determined."""
+        degree = len(self.coefficients) - 1
+        covariance = np.zeros((12 + 3 * degree, 12 + 3 * degree))
+        undetermined = []
+        for axis in range(3):
+            rows = [axis, *range(12 + axis * degree, 12 + (axis + 1) * degree)]
+            if estimated[axis]:
+                covariance[np.ix_(rows, rows)] = self.covariances[axis]
+            if shape_only or not estimated[axis]:
+                undetermined.append(f"offset_{AXES[axis]}")
+                covariance[axis, :] = covariance[:, axis] = 0.0
+            if not estimated[axis]:
+                undetermined += [f"poly{j}_{AXES[axis]}" for j in range(1, degree + 1)]
+        offset = np.zeros(3) if shape_only else np.where(estimated, self.coefficients[0], 0.0)
+        shape = np.where(estimated, self.coefficients[1:], 0.0).T
+        model = TriadModel(offset=offset, polynomial=ThermalPolynomial(t_ref, data.t_min, data.t_max, shape))
+        return model, covariance, tuple(undetermined)
+
+
+def _about(t_ref: float, middle: float, half_span: float, p: int) -> Array:
+    """Matrix from coefficients of ``((T - middle)/half_span)^j`` to those of ``(T - t_ref)^k``."""
+    line = np.array([(t_ref - middle) / half_span, 1.0 / half_span])
+    matrix = np.zeros((p, p))
+    for j in range(p):
+        expanded = power.polypow(line, j)
+        matrix[: len(expanded), j] = expanded
+    return matrix
+
+
+def _block_count(n: int) -> int:
+    return n if n <= _BLOCKS // 2 else int(np.clip(n // 8, _BLOCKS // 2, _BLOCKS))
+
+
+def thermal_lag(blocks: DriftBlocks, middle: float, half_span: float, estimated: NDArray[np.bool_]) -> float | None:
+    """Seconds by which the sensor's temperature lags the thermometer's; None if nothing shows it.
+
+    ``T_die = T - lag dT/dt``: the residual then follows slope times rate of change, which needs warming and cooling.
+    """
+    if len(blocks.time) < 24 or blocks.design.shape[1] < 2:
+        return None
+    temperature = middle + half_span * blocks.design[:, 1]
+    rate = np.gradient(temperature, blocks.time) if (np.diff(blocks.time) > 0).all() else np.zeros(len(temperature))
+    moving = np.abs(rate) > 0.1 * np.abs(rate).max(initial=0.0)
+    if not ((rate[moving] > 0).mean() > 0.1 and (rate[moving] < 0).mean() > 0.1):
+        return None
+    numerator = denominator = 0.0
+    before = after = 0.0
+    x = (temperature - middle) / half_span
+    for axis in np.flatnonzero(estimated):
+        slope = power.polyval(x, power.polyder(blocks.ordinary[:, axis])) / half_span
+        residual = blocks.series[:, axis] - blocks.design @ blocks.ordinary[:, axis]
+        weight = 1.0 / max(float(residual.var()), 1e-300)
+        regressor = -slope * rate
+        numerator += weight * float(regressor @ residual)
+        denominator += weight * float(regressor @ regressor)
+        before += weight * float(residual @ residual)
+    if denominator <= 0.0:
+        return None
+    lag = numerator / denominator
+    after = before - numerator**2 / denominator
+    return lag if after < (1.0 - _LAG_GAIN) * before and lag > 0.0 else None
+
+
+def repeated_rows(data: DriftData) -> NDArray[np.bool_]:
+    """Rows of a small table that are an earlier stretch of it pasted again."""
+    repeated = np.zeros(data.n, dtype=np.bool_)
+    if data.n > 2000:
+        return repeated
+    rows = np.column_stack([data.t, data.y])
+    for lag in range(1, data.n - _REPEATED_RUN + 1):
+        same = np.append((rows[lag:] == rows[:-lag]).all(axis=1), False)
+        starts = np.flatnonzero(same & ~np.append(False, same[:-1]))
+        ends = np.flatnonzero(~same)
+        for start in starts:
+            end = int(ends[np.searchsorted(ends, start)])
+            if end - start >= _REPEATED_RUN and len(np.unique(rows[start:end], axis=0)) >= _REPEATED_RUN // 2:
+                repeated[start + lag : end + lag] = True
+    return repeated
