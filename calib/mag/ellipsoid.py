@@ -87,8 +87,9 @@ def shape_of(samples: Array, context: MagContext, *, robust: bool | None, prior_
         If the samples are flat, lie on no ellipsoid, or hold too many outliers.
     """
     centre = samples.mean(axis=0)
-    scale = float(np.linalg.norm(samples.std(axis=0)))
-    scaled = (samples - centre) / scale
+    scaled = samples - centre
+    scale = float(np.sqrt(np.vdot(scaled, scaled) / len(scaled)))
+    scaled /= scale
     moments = Moments.empty(np.zeros(3), 1.0).added(scaled)
     check_not_flat(moments.scatter())
     try:
@@ -106,7 +107,8 @@ def _solved(
     start = find_start(scaled, moments, quantum / np.sqrt(12.0))
     if start.outliers if robust is None else robust:
         return _robust_solution(Distances(scaled), start, prior_sd)
-    return gauss_newton(Distances(scaled), start.ellipsoid, start.noise_sd**2, prior_sd=prior_sd), None
+    plain = gauss_newton(Distances(scaled), start.ellipsoid, start.noise_sd**2, prior_sd=prior_sd, first=start.first)
+    return plain, None
 
 
 def _robust_solution(distances: Distances, start: Start, prior_sd: float | None) -> tuple[Solution, float]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import UndeterminedError
-from calib.mag.distance import Distances
+from calib.mag.distance import Distances, Pass
 from calib.mag.moments import Moments
 from calib.mag.shape import Ellipsoid
 from calib.mag.sphere import solve_sphere
@@ -43,6 +43,8 @@ class Start:
     noise_sd: float
     outliers: bool
     """Whether some samples are off by more than noise ever is."""
+    first: Pass | None = None
+    """The pass over the samples at `ellipsoid` with the variance of `noise_sd`; None: it was not made."""
 
 
 def find_start(samples: Array, whole: Moments, smallest_sd: float) -> Start:
@@ -57,15 +59,13 @@ def find_start(samples: Array, whole: Moments, smallest_sd: float) -> Start:
         If there is no start, not even a sphere.
     """
     floor = max(_SMALLEST_SD, smallest_sd)
-    first = _ellipsoid_of(whole)
-    if first is None:
-        offset, radius = solve_sphere(samples)
-        first = Ellipsoid(offset, radius * np.eye(3))
-    residuals = distances_from(samples, first)
+    first, noise_sd = _first_guess(samples, whole)
+    at_first = Distances(samples).at(first, noise_sd**2, None)
+    residuals = at_first.residuals
     sd = robust_sd(residuals, floor)
-    clean = bool(np.abs(residuals).max() <= OUTLIER * sd)
+    clean = max(float(residuals.max()), -float(residuals.min())) <= OUTLIER * sd
     if clean and sd <= _PLAUSIBLE * first.mean_radius:
-        return Start(first, sd, outliers=False)
+        return Start(first, noise_sd, outliers=False, first=at_first)
     best = first
     if not clean:
         best, sd = _concentrated(samples, first, floor)
@@ -75,6 +75,24 @@ def find_start(samples: Array, whole: Moments, smallest_sd: float) -> Start:
             best, sd = other, other_sd
     residuals = distances_from(samples, best)
     return Start(best, sd, outliers=bool(np.abs(residuals).max() > OUTLIER * sd))
+
+
+def _first_guess(samples: Array, whole: Moments) -> tuple[Ellipsoid, float]:
+    """Adjusted least squares and their noise; a sphere where these give no sensible ellipsoid."""
+    try:
+        ellipsoid, noise_sd = whole.ellipsoid()
+        if _is_sensible(ellipsoid):
+            return ellipsoid, noise_sd
+    except UndeterminedError:
+        pass
+    offset, radius = solve_sphere(samples)
+    sphere = Ellipsoid(offset, radius * np.eye(3))
+    return sphere, robust_sd(distances_from(samples, sphere), _SMALLEST_SD)
+
+
+def _is_sensible(ellipsoid: Ellipsoid) -> bool:
+    radii = ellipsoid.radii
+    return bool(radii[2] < 20.0 * radii[0] and radii[2] < 20.0)
 
 
 def distances_from(samples: Array, ellipsoid: Ellipsoid) -> Array:
@@ -96,7 +114,7 @@ def _ellipsoid_of(moments: Moments) -> Ellipsoid | None:
         ellipsoid, _ = moments.ellipsoid()
     except UndeterminedError:
         return None
-    return ellipsoid if ellipsoid.radii[2] < 20.0 * ellipsoid.radii[0] and ellipsoid.radii[2] < 20.0 else None
+    return ellipsoid if _is_sensible(ellipsoid) else None
 
 
 def _concentrated(samples: Array, ellipsoid: Ellipsoid, floor: float) -> tuple[Ellipsoid, float]:

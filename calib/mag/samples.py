@@ -43,7 +43,7 @@ def check_samples(samples: ArrayLike, minimum: int, *, may_repeat: bool = False)
             f"{len(array)} magnetometer samples are too few: at least {minimum} in different directions are needed",
             remedy="record longer while turning the vehicle in all directions",
         )
-    if not may_repeat and not np.ptp(array, axis=0).any():
+    if not may_repeat and np.array_equal(array[0], array[-1]) and not np.ptp(array, axis=0).any():
         raise UndeterminedError(
             f"all {len(array)} magnetometer samples are the same: the sensor is stuck, or was not turned",
             remedy="turn the vehicle in all directions; if the numbers stay, the sensor is broken",
