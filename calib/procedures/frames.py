@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib import firmware
 from calib.errors import FirmwareError
-from calib.firmware import ardupilot, px4
 from calib.procedures.context import ProcedureContext
 from calib.recording import Array, Sensor
 from calib.triad import TriadModel
@@ -16,17 +16,23 @@ def in_force(context: ProcedureContext, sensor: Sensor, instance: int) -> TriadM
 
     Without parameters, or of an unknown autopilot, raw and corrected are taken as the same.
     """
-    if context.relative or context.identity.autopilot not in ("ardupilot", "px4"):
+    if not _told(context):
         return TriadModel()
     try:
-        if context.identity.autopilot == "ardupilot":
-            return ardupilot.calibration_in_force(context.parameters, sensor, instance)
-        return px4.calibration_in_force(context.parameters, sensor, instance)
+        return firmware.calibration_in_force(context.identity.autopilot, context.parameters, sensor, instance)
     except FirmwareError:
         return None
 
 
 def body_from_sensor(context: ProcedureContext, sensor: Sensor, instance: int) -> Array:
     """Rotation (3, 3) from the raw frame of a sensor to the body; the identity where the parameters do not say."""
-    model = in_force(context, sensor, instance)
-    return np.eye(3) if model is None else model.rotation
+    if not _told(context):
+        return np.eye(3)
+    try:
+        return firmware.mounting(context.identity.autopilot, context.parameters, sensor, instance)
+    except FirmwareError:
+        return np.eye(3)
+
+
+def _told(context: ProcedureContext) -> bool:
+    return not context.relative and context.identity.autopilot in ("ardupilot", "px4")

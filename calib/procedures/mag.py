@@ -16,7 +16,7 @@ from calib.fit import FitResult, FitStatus
 from calib.mag.blur import rates_during
 from calib.mag.orientation import OrientationResult, Verdict, interpolated
 from calib.procedures.context import ProcedureContext
-from calib.procedures.frames import in_force
+from calib.procedures.frames import body_from_sensor, in_force
 from calib.procedures.mag_track import MagTrack, Motion
 from calib.procedures.protocol import Done, Progress, Prompt
 from calib.procedures.results import annotated
@@ -36,7 +36,7 @@ SPEC = ProcedureSpec(
         Option("patience", 240.0, "ends after this time in any case", "s", 20.0, 3600.0),
     ),
     needs="the vehicle turned slowly about all axes, outdoors, away from steel and magnets; accelerometers calibrated",
-    ends_on="standard deviation of the heading of every compass (0.3 deg), and a mounting that the accelerometer confirms",
+    ends_on="standard deviation of the heading of every compass (0.3 deg), and a mounting that gravity confirms",
     autopilots={
         "ardupilot": Holds(
             writes=(
@@ -154,6 +154,7 @@ class MagProcedure(TickedProcedure):
                     instance,
                     self.context.earth_field,
                     in_force(self.context, Sensor.MAG, instance),
+                    body_from_sensor(self.context, Sensor.MAG, instance),
                     quantum=channel.quantum,
                     relative=self.context.relative,
                 )

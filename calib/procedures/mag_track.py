@@ -43,17 +43,26 @@ class MagTrack:
     ----------
     in_force
         Correction that the vehicle applies (raw to body); None: not known.
+    body
+        Stated mounting, body from raw, (3, 3).
     quantum, relative
         As the stream has them.
     """
 
     def __init__(
-        self, instance: int, field: EarthField | None, in_force: TriadModel | None, *, quantum: float, relative: bool
+        self,
+        instance: int,
+        field: EarthField | None,
+        in_force: TriadModel | None,
+        body: Array,
+        *,
+        quantum: float,
+        relative: bool,
     ) -> None:
         self.instance = instance
         self.field = field
         self.in_force = in_force
-        self.body = np.eye(3) if in_force is None else in_force.rotation
+        self.body = body
         self.fit: FitResult | None = None
         self.coverage = Coverage.empty()
         self.noise = 0.01

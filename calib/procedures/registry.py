@@ -1,0 +1,68 @@
+"""Every procedure by the name of its job."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+from calib.errors import InvalidInputError
+from calib.procedures.accel import AccelProcedure
+from calib.procedures.context import ProcedureContext
+from calib.procedures.gyro import GyroProcedure
+from calib.procedures.level import LevelProcedure
+from calib.procedures.mag import MagProcedure
+from calib.procedures.spec import Options, ProcedureSpec
+from calib.procedures.thermal import ThermalProcedure
+from calib.procedures.ticked import TickedProcedure
+
+_CLASSES: tuple[type[TickedProcedure], ...] = (
+    GyroProcedure,
+    AccelProcedure,
+    MagProcedure,
+    ThermalProcedure,
+    LevelProcedure,
+)
+
+PROCEDURES: Mapping[str, ProcedureSpec] = MappingProxyType({c.spec.kind: c.spec for c in _CLASSES})
+"""Specification of every kind of job."""
+
+
+def specification(kind: str) -> ProcedureSpec:
+    """The specification of `kind` (or of one of its other names).
+
+    Raises
+    ------
+    InvalidInputError
+        If there is no such procedure.
+    """
+    return _class_of(kind).spec
+
+
+def validate_options(kind: str, options: Mapping[str, Any]) -> Options:
+    """Every option of `kind`, defaults filled in.
+
+    Raises
+    ------
+    InvalidInputError
+        If the kind or an option is unknown, or a value is out of its limits.
+    """
+    return specification(kind).validated(options)
+
+
+def create(kind: str, options: Mapping[str, Any], context: ProcedureContext) -> TickedProcedure:
+    """A new run of the procedure `kind`.
+
+    Raises
+    ------
+    InvalidInputError
+        If the kind or an option is unknown, or a value is out of its limits.
+    """
+    return _class_of(kind)(validate_options(kind, options), context)
+
+
+def _class_of(kind: str) -> type[TickedProcedure]:
+    for candidate in _CLASSES:
+        if kind == candidate.spec.kind or kind in candidate.spec.aliases:
+            return candidate
+    raise InvalidInputError(f"there is no procedure {kind!r}; known are: {', '.join(PROCEDURES)}")

@@ -1,0 +1,47 @@
+"""The table of what each procedure needs, ends on, writes and cannot represent, made from the specifications."""
+
+from __future__ import annotations
+
+from calib.procedures.registry import PROCEDURES
+from calib.procedures.spec import Option, ProcedureSpec
+
+_AUTOPILOTS = {"ardupilot": "ArduPilot", "px4": "PX4"}
+
+_HEAD = """# Procedures
+
+Generated from the specifications in `calib/procedures` by `calib.procedures.table.markdown()`; a test compares them.
+Time is the vehicle's own. Every procedure fits every instance that streams, ends when the asked-for uncertainty is
+reached, and gives up with the cause when it cannot be.
+"""
+
+
+def markdown() -> str:
+    """The whole document."""
+    return "\n".join([_HEAD, _overview(), *(_section(spec) for spec in PROCEDURES.values())])
+
+
+def _overview() -> str:
+    rows = ["| job | needs | ends on | typical length |", "|---|---|---|---|"]
+    rows += [f"| `{s.kind}` | {s.needs} | {s.ends_on} | {s.duration_s:.0f} s |" for s in PROCEDURES.values()]
+    return "\n".join(rows) + "\n"
+
+
+def _section(spec: ProcedureSpec) -> str:
+    streams = ", ".join(spec.sensors)
+    helpful = f"; helpful: {', '.join(spec.helpful)}" if spec.helpful else ""
+    lines = [f"## {spec.kind}: {spec.title}", "", f"Streams: {streams}{helpful}.", ""]
+    lines += ["| option | default | limits | meaning |", "|---|---|---|---|"]
+    lines += [_option(option) for option in spec.options]
+    lines += ["", "| | writes | cannot represent |", "|---|---|---|"]
+    for key, name in _AUTOPILOTS.items():
+        holds = spec.autopilots[key]
+        writes, cannot = ("; ".join(items) or "nothing" for items in (holds.writes, holds.cannot_represent))
+        lines.append(f"| {name} | {writes} | {cannot} |")
+    return "\n".join(lines) + "\n"
+
+
+def _option(option: Option) -> str:
+    unit = f" {option.unit}" if option.unit else ""
+    if isinstance(option.default, bool):
+        return f"| `{option.name}` | {str(option.default).lower()} | | {option.help} |"
+    return f"| `{option.name}` | {option.default:g}{unit} | {option.low:g} ... {option.high:g} | {option.help} |"

@@ -1,0 +1,256 @@
+"""Drift of accelerometers and gyros with temperature, from a still vehicle that warms up or cools down.
+
+Only still spans count. Where the vehicle was moved between two of them the accelerometer's gravity differs, and each
+span has its own offset (METHODS 3.4); the shape of the drift is common.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+from calib.fit import FitResult, FitStatus
+from calib.procedures.context import ProcedureContext
+from calib.procedures.drift_fit import Span, fit_drift
+from calib.procedures.motion import Verdict
+from calib.procedures.pool import Pool, Tail
+from calib.procedures.protocol import Done, Progress, Prompt
+from calib.procedures.results import annotated
+from calib.procedures.roster import Frame, Instance, label
+from calib.procedures.spec import Holds, Option, Options, ProcedureSpec
+from calib.procedures.ticked import TickedProcedure
+from calib.procedures.warmth import Warmth
+from calib.recording import Sensor
+
+SPEC = ProcedureSpec(
+    kind="thermal",
+    title="Drift of accelerometers and gyros with temperature",
+    sensors=(Sensor.ACCEL, Sensor.GYRO, Sensor.TEMPERATURE),
+    helpful=(),
+    options=(
+        Option("span", 25.0, "range of temperature to cover, every unit", "degC", 10.0, 100.0),
+        Option("settled", 0.2, "rate below which the temperature counts as settled", "degC/min", 0.01, 5.0),
+        Option(
+            "accel_residual", 0.02, "standard deviation of the accelerometers' drift curve to reach", "m/s2", 1e-3, 0.2
+        ),
+        Option("gyro_residual", 0.05, "standard deviation of the gyros' drift curve to reach", "deg/s", 2e-3, 0.5),
+        Option("patience", 600.0, "gives up after this time without a change of temperature", "s", 30.0, 7200.0),
+    ),
+    needs="a cold vehicle lying still while it warms up by its own heat (or a warm one that cools down)",
+    ends_on="the asked-for span (25 degC), a settled temperature or the operator's word, with drift curves known to "
+    "0.02 m/s2 and 0.05 deg/s",
+    autopilots={
+        "ardupilot": Holds(
+            writes=(
+                "INS_TCALn_ENABLE, _TMIN, _TMAX",
+                "INS_TCALn_ACC1..3_*, _GYR1..3_*",
+                "INS_ACC*OFFS_*, INS_GYR*OFFS_*",
+            ),
+            cannot_represent=("a scale that varies with temperature", "more than three orders", "hysteresis"),
+        ),
+        "px4": Holds(
+            writes=("TC_An_*, TC_Gn_* (X0..X3, TMIN, TMAX, TREF, ID)", "TC_A_ENABLE, TC_G_ENABLE"),
+            cannot_represent=("a scale that varies with temperature", "more than three orders", "hysteresis"),
+        ),
+    },
+    duration_s=900.0,
+)
+
+GUARD_TICKS = 4
+"""A second before a movement was noticed does not count."""
+
+NARROWEST = 10.0
+"""Range of temperature below which no drift is fitted, degC: both firmwares ask for more."""
+
+STILL_COLD = 1.0
+"""Range below which the temperature has not moved at all, degC."""
+
+FIT_AGAIN = 0.1
+"""A fit that missed the goal is repeated after this share of the time."""
+
+SETTLED_OVER = 60.0
+"""The rate of temperature is taken over this time, s."""
+
+
+class ThermalProcedure(TickedProcedure):
+    """Collects still spans while the temperature moves, then fits a cubic to every unit."""
+
+    spec: ClassVar[ProcedureSpec] = SPEC
+
+    def __init__(self, options: Options, context: ProcedureContext) -> None:
+        super().__init__(options, context)
+        self._warmth = Warmth(SETTLED_OVER)
+        self._pool = Pool((Sensor.ACCEL, Sensor.GYRO, Sensor.TEMPERATURE))
+        self._tail = Tail(GUARD_TICKS)
+        self._spans: list[Span] = []
+        self._still = 0.0
+        self._why = ""
+        self._missed = ""
+        self._next_fit = -math.inf
+
+    def _on_start(self, present: set[Instance]) -> None:
+        for sensor in (Sensor.ACCEL, Sensor.GYRO):
+            for instance in self.present(sensor):
+                if (Sensor.TEMPERATURE, instance) not in present:
+                    self._warn(f"{label(sensor, instance)} is left out: its temperature does not stream")
+        if not self._units():
+            self._give_up(
+                "no inertial unit streams its temperature together with its samples",
+                "a drift with temperature cannot be measured on this vehicle",
+            )
+        self._ask(still=True)
+
+    def _units(self) -> tuple[int, ...]:
+        """Instances that have a thermometer and at least one sensor."""
+        moving = {*self.present(Sensor.ACCEL), *self.present(Sensor.GYRO)}
+        return tuple(i for i in self.present(Sensor.TEMPERATURE) if i in moving)
+
+    def _on_tick(self, start: float, end: float, frame: Frame) -> None:
+        self._warmth.update(frame, self._units())
+        verdict = self._watch.update(frame)
+        if not verdict.still:
+            self._moved(verdict.why)
+        elif verdict.counted:
+            self._keep(start, end, frame)
+        self._ask(still=verdict.still)
+        self._judge()
+        if self.outcome is None:
+            self._tell(verdict)
+
+    def _moved(self, why: str) -> None:
+        self._why = why
+        self._tail = Tail(GUARD_TICKS)
+        if self._spans and self._spans[-1].open:
+            self._spans[-1] = self._spans[-1].closed()
+
+    def _keep(self, start: float, end: float, frame: Frame) -> None:
+        kept = self._tail.push(frame)
+        if kept is None:
+            return
+        self._pool.add(kept)
+        self._warmth.keep(kept)
+        self._still += end - start
+        first = min(float(c.t[0]) for c in kept.values())
+        if not self._spans or not self._spans[-1].open:
+            self._spans.append(Span(first))
+
+    # -- judging ---------------------------------------------------------------------------------------------------
+
+    def _judge(self) -> None:
+        span, settled = self._warmth.span, self._warmth.settled(self.options["settled"])
+        if span >= self.options["span"] or (settled and span >= NARROWEST):
+            if self.time >= self._next_fit:
+                self._next_fit = self.time + max(5.0, FIT_AGAIN * self.elapsed)
+                why = "the asked-for span is covered" if span >= self.options["span"] else "the temperature has settled"
+                self._try(why, last=settled)
+        elif settled and self._warmth.moved >= NARROWEST:
+            self._give_up(
+                f"the temperature moved by {self._warmth.moved:.1f} degC and settled, but the vehicle was still for "
+                f"{span:.1f} degC of it only: {self._why}",
+                "put the vehicle on a firm surface and leave it alone, then start again",
+            )
+        elif settled and self._warmth.moved >= STILL_COLD:
+            self._give_up(
+                f"the temperature settled after {self._warmth.moved:.1f} degC; a drift needs {NARROWEST:.0f} degC",
+                "cool the vehicle down first (a freezer bag, a cold room) and start again while it is cold",
+            )
+        elif self._warmth.moved < STILL_COLD and self.elapsed >= self.options["patience"]:
+            self._give_up(
+                f"the temperature never moved: {self._warmth.moved:.2f} degC in {self.elapsed:.0f} s",
+                "start with a cold vehicle, or warm it; if the temperature reads a constant, the sensor has none",
+            )
+
+    def _try(self, because: str, *, last: bool) -> None:
+        """Fit; finish if the curves are known well enough, or if nothing more is to come."""
+        fits = self._fit()
+        self._missed = self._shortfall(fits)
+        if not self._missed:
+            self._end(fits, f"{because} ({self._warmth.span:.1f} degC)")
+        elif last:
+            self._give_up(f"{because}, but {self._missed}", "let it rest undisturbed and change its temperature slower")
+
+    def _fit(self) -> tuple[FitResult, ...]:
+        return tuple(
+            fit_drift(self._pool, sensor, instance, self._spans, relative=self.context.relative)
+            for sensor in (Sensor.ACCEL, Sensor.GYRO)
+            for instance in self._units()
+            if (sensor, instance) in self._pool and (Sensor.TEMPERATURE, instance) in self._pool
+        )
+
+    def _shortfall(self, fits: tuple[FitResult, ...]) -> str:
+        """What keeps the fits from the goal; empty if nothing does."""
+        if not fits:
+            return f"the vehicle was still for {self._still:.0f} s only ({self._why})"
+        goals = {Sensor.ACCEL: self.options["accel_residual"], Sensor.GYRO: math.radians(self.options["gyro_residual"])}
+        for fit in fits:
+            if fit.status == FitStatus.REFUSED and not any(fit.quality.get("drift") or ()):
+                return f"{label(fit.sensor, fit.instance)}: {fit.message}"
+            known = [s for s in fit.quality["drift_sd"] if s is not None]
+            reached = max(known, default=0.0)
+            if reached > goals[fit.sensor]:
+                unit = "m/s2" if fit.sensor == Sensor.ACCEL else "rad/s"
+                return f"the drift of {label(fit.sensor, fit.instance)} is known to {reached:.2g} {unit} only"
+        return ""
+
+    def _end(self, fits: tuple[FitResult, ...], because: str) -> None:
+        self._dropped_rows()
+        usable = [f for f in fits if f.status != FitStatus.REFUSED]
+        if not usable:
+            reason = fits[0].message if fits else self._shortfall(fits)
+            self._give_up(f"no drift can be fitted: {reason}", "let it rest undisturbed over a wider range")
+            return
+        self._finish(Done(tuple(annotated(f, self.context, self.warnings) for f in fits), because))
+
+    def _on_answer(self, value: str) -> None:
+        """``finish``: the operator takes the range that is covered."""
+        if self._warmth.span < NARROWEST:
+            self._give_up(
+                f"the operator ended it after {self._warmth.span:.1f} degC; a drift needs {NARROWEST:.0f} degC",
+                "start with a colder vehicle and let it warm up longer",
+            )
+            return
+        fits = self._fit()
+        missed = self._shortfall(fits)
+        if missed:
+            self._warn(f"ended by the operator; {missed}")
+        self._end(fits, f"the operator ended it after {self._warmth.span:.1f} degC")
+
+    def _missing(self) -> tuple[str, str]:
+        span = self._warmth.span
+        if self._warmth.moved - span > 2.0:
+            return (
+                f"the temperature moved by {self._warmth.moved:.1f} degC, but the vehicle was still for {span:.1f} degC "
+                f"of it only ({self._why})",
+                "leave it alone on a firm surface while the temperature moves",
+            )
+        if span < self.options["span"]:
+            return (
+                f"the temperature moved by {span:.1f} degC of {self.options['span']:.0f}",
+                "let it warm up longer, start colder, or ask for a smaller span",
+            )
+        return self._missed or "the drift was not fitted yet", "let it rest undisturbed for longer"
+
+    # -- telling ---------------------------------------------------------------------------------------------------
+
+    def _ask(self, *, still: bool) -> None:
+        answers = ("finish",) if self._warmth.span >= NARROWEST else ()
+        text = "Leave the vehicle alone while its temperature changes."
+        if not still:
+            text = f"Do not touch it: {self._why}. {text}"
+        self._say(Prompt("warm_up", text, stable=still, answers=answers))
+
+    def _tell(self, verdict: Verdict) -> None:
+        span, target, rate = self._warmth.span, float(self.options["span"]), self._warmth.rate
+        eta = (target - span) / abs(rate) if abs(rate) > 1e-4 and span < target else None
+        detail = {
+            "temperature": {str(i): t for i, t in self._warmth.now.items()},
+            "rate_degc_per_min": 60.0 * rate,
+            "still_s": self._still,
+            "spans": len(self._spans),
+            "missed": self._missed,
+            "warnings": self.warnings[:],
+        }
+        text = (
+            f"{span:.1f} of {target:.0f} degC" if verdict.still else f"{span:.1f} of {target:.0f} degC; {verdict.why}"
+        )
+        self._report(Progress(min(span, target), target, "degC", text, eta, detail))

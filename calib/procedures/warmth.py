@@ -1,0 +1,82 @@
+"""The temperatures of the inertial units over time: how far they have moved, and whether they still do."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+
+from calib.procedures.roster import Frame
+from calib.recording import Sensor
+
+
+class Warmth:
+    """Follows every unit's temperature."""
+
+    def __init__(self, over: float) -> None:
+        self._over = over
+        self._all = _Range()
+        self._kept = _Range()
+        self._history: deque[tuple[float, float]] = deque()
+        self.now: dict[int, float] = {}
+        """Latest temperature of every unit, degC."""
+
+    def update(self, frame: Frame, units: tuple[int, ...]) -> None:
+        """Take a tick; only `units` count."""
+        for unit in set(self.now) - set(units):
+            del self.now[unit]
+        self._all.add(frame, units)
+        for unit in units:
+            channel = frame.get((Sensor.TEMPERATURE, unit))
+            if channel is not None:
+                self.now[unit] = float(channel.values[-1, 0])
+                if unit == min(self.now):
+                    self._history.append((float(channel.t[-1]), self.now[unit]))
+        while len(self._history) > 2 and self._history[-1][0] - self._history[1][0] >= self._over:
+            self._history.popleft()
+
+    def keep(self, frame: Frame) -> None:
+        """The samples of `frame` are kept for the fit."""
+        self._kept.add(frame, tuple(self.now))
+
+    @property
+    def moved(self) -> float:
+        """Range that every unit went through, degC."""
+        return self._all.least(self.now)
+
+    @property
+    def span(self) -> float:
+        """Range that was kept of every unit, degC."""
+        return self._kept.least(self.now)
+
+    @property
+    def rate(self) -> float:
+        """Rate of the first unit over the last minute, degC/s; 0 as long as it is not known."""
+        if len(self._history) < 2:
+            return 0.0
+        (t0, first), (t1, last) = self._history[0], self._history[-1]
+        return (last - first) / (t1 - t0) if t1 > t0 else 0.0
+
+    def settled(self, bound: float) -> bool:
+        """Whether the rate over a whole minute lies below `bound` (degC per minute)."""
+        if len(self._history) < 2 or self._history[-1][0] - self._history[0][0] < self._over:
+            return False
+        return abs(self.rate) * 60.0 < bound
+
+
+class _Range:
+    """Lowest and highest temperature of every unit."""
+
+    def __init__(self) -> None:
+        self._ends: dict[int, tuple[float, float]] = {}
+
+    def add(self, frame: Frame, units: Iterable[int]) -> None:
+        for unit in units:
+            channel = frame.get((Sensor.TEMPERATURE, unit))
+            if channel is not None:
+                low, high = float(channel.values.min()), float(channel.values.max())
+                known = self._ends.get(unit, (low, high))
+                self._ends[unit] = (min(known[0], low), max(known[1], high))
+
+    def least(self, units: Iterable[int]) -> float:
+        ends = [self._ends.get(unit, (0.0, 0.0)) for unit in units]
+        return min((high - low for low, high in ends), default=0.0)

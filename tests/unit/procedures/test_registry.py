@@ -1,0 +1,117 @@
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib import report
+from calib.errors import InvalidInputError, ProcedureError
+from calib.procedures.context import ProcedureContext
+from calib.procedures.protocol import Done
+from calib.procedures.registry import PROCEDURES, create, specification, validate_options
+from calib.procedures.replay import replay
+from calib.procedures.table import markdown
+from calib.recording import Event, Identity, Recording, Sensor
+
+CONTEXT = ProcedureContext(identity=Identity(autopilot="other"), parameters={"X": 1.0})
+
+
+def test_the_kinds_are_those_of_the_jobs():
+    assert list(PROCEDURES) == ["gyro", "accel", "mag", "thermal", "level"]
+    assert specification("gyro-rest") is PROCEDURES["gyro"]
+
+
+@pytest.mark.parametrize("kind", PROCEDURES)
+def test_defaults_are_filled_in_and_lie_within_their_limits(kind):
+    options = validate_options(kind, {})
+    assert options == {o.name: o.default for o in PROCEDURES[kind].options}
+    assert validate_options(kind, dict(options)) == options
+
+
+@pytest.mark.parametrize(
+    ("kind", "options", "part"),
+    [
+        ("gyro", {"uncertainty": 5.0}, "between 0.001 and 1"),
+        ("gyro", {"uncertainty": "much"}, "finite number deg/s"),
+        ("gyro", {"uncertainty": True}, "finite number"),
+        ("gyro", {"uncertainty": math.nan}, "finite number"),
+        ("accel", {"speed": 1}, "its options are: uncertainty, obliques, patience"),
+        ("compassmot", {}, "known are: gyro, accel, mag, thermal, level"),
+    ],
+)
+def test_wrong_options_are_refused_in_one_sentence(kind, options, part):
+    with pytest.raises(InvalidInputError, match=part):
+        create(kind, options, CONTEXT)
+
+
+def test_the_document_is_the_one_that_the_specifications_make():
+    path = Path(__file__).resolve().parents[3] / "docs" / "procedures.md"
+    assert path.read_text() == markdown(), "write docs/procedures.md anew: table.markdown()"
+
+
+def test_every_specification_speaks_of_both_autopilots():
+    for spec in PROCEDURES.values():
+        assert set(spec.autopilots) == {"ardupilot", "px4"}
+        assert all(h.writes and h.cannot_represent for h in spec.autopilots.values())
+
+
+@pytest.mark.parametrize("kind", PROCEDURES)
+def test_an_empty_recording_ends_with_a_cause_and_a_remedy(kind):
+    outcome = replay(kind, {}, CONTEXT, Recording(()))
+    assert "no" in outcome.cause
+    assert outcome.remedy
+
+
+@pytest.mark.parametrize("kind", PROCEDURES)
+def test_a_restart_of_the_vehicle_ends_every_procedure(kind, bench):
+    recording = bench().hold(4.0).record()
+    again = bench(start=3.0).hold(30.0).record()
+    both = Recording(
+        tuple(
+            type(a)(
+                a.sensor, a.instance, np.append(a.t, b.t), np.vstack([a.values, b.values]), a.unit, a.stage, a.source
+            )
+            for a, b in zip(recording.channels, again.channels, strict=True)
+        )
+    )
+    assert "restarted" in replay(kind, {}, CONTEXT, both).cause
+    armed = Recording(again.channels, events=(Event(6.0, "armed", "armed"),))
+    assert "armed" in replay(kind, {}, CONTEXT, armed).cause
+
+
+def test_replayed_and_live_give_the_same_digits(bench, chunks):
+    recording = bench().hold(20.0).record()
+    live = create("gyro", {}, CONTEXT)
+    for part in chunks(recording, np.arange(100.0, 120.0, 0.1)):
+        live.feed(part)
+    replayed = replay("gyro", {}, CONTEXT, recording)
+    assert isinstance(replayed, Done)
+    assert report.fit_to_json(live.outcome.results[0]) == report.fit_to_json(replayed.results[0])
+
+
+def test_what_a_procedure_says_is_json(bench):
+    procedure = create("gyro", {}, CONTEXT)
+    for step in procedure.feed(bench().hold(20.0).record()):
+        json.dumps(report.step_to_json(step), allow_nan=False)
+
+
+def test_an_ended_or_dumb_procedure_takes_no_answers(bench):
+    procedure = create("gyro", {}, CONTEXT)
+    with pytest.raises(ProcedureError, match="accepts none"):
+        procedure.answer("finish")
+    procedure.feed(bench().hold(20.0).record())
+    with pytest.raises(ProcedureError, match="has ended"):
+        procedure.answer("finish")
+
+
+def test_a_sensor_that_falls_silent_is_left_out(bench):
+    recording = bench(gyros=bench().gyros * 2, accels=bench().accels * 2).hold(30.0).record()
+    short = recording.with_channels(
+        c.between(0.0, 104.0) if (c.sensor, c.instance) == (Sensor.GYRO, 1) else c for c in recording.channels
+    )
+    outcome = replay("gyro", {"uncertainty": 0.003}, CONTEXT, short)
+    assert [f.instance for f in outcome.results] == [0]
+    assert any("gyro 2 stopped" in w for w in outcome.results[0].warnings)
