@@ -99,7 +99,7 @@ class MessageSamples:
 
 def _present(columns: dict[Sensor, NDArray[Any]]) -> dict[Sensor, Mask]:
     """Where the sensors are there: an accelerometer never reads three zeros, a good gyroscope at rest may."""
-    present: dict[Sensor, Mask] = {sensor: values.any(axis=1) for sensor, values in columns.items()}
+    present: dict[Sensor, Mask] = {sensor: np.asarray(values.any(axis=1)) for sensor, values in columns.items()}
     present[Sensor.GYRO] |= present[Sensor.ACCEL]
     if Sensor.TEMPERATURE in present:
         # 0 says "none": PX4 sends 1 for a true 0 degC; ArduPilot then sends 0, and the next sample tells

@@ -144,8 +144,8 @@ class TestMarks:
 
     def test_zero_bins_turn_with_the_board(self) -> None:
         zero = np.zeros((len(T), 3), dtype=bool)
-        zero[:, 0] = True  # body x is the board's -y under yaw 90
-        out = undo(recording(channel(RAW, zero_bin=zero), parameters=AP_BASE | {"AHRS_ORIENTATION": 2}))
+        zero[:, 0] = True  # under roll 90, pitch 90 the body is the board's (y, -z, -x)
+        out = undo(recording(channel(RAW, zero_bin=zero), parameters=AP_BASE | {"AHRS_ORIENTATION": 28}))
         marks = out.channel(Sensor.ACCEL).zero_bin
         assert marks is not None
         assert marks[0].tolist() == [False, True, False]

@@ -65,6 +65,10 @@ class TestWhose:
         with pytest.raises(UnreadableError, match="not among them"):
             read_tlog(data)
 
+    def test_a_ground_station_is_no_autopilot(self) -> None:
+        with pytest.raises(UnreadableError, match="heard: no autopilot"):
+            read_tlog(heartbeat(8, 250, 190))
+
     def test_another_system_is_not_here(self) -> None:
         with pytest.raises(UnreadableError, match="system id 7"):
             read_tlog(heartbeat() + STREAM, system=7)
