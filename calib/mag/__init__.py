@@ -1,0 +1,57 @@
+"""Magnetometer: offset and soft iron from turning it in the Earth's field, and how far to trust them.
+
+.. code-block:: text
+
+    minmax  sphere  ellipsoid_axis    the specified methods, starting values
+    ellipsoid                         the full fit: moments (one pass) -> distance (orthogonal) -> robust (outliers)
+    accumulator  coverage             for a live procedure: the fit so far, what it is worth, where to turn next
+    blur                              a compass that averages while it turns
+    orientation                       mounting rotation against the accelerometer
+    samples  shape  serial  heading  sections  result      what these share
+
+Every fit takes samples (N, 3) in order of time and the keywords of :class:`calib.mag.result.MagContext`, and returns a
+:class:`calib.fit.FitResult` over offset and matrix whose ``quality`` holds
+
+==========================  =====================================================================================
+``heading_sd_deg``          heading error at the worst heading, level and up to 30 deg of tilt, at ``heading_dip_deg``
+``offset_sd_ut``            offset error along the worst axis, uT; None where samples are counts and no field is known
+``coverage_mask``           ten bytes, the 80 sections of the sphere that the field was seen in; ``coverage`` 0..1
+``residual_rms``            distance from the ellipsoid, in the unit of the samples
+``chi2``, ``dof``           against ``noise_sd``, which is given or comes from successive residuals (``noise_from``)
+``variance_inflation``      largest factor by which residuals that are correlated in time widened the covariance
+``field_ratio``             measured over modelled field strength; None where one of them is not known
+``n_outliers``              samples that were left out
+``radius``, ``axis_ratio``  of the ellipsoid
+==========================  =====================================================================================
+"""
+
+from __future__ import annotations
+
+from calib.mag.accumulator import EllipsoidAccumulator
+from calib.mag.blur import deblurred, fit_ellipsoid_deblurred, rates_during
+from calib.mag.coverage import Advice, Coverage
+from calib.mag.ellipsoid import fit_ellipsoid
+from calib.mag.ellipsoid_axis import fit_ellipsoid_axis
+from calib.mag.heading import heading_sd_deg
+from calib.mag.minmax import fit_minmax
+from calib.mag.orientation import OrientationResult, Verdict, find_orientation
+from calib.mag.result import MagContext
+from calib.mag.sphere import fit_sphere
+
+__all__ = [
+    "Advice",
+    "Coverage",
+    "EllipsoidAccumulator",
+    "MagContext",
+    "OrientationResult",
+    "Verdict",
+    "deblurred",
+    "find_orientation",
+    "fit_ellipsoid",
+    "fit_ellipsoid_axis",
+    "fit_ellipsoid_deblurred",
+    "fit_minmax",
+    "fit_sphere",
+    "heading_sd_deg",
+    "rates_during",
+]
