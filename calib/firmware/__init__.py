@@ -25,10 +25,10 @@ __all__ = [
     "CALIBRATION_PREFIXES",
     "Assembler",
     "Undo",
+    "body_from_sensor",
     "calibration_changes",
     "calibration_in_force",
     "calibration_names",
-    "mounting",
     "requested_streams",
     "sensor_ids",
     "undo",
@@ -68,7 +68,7 @@ def sensor_ids(autopilot: str | None, parameters: Mapping[str, Value]) -> dict[t
     return ids
 
 
-def mounting(
+def body_from_sensor(
     autopilot: str | None, parameters: Mapping[str, Value], sensor: Sensor, instance: int
 ) -> NDArray[np.float64]:
     """``R_body_from_sensor``, shape (3, 3): undone samples are in the sensor's frame, poses are the body's."""

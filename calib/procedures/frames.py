@@ -29,7 +29,7 @@ def body_from_sensor(context: ProcedureContext, sensor: Sensor, instance: int) -
     if not _told(context):
         return np.eye(3)
     try:
-        return firmware.mounting(context.identity.autopilot, context.parameters, sensor, instance)
+        return firmware.body_from_sensor(context.identity.autopilot, context.parameters, sensor, instance)
     except FirmwareError:
         return np.eye(3)
 
