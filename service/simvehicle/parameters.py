@@ -146,6 +146,11 @@ class ParameterTable:
             self._index = {p.name: i for i, p in enumerate(self._listing)}
         return self._listing
 
+    def show(self, name: str) -> None:
+        """List a parameter from now on."""
+        self._by_name[name].listed = True
+        self._listing = None
+
     def index_of(self, name: str) -> int | None:
         """Position in the listing; None if the parameter is not listed."""
         self.listing()

@@ -86,10 +86,7 @@ class Px4Vehicle(Vehicle):
 
     def make_table(self) -> ParameterTable:
         """See Vehicle."""
-        return ParameterTable(names.px4_table(self.config), self._listed)
-
-    def _listed(self, name: str) -> bool:
-        return not names.hidden(name, self.table.mapping(), thermal_runs=not self.config.sitl)
+        return ParameterTable(names.px4_table(self.config))
 
     def load_parameters(self, parameters: list[Parameter]) -> None:
         """See Vehicle: PX4 lists by name, whatever the order of the file."""
@@ -99,6 +96,7 @@ class Px4Vehicle(Vehicle):
         """See Vehicle."""
         self.sensors.boot()
         self.parameters.boot()
+        names.mark_used(self.table, thermal_runs=not self.config.sitl)
         self.commands.boot()
         self.writer.boot()
         self.estimator = Estimator(self.config.seed + self.boots)
@@ -184,6 +182,7 @@ class Px4Vehicle(Vehicle):
 
     def _parameters_updated(self) -> None:
         self.sensors.update(armed=self.armed)
+        names.mark_used(self.table, thermal_runs=not self.config.sitl)
 
     # --- streams
 

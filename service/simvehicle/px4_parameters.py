@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 
 from service.simvehicle.config import VehicleConfig
-from service.simvehicle.parameters import Parameter, ParameterType, float32
+from service.simvehicle.parameters import Parameter, ParameterTable, ParameterType, float32
 
 ACCEL_IDS = GYRO_IDS = (1310988, 1310996, 1311004)
 MAG_IDS = (197388, 197644, 197900)
@@ -57,7 +57,17 @@ THR_MDL_FAC f 0|WV_EN i 0|WV_GAIN f 1|WV_ROLL_MIN f 1|WV_YRATE_MAX f 90"""
 def px4_table(config: VehicleConfig) -> list[Parameter]:
     """Every parameter of a board whose sensors have slots but no calibration, sorted by name."""
     entries = [*_ordinary(), *_inertial(config), *_magnetic(config), *_thermal(), *_baro()]
+    for parameter in entries:
+        parameter.listed = _listed_from_the_start(parameter.name, thermal_runs=not config.sitl)
     return sorted(entries, key=lambda p: p.name)
+
+
+def _listed_from_the_start(name: str, *, thermal_runs: bool) -> bool:
+    """Slots show their id (magnetometers also their rotation), modules their switches; the rest comes with use."""
+    if name.startswith("TC_"):
+        return thermal_runs and name in _THERMAL_SWITCH.values()
+    match = _SLOT.match(name)
+    return match is None or match.group(2) == "ID" or (name.startswith("CAL_MAG") and match.group(2) == "ROT")
 
 
 def _float(name: str, value: float) -> Parameter:
@@ -127,22 +137,21 @@ def _baro() -> Iterator[Parameter]:
         yield _int(f"CAL_BARO{k}_PRIO", UNINITIALISED)
 
 
-def hidden(name: str, values: dict[str, Parameter], *, thermal_runs: bool) -> bool:
-    """Whether a parameter is not "used", and so not listed.
-
-    Slots show their id; the rest of a slot appears with a non-zero id. TC_* appears while its module runs and the
-    sensor's switch is on; the switches themselves show wherever the module runs.
+def mark_used(table: ParameterTable, *, thermal_runs: bool) -> None:
+    """List what the firmware has begun to use, for good: the rest of a slot whose id was set, and a TC_ group whose
+    switch was on while its module runs.
     """
-    if name.startswith("TC_"):
-        switch = _THERMAL_SWITCH[name[3]]
-        return not thermal_runs or (name != switch and values[switch].value == 0)
-    match = _SLOT.match(name)
-    if match is None or match.group(2) == "ID":
-        return False
-    identity = values.get(f"{match.group(1)}_ID")
-    if identity is None or identity.value != 0:
-        return False
-    return not (name.startswith("CAL_MAG") and match.group(2) == "ROT")
+    used = {
+        match.group(1)
+        for parameter in table
+        if (match := _SLOT.match(parameter.name)) and match.group(2) == "ID" and parameter.value > 0
+    }
+    if thermal_runs:
+        used |= {f"TC_{sensor}" for sensor, switch in _THERMAL_SWITCH.items() if table.get(switch) != 0}
+    for parameter in table:
+        group = parameter.name[:4] if parameter.name.startswith("TC_") else parameter.name.rpartition("_")[0]
+        if not parameter.listed and group in used:
+            table.show(parameter.name)
 
 
 def is_volatile(name: str) -> bool:

@@ -11,7 +11,16 @@ from pathlib import Path
 
 from service.simvehicle.errors import ConfigurationError
 from service.simvehicle.vehicle import Channel, Vehicle
-from service.simvehicle.wire import MAGIC_V1, MAGIC_V2, SIGNATURE_LENGTH, Packer, Received, split_datagram
+from service.simvehicle.wire import (
+    MAGIC_V1,
+    MAGIC_V2,
+    SIGNATURE_LENGTH,
+    Packer,
+    Received,
+    decode_frame,
+    message_id_of,
+    split_datagram,
+)
 
 TIMESTAMP_LENGTH = 8
 
@@ -48,19 +57,25 @@ def read_frames(path: Path) -> Iterator[Frame]:
         length = data[position + 1] + (12 if magic == MAGIC_V2 else 8)
         length += SIGNATURE_LENGTH if magic == MAGIC_V2 and data[position + 2] & 1 else 0
         frame = data[position : position + length]
-        v2 = magic == MAGIC_V2
-        message_id = int.from_bytes(frame[7:10], "little") if v2 else frame[5]
-        yield Frame((micros - start) * 1e-6, message_id, frame[5] if v2 else frame[3], frame)
+        system = frame[5] if magic == MAGIC_V2 else frame[3]
+        yield Frame((micros - start) * 1e-6, message_id_of(frame), system, frame)
         position += length
 
 
 def heard(frames: list[Frame], system: int, message_ids: Container[int]) -> list[Heard]:
     """The decoded messages of one system, of these ids only; frames that are not in the dialect are left out."""
     chosen = [f for f in frames if f.system == system and f.message_id in message_ids]
-    return [Heard(f.t, received) for f in chosen for received in split_datagram(f.data)]
+    return [Heard(f.t, received) for f in chosen if (received := decode_frame(f.data)) is not None]
 
 
-def replay(vehicle: Vehicle, frames: list[Frame], station: int, boot_offset: float, step: float = 0.005) -> list[Heard]:
+def replay(
+    vehicle: Vehicle,
+    frames: list[Frame],
+    station: int,
+    boot_offset: float,
+    step: float = 0.005,
+    message_ids: Container[int] | None = None,
+) -> list[Heard]:
     """Give a vehicle the requests of one system at their recorded times; what it says, in the recording's time.
 
     Args:
@@ -69,6 +84,7 @@ def replay(vehicle: Vehicle, frames: list[Frame], station: int, boot_offset: flo
         station: system id of the ground station in it.
         boot_offset: vehicle time at the recording's first frame, s.
         step: what a time of the answer may be late by, s.
+        message_ids: what to decode of the answers; None: everything.
     """
     said: list[tuple[float, bytes]] = []
     clock = _Clock(vehicle, boot_offset)
@@ -82,7 +98,8 @@ def replay(vehicle: Vehicle, frames: list[Frame], station: int, boot_offset: flo
             for received in split_datagram(frame.data):
                 vehicle.receive(vehicle.channels[0], received)
     clock.run_to(frames[-1].t + step, step)
-    return [Heard(t, received) for t, data in said for received in split_datagram(data)]
+    wanted = [(t, data) for t, data in said if message_ids is None or message_id_of(data) in message_ids]
+    return [Heard(t, answer) for t, data in wanted if (answer := decode_frame(data)) is not None]
 
 
 class _Clock:

@@ -88,7 +88,7 @@ class Splitter:
                     return
                 del self._buffer[0]
                 continue
-            received = _decoded(bytes(self._buffer[:length]))
+            received = decode_frame(bytes(self._buffer[:length]))
             # A false magic number inside damaged bytes must not swallow the good frame behind it.
             del self._buffer[: length if received is not None else 1]
             if received is not None:
@@ -111,11 +111,16 @@ def _frame_length(buffer: bytearray) -> int | None:
     return int(buffer[1]) + 12 + signed
 
 
-def _decoded(frame: bytes) -> Received | None:
+def message_id_of(frame: bytes) -> int:
+    """The message id in a frame's header."""
+    return int.from_bytes(frame[7:10], "little") if frame[0] == MAGIC_V2 else frame[5]
+
+
+def decode_frame(frame: bytes) -> Received | None:
+    """One whole frame; None where its id is unknown or its checksum does not hold."""
     v2 = frame[0] == MAGIC_V2
     header = 10 if v2 else 6
-    identifier = int.from_bytes(frame[7:10], "little") if v2 else frame[5]
-    message_class = dialect.mavlink_map.get(identifier)
+    message_class = dialect.mavlink_map.get(message_id_of(frame))
     if message_class is None:
         return None
     end = header + frame[1]
