@@ -1,0 +1,55 @@
+"""Recordings out of files: the content says which reader it is for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from calib.errors import InvalidInputError, UnreadableError
+from calib.logs.tables import read_table
+from calib.logs.tlog import read_tlog
+from calib.recording import Recording
+
+_LATER = {b"\xa3\x95": "a DataFlash log", b"ULog": "a ULog", b"FMT": "a DataFlash log as text"}
+_MAVLINK_STARTS = (0xFD, 0xFE)
+_TLOG_OPTIONS = ("start", "end", "system")
+
+
+def read(path: Path | str, **options: Any) -> Recording:
+    """Read a telemetry log (.tlog) or a table (.csv and the like, .npz, .mat).
+
+    Parameters
+    ----------
+    path
+        The file.
+    **options
+        Those of :func:`calib.logs.tables.read_table`, and for a .tlog those of
+        :func:`calib.logs.tlog.read_tlog`; a .tlog states its own frames and units.
+
+    Raises
+    ------
+    UnreadableError
+        If the file cannot be opened, is neither, or is damaged.
+    InvalidInputError
+        If an option does not apply.
+    """
+    file = Path(path)
+    try:
+        with file.open("rb") as opened:
+            head = opened.read(9)
+    except OSError as error:
+        raise UnreadableError(f"{file.name} cannot be opened: {error.strerror or error}") from error
+    for start, what in _LATER.items():
+        if head.lstrip().startswith(start):
+            raise UnreadableError(f"{file.name} is {what}: those cannot be read yet; give a .tlog or a table")
+    if file.suffix.lower() == ".tlog" or (len(head) == 9 and head[8] in _MAVLINK_STARTS and head[0] == 0):
+        if options.get("mapping"):
+            raise InvalidInputError(f"{file.name} is a telemetry log, its fields are known: leave the mapping out")
+        return read_tlog(file, **{key: options[key] for key in _TLOG_OPTIONS if key in options})
+    unknown = [key for key in _TLOG_OPTIONS if options.get(key)]
+    if unknown:
+        raise InvalidInputError(f"{', '.join(unknown)} belongs to telemetry logs; {file.name} is a table")
+    return read_table(file, **{key: value for key, value in options.items() if key not in _TLOG_OPTIONS})
+
+
+__all__ = ["read", "read_table", "read_tlog"]

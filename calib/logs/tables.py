@@ -1,0 +1,392 @@
+"""Tables as recordings and back: the interchange format, and foreign tables with a mapping.
+
+One row a time stamp; an empty cell or nan means no sample then. Columns: ``t segment``, ``accel_x,y,z gyro_x,y,z
+mag_x,y,z`` (a second instance is ``accel2_x`` …), ``temperature current throttle motor_1… rotor_hz_1…`` and
+``q_w,q_x,q_y,q_z``. Units are those of the contract, or stated.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib import STANDARD_GRAVITY
+from calib.errors import InvalidInputError, UnreadableError
+from calib.logs.columns import Columns, mat_columns, npz_columns, text_columns
+from calib.recording import Channel, Event, Recording, Rounding, Segment, Sensor, Stage
+
+Array = NDArray[np.float64]
+
+UNITS: Mapping[Sensor, Mapping[str, float]] = {
+    Sensor.ACCEL: {"si": 1.0, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY, "counts": 1.0},
+    Sensor.GYRO: {"si": 1.0, "deg/s": np.pi / 180.0, "mrad/s": 1e-3, "counts": 1.0},
+    Sensor.MAG: {"uT": 1.0, "si": 1.0, "mgauss": 0.1, "gauss": 100.0, "counts": 1.0},
+}
+"""Factors to the unit of the contract; counts stay counts."""
+
+_SI = {
+    Sensor.ACCEL: "m/s2",
+    Sensor.GYRO: "rad/s",
+    Sensor.MAG: "uT",
+    Sensor.TEMPERATURE: "degC",
+    Sensor.CURRENT: "A",
+    Sensor.THROTTLE: "1",
+    Sensor.MOTOR: "1",
+    Sensor.ROTOR_SPEED: "Hz",
+    Sensor.ATTITUDE: "1",
+}
+_TRIADS = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
+_SINGLE = (Sensor.TEMPERATURE, Sensor.CURRENT, Sensor.THROTTLE)
+_CANONICAL = re.compile(
+    r"(?P<triad>accel|gyro|mag)(?P<of>[1-9]?)_(?P<axis>[xyz])|(?P<one>temperature|current|throttle)(?P<nr>[1-9]?)"
+    r"|(?P<many>motor|rotor_hz)_(?P<k>[1-9]\d?)|q_(?P<q>[wxyz])|t|segment"
+    r"|ref_(accel|gyro|mag)_[xyz]|ref_q_[wxyz]|ref_pos_[ned]|ref_vel_[ned]"
+)
+_FRD_FROM_FLU = np.array([1.0, -1.0, -1.0])
+NO_TIME = "no_time"
+"""Kind of the event that says that rows were counted because the table has no time."""
+
+
+def read_table(
+    path: Path | str,
+    *,
+    mapping: Mapping[str, str] | None = None,
+    world: Literal["ned", "enu"] = "ned",
+    body: Literal["frd", "flu"] = "frd",
+    rate: float | None = None,
+    unit_accel: str = "si",
+    unit_gyro: str = "si",
+    unit_mag: str = "uT",
+) -> Recording:
+    """Read a table (.csv and the like, .npz, .mat) as a recording of raw samples.
+
+    Parameters
+    ----------
+    path
+        The file; what it is shows from its content.
+    mapping
+        Canonical name to column, by header name or 0-based number, with an optional factor:
+        ``{"accel_x": "ax*9.80665"}``.
+    world, body
+        Frames of the attitude and of the vectors in the file; the recording is north-east-down and forward-right-down.
+    rate
+        Samples a second where the table has no ``t``; None: rows are counted, one a second.
+    unit_accel, unit_gyro, unit_mag
+        Units of the columns, after the mapping's factors: keys of :data:`UNITS`.
+
+    Raises
+    ------
+    UnreadableError
+        If the file is no table, or a column is missing; the message lists what there is.
+    InvalidInputError
+        If an option is unknown, or time goes back.
+    """
+    units = _checked_units(unit_accel, unit_gyro, unit_mag)
+    if rate is not None and not (np.isfinite(rate) and rate > 0.0):
+        raise InvalidInputError(f"a rate is a positive number of samples a second, not {rate}")
+    if world not in {"ned", "enu"} or body not in {"frd", "flu"}:
+        raise InvalidInputError(f"world is ned or enu and body frd or flu, not {world} and {body}")
+    columns = read_columns(Path(path))
+    table = _Table.of(columns, mapping or {})
+    t, events = _time(table, columns, rate)
+    order = [key for key in table.cells if key not in {"t", "segment"}]
+    channels = [
+        channel
+        for sensor, instance in _present(order)
+        if (channel := _channel(table, sensor, instance, t, units, body, world)) is not None
+    ]
+    if not channels:
+        raise UnreadableError(
+            "no column is named as a sensor (accel_x, gyro_x, mag_x, temperature ...); the table has "
+            f"{columns.listed()}: name them with --map"
+        )
+    if columns.damage:
+        events += (Event(float(t[0]), "damage", columns.damage),)
+    return Recording(channels=tuple(channels), events=events, segments=_segments(table, t), source=str(Path(path).name))
+
+
+def read_columns(path: Path) -> Columns:
+    """The columns of the file, whatever kind of table it is.
+
+    Raises
+    ------
+    UnreadableError
+        If the file cannot be opened or is no table.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise UnreadableError(f"{path.name} cannot be opened: {error.strerror or error}") from error
+    if data[:4] == b"PK\x03\x04":
+        return npz_columns(data)
+    if data[:6] == b"MATLAB" or data[1:4] == b"HDF":
+        return mat_columns(data)
+    return text_columns(data)
+
+
+def write_table(recording: Recording, path: Path | str) -> None:
+    """Write the best channel of every sensor and instance as .csv or .npz, SI units, one row a time stamp.
+
+    Parameters
+    ----------
+    recording
+        Positions and parameters have no column and are left out; counts are written as counts.
+    path
+        Ends in ``.csv`` or ``.npz``.
+
+    Raises
+    ------
+    InvalidInputError
+        If the ending is another one, or there is nothing to write.
+    """
+    target = Path(path)
+    channels = [
+        recording.channel(sensor, instance)
+        for sensor in _SI
+        for instance in recording.instances(sensor)
+        if any(c.stage != Stage.DEBIASED for c in recording.find(sensor, instance))
+    ]
+    if not channels:
+        raise InvalidInputError("the recording has no samples that a table can hold")
+    t = np.unique(np.concatenate([c.t for c in channels]))
+    columns = {"t": t}
+    for channel in channels:
+        rows = np.searchsorted(t, channel.t)
+        for name, values in zip(_column_names(channel), channel.values.T, strict=True):
+            columns[name] = np.full(len(t), np.nan)
+            columns[name][rows] = values
+    labels = np.full(len(t), "", dtype=object)
+    for segment in recording.segments:
+        labels[(t >= segment.start) & (t < segment.end)] = segment.label
+    if target.suffix == ".npz":
+        arrays: dict[str, Any] = {**columns, **({"segment": labels.astype(str)} if recording.segments else {})}
+        np.savez(target, **arrays)
+    elif target.suffix == ".csv":
+        _write_csv(target, columns, labels if recording.segments else None)
+    else:
+        raise InvalidInputError(f"a table ends in .csv or .npz, not {target.suffix or 'nothing'}")
+
+
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """Canonical columns of the file."""
+
+    cells: dict[str, Array]
+    labels: tuple[str, ...] | None
+
+    @classmethod
+    def of(cls, columns: Columns, mapping: Mapping[str, str]) -> _Table:
+        chosen: dict[str, tuple[int, float]] = {}
+        for index, name in enumerate(columns.names):
+            if _CANONICAL.fullmatch(name.lower()):
+                chosen[name.lower()] = (index, 1.0)
+        for name, column in mapping.items():
+            if not _CANONICAL.fullmatch(name):
+                raise InvalidInputError(
+                    f"{name!r} is no column of a recording: t, segment, accel_x, gyro_x, mag_x, temperature, current, "
+                    "throttle, motor_1, rotor_hz_1, q_w and their like are"
+                )
+            wanted, factor = _factor(name, column)
+            chosen[name] = (columns.index(wanted), factor)
+        cells: dict[str, Array] = {}
+        for name, (index, factor) in chosen.items():
+            cells[name] = columns.values[index] * factor if factor != 1.0 else columns.values[index]
+            _check_cells(name, columns, index)
+        labels = None
+        if "segment" in chosen:
+            index = chosen["segment"][0]
+            labels = columns.texts.get(index) or tuple(_label(value) for value in columns.values[index])
+        return cls(cells, labels)
+
+
+def _factor(name: str, column: str) -> tuple[str, float]:
+    wanted, star, text = column.rpartition("*")
+    if not star:
+        return column.strip(), 1.0
+    try:
+        factor = float(text)
+    except ValueError:
+        raise InvalidInputError(f"{name}={column}: {text!r} is no factor; write {name}=COLUMN*9.80665") from None
+    if not (np.isfinite(factor) and factor != 0.0):
+        raise InvalidInputError(f"{name}={column}: a factor is finite and not zero")
+    return wanted.strip(), factor
+
+
+def _check_cells(name: str, columns: Columns, index: int) -> None:
+    if name == "segment" or index not in columns.texts:
+        return
+    bad = next(
+        cell for cell, value in zip(columns.texts[index], columns.values[index], strict=True) if cell and value != value
+    )
+    share = float(np.isnan(columns.values[index]).mean())
+    if share > 0.5 or not bad:
+        raise UnreadableError(f"column {name} holds texts such as {bad!r}: map it to a column of numbers")
+
+
+def _label(value: float) -> str:
+    if not np.isfinite(value):
+        return ""
+    return str(int(value)) if value == int(value) else str(value)
+
+
+def _time(table: _Table, columns: Columns, rate: float | None) -> tuple[Array, tuple[Event, ...]]:
+    if "t" not in table.cells:
+        t = np.arange(columns.rows) / (rate or 1.0)
+        text = "the table has no time column: rows are counted, one a second; give --rate"
+        return t, () if rate else (Event(0.0, NO_TIME, text),)
+    t = table.cells["t"]
+    if not np.isfinite(t).all():
+        row = int(np.flatnonzero(~np.isfinite(t))[0])
+        raise InvalidInputError(
+            f"row {row + 1} of the table has no time: fill column t, or leave it out and give --rate"
+        )
+    back = np.flatnonzero(np.diff(t) < 0)
+    if len(back):
+        row = int(back[0]) + 1
+        raise InvalidInputError(
+            f"time goes back at row {row + 1} (from {t[row - 1]:.6g} to {t[row]:.6g} s): cut the table there, or leave t "
+            "out and give --rate"
+        )
+    return t, ()
+
+
+def _present(names: list[str]) -> list[tuple[Sensor, int]]:
+    """Sensors and instances that have a column, in a fixed order."""
+    found: set[tuple[Sensor, int]] = set()
+    for name in names:
+        match = _CANONICAL.fullmatch(name)
+        assert match is not None
+        if match["triad"]:
+            found.add((Sensor(match["triad"]), int(match["of"] or 1) - 1))
+        elif match["one"]:
+            found.add((Sensor(match["one"]), int(match["nr"] or 1) - 1))
+        elif match["many"]:
+            found.add((Sensor.MOTOR if match["many"] == "motor" else Sensor.ROTOR_SPEED, 0))
+        elif match["q"]:
+            found.add((Sensor.ATTITUDE, 0))
+    return sorted(found, key=lambda key: (list(_SI).index(key[0]), key[1]))
+
+
+def _channel(
+    table: _Table, sensor: Sensor, instance: int, t: Array, units: Mapping[Sensor, str], body: str, world: str
+) -> Channel | None:
+    """The rows of that sensor that have a sample; None if none has."""
+    names = _names_of(table, sensor, instance)
+    missing = [name for name in names if name not in table.cells]
+    if missing:
+        raise UnreadableError(f"{', '.join(names)} are needed together; {', '.join(missing)} is missing")
+    values = np.column_stack([table.cells[name] for name in names])
+    there = ~np.isnan(values).any(axis=1)
+    values, t = values[there], t[there]
+    if not len(values):
+        return None
+    unit = units.get(sensor, "si")
+    values = values * UNITS.get(sensor, {}).get(unit, 1.0)
+    counts = unit == "counts" and bool((values == np.round(values)).all())
+    if sensor in _TRIADS and body == "flu":
+        values = values * _FRD_FROM_FLU
+    if sensor == Sensor.ATTITUDE:
+        values = _ned_from_frd(values, body=body, world=world)
+    return Channel(
+        sensor=sensor,
+        instance=instance,
+        t=t,
+        values=values,
+        unit="counts" if unit == "counts" else _SI[sensor],
+        stage=Stage.RAW,
+        source="table",
+        quantum=1.0 if counts else 0.0,
+        rounding=Rounding.NEAREST if counts else Rounding.NONE,
+    )
+
+
+def _names_of(table: _Table, sensor: Sensor, instance: int) -> tuple[str, ...]:
+    number = (
+        "" if instance == 0 and f"{sensor}1_x" not in table.cells and f"{sensor}1" not in table.cells else instance + 1
+    )
+    if sensor in _TRIADS:
+        return tuple(f"{sensor}{number}_{axis}" for axis in "xyz")
+    if sensor in _SINGLE:
+        return (f"{sensor}{number}",)
+    if sensor == Sensor.ATTITUDE:
+        return tuple(f"q_{part}" for part in "wxyz")
+    prefix = "motor" if sensor == Sensor.MOTOR else "rotor_hz"
+    count = max(int(name.rpartition("_")[2]) for name in table.cells if name.startswith(f"{prefix}_"))
+    return tuple(f"{prefix}_{k + 1}" for k in range(count))
+
+
+def _ned_from_frd(q: Array, *, body: str, world: str) -> Array:
+    """Unit quaternions (N, 4) body to north-east-down, from those of the file's frames.
+
+    With ENU = (y, x, -z) of NED, a turn by pi about (1, 1, 0); FLU is FRD turned by pi about x.
+    """
+    size = np.linalg.norm(q, axis=1)
+    if (np.abs(size - 1.0) > 0.05).any():
+        row = int(np.argmax(np.abs(size - 1.0)))
+        raise InvalidInputError(
+            f"q_w,q_x,q_y,q_z of sample {row + 1} have length {size[row]:.3g}: quaternions have length 1"
+        )
+    q = q / size[:, None]
+    if world == "enu":
+        q = _product(np.array([[0.0, np.sqrt(0.5), np.sqrt(0.5), 0.0]]), q)
+    if body == "flu":
+        q = _product(q, np.array([[0.0, 1.0, 0.0, 0.0]]))
+    return q
+
+
+def _product(p: Array, q: Array) -> Array:
+    """Hamilton's product of quaternions w x y z."""
+    pw, pv, qw, qv = p[:, :1], p[:, 1:], q[:, :1], q[:, 1:]
+    w = pw * qw - (pv * qv).sum(axis=1, keepdims=True)
+    return np.hstack([w, pw * qv + qw * pv + np.cross(pv, qv)])
+
+
+def _segments(table: _Table, t: Array) -> tuple[Segment, ...]:
+    if table.labels is None or not len(t):
+        return ()
+    labels = table.labels
+    step = float(np.median(np.diff(t))) if len(t) > 1 else 1.0
+    edges = [0, *(i for i in range(1, len(labels)) if labels[i] != labels[i - 1]), len(labels)]
+    return tuple(
+        Segment(labels[i], float(t[i]), float(t[j]) if j < len(t) else float(t[-1]) + (step or 1.0))
+        for i, j in pairwise(edges)
+        if labels[i]
+    )
+
+
+def _checked_units(accel: str, gyro: str, mag: str) -> dict[Sensor, str]:
+    units = {Sensor.ACCEL: accel, Sensor.GYRO: gyro, Sensor.MAG: mag}
+    for sensor, unit in units.items():
+        if unit not in UNITS[sensor]:
+            raise InvalidInputError(f"the unit of {sensor} is one of {', '.join(UNITS[sensor])}, not {unit!r}")
+    return units
+
+
+def _column_names(channel: Channel) -> tuple[str, ...]:
+    number = "" if channel.instance == 0 else str(channel.instance + 1)
+    if channel.sensor in _TRIADS:
+        return tuple(f"{channel.sensor}{number}_{axis}" for axis in "xyz")
+    if channel.sensor in _SINGLE:
+        return (f"{channel.sensor}{number}",)
+    if channel.sensor == Sensor.ATTITUDE:
+        return tuple(f"q_{part}" for part in "wxyz")
+    prefix = "motor" if channel.sensor == Sensor.MOTOR else "rotor_hz"
+    return tuple(f"{prefix}_{k + 1}" for k in range(channel.values.shape[1]))
+
+
+def _write_csv(target: Path, columns: Mapping[str, Array], labels: NDArray[np.object_] | None) -> None:
+    names = [*columns, *(("segment",) if labels is not None else ())]
+    with target.open("w", encoding="utf-8", newline="\n") as file:
+        file.write(",".join(names) + "\n")
+        for row, numbers in enumerate(zip(*(values.tolist() for values in columns.values()), strict=True)):
+            cells = ["" if number != number else repr(number) for number in numbers]
+            if labels is not None:
+                cells.append(str(labels[row]))
+            file.write(",".join(cells) + "\n")
