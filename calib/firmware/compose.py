@@ -9,10 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from calib.errors import FirmwareError
-from calib.firmware.compose_ardupilot import compose_imu
+from calib.firmware import compose_ardupilot, compose_px4
 from calib.firmware.draft import ComposeOptions, Draft
 from calib.firmware.fitted import pair_fits, usable_fits
+from calib.firmware.mag_ardupilot import compose_compasses
+from calib.firmware.mag_px4 import compose_magnetometers
 from calib.firmware.plan import Fingerprint, Value, WritePlan
+from calib.firmware.trim import adjust_trim, compose_level, is_level
 from calib.fit import FitResult
 from calib.recording import Sensor
 
@@ -53,10 +56,19 @@ def compose(
         If the autopilot is unknown, or its present calibration is not complete enough to build on.
     """
     draft = Draft(parameters, options)
-    pairs = pair_fits(usable_fits(draft, fits))
+    usable = usable_fits(draft, fits)
+    sensors = [fit for fit in usable if not is_level(fit)]
+    pairs = pair_fits(sensors)
     imu = [pair for pair in pairs if pair.about.sensor != Sensor.MAG]
+    mags = [pair for pair in pairs if pair.about.sensor == Sensor.MAG]
     if fingerprint.autopilot == "ardupilot":
-        compose_imu(draft, imu)
+        compose_ardupilot.compose_imu(draft, imu)
+        compose_compasses(draft, mags)
+    elif fingerprint.autopilot == "px4":
+        compose_px4.compose_imu(draft, imu)
+        compose_magnetometers(draft, mags)
     else:
         raise FirmwareError(f"calibrations cannot be written to the autopilot {fingerprint.autopilot}")
+    adjust_trim(draft, fingerprint.autopilot, sensors)
+    compose_level(draft, fingerprint.autopilot, [fit for fit in usable if is_level(fit)])
     return draft.plan(fingerprint)

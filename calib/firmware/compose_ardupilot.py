@@ -16,8 +16,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import STANDARD_GRAVITY
 from calib.firmware import ardupilot, losses
+from calib.firmware.announce import lose_accel, lose_gyro_matrix, offsets_usable, scale_usable
 from calib.firmware.draft import Draft, Rank, Subject
 from calib.firmware.fitted import Pair, offset_at
 from calib.firmware.names import OFFSET, SCALE, Role
@@ -44,29 +44,16 @@ def compose_imu(draft: Draft, pairs: Sequence[Pair]) -> None:
         absolute = pair.absolute
         if absolute is None:
             continue
-        if not _offsets_usable(draft, pair.about, names, absolute):
+        if not offsets_usable(draft, pair.about, absolute, thermal=thermal_in_force(draft, names)):
             continue
         _set_offsets(draft, pair.about, names, absolute)
         if pair.about.sensor == Sensor.ACCEL:
             _set_scale(draft, pair.about, names, absolute)
         else:
-            _lose_gyro_matrix(draft, pair.about, absolute)
+            lose_gyro_matrix(draft, pair.about, absolute)
     if any(p.about.sensor == Sensor.GYRO and p.absolute is not None for p in pairs):
         _boot_calibration(draft)
     _check_other_instances(draft, pairs)
-
-
-def _offsets_usable(draft: Draft, about: Subject, names: Names, fit: FitResult) -> bool:
-    """Whether the undetermined offsets, if any, may stay as they are beside the others."""
-    missing = [a for a in AXES if not fit.determined(f"offset_{a}")]
-    if not missing:
-        return True
-    which = f"{about}: the offset of {', '.join(missing)} is not determined"
-    if about.sensor == Sensor.ACCEL or thermal_in_force(draft, names):
-        draft.block(f"{which}, and the others do not hold without it. {fit.message}")
-        return False
-    draft.warn(f"{which} and stays as it is. {fit.message}")
-    return True
 
 
 def _set_offsets(draft: Draft, about: Subject, names: Names, fit: FitResult) -> None:
@@ -122,13 +109,8 @@ def _set_temperature(draft: Draft, about: Subject, names: Names, temperature: fl
 
 
 def _set_scale(draft: Draft, about: Subject, names: Names, fit: FitResult) -> None:
-    matrix_sd = np.diag(fit.covariance)[losses.MATRIX]
-    if not np.any(matrix_sd):
-        _keep_scale(draft, about, names, fit)
-        return
-    undetermined = [n for n in ("matrix_xx", "matrix_yy", "matrix_zz") if not fit.determined(n)]
-    if undetermined:
-        draft.block(f"{about}: {', '.join(undetermined)} are not determined. {fit.message}")
+    in_force = np.array([float(draft.parameters.get(names[role], 1.0)) for role in SCALE])
+    if not scale_usable(draft, about, fit, in_force):
         return
     parts = losses.split(fit)
     for axis, role in enumerate(SCALE):
@@ -140,53 +122,7 @@ def _set_scale(draft: Draft, about: Subject, names: Names, fit: FitResult) -> No
             about=about,
             sd=float(parts.sd[3 + axis]),
         )
-    lose_accel(draft, about, parts, np.diag(parts.diagonal), ardupilot.board_rotation(draft.parameters))
-
-
-def _keep_scale(draft: Draft, about: Subject, names: Names, fit: FitResult) -> None:
-    """A fit that assumed scale 1 must not be combined with another scale."""
-    scales = [float(draft.parameters.get(names[role], 1.0)) for role in SCALE]
-    if not np.allclose(scales, 1.0, rtol=0, atol=1e-6) or not np.allclose(fit.model.matrix, np.eye(3)):
-        draft.block(
-            f"{about}: this fit assumes a scale of 1, but {names[SCALE[0]][:-2]} is {scales}; an offset taken that way "
-            "does not fit to it. Calibrate with six poses"
-        )
-
-
-def lose_accel(draft: Draft, about: Subject, parts: losses.Parts, stored: Array, body_from_sensor: Array) -> None:
-    """Announce what of an accelerometer's matrix the firmware cannot hold."""
-    cost = losses.largest_error(stored, parts.symmetric, STANDARD_GRAVITY)
-    if cost > 0.0:
-        draft.lose(
-            about,
-            "cross terms",
-            cost,
-            "m/s2",
-            f"{about}: cross-axis terms {np.array2string(parts.cross, precision=5)} cannot be stored; "
-            f"up to {cost:.4f} m/s2 stay, depending on the attitude",
-        )
-    angle = min(losses.rotation_angle(parts.rotation), losses.rotation_angle(body_from_sensor.T @ parts.rotation))
-    if angle > 1e-9:
-        draft.lose(
-            about,
-            "mounting",
-            2.0 * STANDARD_GRAVITY * np.sin(0.5 * angle),
-            "m/s2",
-            f"{about}: turned by {np.degrees(angle):.3f} deg in its mounting; there is no parameter for one sensor. "
-            "What is common to all sensors goes into the level trim: run the level job",
-        )
-
-
-def _lose_gyro_matrix(draft: Draft, about: Subject, fit: FitResult) -> None:
-    cost = losses.largest_error(np.eye(3), fit.model.matrix, 1.0)
-    if cost > 0.0:
-        draft.lose(
-            about,
-            "scale and misalignment",
-            cost,
-            "rad/s at 1 rad/s",
-            f"{about}: scale and misalignment cannot be stored; up to {100.0 * cost:.3f} % of the rate stay",
-        )
+    lose_accel(draft, about, parts, parts.diagonal, ardupilot.board_rotation(draft.parameters))
 
 
 def _boot_calibration(draft: Draft) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.firmware import ardupilot, losses
+from calib.firmware.announce import lose_drift
 from calib.firmware.ardupilot import T_REF, THERMAL_SCALE
 from calib.firmware.draft import Draft, Rank, Subject
 from calib.firmware.fitted import Pair
@@ -113,16 +114,12 @@ def _reference_known(draft: Draft, pair: Pair, names: Mapping[Sensor, Names]) ->
     name = names[pair.about.sensor][Role.TEMPERATURE]
     if float(draft.parameters.get(name, -300.0)) > -100.0:  # the firmware's "unknown" is -300
         return True
-    polynomial = drift.model.polynomial
-    assert polynomial is not None
-    cost = float(np.ptp(polynomial(np.linspace(polynomial.t_min, polynomial.t_max, 101)), axis=0).max())
-    draft.lose(
+    lose_drift(
+        draft,
         pair.about,
-        "temperature drift",
-        cost,
-        "m/s2" if pair.about.sensor == Sensor.ACCEL else "rad/s",
-        f"{pair.about}: its drift is not written, because {name} does not say at which temperature the offset in force "
-        f"was taken. Run the {pair.about.sensor} job first, then this one again",
+        drift,
+        f"{name} does not say at which temperature the offset in force was taken. Run the {pair.about.sensor} job "
+        "first, then this one again",
     )
     return False
 

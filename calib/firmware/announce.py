@@ -1,0 +1,90 @@
+"""Losses and refusals that both autopilots have in common."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib import STANDARD_GRAVITY
+from calib.firmware import losses
+from calib.firmware.draft import Draft, Subject
+from calib.fit import AXES, FitResult
+from calib.recording import Sensor
+
+Array = NDArray[np.float64]
+
+ALIGNED = 1e-9
+"""rad; smaller turns are rounding."""
+
+
+def offsets_usable(draft: Draft, about: Subject, fit: FitResult, *, thermal: bool) -> bool:
+    """Whether the undetermined offsets, if any, may stay as they are beside the others."""
+    missing = [a for a in AXES if not fit.determined(f"offset_{a}")]
+    if not missing:
+        return True
+    which = f"{about}: the offset of {', '.join(missing)} is not determined"
+    if about.sensor == Sensor.ACCEL or thermal:
+        draft.block(f"{which}, and the others do not hold without it. {fit.message}")
+        return False
+    draft.warn(f"{which} and stays as it is. {fit.message}")
+    return True
+
+
+def scale_usable(draft: Draft, about: Subject, fit: FitResult, in_force: Array) -> bool:
+    """Whether the fit says what the scales are; if it assumed 1, nothing else may be in force (`in_force`, (3,))."""
+    if not np.any(np.diag(fit.covariance)[losses.MATRIX]):
+        if not np.allclose(in_force, 1.0, rtol=0, atol=1e-6) or not np.allclose(fit.model.matrix, np.eye(3)):
+            draft.block(
+                f"{about}: this fit assumes a scale of 1, but the scales in force are {in_force.tolist()}; an offset "
+                "taken that way does not fit to them. Calibrate with six poses"
+            )
+        return False
+    undetermined = [n for n in ("matrix_xx", "matrix_yy", "matrix_zz") if not fit.determined(n)]
+    if undetermined:
+        draft.block(f"{about}: {', '.join(undetermined)} are not determined. {fit.message}")
+        return False
+    return True
+
+
+def lose_accel(draft: Draft, about: Subject, parts: losses.Parts, stored: Array, body_from_sensor: Array) -> None:
+    """Announce what of an accelerometer's matrix is left out if its scales are `stored` (3,)."""
+    cost = losses.largest_error(np.diag(stored), parts.symmetric, STANDARD_GRAVITY)
+    if cost > 0.0:
+        cross = ", ".join(f"{c:.5f}" for c in parts.cross)
+        what, text = "cross terms", f"cross-axis terms (xy xz yz: {cross}) cannot be stored"
+        if not np.allclose(stored, parts.diagonal, rtol=0, atol=1e-6):
+            what, text = "scale and cross terms", f"scales so near to 1 never reach PX4's memory, and {text}"
+        draft.lose(about, what, cost, "m/s2", f"{about}: {text}; up to {cost:.4f} m/s2 stay, depending on the attitude")
+    angle = min(losses.rotation_angle(parts.rotation), losses.rotation_angle(body_from_sensor.T @ parts.rotation))
+    if angle > ALIGNED:
+        draft.lose(
+            about,
+            "mounting",
+            2.0 * STANDARD_GRAVITY * np.sin(0.5 * angle),
+            "m/s2",
+            f"{about}: turned by {np.degrees(angle):.3f} deg in its mounting; there is no parameter for one sensor. "
+            "What is common to all sensors goes into the level trim: run the level job",
+        )
+
+
+def lose_gyro_matrix(draft: Draft, about: Subject, fit: FitResult) -> None:
+    """Announce a gyroscope's scale and misalignment, which neither firmware can store."""
+    cost = losses.largest_error(np.eye(3), fit.model.matrix, 1.0)
+    if cost > 0.0:
+        draft.lose(
+            about,
+            "scale and misalignment",
+            cost,
+            "rad/s at 1 rad/s",
+            f"{about}: scale and misalignment cannot be stored; up to {100.0 * cost:.3f} % of the rate stay",
+        )
+
+
+def lose_drift(draft: Draft, about: Subject, fit: FitResult, why: str) -> None:
+    """Announce a temperature drift that is not written."""
+    polynomial = fit.model.polynomial
+    assert polynomial is not None
+    over = polynomial(np.linspace(polynomial.t_min, polynomial.t_max, 101))
+    cost = float(np.linalg.norm(np.ptp(over, axis=0)))
+    unit = "m/s2" if about.sensor == Sensor.ACCEL else "rad/s"
+    draft.lose(about, "temperature drift", cost, unit, f"{about}: its drift is not written, because {why}")

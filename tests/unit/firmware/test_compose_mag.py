@@ -1,0 +1,156 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.firmware import ardupilot, px4
+from calib.firmware.compose import compose
+from calib.firmware.rotations import rotation_matrix
+from calib.recording import Sensor
+
+SOFT = np.array([[1.06, 0.03, -0.02], [0.03, 0.95, 0.015], [-0.02, 0.015, 1.03]])
+OFFSET = np.array([9.0, -5.5, 3.5])  # uT
+KNOWN = {"radius": 48.0, "field_ratio": 1.0}
+
+
+def after(plan, parameters):
+    return {**parameters, **{c.name: c.new for c in plan.changes}}
+
+
+def mag_fit(make_fit, instance=0, quality=None, **more):
+    more = {"offset": OFFSET, "matrix": SOFT, "offset_sd": 0.02, "matrix_sd": 5e-4} | more
+    return make_fit(Sensor.MAG, instance, quality=KNOWN if quality is None else quality, **more)
+
+
+def test_ardupilot_adds_the_offset_in_mgauss_in_the_body(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    plan = compose([mag_fit(make_fit)], ardupilot_parameters, ardupilot_fingerprint)
+    values = {c.name: c.new for c in plan.changes}
+    assert [values[f"COMPASS_OFS_{a}"] for a in "XYZ"] == [-90.0, 55.0, -35.0]
+    assert [values[f"COMPASS_ODI_{a}"] for a in "XYZ"] == pytest.approx([0.03, -0.02, 0.015], rel=1e-6)
+    assert [values[f"COMPASS_DIA_{a}"] for a in "XYZ"] == pytest.approx([1.06, 0.95, 1.03], rel=1e-6)
+    assert values["COMPASS_SCALE"] == 1.0
+    assert not plan.losses
+    assert not plan.blockers
+    assert {c.name: c.sd for c in plan.changes}["COMPASS_OFS_X"] == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("orientation", [2, 8, 14, 24])
+def test_what_ardupilot_does_afterwards_is_what_was_fitted(
+    ardupilot_parameters, ardupilot_fingerprint, make_fit, orientation
+):
+    parameters = ardupilot_parameters | {"COMPASS_ORIENT2": orientation, "COMPASS_SCALE2": 1.2, "COMPASS_DIA2_X": 1.1}
+    fit = mag_fit(make_fit, 1)
+    plan = compose([fit], parameters, ardupilot_fingerprint)
+    model = ardupilot.calibration_in_force(after(plan, parameters), Sensor.MAG, 1)
+    raw = np.random.default_rng(1).normal(0, 40, (50, 3))
+    turn = rotation_matrix("ardupilot", orientation)
+    np.testing.assert_allclose(model.apply(raw), fit.model.apply(raw) @ turn.T, atol=1e-4)
+
+
+def test_a_compass_is_found_by_its_device_id_and_not_by_its_rank(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    swapped = ardupilot_parameters | {
+        "COMPASS_PRIO1_ID": ardupilot_parameters["COMPASS_DEV_ID2"],
+        "COMPASS_PRIO2_ID": ardupilot_parameters["COMPASS_DEV_ID"],
+    }
+    plan = compose([mag_fit(make_fit, 0)], swapped, ardupilot_fingerprint)
+    assert {c.name for c in plan.changes if "OFS" in c.name} == {f"COMPASS_OFS2_{a}" for a in "XYZ"}
+
+
+def test_an_unknown_field_leaves_the_scale_unset(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    quality = {"radius": 48.0, "field_ratio": None}
+    plan = compose(
+        [mag_fit(make_fit, quality=quality)], ardupilot_parameters | {"COMPASS_SCALE": 1.1}, ardupilot_fingerprint
+    )
+    assert {c.name: c.new for c in plan.changes}["COMPASS_SCALE"] == 0.0
+
+
+def test_a_wrong_mounting_is_put_right_with_the_offsets_in_the_new_frame(
+    ardupilot_parameters, ardupilot_fingerprint, make_fit
+):
+    turn = rotation_matrix("ardupilot", 2)  # yaw 90
+    found = {"verdict": "rotated", "name": "yaw_90", "matrix": turn.tolist()}
+    fit = mag_fit(make_fit, quality=KNOWN | {"orientation": found})
+    plan = compose([fit], ardupilot_parameters, ardupilot_fingerprint)
+    values = {c.name: c.new for c in plan.changes}
+    assert values["COMPASS_ORIENT"] == 2
+    model = ardupilot.calibration_in_force(after(plan, ardupilot_parameters), Sensor.MAG, 0)
+    raw = np.random.default_rng(1).normal(0, 40, (50, 3))
+    np.testing.assert_allclose(model.apply(raw), fit.model.apply(raw) @ turn.T, atol=1e-4)
+
+    internal = compose([fit], ardupilot_parameters | {"COMPASS_EXTERNAL": 0}, ardupilot_fingerprint)
+    assert "internal" in internal.blockers[0]
+    unexplained = mag_fit(make_fit, quality=KNOWN | {"orientation": {**found, "verdict": "unexplained"}})
+    assert compose([unexplained], ardupilot_parameters, ardupilot_fingerprint).blockers
+
+
+def test_motor_compensation_is_carried_into_the_new_matrix(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    induced = np.array([4.0, -2.0, 3.0])  # mGauss per unit of throttle at the sensor
+    old = np.diag([1.2, 0.9, 1.1])
+    parameters = ardupilot_parameters | {"COMPASS_MOTCT": 1}
+    parameters |= {f"COMPASS_DIA_{a}": d for a, d in zip("XYZ", np.diag(old), strict=True)}
+    parameters |= {f"COMPASS_MOT_{a}": m for a, m in zip("XYZ", -old @ induced, strict=True)}
+    plan = compose([mag_fit(make_fit)], parameters, ardupilot_fingerprint)
+    values = after(plan, parameters)
+    np.testing.assert_allclose([values[f"COMPASS_MOT_{a}"] for a in "XYZ"], -SOFT @ induced, rtol=1e-6)
+
+
+def test_code_76_for_compasses_and_learning_off(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    both = [mag_fit(make_fit, i) for i in (0, 1)]
+    plan = compose(both, ardupilot_parameters | {"COMPASS_LEARN": 3}, ardupilot_fingerprint)
+    assert [a.params for a in plan.after] == [(0, 76, 0, 0, 0, 0, 0)]
+    assert (plan.changes[0].name, plan.changes[0].new) == ("COMPASS_LEARN", 0)
+    one = compose(both[:1], ardupilot_parameters, ardupilot_fingerprint)
+    assert one.after == ()
+    assert any("compass 2 is in use" in text for text in one.warnings)
+
+
+@pytest.mark.parametrize(
+    ("more", "text"),
+    [
+        ({"offset": [150.0, 100.0, 50.0]}, "COMPASS_OFFS_MAX"),
+        ({"matrix": 1.6 * np.eye(3)}, "times the Earth's field"),
+        ({"undetermined": ("offset_z",)}, "not determined"),
+    ],
+)
+def test_implausible_compasses_block(ardupilot_parameters, ardupilot_fingerprint, make_fit, more, text):
+    plan = compose([mag_fit(make_fit, **more)], ardupilot_parameters, ardupilot_fingerprint)
+    assert text in plan.blockers[0]
+
+
+def test_px4_subtracts_the_offset_in_gauss_in_the_sensor_frame(px4_parameters, px4_fingerprint, make_fit):
+    parameters = px4_parameters | {"SENS_BOARD_ROT": 2}
+    fit = mag_fit(make_fit)
+    plan = compose([fit], parameters, px4_fingerprint)
+    values = {c.name: c.new for c in plan.changes}
+    assert [values[f"CAL_MAG0_{a}OFF"] for a in "XYZ"] == pytest.approx([0.09, -0.055, 0.035], rel=1e-6)
+    assert [values[f"CAL_MAG0_{a}ODIAG"] for a in "XYZ"] == pytest.approx([0.03, -0.02, 0.015], rel=1e-6)
+    model = px4.calibration_in_force(after(plan, parameters), Sensor.MAG, 0)
+    raw = np.random.default_rng(1).normal(0, 40, (50, 3))
+    np.testing.assert_allclose(model.apply(raw), fit.model.apply(raw) @ rotation_matrix("px4", 2).T, atol=1e-4)
+    assert not plan.losses
+    (session,) = [c for c in plan.changes if c.session]
+    assert (session.name, session.new) == ("SENS_MAG_AUTOCAL", 0)
+    assert plan.changes[0] == session
+
+
+def test_px4_values_near_neutral_are_announced_as_lost(px4_parameters, px4_fingerprint, make_fit):
+    soft = np.array([[1.004, 0.003, 0], [0.003, 0.998, 0.002], [0, 0.002, 1.003]])
+    fit = mag_fit(make_fit, offset=[0.3, 0.2, 0.1], matrix=soft)
+    plan = compose([fit], px4_parameters, px4_fingerprint)
+    assert not [c for c in plan.changes if "CAL_MAG" in c.name]
+    model = px4.calibration_in_force(after(plan, px4_parameters), Sensor.MAG, 0)
+    directions = np.random.default_rng(1).normal(size=(100_000, 3))
+    truth = 48.0 * directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    left = model.apply(fit.model.invert(truth)) - truth
+    cost = {loss.what: loss.cost for loss in plan.losses}
+    spread = np.linalg.norm(left - left.mean(axis=0), axis=1).max()
+    assert spread == pytest.approx(cost["scale and cross terms"], rel=2e-2)
+    assert cost["offset"] == pytest.approx(np.linalg.norm([0.3, 0.2, 0.1]), rel=1e-6)
+
+
+def test_a_wrong_mounting_on_px4(px4_parameters, px4_fingerprint, make_fit):
+    found = {"verdict": "rotated", "name": "yaw_90", "matrix": rotation_matrix("px4", 2).tolist()}
+    fit = mag_fit(make_fit, quality=KNOWN | {"orientation": found})
+    plan = compose([fit], px4_parameters | {"CAL_MAG0_ROT": 4}, px4_fingerprint)
+    assert {c.name: c.new for c in plan.changes}["CAL_MAG0_ROT"] == 6
+    assert "internal" in compose([fit], px4_parameters, px4_fingerprint).blockers[0]

@@ -1,0 +1,98 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib import STANDARD_GRAVITY
+from calib.firmware import ardupilot, px4
+from calib.firmware.compose import compose
+from calib.firmware.rotations import euler_matrix
+from calib.firmware.trim import carried_over, force_when_level, trim_from_force
+from calib.fit import FitStatus
+from calib.recording import Sensor
+from calib.triad import TriadModel
+
+
+def after(plan, parameters):
+    return {**parameters, **{c.name: c.new for c in plan.changes}}
+
+
+@pytest.mark.parametrize(("roll", "pitch"), [(0.0, 0.0), (0.05, -0.12), (-0.17, 0.03)])
+def test_a_level_vehicle_reads_minus_the_third_row_of_the_rotation(roll, pitch):
+    vehicle_from_board = euler_matrix(np.degrees(roll), np.degrees(pitch), 0.0)
+    np.testing.assert_allclose(
+        vehicle_from_board @ force_when_level(roll, pitch), [0, 0, -STANDARD_GRAVITY], atol=1e-12
+    )
+    np.testing.assert_allclose(trim_from_force(force_when_level(roll, pitch)), [roll, pitch], atol=1e-15)
+
+
+def test_an_offset_of_one_percent_of_gravity_turns_the_level_by_a_hundredth_of_a_radian():
+    # the old calibration left 0.0980665 m/s2 on y: level read roll atan(-0.01)
+    old, new = TriadModel(), TriadModel([0.0, 0.0980665, 0.0])
+    roll, pitch = carried_over(np.arctan(-0.01), 0.0, old, new, None)
+    assert roll == pytest.approx(0.0, abs=1e-6)
+    assert pitch == pytest.approx(0.0, abs=1e-12)
+
+
+def test_ardupilot_keeps_the_same_physical_attitude_level(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    parameters = ardupilot_parameters | {"AHRS_TRIM_X": 0.02, "AHRS_TRIM_Y": -0.01}
+    matrix = np.diag([1.01, 0.98, 1.015])
+    fit = make_fit(Sensor.ACCEL, offset=[0.3, -0.2, 0.15], matrix=matrix, matrix_sd=1e-4)
+    plan = compose([fit], parameters, ardupilot_fingerprint)
+    raw = ardupilot.calibration_in_force(parameters, Sensor.ACCEL, 0).invert(force_when_level(0.02, -0.01))
+    read = ardupilot.calibration_in_force(after(plan, parameters), Sensor.ACCEL, 0).apply(raw)
+    changed = {c.name: c for c in plan.changes}
+    trim = [changed["AHRS_TRIM_X"].new, changed["AHRS_TRIM_Y"].new]
+    level = euler_matrix(*np.degrees(trim), 0.0) @ read
+    np.testing.assert_allclose(level[:2] / level[2], [0, 0], atol=1e-7)
+    assert changed["AHRS_TRIM_X"].sd == pytest.approx(1e-3 / STANDARD_GRAVITY)
+    assert [c.name for c in plan.changes][-2:] == ["AHRS_TRIM_X", "AHRS_TRIM_Y"]
+
+
+def test_a_level_that_was_never_measured_is_asked_for(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    fit = make_fit(Sensor.ACCEL, offset=[0.3, -0.2, 0.15], matrix_sd=1e-4)
+    plan = compose([fit], ardupilot_parameters, ardupilot_fingerprint)
+    assert not any("TRIM" in c.name for c in plan.changes)
+    assert any("run the level job" in text for text in plan.warnings)
+
+
+def test_px4_keeps_the_same_physical_attitude_level(px4_parameters, px4_fingerprint, make_fit):
+    parameters = px4_parameters | {"SENS_BOARD_X_OFF": 1.5, "SENS_BOARD_Y_OFF": -0.8, "SENS_BOARD_Z_OFF": 3.0}
+    fit = make_fit(Sensor.ACCEL, offset=[0.3, -0.2, 0.15], matrix=np.diag([1.03, 0.98, 1.02]), matrix_sd=1e-4)
+    plan = compose([fit], parameters, px4_fingerprint)
+    raw = px4.calibration_in_force(parameters, Sensor.ACCEL, 0).invert([0, 0, -STANDARD_GRAVITY])
+    read = px4.calibration_in_force(after(plan, parameters), Sensor.ACCEL, 0).apply(raw)
+    np.testing.assert_allclose(read[:2] / read[2], [0, 0], atol=1e-6)
+    assert {c.unit for c in plan.changes if "SENS_BOARD" in c.name} == {"deg"}
+
+
+def level_fit(make_fit, roll, pitch, **more):
+    native = {"roll": roll, "pitch": pitch, "roll_sd": 1e-4, "pitch_sd": 2e-4}
+    return make_fit(Sensor.ACCEL, method="level", native=native, **more)
+
+
+def test_the_level_job_writes_roll_and_pitch(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    parameters = ardupilot_parameters | {"AHRS_TRIM_X": 0.02}
+    plan = compose([level_fit(make_fit, 0.03, -0.015)], parameters, ardupilot_fingerprint)
+    values = {c.name: (c.new, c.sd) for c in plan.changes}
+    assert values == {
+        "AHRS_TRIM_X": (float(np.float32(0.03)), pytest.approx(1e-4)),
+        "AHRS_TRIM_Y": (float(np.float32(-0.015)), pytest.approx(2e-4)),
+    }
+
+
+def test_the_level_job_on_px4_starts_from_the_trim_in_force(px4_parameters, px4_fingerprint, make_fit):
+    parameters = px4_parameters | {"SENS_BOARD_X_OFF": 2.0, "SENS_BOARD_Y_OFF": -1.0, "SENS_BOARD_Z_OFF": 30.0}
+    board = force_when_level(0.06, 0.05)  # what the board reads on the level surface
+    streamed = euler_matrix(2.0, -1.0, 30.0) @ board
+    plan = compose([level_fit(make_fit, *trim_from_force(streamed))], parameters, px4_fingerprint)
+    values = after(plan, parameters)
+    assert values["SENS_BOARD_X_OFF"] == pytest.approx(np.degrees(0.06), abs=1e-5)
+    assert values["SENS_BOARD_Y_OFF"] == pytest.approx(np.degrees(0.05), abs=1e-5)
+
+
+def test_more_than_ten_degrees_is_refused(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    plan = compose([level_fit(make_fit, 0.2, 0.0)], ardupilot_parameters, ardupilot_fingerprint)
+    assert "more than 10 deg" in plan.blockers[0]
+    refused = level_fit(make_fit, 0.0, 0.0, status=FitStatus.REFUSED, message="not at rest")
+    assert compose([refused], ardupilot_parameters, ardupilot_fingerprint).changes == ()
