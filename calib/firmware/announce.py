@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 
 ALIGNED = 1e-9
 """rad; smaller turns are rounding."""
+SINGLE_PRECISION = 1e-5
+"""m/s2; what storing a scale as float32 may cost, and not worth a word."""
 
 
 def offsets_usable(draft: Draft, about: Subject, fit: FitResult, *, thermal: bool) -> bool:
@@ -49,7 +51,7 @@ def scale_usable(draft: Draft, about: Subject, fit: FitResult, in_force: Array) 
 def lose_accel(draft: Draft, about: Subject, parts: losses.Parts, stored: Array, body_from_sensor: Array) -> None:
     """Announce what of an accelerometer's matrix is left out if its scales are `stored` (3,)."""
     cost = losses.largest_error(np.diag(stored), parts.symmetric, STANDARD_GRAVITY)
-    if cost > 0.0:
+    if cost > SINGLE_PRECISION:
         cross = ", ".join(f"{c:.5f}" for c in parts.cross)
         what, text = "cross terms", f"cross-axis terms (xy xz yz: {cross}) cannot be stored"
         if not np.allclose(stored, parts.diagonal, rtol=0, atol=1e-6):
