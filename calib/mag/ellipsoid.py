@@ -137,7 +137,7 @@ def _with_uncertainty(
     dof = float(np.count_nonzero(kept) - N_PARAMETERS)
     if dof < 1.0:
         raise UndeterminedError("too few magnetometer samples remain without the outliers", remedy="record longer")
-    variance = _variance(residuals, weights)
+    variance = estimate_variance(residuals, weights)
     if context.noise_variance is not None and dof < _MEASURED_NOISE:
         variance = max(variance, context.noise_variance / scale**2)
     information, inflation = weakened_information(
@@ -158,7 +158,7 @@ def _with_uncertainty(
     )
 
 
-def _variance(residuals: Array, weights: Array) -> float:
+def estimate_variance(residuals: Array, weights: Array) -> float:
     """The v with which ``v (sum w J^T J)^-1`` is the covariance, for bisquare and plain weights (1).
 
     ``Cov = [sum psi^2/(N - p)] / [mean psi']^2 (sum J^T J)^-1`` (Huber 1981, 7.6), ``psi = w r``; for the bisquare with
