@@ -8,6 +8,7 @@ import json
 import selectors
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -159,14 +160,17 @@ class SimTransport(UdpTransport):
     def open(self, selector: selectors.BaseSelector) -> None:
         """Bind a port of our own, then start the simulator that speaks to it."""
         super().open(selector)
-        try:
-            self._child = subprocess.Popen(  # noqa: S603 - our own module, arguments from a validated endpoint
-                self._command(), stdin=subprocess.PIPE, stdout=subprocess.PIPE
-            )
-            self.control = _ready_line(self._child)["control"]
-        except (OSError, ValueError, KeyError) as exc:
-            self.close()
-            raise EndpointError(f"{self._endpoint}: the simulated vehicle did not start: {exc}") from exc
+        with tempfile.TemporaryFile() as complaints:
+            try:
+                self._child = subprocess.Popen(  # noqa: S603 - our own module, arguments from a validated endpoint
+                    self._command(), stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=complaints
+                )
+                self.control = _ready_line(self._child)["control"]
+            except (OSError, ValueError, KeyError) as exc:
+                self.close()
+                complaints.seek(0)
+                said = complaints.read(1000).decode("utf-8", "replace").strip() or str(exc)
+                raise EndpointError(f"{self._endpoint}: the simulated vehicle did not start: {said}") from exc
 
     def _command(self) -> list[str]:
         command = [sys.executable, "-m", "service.simvehicle", "--autopilot", self._endpoint.autopilot]

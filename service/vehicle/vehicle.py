@@ -60,6 +60,8 @@ CORE_IDS = (
 CONFLICT_S = 30.0
 """A doubt about who is being talked to holds for so long after its last sign."""
 _POLL_S = 2.0
+_WHO_S = 5.0
+_SECOND_ANSWER_S = 0.3
 _IDENTIFY_TRIES = 5
 
 
@@ -124,7 +126,8 @@ class Vehicle:
         self._subscribers: dict[object, tuple[frozenset[int], FramesCallback, Callable[[], None]]] = {}
         self._conflicts: dict[str, tuple[str, float]] = {}
         self._silent = False
-        self._polled_at = -1e9
+        self._clock_heard = False
+        self._polled_at = self._asked_who_at = -1e9
 
     # --- talking ----------------------------------------------------------------------------------------------------
 
@@ -174,7 +177,10 @@ class Vehicle:
         self.send(dialect.MAVLink_command_long_message(self.system, self.component, command_id, 0, *full))
 
     async def identify(self) -> VehicleIdentity:
-        """Ask who the vehicle is, the new way and the old one. Raises CommandTimeout if it does not say."""
+        """Ask who the vehicle is, the new way and the old one. Raises CommandTimeout if it does not say.
+
+        A second answer is waited for: if it comes from another vehicle, that is in :attr:`conflicts` afterwards.
+        """
         with self.waits.expect({VERSION_ID}, decode) as answer:
             for attempt in range(2 * _IDENTIFY_TRIES):
                 if attempt % 2 == 0:
@@ -182,6 +188,7 @@ class Vehicle:
                 else:
                     self._send_command(commands.REQUEST_CAPABILITIES, 1)
                 if await answer.within(1.0) is not None:
+                    await answer.within(_SECOND_ANSWER_S)
                     return self.identity
         raise CommandTimeout(f"Vehicle {self.id} does not answer who it is (AUTOPILOT_VERSION).")
 
@@ -206,6 +213,8 @@ class Vehicle:
         for frame in frames:
             message_id = frame.message_id
             clock = boot_time(frame) if message_id in BOOT_TIME_IDS else clock
+            if message_id == dialect.MAVLINK_MSG_ID_HEARTBEAT:
+                self._ask_clock()
             if message_id in STATE_IDS:
                 self._change(reduce(self.state, decode(frame), now))
             elif message_id == dialect.MAVLINK_MSG_ID_PARAM_VALUE:
@@ -214,6 +223,7 @@ class Vehicle:
                 self._identified(decode(frame), now)
             self.waits.feed(frame)
         if clock is not None:
+            self._clock_heard = True
             self._change(note_boot_time(self.state, clock))
         if self.state.last_heard != now:
             self.state = replace(self.state, last_heard=now)
@@ -295,16 +305,31 @@ class Vehicle:
             self._polled_at = now
             self._poll(now)
 
+    def _ask_clock(self) -> None:
+        """With every heartbeat, where no stream tells the vehicle's time: a restart shows in it, and nowhere else."""
+        if not self._clock_heard:
+            self._ask_for([dialect.MAVLINK_MSG_ID_SYSTEM_TIME])
+        self._clock_heard = False
+
     def _poll(self, now: float) -> None:
-        """Ask for what makes the state where the vehicle does not send it by itself; changes no setting."""
-        state = self.state
-        wanted = [dialect.MAVLINK_MSG_ID_SYSTEM_TIME]
+        """Ask for what makes the state where the vehicle does not send it by itself; changes no setting.
+
+        Who it is is asked again and again: two vehicles behind one address with one system id both answer.
+        """
+        state, wanted = self.state, []
         if state.landed_at is None or now - state.landed_at >= _POLL_S:
             wanted.append(dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE)
         if state.throttle_at is None or now - state.throttle_at >= _POLL_S:
             wanted.append(dialect.MAVLINK_MSG_ID_VFR_HUD)
+        if self.identity.known and now - self._asked_who_at >= _WHO_S:
+            self._asked_who_at = now
+            wanted.append(VERSION_ID)
+        self._ask_for(wanted)
+
+    def _ask_for(self, message_ids: Sequence[int]) -> None:
+        """Ask for messages whose absence does no harm."""
         try:
-            for message_id in wanted:
+            for message_id in message_ids:
                 self._send_command(commands.REQUEST_MESSAGE, message_id)
         except LinkDown:
             return

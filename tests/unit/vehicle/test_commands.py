@@ -118,7 +118,7 @@ async def test_the_dangerous_ones_are_never_sent(
 ) -> None:
     with pytest.raises(ForbiddenCommand, match=str(number)):
         await ardupilot.run(command(ardupilot.vehicle, number, params))
-    assert ardupilot.link.sent_of("COMMAND_LONG") == []
+    assert sent(ardupilot, number) == []
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import asyncio
 import math
 import struct
 from collections.abc import Iterable
@@ -132,12 +133,34 @@ async def test_a_read_survives_loss(ardupilot: FakeVehicle) -> None:
 
     def respond(message: Any) -> Iterable[Any]:
         nonlocal heard
-        heard += 1
-        return firmware.respond(message) if heard % 4 == 0 else ()
+        heard += message.get_type() == "PARAM_REQUEST_READ" and message.param_id == NAME
+        return firmware.respond(message) if heard == 6 else ()
 
     ardupilot.link.respond = respond
     parameter = await ardupilot.run(ardupilot.vehicle.parameters.read(NAME))
     assert parameter.value == 0.5
+
+
+async def test_silence_counts_even_if_nothing_was_heard_before(ardupilot: FakeVehicle) -> None:
+    three(ardupilot)
+    began = ardupilot.clock.now
+    with pytest.raises(ParameterMissing):
+        await ardupilot.run(ardupilot.vehicle.parameters.read("NOPE"))
+    assert ardupilot.clock.now - began < 3.0
+    ardupilot.link.respond = lambda _message: ()
+    with pytest.raises(ParameterTimeout):
+        await ardupilot.run(ardupilot.vehicle.parameters.read("NOPE"))
+
+
+async def test_a_stream_of_other_values_does_not_end_a_read(ardupilot: FakeVehicle) -> None:
+    # another ground station lists all parameters meanwhile
+    task = asyncio.ensure_future(ardupilot.vehicle.parameters.read(NAME))
+    for k in range(30):
+        await asyncio.sleep(0)
+        ardupilot.hear(param_value(f"P{k}", real(k)))
+        ardupilot.advance(0.01)
+    ardupilot.hear(param_value(NAME, real(7.0)))
+    assert (await task).value == 7.0
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e39])
