@@ -61,11 +61,10 @@ class Judgement:
 
 
 def true_model(truth: Json, sensor: Sensor, instance: int) -> TriadModel:
-    """The sensor as the simulator made it, in the frame that the firmware's calibration lives in."""
+    """The sensor as the simulator made it, in its own frame."""
     entry = truth[f"{sensor.value}s"][instance]
-    body = sensor == Sensor.MAG
-    matrix = np.linalg.inv(np.array(entry["body_matrix" if body else "matrix"]))
-    offset = np.array(entry["body_offset" if body else "offset"])
+    matrix = np.linalg.inv(np.array(entry["matrix"]))
+    offset = np.array(entry["offset"])
     coefficients = np.array(entry["polynomial"])
     polynomial = None
     if np.any(coefficients):
