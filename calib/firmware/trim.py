@@ -35,6 +35,9 @@ AHRS_TRIM: Final = ("AHRS_TRIM_X", "AHRS_TRIM_Y")
 NOTICEABLE: Final = 1e-4
 """rad; a smaller turn of the level is not worth a change."""
 
+UNMEASURED: Final = 1e-6
+"""rad; PX4's start scripts set SENS_BOARD_X_OFF to 1e-6 deg to mark a board as levelled that never was."""
+
 LEVEL_METHOD: Final = "level"
 
 
@@ -61,7 +64,7 @@ def carried_over(roll: float, pitch: float, old: TriadModel, new: TriadModel, te
 def adjust_trim(draft: Draft, autopilot: str, fits: Sequence[FitResult]) -> None:
     """Plan the change of trim that the draft's accelerometer calibration asks for.
 
-    The firmware levels by the first accelerometer. A trim of exactly zero was never measured: there is no level to
+    The firmware levels by the first accelerometer. A trim of zero was never measured: there is no level to
     carry over, and the level job is recommended.
     """
     instances = sorted(f.instance for f in fits if f.sensor == Sensor.ACCEL and f.model.polynomial is None)
@@ -72,7 +75,7 @@ def adjust_trim(draft: Draft, autopilot: str, fits: Sequence[FitResult]) -> None
     if name_x not in draft.parameters or name_y not in draft.parameters:
         return
     old = np.array([float(draft.parameters[n]) / per_rad for n in (name_x, name_y)])
-    if not old.any():
+    if np.abs(old).max() < UNMEASURED:
         draft.warn("the vehicle's level was never measured; run the level job after this calibration")
         return
     about = Subject(Sensor.ACCEL, instances[0])

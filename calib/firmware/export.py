@@ -1,0 +1,202 @@
+"""Parameter files of the ground stations: written with nine digits or more, and read back.
+
+=========  ===================================================================================================
+.param     Mission Planner: ``NAME,VALUE``; ``#`` begins a comment
+.parm      MAVProxy: ``NAME`` in 16 columns, a space, the value; ``#`` begins a comment
+.params    QGroundControl: tabs between system, component, name, value and MAV_PARAM_TYPE (6 int32, 9 real32)
+=========  ===================================================================================================
+
+A float32 needs nine significant digits to come back bit by bit; ``%f`` destroys PX4's cubic terms of 1e-7. Old values
+stand beside the new ones as comments, in a line of their own in QGroundControl's format, which knows no others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from enum import StrEnum
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+
+from calib.errors import FirmwareError, UnreadableError
+from calib.firmware.plan import Change, ParameterKind, Value, WritePlan
+
+
+class ParameterFormat(StrEnum):
+    """The file name's ending."""
+
+    PARAM = "param"
+    PARM = "parm"
+    PARAMS = "params"
+
+
+MAV_PARAM_TYPE: Final[Mapping[ParameterKind, int]] = MappingProxyType(
+    {
+        ParameterKind.UINT8: 1,
+        ParameterKind.INT8: 2,
+        ParameterKind.UINT16: 3,
+        ParameterKind.INT16: 4,
+        ParameterKind.UINT32: 5,
+        ParameterKind.INT32: 6,
+        ParameterKind.REAL32: 9,
+    }
+)
+_REAL_TYPES = (9, 10)
+
+
+def number(value: Value) -> str:
+    """Shortest text that reads back as the same float32, with nine significant digits where those are needed.
+
+    >>> number(0.1), number(float(np.float32(0.1))), number(1310988), number(1e-7)
+    ('0.1', '0.1', '1310988', '1e-07')
+    """
+    if isinstance(value, int):
+        return str(value)
+    single = np.float32(value)
+    text = f"{float(value):.9g}"
+    short = str(single)
+    return short if np.float32(short) == single and len(short) < len(text) else text
+
+
+def write_plan(plan: WritePlan, form: ParameterFormat, *, system: int = 1, component: int = 1) -> str:
+    """The plan as a parameter file, session settings left out, in the order of writing.
+
+    Raises
+    ------
+    FirmwareError
+        If the plan is blocked: what may not be written is not handed out as a file either.
+    """
+    if plan.blockers:
+        raise FirmwareError(f"the plan is blocked and not exported: {'; '.join(plan.blockers)}")
+    changes = [c for c in plan.changes if not c.session]
+    head = [
+        f"# mavcal: {plan.fingerprint.autopilot} {plan.fingerprint.firmware}".rstrip(),
+        f"# plan {plan.sha256}",
+        *(f"# {text}" for text in (*plan.warnings, *(loss.text for loss in plan.losses))),
+    ]
+    if form == ParameterFormat.PARAMS:
+        head += ["# Onboard parameters", "#", "# Vehicle-Id Component-Id Name Value Type"]
+    line = _WRITERS[form]
+    return "\n".join([*(h.replace("\n", " ") for h in head), *(line(c, system, component) for c in changes)]) + "\n"
+
+
+def to_param(plan: WritePlan) -> str:
+    """The plan in Mission Planner's format; errors as :func:`write_plan`."""
+    return write_plan(plan, ParameterFormat.PARAM)
+
+
+def to_parm(plan: WritePlan) -> str:
+    """The plan in MAVProxy's format; errors as :func:`write_plan`."""
+    return write_plan(plan, ParameterFormat.PARM)
+
+
+def to_params(plan: WritePlan) -> str:
+    """The plan in QGroundControl's format; errors as :func:`write_plan`."""
+    return write_plan(plan, ParameterFormat.PARAMS)
+
+
+def write_export(plan: WritePlan, path: Path) -> None:
+    """Write the plan to `path` in the format of its ending.
+
+    Raises
+    ------
+    FirmwareError
+        If the plan is blocked, or the ending is none of .param, .parm, .params.
+    OSError
+        If the file cannot be written.
+    """
+    path.write_text(write_plan(plan, _form_of(path)), encoding="utf-8")
+
+
+def read_export(path: Path) -> dict[str, Value]:
+    """The values of a parameter file in the format of its ending; errors as :func:`read_parameters`."""
+    return read_parameters(path.read_text(encoding="utf-8"), _form_of(path))
+
+
+def _form_of(path: Path) -> ParameterFormat:
+    try:
+        return ParameterFormat(path.suffix.removeprefix("."))
+    except ValueError as error:
+        raise FirmwareError(
+            f"{path.name}: a parameter file ends in {', '.join(f'.{form}' for form in ParameterFormat)}"
+        ) from error
+
+
+def read_parameters(text: str, form: ParameterFormat) -> dict[str, Value]:
+    """The values of a parameter file; whole numbers are integers where the format does not say otherwise.
+
+    Raises
+    ------
+    UnreadableError
+        If a line is not of that format, or a value is not a finite number.
+    """
+    values: dict[str, Value] = {}
+    for place, raw in enumerate(text.splitlines(), start=1):
+        line = raw.split("#", 1)[0].strip()
+        if not line:
+            continue
+        try:
+            name, value = _READERS[form](line)
+        except (ValueError, OverflowError) as error:
+            raise UnreadableError(f"line {place} is not of a .{form} file: {raw.strip()[:60]!r}") from error
+        if not np.isfinite(value):
+            raise UnreadableError(f"line {place}: {name} is {value}; a parameter must be a finite number")
+        values[name] = value
+    return values
+
+
+def _comment(change: Change) -> str:
+    old = "not listed" if change.old is None else number(change.old)
+    spread = "" if change.sd is None else f", sd {change.sd:.3g}"
+    return f"# was {old}{spread}: {change.why}"
+
+
+def _param(change: Change, system: int, component: int) -> str:
+    return f"{_comment(change)}\n{change.name},{number(change.new)}"
+
+
+def _parm(change: Change, system: int, component: int) -> str:
+    return f"{change.name:<16} {number(change.new)}  {_comment(change)}"
+
+
+def _params(change: Change, system: int, component: int) -> str:
+    fields = (system, component, change.name, number(change.new), MAV_PARAM_TYPE[change.kind])
+    return f"{_comment(change)}\n" + "\t".join(map(str, fields))
+
+
+def _read_param(line: str) -> tuple[str, Value]:
+    name, value = (part.strip() for part in line.split(","))
+    return _name(name), _value(value)
+
+
+def _read_parm(line: str) -> tuple[str, Value]:
+    name, value = line.replace(",", " ").split()
+    return _name(name), _value(value)
+
+
+def _read_params(line: str) -> tuple[str, Value]:
+    _, _, name, value, kind = line.split("\t")
+    return _name(name), float(value) if int(kind) in _REAL_TYPES else int(float(value))
+
+
+def _name(text: str) -> str:
+    if not 0 < len(text) <= 16 or not text.replace("_", "").isalnum():
+        raise ValueError(text)
+    return text
+
+
+def _value(text: str) -> Value:
+    try:
+        return int(text)
+    except ValueError:
+        return float(text)
+
+
+_WRITERS: Final[Mapping[ParameterFormat, Callable[[Change, int, int], str]]] = MappingProxyType(
+    {ParameterFormat.PARAM: _param, ParameterFormat.PARM: _parm, ParameterFormat.PARAMS: _params}
+)
+_READERS: Final[Mapping[ParameterFormat, Callable[[str], tuple[str, Value]]]] = MappingProxyType(
+    {ParameterFormat.PARAM: _read_param, ParameterFormat.PARM: _read_parm, ParameterFormat.PARAMS: _read_params}
+)

@@ -1,0 +1,93 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from calib.errors import FirmwareError, UnreadableError
+from calib.firmware.export import ParameterFormat, number, read_export, read_parameters, write_export, write_plan
+from calib.firmware.plan import Change, Fingerprint, ParameterKind, WritePlan
+
+FINE = float(np.float32(1.2345678e-7))
+PLAN = WritePlan(
+    Fingerprint("px4", "ab", "1.17.0", ()),
+    "0" * 64,
+    (
+        Change("SENS_IMU_AUTOCAL", 1, 0, ParameterKind.INT32, "for this session", session=True),
+        Change("TC_A0_X3_0", None, FINE, ParameterKind.REAL32, "drift", 1e-9, "m/s2/degC^3"),
+        Change("CAL_ACC0_XOFF", 0.05, float(np.float32(0.31)), ParameterKind.REAL32, "offset", 1e-3, "m/s2"),
+        Change("TC_A_ENABLE", 0, 1, ParameterKind.INT32, "use it"),
+        Change("CAL_ACC0_ID", 0, 16777217, ParameterKind.INT32, "its id"),
+    ),
+    warnings=("a warning\nin two lines",),
+)
+
+
+@pytest.mark.parametrize("form", list(ParameterFormat))
+def test_what_is_written_is_read_back_bit_by_bit_without_session_settings(form):
+    values = read_parameters(write_plan(PLAN, form), form)
+    assert list(values) == ["TC_A0_X3_0", "CAL_ACC0_XOFF", "TC_A_ENABLE", "CAL_ACC0_ID"]
+    assert np.float32(values["TC_A0_X3_0"]) == np.float32(FINE)
+    assert np.float32(values["CAL_ACC0_XOFF"]) == np.float32(0.31)
+    assert values["CAL_ACC0_ID"] == 16777217
+
+
+def test_the_three_formats_to_the_letter():
+    lines = {form: write_plan(PLAN, form).splitlines() for form in ParameterFormat}
+    assert "CAL_ACC0_XOFF,0.31" in lines[ParameterFormat.PARAM]
+    assert "# was 0.05, sd 0.001: offset" in lines[ParameterFormat.PARAM]
+    assert "CAL_ACC0_XOFF    0.31  # was 0.05, sd 0.001: offset" in lines[ParameterFormat.PARM]
+    assert "1\t1\tCAL_ACC0_XOFF\t0.31\t9" in lines[ParameterFormat.PARAMS]
+    assert "1\t1\tCAL_ACC0_ID\t16777217\t6" in lines[ParameterFormat.PARAMS]
+    assert "# was not listed, sd 1e-09: drift" in lines[ParameterFormat.PARAMS]
+
+
+@given(st.floats(width=32, allow_nan=False, allow_infinity=False))
+def test_every_float32_survives_its_text(value):
+    assert np.float32(float(number(value))) == np.float32(value)
+
+
+def test_files_of_the_ground_stations_are_read():
+    mission_planner = "#NOTE: 21.11.2026\nINS_ACCOFFS_X,0.001\nINS_ACC_ID,2753028\n"
+    assert read_parameters(mission_planner, ParameterFormat.PARAM) == {"INS_ACCOFFS_X": 0.001, "INS_ACC_ID": 2753028}
+    mavproxy = "INS_ACCOFFS_X    0.001000\nINS_USE 1 # used\n\n"
+    assert read_parameters(mavproxy, ParameterFormat.PARM) == {"INS_ACCOFFS_X": 0.001, "INS_USE": 1}
+    qgc = "# Onboard parameters for Vehicle 1\n1\t1\tCAL_ACC0_ID\t1310988\t6\n1\t1\tCAL_ACC0_XOFF\t1\t9\n"
+    values = read_parameters(qgc, ParameterFormat.PARAMS)
+    assert values == {"CAL_ACC0_ID": 1310988, "CAL_ACC0_XOFF": 1.0}
+    assert isinstance(values["CAL_ACC0_XOFF"], float)
+
+
+@pytest.mark.parametrize(
+    ("text", "form"),
+    [
+        ("INS_ACCOFFS_X 0.1", ParameterFormat.PARAM),
+        ("INS_ACCOFFS_X,nan", ParameterFormat.PARAM),
+        ("INS_ACCOFFS_X,one", ParameterFormat.PARAM),
+        ("A_NAME_OF_SEVENTEEN,1", ParameterFormat.PARAM),
+        ("INS_ACCOFFS_X", ParameterFormat.PARM),
+        ("INS_ACCOFFS_X inf", ParameterFormat.PARM),
+        ("1 1 CAL_ACC0_ID 5 6", ParameterFormat.PARAMS),
+        ("1\t1\tCAL_ACC0_ID\tinf\t6", ParameterFormat.PARAMS),
+    ],
+)
+def test_what_is_no_parameter_file_is_refused_with_its_line(text, form):
+    with pytest.raises(UnreadableError, match="line 2"):
+        read_parameters(f"# comment\n{text}\n", form)
+
+
+def test_a_blocked_plan_is_not_exported():
+    blocked = WritePlan(PLAN.fingerprint, PLAN.snapshot_sha256, PLAN.changes, blockers=("out of range",))
+    with pytest.raises(FirmwareError, match="out of range"):
+        write_plan(blocked, ParameterFormat.PARAM)
+
+
+@pytest.mark.parametrize("form", list(ParameterFormat))
+def test_the_ending_chooses_the_format(tmp_path, form):
+    path = tmp_path / f"plan.{form}"
+    write_export(PLAN, path)
+    assert path.read_text() == write_plan(PLAN, form)
+    assert read_export(path) == read_parameters(write_plan(PLAN, form), form)
+    with pytest.raises(FirmwareError, match=r"\.param, \.parm, \.params"):
+        write_export(PLAN, tmp_path / "plan.txt")
