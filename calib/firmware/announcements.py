@@ -68,7 +68,7 @@ class Announcements:
 
     def _version(self, t: float, message: Any) -> list[Event]:
         packed = int(message.flight_sw_version)
-        uid = bytes(message.uid2).hex() if any(message.uid2) else f"{message.uid:016x}" if message.uid else None
+        uid = bytes(message.uid2).rstrip(b"\0").hex() or (f"{message.uid:016x}" if message.uid else None)
         self.identity = dataclasses.replace(
             self.identity,
             firmware=(packed >> 24, packed >> 16 & 0xFF, packed >> 8 & 0xFF),

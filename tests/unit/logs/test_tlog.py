@@ -160,6 +160,7 @@ class TestRealArduPilot:
         assert len(values) == 1348
         assert (values["INS_ACC_ID"], values["COMPASS_PRIO3_ID"]) == (2753028, 263178)
         assert recording.identity.firmware == (4, 7, 0)
+        assert recording.identity.uid == "6564313231396337633463353430346161"  # 17 bytes of 18 are set
 
     def test_faces_undone(self, shared_data: Path) -> None:
         raw = undo(read_tlog(shared_data / "sitl_captures" / "six_faces.tlog"))
