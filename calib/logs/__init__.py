@@ -10,7 +10,7 @@ from calib.logs.tables import read_table
 from calib.logs.tlog import read_tlog
 from calib.recording import Recording
 
-_LATER = {b"\xa3\x95": "a DataFlash log", b"ULog": "a ULog", b"FMT": "a DataFlash log as text"}
+_LATER = {b"\xa3\x95": "a DataFlash log", b"ULog": "a ULog"}
 _MAVLINK_STARTS = (0xFD, 0xFE)
 _TLOG_OPTIONS = ("start", "end", "system")
 
@@ -36,13 +36,17 @@ def read(path: Path | str, **options: Any) -> Recording:
     file = Path(path)
     try:
         with file.open("rb") as opened:
-            head = opened.read(9)
+            head = opened.read(512)
     except OSError as error:
         raise UnreadableError(f"{file.name} cannot be opened: {error.strerror or error}") from error
     for start, what in _LATER.items():
-        if head.lstrip().startswith(start):
+        if head.startswith(start):
             raise UnreadableError(f"{file.name} is {what}: those cannot be read yet; give a .tlog or a table")
-    if file.suffix.lower() == ".tlog" or (len(head) == 9 and head[8] in _MAVLINK_STARTS and head[0] == 0):
+    if b"FMT," in head:
+        raise UnreadableError(
+            f"{file.name} is a DataFlash log as text: those cannot be read yet; give a .tlog or a table"
+        )
+    if file.suffix.lower() == ".tlog" or (len(head) > 8 and head[8] in _MAVLINK_STARTS and head[0] == 0):
         if options.get("mapping"):
             raise InvalidInputError(f"{file.name} is a telemetry log, its fields are known: leave the mapping out")
         return read_tlog(file, **{key: options[key] for key in _TLOG_OPTIONS if key in options})

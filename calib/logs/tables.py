@@ -251,8 +251,8 @@ def _time(table: _Table, columns: Columns, rate: float | None) -> tuple[Array, t
     if len(back):
         row = int(back[0]) + 1
         raise InvalidInputError(
-            f"time goes back at row {row + 1} (from {t[row - 1]:.6g} to {t[row]:.6g} s): cut the table there, or leave t "
-            "out and give --rate"
+            f"time goes back at row {row + 1} (from {t[row - 1]:.6g} to {t[row]:.6g} s): cut the table there, "
+            "or leave t out and give --rate"
         )
     return t, ()
 
