@@ -15,7 +15,7 @@ from calib.errors import InvalidInputError, UndeterminedError
 from calib.fit import FitResult
 from calib.mag.distance import Distances, Solution, bisquare, gauss_newton, score_rows
 from calib.mag.moments import Moments
-from calib.mag.result import MagContext, MagFacts, ShapeFit, magnetometer_result, refusal
+from calib.mag.result import MagContext, MagFacts, ShapeFit, magnetometer_result, refusal, student_variance
 from calib.mag.robust import MOST_OUTLIERS, Start, find_start, robust_sd
 from calib.mag.samples import LEAST_VARIANCE, NEARLY_PLANAR, check_not_flat, check_samples
 from calib.mag.serial import LONGEST, weakened_information
@@ -60,7 +60,8 @@ def fit_ellipsoid(
     Returns
     -------
     FitResult
-        Refused, with the movement that is missing, where the data leave a parameter open.
+        Refused, with the movement that is missing, where the data leave a parameter open. The covariance holds with
+        1.96 sd at any N: noise that is known from few residuals only has widened it (Student's t).
 
     Raises
     ------
@@ -137,9 +138,9 @@ def _with_uncertainty(
     dof = float(np.count_nonzero(kept) - N_PARAMETERS)
     if dof < 1.0:
         raise UndeterminedError("too few magnetometer samples remain without the outliers", remedy="record longer")
-    variance = estimate_variance(residuals, weights)
+    variance = estimate_variance(residuals, weights) * student_variance(dof)
     if context.noise_variance is not None and dof < _MEASURED_NOISE:
-        variance = max(variance, context.noise_variance / scale**2)
+        variance = max(estimate_variance(residuals, weights), context.noise_variance / scale**2)
     information, inflation = weakened_information(
         solution.last.information / max(variance, LEAST_VARIANCE),
         score_rows(scaled[:LONGEST], solution.ellipsoid),

@@ -16,7 +16,7 @@ from scipy.linalg import solve_triangular
 
 from calib.errors import UndeterminedError
 from calib.fit import FitResult
-from calib.mag.result import MagContext, MagFacts, ShapeFit, magnetometer_result, refusal
+from calib.mag.result import MagContext, MagFacts, ShapeFit, magnetometer_result, refusal, student_variance
 from calib.mag.samples import LEAST_VARIANCE, check_not_flat, check_samples
 from calib.mag.serial import widened_scatter
 from calib.mag.shape import N_PARAMETERS, Ellipsoid
@@ -129,7 +129,8 @@ def _uncertainty(
     rows = np.column_stack([scaled**2, scaled])
     gradient = np.linalg.norm(2.0 * quadratic * (scaled - offset), axis=1)
     residuals = np.sign(quadratic[0]) * (rows @ coefficients - 1.0) / np.maximum(gradient, 1e-12)
-    variance = max(float(residuals @ residuals) / (len(scaled) - 6), LEAST_VARIANCE)
+    dof = len(scaled) - 6
+    variance = max(float(residuals @ residuals) / dof * student_variance(dof), LEAST_VARIANCE)
     inverse = np.linalg.inv(normal)
     weighted = rows * gradient[:, None]
     scatter, inflation = widened_scatter(weighted.T @ weighted, weighted.T, residuals)

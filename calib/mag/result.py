@@ -11,6 +11,7 @@ from typing import Any, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import stdtrit
 
 from calib.earth import EarthField
 from calib.errors import InvalidInputError, UndeterminedError
@@ -127,6 +128,15 @@ class ShapeFit:
             covariance=self.covariance * scale**2,
             residuals=self.residuals * scale,
         )
+
+
+def student_variance(dof: float) -> float:
+    """Factor on a variance that was estimated with `dof` degrees of freedom, so that 1.96 sd hold 95 %.
+
+    >>> round(student_variance(91.0), 3), round(student_variance(3.0), 2)
+    (1.027, 2.64)
+    """
+    return float(stdtrit(dof, 0.975) / stdtrit(math.inf, 0.975)) ** 2
 
 
 def magnetometer_result(fit: ShapeFit, samples: Array, context: MagContext) -> FitResult:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import UndeterminedError
 from calib.fit import FitResult
-from calib.mag.result import MagContext, MagFacts, ShapeFit, magnetometer_result, refusal
+from calib.mag.result import MagContext, MagFacts, ShapeFit, magnetometer_result, refusal, student_variance
 from calib.mag.samples import LEAST_VARIANCE, check_not_flat, check_samples
 from calib.mag.serial import weakened_information
 from calib.mag.shape import N_PARAMETERS, Ellipsoid
@@ -76,7 +76,7 @@ def fit_sphere(samples: ArrayLike, **facts: Unpack[MagFacts]) -> FitResult:
     residuals = length - radius
     rows = np.vstack([from_centre.T / np.maximum(length, 1e-12), np.ones(len(scaled))])
     dof = len(scaled) - 4
-    variance = max(float(residuals @ residuals) / dof, LEAST_VARIANCE)
+    variance = max(float(residuals @ residuals) / dof * student_variance(dof), LEAST_VARIANCE)
     information, inflation = weakened_information(rows @ rows.T / variance, rows, residuals)
     expand = np.zeros((N_PARAMETERS, 4))
     expand[:3, :3] = np.eye(3)
