@@ -175,7 +175,7 @@ class Event:
     """Something that was said or happened at time `t` (s, vehicle clock)."""
 
     t: float
-    kind: str  # "text", "reboot", "gap", "armed", "disarmed", "onboard_calibration", "damage"
+    kind: str  # "text", "reboot", "gap", "armed", "disarmed", "onboard_calibration", "damage", "undo"
     text: str
 
 
