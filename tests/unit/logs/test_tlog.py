@@ -278,8 +278,9 @@ class TestRealPx4:
         edges = [recording.span[0], *(c.t for c in changes), recording.span[1]]
         for start, end in itertools.pairwise(edges):
             part = accel.between(start, end).values
-            # 0.1 m/s2 a sample; 0.006 covers what the stock simulator itself is off at rest
-            assert np.abs(part.mean(axis=0) - [0, 0, -G]).max() < 0.006 + 4 * 0.1 / np.sqrt(len(part))
+            # the stock simulator's z reads 0.004 m/s2 low in every capture at rest, also where nothing was ever written
+            error = part.mean(axis=0) - [0, 0, -G - 0.004]
+            assert np.abs(error).max() < 4.5 * 0.1 / np.sqrt(len(part))  # 0.1 m/s2 a sample
             rates = gyro.between(start, end).values
             assert np.abs(rates.mean(axis=0)).max() < 4.5 * 0.01 / np.sqrt(len(rates))
 
