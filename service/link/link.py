@@ -125,7 +125,7 @@ class Link:
         if change.error is not None:
             await self.close()
             raise change.error
-        if not self._transport.ends:
+        if self._transport.answers:
             self._beat()
 
     async def close(self) -> None:
@@ -178,7 +178,7 @@ class Link:
         reader = self._reader
         if reader is None or self.state in (LinkState.DOWN, LinkState.CLOSED):
             raise LinkDown(f"Link {self.id} ({self.endpoint}) is {self.state}: {self.reason}")
-        if self._transport.ends:
+        if not self._transport.answers:
             raise LinkDown(f"Link {self.id} replays a recording: nobody there can answer.")
         if target is not None and not (reader.peers.address(*target) or self._transport.default_peer()):
             raise LinkDown(f"Link {self.id}: nobody with system id {target[0]} was heard yet.")

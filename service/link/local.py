@@ -93,6 +93,7 @@ class FileTransport(Transport):
     """Replays a .tlog: at ``speed`` times its own pace, or as fast as it is taken (``speed=0``)."""
 
     ends = True
+    answers = False
 
     def __init__(self, endpoint: Endpoint) -> None:
         self._endpoint = endpoint
@@ -151,6 +152,8 @@ class FileTransport(Transport):
 class SimTransport(UdpTransport):
     """A simulated vehicle in a child process, which lives and ends with the link."""
 
+    ends = True
+
     def __init__(self, endpoint: Endpoint) -> None:
         super().__init__(endpoint, ("127.0.0.1", 0), None)
         self._child: subprocess.Popen[bytes] | None = None
@@ -171,6 +174,13 @@ class SimTransport(UdpTransport):
                 complaints.seek(0)
                 said = complaints.read(1000).decode("utf-8", "replace").strip() or str(exc)
                 raise EndpointError(f"{self._endpoint}: the simulated vehicle did not start: {said}") from exc
+
+    def receive(self) -> list[Chunk]:
+        """Take datagrams, as long as the child lives."""
+        chunks = super().receive()
+        if not chunks and self._child is not None and self._child.poll() is not None:
+            raise Disconnected(f"the simulated vehicle has ended with code {self._child.returncode}")
+        return chunks
 
     def _command(self) -> list[str]:
         command = [sys.executable, "-m", "service.simvehicle", "--autopilot", self._endpoint.autopilot]

@@ -293,7 +293,7 @@ class Reader(threading.Thread):
                     now,
                 )
                 return True
-        if frame.system != self._own.system or frame.component != self._own.component or self._transport.ends:
+        if frame.system != self._own.system or frame.component != self._own.component or not self._transport.answers:
             return False
         if frame.raw not in self._sent:  # an echo of our own is nobody else
             event = self.peers.own_ids(chunk.peer, now)

@@ -53,7 +53,9 @@ class Transport(ABC):
     connected_when_open = True
     """False: being open says nothing; the link is up once somebody was heard."""
     ends = False
-    """True: after the last byte there is nothing to reconnect to."""
+    """True: once it is over there is nothing to reconnect to."""
+    answers = True
+    """False: nobody is there who could answer."""
 
     @abstractmethod
     def open(self, selector: selectors.BaseSelector) -> None:

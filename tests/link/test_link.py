@@ -3,6 +3,8 @@ from __future__ import annotations
 import asyncio
 import os
 import socket
+import threading
+import tty
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import suppress
 from pathlib import Path
@@ -366,3 +368,69 @@ async def test_a_subscriber_that_fails_takes_nothing_from_the_others(opened: Ope
     peer.sendto(wire.encode(imu(), 1, 1, 0), ("127.0.0.1", link.local_port))
     await collector.until(lambda: len(collector.frames) == 1)
     assert [str(f["exception"]) for f in failures] == ["broken"]
+
+
+@pytest.fixture
+def wire_to_device() -> Any:
+    """A pair of pseudo terminals: the far end of a serial line, and the name of the near one."""
+    far, near = os.openpty()
+    tty.setraw(far)
+    tty.setraw(near)
+    os.set_blocking(far, False)
+    yield far, os.ttyname(near)
+    os.close(near)
+    with suppress(OSError):
+        os.close(far)
+
+
+async def test_a_serial_line_both_ways_and_its_unplugging(opened: Opener, wire_to_device: Any) -> None:
+    far, device = wire_to_device
+    link = await opened(f"serial:{device}:57600")
+    collector = Collector(link)
+    stream = b"".join(wire.encode(imu(k), 1, 1, k) for k in range(50))
+    os.write(far, b"\x00noise" + stream[:700])
+    await asyncio.sleep(0.05)
+    os.write(far, stream[700:])
+    await collector.until(lambda: len(collector.frames) == 50)
+    assert link.statistics(1, 1).lost == 0
+    parser, heard = wire.FrameParser(), list[wire.Frame]()
+    link.send(dialect.MAVLink_param_request_list_message(1, 1), (1, 1))
+    async with asyncio.timeout(5):
+        while not any(frame.message_id == 21 for frame in heard):
+            await asyncio.sleep(0.01)
+            with suppress(BlockingIOError):
+                heard += parser.feed(os.read(far, 4096))
+    with pytest.raises(PortBusy, match="another program"):
+        await opened(f"serial:{device}:57600")
+    os.close(far)
+    await collector.until(lambda: link.state is LinkState.DOWN)
+    assert "gone" in link.reason
+
+
+async def test_a_device_that_is_not_there_is_down_and_waited_for(opened: Opener, tmp_path: Path) -> None:
+    link = await opened(f"serial:{tmp_path}/ttyACM0:57600")
+    assert link.state is LinkState.DOWN
+    assert "plugged in" in link.reason
+
+
+async def test_nothing_is_left_of_a_closed_link(opened: Opener, peer: socket.socket) -> None:
+    link = await opened("udpin:127.0.0.1:0")
+    port = link.local_port
+    await link.close()
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("link-")]
+    await opened(f"udpin:127.0.0.1:{port}")
+    with pytest.raises(LinkDown, match="closed"):
+        link.send(heartbeat())
+
+
+@pytest.mark.shared
+async def test_a_real_capture_is_replayed_frame_by_frame(tmp_path: Path, shared_data: Path) -> None:
+    path = shared_data / "px4_captures" / "set_nan_inf.tlog"
+    link = Link("replay", f"file:{path}?speed=0", tlog_dir=tmp_path)
+    collector = Collector(link)
+    await link.open()
+    await collector.until(lambda: link.state is LinkState.DOWN)
+    await link.close()
+    truth = [frame.raw for _, frame in wire.iter_tlog(path.read_bytes())]
+    assert [frame.raw for frame in collector.frames] == truth
+    assert [frame.raw for _, frame in wire.iter_tlog(link.tlog.path.read_bytes())] == truth

@@ -1,0 +1,63 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from calib import wire
+from service.vehicle import Autopilot, ParameterEncoding
+from service.vehicle.identity import VehicleIdentity, identity_from_heartbeat, identity_from_version
+from tests.unit.vehicle.fake import AP_CAPABILITIES, PX4_CAPABILITIES, heartbeat, version
+
+
+@pytest.mark.parametrize(("number", "autopilot"), [(3, Autopilot.ARDUPILOT), (12, Autopilot.PX4), (0, Autopilot.OTHER)])
+def test_the_heartbeat_tells_the_family(number: int, autopilot: Autopilot) -> None:
+    assert identity_from_heartbeat(heartbeat(number)).autopilot is autopilot
+    assert not identity_from_heartbeat(heartbeat(number)).known
+
+
+def test_the_version_tells_the_rest() -> None:
+    identity = identity_from_version(identity_from_heartbeat(heartbeat()), version(uid2=b"\x0a\x00\xff"))
+    assert identity.version == (4, 7, 0)
+    assert identity.version_text == "4.7.0-dev (abcdef12)"
+    assert identity.uid2 == "0a00ff"
+    assert identity.known
+
+
+def test_a_unique_id_of_zeros_is_none() -> None:
+    assert identity_from_version(identity_from_heartbeat(heartbeat()), version(uid2=b"")).uid2 is None
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "capabilities", "encoding"),
+    [
+        (Autopilot.PX4, PX4_CAPABILITIES, ParameterEncoding.BYTEWISE),
+        (Autopilot.ARDUPILOT, AP_CAPABILITIES, ParameterEncoding.CAST),
+        (Autopilot.ARDUPILOT, 2 | 16, ParameterEncoding.BYTEWISE),  # a newer ArduPilot that opted in
+        (Autopilot.PX4, 131072, ParameterEncoding.CAST),
+        (Autopilot.PX4, 16 | 131072, ParameterEncoding.BYTEWISE),
+        (Autopilot.PX4, None, ParameterEncoding.BYTEWISE),
+        (Autopilot.OTHER, None, ParameterEncoding.CAST),
+    ],
+)
+def test_the_encoding_follows_the_capabilities_first(
+    autopilot: Autopilot, capabilities: int | None, encoding: ParameterEncoding
+) -> None:
+    assert VehicleIdentity(autopilot, 2, capabilities=capabilities).encoding is encoding
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize(
+    ("name", "autopilot", "text", "uid2"),
+    [
+        ("sitl_captures", 3, "4.7.0-dev (90700977)", "656431323139633763346335343034616100"[:34]),
+        ("px4_captures", 12, "1.17.0-alpha (a91678c841000000)", f"{5283920058631409231:016x}"),
+    ],
+)
+def test_real_firmwares_are_recognised(shared_data: Path, name: str, autopilot: int, text: str, uid2: str) -> None:
+    log = (shared_data / name / "params.tlog").read_bytes()
+    message = next(wire.decode(frame) for _, frame in wire.iter_tlog(log) if frame.message_id == 148)
+    identity = identity_from_version(identity_from_heartbeat(heartbeat(autopilot)), message)
+    assert identity.version_text == text
+    assert identity.uid2 == uid2
+    assert identity.encoding is (ParameterEncoding.CAST if autopilot == 3 else ParameterEncoding.BYTEWISE)
