@@ -88,6 +88,8 @@ class AccelProcedure(TickedProcedure):
         self._note = ""
         self._last_taken = 0.0
         self._assessment: Assessment | None = None
+        self._left_of: tuple[int, tuple[int, ...]] | None = None
+        self._still_left: tuple[Pose, ...] = ()
 
     def _on_start(self, present: set[Instance]) -> None:
         self._body = {i: body_from_sensor(self.context, Sensor.ACCEL, i) for i in self.present(Sensor.ACCEL)}
@@ -183,7 +185,11 @@ class AccelProcedure(TickedProcedure):
         self._finish(Done(results, assessment.short))
 
     def _left(self) -> tuple[Pose, ...]:
-        return remaining([p.direction for p in self._poses], self._wanted)
+        key = (self._wanted, tuple(p.number for p in self._poses))
+        if key != self._left_of:
+            self._left_of = key
+            self._still_left = remaining([p.direction for p in self._poses], self._wanted)
+        return self._still_left
 
     def _ask(self, direction: Array | None, *, stable: bool) -> None:
         left = self._left()

@@ -57,6 +57,9 @@ SHORTEST = 5.0
 STALL = 10.0
 """Rest without getting nearer to the goal, s: more time does not help, the stream's resolution limits it."""
 
+CHECK_EVERY = 10.0
+"""A rest that cannot have reached the goal yet is fitted this often all the same, s: is it a rest?"""
+
 FIELD_CHANGE = 0.3
 """Least change of a compass's field that counts as a turn, uT: three steps of a stream in mgauss."""
 
@@ -76,8 +79,9 @@ class GyroProcedure(TickedProcedure):
         self._pool = Pool((Sensor.GYRO, Sensor.ACCEL, Sensor.MAG, Sensor.TEMPERATURE))
         self._tail = Tail(GUARD_TICKS)
         self._field = FieldWatch()
-        self._rest = self._judged_at = self._better_at = 0.0
-        self._best = math.inf
+        self._spreads: dict[int, Spread] = {}
+        self._rest = self._judged_at = self._fitted_at = self._better_at = 0.0
+        self._quick = self._best = math.inf
 
     def _on_start(self, present: set[Instance]) -> None:
         self._say(Prompt("hold_still", "Put the vehicle on a firm surface and do not touch it."))
@@ -109,12 +113,20 @@ class GyroProcedure(TickedProcedure):
         if kept is None:
             return
         self._pool.add(kept)
+        for (sensor, instance), channel in kept.items():
+            if sensor == Sensor.GYRO:
+                self._spreads.setdefault(instance, Spread()).add(channel.values)
         self._rest += seconds
         if self._rest >= SHORTEST and self._rest - self._judged_at >= 1.0:
             self._judged_at = self._rest
             self._judge()
 
     def _judge(self) -> None:
+        """Fit where the goal may be reached, and now and then besides: a fit costs more than the spread."""
+        self._quick = max(self._spreads[i].error for i in self.present(Sensor.GYRO) if i in self._spreads)
+        if self._quick > self._target and self._rest - self._fitted_at < CHECK_EVERY:
+            return
+        self._fitted_at = self._rest
         fits = tuple(self._fit(i) for i in self.present(Sensor.GYRO))
         refusal = next((f for f in fits if f.status == FitStatus.REFUSED), None)
         if refusal is not None:
@@ -151,24 +163,50 @@ class GyroProcedure(TickedProcedure):
         self._finish(Done(results, because))
 
     def _tell(self, verdict: Verdict) -> None:
-        known = math.isfinite(self._best)
+        reached = max(self._quick, self._best) if math.isfinite(self._best) else self._quick
+        known = math.isfinite(reached)
         # The standard deviation of a mean falls with the square root of the time.
-        eta = self._rest * max((self._best / self._target) ** 2 - 1.0, 0.0) if known and verdict.counted else None
+        eta = self._rest * max((reached / self._target) ** 2 - 1.0, 0.0) if known and verdict.counted else None
         text = f"at rest for {self._rest:.0f} s" if verdict.still else self._why
         detail = {"rest_s": self._rest, "warnings": self.warnings[:]}
-        current = math.degrees(self._best) if known else 0.0
+        current = math.degrees(reached) if known else 0.0
         self._report(Progress(current, math.degrees(self._target), "deg/s", text, eta, detail))
 
     def _missing(self) -> tuple[str, str]:
-        if not math.isfinite(self._best):
+        if not math.isfinite(self._quick):
             return (
                 f"the last rest was {self._rest:.1f} s long ({self._why})",
                 f"leave the vehicle alone for {SHORTEST + 1.0:.0f} s or more",
             )
         return (
-            f"the offsets are known to {math.degrees(self._best):.4f} deg/s, not to {math.degrees(self._target):.4f}",
+            f"the offsets are known to {math.degrees(self._quick):.4f} deg/s, not to {math.degrees(self._target):.4f}",
             "let it rest longer, or ask for less",
         )
+
+
+class Spread:
+    """The standard error that white noise gives to the mean of what was added, from sums."""
+
+    def __init__(self) -> None:
+        self._n = 0
+        self._origin = np.zeros(3)
+        self._sum = np.zeros(3)
+        self._squares = np.zeros(3)
+
+    def add(self, values: Array) -> None:
+        """Take samples (N, 3)."""
+        if self._n == 0:
+            self._origin = values[0]
+        off = values - self._origin
+        self._n += len(off)
+        self._sum += off.sum(axis=0)
+        self._squares += (off * off).sum(axis=0)
+
+    @property
+    def error(self) -> float:
+        """Of the worst axis."""
+        variance = self._squares / self._n - (self._sum / self._n) ** 2
+        return math.sqrt(max(float(variance.max()), 0.0) / self._n)
 
 
 class FieldWatch:

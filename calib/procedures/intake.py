@@ -8,7 +8,7 @@ that messages which overtake each other by less still fall into their own tick.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -70,6 +70,7 @@ class Intake:
     broken: Break | None = None
     _buffers: dict[Key, _Buffer] = field(default_factory=dict)
     _next: int | None = None
+    _kept: frozenset[Key] | None = None
 
     def add(self, chunk: Recording) -> None:
         """Take the samples of `chunk`."""
@@ -77,8 +78,14 @@ class Intake:
             if event.kind in _BREAKS:
                 self._break(event.t, *_BREAKS[event.kind])
         for channel in chunk.channels:
-            if channel.sensor in _USED and channel.stage != Stage.DEBIASED and len(channel):
+            wanted = channel.sensor in _USED if self._kept is None else channel.key in self._kept
+            if wanted and channel.stage != Stage.DEBIASED and len(channel):
                 self._append(channel)
+
+    def keep(self, keys: Iterable[Key]) -> None:
+        """From now on take these channels alone."""
+        self._kept = frozenset(keys)
+        self._buffers = {key: buffer for key, buffer in self._buffers.items() if key in self._kept}
 
     def ticks(self, *, to_the_end: bool = False) -> Iterator[Tick]:
         """The ticks that are complete; with `to_the_end` also those that still could have grown."""

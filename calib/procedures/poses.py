@@ -40,6 +40,7 @@ edge between two faces."""
 APART = math.radians(20.0)
 """Oblique poses nearer to each other than this count once."""
 
+_FACE_DIRECTIONS = np.array([DOWN[face] for face in FACES])
 _CANDIDATES = np.array([v for v in itertools.product((-1.0, 0.0, 1.0), repeat=3) if np.count_nonzero(v) > 1])
 _CANDIDATES /= np.linalg.norm(_CANDIDATES, axis=1)[:, None]
 
@@ -60,8 +61,9 @@ def recognise(direction: Array) -> Pose:
     >>> recognise(np.array([0.1, 0.0, 0.995]))
     <Pose.LEVEL: 'level'>
     """
-    nearest = max(FACES, key=lambda face: float(np.dot(DOWN[face], direction)))
-    return nearest if angle(np.array(DOWN[nearest]), direction) <= FACE_WITHIN else Pose.OBLIQUE
+    along = _FACE_DIRECTIONS @ direction
+    nearest = int(along.argmax())
+    return FACES[nearest] if along[nearest] >= math.cos(FACE_WITHIN) else Pose.OBLIQUE
 
 
 def remaining(taken: Iterable[Array], obliques: int) -> tuple[Pose, ...]:

@@ -101,7 +101,7 @@ class Attendance:
             # A quiet quantised sensor at rest repeats rightly: only a movement that others saw speaks against it.
             if instance not in constant:
                 self._constant[instance] = 0
-            elif frame[instance].quantum == 0.0 or any(m[0] in EVIDENCE[instance[0]] for m in movers):
+            elif _never_repeats(instance, frame[instance]) or any(m[0] in EVIDENCE[instance[0]] for m in movers):
                 self._constant[instance] = self._constant.get(instance, 0) + 1
                 if self._constant[instance] >= STUCK_TICKS:
                     out.append((instance, f"{label(*instance)} is frozen: it repeats one value"))
@@ -129,3 +129,8 @@ class Attendance:
             if before is not None and np.abs(mean - before).max() > bound:
                 movers.add(instance)
         return movers
+
+
+def _never_repeats(instance: Instance, channel: Channel) -> bool:
+    """Whether the noise of an intact sensor shows in every sample: inertial ones that come as floating point numbers."""
+    return channel.quantum == 0.0 and instance[0] in (Sensor.ACCEL, Sensor.GYRO)

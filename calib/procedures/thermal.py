@@ -181,10 +181,11 @@ class ThermalProcedure(TickedProcedure):
         """What keeps the fits from the goal; empty if nothing does."""
         if not fits:
             return f"the vehicle was still for {self._still:.0f} s only ({self._why})"
+        usable = [f for f in fits if f.status != FitStatus.REFUSED]
+        if not usable:
+            return f"{label(fits[0].sensor, fits[0].instance)}: {fits[0].message}"
         goals = {Sensor.ACCEL: self.options["accel_residual"], Sensor.GYRO: math.radians(self.options["gyro_residual"])}
-        for fit in fits:
-            if fit.status == FitStatus.REFUSED and not any(fit.quality.get("drift") or ()):
-                return f"{label(fit.sensor, fit.instance)}: {fit.message}"
+        for fit in usable:
             known = [s for s in fit.quality["drift_sd"] if s is not None]
             reached = max(known, default=0.0)
             if reached > goals[fit.sensor]:
@@ -219,8 +220,8 @@ class ThermalProcedure(TickedProcedure):
         span = self._warmth.span
         if self._warmth.moved - span > 2.0:
             return (
-                f"the temperature moved by {self._warmth.moved:.1f} degC, but the vehicle was still for {span:.1f} degC "
-                f"of it only ({self._why})",
+                f"the temperature moved by {self._warmth.moved:.1f} degC, but the vehicle was still for "
+                f"{span:.1f} degC of it only ({self._why})",
                 "leave it alone on a firm surface while the temperature moves",
             )
         if span < self.options["span"]:

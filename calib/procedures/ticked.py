@@ -175,6 +175,7 @@ class TickedProcedure(ABC):
         wanted = {*self.spec.sensors, *self.spec.helpful}
         chosen = choose(backlog).keys
         self._roster = Roster({i: k for i, k in chosen.items() if i[0] in wanted})
+        self._intake.keep(self._roster.keys.values())
         present = set(self._roster.keys)
         for sensor in self.spec.sensors:
             if not any(s == sensor for s, _ in present):
