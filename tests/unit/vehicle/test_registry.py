@@ -1,0 +1,184 @@
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from typing import Any, cast
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from calib import wire
+from service.errors import LinkDown, VehicleConflict, VehicleUnknown
+from service.link import Batch, Link, LinkEvent, LinkEventKind
+from service.vehicle import VehicleEventKind, VehicleRegistry
+from tests.unit.vehicle.fake import FakeLink, ManualClock, ack, heartbeat, version
+
+
+class Air(FakeLink):
+    """A link on which a test speaks with any ids."""
+
+    def __init__(self, name: str = "air") -> None:
+        super().__init__()
+        self.id = name
+        self.taken: list[Callable[[Batch], None]] = []
+        self.told: list[Callable[[LinkEvent], None]] = []
+
+    def subscribe(self, callback: Any, _ids: object = None) -> Callable[[], None]:
+        self.taken.append(callback)
+        return lambda: self.taken.remove(callback)
+
+    def subscribe_events(self, callback: Any) -> Callable[[], None]:
+        self.told.append(callback)
+        return lambda: self.told.remove(callback)
+
+    def send(self, message: Any, _target: object = None) -> None:
+        self.sent.append(message)
+
+    def say(self, message: Any, system: int = 1, component: int = 1, at: float = 0.0) -> None:
+        frames = wire.FrameParser().feed(wire.encode(message, system, component, 0))
+        for callback in list(self.taken):
+            callback(Batch(tuple(frames), at, 0, 0))
+
+
+@pytest.fixture
+async def registry() -> AsyncIterator[VehicleRegistry]:
+    made = VehicleRegistry(clock=ManualClock())
+    yield made
+    made.close()
+
+
+def attached(registry: VehicleRegistry, name: str = "air") -> Air:
+    air = Air(name)
+    registry.attach(cast(Link, air))
+    return air
+
+
+async def test_only_autopilots_are_vehicles(registry: VehicleRegistry) -> None:
+    air = attached(registry)
+    air.say(dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3), 255, 190)  # a ground station
+    air.say(dialect.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3), 1, 191)  # a companion
+    air.say(dialect.MAVLink_heartbeat_message(26, 3, 0, 0, 4, 3), 1, 154)  # a gimbal that names an autopilot
+    air.say(dialect.MAVLink_heartbeat_message(6, 0, 0, 0, 4, 3), 254, 1)  # a ground station as component 1
+    air.say(dialect.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0), 7, 1)  # nobody has said what that is
+    assert registry.all() == ()
+    air.say(heartbeat(), 1, 1)
+    air.say(heartbeat(12), 2, 1)
+    assert [(v.system, v.component) for v in registry.all()] == [(1, 1), (2, 1)]
+
+
+async def test_a_vehicle_is_named_by_its_place_until_its_unique_id_is_known(registry: VehicleRegistry) -> None:
+    air = attached(registry)
+    air.say(heartbeat())
+    (vehicle,) = registry.all()
+    assert vehicle.id == "air-1-1"
+    air.say(version(uid2=b"\xab\xcd"))
+    assert vehicle.id == "uid-abcd"
+    assert registry.get("uid-abcd") is registry.get("air-1-1") is vehicle
+    with pytest.raises(VehicleUnknown, match=r"uid-abcd\."):
+        registry.get("uid-ffff")
+
+
+async def test_one_unique_id_on_two_links_names_only_one_of_them(registry: VehicleRegistry) -> None:
+    for name in ("one", "two"):
+        air = attached(registry, name)
+        air.say(heartbeat())
+        air.say(version(uid2=b"\x01"))
+    assert [v.id for v in registry.all()] == ["uid-01", "two-1-1"]
+
+
+async def test_two_unique_ids_behind_one_system_id_forbid_writing(registry: VehicleRegistry) -> None:
+    events: list[VehicleEventKind] = []
+    registry.subscribe(lambda event: events.append(event.kind))
+    air = attached(registry)
+    air.say(heartbeat())
+    air.say(version(uid2=b"\x01"))
+    air.say(version(uid2=b"\x01"))
+    (vehicle,) = registry.all()
+    assert vehicle.conflicts == ()
+    air.say(version(uid2=b"\x02"), at=vehicle.clock())
+    assert "01 and 02" in vehicle.conflicts[0]
+    assert vehicle.identity.uid2 == "01"
+    with pytest.raises(VehicleConflict):
+        _only_conflict(vehicle)
+    await asyncio.sleep(0)
+    assert events.count(VehicleEventKind.CONFLICT) == 1
+
+
+def _only_conflict(vehicle: Any) -> None:
+    """Everything else is fine with this vehicle."""
+    now = vehicle.clock()
+    for seconds in (4.0, 3.0, 2.0, 1.0, 0.0):
+        frames = wire.FrameParser().feed(
+            wire.encode(heartbeat(), 1, 1, 0) + wire.encode(dialect.MAVLink_extended_sys_state_message(0, 1), 1, 1, 1)
+        )
+        vehicle.feed(frames, Batch(tuple(frames), now - seconds, 0, 0))
+    vehicle.require_writable()
+
+
+async def test_our_own_ids_heard_from_elsewhere_forbid_writing_to_anybody(registry: VehicleRegistry) -> None:
+    air = attached(registry)
+    air.say(heartbeat(), 1)
+    air.say(heartbeat(), 2)
+    for told in air.told:
+        told(LinkEvent(LinkEventKind.OWN_IDS_HEARD, "somebody speaks with our ids", 253, 190))
+    assert all(v.conflicts == ("somebody speaks with our ids",) for v in registry.all())
+
+
+async def test_waiting_for_a_vehicle_ends_when_it_is_identified(registry: VehicleRegistry) -> None:
+    air = attached(registry)
+    waiting = asyncio.ensure_future(registry.wait_for_vehicle(cast(Link, air)))
+    await asyncio.sleep(0)
+    air.say(heartbeat())
+    await asyncio.sleep(0)
+    assert not waiting.done()
+    assert (await registry.wait_for_vehicle(identified=False)).system == 1
+    air.say(version())
+    assert (await waiting).identity.known
+
+
+async def test_a_closed_link_takes_its_vehicles_with_it(registry: VehicleRegistry) -> None:
+    air = attached(registry)
+    other = attached(registry, "other")
+    air.say(heartbeat())
+    other.say(heartbeat())
+    vehicle = registry.get("air-1-1")
+    asking = asyncio.ensure_future(vehicle.parameters.read("A"))
+    await asyncio.sleep(0)
+    registry.detach(cast(Link, air))
+    with pytest.raises(LinkDown, match="air was closed"):
+        await asking
+    assert [v.id for v in registry.all()] == ["other-1-1"]
+    assert air.taken == []
+    assert air.told == []
+
+
+async def test_an_unsubscribed_listener_hears_no_more(registry: VehicleRegistry) -> None:
+    heard: list[Any] = []
+    forget = registry.subscribe(heard.append)
+    air = attached(registry)
+    air.say(heartbeat())
+    await asyncio.sleep(0)
+    count = len(heard)
+    assert count
+    air.say(heartbeat(armed=True))
+    forget()
+    await asyncio.sleep(0)
+    assert len(heard) == count
+
+
+async def test_jobs_get_only_the_frames_that_they_asked_for(registry: VehicleRegistry) -> None:
+    air = attached(registry)
+    air.say(heartbeat())
+    (vehicle,) = registry.all()
+    heard: list[int] = []
+    forget = vehicle.subscribe(frozenset({30}), lambda frames, _batch: heard.extend(f.message_id for f in frames))
+    attitude = dialect.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0)
+    air.say(attitude)
+    air.say(ack(1, 0))
+    air.say(attitude, 2)
+    await asyncio.sleep(0)
+    assert heard == [30]
+    forget()
+    air.say(attitude)
+    await asyncio.sleep(0)
+    assert heard == [30]
