@@ -135,15 +135,16 @@ class FakeVehicle:
         await asyncio.sleep(0)
         return {message: self.message_intervals.get(message, 0) for message in message_ids}
 
+    async def request_streams(self, rates: Mapping[int, float], *, measure_s: float) -> tuple[str, ...]:
+        """See JobVehicle."""
+        await asyncio.sleep(0)
+        self.message_intervals |= {message: round(1e6 / rate) for message, rate in rates.items()}
+        return ()
+
     async def set_intervals(self, intervals: Mapping[int, int]) -> None:
         """See JobVehicle."""
         await asyncio.sleep(0)
         self.message_intervals |= intervals
-
-    async def measure(self, rates: Mapping[int, float], seconds: float) -> tuple[str, ...]:
-        """See JobVehicle."""
-        await asyncio.sleep(0)
-        return ()
 
     def subscribe(self, message_ids: frozenset[int], callback: FramesCallback) -> Callable[[], None]:
         """See JobVehicle."""

@@ -15,6 +15,7 @@ from typing import Any
 
 from calib.earth import EarthField, earth_field
 from calib.errors import InvalidInputError
+from calib.firmware import sensor_ids
 from calib.firmware.names import CALIBRATION_PREFIXES
 from calib.firmware.plan import Value
 from calib.firmware.streams import Assembler
@@ -28,6 +29,9 @@ from calib.recording import Channel, Identity, ParameterEntry, Recording, Sensor
 from calib.wire import Frame
 from service.errors import CaptureEnded
 from service.jobs.model import Span
+
+STREAMED_INSTANCES = 3
+"""MAVLink carries RAW_IMU or SCALED_IMU, SCALED_IMU2 and SCALED_IMU3."""
 
 POSITION_WAIT_S = 3.0
 """A compass job waits so long for the vehicle's position, in seconds of its clock: the Earth's field depends on it."""
@@ -144,7 +148,7 @@ class LiveDigest:
         return tuple(step for chunk in chunks for step in self._procedure.feed(chunk))
 
     def _context(self, field: EarthField | None = None) -> ProcedureContext:
-        return ProcedureContext(self._assembler.identity, earth_field=field, parameters=self._parameters)
+        return context_of(self._kind, self._assembler.identity, self._parameters, field)
 
     def _refuse_changes(self, entries: Sequence[ParameterEntry]) -> None:
         for entry in entries:
@@ -153,6 +157,18 @@ class LiveDigest:
             before = self._parameters.setdefault(entry.name, entry.value)
             if before != entry.value:
                 raise changed(entry.name, before, entry.value)
+
+
+def context_of(
+    kind: str, identity: Identity, parameters: Mapping[str, Value], field: EarthField | None
+) -> ProcedureContext:
+    """What the procedure knows beforehand: every sensor of the parameters is expected to stream."""
+    wanted = specification(kind).sensors
+    instances: dict[Sensor, tuple[int, ...]] = {}
+    for sensor, instance in sorted(sensor_ids(identity.autopilot, parameters)):
+        if sensor in wanted and instance < STREAMED_INSTANCES:
+            instances[sensor] = (*instances.get(sensor, ()), instance)
+    return ProcedureContext(identity, instances, field, parameters)
 
 
 def changed(name: str, before: Value, after: Value) -> CaptureEnded:
@@ -197,14 +213,11 @@ def fit_segments(request: FitRequest) -> Fitted:
     for entry in calibration_changes(recording):
         before = next(e.value for e in recording.parameters.entries if e.name == entry.name)
         raise changed(entry.name, before, entry.value)
-    context = ProcedureContext(
-        recording.identity,
-        earth_field=field_of(recording, request.created_at),
-        parameters=recording.parameters.final(),
-    )
+    parameters = recording.parameters.final()
+    context = context_of(request.kind, recording.identity, parameters, field_of(recording, request.created_at))
     answers = [Answer(t, value) for t, value in request.answers]
     outcome = replay(request.kind, request.options, context, undo(recording), answers)
-    return Fitted(outcome, recording.parameters.final())
+    return Fitted(outcome, parameters)
 
 
 def recording_of(spans: Sequence[Span], system: int | None) -> Recording:

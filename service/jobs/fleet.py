@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 
 from calib.firmware.plan import ParameterKind, Value
 from calib.recording import Identity
 from calib.wire import Frame
-from service.errors import CommandRefused, DiskFull
+from service.errors import CommandTimeout, DiskFull
 from service.jobs.port import Condition, FramesCallback, Reading, TlogPosition
 from service.link import Batch
 from service.vehicle import Vehicle, VehicleRegistry
 from service.vehicle.encoding import Parameter
 from service.vehicle.encoding import ParameterKind as WireKind
-from service.vehicle.streams import DEFAULT_INTERVAL, get_interval, measure, set_interval
+from service.vehicle.streams import DEFAULT_INTERVAL, StreamReport, get_interval, request_streams
 
-SLOW = 0.7
-"""A stream that brings less than this share of what was asked for is called slow."""
+SLOW = 1.2
+"""From here on a job takes so much longer that it is said."""
 
 
 class FleetVehicle:
@@ -88,16 +87,18 @@ class FleetVehicle:
         """See JobVehicle."""
         return {i: await get_interval(self._vehicle, i) or DEFAULT_INTERVAL for i in message_ids}
 
+    async def request_streams(self, rates: Mapping[int, float], *, measure_s: float) -> tuple[str, ...]:
+        """See JobVehicle."""
+        report = await request_streams(self._vehicle, rates, measure_s=measure_s)
+        if report.slowdown <= SLOW:
+            return ()
+        return (f"the link is slow: collecting the samples takes {report.slowdown:.1f} times as long",)
+
     async def set_intervals(self, intervals: Mapping[int, int]) -> None:
         """See JobVehicle."""
-        for message_id, interval in intervals.items():
-            with suppress(CommandRefused):
-                await set_interval(self._vehicle, message_id, interval)
-
-    async def measure(self, rates: Mapping[int, float], seconds: float) -> tuple[str, ...]:
-        """See JobVehicle."""
-        _, own = await measure(self._vehicle, tuple(rates), seconds)
-        return _slow({message: own[message] / rate for message, rate in rates.items() if own[message] > 0.0})
+        failed = await StreamReport(self._vehicle, {}, intervals).restore()
+        if failed:
+            raise CommandTimeout(f"not confirmed for messages {', '.join(map(str, failed))}")
 
     def subscribe(self, message_ids: frozenset[int], callback: FramesCallback) -> Callable[[], None]:
         """See JobVehicle."""
@@ -137,13 +138,3 @@ class Fleet:
 
 def _reading(parameter: Parameter) -> Reading:
     return Reading(parameter.name, parameter.value, ParameterKind[parameter.kind.name])
-
-
-def _slow(shares: Mapping[int, float]) -> tuple[str, ...]:
-    """What comes slower than asked for, in one sentence; streams that never come are the procedure's to judge."""
-    slowest = min(shares.values(), default=1.0)
-    if slowest >= SLOW:
-        return ()
-    times = 1.0 / max(slowest, 0.01)
-    text = f"the link is slow: the slowest stream comes at {slowest:.0%} of its rate"
-    return (f"{text}, the job takes up to {times:.1f} times as long",)

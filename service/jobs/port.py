@@ -93,12 +93,15 @@ class JobVehicle(Protocol):
         """Message intervals as they are, us: -1 off, 0 the vehicle's default (also where it does not say)."""
         ...
 
-    async def set_intervals(self, intervals: Mapping[int, int]) -> None:
-        """Set message intervals, us; one that is refused does not stop the others. Raises CommandTimeout, LinkDown."""
+    async def request_streams(self, rates: Mapping[int, float], *, measure_s: float) -> tuple[str, ...]:
+        """Ask for messages at rates in Hz, or what the link carries of them, and measure what comes.
+
+        Returns sentences about what comes slower or not at all, and what that means for the job's length.
+        """
         ...
 
-    async def measure(self, rates: Mapping[int, float], seconds: float) -> tuple[str, ...]:
-        """Watch streams that were asked for at `rates` (Hz); what comes slower, in sentences."""
+    async def set_intervals(self, intervals: Mapping[int, int]) -> None:
+        """Put message intervals back, us. Raises CommandTimeout naming those that were not confirmed, LinkDown."""
         ...
 
     def subscribe(self, message_ids: frozenset[int], callback: FramesCallback) -> Callable[[], None]:

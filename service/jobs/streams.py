@@ -21,10 +21,8 @@ async def ask_for_streams(
     before = await vehicle.intervals([message for message in rates if message not in known])
     if before:
         await handle.record(Step.STREAMS, intervals={str(k): v for k, v in before.items()})
-    await vehicle.set_intervals({message: round(1e6 / rate) for message, rate in rates.items()})
-    if measure_s > 0.0:
-        for warning in await vehicle.measure(rates, measure_s):
-            handle.warn(warning)
+    for warning in await vehicle.request_streams(rates, measure_s=measure_s):
+        handle.warn(warning)
 
 
 async def restore_streams(handle: JobHandle, vehicle: JobVehicle) -> None:
