@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from service.simvehicle.ardupilot import ArduPilotVehicle
 
 G = 9.80665
-MG = G / 1000.0
-MRAD = 1.0e-3
 MAG_DEFECT = 1000.0  # mGauss times this, where Gauss would be mGauss divided by it
 
 Rows = list[list[int]]
@@ -56,10 +54,10 @@ class Readings:
             imu = self.imu(instance)
             mag = self._vehicle.sensors.compass(instance, self.state.t)
             self._integers[instance] = (
-                truncated(imu.accel, MG).tolist(),
-                truncated(imu.gyro, MRAD).tolist(),
+                truncated(imu.accel, 1000.0, G).tolist(),
+                truncated(imu.gyro, 1000.0).tolist(),
                 truncated(mag, 1.0).tolist(),
-                truncated(imu.temperature, 0.01).tolist(),
+                truncated(imu.temperature, 100.0).tolist(),
             )
         return self._integers[instance]
 

@@ -105,8 +105,12 @@ def px4_mag(
     return np.asarray(corrected @ body_from_sensor.T)
 
 
-def truncated(values: Array, unit: float) -> Array:
-    """C++ conversion of values/unit to int16: toward zero; saturated, and 0 for NaN, where C++ leaves it undefined."""
-    counts = np.clip(values / unit, -32768, 32767)
+def truncated(values: Array, multiplier: float, divisor: float = 1.0) -> Array:
+    """C++ conversion of values · multiplier / divisor to int16 in float32 arithmetic: toward zero.
+
+    Saturated, and 0 for NaN, where C++ leaves the result undefined.
+    """
+    counts = np.asarray(values, dtype=np.float32) * np.float32(multiplier) / np.float32(divisor)
+    counts = np.clip(counts, -32768, 32767)
     counts[np.isnan(counts)] = 0.0
     return np.asarray(counts.astype(np.int64))

@@ -15,8 +15,7 @@ from service.simvehicle.world import State
 if TYPE_CHECKING:
     from service.simvehicle.px4 import Px4Vehicle
 
-MG = 9.80665e-3
-MRAD = 1.0e-3
+G = 9.80665
 MGAUSS_PER_GAUSS = 1000.0
 HIGHRES_MAG_HZ = 15.0
 BARO_HZ = 20.0
@@ -52,9 +51,9 @@ class Px4Readings:
             temperature = np.round(imu.temperature * 100).astype(np.int64)
             temperature[temperature == 0] = 1  # 0 would mean "no temperature"
             self._integers[instance] = (
-                truncated(imu.accel, MG).tolist(),
-                truncated(imu.gyro, MRAD).tolist(),
-                truncated(mag * MGAUSS_PER_GAUSS, 1.0).tolist(),
+                truncated(imu.accel, 1000.0, G).tolist(),
+                truncated(imu.gyro, 1000.0).tolist(),
+                truncated(mag, MGAUSS_PER_GAUSS).tolist(),
                 np.clip(temperature, -32768, 32767).tolist(),
             )
         return self._integers[instance]
