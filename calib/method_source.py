@@ -1,0 +1,84 @@
+"""What a method is given: a recording with the calibration in force undone, and which of it is asked for."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+from calib.firmware import undo
+from calib.fit import FitResult
+from calib.logs.tables import NO_TIME
+from calib.recording import Channel, Recording, Sensor, Stage
+from calib.stillness import HELD, RESTING, Still, find_still
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A recording with the calibration in force undone, and what of it is asked for."""
+
+    recording: Recording
+    instance: int | None
+
+    @classmethod
+    def of(cls, recording: Recording, instance: int | None) -> Source:
+        """What `recording` says of the bare sensors; None: every instance."""
+        known = recording.identity.autopilot in {"ardupilot", "px4"}
+        return cls(undo(recording) if known else recording, instance)
+
+    def channels(self, sensor: Sensor) -> tuple[Channel, ...]:
+        """The channel of every instance that is asked for."""
+        have = self.recording.instances(sensor)
+        wanted = have if self.instance is None else (self.instance,)
+        usable = [i for i in wanted if self._usable(sensor, i)] or [wanted[0] if wanted else 0]
+        return tuple(self.recording.channel(sensor, i) for i in usable)
+
+    def maybe(self, sensor: Sensor, instance: int) -> Channel | None:
+        """That channel, or None."""
+        return self.recording.channel(sensor, instance) if self._usable(sensor, instance) else None
+
+    def temperature(self, instance: int) -> Channel | None:
+        """The thermometer of that instance, or the only one there is."""
+        return self.maybe(Sensor.TEMPERATURE, instance) or self.maybe(Sensor.TEMPERATURE, 0)
+
+    def relative(self, channel: Channel) -> bool:
+        """Whether the calibration in force is unknown, or could not be undone."""
+        return not self.recording.parameters or channel.stage != Stage.RAW
+
+    @property
+    def timed(self) -> bool:
+        """Whether the time stamps are times: a table without them has counted rows."""
+        return not any(event.kind == NO_TIME for event in self.recording.events)
+
+    @property
+    def of_vehicle(self) -> bool:
+        """Whether it was streamed by a vehicle."""
+        return self.recording.identity.autopilot is not None
+
+    def stills(self, instance: int, *, held: bool) -> tuple[Still, ...]:
+        """Labelled segments, else the still spans of the recording; none in a table without time."""
+        if self.recording.segments:
+            return tuple(Still(s.start, s.end, None, None) for s in self.recording.segments)
+        return find_still(self.recording, instance=instance, limits=HELD if held else RESTING) if self.timed else ()
+
+    def longest_rest(self, channel: Channel) -> Channel:
+        """The samples of the longest still span, or all of them where no span is found."""
+        stills = self.stills(channel.instance, held=False)
+        if not stills:
+            return channel
+        longest = max(stills, key=lambda still: still.duration)
+        return channel.between(longest.start, longest.end)
+
+    def annotated(self, fit: FitResult) -> FitResult:
+        """The fit with the warnings that concern the recording as a whole."""
+        about = f"{fit.sensor} {fit.instance + 1} of "
+        warnings = [
+            event.text
+            for event in self.recording.events
+            if event.kind == "damage" or (event.kind == "undo" and event.text.startswith(about))
+        ]
+        if self.recording.parameters and not self.recording.parameters.end_observed:
+            warnings.append("the parameters were not read again at the end: a change in the middle would be unseen")
+        return dataclasses.replace(fit, warnings=(*fit.warnings, *warnings))
+
+    def _usable(self, sensor: Sensor, instance: int) -> bool:
+        return any(c.stage != Stage.DEBIASED for c in self.recording.find(sensor, instance))
