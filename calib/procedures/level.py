@@ -69,7 +69,7 @@ class LevelProcedure(TickedProcedure):
         self._target = math.radians(options["uncertainty"])
         self._hold = Hold()
         self._why = "no samples yet"
-        self._restless = 0.0
+        self._restless = self._judge_at = 0.0
 
     def _on_start(self, present: set[Instance]) -> None:
         models = {i: in_force(self.context, Sensor.ACCEL, i) for i in self.present(Sensor.ACCEL)}
@@ -86,13 +86,14 @@ class LevelProcedure(TickedProcedure):
     def _on_tick(self, start: float, end: float, frame: Frame) -> None:
         verdict = self._watch.update(frame)
         if not verdict.still:
-            self._hold, self._why = Hold(), verdict.why
+            self._hold, self._why, self._judge_at = Hold(), verdict.why, 0.0
             self._restless += end - start
             self._say(Prompt("hold_still", f"Not at rest: {verdict.why}. Leave the vehicle alone.", Pose.LEVEL))
         elif verdict.counted:
             self._say(Prompt("hold_still", "At rest: leave the vehicle alone.", Pose.LEVEL, stable=True))
             self._hold.add(frame, end - start, self._direction())
-            if self._hold.seconds >= SHORTEST:
+            if self._hold.seconds >= SHORTEST and self._hold.seconds >= self._judge_at:
+                self._judge_at = self._hold.seconds + 1.0
                 self._judge()
         if self.outcome is None:
             self._tell(verdict)

@@ -73,7 +73,7 @@ SHORTEST = 10.0
 LOOK_EVERY = 2.0
 """Coverage and prediction are brought up to date this often, s."""
 
-ADVISE_EVERY = 4.0
+ADVISE_EVERY = 6.0
 """A new direction is advised at most this often, s: an operator needs time to follow."""
 
 BACKOFF = 1.3
@@ -115,6 +115,7 @@ class MagProcedure(TickedProcedure):
         self._inertial = self.present(Sensor.ACCEL)[0], self.present(Sensor.GYRO)[0]
         accel = in_force(self.context, Sensor.ACCEL, self._inertial[0])
         self._accel = accel or TriadModel()
+        self._rotation = self._accel.rotation
         if self.context.earth_field is None:
             self._warn("the place is not known: the field strength cannot be judged, and the common scale is not set")
         self._ask()
@@ -143,10 +144,13 @@ class MagProcedure(TickedProcedure):
     # -- collecting ------------------------------------------------------------------------------------------------
 
     def _collect(self, frame: Frame) -> None:
+        known: tuple[Array, Motion | None] | None = None
         for (sensor, instance), channel in frame.items():
             if sensor != Sensor.MAG:
                 continue
-            motion = self._motion(channel.t)
+            if known is None or not np.array_equal(known[0], channel.t):
+                known = channel.t, self._motion(channel.t)
+            motion = known[1]
             if motion is None:
                 continue
             if instance not in self._tracks:
@@ -169,7 +173,7 @@ class MagProcedure(TickedProcedure):
         middle = t - 0.5 * self._window
         # The reference of a thermal correction is left out: it tilts the vertical by less than the 10 % gate.
         force = self._accel.matrix @ (interpolated(middle, accel_t, accel) - self._accel.offset).T
-        turning = self._accel.rotation @ interpolated(middle, gyro_t, gyro).T
+        turning = self._rotation @ interpolated(middle, gyro_t, gyro).T
         return Motion(rates_during(t, gyro_t, gyro, self._window), force.T, turning.T)
 
     def _lately(self, instance: Instance) -> tuple[Array, Array]:

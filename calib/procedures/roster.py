@@ -132,5 +132,5 @@ class Attendance:
 
 
 def _never_repeats(instance: Instance, channel: Channel) -> bool:
-    """Whether the noise of an intact sensor shows in every sample: inertial ones that come as floating point numbers."""
+    """Whether the noise of an intact sensor shows in every sample: inertial ones that stream as floating point."""
     return channel.quantum == 0.0 and instance[0] in (Sensor.ACCEL, Sensor.GYRO)
