@@ -81,10 +81,10 @@ class JobHandle:
             self.job = dataclasses.replace(self.job, warnings=warnings)
 
     def prompt(self, prompt: Prompt | None) -> None:
-        """Ask the operator something else, or nothing more."""
+        """Ask the operator something else, or nothing more; not durable, a restarted job asks anew."""
         if prompt != self.job.prompt:
-            data = {} if prompt is None else step_to_json(prompt)
-            self.change("prompt", data, prompt=prompt)
+            self.job = dataclasses.replace(self.job, prompt=prompt)
+            self._tell("prompt", {} if prompt is None else step_to_json(prompt))
 
     def progress(self, progress: Progress) -> None:
         """Announce progress; not durable, and not more often than the settings say."""
@@ -92,7 +92,7 @@ class JobHandle:
         now = self._clock()
         if now >= self._progress_due:
             self._progress_due = now + self._progress_s
-            self._publish(self.store.add_event(self.id, self._wall(), "progress", step_to_json(progress)))
+            self._tell("progress", step_to_json(progress))
 
     async def record(self, step: Step, **data: Any) -> None:
         """Append to the journal; it is on the disk when this returns. Raises DiskFull."""
@@ -108,6 +108,9 @@ class JobHandle:
     def written(self) -> WriteRecord:
         """What the journal says."""
         return fold(self.store.journal(self.id))
+
+    def _tell(self, kind: str, data: Json) -> None:
+        self._publish(self.store.add_event(self.id, self._wall(), kind, data))
 
     def _keep(self, job: Job, kind: str, data: Json) -> None:
         event = self.store.save_job(row_from_job(job), event=(kind, data))
