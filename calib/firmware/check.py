@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -43,10 +43,22 @@ class Corrections:
             self._models[refused] = self.force.model(self.about, self.every - refused)
         return self._models[refused]
 
-    def raw(self, refused: Hypothesis, reading: Reading) -> Array:
-        """What the sensor measured, (3,), if `refused` did not take effect."""
-        motor = self.force.motor(self.about, self.every - refused, reading)
-        return self.model(refused).invert(reading.mean - motor, reading.temperature)
+    def raw(self, refused: Hypothesis, readings: Sequence[Reading]) -> Array:
+        """What the sensor measured at each reading, (K, 3), if `refused` did not take effect."""
+        streamed = np.array([r.mean for r in readings]).reshape(-1, 3)
+        motor = self.force.motor(self.about, self.every - refused, readings)
+        return self.model(refused).invert(streamed - motor, self.temperatures(refused, readings))
+
+    def stream(self, refused: Hypothesis, raw: Array, readings: Sequence[Reading]) -> Array:
+        """What the vehicle would stream of `raw` (K, 3) under the conditions of `readings`."""
+        motor = self.force.motor(self.about, self.every - refused, readings)
+        return self.model(refused).apply(raw, self.temperatures(refused, readings)) + motor
+
+    def temperatures(self, refused: Hypothesis, readings: Sequence[Reading]) -> Array | None:
+        """Temperatures (K,) of the readings; None where the correction does not need them."""
+        if self.model(refused).polynomial is None:
+            return None
+        return np.array([np.nan if r.temperature is None else r.temperature for r in readings])
 
     def readable(self, readings: tuple[Reading, ...]) -> tuple[Reading, ...]:
         """Those of `readings` that can be undone: a correction by temperature needs the temperature."""
@@ -72,14 +84,10 @@ class StreamCheck:
 
     def effect(self, name: str) -> float:
         """How far the stream would be off, at most over the readings, if `name` alone had not taken effect."""
-        whole, without = (self.corrections.model(h) for h in (ALL_APPLIED, frozenset({name})))
-        largest = 0.0
-        for reading in (*self.capture.after, *self.capture.invariant):
-            raw = self.corrections.raw(ALL_APPLIED, reading)
-            difference = whole.apply(raw, reading.temperature) - without.apply(raw, reading.temperature)
-            motors = (self.corrections.force.motor(self.corrections.about, s, reading) for s in self._sets(name))
-            largest = max(largest, float(np.linalg.norm(difference + np.subtract(*motors))))
-        return largest
+        readings = (*self.capture.after, *self.capture.invariant)
+        raw = self.corrections.raw(ALL_APPLIED, readings)
+        with_it, without = (self.corrections.stream(h, raw, readings) for h in (ALL_APPLIED, frozenset({name})))
+        return float(np.linalg.norm(with_it - without, axis=1).max())
 
     def sd(self, name: str) -> float:
         """Standard deviation of the check along the effect of `name`, in the unit of the stream."""
@@ -103,10 +111,7 @@ class StreamCheck:
         return float(np.linalg.norm(np.linalg.solve(root, shift)))
 
     def _undo(self, refused: Hypothesis) -> Undo:
-        return lambda reading: self.corrections.raw(refused, reading)
-
-    def _sets(self, name: str) -> tuple[Hypothesis, Hypothesis]:
-        return self.corrections.every, self.corrections.every - {name}
+        return lambda readings: self.corrections.raw(refused, readings)
 
 
 def check_stream(
@@ -146,7 +151,7 @@ def _capture(corrections: Corrections, pair: Pair | None, then: Evidence, now: E
     return Capture(
         sensor=about.sensor,
         before=before,
-        raw_before=None if before is None else corrections.raw(corrections.every, before),
+        raw_before=None if before is None else corrections.raw(corrections.every, (before,))[0],
         after=readings,
         invariant=(*readings, *moving),
         expected=expected,
@@ -165,11 +170,11 @@ def _magnitude(sensor: Sensor, fit: FitResult | None) -> float | None:
 def _judge(corrections: Corrections, capture: Capture, names: tuple[str, ...], *, equality: bool) -> Judgement:
     whole = corrections.model(ALL_APPLIED)
     matrix = covariance(capture, whole, lambda r: corrections.raw(ALL_APPLIED, r), equality=equality)
-    root = np.linalg.cholesky(matrix)
+    whitening = np.linalg.inv(np.linalg.cholesky(matrix))
 
     def whitened(refused: Hypothesis) -> Array:
         vector = discrepancy(capture, lambda r: corrections.raw(refused, r), equality=equality)
-        return np.asarray(np.linalg.solve(root, vector))
+        return np.asarray(whitening @ vector)
 
     return judge(names, whitened)
 

@@ -14,7 +14,7 @@ Neither needs to know which way the vehicle points.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -28,8 +28,8 @@ from calib.recording import Sensor
 from calib.triad import ThermalPolynomial, TriadModel
 
 Array = NDArray[np.float64]
-Undo = Callable[[Reading], Array]
-"""A corrected reading to the raw one, under one hypothesis."""
+Undo = Callable[[Sequence[Reading]], Array]
+"""Corrected readings to raw ones (K, 3), under one hypothesis."""
 
 EARTH_RATE: Final = 7.292115e-5  # rad/s (WGS 84); inside a gyroscope's fitted offset, and different in every attitude
 ATTITUDE_SD: Final = np.radians(0.05)
@@ -138,12 +138,10 @@ def discrepancy(capture: Capture, undo: Undo, *, equality: bool) -> Array:
     """The vector that is zero, up to its covariance, if the hypothesis behind `undo` is true."""
     parts = []
     if equality and capture.raw_before is not None and capture.before is not None:
-        raw = np.array([undo(r) for r in capture.after])
-        drift = _known_drift(capture)
-        parts.append(capture.weights @ (raw - drift) - capture.raw_before)
+        parts.append(capture.weights @ (undo(capture.after) - _known_drift(capture)) - capture.raw_before)
     expected = capture.expected
     if expected is not None and capture.invariant:
-        corrected = np.array([_corrected(expected, undo(r), r) for r in capture.invariant])
+        corrected = _corrected(expected, undo(capture.invariant), capture.invariant)
         if capture.sensor != Sensor.GYRO:
             parts.append(np.linalg.norm(corrected, axis=1) - (expected.magnitude or 0.0))
         elif capture.zero_rate:
@@ -210,11 +208,12 @@ def _known_drift(capture: Capture) -> Array:
     return polynomial(np.array(now)) - polynomial(before.temperature)
 
 
-def _corrected(expected: Expected, raw: Array, reading: Reading) -> Array:
-    temperature = reading.temperature if reading.temperature is not None else expected.temperature
-    if expected.model.polynomial is not None and temperature is None:
-        temperature = expected.model.polynomial.t_ref
-    return expected.model.apply(raw, temperature)
+def _corrected(expected: Expected, raw: Array, readings: Sequence[Reading]) -> Array:
+    polynomial = expected.model.polynomial
+    if polynomial is None:
+        return expected.model.apply(raw)
+    known = polynomial.t_ref if expected.temperature is None else expected.temperature
+    return expected.model.apply(raw, np.array([known if r.temperature is None else r.temperature for r in readings]))
 
 
 def _invariance_blocks(
@@ -226,9 +225,8 @@ def _invariance_blocks(
     size = 3 * len(place)
     matrix = expected.model.matrix
     rows, jacobian, floors = [], [], []
-    for reading in capture.invariant:
-        raw = undo(reading)
-        corrected = _corrected(expected, raw, reading)
+    whole = _corrected(expected, undo(capture.invariant), capture.invariant)
+    for reading, corrected in zip(capture.invariant, whole, strict=True):
         if capture.sensor == Sensor.GYRO:
             normal = np.eye(3) / len(capture.invariant)
         else:

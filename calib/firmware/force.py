@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Set
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
@@ -46,14 +46,15 @@ class Force:
             return ardupilot.calibration_in_force(mixed, about.sensor, about.instance)
         return px4.calibration_in_force(mixed, about.sensor, about.instance, self._memory(about, applied))
 
-    def motor(self, about: Subject, applied: Set[str], reading: Reading) -> Array:
-        """What the firmware adds to a compass for its motors, uT (3,)."""
-        if self.autopilot != "ardupilot" or about.sensor != Sensor.MAG:
-            return np.zeros(3)
-        throttle = None if reading.throttle is None else np.array([reading.throttle])
-        current = None if reading.current is None else np.array([reading.current])
+    def motor(self, about: Subject, applied: Set[str], readings: Sequence[Reading]) -> Array:
+        """What the firmware adds to a compass for its motors at each reading, uT (K, 3)."""
+        nothing = np.zeros((len(readings), 3))
+        if self.autopilot != "ardupilot" or about.sensor != Sensor.MAG or not readings:
+            return nothing
+        throttle = _all_known([r.throttle for r in readings])
+        current = _all_known([r.current for r in readings])
         term = ardupilot.motor_term(self._mixed(applied), about.instance, throttle, current)
-        return np.zeros(3) if term is None else term[0]
+        return nothing if term is None else term
 
     def acting(self, about: Subject) -> tuple[str, ...]:
         """Names of the changes that the correction of `about` depends on.
@@ -122,6 +123,11 @@ def force_of(autopilot: str, parameters: Mapping[str, Value], changes: tuple[Cha
     if autopilot not in _TMAX:
         raise FirmwareError(f"what {autopilot} does with its parameters is not known, so nothing of it can be checked")
     return Force(autopilot, {**parameters, **{c.name: c.new for c in changes}}, changes)
+
+
+def _all_known(values: Sequence[float | None]) -> Array | None:
+    known = [v for v in values if v is not None]
+    return np.array(known) if len(known) == len(values) else None
 
 
 def _differ(a: TriadModel, b: TriadModel) -> bool:

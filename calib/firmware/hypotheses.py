@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from calib.firmware.plan import Verdict
 
@@ -25,6 +25,9 @@ Hypothesis = frozenset[str]
 
 THRESHOLD: Final = 3.29
 """One false alarm in 2000 along one line, so that one parameter has fewer than one in 1000 over several lines."""
+CERTAIN: Final = 4.0
+"""Threshold for "not everything was applied" where the data do not single out one parameter: it is asked along every
+line between combinations, of which there are many."""
 OBSERVABLE: Final = 3.0
 """Effects below this many standard deviations are not judged (DESIGN 6, rule 4)."""
 UNEXPLAINED: Final = 1e-4
@@ -67,19 +70,35 @@ def judge(names: Sequence[str], whitened: Callable[[Hypothesis], Array]) -> Judg
     place = {h: k for k, h in enumerate(hypotheses)}
     applied = points[place[frozenset()]]
     distance = {n: float(np.linalg.norm(points[place[frozenset({n})]] - applied)) for n in names}
-    explained = bool((points**2).sum(axis=1).min() <= chi2.isf(UNEXPLAINED, max(points.shape[1], 1)))
-    allowed = [h for h, kept in zip(hypotheses, _allowed(points), strict=True) if kept]
+    explained = bool((points**2).sum(axis=1).min() <= chdtri(max(points.shape[1], 1), UNEXPLAINED))
+    allowed = [h for h, kept in zip(hypotheses, _allowed(points, THRESHOLD), strict=True) if kept]
     verdicts = {n: _verdict(n, distance[n], allowed, explained=explained) for n in names}
+    if Verdict.CONTRADICTED not in verdicts.values():
+        certain = [h for h, kept in zip(hypotheses, _allowed(points, CERTAIN), strict=True) if kept]
+        verdicts |= dict.fromkeys(_simplest(certain, distance), Verdict.CONTRADICTED)
     return Judgement(verdicts, distance, explained)
 
 
-def _allowed(points: Array) -> NDArray[np.bool_]:
+def _simplest(allowed: Sequence[Hypothesis], distance: dict[str, float]) -> frozenset[str]:
+    """What to blame if "everything applied" is not among `allowed`: the fewest vectors, then the fewest parameters.
+
+    Several equally simple explanations share what is common to them, or else all of them are named.
+    """
+    visible = [frozenset(n for n in h if distance[n] >= OBSERVABLE) for h in allowed]
+    if frozenset() in visible:
+        return frozenset()
+    size = {h: (len({_stem(n) for n in h}), len(h)) for h in visible}
+    least = [h for h in visible if size[h] == min(size.values())]
+    return frozenset.intersection(*least) or frozenset.union(*least)
+
+
+def _allowed(points: Array, threshold: float) -> NDArray[np.bool_]:
     """Which hypotheses no other one beats."""
     squares = (points**2).sum(axis=1)
     apart = np.sqrt(np.maximum(squares[:, None] + squares[None, :] - 2.0 * points @ points.T, 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
         along = (squares[:, None] - squares[None, :] + apart**2) / (2.0 * apart)
-    beaten = (apart > 1e-9) & (along > np.maximum(THRESHOLD, 0.5 * apart))
+    beaten = (apart > 1e-9) & (along > np.maximum(threshold, 0.5 * apart))
     return np.asarray(~beaten.any(axis=1))
 
 
