@@ -75,6 +75,9 @@ def bench() -> Callable[..., Bench]:
     """A started vehicle: bench("ardupilot", **configuration)."""
 
     def build(autopilot: str, links: int = 1, **config: Any) -> Bench:
-        return Bench(make_vehicle(load_config({"autopilot": autopilot} | config)), links)
+        loaded = load_config({"autopilot": autopilot} | config)
+        vehicle = make_vehicle(loaded)
+        vehicle.preset_parameters(loaded.parameters)
+        return Bench(vehicle, links)
 
     return build
