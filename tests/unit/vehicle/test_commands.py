@@ -83,13 +83,19 @@ async def test_the_answer_to_somebody_else_is_not_ours(ardupilot: FakeVehicle) -
 
 
 async def test_two_of_one_command_do_not_take_each_others_answers(ardupilot: FakeVehicle) -> None:
-    answering(ardupilot, 0)
-    await ardupilot.run(both(ardupilot))
-    assert [m.param1 for m in sent(ardupilot, 511)] == [27, 26]
+    def respond(message: Any) -> Iterable[Any]:
+        is_ours = message.get_type() == "COMMAND_LONG" and message.command == 511
+        return [ack(511, 0 if message.param1 == 27 else 2)] if is_ours else []
+
+    ardupilot.link.respond = respond
+    first, second = await ardupilot.run(both(ardupilot))
+    assert first is None
+    assert isinstance(second, CommandRefused)
 
 
-async def both(fake: FakeVehicle) -> None:
-    await asyncio.gather(command(fake.vehicle, 511, (27, 1e4)), command(fake.vehicle, 511, (26, 1e4)))
+async def both(fake: FakeVehicle) -> list[BaseException | None]:
+    asked = (command(fake.vehicle, 511, (27, 1e4)), command(fake.vehicle, 511, (26, 1e4)))
+    return await asyncio.gather(*asked, return_exceptions=True)
 
 
 @pytest.mark.parametrize(

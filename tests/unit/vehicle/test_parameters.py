@@ -283,6 +283,22 @@ async def test_a_list_that_changes_its_length_is_read_again(ardupilot: FakeVehic
     assert set(listed.parameters) == set(grown)
 
 
+async def test_a_list_that_shrinks_half_way_leaves_no_stale_name(ardupilot: FakeVehicle) -> None:
+    # every index moves down by one, and what was heard before looks like a complete list together with the rest
+    firmware = Firmware(ardupilot, {f"P{k}": (real(k), 9) for k in range(20)})
+
+    def respond(message: Any) -> Iterable[Any]:
+        if message.get_type() == "PARAM_REQUEST_LIST" and firmware.list_requests == 0:
+            first = list(firmware.respond(message))[:10]
+            del firmware.table["P0"]
+            return [*first, *(firmware.value(n, listed=True) for n in firmware.names()[10:])]
+        return firmware.respond(message)
+
+    ardupilot.link.respond = respond
+    listed = await ardupilot.run(ardupilot.vehicle.list_parameters())
+    assert set(listed.parameters) == {f"P{k}" for k in range(1, 20)}
+
+
 async def test_px4s_hash_is_no_parameter(px4: FakeVehicle) -> None:
     firmware = Firmware(px4, {"A": (struct.pack("<i", -1), 6), "B": (real(2.0), 9)})
 
