@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import InvalidInputError, UndeterminedError
 from calib.fit import FitResult
-from calib.mag.distance import Distances, Solution, bisquare, gauss_newton, score_rows
+from calib.mag.distance import ALL_SIDES, Distances, Solution, bisquare, gauss_newton, score_rows
 from calib.mag.moments import Moments
 from calib.mag.result import MagContext, MagFacts, ShapeFit, magnetometer_result, refusal, student_variance
 from calib.mag.robust import MOST_OUTLIERS, Start, find_start, robust_sd
@@ -29,6 +29,7 @@ FEWEST = N_PARAMETERS + 1
 """Samples below which there is no residual, hence no uncertainty."""
 
 _SCALE_ROUNDS = 4
+_SINGULAR = 1e-13  # smallest over largest information that is more than rounding
 _MEASURED_NOISE = 30  # degrees of freedom from which on residuals know the noise better than a data sheet
 
 
@@ -147,13 +148,16 @@ def _with_uncertainty(
         residuals * weights,
     )
     normal = information + solution.prior
+    spread = np.linalg.eigvalsh(normal)
+    if not spread[0] > _SINGULAR * spread[-1]:
+        raise UndeterminedError("the magnetometer samples leave a parameter of the ellipsoid open", remedy=ALL_SIDES)
     return ShapeFit(
         method=METHOD,
         ellipsoid=solution.ellipsoid,
         covariance=np.asarray(np.linalg.inv(normal)),
         residuals=residuals[kept],
         dof=dof,
-        condition_number=float(np.linalg.cond(normal)),
+        condition_number=float(spread[-1] / spread[0]),
         n_outliers=int(np.count_nonzero(~kept)),
         variance_inflation=inflation,
     )

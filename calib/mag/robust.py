@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,7 +65,7 @@ def find_start(samples: Array, whole: Moments, smallest_sd: float) -> Start:
     residuals = at_first.residuals
     sd = robust_sd(residuals, floor)
     clean = max(float(residuals.max()), -float(residuals.min())) <= OUTLIER * sd
-    if clean and sd <= _PLAUSIBLE * first.mean_radius:
+    if clean and (sd <= _PLAUSIBLE * first.mean_radius or _looks_normal(residuals)):
         return Start(first, noise_sd, outliers=False, first=at_first)
     best = first
     if not clean:
@@ -75,6 +76,13 @@ def find_start(samples: Array, whole: Moments, smallest_sd: float) -> Start:
             best, sd = other, other_sd
     residuals = distances_from(samples, best)
     return Start(best, sd, outliers=bool(np.abs(residuals).max() > OUTLIER * sd))
+
+
+def _looks_normal(residuals: Array) -> bool:
+    """Whether the fourth moment is that of plain noise within four standard deviations, ``sqrt(24/N)`` each."""
+    squares = residuals * residuals
+    variance = float(squares.mean())
+    return abs(float(squares @ squares) / len(squares) / variance**2 - 3.0) <= 4.0 * math.sqrt(24.0 / len(squares))
 
 
 def _first_guess(samples: Array, whole: Moments) -> tuple[Ellipsoid, float]:

@@ -18,6 +18,8 @@ LEAST_VARIANCE = 1e-32
 NEARLY_PLANAR = 0.1
 """Thickness below which a fit that fails is put down to the movement being flat."""
 
+_COUNTED = 1000  # samples up to which repeats are counted; more than that are never so few
+
 AXIS_WORDS = ("nose-tail", "left-right", "top-bottom")
 
 
@@ -48,6 +50,13 @@ def check_samples(samples: ArrayLike, minimum: int, *, may_repeat: bool = False)
             f"all {len(array)} magnetometer samples are the same: the sensor is stuck, or was not turned",
             remedy="turn the vehicle in all directions; if the numbers stay, the sensor is broken",
         )
+    if not may_repeat and len(array) <= _COUNTED:
+        distinct = len(np.unique(array, axis=0))
+        if distinct < minimum:
+            raise UndeterminedError(
+                f"only {distinct} of {len(array)} magnetometer samples differ: at least {minimum} are needed",
+                remedy="turn the vehicle in all directions; repeats add nothing",
+            )
     return array
 
 

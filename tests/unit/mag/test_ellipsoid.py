@@ -267,3 +267,16 @@ def test_bisquare_costs_five_percent_of_variance() -> None:
     weights, _ = bisquare(residuals, 1.0)
     assert estimate_variance(residuals, weights) / weights.mean() == pytest.approx(1.0 / 0.95, rel=0.01)
     assert estimate_variance(residuals, np.ones(len(residuals))) == pytest.approx(1.0, rel=0.01)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_garbage_is_refused_without_a_warning(seed: int) -> None:
+    """Warnings are errors here: heavy tails, magnitudes far apart, four points again and again."""
+    rng = np.random.default_rng(seed)
+    for garbage in (
+        rng.standard_cauchy((60, 3)),
+        rng.normal(size=(40, 3)) * 10.0 ** rng.uniform(-100.0, 100.0, 3),
+        np.repeat(rng.normal(size=(4, 3)), 5, axis=0),
+        rng.normal(size=(200, 3)),
+    ):
+        assert fit_ellipsoid(garbage, prior_sd=0.05 if seed % 2 else None).status == FitStatus.REFUSED
