@@ -17,7 +17,8 @@ from service.link.local import FileTransport, SerialTransport, SimTransport
 from service.link.loss import SequenceCounter
 from service.link.reader import Outgoing, Reader, Report, StateChange
 from service.link.recorder import TlogRecorder
-from service.link.transports import TcpServerTransport, TcpTransport, Transport, UdpTransport
+from service.link.tcp import TcpServerTransport, TcpTransport
+from service.link.transports import Transport
 from service.link.types import (
     Address,
     Batch,
@@ -30,6 +31,7 @@ from service.link.types import (
     OwnIdentity,
     SigningConfig,
 )
+from service.link.udp import UdpTransport
 
 HEARTBEAT_S = 1.0
 _JOIN_S = 10.0

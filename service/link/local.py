@@ -18,8 +18,9 @@ import serial
 from calib.wire import Frame, iter_tlog
 from service.errors import EndpointError, LinkDown, LinkError, PortBusy
 from service.link.endpoint import Endpoint
-from service.link.transports import Chunk, Disconnected, Transport, UdpTransport
+from service.link.transports import Chunk, Disconnected, Transport
 from service.link.types import Address
+from service.link.udp import UdpTransport
 
 _REPLAY_CHUNK = 200
 _SPAWN_S = 20.0

@@ -12,7 +12,8 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from calib.wire import Frame, decode
 from service.errors import LinkDown, VehicleError, VehicleUnknown
 from service.link import Batch, Link, LinkEvent
-from service.vehicle.vehicle import CORE_IDS, Vehicle, VehicleEvent, VehicleEventKind
+from service.vehicle.events import VehicleEvent, VehicleEventKind
+from service.vehicle.vehicle import CORE_IDS, Vehicle
 
 TICK_S = 0.05
 _AUTOPILOT_COMPONENT = 1

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from enum import StrEnum
+from dataclasses import replace
 from typing import NoReturn
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -24,6 +23,7 @@ from service.errors import (
 from service.link import Batch, Link, LinkEvent, LinkEventKind
 from service.vehicle import commands
 from service.vehicle.boot_time import BOOT_TIME_IDS, boot_time
+from service.vehicle.events import VehicleEvent, VehicleEventKind
 from service.vehicle.identity import VehicleIdentity, identity_from_heartbeat, identity_from_version
 from service.vehicle.listing import ParameterSet, Progress, list_all
 from service.vehicle.parameters import Parameters
@@ -63,32 +63,6 @@ _POLL_S = 2.0
 _WHO_S = 5.0
 _SECOND_ANSWER_S = 0.3
 _IDENTIFY_TRIES = 5
-
-
-class VehicleEventKind(StrEnum):
-    """What happened to a vehicle."""
-
-    FOUND = "found"
-    IDENTIFIED = "identified"
-    ARMED = "armed"
-    DISARMED = "disarmed"
-    LANDED = "landed"
-    SILENT = "silent"
-    HEARD_AGAIN = "heard_again"
-    REBOOTED = "rebooted"
-    CALIBRATING = "calibrating"
-    TEXT = "text"
-    CONFLICT = "conflict"
-    PEER_CHANGED = "peer_changed"
-
-
-@dataclass(frozen=True)
-class VehicleEvent:
-    """One sentence about a vehicle, for people and for jobs."""
-
-    kind: VehicleEventKind
-    vehicle: Vehicle
-    text: str
 
 
 FramesCallback = Callable[[Sequence[Frame], Batch], None]
@@ -153,22 +127,6 @@ class Vehicle:
     async def list_parameters(self, progress: Progress | None = None) -> ParameterSet:
         """See :func:`service.vehicle.listing.list_all`."""
         return await list_all(self, progress)
-
-    async def request_message(self, message_id: int, *, tries: int = 3) -> Message:
-        """Ask for one message and return it. Raises CommandRefused, CommandTimeout or VehicleSilent."""
-        request = commands.REQUEST_MESSAGE
-        with self.waits.expect({message_id}, decode) as answer:
-            forget = self.subscribe(frozenset({message_id}), lambda _frames, _batch: None)
-            try:
-                for _ in range(tries):
-                    self._send_command(request, message_id)
-                    message = await answer.within(1.0)
-                    if message is not None:
-                        return message
-            finally:
-                forget()
-        await self.command(request, (message_id,), retries=0)
-        raise CommandTimeout(f"Message {message_id} was asked for {tries} times and did not come.")
 
     def _send_command(self, command_id: int, *params: float) -> None:
         """Send a command whose acknowledgement does not matter, since its effect is seen."""

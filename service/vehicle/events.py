@@ -1,0 +1,36 @@
+"""What happens to vehicles, in sentences."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from service.vehicle.vehicle import Vehicle
+
+
+class VehicleEventKind(StrEnum):
+    """What happened to a vehicle."""
+
+    FOUND = "found"
+    IDENTIFIED = "identified"
+    ARMED = "armed"
+    DISARMED = "disarmed"
+    LANDED = "landed"
+    SILENT = "silent"
+    HEARD_AGAIN = "heard_again"
+    REBOOTED = "rebooted"
+    CALIBRATING = "calibrating"
+    TEXT = "text"
+    CONFLICT = "conflict"
+    PEER_CHANGED = "peer_changed"
+
+
+@dataclass(frozen=True)
+class VehicleEvent:
+    """One sentence about a vehicle, for people and for jobs."""
+
+    kind: VehicleEventKind
+    vehicle: Vehicle
+    text: str
