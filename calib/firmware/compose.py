@@ -6,12 +6,14 @@ written at all is a blocker. The plan is pure data; the service executes it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Final
 
 from calib.errors import FirmwareError
 from calib.firmware import compose_ardupilot, compose_px4
 from calib.firmware.draft import ComposeOptions, Draft
-from calib.firmware.fitted import pair_fits, usable_fits
+from calib.firmware.fitted import Pair, pair_fits, usable_fits
 from calib.firmware.mag_ardupilot import compose_compasses
 from calib.firmware.mag_px4 import compose_magnetometers
 from calib.firmware.plan import Fingerprint, Value, WritePlan
@@ -21,7 +23,16 @@ from calib.recording import Sensor
 
 __all__ = ["ComposeOptions", "compose"]
 
-DEFAULT_OPTIONS = ComposeOptions()
+Composer = Callable[[Draft, Sequence[Pair]], None]
+
+DEFAULT_OPTIONS: Final = ComposeOptions()
+COMPOSERS: Final[Mapping[str, tuple[Composer, Composer]]] = MappingProxyType(
+    {
+        "ardupilot": (compose_ardupilot.compose_imu, compose_compasses),
+        "px4": (compose_px4.compose_imu, compose_magnetometers),
+    }
+)
+"""By autopilot: for inertial sensors, for magnetometers."""
 
 
 def compose(
@@ -48,12 +59,12 @@ def compose(
     -------
     WritePlan
         With `blockers` where nothing may be written: values outside the limits or not finite, relative fits,
-        parameters that the vehicle does not have.
+        parameters that the vehicle does not have or did not send.
 
     Raises
     ------
     FirmwareError
-        If the autopilot is unknown, or its present calibration is not complete enough to build on.
+        If the autopilot is not known.
     """
     draft = Draft(parameters, options)
     usable = usable_fits(draft, fits)
@@ -61,14 +72,13 @@ def compose(
     pairs = pair_fits(sensors)
     imu = [pair for pair in pairs if pair.about.sensor != Sensor.MAG]
     mags = [pair for pair in pairs if pair.about.sensor == Sensor.MAG]
-    if fingerprint.autopilot == "ardupilot":
-        compose_ardupilot.compose_imu(draft, imu)
-        compose_compasses(draft, mags)
-    elif fingerprint.autopilot == "px4":
-        compose_px4.compose_imu(draft, imu)
-        compose_magnetometers(draft, mags)
-    else:
+    if fingerprint.autopilot not in COMPOSERS:
         raise FirmwareError(f"calibrations cannot be written to the autopilot {fingerprint.autopilot}")
+    try:
+        for composer, group in zip(COMPOSERS[fingerprint.autopilot], (imu, mags), strict=True):
+            composer(draft, group)
+    except FirmwareError as error:
+        draft.block(str(error))
     adjust_trim(draft, fingerprint.autopilot, sensors)
     compose_level(draft, fingerprint.autopilot, [fit for fit in usable if is_level(fit)])
     return draft.plan(fingerprint)

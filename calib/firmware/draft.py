@@ -25,6 +25,9 @@ from calib.firmware.plan import (
 from calib.recording import Sensor
 
 
+LARGEST = float(np.finfo(np.float32).max)
+
+
 class Rank(IntEnum):
     """Safe order of writing (FLIGHT_CONTROLLERS 3.2): references before what refers to them, scale and ids last.
 
@@ -113,7 +116,7 @@ class Draft:
 
         `hidden`: the firmware does not list the name but takes it (members of a group that is switched off).
         """
-        if not math.isfinite(value) or not math.isfinite(np.float32(value)):
+        if not abs(value) <= LARGEST:
             self.block(f"{name} would be {value}: not a finite number. Repeat the calibration; nothing is written")
             return
         if not self._known(name, hidden=hidden):
@@ -124,6 +127,9 @@ class Draft:
             self.block(limit.refusal(name, new))
             return
         old = self.parameters.get(name)
+        if old is not None and not math.isfinite(old):
+            self.block(f"{name} is {old}, which could not be put back: write a number there first")
+            return
         if old is not None and np.float32(old) == np.float32(new):
             self._changes.pop(name, None)
             return

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib import STANDARD_GRAVITY
+from calib.errors import FirmwareError
 from calib.firmware import ardupilot, names, px4
 from calib.firmware.draft import Draft, Rank, Subject
 from calib.firmware.limits import TRIM_MAX_RAD
@@ -80,7 +81,11 @@ def adjust_trim(draft: Draft, autopilot: str, fits: Sequence[FitResult]) -> None
         return
     about = Subject(Sensor.ACCEL, instances[0])
     fit = next(f for f in fits if f.sensor == Sensor.ACCEL and f.instance == about.instance)
-    before, after = (_board_model(autopilot, p, about) for p in (draft.parameters, draft.predicted))
+    try:
+        before, after = (_board_model(autopilot, p, about) for p in (draft.parameters, draft.predicted))
+    except FirmwareError as error:  # a slot with scale 0 had no calibration to carry a level over from
+        draft.warn(f"the level trim cannot be carried over ({error}); run the level job after this calibration")
+        return
     temperature = fit.temperature
     if temperature is None and (before.polynomial is not None or after.polynomial is not None):
         draft.warn("the level trim cannot be carried over without a temperature; run the level job")

@@ -8,8 +8,9 @@ import pytest
 from calib import STANDARD_GRAVITY
 from calib.firmware import ardupilot, px4
 from calib.firmware.compose import ComposeOptions, compose
-from calib.firmware.plan import Verdict
+from calib.firmware.plan import Change, Fingerprint, ParameterKind, Verdict, WritePlan
 from calib.firmware.verify import verify
+from calib.logs.tlog import read_tlog
 from calib.recording import Channel, ParameterTimeline, Recording, Sensor, Stage
 from calib.triad import ThermalPolynomial, TriadModel
 
@@ -219,3 +220,32 @@ def test_px4_device_id_and_gyro(px4_parameters, px4_fingerprint, make_fit):
     plan = compose([fit], parameters, px4_fingerprint, options=options)
     found, _ = run(px4, plan, [fit], truths, parameters, every(plan))
     assert [found[f"CAL_GYRO0_{a}OFF"] for a in "XYZ"] == [Verdict.PROVED] * 3
+
+
+# what a real PX4 did with each write (data/px4_captures/README.txt), and what the stream can say of it: an offset of
+# 0.009 m/s2 across gravity is no more than a table that someone leans on, whether it was applied or not
+REAL_PX4 = (
+    ("CAL_ACC0_XOFF", 0.009, Verdict.NOT_OBSERVABLE),
+    ("CAL_ACC0_XOFF", 0.05, Verdict.PROVED),
+    ("CAL_ACC0_XOFF", 0.057, Verdict.NOT_OBSERVABLE),
+    ("CAL_ACC0_XOFF", 0.0, Verdict.PROVED),
+    ("CAL_ACC0_ZSCALE", 1.008, Verdict.CONTRADICTED),
+    ("CAL_ACC0_ZSCALE", 1.02, Verdict.PROVED),
+    ("CAL_ACC0_ZSCALE", 1.0, Verdict.PROVED),
+    ("CAL_GYRO0_XOFF", 0.008, Verdict.CONTRADICTED),
+)
+
+
+@pytest.mark.shared
+def test_writes_that_a_real_px4_ignored_are_told_from_those_it_applied(shared_data):
+    recording = read_tlog(shared_data / "px4_captures" / "cal_applied.tlog")
+    entries = recording.parameters.entries
+    for name, value, verdict in REAL_PX4:
+        t = next(e.t for e in entries if e.name == name and e.t > 35 and np.float32(e.value) == np.float32(value))
+        old = recording.parameters.at(t - 0.5)
+        sensor = Sensor.ACCEL if "ACC" in name else Sensor.GYRO
+        change = Change(name, old[name], float(np.float32(value)), ParameterKind.REAL32, "test", sensor=sensor)
+        plan = WritePlan(Fingerprint("px4", "", "", ()), "0" * 64, (change,))
+        before, after = recording.between(t - 4.0, t - 0.2), recording.between(t + 0.5, t + 4.0)
+        result = verify(plan, [], before, after, parameters=old | {name: change.new})
+        assert result.parameters[0].verdict == verdict, (name, value)

@@ -1,0 +1,79 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from calib.firmware.draft import ComposeOptions, Draft, Rank
+from calib.firmware.limits import limit_of
+from calib.firmware.names import (
+    OFFSET,
+    SCALE,
+    Role,
+    ardupilot_compass_names,
+    ardupilot_imu_names,
+    px4_names,
+    px4_thermal_names,
+)
+from calib.firmware.plan import Fingerprint
+from calib.recording import Sensor
+
+
+@pytest.mark.parametrize("slot", range(5))
+def test_every_instance_of_ardupilot_is_held_to_the_same_limits(slot):
+    accel, gyro = (ardupilot_imu_names(s, slot) for s in (Sensor.ACCEL, Sensor.GYRO))
+    for roles, triple, bounds in (
+        (accel, OFFSET, (-3.5, 3.5)),
+        (accel, SCALE, (0.8, 1.2)),
+        (gyro, OFFSET, (-0.35, 0.35)),
+        (accel, (Role.THERMAL_MIN, Role.THERMAL_MAX), (-70.0, 80.0)),
+    ):
+        for role in triple:
+            limit = limit_of(roles[role])
+            assert (limit.low, limit.high) == bounds
+    assert limit_of(accel[Role.TEMPERATURE]).low == -300.0
+    assert limit_of(accel[Role.ID]) is None
+
+
+@pytest.mark.parametrize("slot", range(3))
+def test_compasses_and_px4_rows(slot):
+    compass = ardupilot_compass_names(slot, slot)
+    assert limit_of(compass[Role.SCALE_X]).high == 5.0
+    assert limit_of(compass[Role.CROSS_YZ]).low == -1.0
+    assert limit_of(px4_names(Sensor.ACCEL, slot)[Role.SCALE_Z]).low == 0.1
+    assert limit_of(px4_names(Sensor.GYRO, slot)[Role.OFFSET_X]).high == 0.35
+    assert limit_of(px4_names(Sensor.MAG, slot)[Role.OFFSET_X]).high == 1.8
+    assert limit_of(px4_thermal_names(Sensor.ACCEL, slot)[Role.THERMAL_0_X]).high == 3.5
+
+
+def test_a_refusal_has_the_number_the_limit_and_the_remedy():
+    text = limit_of("INS_ACC2SCAL_Y").refusal("INS_ACC2SCAL_Y", 1.31)
+    assert text.startswith("INS_ACC2SCAL_Y would be 1.31, outside 0.8 ... 1.2 (")
+    assert "repeat the six poses" in text
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e39])
+def test_what_is_not_a_finite_float32_is_never_planned(value):
+    draft = Draft({"TC_G0_X1_0": 0.0}, ComposeOptions())
+    draft.set_real("TC_G0_X1_0", value, Rank.OFFSET, "test", about=None)
+    assert draft.planned(["TC_G0_X1_0"]) == ()
+    plan = draft.plan(Fingerprint("px4", "", "", ()))
+    assert plan.changes == ()
+    assert "not a finite number" in plan.blockers[0]
+
+
+def test_values_are_float32_and_equal_ones_are_left_alone():
+    draft = Draft({"INS_ACCOFFS_X": float(np.float32(0.1)), "INS_ACCOFFS_Y": 0.0}, ComposeOptions())
+    draft.set_real("INS_ACCOFFS_X", 0.1, Rank.OFFSET, "test", about=None)
+    draft.set_real("INS_ACCOFFS_Y", 0.1, Rank.OFFSET, "test", about=None)
+    (change,) = draft.planned(["INS_ACCOFFS_X", "INS_ACCOFFS_Y"])
+    assert (change.name, change.new) == ("INS_ACCOFFS_Y", float(np.float32(0.1)))
+    draft.set_real("INS_ACCOFFS_Y", 0.0, Rank.OFFSET, "back", about=None)
+    assert draft.planned(["INS_ACCOFFS_Y"]) == ()
+
+
+def test_a_value_that_could_not_be_put_back_is_not_overwritten():
+    draft = Draft({"CAL_ACC0_XOFF": math.nan}, ComposeOptions())
+    draft.set_real("CAL_ACC0_XOFF", 0.1, Rank.OFFSET, "test", about=None)
+    assert "could not be put back" in draft.plan(Fingerprint("px4", "", "", ())).blockers[0]
