@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +18,13 @@ from calib.firmware.force import Force
 from calib.firmware.hypotheses import Hypothesis, Judgement, judge
 from calib.fit import FitResult
 from calib.recording import Sensor
-from calib.triad import TriadModel
+from calib.triad import ThermalPolynomial, TriadModel
 
 Array = NDArray[np.float64]
 
 ALL_APPLIED: Hypothesis = frozenset()
+TEMPERATURE_SLACK: Final = 0.3
+"""degC beyond the range of a fit within which its drift still counts as known (streams carry about 1 Hz of it)."""
 
 
 @dataclass(eq=False)
@@ -139,12 +142,13 @@ def check_stream(
 
 def _capture(corrections: Corrections, pair: Pair | None, then: Evidence, now: Evidence) -> Capture:
     about = corrections.about
-    readings = corrections.readable(now.readings.get(about, ()))
-    moving = corrections.readable(now.moving.get(about, ()))
-    earlier = corrections.readable(then.readings.get(about, ()))
-    before = earlier[-1] if earlier else None
     in_force = corrections.model(ALL_APPLIED).polynomial
     drift = None if pair is None else pair.drift
+    known = in_force if drift is None else drift.model.polynomial
+    readings = within(known, corrections.readable(now.readings.get(about, ())))
+    moving = within(known, corrections.readable(now.moving.get(about, ())))
+    earlier = within(known, corrections.readable(then.readings.get(about, ())))
+    before = earlier[-1] if earlier else None
     expected = None
     if pair is not None and pair.absolute is not None:
         expected = expected_of(pair.at_rest, drift, in_force, _magnitude(about.sensor, pair.absolute))
@@ -155,8 +159,19 @@ def _capture(corrections: Corrections, pair: Pair | None, then: Evidence, now: E
         after=readings,
         invariant=(*readings, *moving),
         expected=expected,
-        polynomial=in_force if drift is None else drift.model.polynomial,
+        polynomial=known,
     )
+
+
+def within(polynomial: ThermalPolynomial | None, readings: tuple[Reading, ...]) -> tuple[Reading, ...]:
+    """Those of `readings` at temperatures where the drift is known: beyond, the firmware clamps and the sensor goes on.
+
+    Readings without a temperature stay: what is not known of them is in the covariance.
+    """
+    if polynomial is None:
+        return readings
+    low, high = polynomial.t_min - TEMPERATURE_SLACK, polynomial.t_max + TEMPERATURE_SLACK
+    return tuple(r for r in readings if r.temperature is None or low <= r.temperature <= high)
 
 
 def _magnitude(sensor: Sensor, fit: FitResult | None) -> float | None:

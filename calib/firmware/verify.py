@@ -125,4 +125,7 @@ def _why_nothing(waiting: Sequence[Subject], now: Evidence) -> str:
         return f"{which} was not streamed after the write"
     if not any(now.readings[about] or now.moving.get(about) for about in streamed):
         return f"the vehicle was not still long enough to read {which}"
-    return f"{which} was moved between the captures, or its temperature was not streamed: there is nothing to compare"
+    return (
+        f"{which} was moved between the captures, or its temperature was not streamed or lies outside the range that "
+        "was calibrated: there is nothing to compare"
+    )
