@@ -24,7 +24,6 @@ from calib.firmware.plan import (
 )
 from calib.recording import Sensor
 
-
 LARGEST = float(np.finfo(np.float32).max)
 
 
