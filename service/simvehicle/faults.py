@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from service.simvehicle.errors import ControlError
 from service.simvehicle.impairment import Impairment
-from service.simvehicle.sensor_faults import SensorFault
+from service.simvehicle.sensor_faults import SENSORS, SensorFault
 
 if TYPE_CHECKING:
     from service.simvehicle.server import Server
@@ -62,33 +62,50 @@ class Injector:
             "twin": lambda _f, _n: self._server.add_twin(),
             "move": lambda _f, _n: self._move(),
         }
-        server_vehicle = server.vehicle
-        server_vehicle.echo_filter = self._filter_echo
+        server.vehicle.echo_filter = self._filter_echo
 
     @property
     def _vehicle(self) -> Any:
         return self._server.vehicle
 
     def arm(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """The `fault` verb. Raises ControlError where the kind or the trigger is unknown."""
+        """The `fault` verb. Raises ControlError where the kind, an option or the trigger makes no sense."""
         kind = request.get("kind")
         if kind not in self._kinds:
             raise ControlError(f"unknown fault {kind!r}; known: {', '.join(self._kinds)}")
-        fault = Fault(str(kind), {k: v for k, v in request.items() if k not in ("kind", "trigger")})
-        trigger = request.get("trigger") or "now"
+        options = {k: v for k, v in request.items() if k not in ("kind", "trigger")}
+        fault = Fault(str(kind), options, *self._trigger(request.get("trigger") or "now"))
+        self._check(fault)
         self._faults.append(fault)
-        if trigger == "now":
+        if fault.at_time is None and fault.nth_set is None:
             self._strike(fault, None)
-        elif isinstance(trigger, Mapping) and "time" in trigger:
-            fault.at_time = _finite("trigger.time", trigger["time"])
-        elif isinstance(trigger, Mapping) and "after_s" in trigger:
-            fault.at_time = self._vehicle.time + _finite("trigger.after_s", trigger["after_s"])
-        elif isinstance(trigger, Mapping) and "nth_set" in trigger:
-            fault.nth_set = self._vehicle.set_count + int(_finite("trigger.nth_set", trigger["nth_set"]))
-        else:
-            self._faults.remove(fault)
-            raise ControlError('trigger must be "now", {"time": t}, {"after_s": s} or {"nth_set": n}')
         return {"fault": len(self._faults) - 1}
+
+    def _trigger(self, trigger: Any) -> tuple[float | None, int | None]:
+        """Vehicle time and count of PARAM_SETs at which to strike; neither: at once."""
+        if trigger == "now":
+            return None, None
+        if isinstance(trigger, Mapping) and "time" in trigger:
+            return _finite("trigger.time", trigger["time"]), None
+        if isinstance(trigger, Mapping) and "after_s" in trigger:
+            return self._vehicle.time + _finite("trigger.after_s", trigger["after_s"]), None
+        if isinstance(trigger, Mapping) and "nth_set" in trigger:
+            return None, self._vehicle.set_count + int(_finite("trigger.nth_set", trigger["nth_set"]))
+        raise ControlError('trigger must be "now", {"time": t}, {"after_s": s} or {"nth_set": n}')
+
+    def _check(self, fault: Fault) -> None:
+        """Refuse now what could not be carried out later."""
+        if fault.kind in PERSISTENT:
+            _impairment_values(fault)
+            _direction(fault)
+        for name in ("duration_s", "delay_s", "count", "value", "instance"):
+            _finite(name, fault.options.get(name, 0))
+        if fault.kind in ("not_applied", "foreign_write") and not (fault.nth_set and "name" not in fault.options):
+            target = fault.options.get("name")
+            if target not in self._vehicle.table:
+                raise ControlError(f"{fault.kind} needs the name of a parameter of this vehicle, got {target!r}")
+        if fault.kind in tuple(SensorFault) and fault.options.get("sensor", "accel") not in SENSORS:
+            raise ControlError(f"unknown sensor {fault.options['sensor']!r}; known: {', '.join(SENSORS)}")
 
     def saw_set(self, count: int, name: str) -> None:
         """A PARAM_SET has arrived and has not acted yet."""
@@ -104,7 +121,8 @@ class Injector:
 
     def _strike(self, fault: Fault, name: str | None) -> None:
         fault.done = True
-        fault.struck.append(self._vehicle.time)
+        if fault.kind not in ("lost_echo", "late_echo"):  # these strike with the echo
+            fault.struck.append(self._vehicle.time)
         self._kinds[fault.kind](fault, name)
 
     def clear(self) -> None:
@@ -116,6 +134,7 @@ class Injector:
             link.set_impairments(Impairment(), Impairment())
         self._vehicle.faults.clear()
         self._vehicle.table.unpin_all()
+        self._vehicle.reload_calibration()
         self._vehicle.silent_until = -math.inf
         self._server.remove_twins()
 
@@ -126,10 +145,7 @@ class Injector:
     # --- the strokes
 
     def _impair(self, fault: Fault, _name: str | None) -> None:
-        direction = fault.options.get("direction", "both")
-        if direction not in ("in", "out", "both"):
-            raise ControlError(f'direction must be "in", "out" or "both", got {direction!r}')
-        values = _impairment_values(fault)
+        direction, values = _direction(fault), _impairment_values(fault)
         for link in self._server.links:
             link.set_impairments(
                 replace(link.incoming, **values) if direction != "out" else link.incoming,
@@ -157,18 +173,14 @@ class Injector:
 
     def _not_applied(self, fault: Fault, name: str | None) -> None:
         target = fault.options.get("name", name)
-        if not isinstance(target, str):
-            raise ControlError("not_applied needs the name of a parameter, or a trigger nth_set")
         if target in self._vehicle.table:
             self._vehicle.table.pin(target)
 
     def _foreign_write(self, fault: Fault, name: str | None) -> None:
-        target = fault.options.get("name", name)
-        if not isinstance(target, str) or target not in self._vehicle.table:
-            raise ControlError(f"foreign_write needs the name of a parameter that exists, got {target!r}")
-        value = _finite("value", fault.options.get("value", 0.123))
-        # After the one that triggered it, as a rival's would arrive.
-        self._vehicle.at(0.0, lambda: self._vehicle.foreign_set(target, value))
+        target, value = fault.options.get("name", name), float(fault.options.get("value", 0.123))
+        if target in self._vehicle.table:
+            # After the one that triggered it, as a rival's would arrive.
+            self._vehicle.at(0.0, lambda: self._vehicle.foreign_set(target, value))
 
     def _arm(self) -> None:
         self._vehicle.armed = True
@@ -182,6 +194,13 @@ class Injector:
     def _move(self) -> None:
         for link in self._server.links:
             link.move()
+
+
+def _direction(fault: Fault) -> str:
+    direction = fault.options.get("direction", "both")
+    if direction not in ("in", "out", "both"):
+        raise ControlError(f'direction must be "in", "out" or "both", got {direction!r}')
+    return str(direction)
 
 
 def _impairment_values(fault: Fault) -> dict[str, float]:

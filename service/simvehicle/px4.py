@@ -176,6 +176,10 @@ class Px4Vehicle(Vehicle):
         """See Vehicle."""
         self.parameters.write({name: value if self.table[name].is_float else int(value)})
 
+    def reload_calibration(self) -> None:
+        """See Vehicle."""
+        self._parameters_updated()
+
     def start_onboard_calibration(self) -> None:
         """See Vehicle."""
         self.commands.calibration.wait_for_sides("mag")

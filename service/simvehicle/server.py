@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import selectors
 import socket
@@ -50,6 +51,7 @@ class Server:
         self._running = True
         self._stdin: int | None = None
         self._script: Iterator[float] | None = None
+        self._script_due = -math.inf
         self._twins: list[tuple[Vehicle, list[Channel]]] = []
         self.injector = Injector(self)
         self.links = [self._joined(link) for link in links]
@@ -90,19 +92,19 @@ class Server:
 
     def run_script(self, name: str) -> None:
         """Begin a script of SCRIPTS; it ends the one before."""
-        self._script = SCRIPTS[name](self.vehicle)
-        self._step_script(self._script)
+        self._script, self._script_due = SCRIPTS[name](self.vehicle), -math.inf
+        self._step_script()
 
     def stop_script(self) -> None:
         """The operator takes over."""
         self._script = None
 
-    def _step_script(self, script: Iterator[float]) -> None:
-        if script is not self._script:
+    def _step_script(self) -> None:
+        """Let the script act when its time has come, also across reboots of the vehicle."""
+        if self._script is None or self.vehicle.elapsed < self._script_due:
             return
-        wait = next(script, None)
-        if wait is not None:
-            self.vehicle.at(wait, lambda: self._step_script(script))
+        wait = next(self._script, None)
+        self._script_due = self.vehicle.elapsed + wait if wait is not None else math.inf
 
     # --- the loop
 
@@ -141,6 +143,7 @@ class Server:
         for vehicle in (self.vehicle, *(twin for twin, _ in self._twins)):
             vehicle.advance(vehicle.time + wall_s * self.speed)
         self.injector.tick()
+        self._step_script()
         for link in self.links:
             link.flush()
 

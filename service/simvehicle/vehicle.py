@@ -107,6 +107,9 @@ class Vehicle(ABC):
     def start_onboard_calibration(self) -> None:
         """The vehicle begins a calibration of its own."""
 
+    def reload_calibration(self) -> None:  # noqa: B027 - ArduPilot reads its parameters at every sample
+        """Take the calibration anew from the parameters in force."""
+
     # --- parameters given from outside
 
     def load_parameters(self, parameters: list[Parameter]) -> None:
@@ -250,9 +253,14 @@ class Vehicle(ABC):
 
     # --- identity
 
+    @property
+    def elapsed(self) -> float:
+        """Vehicle seconds since the process began, reboots included."""
+        return self._elapsed_before + self.time
+
     def unix_time_s(self) -> float:
         """UTC of this instant of vehicle time."""
-        return self._unix_base + self._elapsed_before + self.time
+        return self._unix_base + self.elapsed
 
     def uid2(self) -> bytes:
         """Eighteen bytes that differ from seed to seed."""
