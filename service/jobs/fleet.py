@@ -58,6 +58,7 @@ class FleetVehicle:
             obstacles=vehicle.writable().reasons,
             conflict=next(iter(vehicle.conflicts), None),
             peer="" if address is None else f"{address[0]}:{address[1]}",
+            boot_time=state.boot_time,
         )
 
     async def identify(self) -> Identity:

@@ -98,7 +98,3 @@ class Guard:
                 task.cancel()
                 with suppress(asyncio.CancelledError, ServiceError):
                     await task
-
-    async def sleep(self, seconds: float) -> None:
-        """Wait while the preconditions hold."""
-        await self.run(lambda: asyncio.sleep(seconds))

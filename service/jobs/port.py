@@ -39,6 +39,8 @@ class Condition:
     """Why it is not certain whom we talk to (DESIGN 6 rule 3); None: it is."""
     peer: str = ""
     """The address that it speaks from."""
+    boot_time: float | None = None
+    """Its own clock, s since its start; None: it has not said."""
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,8 @@ ASK = Prompt("reboot", "Restart the vehicle: switch it off and on again. The new
 async def restart(w: Writing) -> None:
     """Have the vehicle restarted and wait until it may be written to again.
 
-    It is restarted by us only if the operator accepted that; otherwise the operator is asked.
+    Everything must have been read back, and hence saved, before. The vehicle is restarted by us only if the operator
+    accepted that; otherwise the operator is asked.
 
     Raises
     ------
@@ -49,7 +50,6 @@ async def restart(w: Writing) -> None:
 
 async def _commanded(w: Writing) -> bool:
     """Tell the vehicle to restart; False if it refuses."""
-    await w.guard.sleep(w.settle_s)  # what was written last must have reached the vehicle's storage
     await w.handle.record(Step.REBOOT)
     w.reach(At.REBOOT_SENT)
     try:

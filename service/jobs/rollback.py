@@ -27,7 +27,7 @@ async def roll_back(w: Writing) -> None:
         await _undo(w, parameter)
     if sent:
         # A PARAM_SET from before the stop may still be under way, and the vehicle has to save.
-        await w.guard.sleep(w.settle_s)
+        await w.settle()
         await _verify(w, sent)
 
 

@@ -12,8 +12,13 @@ class JobSettings:
     """How patient the engine is."""
 
     settle_s: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({"ardupilot": 1.2, "px4": 6.0}))
-    """From the last echo to the read-back. ArduPilot saves in an I/O thread within 1 s; PX4 saves after 0.3 to 2 s, and
-    its ``gyro_calibration`` rewrites CAL_GYRO0 5 s after the last change (FLIGHT_CONTROLLERS 3.1, 10)."""
+    """From the last echo to the read-back, by the vehicle's clock where that runs faster than ours.
+
+    ArduPilot saves in an I/O thread within 1 s; PX4 saves after 0.3 to 2 s, and its ``gyro_calibration`` rewrites
+    CAL_GYRO0 5 s after the last change (FLIGHT_CONTROLLERS 3.1, 10).
+    """
+    settle_least_s: float = 0.3
+    """But never less than this on our clock: a PARAM_SET may still be under way."""
     check_s: float = 3.0
     """Length of the stream windows before and after a write, seconds of the vehicle's clock."""
     window_timeout_s: float = 20.0

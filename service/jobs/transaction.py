@@ -124,6 +124,8 @@ async def _resume(w: Writing) -> None:
     elif following == Next.ROLL_BACK:
         await _take_back(w, record.rolling_back or "the write was interrupted in the middle")
     else:
+        if following == Next.REBOOT:
+            values = await read_back(w)  # what is to survive the restart must be saved
         await _onward(w, following, values)
 
 

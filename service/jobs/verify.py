@@ -11,7 +11,7 @@ from functools import partial
 from calib.firmware.plan import Value, Verification, WritePlan
 from calib.firmware.streams import Assembler, requested_streams
 from calib.firmware.verify import verify
-from calib.procedures.protocol import Progress, Prompt
+from calib.procedures.protocol import Pose, Progress, Prompt
 from calib.recording import Recording, Sensor, join
 from calib.wire import Frame
 from service.errors import CaptureEnded, WriteFailed
@@ -28,6 +28,17 @@ FINISH = "finish"
 STEP_S = 2.0
 """A movement is judged anew after so much more of the vehicle's time."""
 POLL_S = 0.02
+
+POSES = {
+    "upright": Pose.LEVEL,
+    "on its left side": Pose.LEFT,
+    "on its right side": Pose.RIGHT,
+    "nose down": Pose.NOSE_DOWN,
+    "nose up": Pose.NOSE_UP,
+    "upside down": Pose.BACK,
+}
+"""Poses by their names in :data:`calib.firmware.movement.FACES`."""
+TURN = "turn the vehicle"
 
 
 @dataclass
@@ -139,7 +150,7 @@ class StreamCheck:
 
     def _ask(self, verification: Verification, waited: float) -> None:
         assert verification.movement is not None
-        self.handle.prompt(Prompt("prove", verification.movement, answers=(FINISH,)))
+        self.handle.prompt(proving(verification.movement))
         proved = sum(p.verdict == "proved" for p in verification.parameters)
         text = f"{proved} of {len(verification.parameters)} parameters proved by the stream"
         self.handle.progress(Progress(waited, self.prove_s, "s", text, eta=self.prove_s - waited))
@@ -159,6 +170,12 @@ class StreamCheck:
         rows = self.handle.store.segments(self.handle.id, SegmentPurpose.BEFORE)
         closed = [row for row in rows if row.end_byte is not None]
         return recording_of([span_of(closed[-1])], self.vehicle.identity.system) if closed else None
+
+
+def proving(movement: str) -> Prompt:
+    """The prompt for a movement that proves the rest, with its poses for those who draw them."""
+    wanted = tuple(pose for label, pose in POSES.items() if label in movement.lower())
+    return Prompt("prove", movement, remaining=wanted, rotate=TURN in movement.lower(), answers=(FINISH,))
 
 
 def _end(recording: Recording) -> float:

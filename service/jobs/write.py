@@ -71,10 +71,21 @@ class Writing:
         """Read one parameter under the guard."""
         return (await self.guard.run(partial(self.vehicle.read_parameter, name))).value
 
-    @property
-    def settle_s(self) -> float:
-        """How long the autopilot takes to save what was written, s."""
-        return self.settings.settle_s.get(self.plan.fingerprint.autopilot, max(self.settings.settle_s.values()))
+    async def settle(self) -> None:
+        """Wait under the guard until the vehicle has saved what was written, by its clock or by ours."""
+        await self.guard.run(self._settled)
+
+    async def _settled(self) -> None:
+        settings = self.settings
+        needed = settings.settle_s.get(self.plan.fingerprint.autopilot, max(settings.settle_s.values()))
+        loop = asyncio.get_running_loop()
+        begun, boot_time = loop.time(), self.vehicle.condition().boot_time
+        while (waited := loop.time() - begun) < needed:
+            now = self.vehicle.condition().boot_time
+            passed = now - boot_time if now is not None and boot_time is not None else waited
+            if passed >= needed and waited >= settings.settle_least_s:
+                return
+            await asyncio.sleep(settings.watch_s)
 
 
 async def read_values(vehicle: JobVehicle, names: Iterable[str]) -> dict[str, Reading]:
@@ -173,7 +184,7 @@ async def read_back(w: Writing) -> dict[str, Value]:
     WriteFailed
         Naming every parameter that does not hold its new value.
     """
-    await w.guard.sleep(w.settle_s)
+    await w.settle()
     values = await current_values(w)
     check_in_place(w.plan.changes, values)
     await w.handle.record(Step.READ_BACK)

@@ -34,6 +34,7 @@ from service.testing import FakeVehicle
 
 QUICK = JobSettings(
     settle_s={"ardupilot": 0.0, "px4": 0.0},
+    settle_least_s=0.0,
     watch_s=0.001,
     retry_s=0.001,
     reboot_timeout_s=0.2,
