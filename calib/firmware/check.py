@@ -95,7 +95,7 @@ class StreamCheck:
     def sd(self, name: str) -> float:
         """Standard deviation of the check along the effect of `name`, in the unit of the stream."""
         distance, effect = self.judgement.distance[name], self.effect(name)
-        if distance > 0.0 and effect > 0.0:
+        if distance > 0.1:
             return effect / distance
         matrix = self.covariance(self.capture, equality=self.equality)
         return float(np.sqrt(np.diag(matrix).min()))

@@ -19,6 +19,9 @@ Array = NDArray[np.float64]
 WORTH: Final = 5.0
 """Standard deviations that a movement must promise before an operator is sent to make it."""
 
+NEAR: Final = 0.97
+"""Cosine up to which a pose counts as a face (14 deg)."""
+
 FACES: Final = (
     ("upright", (0.0, 0.0, -1.0)),
     ("upside down", (0.0, 0.0, 1.0)),
@@ -43,8 +46,7 @@ def movement_for(verdicts: Sequence[ParameterVerdict], checks: Mapping[Subject, 
         if not names or check.capture.expected is None:
             continue
         if about.sensor == Sensor.ACCEL:
-            for name in names:
-                faces.update(dict.fromkeys(_best_faces(check, name)))
+            _choose_faces(check, names, faces)
         elif about.sensor == Sensor.MAG and _worth_turning(check, names):
             wishes.append("turn the vehicle slowly through all directions")
     if faces:
@@ -53,11 +55,24 @@ def movement_for(verdicts: Sequence[ParameterVerdict], checks: Mapping[Subject, 
     return text[:1].upper() + text[1:] if text else None
 
 
-def _best_faces(check: StreamCheck, name: str) -> tuple[str, ...]:
-    """The pose that shows `name` best, if it is worth it."""
-    promise = {label: check.distance_in(name, (_reading(check, np.array(f)),)) for label, f in FACES}
-    best = max(promise, key=lambda label: promise[label])
-    return (best,) if promise[best] >= WORTH else ()
+def _choose_faces(check: StreamCheck, names: Sequence[str], faces: dict[str, None]) -> None:
+    """Add to `faces` one pose that shows each of `names`, unless one that is in it already does."""
+    shown = [_face_of(reading) for reading in check.capture.after]
+    readings = {label: _reading(check, np.array(force)) for label, force in FACES if label not in shown}
+    for name in names:
+        promise = {label: check.distance_in(name, (reading,)) for label, reading in readings.items()}
+        if not promise or any(promise.get(label, 0.0) >= WORTH for label in faces):
+            continue
+        best = max(promise, key=lambda label: promise[label])
+        if promise[best] >= WORTH:
+            faces[best] = None
+
+
+def _face_of(reading: Reading) -> str | None:
+    """The face that a reading shows; None: it is oblique."""
+    direction = reading.mean / np.linalg.norm(reading.mean)
+    label, force = max(FACES, key=lambda face: float(direction @ np.array(face[1])))
+    return label if float(direction @ np.array(force)) > NEAR else None
 
 
 def _worth_turning(check: StreamCheck, names: Sequence[str]) -> bool:
