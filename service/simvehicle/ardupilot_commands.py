@@ -106,7 +106,7 @@ class ArduPilotCommands:
 
     def _get_interval(self, channel: Channel, p: Parameters) -> int:
         interval = self._vehicle.interval_us(channel, int(p[0]))
-        self._vehicle.send(channel, dialect.MAVLink_message_interval_message(int(p[0]), interval))
+        self._vehicle.send(channel, dialect.MAVLink_message_interval_message(int(p[0]) & 0xFFFF, interval))
         return ACCEPTED
 
     def _request_message(self, channel: Channel, p: Parameters) -> int | None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from service.simvehicle.ardupilot_sensors import ImuReading
-from service.simvehicle.corrections import truncated
+from service.simvehicle.corrections import as_float32, truncated
 from service.simvehicle.rotation import euler_from_quaternions
 from service.simvehicle.telemetry import Block, make_block
 from service.simvehicle.world import State
@@ -19,6 +19,7 @@ G = 9.80665
 MAG_DEFECT = 1000.0  # mGauss times this, where Gauss would be mGauss divided by it
 
 Rows = list[list[int]]
+Floats = list[list[float]]
 
 
 class Readings:
@@ -29,7 +30,7 @@ class Readings:
         self.state: State = vehicle.world.state(np.asarray(times))
         self._imus: dict[int, ImuReading] = {}
         self._integers: dict[int, tuple[Rows, Rows, Rows, list[int]]] = {}
-        self._floats: tuple[list[list[float]], list[list[float]], list[list[float]]] | None = None
+        self._floats: tuple[Floats, ...] | None = None
         self._euler: list[list[float]] | None = None
         self._block: Block | None = None
 
@@ -61,14 +62,14 @@ class Readings:
             )
         return self._integers[instance]
 
-    def floats(self) -> tuple[list[list[float]], list[list[float]], list[list[float]]]:
+    def floats(self) -> tuple[Floats, ...]:
         """HIGHRES_IMU of the primary: its magnetometer in Gauss, or a million times that."""
         if self._floats is None:
             v = self._vehicle
             imu = self.imu(v.sensors.primary)
             factor = MAG_DEFECT if v.config.highres_mag_defect else 1.0 / MAG_DEFECT
             mag = v.sensors.compass(0, self.state.t) * factor
-            self._floats = (imu.accel.tolist(), imu.gyro.tolist(), mag.tolist())
+            self._floats = tuple(as_float32(v).tolist() for v in (imu.accel, imu.gyro, mag))
         return self._floats
 
     def true_euler(self) -> list[list[float]]:

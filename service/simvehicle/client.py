@@ -9,6 +9,7 @@ import select
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -66,11 +67,13 @@ class SimulatedVehicle:
             command += [option, value] if value else []
         command += ["--params", str(params)] if params else []
         command += ["--sitl"] if sitl else []
+        # A file, not a pipe: nobody reads it while the vehicle runs, and a full pipe would stop it.
+        self._said = tempfile.TemporaryFile()  # noqa: SIM115 - closed by stop()
         self.process = subprocess.Popen(  # noqa: S603 - our own module
             command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
+            stderr=self._said,
             cwd=Path(__file__).resolve().parents[2],
             env={**os.environ, "PYTHONUNBUFFERED": "1"},
         )
@@ -94,7 +97,9 @@ class SimulatedVehicle:
         line = self.process.stdout.readline() if readable else b""
         if not line:
             self.process.kill()
-            said = self.process.communicate()[1].decode(errors="replace").strip()
+            self.process.wait()
+            self._said.seek(0)
+            said = self._said.read().decode(errors="replace").strip()
             raise StartError(f"the simulated vehicle did not come up: {said or 'it said nothing'}")
         ready: dict[str, Any] = json.loads(line)
         return ready
@@ -166,7 +171,7 @@ class SimulatedVehicle:
             except subprocess.TimeoutExpired:
                 self.process.kill()
                 self.process.wait()
-        for pipe in (self.process.stdin, self.process.stdout, self.process.stderr):
+        for pipe in (self.process.stdin, self.process.stdout, self._said):
             if pipe is not None:
                 pipe.close()
 

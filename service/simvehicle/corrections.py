@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.simvehicle.rotation import Array
 
@@ -110,7 +111,14 @@ def truncated(values: Array, multiplier: float, divisor: float = 1.0) -> Array:
 
     Saturated, and 0 for NaN, where C++ leaves the result undefined.
     """
-    counts = np.asarray(values, dtype=np.float32) * np.float32(multiplier) / np.float32(divisor)
-    counts = np.clip(counts, -32768, 32767)
+    counts = as_float32(values)
+    with np.errstate(over="ignore", invalid="ignore"):
+        counts = np.clip(counts * np.float32(multiplier) / np.float32(divisor), -32768, 32767)
     counts[np.isnan(counts)] = 0.0
     return np.asarray(counts.astype(np.int64))
+
+
+def as_float32(values: Array) -> NDArray[np.float32]:
+    """The nearest float32 values; what is too large becomes infinite, as in C."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.asarray(values, dtype=np.float32)

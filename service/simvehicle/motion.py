@@ -238,8 +238,11 @@ class Motion:
 
     def jolt(self, t: float, peak: Sequence[float], duration_s: float = 0.1) -> None:
         """A half-sine shock of specific force (m/s², body frame), beginning now."""
+        vector = np.asarray(peak, dtype=np.float64)
+        if vector.shape != (3,) or not np.isfinite(vector).all():
+            raise ControlError(f"jolt: peak must be three finite numbers in m/s², got {peak}")
         self._jolts = [j for j in self._jolts if j[0] + j[1] > t]
-        self._jolts.append((t, max(duration_s, 1e-3), np.asarray(peak, dtype=np.float64)))
+        self._jolts.append((t, max(duration_s, 1e-3), vector))
 
     def restart(self, elapsed: float) -> None:
         """Vehicle time begins again at zero after `elapsed` seconds: the motion itself goes on undisturbed."""

@@ -70,7 +70,7 @@ class Px4Commands:
 
     def _get_interval(self, channel: Channel, p: Parameters) -> int:
         interval = self._vehicle.interval_us(channel, round(p[0]))
-        self._vehicle.send(channel, dialect.MAVLink_message_interval_message(round(p[0]), interval))
+        self._vehicle.send(channel, dialect.MAVLink_message_interval_message(round(p[0]) & 0xFFFF, interval))
         return ACCEPTED
 
     def _request_message(self, channel: Channel, p: Parameters) -> int:

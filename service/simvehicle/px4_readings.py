@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from service.simvehicle.corrections import truncated
+from service.simvehicle.corrections import as_float32, truncated
 from service.simvehicle.px4_sensors import GAUSS_PER_UT, Px4Reading
 from service.simvehicle.rotation import Array, body_from_ned
 from service.simvehicle.telemetry import Block, make_block
@@ -80,7 +80,8 @@ class Px4Readings:
                 mag = vehicle.sensors.mag(0, taken, armed=vehicle.armed)
                 true = body_from_ned(vehicle.world.motion.evaluate(t)[0], vehicle.world.field) * GAUSS_PER_UT
                 mag = mag - vehicle.estimator.mag.advance(float(t[-1]), _error(mag, true))
-            self._highres = (accel.tolist(), gyro.tolist(), mag.tolist(), self._updated(tick))
+            accel_rows, gyro_rows, mag_rows = (as_float32(v).tolist() for v in (accel, gyro, mag))
+            self._highres = (accel_rows, gyro_rows, mag_rows, self._updated(tick))
         return self._highres
 
     def _updated(self, mag_tick: Array) -> list[int]:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from service.simvehicle.corrections import as_float32
 from service.simvehicle.rotation import (
     Array,
     euler_from_quaternions,
@@ -52,7 +53,7 @@ def make_block(vehicle: Vehicle, state: State, corrected_force: Array, corrected
         state,
         q,
         euler_from_quaternions(q).tolist(),
-        corrected_rate.tolist(),
+        as_float32(corrected_rate).tolist(),
         vehicle.world.throttle.at(state.t).tolist(),
         vehicle.world.current.at(state.t).tolist(),
     )

@@ -17,6 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 MAGIC_V1, MAGIC_V2 = 0xFE, 0xFD
 SIGNATURE_LENGTH = 13
 MAX_BUFFER = 4096
+INT32_MAX = 2147483647
 
 
 @dataclass(frozen=True)
@@ -143,10 +144,13 @@ def split_datagram(data: bytes) -> list[Received]:
 
 
 def command_parameters(received: Received) -> list[float]:
-    """The seven parameters of COMMAND_LONG or COMMAND_INT; NaN, "not given", becomes 0."""
+    """The seven parameters of COMMAND_LONG or COMMAND_INT.
+
+    NaN, "not given", becomes 0, and what no int32 holds is cut to it: the firmwares' casts would be undefined.
+    """
     m = received.message
     if received.name == "COMMAND_INT":
         values = [m.param1, m.param2, m.param3, m.param4, m.x, m.y, m.z]
     else:
         values = [m.param1, m.param2, m.param3, m.param4, m.param5, m.param6, m.param7]
-    return [0.0 if math.isnan(v) else float(v) for v in values]
+    return [0.0 if math.isnan(v) else float(min(max(v, -INT32_MAX), INT32_MAX)) for v in values]
