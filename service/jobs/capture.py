@@ -119,6 +119,7 @@ class Capture:
             if frames:
                 steps += await asyncio.to_thread(digest.feed, frames)
             self._told(steps)
+            self.reach(At.CAPTURE_RUNNING)
             outcome = digest.outcome
             for warning in digest.warnings:
                 self.handle.warn(warning)

@@ -14,6 +14,7 @@ class At(StrEnum):
     """Where a crash can strike."""
 
     CAPTURE_STARTED = "capture_started"
+    CAPTURE_RUNNING = "capture_running"  # after every batch of frames
     CAPTURE_CLOSED = "capture_closed"
     FITTED = "fitted"
     ACCEPTED = "accepted"

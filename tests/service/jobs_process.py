@@ -1,0 +1,53 @@
+"""One life of the service in a process of its own that kills itself at a named instant.
+
+``python -m tests.service.jobs_process DATA_DIR URL ACTION POINT OCCURRENCE`` with ACTION ``capture`` (start a gyro
+job), ``apply`` (accept the plan of the newest job), ``revert`` or ``resume`` (only what the store holds). POINT is one
+of :class:`service.jobs.crashpoints.At`; at its OCCURRENCE the process gets SIGKILL, as from outside.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import sys
+from pathlib import Path
+
+from service.jobs.crashpoints import At
+from service.jobs.states import ENDED, JobState
+
+from .jobs_bench import Session, session
+
+LIMIT_S = 60.0
+
+
+def killer(point: At, occurrence: int) -> object:
+    count = 0
+
+    def reach(at: At) -> None:
+        nonlocal count
+        count += at == point
+        if at == point and count == occurrence:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    return reach
+
+
+async def live(bench: Session, action: str) -> None:
+    await bench.writable()
+    if action == "capture":
+        await bench.engine.submit(bench.vehicle.id, "gyro", {"uncertainty": 0.02})
+    elif action == "apply":
+        await bench.accepted(bench.engine.list()[-1])
+    elif action == "revert":
+        await bench.engine.revert(bench.engine.list()[-1].id)
+    await bench.until(bench.engine.list()[-1].id, *ENDED, JobState.REVIEW, seconds=LIMIT_S)
+
+
+async def main(folder: str, url: str, action: str, point: str, occurrence: str) -> None:
+    async with session(Path(folder), url, reach=killer(At(point), int(occurrence))) as bench:
+        await live(bench, action)
+
+
+if __name__ == "__main__":
+    asyncio.run(main(*sys.argv[1:]))
