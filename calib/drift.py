@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -36,7 +37,7 @@ class DriftData:
     time: Array
     t: Array  # degC
     y: Array  # (N, 3)
-    half: Array  # (N, 3) half widths of the bins
+    half: Array | None  # (N, 3) half widths of the bins; None: not quantised
     constant: NDArray[np.bool_]
     ignored: int
 
@@ -49,28 +50,33 @@ class DriftData:
                 f"{channel.sensor}: {len(channel)} rows of {channel.values.shape[1]} axes with temperatures of shape "
                 f"{t.shape}; one temperature a row of three axes is needed"
             )
-        good = np.isfinite(t) & np.isfinite(channel.values).all(axis=1)
-        time, y, half = channel.t, channel.values, half_widths(channel)
+        good = np.ones(len(t), dtype=np.bool_)
+        if not (np.isfinite(t.sum()) and np.isfinite(channel.values.sum())):  # one pass tells the usual case
+            good = np.isfinite(t) & np.isfinite(channel.values).all(axis=1)
+        time, y, half = channel.t, channel.values, half_widths(channel) if channel.quantum > 0.0 else None
         if not good.all():
-            time, t, y, half = time[good], t[good], y[good], half[good]
-        constant = np.ptp(y, axis=0) == 0.0 if len(y) else np.ones(3, dtype=np.bool_)
+            time, t, y, half = time[good], t[good], y[good], None if half is None else half[good]
+        constant = (
+            np.array([y[:, i].min() == y[:, i].max() for i in range(3)]) if len(y) else np.ones(3, dtype=np.bool_)
+        )
         return cls(time, t, y, half, constant, int((~good).sum()))
 
     def rows(self, keep: NDArray[np.bool_]) -> DriftData:
         """Only the rows to `keep`."""
-        return dataclasses.replace(self, time=self.time[keep], t=self.t[keep], y=self.y[keep], half=self.half[keep])
+        half = None if self.half is None else self.half[keep]
+        return dataclasses.replace(self, time=self.time[keep], t=self.t[keep], y=self.y[keep], half=half)
 
     @property
     def n(self) -> int:
         """Number of rows."""
         return len(self.t)
 
-    @property
+    @cached_property
     def t_min(self) -> float:
         """Lowest temperature, degC."""
         return float(self.t.min())
 
-    @property
+    @cached_property
     def t_max(self) -> float:
         """Highest temperature, degC."""
         return float(self.t.max())
@@ -89,69 +95,94 @@ class DriftData:
                 f"the temperature moved by {self.span:.1f} degC ({self.t_min:.1f} to {self.t_max:.1f}): "
                 f"{min_span:.0f} are needed; start with a cold board and let it warm up"
             )
-        if len(np.unique(self.t)) < degree + 2:
-            return f"{len(np.unique(self.t))} different temperatures are not enough for degree {degree}"
-        if self.constant.all():
+        levels = len(np.unique(self.t[:: 1 + self.n // 20_000]))
+        if levels < degree + 2:
+            return f"{levels} different temperatures are not enough for degree {degree}"
+        if self.constant.all() and self.half is None:
             return "every axis reads one constant value: the sensor is stuck or not connected"
         return ""
 
 
 @dataclass(frozen=True, eq=False)
 class DriftBlocks:
-    """Sums over consecutive blocks of time, from which everything else follows."""
+    """Sums over consecutive blocks of time of k series on p powers, from which everything else follows."""
 
     design: Array  # (B, p) means
-    series: Array  # (B, 3) means
-    counts: Array
-    time: Array
+    series: Array  # (B, k) means
+    counts: Array  # (B,) sums of the weights
+    time: Array  # (B,)
     gram: Array  # (p, p) over all samples
-    ordinary: Array  # (p, 3)
-    squares: Array  # (3,) sums of squared residuals
+    ordinary: Array  # (p, k) least squares over all samples
+    squares: Array  # (k,) sums of squared residuals
     n: int
 
     @classmethod
-    def of(cls, x: Array, data: DriftData, *, degree: int, intercept: bool, origin: Array | None) -> DriftBlocks:
-        """Sums of the powers of `x` (N,) and of the axes; without intercept the axes count from `origin` (3,)."""
-        edges = np.linspace(0, data.n, _block_count(data.n) + 1).astype(int)
-        y0 = data.y.mean(axis=0) if origin is None else origin
-        first = 0 if intercept else 1
+    def of(
+        cls,
+        x: Array,
+        time: Array,
+        y: Array,
+        *,
+        degree: int,
+        origin: Array | None = None,
+        weights: Array | None = None,
+    ) -> DriftBlocks:
+        """Sums of the powers of `x` (N,) and of the series `y` (N, k).
+
+        With `origin` (k,) the curves go through it at x = 0 and have no other constant. Without `weights` (N,) every
+        sample counts the same.
+        """
+        n, k = y.shape
+        edges = np.linspace(0, n, _block_count(n) + 1).astype(int)
+        y0 = y[:: 1 + n // 1000].mean(axis=0) if origin is None else origin
+        first = 0 if origin is None else 1
         p = degree + 1 - first
-        gram = np.zeros((p + 3, p + 3))
-        means = np.empty((len(edges) - 1, p + 3))
-        time = np.empty(len(edges) - 1)
-        for k, (i, j) in enumerate(pairwise(edges)):
-            z = np.empty((j - i, p + 3))
-            z[:, 0] = x[i:j] if first else 1.0
-            for column in range(1, p):
-                z[:, column] = z[:, column - 1] * x[i:j]
-            z[:, p:] = data.y[i:j] - y0
-            gram += z.T @ z
-            means[k] = z.mean(axis=0)
-            time[k] = data.time[i:j].mean()
-        scale = np.sqrt(np.diag(gram)[:p])
-        scaled = gram[:p, :p] / np.outer(scale, scale)
-        ordinary = np.linalg.solve(scaled, gram[:p, p:] / scale[:, None]) / scale[:, None]
+        gram, sums = np.zeros((p + k, p + k)), np.zeros((len(edges) - 1, p + k))
+        counts, times = np.zeros(len(edges) - 1), np.zeros(len(edges) - 1)
+        for row, (i, j) in enumerate(pairwise(edges)):
+            z = np.empty((p + k, j - i))
+            z[0] = x[i:j] if first else 1.0
+            for power_of in range(1, p):
+                np.multiply(z[power_of - 1], x[i:j], out=z[power_of])
+            np.subtract(y[i:j].T, y0[:, None], out=z[p:])
+            w = None if weights is None else weights[i:j]
+            weighted = z if w is None else z * w
+            gram += weighted @ z.T
+            counts[row] = j - i if w is None else w.sum()
+            sums[row] = weighted.sum(axis=1)
+            times[row] = time[i:j].mean()
+        kept = counts > 1e-6 * counts.mean()
+        means = sums[kept] / counts[kept, None]
+        ordinary = _least_squares(gram, p)
         squares = np.maximum(np.diag(gram[p:, p:] - gram[p:, :p] @ ordinary), 0.0)
-        blocks = cls(
-            means[:, :p], means[:, p:], np.diff(edges).astype(float), time, gram[:p, :p], ordinary, squares, data.n
-        )
-        if intercept:  # the series were shifted by their mean
-            blocks.ordinary[0] += y0
-            blocks.series[:] += y0
-        return blocks
+        series = means[:, p:]
+        if origin is None:  # the series were shifted
+            ordinary[0] += y0
+            series = series + y0
+        return cls(means[:, :p], series, counts[kept], times[kept], gram[:p, :p], ordinary, squares, n)
 
     @property
     def condition(self) -> float:
         """Condition number of the normal equations."""
         return float(np.linalg.cond(self.gram))
 
-    def residual_rms(self, estimated: NDArray[np.bool_]) -> Array:
-        """Root of the mean square about ordinary least squares, per axis; zero where nothing is estimated."""
-        return np.where(estimated, np.sqrt(self.squares / max(self.n - len(self.gram), 1)), 0.0)
+    def residual_sd(self) -> Array:
+        """Standard deviation about the curve, per series."""
+        return np.asarray(np.sqrt(self.squares / max(self.n - len(self.gram), 1)), dtype=np.float64)
 
     def noise(self) -> ColouredCovariance:
         """Covariance of the coefficients under coloured noise."""
         return coloured_covariance(self.design, self.series, self.counts, self.time, gram=self.gram)
+
+
+def _constant(values: Array) -> bool:
+    return bool((values[:1000] == values[0]).all()) and bool((values == values[0]).all())
+
+
+def _least_squares(gram: Array, p: int) -> Array:
+    scale = np.sqrt(np.diag(gram)[:p])
+    scaled = gram[:p, :p] / np.outer(scale, scale)
+    return np.asarray(np.linalg.solve(scaled, gram[:p, p:] / scale[:, None]) / scale[:, None], dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)

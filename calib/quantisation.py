@@ -135,33 +135,18 @@ def interval_regression(
     return _interval_fit(X, lower, upper, w, theta, scale, limit)
 
 
-def impute(channel: Channel, expected: Array, sd: Array) -> Array:
-    """Expectation of every sample given its bin and a model: ``E[x | bin, N(expected, sd)]``.
+def impute(values: Array, half: Array, expected: Array, sigma: float) -> tuple[Array, Array]:
+    """Expectation and variance of each number given its bin ``values -+ half`` and the model N(expected, sigma^2).
 
-    Parameters
-    ----------
-    channel
-        N samples with k columns.
-    expected : shape (N, k)
-        What the model says at each sample.
-    sd : shape (k,)
-        Noise of a sample about it.
-
-    Returns
-    -------
-    values : shape (N, k)
-        Between the edges of each sample's bin; the values as they are where there is no quantisation.
+    ``(mean - expected)/sigma^2`` is the score of a sample for its expectation, ``(1 - variance/sigma^2)/sigma^2`` its
+    information.
     """
-    half = half_widths(channel)
-    if channel.quantum <= 0.0:
-        return channel.values
-    sigma = np.maximum(np.asarray(sd, dtype=np.float64), _SMALLEST_NOISE * channel.quantum)
-    a = (channel.values - half - expected) / sigma
-    b = (channel.values + half - expected) / sigma
+    a, b = (values - half - expected) / sigma, (values + half - expected) / sigma
     log_mass = _log_mass(a, b)
-    shift = np.exp(_log_density(a) - log_mass) - np.exp(_log_density(b) - log_mass)
-    imputed: Array = np.clip(expected + sigma * shift, channel.values - half, channel.values + half)
-    return imputed
+    ra, rb = np.exp(_log_density(a) - log_mass), np.exp(_log_density(b) - log_mass)
+    mean = np.clip(expected + sigma * (ra - rb), values - half, values + half)
+    variance = sigma**2 * np.clip(1.0 + a * ra - b * rb - (ra - rb) ** 2, 0.0, 1.0)
+    return np.asarray(mean), np.asarray(variance)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from the residuals (:func:`calib.noise.coloured_regression`), so that the sd sta
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,8 +26,8 @@ Array = NDArray[np.float64]
 LINEAR_METHOD = "thermal-linear"
 POLYNOMIAL_METHOD = "thermal-poly"
 
-_SMALLEST_NOISE = 0.25
-"""Of a quantum: quieter samples are treated as this noisy, or the few at the edges of the bins would decide alone."""
+_SMALLEST_NOISE = 0.02  # of a quantum
+_MANY = 20_000  # samples beyond which equal ones are counted instead of listed
 
 
 def fit_linear(
@@ -70,26 +70,25 @@ def fit_linear(
     x = data.t - t_ref
     fixed = None if through is None else np.asarray(through, dtype=np.float64)
     repeated = repeated_rows(data)
-    blocks = DriftBlocks.of(x, data, degree=1, intercept=fixed is None, origin=fixed)
-    fresh = (
-        blocks
-        if not repeated.any()
-        else DriftBlocks.of(x[~repeated], data.rows(~repeated), degree=1, intercept=fixed is None, origin=fixed)
-    )
+    fresh = data.rows(~repeated)
+    blocks = DriftBlocks.of(x, data.time, data.y, degree=1, origin=fixed)
+    noise = DriftBlocks.of(x[~repeated], fresh.time, fresh.y, degree=1, origin=fixed).noise()
     slope_row = 0 if fixed is not None else 1
-    noise = fresh.noise()
     slopes = blocks.ordinary[slope_row]
     variance = noise.covariances[:, slope_row, slope_row]
     estimated = ~data.constant
     covariance = np.zeros((15, 15))
     covariance[12:, 12:] = np.diag(np.where(estimated, variance, 0.0))
-    residual = blocks.residual_rms(estimated)
+    residual = blocks.residual_sd()
     warnings = list(_common_warnings(data, estimated))
     if repeated.any():
         warnings.append(
             f"{int(repeated.sum())} of {data.n} rows repeat earlier rows exactly: they count as weights, and not as "
             "new information for the sd"
         )
+    weak = ", ".join(AXES[i] for i in range(3) if estimated[i] and slopes[i] ** 2 < 4.0 * variance[i])
+    if weak:
+        warnings.append(f"the slope of {weak} is not larger than twice its own sd: it may be no drift of temperature")
     intercepts = blocks.ordinary[0] if fixed is None else fixed
     undetermined = parameter_names()[:3] + tuple(f"poly1_{AXES[i]}" for i in range(3) if not estimated[i])
     return FitResult(
@@ -105,7 +104,7 @@ def fit_linear(
         unit=channel.unit,
         n_samples=len(channel),
         n_used=data.n,
-        residual_rms=float(np.sqrt((residual[estimated] ** 2).mean())),
+        residual_rms=float(np.sqrt((residual[estimated] ** 2).mean())) if estimated.any() else 0.0,
         condition_number=blocks.condition,
         relative=relative,
         undetermined=undetermined,
@@ -165,16 +164,15 @@ def fit_polynomial(
         return _refused(POLYNOMIAL_METHOD, channel, reason)
     middle, half_span = 0.5 * (data.t_min + data.t_max), 0.5 * data.span
     x = (data.t - middle) / half_span
-    y, too_coarse = _resolved(channel, data, x, degree)
-    blocks = DriftBlocks.of(x, dataclasses.replace(data, y=y), degree=degree, intercept=True, origin=None)
-    noise = blocks.noise()
-    curve = DriftCurve.of(blocks.ordinary, noise, middle, half_span, t_ref)
-    declined = ~data.constant & ~too_coarse & curve.not_repeatable(noise)
+    axes = _fit_axes(channel, data, x, degree)
+    curve = DriftCurve.of(axes.coefficients, axes.noise, middle, half_span, t_ref)
+    too_coarse = axes.too_coarse
+    declined = ~data.constant & ~too_coarse & curve.not_repeatable(axes.noise)
     estimated = ~(data.constant | too_coarse | declined)
     shape_only = channel.sensor != Sensor.GYRO
     model, covariance, undetermined = curve.model(data, t_ref, estimated, shape_only=shape_only)
-    residual = blocks.residual_rms(estimated)
-    lag = thermal_lag(blocks, middle, half_span, estimated)
+    residual = axes.residual_sd
+    lag = thermal_lag(axes.blocks, middle, half_span, estimated)
     warnings = [*_common_warnings(data, estimated | too_coarse | declined)]
     warnings += _declined_warnings(declined, too_coarse, channel)
     if lag is not None:
@@ -186,7 +184,7 @@ def fit_polynomial(
         method=POLYNOMIAL_METHOD,
         sensor=channel.sensor,
         instance=channel.instance,
-        status=FitStatus.OK if estimated.all() else FitStatus.PARTIAL if estimated.any() else FitStatus.REFUSED,
+        status=FitStatus.OK if estimated.all() else FitStatus.PARTIAL,
         message=message,
         model=model,
         covariance=covariance,
@@ -194,13 +192,13 @@ def fit_polynomial(
         n_samples=len(channel),
         n_used=data.n,
         residual_rms=float(np.sqrt((residual[estimated] ** 2).mean())) if estimated.any() else 0.0,
-        condition_number=blocks.condition,
+        condition_number=axes.blocks.condition,
         relative=relative,
         undetermined=undetermined,
         warnings=tuple(warnings),
         temperature=t_ref,
         quality={
-            **_quality(data, noise, estimated),
+            **_quality(data, axes.noise, estimated),
             "drift": _or_none(curve.drift, ~data.constant),
             "drift_sd": _or_none(curve.drift_sd, ~data.constant),
             "lag_s": lag,
@@ -209,40 +207,69 @@ def fit_polynomial(
     )
 
 
-def _resolved(channel: Channel, data: DriftData, x: Array, degree: int) -> tuple[Array, NDArray[np.bool_]]:
-    """The values with coarse axes replaced by what their bins say, and the axes that no fit can resolve.
+@dataclass(frozen=True, eq=False)
+class _Axes:
+    """Curves of the three axes in the scaled variable, each with the treatment that its bins need."""
 
-    A sample of a coarse axis enters as ``expected + (E[x | bin] - expected)/f``, f the share of its information that
-    the bins leave: least squares on these has the estimate and the scatter of the interval likelihood.
-    """
-    y = data.y.copy()
+    blocks: DriftBlocks  # of the samples as they are
+    coefficients: Array  # (p, 3)
+    noise: ColouredCovariance
+    residual_sd: Array
+    too_coarse: NDArray[np.bool_]
+
+
+def _fit_axes(channel: Channel, data: DriftData, x: Array, degree: int) -> _Axes:
+    blocks = DriftBlocks.of(x, data.time, data.y, degree=degree)
+    plain = blocks.noise()
+    coefficients, residual = blocks.ordinary.copy(), blocks.residual_sd()
+    covariances, whiteness, excess = plain.covariances.copy(), plain.whiteness.copy(), plain.excess.copy()
     too_coarse = np.zeros(3, dtype=np.bool_)
-    if channel.quantum <= 0.0:
-        return y, too_coarse
-    design = x[:, None] ** np.arange(degree + 1)
-    smooth = design @ np.linalg.lstsq(design, y, rcond=None)[0]
-    residual = (y - smooth).std(axis=0)
-    for axis in (int(i) for i in np.flatnonzero(~data.constant)):
-        wide = (data.half[:, axis] > 0.75 * channel.quantum).any()
-        if residual[axis] > COARSE * channel.quantum and not wide:
+    for axis in range(3):
+        if data.half is None:
+            break
+        y, half = data.y[:, axis], data.half[:, axis]
+        wide = bool((half > 0.75 * channel.quantum).any())
+        if data.constant[axis] or (residual[axis] > COARSE * channel.quantum and not wide):
             continue
-        fit = interval_regression(design, y[:, axis], data.half[:, axis], smallest=_SMALLEST_NOISE * channel.quantum)
-        if fit.at_limit and len(np.unique(np.round(y[:, axis] / channel.quantum, 3))) < degree + 3:
+        coarse = _coarse_axis(x, data.time, y, half, degree, channel.quantum)
+        if coarse is None:
             too_coarse[axis] = True
             continue
-        y[:, axis] = _pseudo(channel, data, design, axis, fit.coefficients, fit.sigma)
-    return y, too_coarse
+        own, residual[axis] = coarse
+        noise = own.noise()
+        coefficients[:, axis], covariances[axis] = own.ordinary[:, 0], noise.covariances[0]
+        whiteness[axis], excess[axis] = noise.whiteness[0], noise.excess[0]
+    return _Axes(blocks, coefficients, ColouredCovariance(covariances, whiteness, excess), residual, too_coarse)
 
 
-def _pseudo(channel: Channel, data: DriftData, design: Array, axis: int, coefficients: Array, sigma: float) -> Array:
-    expected = design @ coefficients
-    half = data.half[:, axis]
-    part = dataclasses.replace(
-        channel, t=data.time, values=data.y[:, axis : axis + 1], zero_bin=half[:, None] > 0.75 * channel.quantum
-    )
-    surprise = impute(part, expected[:, None], np.array([sigma]))[:, 0] - expected
-    share = float((surprise**2).mean()) / sigma**2  # information of a sample, E s^2, times sigma^2
-    return np.asarray(expected + surprise / max(share, 1e-6), dtype=np.float64)
+def _coarse_axis(
+    x: Array, time: Array, y: Array, half: Array, degree: int, quantum: float
+) -> tuple[DriftBlocks, float] | None:
+    """Block sums of an axis whose noise is smaller than its bins, and that noise; None if too few bins are seen.
+
+    The interval likelihood's estimate is least squares on ``expected + score/information`` with the information of
+    each sample as its weight, so the same sums carry on from there.
+    """
+    design = x[:, None] ** np.arange(degree + 1)
+    rows, counts = _distinct(x, y, half, quantum)
+    fit = interval_regression(design[rows], y[rows], half[rows], weights=counts, smallest=_SMALLEST_NOISE * quantum)
+    levels = len(np.unique(np.round(y[rows] / quantum, 3)))
+    if fit.at_limit and levels < degree + 3:
+        return None
+    expected = design @ fit.coefficients
+    mean, variance = impute(y, half, expected, fit.sigma)
+    information = np.maximum(1.0 - variance / fit.sigma**2, 1e-9)
+    pseudo = expected + (mean - expected) / information
+    return DriftBlocks.of(x, time, pseudo[:, None], degree=degree, weights=information), fit.sigma
+
+
+def _distinct(x: Array, y: Array, half: Array, quantum: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows that stand for all others with the same temperature and bin, and how many each stands for."""
+    if len(x) <= _MANY:
+        return np.arange(len(x)), np.ones(len(x), dtype=np.intp)
+    key = np.round(x * 2e4).astype(np.int64) * 2_000_003 + np.round(y / (1e-3 * quantum)).astype(np.int64)
+    _, rows, counts = np.unique(key, return_index=True, return_counts=True)
+    return rows, counts
 
 
 def _refused(method: str, channel: Channel, reason: str) -> FitResult:
@@ -257,8 +284,10 @@ def _said(what: str, data: DriftData, estimated: NDArray[np.bool_]) -> str:
 def _common_warnings(data: DriftData, estimated: NDArray[np.bool_]) -> tuple[str, ...]:
     warnings = []
     constant = ", ".join(AXES[i] for i in range(3) if data.constant[i] and not estimated[i])
-    if constant:
+    if constant and data.half is None:
         warnings.append(f"{constant} reads one constant value: not estimated")
+    elif constant:
+        warnings.append(f"{constant} reads one constant value: its drift is below one bin, not estimated")
     if data.ignored:
         warnings.append(f"{data.ignored} rows without finite numbers were left out")
     return tuple(warnings)
