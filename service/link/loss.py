@@ -9,9 +9,10 @@ from __future__ import annotations
 from service.link.types import LinkStatistics
 
 _WINDOW_S = 0.5
-_LATE = 64
-"""A number at most this far back is a late or doubled frame, unless many frames are known to be missing."""
-_SEEN_MASK = (1 << _LATE) - 1
+_REMEMBERED = 256
+_SEEN_MASK = (1 << _REMEMBERED) - 1
+_TOLERANCE = 8.0
+"""How far a count that rests on a rate may be off, at least."""
 _LONGEST_S = 30.0
 """A longer silence is an absence, not loss."""
 
@@ -84,7 +85,7 @@ class SequenceCounter:
     def _advance(self, step: int, sequence: int, now: float) -> None:
         self.lost += step - 1
         self._sent += step
-        self._seen = (self._seen << step | 1) & _SEEN_MASK if step < _LATE else 1
+        self._seen = (self._seen << step | 1) & _SEEN_MASK if step < _REMEMBERED else 1
         self._last, self._last_at = sequence, now
 
     def _full_step(self, step: int, elapsed: float, dropped: float) -> int:
@@ -92,17 +93,16 @@ class SequenceCounter:
 
         `step` is the difference of the sequence numbers modulo 256.
         """
-        back = -step & 0xFF
-        forward = step or 256
+        back, forward = -step & 0xFF, step or 256
         missing = dropped
         if not dropped and elapsed < _LONGEST_S:
-            missing = self._sent_per_s * elapsed - 1
+            missing = max(self._sent_per_s * elapsed - 1, 0.0)
         wraps = max(0, round((missing - (forward - 1)) / 256))
+        error = abs(forward - 1 + 256 * wraps - missing)
         # a rate is only a guess: believe it where the sequence agrees, and never without a visible gap
-        agrees = abs(forward - 1 + 256 * wraps - missing) <= max(8.0, missing / 8)
-        if not dropped and (forward == 1 or not agrees):
-            wraps = 0
-        if back < _LATE and not (missing >= 128 and (dropped or agrees)):
+        if not dropped and wraps and (forward == 1 or error > max(_TOLERANCE, missing / 8)):
+            wraps, error = 0, abs(forward - 1 - missing)
+        if back + _TOLERANCE < error:  # fewer steps back than frames forward unaccounted for: late, or doubled
             return -back
         self.lost_inferred += 256 * wraps
         return forward + 256 * wraps

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 PIPELINE = 10
 """Reads under way at once: ArduPilot queues 20 and answers 5 at a time, what is beyond is dropped."""
 _FIRST_S, _QUIET_S = 3.0, 1.5
+_ANSWER_S, _NEXT_S = 1.0, 0.4
+"""Patience for the first answer to a few reads, and for each one after it."""
 _LISTS = 3
 _READS = 6
 
@@ -117,9 +119,11 @@ async def _fill(vehicle: Vehicle, listing: _Listing, within: Callable[[float], o
         asked = missing[start : start + PIPELINE]
         for index in asked:
             vehicle.send(dialect.MAVLink_param_request_read_message(vehicle.system, vehicle.component, b"", index))
+        patience = _ANSWER_S
         while not listing.restart and any(index not in listing.names for index in asked):
-            if not await within(1.0):  # type: ignore[misc]
+            if not await within(patience):  # type: ignore[misc]
                 break
+            patience = _NEXT_S
 
 
 def _incomplete(vehicle: Vehicle, listing: _Listing) -> ParameterTimeout | VehicleSilent:

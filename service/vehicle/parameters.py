@@ -41,7 +41,7 @@ HASH_NAME = "_HASH_CHECK"
 NO_INDEX = 65535
 ANSWER_S = 1.0
 TRIES = 3
-_MOST_TRIES = 12
+_MOST_TRIES = 16
 _SILENCES = 5
 """So many silences prove absence: at 30 % loss each way a parameter that exists is missed once in 200 times."""
 _GRACE_S = 0.3

@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from calib.wire import Frame, decode
 from service.errors import CommandRefused, CommandTimeout, LinkError, VehicleError
 from service.link import Batch
-from service.link.capacity import nominal_capacity, plan_rates, seen_capacity, slowdown
+from service.link.capacity import LOSSY, nominal_capacity, plan_rates, seen_capacity, slowdown
 from service.vehicle import commands
 from service.vehicle.boot_time import boot_time
 from service.vehicle.identity import Autopilot
@@ -151,16 +151,25 @@ async def request_streams(
         planned = plan_rates(requested_hz, capacity)
         await request.ask(planned)
         seen = await _watch(vehicle, tuple(requested_hz), measure_s)
-        carried = seen_capacity(planned, seen.own, seen.loss, seen.bytes_per_s)
-        if carried is not None and measure_s > 0:
-            capacity = carried
-            await request.ask(plan_rates(planned, carried))
-            seen = await _watch(vehicle, tuple(requested_hz), measure_s)
+        carried = seen_capacity(planned, seen.own, seen.loss, seen.bytes_per_s / seen.speed)
+        lowered = plan_rates(planned, carried)
+        if lowered != planned and measure_s > 0:
+            await request.ask(lowered)
+            relieved = await _watch(vehicle, tuple(requested_hz), measure_s)
+            if _loses_anyway(seen, relieved):
+                await request.ask(planned)
+                seen = await _watch(vehicle, tuple(requested_hz), measure_s)
+            else:
+                capacity, planned, seen = carried, lowered, relieved
     except BaseException:
         await asyncio.shield(request.report({}, {}, None).restore())
         raise
-    slower = planned != dict(requested_hz) or carried is not None
-    return request.report(seen.own, seen.wall, capacity if slower else None)
+    return request.report(seen.own, seen.wall, capacity if planned != dict(requested_hz) else None)
+
+
+def _loses_anyway(before: _Seen, relieved: _Seen) -> bool:
+    """True if asking for less did not help: such a link is bad, not slow, and the samples are needed."""
+    return before.loss > LOSSY and relieved.loss > before.loss / 2
 
 
 class _Request:
@@ -205,6 +214,12 @@ class _Seen:
     own: Mapping[int, float]
     loss: float
     bytes_per_s: float
+
+    @property
+    def speed(self) -> float:
+        """Seconds of the vehicle in one second of the wall clock; 1 but for simulated vehicles."""
+        ratios = [self.wall[key] / rate for key, rate in self.own.items() if rate > 0 and self.wall[key] > 0]
+        return max([1.0, *ratios])
 
 
 async def _watch(vehicle: Vehicle, message_ids: Sequence[int], seconds: float) -> _Seen:

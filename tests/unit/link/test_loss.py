@@ -51,6 +51,18 @@ def test_doubled_and_late_frames_are_told_apart_from_lost_ones() -> None:
     assert counter.received == 306
 
 
+@pytest.mark.parametrize("late", [2, 40, 90, 120])
+def test_a_frame_that_comes_much_later_is_late_and_not_a_wrap(late: int) -> None:
+    counter = SequenceCounter()
+    sequence, t = steady(counter, 600, rate=1000.0)
+    held = sequence
+    sequence, t = steady(counter, late, rate=1000.0, start=sequence + 1, t=t + 0.001)
+    assert counter.lost == 1
+    counter.see(held & 0xFF, t, 40)
+    steady(counter, 300, rate=1000.0, start=sequence, t=t)
+    assert (counter.lost, counter.out_of_order, counter.duplicated) == (0, 1, 0)
+
+
 def test_rates_are_those_of_the_last_moment() -> None:
     counter = SequenceCounter()
     _, t = steady(counter, 600)

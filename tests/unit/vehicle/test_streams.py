@@ -109,6 +109,23 @@ async def test_a_link_that_holds_everything_up_is_asked_for_less(ardupilot: Fake
     assert streamer.intervals == {IMU: -1, IMU2: 40_000}
 
 
+async def test_a_link_that_loses_as_much_whatever_it_carries_is_bad_and_not_slow(ardupilot: FakeVehicle) -> None:
+    streamer = Streamer(ardupilot)
+    ardupilot.link.bytes_per_s = 1500.0
+    advance = ardupilot.advance
+
+    def losing(seconds: float) -> None:
+        advance(seconds)
+        ardupilot.link.received += 8
+        ardupilot.link.lost += 2
+
+    ardupilot.advance = losing  # type: ignore[method-assign]
+    report = await ardupilot.run(request_streams(ardupilot.vehicle, {IMU: 50.0, IMU2: 50.0}))
+    assert [interval > 20_000 for _, interval in requests(ardupilot)] == [False] * 2 + [True] * 2 + [False] * 2
+    assert streamer.intervals == {IMU: 20_000, IMU2: 20_000}
+    assert (report.capacity_bytes_per_s, report.slowdown) == (None, 1.0)
+
+
 async def test_a_slow_serial_port_is_never_asked_for_more_than_it_carries(ardupilot: FakeVehicle) -> None:
     Streamer(ardupilot)
     ardupilot.link.endpoint = parse_endpoint("serial:/dev/ttyUSB0:9600")
