@@ -139,8 +139,13 @@ class Injector:
         self._server.remove_twins()
 
     def report(self) -> list[dict[str, Any]]:
-        """Every fault asked for, and when it struck."""
-        return [{"kind": f.kind, **f.options, "struck": f.struck} for f in self._faults]
+        """Every fault asked for, when it struck, and for one on the wire how many frames it has hit in all."""
+        return [{"kind": f.kind, **f.options, "struck": f.struck, **self._hits(f)} for f in self._faults]
+
+    def _hits(self, fault: Fault) -> dict[str, int]:
+        if fault.kind not in PERSISTENT:
+            return {}
+        return {"hits": sum(link.spoilt[fault.kind] for link in self._server.links)}
 
     # --- the strokes
 

@@ -7,6 +7,7 @@ import itertools
 import random
 import socket
 import time
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -39,7 +40,7 @@ CLEAN = Impairment()
 
 
 class FaultyLink:
-    """A link seen through its impairments; `channel` is the vehicle's end."""
+    """A link seen through its impairments; `channel` is the vehicle's end, `spoilt` counts the frames hit, by kind."""
 
     def __init__(self, link: Link, seed: int) -> None:
         self._link = link
@@ -47,6 +48,7 @@ class FaultyLink:
         self._held_out: list[tuple[float, int, bytes]] = []
         self._held_in: list[tuple[float, int, bytes]] = []
         self._tickets = itertools.count()
+        self.spoilt: Counter[str] = Counter()
         self.incoming, self.outgoing = CLEAN, CLEAN
         self.channel: Channel | None = None
         self.url = link.url
@@ -70,6 +72,11 @@ class FaultyLink:
             else:
                 heapq.heappush(self._held_out, (time.monotonic() + delay, next(self._tickets), piece))
 
+    @property
+    def holding(self) -> bool:
+        """Whether something that arrived is held back."""
+        return bool(self._held_in)
+
     def received(self) -> Iterator[Received]:
         """The intact messages that have arrived and were not lost."""
         for data in self._link.poll():
@@ -84,26 +91,33 @@ class FaultyLink:
 
     def flush(self) -> None:
         """Send what was held back long enough."""
+        if not self._held_out:
+            return
         now = time.monotonic()
         while self._held_out and self._held_out[0][0] <= now:
             self._link.send(heapq.heappop(self._held_out)[2])
 
     def _spoilt(self, chances: Impairment, data: bytes) -> Iterator[tuple[float, bytes]]:
-        draw = self._random.random
-        if draw() < chances.loss:
+        if self._hit("loss", chances.loss):
             return
-        for _ in range(2 if draw() < chances.duplication else 1):
+        for _ in range(2 if self._hit("duplication", chances.duplication) else 1):
             piece = bytearray(data)
-            if draw() < chances.bit_errors:
+            if self._hit("bit_errors", chances.bit_errors):
                 position = self._random.randrange(len(piece) * 8)
                 piece[position // 8] ^= 1 << position % 8
-            if draw() < chances.truncation:
+            if self._hit("truncation", chances.truncation):
                 del piece[self._random.randrange(len(piece)) :]
-            delay = chances.delay_s + chances.jitter_s * draw()
-            if draw() < chances.reordering:
+            delay = chances.delay_s + chances.jitter_s * self._random.random()
+            self.spoilt["delay"] += delay > 0
+            if self._hit("reordering", chances.reordering):
                 delay += REORDER_DELAY_S
             if piece:
                 yield delay, bytes(piece)
+
+    def _hit(self, kind: str, chance: float) -> bool:
+        hit = self._random.random() < chance
+        self.spoilt[kind] += hit
+        return hit
 
     def vehicle_rebooted(self) -> None:
         """See Link."""
