@@ -20,7 +20,11 @@ SINGLE_PRECISION = 1e-5
 
 
 def offsets_usable(draft: Draft, about: Subject, fit: FitResult, *, thermal: bool) -> bool:
-    """Whether the undetermined offsets, if any, may stay as they are beside the others."""
+    """Whether the undetermined offsets, if any, may stay as they are beside the others.
+
+    `thermal`: a polynomial is in force that this fit does not replace; an offset may then not stay behind when the
+    temperature that it refers to is moved.
+    """
     missing = [a for a in AXES if not fit.determined(f"offset_{a}")]
     if not missing:
         return True

@@ -44,7 +44,9 @@ def compose_imu(draft: Draft, pairs: Sequence[Pair]) -> None:
         absolute = pair.absolute
         if absolute is None:
             continue
-        if not offsets_usable(draft, pair.about, absolute, thermal=thermal_in_force(draft, names)):
+        if not offsets_usable(
+            draft, pair.about, absolute, thermal=absolute.degree == 0 and thermal_in_force(draft, names)
+        ):
             continue
         _set_offsets(draft, pair.about, names, absolute)
         if pair.about.sensor == Sensor.ACCEL:

@@ -42,7 +42,7 @@ def compose_imu(draft: Draft, pairs: Sequence[Pair]) -> None:
         fit = pair.absolute
         if fit is None:
             continue
-        if not offsets_usable(draft, pair.about, fit, thermal=thermal_runs(draft, pair.about)):
+        if not offsets_usable(draft, pair.about, fit, thermal=fit.degree == 0 and thermal_runs(draft, pair.about)):
             continue
         _set_offset(draft, pair.about, fit)
         if pair.about.sensor == Sensor.ACCEL:

@@ -52,6 +52,11 @@ def is_shape_only(fit: FitResult) -> bool:
     return fit.sensor == Sensor.ACCEL and fit.model.polynomial is not None and matrix_fixed
 
 
+def drift_axes(fit: FitResult) -> str:
+    """The axes whose drift a thermal fit determines; of a fit without temperature every axis."""
+    return "".join(a for a in AXES if fit.determined(*(f"poly{j + 1}_{a}" for j in range(fit.degree))))
+
+
 def usable_fits(draft: Draft, fits: Sequence[FitResult]) -> tuple[FitResult, ...]:
     """The fits that may be written; what is wrong with the others is said in the draft."""
     kept = []
@@ -59,6 +64,8 @@ def usable_fits(draft: Draft, fits: Sequence[FitResult]) -> tuple[FitResult, ...
         about = Subject(fit.sensor, fit.instance)
         if fit.status == FitStatus.REFUSED:
             draft.warn(f"{about} is left out: {fit.message}")
+        elif not drift_axes(fit):
+            draft.warn(f"{about} is left out: its drift with temperature is not determined on any axis. {fit.message}")
         elif fit.relative:
             draft.block(
                 f"{about}: the calibration in force during the capture is not known, so this fit is relative and "

@@ -93,12 +93,32 @@ def test_coefficients_in_force_of_the_other_sensor_stay_in_their_range(
 def test_a_declined_axis_is_not_compensated(ardupilot_parameters, ardupilot_fingerprint, make_fit):
     declined = tuple(f"poly{k}_x" for k in (1, 2, 3))
     curve = ThermalPolynomial(35.0, 10.0, 60.0, CURVE.coefficients * [[0.0], [1.0], [1.0]])
-    fit = make_fit(Sensor.GYRO, offset=[0.01] * 3, polynomial=curve, polynomial_sd=1e-6, undetermined=declined)
+    fit = make_fit(
+        Sensor.GYRO, offset=[0.01] * 3, polynomial=curve, polynomial_sd=1e-6, undetermined=("offset_x", *declined)
+    )
     plan = compose([fit], ardupilot_parameters, ardupilot_fingerprint)
     changes = {c.name: c for c in plan.changes}
     assert (changes["INS_TCAL1_GYR1_X"].new, changes["INS_TCAL1_GYR1_X"].sd) == (0.0, None)
     assert changes["INS_TCAL1_GYR1_Y"].sd is not None
     assert any("drift of the x axis is not determined" in text for text in plan.warnings)
+    assert "INS_GYROFFS_X" not in changes
+    assert "INS_GYROFFS_Y" in changes
+    assert not plan.blockers
+
+
+def test_a_unit_without_any_drift_is_left_out_and_does_not_block_the_others(
+    ardupilot_parameters, ardupilot_fingerprint, make_fit
+):
+    nothing = (*SHAPE_ONLY, *(f"poly{k}_{a}" for a in "xyz" for k in (1, 2, 3)))
+    flat = ThermalPolynomial(35.0, 10.0, 60.0, np.zeros((3, 3)))
+    fits = [
+        make_fit(Sensor.GYRO, 0, offset=[0.01] * 3, polynomial=CURVE),
+        make_fit(Sensor.GYRO, 1, polynomial=flat, undetermined=nothing),
+    ]
+    plan = compose(fits, ardupilot_parameters, ardupilot_fingerprint)
+    assert not plan.blockers
+    assert not any("TCAL2" in c.name or c.name.startswith("INS_GYR2") for c in plan.changes)
+    assert any("gyro 2 is left out" in text for text in plan.warnings)
 
 
 @pytest.mark.parametrize(
