@@ -23,6 +23,7 @@ from calib.firmware.plan import (
     Change,
     Fingerprint,
     Loss,
+    Movement,
     ParameterKind,
     ParameterVerdict,
     Verdict,
@@ -176,7 +177,7 @@ def verification_from_json(data: Mapping[str, Any]) -> Verification:
             parameters=tuple(
                 ParameterVerdict(**{**item, "verdict": Verdict(item["verdict"])}) for item in data["parameters"]
             ),
-            movement=data["movement"],
+            movement=_movement_from(data["movement"]),
         )
 
 
@@ -242,6 +243,10 @@ def _polynomial_from(data: Mapping[str, Any] | None) -> ThermalPolynomial | None
 
 def _number(value: float | None) -> float:
     return math.nan if value is None else float(value)
+
+
+def _movement_from(data: Mapping[str, Any] | None) -> Movement | None:
+    return None if data is None else Movement(**{**data, "faces": tuple(data["faces"])})
 
 
 def _change_from(data: Mapping[str, Any]) -> Change:

@@ -82,12 +82,12 @@ class TriadModel:
         InvalidInputError
             If the model depends on temperature and none is given.
         """
-        return (np.asarray(measured, dtype=np.float64) - self._bias(temperature)) @ self.matrix.T
+        return (np.asarray(measured, dtype=np.float64) - self.bias(temperature)) @ self.matrix.T
 
     def invert(self, truth: ArrayLike, temperature: ArrayLike | None = None) -> Array:
         """What the sensor measures of `truth` (..., 3) at `temperature` (...) in degC."""
         sensitivity = np.linalg.inv(self.matrix)
-        return np.asarray(truth, dtype=np.float64) @ sensitivity.T + self._bias(temperature)
+        return np.asarray(truth, dtype=np.float64) @ sensitivity.T + self.bias(temperature)
 
     def after(self, first: TriadModel) -> TriadModel:
         """The model that corrects by `first` and then by this one; only one of them may be thermal.
@@ -120,7 +120,8 @@ class TriadModel:
         """``Q`` of the polar decomposition ``C = Q S``: the part that no length constraint can see."""
         return self.matrix @ np.linalg.inv(self.symmetric().matrix)
 
-    def _bias(self, temperature: ArrayLike | None) -> Array:
+    def bias(self, temperature: ArrayLike | None = None) -> Array:
+        """What is subtracted at `temperature` (...) in degC, shape (..., 3), or (3,) if temperature has no effect."""
         if self.polynomial is None:
             return self.offset
         if temperature is None:

@@ -121,5 +121,5 @@ function verificationPart(verification) {
     el("summary", {}, verification.proved ? "Proved on the vehicle" : "What the vehicle's stream proves"),
     el("ul", { class: "small" }, verification.parameters.map((p) =>
       el("li", { class: tones[p.verdict] }, `${p.name}: ${p.verdict.replaceAll("_", " ")}. ${p.text}`))),
-    verification.movement ? el("p", { class: "small" }, verification.movement) : null);
+    verification.movement ? el("p", { class: "small" }, verification.movement.text) : null);
 }

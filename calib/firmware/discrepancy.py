@@ -40,6 +40,8 @@ DRIFT_PER_DEGC: Final = {Sensor.ACCEL: 5e-3, Sensor.GYRO: 5e-4, Sensor.MAG: 0.0}
 """Offset change per degC where no polynomial is known: 0.5 mg and 0.03 deg/s, data sheets of the IMUs in use."""
 STABILITY: Final = {Sensor.ACCEL: 1e-3, Sensor.GYRO: 5e-5, Sensor.MAG: 0.05}
 """Scatter of a resting sensor from one capture to the next beyond its noise: 0.1 mg, 10 deg/h, 0.5 mgauss."""
+TEMPERATURE_STEP: Final = 2.0
+"""degC within which readings after the write are averaged before they are compared with the one before."""
 UNKNOWN_TEMPERATURE: Final = 5.0  # degC of change that is allowed for where none was streamed
 _UNDETERMINED: Final = 10.0  # sd of a parameter that the fit leaves open, in its unit
 _ANY_FIELD: Final = 100.0  # uT, sd of a field strength that is not known
@@ -122,11 +124,21 @@ class Capture:
 
     @property
     def weights(self) -> Array:
-        """Which readings after are compared with the one before: for a gyroscope all, otherwise the first."""
-        n = len(self.after)
-        if self.sensor == Sensor.GYRO:
-            return np.full(n, 1.0 / n)
-        return np.eye(n)[0]
+        """Means of readings after that are compared with the one before, (G, n): one row a temperature.
+
+        A gyroscope at rest may be compared in every rest, anything else only as long as nobody has moved it: in the
+        first one.
+        """
+        first = self.after[0].rest
+        usable = [k for k, r in enumerate(self.after) if self.sensor == Sensor.GYRO or r.rest == first]
+        groups: dict[int | None, list[int]] = {}
+        for k in usable:
+            heat = self.after[k].temperature
+            groups.setdefault(None if heat is None else round(heat / TEMPERATURE_STEP), []).append(k)
+        rows = np.zeros((len(groups), len(self.after)))
+        for row, members in zip(rows, groups.values(), strict=True):
+            row[members] = 1.0 / len(members)
+        return rows
 
     @property
     def zero_rate(self) -> bool:
@@ -138,7 +150,8 @@ def discrepancy(capture: Capture, undo: Undo, *, equality: bool) -> Array:
     """The vector that is zero, up to its covariance, if the hypothesis behind `undo` is true."""
     parts = []
     if equality and capture.raw_before is not None and capture.before is not None:
-        parts.append(capture.weights @ (undo(capture.after) - _known_drift(capture)) - capture.raw_before)
+        change = capture.weights @ (undo(capture.after) - _known_drift(capture)) - capture.raw_before
+        parts.append(change.ravel())
     expected = capture.expected
     if expected is not None and capture.invariant:
         corrected = _corrected(expected, undo(capture.invariant), capture.invariant)
@@ -151,7 +164,7 @@ def discrepancy(capture: Capture, undo: Undo, *, equality: bool) -> Array:
 
 def covariance(capture: Capture, model: TriadModel, undo: Undo, *, equality: bool) -> Array:
     """Covariance of :func:`discrepancy`, taken where every change is in force (`model`, `undo`)."""
-    back = np.linalg.inv(model.matrix)
+    back = np.asarray(np.linalg.inv(model.matrix), dtype=np.float64)
     blocks = []
     noise: dict[int, Array] = {}
     readings = list(dict.fromkeys((*capture.after, *capture.invariant)))
@@ -159,10 +172,9 @@ def covariance(capture: Capture, model: TriadModel, undo: Undo, *, equality: boo
         noise[k] = back @ reading.covariance @ back.T
     place = {id(r): k for k, r in enumerate(readings)}
     if equality and capture.before is not None:
-        row = np.zeros((3, 3 * len(readings)))
-        for weight, reading in zip(capture.weights, capture.after, strict=True):
-            row[:, 3 * place[id(reading)] : 3 * place[id(reading)] + 3] = weight * np.eye(3)
-        blocks.append((row, _equality_floor(capture, back)))
+        weights = np.zeros((len(capture.weights), len(readings)))
+        weights[:, [place[id(r)] for r in capture.after]] = capture.weights
+        blocks.append((np.kron(weights, np.eye(3)), _equality_floor(capture, back)))
     if capture.expected is not None and capture.invariant:
         blocks += _invariance_blocks(capture, capture.expected, undo, place)
     rows = np.vstack([row for row, _ in blocks])
@@ -178,20 +190,26 @@ def covariance(capture: Capture, model: TriadModel, undo: Undo, *, equality: boo
 
 
 def _equality_floor(capture: Capture, back: Array) -> Array:
-    """Noise of the capture before, and what may change between two captures that nobody touched."""
-    before, first = capture.before, capture.after[0]
+    """Noise of the capture before, and what may change between two captures that nobody touched, (3G, 3G).
+
+    The capture before, an attitude that has crept and a drift are common to all readings after; scatter is not.
+    """
+    before, weights = capture.before, capture.weights
     assert before is not None
-    floor = back @ before.covariance @ back.T + STABILITY[capture.sensor] ** 2 * np.eye(3)
+    ones, own = np.ones((len(weights), len(weights))), np.eye(len(weights))
+    scatter = STABILITY[capture.sensor] ** 2 * np.eye(3)
+    floor = np.kron(ones, back @ before.covariance @ back.T) + np.kron(own, scatter)
     if capture.sensor == Sensor.GYRO:
-        gap = first.t - before.t
-        drift = BIAS_WALK * (gap if gap > 0.0 else 60.0)  # the clock of a restarted vehicle says nothing of the gap
-        floor += (drift**2 + EARTH_RATE**2) * np.eye(3)
+        gap = weights @ np.array([r.t for r in capture.after]) - before.t
+        gap = np.where(gap > 0.0, gap, 60.0)  # the clock of a restarted vehicle says nothing of the gap
+        floor += np.kron(BIAS_WALK**2 * np.outer(gap, gap) + EARTH_RATE**2 * own, np.eye(3))
     else:
-        vector = back @ first.mean
-        floor += ATTITUDE_SD**2 * (vector @ vector * np.eye(3) - np.outer(vector, vector))
+        vector = back @ capture.after[0].mean
+        floor += np.kron(ones, ATTITUDE_SD**2 * (vector @ vector * np.eye(3) - np.outer(vector, vector)))
     if capture.polynomial is None:
-        change = _temperature_change(before.temperature, first.temperature)
-        floor += (DRIFT_PER_DEGC[capture.sensor] * change) ** 2 * np.eye(3)
+        change = np.array([_temperature_change(before.temperature, r.temperature) for r in capture.after])
+        change = DRIFT_PER_DEGC[capture.sensor] * (weights @ change)
+        floor += np.kron(np.outer(change, change), np.eye(3))
     return np.asarray(floor)
 
 

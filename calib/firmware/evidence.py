@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,8 @@ from calib.stillness import Still, find_still, pose_means
 Array = NDArray[np.float64]
 
 LEAST_SAMPLES = 8
+LONGEST_READING_S = 6.0
+"""A longer rest is read in several pieces, so that a change of temperature shows."""
 MOST_MOVING_SAMPLES = 200
 
 
@@ -31,6 +34,8 @@ class Reading:
     current: float | None = None
     """A; None: not streamed."""
     throttle: float | None = None
+    rest: int = -1
+    """Which rest it belongs to: readings of one rest share the pose. -1: taken in motion."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +52,7 @@ class Evidence:
 def gather(recording: Recording) -> Evidence:
     """Read every still span of `recording`."""
     stills = _stills(recording)
+    pieces = _pieces(stills)
     readings: dict[Subject, tuple[Reading, ...]] = {}
     moving: dict[Subject, tuple[Reading, ...]] = {}
     raw = set()
@@ -59,7 +65,7 @@ def gather(recording: Recording) -> Evidence:
             if channel.stage == Stage.RAW:
                 raw.add(about)
                 continue
-            readings[about] = _readings(recording, channel, stills)
+            readings[about] = _readings(recording, channel, pieces)
             if sensor == Sensor.MAG:
                 moving[about] = _moving(recording, channel, stills)
     return Evidence(readings, moving, frozenset(raw))
@@ -76,23 +82,36 @@ def _channel(recording: Recording, about: Subject) -> Channel | None:
         channel = recording.channel(about.sensor, about.instance)
     except InvalidInputError:
         return None  # only debiased streams of it
-    return channel.take(np.isfinite(channel.values).all(axis=1))
+    return channel.take(np.asarray(np.isfinite(channel.values).all(axis=1)))
 
 
-def _readings(recording: Recording, channel: Channel, stills: tuple[Still, ...]) -> tuple[Reading, ...]:
+def _pieces(stills: tuple[Still, ...]) -> dict[Still, int]:
+    """Every rest cut into readings, with the number of the rest."""
+    pieces = {}
+    for rest, still in enumerate(stills):
+        edges = np.linspace(still.start, still.end, max(1, round(still.duration / LONGEST_READING_S)) + 1)
+        for start, end in pairwise(edges):
+            pieces[replace(still, start=float(start), end=float(end))] = rest
+    return pieces
+
+
+def _readings(recording: Recording, channel: Channel, pieces: dict[Still, int]) -> tuple[Reading, ...]:
     if channel.sensor == Sensor.ACCEL:
         gyros = recording.find(Sensor.GYRO, channel.instance)
-        poses = pose_means(channel, stills, gyro=gyros[0] if gyros else None)
+        poses = pose_means(channel, tuple(pieces), gyro=gyros[0] if gyros else None)
         means = [(p.start, p.end, p.mean, p.covariance) for p in poses]
     else:
         means = []
-        for still in stills:
-            part = channel.between(still.start, still.end)
+        for piece in pieces:
+            part = channel.between(piece.start, piece.end)
             if len(part) >= LEAST_SAMPLES:
                 estimate = mean_of(part)
-                means.append((still.start, still.end, estimate.mean, estimate.covariance))
+                means.append((piece.start, piece.end, estimate.mean, estimate.covariance))
+    rests = {piece.start: rest for piece, rest in pieces.items()}
     return tuple(
-        Reading(0.5 * (start + end), mean, covariance, *_conditions(recording, channel.instance, start, end))
+        Reading(
+            0.5 * (start + end), mean, covariance, *_conditions(recording, channel.instance, start, end), rests[start]
+        )
         for start, end, mean, covariance in means
     )
 

@@ -131,9 +131,12 @@ def _all_known(values: Sequence[float | None]) -> Array | None:
 
 
 def _differ(a: TriadModel, b: TriadModel) -> bool:
-    if not (np.array_equal(a.offset, b.offset) and np.array_equal(a.matrix, b.matrix)):
-        return True
-    if a.polynomial is None or b.polynomial is None:
-        return (a.polynomial is None) != (b.polynomial is None)
-    same_range = (a.polynomial.t_min, a.polynomial.t_max) == (b.polynomial.t_min, b.polynomial.t_max)
-    return not same_range or not np.array_equal(a.polynomial.coefficients, b.polynomial.coefficients)
+    """Whether two corrections differ anywhere in the narrower of their temperature ranges.
+
+    Beyond it one of them is clamped while the sensor drifts on unknown, so no stream could tell them apart there.
+    """
+    curves = [m.polynomial for m in (a, b) if m.polynomial is not None]
+    if not curves or not np.array_equal(a.matrix, b.matrix):
+        return not (np.array_equal(a.offset, b.offset) and np.array_equal(a.matrix, b.matrix))
+    heat = np.linspace(max(c.t_min for c in curves), min(c.t_max for c in curves), 9)
+    return not np.allclose(a.bias(heat), b.bias(heat), rtol=0.0, atol=1e-12)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calib.firmware.check import ALL_APPLIED, StreamCheck
 from calib.firmware.draft import Subject
 from calib.firmware.evidence import Reading
-from calib.firmware.plan import ParameterVerdict, Verdict
+from calib.firmware.plan import Movement, ParameterVerdict, Verdict
 from calib.recording import Sensor
 
 Array = NDArray[np.float64]
@@ -23,42 +23,84 @@ NEAR: Final = 0.97
 """Cosine up to which a pose counts as a face (14 deg)."""
 
 FACES: Final = (
-    ("upright", (0.0, 0.0, -1.0)),
-    ("upside down", (0.0, 0.0, 1.0)),
-    ("on its left side", (0.0, 1.0, 0.0)),
-    ("on its right side", (0.0, -1.0, 0.0)),
-    ("nose down", (-1.0, 0.0, 0.0)),
-    ("nose up", (1.0, 0.0, 0.0)),
+    ("level", "upright", (0.0, 0.0, -1.0)),
+    ("back", "upside down", (0.0, 0.0, 1.0)),
+    ("left", "on its left side", (0.0, 1.0, 0.0)),
+    ("right", "on its right side", (0.0, -1.0, 0.0)),
+    ("nose_down", "nose down", (-1.0, 0.0, 0.0)),
+    ("nose_up", "nose up", (1.0, 0.0, 0.0)),
 )
-"""Poses with the direction of their specific force in the body (FRD)."""
+"""Poses by name and in words, with the direction of their specific force in the body (FRD)."""
+
+TEMPERATURE_MARGIN: Final = 0.1
+"""Share of the calibrated range that a wished temperature stays inside of it."""
+NEAR_ENOUGH: Final = 0.25
+"""Share of the calibrated range within which another temperature would say nothing new."""
 
 
-def movement_for(verdicts: Sequence[ParameterVerdict], checks: Mapping[Subject, StreamCheck]) -> str | None:
-    """One sentence for the operator; None if everything is proved, or no movement would help."""
-    open_ones = {
-        v.name for v in verdicts if v.acts_on_stream and v.verdict not in (Verdict.PROVED, Verdict.CONTRADICTED)
-    }
+def movement_for(verdicts: Sequence[ParameterVerdict], checks: Mapping[Subject, StreamCheck]) -> Movement | None:
+    """What an operator can do about the parameters that are still open; None if nothing, or if none is."""
+    settled = (Verdict.PROVED, Verdict.CONTRADICTED)
+    open_ones = {v.name for v in verdicts if v.acts_on_stream and v.verdict not in settled}
     seen = {name for check in checks.values() for name in check.names}
-    wishes = ["hold the vehicle still for five seconds"] if open_ones - seen else []
     faces: dict[str, None] = {}
+    turn, temperature = False, None
     for about, check in checks.items():
         names = [n for n in check.names if n in open_ones]
-        if not names or check.capture.expected is None:
+        if not names:
+            continue
+        temperature = _wished_temperature(check, names) if temperature is None else temperature
+        if check.capture.expected is None:
             continue
         if about.sensor == Sensor.ACCEL:
             _choose_faces(check, names, faces)
-        elif about.sensor == Sensor.MAG and _worth_turning(check, names):
-            wishes.append("turn the vehicle slowly through all directions")
+        elif about.sensor == Sensor.MAG:
+            turn = turn or _worth_turning(check, names)
+    return _in_words(tuple(faces), still=bool(open_ones - seen), turn=turn, temperature=temperature)
+
+
+def _in_words(faces: tuple[str, ...], *, still: bool, turn: bool, temperature: float | None) -> Movement | None:
+    words = {face: text for face, text, _ in FACES}
+    wishes = ["hold the vehicle still for five seconds"] if still else []
+    if turn:
+        wishes.append("turn the vehicle slowly through all directions")
     if faces:
-        wishes.append("hold it still " + ", then ".join(faces))
-    text = "; ".join(dict.fromkeys(wishes))
-    return text[:1].upper() + text[1:] if text else None
+        wishes.append("hold it still " + ", then ".join(words[face] for face in faces))
+    if temperature is not None:
+        wishes.append(f"leave it alone until its sensors are at about {temperature:.0f} degC")
+    if not wishes:
+        return None
+    text = "; ".join(wishes)
+    return Movement(text[:1].upper() + text[1:], faces, turn, temperature)
+
+
+def _wished_temperature(check: StreamCheck, names: Sequence[str]) -> float | None:
+    """The end of the calibrated range that is farther from what was read; None if temperature would not help."""
+    whole = check.corrections.model(ALL_APPLIED).polynomial
+    if whole is None or not any(_thermal(check, name) for name in names):
+        return None
+    low, high = whole.t_min, whole.t_max
+    read = [r.temperature for r in check.capture.after if r.temperature is not None]
+    margin = TEMPERATURE_MARGIN * (high - low)
+    ends = (low + margin, high - margin)
+    apart = [min((abs(end - t) for t in read), default=high - low) for end in ends]
+    best = max(range(2), key=lambda k: apart[k])
+    return ends[best] if apart[best] > NEAR_ENOUGH * (high - low) else None
+
+
+def _thermal(check: StreamCheck, name: str) -> bool:
+    """Whether the effect of `name` depends on temperature."""
+    with_it, without = (check.corrections.model(h).polynomial for h in (ALL_APPLIED, frozenset({name})))
+    if with_it is None or without is None:
+        return with_it is not without
+    heat = np.array([with_it.t_min, 0.5 * (with_it.t_min + with_it.t_max), with_it.t_max])
+    return bool(np.ptp(with_it(heat) - without(heat), axis=0).max() > 0.0)
 
 
 def _choose_faces(check: StreamCheck, names: Sequence[str], faces: dict[str, None]) -> None:
     """Add to `faces` one pose that shows each of `names`, unless one that is in it already does."""
     shown = [_face_of(reading) for reading in check.capture.after]
-    readings = {label: _reading(check, np.array(force)) for label, force in FACES if label not in shown}
+    readings = {label: _reading(check, np.array(force)) for label, _, force in FACES if label not in shown}
     for name in names:
         promise = {label: check.distance_in(name, (reading,)) for label, reading in readings.items()}
         if not promise or any(promise.get(label, 0.0) >= WORTH for label in faces):
@@ -71,7 +113,7 @@ def _choose_faces(check: StreamCheck, names: Sequence[str], faces: dict[str, Non
 def _face_of(reading: Reading) -> str | None:
     """The face that a reading shows; None: it is oblique."""
     direction = reading.mean / np.linalg.norm(reading.mean)
-    label, force = max(FACES, key=lambda face: float(direction @ np.array(face[1])))
+    label, _, force = max(FACES, key=lambda face: float(direction @ np.array(face[2])))
     return label if float(direction @ np.array(force)) > NEAR else None
 
 
@@ -93,4 +135,5 @@ def _reading(check: StreamCheck, direction: Array) -> Reading:
     # the true reading is the one that the fitted model makes as long as it should be
     corrected = expected.model.apply(raw, now.temperature)
     raw = expected.model.invert(corrected * size / np.linalg.norm(corrected), now.temperature)
-    return Reading(now.t, model.apply(raw, now.temperature), now.covariance, now.temperature, now.current, now.throttle)
+    mean = model.apply(raw, now.temperature)
+    return Reading(now.t, mean, now.covariance, now.temperature, now.current, now.throttle)

@@ -135,11 +135,24 @@ class ParameterVerdict:
 
 
 @dataclass(frozen=True)
+class Movement:
+    """What would prove the parameters that are still open: a sentence, and the same as data."""
+
+    text: str
+    faces: tuple[str, ...] = ()
+    """Poses to be held still, by the names of :class:`calib.procedures.protocol.Pose`."""
+    turn: bool = False
+    """Turn the vehicle through all directions."""
+    temperature: float | None = None
+    """Bring the sensors to about this temperature, degC. None: any."""
+
+
+@dataclass(frozen=True)
 class Verification:
-    """The physical check of a plan, and the movement that would prove what is still open."""
+    """The physical check of a plan, and the movement that would prove what is still open (None: none would)."""
 
     parameters: tuple[ParameterVerdict, ...]
-    movement: str | None = None
+    movement: Movement | None = None
 
     @property
     def contradicted(self) -> tuple[str, ...]:

@@ -42,6 +42,8 @@ class Prompt:
     rotate: bool = False
     direction: tuple[float, float, float] | None = None
     """Where to turn next: the body direction (FRD) that should point down. None: no preference."""
+    temperature: float | None = None
+    """Bring the sensors to about this temperature, degC. None: it does not matter."""
     detected: Pose | None = None
     stable: bool = False
     answers: tuple[str, ...] = ()

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
-from calib.firmware.plan import Value, Verification, WritePlan
+from calib.firmware.plan import Movement, Value, Verification, WritePlan
 from calib.firmware.streams import Assembler, requested_streams
 from calib.firmware.verify import verify
 from calib.procedures.protocol import Pose, Progress, Prompt
@@ -28,17 +28,6 @@ FINISH = "finish"
 STEP_S = 2.0
 """A movement is judged anew after so much more of the vehicle's time."""
 POLL_S = 0.02
-
-POSES = {
-    "upright": Pose.LEVEL,
-    "on its left side": Pose.LEFT,
-    "on its right side": Pose.RIGHT,
-    "nose down": Pose.NOSE_DOWN,
-    "nose up": Pose.NOSE_UP,
-    "upside down": Pose.BACK,
-}
-"""Poses by their names in :data:`calib.firmware.movement.FACES`."""
-TURN = "turn the vehicle"
 
 
 @dataclass
@@ -172,10 +161,16 @@ class StreamCheck:
         return recording_of([span_of(closed[-1])], self.vehicle.identity.system) if closed else None
 
 
-def proving(movement: str) -> Prompt:
-    """The prompt for a movement that proves the rest, with its poses for those who draw them."""
-    wanted = tuple(pose for label, pose in POSES.items() if label in movement.lower())
-    return Prompt("prove", movement, remaining=wanted, rotate=TURN in movement.lower(), answers=(FINISH,))
+def proving(movement: Movement) -> Prompt:
+    """The prompt for a movement that proves the rest."""
+    return Prompt(
+        "prove",
+        movement.text,
+        remaining=tuple(Pose(face) for face in movement.faces),
+        rotate=movement.turn,
+        temperature=movement.temperature,
+        answers=(FINISH,),
+    )
 
 
 def _end(recording: Recording) -> float:

@@ -37,6 +37,7 @@ class Operator:
         self._warm_up = {"start": warm_from, "end": warm_to, "tau_s": warm_tau_s}
         self._tumble_dps = tumble_dps
         self._doing: object = None
+        self._temperature: float | None = None
 
     def follow(self, prompt: Mapping[str, Any] | None) -> None:
         """Do what `prompt` asks for; None and prompts that ask for nothing new change nothing.
@@ -46,6 +47,9 @@ class Operator:
         """
         if prompt is None:
             return
+        if prompt["temperature"] not in (None, self._temperature):
+            self._temperature = prompt["temperature"]
+            self._vehicle.call("temperature", value=self._temperature)
         if prompt["rotate"]:
             self._once("tumble", "tumble", rate_dps=self._tumble_dps)
         elif prompt["step"] == "warm_up":

@@ -14,6 +14,7 @@ from calib.firmware.plan import (
     Change,
     Fingerprint,
     Loss,
+    Movement,
     ParameterKind,
     ParameterVerdict,
     Verdict,
@@ -153,7 +154,8 @@ def test_an_altered_plan_is_not_read():
 
 
 def test_a_verification_survives_text():
-    check = Verification((ParameterVerdict("A", Verdict.CONTRADICTED, 0.1, 0.01, "m/s2", "t"),), "turn it")
+    movement = Movement("turn it", faces=("left",), turn=True, temperature=20.0)
+    check = Verification((ParameterVerdict("A", Verdict.CONTRADICTED, 0.1, 0.01, "m/s2", "t"),), movement)
     data = through_text(verification_to_json(check))
     assert data["contradicted"] == ["A"]
     assert data["proved"] is False

@@ -117,8 +117,8 @@ def test_one_level_pose_proves_the_offsets_and_asks_for_the_faces_that_prove_the
     assert found["INS_ACCOFFS_X"] == found["INS_ACCOFFS_Y"] == Verdict.PROVED
     assert found["INS_ACCSCAL_X"] == found["INS_ACCSCAL_Y"] == Verdict.NOT_OBSERVABLE
     assert verification.contradicted == ()
-    assert "nose" in verification.movement
-    assert "side" in verification.movement
+    assert "nose" in verification.movement.text
+    assert "side" in verification.movement.text
 
     found, verification = verdicts(
         plan, fits, sensors, ardupilot_parameters, names_of(plan), poses=(LEVEL, LEFT, NOSE_DOWN)
@@ -170,7 +170,7 @@ def test_nothing_streamed_is_not_observable(ardupilot_parameters, ardupilot_fing
     verification = verify(plan, fits, None, empty)
     assert {p.verdict for p in verification.parameters} == {Verdict.NOT_OBSERVABLE}
     assert not verification.proved
-    assert verification.movement.startswith("Hold the vehicle still")
+    assert verification.movement.text.startswith("Hold the vehicle still")
 
 
 @pytest.mark.parametrize("size", [5.5, 8.0, 20.0])
