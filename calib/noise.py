@@ -15,7 +15,7 @@ from scipy.stats import chi2
 Array = NDArray[np.float64]
 
 _LEAST = 16  # samples below which correlation cannot be told from chance
-_ORDERS = 20  # highest order of the autoregression
+_ORDERS = 8  # highest order of the autoregression
 _BLOCKS = 16
 _SIGNIFICANT = 0.001  # chance at which drift between blocks is believed
 _TINY = 1e-300
