@@ -10,6 +10,7 @@ import socket
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -80,6 +81,7 @@ class SimulatedVehicle:
         self._control: socket.socket | None = None
         self._buffer = b""
         self._next_id = 0
+        self._lock = threading.Lock()
         try:
             ready = self._await_ready()
             host, _, port = ready["control"].rpartition(":")
@@ -111,13 +113,14 @@ class SimulatedVehicle:
         """
         if self._control is None:
             raise ControlError("the simulated vehicle has been stopped")
-        self._next_id += 1
-        request = {"id": self._next_id, "do": do, **options}
-        try:
-            self._control.sendall(json.dumps(request).encode() + b"\n")
-            reply = json.loads(self._read_line())
-        except (OSError, ValueError) as error:
-            raise ControlError(f"the simulated vehicle does not answer {do!r}: {error}") from error
+        with self._lock:
+            self._next_id += 1
+            request = {"id": self._next_id, "do": do, **options}
+            try:
+                self._control.sendall(json.dumps(request).encode() + b"\n")
+                reply = json.loads(self._read_line())
+            except (OSError, ValueError) as error:
+                raise ControlError(f"the simulated vehicle does not answer {do!r}: {error}") from error
         if not reply.pop("ok"):
             raise ControlError(reply["error"])
         reply.pop("id")

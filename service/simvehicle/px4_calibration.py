@@ -56,17 +56,20 @@ class Px4Calibration:
         vehicle.at(GYRO_S, lambda: self._finish(_slots("GYRO", memories, means)))
 
     def level(self) -> None:
-        """Half a second of attitude becomes the board offset."""
+        """Half a second of attitude becomes the board offset; the gyroscopes are written on the way."""
         self._begin("level")
         vehicle = self._vehicle
-        t = vehicle.time + np.arange(1, 51) * 0.01
-        mean = vehicle.sensors.imu(vehicle.sensors.primary, vehicle.world.state(t)).accel.mean(axis=0)
+        state = vehicle.world.state(vehicle.time + np.arange(1, 51) * 0.01)
+        mean = vehicle.sensors.imu(vehicle.sensors.primary, state).accel.mean(axis=0)
         roll = math.degrees(math.atan2(-mean[1], -mean[2]))
         pitch = math.degrees(math.atan2(mean[0], math.hypot(mean[1], mean[2])))
         table = vehicle.table
+        memories = vehicle.sensors.gyros
+        gyro = [vehicle.sensors.gyro_before_offset(k, state).mean(axis=0) for k in range(len(memories))]
         values: dict[str, Value] = {
-            "SENS_BOARD_X_OFF": table.get("SENS_BOARD_X_OFF") - roll,
-            "SENS_BOARD_Y_OFF": table.get("SENS_BOARD_Y_OFF") - pitch,
+            "SENS_BOARD_X_OFF": table.get("SENS_BOARD_X_OFF") + roll,
+            "SENS_BOARD_Y_OFF": table.get("SENS_BOARD_Y_OFF") + pitch,
+            **_slots("GYRO", memories, gyro),
         }
         vehicle.at(0.5, lambda: self._finish(values))
 
@@ -96,6 +99,10 @@ class Px4Calibration:
                 self._end("[cal] calibration failed: timeout: no motion")
 
         vehicle.at(WAIT_FOR_SIDES_S, give_up)
+
+    def block(self, what: str) -> None:
+        """One that never ends: everything else is busy until a restart."""
+        self._begin(what)
 
     def cancel(self) -> None:
         """All parameters of 241 zero."""

@@ -150,6 +150,8 @@ class Px4Commands:
         calibration = self.calibration
         if p[0] == 1:
             return calibration.gyro
+        if p[2] == 1:
+            return lambda: calibration.block("baro")
         if p[1] == 1:
             return lambda: calibration.wait_for_sides("mag")
         return {

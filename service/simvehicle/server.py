@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-import selectors
+import select
 import socket
 import sys
 import time
@@ -23,9 +23,12 @@ from service.simvehicle.verbs import Verbs
 from service.simvehicle.wire import Packer, Received
 
 TICK_S = 0.005
+FAST, FAST_TICK_S = 5.0, 0.010  # from this speed on, longer ticks: whatever arrives still ends the wait
 MAX_STEP_S = 0.1  # of wall time: a process that was suspended does not catch up
 MAX_SPEED = 1000.0
 TWIN_SEED = 1000  # how far a twin's seed is from its vehicle's
+
+Ready = set[socket.socket | int]
 
 
 def make_vehicle(config: VehicleConfig) -> Vehicle:
@@ -114,32 +117,34 @@ class Server:
         self.vehicle.start()
         last = time.monotonic()
         while self._running:
-            self._wait(last + TICK_S - time.monotonic())
+            tick = TICK_S if self.speed < FAST else FAST_TICK_S
+            ready = self._wait(last + tick - time.monotonic())
             now = time.monotonic()
-            self._tick(min(now - last, MAX_STEP_S))
-            self.lag_s = max(time.monotonic() - now - TICK_S, 0.0)
+            self._tick(min(now - last, MAX_STEP_S), ready)
+            self.lag_s = max(time.monotonic() - now - tick, 0.0)
             last = now
         self.close()
 
-    def _wait(self, seconds: float) -> None:
-        """Wait for the next tick, or shorter if something arrives."""
-        with selectors.DefaultSelector() as selector:
-            for sock in self._sockets():
-                selector.register(sock, selectors.EVENT_READ)
-            if self._stdin is not None:
-                selector.register(self._stdin, selectors.EVENT_READ)
-            for key, _ in selector.select(max(seconds, 0.0)):
-                if key.fd == self._stdin and not os.read(key.fd, 4096):
-                    self.stop()
-
-    def _sockets(self) -> list[socket.socket]:
-        return [*self.control.sockets(), *(s for link in self.links for s in link.sockets())]
-
-    def _tick(self, wall_s: float) -> None:
-        self.control.poll()
+    def _wait(self, seconds: float) -> Ready:
+        """Wait for the next tick, or shorter if something arrives; what can be read."""
+        waited: list[socket.socket | int] = [*self.control.sockets()]
         for link in self.links:
-            for received in link.received():
-                self._deliver(link, received)
+            waited += link.sockets()
+        if self._stdin is not None:
+            waited.append(self._stdin)
+        ready, _, _ = select.select(waited, [], [], max(seconds, 0.0))
+        if self._stdin is not None and self._stdin in ready and not os.read(self._stdin, 4096):
+            self.stop()
+        return set(ready)
+
+    def _tick(self, wall_s: float, ready: Ready | None = None) -> None:
+        """Take in what has arrived (None: look everywhere), let time pass, send what was held back."""
+        if ready is None or not ready.isdisjoint(self.control.sockets()):
+            self.control.poll()
+        for link in self.links:
+            if ready is None or link.holding or not ready.isdisjoint(link.sockets()):
+                for received in link.received():
+                    self._deliver(link, received)
         for vehicle in (self.vehicle, *(twin for twin, _ in self._twins)):
             vehicle.advance(vehicle.time + wall_s * self.speed)
         self.injector.tick()

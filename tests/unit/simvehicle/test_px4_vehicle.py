@@ -336,3 +336,21 @@ def test_storage_load_restores_in_silence(bench: Any) -> None:
     assert b.take("PARAM_VALUE") == []
     assert b.vehicle.table["CAL_ACC0_XOFF"].value == 0.0
     assert b.vehicle.in_force()["CAL_ACC0_XOFF"] == 0.0
+
+
+def test_level_turns_the_board_so_that_the_present_pose_reads_level(bench: Any) -> None:
+    b = settled(bench, truth=PERFECT, **QUIET)
+    b.vehicle.world.motion.hold(b.vehicle.time, [4.0, -3.0, 0.0], transition_s=0.0)
+    b.command(241, 0, 0, 0, 0, 2)
+    b.run(2.0)
+    now = b.vehicle.world.state(np.array([b.vehicle.time]))
+    assert b.vehicle.sensors.imu(0, now).accel[0] == pytest.approx([0, 0, -9.80665], abs=0.05)
+
+
+def test_a_barometer_calibration_never_ends_and_blocks_the_others(bench: Any) -> None:
+    b = settled(bench)
+    b.command(241, 0, 0, 1)
+    b.run(200.0)
+    b.heard[0].clear()
+    b.command(241, 1)
+    assert [m.result for m in b.take("COMMAND_ACK")] == [2, 2, 1]
