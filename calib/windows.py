@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 class Windows(NamedTuple):
-    """Statistics of a sensor over M windows."""
+    """Statistics of a sensor over M windows; n is 0 where a quarter of the window or more at an end has no sample."""
 
     n: NDArray[np.intp]
     mean: Array  # (M, 3)
@@ -26,7 +26,10 @@ def window_statistics(t: Array, x: Array, origin: float, starts: Array, length: 
     `origin` is a time near the samples. A window without samples has n = 0 and zeros.
     """
     i, j = np.searchsorted(t, starts), np.searchsorted(t, starts + length)
-    n = j - i
+    covered = (t[np.minimum(i, len(t) - 1)] <= starts + length / 4) & (
+        t[np.maximum(j - 1, 0)] >= starts + 0.75 * length
+    )
+    n = np.where(covered, j - i, 0)
     columns = np.column_stack([np.ones(len(t)), t - origin, x, (t - origin)[:, None] * x, (t - origin) ** 2, x**2])
     edges = np.column_stack([i, np.maximum(j, i + 1)]).ravel()
     padded = np.vstack([columns, np.zeros((1, columns.shape[1]))])
