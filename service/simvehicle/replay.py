@@ -93,10 +93,11 @@ def replay(
     clock.run_to(0.0, step)
     said.clear()
     for frame in frames:
+        if frame.system != station:
+            continue
         clock.run_to(frame.t, step)
-        if frame.system == station:
-            for received in split_datagram(frame.data):
-                vehicle.receive(vehicle.channels[0], received)
+        for received in split_datagram(frame.data):
+            vehicle.receive(vehicle.channels[0], received)
     clock.run_to(frames[-1].t + step, step)
     wanted = [(t, data) for t, data in said if message_ids is None or message_id_of(data) in message_ids]
     return [Heard(t, answer) for t, data in wanted if (answer := decode_frame(data)) is not None]

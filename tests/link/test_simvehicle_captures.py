@@ -20,6 +20,8 @@ from __future__ import annotations
 
 import csv
 import itertools
+import socket
+import time
 from collections import Counter
 from pathlib import Path
 
@@ -27,11 +29,13 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from service.simvehicle.client import SimulatedVehicle
 from service.simvehicle.config import load_config
 from service.simvehicle.parameters import load_table
 from service.simvehicle.replay import Frame, Heard, heard, read_frames, replay
 from service.simvehicle.server import make_vehicle
 from service.simvehicle.vehicle import Vehicle
+from service.simvehicle.wire import split_datagram
 
 pytestmark = pytest.mark.shared
 
@@ -78,31 +82,33 @@ def sitl_table(captures: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
     return table_file(list(read_frames(captures / "params.tlog")), tmp_path_factory.mktemp("t") / "params.csv")
 
 
-def sitl_vehicle(table: Path) -> Vehicle:
+def sitl_config() -> dict[str, object]:
     """As the real one was: two perfect IMUs, three compasses with the default offset, level at its heading."""
-    quiet = {"accel_noise": 0.0009, "gyro_noise": 4.3e-5, "mag_noise": 1e-4}
     yaw = -7.0
     field_body = np.array([224.0155, 80.639, -528.9117]) / 10.0
     c, s = np.cos(np.radians(yaw)), np.sin(np.radians(yaw))
     field = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ field_body
-    config = load_config(
-        {
-            "imu_count": 2,
-            "mag_count": 3,
-            "yaw_deg": yaw,
-            "field_ned_ut": field.tolist(),
-            "temperature": 25.5,
-            "imu_temperature_offsets": [0, 0, 0],
-            "mag_orientations": [0, 0, 0],
-            "truth": {
-                "accels": CLEAN,
-                "gyros": CLEAN,
-                "mags": CLEAN | {"offset": [-v / 10 for v in MAG_OFS_MGAUSS]},
-            },
-            **quiet,
-        }
-    )
-    vehicle = make_vehicle(config)
+    return {
+        "imu_count": 2,
+        "mag_count": 3,
+        "yaw_deg": yaw,
+        "field_ned_ut": field.tolist(),
+        "temperature": 25.5,
+        "imu_temperature_offsets": [0, 0, 0],
+        "mag_orientations": [0, 0, 0],
+        "accel_noise": 0.0009,
+        "gyro_noise": 4.3e-5,
+        "mag_noise": 1e-4,
+        "truth": {
+            "accels": CLEAN,
+            "gyros": CLEAN,
+            "mags": CLEAN | {"offset": [-v / 10 for v in MAG_OFS_MGAUSS]},
+        },
+    }
+
+
+def sitl_vehicle(table: Path) -> Vehicle:
+    vehicle = make_vehicle(load_config(sitl_config()))
     vehicle.load_parameters(load_table(str(table)))
     return vehicle
 
@@ -222,7 +228,7 @@ def test_high_resolution_carries_the_primary_untruncated_and_a_magnetometer_a_mi
     captures: Path, sitl_table: Path
 ) -> None:
     frames = list(read_frames(captures / "rest.tlog"))
-    said = replay(sitl_vehicle(sitl_table), frames, STATION, boot_offset=6.05)
+    said = replay(sitl_vehicle(sitl_table), frames, STATION, 6.05, 0.1, {105})
     real = [h for h in heard(frames, 1, {105}) if 2 < h.t < 30]
     sim = [h for h in said if h.received.message.get_msgId() == 105 and 2 < h.t < 30]
     a, b = column_means(real), column_means(sim)
@@ -245,3 +251,32 @@ def test_many_writes_and_a_list_at_once_answer_alike(captures: Path, name: str, 
     assert sorted(echoed[1]) == sorted(echoed[0])
     listed = [[m.param_id for m in ms if getattr(m, "param_index", 65535) != 65535] for ms in (real, sim)]
     assert listed[1] == listed[0]
+
+
+def test_the_same_answers_come_from_a_process_over_a_socket(captures: Path, sitl_table: Path) -> None:
+    """The requests of `set` at a quarter of their recorded times, at four times the speed: order and values."""
+    speed = 4.0
+    frames = list(read_frames(captures / "set.tlog"))
+    requests = [f for f in frames if f.system == STATION]
+    said: list[Heard] = []
+    with SimulatedVehicle(speed=speed, params=sitl_table, config=sitl_config()) as vehicle:
+        host, port = vehicle.url.removeprefix("udpin:").split(":")
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
+            station.bind((host, int(port)))
+            _, peer = station.recvfrom(2048)
+            vehicle.wait(6.0)
+            station.settimeout(0.0)
+            begin = time.monotonic()
+            while requests or time.monotonic() - begin < frames[-1].t / speed + 0.2:
+                now = (time.monotonic() - begin) * speed
+                while requests and requests[0].t <= now:
+                    station.sendto(requests.pop(0).data, peer)
+                try:
+                    said += [Heard(now, r) for r in split_datagram(station.recv(2048))]
+                except BlockingIOError:
+                    time.sleep(0.0005)
+    begun = next(i for i, h in enumerate(said) if h.received.name == "PARAM_VALUE")
+    real, sim = answers(heard(frames, 1, ANSWERS)), answers(said[begun:])
+    assert [h.received.name for h in sim] == [h.received.name for h in real]
+    for a, b in zip(real, sim, strict=True):
+        assert_same_message(a, b)
