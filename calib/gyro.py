@@ -108,7 +108,7 @@ def steady_turn(gyro: Channel, accel: Channel | None = None, mag: Channel | None
     """
     rate = mean_of(gyro).mean
     size = float(np.linalg.norm(rate))
-    if accel is not None and len(accel) >= 16 and _gravity_follows(rate, accel):
+    if accel is not None and finite_rows(accel.values).sum() >= 16 and _gravity_follows(rate, accel):
         return f"gravity turns with the {np.degrees(size):.2f} deg/s that the gyroscope reads: the vehicle is turning"
     compass_moves = _compass_moves(mag) if mag is not None and len(mag) >= 8 else None
     if compass_moves:
@@ -169,18 +169,18 @@ def _warnings(gyro: Channel, estimate: QuantisedMean) -> tuple[str, ...]:
 
 
 def _gravity_follows(rate: Array, accel: Channel) -> bool:
-    """Whether gravity moves between the halves of a span as a turn of `rate` would move it."""
-    middle = len(accel) // 2
-    first, second = mean_of(accel.take(slice(0, middle))), mean_of(accel.take(slice(middle, None)))
-    lag = float(accel.t[middle:].mean() - accel.t[:middle].mean())
-    predicted = -np.cross(rate, first.mean) * lag
+    """Whether gravity moves through a span as a turn of `rate` would move it, ``da/dt = -w x a``."""
+    accel = accel.take(finite_rows(accel.values))
+    predicted = -np.cross(rate, accel.values.mean(axis=0))
     size = float(np.linalg.norm(predicted))
-    if size < 1e-3 * float(np.linalg.norm(first.mean)):
+    since = accel.t - accel.t.mean()
+    squares = float(since @ since)
+    if size == 0.0 or squares == 0.0:
         return False
-    along = predicted / size
-    moved = float((second.mean - first.mean) @ along)
-    sd = float(np.sqrt(along @ (first.covariance + second.covariance) @ along))
-    return moved > 0.5 * size and moved > 5.0 * sd
+    along = (accel.values - accel.values.mean(axis=0)) @ (predicted / size)
+    slope = float(since @ along) / squares
+    sd = np.sqrt(long_run_variance(along - slope * since) / squares)
+    return bool(slope > 0.5 * size and slope > 5.0 * sd)
 
 
 def _compass_moves(mag: Channel) -> bool:

@@ -160,7 +160,9 @@ class _AxisMean:
 
 def _axis_mean(values: Array, half: Array, quantum: float) -> _AxisMean:
     sd = float(values.std(ddof=1))
-    plain = _AxisMean(float(values.mean()), values - values.mean(), 0.0, sd, constant=sd == 0.0)
+    if values.min() == values.max() and quantum <= 0.0:
+        return _AxisMean(float(values[0]), np.zeros(len(values)), 0.0, 0.0, constant=True)
+    plain = _AxisMean(float(values.mean()), values - values.mean(), 0.0, sd, constant=False)
     if quantum <= 0.0:
         return plain
     wide = bool((half > 0.75 * quantum).any())
