@@ -16,6 +16,7 @@ from calib.firmware.evidence import Evidence, Reading
 from calib.firmware.fitted import Pair
 from calib.firmware.force import Force
 from calib.firmware.hypotheses import Hypothesis, Judgement, judge
+from calib.firmware.known_drift import known_drift
 from calib.fit import FitResult
 from calib.recording import Sensor
 from calib.triad import ThermalPolynomial, TriadModel
@@ -144,14 +145,15 @@ def _capture(corrections: Corrections, pair: Pair | None, then: Evidence, now: E
     about = corrections.about
     in_force = corrections.model(ALL_APPLIED).polynomial
     drift = None if pair is None else pair.drift
-    known = in_force if drift is None else drift.model.polynomial
+    moves = known_drift(about.sensor, drift, in_force)
+    known = moves.polynomial
     readings = within(known, corrections.readable(now.readings.get(about, ())))
     moving = within(known, corrections.readable(now.moving.get(about, ())))
     earlier = within(known, corrections.readable(then.readings.get(about, ())))
     before = earlier[-1] if earlier else None
     expected = None
     if pair is not None and pair.absolute is not None:
-        expected = expected_of(pair.at_rest, drift, in_force, _magnitude(about.sensor, pair.absolute))
+        expected = expected_of(pair.at_rest, drift, moves, _magnitude(about.sensor, pair.absolute))
     return Capture(
         sensor=about.sensor,
         before=before,
@@ -159,7 +161,7 @@ def _capture(corrections: Corrections, pair: Pair | None, then: Evidence, now: E
         after=readings,
         invariant=(*readings, *moving),
         expected=expected,
-        polynomial=known,
+        drift=moves,
     )
 
 

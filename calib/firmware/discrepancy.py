@@ -23,9 +23,10 @@ from numpy.typing import NDArray
 
 from calib import STANDARD_GRAVITY
 from calib.firmware.evidence import Reading
+from calib.firmware.known_drift import KnownDrift
 from calib.fit import FitResult
 from calib.recording import Sensor
-from calib.triad import ThermalPolynomial, TriadModel
+from calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 Undo = Callable[[Sequence[Reading]], Array]
@@ -36,13 +37,10 @@ ATTITUDE_SD: Final = np.radians(0.05)
 """How still a vehicle lies between two captures that nobody touched it in: a table that someone leans on."""
 BIAS_WALK: Final = 1.5e-5
 """rad/s per s of gyro bias drift between captures: 0.05 deg/s a minute, the default drift of ArduPilot's simulator."""
-DRIFT_PER_DEGC: Final = {Sensor.ACCEL: 5e-3, Sensor.GYRO: 5e-4, Sensor.MAG: 0.0}
-"""Offset change per degC where no polynomial is known: 0.5 mg and 0.03 deg/s, data sheets of the IMUs in use."""
 STABILITY: Final = {Sensor.ACCEL: 1e-3, Sensor.GYRO: 5e-5, Sensor.MAG: 0.05}
 """Scatter of a resting sensor from one capture to the next beyond its noise: 0.1 mg, 10 deg/h, 0.5 mgauss."""
 TEMPERATURE_STEP: Final = 2.0
 """degC within which readings after the write are averaged before they are compared with the one before."""
-UNKNOWN_TEMPERATURE: Final = 5.0  # degC of change that is allowed for where none was streamed
 _UNDETERMINED: Final = 10.0  # sd of a parameter that the fit leaves open, in its unit
 _ANY_FIELD: Final = 100.0  # uT, sd of a field strength that is not known
 
@@ -53,44 +51,38 @@ class Expected:
 
     model: TriadModel
     covariance: Array
-    """Over offset (3) and matrix by rows (9)."""
-    temperature: float | None
-    """degC at which the offset was taken; None: not known."""
+    """Over offset (3), matrix by rows (9) and the coefficients of the drift (3k)."""
+    reference: float | None
+    """degC at which the offset stands; None: not known."""
     misfit: float
     """Scatter of the fit's own residuals, in the unit of the stream."""
     magnitude: float | None
     """Length of the true vector; None: constant but not known."""
 
-    @property
-    def drifts(self) -> bool:
-        """Whether the drift with temperature is unknown."""
-        return self.model.polynomial is None
-
 
 def expected_of(
-    at_rest: FitResult | None, drift: FitResult | None, in_force: ThermalPolynomial | None, magnitude: float | None
+    at_rest: FitResult | None, drift: FitResult | None, known: KnownDrift, magnitude: float | None
 ) -> Expected | None:
-    """Put together what was fitted; None if no fit says where the offset stands.
-
-    `in_force` is the polynomial that the vehicle applies, used where no drift was fitted now.
-    """
+    """Put together what was fitted; None if no fit says where the offset stands. `known` is the drift to go by."""
     fit = at_rest if at_rest is not None else drift
     if fit is None:
         return None
-    polynomial = in_force if drift is None else drift.model.polynomial
-    offset = fit.model.offset
-    if at_rest is not None and polynomial is not None and at_rest.temperature is not None:
-        offset = offset - polynomial(at_rest.temperature)
-    elif at_rest is not None:
+    size = len(known.covariance)
+    spread = np.zeros((12 + size, 12 + size))
+    spread[:12, :12] = fit.covariance[:12, :12]
+    spread[:12, :12] += np.diag([_UNDETERMINED**2 * (n in fit.undetermined) for n in fit.names[:12]])
+    spread[12:, 12:] = known.covariance
+    polynomial, offset, reference = known.polynomial, fit.model.offset, fit.temperature
+    if at_rest is None:
+        spread[:12, 12:], spread[12:, :12] = fit.covariance[:12, 12:], fit.covariance[12:, :12]
+        assert polynomial is not None
+        reference = polynomial.t_ref
+    elif polynomial is not None and reference is not None:
+        offset = offset - polynomial(reference)
+    else:
         polynomial = None
-    known = fit.covariance[:12, :12] + np.diag([_UNDETERMINED**2 * (n in fit.undetermined) for n in fit.names[:12]])
-    return Expected(
-        TriadModel(offset, fit.model.matrix, polynomial),
-        known,
-        fit.temperature,
-        fit.residual_rms if np.isfinite(fit.residual_rms) else 0.0,
-        magnitude,
-    )
+    misfit = fit.residual_rms if np.isfinite(fit.residual_rms) else 0.0
+    return Expected(TriadModel(offset, fit.model.matrix, polynomial), spread, reference, misfit, magnitude)
 
 
 def true_magnitude(sensor: Sensor) -> float | None:
@@ -109,8 +101,7 @@ class Capture:
     invariant: tuple[Reading, ...]
     """Readings after the write that count for invariance (a turning compass adds its samples)."""
     expected: Expected | None
-    polynomial: ThermalPolynomial | None
-    """How the raw reading is known to drift with temperature; None: not known."""
+    drift: KnownDrift
 
     @property
     def equality(self) -> bool:
@@ -150,7 +141,8 @@ def discrepancy(capture: Capture, undo: Undo, *, equality: bool) -> Array:
     """The vector that is zero, up to its covariance, if the hypothesis behind `undo` is true."""
     parts = []
     if equality and capture.raw_before is not None and capture.before is not None:
-        change = capture.weights @ (undo(capture.after) - _known_drift(capture)) - capture.raw_before
+        drift = capture.drift.shift(capture.before.temperature, [r.temperature for r in capture.after])
+        change = capture.weights @ (undo(capture.after) - drift) - capture.raw_before
         parts.append(change.ravel())
     expected = capture.expected
     if expected is not None and capture.invariant:
@@ -206,31 +198,15 @@ def _equality_floor(capture: Capture, back: Array) -> Array:
     else:
         vector = back @ capture.after[0].mean
         floor += np.kron(ones, ATTITUDE_SD**2 * (vector @ vector * np.eye(3) - np.outer(vector, vector)))
-    if capture.polynomial is None:
-        change = np.array([_temperature_change(before.temperature, r.temperature) for r in capture.after])
-        change = DRIFT_PER_DEGC[capture.sensor] * (weights @ change)
-        floor += np.kron(np.outer(change, change), np.eye(3))
+    floor += capture.drift.uncertainty(before.temperature, [r.temperature for r in capture.after], weights)
     return np.asarray(floor)
-
-
-def _temperature_change(then: float | None, now: float | None) -> float:
-    return UNKNOWN_TEMPERATURE if then is None or now is None else abs(now - then)
-
-
-def _known_drift(capture: Capture) -> Array:
-    """Change of the raw offset from the reading before to each reading after, (K, 3), where a polynomial is known."""
-    polynomial, before = capture.polynomial, capture.before
-    if polynomial is None or before is None or before.temperature is None:
-        return np.zeros((len(capture.after), 3))
-    now = [before.temperature if r.temperature is None else r.temperature for r in capture.after]
-    return polynomial(np.array(now)) - polynomial(before.temperature)
 
 
 def _corrected(expected: Expected, raw: Array, readings: Sequence[Reading]) -> Array:
     polynomial = expected.model.polynomial
     if polynomial is None:
         return expected.model.apply(raw)
-    known = polynomial.t_ref if expected.temperature is None else expected.temperature
+    known = polynomial.t_ref if expected.reference is None else expected.reference
     return expected.model.apply(raw, np.array([known if r.temperature is None else r.temperature for r in readings]))
 
 
@@ -242,9 +218,11 @@ def _invariance_blocks(
         return []
     size = 3 * len(place)
     matrix = expected.model.matrix
-    rows, jacobian, floors = [], [], []
+    rows, jacobian = [], []
+    temperatures = [r.temperature for r in capture.invariant]
+    by_drift = capture.drift.jacobian(expected.reference, temperatures)
     whole = _corrected(expected, undo(capture.invariant), capture.invariant)
-    for reading, corrected in zip(capture.invariant, whole, strict=True):
+    for reading, corrected, moved in zip(capture.invariant, whole, by_drift, strict=True):
         if capture.sensor == Sensor.GYRO:
             normal = np.eye(3) / len(capture.invariant)
         else:
@@ -254,19 +232,15 @@ def _invariance_blocks(
         row[:, 3 * k : 3 * k + 3] = normal @ matrix
         centred = np.linalg.solve(matrix, corrected)
         rows.append(row)
-        jacobian.append(np.hstack([-normal @ matrix, np.kron(normal, centred[None, :])]))
-        floors.append(_drift_variance(capture.sensor, expected, reading))
+        jacobian.append(np.hstack([-normal @ matrix, np.kron(normal, centred[None, :]), -normal @ matrix @ moved]))
     J = np.sum(jacobian, axis=0) if capture.sensor == Sensor.GYRO else np.vstack(jacobian)
-    floor = J @ expected.covariance @ J.T + np.mean(floors) * J[:, :3] @ J[:, :3].T
+    allowed = float(capture.drift.allowance(expected.reference, temperatures).max())
+    unknown = np.array(capture.drift.open_axes) | (expected.reference is None)
+    open_axes = J[:, :3][:, unknown]
+    floor = J @ expected.covariance @ J.T + allowed**2 * open_axes @ open_axes.T
     stability = STABILITY[capture.sensor] ** 2 + (EARTH_RATE**2 if capture.sensor == Sensor.GYRO else 0.0)
     floor += (expected.misfit**2 * (capture.sensor != Sensor.GYRO) + stability) * np.eye(len(J))
     if expected.magnitude is None:
         floor += _ANY_FIELD**2 * np.ones((len(J), len(J)))
     stacked = np.sum(rows, axis=0) if capture.sensor == Sensor.GYRO else np.vstack(rows)
     return [(stacked, floor)]
-
-
-def _drift_variance(sensor: Sensor, expected: Expected, reading: Reading) -> float:
-    if not expected.drifts:
-        return 0.0
-    return float((DRIFT_PER_DEGC[sensor] * _temperature_change(expected.temperature, reading.temperature)) ** 2)
