@@ -8,7 +8,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from service.simvehicle import ardupilot_parameters as names
-from service.simvehicle.ardupilot_commands import ArduPilotCommands
+from service.simvehicle.ardupilot_commands import GIT_HASH, ArduPilotCommands
 from service.simvehicle.ardupilot_protocol import ArduPilotParameters
 from service.simvehicle.ardupilot_readings import Readings
 from service.simvehicle.ardupilot_sensors import ArduPilotSensors
@@ -25,9 +25,6 @@ from service.simvehicle.telemetry import (
 from service.simvehicle.vehicle import Channel, Vehicle
 from service.simvehicle.wire import Received
 
-CAPABILITIES = 64495
-VERSION = 0x04070000
-GIT_HASH = b"90700977"
 BASE_MODE_DISARMED, ARMED_BIT = 81, 128
 STATISTICS_FIRST_S, STATISTICS_PERIOD_S = 30.43, 31.0
 HIGHRES_FIELDS = 0x1FFF
@@ -96,6 +93,10 @@ class ArduPilotVehicle(Vehicle):
         super().load_parameters(parameters)
         ids = names.ACCEL_IDS[: self.config.imu_count]
         self.commands.accel_ids_stored = {k for k, i in enumerate(ids) if self.table.get(names.id_name("ACC", k)) == i}
+
+    def flush_saves(self) -> None:
+        """See Vehicle."""
+        self.parameters.flush()
 
     def device_ids(self) -> dict[str, tuple[int, ...]]:
         """See Vehicle."""

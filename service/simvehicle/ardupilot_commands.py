@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from service.simvehicle import ardupilot_calibration as calibration
 from service.simvehicle import ardupilot_parameters as names
+from service.simvehicle.ardupilot_accelcal import AccelCalibration
 from service.simvehicle.ardupilot_magcal import MagCalibration
 from service.simvehicle.parameters import Value
 from service.simvehicle.vehicle import Channel
@@ -20,6 +21,9 @@ from service.simvehicle.wire import Received, command_parameters
 if TYPE_CHECKING:
     from service.simvehicle.ardupilot import ArduPilotVehicle
 
+CAPABILITIES = 64495
+VERSION = 0x04070000
+GIT_HASH = b"90700977"
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED = 0, 1, 2, 3, 4
 ACCEPT_CODE = 76
 FORCE_ARM = 21196
@@ -40,6 +44,7 @@ class ArduPilotCommands:
     def __init__(self, vehicle: ArduPilotVehicle) -> None:
         self._vehicle = vehicle
         self.mag_calibration = MagCalibration(vehicle)
+        self.accel_calibration = AccelCalibration(vehicle)
         self.periodic: dict[int, Callable[[], Any]] = {
             dialect.MAVLINK_MSG_ID_MAG_CAL_PROGRESS: self.mag_calibration.progress_message,
             dialect.MAVLINK_MSG_ID_MAG_CAL_REPORT: self.mag_calibration.report_message,
@@ -76,11 +81,14 @@ class ArduPilotCommands:
         self.deaf, self._reboot_reason = False, None
         self._stalled_until = self._last_accel = self._gyros_settled_at = -math.inf
         self.mag_calibration.cancel()
+        self.accel_calibration.cancel()
 
     def handle(self, channel: Channel, received: Received) -> None:
         """Execute one command and acknowledge it, unless its handler does so later."""
-        message = received.message
-        command = int(message.command)
+        command = int(received.message.command)
+        if command == dialect.MAV_CMD_ACCELCAL_VEHICLE_POS:
+            self.accel_calibration.answer(command_parameters(received)[0])
+            return
         handler = self._handlers.get(command)
         reply_to = (received.system, received.component)
         self._reply = partial(self._acknowledge, channel, command, reply_to)
@@ -126,8 +134,6 @@ class ArduPilotCommands:
         return ACCEPTED
 
     def _version(self) -> Any:
-        from service.simvehicle.ardupilot import CAPABILITIES, GIT_HASH, VERSION
-
         return self._vehicle.telemetry.autopilot_version(CAPABILITIES, VERSION, GIT_HASH)
 
     # --- arming and restarting
@@ -205,6 +211,7 @@ class ArduPilotCommands:
             return DENIED
         for parameter in self._vehicle.table:
             self._vehicle.table.store(parameter.name, parameter.default)
+            self._vehicle.table.save(parameter.name)
         return ACCEPTED
 
     # --- calibration
@@ -221,14 +228,14 @@ class ArduPilotCommands:
         if p[2] == 1:
             return ACCEPTED
         if p[4] == ACCEPT_CODE:
-            self._accept_accels()
+            self.accel_stored()
             return ACCEPTED
         if p[1] == ACCEPT_CODE:
             return ACCEPTED
         if p[5] == 1:
             self.deaf, vehicle.armed = True, True
             return None
-        if p[4] in (2, 4):
+        if p[4] in (1, 2, 4):
             return self._calibrate_accel(int(p[4]))
         return UNSUPPORTED
 
@@ -258,8 +265,13 @@ class ArduPilotCommands:
         vehicle = self._vehicle
         if vehicle.time - self._last_accel < ACCEL_AGAIN_S:
             return REJECTED
-        self._calibrate_gyros(self._level if kind == 2 else self._simple)
+        self._calibrate_gyros({1: self._six_positions, 2: self._level, 4: self._simple}[kind])
         return None
+
+    def _six_positions(self, result: int, gyro: dict[str, Value]) -> None:
+        self._last_accel = self._vehicle.time
+        self._done(result, gyro)
+        self.accel_calibration.start()
 
     def _level(self, _result: int, gyro: dict[str, Value]) -> None:
         vehicle, reply = self._vehicle, self._reply
@@ -289,11 +301,12 @@ class ArduPilotCommands:
             reply(ACCEPTED)
             self._last_accel = vehicle.time
             self.write(values)
-            self._accept_accels()
+            self.accel_stored()
 
         vehicle.at(LEVEL_S, finish)
 
-    def _accept_accels(self) -> None:
+    def accel_stored(self) -> None:
+        """The ids of all accelerometers are stored: they count as calibrated."""
         self.accel_ids_stored = set(range(len(self._vehicle.sensors.chips)))
 
     def _stall(self, seconds: float) -> None:

@@ -33,11 +33,13 @@ class ArduPilotParameters:
         self._vehicle = vehicle
         self._reads: deque[tuple[Channel, str, int]] = deque()
         self._lists: dict[int, tuple[Channel, int]] = {}
+        self._unsaved: set[str] = set()
 
     def boot(self) -> None:
         """Forget requests that a reboot has ended."""
         self._reads.clear()
         self._lists.clear()
+        self._unsaved.clear()
 
     def handle(self, channel: Channel, received: Received) -> None:
         """One message of the parameter protocol."""
@@ -60,7 +62,7 @@ class ArduPilotParameters:
 
     def _start_list(self, channel: Channel) -> None:
         vehicle = self._vehicle
-        for text in vehicle.banner():  # type: ignore[attr-defined]
+        for text in vehicle.banner():
             vehicle.say(text, channel=channel)
         running = id(channel) in self._lists
         self._lists[id(channel)] = (channel, 0)
@@ -118,7 +120,17 @@ class ArduPilotParameters:
         """Save a value and tell everybody: for a PARAM_SET and for what the firmware itself writes."""
         names = self._vehicle.table.vector_members(name) or [name]
         self._vehicle.echo_filter(name, lambda: self._vehicle.at(ECHO_S, lambda: self.announce(names)))
-        self._vehicle.at(ECHO_S + SAVE_S, lambda: self._vehicle.table.save(name))
+        self._unsaved.add(name)
+        self._vehicle.at(ECHO_S + SAVE_S, lambda: self._save(name))
+
+    def _save(self, name: str) -> None:
+        self._unsaved.discard(name)
+        self._vehicle.table.save(name)
+
+    def flush(self) -> None:
+        """Save at once what waits for the IO thread, as a commanded reboot does."""
+        for name in list(self._unsaved):
+            self._save(name)
 
     def announce(self, names: list[str]) -> None:
         """PARAM_VALUE of each name on every link."""

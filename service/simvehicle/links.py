@@ -157,7 +157,6 @@ class TcpServer(Link):
         self._client: socket.socket | None = None
         self._unsent = bytearray()
         self._splitter = Splitter()
-        self.connections = 0
 
     def sockets(self) -> list[socket.socket]:
         """See Link."""
@@ -190,7 +189,6 @@ class TcpServer(Link):
         self._client.setblocking(False)  # noqa: FBT003
         self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._splitter = Splitter()
-        self.connections += 1
 
     def messages(self, data: bytes) -> Iterator[Received]:
         """See Link."""

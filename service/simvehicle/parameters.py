@@ -135,10 +135,6 @@ class ParameterTable:
         self._pinned.clear()
         self.version += 1
 
-    def is_pinned(self, name: str) -> bool:
-        """Whether a written value of this parameter stays without effect."""
-        return name in self._pinned
-
     def listing(self) -> list[Parameter]:
         """The listed parameters in order; hidden ones are left out."""
         if self._listing is None:

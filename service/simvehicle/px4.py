@@ -168,6 +168,10 @@ class Px4Vehicle(Vehicle):
             values |= memory.as_parameters()
         return values
 
+    def flush_saves(self) -> None:
+        """See Vehicle."""
+        self.parameters.save()
+
     def device_ids(self) -> dict[str, tuple[int, ...]]:
         """See Vehicle."""
         return {"accel": names.ACCEL_IDS, "gyro": names.GYRO_IDS, "mag": names.MAG_IDS}

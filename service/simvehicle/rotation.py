@@ -15,8 +15,6 @@ from service.simvehicle.errors import ConfigurationError
 
 Array = NDArray[np.floating[Any]]
 
-IDENTITY: Array = np.array([1.0, 0.0, 0.0, 0.0])
-
 # Mounting rotations common to ArduPilot (AP_Math/rotations.h) and PX4 (conversion/rotation.h):
 # enum value -> roll, pitch, yaw in degrees.
 MOUNTING_EULER_DEG: dict[int, tuple[float, float, float]] = {

@@ -34,7 +34,6 @@ class Channel:
         self.packer = packer
         self.transmit = transmit
         self.streams: dict[int, Stream] = {}
-        self.heard = False  # whether a ground station has spoken on it
 
     def send(self, message: Any) -> None:
         """Pack and send one message."""
@@ -96,6 +95,10 @@ class Vehicle(ABC):
         """The calibration that the firmware's corrections really use, by parameter name."""
 
     @abstractmethod
+    def flush_saves(self) -> None:
+        """Store what waits to be saved."""
+
+    @abstractmethod
     def device_ids(self) -> dict[str, tuple[int, ...]]:
         """Ids of the chips: accel, gyro, mag."""
 
@@ -106,6 +109,10 @@ class Vehicle(ABC):
     @abstractmethod
     def start_onboard_calibration(self) -> None:
         """The vehicle begins a calibration of its own."""
+
+    def banner(self) -> list[str]:
+        """What is said before a parameter list."""
+        return []
 
     def reload_calibration(self) -> None:  # noqa: B027 - ArduPilot reads its parameters at every sample
         """Take the calibration anew from the parameters in force."""
@@ -206,7 +213,6 @@ class Vehicle(ABC):
             return
         if getattr(message, "target_component", 0) not in (0, 1):
             return
-        channel.heard = True
         self.handle(channel, received)
 
     def note_set(self, name: str, value: float) -> None:
@@ -231,8 +237,7 @@ class Vehicle(ABC):
             away_s: vehicle seconds of silence; None: the configured ones.
         """
         if flush:
-            for parameter in self.table:
-                self.table.save(parameter.name)
+            self.flush_saves()
         self.alive, self.armed = False, False
         self._agenda.clear()
         for channel in self.channels:

@@ -221,3 +221,53 @@ def test_accelerometers_are_uncorrected_while_they_are_calibrated(bench: Any) ->
     assert b.vehicle.sensors.imu(0, state).accel[0, 0] == pytest.approx(-0.5)
     b.vehicle.sensors.accel_calibrating = True
     assert b.vehicle.sensors.imu(0, state).accel[0, 0] == 0.0
+
+
+def place_in_six_poses(b: Any, poses: tuple[Any, ...]) -> list[float]:
+    """Answer every question; the values of 42429 that the vehicle sent."""
+    asked = []
+    for number, pose in enumerate(poses, start=1):
+        b.vehicle.world.motion.hold(b.vehicle.time, pose, transition_s=0.0)
+        b.run(1.1)
+        asked += [m.param1 for m in b.take("COMMAND_LONG")]
+        b.command(42429, number)
+        b.run(0.6)
+        asked += [m.param1 for m in b.take("COMMAND_LONG")]
+    return asked
+
+
+SIX = ("level", "left", "right", "nose_down", "nose_up", "back")
+
+
+def test_six_positions_are_asked_for_in_order_and_fitted(bench: Any) -> None:
+    b = bench("ardupilot", thermal=False, accel_noise=0.002)
+    for s in b.vehicle.world.truth.accels:
+        s.matrix[:] = np.diag(np.diag(s.matrix))
+    b.command(CALIBRATE, 0, 0, 0, 0, 1)
+    b.run(0.6)
+    assert results(b) == [0]
+    assert b.vehicle.sensors.accel_calibrating
+    asked = place_in_six_poses(b, SIX)
+    assert [v for i, v in enumerate(asked) if i == 0 or asked[i - 1] != v] == [1, 2, 3, 4, 5, 6, 16777215]
+    for k, digit in enumerate(("", "2", "3")):
+        truth = b.vehicle.world.truth.accels[k]
+        assert b.vehicle.table.vector(f"INS_ACC{digit}OFFS") == pytest.approx(truth.offset, abs=5e-3)
+        assert b.vehicle.table.vector(f"INS_ACC{digit}SCAL") == pytest.approx(1 / np.diag(truth.matrix), abs=1e-3)
+    assert not b.vehicle.sensors.accel_calibrating
+    b.command(ARM, 1)
+    assert results(b)[-1] == 4
+
+
+def test_a_pose_shown_twice_fails_and_resets_in_memory_only(bench: Any) -> None:
+    b = bench("ardupilot", thermal=False, boot_s=0.1)
+    b.set("INS_ACCOFFS_X", 0.25)
+    b.run(6.0)
+    b.command(CALIBRATE, 0, 0, 0, 0, 1)
+    b.run(0.6)
+    b.heard[0].clear()
+    asked = place_in_six_poses(b, ("level", "level"))
+    assert asked[-1] == 16777216
+    assert b.vehicle.table["INS_ACCOFFS_X"].value == 0.0
+    b.vehicle.reboot(flush=False)
+    b.run(0.3)
+    assert b.vehicle.table["INS_ACCOFFS_X"].value == 0.25
