@@ -24,6 +24,8 @@ from calib.triad import ThermalPolynomial, TriadModel
 Array = NDArray[np.float64]
 
 ALL_APPLIED: Hypothesis = frozenset()
+_BLIND: Final = 1e-3
+"""Distance below which a check says nothing of a direction; its standard deviation is then a thousand effects."""
 TEMPERATURE_SLACK: Final = 0.3
 """degC beyond the range of a fit within which its drift still counts as known (streams carry about 1 Hz of it)."""
 
@@ -96,8 +98,8 @@ class StreamCheck:
     def sd(self, name: str) -> float:
         """Standard deviation of the check along the effect of `name`, in the unit of the stream."""
         distance, effect = self.judgement.distance[name], self.effect(name)
-        if distance > 0.1:
-            return effect / distance
+        if effect > 0.0:
+            return effect / max(distance, _BLIND)
         matrix = self.covariance(self.capture, equality=self.equality)
         return float(np.sqrt(np.diag(matrix).min()))
 

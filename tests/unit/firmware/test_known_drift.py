@@ -26,9 +26,8 @@ def test_the_uncertainty_agrees_with_scattered_curves(make_fit):
     for _ in range(4000):
         other = ThermalPolynomial(35.0, 10.0, 60.0, CURVE.coefficients + sd * rng.normal(size=(3, 3)))
         shifts.append((weights @ (other(np.array(now)) - other(20.0))).ravel())
-    np.testing.assert_allclose(
-        drift.uncertainty(20.0, now, weights), np.cov(np.transpose(shifts)), rtol=0.1, atol=1e-12
-    )
+    stated = drift.uncertainty(20.0, now, weights)
+    np.testing.assert_allclose(stated, np.cov(np.transpose(shifts)), rtol=0.1, atol=0.05 * stated.max())
 
 
 def test_an_axis_that_was_declined_may_have_moved(make_fit):
