@@ -1,0 +1,186 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from calib.errors import InvalidInputError
+from calib.fit import FitStatus
+from calib.six_face import Face, down_of, fit_six_face
+
+G = 9.80665
+ACCELCAL = np.array(  # METHODS S4: XUP YUP ZUP XDOWN YDOWN ZDOWN
+    [
+        [-9.6490, 0.2225, -0.1925],
+        [0.0146, -9.5593, 0.0153],
+        [-0.0210, 0.1928, -9.9271],
+        [9.9363, 0.1840, -0.0210],
+        [0.0008, 9.9094, -0.0655],
+        [0.2828, 0.1528, 9.7232],
+    ]
+)
+A = np.array(
+    [
+        [1.0017879105, 0.0019492416, -0.0086625047],
+        [0.0006320105, 1.0077751064, 0.0041462596],
+        [-0.0154136555, 0.0020293504, 0.9985557849],
+    ]
+)
+B = np.array([-0.0955688838, -0.1851535241, 0.0778741103])
+WAYS = np.vstack([np.eye(3), -np.eye(3)])  # down
+
+
+def faces_of(rng, M, offset, sd=0.0, tilt_deg=0.0, n=100):
+    force = -G * WAYS
+    tilted = force + np.cross(np.radians(tilt_deg) * rng.normal(size=(6, 3)), force)
+    U = tilted @ M.T + offset + sd / np.sqrt(n) * rng.normal(size=(6, 3))
+    return [Face(u, sd**2 / n * np.eye(3), n=n) for u in U]
+
+
+def test_the_digits_of_accelcal():
+    fit = fit_six_face([Face(row) for row in ACCELCAL], convention="accelcal")
+    assert np.array(fit.native["A"]) == pytest.approx(A, abs=1e-9)
+    assert np.array(fit.native["b"]) == pytest.approx(B, abs=1e-9)
+    assert fit.native["gravity"] == 9.81
+    assert fit.residual_rms == pytest.approx(0.0427, abs=5e-5)
+    assert fit.status == FitStatus.OK
+
+
+def test_the_model_is_the_same_correction():
+    fit = fit_six_face([Face(row) for row in ACCELCAL], convention="accelcal")
+    assert fit.model.apply(ACCELCAL) == pytest.approx(ACCELCAL @ A + B, abs=1e-8)
+
+
+def test_another_gravity_gives_another_scale():
+    fit = fit_six_face([Face(row) for row in ACCELCAL], convention="accelcal", gravity=G)
+    assert fit.native["A"][0][0] == pytest.approx(1.0014, abs=5e-5)
+
+
+def test_in_g_the_target_is_one():
+    fit = fit_six_face([Face(row / 9.81) for row in ACCELCAL], convention="accelcal")
+    assert fit.native["gravity"] == 1.0
+    assert np.array(fit.native["A"]) == pytest.approx(A, abs=1e-9)
+
+
+def test_numpy_finds_the_same_answer_by_another_route():
+    T = 9.81 * np.vstack([-np.eye(3), np.eye(3)])
+    X = np.column_stack([ACCELCAL, np.ones(6)])
+    normal = np.linalg.solve(X.T @ X, X.T @ T)
+    fit = fit_six_face([Face(row) for row in ACCELCAL], convention="accelcal")
+    assert np.vstack([fit.native["A"], fit.native["b"]]) == pytest.approx(normal, abs=1e-12)
+
+
+@pytest.mark.parametrize(("sd", "tilt"), [(0.05, 0.0), (0.5, 0.0), (0.05, 0.2)])
+def test_the_covariance_holds_with_and_without_a_perfect_fixture(sd, tilt):
+    rng = np.random.default_rng(1)
+    nees, p_values = [], []
+    for _ in range(200):
+        M, offset = np.eye(3) + rng.normal(0.0, 0.01, (3, 3)), rng.normal(0.0, 0.3, 3)
+        fit = fit_six_face(faces_of(rng, M, offset, sd, tilt), fixture_sd=tilt)
+        error = fit.values - np.concatenate([offset, np.linalg.inv(M).ravel()])
+        nees.append(error @ np.linalg.solve(fit.covariance, error) / 12.0)
+        p_values.append(fit.quality["p_value"])
+    assert np.mean(nees) == pytest.approx(1.0, abs=0.12)
+    assert 0.4 < np.mean(p_values) < 0.6
+
+
+def test_face_means_attain_the_bound():
+    rng = np.random.default_rng(2)
+    T = np.column_stack([-G * WAYS, np.ones(6)])
+    information = np.kron(np.eye(3), T.T @ T) / (0.2**2 / 1000)
+    squares = []
+    for _ in range(300):
+        M, offset = np.eye(3) + rng.normal(0.0, 0.01, (3, 3)), rng.normal(0.0, 0.3, 3)
+        fit = fit_six_face(faces_of(rng, M, offset, 0.2, n=1000))
+        forward = np.column_stack([np.linalg.inv(fit.model.matrix) - M, fit.model.offset - offset]).ravel()
+        squares.append(forward @ information @ forward / 12.0)
+    assert np.sqrt(np.mean(squares)) <= 1.02 + 2.0 / np.sqrt(2 * 300 * 12)
+
+
+def test_all_samples_of_a_face_share_its_tilt():
+    rng = np.random.default_rng(3)
+    means = faces_of(rng, np.eye(3), np.zeros(3), 0.05, 0.5, n=400)
+    samples = [Face(f.mean + 0.05 * rng.normal(size=3)) for f in means for _ in range(50)]
+    shared = fit_six_face(samples, fixture_sd=0.5)
+    assert shared.sd[4] == pytest.approx(fit_six_face(means, fixture_sd=0.5).sd[4], rel=0.2)
+
+
+def test_a_worse_fixture_than_stated_inflates_the_sd():
+    rng = np.random.default_rng(4)
+    faces = faces_of(rng, np.eye(3), np.zeros(3), 0.02, 2.0, n=1000)
+    fit = fit_six_face(faces)
+    assert fit.quality["p_value"] < 1e-6
+    assert any("fixture is worse" in w for w in fit.warnings)
+    assert fit.sd[0] > 10 * 0.02 / np.sqrt(1000)
+
+
+@given(order=st.permutations(range(6)))
+def test_the_order_of_the_faces_does_not_matter(order):
+    fit = fit_six_face([Face(ACCELCAL[i]) for i in order], convention="accelcal")
+    assert np.array(fit.native["A"]) == pytest.approx(A, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("label", "down"),
+    [
+        *(("level", [0, 0, 1]), ("Left", [0, -1, 0]), ("nose-down", [1, 0, 0]), ("BACK", [0, 0, -1])),
+        *(("xup", [-1, 0, 0]), ("Z_DOWN", [0, 0, 1]), ("+y", [0, -1, 0]), ("y down", [0, 1, 0]), ("-x", [1, 0, 0])),
+    ],
+)
+def test_labels(label, down):
+    assert down_of(label) == pytest.approx(down)
+
+
+def test_a_label_that_says_nothing():
+    assert down_of("face 3") is None
+    assert down_of("") is None
+
+
+def test_a_label_against_the_sign_names_the_convention():
+    labelled = [
+        Face(row, None, down_of(label))
+        for row, label in zip(ACCELCAL, ["xup", "yup", "zup", "xdown", "ydown", "zdown"], strict=True)
+    ]
+    assert fit_six_face(labelled, convention="accelcal").status == FitStatus.OK
+    wrong = fit_six_face(labelled, convention="specific-force")
+    assert wrong.status == FitStatus.REFUSED
+    assert "other convention" in wrong.message
+
+
+def test_a_label_of_another_face_is_noticed():
+    labels = ["yup", "xup", "zup", "xdown", "ydown", "zdown"]
+    fit = fit_six_face(
+        [Face(r, None, down_of(n)) for r, n in zip(ACCELCAL, labels, strict=True)], convention="accelcal"
+    )
+    assert "not the face that its label says" in fit.message
+
+
+def test_missing_faces_are_named():
+    fit = fit_six_face([Face(row) for row in [*ACCELCAL[:5], ACCELCAL[4]]], convention="accelcal")
+    assert fit.status == FitStatus.REFUSED
+    assert "z down" in fit.message
+
+
+def test_an_oblique_reading_is_no_face():
+    fit = fit_six_face([Face(row) for row in [*ACCELCAL, [5.7, 5.7, 5.7]]], convention="accelcal")
+    assert "between the axes" in fit.message
+
+
+def test_counts_need_a_stated_gravity():
+    faces = [Face(row * 100.0) for row in ACCELCAL]
+    assert "state --gravity" in fit_six_face(faces, convention="accelcal", unit="counts").message
+    assert fit_six_face(faces, convention="accelcal", unit="counts", gravity=9.81).native["A"][0][0] == pytest.approx(
+        A[0, 0] / 100
+    )
+
+
+@pytest.mark.parametrize("faces", [[], [Face(ACCELCAL[0])] * 5, [Face(np.full(3, np.nan))] * 6])
+def test_too_few_or_not_finite_faces(faces):
+    assert fit_six_face(faces).status == FitStatus.REFUSED
+
+
+@pytest.mark.parametrize("options", [{"convention": "up"}, {"fixture_sd": -1.0}, {"gravity": -9.8}])
+def test_impossible_options(options):
+    with pytest.raises(InvalidInputError):
+        fit_six_face([Face(row) for row in ACCELCAL], **{"convention": "accelcal", **options})
