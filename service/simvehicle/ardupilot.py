@@ -137,6 +137,10 @@ class ArduPilotVehicle(Vehicle):
             now = int(self.time * 1e9)
             self.send(channel, dialect.MAVLink_timesync_message(now, int(message.ts1)))
 
+    def stop_onboard_calibration(self) -> None:
+        """See Vehicle."""
+        self.commands.mag_calibration.cancel()
+
     def sense(self, until: float) -> None:
         """See Vehicle."""
         self.sensors.reader.advance(until)

@@ -1,4 +1,23 @@
-"""Faults on demand: what spoils the wire, what the vehicle does wrong, and when."""
+"""Faults on demand: what spoils the wire, what the vehicle does wrong, and when.
+
+Kinds and their options (`direction` is in, out or both, as the vehicle sees it; times in vehicle seconds except the
+delays of the wire, which are the wall's):
+
+    loss, duplication, reordering, bit_errors, truncation   p, direction; last until `clear_faults`
+    delay                delay_s, jitter_s, direction
+    reboot               flush (false: what is not saved is lost)
+    silence              duration_s
+    lost_echo, late_echo name (any), count, delay_s
+    not_applied          name (or the one that triggers it): the value in force stays, the stored one changes
+    foreign_write        name (or the one that triggers it), value, delay_s
+    arm                  duration_s (for good)
+    onboard_calibration  duration_s (until `clear_faults`)
+    stuck, nan, absent   sensor (accel, gyro, mag), instance
+    twin                 a second vehicle of the same system id
+    move                 the vehicle goes on from another address
+
+Triggers: "now", {"time": t}, {"after_s": s}, {"nth_set": n} (the n-th PARAM_SET from now, before it acts).
+"""
 
 from __future__ import annotations
 
@@ -54,8 +73,8 @@ class Injector:
             "late_echo": lambda f, _n: self._echo(f),
             "not_applied": self._not_applied,
             "foreign_write": self._foreign_write,
-            "arm": lambda _f, _n: self._arm(),
-            "onboard_calibration": lambda _f, _n: self._vehicle.start_onboard_calibration(),
+            "arm": lambda f, _n: self._arm(f),
+            "onboard_calibration": lambda f, _n: self._onboard_calibration(f),
             "stuck": self._sensor,
             "nan": self._sensor,
             "absent": self._sensor,
@@ -135,6 +154,7 @@ class Injector:
         self._vehicle.faults.clear()
         self._vehicle.table.unpin_all()
         self._vehicle.reload_calibration()
+        self._vehicle.stop_onboard_calibration()
         self._vehicle.silent_until = -math.inf
         self._server.remove_twins()
 
@@ -185,11 +205,22 @@ class Injector:
         target, value = fault.options.get("name", name), float(fault.options.get("value", 0.123))
         if target in self._vehicle.table:
             # After the one that triggered it, as a rival's would arrive.
-            self._vehicle.at(0.0, lambda: self._vehicle.foreign_set(target, value))
+            delay = float(fault.options.get("delay_s", 0.0))
+            self._vehicle.at(delay, lambda: self._vehicle.foreign_set(target, value))
 
-    def _arm(self) -> None:
-        self._vehicle.armed = True
+    def _arm(self, fault: Fault) -> None:
+        self._set_armed(armed=True)
+        if "duration_s" in fault.options:
+            self._vehicle.at(float(fault.options["duration_s"]), lambda: self._set_armed(armed=False))
+
+    def _set_armed(self, *, armed: bool) -> None:
+        self._vehicle.armed = armed
         self._vehicle.broadcast(self._vehicle.heartbeat())
+
+    def _onboard_calibration(self, fault: Fault) -> None:
+        self._vehicle.start_onboard_calibration()
+        if "duration_s" in fault.options:
+            self._vehicle.at(float(fault.options["duration_s"]), self._vehicle.stop_onboard_calibration)
 
     def _sensor(self, fault: Fault, _name: str | None) -> None:
         sensor = str(fault.options.get("sensor", "accel"))

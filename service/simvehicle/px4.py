@@ -124,6 +124,10 @@ class Px4Vehicle(Vehicle):
             now = int(self.time * 1e9)
             self.send(channel, dialect.MAVLink_timesync_message(now, int(received.message.ts1)))
 
+    def stop_onboard_calibration(self) -> None:
+        """See Vehicle."""
+        self.commands.calibration.cancel()
+
     def sense(self, until: float) -> None:
         """See Vehicle."""
         self.sensors.reader.advance(until)
@@ -166,6 +170,9 @@ class Px4Vehicle(Vehicle):
         values: dict[str, Any] = {p.name: self.table.get(p.name) for p in self.table}
         for memory in (*self.sensors.accels, *self.sensors.gyros, *self.sensors.mags):
             values |= memory.as_parameters()
+        # The switches of temperature compensation act at a restart only.
+        for sensor in ("A", "G"):
+            values[f"TC_{sensor}_ENABLE"] = float(self.sensors.thermal_on[sensor])
         return values
 
     def flush_saves(self) -> None:

@@ -61,7 +61,7 @@ class Px4Sensors:
         self.gyros = [SensorMemory("GYRO", names.GYRO_IDS[k]) for k in range(count)]
         self.mags = [SensorMemory("MAG", names.MAG_IDS[k]) for k in range(len(self._world.truth.mags))]
         runs = not self._world.config.sitl
-        self._thermal_on = {s: runs and self._table.get(f"TC_{s}_ENABLE") != 0 for s in ("A", "G")}
+        self.thermal_on = {s: runs and self._table.get(f"TC_{s}_ENABLE") != 0 for s in ("A", "G")}
         self._board = _mounting(int(self._table.get("SENS_BOARD_ROT")))
         self._thermal: dict[tuple[str, int], ThermalSet | None] = {}
         self.reader.restart()
@@ -82,7 +82,7 @@ class Px4Sensors:
 
     def _thermal_set(self, sensor: str, device_id: int) -> ThermalSet | None:
         t = self._table
-        if not self._thermal_on[sensor]:
+        if not self.thermal_on[sensor]:
             return None
         slot = next((n for n in range(names.SLOTS) if t.get(f"TC_{sensor}{n}_ID") == device_id), None)
         if slot is None:

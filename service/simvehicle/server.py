@@ -24,7 +24,7 @@ from service.simvehicle.wire import Packer, Received
 
 TICK_S = 0.005
 FAST, FAST_TICK_S = 5.0, 0.010  # from this speed on, longer ticks: whatever arrives still ends the wait
-MAX_STEP_S = 0.1  # of wall time: a process that was suspended does not catch up
+MAX_STEP_S = 0.05  # of wall time: a process that was suspended neither catches up nor floods its peer
 MAX_SPEED = 1000.0
 TWIN_SEED = 1000  # how far a twin's seed is from its vehicle's
 

@@ -117,6 +117,10 @@ class Vehicle(ABC):
     def reload_calibration(self) -> None:  # noqa: B027 - ArduPilot reads its parameters at every sample
         """Take the calibration anew from the parameters in force."""
 
+    @abstractmethod
+    def stop_onboard_calibration(self) -> None:
+        """The calibration that the vehicle began by itself is given up; harmless if there is none."""
+
     # --- parameters given from outside
 
     def load_parameters(self, parameters: list[Parameter]) -> None:

@@ -285,6 +285,33 @@ def test_an_onboard_calibration_begins_and_shows(rig: Build) -> None:
     assert [m.system_status for m in messages if m.get_type() == "HEARTBEAT"][-1] == 2
 
 
+def test_arming_and_onboard_calibration_may_end_by_themselves(rig: Build) -> None:
+    r = rig("px4")
+    r.fault("arm", duration_s=0.5)
+    r.run(0.3)
+    assert r.vehicle.armed
+    r.run(0.3)
+    assert not r.vehicle.armed
+    r.fault("onboard_calibration", duration_s=0.5)
+    r.run(0.3)
+    assert r.vehicle.commands.calibrating
+    r.run(0.3)
+    assert not r.vehicle.commands.calibrating
+    r.fault("onboard_calibration")
+    r.server.injector.clear()
+    assert not r.vehicle.commands.calibrating
+
+
+def test_a_rival_may_write_later(rig: Build) -> None:
+    r = rig()
+    r.fault("foreign_write", {"nth_set": 1}, delay_s=0.5, value=0.75)
+    r.set("INS_ACCOFFS_Y", 0.25)
+    r.run(0.4)
+    assert r.vehicle.table["INS_ACCOFFS_Y"].value == 0.25
+    r.run(0.2)
+    assert r.vehicle.table["INS_ACCOFFS_Y"].value == 0.75
+
+
 def test_a_stuck_sensor_repeats_while_time_goes_on(rig: Build) -> None:
     r = rig()
     r.stream(RAW_IMU)
