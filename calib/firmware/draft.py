@@ -212,11 +212,13 @@ class Draft:
 
     def plan(self, fingerprint: Fingerprint) -> WritePlan:
         """The finished plan, in the order of writing."""
-        ordered = sorted(self._changes.values(), key=lambda item: item[:2])
+        ordered = [change for _, _, change in sorted(self._changes.values(), key=lambda item: item[:2])]
+        if all(change.session for change in ordered):  # nothing to protect from the firmware's own writers
+            ordered = []
         return WritePlan(
             fingerprint,
             snapshot_sha256(calibration_snapshot(self.parameters)),
-            tuple(change for _, _, change in ordered),
+            tuple(ordered),
             tuple(self._losses),
             tuple(self._after),
             tuple(self._warnings),

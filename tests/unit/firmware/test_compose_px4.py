@@ -65,6 +65,13 @@ def test_the_order_of_writing_brings_every_component_into_memory(px4_parameters,
         np.testing.assert_allclose(now.matrix, later.matrix, atol=1e-7)
 
 
+def test_what_is_there_already_needs_no_session_settings_either(px4_parameters, px4_fingerprint, make_fit):
+    fit = make_fit(Sensor.GYRO, offset=[0.0132, -0.0284, 0.0057])
+    plan = compose([fit], px4_parameters, px4_fingerprint)
+    held = px4_parameters | {c.name: c.new for c in plan.changes if not c.session}
+    assert compose([fit], held, px4_fingerprint).changes == ()
+
+
 def test_a_scale_within_one_percent_is_lost_with_its_cost(px4_parameters, px4_fingerprint, make_fit):
     fit = make_fit(Sensor.ACCEL, offset=[0.3, 0, 0], matrix=np.diag([1.004, 0.997, 1.005]), matrix_sd=1e-4)
     plan = compose([fit], px4_parameters, px4_fingerprint)
