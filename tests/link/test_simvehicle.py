@@ -129,8 +129,9 @@ def test_the_clock_runs_at_the_asked_speed(ardupilot: SimulatedVehicle) -> None:
     ardupilot.call("speed", value=20)
     before, wall = ardupilot.state()["time"], time.monotonic()
     time.sleep(0.5)
-    passed = ardupilot.state()["time"] - before
-    assert passed == pytest.approx(20 * (time.monotonic() - wall), rel=0.25)
+    passed = (ardupilot.state()["time"] - before) / (time.monotonic() - wall)
+    # Never ahead of the asked speed; behind it only where the machine is too busy.
+    assert 10 < passed < 22
 
 
 def test_every_verb_of_motion_and_surroundings_acts(ardupilot: SimulatedVehicle) -> None:
