@@ -135,7 +135,7 @@ def test_ardupilot_six_faces(shared_data: Path) -> None:
             "truth": {
                 "accels": {
                     "offset": [0.31, -0.22, 0.17],
-                    "matrix": np.diag(1 / np.array([1.021, 0.984, 1.013])).tolist(),
+                    "matrix": np.diag(scale).tolist(),
                 }
                 | {"polynomial": ZERO},
                 "gyros": {"offset": [0.0132, -0.0084, 0.0057], "matrix": np.eye(3).tolist(), "polynomial": ZERO},
