@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 SEPARATORS = (",", ";", "\t", None)  # None: any run of blanks
 COMMENTS = ("#", "%", "//")
+_MISSING = frozenset({"na", "n/a", "null", "none", "-", "--", "missing"})
 _SAMPLE = 400  # lines from which separator and number of columns are found
 _MOST_BAD = 0.1  # share of damaged rows beyond which a file is not a table
 
@@ -89,8 +90,8 @@ def text_columns(data: bytes) -> Columns:
     start = next((i for i in filled if len(cells[i]) == width and _is_data(cells[i])), None)
     if start is None:
         raise UnreadableError("the file holds no rows of numbers: is it a table?")
-    names = _header(lines[:start], separator, width)
-    rows = [cells[i] for i in filled if i >= start]
+    names, above = _header(lines[:start], separator, width)
+    rows = [cells[i] for i in filled if i > above]
     good = [row for row in rows if len(row) == width]
     bad = len(rows) - len(good)
     if bad > max(1, _MOST_BAD * len(rows)):
@@ -214,6 +215,9 @@ def _is_data(cells: list[str]) -> bool:
 
 
 def _number(cell: str) -> float | None:
+    """The number in a cell, nan if it says that there is none; None if it is empty or a text."""
+    if cell.lower() in _MISSING:
+        return np.nan
     try:
         return float(cell)
     except ValueError:
@@ -224,14 +228,17 @@ def _number(cell: str) -> float | None:
         return None
 
 
-def _header(lines: list[str], separator: str | None, width: int) -> tuple[str, ...]:
-    """Names from the nearest line above the data that has as many cells, a comment's included."""
-    for line in reversed(lines):
-        bare = line.lstrip("#%/ ").strip()
+def _header(lines: list[str], separator: str | None, width: int) -> tuple[tuple[str, ...], int]:
+    """Names from the nearest line above the data that has as many cells, a comment's included, and its number.
+
+    Without one, everything above the data is a preamble.
+    """
+    for row in reversed(range(len(lines))):
+        bare = lines[row].lstrip("#%/ ").strip()
         cells = _split(bare, separator, width)
         if bare and len(cells) == width and not any(_number(cell) is not None for cell in cells):
-            return tuple(cells)
-    return ("",) * width
+            return tuple(cells), row
+    return ("",) * width, len(lines) - 1
 
 
 def _columns(names: tuple[str, ...], rows: list[list[str]], damage: str) -> Columns:
@@ -246,5 +253,5 @@ def _columns(names: tuple[str, ...], rows: list[list[str]], damage: str) -> Colu
         numbers = [_number(cell) for cell in cells]
         values.append(np.array([np.nan if number is None else number for number in numbers]))
         if any(number is None and cell for number, cell in zip(numbers, cells, strict=True)):
-            texts[k] = tuple(cells)
+            texts[k] = tuple("" if cell.lower() in _MISSING else cell for cell in cells)
     return Columns(names, tuple(values), texts, damage)

@@ -7,7 +7,6 @@ mag_x,y,z`` (a second instance is ``accel2_x`` …), ``temperature current throt
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -17,39 +16,22 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import STANDARD_GRAVITY
 from calib.errors import InvalidInputError, UnreadableError
+from calib.logs.canonical import (
+    CANONICAL,
+    FRD_FROM_FLU,
+    SI,
+    SINGLE,
+    TRIADS,
+    UNITS,
+    column_names,
+    ned_from_frd,
+)
 from calib.logs.columns import Columns, mat_columns, npz_columns, text_columns
 from calib.recording import Channel, Event, Recording, Rounding, Segment, Sensor, Stage
 
 Array = NDArray[np.float64]
 
-UNITS: Mapping[Sensor, Mapping[str, float]] = {
-    Sensor.ACCEL: {"si": 1.0, "g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVITY, "counts": 1.0},
-    Sensor.GYRO: {"si": 1.0, "deg/s": np.pi / 180.0, "mrad/s": 1e-3, "counts": 1.0},
-    Sensor.MAG: {"uT": 1.0, "si": 1.0, "mgauss": 0.1, "gauss": 100.0, "counts": 1.0},
-}
-"""Factors to the unit of the contract; counts stay counts."""
-
-_SI = {
-    Sensor.ACCEL: "m/s2",
-    Sensor.GYRO: "rad/s",
-    Sensor.MAG: "uT",
-    Sensor.TEMPERATURE: "degC",
-    Sensor.CURRENT: "A",
-    Sensor.THROTTLE: "1",
-    Sensor.MOTOR: "1",
-    Sensor.ROTOR_SPEED: "Hz",
-    Sensor.ATTITUDE: "1",
-}
-_TRIADS = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
-_SINGLE = (Sensor.TEMPERATURE, Sensor.CURRENT, Sensor.THROTTLE)
-_CANONICAL = re.compile(
-    r"(?P<triad>accel|gyro|mag)(?P<of>[1-9]?)_(?P<axis>[xyz])|(?P<one>temperature|current|throttle)(?P<nr>[1-9]?)"
-    r"|(?P<many>motor|rotor_hz)_(?P<k>[1-9]\d?)|q_(?P<q>[wxyz])|t|segment"
-    r"|ref_(accel|gyro|mag)_[xyz]|ref_q_[wxyz]|ref_pos_[ned]|ref_vel_[ned]"
-)
-_FRD_FROM_FLU = np.array([1.0, -1.0, -1.0])
 NO_TIME = "no_time"
 """Kind of the event that says that rows were counted because the table has no time."""
 
@@ -107,8 +89,7 @@ def read_table(
             "no column is named as a sensor (accel_x, gyro_x, mag_x, temperature ...); the table has "
             f"{columns.listed()}: name them with --map"
         )
-    if columns.damage:
-        events += (Event(float(t[0]), "damage", columns.damage),)
+    events += tuple(Event(float(t[0]), "damage", text) for text in table.damage)
     return Recording(channels=tuple(channels), events=events, segments=_segments(table, t), source=str(Path(path).name))
 
 
@@ -149,7 +130,7 @@ def write_table(recording: Recording, path: Path | str) -> None:
     target = Path(path)
     channels = [
         recording.channel(sensor, instance)
-        for sensor in _SI
+        for sensor in SI
         for instance in recording.instances(sensor)
         if any(c.stage != Stage.DEBIASED for c in recording.find(sensor, instance))
     ]
@@ -159,7 +140,7 @@ def write_table(recording: Recording, path: Path | str) -> None:
     columns = {"t": t}
     for channel in channels:
         rows = np.searchsorted(t, channel.t)
-        for name, values in zip(_column_names(channel), channel.values.T, strict=True):
+        for name, values in zip(column_names(channel), channel.values.T, strict=True):
             columns[name] = np.full(len(t), np.nan)
             columns[name][rows] = values
     labels = np.full(len(t), "", dtype=object)
@@ -180,15 +161,16 @@ class _Table:
 
     cells: dict[str, Array]
     labels: tuple[str, ...] | None
+    damage: tuple[str, ...]
 
     @classmethod
     def of(cls, columns: Columns, mapping: Mapping[str, str]) -> _Table:
         chosen: dict[str, tuple[int, float]] = {}
         for index, name in enumerate(columns.names):
-            if _CANONICAL.fullmatch(name.lower()):
+            if CANONICAL.fullmatch(name.lower()):
                 chosen[name.lower()] = (index, 1.0)
         for name, column in mapping.items():
-            if not _CANONICAL.fullmatch(name):
+            if not CANONICAL.fullmatch(name):
                 raise InvalidInputError(
                     f"{name!r} is no column of a recording: t, segment, accel_x, gyro_x, mag_x, temperature, current, "
                     "throttle, motor_1, rotor_hz_1, q_w and their like are"
@@ -196,14 +178,15 @@ class _Table:
             wanted, factor = _factor(name, column)
             chosen[name] = (columns.index(wanted), factor)
         cells: dict[str, Array] = {}
+        damage = [columns.damage]
         for name, (index, factor) in chosen.items():
             cells[name] = columns.values[index] * factor if factor != 1.0 else columns.values[index]
-            _check_cells(name, columns, index)
+            damage.append(_damage(name, columns, index))
         labels = None
         if "segment" in chosen:
             index = chosen["segment"][0]
             labels = columns.texts.get(index) or tuple(_label(value) for value in columns.values[index])
-        return cls(cells, labels)
+        return cls(cells, labels, tuple(text for text in damage if text))
 
 
 def _factor(name: str, column: str) -> tuple[str, float]:
@@ -219,15 +202,20 @@ def _factor(name: str, column: str) -> tuple[str, float]:
     return wanted.strip(), factor
 
 
-def _check_cells(name: str, columns: Columns, index: int) -> None:
-    if name == "segment" or index not in columns.texts:
-        return
-    bad = next(
-        cell for cell, value in zip(columns.texts[index], columns.values[index], strict=True) if cell and value != value
-    )
-    share = float(np.isnan(columns.values[index]).mean())
-    if share > 0.5 or not bad:
-        raise UnreadableError(f"column {name} holds texts such as {bad!r}: map it to a column of numbers")
+def _damage(name: str, columns: Columns, index: int) -> str:
+    """What is said of texts among the numbers of a column; empty if there are none.
+
+    Raises
+    ------
+    UnreadableError
+        If more than a tenth of its cells are texts.
+    """
+    texts = [c for c, v in zip(columns.texts.get(index, ()), columns.values[index], strict=False) if c and np.isnan(v)]
+    if name == "segment" or not texts:
+        return ""
+    if len(texts) > 0.1 * columns.rows:
+        raise UnreadableError(f"column {name} holds texts such as {texts[0]!r}: map it to a column of numbers")
+    return f"{len(texts)} cells of {name} are no numbers (such as {texts[0]!r}) and were left out"
 
 
 def _label(value: float) -> str:
@@ -261,7 +249,7 @@ def _present(names: list[str]) -> list[tuple[Sensor, int]]:
     """Sensors and instances that have a column, in a fixed order."""
     found: set[tuple[Sensor, int]] = set()
     for name in names:
-        match = _CANONICAL.fullmatch(name)
+        match = CANONICAL.fullmatch(name)
         assert match is not None
         if match["triad"]:
             found.add((Sensor(match["triad"]), int(match["of"] or 1) - 1))
@@ -271,7 +259,7 @@ def _present(names: list[str]) -> list[tuple[Sensor, int]]:
             found.add((Sensor.MOTOR if match["many"] == "motor" else Sensor.ROTOR_SPEED, 0))
         elif match["q"]:
             found.add((Sensor.ATTITUDE, 0))
-    return sorted(found, key=lambda key: (list(_SI).index(key[0]), key[1]))
+    return sorted(found, key=lambda key: (list(SI).index(key[0]), key[1]))
 
 
 def _channel(
@@ -290,16 +278,16 @@ def _channel(
     unit = units.get(sensor, "si")
     values = values * UNITS.get(sensor, {}).get(unit, 1.0)
     counts = unit == "counts" and bool((values == np.round(values)).all())
-    if sensor in _TRIADS and body == "flu":
-        values = values * _FRD_FROM_FLU
+    if sensor in TRIADS and body == "flu":
+        values = values * FRD_FROM_FLU
     if sensor == Sensor.ATTITUDE:
-        values = _ned_from_frd(values, body=body, world=world)
+        values = ned_from_frd(values, body=body, world=world)
     return Channel(
         sensor=sensor,
         instance=instance,
         t=t,
         values=values,
-        unit="counts" if unit == "counts" else _SI[sensor],
+        unit="counts" if unit == "counts" else SI[sensor],
         stage=Stage.RAW,
         source="table",
         quantum=1.0 if counts else 0.0,
@@ -311,41 +299,15 @@ def _names_of(table: _Table, sensor: Sensor, instance: int) -> tuple[str, ...]:
     number = (
         "" if instance == 0 and f"{sensor}1_x" not in table.cells and f"{sensor}1" not in table.cells else instance + 1
     )
-    if sensor in _TRIADS:
+    if sensor in TRIADS:
         return tuple(f"{sensor}{number}_{axis}" for axis in "xyz")
-    if sensor in _SINGLE:
+    if sensor in SINGLE:
         return (f"{sensor}{number}",)
     if sensor == Sensor.ATTITUDE:
         return tuple(f"q_{part}" for part in "wxyz")
     prefix = "motor" if sensor == Sensor.MOTOR else "rotor_hz"
     count = max(int(name.rpartition("_")[2]) for name in table.cells if name.startswith(f"{prefix}_"))
     return tuple(f"{prefix}_{k + 1}" for k in range(count))
-
-
-def _ned_from_frd(q: Array, *, body: str, world: str) -> Array:
-    """Unit quaternions (N, 4) body to north-east-down, from those of the file's frames.
-
-    With ENU = (y, x, -z) of NED, a turn by pi about (1, 1, 0); FLU is FRD turned by pi about x.
-    """
-    size = np.linalg.norm(q, axis=1)
-    if (np.abs(size - 1.0) > 0.05).any():
-        row = int(np.argmax(np.abs(size - 1.0)))
-        raise InvalidInputError(
-            f"q_w,q_x,q_y,q_z of sample {row + 1} have length {size[row]:.3g}: quaternions have length 1"
-        )
-    q = q / size[:, None]
-    if world == "enu":
-        q = _product(np.array([[0.0, np.sqrt(0.5), np.sqrt(0.5), 0.0]]), q)
-    if body == "flu":
-        q = _product(q, np.array([[0.0, 1.0, 0.0, 0.0]]))
-    return q
-
-
-def _product(p: Array, q: Array) -> Array:
-    """Hamilton's product of quaternions w x y z."""
-    pw, pv, qw, qv = p[:, :1], p[:, 1:], q[:, :1], q[:, 1:]
-    w = pw * qw - (pv * qv).sum(axis=1, keepdims=True)
-    return np.hstack([w, pw * qv + qw * pv + np.cross(pv, qv)])
 
 
 def _segments(table: _Table, t: Array) -> tuple[Segment, ...]:
@@ -367,18 +329,6 @@ def _checked_units(accel: str, gyro: str, mag: str) -> dict[Sensor, str]:
         if unit not in UNITS[sensor]:
             raise InvalidInputError(f"the unit of {sensor} is one of {', '.join(UNITS[sensor])}, not {unit!r}")
     return units
-
-
-def _column_names(channel: Channel) -> tuple[str, ...]:
-    number = "" if channel.instance == 0 else str(channel.instance + 1)
-    if channel.sensor in _TRIADS:
-        return tuple(f"{channel.sensor}{number}_{axis}" for axis in "xyz")
-    if channel.sensor in _SINGLE:
-        return (f"{channel.sensor}{number}",)
-    if channel.sensor == Sensor.ATTITUDE:
-        return tuple(f"q_{part}" for part in "wxyz")
-    prefix = "motor" if channel.sensor == Sensor.MOTOR else "rotor_hz"
-    return tuple(f"{prefix}_{k + 1}" for k in range(channel.values.shape[1]))
 
 
 def _write_csv(target: Path, columns: Mapping[str, Array], labels: NDArray[np.object_] | None) -> None:
