@@ -108,7 +108,6 @@ class Force:
             offset=taken(old.offset, names.OFFSET),
             scale=taken(old.scale, names.SCALE),
             cross=taken(old.cross, names.CROSS),
-            loaded=True,
         )
 
 

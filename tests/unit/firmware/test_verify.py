@@ -84,6 +84,9 @@ def test_gyro_offsets_in_force_are_proved(ardupilot_parameters, ardupilot_finger
         assert caltemp.verdict == Verdict.NOT_OBSERVABLE
         assert verification.proved
         assert verification.movement is None
+        x = next(p for p in verification.parameters if p.name == "INS_GYROFFS_X")
+        assert (x.effect, x.unit) == (pytest.approx(0.01, rel=1e-6), "rad/s")
+        assert 0 < x.sd < 1e-3
 
 
 @pytest.mark.parametrize("refused", ["X", "Y", "Z", "XY", "XYZ"])
@@ -192,3 +195,12 @@ def test_power_and_false_alarms(ardupilot_parameters, ardupilot_fingerprint, mak
     assert claimed == 0
     assert alarms == 0
     assert caught >= (0.9 * runs if size < 8 else runs)
+
+
+def test_a_table_that_gives_way_a_little_is_no_contradiction(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    truth = TriadModel([0.02, 0.02, 0.15], np.diag([1.01, 0.98, 1.015]))
+    sensors, fits, plan = accel_case(make_fit, ardupilot_parameters, ardupilot_fingerprint, truth)
+    tilt = np.radians(0.08)
+    leaning = (-STANDARD_GRAVITY * np.sin(tilt), 0.0, -STANDARD_GRAVITY * np.cos(tilt))
+    _, verification = verdicts(plan, fits, sensors, ardupilot_parameters, names_of(plan), poses=(leaning,))
+    assert verification.contradicted == ()
