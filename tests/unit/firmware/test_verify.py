@@ -200,7 +200,17 @@ def test_power_and_false_alarms(ardupilot_parameters, ardupilot_fingerprint, mak
 def test_a_table_that_gives_way_a_little_is_no_contradiction(ardupilot_parameters, ardupilot_fingerprint, make_fit):
     truth = TriadModel([0.02, 0.02, 0.15], np.diag([1.01, 0.98, 1.015]))
     sensors, fits, plan = accel_case(make_fit, ardupilot_parameters, ardupilot_fingerprint, truth)
-    tilt = np.radians(0.08)
-    leaning = (-STANDARD_GRAVITY * np.sin(tilt), 0.0, -STANDARD_GRAVITY * np.cos(tilt))
+    # leaning by 0.12 deg reads like an x offset of 0.02 m/s2 that was not applied
+    leaning = (0.02, 0.0, -np.sqrt(STANDARD_GRAVITY**2 - 0.02**2))
     _, verification = verdicts(plan, fits, sensors, ardupilot_parameters, names_of(plan), poses=(leaning,))
     assert verification.contradicted == ()
+
+
+def test_nobody_is_sent_to_move_a_vehicle_for_changes_that_no_pose_shows(
+    ardupilot_parameters, ardupilot_fingerprint, make_fit
+):
+    truth = TriadModel([1e-4, -1e-4, 1e-4], np.diag([1 + 1e-5, 1 - 1e-5, 1 + 1e-5]))
+    sensors, fits, plan = accel_case(make_fit, ardupilot_parameters, ardupilot_fingerprint, truth)
+    found, verification = verdicts(plan, fits, sensors, ardupilot_parameters, names_of(plan))
+    assert set(found.values()) == {Verdict.NOT_OBSERVABLE}
+    assert verification.movement is None
