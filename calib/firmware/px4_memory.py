@@ -55,14 +55,14 @@ def survives_restart(about: Subject, triple: Triple, values: Array) -> bool:
         return True  # the threshold is waived for the first load
     limits = px4.THRESHOLDS[about.sensor]
     limit = {names.OFFSET: limits.offset, names.SCALE: limits.scale, names.CROSS: limits.cross}[triple]
-    difference = np.float32(values) - np.float32(NEUTRAL[triple])
+    difference = values.astype(np.float32) - np.float32(NEUTRAL[triple])
     return bool(np.dot(difference, difference) > np.float32(limit) ** 2)
 
 
 def representable(vector: Vector) -> Array:
     """What a restart makes of the wanted values: themselves, or the neutral vector."""
     if survives_restart(vector.about, vector.triple, vector.values):
-        return np.float32(vector.values).astype(np.float64)
+        return _single(vector.values)
     return np.full(3, NEUTRAL[vector.triple])
 
 
@@ -76,7 +76,7 @@ def acts_at_once(draft: Draft, vector: Vector, values: Array) -> tuple[int, ...]
     for order in permutations(axes):
         after = _write(memory, draft, roles, vector, values, order)
         held = {names.OFFSET: after.offset, names.SCALE: after.scale, names.CROSS: after.cross}[vector.triple]
-        if np.array_equal(np.float32(held), np.float32(values)):
+        if np.array_equal(_single(held), _single(values)):
             return order
     return None
 
@@ -85,7 +85,7 @@ def set_vector(draft: Draft, vector: Vector, values: Array) -> None:
     """Plan `values` (what :func:`representable` leaves of the wanted ones) in an order that works at once, if any."""
     roles = px4.calibration_names(draft.parameters, vector.about.sensor, vector.about.instance)
     order = acts_at_once(draft, vector, values)
-    estimated = np.array_equal(values, np.float32(vector.values).astype(np.float64))
+    estimated = np.array_equal(values, _single(vector.values))
     for axis in range(3):
         why = f"{vector.why}, {AXES[axis]} axis" if vector.triple != names.CROSS else vector.why
         draft.set_real(
@@ -100,6 +100,11 @@ def set_vector(draft: Draft, vector: Vector, values: Array) -> None:
         )
     if order is not None:
         draft.reorder([roles[vector.triple[axis]] for axis in order])
+
+
+def _single(values: Array) -> Array:
+    """`values` as a vehicle holds them."""
+    return values.astype(np.float32).astype(np.float64)
 
 
 def _write(
