@@ -16,6 +16,7 @@ from calib.fit import FitResult
 from calib.gyro import fit_gyro_rest
 from calib.mag.blur import fit_ellipsoid_deblurred, rates_during
 from calib.mag.ellipsoid import fit_ellipsoid
+from calib.mag.heading import DEFAULT_INCLINATION
 from calib.method_source import Source
 from calib.procedures.mag import COMPASS_WINDOW
 from calib.quantisation import mean_of
@@ -148,12 +149,18 @@ def _mag_facts(source: Source, mag: Channel, options: Options) -> dict[str, Any]
 
 
 def _field(source: Source, mag: Channel, options: Options) -> EarthField | None:
-    """The model's field where the recording was made; None without a place or a year."""
-    year, position = options.get("year"), source.maybe(Sensor.POSITION, 0)
-    if year is None or mag.unit != "uT":
+    """The field that is known: stated, or the model's where and when it was recorded; None: the scale stays open."""
+    year, strength = options["year"], options["field"]
+    if (year is None and strength is None) or mag.unit != "uT":
         return None
+    if strength is not None:
+        if not strength > 0.0:
+            raise InvalidInputError(f"the strength of the field is positive, not {strength} uT")
+        dip = np.array([np.cos(DEFAULT_INCLINATION), 0.0, np.sin(DEFAULT_INCLINATION)])
+        return EarthField(float(strength) * dip)
+    position = source.maybe(Sensor.POSITION, 0)
     if position is None:
-        raise InvalidInputError("the recording has no position: leave the year out, and the scale is relative")
+        raise InvalidInputError("the recording has no position: state the strength of the field instead, --field UT")
     latitude, longitude, altitude = np.median(position.values, axis=0)
     return earth_field(float(latitude), float(longitude), float(altitude), float(year))
 

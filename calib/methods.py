@@ -95,7 +95,10 @@ def _converted(option: Option, value: Any) -> Any:
 _INSTANCE = Option("instance", int, None, "only this instance, from 0; else every one that is there")
 _GRAVITY = Option("gravity", float, None, "length of gravity in the unit of the samples; 9.80665 m/s2 where not said")
 _FIXTURE = Option("fixture_sd", float, 0.0, "tilt of the fixture, standard deviation in degrees")
-_YEAR = Option("year", float, None, "decimal year: ties the scale to the World Magnetic Model at the recorded place")
+_FIELD = (
+    Option("year", float, None, "decimal year: ties the scale to the World Magnetic Model at the recorded place"),
+    Option("field", float, None, "strength of the field in uT, where it is known: ties the scale to it"),
+)
 
 _ALL = (
     Method(
@@ -135,21 +138,21 @@ _ALL = (
         "mag-minmax",
         "Magnetometer offset and scale from the extremes",
         "every axis once along and once against the field; only a start for better methods",
-        (_INSTANCE, _YEAR),
+        (_INSTANCE, *_FIELD),
         runs.mag_of(fit_minmax),
     ),
     Method(
         "mag-sphere",
         "Magnetometer offset by a sphere",
         "rotation about two axes or more, no soft iron",
-        (_INSTANCE, _YEAR),
+        (_INSTANCE, *_FIELD),
         runs.mag_of(fit_sphere),
     ),
     Method(
         "mag-ellipsoid-axis",
         "Magnetometer offset and axis scales by an axis-aligned ellipsoid",
         "rotation in all directions, no cross terms",
-        (_INSTANCE, _YEAR),
+        (_INSTANCE, *_FIELD),
         runs.mag_of(fit_ellipsoid_axis),
     ),
     Method(
@@ -158,7 +161,7 @@ _ALL = (
         "rotation in all directions",
         (
             _INSTANCE,
-            _YEAR,
+            *_FIELD,
             Option("robust", ("auto", "yes", "no"), "auto", "withstand outliers"),
             Option(
                 "prior_sd", float, None, "prior standard deviation of the soft iron, where the rotation covers little"

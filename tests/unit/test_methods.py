@@ -135,6 +135,21 @@ def test_magnetometer_methods_find_the_centre(name):
     assert fit.model.offset == pytest.approx([10.0, -20.0, 5.0], abs=1.0)
 
 
+def test_a_known_field_ties_the_scale():
+    rng = np.random.default_rng(9)
+    d = rng.normal(size=(500, 3))
+    field = 40.0 * d / np.linalg.norm(d, axis=1)[:, None] + 0.1 * rng.normal(size=(500, 3))
+    recording = Recording((raw(Sensor.MAG, field, "uT"),))
+    (open_scale,) = METHODS["mag-ellipsoid"].run(recording)
+    (tied,) = METHODS["mag-ellipsoid"].run(recording, {"field": 50.0})
+    assert np.linalg.det(open_scale.model.matrix) == pytest.approx(1.0, abs=1e-6)
+    assert np.diag(tied.model.matrix) == pytest.approx([1.25] * 3, rel=2e-3)
+    with pytest.raises(InvalidInputError, match="no position"):
+        METHODS["mag-ellipsoid"].run(recording, {"year": 2026.0})
+    with pytest.raises(InvalidInputError, match="positive"):
+        METHODS["mag-ellipsoid"].run(recording, {"field": -1.0})
+
+
 def test_a_one_axis_rest_in_g():
     values = [0.02, -0.03, 1.05] + 0.002 * np.random.default_rng(8).normal(size=(256, 3))
     recording = Recording((raw(Sensor.ACCEL, G * values, "m/s2"),))
