@@ -62,9 +62,8 @@ class KnownDrift:
         size = 3 * len(weights)
         jacobian = np.einsum("gk,kap->gap", weights, self.jacobian(then, now)).reshape(size, -1)
         moved = weights @ self.allowance(then, now)
-        return jacobian @ self.covariance @ jacobian.T + np.kron(
-            np.outer(moved, moved), np.diag(np.array(self.open_axes, dtype=np.float64))
-        )
+        opened = np.diag(np.array(self.open_axes, dtype=np.float64))
+        return np.asarray(jacobian @ self.covariance @ jacobian.T + np.kron(np.outer(moved, moved), opened))
 
     def _filled(self, then: float, now: Sequence[Temperature]) -> Array:
         return np.array([then if t is None else t for t in now])
