@@ -65,31 +65,28 @@ class Capture:
         for row in earlier:
             if row.end_byte is None:
                 await close_span(self.handle.store, row, None)
+        rates = requested_streams(self.vehicle.identity.autopilot or "", specification(self.handle.job.kind).sensors)
+        await ask_for_streams(self.handle, self.vehicle, rates, measure_s=self.settings.measure_s)
+        # Only now: on a bad link the requests take long, and a replay of the streams that came first would not wait
+        # for the others. The segment and the subscription begin together, so that live and replay see the same.
         row = open_span(self.handle.store, self.handle.id, SegmentPurpose.CAPTURE, self.vehicle)
+        forget = self.vehicle.subscribe(LiveDigest.wanted(self.vehicle.identity), self._take)
         try:
             return await self._captured(earlier)
         finally:
+            forget()
             await asyncio.shield(close_span(self.handle.store, row, self.vehicle))
             self.reach(At.CAPTURE_CLOSED)
 
     async def _captured(self, earlier: Sequence[SegmentRow]) -> Done:
-        identity = await self.vehicle.identify()
-        rates = requested_streams(identity.autopilot or "", specification(self.handle.job.kind).sensors)
-        await ask_for_streams(self.handle, self.vehicle, rates, measure_s=self.settings.measure_s)
         self.reach(At.CAPTURE_STARTED)
-        forget: Callable[[], None] | None = None
-        try:
-            # Subscribed before the parameters are read, so that live and replay see the same samples.
-            forget = self.vehicle.subscribe(LiveDigest.wanted(identity), self._take)
-            listed = await self.vehicle.list_parameters()
-            self.parameters = {name: reading.value for name, reading in listed.items()}
-            digest, watch = await self._begin(identity, earlier)
-            done = await self._until_done(digest, watch)
-            await self._read_again(identity, watch)
-            return done
-        finally:
-            if forget is not None:
-                forget()
+        identity = await self.vehicle.identify()
+        listed = await self.vehicle.list_parameters()
+        self.parameters = {name: reading.value for name, reading in listed.items()}
+        digest, watch = await self._begin(identity, earlier)
+        done = await self._until_done(digest, watch)
+        await self._read_again(identity, watch)
+        return done
 
     def _take(self, frames: Sequence[Frame], disk: DiskFull | None) -> None:
         self._frames += frames

@@ -82,6 +82,7 @@ class Runner:
             self._end(handle, JobState.FAILED, _code(error), str(error), KEPT)
             return
         told = [fit.message for fit in results if fit.status == FitStatus.REFUSED]
+        told += [warning for fit in results for warning in fit.warnings]  # a sensor that was left out, above all
         warnings = tuple(dict.fromkeys((*job.warnings, *told)))
         handle.move(
             JobState.REVIEW,
