@@ -92,6 +92,21 @@ def test_six_faces_alone_determine_no_cross_term_and_no_test():
     assert fit.sd[:3].min() > 0.0025  # what the unknown cross terms do to tilted faces is inside
 
 
+def test_cross_terms_that_six_faces_do_not_see_are_in_the_covariance():
+    rng = np.random.default_rng(15)
+    used = [0, 1, 2, 3, 7, 11]
+    nees = []
+    for _ in range(400):
+        S = np.diag(1.0 + rng.uniform(-0.025, 0.025, 3))
+        for i, j in ((0, 1), (0, 2), (1, 2)):
+            S[i, j] = S[j, i] = rng.normal(0.0, 0.01)
+        truth = TriadModel(rng.uniform(-0.4, 0.4, 3), S)
+        fit = fit_poses(poses_of(directions(rng, 0), truth, 0.002, rng))
+        error = (fit.values - np.concatenate([truth.offset, S.ravel()]))[used]
+        nees.append(error @ np.linalg.solve(fit.covariance[np.ix_(used, used)], error) / 6.0)
+    assert np.mean(nees) == pytest.approx(1.0, abs=0.12)
+
+
 def test_cross_terms_may_be_held_at_zero():
     fit = fit_poses(
         poses_of(directions(np.random.default_rng(5), 4), sd=0.002, rng=np.random.default_rng(5)), cross_sd=0.0

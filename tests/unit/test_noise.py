@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, lfilter
 
-from calib.noise import coloured_covariance, long_run_variance
+from calib.noise import _random_walk, coloured_covariance, long_run_variance
 
 
 def test_white_noise_keeps_its_variance():
@@ -83,3 +83,13 @@ def test_with_few_rows_the_textbook_standard_error_stands():
     X = np.column_stack([np.ones(7), t])
     found = coloured_covariance(X, y[:, None], np.ones(7), np.arange(7.0), gram=X.T @ X)
     assert np.sqrt(found.covariances[0, 1, 1]) == pytest.approx(0.026830, abs=1e-6)
+
+
+def test_block_means_of_a_random_walk_scatter_like_its_kernel():
+    rng = np.random.default_rng(7)
+    walks = np.cumsum(rng.normal(size=(20_000, 120)), axis=1) / np.sqrt(120)
+    means = walks.reshape(20_000, 6, 20).mean(axis=2)
+    kernel = _random_walk((np.arange(6) + 0.5) / 6.0)
+    scale = 5.0 / 6.0  # the kernel's time runs from the first middle to the last one
+    steps = np.diff(np.eye(6), axis=0)  # a constant is absorbed by every fit
+    assert steps @ kernel @ steps.T * scale == pytest.approx(steps @ np.cov(means.T) @ steps.T, abs=0.006)

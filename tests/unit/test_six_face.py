@@ -71,13 +71,15 @@ def test_numpy_finds_the_same_answer_by_another_route():
     assert np.vstack([fit.native["A"], fit.native["b"]]) == pytest.approx(normal, abs=1e-12)
 
 
-@pytest.mark.parametrize(("sd", "tilt"), [(0.05, 0.0), (0.5, 0.0), (0.05, 0.2)])
-def test_the_covariance_holds_with_and_without_a_perfect_fixture(sd, tilt):
+@pytest.mark.parametrize(
+    ("sd", "tilt", "offset_sd"), [(0.05, 0.0, 0.3), (0.5, 0.0, 0.3), (0.05, 0.2, 0.3), (0.5, 0.0, 30.0)]
+)
+def test_the_covariance_holds_with_and_without_a_perfect_fixture(sd, tilt, offset_sd):
     rng = np.random.default_rng(1)
     nees, p_values = [], []
     for _ in range(200):
-        M, offset = np.eye(3) + rng.normal(0.0, 0.01, (3, 3)), rng.normal(0.0, 0.3, 3)
-        fit = fit_six_face(faces_of(rng, M, offset, sd, tilt), fixture_sd=tilt)
+        M, offset = np.eye(3) + rng.normal(0.0, 0.05, (3, 3)), rng.normal(0.0, offset_sd, 3)
+        fit = fit_six_face(faces_of(rng, M, offset, sd, tilt), fixture_sd=tilt, gravity=G)
         error = fit.values - np.concatenate([offset, np.linalg.inv(M).ravel()])
         nees.append(error @ np.linalg.solve(fit.covariance, error) / 12.0)
         p_values.append(fit.quality["p_value"])

@@ -201,6 +201,7 @@ def test_the_offset_of_an_accelerometer_in_one_pose_is_unknown_and_of_a_gyroscop
     assert accel.status == FitStatus.OK
     assert accel.undetermined == ("offset_x", "offset_y", "offset_z")
     assert (accel.model.offset == 0.0).all()
+    assert not accel.covariance[:3].any()
     gyro = fit_polynomial(channel(y), T)
     assert gyro.undetermined == ()
     assert np.abs((gyro.model.offset - (0.1, -0.2, 0.05)) / gyro.sd[:3]).max() < 4.0
