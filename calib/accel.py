@@ -94,6 +94,9 @@ def fit_poses(
 
     if len(poses) < 4:
         return refusal(f"{len(poses)} still poses are not enough: hold six different ones, each side down once")
+    nonsense = _nonsense(poses, gravity if unit == "m/s2" else None)
+    if nonsense:
+        return refusal(nonsense)
     problem = NormProblem.of(poses, in_si=unit == "m/s2", gravity=gravity, cross_sd=cross_sd)
     weak = solve(problem, weak=True)
     if weak is None:
@@ -180,6 +183,23 @@ def fit_one_axis(
         quality={"n_effective": estimate.n_effective, "gravity": gravity},
         native={"mean": estimate.mean.tolist(), "vertical": AXES[int(vertical.argmax())]},
     )
+
+
+def _nonsense(poses: Sequence[PoseMean], gravity: float | None) -> str:
+    """Why the means cannot be those of gravity; empty if they can. `gravity` None: of unknown unit."""
+    means = np.array([pose.mean for pose in poses])
+    if not np.isfinite(means).all() or not np.isfinite([pose.covariance for pose in poses]).all():
+        return "a pose's mean is not finite: leave that pose out"
+    spread = float(np.ptp(means, axis=0).max())
+    if not 1e-12 < spread < 1e12:
+        return f"the poses' means span {spread:.3g}: the accelerometer is stuck, or the poses are one and the same"
+    lengths = np.linalg.norm(means, axis=1)
+    if gravity is not None and not (0.5 * gravity < lengths.min() and lengths.max() < 2.0 * gravity):
+        return (
+            f"readings of {lengths.min():.3g} to {lengths.max():.3g} m/s2 are not gravity ({gravity:.3g}): "
+            "check the unit, or the sensor is broken"
+        )
+    return ""
 
 
 def _result(

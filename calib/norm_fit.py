@@ -104,7 +104,7 @@ def _linearised(problem: NormProblem, x: Array) -> tuple[Array, Array, Array, Ar
     b, C = x[:3], _symmetric(x[3:])
     d = problem.means - b
     corrected = d @ C
-    length = np.linalg.norm(corrected, axis=1)
+    length = np.maximum(np.linalg.norm(corrected, axis=1), 1e-12)
     u = corrected / length[:, None]
     normal = u @ C
     J = np.empty((len(d), 9))

@@ -216,11 +216,31 @@ def test_a_contradicting_pose_is_found_and_the_sd_grows():
     assert bad.sd[0] > 2.0 * good.sd[0]
 
 
-def test_readings_that_are_no_gravity_are_refused():
-    rng = np.random.default_rng(12)
-    poses = [PoseMean(k, k + 1.0, rng.normal(0.0, 1e-3, 3), 1e-6 * np.eye(3), 50) for k in range(9)]
-    fit = fit_poses(poses)
+@pytest.mark.parametrize("unit", ["m/s2", "counts"])
+@pytest.mark.parametrize(
+    "means",
+    [
+        np.zeros((9, 3)),
+        np.full((9, 3), 5.0),
+        np.full((9, 3), np.nan),
+        np.full((9, 3), 1e300),
+        1e-300 * FACES,
+        1e200 * FACES,
+    ],
+)
+def test_what_is_no_gravity_is_refused_without_a_warning_of_numpy(means, unit):
+    poses = [PoseMean(k, k + 1.0, m, 1e-6 * np.eye(3), 50) for k, m in enumerate(means)]
+    fit = fit_poses(poses, unit=unit)
     assert fit.status == FitStatus.REFUSED
+    assert "\n" not in fit.message
+
+
+def test_a_wrong_unit_is_noticed():
+    poses = [
+        PoseMean(p.start, p.end, p.mean / G, p.covariance, p.n)
+        for p in poses_of(directions(np.random.default_rng(1), 4))
+    ]
+    assert "check the unit" in fit_poses(poses).message
 
 
 @pytest.mark.parametrize("options", [{"gravity": 0.0}, {"gravity": np.nan}, {"cross_sd": -1.0}])

@@ -299,3 +299,14 @@ def test_impossible_input_is_an_error():
         fit_polynomial(y, warm_up(99))
     with pytest.raises(InvalidInputError, match="three axes"):
         fit_linear(dataclasses.replace(y, values=y.values[:, :2]), warm_up(100))
+
+
+def test_counting_equal_samples_gives_the_same_answer_as_listing_them(raw_channel, monkeypatch):
+    rng = np.random.default_rng(10)
+    T = np.round(warm_up(3000), 2)
+    values = drift(T, offset=(0.01, 0.0, -0.003)) + 3e-4 * rng.normal(size=(3000, 3))
+    coarse = raw_channel(Sensor.GYRO, np.arange(3000) / 50.0, values, "rad/s", quantum=1e-3)
+    listed = fit_polynomial(coarse, T)
+    monkeypatch.setattr("calib.thermal._MANY", 100)
+    counted = fit_polynomial(coarse, T)
+    assert np.abs((counted.values - listed.values) / np.where(listed.sd > 0, listed.sd, 1.0)).max() < 1e-4
