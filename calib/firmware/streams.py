@@ -58,8 +58,12 @@ def requested_streams(
     inertial = {Sensor.ACCEL, Sensor.GYRO} & set(sensors)
     rate = INERTIAL_HZ if inertial else COMPASS_HZ
     wanted = {messages[i]: rate for i in instances}
-    if autopilot == "ardupilot" and 0 in instances:
-        wanted[HIGHRES_IMU] = rate
+    if autopilot == "ardupilot":
+        if 0 in instances:
+            wanted[HIGHRES_IMU] = rate
+        # silent while no onboard calibration runs, and always silent unless asked for (FLIGHT_CONTROLLERS 9)
+        wanted[dialect.MAVLINK_MSG_ID_MAG_CAL_PROGRESS] = STATE_HZ
+        wanted[dialect.MAVLINK_MSG_ID_MAG_CAL_REPORT] = STATE_HZ
     wanted[dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE] = STATE_HZ
     wanted[auxiliary.VFR_HUD] = STATE_HZ
     if Sensor.MAG in sensors:

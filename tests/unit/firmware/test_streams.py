@@ -354,6 +354,11 @@ class TestRequests:
         assert {27: 50.0, 116: 50.0, 129: 50.0, 105: 50.0}.items() <= wanted.items()
         assert dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE in wanted
 
+    def test_ardupilot_says_that_it_calibrates_only_if_asked(self) -> None:
+        asked = {dialect.MAVLINK_MSG_ID_MAG_CAL_PROGRESS, dialect.MAVLINK_MSG_ID_MAG_CAL_REPORT}
+        assert asked <= requested_streams("ardupilot", {Sensor.GYRO}, (1,)).keys()
+        assert not asked & requested_streams("px4", {Sensor.GYRO}, (0,)).keys()  # HEARTBEAT says it
+
     def test_px4_is_never_asked_for_its_debiased_stream(self) -> None:
         wanted = requested_streams("px4", {Sensor.GYRO}, (0,))
         assert wanted[dialect.MAVLINK_MSG_ID_SCALED_IMU] == 50.0

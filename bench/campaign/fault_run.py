@@ -1,0 +1,240 @@
+"""One fault run: a vehicle in its own process, the engine in this one, a job, a write, and what strikes it."""
+
+from __future__ import annotations
+
+import asyncio
+import tempfile
+import time
+from collections import Counter
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from bench.campaign.judge import Ending, Evidence, doubt_complaints, judge
+from bench.campaign.report import FaultReport, Pinned
+from bench.campaign.scenario import OPTIONS, WIRE, Phase, Scenario, Strike
+from bench.campaign.session import POLL_S, Session, session
+from bench.campaign.truth import Holding, holding, residuals
+from service.api.views import job_model
+from service.errors import ServiceError
+from service.jobs.model import Job
+from service.jobs.states import JobState
+from service.simvehicle.client import SimulatedVehicle
+
+Json = dict[str, Any]
+
+RUN_S = 170.0
+"""No run takes longer: a job that never ends is a failure."""
+TRACKED_S = 0.5
+"""Wall time after arming in which a PARAM_SET may still arrive that had left before."""
+ENDED = (JobState.SUCCEEDED, JobState.REVERTED, JobState.REVIEW)
+
+
+def run_fault(scenario: Scenario) -> FaultReport:
+    """Carry out one run; never raises: what goes wrong is a complaint of the report."""
+    began = time.monotonic()
+    run = _FaultRun(scenario)
+    try:
+        ending, complaints = asyncio.run(run.outcome())
+    except Exception as error:  # noqa: BLE001 - a run that breaks is a failure to be shown, not the end of the campaign
+        ending, complaints = Ending.FAILURE, (f"{type(error).__name__}: {error}",)
+    complaints = (*complaints, *run.complaints)
+    return FaultReport(
+        scenario.index,
+        scenario.seed,
+        scenario.recipe,
+        scenario.autopilot,
+        scenario.job,
+        Ending.FAILURE if complaints else ending,
+        complaints,
+        dict(run.strikes),
+        run.doubts,
+        run.doubts > 0 and ending in (Ending.VERIFIED, Ending.AS_BEFORE),
+        tuple(run.pinned),
+        run.says,
+        time.monotonic() - began,
+    )
+
+
+@dataclass
+class _FaultRun:
+    scenario: Scenario
+    complaints: list[str] = field(default_factory=list)
+    strikes: Counter[str] = field(default_factory=Counter)
+    doubts: int = 0
+    pinned: list[Pinned] = field(default_factory=list)
+    says: str = ""
+    _foreign: dict[str, float] = field(default_factory=dict)
+    _loose: set[Phase] = field(default_factory=set)
+    _doubted: object = None
+    _armed_at: float | None = None
+
+    async def outcome(self) -> tuple[Ending, tuple[str, ...]]:
+        s = self.scenario
+        async with asyncio.timeout(RUN_S):
+            with tempfile.TemporaryDirectory(prefix="mavcal-campaign-") as folder:
+                vehicle = await asyncio.to_thread(
+                    SimulatedVehicle, s.autopilot, seed=s.seed * 10_000 + s.index, speed=s.speed, config=s.config
+                )
+                try:
+                    async with session(Path(folder), vehicle.url) as bench:
+                        return await self._run(bench, vehicle)
+                finally:
+                    await asyncio.to_thread(vehicle.stop)
+
+    async def _run(self, bench: Session, vehicle: SimulatedVehicle) -> tuple[Ending, tuple[str, ...]]:
+        await self._let_loose(vehicle, self.scenario.ambient, None)
+        job = await bench.reviewed(vehicle, self.scenario.job, OPTIONS[self.scenario.job])
+        if job.state != JobState.REVIEW or job.plan is None:
+            return Ending.FAILURE, (f"no plan came of the capture: {job.outcome}",)
+        before = await asyncio.to_thread(holding, vehicle)
+        await self._let_loose(vehicle, self._of(Phase.WRITE), job)
+        try:
+            await bench.applied(job)
+            job = await self._followed(bench, vehicle, job.id, before)
+        except TimeoutError:
+            self.says = str(bench.engine.get(job.id).outcome)
+            return Ending.FAILURE, (f"the job is {bench.engine.get(job.id).state} for ever",)
+        finally:
+            await self._count(vehicle, bench.engine.get(job.id))
+        self.says = _sentence(job)
+        if job.state == JobState.IN_DOUBT:
+            return Ending.IN_DOUBT, ()
+        evidence = await self._evidence(vehicle, job, before)
+        truth = await asyncio.to_thread(vehicle.truth)
+        self._check_complete(job, len(truth[f"{job.kind}s"]))
+        fitted = [fit.instance for fit in job.results if fit.status != "refused"]
+        left = residuals(truth, evidence.now.in_force, job.kind, OPTIONS[job.kind], fitted)
+        return judge(evidence, left)
+
+    def _check_complete(self, job: Job, count: int) -> None:
+        """Every instance was fitted, or the job says that it was left out."""
+        for instance in set(range(count)) - {fit.instance for fit in job.results}:
+            if not any(f"{instance + 1} " in warning for warning in job.warnings):
+                self.complaints.append(f"{job.kind} {instance} was left out without a word")
+
+    # --- while the job writes
+
+    async def _followed(self, bench: Session, vehicle: SimulatedVehicle, job_id: str, before: Holding) -> Job:
+        """Wait for the job's end; meanwhile faults strike, doubts are judged, and an operator puts things right."""
+        async with asyncio.timeout(RUN_S - 40.0):
+            while True:
+                job = bench.engine.get(job_id)
+                if job.state in ENDED:
+                    return job
+                if job.state == JobState.VERIFYING:
+                    await self._let_loose(vehicle, self._of(Phase.VERIFY), job)
+                elif job.state == JobState.ROLLING_BACK:
+                    await self._let_loose(vehicle, self._of(Phase.ROLL_BACK), job)
+                elif job.state == JobState.IN_DOUBT and job.standing is not self._doubted:
+                    if await self._doubt_judged(bench, vehicle, job, before) and not self.scenario.resolve:
+                        return job
+                    await self._put_right(vehicle)
+                await asyncio.sleep(POLL_S)
+
+    def _of(self, phase: Phase) -> tuple[Strike, ...]:
+        """The strikes of a phase, the first time."""
+        if phase in self._loose:
+            return ()
+        self._loose.add(phase)
+        return tuple(strike for strike in self.scenario.strikes if strike.phase == phase)
+
+    async def _let_loose(self, vehicle: SimulatedVehicle, strikes: tuple[Strike, ...], job: Job | None) -> None:
+        for strike in strikes:
+            options = dict(strike.options)
+            if "wall_s" in options:
+                options["duration_s"] = options.pop("wall_s") * self.scenario.speed
+            if job is not None and strike.phase == Phase.WRITE:
+                assert job.plan is not None
+                options["trigger"] = {"nth_set": 1 + int(strike.share * len(job.plan.changes))}
+            if strike.kind == "foreign_write":
+                self._aim(options, job)
+            await vehicle.acall("fault", kind=strike.kind, **options)
+
+    def _aim(self, options: Json, job: Job | None) -> None:
+        """Point a third party's write at a parameter of the plan, with a value that is neither old nor new."""
+        aim = options.pop("aim", None)
+        if aim is not None:
+            assert job is not None
+            assert job.plan is not None
+            floats = [c for c in job.plan.changes if c.kind == "real32" and c.sd is not None]
+            target = floats[int(aim * len(floats))]
+            options |= {"name": target.name, "value": float(target.new) * 0.5 + 0.0123}
+        self._foreign[options["name"]] = float(options["value"])
+
+    async def _doubt_judged(self, bench: Session, vehicle: SimulatedVehicle, job: Job, before: Holding) -> bool:
+        """Compare the list with the vehicle; False if the job went on before that could be done."""
+        evidence = await self._evidence(vehicle, job, before)
+        now = bench.engine.get(job.id)
+        if now.state != JobState.IN_DOUBT or now.standing is not job.standing:
+            return False
+        self._doubted = job.standing
+        self.doubts += 1
+        self.complaints += doubt_complaints(evidence)
+        with suppress(ServiceError):
+            await bench.engine.submit(bench.vehicle.id, "gyro")
+            self.complaints.append("in doubt, and the vehicle is open for new jobs")
+        return True
+
+    async def _put_right(self, vehicle: SimulatedVehicle) -> None:
+        """What the operator does about a doubt: disarm, restart a vehicle that calibrates, mend the link."""
+        state = await vehicle.acall("state")
+        kinds = {fault["kind"] for fault in state["faults"] if fault["struck"]}
+        if state["armed"]:
+            await asyncio.sleep(TRACKED_S)
+            await self._check_armed(vehicle)
+            await vehicle.acall("disarm")
+        if "twin" in kinds or self.doubts > 1:
+            await vehicle.acall("clear_faults")
+        if "onboard_calibration" in kinds and self._armed_at is None and state["boots"] == 0:
+            await vehicle.acall("reboot")
+
+    async def _check_armed(self, vehicle: SimulatedVehicle) -> None:
+        """Nothing is sent to an armed vehicle."""
+        state = await vehicle.acall("state")
+        arming = [t for fault in state["faults"] if fault["kind"] == "arm" for t in fault["struck"]]
+        if not arming or state["boots"]:
+            return
+        late = [s for s in state["param_set_list"] if s[0] > max(arming) + TRACKED_S * self.scenario.speed]
+        if late:
+            self.complaints.append(f"{len(late)} PARAM_SETs reached the vehicle long after it was armed")
+
+    # --- afterwards
+
+    async def _evidence(self, vehicle: SimulatedVehicle, job: Job, before: Holding) -> Evidence:
+        now = await asyncio.to_thread(holding, vehicle)
+        return Evidence(job_model(job).model_dump(mode="json"), before, now, self._foreign)
+
+    async def _count(self, vehicle: SimulatedVehicle, job: Job) -> None:
+        """Strikes after the first PARAM_SET: every fault but the ambient ones is set up to strike only then."""
+        state = await vehicle.acall("state")
+        faults = state["faults"][len(self.scenario.ambient) :]
+        if not state["param_sets"]:
+            return
+        for fault in faults:
+            struck = bool(fault["struck"]) and (fault["kind"] not in WIRE or fault["hits"] > 0)
+            self.strikes[fault["kind"]] += struck
+        names = dict.fromkeys(self._pinned_names(state, faults))
+        self.pinned += [pin for name in names if (pin := _pin(name, job)) is not None]
+
+    def _pinned_names(self, state: Json, faults: list[Json]) -> list[str]:
+        """Names whose first PARAM_SET was at the time at which a not_applied struck."""
+        times = {t for fault in faults if fault["kind"] == "not_applied" for t in fault["struck"]}
+        return [name for when, name, _ in state["param_set_list"] if when in times]
+
+
+def _pin(name: str, job: Job) -> Pinned | None:
+    """What became of a parameter that was accepted and not applied; None: the check never came to it."""
+    if job.verification is None:
+        return None
+    verdict = next((v for v in job.verification.parameters if v.name == name), None)
+    if verdict is None or not verdict.acts_on_stream or verdict.sd <= 0:
+        return None
+    missed = job.state == JobState.SUCCEEDED and verdict.verdict == "proved"
+    return Pinned(name, verdict.effect / verdict.sd, missed, named=verdict.verdict == "contradicted")
+
+
+def _sentence(job: Job) -> str:
+    outcome = job.outcome
+    return str(getattr(outcome, "text", None) or getattr(outcome, "cause", ""))

@@ -1,0 +1,112 @@
+"""The verdict on a run: what the vehicle holds against what the job says. Complaints are sentences; none is good."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+from bench.campaign.truth import Holding, Residual, equal
+
+Json = Mapping[str, Any]
+
+
+class Ending(StrEnum):
+    """How a run ended."""
+
+    VERIFIED = "verified"
+    AS_BEFORE = "as before"
+    IN_DOUBT = "in doubt, list true"
+    FAILURE = "FAILURE"
+
+
+ENDINGS = {"succeeded": Ending.VERIFIED, "reverted": Ending.AS_BEFORE, "review": Ending.AS_BEFORE}
+"""What a job in this state claims of its vehicle."""
+
+SET_BY_COMMAND = ("INS_ACC_ID", "INS_ACC2_ID", "INS_ACC3_ID", "COMPASS_DEV_ID", "COMPASS_DEV_ID2")
+"""The command at the end of a plan has ArduPilot store these by itself."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a run has seen. `job` is the job as the service tells it, as JSON; holdings are the vehicle's own."""
+
+    job: Json
+    before: Holding
+    now: Holding
+    foreign: Mapping[str, float]
+    """Values written by a third party, by name."""
+
+    @property
+    def changes(self) -> Sequence[Json]:
+        """The plan's changes."""
+        changes: Sequence[Json] = self.job["plan"]["changes"]
+        return changes
+
+
+def judge(evidence: Evidence, residuals: Iterable[Residual]) -> tuple[Ending, tuple[str, ...]]:
+    """The ending that the vehicle bears out, with what is wrong if none is."""
+    state = evidence.job["state"]
+    claimed = ENDINGS.get(state)
+    if claimed is None:
+        return Ending.FAILURE, (f"the job is {state}: {evidence.job['outcome']}",)
+    complaints = _verified(evidence, residuals) if claimed == Ending.VERIFIED else _as_before(evidence)
+    return (Ending.FAILURE if complaints else claimed), tuple(complaints)
+
+
+def _verified(e: Evidence, residuals: Iterable[Residual]) -> list[str]:
+    complaints = []
+    wanted = {c["name"]: c["old"] if c["session"] else c["new"] for c in e.changes}
+    for name, value in wanted.items():
+        held = e.now.stored[name]
+        if value is not None and not equal(held, value):
+            complaints.append(f"succeeded, but {name} holds {held:.9g} instead of {value:.9g}")
+    complaints += _beside(e, wanted)
+    complaints += [
+        f"succeeded, but {r.sensor} {r.instance} is off by {r.worst:.3g}, more than {r.bound:.3g}"
+        for r in residuals
+        if not r.good
+    ]
+    return complaints
+
+
+def _as_before(e: Evidence) -> list[str]:
+    """Every value is the old one; a third party's stays, and is named if it lies on a parameter of the plan."""
+    complaints = _beside(e, [c["name"] for c in e.changes])
+    named = {s["name"] for s in e.job["standing"]}
+    for change in e.changes:
+        name, held = change["name"], e.now.stored[change["name"]]
+        if equal(held, e.before.stored[name]):
+            continue
+        if name not in e.foreign or not equal(held, e.foreign[name]):
+            complaints.append(f"{e.job['state']}, but {name} holds {held:.9g} instead of {e.before.stored[name]:.9g}")
+        elif name not in named:
+            complaints.append(f"{name} was left to a third party, and the job does not name it")
+    return complaints
+
+
+def _beside(e: Evidence, planned: Iterable[str]) -> list[str]:
+    """What changed although it was in nobody's plan."""
+    excused = {*planned, *e.foreign, *SET_BY_COMMAND}
+    return [
+        f"{name} changed from {old:.9g} to {new:.9g}, which was not in the plan"
+        for name, (old, new) in e.before.differing(e.now).items()
+        if name not in excused
+    ]
+
+
+def doubt_complaints(e: Evidence) -> tuple[str, ...]:
+    """What is wrong with the list of a job in doubt: certain values are the vehicle's, the others old or new."""
+    complaints = []
+    listed = {s["name"]: s for s in e.job["standing"]}
+    for name, s in listed.items():
+        held = e.now.stored[name]
+        if name in e.foreign and equal(held, e.foreign[name]):
+            continue
+        if s["certain"] and not equal(held, s["value"]):
+            complaints.append(f"in doubt, but {name} is certainly {s['value']:.9g}, and the vehicle holds {held:.9g}")
+        if not s["certain"] and not (equal(held, s["old"]) or equal(held, s["new"])):
+            complaints.append(f"in doubt: {name} is neither old nor new, the vehicle holds {held:.9g}")
+    complaints += [c for c in _beside(e, listed) if c]
+    return tuple(complaints)

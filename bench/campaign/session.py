@@ -1,0 +1,92 @@
+"""The service's engine in this process, on a data directory and one link, until its vehicle is known."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from calib.report import step_to_json
+from service.errors import ServiceError
+from service.jobs.engine import JobEngine
+from service.jobs.fleet import Fleet
+from service.jobs.model import Accept, Job
+from service.jobs.settings import JobSettings
+from service.jobs.states import JobState
+from service.link import Link
+from service.simvehicle.client import SimulatedVehicle
+from service.simvehicle.operator import Operator
+from service.store import SqliteStore
+from service.vehicle import Vehicle, VehicleRegistry
+
+POLL_S = 0.01
+FOUND_S = 30.0
+
+SETTINGS = JobSettings(measure_s=0.3, retry_s=0.2, watch_s=0.05, stall_s=10.0)
+"""As in the service, but for waits that are the wall's: the vehicle's clock is faster."""
+PROVE_S = 20.0
+"""Seconds of the vehicle's clock that the check may take longer, where a bad wire leaves holes in its stream."""
+
+
+@dataclass
+class Session:
+    """One life of the service."""
+
+    engine: JobEngine
+    vehicle: Vehicle
+
+    async def reviewed(self, sim: SimulatedVehicle, kind: str, options: dict[str, Any]) -> Job:
+        """Run a job up to its plan, with an operator who does what it asks for."""
+        await self._ready()
+        job = await self.engine.submit(self.vehicle.id, kind, options)
+        operator = Operator(sim)
+        asked = None
+        while (job := self.engine.get(job.id)).state not in (JobState.REVIEW, JobState.FAILED, JobState.INTERRUPTED):
+            if job.prompt is not None and job.prompt is not asked:
+                asked = job.prompt
+                await asyncio.to_thread(operator.follow, step_to_json(asked))
+            await asyncio.sleep(POLL_S)
+        await asyncio.to_thread(operator.rest)
+        await asyncio.to_thread(sim.wait, 4.0)  # until it lies
+        return job
+
+    async def applied(self, job: Job) -> Job:
+        """Accept the plan, as soon as the service takes it."""
+        assert job.plan is not None
+        accept = Accept(job.plan.sha256, reboot=True, prove_s=PROVE_S)
+        while True:
+            await self._ready()
+            try:
+                return await self.engine.apply(job.id, accept)
+            except ServiceError:
+                if self.vehicle.writable().ok:
+                    raise
+
+    async def _ready(self) -> None:
+        while not self.vehicle.writable().ok:  # noqa: ASYNC110 - the condition is about another process
+            await asyncio.sleep(POLL_S)
+
+
+@asynccontextmanager
+async def session(folder: Path, url: str) -> AsyncIterator[Session]:
+    """A service that is stopped in an orderly way at the end. Raises TimeoutError if no vehicle is heard."""
+    store = SqliteStore(folder)
+    registry = VehicleRegistry()
+    link = Link("campaign", url, tlog_dir=folder / "tlogs")
+    registry.attach(link)
+    engine = JobEngine(store, Fleet(registry), settings=SETTINGS)
+    try:
+        await link.open()
+        await engine.start()
+        async with asyncio.timeout(FOUND_S):
+            vehicle = await registry.wait_for_vehicle(link)
+        yield Session(engine, vehicle)
+    finally:
+        await engine.stop()
+        registry.detach(link)
+        await link.close()
+        registry.close()
+        store.close()
