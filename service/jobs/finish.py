@@ -36,7 +36,7 @@ async def _restore(w: Writing, sent: Sent) -> None:
     if same(value, sent.new, sent.kind) and not same(sent.new, sent.old, sent.kind):
         await w.handle.record(Step.RESTORE, name=sent.name)
         w.reach(At.BEFORE_RESTORE)
-        value = await w.set(sent.name, sent.old, sent.kind)
+        value = await w.set(sent.name, sent.old, sent.kind, instead_of=sent.new)
     if not same(value, sent.old, sent.kind):
         w.handle.warn(f"{sent.name} was set to {value:g} by somebody else meanwhile and is left so")
     await w.handle.record(Step.RESTORED, name=sent.name, value=value)

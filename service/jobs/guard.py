@@ -60,6 +60,15 @@ class Guard:
             return "the vehicle runs a calibration of its own"
         return "; ".join(now.obstacles) or None
 
+    def doubt(self) -> str | None:
+        """Why even confirmed values may be others by now; None: nothing speaks for that."""
+        now = self._vehicle.condition()
+        if now.reboots != self._reboots:
+            return "before the vehicle restarted"
+        if now.conflict is not None or now.peer != self._peer or self._vehicle.identity.uid != self._uid:
+            return "possibly said by another vehicle"
+        return "before the vehicle fell silent" if now.silent else None
+
     def check(self) -> None:
         """Raise WriteStopped if nothing may be written now."""
         reason = self.reason()
@@ -87,8 +96,10 @@ class Guard:
             while not task.done():
                 news.clear()
                 waker = asyncio.ensure_future(news.wait())
-                await asyncio.wait({task, waker}, timeout=self._watch_s, return_when=asyncio.FIRST_COMPLETED)
-                waker.cancel()
+                try:
+                    await asyncio.wait({task, waker}, timeout=self._watch_s, return_when=asyncio.FIRST_COMPLETED)
+                finally:
+                    waker.cancel()
                 if not task.done():
                     self.check()
             return task.result()

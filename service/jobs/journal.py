@@ -130,18 +130,18 @@ def same(a: Value, b: Value, kind: ParameterKind) -> bool:
     return bool(np.float32(a) == np.float32(b)) if kind == ParameterKind.REAL32 else a == b
 
 
-def standing(record: WriteRecord, heard: Mapping[str, Value]) -> tuple[Standing, ...]:
+def standing(record: WriteRecord, heard: Mapping[str, Value], doubt: str | None = None) -> tuple[Standing, ...]:
     """What is known of every parameter that may have been touched.
 
     `heard` are values heard since the last PARAM_SET of each name. One that was not also confirmed as the answer to
-    that PARAM_SET is no proof: it may be a late echo from before.
+    that PARAM_SET is no proof: it may be a late echo from before. With a `doubt` nothing is certain.
     """
     found = []
     for sent in record.sent:
         value = heard.get(sent.name, sent.confirmed)
-        certain = sent.confirmed is not None and value is not None and same(value, sent.confirmed, sent.kind)
-        note = "set by somebody else" if sent.name in record.left else ""
-        found.append(Standing(sent.name, sent.old, sent.new, value, certain, note))
+        confirmed = sent.confirmed is not None and value is not None and same(value, sent.confirmed, sent.kind)
+        note = "set by somebody else" if sent.name in record.left else doubt or ""
+        found.append(Standing(sent.name, sent.old, sent.new, value, confirmed and doubt is None, note))
     return tuple(found)
 
 

@@ -55,7 +55,7 @@ class Standing:
     value: Value | None
     """The last value heard; None: none since the last PARAM_SET left."""
     certain: bool
-    """False: a PARAM_SET may still have changed it since; it holds `old` or `new` then."""
+    """False: it may have changed since; `note` says why. Without a note it holds `old` or `new`."""
     note: str = ""
 
 

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from functools import partial
-
-from calib.firmware.plan import Value
 from service.errors import WriteFailed
 from service.jobs.crashpoints import At
 from service.jobs.journal import Sent, Step, holds, same
-from service.jobs.write import Writing, read_values
+from service.jobs.model import Standing
+from service.jobs.write import Writing, current_values
 
 
-async def roll_back(w: Writing) -> None:
-    """Put the old values back. The job is rolling_back; may be called again after a crash.
+async def roll_back(w: Writing) -> tuple[Standing, ...]:
+    """Put the old values back; returns the parameters that hold somebody else's value and are left so.
 
-    Journal rows are best effort here: if the disk is full the vehicle comes first, and recovery reads the vehicle.
+    The job is rolling_back; may be called again after a crash. Journal rows are best effort here: if the disk is full
+    the vehicle comes first, and recovery reads the vehicle.
 
     Raises
     ------
@@ -23,12 +22,13 @@ async def roll_back(w: Writing) -> None:
     """
     w.reach(At.ROLLBACK_BEGUN)
     sent = w.handle.written().sent
+    if not sent:
+        return ()
     for parameter in reversed(sent):
         await _undo(w, parameter)
-    if sent:
-        # A PARAM_SET from before the stop may still be under way, and the vehicle has to save.
-        await w.settle()
-        await _verify(w, sent)
+    # A PARAM_SET from before the stop may still be under way, and the vehicle has to save.
+    await w.settle()
+    return await _verified(w, sent)
 
 
 async def _undo(w: Writing, sent: Sent) -> None:
@@ -38,27 +38,27 @@ async def _undo(w: Writing, sent: Sent) -> None:
         await w.handle.record_anyway(Step.UNDONE, name=sent.name, value=value)
         return
     if not same(value, sent.new, sent.kind):
-        await _leave(w, sent, value)
+        await w.handle.record_anyway(Step.LEFT, name=sent.name, value=value)
         return
     await w.handle.record_anyway(Step.UNDO, name=sent.name)
     w.reach(At.BEFORE_UNDO)
-    value = await w.set(sent.name, sent.old, sent.kind)
+    value = await w.set(sent.name, sent.old, sent.kind, instead_of=sent.new)
     w.reach(At.AFTER_UNDO)
     await w.handle.record_anyway(Step.UNDONE, name=sent.name, value=value)
 
 
-async def _leave(w: Writing, sent: Sent, value: Value) -> None:
-    await w.handle.record_anyway(Step.LEFT, name=sent.name, value=value)
-    w.handle.warn(f"{sent.name} holds {value:.9g}, which is neither its old value nor ours: it is left so")
-
-
-async def _verify(w: Writing, sent: tuple[Sent, ...]) -> None:
-    names = [s.name for s in sent]
-    readings = await w.guard.run(partial(read_values, w.vehicle, names))
-    values = {name: reading.value for name, reading in readings.items()}
+async def _verified(w: Writing, sent: tuple[Sent, ...]) -> tuple[Standing, ...]:
+    """Read the whole plan's parameters: those that we sent, and those that somebody may have changed meanwhile."""
+    values = await current_values(w)
     ours = [s.name for s in sent if holds(s, values, "new") and not holds(s, values, "old")]
     if ours:
         raise WriteFailed(f"these parameters still hold the new value: {', '.join(ours)}")
-    for s in sent:
-        if not holds(s, values, "old"):
-            await _leave(w, s, values[s.name])
+    left = []
+    for change in w.plan.changes:
+        old, value = w.old_value(change), values[change.name]
+        if not same(value, old, change.kind):
+            await w.handle.record_anyway(Step.LEFT, name=change.name, value=value)
+            note = f"{change.name} held {old:.9g} before and holds {value:.9g} now, not set by us: it is left so"
+            w.handle.warn(note)
+            left.append(Standing(change.name, old, change.new, value, certain=True, note=note))
+    return tuple(left)

@@ -13,6 +13,7 @@ A running write and the recovery after a crash share everything behind ``prepare
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from functools import partial
@@ -22,7 +23,7 @@ from calib.firmware.plan import Value, Verdict, Verification
 from service.errors import ServiceError, WriteFailed, WriteStopped
 from service.jobs.crashpoints import At
 from service.jobs.finish import finish
-from service.jobs.guard import STOPPING
+from service.jobs.guard import STOPPING, Guard
 from service.jobs.handle import JobHandle
 from service.jobs.journal import Next, Step, decide, standing
 from service.jobs.model import Failure, Outcome, Result
@@ -46,6 +47,8 @@ class Transaction:
     handle: JobHandle
     attempt: Callable[[], Writing]
     retry_s: float
+    _guard: Guard | None = None
+    """That of the last attempt: it remembers how the vehicle was."""
 
     async def apply(self) -> None:
         """Write the plan. The job is applying; it ends succeeded or reverted, or in review if nothing was sent."""
@@ -70,6 +73,7 @@ class Transaction:
     async def resolve(self) -> None:
         """Bring the job to its end if it is in doubt: as soon as its vehicle may be written to, and tries for ever."""
         while self.handle.job.state == JobState.IN_DOUBT:
+            self._look_back()
             try:
                 w = self.attempt()
                 w.guard.check()
@@ -90,6 +94,15 @@ class Transaction:
             await self._failed(w, error)
         finally:
             forget()
+            self._guard = w.guard
+
+    def _look_back(self) -> None:
+        """What was certain when the write stopped need not be so any more, say after a restart of the vehicle."""
+        doubt = None if self._guard is None else self._guard.doubt()
+        known = self.handle.job.standing
+        if doubt is not None and any(s.certain for s in known):
+            changed = tuple(dataclasses.replace(s, certain=False, note=s.note or doubt) for s in known)
+            self.handle.change("standing", {"note": doubt}, standing=changed)
 
     async def _failed(self, w: Writing, error: Exception) -> None:
         if self.handle.job.state in (JobState.ROLLING_BACK, JobState.IN_DOUBT):
@@ -155,14 +168,11 @@ async def _take_back(w: Writing, because: str) -> None:
     if w.handle.job.state != JobState.ROLLING_BACK:
         w.handle.move_anyway(JobState.ROLLING_BACK, standing=(), prompt=None)
     await w.handle.record_anyway(Step.ROLL_BACK, because=because)
-    await roll_back(w)
+    left = await roll_back(w)
     await restore_streams(w.handle, w.vehicle)
     await w.handle.record_anyway(Step.CLOSED)
     w.reach(At.CLOSED)
-    record = w.handle.written()
-    left = standing(record, dict(record.left))
-    kept = tuple(s for s in left if s.name in record.left)
-    w.handle.move_anyway(JobState.REVERTED, outcome=_taken_back(because), standing=kept, prompt=None)
+    w.handle.move_anyway(JobState.REVERTED, outcome=_taken_back(because), standing=left, prompt=None)
 
 
 def _taken_back(because: str) -> Outcome:
@@ -175,7 +185,7 @@ async def _doubt(w: Writing, reason: str) -> None:
     """Nothing more is sent; say what is known of every parameter."""
     if w.handle.job.state == JobState.IN_DOUBT:
         return
-    known = standing(w.handle.written(), w.heard)
+    known = standing(w.handle.written(), w.heard, w.guard.doubt())
     await w.handle.record_anyway(Step.STOPPED, reason=reason)
     remedy = "Disarm the vehicle and keep it on the ground and in reach: this is then finished or taken back by itself."
     w.handle.move_anyway(JobState.IN_DOUBT, outcome=Failure("in-doubt", reason, remedy), standing=known, prompt=None)

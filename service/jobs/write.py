@@ -10,7 +10,7 @@ import asyncio
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Protocol
+from typing import Any, Protocol
 
 from calib.firmware.fingerprint import fingerprint
 from calib.firmware.plan import Change, ParameterKind, Value, Verification, WritePlan, snapshot_sha256
@@ -62,14 +62,52 @@ class Writing:
         """Take note of a PARAM_VALUE."""
         self.heard[reading.name] = reading.value
 
-    async def set(self, name: str, value: Value, kind: ParameterKind) -> Value:
-        """Write one parameter under the guard; returns what the vehicle confirmed."""
+    async def set(self, name: str, value: Value, kind: ParameterKind, *, instead_of: Value) -> Value:
+        """Write one parameter under the guard; returns what the vehicle confirmed.
+
+        Raises
+        ------
+        WriteFailed
+            As soon as the vehicle states a value that is neither ours nor the one `instead_of` which it is written:
+            somebody else has set it, and is not overwritten by a repetition.
+        WriteStopped, ParameterError
+        """
         self.heard.pop(name, None)
-        return (await self.guard.run(partial(self.vehicle.set_parameter, name, value, kind))).value
+        foreign: asyncio.Future[Value] = asyncio.get_running_loop().create_future()
+
+        def watch(reading: Reading) -> None:
+            known = same(reading.value, value, kind) or same(reading.value, instead_of, kind)
+            if reading.name == name and not known and not foreign.done():
+                foreign.set_result(reading.value)
+
+        forget = self.vehicle.on_parameter(watch)
+        setting = asyncio.ensure_future(self.guard.run(partial(self.vehicle.set_parameter, name, value, kind)))
+        try:
+            either: set[asyncio.Future[Any]] = {setting, foreign}
+            await asyncio.wait(either, return_when=asyncio.FIRST_COMPLETED)
+            if foreign.done():
+                raise WriteFailed(f"somebody else set {name} to {foreign.result():.9g} meanwhile")
+            return setting.result().value
+        finally:
+            forget()
+            foreign.cancel()
+            if not setting.done():
+                setting.cancel()
+            await asyncio.wait({setting})
+            if not setting.cancelled():
+                setting.exception()  # said already, or overtaken by a stronger reason
 
     async def get(self, name: str) -> Value:
         """Read one parameter under the guard."""
         return (await self.guard.run(partial(self.vehicle.read_parameter, name))).value
+
+    def old_value(self, change: Change) -> Value:
+        """What the parameter held before the write; raises WriteFailed if that was not kept."""
+        kept = self.handle.store.snapshot(self.handle.id, SnapshotPurpose.BEFORE_WRITE)
+        if kept is None:
+            raise WriteFailed("there is no snapshot of the old values: nothing is written")
+        value: Value = kept.body[change.name]["value"]
+        return value
 
     async def settle(self) -> None:
         """Wait under the guard until the vehicle has saved what was written, by its clock or by ours."""
@@ -160,17 +198,14 @@ async def _keep_snapshot(w: Writing, old: Mapping[str, Reading]) -> None:
 
 async def send_all(w: Writing) -> None:
     """Write every parameter of the plan in its order. Raises WriteStopped, ParameterError."""
-    kept = w.handle.store.snapshot(w.handle.id, SnapshotPurpose.BEFORE_WRITE)
-    if kept is None:
-        raise WriteFailed("there is no snapshot of the old values: nothing is written")
     for change in w.plan.changes:
         w.guard.check()
-        old = kept.body[change.name]["value"]
+        old = w.old_value(change)
         await w.handle.record(
             Step.SEND, name=change.name, old=old, new=change.new, kind=change.kind.value, session=change.session
         )
         w.reach(At.BEFORE_SEND)
-        value = await w.set(change.name, change.new, change.kind)
+        value = await w.set(change.name, change.new, change.kind, instead_of=old)
         w.reach(At.AFTER_ECHO)
         await w.handle.record(Step.ECHO, name=change.name, value=value)
         w.reach(At.ECHO_KEPT)

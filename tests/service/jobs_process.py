@@ -41,7 +41,8 @@ async def live(bench: Session, action: str) -> None:
         await bench.accepted(bench.engine.list()[-1])
     elif action == "revert":
         await bench.engine.revert(bench.engine.list()[-1].id)
-    await bench.until(bench.engine.list()[-1].id, *ENDED, JobState.REVIEW, seconds=LIMIT_S)
+    job = await bench.until(bench.engine.list()[-1].id, *ENDED, JobState.REVIEW, seconds=LIMIT_S)
+    sys.stderr.write(f"{job.state}: {job.outcome} {job.warnings}\n")
 
 
 async def main(folder: str, url: str, action: str, point: str, occurrence: str) -> None:

@@ -171,6 +171,58 @@ async def test_a_third_partys_value_is_left_and_named(make_bench: MakeBench) -> 
     assert any("INS_GYROFFS_X" in text for text in bench.handle.job.warnings)
 
 
+async def test_somebody_elses_value_heard_meanwhile_is_not_overwritten_by_a_repetition(make_bench: MakeBench) -> None:
+    bench = make_bench()
+
+    async def never_echoed(name: str, value: Any, kind: Any) -> Any:
+        if name == "INS_GYROFFS_Y":
+            bench.vehicle.store(name, 0.125)  # its PARAM_VALUE is heard; the echo of ours never comes
+            await asyncio.sleep(30)
+        return await original(name, value, kind)
+
+    original = bench.vehicle.set_parameter
+    bench.vehicle.set_parameter = never_echoed  # type: ignore[method-assign]
+    await bench.apply()
+    assert bench.state == JobState.REVERTED
+    assert bench.held() == {**BEFORE, "INS_GYROFFS_Y": 0.125}
+    assert isinstance(bench.handle.job.outcome, Failure)
+    assert "somebody else set INS_GYROFFS_Y to 0.125" in bench.handle.job.outcome.cause
+
+
+async def test_what_was_never_sent_but_changed_meanwhile_is_named(make_bench: MakeBench) -> None:
+    bench = make_bench()
+    bench.vehicle.after_set = lambda n: bench.vehicle.store("INS_GYROFFS_Z", 0.5)
+
+    def speak_again(at: At) -> None:
+        if at == At.ROLLBACK_BEGUN:
+            bench.vehicle.mute.clear()
+
+    bench.reach = speak_again
+    bench.vehicle.before_set = lambda n: bench.vehicle.mute.add("INS_GYROFFS_Y") if n == 1 else None
+    await bench.apply()
+    assert bench.state == JobState.REVERTED
+    assert [s.name for s in bench.handle.job.standing] == ["INS_GYROFFS_Z"]
+    assert bench.held() == {**BEFORE, "INS_GYROFFS_Z": 0.5}
+
+
+async def test_after_a_restart_nothing_is_certain(make_bench: MakeBench) -> None:
+    bench = make_bench()
+
+    def fail(n: int) -> None:
+        if n == 2:
+            bench.vehicle.change_state(reboots=1, armed=True)
+
+    bench.vehicle.after_set = fail
+    running = asyncio.create_task(bench.apply())
+    await until(lambda: bench.state == JobState.IN_DOUBT)
+    assert bench.handle.job.standing
+    assert not any(s.certain for s in bench.handle.job.standing)
+    assert "restarted" in bench.handle.job.standing[0].note
+    bench.vehicle.change_state(armed=False)
+    await running
+    assert bench.held() == BEFORE
+
+
 async def test_revert_of_a_finished_write(make_bench: MakeBench) -> None:
     bench = make_bench()
     await bench.apply()
