@@ -26,6 +26,7 @@ from calib.norm_fit import (
     model_of,
     solve,
     unlearnt,
+    weighted_along,
     with_neutral,
     without_crosses,
 )
@@ -99,6 +100,9 @@ def fit_poses(
         return refusal(nonsense)
     problem = NormProblem.of(poses, in_si=unit == "m/s2", gravity=gravity, cross_sd=cross_sd)
     weak = solve(problem, weak=True)
+    if weak is not None:
+        problem = weighted_along(problem, poses, weak)
+        weak = solve(problem, weak=True)
     if weak is None:
         return refusal("the poses do not lie on one sphere: check the unit, and that every pose was still")
     sd = np.sqrt(np.diag(weak.covariance))

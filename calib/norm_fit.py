@@ -6,12 +6,14 @@ fit is :func:`calib.accel.fit_poses`.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.geometry import sphere_of
 from calib.stillness import PoseMean
 from calib.triad import TriadModel
 
@@ -42,7 +44,7 @@ class NormProblem:
         """The problem of `poses`; `in_si`: their radius is `gravity`, else it is found from them."""
         means = np.array([pose.mean for pose in poses])
         covariances = np.array([pose.covariance for pose in poses])
-        centre, radius = (np.zeros(3), gravity) if in_si else _sphere(means)
+        centre, radius = (np.zeros(3), gravity) if in_si else sphere_of(means)
         floor = (1e-9 * radius) ** 2 * np.eye(3)  # exact numbers keep a weight
         prior = np.zeros(9)
         prior[6:] = 0.0 if cross_sd is None else 1.0 / max(cross_sd, 1e-9) ** 2
@@ -119,15 +121,17 @@ def _symmetric(c: Array) -> Array:
     return np.array([[c[0], c[3], c[4]], [c[3], c[1], c[5]], [c[4], c[5], c[2]]])
 
 
-def _sphere(means: Array) -> tuple[Array, float]:
-    """Centre and radius by linear least squares on ``|m|^2 = 2 m.b + k`` about the mean."""
-    shift = means.mean(axis=0)
-    y = means - shift
-    size = float(np.sqrt((y**2).sum(axis=1).mean())) or 1.0
-    y = y / size
-    solution = np.linalg.lstsq(np.column_stack([2.0 * y, np.ones(len(y))]), (y**2).sum(axis=1), rcond=1e-9)[0]
-    radius = np.sqrt(max(solution[3] + solution[:3] @ solution[:3], 1e-6))
-    return shift + size * solution[:3], float(size * radius)
+def weighted_along(problem: NormProblem, poses: Sequence[PoseMean], solution: NormSolution) -> NormProblem:
+    """The same problem with each pose's variance taken along its own normal, as `solution` knows it."""
+    C = _symmetric(solution.parameters[3:])
+    normals = solution.directions @ C
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    covariances = problem.covariances.copy()
+    for k, pose in enumerate(poses):
+        if pose.estimate is not None:
+            variance = pose.estimate.variance_along(normals[k]) / problem.radius**2 + 1e-18
+            covariances[k] = variance * np.eye(3)
+    return dataclasses.replace(problem, covariances=covariances)
 
 
 def unlearnt(problem: NormProblem, solution: NormSolution, cross_sd: float | None) -> list[int]:

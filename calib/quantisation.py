@@ -37,7 +37,8 @@ class QuantisedMean:
 
     `covariance` (k, k) is that of the mean, serial correlation included. `sd` (k,) is the noise of one sample, nan
     for a `constant` axis: its samples all lie in one bin, the mean is that bin's middle and anywhere in the bin is as
-    likely. `n_effective` is the number of independent samples that the worst axis is worth.
+    likely. `n_effective` is the number of independent samples that the worst axis is worth. `influence` (N, k) is each
+    sample's pull, whose mean scatters as the estimate does, `bin_variance` (k,) what one or two bins leave open.
     """
 
     mean: Array
@@ -46,6 +47,12 @@ class QuantisedMean:
     n_effective: float
     sd: Array
     constant: tuple[bool, ...]
+    influence: Array
+    bin_variance: Array
+
+    def variance_along(self, direction: Array) -> float:
+        """Variance of the mean's component along the unit vector `direction` (k,), serial correlation included."""
+        return long_run_variance(self.influence @ direction) / self.n + float(direction**2 @ self.bin_variance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +104,9 @@ def mean_of(channel: Channel, *, frame: Array | None = None) -> QuantisedMean:
     influence = np.column_stack([a.influence for a in axes])
     basis = np.eye(values.shape[1]) if frame is None else np.asarray(frame, dtype=np.float64)
     long_run = np.array([long_run_variance(column) for column in (influence @ basis).T])
-    covariance = (basis * (long_run / len(values))) @ basis.T + np.diag([a.extra_variance for a in axes])
-    sampled = influence.var(axis=0, ddof=1) / len(values) + np.array([a.extra_variance for a in axes])
+    bin_variance = np.array([a.bin_variance for a in axes])
+    covariance = (basis * (long_run / len(values))) @ basis.T + np.diag(bin_variance)
+    sampled = influence.var(axis=0, ddof=1) / len(values) + bin_variance
     worth = np.divide(sampled, np.diag(covariance), out=np.ones(len(axes)), where=np.diag(covariance) > 0)
     return QuantisedMean(
         mean=np.array([a.mean for a in axes]),
@@ -107,6 +115,8 @@ def mean_of(channel: Channel, *, frame: Array | None = None) -> QuantisedMean:
         n_effective=float(len(values) * min(1.0, worth.min())),
         sd=np.array([a.sd for a in axes]),
         constant=tuple(a.constant for a in axes),
+        influence=influence,
+        bin_variance=bin_variance,
     )
 
 
@@ -153,7 +163,7 @@ def impute(values: Array, half: Array, expected: Array, sigma: float) -> tuple[A
 class _AxisMean:
     mean: float
     influence: Array  # per sample, in the unit: its mean scatters as the estimate does
-    extra_variance: float
+    bin_variance: float
     sd: float
     constant: bool
 

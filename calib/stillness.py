@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import InvalidInputError
-from calib.quantisation import mean_of
+from calib.geometry import frame_along, sphere_of
+from calib.quantisation import QuantisedMean, mean_of
 from calib.recording import Channel, Recording, Sensor
 from calib.windows import Windows, finite_rows, row_of, window_statistics
 
@@ -89,7 +90,8 @@ class PoseMean:
     """What one accelerometer read in one still span.
 
     `mean` (3,) is freed of quantisation bias and of the shrink by tremor, `covariance` (3, 3) is that of the mean.
-    `temperature` in degC and `rate` (3,) in rad/s are None where nothing measured them.
+    `temperature` in degC and `rate` (3,) in rad/s are None where nothing measured them. `estimate` tells the variance
+    along any direction: a hand's sway across gravity must not count as noise along it. None: `covariance` does.
     """
 
     start: float
@@ -99,6 +101,7 @@ class PoseMean:
     n: int
     temperature: float | None = None
     rate: Array | None = None
+    estimate: QuantisedMean | None = None
 
 
 class StillnessDetector:
@@ -227,8 +230,8 @@ class StillnessDetector:
 def find_still(recording: Recording, *, instance: int = 0, limits: StillnessLimits = HELD) -> tuple[Still, ...]:
     """Every still span of `recording`, judged by the accelerometer and the gyroscope of `instance`.
 
-    One of the two is enough. Gyroscopes in counts are judged by their own quietest tenth of windows, because no limit
-    in rad/s applies to them.
+    One of the two is enough. Sensors in counts are judged by their own quietest tenth of windows: a gyroscope about its
+    usual reading, an accelerometer about the centre of its poses, which makes gravity known.
 
     Raises
     ------
@@ -243,6 +246,8 @@ def find_still(recording: Recording, *, instance: int = 0, limits: StillnessLimi
         raise InvalidInputError(f"the recording has neither accelerometer nor gyroscope {instance}")
     if gyro is not None and gyro.unit != "rad/s":
         limits, gyro = _limits_of_counts(limits, gyro)
+    if accel is not None and accel.unit != "m/s2":
+        accel = _centred_counts(limits, accel)
     detector = StillnessDetector(limits, accel=accel is not None, gyro=gyro is not None)
     return detector.feed(accel, gyro) + detector.finish()
 
@@ -266,7 +271,7 @@ def pose_means(
         if len(part) < 8:
             continue
         direction = part.values.mean(axis=0)
-        estimate = mean_of(part, frame=_frame_along(direction))
+        estimate = mean_of(part, frame=frame_along(direction))
         swing = (
             np.zeros((3, 3)) if gyro is None or rate is None else _swing(gyro, still, rate if bias is None else bias)
         )
@@ -280,6 +285,7 @@ def pose_means(
                 n=len(part),
                 temperature=_mean_temperature(temperature, still),
                 rate=rate,
+                estimate=estimate,
             )
         )
     return tuple(poses)
@@ -345,27 +351,34 @@ def _reasons(limits: StillnessLimits, accel: Windows | None, gyro: Windows | Non
 
 
 def _limits_of_counts(limits: StillnessLimits, gyro: Channel) -> tuple[StillnessLimits, Channel]:
-    """Limits for a gyroscope of unknown scale: six times the scatter of its quietest tenth, about its usual reading."""
-    starts = np.arange(gyro.t[0], gyro.t[-1] - limits.window, limits.window / 4)
-    windows = window_statistics(gyro.t, gyro.values, gyro.t[0], starts, limits.window)
-    usable = windows.n >= _LEAST_SAMPLES
-    if not usable.any():
+    """Limits for a gyroscope of unknown scale: six times its floor, about its usual reading."""
+    floor, means = _quiet_windows(limits, gyro)
+    if not len(means):
         return limits, gyro
-    floor = max(float(np.quantile(windows.scatter[usable], 0.1)), 1e-9)
-    quiet = usable & (windows.scatter <= 3.0 * floor)
-    centred = dataclasses.replace(gyro, values=gyro.values - np.median(windows.mean[quiet], axis=0))
+    centred = dataclasses.replace(gyro, values=gyro.values - np.median(means, axis=0))
     scaled = dataclasses.replace(limits, gyro_scatter=6.0 * floor, rate=10.0 * floor, gyro_drift=6.0 * floor)
     return scaled, centred
 
 
-def _frame_along(direction: Array) -> Array:
-    """Orthonormal columns of which the first lies along `direction`."""
-    size = np.linalg.norm(direction)
-    if size == 0.0:
-        return np.eye(3)
-    unit = direction / size
-    basis = np.linalg.qr(np.column_stack([unit, np.eye(3)[np.argsort(np.abs(unit))[:2]].T]))[0]
-    return np.asarray(basis, dtype=np.float64)
+def _centred_counts(limits: StillnessLimits, accel: Channel) -> Channel:
+    """An accelerometer of unknown scale about the centre of its quiet readings; as it is where they are all alike."""
+    _, means = _quiet_windows(limits, accel)
+    if len(means) < 8:
+        return accel
+    centre, radius = sphere_of(means)
+    spread = np.linalg.eigvalsh(np.cov(means.T))
+    return dataclasses.replace(accel, values=accel.values - centre) if spread[0] > 0.01 * radius**2 else accel
+
+
+def _quiet_windows(limits: StillnessLimits, channel: Channel) -> tuple[float, Array]:
+    """Scatter of the quietest tenth of windows, and the means (M, 3) of all that are hardly noisier."""
+    starts = np.arange(channel.t[0], channel.t[-1] - limits.window, limits.window / 4)
+    windows = window_statistics(channel.t, channel.values, channel.t[0], starts, limits.window)
+    usable = windows.n >= _LEAST_SAMPLES
+    if not usable.any():
+        return 0.0, np.zeros((0, 3))
+    floor = max(float(np.quantile(windows.scatter[usable], 0.1)), 1e-9)
+    return floor, windows.mean[usable & (windows.scatter <= 3.0 * floor)]
 
 
 def _rate(gyro: Channel | None, still: Still) -> Array | None:

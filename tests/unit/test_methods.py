@@ -289,3 +289,35 @@ def test_a_drift_that_does_not_repeat_is_declined(shared_data, file, y, z):
         assert gyro.model.polynomial.coefficients[2, 0] * 1e3 == pytest.approx(z, abs=0.01)
     assert accel.model.polynomial is not None
     assert accel.model.polynomial.coefficients[1:, 0] == pytest.approx([-0.022, 0.024], abs=0.0015)
+
+
+@pytest.mark.shared
+def test_counts_of_a_hand_held_sensor_give_the_certificate(shared_data):
+    recording = read(
+        shared_data / "imu_tk_xsens" / "xsens_acc.mat",
+        mapping={"t": "0", "accel_x": "1", "accel_y": "2", "accel_z": "3"},
+        unit_accel="counts",
+    )
+    (fit,) = METHODS["accel-multi"].run(recording, {"gravity": 9.81744})
+    assert fit.quality["poses"] == pytest.approx(38, abs=2)
+    assert fit.model.offset == pytest.approx([33_123.9, 33_275.2, 32_364.4], abs=1.0)
+    assert 1.0 / np.diag(fit.model.matrix) == pytest.approx([414.4, 412.0, 414.6], rel=5e-4)
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize(
+    ("file", "scale", "offset"),
+    [
+        ("imu0.log", (0.9961, 0.9966, 0.9934), (0.103, 0.097, 0.344)),
+        ("imu1.log", (0.9951, 0.9950, 0.9904), (0.090, 0.070, 0.338)),
+    ],
+)
+def test_two_hand_held_boards(shared_data, file, scale, offset):
+    names = ("accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z")
+    recording = read(
+        shared_data / "mikoff_mpu9150x5" / file, mapping=dict(zip(names, "012345", strict=True)), rate=100.0
+    )
+    (fit,) = METHODS["accel-multi"].run(recording)
+    assert np.diag(fit.model.matrix) == pytest.approx(scale, abs=5e-4)
+    assert fit.model.offset == pytest.approx(offset, abs=2e-3)
+    assert fit.quality["p_value"] > 1e-3
