@@ -21,7 +21,12 @@ class Ending(StrEnum):
     FAILURE = "FAILURE"
 
 
-ENDINGS = {"succeeded": Ending.VERIFIED, "reverted": Ending.AS_BEFORE, "review": Ending.AS_BEFORE}
+ENDINGS = {
+    "succeeded": Ending.VERIFIED,
+    "reverted": Ending.AS_BEFORE,
+    "review": Ending.AS_BEFORE,
+    "interrupted": Ending.AS_BEFORE,
+}
 """What a job in this state claims of its vehicle."""
 
 SET_BY_COMMAND = ("INS_ACC_ID", "INS_ACC2_ID", "INS_ACC3_ID", "COMPASS_DEV_ID", "COMPASS_DEV_ID2")
@@ -40,8 +45,9 @@ class Evidence:
 
     @property
     def changes(self) -> Sequence[Json]:
-        """The plan's changes."""
-        changes: Sequence[Json] = self.job["plan"]["changes"]
+        """The plan's changes; none before there is a plan."""
+        plan = self.job["plan"]
+        changes: Sequence[Json] = [] if plan is None else plan["changes"]
         return changes
 
 

@@ -80,7 +80,7 @@ class Scenario:
 def scenarios(count: int, seed: int) -> tuple[Scenario, ...]:
     """The `count` runs of a campaign; run `i` of the same seed is always the same."""
     recipes = cycle(_ROTATION)
-    decks = {name: cycle(kinds) for name, kinds in _DECKS.items()}
+    decks: dict[str, Iterator[str]] = {name: cycle(kinds) for name, kinds in _DECKS.items()}
     return tuple(_scenario(i, seed, next(recipes), decks) for i in range(count))
 
 
@@ -137,7 +137,7 @@ def _wires(draw: random.Random, decks: dict[str, Iterator[str]], count: int) -> 
         if kind in WIRE:
             yield _wire(draw, kind, Phase.WRITE)
         else:
-            options = {"count": draw.randint(1, 3)}
+            options: Json = {"count": draw.randint(1, 3)}
             options |= {"delay_s": draw.uniform(1.0, 40.0)} if kind == "late_echo" else {}
             yield Strike(kind, Phase.WRITE, draw.random(), options)
 

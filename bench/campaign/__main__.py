@@ -1,0 +1,129 @@
+"""``python -m bench.campaign [faults|kills|all]``: run, print the tables, exit 1 if a criterion is not met."""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import sys
+import time
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import TypeVar
+
+from bench.campaign import criteria, tables
+from bench.campaign.criteria import Criterion
+from bench.campaign.document import write_document
+from bench.campaign.fault_run import run_fault
+from bench.campaign.judge import Ending
+from bench.campaign.kill_run import run_kill
+from bench.campaign.kill_scene import REPEATS, kill_of, kills, repetition
+from bench.campaign.report import FaultReport, KillReport
+from bench.campaign.scenario import scenarios
+
+DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "fault-campaign.md"
+RUNS = 240
+MOST_REPETITIONS = 8
+"""A kill that comes a step too late is tried again, so often at most."""
+
+Job = TypeVar("Job")
+Report = TypeVar("Report", FaultReport, KillReport)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run what is asked for. Exit code 1: a criterion is not met, or the single run asked for has failed."""
+    parser = argparse.ArgumentParser(prog="scripts/campaign", description=__doc__)
+    parser.add_argument("part", nargs="?", choices=("faults", "kills", "all"), default="all")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--runs", type=int, default=RUNS, help="number of fault runs")
+    parser.add_argument("--run", type=int, default=None, help="only this run, with all it has to say")
+    parser.add_argument("--workers", type=int, default=4, help="runs at the same time")
+    args = parser.parse_args(argv)
+    if args.run is not None:
+        return _single(args)
+    began = time.monotonic()
+    faults: list[FaultReport] = []
+    killed: list[KillReport] = []
+    found: list[Criterion] = []
+    texts: list[str] = []
+    with ProcessPoolExecutor(args.workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+        if args.part != "kills":
+            faults = _all(pool, run_fault, scenarios(args.runs, args.seed))
+            texts.append(tables.fault_tables(faults))
+            found += criteria.of_faults(faults)
+        if args.part != "faults":
+            killed = _kills(pool, args.seed)
+            texts.append(tables.kill_table(killed))
+            found += criteria.of_kills(killed)
+    print("\n\n".join(["", *texts, tables.criteria_table(found)]))
+    _show_failures([*faults, *killed])
+    print(f"\nseed {args.seed}, {len(faults)} fault runs and {len(killed)} SIGKILL runs, {_minutes(began)}")
+    if args.part == "all":
+        write_document(DOCUMENT, args.seed, faults, killed, found)
+    return 0 if all(criterion.met for criterion in found) else 1
+
+
+def _single(args: argparse.Namespace) -> int:
+    report: FaultReport | KillReport
+    if args.part == "kills":
+        report = run_kill(kill_of(args.seed, args.run))
+    else:
+        scenario = scenarios(max(args.runs, args.run + 1), args.seed)[args.run]
+        print(scenario)
+        report = run_fault(scenario)
+    print(report)
+    return int(report.ending == Ending.FAILURE)
+
+
+def _all(pool: ProcessPoolExecutor, run: Callable[[Job], Report], jobs: Iterable[Job]) -> list[Report]:
+    reports = []
+    for report in pool.map(run, jobs):
+        reports.append(report)
+        _progress(report)
+    return reports
+
+
+def _kills(pool: ProcessPoolExecutor, seed: int) -> list[KillReport]:
+    """Every planned kill; those whose step was left behind before the signal came are repeated."""
+    planned = list(kills(seed))
+    reports = _all(pool, run_kill, planned)
+    by_step = {kill.step: kill for kill in reversed(planned)}
+    number = 0
+    for _ in range(MOST_REPETITIONS):
+        struck = criteria.struck_steps(reports)
+        missing = [kill for step, kill in by_step.items() for _ in range(REPEATS - struck[step.value])]
+        if not missing:
+            break
+        more = [repetition(kill, number + i) for i, kill in enumerate(missing, start=1)]
+        number += len(more)
+        reports += _all(pool, run_kill, more)
+    return reports
+
+
+def _progress(report: FaultReport | KillReport) -> None:
+    if isinstance(report, KillReport):
+        what = (
+            f"kill {report.index:3} {report.scene}: aimed at {report.aimed}, struck {', '.join(report.struck) or '-'}"
+        )
+    else:
+        struck = ", ".join(kind for kind, count in report.strikes.items() if count)
+        what = f"run {report.index:3} {report.autopilot} {report.job}: {struck}"
+    print(f"{what} -> {report.ending} ({report.seconds:.0f} s)", file=sys.stderr, flush=True)
+    for complaint in report.complaints:
+        print(f"    {complaint}\n    {report.reproduce}", file=sys.stderr, flush=True)
+
+
+def _show_failures(reports: Iterable[FaultReport | KillReport]) -> None:
+    for report in reports:
+        if report.ending == Ending.FAILURE:
+            print(f"\nFAILURE: {report.reproduce}")
+            print("\n".join(f"    {complaint}" for complaint in report.complaints))
+            print(f"    the job says: {report.says}")
+
+
+def _minutes(began: float) -> str:
+    return f"{(time.monotonic() - began) / 60:.0f} min"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

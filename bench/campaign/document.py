@@ -1,0 +1,63 @@
+"""``docs/fault-campaign.md``: what the campaign is, and what it measured last."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from bench.campaign.criteria import Criterion
+from bench.campaign.report import FaultReport, KillReport
+from bench.campaign.tables import criteria_table, fault_tables, kill_table
+
+TEXT = """# Fault campaign
+
+`scripts/campaign` lets real jobs (capture, plan, accept, write, check) run against simulated vehicles of both
+autopilots and spoils them after the first PARAM_SET. It prints the tables below, writes this file and exits 1 if
+anything that is to be shown is not. `scripts/campaign faults --seed S --run N` repeats a single run.
+
+Every run is judged by the simulator alone, never by the service's word:
+
+* **verified**: the job succeeded, every parameter of the plan is stored with its new value, nothing else changed, and
+  the true residual error of every calibrated sensor, under the values that are in force, is within 4.5 times the
+  standard deviation that was asked for.
+* **as before**: every parameter is stored as it was before the accept. What a third party wrote stays, and is named by
+  the job where it lies on a parameter of the plan.
+* **in doubt, list true**: every value that the job calls certain is stored, every other one is the old or the new
+  one, nothing outside the list changed, and the vehicle takes no new job. Where an operator then disarms the vehicle
+  or mends the link, the job has to come out of its doubt by itself.
+* **FAILURE**: anything else, jobs that never end and PARAM_SETs to an armed vehicle among them.
+
+A fault on the wire counts as a strike if it was switched on with a PARAM_SET, or later, and hit at least one frame. The
+vehicle's clock runs 20 times faster than the wall's; 5 times where the wire holds frames back, because that takes
+wall time. "Accepted but not applied" is measured against the standard deviation of the stream check.
+
+In the SIGKILL runs the service is `mavcal serve` in a process of its own. It gets SIGKILL from outside when its
+journal, read through a connection that cannot write, reaches a chosen step, and is started again on the same data
+directory; the step that counts is the last one that lay in the journal when the process was dead.
+
+## What was measured (seed {seed})
+
+{criteria}
+
+## Faults
+
+{faults}
+
+## SIGKILL
+
+{kills}
+"""
+
+
+def write_document(
+    path: Path,
+    seed: int,
+    faults: Sequence[FaultReport],
+    killed: Sequence[KillReport],
+    criteria: Sequence[Criterion],
+) -> None:
+    """Write the document of a whole campaign."""
+    text = TEXT.format(
+        seed=seed, criteria=criteria_table(criteria), faults=fault_tables(faults), kills=kill_table(killed)
+    )
+    path.write_text(text, encoding="utf-8")

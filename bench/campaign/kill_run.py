@@ -1,0 +1,221 @@
+"""One SIGKILL run: ``mavcal serve``, killed when its journal reaches a step, started again, and left to itself."""
+
+from __future__ import annotations
+
+import http.client
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from bench.campaign.judge import Ending, Evidence, judge
+from bench.campaign.kill_scene import Kill
+from bench.campaign.report import KillReport
+from bench.campaign.scenario import OPTIONS, SPEED
+from bench.campaign.service_process import ServiceProcess, journal, wait_for_step
+from bench.campaign.session import PROVE_S
+from bench.campaign.truth import Holding, holding, residuals
+from service.client import ApiError, ServiceClient
+from service.jobs.journal import Step
+from service.simvehicle.client import SimulatedVehicle
+from service.simvehicle.operator import Operator
+
+Json = dict[str, Any]
+
+REVIEWED_S = 90.0
+KILLED_S = 60.0
+RESOLVED_S = 120.0
+POLL_S = 0.05
+ENDED = frozenset({"succeeded", "reverted", "review", "interrupted", "failed", "cancelled"})
+
+
+def run_kill(kill: Kill) -> KillReport:
+    """Carry out one run; never raises: what goes wrong is a complaint of the report."""
+    began = time.monotonic()
+    run = _KillRun(kill)
+    try:
+        ending, complaints = run.outcome()
+    except Exception as error:  # noqa: BLE001 - a run that breaks is a failure to be shown, not the end of the campaign
+        ending, complaints = Ending.FAILURE, (f"{type(error).__name__}: {error}",)
+    aimed = f"{kill.step} {kill.occurrence}" + (f", {kill.again}" if kill.again else "")
+    return KillReport(
+        kill.index,
+        kill.seed,
+        kill.scene,
+        aimed,
+        tuple(run.struck),
+        ending,
+        complaints,
+        run.says,
+        time.monotonic() - began,
+        tuple(run.steps),
+    )
+
+
+class _KillRun:
+    def __init__(self, kill: Kill) -> None:
+        self._kill = kill
+        self.struck: list[str] = []
+        self.steps: list[str] = []
+        self.says = ""
+        self._foreign: dict[str, float] = {}
+        self._job_id = ""
+
+    def outcome(self) -> tuple[Ending, tuple[str, ...]]:
+        scene = self._kill.scenery
+        config = {"thermal": False, "parameters": dict(scene.parameters)}
+        seed = self._kill.seed * 10_000 + 5_000 + self._kill.index
+        with (
+            tempfile.TemporaryDirectory(prefix="mavcal-campaign-") as folder,
+            SimulatedVehicle(scene.autopilot, seed=seed, speed=SPEED, config=config) as vehicle,
+        ):
+            data_dir = Path(folder)
+            try:
+                return self._carried(data_dir, vehicle)
+            finally:
+                with suppress(Exception):
+                    self.steps = journal(data_dir, self._job_id)
+
+    def _carried(self, data_dir: Path, vehicle: SimulatedVehicle) -> tuple[Ending, tuple[str, ...]]:
+        before = self._first_life(data_dir, vehicle)
+        if self._kill.again is not None:
+            self._second_life(data_dir, vehicle)
+        if vehicle.state()["armed"]:
+            vehicle.call("disarm")
+        service = ServiceProcess(data_dir, vehicle.url)
+        try:
+            job = self._ended(service.client, RESOLVED_S)
+        finally:
+            service.kill()
+        self.says = str(job["outcome"])
+        evidence = Evidence(job, before, holding(vehicle), self._foreign)
+        kind = self._kill.scenery.job
+        fitted = [fit["instance"] for fit in job["results"] if fit["status"] != "refused"]
+        left = residuals(vehicle.truth(), evidence.now.in_force, kind, OPTIONS[kind], fitted)
+        return judge(evidence, left)
+
+    # --- the first life of the service, up to its kill
+
+    def _first_life(self, data_dir: Path, vehicle: SimulatedVehicle) -> Holding:
+        service = ServiceProcess(data_dir, vehicle.url)
+        try:
+            client = service.client
+            vehicle_id = _found(client)
+            kind = self._kill.scenery.job
+            before = holding(vehicle)
+            posted = _patiently(
+                lambda: client.post(f"/vehicles/{vehicle_id}/jobs", {"kind": kind, "options": OPTIONS[kind]})
+            )
+            self._job_id = posted["id"]
+            if self._kill.scene == "capture":
+                self._killed(service, data_dir, self._kill.step, lambda steps: steps)
+                return before
+            job = self._reviewed(client, vehicle)
+            self._let_loose(vehicle, job)
+            accept = {"plan_sha256": job["plan"]["sha256"], "reboot": True, "prove_s": PROVE_S}
+            applying = threading.Thread(target=self._applied, args=(client, accept))
+            applying.start()
+            self._killed(service, data_dir, self._kill.step, _after_accept)
+            applying.join()
+            return before
+        finally:
+            service.kill()
+
+    def _reviewed(self, client: ServiceClient, vehicle: SimulatedVehicle) -> Json:
+        operator = Operator(vehicle)
+        asked = None
+        deadline = time.monotonic() + REVIEWED_S
+        while time.monotonic() < deadline:
+            job: Json = client.get(f"/jobs/{self._job_id}")
+            if job["state"] == "review":
+                operator.rest()
+                vehicle.wait(4.0)
+                return job
+            if job["state"] in ENDED:
+                raise RuntimeError(f"no plan came of the capture: {job['outcome']}")
+            if job["prompt"] and job["prompt"] != asked:
+                asked = job["prompt"]
+                operator.follow(asked)
+            time.sleep(POLL_S)
+        raise TimeoutError("the capture did not end")
+
+    def _let_loose(self, vehicle: SimulatedVehicle, job: Json) -> None:
+        if self._kill.scenery.fault is None:
+            return
+        fault = dict(self._kill.scenery.fault)
+        changes = job["plan"]["changes"]
+        chosen = int(fault.pop("share") * len(changes))
+        if fault["kind"] == "foreign_write":
+            fault["name"] = changes[chosen]["name"]
+            self._foreign[fault["name"]] = float(fault["value"])
+        vehicle.call("fault", trigger={"nth_set": 1 + chosen}, **fault)
+
+    def _applied(self, client: ServiceClient, accept: Json) -> None:
+        with suppress(OSError, http.client.HTTPException, TimeoutError):  # it is killed in the middle
+            _patiently(lambda: client.post(f"/jobs/{self._job_id}/apply", accept))
+
+    # --- kills
+
+    def _killed(
+        self, service: ServiceProcess, data_dir: Path, step: Step, since: Callable[[list[str]], list[str]]
+    ) -> None:
+        """Kill the service when `step` has come as often as planned; note at which step it died."""
+        wanted = self._kill.occurrence if step == self._kill.step else 1
+
+        def reached(steps: list[str]) -> bool:
+            return since(steps).count(step) >= wanted
+
+        def over() -> bool:
+            with suppress(OSError, http.client.HTTPException):
+                return service.client.get(f"/jobs/{self._job_id}")["state"] in ENDED - {"review"}
+            return not service.alive
+
+        hit = wait_for_step(data_dir, self._job_id, reached, over, KILLED_S)
+        service.kill()
+        if hit:
+            self.struck.append(journal(data_dir, self._job_id)[-1])
+
+    def _second_life(self, data_dir: Path, vehicle: SimulatedVehicle) -> None:
+        """The service that recovers is killed too."""
+        known = len(journal(data_dir, self._job_id))
+        assert self._kill.again is not None
+        service = ServiceProcess(data_dir, vehicle.url)
+        self._killed(service, data_dir, self._kill.again, lambda steps: steps[known:])
+
+    def _ended(self, client: ServiceClient, timeout_s: float) -> Json:
+        deadline = time.monotonic() + timeout_s
+        while time.monotonic() < deadline:
+            job: Json = client.get(f"/jobs/{self._job_id}")
+            if job["state"] in ENDED:
+                return job
+            time.sleep(POLL_S)
+        return job
+
+
+def _after_accept(steps: list[str]) -> list[str]:
+    return steps[steps.index(Step.ACCEPTED) :] if Step.ACCEPTED in steps else []
+
+
+def _found(client: ServiceClient) -> str:
+    deadline = time.monotonic() + 30.0
+    while time.monotonic() < deadline:
+        known = client.get("/vehicles")
+        if known and known[0]["uid"] and known[0]["writable"]:
+            return str(known[0]["id"])
+        time.sleep(POLL_S)
+    raise TimeoutError("the service did not find the simulated vehicle")
+
+
+def _patiently(ask: Callable[[], Any]) -> Any:
+    """Repeat what is refused because the vehicle was not yet seen disarmed for 2 s."""
+    deadline = time.monotonic() + 15.0
+    while True:
+        try:
+            return ask()
+        except ApiError as error:
+            if error.status != 409 or time.monotonic() > deadline:
+                raise
+            time.sleep(0.3)
