@@ -220,9 +220,7 @@ class Parameters(Mapping[str, Parameter]):
         ParameterMissing, ParameterTimeout, VehicleSilent
             It did not answer.
         VehicleArmed, VehicleBusy, VehicleConflict
-            It may not be written to now.
-
-        Every error of these has ``sent``: how often PARAM_SET had left before it.
+            It may not be written to now. Each of these has ``sent``: how often PARAM_SET had left before it.
         """
         vehicle = self._vehicle
         kind = await self._kind(name, kind)
