@@ -11,6 +11,7 @@ for a restart, and the physical check would tell if a firmware did.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -30,6 +31,8 @@ Array = NDArray[np.float64]
 Names = Mapping[Role, str]
 
 CALTEMP_UNKNOWN: Final = -300.0
+REPEATABILITY: Final = MappingProxyType({Sensor.ACCEL: 0.005, Sensor.GYRO: np.radians(0.01)})
+"""How well an offset in force may be known, m/s2 and rad/s: the uncertainty at which the jobs end."""
 PREFLIGHT_CALIBRATION: Final = 241
 STORE_AS_CALIBRATED: Final = 76.0
 
@@ -60,6 +63,8 @@ def compose_imu(draft: Draft, pairs: Sequence[Pair]) -> None:
 
 def _set_offsets(draft: Draft, about: Subject, names: Names, fit: FitResult) -> None:
     offset, covariance, temperature = offset_to_write(draft, names, fit)
+    if temperature is not None and _still_holds(draft, about, names, offset, covariance, temperature):
+        return
     unit = "m/s2" if about.sensor == Sensor.ACCEL else "rad/s"
     for axis, role in enumerate(OFFSET):
         if not fit.determined(f"offset_{AXES[axis]}"):
@@ -79,13 +84,33 @@ def _set_offsets(draft: Draft, about: Subject, names: Names, fit: FitResult) -> 
 def offset_to_write(draft: Draft, roles: Names, fit: FitResult) -> tuple[Array, Array, float | None]:
     """Offset (3,), its covariance (3, 3) and the temperature it stands for (None: not known).
 
-    A thermal fit is taken at its own reference temperature, moved into the range in which P varies.
+    A thermal fit is taken at the temperature that the offset in force stands for, or else at its own reference, moved
+    into the range in which P varies.
     """
-    if fit.model.polynomial is None:
+    polynomial = fit.model.polynomial
+    if polynomial is None:
         return *offset_at(fit, 0.0), fit.temperature
+    stored = draft.get(roles[Role.TEMPERATURE], CALTEMP_UNKNOWN)
     low, high = draft.get(roles[Role.THERMAL_MIN], 0.0), draft.get(roles[Role.THERMAL_MAX], 70.0)
-    temperature = float(np.clip(fit.model.polynomial.t_ref, low, high))
+    temperature = stored if low <= stored <= high else float(np.clip(polynomial.t_ref, low, high))
     return *offset_at(fit, temperature), temperature
+
+
+def _still_holds(
+    draft: Draft, about: Subject, names: Names, offset: Array, covariance: Array, temperature: float
+) -> bool:
+    """Whether the offset in force is what a drift fit finds at the very same temperature.
+
+    Moving offset and CALTEMP along the fitted curve would change nothing that any stream could show, so nothing could
+    prove it; both are left alone.
+    """
+    if temperature != draft.parameters.get(names[Role.TEMPERATURE]):
+        return False
+    stored = [draft.parameters.get(names[role]) for role in OFFSET]
+    if any(value is None for value in stored):
+        return False
+    apart = np.abs(np.array([float(value) for value in stored if value is not None]) - offset)
+    return bool((apart <= 3.0 * np.sqrt(np.diag(covariance) + REPEATABILITY[about.sensor] ** 2)).all())
 
 
 def _set_temperature(draft: Draft, about: Subject, names: Names, temperature: float | None) -> None:

@@ -139,3 +139,19 @@ def test_a_board_without_the_feature_blocks(ardupilot_parameters, ardupilot_fing
     del ardupilot_parameters["INS_TCAL1_ENABLE"]
     fit = make_fit(Sensor.GYRO, offset=[0.01] * 3, polynomial=CURVE)
     assert "no temperature compensation" in compose([fit], ardupilot_parameters, ardupilot_fingerprint).blockers[0]
+
+
+@pytest.mark.parametrize(("apart", "written"), [(0.0, False), (2e-4, False), (2e-3, True)])
+def test_an_offset_that_still_holds_at_its_temperature_is_left_alone(
+    ardupilot_parameters, ardupilot_fingerprint, make_fit, apart, written
+):
+    fit = make_fit(
+        Sensor.GYRO, offset=[0.01, 0.02, 0.03], polynomial=CURVE, polynomial_sd=1e-6, offset_sd=2e-5, temperature=25.0
+    )
+    stored = fit.model.bias(22.0) + np.array([apart, 0.0, 0.0])
+    parameters = ardupilot_parameters | {"INS_GYR1_CALTEMP": 22.0}
+    parameters |= {f"INS_GYROFFS_{a}": float(v) for a, v in zip("XYZ", stored, strict=True)}
+    names = {c.name for c in compose([fit], parameters, ardupilot_fingerprint).changes}
+    assert ("INS_GYROFFS_X" in names) is written
+    assert "INS_GYR1_CALTEMP" not in names
+    assert "INS_TCAL1_GYR1_X" in names
