@@ -22,6 +22,7 @@ class Operator:
         warm_from, warm_to: degC of the warm-up.
         warm_tau_s: its time constant, vehicle seconds.
         tumble_dps: how fast the vehicle is turned for its compass.
+        ramp_tau_s: time constant with which it is brought to a wished temperature, vehicle seconds.
     """
 
     def __init__(
@@ -32,10 +33,12 @@ class Operator:
         warm_to: float = 62.0,
         warm_tau_s: float = 100.0,
         tumble_dps: float = 45.0,
+        ramp_tau_s: float = 15.0,
     ) -> None:
         self._vehicle = vehicle
         self._warm_up = {"start": warm_from, "end": warm_to, "tau_s": warm_tau_s}
         self._tumble_dps = tumble_dps
+        self._ramp_tau_s = ramp_tau_s
         self._doing: object = None
         self._temperature: float | None = None
 
@@ -49,7 +52,8 @@ class Operator:
             return
         if prompt["temperature"] not in (None, self._temperature):
             self._temperature = prompt["temperature"]
-            self._vehicle.call("temperature", value=self._temperature)
+            now = self._vehicle.call("state")["temperatures"][0]
+            self._vehicle.call("warm_up", start=now, end=self._temperature, tau_s=self._ramp_tau_s)
         if prompt["rotate"]:
             self._once("tumble", "tumble", rate_dps=self._tumble_dps)
         elif prompt["step"] == "warm_up":
