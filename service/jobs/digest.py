@@ -222,10 +222,11 @@ def fit_segments(request: FitRequest) -> Fitted:
 
 def recording_of(spans: Sequence[Span], system: int | None) -> Recording:
     """The recording of consecutive segments of one vehicle, not yet undone. Raises CaptureEnded, UnreadableError."""
-    return read_tlog(b"".join(_content(span) for span in spans), system=system)
+    return read_tlog(b"".join(content_of(span) for span in spans), system=system)
 
 
-def _content(span: Span) -> bytes:
+def content_of(span: Span) -> bytes:
+    """The bytes of a closed segment. Raises CaptureEnded if they are not there, or are others than they were."""
     data = read_range(span.path, span.start_byte, span.end_byte)
     if hashlib.sha256(data).hexdigest() != span.sha256:
         raise CaptureEnded(f"the recording {span.path.name} is not what it was when the job ended: it was damaged")

@@ -14,7 +14,15 @@ import structlog
 
 from calib.firmware.streams import requested_streams
 from calib.procedures.registry import specification, validate_options
-from service.errors import AnswerRefused, Forbidden, IdempotencyConflict, JobUnknown, NotCancellable, NotRevertible
+from service.errors import (
+    AnswerRefused,
+    Forbidden,
+    IdempotencyConflict,
+    IllegalTransition,
+    JobUnknown,
+    NotCancellable,
+    NotRevertible,
+)
 from service.jobs.admission import request_digest, require_acceptable, require_free, require_ready
 from service.jobs.codec import job_from_row
 from service.jobs.crashpoints import At, CrashPoint, nowhere
@@ -22,7 +30,7 @@ from service.jobs.feed import EventFeed
 from service.jobs.handle import JobHandle
 from service.jobs.journal import Step
 from service.jobs.model import Accept, Failure, Job
-from service.jobs.planning import identity_to_json, keep_plan, make_plan
+from service.jobs.planning import checked_plan_options, identity_to_json, keep_plan, make_plan
 from service.jobs.port import VehicleSource
 from service.jobs.runner import Runner
 from service.jobs.settings import JobSettings
@@ -83,6 +91,7 @@ class JobEngine:
         self._handles: dict[str, JobHandle] = {}
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._tidying: dict[str, asyncio.Task[None]] = {}
+        self._stopping = False
 
     # --- life
 
@@ -95,7 +104,7 @@ class JobEngine:
                 self._doubt(handle)
                 self._spawn(handle, self._transaction(handle).resolve())
             elif state in CAPTURING:  # replay what was recorded and go on, if the vehicle is the same boot still
-                self._spawn(handle, self._runner.calibrate(handle))
+                self._spawn(handle, self._captured(handle))
             elif state == JobState.FITTING:
                 self._spawn(handle, self._runner.fit(handle))
             else:
@@ -103,6 +112,7 @@ class JobEngine:
 
     async def stop(self) -> None:
         """Stop every task; jobs stay in their states and are taken up at the next start."""
+        self._stopping = True
         self._feed.close()
         tasks = [*self._tasks.values(), *self._tidying.values()]
         for task in tasks:
@@ -129,8 +139,14 @@ class JobEngine:
 
     # --- capturing
 
-    async def submit(self, vehicle_id: str, kind: str, options: Mapping[str, Any] | None = None) -> Job:
-        """Start a calibration.
+    async def submit(
+        self,
+        vehicle_id: str,
+        kind: str,
+        options: Mapping[str, Any] | None = None,
+        plan_options: Mapping[str, bool] | None = None,
+    ) -> Job:
+        """Start a calibration; `options` are the procedure's, `plan_options` those of composing its plan.
 
         Raises
         ------
@@ -144,6 +160,7 @@ class JobEngine:
         """
         spec = specification(kind)
         chosen = validate_options(kind, options or {})
+        context = {"plan_options": checked_plan_options(plan_options or {})}
         vehicle = self._vehicles.vehicle(vehicle_id)
         require_free(vehicle.id, self.list())
         require_ready(vehicle)
@@ -152,7 +169,9 @@ class JobEngine:
             await vehicle.identify()
             require_free(vehicle.id, self.list())
         now = self._wall()
-        job = Job(uuid.uuid4().hex[:12], vehicle.id, spec.kind, dict(chosen), JobState.QUEUED, now, now)
+        job = Job(
+            uuid.uuid4().hex[:12], vehicle.id, spec.kind, dict(chosen), JobState.QUEUED, now, now, context=context
+        )
         handle = self._hold(job)
         try:
             handle.change("state", {"state": job.state.value, "outcome": None})
@@ -194,20 +213,28 @@ class JobEngine:
 
     # --- writing
 
-    async def plan_again(self, job_id: str) -> Job:
-        """Compose the plan of a job in review anew, on the vehicle's present parameters."""
+    async def plan_again(self, job_id: str, options: Mapping[str, bool] | None = None) -> Job:
+        """Compose the plan of a job in review anew, on the vehicle's present parameters.
+
+        `options` are those of :class:`calib.firmware.compose.ComposeOptions`; None: as before.
+
+        Raises
+        ------
+        IllegalTransition, InvalidInputError, FirmwareError, VehicleError
+        """
         handle = self._handle(job_id)
         job = handle.job
         if job.state != JobState.REVIEW:
-            raise NotRevertible(f"job {job_id} is {job.state}: only a job in review can be planned again")
+            raise IllegalTransition(f"job {job_id} is {job.state}: only a job in review can be planned again")
+        chosen = checked_plan_options(job.context.get("plan_options", {}) if options is None else options)
         vehicle = self._vehicles.vehicle(job.vehicle_id)
         require_ready(vehicle)
         identity = await vehicle.identify()
         listed = await vehicle.list_parameters()
         parameters = {name: reading.value for name, reading in listed.items()}
-        planned = await asyncio.to_thread(make_plan, job.results, parameters, identity)
+        planned = await asyncio.to_thread(make_plan, job.results, parameters, identity, chosen)
         keep_plan(handle, planned)
-        context = {**handle.job.context, "identity": identity_to_json(identity)}
+        context = {**handle.job.context, "identity": identity_to_json(identity), "plan_options": chosen}
         data = {"sha256": planned.plan.sha256}
         fingerprint = planned.plan.fingerprint
         handle.change("plan", data, plan=planned.plan, fingerprint=fingerprint, context=context, outcome=None)
@@ -340,8 +367,8 @@ class JobEngine:
             self._store.drop_events(handle.id, "progress", keep=1)
 
     def _tidy(self, handle: JobHandle) -> None:
-        """Put message rates back that a job has left changed."""
-        if not handle.written().intervals:
+        """Put message rates back that a job has left changed; a stopping service leaves that to its next start."""
+        if self._stopping or not handle.written().intervals:
             return
         vehicle_id = handle.job.vehicle_id
         task = asyncio.create_task(self._put_back(handle), name=f"rates of {handle.id}")

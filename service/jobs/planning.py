@@ -6,7 +6,8 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from calib.firmware.compose import compose
+from calib.errors import InvalidInputError
+from calib.firmware.compose import ComposeOptions, compose
 from calib.firmware.fingerprint import calibration_snapshot, fingerprint
 from calib.firmware.plan import Value, WritePlan, snapshot_sha256
 from calib.fit import FitResult
@@ -24,9 +25,28 @@ class Planned:
     composed_on: dict[str, Value]
 
 
-def make_plan(results: Sequence[FitResult], parameters: Mapping[str, Value], identity: Identity) -> Planned:
+PLAN_OPTIONS = tuple(f.name for f in dataclasses.fields(ComposeOptions) if f.type == "bool")
+"""What the operator may decide about a plan, each true or false."""
+
+
+def checked_plan_options(options: Mapping[str, Any]) -> dict[str, bool]:
+    """`options` if every one is known and a switch. Raises InvalidInputError."""
+    for name, value in options.items():
+        if name not in PLAN_OPTIONS:
+            raise InvalidInputError(f"a plan has no option {name}; its options are: {', '.join(PLAN_OPTIONS)}")
+        if not isinstance(value, bool):
+            raise InvalidInputError(f"option {name} of a plan is a switch: give true or false, not {value!r}")
+    return dict(options)
+
+
+def make_plan(
+    results: Sequence[FitResult],
+    parameters: Mapping[str, Value],
+    identity: Identity,
+    options: Mapping[str, bool],
+) -> Planned:
     """Compose what to write. Raises FirmwareError if the firmware cannot take it at all."""
-    plan = compose(results, parameters, fingerprint(identity, parameters))
+    plan = compose(results, parameters, fingerprint(identity, parameters), options=ComposeOptions(**options))
     return Planned(plan, calibration_snapshot(parameters))
 
 

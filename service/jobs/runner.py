@@ -67,13 +67,14 @@ class Runner:
         identity = identity_from_json(job.context["identity"])
         answers = tuple((float(t), str(value)) for t, value in job.context.get("answers", ()))
         request = FitRequest(job.kind, dict(job.options), job.segments, identity.system, job.created_at, answers)
+        plan_options = job.context.get("plan_options", {})
         try:
             fitted: Fitted = await asyncio.get_running_loop().run_in_executor(self.executor, fit_segments, request)
             self.reach(At.FITTED)
             if isinstance(fitted.outcome, GaveUp):
                 raise CaptureEnded(fitted.outcome.cause, remedy=fitted.outcome.remedy)
             results = fitted.outcome.results
-            planned = await asyncio.to_thread(make_plan, results, fitted.parameters, identity)
+            planned = await asyncio.to_thread(make_plan, results, fitted.parameters, identity, plan_options)
             keep_plan(handle, planned)
         except CaptureEnded as ended:
             self._end(handle, JobState.FAILED, ended.code, str(ended), ended.remedy)

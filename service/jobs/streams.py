@@ -26,12 +26,13 @@ async def ask_for_streams(
 
 
 async def restore_streams(handle: JobHandle, vehicle: JobVehicle) -> None:
-    """Put the message rates back that the journal remembers; a failure is a warning."""
+    """Put the message rates back that the journal remembers; one that fails is a warning, and is tried again later."""
     intervals = handle.written().intervals
     if not intervals:
         return
     try:
         await vehicle.set_intervals(intervals)
     except ServiceError as error:
-        handle.warn(f"the message rates could not be put back: {error}")
+        handle.warn(f"the message rates could not be put back yet: {error}")
+        return
     await handle.record_anyway(Step.STREAMS_RESTORED)

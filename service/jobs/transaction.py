@@ -145,10 +145,10 @@ async def _resume(w: Writing) -> None:
 async def _onward(w: Writing, following: Next, values: dict[str, Value]) -> None:
     """From "every parameter holds its new value" to the end."""
     if following == Next.REBOOT:
-        w.handle.move(JobState.WAITING_FOR_REBOOT, standing=())
+        w.handle.move(JobState.WAITING_FOR_REBOOT, standing=(), outcome=None)
         await restart(w)
         values = await read_back(w)
-    w.handle.move(JobState.VERIFYING, standing=())
+    w.handle.move(JobState.VERIFYING, standing=(), outcome=None)
     if following != Next.FINISH:
         verification = await w.check.after(w.guard, values)
         w.handle.change("verification", {"proved": verification.proved}, verification=verification, prompt=None)
@@ -166,7 +166,7 @@ async def _onward(w: Writing, following: Next, values: dict[str, Value]) -> None
 
 async def _take_back(w: Writing, because: str) -> None:
     if w.handle.job.state != JobState.ROLLING_BACK:
-        w.handle.move_anyway(JobState.ROLLING_BACK, standing=(), prompt=None)
+        w.handle.move_anyway(JobState.ROLLING_BACK, standing=(), outcome=None, prompt=None)
     await w.handle.record_anyway(Step.ROLL_BACK, because=because)
     left = await roll_back(w)
     await restore_streams(w.handle, w.vehicle)

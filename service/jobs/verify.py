@@ -7,15 +7,16 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Self
 
 from calib.firmware.plan import Movement, Value, Verification, WritePlan
 from calib.firmware.streams import Assembler, requested_streams
 from calib.firmware.verify import verify
 from calib.procedures.protocol import Pose, Progress, Prompt
 from calib.recording import Recording, Sensor, join
-from calib.wire import Frame
+from calib.wire import Frame, iter_tlog
 from service.errors import CaptureEnded, WriteFailed
-from service.jobs.digest import recording_of
+from service.jobs.digest import content_of
 from service.jobs.guard import Guard
 from service.jobs.handle import JobHandle
 from service.jobs.port import JobVehicle
@@ -32,7 +33,7 @@ POLL_S = 0.02
 
 @dataclass
 class Window:
-    """Frames of one vehicle as a growing recording at the firmware's stage."""
+    """Frames of one vehicle as a growing recording at the firmware's stage, without gaps while it is entered."""
 
     vehicle: JobVehicle
     settings: JobSettings
@@ -40,9 +41,20 @@ class Window:
     _assembler: Assembler = field(init=False)
     _chunks: list[Recording] = field(default_factory=list)
     _frames: list[Frame] = field(default_factory=list)
+    _forget: Callable[[], None] | None = None
 
     def __post_init__(self) -> None:
         self._assembler = Assembler(self.vehicle.identity)
+
+    def __enter__(self) -> Self:
+        self._forget = self.vehicle.subscribe(
+            self._assembler.message_ids, lambda frames, _disk: self._frames.extend(frames)
+        )
+        return self
+
+    def __exit__(self, *_raised: object) -> None:
+        if self._forget is not None:
+            self._forget()
 
     async def extend(self, seconds: float) -> Recording:
         """Add `seconds` of the vehicle's clock; returns everything so far.
@@ -52,23 +64,19 @@ class Window:
         CaptureEnded
             If the samples do not come in time.
         """
-        forget = self.vehicle.subscribe(self._assembler.message_ids, lambda frames, _disk: self._frames.extend(frames))
         deadline = self.clock() + self.settings.window_timeout_s
         begun: float | None = None
-        try:
-            while True:
-                await asyncio.sleep(POLL_S)
-                frames, self._frames = self._frames, []
-                if frames:
-                    self._chunks.append(self._assembler.feed([(None, frame) for frame in frames]))
-                    newest, oldest = _inertial_span(self._chunks[-1])
-                    begun = oldest if begun is None else begun
-                    if newest is not None and begun is not None and newest - begun >= seconds:
-                        return join(self._chunks)
-                if self.clock() > deadline:
-                    raise CaptureEnded("the vehicle sends no inertial data", remedy="Check its sensors and the link.")
-        finally:
-            forget()
+        while True:
+            await asyncio.sleep(POLL_S)
+            frames, self._frames = self._frames, []
+            if frames:
+                self._chunks.append(self._assembler.feed([(None, frame) for frame in frames]))
+                newest, oldest = _inertial_span(self._chunks[-1])
+                begun = oldest if begun is None else begun
+                if newest is not None and begun is not None and newest - begun >= seconds:
+                    return join(self._chunks)
+            if self.clock() > deadline:
+                raise CaptureEnded("the vehicle sends no inertial data", remedy="Check its sensors and the link.")
 
 
 def _inertial_span(chunk: Recording) -> tuple[float | None, float | None]:
@@ -94,8 +102,8 @@ class StreamCheck:
         await self._streams()
         row = open_span(self.handle.store, self.handle.id, SegmentPurpose.BEFORE, self.vehicle)
         try:
-            window = Window(self.vehicle, self.settings, self.clock)
-            self._before = await guard.run(partial(window.extend, self.settings.check_s))
+            with Window(self.vehicle, self.settings, self.clock) as window:
+                self._before = await guard.run(partial(window.extend, self.settings.check_s))
         finally:
             await asyncio.shield(close_span(self.handle.store, row, self.vehicle))
 
@@ -119,14 +127,14 @@ class StreamCheck:
             await asyncio.shield(close_span(self.handle.store, row, self.vehicle))
 
     async def _judged(self, guard: Guard, before: Recording | None, values: Mapping[str, Value]) -> Verification:
-        window = Window(self.vehicle, self.settings, self.clock)
-        after = await guard.run(partial(window.extend, self.settings.check_s))
-        verification = await self._verify(before, after, values)
-        begun = _end(after)
-        while self._worth_waiting(verification, _end(after) - begun):
-            self._ask(verification, _end(after) - begun)
-            after = await guard.run(partial(window.extend, STEP_S))
+        with Window(self.vehicle, self.settings, self.clock) as window:
+            after = await guard.run(partial(window.extend, self.settings.check_s))
             verification = await self._verify(before, after, values)
+            begun = _end(after)
+            while self._worth_waiting(verification, _end(after) - begun):
+                self._ask(verification, _end(after) - begun)
+                after = await guard.run(partial(window.extend, STEP_S))
+                verification = await self._verify(before, after, values)
         self.handle.prompt(None)
         return verification
 
@@ -158,7 +166,10 @@ class StreamCheck:
         """The window before the write as it lies in the telemetry log; None: a crash left none."""
         rows = self.handle.store.segments(self.handle.id, SegmentPurpose.BEFORE)
         closed = [row for row in rows if row.end_byte is not None]
-        return recording_of([span_of(closed[-1])], self.vehicle.identity.system) if closed else None
+        if not closed:
+            return None
+        data = content_of(span_of(closed[-1]))
+        return Assembler(self.vehicle.identity).feed(iter_tlog(data))
 
 
 def proving(movement: Movement) -> Prompt:

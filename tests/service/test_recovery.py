@@ -45,7 +45,7 @@ async def resumed(folder: Path, url: str) -> tuple[JobState, list[str]]:
 async def test_killed_in_the_capture_and_in_the_write(tmp_path: Path, sim: SimulatedVehicle) -> None:
     zero_gyro_offsets(sim)
     before = stored(sim)
-    killed(tmp_path, sim.url, "capture", At.CAPTURE_RUNNING, 4)
+    killed(tmp_path, sim.url, "capture", At.CAPTURE_RUNNING)
     state, _ = await resumed(tmp_path, sim.url)  # replays what was recorded and goes on with the same vehicle
     assert state == JobState.REVIEW
     assert stored(sim) == before
