@@ -22,7 +22,7 @@ from bench.campaign.report import FaultReport, KillReport
 from bench.campaign.scenario import scenarios
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "fault-campaign.md"
-RUNS = 240
+RUNS = 224
 MOST_REPETITIONS = 8
 """A kill that comes a step too late is tried again, so often at most."""
 

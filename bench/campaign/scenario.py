@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from itertools import cycle
 from typing import Any
@@ -27,8 +27,9 @@ FALSE = ("not_applied", "foreign_write", *SENSOR)
 """The write goes on, but what the vehicle holds or shows is not what was written."""
 KINDS = BENIGN + STOPPING + FALSE
 
-SENSOR_OF = {"gyro": "gyro", "accel": "accel", "mag": "mag"}
-UNRELATED_SENSOR = {"gyro": "mag", "accel": "mag", "mag": "gyro"}
+OWN, OTHER = "own", "other"
+"""The sensor that the job calibrates, or one that it does not."""
+OTHER_SENSOR = {"gyro": "mag", "accel": "mag", "mag": "gyro"}
 UNRELATED_PARAMETER = {"ardupilot": "RTL_ALT", "px4": "MPC_THR_HOVER"}
 OPTIONS: dict[str, Json] = {
     "gyro": {"uncertainty": 0.03},
@@ -100,22 +101,31 @@ _DECKS: dict[str, tuple[str, ...]] = {
 def _scenario(index: int, seed: int, recipe: str, decks: dict[str, Iterator[str]]) -> Scenario:
     draw = random.Random(f"campaign {seed} {index}")
     autopilot = ("ardupilot", "px4")[index % 2]
-    job = draw.choices(("gyro", "accel", "mag"), (0.74, 0.18, 0.08))[0]
-    strikes = list(_RECIPES[recipe](draw, decks, autopilot, job))
-    ambient = [_wire(draw, kind, Phase.WRITE, gentle=True) for kind in draw.sample(("loss", "duplication"), 1)]
+    strikes = list(_RECIPES[recipe](draw, decks, autopilot))
     held_back = any(strike.kind in ("reordering", "delay") for strike in strikes)
+    # at the slower speed the longer jobs would take minutes
+    job = "gyro" if held_back else draw.choices(("gyro", "accel", "mag"), (0.6, 0.25, 0.15))[0]
+    ambient = [_wire(draw, kind, Phase.WRITE, gentle=True) for kind in draw.sample(("loss", "duplication"), 1)]
     return Scenario(
         index,
         seed,
         recipe,
         autopilot,
         job,
-        tuple(strikes),
+        tuple(_about(strike, job) for strike in strikes),
         tuple(ambient) if draw.random() < 0.2 else (),
         speed=SLOWER if held_back else SPEED,
         resolve=_resolved(draw, recipe, strikes),
         config=_config(draw, autopilot),
     )
+
+
+def _about(strike: Strike, job: str) -> Strike:
+    """The same with its sensor by name."""
+    if "sensor" not in strike.options:
+        return strike
+    sensor = job if strike.options["sensor"] == OWN else OTHER_SENSOR[job]
+    return replace(strike, options={**strike.options, "sensor": sensor})
 
 
 def _resolved(draw: random.Random, recipe: str, strikes: Iterable[Strike]) -> bool:
@@ -152,13 +162,11 @@ def _wire(draw: random.Random, kind: str, phase: Phase, *, gentle: bool = False)
     return Strike(kind, phase, draw.random() * 0.8, options)
 
 
-def _recipe_wire(draw: random.Random, decks: dict[str, Iterator[str]], autopilot: str, job: str) -> Iterator[Strike]:
+def _recipe_wire(draw: random.Random, decks: dict[str, Iterator[str]], autopilot: str) -> Iterator[Strike]:
     yield from _wires(draw, decks, draw.randint(2, 3))
 
 
-def _recipe_harmless(
-    draw: random.Random, decks: dict[str, Iterator[str]], autopilot: str, job: str
-) -> Iterator[Strike]:
+def _recipe_harmless(draw: random.Random, decks: dict[str, Iterator[str]], autopilot: str) -> Iterator[Strike]:
     """Faults beside the write: another sensor, another parameter, a silence that is too short to matter."""
     yield from _wires(draw, decks, 2)
     kind = next(decks["harmless"])
@@ -168,24 +176,24 @@ def _recipe_harmless(
         name = UNRELATED_PARAMETER[autopilot]
         yield Strike(kind, Phase.WRITE, draw.random(), {"name": name, "value": 0.25 if autopilot == "px4" else 1250})
     else:
-        options = {"sensor": UNRELATED_SENSOR[job], "instance": draw.randint(0, 1)}
+        options = {"sensor": OTHER, "instance": draw.randint(0, 1)}
         yield Strike(kind, Phase.WRITE, draw.random(), options)
 
 
-def _recipe_check(draw: random.Random, decks: dict[str, Iterator[str]], autopilot: str, job: str) -> Iterator[Strike]:
+def _recipe_check(draw: random.Random, decks: dict[str, Iterator[str]], autopilot: str) -> Iterator[Strike]:
     """Everything is written already when the vehicle arms, restarts, falls silent …"""
     yield from _wires(draw, decks, 2)
     yield _stop(draw, next(decks["check"]), Phase.VERIFY)
 
 
-def _recipe_stop(draw: random.Random, decks: dict[str, Iterator[str]], autopilot: str, job: str) -> Iterator[Strike]:
+def _recipe_stop(draw: random.Random, decks: dict[str, Iterator[str]], autopilot: str) -> Iterator[Strike]:
     """The vehicle arms, restarts, falls silent … between two parameters."""
     if draw.random() < 0.4:
         yield from _wires(draw, decks, 1)
     yield _stop(draw, next(decks["stop"]), Phase.WRITE)
 
 
-def _recipe_false(draw: random.Random, decks: dict[str, Iterator[str]], autopilot: str, job: str) -> Iterator[Strike]:
+def _recipe_false(draw: random.Random, decks: dict[str, Iterator[str]], autopilot: str) -> Iterator[Strike]:
     """What is written is not what acts; sometimes the way back is disturbed too."""
     if draw.random() < 0.4:
         yield from _wires(draw, decks, 1)
@@ -197,7 +205,7 @@ def _recipe_false(draw: random.Random, decks: dict[str, Iterator[str]], autopilo
         # An aim of its own: the name of one of the plan's parameters is put in when the plan is known.
         yield Strike(kind, Phase.WRITE, draw.random(), {"aim": draw.random()})
     else:
-        yield Strike(kind, Phase.WRITE, draw.random(), {"sensor": SENSOR_OF[job], "instance": draw.randint(0, 1)})
+        yield Strike(kind, Phase.WRITE, draw.random(), {"sensor": OWN, "instance": draw.randint(0, 1)})
     if draw.random() < 0.5:
         yield _stop(draw, next(decks["stop"]), Phase.ROLL_BACK)
 

@@ -1,0 +1,154 @@
+"""The campaign's judge finds what is wrong: a campaign whose judge is blind shows nothing."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.campaign.judge import Ending, Evidence, doubt_complaints, judge
+from bench.campaign.scenario import KINDS, scenarios
+from bench.campaign.truth import Holding, Residual, residuals
+from service.simvehicle.client import SimulatedVehicle
+
+OLD = {"A": 0.0, "B": 1.0, "C": 5.0, "SESSION": 1.0, "STAT_RUNTIME": 7.0}
+CHANGES = [
+    {"name": "SESSION", "old": 1.0, "new": 0.0, "session": True},
+    {"name": "A", "old": 0.0, "new": 0.1, "session": False},
+    {"name": "B", "old": 1.0, "new": 1.5, "session": False},
+]
+
+
+def evidence(state: str, now: dict[str, float], *, standing: Any = (), foreign: Any = None) -> Evidence:
+    job = {"state": state, "plan": {"changes": CHANGES}, "standing": list(standing), "outcome": None}
+    return Evidence(job, Holding(OLD, OLD), Holding({**OLD, **now}, OLD), foreign or {})
+
+
+def known(name: str, old: float, new: float, value: float | None, *, certain: bool) -> dict[str, Any]:
+    return {"name": name, "old": old, "new": new, "value": value, "certain": certain}
+
+
+DONE = {"A": float(np.float32(0.1)), "B": 1.5, "STAT_RUNTIME": 9.0}
+
+
+class TestEnd:
+    def test_written_and_nothing_else(self) -> None:
+        assert judge(evidence("succeeded", DONE), ()) == (Ending.VERIFIED, ())
+
+    @pytest.mark.parametrize(
+        ("wrong", "said"),
+        [
+            ({"B": 1.0}, "B holds 1 instead of 1.5"),
+            ({"SESSION": 0.0}, "SESSION holds 0 instead of 1"),
+            ({"C": 6.0}, "C changed from 5 to 6"),
+        ],
+    )
+    def test_success_that_is_none(self, wrong: dict[str, float], said: str) -> None:
+        ending, complaints = judge(evidence("succeeded", {**DONE, **wrong}), ())
+        assert ending == Ending.FAILURE
+        assert any(said in complaint for complaint in complaints)
+
+    def test_a_sensor_that_is_still_off(self) -> None:
+        off = Residual("gyro", 1, worst=0.01, bound=0.002)
+        ending, complaints = judge(evidence("succeeded", DONE), (off,))
+        assert ending == Ending.FAILURE
+        assert "gyro 1 is off" in complaints[0]
+
+    @pytest.mark.parametrize("state", ["reverted", "review", "interrupted"])
+    def test_as_before(self, state: str) -> None:
+        assert judge(evidence(state, {}), ())[0] == Ending.AS_BEFORE
+        assert judge(evidence(state, {"A": 0.1}), ())[0] == Ending.FAILURE
+
+    def test_a_third_party_has_to_be_named(self) -> None:
+        held = evidence("reverted", {"A": 0.7}, foreign={"A": 0.7})
+        assert judge(held, ())[0] == Ending.FAILURE
+        named = evidence("reverted", {"A": 0.7}, foreign={"A": 0.7}, standing=[known("A", 0.0, 0.1, 0.7, certain=True)])
+        assert judge(named, ())[0] == Ending.AS_BEFORE
+
+    def test_any_other_state_is_a_failure(self) -> None:
+        assert judge(evidence("failed", {}), ())[0] == Ending.FAILURE
+
+
+class TestDoubt:
+    def test_a_true_list(self) -> None:
+        told = [known("A", 0.0, 0.1, 0.1, certain=True), known("B", 1.0, 1.5, None, certain=False)]
+        for b in (1.0, 1.5):
+            assert doubt_complaints(evidence("in_doubt", {"A": 0.1, "B": b}, standing=told)) == ()
+
+    @pytest.mark.parametrize(
+        "now", [{"A": 0.0}, {"A": 0.1, "B": 1.2}, {"A": 0.1, "C": 4.0}, {"A": 0.1, "SESSION": 0.0}]
+    )
+    def test_a_list_that_is_not_true(self, now: dict[str, float]) -> None:
+        told = [known("A", 0.0, 0.1, 0.1, certain=True), known("B", 1.0, 1.5, None, certain=False)]
+        assert doubt_complaints(evidence("in_doubt", now, standing=told))
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_residuals_fall_to_nothing_under_the_true_calibration(autopilot: str) -> None:
+    """The judge's own formulas against the simulator's: the true values leave nothing, a wrong one shows."""
+    with SimulatedVehicle(autopilot, seed=4, speed=50.0, config={"thermal": False}) as vehicle:
+        truth = vehicle.truth()
+        in_force = {name: float(value) for name, value in vehicle.parameters()[0].items()}
+    asked = {"gyro": {"uncertainty": 0.001}, "accel": {"uncertainty": 0.001}, "mag": {"uncertainty": 0.01}}
+    held = {**in_force, **_true_parameters(truth)}
+    for job, options in asked.items():
+        count = range(len(truth[f"{job}s"]))
+        assert all(r.good for r in residuals(truth, held, job, options, count)), job
+        assert not any(r.good for r in residuals(truth, _spoilt(held, job), job, options, count)), job
+
+
+def _true_parameters(truth: dict[str, Any]) -> dict[str, float]:
+    """The parameters that undo the truth; the accelerometer's scale is that of the symmetric part."""
+    found: dict[str, float] = {}
+    px4 = truth["autopilot"] == "px4"
+    for k in range(3):
+        n = str(k + 1) if k else ""
+        gyro, accel = truth["gyros"][k], truth["accels"][k]
+        scale = np.diag(_symmetric(np.linalg.inv(accel["matrix"])))
+        names = (f"CAL_GYRO{k}_{{}}OFF", f"CAL_ACC{k}_{{}}OFF", f"CAL_ACC{k}_{{}}SCALE")
+        ardupilot = (f"INS_GYR{n}OFFS_{{}}", f"INS_ACC{n}OFFS_{{}}", f"INS_ACC{n}SCAL_{{}}")
+        for name, values in zip(names if px4 else ardupilot, (gyro["offset"], accel["offset"], scale), strict=True):
+            found |= {name.format(axis): float(v) for axis, v in zip("XYZ", values, strict=True)}
+    for k, mag in enumerate(truth["mags"]):
+        found |= _true_compass(mag, k, px4=px4)
+    return found
+
+
+def _true_compass(mag: dict[str, Any], k: int, *, px4: bool) -> dict[str, float]:
+    n = str(k + 1) if k else ""
+    matrix = _symmetric(np.linalg.inv(mag["matrix" if px4 else "body_matrix"]))
+    off = [matrix[0, 1], matrix[0, 2], matrix[1, 2]]
+    offset = np.array(mag["offset"]) / 100.0 if px4 else -np.array(mag["body_offset"]) / 0.1
+    found = {}
+    for i, axis in enumerate("XYZ"):
+        if px4:
+            found |= {f"CAL_MAG{k}_{axis}OFF": offset[i], f"CAL_MAG{k}_{axis}SCALE": matrix[i, i]}
+            found[f"CAL_MAG{k}_{axis}ODIAG"] = off[i]
+        else:
+            found |= {f"COMPASS_OFS{n}_{axis}": offset[i], f"COMPASS_DIA{n}_{axis}": matrix[i, i]}
+            found[f"COMPASS_ODI{n}_{axis}"] = off[i]
+    return found
+
+
+def _symmetric(matrix: np.ndarray) -> np.ndarray:
+    """The symmetric factor of a matrix: what is left of it without its rotation."""
+    _, singular, vt = np.linalg.svd(matrix)
+    return vt.T @ np.diag(singular) @ vt
+
+
+def _spoilt(held: dict[str, float], job: str) -> dict[str, float]:
+    """One axis of every offset of this kind wrong, by 0.02 m/s2, 0.02 rad/s or 5 uT."""
+    starts = {"gyro": ("INS_GYR", "CAL_GYRO"), "accel": ("INS_ACC", "CAL_ACC"), "mag": ("COMPASS_OFS", "CAL_MAG")}[job]
+    wrong = {"INS": 0.02, "COM": 50.0, "CAL": 0.05 if job == "mag" else 0.02}
+    ends = ("OFFS_Y", "_YOFF") if job != "mag" else ("_Y", "_YOFF")
+    chosen = [name for name in held if name.startswith(starts) and name.endswith(ends)]
+    return {**held, **{name: held[name] + wrong[name[:3]] for name in chosen}}
+
+
+def test_the_same_seed_draws_the_same_runs_of_every_kind() -> None:
+    one, other = scenarios(240, 3), scenarios(240, 3)
+    assert one == other
+    assert one != scenarios(240, 4)
+    assert one[:20] == scenarios(20, 3)
+    assert {strike.kind for scenario in one for strike in scenario.strikes} == set(KINDS)
