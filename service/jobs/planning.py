@@ -39,6 +39,11 @@ def checked_plan_options(options: Mapping[str, Any]) -> dict[str, bool]:
     return dict(options)
 
 
+def _compose_options(switches: Mapping[str, bool]) -> ComposeOptions:
+    chosen: dict[str, Any] = dict(switches)
+    return ComposeOptions(**chosen)
+
+
 def make_plan(
     results: Sequence[FitResult],
     parameters: Mapping[str, Value],
@@ -46,7 +51,7 @@ def make_plan(
     options: Mapping[str, bool],
 ) -> Planned:
     """Compose what to write. Raises FirmwareError if the firmware cannot take it at all."""
-    plan = compose(results, parameters, fingerprint(identity, parameters), options=ComposeOptions(**options))
+    plan = compose(results, parameters, fingerprint(identity, parameters), options=_compose_options(options))
     return Planned(plan, calibration_snapshot(parameters))
 
 
