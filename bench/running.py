@@ -1,0 +1,102 @@
+"""A real service in a process of its own, its memory, and a vehicle that it has found."""
+
+from __future__ import annotations
+
+import json
+import select
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from service.client import ServiceClient
+
+_START_S = 60.0
+_FOUND_S = 60.0
+_STOP_S = 15.0
+
+
+@dataclass(frozen=True)
+class RunningService:
+    """The client of a service, and its process."""
+
+    client: ServiceClient
+    pid: int
+    data_dir: Path
+
+    def resident_bytes(self) -> int:
+        """Memory that the process holds now (VmRSS of Linux)."""
+        return resident_bytes(Path(f"/proc/{self.pid}/status").read_text())
+
+    def processor_s(self) -> float:
+        """Processor time used so far (Linux: utime and stime in ticks of 10 ms, proc(5))."""
+        fields = Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / 100.0
+
+    def tlog_bytes(self) -> int:
+        """Size of all telemetry logs."""
+        return sum(path.stat().st_size for path in self.tlogs())
+
+    def tlogs(self) -> list[Path]:
+        """The telemetry logs, oldest first."""
+        return sorted((self.data_dir / "tlogs").glob("*.tlog"))
+
+    def found(self) -> str:
+        """The id of the first vehicle once it is identified.
+
+        Raises
+        ------
+        RuntimeError
+            If there is none within a minute.
+        """
+        until = time.monotonic() + _FOUND_S
+        while time.monotonic() < until:
+            vehicles = self.client.get("/vehicles")
+            if vehicles and not vehicles[0]["silent"] and vehicles[0]["uid"]:
+                return str(vehicles[0]["id"])
+            time.sleep(0.02)
+        raise RuntimeError(f"the service did not find the simulated vehicle within {_FOUND_S:g} s")
+
+
+def resident_bytes(status: str) -> int:
+    """VmRSS of the text of ``/proc/PID/status``, bytes."""
+    line = next(line for line in status.splitlines() if line.startswith("VmRSS:"))
+    return int(line.split()[1]) * 1024
+
+
+@contextmanager
+def service(connect: str, data_dir: Path) -> Iterator[RunningService]:
+    """``mavcal serve`` on one link until the context ends.
+
+    Raises
+    ------
+    RuntimeError
+        If it does not come up.
+    """
+    command = [sys.executable, "-m", "service", "serve", "--json", "--port", "0"]
+    command += ["--connect", connect, "--data-dir", str(data_dir)]
+    root = Path(__file__).resolve().parents[1]
+    log_path = data_dir.with_suffix(".log")
+    with log_path.open("wb") as log:
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, cwd=root)
+        assert process.stdout is not None
+        try:
+            readable, _, _ = select.select([process.stdout], [], [], _START_S)
+            line = process.stdout.readline() if readable else b""
+            if not line:
+                said = log_path.read_text(errors="replace").strip().splitlines()[-3:]
+                raise RuntimeError(f"the service did not come up: {said}")
+            answer: dict[str, Any] = json.loads(line)
+            yield RunningService(ServiceClient(answer["url"]), process.pid, data_dir)
+        finally:
+            process.terminate()
+            try:
+                process.wait(_STOP_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+            process.stdout.close()
