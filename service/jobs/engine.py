@@ -30,7 +30,7 @@ from service.jobs.feed import EventFeed
 from service.jobs.handle import JobHandle
 from service.jobs.journal import Step
 from service.jobs.model import Accept, Failure, Job
-from service.jobs.planning import checked_plan_options, identity_to_json, keep_plan, make_plan
+from service.jobs.planning import accel_temperatures, checked_plan_options, identity_to_json, keep_plan, make_plan
 from service.jobs.port import VehicleSource
 from service.jobs.runner import Runner
 from service.jobs.settings import JobSettings
@@ -86,7 +86,7 @@ class JobEngine:
         self._own_executor = ThreadPoolExecutor(2, thread_name_prefix="fit") if executor is None else None
         pool = executor or self._own_executor
         assert pool is not None
-        self._runner = Runner(vehicles, self.settings, pool, reach, clock, wall)
+        self._runner = Runner(vehicles, self.settings, pool, self.list, reach, clock, wall)
         self._feed = EventFeed(store)
         self._handles: dict[str, JobHandle] = {}
         self._tasks: dict[str, asyncio.Task[None]] = {}
@@ -232,7 +232,8 @@ class JobEngine:
         identity = await vehicle.identify()
         listed = await vehicle.list_parameters()
         parameters = {name: reading.value for name, reading in listed.items()}
-        planned = await asyncio.to_thread(make_plan, job.results, parameters, identity, chosen)
+        known = accel_temperatures(self.list(), job.vehicle_id, parameters)
+        planned = await asyncio.to_thread(make_plan, job.results, parameters, identity, chosen, known)
         keep_plan(handle, planned)
         context = {**handle.job.context, "identity": identity_to_json(identity), "plan_options": chosen}
         data = {"sha256": planned.plan.sha256}

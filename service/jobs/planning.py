@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from calib.errors import InvalidInputError
@@ -11,10 +11,15 @@ from calib.firmware.compose import ComposeOptions, compose
 from calib.firmware.fingerprint import calibration_snapshot, fingerprint
 from calib.firmware.plan import Value, WritePlan, snapshot_sha256
 from calib.fit import FitResult
-from calib.recording import Identity
+from calib.recording import Identity, Sensor
 from calib.report import plan_to_json
 from service.jobs.handle import JobHandle
+from service.jobs.journal import same
+from service.jobs.model import Job
+from service.jobs.states import JobState
 from service.store.rows import SnapshotPurpose
+
+ACCEL = "accel"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,19 +44,38 @@ def checked_plan_options(options: Mapping[str, Any]) -> dict[str, bool]:
     return dict(options)
 
 
-def _compose_options(switches: Mapping[str, bool]) -> ComposeOptions:
-    chosen: dict[str, Any] = dict(switches)
-    return ComposeOptions(**chosen)
+def accel_temperatures(jobs: Iterable[Job], vehicle_id: str, parameters: Mapping[str, Value]) -> dict[int, float]:
+    """Temperature (degC) at which the accelerometer calibration in force was taken, by instance, as far as we know.
+
+    From the newest accelerometer job of this vehicle, if every value that it wrote still stands.
+    """
+    ours = [job for job in jobs if job.vehicle_id == vehicle_id and job.kind == ACCEL and job.plan is not None]
+    written = [job for job in ours if job.state == JobState.SUCCEEDED]
+    if not written:
+        return {}
+    newest = max(written, key=lambda job: job.updated_at)
+    assert newest.plan is not None
+    for change in newest.plan.changes:
+        counts = change.sensor == Sensor.ACCEL and not change.session
+        if counts and not (change.name in parameters and same(parameters[change.name], change.new, change.kind)):
+            return {}
+    return {fit.instance: fit.temperature for fit in newest.results if fit.temperature is not None}
 
 
 def make_plan(
     results: Sequence[FitResult],
     parameters: Mapping[str, Value],
     identity: Identity,
-    options: Mapping[str, bool],
+    switches: Mapping[str, bool],
+    temperatures: Mapping[int, float],
 ) -> Planned:
-    """Compose what to write. Raises FirmwareError if the firmware cannot take it at all."""
-    plan = compose(results, parameters, fingerprint(identity, parameters), options=_compose_options(options))
+    """Compose what to write. Raises FirmwareError if the firmware cannot take it at all.
+
+    `switches` are plan options, `temperatures` those of :func:`accel_temperatures`.
+    """
+    chosen: dict[str, Any] = dict(switches)
+    options = ComposeOptions(accel_temperature=dict(temperatures), **chosen)
+    plan = compose(results, parameters, fingerprint(identity, parameters), options=options)
     return Planned(plan, calibration_snapshot(parameters))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import Executor
 from dataclasses import dataclass
 
@@ -16,8 +16,8 @@ from service.jobs.capture import Capture
 from service.jobs.crashpoints import At, CrashPoint, nowhere
 from service.jobs.digest import FitRequest, Fitted, fit_segments
 from service.jobs.handle import JobHandle
-from service.jobs.model import Failure, Span
-from service.jobs.planning import identity_from_json, identity_to_json, keep_plan, make_plan
+from service.jobs.model import Failure, Job, Span
+from service.jobs.planning import accel_temperatures, identity_from_json, identity_to_json, keep_plan, make_plan
 from service.jobs.port import JobVehicle, VehicleSource
 from service.jobs.settings import JobSettings
 from service.jobs.spans import span_of
@@ -34,6 +34,8 @@ class Runner:
     source: VehicleSource
     settings: JobSettings
     executor: Executor
+    jobs: Callable[[], Iterable[Job]]
+    """Every job, for what is known from earlier ones."""
     reach: CrashPoint = nowhere
     clock: Callable[[], float] = time.monotonic
     wall: Callable[[], float] = time.time
@@ -74,7 +76,8 @@ class Runner:
             if isinstance(fitted.outcome, GaveUp):
                 raise CaptureEnded(fitted.outcome.cause, remedy=fitted.outcome.remedy)
             results = fitted.outcome.results
-            planned = await asyncio.to_thread(make_plan, results, fitted.parameters, identity, plan_options)
+            known = accel_temperatures(self.jobs(), job.vehicle_id, fitted.parameters)
+            planned = await asyncio.to_thread(make_plan, results, fitted.parameters, identity, plan_options, known)
             keep_plan(handle, planned)
         except CaptureEnded as ended:
             self._end(handle, JobState.FAILED, ended.code, str(ended), ended.remedy)
