@@ -1,4 +1,4 @@
-"""Samples that a procedure keeps: channels put together tick by tick, joined only when a fit asks for them."""
+"""Samples that a procedure keeps: channels put together tick by tick, joined in blocks and when a fit asks for them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ from collections.abc import Iterable
 from calib.procedures.roster import Frame, Instance
 from calib.recording import Channel, Recording, Sensor, join
 
+BLOCK = 64
+"""Ticks that are joined as they come: a tick holds a dozen samples, and its objects cost more than they do."""
+
 
 class Pool:
     """Kept frames of the instances of some sensors; :meth:`channel` joins them."""
@@ -15,26 +18,35 @@ class Pool:
     def __init__(self, sensors: Iterable[Sensor]) -> None:
         self._sensors = frozenset(sensors)
         self._parts: dict[Instance, list[Channel]] = {}
+        self._recent: dict[Instance, list[Channel]] = {}
 
     def add(self, frame: Frame) -> None:
         """Keep the samples of a tick."""
         for instance, channel in frame.items():
             if instance[0] in self._sensors:
-                self._parts.setdefault(instance, []).append(channel)
+                self._parts.setdefault(instance, [])
+                recent = self._recent.setdefault(instance, [])
+                recent.append(channel)
+                if len(recent) >= BLOCK:
+                    self._parts[instance].append(_joined(recent))
+                    recent.clear()
 
     def __contains__(self, instance: Instance) -> bool:
         return instance in self._parts
 
     def channel(self, instance: Instance) -> Channel:
         """All kept samples of `instance`."""
-        parts = self._parts[instance]
-        if len(parts) > 1:
-            parts[:] = [join(Recording((part,)) for part in parts).channels[0]]
-        return parts[0]
+        parts = [*self._parts[instance], *self._recent[instance]]
+        self._parts[instance], self._recent[instance] = [_joined(parts)], []
+        return self._parts[instance][0]
 
     def get(self, instance: Instance) -> Channel | None:
         """All kept samples of `instance`; None: there are none."""
         return self.channel(instance) if instance in self else None
+
+
+def _joined(parts: list[Channel]) -> Channel:
+    return join(Recording((part,)) for part in parts).channels[0]
 
 
 class Tail:
