@@ -10,12 +10,14 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
+import numpy as np
+
 from calib.procedures.context import ProcedureContext
 from calib.procedures.frames import body_from_sensor
 from calib.procedures.holds import SHORTEST, Hold, TakenPose, taken
-from calib.procedures.motion import HELD, StillLimits, Verdict
+from calib.procedures.motion import HELD, Disturbance, StillLimits, Verdict
 from calib.procedures.pose_fit import Assessment, assess
-from calib.procedures.poses import FACES, TEXTS, angle, down, in_words, recognise, remaining, suggest
+from calib.procedures.poses import FACES, TEXTS, WEIGHTLESS, angle, down, in_words, recognise, remaining, suggest
 from calib.procedures.protocol import Done, Pose, Progress, Prompt
 from calib.procedures.results import annotated
 from calib.procedures.roster import Frame, Instance
@@ -98,6 +100,8 @@ class AccelProcedure(TickedProcedure):
     def _on_tick(self, start: float, end: float, frame: Frame) -> None:
         verdict = self._watch.update(frame)
         direction = self._direction()
+        if verdict.still and direction is None:
+            verdict = Verdict(still=False, ticks=0, why="no accelerometer shows gravity", what=Disturbance.SILENT)
         if not verdict.still or direction is None:
             self._moved(verdict)
         elif self._here is not None and angle(direction, self._here) > NEXT_POSE:
@@ -112,13 +116,13 @@ class AccelProcedure(TickedProcedure):
         """The body direction that points down, as the first accelerometer has it."""
         for instance in self.present(Sensor.ACCEL):
             latest = self._watch.latest.get((Sensor.ACCEL, instance))
-            if latest is not None and latest.mean.any():
+            if latest is not None and np.linalg.norm(latest.mean) > WEIGHTLESS:
                 return down(self._body[instance] @ latest.mean)
         return None
 
     def _moved(self, verdict: Verdict) -> None:
         if self._hold is not None and self._hold.seconds > 0.0:
-            self._note = f"The pose was disturbed ({verdict.why or 'it crept away'}): take it again. "
+            self._note = f"The pose was disturbed ({verdict.what or 'it crept away'}): take it again. "
         self._hold = None
         self._here = None
 
@@ -126,12 +130,12 @@ class AccelProcedure(TickedProcedure):
         if any(angle(direction, p.direction) < SAME_POSE for p in self._poses):
             self._note = "This pose is done. "
             return
-        self._hold = self._hold or Hold()
+        self._hold = self._hold or Hold(direction)
         if self._hold.crept(direction):
-            self._moved(Verdict(still=False, ticks=0, why=""))
+            self._moved(Verdict(still=False, ticks=0, why="", what=Disturbance.NONE))
             self._watch.reset()
             return
-        self._hold.add(frame, seconds, direction)
+        self._hold.add(frame, seconds)
         if self._hold.complete(0.8 * self._target):
             self._take_pose(self._hold, direction)
 

@@ -90,17 +90,17 @@ class GyroProcedure(TickedProcedure):
         verdict = self._watch.update(frame)
         turned = self._field.update(frame) if verdict.counted else ""
         if not verdict.still or turned:
-            self._disturbed(verdict.why or turned)
+            self._disturbed(verdict.why or turned, verdict.what or "the field changes")
         elif verdict.counted:
             self._collect(frame, end - start)
         if self.outcome is None:
             self._tell(verdict)
 
-    def _disturbed(self, why: str) -> None:
+    def _disturbed(self, why: str, what: str) -> None:
         self._why = why
         self._watch.reset()
         self._begin_rest()
-        self._say(Prompt("hold_still", f"Not at rest: {why}. Leave the vehicle alone on a firm surface."))
+        self._say(Prompt("hold_still", f"Not at rest: {what}. Leave the vehicle alone on a firm surface."))
         if self.elapsed >= self.options["patience"]:
             self._give_up(
                 f"no rest that is long enough within {self.elapsed:.0f} s: {why}",
@@ -130,7 +130,7 @@ class GyroProcedure(TickedProcedure):
         fits = tuple(self._fit(i) for i in self.present(Sensor.GYRO))
         refusal = next((f for f in fits if f.status == FitStatus.REFUSED), None)
         if refusal is not None:
-            self._disturbed(f"{label(Sensor.GYRO, refusal.instance)}: {refusal.message}")
+            self._disturbed(f"{label(Sensor.GYRO, refusal.instance)}: {refusal.message}", "it moved or turns steadily")
             return
         reached = max(float(np.nanmax(f.sd[:3])) for f in fits)
         if reached < 0.98 * self._best:
@@ -163,7 +163,7 @@ class GyroProcedure(TickedProcedure):
         self._finish(Done(results, because))
 
     def _tell(self, verdict: Verdict) -> None:
-        reached = max(self._quick, self._best) if math.isfinite(self._best) else self._quick
+        reached = self._known
         known = math.isfinite(reached)
         # The standard deviation of a mean falls with the square root of the time.
         eta = self._rest * max((reached / self._target) ** 2 - 1.0, 0.0) if known and verdict.counted else None
@@ -172,6 +172,11 @@ class GyroProcedure(TickedProcedure):
         current = math.degrees(reached) if known else 0.0
         self._report(Progress(current, math.degrees(self._target), "deg/s", text, eta, detail))
 
+    @property
+    def _known(self) -> float:
+        """Standard deviation of the worst offset, rad/s: what its spread allows, or the last fit if that is worse."""
+        return max(self._quick, self._best) if math.isfinite(self._best) else self._quick
+
     def _missing(self) -> tuple[str, str]:
         if not math.isfinite(self._quick):
             return (
@@ -179,7 +184,7 @@ class GyroProcedure(TickedProcedure):
                 f"leave the vehicle alone for {SHORTEST + 1.0:.0f} s or more",
             )
         return (
-            f"the offsets are known to {math.degrees(self._quick):.4f} deg/s, not to {math.degrees(self._target):.4f}",
+            f"the offsets are known to {math.degrees(self._known):.4f} deg/s, not to {math.degrees(self._target):.4f}",
             "let it rest longer, or ask for less",
         )
 

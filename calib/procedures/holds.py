@@ -30,17 +30,16 @@ CREEP = math.radians(8.0)
 class Hold:
     """Collects the ticks of a hold."""
 
-    def __init__(self) -> None:
+    def __init__(self, direction: Array | None = None) -> None:
         self.seconds = 0.0
-        self.direction: Array | None = None
+        self.direction: Array | None = direction
+        """The body direction that pointed down when it began; None: does not matter."""
         self._pool = Pool((Sensor.ACCEL, Sensor.GYRO, Sensor.TEMPERATURE))
         self._tail = Tail(GUARD_TICKS)
         self._lengths: dict[int, list[float]] = {}
 
-    def add(self, frame: Frame, seconds: float, direction: Array) -> None:
-        """Take a still tick in which `direction` points down."""
-        if self.direction is None:
-            self.direction = direction
+    def add(self, frame: Frame, seconds: float) -> None:
+        """Take a still tick."""
         kept = self._tail.push(frame)
         if kept is None:
             return

@@ -88,38 +88,41 @@ class LevelProcedure(TickedProcedure):
         if not verdict.still:
             self._hold, self._why, self._judge_at = Hold(), verdict.why, 0.0
             self._restless += end - start
-            self._say(Prompt("hold_still", f"Not at rest: {verdict.why}. Leave the vehicle alone.", Pose.LEVEL))
+            self._say(Prompt("hold_still", f"Not at rest: {verdict.what}. Leave the vehicle alone.", Pose.LEVEL))
         elif verdict.counted:
             self._say(Prompt("hold_still", "At rest: leave the vehicle alone.", Pose.LEVEL, stable=True))
-            self._hold.add(frame, end - start, self._direction())
+            self._hold.add(frame, end - start)
             if self._hold.seconds >= SHORTEST and self._hold.seconds >= self._judge_at:
                 self._judge_at = self._hold.seconds + 1.0
                 self._judge()
         if self.outcome is None:
             self._tell(verdict)
 
-    def _direction(self) -> Array:
-        instance = next(iter(self._models))
-        return down(self._models[instance].rotation @ self._watch.mean((Sensor.ACCEL, instance)))
-
     def _judge(self) -> None:
         held = {i: self._hold.mean(i) for i in self._models if i in self.present(Sensor.ACCEL)}
-        means = {i: m for i, m in held.items() if m is not None}
-        if not means:
+        means = {i: m for i, m in held.items() if m is not None and self._correctable(i, m)}
+        if means:
+            self._check(means)
+        if not means or self.outcome is not None:
             return
         fits = tuple(_fit(i, self._models[i], m) for i, m in means.items())
         reached = max(max(f.native["roll_sd"], f.native["pitch_sd"]) for f in fits)
         if reached > self._target:
             self._why = f"roll and pitch are known to {math.degrees(reached):.3f} deg"
             return
-        self._check(means)
-        if self.outcome is None:
-            self._dropped_rows()
-            text = ", ".join(
-                f"roll {f.quality['roll_deg']:.2f}, pitch {f.quality['pitch_deg']:.2f} deg" for f in fits[:1]
-            )
-            results = tuple(annotated(f, self.context, self.warnings) for f in fits)
-            self._finish(Done(results, f"{text}, known to {math.degrees(reached):.3f} deg"))
+        self._dropped_rows()
+        first = fits[0].quality
+        text = f"roll {first['roll_deg']:.2f}, pitch {first['pitch_deg']:.2f} deg"
+        results = tuple(annotated(f, self.context, self.warnings) for f in fits)
+        self._finish(Done(results, f"{text}, known to {math.degrees(reached):.3f} deg"))
+
+    def _correctable(self, instance: int, mean: PoseMean) -> bool:
+        if self._models[instance].polynomial is None or mean.temperature is not None:
+            return True
+        self._warn(
+            f"{label(Sensor.ACCEL, instance)} is left out: it is corrected by a temperature that does not stream"
+        )
+        return False
 
     def _check(self, means: dict[int, PoseMean]) -> None:
         forces = {i: self._models[i].apply(m.mean, m.temperature) for i, m in means.items()}

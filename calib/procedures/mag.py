@@ -129,7 +129,9 @@ class MagProcedure(TickedProcedure):
 
     def _on_tick(self, start: float, end: float, frame: Frame) -> None:
         self._recent = [*self._recent[-2:], frame]
-        self._collect(frame)
+        if len(self._recent) > 1:
+            # One tick late, so that the gyro's samples reach beyond the compass's.
+            self._collect(self._recent[-2])
         self._judge_strength()
         if self.outcome is None and self.time - self._looked >= LOOK_EVERY:
             self._looked = self.time
@@ -146,7 +148,7 @@ class MagProcedure(TickedProcedure):
     def _collect(self, frame: Frame) -> None:
         known: tuple[Array, Motion | None] | None = None
         for (sensor, instance), channel in frame.items():
-            if sensor != Sensor.MAG:
+            if sensor != Sensor.MAG or instance not in self.present(Sensor.MAG):
                 continue
             if known is None or not np.array_equal(known[0], channel.t):
                 known = channel.t, self._motion(channel.t)
@@ -299,6 +301,8 @@ class MagProcedure(TickedProcedure):
         self._say(Prompt("rotate", self._text, rotate=True, direction=self._direction, answers=answers))
 
     def _tell(self) -> None:
+        if not self._tracks:
+            return
         known = {i: min(t.heading_sd, t.predicted) if t.fit is None else t.heading_sd for i, t in self._tracks.items()}
         worst = max(known.values(), default=math.inf)
         finite = math.isfinite(worst)

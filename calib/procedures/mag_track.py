@@ -27,6 +27,13 @@ LEAST_NOISE = 1e-4
 """Noise of one axis over the field strength below which no compass is believed to be."""
 
 
+WARNED_ASKEW = 5.0
+"""Angle between compass and accelerometer, degrees, that is told: the heading is off by about as much."""
+
+REFUSED_ASKEW = 20.0
+"""Angle, degrees, beyond which the nearest right-angle mounting is no description of the real one."""
+
+
 @dataclass(frozen=True, eq=False)
 class Motion:
     """How the body moved at the times of a chunk of compass samples: rates over their window, force and rate then."""
@@ -155,12 +162,19 @@ class MagTrack:
         assert self.fit is not None
         known = None if mounting is None else _as_quality(mounting)
         quality = {**self.fit.quality, "orientation": known, "blurred": self.blurred}
-        if mounting is not None and mounting.verdict == Verdict.UNEXPLAINED:
+        askew = _askew(mounting)
+        if mounting is not None and (mounting.verdict == Verdict.UNEXPLAINED or askew > REFUSED_ASKEW):
+            message = mounting.message
+            if mounting.verdict != Verdict.UNEXPLAINED:
+                message = (
+                    f"no right-angle mounting explains the compass: the best ({mounting.best.name}) is {askew:.0f} deg "
+                    "off; mount it square to the vehicle, or set its rotation by angles"
+                )
             return refused(
                 self.fit.method,
                 Sensor.MAG,
                 self.instance,
-                mounting.message,
+                message,
                 unit=self.fit.unit,
                 n_samples=self.fit.n_samples,
                 undetermined=parameter_names(),
@@ -172,6 +186,8 @@ class MagTrack:
             warnings += (text if mounting is None else mounting.message,)
         elif mounting.verdict == Verdict.ROTATED:
             warnings += (mounting.message,)
+        if askew > WARNED_ASKEW:
+            warnings += (f"the compass is mounted {askew:.0f} deg askew, which no parameter holds",)
         return dataclasses.replace(self.fit, quality=quality, warnings=warnings)
 
     def _joined_rates(self) -> Rates:
@@ -180,6 +196,14 @@ class MagTrack:
             known = np.concatenate([r.known for r in self._rates])
             self._rates = [Rates(squares, known, self._rates[0].window)]
         return self._rates[0]
+
+
+def _askew(mounting: OrientationResult | None) -> float:
+    """Angle that is left over after the best mounting, degrees; 0 where it is not known to a tenth of itself."""
+    if mounting is None or mounting.misalignment_deg is None or mounting.misalignment_sd_deg is None:
+        return 0.0
+    angle = float(np.linalg.norm(mounting.misalignment_deg))
+    return angle if angle > 10.0 * float(np.linalg.norm(mounting.misalignment_sd_deg)) else 0.0
 
 
 def _as_quality(mounting: OrientationResult) -> dict[str, Any]:
@@ -193,7 +217,7 @@ def _as_quality(mounting: OrientationResult) -> dict[str, Any]:
         "yaw": best.yaw,
         "matrix": best.matrix.tolist(),
         "message": mounting.message,
-        "log_likelihood_margin": mounting.log_likelihood_margin,
+        "log_likelihood_margin": float(mounting.log_likelihood_margin),
         "rms": next(iter(mounting.rms.values())),
         "misalignment_deg": mounting.misalignment_deg,
         "misalignment_sd_deg": mounting.misalignment_sd_deg,

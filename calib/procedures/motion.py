@@ -10,6 +10,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -95,21 +97,41 @@ class _Reference:
         return self._count
 
 
+class Disturbance(StrEnum):
+    """What kind of movement it is, for a prompt that shall not change with every number."""
+
+    NONE = ""
+    SILENT = "no samples come in"
+    SHAKES = "it shakes"
+    TURNS = "it turns"
+    TILTS = "it is tilted or pushed"
+
+
 @dataclass(frozen=True)
 class Verdict:
     """Whether a tick belongs to a still run.
 
-    `ticks` counts the run's ticks so far, `why` says what moves (empty while still).
+    `ticks` counts the run's ticks so far, `why` says what moves and by how much (empty while still), `what` of which
+    kind it is.
     """
 
     still: bool
     ticks: int
     why: str
+    what: Disturbance
 
     @property
     def counted(self) -> bool:
         """Whether the tick is still and the run past its settling time."""
         return self.still and self.ticks > SETTLE_TICKS
+
+
+class _Excess(NamedTuple):
+    """How far beyond its bound something is (above 1: not still), and in words."""
+
+    ratio: float
+    why: str
+    what: Disturbance
 
 
 class StillWatch:
@@ -142,18 +164,19 @@ class StillWatch:
         self.latest = {i: statistics(frame[i].values) for i in self._references if i in frame}
         if not self.latest:
             self.reset()
-            return Verdict(still=False, ticks=0, why="no samples come in")
-        ratio, why = max((self._judge(i, tick) for i, tick in self.latest.items()), key=lambda r: r[0])
-        if ratio > 1.0:
+            return Verdict(still=False, ticks=0, why="no samples come in", what=Disturbance.SILENT)
+        worst = max((self._judge(i, tick) for i, tick in self.latest.items()), key=lambda e: e.ratio)
+        still = worst.ratio <= 1.0
+        if not still:
             self.reset()
-        still = ratio <= 1.0
         self._ticks += 1
         for instance, tick in self.latest.items():
             self._references[instance].add(tick)
-        return Verdict(still, self._ticks if still else 0, "" if still else why)
+        if still:
+            return Verdict(still=True, ticks=self._ticks, why="", what=Disturbance.NONE)
+        return Verdict(still=False, ticks=0, why=worst.why, what=worst.what)
 
-    def _judge(self, instance: Instance, tick: TickStatistics) -> tuple[float, str]:
-        """How far beyond its bounds the tick is (above 1: not still), and in words."""
+    def _judge(self, instance: Instance, tick: TickStatistics) -> _Excess:
         accel = instance[0] == Sensor.ACCEL
         limits = self._limits
         checks = [self._spread(instance, tick, limits.accel_spread if accel else limits.gyro_spread)]
@@ -161,28 +184,32 @@ class StillWatch:
             checks.append(self._rate(instance, tick))
         if len(self._references[instance]):
             checks.append(self._wander(instance, tick, limits.accel_wander if accel else limits.gyro_wander))
-        return max(checks, key=lambda r: r[0])
+        return max(checks, key=lambda e: e.ratio)
 
-    def _spread(self, instance: Instance, tick: TickStatistics, bound: float) -> tuple[float, str]:
+    def _spread(self, instance: Instance, tick: TickStatistics, bound: float) -> _Excess:
         axis = int(tick.spread.argmax())
         amount = _in_words(instance[0], float(tick.spread[axis]))
-        return float(tick.spread[axis]) / bound, f"{label(*instance)} sees shaking of {amount} along {_AXES[axis]}"
+        text = f"{label(*instance)} sees shaking of {amount} along {_AXES[axis]}"
+        return _Excess(float(tick.spread[axis]) / bound, text, Disturbance.SHAKES)
 
-    def _rate(self, instance: Instance, tick: TickStatistics) -> tuple[float, str]:
+    def _rate(self, instance: Instance, tick: TickStatistics) -> _Excess:
         rate = float(np.linalg.norm(tick.mean))
         axis = int(np.abs(tick.mean).argmax())
         text = f"{label(*instance)} sees a turn of {math.degrees(rate):.1f} deg/s, mostly about {_AXES[axis]}"
-        return rate / self._limits.rate, text
+        return _Excess(rate / self._limits.rate, text, Disturbance.TURNS)
 
-    def _wander(self, instance: Instance, tick: TickStatistics, bound: float) -> tuple[float, str]:
+    def _wander(self, instance: Instance, tick: TickStatistics, bound: float) -> _Excess:
         reference = self._references[instance]
         deviation = np.abs(tick.mean - reference.mean)
         # Noise alone moves a tick's mean: five of its standard errors are no movement.
         allowed = np.maximum(bound, 5.0 * reference.error)
         axis = int((deviation / allowed).argmax())
-        verb = "turns" if instance[0] == Sensor.GYRO else "is tilted or pushed"
-        text = f"the vehicle {verb}: {label(*instance)} changed by {_in_words(instance[0], float(deviation[axis]))}"
-        return float(deviation[axis] / allowed[axis]), f"{text} along {_AXES[axis]}"
+        gyro = instance[0] == Sensor.GYRO
+        amount = _in_words(instance[0], float(deviation[axis]))
+        verb = "turns" if gyro else "is tilted or pushed"
+        text = f"the vehicle {verb}: {label(*instance)} changed by {amount} along {_AXES[axis]}"
+        what = Disturbance.TURNS if gyro else Disturbance.TILTS
+        return _Excess(float(deviation[axis] / allowed[axis]), text, what)
 
 
 def _in_words(sensor: Sensor, amount: float) -> str:

@@ -37,6 +37,9 @@ FACE_WITHIN = math.radians(22.0)
 """A hand holds a face to better than this; beyond it the pose is oblique. Half of the angle between a face and the
 edge between two faces."""
 
+WEIGHTLESS = 1.0
+"""An accelerometer that reads less than this, m/s2, shows no vertical: it is dead, or it falls."""
+
 APART = math.radians(20.0)
 """Oblique poses nearer to each other than this count once."""
 
@@ -46,7 +49,10 @@ _CANDIDATES /= np.linalg.norm(_CANDIDATES, axis=1)[:, None]
 
 
 def down(specific_force: Array) -> Array:
-    """Unit vector of the body direction that points down: at rest the specific force points up."""
+    """Unit vector of the body direction that points down: at rest the specific force points up.
+
+    `specific_force` must be larger than :data:`WEIGHTLESS`.
+    """
     return np.asarray(-specific_force / np.linalg.norm(specific_force), dtype=np.float64)
 
 

@@ -12,7 +12,7 @@ from typing import ClassVar
 from calib.fit import FitResult, FitStatus
 from calib.procedures.context import ProcedureContext
 from calib.procedures.drift_fit import Span, fit_drift
-from calib.procedures.motion import Verdict
+from calib.procedures.motion import Disturbance, Verdict
 from calib.procedures.pool import Pool, Tail
 from calib.procedures.protocol import Done, Progress, Prompt
 from calib.procedures.results import annotated
@@ -85,6 +85,7 @@ class ThermalProcedure(TickedProcedure):
         self._spans: list[Span] = []
         self._still = 0.0
         self._why = ""
+        self._what = Disturbance.NONE
         self._missed = ""
         self._next_fit = -math.inf
 
@@ -109,7 +110,7 @@ class ThermalProcedure(TickedProcedure):
         self._warmth.update(frame, self._units())
         verdict = self._watch.update(frame)
         if not verdict.still:
-            self._moved(verdict.why)
+            self._moved(verdict)
         elif verdict.counted:
             self._keep(start, end, frame)
         self._ask(still=verdict.still)
@@ -117,8 +118,8 @@ class ThermalProcedure(TickedProcedure):
         if self.outcome is None:
             self._tell(verdict)
 
-    def _moved(self, why: str) -> None:
-        self._why = why
+    def _moved(self, verdict: Verdict) -> None:
+        self._why, self._what = verdict.why, verdict.what
         self._tail = Tail(GUARD_TICKS)
         if self._spans and self._spans[-1].open:
             self._spans[-1] = self._spans[-1].closed()
@@ -237,7 +238,7 @@ class ThermalProcedure(TickedProcedure):
         answers = ("finish",) if self._warmth.span >= NARROWEST else ()
         text = "Leave the vehicle alone while its temperature changes."
         if not still:
-            text = f"Do not touch it: {self._why}. {text}"
+            text = f"Do not touch it: {self._what}. {text}"
         self._say(Prompt("warm_up", text, stable=still, answers=answers))
 
     def _tell(self, verdict: Verdict) -> None:

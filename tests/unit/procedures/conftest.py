@@ -95,16 +95,10 @@ class Bench:
         return self
 
     def tumble(self, seconds: float, rate_dps: float = 40.0) -> Bench:
-        """Turn about an axis that itself wanders, so that every direction comes by."""
+        """Turn about three axes at once, so that every direction comes by."""
         n = round(seconds / self._step)
-        t = np.arange(n) * self._step
-        axis = np.stack([np.sin(0.31 * t), np.cos(0.47 * t), np.sin(0.73 * t + 1.0)], axis=1)
-        axis /= np.linalg.norm(axis, axis=1)[:, None]
-        now, out = self._last, []
-        for step in np.radians(rate_dps) * self._step * axis:
-            now = now * Rotation.from_rotvec(step)
-            out.append(now.as_quat())
-        self._parts.append(Rotation.from_quat(np.array(out)))
+        angles = np.outer(np.arange(1, n + 1) * self._step, np.array([0.59, 0.47, 0.66]) * rate_dps)
+        self._parts.append(self._last * Rotation.from_euler("ZYX", angles, degrees=True))
         return self
 
     def _turn_to(self, pose: Rotation, seconds: float) -> None:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from calib.earth import EarthField
@@ -15,6 +15,7 @@ from calib.procedures.protocol import Done, GaveUp, Progress, Prompt
 from calib.recording import Identity, Sensor
 
 FIELD = EarthField([20.5, 1.2, 44.0], norm_sd=0.15)
+WITHOUT_SHRINKING = (Phase.explicit, Phase.generate)  # a run takes too long for it
 CONTEXT = ProcedureContext(identity=Identity(autopilot="other"), parameters={"X": 1.0}, earth_field=FIELD)
 
 
@@ -94,7 +95,7 @@ def test_a_compass_mounted_askew_is_refused_with_the_cause(clean):
 def test_fast_turns_are_left_out_and_mild_blur_is_computed_back(clean):
     truth = replace(clean().mags[0], noise=0.05)
     context = replace(CONTEXT, identity=Identity(autopilot="ardupilot"), parameters={})
-    recording = clean(mags=(truth,)).tumble(30.0, 60.0).tumble(6.0, 900.0).tumble(20.0, 120.0).record()
+    recording = clean(mags=(truth,)).tumble(8.0, 900.0).tumble(40.0, 80.0).record()
     fit = run(recording, context=context, uncertainty=0.03)[0].outcome.results[0]
     assert (deviations(fit, truth) < 4.5).all()
     assert fit.quality["blurred"] > 40
@@ -153,10 +154,12 @@ def test_one_bad_compass_does_not_keep_the_good_one_for_ever(clean):
     assert math.isclose(procedure.elapsed, 60.0, abs_tol=3.0)
 
 
-@settings(deadline=None, max_examples=4, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(cuts=st.lists(st.floats(100.0, 130.0), max_size=60))
+@settings(
+    deadline=None, max_examples=4, phases=WITHOUT_SHRINKING, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(cuts=st.lists(st.floats(100.0, 145.0), max_size=60))
 def test_steps_and_digits_do_not_depend_on_the_chunks(clean, chunks, cuts):
-    recording = clean().tumble(30.0).record()
+    recording = clean().tumble(45.0).record()
     whole, steps = run(recording)
     cut, pieces = run(recording, chunks(recording, cuts))
     assert [repr(s) for s in steps if not isinstance(s, Done)] == [repr(s) for s in pieces if not isinstance(s, Done)]

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from pathlib import Path
@@ -115,3 +116,46 @@ def test_a_sensor_that_falls_silent_is_left_out(bench):
     outcome = replay("gyro", {"uncertainty": 0.003}, CONTEXT, short)
     assert [f.instance for f in outcome.results] == [0]
     assert any("gyro 2 stopped" in w for w in outcome.results[0].warnings)
+
+
+def nasty(name, recording, rng):
+    """`recording` with every value spoilt in one way."""
+    spoil = {
+        "zeros": lambda v: np.zeros_like(v),
+        "constant": lambda v: np.full_like(v, 3.25),
+        "noise": lambda v: rng.normal(0.0, 12.0, v.shape),
+        "spikes": lambda v: np.where(rng.random(v.shape) < 0.02, 900.0, v),
+        "holes": lambda v: np.where(rng.random(v.shape) < 0.4, np.nan, v),
+        "nothing": lambda v: np.full_like(v, np.nan),
+        "huge": lambda v: v * 1e200,
+        "tiny": lambda v: v * 1e-200,
+    }[name]
+    return recording.with_channels(dataclasses.replace(c, values=spoil(c.values)) for c in recording.channels)
+
+
+@pytest.mark.parametrize("kind", PROCEDURES)
+@pytest.mark.parametrize("spoilt", ["zeros", "constant", "noise", "spikes", "holes", "nothing", "huge", "tiny"])
+def test_whatever_arrives_ends_in_a_result_or_in_one_sentence(kind, spoilt, bench):
+    recording = bench(mags=bench().mags).hold(12.0).tumble(12.0, 50.0).record()
+    outcome = replay(kind, {}, CONTEXT, nasty(spoilt, recording, np.random.default_rng(4)))
+    if isinstance(outcome, Done):
+        assert all(np.isfinite(f.values).all() for f in outcome.results)
+    else:
+        assert outcome.cause
+        assert outcome.remedy
+
+
+@pytest.mark.parametrize("kind", PROCEDURES)
+def test_one_sample_of_everything_is_too_little(kind, bench):
+    recording = bench().hold(1.0).record()
+    one = recording.with_channels(c.take(slice(0, 1)) for c in recording.channels)
+    assert replay(kind, {}, CONTEXT, one).cause
+
+
+@pytest.mark.parametrize("kind", PROCEDURES)
+def test_time_stamps_that_stand_still_do_no_harm(kind, bench):
+    recording = bench().hold(6.0).record()
+    stopped = recording.with_channels(
+        dataclasses.replace(c, t=np.where(c.t > 103.0, 103.0, c.t)) for c in recording.channels
+    )
+    assert replay(kind, {}, CONTEXT, stopped)
