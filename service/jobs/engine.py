@@ -6,8 +6,9 @@ import asyncio
 import dataclasses
 import time
 import uuid
-from collections.abc import AsyncIterator, Callable, Coroutine, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
+from functools import partial
 from typing import Any
 
 import structlog
@@ -102,11 +103,11 @@ class JobEngine:
             state = handle.job.state
             if state in WRITING:  # the journal and the vehicle decide
                 self._doubt(handle)
-                self._spawn(handle, self._transaction(handle).resolve())
+                self._spawn(handle, self._transaction(handle).resolve)
             elif state in CAPTURING:  # replay what was recorded and go on, if the vehicle is the same boot still
-                self._spawn(handle, self._captured(handle))
+                self._spawn(handle, partial(self._captured, handle))
             elif state == JobState.FITTING:
-                self._spawn(handle, self._runner.fit(handle))
+                self._spawn(handle, partial(self._runner.fit, handle))
             else:
                 self._tidy(handle)
 
@@ -178,7 +179,7 @@ class JobEngine:
         except BaseException:
             del self._handles[job.id]
             raise
-        self._spawn(handle, self._captured(handle))
+        self._spawn(handle, partial(self._captured, handle))
         return handle.job
 
     async def cancel(self, job_id: str) -> Job:
@@ -208,7 +209,7 @@ class JobEngine:
         """Fit what an interrupted job has recorded. Raises IllegalTransition."""
         handle = self._handle(job_id)
         handle.move(JobState.FITTING, outcome=None)
-        self._spawn(handle, self._runner.fit(handle))
+        self._spawn(handle, partial(self._runner.fit, handle))
         return handle.job
 
     # --- writing
@@ -274,7 +275,7 @@ class JobEngine:
         handle.move(JobState.APPLYING, accept=accept, outcome=None, verification=None, standing=())
         await handle.record(Step.ACCEPTED, plan_sha256=accept.plan_sha256, actor=accept.actor, reboot=accept.reboot)
         self._reach(At.ACCEPTED)
-        self._spawn(handle, self._transaction(handle).apply())
+        self._spawn(handle, self._transaction(handle).apply)
         return handle.job
 
     async def revert(self, job_id: str, actor: str = "operator") -> Job:
@@ -294,7 +295,7 @@ class JobEngine:
         require_ready(self._vehicles.vehicle(handle.job.vehicle_id))
         self._store.add_audit(self._wall(), actor, "revert", job_id, {})
         handle.move(JobState.ROLLING_BACK, prompt=None)
-        self._spawn(handle, self._transaction(handle).revert())
+        self._spawn(handle, self._transaction(handle).revert)
         return handle.job
 
     # --- inside
@@ -346,14 +347,14 @@ class JobEngine:
             await asyncio.wait({earlier})
         await self._runner.calibrate(handle)
 
-    def _spawn(self, handle: JobHandle, work: Coroutine[Any, Any, None]) -> None:
+    def _spawn(self, handle: JobHandle, work: Callable[[], Awaitable[None]]) -> None:
         task = asyncio.create_task(self._supervised(handle, work), name=f"job {handle.id}")
         self._tasks[handle.id] = task
         task.add_done_callback(lambda done: self._ended(handle, done))
 
-    async def _supervised(self, handle: JobHandle, work: Coroutine[Any, Any, None]) -> None:
+    async def _supervised(self, handle: JobHandle, work: Callable[[], Awaitable[None]]) -> None:
         try:
-            await work
+            await work()
         except Exception as error:
             log.exception("job broke", job=handle.id, state=handle.job.state)
             if handle.job.state in CAPTURING | {JobState.FITTING}:

@@ -1,0 +1,229 @@
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from calib.errors import CalibError, FirmwareError, InvalidInputError
+from calib.recording import Identity
+from service.errors import (
+    AnswerRefused,
+    Forbidden,
+    IdempotencyConflict,
+    IllegalTransition,
+    JobUnknown,
+    NotCancellable,
+    NotRevertible,
+    PhysicalJobRunning,
+    PlanBlocked,
+    PlanChanged,
+    ServiceError,
+    VehicleArmed,
+    VehicleBusy,
+    VehicleConflict,
+    VehicleSilent,
+    VehicleUnknown,
+)
+from service.jobs.codec import job_from_row, row_from_job
+from service.jobs.engine import JobEngine
+from service.jobs.journal import Step
+from service.jobs.model import Accept, Job
+from service.jobs.states import JobState
+from service.store import SqliteStore
+from service.store.rows import SnapshotPurpose
+from service.testing import FakeFleet, FakeVehicle
+
+from .conftest import OLD, QUICK, make_plan, until
+
+
+@asynccontextmanager
+async def running(
+    vehicle: FakeVehicle, *jobs: Job, read_only: bool = False, store: SqliteStore | None = None
+) -> AsyncIterator[JobEngine]:
+    store = store or SqliteStore(None)
+    for job in jobs:
+        store.save_job(row_from_job(job))
+        if job.plan is not None:
+            digest = job.plan.snapshot_sha256
+            store.add_snapshot(job.id, 0.0, SnapshotPurpose.COMPOSED_ON, digest, vehicle.values())
+    engine = JobEngine(store, FakeFleet({vehicle.id: vehicle}), settings=QUICK, read_only=read_only)
+    await engine.start()
+    try:
+        yield engine
+    finally:
+        await engine.stop()
+        store.close()
+
+
+def reviewed(vehicle: FakeVehicle, **changes: Any) -> Job:
+    plan = make_plan(vehicle)
+    job = Job("j1", vehicle.id, "gyro", {}, JobState.REVIEW, 1.0, 1.0, fingerprint=plan.fingerprint, plan=plan)
+    return replace(job, **changes)
+
+
+@pytest.fixture
+def vehicle() -> FakeVehicle:
+    return FakeVehicle.with_floats(OLD)
+
+
+@pytest.mark.parametrize(
+    ("trouble", "error"),
+    [
+        ({"silent": True}, VehicleSilent),
+        ({"armed": True}, VehicleArmed),
+        ({"conflict": "two of them"}, VehicleConflict),
+        ({"calibrating": True}, VehicleBusy),
+    ],
+)
+async def test_no_job_on_a_vehicle_that_is_not_ready(
+    vehicle: FakeVehicle, trouble: dict[str, Any], error: type[ServiceError]
+) -> None:
+    vehicle.change_state(**trouble)
+    async with running(vehicle) as engine:
+        with pytest.raises(error):
+            await engine.submit(vehicle.id, "gyro")
+        assert engine.list() == ()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error"),
+    [
+        (("nobody", "gyro"), VehicleUnknown),
+        (("vehicle-1", "dance"), InvalidInputError),
+        (("vehicle-1", "gyro", {"uncertainty": -1.0}), InvalidInputError),
+        (("vehicle-1", "gyro", {"speed": 1.0}), InvalidInputError),
+        (("vehicle-1", "gyro", {}, {"keep_gyros": True}), InvalidInputError),
+    ],
+)
+async def test_what_cannot_be_asked_for(
+    vehicle: FakeVehicle, arguments: tuple[Any, ...], error: type[CalibError | ServiceError]
+) -> None:
+    async with running(vehicle) as engine:
+        with pytest.raises(error):
+            await engine.submit(*arguments)
+
+
+async def test_a_foreign_autopilot_is_refused_at_once(vehicle: FakeVehicle) -> None:
+    vehicle.identity = Identity("other", 2, (1, 0, 0), "00", 1, 1)
+    async with running(vehicle) as engine:
+        with pytest.raises(FirmwareError):
+            await engine.submit(vehicle.id, "gyro")
+
+
+async def test_one_physical_job_a_vehicle_and_any_number_of_vehicles(vehicle: FakeVehicle) -> None:
+    other = FakeVehicle.with_floats(OLD, id="vehicle-2")
+    store = SqliteStore(None)
+    engine = JobEngine(store, FakeFleet({vehicle.id: vehicle, other.id: other}), settings=QUICK)
+    await engine.start()
+    first = await engine.submit(vehicle.id, "gyro")
+    with pytest.raises(PhysicalJobRunning, match=first.id):
+        await engine.submit(vehicle.id, "accel")
+    await engine.submit(other.id, "gyro")
+    await engine.cancel(first.id)
+    await engine.submit(vehicle.id, "accel")
+    await engine.stop()
+    store.close()
+
+
+async def test_a_vehicle_in_doubt_is_closed(vehicle: FakeVehicle) -> None:
+    vehicle.change_state(armed=True)  # nothing can be resolved while it is
+    async with running(vehicle, reviewed(vehicle, state=JobState.APPLYING)) as engine:
+        assert engine.get("j1").state == JobState.IN_DOUBT
+        vehicle.state = replace(vehicle.state, armed=False, obstacles=("not known to be on the ground",))
+        with pytest.raises(PhysicalJobRunning, match="closed for new jobs"):
+            await engine.submit(vehicle.id, "gyro")
+        with pytest.raises(NotCancellable):
+            await engine.cancel("j1")
+        vehicle.state = replace(vehicle.state, obstacles=())
+        await until(lambda: engine.get("j1").state == JobState.REVIEW)  # nothing had been sent
+
+
+async def test_cancel_and_answer_and_unknown_jobs(vehicle: FakeVehicle) -> None:
+    async with running(vehicle, reviewed(vehicle)) as engine:
+        with pytest.raises(JobUnknown):
+            engine.get("nothing")
+        with pytest.raises(AnswerRefused, match="no answer now"):
+            await engine.answer("j1", "finish")
+        assert (await engine.cancel("j1")).state == JobState.CANCELLED
+        with pytest.raises(NotCancellable):
+            await engine.cancel("j1")
+        with pytest.raises(NotRevertible):
+            await engine.revert("j1")
+        with pytest.raises(IllegalTransition):
+            await engine.refit("j1")
+
+
+async def test_what_keeps_a_plan_from_being_written(vehicle: FakeVehicle) -> None:
+    job = reviewed(vehicle)
+    assert job.plan is not None
+    blocked = replace(job, id="j2", plan=replace(job.plan, blockers=("the offset is 9 m/s2",)))
+    empty = replace(job, id="j3", plan=replace(job.plan, changes=()))
+    async with running(vehicle, job, blocked, empty) as engine:
+        with pytest.raises(PlanChanged):
+            await engine.apply("j1", Accept("0" * 64))
+        for other, text in ((blocked, "9 m/s2"), (empty, "nothing to write")):
+            assert other.plan is not None
+            with pytest.raises(PlanBlocked, match=text):
+                await engine.apply(other.id, Accept(other.plan.sha256))
+        vehicle.store("INS_GYR_ID", 5.0)
+        with pytest.raises(PlanChanged, match="INS_GYR_ID was 1000 and is 5"):
+            await engine.apply("j1", Accept(job.plan.sha256))
+        assert engine.get("j1").state == JobState.REVIEW
+        assert vehicle.sets == []
+
+
+async def test_a_read_only_service_never_writes(vehicle: FakeVehicle) -> None:
+    job = reviewed(vehicle)
+    assert job.plan is not None
+    async with running(vehicle, job, replace(job, id="j2", state=JobState.SUCCEEDED), read_only=True) as engine:
+        with pytest.raises(Forbidden):
+            await engine.apply("j1", Accept(job.plan.sha256))
+        with pytest.raises(Forbidden):
+            await engine.revert("j2")
+
+
+async def test_an_idempotency_key_writes_once(vehicle: FakeVehicle) -> None:
+    job = reviewed(vehicle)
+    assert job.plan is not None
+    store = SqliteStore(None)
+    async with running(vehicle, job, store=store) as engine:
+        accept = Accept(job.plan.sha256)
+        assert (await engine.apply("j1", accept, "key")).state == JobState.APPLYING
+        assert (await engine.apply("j1", accept, "key")).id == "j1"
+        with pytest.raises(IdempotencyConflict):
+            await engine.apply("j1", replace(accept, reboot=True), "key")
+        with pytest.raises(IllegalTransition):
+            await engine.apply("j1", accept, "another key")
+        assert [row.step for row in store.journal("j1")].count(Step.ACCEPTED) == 1
+        assert [row.action for row in store.audit()] == ["apply"]
+
+
+async def test_events_are_replayed_and_then_live(vehicle: FakeVehicle) -> None:
+    async with running(vehicle, reviewed(vehicle)) as engine:
+        job = await engine.submit(vehicle.id, "gyro")
+        seen: list[tuple[int, str]] = []
+
+        async def watch(after: int) -> None:
+            async for event in engine.subscribe(job.id, after):
+                seen.append((event.sequence, event.kind))
+
+        watching = asyncio.create_task(watch(0))
+        await until(lambda: bool(seen))
+        assert seen[0] == (1, "state")
+        await engine.cancel(job.id)
+        await until(lambda: len(seen) >= 2)
+        assert [sequence for sequence, _ in seen] == list(range(1, len(seen) + 1))
+        watching.cancel()
+        with pytest.raises(JobUnknown):
+            engine.subscribe("nothing")
+
+
+def test_a_job_survives_the_store_exactly(vehicle: FakeVehicle) -> None:
+    job = reviewed(
+        vehicle, accept=Accept("0" * 64, reboot=True), warnings=("a", "b"), context={"answers": [[1.5, "x"]]}
+    )
+    assert job_from_row(row_from_job(job)) == job

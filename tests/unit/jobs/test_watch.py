@@ -1,0 +1,101 @@
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+
+from service.errors import CaptureEnded, CaptureLost
+from service.jobs.settings import JobSettings
+from service.jobs.watch import CaptureWatch
+from service.testing import FakeVehicle, ManualClock
+
+
+@dataclass
+class Digest:
+    """As much of a digest as the watch looks at."""
+
+    last_time: float = 100.0
+    restarted: bool = False
+
+
+@dataclass
+class Bench:
+    vehicle: FakeVehicle
+    clock: ManualClock
+    digest: Digest
+    warnings: list[str]
+    watch: CaptureWatch
+
+    def look(self) -> None:
+        self.watch.look(self.digest)  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def bench() -> Bench:
+    vehicle, clock, warnings = FakeVehicle({}), ManualClock(), []
+    watch = CaptureWatch(vehicle, JobSettings(gap_limit_s=60.0, stall_s=30.0), clock, warnings.append)
+    return Bench(vehicle, clock, Digest(), warnings, watch)
+
+
+@pytest.mark.parametrize(
+    ("trouble", "text"),
+    [
+        ({"armed": True}, "armed"),
+        ({"reboots": 1}, "restarted"),
+        ({"calibrating": True}, "calibration of its own"),
+        ({"conflict": "two vehicles"}, "two vehicles"),
+    ],
+)
+def test_what_ends_a_capture_is_one_sentence_with_a_remedy(bench: Bench, trouble: dict[str, Any], text: str) -> None:
+    bench.look()
+    bench.vehicle.change_state(**trouble)
+    with pytest.raises(CaptureEnded, match=text) as caught:
+        bench.look()
+    assert "start the job again" in caught.value.remedy
+
+
+def test_a_gap_is_survived_and_told_and_a_long_one_keeps_the_data(bench: Bench) -> None:
+    bench.vehicle.change_state(silent=True)
+    bench.look()
+    bench.clock.advance(59.0)
+    bench.look()
+    bench.vehicle.change_state(silent=False)
+    bench.digest.last_time = 160.0
+    bench.look()
+    assert len(bench.warnings) == 1
+    bench.vehicle.change_state(silent=True)
+    bench.look()
+    bench.clock.advance(61.0)
+    with pytest.raises(CaptureLost, match="silent for 61 s"):
+        bench.look()
+
+
+def test_a_heartbeat_without_samples_is_not_waited_for_for_ever(bench: Bench) -> None:
+    bench.look()
+    bench.clock.advance(29.0)
+    bench.look()
+    bench.digest.last_time += 0.1
+    bench.look()
+    bench.clock.advance(31.0)
+    with pytest.raises(CaptureEnded, match="no inertial data"):
+        bench.look()
+
+
+@pytest.mark.parametrize(
+    ("boot_elapsed", "restarted", "same"),
+    [(60.0, False, True), (600.0, False, True), (5.0, False, False), (60.0, True, False)],
+)
+def test_after_a_restart_of_the_service_only_the_same_boot_goes_on(
+    bench: Bench, boot_elapsed: float, restarted: bool, same: bool
+) -> None:
+    wall = 1_000_060.0  # a minute after the last record; a simulated vehicle may have lived ten
+    bench.watch.resume(100.0, 1_000_000.0, lambda: wall)
+    bench.look()  # nothing new yet
+    bench.digest.last_time += boot_elapsed
+    bench.digest.restarted = restarted
+    if same:
+        bench.look()
+    else:
+        with pytest.raises(CaptureLost, match="while the service was away"):
+            bench.look()
