@@ -198,7 +198,9 @@ def _equality_floor(capture: Capture, back: Array) -> Array:
     else:
         vector = back @ capture.after[0].mean
         floor += np.kron(ones, ATTITUDE_SD**2 * (vector @ vector * np.eye(3) - np.outer(vector, vector)))
-    floor += capture.drift.uncertainty(before.temperature, [r.temperature for r in capture.after], weights)
+    heat = [r.temperature for r in capture.after]
+    floor += capture.drift.uncertainty(before.temperature, heat, weights)
+    floor += capture.drift.staleness(heat, [r.temperature_sd for r in capture.after], weights)
     return np.asarray(floor)
 
 

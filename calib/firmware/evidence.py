@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 LEAST_SAMPLES = 8
 LONGEST_READING_S = 6.0
 """A longer rest is read in several pieces, so that a change of temperature shows."""
+THERMOMETER_AGE_S = 0.5
+"""Mean age of an IMU temperature on the wire, which firmwares update about once a second."""
 MOST_MOVING_SAMPLES = 200
 
 
@@ -36,6 +38,8 @@ class Reading:
     throttle: float | None = None
     rest: int = -1
     """Which rest it belongs to: readings of one rest share the pose. -1: taken in motion."""
+    temperature_sd: float = 0.0
+    """degC by which the temperature may be off: it is sent about once a second while it changes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +114,12 @@ def _readings(recording: Recording, channel: Channel, pieces: dict[Still, int]) 
     rests = {piece.start: rest for piece, rest in pieces.items()}
     return tuple(
         Reading(
-            0.5 * (start + end), mean, covariance, *_conditions(recording, channel.instance, start, end), rests[start]
+            0.5 * (start + end),
+            mean,
+            covariance,
+            *_conditions(recording, channel.instance, start, end),
+            rest=rests[start],
+            temperature_sd=_staleness(recording, channel.instance, start, end),
         )
         for start, end, mean, covariance in means
     )
@@ -140,6 +149,15 @@ def _conditions(
         _held(recording, Sensor.CURRENT, 0, start, end),
         _held(recording, Sensor.THROTTLE, 0, start, end),
     )
+
+
+def _staleness(recording: Recording, instance: int, start: float, end: float) -> float:
+    """How far the temperature moves in the half second by which a reading of it is old on average."""
+    found = recording.find(Sensor.TEMPERATURE, instance)
+    part = found[0].between(start, end) if found else None
+    if part is None or len(part) < 2 or end <= start:
+        return 0.0
+    return float(abs(part.values[-1, 0] - part.values[0, 0]) / (end - start) * THERMOMETER_AGE_S)
 
 
 def _held(recording: Recording, sensor: Sensor, instance: int, start: float, end: float) -> float | None:

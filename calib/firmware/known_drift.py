@@ -65,6 +65,14 @@ class KnownDrift:
         opened = np.diag(np.array(self.open_axes, dtype=np.float64))
         return np.asarray(jacobian @ self.covariance @ jacobian.T + np.kron(np.outer(moved, moved), opened))
 
+    def staleness(self, now: Sequence[Temperature], sds: Sequence[float], weights: Array) -> Array:
+        """Covariance (3G, 3G) of ``weights @ shift`` by thermometers that are off by `sds` (K,), degC, all one way."""
+        if self.polynomial is None:
+            return np.zeros((3 * len(weights), 3 * len(weights)))
+        heat = self._filled(self.polynomial.t_ref, now)
+        moved = weights @ (self.polynomial(heat + np.array(sds)) - self.polynomial(heat))
+        return np.diag(moved.ravel() ** 2)
+
     def _filled(self, then: float, now: Sequence[Temperature]) -> Array:
         return np.array([then if t is None else t for t in now])
 

@@ -30,6 +30,8 @@ WRITING_SPEED = 4.0
 START_C, END_C, SPAN_C = 22.0, 63.0, 38.0
 PROOF_C = 58.0
 """Where the warmed vehicle is held for the proof: inside the calibrated range, and away from its reference."""
+PROVE_S = 240.0
+"""How long the vehicle may take for the movements that prove the rest, seconds of its clock."""
 OPTIONS: Mapping[str, Json] = {"thermal": {"span": SPAN_C}}
 BARE: Mapping[str, Json] = {"ardupilot": {"INS_GYR_CAL": 0}}
 """Settings under which a vehicle starts without a calibration of its own: ArduPilot's gyro calibration at boot."""
@@ -175,7 +177,9 @@ class _Demo:
         while True:
             try:
                 self._client.post(
-                    f"/jobs/{job['id']}/apply", {"plan_sha256": digest, "reboot": True}, Idempotency_Key=job["id"]
+                    f"/jobs/{job['id']}/apply",
+                    {"plan_sha256": digest, "reboot": True, "prove_s": PROVE_S},
+                    Idempotency_Key=job["id"],
                 )
             except ApiError as error:
                 if error.problem.get("type", "").endswith("vehicle-armed") and time.monotonic() < until:

@@ -33,7 +33,7 @@ class Operator:
         warm_to: float = 62.0,
         warm_tau_s: float = 100.0,
         tumble_dps: float = 45.0,
-        ramp_tau_s: float = 15.0,
+        ramp_tau_s: float = 30.0,
     ) -> None:
         self._vehicle = vehicle
         self._warm_up = {"start": warm_from, "end": warm_to, "tau_s": warm_tau_s}
