@@ -85,9 +85,10 @@ def _converted(option: Option, value: Any) -> Any:
         return value
     try:
         converted = option.type(value)
-    except (TypeError, ValueError):
-        converted = None
-    if converted is None or isinstance(value, bool) or (option.type is not str and not np.isfinite(converted)):
+        finite = option.type is str or np.isfinite(float(converted))
+    except (TypeError, ValueError, OverflowError):
+        converted, finite = None, False
+    if not finite or isinstance(value, bool):
         raise InvalidInputError(f"{option.name} must be a number ({option.help}), not {value!r}")
     return converted
 

@@ -7,7 +7,8 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 from fastapi import FastAPI
-from fastapi.responses import FileResponse
+from fastapi.openapi.docs import get_swagger_ui_html
+from fastapi.responses import FileResponse, HTMLResponse
 from fastapi.staticfiles import StaticFiles
 
 import calib
@@ -41,7 +42,11 @@ def create_app(settings: Settings) -> FastAPI:
         description=host.DESCRIPTION,
         lifespan=lifespan,
         servers=[{"url": "."}],  # relative: the service may live behind any path prefix
+        docs_url=None,  # the built-in pages and redirects name absolute addresses
+        redoc_url=None,
+        redirect_slashes=False,
     )
+    app.state.settings = settings
     app.state.guard = Guard(settings)
     install_problem_handlers(app)
     app.add_middleware(Envelope, settings=settings, guard=app.state.guard)
@@ -65,5 +70,9 @@ def _add_panel(app: FastAPI) -> None:
     @app.get("/", include_in_schema=False)
     async def index() -> FileResponse:
         return FileResponse(folder / "index.html", headers={"Cache-Control": "no-cache"})
+
+    @app.get("/docs", include_in_schema=False)
+    async def docs() -> HTMLResponse:
+        return get_swagger_ui_html(openapi_url="openapi.json", title=app.title)
 
     app.mount("/panel", StaticFiles(directory=folder), name="panel")

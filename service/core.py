@@ -17,7 +17,6 @@ from prometheus_client.registry import Collector
 from service.errors import ServiceError
 from service.jobs.engine import JobEngine
 from service.jobs.fleet import Fleet
-from service.jobs.fleet import Fleet
 from service.links import Links
 from service.recordings import Recordings
 from service.settings import Settings

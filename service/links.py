@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 import time
 from collections.abc import Callable
 from pathlib import Path
 
-from service.errors import LinkUnknown
+from service.errors import EndpointError, LinkUnknown
 from service.link import Link, OwnIdentity, SigningConfig, parse_endpoint
 from service.settings import MavlinkSettings
 from service.store.protocol import Store
 from service.store.rows import LinkRow
+
+LONGEST_URL = 1000
+LONGEST_PLAIN = 64
+"""Characters of an endpoint in the name of its link."""
 
 Attach = Callable[[Link], None]
 
@@ -54,6 +59,8 @@ class Links:
         EndpointError, PortBusy
             If this endpoint can never work as it is.
         """
+        if len(url) > LONGEST_URL or not url.isprintable():
+            raise EndpointError(f"an endpoint has at most {LONGEST_URL} printable characters")
         endpoint = parse_endpoint(url)
         link_id = _slug(str(endpoint))
         if link_id in self._links:
@@ -103,5 +110,9 @@ class Links:
 
 
 def _slug(endpoint: str) -> str:
-    """A name for files and addresses: ``udpin-0.0.0.0-14550``."""
-    return re.sub(r"[^A-Za-z0-9.]+", "-", endpoint).strip("-.")
+    """A name for files and addresses: ``udpin-0.0.0.0-14550``; no two endpoints share one."""
+    plain = re.sub(r"[^A-Za-z0-9.]", "-", endpoint)
+    if len(plain) <= LONGEST_PLAIN and plain == endpoint.replace(":", "-"):
+        return plain
+    digest = hashlib.sha256(endpoint.encode()).hexdigest()[:12]
+    return f"{re.sub('-+', '-', plain)[:LONGEST_PLAIN].strip('-.')}-{digest}"

@@ -10,7 +10,7 @@ import structlog
 
 def configure_logging(*, as_json: bool) -> None:
     """Route structlog and the standard library's loggers to stderr."""
-    renderer = structlog.processors.JSONRenderer() if as_json else structlog.dev.ConsoleRenderer(colors=False)
+    renderer = structlog.processors.JSONRenderer() if as_json else _text_renderer()
     structlog.configure(
         processors=[
             structlog.contextvars.merge_contextvars,
@@ -24,6 +24,11 @@ def configure_logging(*, as_json: bool) -> None:
         cache_logger_on_first_use=False,
     )
     logging.basicConfig(stream=sys.stderr, level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
+
+
+def _text_renderer() -> structlog.dev.ConsoleRenderer:
+    """Traces without the values of local variables: those may be keys."""
+    return structlog.dev.ConsoleRenderer(colors=False, exception_formatter=structlog.dev.plain_traceback)
 
 
 def _untouched(_logger: object, _name: str, event: structlog.typing.EventDict) -> structlog.typing.EventDict:

@@ -60,6 +60,7 @@ class Recordings:
         UploadTooLarge, UploadError, DiskFull
             The upload is too large, not readable with these options, or does not fit on the disk.
         """
+        shown = PurePath(name).name or "upload"
         recording_id = secrets.token_hex(8)
         path = self._folder / f"{recording_id}{_suffix(name)}"
         try:
@@ -67,12 +68,12 @@ class Recordings:
             document = await self._run(_inspected, path, dict(reading))
         except CalibError as error:
             path.unlink(missing_ok=True)
-            raise UploadError(str(error).replace(str(path), PurePath(name).name)) from error
+            raise UploadError(str(error).replace(str(path), shown).replace(path.name, shown)) from error
         except BaseException:
             path.unlink(missing_ok=True)
             raise
-        body = {"reading": dict(reading), "inspection": {**document, "source": PurePath(name).name}}
-        row = RecordingRow(recording_id, time.time(), PurePath(name).name, path, size, sha256, body)
+        body = {"reading": dict(reading), "inspection": {**document, "source": shown}}
+        row = RecordingRow(recording_id, time.time(), shown, path, size, sha256, body)
         self._store.add_recording(row)
         return row
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, SecretStr
 from pydantic_settings import (
@@ -45,9 +46,15 @@ class ApiKey(_Part):
 
     name: str = Field(min_length=1, description="who holds it; appears in the audit record")
     sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$", description="digest of the key (`mavcal config key`)")]
-    scopes: frozenset[str] = Field(
+    scopes: frozenset[Literal["read", "operate", "write-params", "admin"]] = Field(
         default=frozenset({"read"}), description="of `read`, `operate`, `write-params`, `admin`"
     )
+
+
+def _signing_key(key: SecretStr) -> SecretStr:
+    if not re.fullmatch("[0-9a-fA-F]{64}", key.get_secret_value()):
+        raise ValueError("a signing key has 64 hexadecimal digits")
+    return key
 
 
 class MavlinkSettings(_Part):
@@ -57,17 +64,15 @@ class MavlinkSettings(_Part):
     component: int = Field(
         default=190, ge=1, le=255, description="our MAVLink component id; 0 is not valid as a source"
     )
-    signing_key: SecretStr | None = Field(
+    signing_key: Annotated[SecretStr, AfterValidator(_signing_key)] | None = Field(
         default=None, description="32 bytes as 64 hexadecimal digits; none: frames are not signed"
     )
-    allow_unsigned: bool = Field(default=True, description="with a signing key: also listen to unsigned frames")
 
 
 class LimitSettings(_Part):
     """What one client may cost."""
 
     upload_bytes: int = Field(default=2 * 1024**3, gt=0, description="largest recording that may be uploaded")
-    event_buffer: int = Field(default=10_000, gt=0, description="events kept a job for replay after a reconnect")
 
 
 def _absolute(path: Path) -> Path:

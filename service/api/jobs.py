@@ -5,25 +5,35 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Header, Response
+from fastapi import APIRouter, Depends, Header, Request, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from calib.procedures.registry import PROCEDURES
 from calib.report import plan_to_json
+from service.api.addresses import relative
 from service.api.dependencies import ServiceDep
+from service.api.follow import everything
 from service.api.models import AnswerRequest, ApplyRequest, JobModel, JobRequest, JobSummary, ProcedureModel
-from service.api.security import Scope, require
+from service.api.security import ActorDep, Scope, require
 from service.api.views import event_model, job_model, job_summary, procedure_model
 from service.errors import PlanMissing
 from service.exports import MEDIA_TYPES, export
-from service.jobs.model import Accept
+from service.jobs.model import Accept, Job
 
 router = APIRouter(tags=["jobs"])
 READ = Depends(require(Scope.READ))
 OPERATE = Depends(require(Scope.OPERATE))
 WRITE = Depends(require(Scope.WRITE_PARAMS))
 
-LastEventId = Annotated[int | None, Header(alias="Last-Event-ID", ge=0)]
+LastEventId = Annotated[int | None, Header(alias="Last-Event-ID", ge=0, le=2**62)]
+
+
+def _job(job_id: str, service: ServiceDep) -> Job:
+    return service.jobs.get(job_id)
+
+
+JobDep = Annotated[Job, Depends(_job)]
+"""The job of the address. For a stream this is the place where 404 can still be said."""
 
 
 @router.get("/procedures", dependencies=[READ])
@@ -33,11 +43,13 @@ async def procedures() -> list[ProcedureModel]:
 
 
 @router.post("/vehicles/{vehicle_id}/jobs", status_code=202, dependencies=[OPERATE])
-async def start(vehicle_id: str, body: JobRequest, response: Response, service: ServiceDep) -> JobModel:
+async def start(
+    vehicle_id: str, body: JobRequest, request: Request, response: Response, service: ServiceDep
+) -> JobModel:
     """Start a calibration; 409 if that vehicle has one running."""
     job = await service.jobs.submit(vehicle_id, body.kind, body.options)
     model = job_model(job)
-    response.headers["Location"] = model.href
+    response.headers["Location"] = relative(request, model.href)
     return model
 
 
@@ -48,9 +60,9 @@ async def jobs(service: ServiceDep, vehicle_id: str | None = None) -> list[JobSu
 
 
 @router.get("/jobs/{job_id}", dependencies=[READ])
-async def job(job_id: str, service: ServiceDep) -> JobModel:
+async def job(found: JobDep) -> JobModel:
     """One job with its results."""
-    return job_model(service.jobs.get(job_id))
+    return job_model(found)
 
 
 @router.delete("/jobs/{job_id}", dependencies=[OPERATE])
@@ -66,12 +78,23 @@ async def answer(job_id: str, body: AnswerRequest, service: ServiceDep) -> JobMo
 
 
 @router.get("/jobs/{job_id}/plan", dependencies=[READ])
-async def plan(job_id: str, service: ServiceDep) -> dict[str, Any]:
+async def plan(found: JobDep) -> dict[str, Any]:
     """What would be written, why, and what it costs."""
-    found = service.jobs.get(job_id).plan
-    if found is None:
-        raise PlanMissing(f"job {job_id} has no plan (yet): its state tells why")
-    return plan_to_json(found)
+    if found.plan is None:
+        raise PlanMissing(f"job {found.id} has no plan (yet): its state tells why")
+    return plan_to_json(found.plan)
+
+
+@router.post("/jobs/{job_id}/plan", dependencies=[OPERATE])
+async def plan_again(job_id: str, service: ServiceDep) -> JobModel:
+    """Plan again on the vehicle's present parameters: what `apply` asks for when something has changed."""
+    return job_model(await service.jobs.plan_again(job_id))
+
+
+@router.post("/jobs/{job_id}/refit", status_code=202, dependencies=[OPERATE])
+async def refit(job_id: str, service: ServiceDep) -> JobModel:
+    """Fit what an interrupted job has recorded."""
+    return job_model(await service.jobs.refit(job_id))
 
 
 @router.post("/jobs/{job_id}/apply", status_code=202, dependencies=[WRITE])
@@ -79,24 +102,25 @@ async def apply(
     job_id: str,
     body: ApplyRequest,
     service: ServiceDep,
-    idempotency_key: Annotated[str | None, Header(max_length=200)] = None,
+    actor: ActorDep,
+    idempotency_key: Annotated[str | None, Header(min_length=1, max_length=200)] = None,
 ) -> JobModel:
     """Accept the plan with this digest and write it; 409 if it is no longer the plan to be written."""
-    accept = Accept(body.plan_sha256, reboot=body.reboot, prove_s=body.prove_s)
+    accept = Accept(body.plan_sha256, reboot=body.reboot, prove_s=body.prove_s, actor=actor)
     return job_model(await service.jobs.apply(job_id, accept, idempotency_key))
 
 
 @router.post("/jobs/{job_id}/revert", status_code=202, dependencies=[WRITE])
-async def revert(job_id: str, service: ServiceDep) -> JobModel:
+async def revert(job_id: str, service: ServiceDep, actor: ActorDep) -> JobModel:
     """Take back what a job has written, where it still stands."""
-    return job_model(await service.jobs.revert(job_id))
+    return job_model(await service.jobs.revert(job_id, actor))
 
 
 @router.get("/jobs/{job_id}/export.{form}", dependencies=[READ])
-async def export_job(job_id: str, form: str, service: ServiceDep) -> Response:
+async def export_job(found: JobDep, form: str) -> Response:
     """The result as a file: param, parm, params, json, csv or html."""
-    content = export(service.jobs.get(job_id), form)
-    name = f"mavcal-{job_id}.{form}"
+    content = export(found, form)
+    name = f"mavcal-{found.id}.{form}"
     return Response(
         content, media_type=MEDIA_TYPES[form], headers={"Content-Disposition": f'inline; filename="{name}"'}
     )
@@ -104,17 +128,19 @@ async def export_job(job_id: str, form: str, service: ServiceDep) -> Response:
 
 @router.get("/jobs/{job_id}/events", response_class=EventSourceResponse, dependencies=[READ])
 async def job_events(
-    job_id: str, service: ServiceDep, last_event_id: LastEventId = None
+    found: JobDep, service: ServiceDep, last_event_id: LastEventId = None
 ) -> AsyncIterator[ServerSentEvent]:
     """Everything that happens to a job, from its beginning or from Last-Event-ID on."""
-    service.jobs.get(job_id)
-    async for event in service.jobs.subscribe(job_id, last_event_id or 0):
+    async for event in service.jobs.subscribe(found.id, last_event_id or 0):
         yield ServerSentEvent(data=event_model(event), event="job", id=str(event.sequence))
 
 
 @router.get("/events", response_class=EventSourceResponse, dependencies=[READ])
 async def events(service: ServiceDep, last_event_id: LastEventId = None) -> AsyncIterator[ServerSentEvent]:
-    """Everything that happens to any job, from now or from Last-Event-ID on."""
+    """Everything that happens: to any job, from now or from Last-Event-ID on, and to vehicles and links.
+
+    Events named `job` have ids and are replayed; `vehicle` and `link` carry the present state as soon as it changes.
+    """
     after = service.store.last_event_id() if last_event_id is None else last_event_id
-    async for event in service.jobs.subscribe(None, after):
-        yield ServerSentEvent(data=event_model(event), event="job", id=str(event.id))
+    async for event in everything(service, after):
+        yield event

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Depends, Response
+from fastapi import APIRouter, Depends, Request, Response
 
+from service.api.addresses import relative
 from service.api.dependencies import ServiceDep
 from service.api.models import LinkModel, LinkRequest
 from service.api.security import Scope, require
@@ -21,10 +22,10 @@ async def links(service: ServiceDep) -> list[LinkModel]:
 
 
 @router.post("/links", status_code=201, dependencies=[OPERATE])
-async def open_link(body: LinkRequest, response: Response, service: ServiceDep) -> LinkModel:
+async def open_link(body: LinkRequest, request: Request, response: Response, service: ServiceDep) -> LinkModel:
     """Open a link; one that is open already is returned as it is."""
     link = await service.links.open(body.url)
-    response.headers["Location"] = f"api/v1/links/{link.id}"
+    response.headers["Location"] = relative(request, f"api/v1/links/{link.id}")
     return link_model(link, service.vehicles)
 
 

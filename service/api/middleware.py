@@ -5,13 +5,18 @@ from __future__ import annotations
 import secrets
 
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.api.problems import problem
+from service.api.problems import internal_problem, problem
 from service.api.security import Guard
 from service.errors import Forbidden
 from service.settings import Settings
+
+LARGEST_REQUEST_BYTES = 2**20
+"""Of a request other than an upload, which has a limit of its own."""
+UPLOADS = "/recordings"
 
 
 class Envelope:
@@ -29,14 +34,26 @@ class Envelope:
             await self._app(scope, receive, send)
             return
         scope["request_id"] = secrets.token_hex(8)
-        dressed = self._dressed(scope, send)
+        started = False
+
+        async def sending(message: Message) -> None:
+            nonlocal started
+            started = started or message["type"] == "http.response.start"
+            await send(message)
+
+        dressed = self._dressed(scope, sending)
         try:
             self._guard.check_origin(scope["method"], Headers(scope=scope))
         except Forbidden as error:
             refusal = problem(Request(scope), error.status_code, error.code, error.title, str(error))
             await refusal(scope, receive, dressed)
             return
-        await self._app(scope, receive, dressed)
+        try:
+            await self._app(scope, _limited(scope, receive), dressed)
+        except Exception as error:
+            if started:
+                raise
+            await internal_problem(Request(scope), error)(scope, receive, dressed)
 
     def _dressed(self, scope: Scope, send: Send) -> Send:
         async def dressed(message: Message) -> None:
@@ -51,3 +68,19 @@ class Envelope:
             await send(message)
 
         return dressed
+
+
+def _limited(scope: Scope, receive: Receive) -> Receive:
+    if scope["path"].endswith(UPLOADS):
+        return receive
+    received = 0
+
+    async def limited() -> Message:
+        nonlocal received
+        message = await receive()
+        received += len(message.get("body", b""))
+        if received > LARGEST_REQUEST_BYTES:
+            raise HTTPException(413, f"the request is larger than {LARGEST_REQUEST_BYTES} bytes")
+        return message
+
+    return limited

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 Json = dict[str, Any]
 
@@ -47,6 +47,25 @@ class FitRequest(_Request):
 
     method: str = Field(description="a method of `mavcal fit --help`", examples=["mag-ellipsoid"])
     options: Json = Field(default_factory=dict, description="options of that method")
+
+
+def _column(value: object) -> object:
+    return str(value) if type(value) is int else value  # a 0-based number names a column, too
+
+
+class ReadingOptions(_Request):
+    """How an uploaded file is to be read; as the options of `mavcal fit`."""
+
+    mapping: dict[str, Annotated[str, BeforeValidator(_column)]] = Field(
+        default_factory=dict, description="canonical column: header name or 0-based number, with an optional *factor"
+    )
+    world: Literal["ned", "enu"] = "ned"
+    body: Literal["frd", "flu"] = "frd"
+    rate: float | None = Field(default=None, gt=0.0, allow_inf_nan=False, description="makes `t`, Hz")
+    unit_accel: str = "si"
+    unit_gyro: str = "si"
+    unit_mag: str = "uT"
+    system: int | None = Field(default=None, ge=1, le=255, description="of a telemetry log: which vehicle")
 
 
 class LinkModel(BaseModel):
@@ -110,7 +129,7 @@ class JobSummary(BaseModel):
     """A job in a list."""
 
     id: str
-    href: str
+    href: str = Field(description="its address, relative to the root of the service")
     vehicle_id: str
     kind: str
     state: str
@@ -137,7 +156,7 @@ class RecordingModel(BaseModel):
     """An uploaded recording."""
 
     id: str
-    href: str
+    href: str = Field(description="its address, relative to the root of the service")
     name: str
     size: int
     sha256: str

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from http import HTTPStatus
 from typing import Any
 
 import structlog
@@ -11,6 +13,7 @@ from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
 from calib.errors import CalibError
+from service.api.addresses import relative
 from service.errors import ServiceError
 
 log = structlog.get_logger(__name__)
@@ -21,11 +24,15 @@ class ProblemResponse(JSONResponse):
 
     media_type = "application/problem+json"
 
+    def render(self, content: Any) -> bytes:
+        """As ASCII: what is quoted from a request need not be valid Unicode."""
+        return json.dumps(content, separators=(",", ":")).encode()
+
 
 def problem(request: Request, status: int, code: str, title: str, detail: str, **more: Any) -> ProblemResponse:
-    """The document: `type` names the page that explains it, relative to the service's root."""
+    """The document: `type` is the page that explains it, relative to the request's address."""
     body = {
-        "type": f"problems/{code}",
+        "type": relative(request, f"problems/{code}"),
         "title": title,
         "status": status,
         "detail": detail,
@@ -33,6 +40,13 @@ def problem(request: Request, status: int, code: str, title: str, detail: str, *
         **more,
     }
     return ProblemResponse(body, status_code=status)
+
+
+def internal_problem(request: Request, error: Exception) -> ProblemResponse:
+    """What a defect is answered with: the trace goes to the log, under the request's id."""
+    log.error("unexpected error", request_id=request.scope.get("request_id"), exc_info=error)
+    detail = "an unexpected error; the log of the service has it under this request id"
+    return problem(request, 500, ServiceError.code, ServiceError.title, detail)
 
 
 def explanations() -> dict[str, str]:
@@ -46,18 +60,19 @@ def explanations() -> dict[str, str]:
     found["invalid-input"] = f"Invalid input (422). {(CalibError.__doc__ or '').strip()}"
     found["validation"] = "Invalid request (422). The request does not have the documented form."
     found["not-found"] = "Not found (404). There is nothing at this address."
+    found["http"] = "The request cannot be handled: its method, form or size is not what this address takes."
     return dict(sorted(found.items()))
 
 
 def install_problem_handlers(app: FastAPI) -> None:
-    """Map every expected exception to its document; anything else becomes a 500 without a trace."""
+    """Map every expected exception to its document; :class:`Envelope` sees to the others."""
 
     async def service_error(request: Request, error: Exception) -> ProblemResponse:
         assert isinstance(error, ServiceError)
-        return problem(request, error.status_code, error.code, error.title, str(error))
+        return problem(request, error.status_code, error.code, error.title, _without_paths(request, str(error)))
 
     async def calib_error(request: Request, error: Exception) -> ProblemResponse:
-        return problem(request, 422, "invalid-input", "Invalid input", str(error))
+        return problem(request, 422, "invalid-input", "Invalid input", _without_paths(request, str(error)))
 
     async def validation_error(request: Request, error: Exception) -> ProblemResponse:
         assert isinstance(error, RequestValidationError)
@@ -68,15 +83,18 @@ def install_problem_handlers(app: FastAPI) -> None:
     async def http_error(request: Request, error: Exception) -> ProblemResponse:
         assert isinstance(error, HTTPException)
         code = "not-found" if error.status_code == 404 else "http"
-        return problem(request, error.status_code, code, str(error.detail), str(error.detail))
-
-    async def unexpected(request: Request, error: Exception) -> ProblemResponse:
-        log.error("unexpected error", request_id=request.scope.get("request_id"), exc_info=error)
-        detail = "an unexpected error; the log of the service has it under this request id"
-        return problem(request, 500, "internal", "Internal error", detail)
+        title = HTTPStatus(error.status_code).phrase
+        detail = explanations()["not-found"] if code == "not-found" else str(error.detail)
+        answer = problem(request, error.status_code, code, title, detail)
+        answer.headers.update(error.headers or {})
+        return answer
 
     app.add_exception_handler(ServiceError, service_error)
     app.add_exception_handler(CalibError, calib_error)
     app.add_exception_handler(RequestValidationError, validation_error)
     app.add_exception_handler(HTTPException, http_error)
-    app.add_exception_handler(Exception, unexpected)
+
+
+def _without_paths(request: Request, text: str) -> str:
+    """`text` without the place of the data directory, which is nobody's business on the network."""
+    return text.replace(str(request.app.state.settings.data_dir), "the data directory")

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request, Response
+from pydantic import ValidationError
 
 from calib.errors import InvalidInputError
+from service.api.addresses import relative
 from service.api.dependencies import ServiceDep
-from service.api.models import FitRequest, FitsModel, RecordingModel
+from service.api.models import FitRequest, FitsModel, ReadingOptions, RecordingModel
 from service.api.security import Scope, require
 from service.api.views import recording_model
 
@@ -34,7 +35,7 @@ async def upload(
     """Upload a recording as the body of the request."""
     row = await service.recordings.add(name, request.stream(), _reading(reading))
     model = recording_model(row)
-    response.headers["Location"] = model.href
+    response.headers["Location"] = relative(request, model.href)
     return model
 
 
@@ -59,9 +60,8 @@ async def fit(recording_id: str, body: FitRequest, service: ServiceDep) -> FitsM
 
 def _reading(text: str) -> dict[str, Any]:
     try:
-        options = json.loads(text)
-    except ValueError:
-        options = None
-    if not isinstance(options, dict):
-        raise InvalidInputError("`reading` is a JSON object of reading options")
-    return options
+        return ReadingOptions.model_validate_json(text).model_dump(exclude_unset=True)
+    except ValidationError as error:
+        faults = "; ".join(f"{'.'.join(str(p) for p in e['loc'])}: {e['msg']}".lstrip(": ") for e in error.errors())
+        known = ", ".join(ReadingOptions.model_fields)
+        raise InvalidInputError(f"`reading` is a JSON object of the reading options {known}: {faults}") from None

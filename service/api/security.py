@@ -12,9 +12,10 @@ import secrets
 import time
 from collections.abc import Callable, Mapping
 from enum import StrEnum
+from typing import Annotated
 from urllib.parse import urlsplit
 
-from fastapi import Request
+from fastapi import Depends, Request
 from starlette.datastructures import Headers
 
 from service.errors import AuthError, Forbidden
@@ -92,7 +93,7 @@ class Guard:
         if self.open:
             return None
         ticket = request.query_params.get("ticket")
-        if ticket is not None:
+        if ticket is not None and request.method in SAFE_METHODS:
             return self._redeem(ticket)
         scheme, _, bearer = request.headers.get("authorization", "").partition(" ")
         key = bearer if scheme.lower() == "bearer" else request.cookies.get(COOKIE, "")
@@ -127,6 +128,16 @@ def require(scope: Scope) -> Callable[[Request], None]:
             raise Forbidden(f"the key of {key.name!r} lacks the scope {scope.value!r}")
 
     return check
+
+
+def _actor(request: Request) -> str:
+    guard: Guard = request.app.state.guard
+    key = guard.authenticate(request)
+    return "operator" if key is None else key.name
+
+
+ActorDep = Annotated[str, Depends(_actor)]
+"""Who asks, for the audit record; not for addresses that take tickets, which are good once."""
 
 
 def _hostname(url: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
+from typing import Annotated
 
 from fastapi import APIRouter, Depends
 from fastapi.sse import EventSourceResponse, ServerSentEvent
@@ -12,11 +13,20 @@ from service.api.dependencies import ServiceDep
 from service.api.models import ParameterModel, VehicleModel
 from service.api.security import Scope, require
 from service.api.views import parameter_model, vehicle_model
+from service.vehicle import Vehicle
 
 router = APIRouter(tags=["vehicles"])
 READ = Depends(require(Scope.READ))
 
 STATE_PERIOD_S = 1.0
+
+
+def _vehicle(vehicle_id: str, service: ServiceDep) -> Vehicle:
+    return service.vehicles.get(vehicle_id)
+
+
+VehicleDep = Annotated[Vehicle, Depends(_vehicle)]
+"""The vehicle of the address. For a stream this is the place where 404 can still be said."""
 
 
 @router.get("/vehicles", dependencies=[READ])
@@ -26,23 +36,22 @@ async def vehicles(service: ServiceDep) -> list[VehicleModel]:
 
 
 @router.get("/vehicles/{vehicle_id}", dependencies=[READ])
-async def vehicle(vehicle_id: str, service: ServiceDep) -> VehicleModel:
+async def vehicle(found: VehicleDep) -> VehicleModel:
     """One vehicle."""
-    return vehicle_model(service.vehicles.get(vehicle_id))
+    return vehicle_model(found)
 
 
 @router.get("/vehicles/{vehicle_id}/parameters", dependencies=[READ])
-async def parameters(vehicle_id: str, service: ServiceDep, refresh: bool = False) -> list[ParameterModel]:
+async def parameters(found: VehicleDep, refresh: bool = False) -> list[ParameterModel]:
     """The vehicle's parameters as heard last; `refresh` lists them again first."""
-    found = service.vehicles.get(vehicle_id)
     if refresh or not found.parameters:
         await found.list_parameters()
     return [parameter_model(p) for _, p in sorted(found.parameters.items())]
 
 
 @router.get("/vehicles/{vehicle_id}/stream", response_class=EventSourceResponse, dependencies=[READ])
-async def stream(vehicle_id: str, service: ServiceDep) -> AsyncIterator[ServerSentEvent]:
-    """The vehicle's state, once a second."""
-    while True:
-        yield ServerSentEvent(data=vehicle_model(service.vehicles.get(vehicle_id)), event="vehicle")
+async def stream(found: VehicleDep, service: ServiceDep) -> AsyncIterator[ServerSentEvent]:
+    """The vehicle's state, once a second, as long as its link is open."""
+    while found in service.vehicles.all():
+        yield ServerSentEvent(data=vehicle_model(found), event="vehicle")
         await asyncio.sleep(STATE_PERIOD_S)

@@ -11,7 +11,7 @@ from pathlib import Path
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from calib.wire import Message, RawMessage, raw_message
-from service.errors import LinkDown
+from service.errors import EndpointError, LinkDown
 from service.link.endpoint import Endpoint, EndpointKind, parse_endpoint
 from service.link.local import FileTransport, SerialTransport, SimTransport
 from service.link.loss import SequenceCounter
@@ -43,8 +43,10 @@ def _transport(endpoint: Endpoint) -> Transport:
         case EndpointKind.UDPIN:
             return UdpTransport(endpoint, host_port, None)
         case EndpointKind.UDPOUT:
-            local_port = int(endpoint.number("local_port", 0))
-            return UdpTransport(endpoint, ("", local_port), host_port)
+            local_port = endpoint.number("local_port", 0)
+            if local_port not in range(65536):
+                raise EndpointError(f"local_port={local_port:g} in {endpoint} is no port")
+            return UdpTransport(endpoint, ("", int(local_port)), host_port)
         case EndpointKind.TCP:
             return TcpTransport(endpoint)
         case EndpointKind.TCPIN:

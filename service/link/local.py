@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import json
+import math
 import selectors
 import subprocess
 import sys
@@ -106,8 +107,8 @@ class FileTransport(Transport):
 
     def open(self, selector: selectors.BaseSelector) -> None:
         """Read the file."""
-        if self._speed < 0:
-            raise EndpointError(f"{self._endpoint}: the speed cannot be negative; 0 is as fast as possible.")
+        if not 0 <= self._speed < math.inf:
+            raise EndpointError(f"{self._endpoint}: the speed is a number from 0 on; 0 is as fast as possible.")
         try:
             data = Path(self._endpoint.path).expanduser().read_bytes()
         except OSError as exc:

@@ -1,0 +1,12 @@
+"""Relative references: the service may live behind any path prefix, and cannot know it."""
+
+from __future__ import annotations
+
+from starlette.requests import Request
+
+
+def relative(request: Request, target: str) -> str:
+    """`target`, given from the service's root, as seen from the address of `request` (RFC 3986, section 4.2)."""
+    path: bytes = request.scope.get("raw_path") or request.scope["path"].encode()
+    below = path.split(b"?")[0].removeprefix(request.scope.get("root_path", "").encode()).count(b"/") - 1
+    return "../" * max(below, 0) + target
