@@ -78,7 +78,7 @@ class _FaultRun:
                     SimulatedVehicle, s.autopilot, seed=s.seed * 10_000 + s.index, speed=s.speed, config=s.config
                 )
                 try:
-                    async with session(Path(folder), vehicle.url) as bench:
+                    async with session(Path(folder), vehicle) as bench:
                         return await self._run(bench, vehicle)
                 finally:
                     await asyncio.to_thread(vehicle.stop)
@@ -125,6 +125,7 @@ class _FaultRun:
                     return job
                 if job.state == JobState.VERIFYING:
                     await self._let_loose(vehicle, self._of(Phase.VERIFY), job)
+                    await bench.obeyed(job)
                 elif job.state == JobState.ROLLING_BACK:
                     await self._let_loose(vehicle, self._of(Phase.ROLL_BACK), job)
                 elif job.state == JobState.IN_DOUBT and job.standing is not self._doubted:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from calib.procedures.protocol import Prompt
 from calib.report import step_to_json
 from service.errors import ServiceError
 from service.jobs.engine import JobEngine
@@ -27,8 +28,8 @@ FOUND_S = 30.0
 
 SETTINGS = JobSettings(measure_s=0.3, retry_s=0.2, watch_s=0.05, stall_s=10.0)
 """As in the service, but for waits that are the wall's: the vehicle's clock is faster."""
-PROVE_S = 20.0
-"""Seconds of the vehicle's clock that the check may take longer, where a bad wire leaves holes in its stream."""
+PROVE_S = 120.0
+"""Seconds of the vehicle's clock for the movements that prove the rest, and where a bad wire leaves holes."""
 
 
 @dataclass
@@ -37,21 +38,25 @@ class Session:
 
     engine: JobEngine
     vehicle: Vehicle
+    operator: Operator
+    _asked: Prompt | None = None
 
     async def reviewed(self, sim: SimulatedVehicle, kind: str, options: dict[str, Any]) -> Job:
         """Run a job up to its plan, with an operator who does what it asks for."""
         await self._ready()
         job = await self.engine.submit(self.vehicle.id, kind, options)
-        operator = Operator(sim)
-        asked = None
         while (job := self.engine.get(job.id)).state not in (JobState.REVIEW, JobState.FAILED, JobState.INTERRUPTED):
-            if job.prompt is not None and job.prompt is not asked:
-                asked = job.prompt
-                await asyncio.to_thread(operator.follow, step_to_json(asked))
+            await self.obeyed(job)
             await asyncio.sleep(POLL_S)
-        await asyncio.to_thread(operator.rest)
+        await asyncio.to_thread(self.operator.rest)
         await asyncio.to_thread(sim.wait, 4.0)  # until it lies
         return job
+
+    async def obeyed(self, job: Job) -> None:
+        """Do what the job asks for, if that is something new."""
+        if job.prompt is not None and job.prompt is not self._asked:
+            self._asked = job.prompt
+            await asyncio.to_thread(self.operator.follow, step_to_json(job.prompt))
 
     async def applied(self, job: Job) -> Job:
         """Accept the plan, as soon as the service takes it."""
@@ -71,11 +76,11 @@ class Session:
 
 
 @asynccontextmanager
-async def session(folder: Path, url: str) -> AsyncIterator[Session]:
+async def session(folder: Path, sim: SimulatedVehicle) -> AsyncIterator[Session]:
     """A service that is stopped in an orderly way at the end. Raises TimeoutError if no vehicle is heard."""
     store = SqliteStore(folder)
     registry = VehicleRegistry()
-    link = Link("campaign", url, tlog_dir=folder / "tlogs")
+    link = Link("campaign", sim.url, tlog_dir=folder / "tlogs")
     registry.attach(link)
     engine = JobEngine(store, Fleet(registry), settings=SETTINGS)
     try:
@@ -83,7 +88,7 @@ async def session(folder: Path, url: str) -> AsyncIterator[Session]:
         await engine.start()
         async with asyncio.timeout(FOUND_S):
             vehicle = await registry.wait_for_vehicle(link)
-        yield Session(engine, vehicle)
+        yield Session(engine, vehicle, Operator(sim))
     finally:
         await engine.stop()
         registry.detach(link)
