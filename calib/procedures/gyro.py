@@ -17,7 +17,7 @@ from calib.procedures.context import ProcedureContext
 from calib.procedures.motion import Verdict, statistics
 from calib.procedures.pool import Pool, Tail
 from calib.procedures.protocol import Done, Progress, Prompt
-from calib.procedures.results import annotated, mean_temperature
+from calib.procedures.results import annotated, mean_temperature, share_of_information
 from calib.procedures.roster import Frame, Instance, label
 from calib.procedures.spec import Holds, Option, Options, ProcedureSpec
 from calib.procedures.ticked import TickedProcedure
@@ -168,9 +168,16 @@ class GyroProcedure(TickedProcedure):
         # The standard deviation of a mean falls with the square root of the time.
         eta = self._rest * max((reached / self._target) ** 2 - 1.0, 0.0) if known and verdict.counted else None
         text = f"at rest for {self._rest:.0f} s" if verdict.still else self._why
-        detail = {"rest_s": self._rest, "warnings": self.warnings[:]}
-        current = math.degrees(reached) if known else 0.0
-        self._report(Progress(current, math.degrees(self._target), "deg/s", text, eta, detail))
+        if verdict.still and known:
+            text += f"; offsets known to {math.degrees(reached):.3f} deg/s"
+        detail = {
+            "rest_s": self._rest,
+            "offset_sd_deg_s": math.degrees(reached) if known else None,
+            "asked_deg_s": math.degrees(self._target),
+            "warnings": self.warnings[:],
+        }
+        share = share_of_information(self._target, reached) if known else 0.0
+        self._report(Progress(share, 100.0, "%", text, eta, detail))
 
     @property
     def _known(self) -> float:

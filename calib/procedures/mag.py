@@ -19,7 +19,7 @@ from calib.procedures.context import ProcedureContext
 from calib.procedures.frames import body_from_sensor, in_force
 from calib.procedures.mag_track import MagTrack, Motion
 from calib.procedures.protocol import Done, Progress, Prompt
-from calib.procedures.results import annotated
+from calib.procedures.results import annotated, share_of_information
 from calib.procedures.roster import Frame, Instance, label
 from calib.procedures.spec import Holds, Option, Options, ProcedureSpec
 from calib.procedures.ticked import TickedProcedure
@@ -318,9 +318,9 @@ class MagProcedure(TickedProcedure):
             "samples": {str(i): len(t) for i, t in self._tracks.items()},
             "warnings": [*self.warnings, *self._strange_fields(model)],
         }
-        current = worst if finite else 180.0
-        text = f"heading known to {worst:.1f} deg" if finite else "no samples yet"
-        self._report(Progress(current, self._target, "deg", text, eta if eta is None or eta < 600.0 else None, detail))
+        share = share_of_information(self._target, worst)
+        text = f"heading known to {worst:.1f} deg" if finite else "too few directions yet"
+        self._report(Progress(share, 100.0, "%", text, eta if eta is None or eta < 600.0 else None, detail))
 
     def _strange_fields(self, model: float | None) -> list[str]:
         if model is None:

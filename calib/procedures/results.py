@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterable
 
 from calib.fit import FitResult
@@ -21,3 +22,11 @@ def annotated(fit: FitResult, context: ProcedureContext, warnings: Iterable[str]
     """The fit with the capture's warnings, and `relative` if the calibration in force is unknown."""
     extra = tuple(w for w in warnings if w not in fit.warnings)
     return dataclasses.replace(fit, warnings=fit.warnings + extra, relative=fit.relative or context.relative)
+
+
+def share_of_information(target: float, reached: float) -> float:
+    """How much of the information that a standard deviation of `target` takes is there at `reached`, percent.
+
+    Information is ``1/sd^2`` and grows with the samples, so a bar of it moves evenly and never without a gain.
+    """
+    return 100.0 * min(1.0, (target / reached) ** 2) if math.isfinite(reached) and reached > 0.0 else 0.0

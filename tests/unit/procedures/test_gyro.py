@@ -136,11 +136,13 @@ def test_without_parameters_the_fit_is_relative(bench):
     assert procedure.outcome.results[0].relative
 
 
-def test_progress_falls_to_the_target_once_a_second(bench):
+def test_progress_grows_with_the_information_once_a_second(bench):
     _, steps = run(bench().hold(60.0).record(), uncertainty=0.002)
     known = [s for s in steps if isinstance(s, Progress) and s.current]
     assert len(known) > 2
-    assert known[-1].current < known[0].current
+    assert [k.current for k in known] == sorted(k.current for k in known)
+    assert known[-1].current <= known[-1].target == 100.0
+    assert known[-1].detail["offset_sd_deg_s"] < known[0].detail["offset_sd_deg_s"]
     assert known[0].eta > known[-1].eta
 
 
