@@ -48,6 +48,10 @@ class Received:
         """The rate that the sender has reached."""
         return self.offered / self.sending_s
 
+    def sending_rate(self, spec: Spec) -> float:
+        """Frames a second that the sender has kept up, those that it left out included."""
+        return spec.count / self.sending_s
+
     @property
     def arrived_per_s(self) -> float:
         """The rate that the receiver has reached."""
