@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from bench.receivers import Received, on_link, on_mavutil
 from bench.rows import Row, Section, milliseconds
@@ -11,6 +11,7 @@ from bench.sender import Spec
 SECONDS = 3.0
 MODEST, FAST = 20_000.0, 100_000.0
 FAST_LOSS = 0.001
+ATTEMPTS = 3
 TCP_FRAMES = 300_000
 FLOOD_FRAMES = 400_000
 SEEDED_LOSS = 0.01
@@ -32,6 +33,8 @@ class Case:
     true_count: bool = True
     """Whether the receiver's own count of losses has to be equal to the truth."""
     peer: bool = False
+    attempts: int = 1
+    """Other programs on the machine only take away: so often it is tried until the loss is small enough."""
 
 
 def gaps(rate: float) -> tuple[tuple[int, int], ...]:
@@ -48,7 +51,7 @@ def cases() -> tuple[Case, ...]:
     long_enough = sum(GAPS_S) + 1.5 * (len(GAPS_S) + 1)
     return (
         Case(f"UDP {MODEST:.0f} msg/s", Spec("udp", int(MODEST * SECONDS), MODEST), 0.0, peer=True),
-        Case(f"UDP {FAST:.0f} msg/s", Spec("udp", int(FAST * SECONDS), FAST), FAST_LOSS, peer=True),
+        Case(f"UDP {FAST:.0f} msg/s", Spec("udp", int(FAST * SECONDS), FAST), FAST_LOSS, peer=True, attempts=ATTEMPTS),
         Case("TCP unthrottled", Spec("tcp", TCP_FRAMES, 0.0), 0.0, peer=True),
         Case("UDP flood, unthrottled", Spec("udp", FLOOD_FRAMES, 0.0), None),
         Case(
@@ -74,8 +77,13 @@ def run() -> Section:
     """Measure every case; the peer right after the link, with the same sender."""
     rows: list[Row] = []
     for case in cases():
-        ours = on_link(case.spec)
-        rows += link_rows(case, ours)
+        for attempt in range(1, case.attempts + 1):
+            ours = on_link(case.spec)
+            again = case.most_loss is not None and ours.loss > case.most_loss and attempt < case.attempts
+            numbered = case if case.attempts == 1 else replace(case, name=f"{case.name}, run {attempt}")
+            rows += link_rows(numbered, ours)
+            if not again:
+                break
         if case.peer:
             rows.append(peer_row(case, ours, on_mavutil(case.spec)))
     return Section("Live ingest", tuple(rows), NOTES)
@@ -87,6 +95,8 @@ NOTES = (
     "Lost is what was sent and did not arrive; every frame that arrived is also in the recording on the disk.",
     "Silences on the way are inferred from the sender's rate. At 20 000 msg/s, 256 frames are 13 ms: where the machine "
     "lets a process wait longer than that, no count by arrival times can be true, so no target is set there.",
+    f"At {FAST:.0f} msg/s the run is repeated up to {ATTEMPTS} times while too much is lost; every run is listed, and "
+    "each missed one counts as missed.",
     "The peer is pymavlink's mavutil.recv_match with its own socket and defaults; it records nothing.",
 )
 

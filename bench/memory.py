@@ -28,7 +28,7 @@ CAPTURES_WITHIN_S = 60.0
 CAPTURING = frozenset({"running", "waiting_for_operator"})
 FRAMES_PER_S = 150.0
 """Three inertial units at 50 Hz."""
-CONTROL_RATE = 8000.0
+CONTROL_RATE = 15_000.0
 """Frames a second where no job runs: the memory does not know how fast they came."""
 WARM_UP = {"start": 22.0, "end": 70.0, "tau_s": 2000.0}
 """Slow enough that the temperature still moves after an hour, and the job never reaches its span."""
