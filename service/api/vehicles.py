@@ -43,8 +43,8 @@ async def vehicle(found: VehicleDep) -> VehicleModel:
 
 @router.get("/vehicles/{vehicle_id}/parameters", dependencies=[READ])
 async def parameters(found: VehicleDep, refresh: bool = False) -> list[ParameterModel]:
-    """The vehicle's parameters as heard last; `refresh` lists them again first."""
-    if refresh or not found.parameters:
+    """Every parameter of the vehicle as heard last; `refresh` lists them again first."""
+    if refresh or not found.listed:
         await found.list_parameters()
     return [parameter_model(p) for _, p in sorted(found.parameters.items())]
 

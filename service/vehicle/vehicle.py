@@ -94,6 +94,8 @@ class Vehicle:
         self.state = VehicleState()
         self.waits = Waits(clock)
         self.parameters = Parameters(self)
+        self.listed = False
+        """Whether every parameter was listed since the vehicle started: some are heard without being asked for."""
         self.listing_lock = asyncio.Lock()
         self._announce = announce
         self._command_locks: dict[int, asyncio.Lock] = {}
@@ -126,7 +128,9 @@ class Vehicle:
 
     async def list_parameters(self, progress: Progress | None = None) -> ParameterSet:
         """See :func:`service.vehicle.listing.list_all`."""
-        return await list_all(self, progress)
+        listed = await list_all(self, progress)
+        self.listed = True
+        return listed
 
     def _send_command(self, command_id: int, *params: float) -> None:
         """Send a command whose acknowledgement does not matter, since its effect is seen."""
@@ -305,6 +309,7 @@ class Vehicle:
             return
         if state.rebooted != before.rebooted:
             self.parameters.forget()
+            self.listed = False
             self._tell(VehicleEventKind.REBOOTED, "The vehicle has restarted.")
         if state.armed != before.armed and state.armed is not None:
             kind = VehicleEventKind.ARMED if state.armed else VehicleEventKind.DISARMED
