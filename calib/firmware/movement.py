@@ -34,7 +34,7 @@ FACES: Final = (
 
 TEMPERATURE_MARGIN: Final = 0.1
 """Share of the calibrated range that a wished temperature stays inside of it."""
-NEAR_ENOUGH: Final = 0.25
+NEAR_ENOUGH: Final = 0.12
 """Share of the calibrated range within which another temperature would say nothing new."""
 
 

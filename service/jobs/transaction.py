@@ -195,10 +195,13 @@ def _summary(verification: Verification | None) -> str:
     """One sentence on what was proved."""
     if verification is None:
         return "Every parameter was written and read back."
-    count = dict.fromkeys(Verdict, 0)
-    for parameter in verification.parameters:
-        count[parameter.verdict] += 1
-    total = len(verification.parameters)
-    text = f"Every parameter was written and read back; {count[Verdict.PROVED]} of {total} are proved by the stream"
+    acting = [parameter.verdict for parameter in verification.parameters if parameter.acts_on_stream]
+    if not acting:
+        return "Every parameter was written and read back; none of them shows on a stream."
+    count = {verdict: acting.count(verdict) for verdict in Verdict}
+    text = (
+        f"Every parameter was written and read back; of {len(acting)} that show on the stream, "
+        f"{count[Verdict.PROVED]} are proved by it"
+    )
     rest = [f"{count[v]} {v.value.replace('_', ' ')}" for v in (Verdict.CONSISTENT, Verdict.NOT_OBSERVABLE) if count[v]]
     return text + (f" ({', '.join(rest)})." if rest else ".")
