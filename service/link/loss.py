@@ -25,6 +25,7 @@ class SequenceCounter:
         "_dropped",
         "_last",
         "_last_at",
+        "_now",
         "_received_then",
         "_seen",
         "_sent",
@@ -43,7 +44,7 @@ class SequenceCounter:
         self.received = self.lost = self.lost_inferred = self.duplicated = self.out_of_order = 0
         self.bytes_per_s = self.frames_per_s = self._sent_per_s = 0.0
         self._last = -1
-        self._last_at = self._window_at = 0.0
+        self._last_at = self._window_at = self._now = 0.0
         self._seen = 1  # bit k: the number k before the newest has come
         self._dropped = self._sent = self._bytes = self._received_then = 0
 
@@ -63,6 +64,8 @@ class SequenceCounter:
         share
             This sender's share of all frames on the socket, 0..1.
         """
+        if now != self._now:
+            self._end_of_drain(now)
         self.received += 1
         self._bytes += size
         step = (sequence - self._last) & 0xFF
@@ -79,8 +82,12 @@ class SequenceCounter:
             self._seen |= 1 << -step
             self.out_of_order += 1
             self.lost = max(0, self.lost - 1)
-        if now - self._window_at >= _WINDOW_S:
-            self._roll(now)
+
+    def _end_of_drain(self, now: float) -> None:
+        """Frames taken together carry one time: a window that ended among them would miss the rest of them."""
+        if self._last >= 0 and self._now - self._window_at >= _WINDOW_S:
+            self._roll(self._now)
+        self._now = now
 
     def _advance(self, step: int, sequence: int, now: float) -> None:
         self.lost += step - 1

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import random
+
 import pytest
 
 from service.link.loss import SequenceCounter
@@ -79,3 +81,20 @@ def test_the_lost_share() -> None:
     counter.see(4, 0.01, 40)
     assert counter.statistics(0, 0.01).loss == pytest.approx(3 / 5)
     assert SequenceCounter().statistics(0, 0.0).loss == 0.0
+
+
+@pytest.mark.parametrize("longest", [0.002, 0.15])
+def test_a_rate_counts_all_frames_that_were_taken_together(longest: float) -> None:
+    """However unevenly a busy machine takes what has come, the rate is right; and so is what rests on it."""
+    counter, rate, draw = SequenceCounter(), 2000, random.Random(5)
+    k, now, rates = 0, 0.0, set[float]()
+    while k < 20_000:
+        now += max(0.002, longest * draw.random())
+        while k / rate <= now:
+            counter.see(k & 0xFF, now, 41)
+            k += 1
+        if now > 1.5:
+            rates.add(counter.frames_per_s)
+    assert len(rates) > 5
+    assert min(rates) == pytest.approx(rate, rel=0.01)
+    assert max(rates) == pytest.approx(rate, rel=0.01)
