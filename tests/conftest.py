@@ -3,6 +3,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# Wall-clock deadlines judge the machine, not the code; failures print the seed that repeats them.
+settings.register_profile("mavcal", deadline=None, print_blob=True)
+settings.load_profile("mavcal")
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 
