@@ -93,8 +93,9 @@ NOTES = (
     "Every frame carries a number of 64 bits: the truth is counted from these; the link's own count has nothing but "
     "the 8-bit sequence and what the socket says. The sender is a process of its own with its frames made beforehand. "
     "Lost is what was sent and did not arrive; every frame that arrived is also in the recording on the disk.",
-    "Silences on the way are inferred from the sender's rate. At 20 000 msg/s, 256 frames are 13 ms: where the machine "
-    "lets a process wait longer than that, no count by arrival times can be true, so no target is set there.",
+    "Silences on the way are inferred from the sender's rate and the times of arrival, which must be right to 128 "
+    "frames: 6 ms at 20 000 msg/s, where no target is set, and 64 ms at 2 000 msg/s. A machine that lets a "
+    "process wait longer spoils the count by multiples of 256. What the socket itself drops is counted exactly at any rate.",
     f"At {FAST:.0f} msg/s the run is repeated up to {ATTEMPTS} times while too much is lost; every run is listed, and "
     "each missed one counts as missed.",
     "The peer is pymavlink's mavutil.recv_match with its own socket and defaults; it records nothing.",
