@@ -95,7 +95,7 @@ NOTES = (
     "Lost is what was sent and did not arrive; every frame that arrived is also in the recording on the disk.",
     "Silences on the way are inferred from the sender's rate and the times of arrival, which must be right to 128 "
     "frames: 6 ms at 20 000 msg/s, where no target is set, and 64 ms at 2 000 msg/s. A machine that lets a "
-    "process wait longer spoils the count by multiples of 256. What the socket itself drops is counted exactly at any rate.",
+    "process wait longer spoils the count. What the socket itself drops is counted exactly at any rate.",
     f"At {FAST:.0f} msg/s the run is repeated up to {ATTEMPTS} times while too much is lost; every run is listed, and "
     "each missed one counts as missed.",
     "The peer is pymavlink's mavutil.recv_match with its own socket and defaults; it records nothing.",
