@@ -10,8 +10,8 @@ import click
 
 import calib
 from calib.errors import CalibError
-from service.commands.output import EXIT_USAGE, wants_json, write_json
-from service.errors import ServiceError
+from service.commands.output import EXIT_NO, EXIT_USAGE, wants_json, write_json
+from service.errors import JobError, LinkDown, ServiceError, VehicleError
 
 COMMANDS = {
     "demo": "Calibrate a simulated vehicle end to end and compare with its truth.",
@@ -24,6 +24,10 @@ COMMANDS = {
     "config": "Show the settings, or their schema.",
     "doctor": "Check this machine for what the service needs.",
 }
+
+
+ANSWERS = (VehicleError, JobError, LinkDown)
+"""Errors that are the answer to what was asked, not a wrong use: the vehicle says no."""
 
 
 class LazyGroup(click.Group):
@@ -61,6 +65,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     try:
         code = cli.main(args=list(arguments), prog_name="mavcal", standalone_mode=False)
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message(), err=True)
+        sys.exit(EXIT_USAGE)
     except click.ClickException as error:
         _complain(arguments, "usage", error.format_message())
         sys.exit(EXIT_USAGE)
@@ -72,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.exit(EXIT_USAGE)
     except ServiceError as error:
         _complain(arguments, error.code, str(error))
-        sys.exit(EXIT_USAGE)
+        sys.exit(EXIT_NO if isinstance(error, ANSWERS) else EXIT_USAGE)
     except BrokenPipeError:
         sys.exit(0)
     sys.exit(code if isinstance(code, int) else 0)

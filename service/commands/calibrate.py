@@ -19,6 +19,13 @@ if TYPE_CHECKING:
     from service.commands.screen import Screen
     from service.core import Service
     from service.jobs.model import Job
+    from service.store.rows import EventRow
+    from service.vehicle import Vehicle
+
+PATIENCE_S = 10.0
+"""How long a write waits for the vehicle to be writable."""
+DOUBT_S = 120.0
+"""How long a job in doubt is waited for; the next run on this data directory goes on with it."""
 
 KINDS = ("gyro", "accel", "mag", "thermal", "level")
 
@@ -72,11 +79,7 @@ async def _calibrate(
     from service.jobs.states import JobState
 
     async with running_service(settings) as service:
-        try:
-            async with asyncio.timeout(wait):
-                vehicle = await service.vehicles.wait_for_vehicle()
-        except TimeoutError:
-            raise click.ClickException(f"no vehicle was heard on {settings.connect[0]} within {wait:g} s") from None
+        vehicle = await _heard(service, settings.connect[0], wait)
         screen.line(f"{vehicle.identity.autopilot} {vehicle.identity.version_text} as {vehicle.id}")
         job = await service.jobs.submit(vehicle.id, kind, options)
         typing = asyncio.create_task(_answer_typed_lines(service, job.id))
@@ -85,8 +88,10 @@ async def _calibrate(
             if job.state is JobState.REVIEW and job.plan is not None:
                 _show_plan(job.plan, screen)
                 if write:
+                    await _writable(vehicle, wait)
+                    after = service.store.last_event_id()
                     await service.jobs.apply(job.id, Accept(job.plan.sha256, reboot=reboot), None)
-                    job = await _follow(service, job.id, screen, leaving=JobState.REVIEW)
+                    job = await _follow(service, job.id, screen, after)
         finally:
             typing.cancel()
             with suppress(asyncio.CancelledError):
@@ -98,22 +103,55 @@ async def _calibrate(
         return 0 if job.state in good else EXIT_NO
 
 
-async def _follow(service: Service, job_id: str, screen: Screen, leaving: Any = None) -> Job:
-    """Show what happens until the job ends or waits for acceptance."""
+async def _heard(service: Service, url: str, wait: float) -> Vehicle:
+    """The vehicle at the other end of this link, and of no other that the data directory remembers."""
+    from service.errors import VehicleSilent
+
+    link = await service.links.open(url, remember=False)
+    try:
+        async with asyncio.timeout(wait):
+            return await service.vehicles.wait_for_vehicle(link)
+    except TimeoutError:
+        said = f" ({link.reason})" if link.reason else ""
+        raise VehicleSilent(
+            f"no vehicle was heard on {url} within {wait:g} s{said}: check its power and the link"
+        ) from None
+
+
+async def _writable(vehicle: Vehicle, wait: float) -> None:
+    """Give the vehicle time to have been disarmed for long enough; what else stands in the way is said by apply."""
+    with suppress(TimeoutError):
+        async with asyncio.timeout(min(wait, PATIENCE_S)):
+            while not vehicle.writable().ok:  # noqa: ASYNC110 - time alone changes it
+                await asyncio.sleep(0.1)
+
+
+async def _follow(service: Service, job_id: str, screen: Screen, after: int = 0) -> Job:
+    """Show what happens after that event until the job ends, waits for acceptance, or stays in doubt."""
     from service.jobs.states import ENDED, JobState
 
-    ends = ENDED | {JobState.REVIEW, JobState.IN_DOUBT}
-    async for event in service.jobs.subscribe(job_id, 0):
-        if event.kind == "prompt" and event.data:
-            screen.prompt(event.data["text"])
-        elif event.kind == "progress":
-            screen.progress(event.data)
-        elif event.kind == "warning":
-            screen.line(f"    note: {event.data['text']}")
-        job = service.jobs.get(job_id)
-        if job.state in ends and job.state is not leaving:
-            return job
+    with suppress(TimeoutError):
+        async with asyncio.timeout(None) as limit:
+            async for event in service.jobs.subscribe(None, after):
+                if event.job_id != job_id:
+                    continue
+                _show_event(event, screen)
+                job = service.jobs.get(job_id)
+                if job.state in ENDED | {JobState.REVIEW}:
+                    return job
+                if job.state is JobState.IN_DOUBT and limit.when() is None:
+                    screen.line("in doubt: waiting for the vehicle, to finish or to take it back", bold=True)
+                    limit.reschedule(asyncio.get_running_loop().time() + DOUBT_S)
     return service.jobs.get(job_id)
+
+
+def _show_event(event: EventRow, screen: Screen) -> None:
+    if event.kind == "prompt" and event.data:
+        screen.prompt(event.data["text"])
+    elif event.kind == "progress":
+        screen.progress(event.data)
+    elif event.kind == "warning":
+        screen.line(f"    note: {event.data['text']}")
 
 
 async def _answer_typed_lines(service: Service, job_id: str) -> None:

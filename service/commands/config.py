@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
 import secrets
+import tomllib
 from typing import Any
 
 import click
 from pydantic import ValidationError
+from pydantic_settings import SettingsError
 
 from service.commands.output import json_option, write_json
 from service.settings import Settings
@@ -69,11 +72,31 @@ def load_settings(**overrides: Any) -> Settings:
     click.UsageError
         Naming every setting that is unknown or out of range.
     """
+    unknown = sorted(name for name in os.environ if _unknown_setting(name))
+    if unknown:
+        raise click.UsageError(
+            f"{', '.join(unknown)} in the environment is no setting (`mavcal config schema` lists them)"
+        )
     try:
         return Settings(**{k: v for k, v in overrides.items() if v is not None})
     except ValidationError as error:
         faults = "; ".join(f"{'.'.join(str(p) for p in e['loc'])}: {e['msg']}" for e in error.errors())
         raise click.UsageError(f"the settings are not valid: {faults} (`mavcal config schema` lists them)") from None
+    except SettingsError as error:
+        raise click.UsageError(f'{error}: lists in the environment are JSON, as ["udpin:0.0.0.0:14550"]') from None
+    except tomllib.TOMLDecodeError as error:
+        raise click.UsageError(f"mavcal.toml is not valid TOML: {error}") from None
+    except OSError as error:
+        raise click.UsageError(f"mavcal.toml cannot be read: {error.strerror}") from None
+
+
+def _unknown_setting(name: str) -> bool:
+    """A mistyped MAVCAL_READ_ONLY must not pass unnoticed."""
+    upper = name.upper()
+    return (
+        upper.startswith("MAVCAL_")
+        and upper.removeprefix("MAVCAL_").split("__")[0].lower() not in Settings.model_fields
+    )
 
 
 def _flat(document: dict[str, Any], prefix: str = "") -> list[tuple[str, Any]]:

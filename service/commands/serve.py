@@ -57,6 +57,7 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
     import uvicorn
 
     from service.app import create_app
+    from service.core import running_service
     from service.logs import configure_logging
 
     configure_logging(as_json=settings.log_json)
@@ -67,15 +68,22 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
     url = f"http://[{shown}]:{port}/" if ":" in shown else f"http://{shown}:{port}/"
 
     class Server(uvicorn.Server):
-        """Announces itself when it is up."""
+        """Runs the service around itself, so that what keeps it from starting is told like any other error."""
+
+        async def serve(self, sockets: list[socket.socket] | None = None) -> None:
+            with self.capture_signals():
+                async with running_service(settings) as service:
+                    app.state.service = service
+                    await self._serve(sockets)
 
         async def startup(self, sockets: list[socket.socket] | None = None) -> None:
             await super().startup(sockets)
             if self.started:
                 announce(url)
 
-    config = uvicorn.Config(app, log_config=None, access_log=False, timeout_graceful_shutdown=5, lifespan="on")
-    Server(config).run(sockets=[listener])
+    config = uvicorn.Config(app, log_config=None, access_log=False, timeout_graceful_shutdown=1, lifespan="off")
+    with listener:
+        Server(config).run(sockets=[listener])
 
 
 def _listen(host: str, port: int) -> socket.socket:

@@ -20,3 +20,9 @@ def vehicle(arguments: tuple[str, ...]) -> int:
     from service.simvehicle.__main__ import main
 
     return main(arguments)
+
+
+@command.command()
+def recording() -> None:
+    """A synthetic recording: comes later."""
+    raise click.ClickException("synthetic recordings come later; a simulated vehicle can be recorded now")

@@ -6,16 +6,20 @@ import fcntl
 import os
 from pathlib import Path
 
-from service.errors import DataDirLocked
+from service.errors import DataDirLocked, StoreError
 
 
 class DataDirLock:
     """Holds a data directory until it is released or the process ends, however it ends."""
 
     def __init__(self, data_dir: Path) -> None:
-        data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
         path = data_dir / "lock"
-        self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        try:
+            data_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
+            self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        except OSError as error:
+            reason = error.strerror or str(error)
+            raise StoreError(f"the data directory {data_dir} cannot be used ({reason}): choose another one") from error
         try:
             fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
