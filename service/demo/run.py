@@ -27,8 +27,8 @@ SPEED = 30.0
 """Vehicle seconds per wall second."""
 WRITING_SPEED = 4.0
 """While parameters are written and proved: what happens on the wall clock must not look like hours to the sensors."""
-START_C, END_C, SPAN_C = 22.0, 63.0, 38.0
-PROOF_C = 58.0
+START_C, END_C, SPAN_C = 22.0, 75.0, 48.0
+PROOF_C = 68.0
 """Where the warmed vehicle is held for the proof: inside the calibrated range, and away from its reference."""
 PROVE_S = 240.0
 """How long the vehicle may take for the movements that prove the rest, seconds of its clock."""
