@@ -28,8 +28,9 @@ Every run is judged by the simulator alone, never by the service's word:
 * **FAILURE**: anything else, jobs that never end and PARAM_SETs to an armed vehicle among them.
 
 A fault on the wire counts as a strike if it was switched on with a PARAM_SET, or later, and hit at least one frame. The
-vehicle's clock runs 20 times faster than the wall's; 5 times where the wire holds frames back, because that takes
-wall time. "Accepted but not applied" is measured against the standard deviation of the stream check.
+vehicle's clock runs 20 times faster than the wall's; 5 times where a bad wire costs wall time, because a frame that is
+held back by 20 times as much looks like a restarted clock, and a gyro may drift between the two windows of a check.
+"Accepted but not applied" is measured against the standard deviation of the stream check.
 
 In the SIGKILL runs the service is `mavcal serve` in a process of its own. It gets SIGKILL from outside when its
 journal, read through a connection that cannot write, reaches a chosen step, and is started again on the same data

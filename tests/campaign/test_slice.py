@@ -1,0 +1,69 @@
+"""A slice of the campaign: every kind of fault once, and kills in front of, in the middle of and behind a write."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections import Counter
+from collections.abc import Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import dataclass
+
+import pytest
+
+from bench.campaign.criteria import CLEAR_SD
+from bench.campaign.fault_run import run_fault
+from bench.campaign.judge import Ending
+from bench.campaign.kill_run import run_kill
+from bench.campaign.kill_scene import kill_of
+from bench.campaign.report import FaultReport, KillReport
+from bench.campaign.scenario import KINDS, scenarios
+
+pytestmark = [pytest.mark.campaign, pytest.mark.timeout(300)]
+
+SEED = 1
+RUNS = (1, 3, 5, 6, 9, 10, 12, 20, 30, 38, 53, 57)
+"""Short ones that have every kind of fault among them."""
+KILLS = (3, 11, 16)
+"""Announced but not sent; a session setting on its way back; an old value on its way back."""
+WORKERS = 4
+
+
+@dataclass(frozen=True)
+class Slice:
+    """The reports, as they come in."""
+
+    faults: dict[int, Future[FaultReport]]
+    kills: dict[int, Future[KillReport]]
+
+
+@pytest.fixture(scope="module")
+def runs() -> Iterator[Slice]:
+    chosen = scenarios(max(RUNS) + 1, SEED)
+    with ProcessPoolExecutor(WORKERS, mp_context=multiprocessing.get_context("spawn")) as pool:
+        kills = {index: pool.submit(run_kill, kill_of(SEED, index)) for index in KILLS}
+        yield Slice({index: pool.submit(run_fault, chosen[index]) for index in RUNS}, kills)
+
+
+def test_every_run_ends_as_it_may(runs: Slice) -> None:
+    wrong = [future.result() for future in runs.faults.values() if future.result().ending == Ending.FAILURE]
+    assert not wrong, "\n".join(f"{report.reproduce}: {report.complaints}" for report in wrong)
+
+
+def test_every_fault_strikes_behind_the_first_parameter(runs: Slice) -> None:
+    strikes: Counter[str] = Counter()
+    for future in runs.faults.values():
+        strikes.update(future.result().strikes)
+    assert not [kind for kind in KINDS if not strikes[kind]]
+
+
+def test_what_was_not_applied_is_named(runs: Slice) -> None:
+    pins = [pin for future in runs.faults.values() for pin in future.result().pinned if pin.effect > CLEAR_SD]
+    assert pins
+    assert all(pin.named and not pin.missed for pin in pins)
+
+
+def test_a_killed_service_takes_up_its_write(runs: Slice) -> None:
+    for future in runs.kills.values():
+        report = future.result()
+        assert report.ending != Ending.FAILURE, f"{report.reproduce}: {report.complaints}"
+        assert report.struck, f"{report.reproduce}: not killed, {report.journal}"
