@@ -115,6 +115,7 @@ def _inertial(
     matrix = rng.normal(0, CROSS_SD, (3, 3))
     np.fill_diagonal(matrix, diagonal)
     p = np.stack([_signed(rng, bounds) for bounds in polynomial], axis=1)
+    p[:, 0] = np.copysign(p[:, 0], -b)  # a cold sensor is farther off, never by chance right
     p[:, 2] = np.copysign(p[:, 2], p[:, 1])  # opposite signs could cancel over the whole range and hide each other
     return SensorTruth(b, matrix, p if thermal else np.zeros((3, 3)), noise, np.zeros(3))
 
