@@ -1,22 +1,30 @@
 // Keeps the page in step with the service: one event stream, and a fresh read of what changed.
 
-import { api, follow } from "./api.js";
-import { el, jobCard, linkRow, vehicleCard } from "./render.js";
+import { api, follow, KeyNeeded, useKey } from "./api.js";
+import { jobCard, linkRow, showProgress, vehicleCard } from "./render.js";
+
+const LOOK_MS = 5000; // a vehicle or link that has gone sends no event
+const SHOWN_JOBS = 20;
 
 const page = (id) => document.getElementById(id);
 const jobs = new Map();
-let vehicles = [];
+let vehicles = new Map();
+let links = new Map();
 let procedures = [];
-let notice = 0;
+let noticeTimer = 0;
 
-const RUNNING = new Set(["queued", "running", "waiting_for_operator", "fitting", "applying", "waiting_for_reboot",
-  "verifying", "rolling_back", "in_doubt"]);
+const FREE = new Set(["review", "succeeded", "reverted", "failed", "cancelled", "interrupted"]);
 
 function complain(error) {
+  if (error instanceof KeyNeeded) {
+    page("key-form").hidden = false;
+    page("key").focus();
+    return;
+  }
   page("notice").textContent = error.message;
   page("notice").hidden = false;
-  clearTimeout(notice);
-  notice = setTimeout(() => { page("notice").hidden = true; }, 8000);
+  clearTimeout(noticeTimer);
+  noticeTimer = setTimeout(() => { page("notice").hidden = true; }, 10000);
 }
 
 /** Do something, then read again whatever it may have changed; say what went wrong. */
@@ -29,71 +37,125 @@ const acting = (act) => async (...given) => {
   await refresh();
 };
 
+async function save(job, form) {
+  const file = new Blob([await api.exported(job, form)], { type: "text/plain" });
+  const link = Object.assign(document.createElement("a"), { href: URL.createObjectURL(file), download: `mavcal-${job}.${form}` });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+}
+
 const actions = {
-  start: acting((vehicle, kind) => api.start(vehicle, kind)),
+  start: async (vehicle, kind) => {
+    await acting(() => api.start(vehicle, kind))();
+    page("jobs").firstElementChild?.scrollIntoView({ block: "nearest" }); // its prompt is what the operator needs now
+  },
   answer: acting((id, value) => api.answer(id, value)),
   cancel: acting((id) => api.cancel(id)),
+  planAgain: acting((id) => api.planAgain(id)),
   apply: acting((id, digest, reboot) => api.apply(id, digest, reboot)),
   revert: acting((id) => api.revert(id)),
   closeLink: acting((id) => api.closeLink(id)),
+  save: (id, form) => save(id, form).catch(complain),
 };
 
-function drawVehicles() {
-  const busy = (id) => [...jobs.values()].some((job) => job.vehicle_id === id && RUNNING.has(job.state));
-  const cards = vehicles.map((vehicle) => vehicleCard(vehicle, procedures, busy(vehicle.id), actions));
-  page("vehicles").replaceChildren(...(cards.length ? cards
-    : [el("p", { class: "quiet" }, "No vehicle has been heard yet.")]));
+/**
+ * Show one node an item, in this order. A node is replaced only if what it shows has changed: a button that is
+ * exchanged under the finger swallows the click.
+ */
+function keep(container, items, shown, draw) {
+  const present = new Map([...container.children].filter((n) => n.dataset.key).map((n) => [n.dataset.key, n]));
+  const nodes = items.map((item) => {
+    const text = JSON.stringify(shown(item));
+    let node = present.get(item.id);
+    if (node?.shown !== text) {
+      const open = node?.querySelector("details")?.open ?? false;
+      node = draw(item);
+      node.dataset.key = item.id;
+      node.shown = text;
+      if (open && node.querySelector("details")) node.querySelector("details").open = true;
+    }
+    return node;
+  });
+  [...container.children].filter((node) => !nodes.includes(node)).forEach((node) => node.remove());
+  nodes.forEach((node, i) => {
+    if (container.children[i] !== node) container.insertBefore(node, container.children[i] ?? null);
+  });
 }
 
-function drawJobs() {
-  if (!jobs.size) return;
+function draw() {
+  const busy = (id) => [...jobs.values()].some((job) => job.vehicle_id === id && !FREE.has(job.state));
+  page("no-vehicles").hidden = vehicles.size > 0;
+  page("no-jobs").hidden = jobs.size > 0;
+  keep(page("vehicles"), [...vehicles.values()],
+    (v) => [v.autopilot, v.firmware, v.silent, v.armed, v.landed, v.loss.toFixed(3), v.obstacles, busy(v.id), procedures.length],
+    (v) => vehicleCard(v, procedures, busy(v.id), actions));
+  keep(page("links"), [...links.values()], (l) => [l.url, l.state, l.reason], (l) => linkRow(l, actions));
   const newest = [...jobs.values()].sort((a, b) => b.created_at - a.created_at);
-  page("jobs").replaceChildren(...newest.map((job) => jobCard(job, actions)));
+  keep(page("jobs"), newest, ({ progress, updated_at, ...rest }) => [rest, vehicles.get(rest.vehicle_id)?.autopilot, procedures.length],
+    (job) => jobCard(job, title(job.kind), vehicles.get(job.vehicle_id), actions));
+  newest.forEach((job, i) => showProgress(page("jobs").children[i], job));
 }
 
-async function readJob(id) {
-  jobs.set(id, await api.job(id));
-  drawJobs();
-  drawVehicles();
-}
-
-async function readVehicles() {
-  const [heard, links] = await Promise.all([api.vehicles(), api.links()]);
-  vehicles = heard;
-  drawVehicles();
-  page("links").replaceChildren(...links.map((link) => linkRow(link, actions)));
-}
+const title = (kind) => procedures.find((procedure) => procedure.kind === kind)?.title ?? kind;
+const byId = (items) => new Map(items.map((item) => [item.id, item]));
 
 async function refresh() {
   try {
     if (!procedures.length) procedures = await api.procedures();
-    const listed = await api.jobs();
-    await Promise.all(listed.map(async (job) => jobs.set(job.id, await api.job(job.id))));
-    await readVehicles();
-    drawJobs();
+    const newest = (await api.jobs()).slice(-SHOWN_JOBS);
+    const changed = newest.filter((job) => jobs.get(job.id)?.updated_at !== job.updated_at);
+    await Promise.all(changed.map(async (job) => jobs.set(job.id, await api.job(job.id))));
+    await look();
   } catch (error) {
     complain(error);
   }
 }
 
-function changed(event) {
-  const known = jobs.get(event.job_id);
-  if (event.kind === "progress" && known) {
-    jobs.set(event.job_id, { ...known, progress: event.data });
-    drawJobs();
-  } else if (event.job_id) {
-    readJob(event.job_id).catch(complain);
-  }
+async function look() {
+  const [heard, open] = await Promise.all([api.vehicles(), api.links()]);
+  vehicles = byId(heard);
+  links = byId(open);
+  draw();
 }
 
-page("link-form").addEventListener("submit", acting(async (event) => {
-  event.preventDefault();
-  await api.openLink(page("link-url").value.trim());
-}));
+async function told(name, data) {
+  if (name === "vehicle") vehicles.set(data.id, data);
+  if (name === "link") links.set(data.id, data);
+  if (name === "job") {
+    const known = jobs.get(data.job_id);
+    if (data.kind === "progress" && known) jobs.set(known.id, { ...known, progress: data.data });
+    else jobs.set(data.job_id, await api.job(data.job_id));
+  }
+  draw();
+}
 
-follow(changed, (text, ok) => {
+function connection(text, good) {
   page("connection").textContent = text;
-  page("connection").className = ok ? "good" : "bad";
-  if (ok) refresh();
+  page("connection").className = good ? "good" : "bad";
+}
+
+function begin() {
+  follow((name, data) => told(name, data).catch(complain),
+    () => { connection("live", true); refresh(); },
+    (error) => {
+      connection(error instanceof KeyNeeded ? "no key" : error.message, false);
+      if (error instanceof KeyNeeded) complain(error);
+    });
+}
+
+page("link-form").addEventListener("submit", (event) => {
+  event.preventDefault();
+  const url = page("link-url").value.trim();
+  if (url) acting(() => api.openLink(url))();
 });
-setInterval(() => readVehicles().catch(() => {}), 2000);
+
+page("key-form").addEventListener("submit", (event) => {
+  event.preventDefault();
+  useKey(page("key").value.trim());
+  page("key").value = "";
+  page("key-form").hidden = true;
+  begin();
+});
+
+begin();
+setInterval(() => look().catch(() => {}), LOOK_MS);

@@ -26,7 +26,10 @@ class Envelope:
         self._app = app
         self._guard = guard
         ancestors = " ".join(settings.frame_ancestors)
-        self._policy = f"default-src 'self'; style-src 'self' 'unsafe-inline'; frame-ancestors {ancestors}"
+        self._policy = (
+            "default-src 'self'; img-src 'self' data:; style-src 'self' 'unsafe-inline'; "
+            f"object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors {ancestors}"
+        )
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle one connection."""

@@ -80,34 +80,34 @@ async def test_the_page_and_its_files_are_there(tmp_path):
 # --- problems
 
 
-@pytest.mark.parametrize(
-    ("method", "path", "status"),
-    [
-        ("GET", "/nothing", 404),
-        ("GET", "/api/v1/jobs/x", 404),
-        ("GET", "/api/v1/jobs/x/plan", 404),
-        ("GET", "/api/v1/jobs/x/events", 404),
-        ("GET", "/api/v1/jobs/x/export.param", 404),
-        ("DELETE", "/api/v1/jobs/x", 404),
-        ("POST", "/api/v1/jobs/x/plan", 404),
-        ("POST", "/api/v1/jobs/x/refit", 404),
-        ("POST", "/api/v1/jobs/x/revert", 404),
-        ("GET", "/api/v1/vehicles/x", 404),
-        ("GET", "/api/v1/vehicles/x/parameters", 404),
-        ("GET", "/api/v1/vehicles/x/stream", 404),
-        ("GET", "/api/v1/links/x", 404),
-        ("DELETE", "/api/v1/links/x", 404),
-        ("GET", "/api/v1/recordings/x", 404),
-        ("PUT", "/api/v1/links", 405),
-        ("POST", "/healthz", 405),
-    ],
+PROBLEMS = (
+    ("GET", "/nothing", 404),
+    ("GET", "/api/v1/jobs/x", 404),
+    ("GET", "/api/v1/jobs/x/plan", 404),
+    ("GET", "/api/v1/jobs/x/events", 404),
+    ("GET", "/api/v1/jobs/x/export.param", 404),
+    ("DELETE", "/api/v1/jobs/x", 404),
+    ("POST", "/api/v1/jobs/x/plan", 404),
+    ("POST", "/api/v1/jobs/x/refit", 404),
+    ("POST", "/api/v1/jobs/x/revert", 404),
+    ("GET", "/api/v1/vehicles/x", 404),
+    ("GET", "/api/v1/vehicles/x/parameters", 404),
+    ("GET", "/api/v1/vehicles/x/stream", 404),
+    ("GET", "/api/v1/links/x", 404),
+    ("DELETE", "/api/v1/links/x", 404),
+    ("GET", "/api/v1/recordings/x", 404),
+    ("PUT", "/api/v1/links", 405),
+    ("POST", "/healthz", 405),
 )
-async def test_every_problem_has_a_page_that_explains_it(tmp_path, method, path, status):
+
+
+async def test_every_problem_has_a_page_that_explains_it(tmp_path):
     async with api(tmp_path) as a:
-        problem = await a.call(method, path, status)
-        page = urljoin(str(a.client.base_url.join(path)), problem["type"])
-        assert "/api/" not in page
-        assert len(await a.call("GET", page, 200)) > 20
+        for method, path, status in PROBLEMS:
+            problem = await a.call(method, path, status)
+            page = urljoin(str(a.client.base_url.join(path)), problem["type"])
+            assert "/api/" not in page
+            assert len(await a.call("GET", page, 200)) > 20
 
 
 async def test_a_method_that_is_not_there_names_those_that_are(tmp_path):
@@ -190,30 +190,29 @@ async def test_two_endpoints_never_share_a_name(tmp_path):
             assert (await a.get(f"/links/{link['id']}"))["url"] == link["url"]
 
 
-@pytest.mark.parametrize(
-    "url",
-    [
-        "",
-        "ftp:127.0.0.1:1",
-        "udpin",
-        "tcp:127.0.0.1:99999",
-        "udpin:no.such.host.invalid:5000",
-        "udpout:127.0.0.1:99?local_port=nan",
-        "udpout:127.0.0.1:99?local_port=1e9",
-        "file:/no/such/file.tlog",
-        f"file:{__file__}",
-        "file:x?speed=nan",
-        "file:x\0y",
-        "file:" + "x" * 5000,
-        "tcp:" + "a" * 300 + ":80",
-        "sim:betaflight",
-        "sim:ardupilot?colour=red",
-    ],
+HOPELESS = (
+    "",
+    "ftp:127.0.0.1:1",
+    "udpin",
+    "tcp:127.0.0.1:99999",
+    "udpin:no.such.host.invalid:5000",
+    "udpout:127.0.0.1:99?local_port=nan",
+    "udpout:127.0.0.1:99?local_port=1e9",
+    "file:/no/such/file.tlog",
+    f"file:{__file__}",
+    "file:x?speed=nan",
+    "file:x\0y",
+    "file:" + "x" * 5000,
+    "tcp:" + "a" * 300 + ":80",
+    "sim:betaflight",
+    "sim:ardupilot?colour=red",
 )
-async def test_an_endpoint_that_cannot_work_is_422(tmp_path, url):
+
+
+async def test_an_endpoint_that_cannot_work_is_422(tmp_path):
     async with api(tmp_path) as a:
-        problem = await a.call("POST", "/api/v1/links", content=json.dumps({"url": url}))
-        assert problem["status"] in {422, 413}, problem
+        for url in HOPELESS:
+            await a.call("POST", "/api/v1/links", 422, content=json.dumps({"url": url}))
         assert await a.get("/links") == []
 
 
