@@ -96,39 +96,39 @@ async def test_reading_options_reach_the_reader(tmp_path):
         assert channel["rate"] == pytest.approx(20)
 
 
-@pytest.mark.parametrize(
-    "reading",
-    [
-        "{",
-        "[]",
-        "1",
-        '"x"',
-        "[" * 3000,
-        '{"foo": 1}',
-        '{"path": "/etc/passwd"}',
-        '{"rate": "abc"}',
-        '{"rate": -1}',
-        '{"rate": NaN}',
-        '{"rate": 1e999}',
-        '{"rate": [1]}',
-        '{"mapping": [1]}',
-        '{"mapping": "mag_x=1"}',
-        '{"mapping": {"mag_x": null}}',
-        '{"mapping": {"mag_x": "99"}}',
-        '{"mapping": {"mag_x": "mag_y*x"}}',
-        '{"mapping": {"nose": "mag_y"}}',
-        '{"world": "moon"}',
-        '{"body": {}}',
-        '{"unit_mag": "zz"}',
-        '{"unit_accel": []}',
-        '{"system": 300}',
-        '{"system": 1}',
-    ],
+UNREADABLE = (
+    "{",
+    "[]",
+    "1",
+    '"x"',
+    "[" * 3000,
+    '{"foo": 1}',
+    '{"path": "/etc/passwd"}',
+    '{"rate": "abc"}',
+    '{"rate": -1}',
+    '{"rate": NaN}',
+    '{"rate": 1e999}',
+    '{"rate": [1]}',
+    '{"mapping": [1]}',
+    '{"mapping": "mag_x=1"}',
+    '{"mapping": {"mag_x": null}}',
+    '{"mapping": {"mag_x": "99"}}',
+    '{"mapping": {"mag_x": "mag_y*x"}}',
+    '{"mapping": {"nose": "mag_y"}}',
+    '{"world": "moon"}',
+    '{"body": {}}',
+    '{"unit_mag": "zz"}',
+    '{"unit_accel": []}',
+    '{"system": 300}',
+    '{"system": 1}',
 )
-async def test_a_reading_option_that_makes_no_sense_is_422_and_nothing_stays(tmp_path, reading):
+
+
+async def test_a_reading_option_that_makes_no_sense_is_422_and_nothing_stays(tmp_path):
     async with api(tmp_path) as a:
-        params = {"name": "a.csv", "reading": reading}
-        await a.call("POST", "/api/v1/recordings", 422, params=params, content=sphere_csv(20))
+        for reading in UNREADABLE:
+            params = {"name": "a.csv", "reading": reading}
+            await a.call("POST", "/api/v1/recordings", 422, params=params, content=sphere_csv(20))
         assert kept(a) == []
         assert await a.get("/recordings") == []
 
@@ -151,14 +151,15 @@ GARBAGE = {
 }
 
 
-@pytest.mark.parametrize("content", GARBAGE.values(), ids=GARBAGE)
 @pytest.mark.parametrize("ending", ["csv", "tlog", "npz"])
-async def test_what_is_no_recording_is_422_and_nothing_stays(tmp_path, content, ending):
+async def test_what_is_no_recording_is_422_and_nothing_stays(tmp_path, ending):
     async with api(tmp_path) as a:
-        problem = await upload(a, content, 422, name=f"thing.{ending}")
+        for content in GARBAGE.values():
+            problem = await upload(a, content, 422, name=f"thing.{ending}")
+            words = problem["detail"].replace(".", " ").split()
+            assert not any(len(word) > 15 and word.isalnum() for word in words)  # our own name of the file
         assert kept(a) == []
         assert a.service.recordings.all() == ()
-        assert not any(len(word) > 15 and word.isalnum() for word in problem["detail"].replace(".", " ").split())
 
 
 @pytest.mark.parametrize(
@@ -200,34 +201,34 @@ async def test_a_full_disk_is_507_and_nothing_stays(tmp_path, monkeypatch):
         assert kept(a) == []
 
 
-FITS: list[tuple[Any, int]] = [
-    ({"method": "nonsense"}, 422),
-    ({}, 422),
-    ({"method": 3}, 422),
-    ([], 422),
-    ({"method": "mag-sphere", "colour": 1}, 422),
-    ({"method": "mag-sphere", "options": {"foo": 1}}, 422),
-    ({"method": "mag-sphere", "options": {"\ud800": 1}}, 422),
-    ({"method": "mag-sphere", "options": {"field": "north"}}, 422),
-    ({"method": "mag-sphere", "options": {"field": True}}, 422),
-    ({"method": "mag-sphere", "options": {"field": 1e999}}, 422),
-    ({"method": "mag-sphere", "options": {"instance": 10**400}}, 422),
-    ({"method": "mag-sphere", "options": {"instance": 7}}, 422),
-    ({"method": "mag-sphere", "options": {"instance": -1}}, 422),
-    ({"method": "mag-sphere", "options": {"year": 10**9}}, 422),
-    ({"method": "mag-ellipsoid", "options": {"robust": ["auto"]}}, 422),
-    ({"method": "mag-ellipsoid", "options": {"prior_sd": -1}}, 422),
-    ({"method": "gyro-rest"}, 422),
-    ({"method": "thermal-poly", "options": {"degree": 99}}, 422),
-]
+FITS: tuple[Any, ...] = (
+    {"method": "nonsense"},
+    {},
+    {"method": 3},
+    [],
+    {"method": "mag-sphere", "colour": 1},
+    {"method": "mag-sphere", "options": {"foo": 1}},
+    {"method": "mag-sphere", "options": {"\ud800": 1}},
+    {"method": "mag-sphere", "options": {"field": "north"}},
+    {"method": "mag-sphere", "options": {"field": True}},
+    {"method": "mag-sphere", "options": {"field": 1e999}},
+    {"method": "mag-sphere", "options": {"instance": 10**400}},
+    {"method": "mag-sphere", "options": {"instance": 7}},
+    {"method": "mag-sphere", "options": {"instance": -1}},
+    {"method": "mag-sphere", "options": {"year": 10**9}},
+    {"method": "mag-ellipsoid", "options": {"robust": ["auto"]}},
+    {"method": "mag-ellipsoid", "options": {"prior_sd": -1}},
+    {"method": "gyro-rest"},
+    {"method": "thermal-poly", "options": {"degree": 99}},
+)
 
 
-@pytest.mark.parametrize(("body", "status"), FITS, ids=[str(b)[:60] for b, _ in FITS])
-async def test_a_fit_that_cannot_be_made_is_a_problem_with_words(tmp_path, body, status):
+async def test_a_fit_that_cannot_be_made_is_a_problem_with_words(tmp_path):
     async with api(tmp_path) as a:
         row = await upload(a, sphere_csv(60))
-        problem = await a.call("POST", f"/api/v1/recordings/{row['id']}/fits", status, content=json.dumps(body))
-        assert len(problem["detail"]) > 15
+        for body in FITS:
+            problem = await a.call("POST", f"/api/v1/recordings/{row['id']}/fits", 422, content=json.dumps(body))
+            assert len(problem["detail"]) > 15
         await a.call("POST", "/api/v1/recordings/none/fits", 404, json={"method": "mag-sphere"})
 
 

@@ -115,12 +115,12 @@ _DISABLED = "return [...document.querySelectorAll('#vehicles button')].map(b => 
 def test_a_button_stays_the_same_while_the_progress_moves(window, tmp_path):
     """A button that is exchanged between press and release swallows the click."""
     with (
-        SimulatedVehicle("ardupilot", seed=33, speed=10, config={"thermal": False}) as v,
+        SimulatedVehicle("ardupilot", seed=33, speed=30, config={"thermal": False}) as v,
         service(tmp_path, "--connect", v.url) as url,
     ):
         window.open(url)
         window.until("#vehicles", "Drift of")
-        v.call("warm_up", start=30.0, end=60.0, tau_s=200.0)
+        v.call("warm_up", start=30.0, end=60.0, tau_s=120.0)
         window.click("Drift of accelerometers and gyros with temperature", "#vehicles")
         window.until(NEWEST, "finish")
         window.run("document.querySelector('#jobs .actions button').marked = true")
