@@ -85,11 +85,14 @@ def _converted(option: Option, value: Any) -> Any:
         return value
     try:
         converted = option.type(value)
-        finite = option.type is str or np.isfinite(float(converted))
+        whole = option.type is not int or isinstance(value, str) or converted == value
+        finite = option.type is str or (whole and np.isfinite(float(converted)))
     except (TypeError, ValueError, OverflowError):
         converted, finite = None, False
     if not finite or isinstance(value, bool):
-        raise InvalidInputError(f"{option.name} must be a number ({option.help}), not {value!r}")
+        raise InvalidInputError(
+            f"{option.name} must be a {'whole ' if option.type is int else ''}number ({option.help}), not {value!r}"
+        )
     return converted
 
 

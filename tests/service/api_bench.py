@@ -49,6 +49,11 @@ class Api:
     async def post(self, path: str, body: Any = None, expect: int | None = None, **request: Any) -> Any:
         return await self.call("POST", f"/api/v1{path}", expect, json=body, **request)
 
+    async def post_text(self, path: str, body: Any, expect: int) -> Any:
+        """POST JSON as Python writes it: NaN, infinities and lone surrogates included."""
+        headers = {"Content-Type": "application/json"}
+        return await self.call("POST", f"/api/v1{path}", expect, content=json.dumps(body), headers=headers)
+
     async def delete(self, path: str, expect: int) -> Any:
         return await self.call("DELETE", f"/api/v1{path}", expect)
 

@@ -150,7 +150,7 @@ async def test_the_place_of_the_data_is_not_told(tmp_path):
 
 async def test_a_request_too_large_is_refused_before_it_is_kept(tmp_path):
     async with api(tmp_path) as a:
-        await a.call("POST", "/api/v1/links", 413, content=b'{"url": "' + b"x" * 2**20 + b'"}')
+        await a.call("POST", "/api/v1/links", 413, json={"url": "x" * 2**20})
 
 
 # --- links
@@ -212,7 +212,8 @@ HOPELESS = (
 async def test_an_endpoint_that_cannot_work_is_422(tmp_path):
     async with api(tmp_path) as a:
         for url in HOPELESS:
-            await a.call("POST", "/api/v1/links", 422, content=json.dumps({"url": url}))
+            problem = await a.post_text("/links", {"url": url}, 422)
+            assert problem["type"].endswith("endpoint-unknown"), problem
         assert await a.get("/links") == []
 
 

@@ -220,6 +220,7 @@ FITS: tuple[Any, ...] = (
     {"method": "mag-ellipsoid", "options": {"prior_sd": -1}},
     {"method": "gyro-rest"},
     {"method": "thermal-poly", "options": {"degree": 99}},
+    {"method": "mag-sphere", "options": {"instance": 0.5}},
 )
 
 
@@ -227,8 +228,9 @@ async def test_a_fit_that_cannot_be_made_is_a_problem_with_words(tmp_path):
     async with api(tmp_path) as a:
         row = await upload(a, sphere_csv(60))
         for body in FITS:
-            problem = await a.call("POST", f"/api/v1/recordings/{row['id']}/fits", 422, content=json.dumps(body))
+            problem = await a.post_text(f"/recordings/{row['id']}/fits", body, 422)
             assert len(problem["detail"]) > 15
+            assert "extract fields" not in problem["detail"] or not isinstance(body, dict)
         await a.call("POST", "/api/v1/recordings/none/fits", 404, json={"method": "mag-sphere"})
 
 
