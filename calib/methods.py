@@ -90,9 +90,8 @@ def _converted(option: Option, value: Any) -> Any:
     except (TypeError, ValueError, OverflowError):
         converted, finite = None, False
     if not finite or isinstance(value, bool):
-        raise InvalidInputError(
-            f"{option.name} must be a {'whole ' if option.type is int else ''}number ({option.help}), not {value!r}"
-        )
+        form = "; a whole one" if option.type is int else ""
+        raise InvalidInputError(f"{option.name} must be a number ({option.help}{form}), not {value!r}")
     return converted
 
 
