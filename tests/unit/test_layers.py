@@ -18,7 +18,7 @@ LAYERS = (
     {"simulate", "firmware", "inspection"},
     {"logs"},
     {"procedures", "gap"},
-    {"report", "scoring", "method_source", "method_runs", "methods"},
+    {"report", "scoring", "methods"},
 )
 """Rooms of ``calib``, lowest first; a room imports its own layer and the ones below."""
 

@@ -1,0 +1,145 @@
+"""Methods for the accelerometer."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib import STANDARD_GRAVITY
+from calib.accel import fit_one_axis, fit_poses
+from calib.errors import InvalidInputError
+from calib.fit import FitResult
+from calib.methods.method import FIXTURE, GRAVITY, INSTANCE, Method, Option, Options, gravity_of, mean_or_none
+from calib.methods.source import Source
+from calib.quantisation import mean_of
+from calib.recording import Channel, Sensor
+from calib.six_face import CONVENTIONS, Face, down_of, fit_six_face
+from calib.stillness import pose_means
+from calib.windows import finite_rows
+
+Array = NDArray[np.float64]
+
+
+def accel_one_axis(source: Source, options: Options) -> list[FitResult]:
+    """The longest rest, else every sample."""
+    fits = []
+    for accel in source.channels(Sensor.ACCEL):
+        part = source.longest_rest(accel)
+        gravity = gravity_of(options, accel)
+        fits.append(
+            fit_one_axis(part, gravity=gravity, fixture_sd=options["fixture_sd"], relative=source.relative(accel))
+        )
+    return fits
+
+
+def accel_six_face(source: Source, options: Options) -> list[FitResult]:
+    """Faces by label, by stillness, or row by row."""
+    fits = []
+    for accel in source.channels(Sensor.ACCEL):
+        faces, temperature = _faces(source, accel, all_samples=options["samples"] == "all")
+        fits.append(
+            fit_six_face(
+                faces,
+                gravity=options["gravity"],
+                convention=options["convention"],
+                fixture_sd=options["fixture_sd"],
+                instance=accel.instance,
+                unit=accel.unit,
+                temperature=temperature,
+                relative=source.relative(accel),
+            )
+        )
+    return fits
+
+
+def _faces(source: Source, accel: Channel, *, all_samples: bool) -> tuple[list[Face], float | None]:
+    """Faces by label, by stillness, or row by row in a table without time; and the mean temperature."""
+    accel = accel.take(finite_rows(accel.values))
+    if source.recording.segments:
+        parts = [(down_of(s.label), accel.between(s.start, s.end)) for s in source.recording.segments]
+        faces = [face for down, part in parts if len(part) for face in _face(part, down, all_samples=all_samples)]
+        return faces, None
+    if not source.timed:
+        groups: dict[tuple[int, bool], list[int]] = {}
+        middle = 0.5 * (accel.values.max(axis=0) + accel.values.min(axis=0))
+        for row, value in enumerate(accel.values - middle):
+            axis = int(np.argmax(np.abs(value)))
+            groups.setdefault((axis, bool(value[axis] > 0)), []).append(row)
+        parts = [(None, accel.take(np.array(rows))) for rows in groups.values()]
+        return [face for _, part in parts for face in _face(part, None, all_samples=all_samples)], None
+    stills = source.stills(accel.instance, held=True)
+    gyro, temperature = source.maybe(Sensor.GYRO, accel.instance), source.temperature(accel.instance)
+    poses = pose_means(accel, stills, gyro=gyro, temperature=temperature)
+    square = [p for p in poses if np.abs(p.mean).max() > 0.9 * np.linalg.norm(p.mean)]
+    known = [p.temperature for p in square if p.temperature is not None]
+    if all_samples:
+        spans = [accel.between(p.start, p.end) for p in square]
+        return [face for part in spans for face in _face(part, None, all_samples=True)], mean_or_none(known)
+    return [Face(p.mean, p.covariance, n=p.n) for p in square], mean_or_none(known)
+
+
+def _face(part: Channel, down: Array | None, *, all_samples: bool) -> list[Face]:
+    if all_samples or len(part) < 2:
+        return [Face(value, None, down) for value in part.values]
+    mean = mean_of(part)
+    known = len(part) >= 16 and not any(mean.constant)
+    return [Face(mean.mean, mean.covariance if known else None, down, n=len(part))]
+
+
+def accel_multi(source: Source, options: Options) -> list[FitResult]:
+    """The means of every still pose."""
+    fits = []
+    for accel in source.channels(Sensor.ACCEL):
+        if not source.timed and not source.recording.segments:
+            raise InvalidInputError("still poses are found by time: the table has none; give --rate, or a column t")
+        stills = source.stills(accel.instance, held=True)
+        gyro, temperature = source.maybe(Sensor.GYRO, accel.instance), source.temperature(accel.instance)
+        fits.append(
+            fit_poses(
+                pose_means(accel, stills, gyro=gyro, temperature=temperature),
+                gravity=options["gravity"] or STANDARD_GRAVITY,
+                cross_sd=options["cross_sd"],
+                form=options["form"],
+                instance=accel.instance,
+                unit=accel.unit,
+                relative=source.relative(accel),
+            )
+        )
+    return fits
+
+
+METHODS = (
+    Method(
+        "accel-one-axis",
+        "Accelerometer offset with one axis vertical",
+        "a rest with one axis vertical to a degree",
+        (INSTANCE, GRAVITY, FIXTURE),
+        accel_one_axis,
+    ),
+    Method(
+        "accel-six-face",
+        "Accelerometer offset and full matrix from six faces of a fixture",
+        "every axis once up and once down, square on a fixture; labelled, still, or one row a face",
+        (
+            INSTANCE,
+            Option("gravity", float, None, "else 1 or the convention's (9.80665; accelcal 9.81), whichever is nearer"),
+            Option("convention", CONVENTIONS, "specific-force", "accelcal: the axis that points down reads +g"),
+            FIXTURE,
+            Option("samples", ("means", "all"), "means", "regress on face means, or on all samples as published"),
+        ),
+        accel_six_face,
+    ),
+    Method(
+        "accel-multi",
+        "Accelerometer offset and matrix from still poses in any direction",
+        "six faces and three oblique poses or more, each held still for two seconds",
+        (
+            INSTANCE,
+            GRAVITY,
+            Option("cross_sd", float, 0.01, "prior standard deviation of the cross terms; 0 holds them at zero"),
+            Option("form", ("symmetric", "upper"), "symmetric", "canonical form of the matrix"),
+        ),
+        accel_multi,
+    ),
+)
+"""In the order of the command line."""

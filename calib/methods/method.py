@@ -1,0 +1,116 @@
+"""What a method is: a name, what it needs, its options, and the function that runs it on a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib import STANDARD_GRAVITY
+from calib.errors import InvalidInputError
+from calib.fit import FitResult
+from calib.methods.source import Source
+from calib.recording import Channel, Recording
+
+Array = NDArray[np.float64]
+Options = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Option:
+    """An option of a method. `type` is float, int or str, or a tuple of the texts that are allowed."""
+
+    name: str
+    type: Any
+    default: Any
+    help: str
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to fit a sensor, with what it needs and the options that it takes."""
+
+    name: str
+    summary: str
+    needs: str
+    options: tuple[Option, ...]
+    fit: Callable[[Source, Options], Sequence[FitResult]]
+
+    def run(self, recording: Recording, options: Options = MappingProxyType({})) -> tuple[FitResult, ...]:
+        """The fits of every instance (or of the option ``instance``) that the recording has.
+
+        Raises
+        ------
+        InvalidInputError
+            If an option is unknown or of a wrong type, or the recording lacks the sensor.
+        """
+        chosen = _checked(self, options)
+        source = Source.of(recording, chosen["instance"])
+        return tuple(source.annotated(fit) for fit in self.fit(source, chosen))
+
+
+def _checked(method: Method, options: Options) -> dict[str, Any]:
+    """Every option with its value, in its type.
+
+    Raises
+    ------
+    InvalidInputError
+        If one is unknown or does not have the type.
+    """
+    known = {option.name: option for option in method.options}
+    unknown = sorted(set(options) - set(known))
+    if unknown:
+        raise InvalidInputError(
+            f"{method.name} has no option {', '.join(unknown)}; it takes {', '.join(sorted(known)) or 'none'}"
+        )
+    return {name: _converted(option, options.get(name)) for name, option in known.items()}
+
+
+def _converted(option: Option, value: Any) -> Any:
+    if value is None:
+        return option.default
+    if isinstance(option.type, tuple):
+        if value not in option.type:
+            raise InvalidInputError(f"{option.name} is one of {', '.join(option.type)}, not {value!r}")
+        return value
+    try:
+        converted = option.type(value)
+        whole = option.type is not int or isinstance(value, str) or converted == value
+        finite = option.type is str or (whole and np.isfinite(float(converted)))
+    except (TypeError, ValueError, OverflowError):
+        converted, finite = None, False
+    if not finite or isinstance(value, bool):
+        form = "; a whole one" if option.type is int else ""
+        raise InvalidInputError(f"{option.name} must be a number ({option.help}{form}), not {value!r}")
+    return converted
+
+
+INSTANCE = Option("instance", int, None, "only this instance, from 0; else every one that is there")
+GRAVITY = Option("gravity", float, None, "length of gravity in the unit of the samples; 9.80665 m/s2 where not said")
+FIXTURE = Option("fixture_sd", float, 0.0, "tilt of the fixture, standard deviation in degrees")
+
+
+def mean_or_none(values: Sequence[float] | Array) -> float | None:
+    """Mean of the finite ones; None if there are none."""
+    finite = np.asarray(values, dtype=np.float64)
+    finite = finite[np.isfinite(finite)]
+    return float(finite.mean()) if len(finite) else None
+
+
+def gravity_of(options: Options, accel: Channel) -> float:
+    """Length of gravity in the unit of `accel`.
+
+    Raises
+    ------
+    InvalidInputError
+        If the unit is not m/s2 and nothing is stated.
+    """
+    if options["gravity"] is not None:
+        return float(options["gravity"])
+    if accel.unit != "m/s2":
+        raise InvalidInputError(f"gravity in {accel.unit} is not known: state it with --gravity")
+    return STANDARD_GRAVITY

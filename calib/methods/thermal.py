@@ -1,0 +1,106 @@
+"""Methods for drift with temperature."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import InvalidInputError
+from calib.fit import FitResult
+from calib.methods.method import INSTANCE, Method, Option, Options
+from calib.methods.source import Source
+from calib.recording import Channel, Sensor
+from calib.thermal import fit_linear, fit_polynomial
+
+Array = NDArray[np.float64]
+
+
+def _thermal(source: Source, fit: Callable[[Channel, Array, bool], FitResult]) -> list[FitResult]:
+    fits = []
+    sensors = [s for s in (Sensor.ACCEL, Sensor.GYRO) if source.recording.instances(s)]
+    if not sensors:
+        source.channels(Sensor.ACCEL)  # says what the recording has instead
+    for sensor in sensors:
+        for channel in source.channels(sensor):
+            temperature = source.temperature(channel.instance)
+            if temperature is None:
+                raise InvalidInputError("the recording has no temperature: name its column, --map temperature=COLUMN")
+            channel = _undisturbed(source, channel)
+            good = np.isfinite(temperature.values[:, 0])
+            if not good.any():
+                raise InvalidInputError("the temperature column has no finite number")
+            at = np.interp(channel.t, temperature.t[good], temperature.values[good, 0])
+            fits.append(fit(channel, at, source.relative(channel)))
+    return fits
+
+
+def _undisturbed(source: Source, channel: Channel) -> Channel:
+    """The samples of a vehicle's log in which it lay as in its longest rest; a table is taken whole."""
+    stills = source.stills(channel.instance, held=True) if source.of_vehicle else ()
+    if not stills:
+        return channel
+    longest = max(stills, key=lambda still: still.duration)
+    keep = np.zeros(len(channel), dtype=np.bool_)
+    for still in stills:
+        same = still.accel is None or longest.accel is None or _together(still.accel, longest.accel)
+        keep |= same & (channel.t >= still.start) & (channel.t < still.end)
+    return channel.take(keep)
+
+
+def _together(a: Array, b: Array) -> bool:
+    return bool(np.linalg.norm(a - b) < 0.08 * np.linalg.norm(b))  # five degrees, or a strong drift
+
+
+def thermal_linear(source: Source, options: Options) -> list[FitResult]:
+    """Accelerometers and gyroscopes against their temperature, straight lines."""
+
+    def fit(channel: Channel, temperature: Array, relative: bool) -> FitResult:
+        return fit_linear(channel, temperature, t_ref=options["tref"], min_span=options["min_span"], relative=relative)
+
+    return _thermal(source, fit)
+
+
+def thermal_poly(source: Source, options: Options) -> list[FitResult]:
+    """Accelerometers and gyroscopes against their temperature, polynomials."""
+
+    def fit(channel: Channel, temperature: Array, relative: bool) -> FitResult:
+        return fit_polynomial(
+            channel,
+            temperature,
+            degree=options["degree"],
+            t_ref=options["tref"],
+            min_span=options["min_span"],
+            relative=relative,
+        )
+
+    return _thermal(source, fit)
+
+
+METHODS = (
+    Method(
+        "thermal-linear",
+        "Slope of accelerometer and gyroscope against temperature",
+        "a motionless sensor whose temperature moves",
+        (
+            INSTANCE,
+            Option("tref", float, 25.0, "temperature at which nothing is corrected, degC; 0 is the published form"),
+            Option("min_span", float, 2.0, "least range of temperature, degC"),
+        ),
+        thermal_linear,
+    ),
+    Method(
+        "thermal-poly",
+        "Polynomial drift of accelerometer and gyroscope against temperature",
+        "a motionless sensor that warms up by ten degrees or more",
+        (
+            INSTANCE,
+            Option("degree", int, 3, "of the polynomial, 1 to 5"),
+            Option("tref", float, 35.0, "temperature at which the polynomial is zero, degC"),
+            Option("min_span", float, 10.0, "least range of temperature, degC"),
+        ),
+        thermal_poly,
+    ),
+)
+"""In the order of the command line."""
