@@ -64,6 +64,8 @@ class FitResult:
     relative: bool = False
     """True: fitted on what was streamed, with the calibration in force unknown; never absolute values."""
     undetermined: tuple[str, ...] = ()
+    movements: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    """For each of `undetermined`: the movement, or the condition, that would determine it."""
     warnings: tuple[str, ...] = ()
     temperature: float | None = None
     """Mean temperature of the sensor during the fit, degC; None: not known. For thermal fits: t_ref."""
@@ -82,6 +84,8 @@ class FitResult:
         unknown = set(self.undetermined) - set(self.names)
         if unknown:
             raise InvalidInputError(f"undetermined names no parameter of the model: {sorted(unknown)}")
+        if set(self.movements) - set(self.undetermined):
+            raise InvalidInputError(f"movements for what is determined: {sorted(set(self.movements))}")
         object.__setattr__(self, "covariance", covariance)
 
     @property
@@ -123,9 +127,10 @@ def refused(
     unit: str,
     n_samples: int,
     undetermined: tuple[str, ...] = parameter_names(),
+    movement: str = "",
     quality: Mapping[str, Any] = MappingProxyType({}),
 ) -> FitResult:
-    """A fit of which nothing may be used, with the reason and the remedy in `message`."""
+    """A fit of which nothing may be used: `message` has the reason and the remedy, `movement` what would determine it."""
     size = len(parameter_names())
     return FitResult(
         method=method,
@@ -141,5 +146,6 @@ def refused(
         residual_rms=0.0,
         condition_number=0.0,
         undetermined=undetermined,
+        movements=dict.fromkeys(undetermined, movement) if movement else {},
         quality=quality,
     )

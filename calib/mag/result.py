@@ -19,9 +19,10 @@ from calib.fit import FitResult, FitStatus, parameter_names, refused
 from calib.mag.heading import DEFAULT_INCLINATION, heading_sd_deg
 from calib.mag.samples import axis_word
 from calib.mag.sections import mask_bytes, visited
-from calib.mag.serial import first_correlation, white_variance
+from calib.mag.serial import white_variance
 from calib.mag.shape import Ellipsoid, correction, correction_covariance
 from calib.recording import Sensor
+from calib.residuals import first_correlation
 from calib.triad import TriadModel
 
 Array = NDArray[np.float64]

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.residuals import first_correlation
+
 Array = NDArray[np.float64]
 
 LONGEST = 1 << 17
@@ -29,12 +31,6 @@ def variance_inflation(series: Array) -> float:
     pairs = rho[: len(rho) // 2 * 2].reshape(-1, 2).sum(axis=1)
     stop = int(np.argmax(pairs <= 0.0)) if (pairs <= 0.0).any() else len(pairs)
     return max(1.0, float(2.0 * pairs[:stop].sum() - 1.0))
-
-
-def first_correlation(series: Array) -> float:
-    """Correlation of each of `series` (N,), whose mean is zero, with the one before."""
-    power = float(series @ series)
-    return float(series[1:] @ series[:-1]) / power if power > 0.0 else 0.0
 
 
 def weakened_information(information: Array, rows: Array, residuals: Array) -> tuple[Array, float]:

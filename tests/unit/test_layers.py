@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 LAYERS = (
     {"errors"},
-    {"wire", "recording", "triad", "fit", "windows", "geometry"},
+    {"wire", "recording", "triad", "fit", "windows", "geometry", "residuals"},
     {"earth", "noise", "quantisation", "stillness"},
     {"accel", "gyro", "thermal", "imu", "mag", "norm_fit", "six_face", "drift"},
     {"simulate", "firmware", "inspection"},

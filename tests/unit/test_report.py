@@ -101,7 +101,7 @@ def through_text(data: object) -> dict[str, object]:
 def test_the_json_of_a_fit_has_the_keys_of_the_design():
     data = fit_to_json(thermal_fit(np.random.default_rng(1)))
     assert data.keys() >= KEYS_OF_DESIGN
-    assert data.keys() - KEYS_OF_DESIGN == {"sensor", "instance", "temperature", "covariance"}
+    assert data.keys() - KEYS_OF_DESIGN == {"sensor", "instance", "temperature", "covariance", "movements"}
     assert data["model"].keys() == data["sd"].keys() == {"offset", "matrix", "polynomial"}
     assert data["model"]["polynomial"].keys() == {"t_ref", "t_min", "t_max", "coefficients"}
     assert np.shape(data["sd"]["polynomial"]["coefficients"]) == np.shape(data["model"]["polynomial"]["coefficients"])

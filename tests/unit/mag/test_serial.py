@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from calib.mag.serial import (
-    first_correlation,
     variance_inflation,
     weakened_information,
     white_variance,
     widened_scatter,
 )
+from calib.residuals import first_correlation
 
 
 def autoregressive(rng: np.random.Generator, count: int, rho: float) -> Any:
