@@ -121,15 +121,24 @@ class StreamCheck:
 
 
 def check_stream(
-    about: Subject, names: tuple[str, ...], force: Force, pair: Pair | None, then: Evidence, now: Evidence
+    about: Subject,
+    names: tuple[str, ...],
+    force: Force,
+    pair: Pair | None,
+    then: Evidence,
+    now: Evidence,
+    *,
+    restarted: bool,
 ) -> StreamCheck | None:
     """Hold the stream of `about` against every combination of `names`; None if there is nothing to hold it against.
+
+    `restarted`: whether the vehicle was restarted after `then` was taken.
 
     If no combination explains the captures before and after together, the vehicle was moved between them, and only
     the lengths of its vectors are left. A gyroscope at rest reads the same in any attitude, so it has no such excuse.
     """
     corrections = Corrections(force, about)
-    capture = _capture(corrections, pair, then, now)
+    capture = _capture(corrections, pair, then, now, restarted=restarted)
     ways = [True] if capture.equality else []
     if capture.lengths and not (ways and about.sensor == Sensor.GYRO):
         ways.append(False)
@@ -143,7 +152,7 @@ def check_stream(
     return None if moved else check
 
 
-def _capture(corrections: Corrections, pair: Pair | None, then: Evidence, now: Evidence) -> Capture:
+def _capture(corrections: Corrections, pair: Pair | None, then: Evidence, now: Evidence, *, restarted: bool) -> Capture:
     about = corrections.about
     in_force = corrections.model(ALL_APPLIED).polynomial
     drift = None if pair is None else pair.drift
@@ -164,6 +173,7 @@ def _capture(corrections: Corrections, pair: Pair | None, then: Evidence, now: E
         invariant=(*readings, *moving),
         expected=expected,
         drift=moves,
+        restarted=restarted,
     )
 
 

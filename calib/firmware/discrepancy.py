@@ -37,6 +37,10 @@ ATTITUDE_SD: Final = np.radians(0.05)
 """How still a vehicle lies between two captures that nobody touched it in: a table that someone leans on."""
 BIAS_WALK: Final = 1.5e-5
 """rad/s per s of gyro bias drift between captures: 0.05 deg/s a minute, the default drift of ArduPilot's simulator."""
+MOST_BIAS_WALK: Final = np.radians(0.25)
+"""rad/s that such a drift moves at most: it turns round after five minutes (SIM_DRIFT_TIME)."""
+RESTART_S: Final = 30.0
+"""s that pass between the capture before a write and the start of a vehicle that is restarted after it."""
 STABILITY: Final = {Sensor.ACCEL: 1e-3, Sensor.GYRO: 5e-5, Sensor.MAG: 0.05}
 """Scatter of a resting sensor from one capture to the next beyond its noise: 0.1 mg, 10 deg/h, 0.5 mgauss."""
 TEMPERATURE_STEP: Final = 2.0
@@ -102,6 +106,8 @@ class Capture:
     """Readings after the write that count for invariance (a turning compass adds its samples)."""
     expected: Expected | None
     drift: KnownDrift
+    restarted: bool
+    """Whether the vehicle was restarted between the captures: its clock then began anew."""
 
     @property
     def equality(self) -> bool:
@@ -130,6 +136,13 @@ class Capture:
         for row, members in zip(rows, groups.values(), strict=True):
             row[members] = 1.0 / len(members)
         return rows
+
+    @property
+    def gaps(self) -> Array:
+        """Seconds from the capture before to each reading after, (n,)."""
+        assert self.before is not None
+        since = np.array([r.t for r in self.after])
+        return since + RESTART_S if self.restarted else since - self.before.t
 
     @property
     def zero_rate(self) -> bool:
@@ -192,9 +205,8 @@ def _equality_floor(capture: Capture, back: Array) -> Array:
     scatter = STABILITY[capture.sensor] ** 2 * np.eye(3)
     floor = np.kron(ones, back @ before.covariance @ back.T) + np.kron(own, scatter)
     if capture.sensor == Sensor.GYRO:
-        gap = weights @ np.array([r.t for r in capture.after]) - before.t
-        gap = np.where(gap > 0.0, gap, 60.0)  # the clock of a restarted vehicle says nothing of the gap
-        floor += np.kron(BIAS_WALK**2 * np.outer(gap, gap) + EARTH_RATE**2 * own, np.eye(3))
+        walk = np.minimum(BIAS_WALK * (weights @ capture.gaps), MOST_BIAS_WALK)
+        floor += np.kron(np.outer(walk, walk) + EARTH_RATE**2 * own, np.eye(3))
     else:
         vector = back @ capture.after[0].mean
         floor += np.kron(ones, ATTITUDE_SD**2 * (vector @ vector * np.eye(3) - np.outer(vector, vector)))

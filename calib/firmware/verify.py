@@ -63,12 +63,13 @@ def verify(
     pairs = {p.about: p for p in pair_fits([f for f in fits if not f.relative and f.status != FitStatus.REFUSED])}
     acting: dict[Subject, tuple[str, ...]] = {}
     checks: dict[Subject, StreamCheck] = {}
+    restarted = plan.needs_reboot or (before is not None and after.span[0] < before.span[1])
     for about in dict.fromkeys((*pairs, *_subjects(plan), *now.readings)):
         names = () if about in now.raw else force.acting(about)
         if not names:
             continue
         acting[about] = names
-        check = check_stream(about, names, force, pairs.get(about), then, now)
+        check = check_stream(about, names, force, pairs.get(about), then, now, restarted=restarted)
         if check is not None:
             checks[about] = check
     verdicts = tuple(_verdict(change.name, checks, acting, now) for change in plan.changes)

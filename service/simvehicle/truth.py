@@ -27,7 +27,7 @@ MAG_OFFSET = (3.0, 12.0)  # µT
 MAG_SCALE = (0.03, 0.08)
 MAG_CROSS = (0.01, 0.03)
 ACCEL_POLYNOMIAL = ((4e-3, 9e-3), (3e-5, 8e-5), (0.8e-6, 2e-6))  # m/s² per °C, °C², °C³
-GYRO_POLYNOMIAL = ((2e-4, 5e-4), (2e-6, 6e-6), (0.5e-7, 1.5e-7))  # rad/s per °C, …
+GYRO_POLYNOMIAL = ((5e-4, 9e-4), (2e-6, 6e-6), (0.5e-7, 1.5e-7))  # rad/s per °C, …
 
 
 @dataclass(frozen=True)
