@@ -1,0 +1,39 @@
+"""Methods for the noise of a sensor."""
+
+from __future__ import annotations
+
+from calib.allan_fit import fit_allan
+from calib.errors import InvalidInputError
+from calib.fit import FitResult
+from calib.methods.method import INSTANCE, Method, Option, Options
+from calib.methods.source import Source
+from calib.recording import Sensor
+
+_SENSORS = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
+
+
+def allan(source: Source, options: Options) -> list[FitResult]:
+    """The longest rest of a vehicle's log; a table is taken whole."""
+    if not source.timed:
+        raise InvalidInputError("noise over time needs times: the table has none; give --rate, or a column t")
+    wanted = [Sensor(s) for s in (options["sensor"],) if s != "all"] or [
+        s for s in _SENSORS if source.recording.instances(s)
+    ]
+    fits = []
+    for sensor in wanted or _SENSORS[:1]:
+        for channel in source.channels(sensor):
+            part = source.longest_rest(channel) if source.of_vehicle else channel
+            fits.append(fit_allan(part, relative=source.relative(channel)))
+    return fits
+
+
+METHODS = (
+    Method(
+        "allan",
+        "White noise, bias instability and random walk by the Allan variance",
+        "hours at rest at an even rate; minutes tell the white noise only",
+        (INSTANCE, Option("sensor", ("all", *(s.value for s in _SENSORS)), "all", "only this sensor")),
+        allan,
+    ),
+)
+"""In the order of the command line."""
