@@ -16,14 +16,21 @@ from calib.mag.ellipsoid import fit_ellipsoid
 from calib.mag.ellipsoid_axis import fit_ellipsoid_axis
 from calib.mag.heading import DEFAULT_INCLINATION
 from calib.mag.minmax import fit_minmax
+from calib.mag.ring_centres import CENTRES
+from calib.mag.rings import fit_rings
+from calib.mag.rings_faces import LABELS
 from calib.mag.sphere import fit_sphere
-from calib.methods.method import INSTANCE, Method, Option, Options
+from calib.methods.method import FIXTURE, INSTANCE, Method, Option, Options
 from calib.methods.source import Source
 from calib.procedures.mag import COMPASS_WINDOW
 from calib.recording import Channel, Sensor
+from calib.six_face import down_of
 from calib.windows import finite_rows
 
 Array = NDArray[np.float64]
+
+_UPRIGHT = np.cos(np.radians(10.0))
+"""An axis within this of the vertical is down, or up."""
 
 _FIELD = (
     Option("year", float, None, "decimal year: ties the scale to the World Magnetic Model at the recorded place"),
@@ -78,6 +85,7 @@ def mag_ellipsoid(source: Source, options: Options) -> list[FitResult]:
     for mag in source.channels(Sensor.MAG):
         mag = mag.take(finite_rows(mag.values))
         facts = {**_mag_facts(source, mag, options), "robust": robust, "prior_sd": options["prior_sd"]}
+        facts["model"] = options["model"]
         gyro = source.maybe(Sensor.GYRO, 0)
         if window > 0.0 and gyro is not None:
             gyro = gyro.take(finite_rows(gyro.values) & np.append(True, np.diff(gyro.t) > 0))
@@ -85,6 +93,57 @@ def mag_ellipsoid(source: Source, options: Options) -> list[FitResult]:
         else:
             fits.append(fit_ellipsoid(mag.values, **facts))
     return fits
+
+
+def mag_rings(source: Source, options: Options) -> list[FitResult]:
+    """Rings by the column segment, else by the axis that the accelerometer shows to be down."""
+    fits = []
+    order = _stated_order(options["order"])
+    for mag in source.channels(Sensor.MAG):
+        mag = mag.take(finite_rows(mag.values))
+        rings, downs = _rings(source, mag)
+        if order and len(order) != len(rings):
+            raise InvalidInputError(f"the order names {len(order)} rings, the recording has {len(rings)}")
+        fits.append(
+            fit_rings(
+                rings,
+                order or downs,
+                centre=options["centre"],
+                fixture_sd=options["fixture_sd"],
+                diameter=options["diameter"],
+                **_mag_facts(source, mag, options),
+            )
+        )
+    return fits
+
+
+def _stated_order(text: str | None) -> list[Array | None]:
+    """The axes of ``x-down,x-up,...``; none where nothing is stated."""
+    found: list[Array | None] = []
+    for label in (text or "").split(","):
+        down = down_of(label)
+        if down is None and label.strip():
+            raise InvalidInputError(f"{label!r} names no axis: the order is made of {LABELS}")
+        if down is not None:
+            found.append(down)
+    return found
+
+
+def _rings(source: Source, mag: Channel) -> tuple[list[Array], list[Array | None]]:
+    """Samples of every ring and the axis that was down; None: no label says."""
+    if source.recording.segments:
+        parts = [(down_of(s.label), mag.between(s.start, s.end).values) for s in source.recording.segments]
+        return [values for _, values in parts if len(values)], [down for down, values in parts if len(values)]
+    accel = source.maybe(Sensor.ACCEL, 0)
+    if accel is None or not source.timed:
+        raise InvalidInputError(
+            f"nothing tells the rings apart: label them in a column segment ({LABELS}), or record the accelerometer too"
+        )
+    accel = accel.take(finite_rows(accel.values))
+    down = -np.column_stack([np.interp(mag.t, accel.t, column) for column in accel.values.T])
+    down /= np.maximum(np.linalg.norm(down, axis=1), 1e-12)[:, None]
+    ways = np.vstack([np.eye(3), -np.eye(3)])
+    return [mag.values[down @ way > _UPRIGHT] for way in ways], list(ways)
 
 
 METHODS = (
@@ -116,12 +175,32 @@ METHODS = (
         (
             INSTANCE,
             *_FIELD,
+            Option(
+                "model",
+                ("offset", "diagonal", "symmetric", "auto"),
+                "symmetric",
+                "what is free: a sphere, three radii, all of the soft iron; auto weighs them by their likelihood",
+            ),
             Option("robust", ("auto", "yes", "no"), "auto", "withstand outliers"),
             Option(
                 "prior_sd", float, None, "prior standard deviation of the soft iron, where the rotation covers little"
             ),
         ),
         mag_ellipsoid,
+    ),
+    Method(
+        "mag-rings",
+        "Magnetometer offset, full matrix and mounting from six turns about the vertical",
+        f"a whole turn with every axis down and up; one label a ring ({LABELS}), or the accelerometer",
+        (
+            INSTANCE,
+            *_FIELD,
+            Option("centre", CENTRES, "circle", "how the centre of a ring is found"),
+            Option("diameter", float, None, "length of a corrected diameter, in whatever unit: ties the scale to it"),
+            Option("order", str, None, f"which ring is which where no label says, such as {LABELS.replace(', ', ',')}"),
+            FIXTURE,
+        ),
+        mag_rings,
     ),
 )
 """In the order of the command line."""

@@ -12,9 +12,9 @@ ROOT = Path(__file__).resolve().parents[2]
 
 LAYERS = (
     {"errors"},
-    {"wire", "recording", "triad", "fit", "windows", "geometry", "residuals", "c_array"},
+    {"wire", "recording", "triad", "fit", "windows", "geometry", "attitude", "residuals", "c_array"},
     {"earth", "noise", "allan", "quantisation", "stillness"},
-    {"accel", "gyro", "thermal", "imu", "mag", "norm_fit", "six_face", "drift", "allan_fit", "accel_thermal"},
+    {"accel", "gyro", "thermal", "imu", "mag", "norm_fit", "six_face", "drift", "allan_fit", "accel_thermal", "warm_fit"},
     {"simulate", "firmware", "inspection"},
     {"logs"},
     {"procedures", "gap"},
