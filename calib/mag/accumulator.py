@@ -13,8 +13,8 @@ from calib.mag.coverage import Coverage
 from calib.mag.ellipsoid import FEWEST, fit_ellipsoid
 from calib.mag.moments import Moments
 from calib.mag.result import MagFacts
-from calib.mag.samples import check_samples
-from calib.mag.shape import Ellipsoid
+from calib.mag.samples import Cloud, check_samples
+from calib.mag.shape import Ellipsoid, MagModel
 from calib.mag.sphere import solve_sphere
 
 Array = NDArray[np.float64]
@@ -27,11 +27,19 @@ class EllipsoidAccumulator:
 
     Parameters
     ----------
-    prior_sd, robust, **facts
+    model, prior_sd, robust, **facts
         As for :func:`calib.mag.ellipsoid.fit_ellipsoid`.
     """
 
-    def __init__(self, *, robust: bool | None = None, prior_sd: float | None = None, **facts: Unpack[MagFacts]) -> None:
+    def __init__(
+        self,
+        *,
+        model: str = MagModel.SYMMETRIC,
+        robust: bool | None = None,
+        prior_sd: float | None = None,
+        **facts: Unpack[MagFacts],
+    ) -> None:
+        self._model = model
         self._robust = robust
         self._prior_sd = prior_sd
         self._facts = facts
@@ -65,7 +73,9 @@ class EllipsoidAccumulator:
     def fit(self) -> FitResult:
         """The full fit of everything so far; refused as long as too much is missing. Cached until the next sample."""
         if self._fitted is None:
-            self._fitted = fit_ellipsoid(self.samples, robust=self._robust, prior_sd=self._prior_sd, **self._facts)
+            self._fitted = fit_ellipsoid(
+                self.samples, model=self._model, robust=self._robust, prior_sd=self._prior_sd, **self._facts
+            )
         return self._fitted
 
     def rough(self) -> Ellipsoid | None:
@@ -79,7 +89,7 @@ class EllipsoidAccumulator:
             return None
         scaled = (samples - centre) / scale
         try:
-            found, _ = Moments.empty(np.zeros(3), 1.0).added(scaled).ellipsoid()
+            found, _ = Moments.of(Cloud(scaled, np.zeros(3), 1.0)).ellipsoid()
             if found.radii[2] > 3.0 * found.radii[0]:
                 offset, radius = solve_sphere(scaled)
                 found = Ellipsoid(offset, radius * np.eye(3))

@@ -19,6 +19,7 @@ from calib.errors import InvalidInputError
 from calib.fit import FitResult, FitStatus
 from calib.mag.ellipsoid import fit_ellipsoid
 from calib.mag.result import MagFacts
+from calib.mag.shape import MagModel
 from calib.triad import TriadModel
 
 Array = NDArray[np.float64]
@@ -132,11 +133,12 @@ def fit_ellipsoid_deblurred(
     samples: ArrayLike,
     rates: Rates,
     *,
+    model: str = MagModel.SYMMETRIC,
     robust: bool | None = None,
     prior_sd: float | None = None,
     **facts: Unpack[MagFacts],
 ) -> FitResult:
-    """Fit the full ellipsoid to samples whose motion blur is computed back; too fast ones are left out.
+    """Fit the ellipsoid to samples whose motion blur is computed back; too fast ones are left out.
 
     Parameters
     ----------
@@ -144,7 +146,7 @@ def fit_ellipsoid_deblurred(
         In order of time.
     rates
         Of the same N samples.
-    robust, prior_sd, **facts
+    model, robust, prior_sd, **facts
         As for :func:`calib.mag.ellipsoid.fit_ellipsoid`. Three percent of the mean shrinkage is added to the error of
         the field strength.
     """
@@ -157,9 +159,10 @@ def fit_ellipsoid_deblurred(
     if field is not None and len(kept):
         doubt = _KNOWN_TO * float(slow.shrinkage().mean()) * field.norm
         facts["field"] = dataclasses.replace(field, norm_sd=math.hypot(field.norm_sd, doubt))
-    fit = fit_ellipsoid(kept, robust=robust, prior_sd=prior_sd, **facts)
+    fit = fit_ellipsoid(kept, model=model, robust=robust, prior_sd=prior_sd, **facts)
     for _ in range(_ROUNDS):
         if fit.status == FitStatus.REFUSED:
             break
-        fit = fit_ellipsoid(deblurred(kept, slow, fit.model), robust=robust, prior_sd=prior_sd, **facts)
+        sharp_samples = deblurred(kept, slow, fit.model)
+        fit = fit_ellipsoid(sharp_samples, model=model, robust=robust, prior_sd=prior_sd, **facts)
     return fit

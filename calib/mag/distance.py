@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import UndeterminedError
-from calib.mag.shape import COLUMNS, N_PARAMETERS, ROWS, SYMMETRIC_BASIS, Ellipsoid, six_numbers
+from calib.mag.samples import CHUNK, Cloud
+from calib.mag.shape import COLUMNS, N_PARAMETERS, ROWS, SYMMETRIC_BASIS, Ellipsoid, MagModel, six_numbers
 
 Array = NDArray[np.float64]
 
-CHUNK = 8192
 TUKEY = 4.685
 """Tuning constant of the bisquare weight in standard deviations: 95 % efficiency on normal noise."""
 MAX_STEPS = 60
@@ -26,7 +26,9 @@ LARGE = 50_000
 """From this many samples on the iteration ends within 3 % of a standard deviation: one pass after a good start."""
 
 _FOOT_STEPS = 40
-_FOOT_ACCURACY = 3e-8  # of a Newton step that is the last one: its own error is of the second order
+_EXACTLY = 1e-7  # of a half axis squared, the last step to a foot point: what is left is its square, times the flatness
+_ROUGHLY = 1e-4  # the same where thousands of samples average it out: 1e-6 standard deviations of a sample are left
+_ONES = np.ones(3)
 _MAY_RISE = 1.001  # of the cost in one step: the bias that is subtracted is not part of it
 _ROUNDING = 1e-24  # of a squared distance
 _LONGEST_STEP = 0.3  # of the smallest radius, a step: beyond it the linearisation says nothing
@@ -46,58 +48,66 @@ class Pass:
     """Debiased distances, (N,), positive outside."""
 
 
-def foot_points(points: Array, axes: Array) -> tuple[Array, Array]:
+def foot_points(points: Array, axes: Array, accuracy: float = 1e-7) -> tuple[Array, Array]:
     """Multiplier t (N,) and ``w = x / axes^2`` (3, N) of `points` (3, N) in the eigenframe of an ellipsoid.
 
-    Newton on ``g(t)^-1/2 - 1`` with ``g = sum (a_i p_i/(t + a_i^2))^2``: exact in one step on a sphere.
+    Newton on ``g(t)^-1/2 - 1`` with ``g = sum (a_i p_i/(t + a_i^2))^2``: exact in one step on a sphere. The first step,
+    from t = 0, is two sums over squares. It ends with a step below `accuracy` of the largest half axis squared; what is
+    left is of the order of the square of that.
     """
     squares = (axes**2)[:, None]
-    scaled = axes[:, None] * points
-    t = scaled / squares
-    np.square(t, out=t)
-    t = (np.sqrt(_sum3(t)) - 1.0) * squares.mean()
-    np.square(scaled, out=scaled)
+    terms = points * points
+    f2, slope = np.stack([axes**-2.0, axes**-4.0]) @ terms
+    t = np.sqrt(f2)
+    t -= 1.0
+    t *= f2
+    t /= np.maximum(slope, 1e-300)
     lowest = -squares.min() * (1.0 - 1e-12)
     np.maximum(t, 0.5 * lowest, out=t)
-    enough = _FOOT_ACCURACY * squares.max()
-    inverse, terms = np.empty_like(points), np.empty_like(points)
+    enough = accuracy * float(squares.max())
+    scaled = squares * terms
+    inverse = np.empty_like(points)
     for _ in range(_FOOT_STEPS):
         np.reciprocal(np.add(t, squares, out=inverse), out=inverse)
         np.multiply(np.multiply(scaled, inverse, out=terms), inverse, out=terms)
-        g = _sum3(terms)
+        g = _ONES @ terms
         terms *= inverse
-        step = g * (np.sqrt(g) - 1.0) / np.maximum(_sum3(terms), 1e-300)
-        before = t
-        t = np.maximum(t + step, lowest)
-        if max(float((t - before).max()), float((before - t).max())) <= enough:
+        step = np.sqrt(g)
+        step -= 1.0
+        step *= g
+        step /= np.maximum(_ONES @ terms, 1e-300)
+        if float(t.min()) + float(step.min()) < lowest:
+            step = np.maximum(step, lowest - t)
+        t += step
+        if max(float(step.max()), -float(step.min())) <= enough:
             break
-    return t, points / (t + squares)
-
-
-def _sum3(rows: Array) -> Array:
-    """Sum of three long rows: faster than a reduction over so short an axis."""
-    return np.asarray(rows[0] + rows[1] + rows[2])
+    np.add(t, squares, out=inverse)
+    return t, np.divide(points, inverse, out=inverse)
 
 
 @dataclass(frozen=True, eq=False)
 class Distances:
-    """The residuals of `samples` (N, 3), shifted and scaled to the order of 1, with their normal equations."""
+    """The residuals of a cloud of samples, in its scaled coordinates, with their normal equations."""
 
-    samples: Array
+    cloud: Cloud
+
+    def __len__(self) -> int:
+        return len(self.cloud)
 
     def at(self, ellipsoid: Ellipsoid, noise_variance: float, tukey_scale: float | None) -> Pass:
         """One pass; `noise_variance` is taken for the bias of the distance, `tukey_scale` for robust weights."""
         axes, frame = np.linalg.eigh(ellipsoid.shape)
         total = np.zeros((N_PARAMETERS + 1, N_PARAMETERS + 1))
         cost = 0.0
-        residuals = np.empty(len(self.samples))
-        rows = np.empty((N_PARAMETERS + 1, min(CHUNK, len(self.samples))))
-        for start in range(0, len(self.samples), CHUNK):
-            part = slice(start, start + CHUNK)
-            points = frame.T @ (self.samples[part] - ellipsoid.offset).T
+        residuals = np.empty(len(self))
+        rows = np.empty((N_PARAMETERS + 1, min(CHUNK, len(self))))
+        accuracy = _ROUGHLY if len(self) >= LARGE else _EXACTLY
+        for start in range(0, len(self), CHUNK):
+            points = frame.T @ self.cloud.rows(start)
+            points -= (frame.T @ ellipsoid.offset)[:, None]
             block = rows[:, : points.shape[1]]
-            _fill_rows(block, points, axes, noise_variance)
-            residuals[part] = block[9]
+            _fill_rows(block, points, axes, noise_variance, accuracy)
+            residuals[start : start + CHUNK] = block[9]
             if tukey_scale is None:
                 total += block @ block.T
             else:
@@ -109,22 +119,41 @@ class Distances:
             cost = float(total[9, 9])
         return Pass(to_frame.T @ total[:9, :9] @ to_frame, to_frame.T @ total[:9, 9], cost, residuals)
 
+    def scores(self, ellipsoid: Ellipsoid, count: int) -> Array:
+        """Derivatives (9, n) of the distances of the first `count` samples by the nine parameters."""
+        axes, frame = np.linalg.eigh(ellipsoid.shape)
+        found = np.empty((N_PARAMETERS, min(count, len(self))))
+        back = _parameters_in_frame(frame).T
+        rows = np.empty((N_PARAMETERS + 1, min(CHUNK, len(self))))
+        for start in range(0, found.shape[1], CHUNK):
+            points = frame.T @ self.cloud.rows(start)[:, : found.shape[1] - start]
+            points -= (frame.T @ ellipsoid.offset)[:, None]
+            block = rows[:, : points.shape[1]]
+            _fill_rows(block, points, axes, 0.0, _ROUGHLY)
+            np.matmul(back, block[:N_PARAMETERS], out=found[:, start : start + block.shape[1]])
+        return found
 
-def _fill_rows(block: Array, points: Array, axes: Array, noise_variance: float) -> None:
+
+def _fill_rows(block: Array, points: Array, axes: Array, noise_variance: float, accuracy: float) -> None:
     """Derivatives of the distance by the nine parameters, in the eigenframe, and the debiased distance below them."""
-    t, w = foot_points(points, axes)
-    length = np.sqrt(_sum3(w * w))
-    normal = np.divide(w, length, out=block[:3])
-    unit = axes[:, None] * w
+    t, w = foot_points(points, axes, accuracy)
+    normal = np.square(w, out=block[:3])
+    length = np.sqrt(_ONES @ normal)
+    np.divide(w, length, out=normal)
+    unit = np.multiply(axes[:, None], w, out=w)
     np.multiply(normal, unit, out=block[3:6])
     for k in (3, 4, 5):
         i, j = ROWS[k], COLUMNS[k]
-        block[3 + k] = normal[i] * unit[j] + normal[j] * unit[i]
+        np.multiply(normal[i], unit[j], out=block[3 + k])
+        block[3 + k] += normal[j] * unit[i]
     np.multiply(t, length, out=block[9])
     if noise_variance > 0.0:
         inverse = axes**-2.0
-        curvature = (inverse.sum() - inverse @ (normal * normal)) / (2.0 * length)
-        block[9] -= noise_variance * curvature
+        curvature = inverse @ np.square(normal, out=unit)
+        np.subtract(inverse.sum(), curvature, out=curvature)
+        curvature *= 0.5 * noise_variance
+        curvature /= length
+        block[9] -= curvature
 
 
 def bisquare(residuals: Array, scale: float) -> tuple[Array, Array]:
@@ -155,14 +184,16 @@ class Solution:
     steps: int
 
 
-def shape_prior(ellipsoid: Ellipsoid, sd: float | None) -> Array:
-    """Curvature (9, 9) of the prior ``S/r - I ~ N(0, sd^2)`` on each of the six numbers, r the mean diagonal."""
+def shape_prior(ellipsoid: Ellipsoid, sd: float | None, cross_sd: float | None = None) -> Array:
+    """Curvature (9, 9) of the prior ``S/r - I ~ N(0, sd^2)`` on each of the six numbers, r the mean diagonal.
+
+    `cross_sd` is that of the three cross terms; None: `sd` as well.
+    """
     prior = np.zeros((N_PARAMETERS, N_PARAMETERS))
     if sd is not None:
-        off_sphere = np.eye(6)
-        off_sphere[:3, :3] -= 1.0 / 3.0
         radius = np.trace(ellipsoid.shape) / 3.0
-        prior[3:, 3:] = off_sphere.T @ off_sphere / (radius * sd) ** 2
+        prior[3:6, 3:6] = (np.eye(3) - 1.0 / 3.0) / (radius * sd) ** 2
+        prior[6:, 6:] = np.eye(3) / (radius * (sd if cross_sd is None else cross_sd)) ** 2
     return prior
 
 
@@ -174,13 +205,16 @@ def gauss_newton(
     debias: bool = True,
     tukey_scale: float | None = None,
     prior_sd: float | None = None,
+    cross_sd: float | None = None,
+    model: MagModel = MagModel.SYMMETRIC,
     first: Pass | None = None,
 ) -> Solution:
     """Minimise the distances from `start`; the noise variance is re-estimated on the way.
 
     Each step solves ``(F + v P) dx = J^T W (d - v H) - v P x``; a step that raises the cost is halved. It ends when the
-    next step is predicted to be below 1e-7 sd (0.03 sd for :data:`LARGE` samples). `first` is the pass at `start` with
-    `noise_variance`, if it was made before.
+    next step is predicted to be below 1e-7 sd (0.03 sd for :data:`LARGE` samples). `model` says which parameters are
+    free: `start` must have its form; `prior_sd` and `cross_sd` are those of :func:`shape_prior`. `first` is the pass at
+    `start` with `noise_variance`, if it was made before.
 
     Raises
     ------
@@ -189,20 +223,21 @@ def gauss_newton(
     """
     ellipsoid, variance = start, noise_variance
     origin, step, lowest = start, np.zeros(N_PARAMETERS), np.inf
-    tolerance = 0.03 if len(distances.samples) >= LARGE else 1e-7
+    free = model.basis
+    tolerance = 0.03 if len(distances) >= LARGE else 1e-7
     for count in range(MAX_STEPS):
         found, first = first or distances.at(ellipsoid, variance if debias else 0.0, tukey_scale), None
-        prior = shape_prior(ellipsoid, prior_sd)
+        prior = shape_prior(ellipsoid, prior_sd, cross_sd)
         state = _state(ellipsoid)
         cost = found.cost + variance * float(state @ prior @ state)
-        if cost > lowest * _MAY_RISE + len(distances.samples) * _ROUNDING:
+        if cost > lowest * _MAY_RISE + len(distances) * _ROUNDING:
             step = 0.5 * step
             ellipsoid = origin.stepped(step)
             continue
         origin, lowest = ellipsoid, cost
-        variance = max(_residual_variance(found, tukey_scale), _ROUNDING)
+        variance = max(_residual_variance(found, tukey_scale, model.size), _ROUNDING)
         normal = found.information + variance * prior
-        step = _solve(normal, found.gradient - variance * prior @ state)
+        step = free @ _solve(free.T @ normal @ free, free.T @ (found.gradient - variance * prior @ state))
         in_sd = float(np.sqrt(max(float(step @ normal @ step), 0.0) / variance))
         longest = max(float(np.abs(step).max()), 1e-30)
         step = step * min(1.0, _LONGEST_STEP * float(ellipsoid.radii[0]) / longest)
@@ -217,20 +252,17 @@ def gauss_newton(
 
 def score_rows(samples: Array, ellipsoid: Ellipsoid) -> Array:
     """Derivatives (9, N) of the distances of `samples` (N, 3) by the nine parameters."""
-    axes, frame = np.linalg.eigh(ellipsoid.shape)
-    rows = np.empty((N_PARAMETERS + 1, len(samples)))
-    _fill_rows(rows, frame.T @ (samples - ellipsoid.offset).T, axes, 0.0)
-    return _parameters_in_frame(frame).T @ rows[:N_PARAMETERS]
+    return Distances(Cloud(samples, np.zeros(3), 1.0)).scores(ellipsoid, len(samples))
 
 
 def _state(ellipsoid: Ellipsoid) -> Array:
     return np.concatenate([ellipsoid.offset, six_numbers(ellipsoid.shape)])
 
 
-def _residual_variance(found: Pass, tukey_scale: float | None) -> float:
+def _residual_variance(found: Pass, tukey_scale: float | None, size: int) -> float:
     if tukey_scale is not None:
         return tukey_scale**2
-    return float(found.residuals @ found.residuals) / max(len(found.residuals) - N_PARAMETERS, 1)
+    return float(found.residuals @ found.residuals) / max(len(found.residuals) - size, 1)
 
 
 def _contraction(ellipsoid: Ellipsoid, step: Array, variance: float) -> float:

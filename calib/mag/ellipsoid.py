@@ -8,53 +8,49 @@ from __future__ import annotations
 
 from typing import Unpack
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from calib.errors import InvalidInputError, UndeterminedError
 from calib.fit import FitResult
-from calib.mag.distance import ALL_SIDES, Distances, Solution, bisquare, gauss_newton, score_rows
-from calib.mag.moments import Moments
-from calib.mag.result import MagContext, MagFacts, ShapeFit, magnetometer_result, refusal, student_variance
-from calib.mag.robust import MOST_OUTLIERS, Start, find_start, robust_sd
-from calib.mag.samples import LEAST_VARIANCE, NEARLY_PLANAR, check_not_flat, check_samples
-from calib.mag.serial import LONGEST, weakened_information
-from calib.mag.shape import N_PARAMETERS
+from calib.mag.auto import averaged_shape
+from calib.mag.result import MagContext, MagFacts, magnetometer_result, refusal
+from calib.mag.samples import real_array
+from calib.mag.shape import N_PARAMETERS, MagModel
+from calib.mag.shape_fit import METHOD, Asked, shape_of
 
-Array = NDArray[np.float64]
-
-METHOD = "mag-ellipsoid"
+AUTO = "auto"
 
 FEWEST = N_PARAMETERS + 1
-"""Samples below which there is no residual, hence no uncertainty."""
-
-_SCALE_ROUNDS = 4
-_SINGULAR = 1e-13  # smallest over largest information that is more than rounding
-_MEASURED_NOISE = 30  # degrees of freedom from which on residuals know the noise better than a data sheet
+"""Samples below which there is no residual of nine parameters, hence no uncertainty."""
 
 
 def fit_ellipsoid(
     samples: ArrayLike,
     *,
+    model: str = MagModel.SYMMETRIC,
     robust: bool | None = None,
     prior_sd: float | None = None,
     **facts: Unpack[MagFacts],
 ) -> FitResult:
     """Fit ``y = S u + b`` with S symmetric, ``|u| = 1``; the model's matrix is ``F S^-1``, F the true field strength.
 
-    Minimises ``sum rho(d_k - s^2 H_k)`` over the nine numbers of b and S, d the orthogonal distance of a sample and H
+    Minimises ``sum rho(d_k - s^2 H_k)`` over the free numbers of b and S, d the orthogonal distance of a sample and H
     the mean curvature at its foot point. Without a `field`, F is the mean radius of the ellipsoid (``det C = 1``).
 
     Parameters
     ----------
     samples : shape (N, 3)
-        N >= 10, in order of time (serially correlated residuals widen the uncertainty).
+        N >= 10 (7 for `diagonal`, 5 for `offset`), in order of time (serially correlated residuals widen the
+        uncertainty). Integers are not copied.
+    model
+        :class:`~calib.mag.shape.MagModel`: ``offset`` (sphere), ``diagonal`` (three radii), ``symmetric``; or ``auto``:
+        the three of them, weighed by their likelihood (:mod:`calib.mag.auto`).
     robust
         True: Tukey's bisquare; False: least squares; None: bisquare if a sample is off by more than six standard
         deviations of the others.
     prior_sd
         Standard deviation of each relative soft-iron term (``S/r - I``) about zero, for movements that cover little:
-        0.05 is a clean vehicle. None: the data alone.
+        0.05 is a clean vehicle. None: the data alone (for ``auto``: 0.1).
     **facts
         What is known of sensor and field: :class:`calib.mag.result.MagContext`.
 
@@ -72,105 +68,20 @@ def fit_ellipsoid(
     context = MagContext(**facts)
     if prior_sd is not None and not prior_sd > 0.0:
         raise InvalidInputError(f"the prior on soft iron must have a positive standard deviation, not {prior_sd}")
-    array = np.asarray(samples, dtype=np.float64)
+    array = real_array(samples)
     try:
-        fit = shape_of(check_samples(array, FEWEST), context, robust=robust, prior_sd=prior_sd)
+        if model == AUTO:
+            fit = averaged_shape(array, Asked(context, robust, prior_sd))
+        else:
+            fit = shape_of(array, Asked(context, robust, prior_sd, model=_model_named(model)))
     except UndeterminedError as error:
         return refusal(METHOD, error, len(array), context)
     return magnetometer_result(fit, array, context)
 
 
-def shape_of(samples: Array, context: MagContext, *, robust: bool | None, prior_sd: float | None) -> ShapeFit:
-    """The ellipsoid of checked `samples` (N, 3) and its covariance.
-
-    Raises
-    ------
-    UndeterminedError
-        If the samples are flat, lie on no ellipsoid, or hold too many outliers.
-    """
-    centre = samples.mean(axis=0)
-    scaled = samples - centre
-    scale = float(np.sqrt(np.vdot(scaled, scaled) / len(scaled)))
-    scaled /= scale
-    moments = Moments.empty(np.zeros(3), 1.0).added(scaled)
-    check_not_flat(moments.scatter())
+def _model_named(name: str) -> MagModel:
     try:
-        solution, tukey_scale = _solved(scaled, moments, context.quantum / scale, robust, prior_sd)
-    except UndeterminedError:
-        check_not_flat(moments.scatter(), NEARLY_PLANAR)
-        raise
-    return _with_uncertainty(solution, tukey_scale, scaled, context, scale).moved(centre, scale)
-
-
-def _solved(
-    scaled: Array, moments: Moments, quantum: float, robust: bool | None, prior_sd: float | None
-) -> tuple[Solution, float | None]:
-    """The minimum, and the scale of its bisquare weights; None: they are all one."""
-    start = find_start(scaled, moments, quantum / np.sqrt(12.0))
-    if start.outliers if robust is None else robust:
-        return _robust_solution(Distances(scaled), start, prior_sd)
-    plain = gauss_newton(Distances(scaled), start.ellipsoid, start.noise_sd**2, prior_sd=prior_sd, first=start.first)
-    return plain, None
-
-
-def _robust_solution(distances: Distances, start: Start, prior_sd: float | None) -> tuple[Solution, float]:
-    """Gauss-Newton with bisquare weights, the noise re-estimated from the inliers until it stays within 1 %."""
-    ellipsoid, sd = start.ellipsoid, start.noise_sd
-    for _ in range(_SCALE_ROUNDS):
-        solution = gauss_newton(distances, ellipsoid, sd**2, tukey_scale=sd, prior_sd=prior_sd)
-        ellipsoid, previous = solution.ellipsoid, sd
-        sd = robust_sd(solution.last.residuals, 0.01 * sd)
-        if abs(sd - previous) <= 0.01 * sd:
-            break
-    return solution, previous
-
-
-def _with_uncertainty(
-    solution: Solution, tukey_scale: float | None, scaled: Array, context: MagContext, scale: float
-) -> ShapeFit:
-    residuals = solution.last.residuals
-    weights = np.ones(len(residuals)) if tukey_scale is None else bisquare(residuals, tukey_scale)[0]
-    kept = weights > 0.0
-    if np.mean(~kept) > MOST_OUTLIERS:
-        raise UndeterminedError(
-            f"{np.mean(~kept):.0%} of the magnetometer samples lie off the ellipsoid of the others",
-            remedy="find what disturbs the field (motors, steel, a phone nearby) and repeat",
-        )
-    dof = float(np.count_nonzero(kept) - N_PARAMETERS)
-    if dof < 1.0:
-        raise UndeterminedError("too few magnetometer samples remain without the outliers", remedy="record longer")
-    variance = estimate_variance(residuals, weights) * student_variance(dof)
-    if context.noise_variance is not None and dof < _MEASURED_NOISE:
-        variance = max(estimate_variance(residuals, weights), context.noise_variance / scale**2)
-    information, inflation = weakened_information(
-        solution.last.information / max(variance, LEAST_VARIANCE),
-        score_rows(scaled[:LONGEST], solution.ellipsoid),
-        residuals * weights,
-    )
-    normal = information + solution.prior
-    spread = np.linalg.eigvalsh(normal)
-    if not spread[0] > _SINGULAR * spread[-1]:
-        raise UndeterminedError("the magnetometer samples leave a parameter of the ellipsoid open", remedy=ALL_SIDES)
-    return ShapeFit(
-        method=METHOD,
-        ellipsoid=solution.ellipsoid,
-        covariance=np.asarray(np.linalg.inv(normal)),
-        residuals=residuals[kept],
-        dof=dof,
-        condition_number=float(spread[-1] / spread[0]),
-        n_outliers=int(np.count_nonzero(~kept)),
-        variance_inflation=inflation,
-    )
-
-
-def estimate_variance(residuals: Array, weights: Array) -> float:
-    """The v with which ``v (sum w J^T J)^-1`` is the covariance, for bisquare and plain weights (1).
-
-    ``Cov = [sum psi^2/(N - p)] / [mean psi']^2 (sum J^T J)^-1`` (Huber 1981, 7.6), ``psi = w r``; for the bisquare with
-    ``w = (1 - z^2)^2``, ``psi' = (1 - z^2)(1 - 5 z^2)``.
-    """
-    psi = weights * residuals
-    root = np.sqrt(weights)
-    slope = root * (5.0 * root - 4.0)
-    spread = float(psi @ psi) / max(len(residuals) - N_PARAMETERS, 1)
-    return spread / float(slope.mean()) ** 2 * float(weights.mean())
+        return MagModel(name)
+    except ValueError as error:
+        known = ", ".join([*MagModel, AUTO])
+        raise InvalidInputError(f"a magnetometer model is one of {known}, not {name!r}") from error

@@ -11,17 +11,16 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import InvalidInputError, UndeterminedError
-from calib.mag.shape import Ellipsoid
+from calib.mag.samples import CHUNK, Cloud
+from calib.mag.shape import Ellipsoid, MagModel
 
 Array = NDArray[np.float64]
-
-CHUNK = 8192
-"""Samples worked on at a time: their monomials stay in the processor's cache."""
 
 # Exponents of x, y, z in the ten monomials of psi.
 _POWERS = np.array(
@@ -52,6 +51,30 @@ def _correction_table() -> Array:
 _CORRECTION = _correction_table()
 
 
+# The coefficients of psi as combinations (10, k), orthonormal, of those that a model leaves free.
+_FREE = {
+    MagModel.OFFSET: np.column_stack([np.r_[np.full(3, 3.0**-0.5), np.zeros(7)], np.eye(10)[:, 6:]]),
+    MagModel.DIAGONAL: np.delete(np.eye(10), (3, 4, 5), axis=1),
+    MagModel.SYMMETRIC: np.eye(10),
+}
+
+
+def corrections(gram: Array) -> Array:
+    """K0, K1, K2, stacked (3, 10, 10), of a mean `gram` (10, 10): ``Psi(v) = K0 + v K1 + v^2 K2``."""
+    return np.asarray((_CORRECTION @ gram.ravel()).reshape(3, 10, 10))
+
+
+def fill_monomials(points: Array, out: Array) -> Array:
+    """The ten monomials (10, n) of `points` (3, n), in the first n columns of `out`."""
+    rows = out[:, : points.shape[1]]
+    np.square(points, out=rows[:3])
+    np.multiply(points[0], points[1:], out=rows[3:5])
+    np.multiply(points[1], points[2], out=rows[5])
+    rows[6:9] = points
+    rows[9] = 1.0
+    return rows
+
+
 @dataclass(frozen=True, eq=False)
 class Moments:
     """Raw moments to the fourth order of samples shifted by `centre` and divided by `scale`.
@@ -76,20 +99,19 @@ class Moments:
         """Number of samples."""
         return float(self.gram[9, 9])
 
-    def added(self, samples: Array) -> Moments:
-        """With `samples` (N, 3) taken in; they must be finite."""
-        gram = self.gram.copy()
-        psi = np.empty((10, min(CHUNK, max(len(samples), 1))))
-        for start in range(0, len(samples), CHUNK):
-            chunk = (samples[start : start + CHUNK].T - self.centre[:, None]) / self.scale
-            rows = psi[:, : chunk.shape[1]]
-            np.square(chunk, out=rows[:3])
-            np.multiply(chunk[0], chunk[1:], out=rows[3:5])
-            np.multiply(chunk[1], chunk[2], out=rows[5])
-            rows[6:9] = chunk
-            rows[9] = 1.0
+    @classmethod
+    def of(cls, cloud: Cloud) -> Moments:
+        """Of `cloud`, in its scaled coordinates: what comes out is about its centre and in units of its scale."""
+        gram, psi = np.zeros((10, 10)), np.empty((10, min(CHUNK, max(len(cloud), 1))))
+        for start in range(0, len(cloud), CHUNK):
+            rows = fill_monomials(cloud.rows(start), psi)
             gram += rows @ rows.T
-        return Moments(self.centre, self.scale, gram)
+        return cls(np.zeros(3), 1.0, gram)
+
+    def added(self, samples: NDArray[Any]) -> Moments:
+        """With `samples` (N, 3) of any real type taken in; they must be finite."""
+        found = Moments.of(Cloud(samples, self.centre, self.scale))
+        return Moments(self.centre, self.scale, self.gram + found.gram)
 
     def merged(self, other: Moments) -> Moments:
         """With the samples of `other`, which must share `centre` and `scale`."""
@@ -102,15 +124,17 @@ class Moments:
         mean = self.gram[6:9, 9] / self.count
         return self.gram[6:9, 6:9] / self.count - np.outer(mean, mean)
 
-    def ellipsoid(self) -> tuple[Ellipsoid, float]:
+    def ellipsoid(self, model: MagModel = MagModel.SYMMETRIC) -> tuple[Ellipsoid, float]:
         """The adjusted least squares ellipsoid and the noise standard deviation, in the unit of the samples.
+
+        `model` says what of the ellipsoid is free.
 
         Raises
         ------
         UndeterminedError
             If the samples lie on no ellipsoid.
         """
-        theta, variance = self._null_vector()
+        theta, variance = self._null_vector(_FREE[model])
         quadratic = np.diag(theta[:3])
         quadratic[0, 1] = quadratic[1, 0] = theta[3] / 2.0
         quadratic[0, 2] = quadratic[2, 0] = theta[4] / 2.0
@@ -128,9 +152,9 @@ class Moments:
         ellipsoid = Ellipsoid(np.asarray(offset), np.asarray((vectors / np.sqrt(values)) @ vectors.T))
         return ellipsoid.moved(self.centre, self.scale), self.scale * float(np.sqrt(max(variance, 0.0)))
 
-    def _null_vector(self) -> tuple[Array, float]:
-        """Newton on the smallest eigenvalue: ``dv = -lambda / (x^T Psi' x)``."""
-        k0, k1, k2 = (_CORRECTION @ (self.gram / self.count).ravel()).reshape(3, 10, 10)
+    def _null_vector(self, free: Array) -> tuple[Array, float]:
+        """Newton on the smallest eigenvalue: ``dv = -lambda / (x^T Psi' x)``; `free` (10, k) spans the quadrics."""
+        k0, k1, k2 = (free.T @ k @ free for k in corrections(self.gram / self.count))
         variance = 0.0
         for _ in range(_MAX_NEWTON):
             values, vectors = np.linalg.eigh(k0 + variance * k1 + variance**2 * k2)
@@ -142,7 +166,7 @@ class Moments:
             variance += step
             if abs(step) <= 1e-12 * max(abs(variance), 1e-9):
                 break
-        return vector, float(variance)
+        return np.asarray(free @ vector), float(variance)
 
 
 def _no_ellipsoid() -> UndeterminedError:

@@ -11,7 +11,7 @@ from typing import Any, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
+from scipy.special import chdtrc, stdtrit
 
 from calib.earth import EarthField
 from calib.errors import InvalidInputError, UndeterminedError
@@ -19,10 +19,10 @@ from calib.fit import FitResult, FitStatus, parameter_names, refused
 from calib.mag.heading import DEFAULT_INCLINATION, heading_sd_deg
 from calib.mag.samples import axis_word
 from calib.mag.sections import mask_bytes, visited
-from calib.mag.serial import white_variance
+from calib.mag.serial import LONGEST, white_variance
 from calib.mag.shape import Ellipsoid, correction, correction_covariance
 from calib.recording import Sensor
-from calib.residuals import first_correlation
+from calib.residuals import residual_statistics
 from calib.triad import TriadModel
 
 Array = NDArray[np.float64]
@@ -157,6 +157,7 @@ def magnetometer_result(fit: ShapeFit, samples: Array, context: MagContext) -> F
             unit=context.unit,
             n_samples=len(samples),
             undetermined=names,
+            movement=message,
             quality=MappingProxyType(quality),
         )
     warnings = fit.warnings + _warnings(fit, context, quality)
@@ -186,7 +187,14 @@ def refusal(method: str, error: UndeterminedError, n_samples: int, context: MagC
     message = f"{error}; {error.remedy}" if error.remedy else str(error)
     names = error.missing or parameter_names()
     return refused(
-        method, Sensor.MAG, context.instance, message, unit=context.unit, n_samples=n_samples, undetermined=names
+        method,
+        Sensor.MAG,
+        context.instance,
+        message,
+        unit=context.unit,
+        n_samples=n_samples,
+        undetermined=names,
+        movement=error.remedy or message,
     )
 
 
@@ -201,13 +209,17 @@ def _quality(fit: ShapeFit, samples: Array, context: MagContext, model: TriadMod
     noise = context.noise_variance
     floor = white_variance(fit.residuals) if noise is None else noise
     comparable = context.unit == "uT" and context.strength is not None
+    statistics = residual_statistics(fit.residuals[:LONGEST], int(fit.dof), None)
+    chi2 = squares / floor if floor > 0.0 else None
     return {
         "residual_rms": math.sqrt(squares / len(fit.residuals)),
         "dof": fit.dof,
-        "chi2": squares / floor if floor > 0.0 else None,
+        "chi2": chi2,
+        "p_value": float(chdtrc(fit.dof, chi2)) if chi2 is not None and noise is not None else None,
         "noise_sd": math.sqrt(floor),
         "noise_from": "successive residuals" if noise is None else "given",
-        "first_correlation": first_correlation(fit.residuals),
+        "first_correlation": statistics["first_correlation"],
+        "white": statistics["white"],
         "variance_inflation": fit.variance_inflation,
         "n_outliers": fit.n_outliers,
         "radius": radius,

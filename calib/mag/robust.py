@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from calib.errors import UndeterminedError
 from calib.mag.distance import Distances, Pass
 from calib.mag.moments import Moments
-from calib.mag.shape import Ellipsoid
+from calib.mag.samples import Cloud
+from calib.mag.shape import Ellipsoid, MagModel
 from calib.mag.sphere import solve_sphere
 
 Array = NDArray[np.float64]
@@ -31,6 +32,7 @@ _TRIMMED_SD = 0.98658  # sd of a standard normal cut at 3
 _ROUNDS = 12
 _TRIALS = 150  # a tenth of the subsets is clean at 20 % of outliers, one in twenty at 25 %
 _SCORED = 300
+_MAJORITY = 1 << 15  # samples that are enough to know where the majority lies
 _PLAUSIBLE = 0.02  # of the radius: noise that a compass has; beyond, outliers may hide in the majority's spread
 _MANY = 0.1  # fraction of outliers from which on the concentration steps are not trusted alone
 _CLEARLY = 0.7  # noise left by another start, relative, from which on that one is taken
@@ -48,8 +50,8 @@ class Start:
     """The pass over the samples at `ellipsoid` with the variance of `noise_sd`; None: it was not made."""
 
 
-def find_start(samples: Array, whole: Moments, smallest_sd: float) -> Start:
-    """An ellipsoid near the majority of `samples` (N, 3), scaled to the order of 1; `whole` are their moments.
+def find_start(cloud: Cloud, whole: Moments, smallest_sd: float, model: MagModel = MagModel.SYMMETRIC) -> Start:
+    """An ellipsoid of the form `model` near the majority of `cloud`, in its scale; `whole` are its moments.
 
     Adjusted least squares on all samples; if that leaves outliers, on those within three standard deviations, again
     and again; if too many drop out that way, on the best of many small subsets.
@@ -60,21 +62,21 @@ def find_start(samples: Array, whole: Moments, smallest_sd: float) -> Start:
         If there is no start, not even a sphere.
     """
     floor = max(_SMALLEST_SD, smallest_sd)
-    first, noise_sd = _first_guess(samples, whole)
-    at_first = Distances(samples).at(first, noise_sd**2, None)
+    first, noise_sd = _first_guess(cloud, whole, model)
+    at_first = Distances(cloud).at(first, noise_sd**2, None)
     residuals = at_first.residuals
-    sd = robust_sd(residuals, floor)
+    sd = robust_sd(residuals[:: max(1, len(residuals) // _MAJORITY)], floor)
     clean = max(float(residuals.max()), -float(residuals.min())) <= OUTLIER * sd
     if clean and (sd <= _PLAUSIBLE * first.mean_radius or _looks_normal(residuals)):
         return Start(first, noise_sd, outliers=False, first=at_first)
     best = first
     if not clean:
-        best, sd = _concentrated(samples, first, floor)
-    if sd > _PLAUSIBLE * best.mean_radius or np.mean(np.abs(distances_from(samples, best)) > OUTLIER * sd) > _MANY:
-        other, other_sd = _concentrated(samples, _consensus(samples, best), floor)
+        best, sd = _concentrated(cloud, first, floor, model)
+    if sd > _PLAUSIBLE * best.mean_radius or np.mean(np.abs(distances_from(cloud, best)) > OUTLIER * sd) > _MANY:
+        other, other_sd = _concentrated(cloud, _consensus(cloud, best, model), floor, model)
         if other_sd < _CLEARLY * sd:
             best, sd = other, other_sd
-    residuals = distances_from(samples, best)
+    residuals = distances_from(cloud, best)
     return Start(best, sd, outliers=bool(np.abs(residuals).max() > OUTLIER * sd))
 
 
@@ -85,17 +87,17 @@ def _looks_normal(residuals: Array) -> bool:
     return abs(float(squares @ squares) / len(squares) / variance**2 - 3.0) <= 4.0 * math.sqrt(24.0 / len(squares))
 
 
-def _first_guess(samples: Array, whole: Moments) -> tuple[Ellipsoid, float]:
+def _first_guess(cloud: Cloud, whole: Moments, model: MagModel) -> tuple[Ellipsoid, float]:
     """Adjusted least squares and their noise; a sphere where these give no sensible ellipsoid."""
     try:
-        ellipsoid, noise_sd = whole.ellipsoid()
+        ellipsoid, noise_sd = whole.ellipsoid(model)
         if _is_sensible(ellipsoid):
             return ellipsoid, noise_sd
     except UndeterminedError:
         pass
-    offset, radius = solve_sphere(samples)
+    offset, radius = solve_sphere(cloud.scaled())
     sphere = Ellipsoid(offset, radius * np.eye(3))
-    return sphere, robust_sd(distances_from(samples, sphere), _SMALLEST_SD)
+    return sphere, robust_sd(distances_from(cloud, sphere), _SMALLEST_SD)
 
 
 def _is_sensible(ellipsoid: Ellipsoid) -> bool:
@@ -103,9 +105,9 @@ def _is_sensible(ellipsoid: Ellipsoid) -> bool:
     return bool(radii[2] < 20.0 * radii[0] and radii[2] < 20.0)
 
 
-def distances_from(samples: Array, ellipsoid: Ellipsoid) -> Array:
-    """Signed distances (N,) of `samples` from `ellipsoid`."""
-    return Distances(samples).at(ellipsoid, 0.0, None).residuals
+def distances_from(cloud: Cloud, ellipsoid: Ellipsoid) -> Array:
+    """Signed distances (N,) of `cloud` from `ellipsoid`, in its scale."""
+    return Distances(cloud).at(ellipsoid, 0.0, None).residuals
 
 
 def robust_sd(residuals: Array, floor: float) -> float:
@@ -117,39 +119,42 @@ def robust_sd(residuals: Array, floor: float) -> float:
     return sd
 
 
-def _ellipsoid_of(moments: Moments) -> Ellipsoid | None:
+def _ellipsoid_of(cloud: Cloud, model: MagModel) -> Ellipsoid | None:
     try:
-        ellipsoid, _ = moments.ellipsoid()
+        ellipsoid, _ = Moments.of(cloud).ellipsoid(model)
     except UndeterminedError:
         return None
     return ellipsoid if _is_sensible(ellipsoid) else None
 
 
-def _concentrated(samples: Array, ellipsoid: Ellipsoid, floor: float) -> tuple[Ellipsoid, float]:
-    """Refit to what lies within three standard deviations until that set stays (Rousseeuw's concentration steps)."""
-    kept = np.zeros(len(samples), dtype=np.bool_)
+def _concentrated(cloud: Cloud, ellipsoid: Ellipsoid, floor: float, model: MagModel) -> tuple[Ellipsoid, float]:
+    """Refit to what lies within three standard deviations until that set stays (Rousseeuw's concentration steps).
+
+    Many samples are represented by some: the fit that follows sees them all.
+    """
+    cloud = cloud.take(slice(None, None, max(1, len(cloud) // _MAJORITY)))
+    kept = np.zeros(len(cloud), dtype=np.bool_)
     for _ in range(_ROUNDS):
-        residuals = distances_from(samples, ellipsoid)
+        residuals = distances_from(cloud, ellipsoid)
         sd = max(MAD_TO_SD * float(np.median(np.abs(residuals))), floor)
         inside = np.abs(residuals) <= _TRIM * sd
         if np.array_equal(inside, kept):
             break
         kept = inside
-        refit = _ellipsoid_of(Moments.empty(np.zeros(3), 1.0).added(samples[kept]))
+        refit = _ellipsoid_of(cloud.take(kept), model)
         if refit is None:
             break
         ellipsoid = refit
-    return ellipsoid, robust_sd(distances_from(samples, ellipsoid), floor)
+    return ellipsoid, robust_sd(distances_from(cloud, ellipsoid), floor)
 
 
-def _consensus(samples: Array, fallback: Ellipsoid) -> Ellipsoid:
-    """The ellipsoid through ten random samples that is nearest to the majority (least median; fixed seed)."""
+def _consensus(cloud: Cloud, fallback: Ellipsoid, model: MagModel) -> Ellipsoid:
+    """The ellipsoid through a few random samples that is nearest to the majority (least median; fixed seed)."""
     rng = np.random.default_rng(20)
-    scored = samples if len(samples) <= _SCORED else samples[rng.choice(len(samples), _SCORED, replace=False)]
+    scored = cloud if len(cloud) <= _SCORED else cloud.take(rng.choice(len(cloud), _SCORED, replace=False))
     best, least = fallback, float(np.median(np.abs(distances_from(scored, fallback))))
     for _ in range(_TRIALS):
-        subset = samples[rng.choice(len(samples), 10, replace=False)]
-        candidate = _ellipsoid_of(Moments.empty(np.zeros(3), 1.0).added(subset))
+        candidate = _ellipsoid_of(cloud.take(rng.choice(len(cloud), model.size + 1, replace=False)), model)
         if candidate is not None:
             median = float(np.median(np.abs(distances_from(scored, candidate))))
             if median < least:

@@ -1,6 +1,9 @@
-"""What every magnetometer fit asks of its samples before it begins."""
+"""What every magnetometer fit asks of its samples before it begins, and how the large ones look at them."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,7 +23,51 @@ NEARLY_PLANAR = 0.1
 
 _COUNTED = 1000  # samples up to which repeats are counted; more than that are never so few
 
+CHUNK = 8192
+"""Samples worked on at a time: what is made of them stays in the processor's cache."""
+
+_LOOKED_AT = 4096  # samples that give centre and scale: these only serve the conditioning
+
 AXIS_WORDS = ("nose-tail", "left-right", "top-bottom")
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Samples (N, 3) of any real type, looked at as ``(samples - centre)/scale``: never copied as a whole.
+
+    `centre` and `scale` only serve the conditioning: the middle and the width of the cloud, roughly.
+    """
+
+    samples: NDArray[Any]
+    centre: Array
+    scale: float
+
+    @classmethod
+    def of(cls, samples: NDArray[Any]) -> Cloud:
+        """The cloud of checked `samples`."""
+        seen = samples[:: max(1, len(samples) // _LOOKED_AT)].astype(np.float64)
+        centre = seen.mean(axis=0)
+        scale = float(np.sqrt(np.mean(np.sum((seen - centre) ** 2, axis=1))))
+        if not scale > 0.0:  # the few that were looked at are one and the same
+            scale = max(float(np.linalg.norm(np.abs(samples - centre).max(axis=0))), 1e-300)
+        return cls(samples, centre, scale)
+
+    def __len__(self) -> int:
+        return len(self.samples)
+
+    def rows(self, start: int) -> Array:
+        """The chunk that begins at `start`, (3, n), n <= :data:`CHUNK`, in units of `scale`."""
+        block: Array = np.subtract(self.samples[start : start + CHUNK].T, self.centre[:, None], order="C")
+        block *= 1.0 / self.scale
+        return block
+
+    def take(self, rows: NDArray[Any] | slice) -> Cloud:
+        """The samples `rows` (indices, a mask or a slice), with the same centre and scale."""
+        return Cloud(self.samples[rows], self.centre, self.scale)
+
+    def scaled(self) -> Array:
+        """All samples in units of `scale`, (N, 3): for few only."""
+        return np.asarray((self.samples - self.centre) * (1.0 / self.scale))
 
 
 def check_samples(samples: ArrayLike, minimum: int, *, may_repeat: bool = False) -> Array:
@@ -34,12 +81,33 @@ def check_samples(samples: ArrayLike, minimum: int, *, may_repeat: bool = False)
         Too few samples, or a sensor that never moved.
     """
     array = np.ascontiguousarray(samples, dtype=np.float64)
+    check_real_samples(array, minimum, may_repeat=may_repeat)
+    return array
+
+
+def real_array(samples: ArrayLike) -> NDArray[Any]:
+    """`samples` as an array of numbers: integers and floats of 32 bits and more as they are, all else as float64.
+
+    Raises
+    ------
+    InvalidInputError
+        If they are not numbers.
+    """
+    array = np.asarray(samples)
+    if array.dtype.kind in "iu" or (array.dtype.kind == "f" and array.dtype.itemsize >= 4):
+        return array
+    try:
+        return array.astype(np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidInputError(f"magnetometer samples must be numbers: {error}") from error
+
+
+def check_real_samples(array: NDArray[Any], minimum: int, *, may_repeat: bool = False) -> None:
+    """As :func:`check_samples`, of an array of any real type, which is not copied."""
     if array.ndim != 2 or array.shape[1] != 3:
         raise InvalidInputError(f"magnetometer samples must have shape (N, 3), not {array.shape}")
-    # One pass and no mask in memory: the sum is finite only if every number is (an overflow is refused as well).
-    if not np.isfinite(array.sum() if len(array) else 0.0):
-        bad = int(np.count_nonzero(~np.isfinite(array).all(axis=1)))
-        raise InvalidInputError(f"{bad} of {len(array)} magnetometer samples are not finite: drop those rows first")
+    if array.dtype.kind == "f":
+        _check_finite(array)
     if len(array) < minimum:
         raise UndeterminedError(
             f"{len(array)} magnetometer samples are too few: at least {minimum} in different directions are needed",
@@ -57,7 +125,16 @@ def check_samples(samples: ArrayLike, minimum: int, *, may_repeat: bool = False)
                 f"only {distinct} of {len(array)} magnetometer samples differ: at least {minimum} are needed",
                 remedy="turn the vehicle in all directions; repeats add nothing",
             )
-    return array
+
+
+def _check_finite(array: NDArray[Any]) -> None:
+    # One pass and no mask in memory: the sum is finite only if every number is (an overflow is refused as well).
+    if np.isfinite(array.sum(dtype=np.float64) if len(array) else 0.0):
+        return
+    bad = int(np.count_nonzero(~np.isfinite(array).all(axis=1)))
+    if bad:
+        raise InvalidInputError(f"{bad} of {len(array)} magnetometer samples are not finite: drop those rows first")
+    raise InvalidInputError(f"magnetometer samples up to {np.abs(array).max():.3g} are no field: check the unit")
 
 
 def check_not_flat(centred_scatter: Array, limit: float = PLANAR) -> None:

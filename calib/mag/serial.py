@@ -63,8 +63,8 @@ def widened_scatter(scatter: Array, rows: Array, residuals: Array) -> tuple[Arra
 
 def _score_factors(scatter: Array, rows: Array, residuals: Array) -> tuple[Array, Array, Array]:
     values, directions = np.linalg.eigh(scatter)
-    scores = (directions.T @ rows[:, :LONGEST]) * residuals[:LONGEST]
-    return values, directions, np.array([variance_inflation(s) for s in scores])
+    rows, residuals = rows[:, :LONGEST], residuals[:LONGEST]
+    return values, directions, np.array([variance_inflation((d @ rows) * residuals) for d in directions.T])
 
 
 def white_variance(residuals: Array) -> float:

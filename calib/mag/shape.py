@@ -7,6 +7,7 @@ strength. The nine parameters are ordered ``b_x b_y b_z S_xx S_yy S_zz S_xy S_xz
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +42,30 @@ def symmetric(six: Array) -> Array:
 def six_numbers(matrix: Array) -> Array:
     """``xx yy zz xy xz yz`` of a symmetric (3, 3) matrix."""
     return matrix[ROWS, COLUMNS]
+
+
+class MagModel(StrEnum):
+    """What of an ellipsoid is free."""
+
+    OFFSET = "offset"  # a sphere: offset and one radius
+    DIAGONAL = "diagonal"  # three radii along the sensor's axes
+    SYMMETRIC = "symmetric"  # soft iron between the axes as well
+
+    @property
+    def basis(self) -> Array:
+        """The nine parameters as linear combinations (9, k), orthonormal, of the k that are free."""
+        if self is MagModel.SYMMETRIC:
+            return np.eye(N_PARAMETERS)
+        if self is MagModel.DIAGONAL:
+            return np.eye(N_PARAMETERS)[:, :6]
+        radius = np.zeros((N_PARAMETERS, 1))
+        radius[3:6] = 3.0**-0.5
+        return np.hstack([np.eye(N_PARAMETERS)[:, :3], radius])
+
+    @property
+    def size(self) -> int:
+        """Number of free parameters."""
+        return {MagModel.OFFSET: 4, MagModel.DIAGONAL: 6, MagModel.SYMMETRIC: 9}[self]
 
 
 @dataclass(frozen=True, eq=False)

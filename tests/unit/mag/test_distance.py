@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 from calib.errors import UndeterminedError
 from calib.mag.distance import Distances, bisquare, foot_points, gauss_newton, score_rows
 from calib.mag.moments import Moments
+from calib.mag.samples import Cloud
 from calib.mag.shape import Ellipsoid, six_numbers, symmetric
 
 SHAPE = np.array([[550.0, 30.0, -20.0], [30.0, 450.0, 25.0], [-20.0, 25.0, 500.0]])
@@ -22,7 +23,7 @@ def fitted(samples: Any, *, debias: bool) -> tuple[Ellipsoid, float, float]:
     centre, scale = samples.mean(axis=0), float(np.linalg.norm(samples.std(axis=0)))
     scaled = (samples - centre) / scale
     start, noise = Moments.empty(np.zeros(3), 1.0).added(scaled).ellipsoid()
-    found = gauss_newton(Distances(scaled), start, noise**2, debias=debias)
+    found = gauss_newton(Distances(Cloud(scaled, np.zeros(3), 1.0)), start, noise**2, debias=debias)
     squares = float(found.last.residuals @ found.last.residuals)
     return found.ellipsoid.moved(centre, scale), squares * scale**2, found.noise_variance * scale**2
 
@@ -91,7 +92,9 @@ def test_derivatives_equal_differences(compass: Any, rng: np.random.Generator) -
     for k in range(9):
         step = np.zeros(9)
         step[k] = 1e-6
-        up, down = (Distances(samples).at(truth.stepped(s), 0.0, None).residuals for s in (step, -step))
+        up, down = (
+            Distances(Cloud(samples, np.zeros(3), 1.0)).at(truth.stepped(s), 0.0, None).residuals for s in (step, -step)
+        )
         np.testing.assert_allclose(rows[k], (down - up) / 2e-6, atol=1e-7)
 
 
@@ -102,8 +105,10 @@ def test_distances_of_noise_are_biased_by_the_curvature() -> None:
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     samples = directions + 10.0 / 490.0 * rng.normal(size=directions.shape)
     sphere = Ellipsoid(np.zeros(3), np.eye(3))
-    plain = Distances(samples).at(sphere, 0.0, None).residuals.mean() * 490.0
-    corrected = Distances(samples).at(sphere, (10.0 / 490.0) ** 2, None).residuals.mean() * 490.0
+    plain = Distances(Cloud(samples, np.zeros(3), 1.0)).at(sphere, 0.0, None).residuals.mean() * 490.0
+    corrected = (
+        Distances(Cloud(samples, np.zeros(3), 1.0)).at(sphere, (10.0 / 490.0) ** 2, None).residuals.mean() * 490.0
+    )
     assert plain == pytest.approx(0.204, abs=0.08)
     assert abs(corrected) < 0.08
     assert plain > 0.12
@@ -121,4 +126,4 @@ def test_bisquare_is_one_inside_and_nothing_outside() -> None:
 def test_a_start_that_cannot_settle_is_refused(rng: np.random.Generator) -> None:
     line = np.column_stack([np.linspace(-1.0, 1.0, 50), 1e-4 * rng.normal(size=(50, 2))])
     with pytest.raises(UndeterminedError):
-        gauss_newton(Distances(line), Ellipsoid(np.zeros(3), np.eye(3)), 1e-6)
+        gauss_newton(Distances(Cloud(line, np.zeros(3), 1.0)), Ellipsoid(np.zeros(3), np.eye(3)), 1e-6)

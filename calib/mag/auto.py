@@ -1,0 +1,155 @@
+"""How much soft iron is there? The data say, and where they cannot, a prior does.
+
+To choose between sphere, three radii and the full matrix, and to forget the others, is wrong twice: next to the
+threshold the stated uncertainty is too small, and where the movement was small "no soft iron seen" is no evidence of
+"no soft iron". So the soft iron, ``S/r - I ~ N(0, sd^2)``, is given every size of two scales, one of its diagonal and
+one of its cross terms, and the answers are averaged by their marginal likelihood (Laplace; all scales alike
+beforehand). Where the data determine the soft iron the priors say nothing; where they do not, the answer goes over to
+that of a sphere smoothly. The model that is named beside it is that of the least information criterion (BIC).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from calib.errors import UndeterminedError
+from calib.mag.distance import Distances, gauss_newton, shape_prior
+from calib.mag.result import ShapeFit
+from calib.mag.samples import NEARLY_PLANAR, Cloud, check_not_flat
+from calib.mag.shape import Ellipsoid, MagModel, six_numbers, symmetric
+from calib.mag.shape_fit import Asked, Found, cloud_of, minimum, with_uncertainty
+
+Array = NDArray[np.float64]
+
+SOFT_IRON_SD = 0.1
+"""Of each relative term of soft iron, believed of any compass: a vehicle with 20 % is two standard deviations out."""
+
+_SCALES = (1.0, 10**-0.5, 0.1, 10**-1.5, 0.01)  # of that; a thousandth of the field is a compass without soft iron
+_ROUNDS = 2  # the likelihood is quadratic about the likeliest scale, not about the first one
+
+
+@dataclass(frozen=True, eq=False)
+class _Likelihood:
+    """Logarithm of the likelihood of the nine numbers about a minimum: ``c + pull.x - x^T information x / 2``."""
+
+    information: Array
+    pull: Array
+    ellipsoid: Ellipsoid
+
+    @classmethod
+    def about(cls, fit: ShapeFit, prior: Array) -> _Likelihood:
+        """From the `fit` with that `prior`, both in the scale of the cloud."""
+        state = np.concatenate([fit.ellipsoid.offset, six_numbers(fit.ellipsoid.shape)])
+        information = np.linalg.inv(fit.covariance) - prior
+        # At the minimum the pull of the samples and that of the prior cancel.
+        return cls(information, information @ state + prior @ state, fit.ellipsoid)
+
+    def with_prior(self, sd: float, cross_sd: float) -> tuple[Array, Array, float]:
+        """State (9,), covariance (9, 9) and logarithm of the evidence with the prior of these scales."""
+        prior = shape_prior(self.ellipsoid, sd, cross_sd)
+        covariance = np.asarray(np.linalg.inv(self.information + prior))
+        state = covariance @ self.pull
+        known = float(np.log(np.linalg.eigvalsh(prior)[4:]).sum())  # offset and radius have no prior
+        evidence = 0.5 * (float(self.pull @ state) + known + float(np.linalg.slogdet(covariance)[1]))
+        return state, covariance, evidence
+
+    def loss(self, model: MagModel) -> float:
+        """By how much chi2 is larger with nothing but `model` free."""
+        free = model.basis
+        best = [p @ np.linalg.pinv(p.T @ self.information @ p) @ p.T @ self.pull for p in (np.eye(9), free)]
+        return float(self.pull @ (best[0] - best[1]))
+
+
+def averaged_shape(samples: NDArray[np.generic], asked: Asked) -> ShapeFit:
+    """The ellipsoid of `samples` (N, 3), N >= 10, averaged over the sizes of soft iron, and its covariance.
+
+    ``native`` holds the `model` of the least `bic`, for each smaller model its `bic` less the full one's and the test
+    by `likelihood_ratio` (chance of so large a misfit if it were true), and the likely `soft_iron_scale`.
+
+    Raises
+    ------
+    InvalidInputError, UndeterminedError
+        As :func:`calib.mag.shape_fit.shape_of`.
+    """
+    cloud, moments = cloud_of(samples, MagModel.SYMMETRIC)
+    largest = asked.prior_sd or SOFT_IRON_SD
+    asked = dataclasses.replace(asked, model=MagModel.SYMMETRIC, prior_sd=largest, cross_sd=largest)
+    scales = [(largest * one, largest * two) for one, two in itertools.product(_SCALES, repeat=2)]
+    try:
+        found = minimum(cloud, moments, asked)
+        for _ in range(_ROUNDS):
+            fit = with_uncertainty(found, cloud, asked)
+            likelihood = _Likelihood.about(fit, found.solution.prior)
+            answers = [likelihood.with_prior(*pair) for pair in scales]
+            asked = _with_scales(asked, scales[int(np.argmax([evidence for _, _, evidence in answers]))])
+            found = _settled(found, cloud, asked)
+    except UndeterminedError:
+        check_not_flat(moments.scatter(), NEARLY_PLANAR)
+        raise
+    fit = with_uncertainty(found, cloud, asked)
+    likelihood = _Likelihood.about(fit, found.solution.prior)
+    return _average(likelihood, scales, found, fit, cloud).moved(cloud.centre, cloud.scale)
+
+
+def _with_scales(asked: Asked, pair: tuple[float, float]) -> Asked:
+    return dataclasses.replace(asked, prior_sd=pair[0], cross_sd=pair[1])
+
+
+def _settled(found: Found, cloud: Cloud, asked: Asked) -> Found:
+    """The minimum with the prior of `asked`, from that of another, with the same weights of the samples."""
+    solution = gauss_newton(
+        Distances(cloud),
+        found.solution.ellipsoid,
+        found.solution.noise_variance,
+        tukey_scale=found.tukey_scale,
+        prior_sd=asked.prior_sd,
+        cross_sd=asked.cross_sd,
+    )
+    return Found(solution, found.tukey_scale)
+
+
+def _average(
+    likelihood: _Likelihood, scales: list[tuple[float, float]], found: Found, fit: ShapeFit, cloud: Cloud
+) -> ShapeFit:
+    answers = [likelihood.with_prior(*pair) for pair in scales]
+    evidence = np.array([e for _, _, e in answers])
+    weights = np.exp(evidence - evidence.max())
+    weights /= weights.sum()
+    state = np.asarray(sum(w * s for w, (s, _, _) in zip(weights, answers, strict=True)))
+    covariance = np.zeros((len(state), len(state)))
+    for weight, (other, own, _) in zip(weights, answers, strict=True):
+        covariance += weight * (own + np.outer(other - state, other - state))
+    ellipsoid = Ellipsoid(state[:3], symmetric(state[3:]))
+    residuals = Distances(cloud).at(ellipsoid, found.solution.noise_variance, None).residuals
+    kept = found.weights()
+    return dataclasses.replace(
+        fit,
+        ellipsoid=ellipsoid,
+        covariance=covariance,
+        residuals=residuals if kept is None else residuals[kept > 0.0],
+        native=_native(weights, scales, likelihood, fit),
+    )
+
+
+def _native(
+    weights: Array, scales: list[tuple[float, float]], likelihood: _Likelihood, fit: ShapeFit
+) -> dict[str, object]:
+    tests, criteria = {}, {str(MagModel.SYMMETRIC): 0.0}
+    for model in (MagModel.OFFSET, MagModel.DIAGONAL):
+        loss, dropped = likelihood.loss(model), MagModel.SYMMETRIC.size - model.size
+        tests[str(model)] = float(chdtrc(dropped, max(loss, 0.0)))
+        criteria[str(model)] = loss - dropped * math.log(len(fit.residuals))
+    likely = np.exp(weights @ np.log(np.array(scales)))
+    return {
+        "model": min(criteria, key=lambda name: criteria[name]),
+        "bic": criteria,
+        "likelihood_ratio": tests,
+        "soft_iron_scale": {"diagonal": float(likely[0]), "cross": float(likely[1])},
+    }

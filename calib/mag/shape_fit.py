@@ -1,0 +1,190 @@
+"""The minimum that an ellipsoid is fitted to, and what it is worth: the part that every model and choice shares."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import UndeterminedError
+from calib.mag.distance import ALL_SIDES, Distances, Solution, bisquare, gauss_newton
+from calib.mag.moments import Moments
+from calib.mag.result import MagContext, ShapeFit, student_variance
+from calib.mag.robust import MOST_OUTLIERS, Start, find_start, robust_sd
+from calib.mag.samples import LEAST_VARIANCE, NEARLY_PLANAR, Cloud, check_not_flat, check_real_samples
+from calib.mag.serial import LONGEST, weakened_information
+from calib.mag.shape import N_PARAMETERS, MagModel
+
+Array = NDArray[np.float64]
+
+METHOD = "mag-ellipsoid"
+
+_SCALE_ROUNDS = 4
+_SINGULAR = 1e-13  # smallest over largest information that is more than rounding
+_MEASURED_NOISE = 30  # degrees of freedom from which on residuals know the noise better than a data sheet
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """How an ellipsoid is to be fitted."""
+
+    context: MagContext
+    robust: bool | None = None
+    prior_sd: float | None = None
+    cross_sd: float | None = None
+    """Of the three cross terms; None: as `prior_sd`."""
+    model: MagModel = MagModel.SYMMETRIC
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A solution in the scale of its cloud, with the weights of the samples."""
+
+    solution: Solution
+    tukey_scale: float | None
+    """Scale of the bisquare weights; None: they are all one."""
+
+    def weights(self) -> Array | None:
+        """Weight of every sample (N,); None: one."""
+        return None if self.tukey_scale is None else bisquare(self.solution.last.residuals, self.tukey_scale)[0]
+
+
+def cloud_of(samples: NDArray[np.generic], model: MagModel) -> tuple[Cloud, Moments]:
+    """The cloud of `samples` (N, 3) and its moments, checked.
+
+    Raises
+    ------
+    InvalidInputError
+        Wrong shape, or a number that is not finite.
+    UndeterminedError
+        Too few samples for `model`, or flat ones.
+    """
+    check_real_samples(samples, model.size + 1)
+    cloud = Cloud.of(samples)
+    moments = Moments.of(cloud)
+    check_not_flat(moments.scatter())
+    return cloud, moments
+
+
+def shape_of(samples: NDArray[np.generic], asked: Asked) -> ShapeFit:
+    """The ellipsoid of `samples` (N, 3) and its covariance.
+
+    Raises
+    ------
+    InvalidInputError
+        Wrong shape, or a number that is not finite.
+    UndeterminedError
+        If the samples are too few or flat, lie on no ellipsoid, or hold too many outliers.
+    """
+    cloud, moments = cloud_of(samples, asked.model)
+    try:
+        found = minimum(cloud, moments, asked)
+    except UndeterminedError:
+        check_not_flat(moments.scatter(), NEARLY_PLANAR)
+        raise
+    return with_uncertainty(found, cloud, asked).moved(cloud.centre, cloud.scale)
+
+
+def minimum(cloud: Cloud, moments: Moments, asked: Asked) -> Found:
+    """The minimum, from a start of its own."""
+    start = find_start(cloud, moments, asked.context.quantum / cloud.scale / np.sqrt(12.0), asked.model)
+    if start.outliers if asked.robust is None else asked.robust:
+        return _robust_minimum(Distances(cloud), start, asked)
+    plain = gauss_newton(
+        Distances(cloud),
+        start.ellipsoid,
+        start.noise_sd**2,
+        prior_sd=asked.prior_sd,
+        cross_sd=asked.cross_sd,
+        model=asked.model,
+        first=start.first,
+    )
+    return Found(plain, None)
+
+
+def _robust_minimum(distances: Distances, start: Start, asked: Asked) -> Found:
+    """Gauss-Newton with bisquare weights, the noise re-estimated from the inliers until it stays within 1 %."""
+    ellipsoid, sd = start.ellipsoid, start.noise_sd
+    for _ in range(_SCALE_ROUNDS):
+        solution = gauss_newton(
+            distances,
+            ellipsoid,
+            sd**2,
+            tukey_scale=sd,
+            prior_sd=asked.prior_sd,
+            cross_sd=asked.cross_sd,
+            model=asked.model,
+        )
+        ellipsoid, previous = solution.ellipsoid, sd
+        sd = robust_sd(solution.last.residuals, 0.01 * sd)
+        if abs(sd - previous) <= 0.01 * sd:
+            break
+    return Found(solution, previous)
+
+
+def with_uncertainty(found: Found, cloud: Cloud, asked: Asked) -> ShapeFit:
+    """The fit that `found` is, in the scale of `cloud`.
+
+    Raises
+    ------
+    UndeterminedError
+        Too many outliers, too few samples without them, or a parameter that is open.
+    """
+    solution, model = found.solution, asked.model
+    residuals, weights = solution.last.residuals, found.weights()
+    kept = residuals if weights is None else residuals[weights > 0.0]
+    dof = _degrees_of_freedom(len(residuals), len(kept), model.size)
+    variance = estimate_variance(residuals, weights, model.size)
+    known = asked.context.noise_variance
+    if known is not None and dof < _MEASURED_NOISE:
+        variance = max(variance, known / cloud.scale**2)
+    else:
+        variance *= student_variance(dof)
+    free = model.basis
+    information, inflation = weakened_information(
+        free.T @ solution.last.information @ free / max(variance, LEAST_VARIANCE),
+        free.T @ Distances(cloud).scores(solution.ellipsoid, LONGEST),
+        residuals[:LONGEST] if weights is None else residuals[:LONGEST] * weights[:LONGEST],
+    )
+    normal = information + free.T @ solution.prior @ free
+    spread = np.linalg.eigvalsh(normal)
+    if not spread[0] > _SINGULAR * spread[-1]:
+        raise UndeterminedError("the magnetometer samples leave a parameter of the ellipsoid open", remedy=ALL_SIDES)
+    return ShapeFit(
+        method=METHOD,
+        ellipsoid=solution.ellipsoid,
+        covariance=free @ np.linalg.inv(normal) @ free.T,
+        residuals=kept,
+        dof=dof,
+        condition_number=float(spread[-1] / spread[0]),
+        n_outliers=len(residuals) - len(kept),
+        variance_inflation=inflation,
+        native={"model": str(model)},
+    )
+
+
+def _degrees_of_freedom(count: int, kept: int, size: int) -> float:
+    if count - kept > MOST_OUTLIERS * count:
+        raise UndeterminedError(
+            f"{1.0 - kept / count:.0%} of the magnetometer samples lie off the ellipsoid of the others",
+            remedy="find what disturbs the field (motors, steel, a phone nearby) and repeat",
+        )
+    if kept <= size:
+        raise UndeterminedError("too few magnetometer samples remain without the outliers", remedy="record longer")
+    return float(kept - size)
+
+
+def estimate_variance(residuals: Array, weights: Array | None, size: int = N_PARAMETERS) -> float:
+    """The v with which ``v (sum w J^T J)^-1`` is the covariance of `size` parameters; weights None: all are one.
+
+    ``Cov = [sum psi^2/(N - p)] / [mean psi']^2 (sum J^T J)^-1`` (Huber 1981, 7.6), ``psi = w r``; for the bisquare with
+    ``w = (1 - z^2)^2``, ``psi' = (1 - z^2)(1 - 5 z^2)``.
+    """
+    degrees = max(len(residuals) - size, 1)
+    if weights is None:
+        return float(residuals @ residuals) / degrees
+    psi = weights * residuals
+    root = np.sqrt(weights)
+    slope = root * (5.0 * root - 4.0)
+    return float(psi @ psi) / degrees / float(slope.mean()) ** 2 * float(weights.mean())
