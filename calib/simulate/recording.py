@@ -160,9 +160,9 @@ def _enu_from_flu(q: Array) -> Array:
     r takes north-east-down to east-north-up (about (1, 1, 0)), f forward-left-up to forward-right-down (about x).
     """
     w, x, y, z = q.T
-    a, b, c, d = -x, w, z, -y  # q f with f = (0, 1, 0, 0)
+    a, b, c, d = -x, w, z, -y  # q f with f = (0, 1, 0, 0); the sign of the whole is free
     h = np.sqrt(0.5)  # r = (0, h, h, 0)
-    return np.column_stack([-h * (b + c), h * (a + d), h * (a - d), h * (c - b)])
+    return np.column_stack([h * (b + c), -h * (a + d), h * (d - a), h * (b - c)])
 
 
 def suite_in_frame(suite: SensorSuite, frame: Frame) -> SensorSuite:
