@@ -204,7 +204,7 @@ class DriftCurve:
         centred = grid - grid.mean(axis=0)
         drift = np.ptp(centred @ coefficients, axis=0)
         spread = np.sqrt(np.maximum(np.einsum("gp,kpq,gq->kg", centred, noise.covariances, centred), 0.0)).max(axis=1)
-        shift = _about(t_ref, middle, half_span, p)
+        shift = powers_about(t_ref, middle, half_span, p)
         return cls(shift @ coefficients, shift @ noise.covariances @ shift.T, drift, spread)
 
     def not_repeatable(self, noise: ColouredCovariance) -> NDArray[np.bool_]:
@@ -234,7 +234,7 @@ class DriftCurve:
         return model, covariance, tuple(undetermined)
 
 
-def _about(t_ref: float, middle: float, half_span: float, p: int) -> Array:
+def powers_about(t_ref: float, middle: float, half_span: float, p: int) -> Array:
     """Matrix from coefficients of ``((T - middle)/half_span)^j`` to those of ``(T - t_ref)^k``."""
     line = np.array([(t_ref - middle) / half_span, 1.0 / half_span])
     matrix = np.zeros((p, p))

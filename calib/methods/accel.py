@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from calib import STANDARD_GRAVITY
 from calib.accel import fit_one_axis, fit_poses
+from calib.accel_thermal import fit_accel_thermal
 from calib.errors import InvalidInputError
 from calib.fit import FitResult
 from calib.methods.method import FIXTURE, GRAVITY, INSTANCE, Method, Option, Options, gravity_of, mean_or_none
@@ -108,6 +109,31 @@ def accel_multi(source: Source, options: Options) -> list[FitResult]:
     return fits
 
 
+def accel_thermal(source: Source, options: Options) -> list[FitResult]:
+    """Still poses at different temperatures, in any direction."""
+    fits = []
+    for accel in source.channels(Sensor.ACCEL):
+        temperature = source.temperature(accel.instance)
+        if temperature is None:
+            raise InvalidInputError("the recording has no temperature: name its column, --map temperature=COLUMN")
+        if not source.timed and not source.recording.segments:
+            raise InvalidInputError("still poses are found by time: the table has none; give --rate, or a column t")
+        fits.append(
+            fit_accel_thermal(
+                accel,
+                source.stills(accel.instance, held=True),
+                temperature,
+                degree=options["degree"],
+                gravity=options["gravity"] or STANDARD_GRAVITY,
+                t_ref=options["tref"],
+                cross_sd=options["cross_sd"],
+                gyro=source.maybe(Sensor.GYRO, accel.instance),
+                relative=source.relative(accel),
+            )
+        )
+    return fits
+
+
 METHODS = (
     Method(
         "accel-one-axis",
@@ -140,6 +166,19 @@ METHODS = (
             Option("form", ("symmetric", "upper"), "symmetric", "canonical form of the matrix"),
         ),
         accel_multi,
+    ),
+    Method(
+        "accel-thermal",
+        "Accelerometer offset, matrix and drift with temperature from still poses",
+        "six faces and oblique ones held still while cold, and again in opposite order when warm",
+        (
+            INSTANCE,
+            GRAVITY,
+            Option("degree", int, 2, "of the drift, 1 to 3"),
+            Option("tref", float, None, "temperature that the offset refers to, degC; else the mean of the poses"),
+            Option("cross_sd", float, 0.01, "prior standard deviation of the cross terms; 0 holds them at zero"),
+        ),
+        accel_thermal,
     ),
 )
 """In the order of the command line."""
