@@ -1,0 +1,171 @@
+"""How the gyroscope carries the direction of gravity from one pose to the next, and what that says of its model.
+
+In the body the direction u of gravity obeys ``du/dt = -w x u`` with ``w = G (m - b)``, the rate that the model G, b
+makes of the samples m. Each sample rules the time that is nearest to it, in which the rate counts as constant: the
+step is then a rotation, exactly (Rodrigues). Steps are multiplied in chunks side by side, so that forty movements cost
+no more calls than one.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_CHUNK = 64  # samples multiplied in a row; all chunks go side by side
+
+
+@dataclass(frozen=True, eq=False)
+class Moves:
+    """The gyroscope's samples between the poses, cut into chunks that no two movements share.
+
+    `rates` (c, 64, 3) in sensor units about `origin` (3,), `steps` (c, 64) in seconds, zero where a chunk has ended;
+    `first` (k + 1,) says at which chunk each of the k movements begins, `durations` (k,) what it lasts.
+    """
+
+    rates: Array
+    steps: Array
+    first: NDArray[np.intp]
+    origin: Array
+    durations: Array
+
+    def __len__(self) -> int:
+        return len(self.durations)
+
+    @classmethod
+    def of(cls, t: Array, values: Array, spans: Array, origin: Array) -> Moves:
+        """The samples `values` (N, 3) at `t` (N,) that rule the time of `spans` (k, 2); N is two at least."""
+        edges = np.concatenate([[-np.inf], 0.5 * (t[1:] + t[:-1]), [np.inf]])
+        rates, steps, first = [], [], [0]
+        for start, end in spans:
+            i = max(int(np.searchsorted(edges, start, side="right")) - 1, 0)
+            j = int(np.searchsorted(edges, end))
+            step = np.minimum(edges[i + 1 : j + 1], end) - np.maximum(edges[i:j], start)
+            count = -(-len(step) // _CHUNK)
+            padding = count * _CHUNK - len(step)
+            rates.append(np.vstack([values[i:j] - origin, np.zeros((padding, 3))]))
+            steps.append(np.concatenate([step, np.zeros(padding)]))
+            first.append(first[-1] + count)
+        return cls(
+            rates=np.concatenate([*rates, np.zeros((0, 3))]).reshape(-1, _CHUNK, 3),
+            steps=np.concatenate([*steps, np.zeros(0)]).reshape(-1, _CHUNK),
+            first=np.array(first, dtype=np.intp),
+            origin=origin,
+            durations=spans[:, 1] - spans[:, 0],
+        )
+
+    def take(self, which: NDArray[np.intp]) -> Moves:
+        """Only the movements `which`."""
+        counts = np.diff(self.first)[which]
+        chunks = np.concatenate([np.arange(self.first[k], self.first[k + 1]) for k in which] or [np.zeros(0, np.intp)])
+        first = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
+        return Moves(self.rates[chunks], self.steps[chunks], first, self.origin, self.durations[which])
+
+    def thinned(self) -> Moves:
+        """The same movements seen by every second sample: what a sampler of half the rate would have."""
+        return dataclasses.replace(self, rates=self.rates[:, ::2], steps=self.steps[:, ::2] + self.steps[:, 1::2])
+
+    @property
+    def mean_step(self) -> float:
+        """Mean time that a sample rules, s."""
+        return float(self.steps.sum() / max(np.count_nonzero(self.steps), 1))
+
+
+@dataclass(frozen=True, eq=False)
+class Turns:
+    """What the movements did to the body, by one model of the gyroscope.
+
+    `rotations` (k, 3, 3): ``u_after = D u_before``. `sensitivity` (k, 3, 12): a change of the model (nine entries of G
+    by rows, then b) turns ``D u`` by ``-psi x D u`` with ``psi = sensitivity @ change``. `noise` (k, 3, 3) is the
+    covariance of psi by the white noise of the samples.
+    """
+
+    rotations: Array
+    sensitivity: Array
+    noise: Array
+
+
+def integrate(moves: Moves, matrix: Array, offset: Array, density: Array) -> Turns:
+    """Integrate every movement.
+
+    Parameters
+    ----------
+    moves
+        The samples between the poses.
+    matrix, offset : shape (3, 3) and (3,)
+        Rate = matrix @ (sample - offset), rad/s; the offset is absolute, not about ``moves.origin``.
+    density : shape (3,)
+        Noise of the three axes, (sensor unit)^2 s: variance of a white sample times the time between samples.
+    """
+    x = moves.rates - (offset - moves.origin)
+    phi = (x @ matrix.T) * moves.steps[..., None]
+    before, whole = _chained(_rotations(phi))
+    # psi seen at the start of the chunk: the sum of A_i^T J(phi_i) h_i dw_i, A_i the rotation before sample i
+    carried = np.swapaxes(before, -1, -2) @ _left_jacobian(phi)
+    carried = carried * moves.steps[..., None, None]
+    regressors = np.concatenate([x, np.ones_like(x[..., :1])], axis=-1)
+    sums = np.einsum("cnij,cnr->cirj", carried, regressors, optimize=True)  # (c, 3, 4, 3)
+    by_matrix = np.swapaxes(sums[:, :, :3, :], 2, 3).reshape(-1, 3, 9)  # G by rows: dw_j = dG_jr x_r
+    local = np.concatenate([by_matrix, -sums[:, :, 3, :] @ matrix], axis=2)
+    spread = carried @ (matrix * np.sqrt(density)) / np.sqrt(np.maximum(moves.steps, 1e-300))[..., None, None]
+    wide = np.moveaxis(spread, 1, 2).reshape(len(spread), 3, -1)
+    return _joined(moves, whole, local, wide @ np.swapaxes(wide, 1, 2))
+
+
+def _joined(moves: Moves, whole: Array, local: Array, noise: Array) -> Turns:
+    """From chunks to movements; psi is turned to the end of its movement."""
+    count = len(moves)
+    counts = np.diff(moves.first)
+    rotation = np.tile(np.eye(3), (count, 1, 1))
+    total, covariance = np.zeros((count, 3, 12)), np.zeros((count, 3, 3))
+    for k in range(int(counts.max(initial=0))):
+        on = np.flatnonzero(counts > k)
+        chunk = moves.first[on] + k
+        back = np.swapaxes(rotation[on], 1, 2)
+        total[on] += back @ local[chunk]
+        covariance[on] += back @ noise[chunk] @ rotation[on]
+        rotation[on] = whole[chunk] @ rotation[on]
+    return Turns(rotation, rotation @ total, rotation @ covariance @ np.swapaxes(rotation, 1, 2))
+
+
+def _rotations(phi: Array) -> Array:
+    """``exp(-[phi]x)`` (..., 3, 3) of rotation vectors (..., 3)."""
+    angle2 = (phi**2).sum(axis=-1)
+    angle = np.sqrt(angle2)
+    sinc = np.sinc(angle / np.pi)
+    half = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2  # (1 - cos)/angle^2
+    x, y, z = phi[..., 0], phi[..., 1], phi[..., 2]
+    R = np.empty((*phi.shape, 3))
+    R[..., 0, 0], R[..., 1, 1], R[..., 2, 2] = (1.0 - half * (angle2 - c * c) for c in (x, y, z))
+    for i, j, a, b, c in ((0, 1, x, y, z), (2, 0, z, x, y), (1, 2, y, z, x)):
+        R[..., i, j] = half * a * b + sinc * c
+        R[..., j, i] = half * a * b - sinc * c
+    return R
+
+
+def _left_jacobian(phi: Array) -> Array:
+    """How ``exp(-[phi]x)`` turns with phi, seen before the step: ``I + [phi]x/2 + [phi]x^2/6 + ...``, (..., 3, 3)."""
+    angle2 = (phi**2).sum(axis=-1)
+    half = 0.5 * np.sinc(0.5 * np.sqrt(angle2) / np.pi) ** 2
+    third = 1.0 / 6.0 - angle2 / 120.0  # (angle - sin)/angle^3; a step is far below one radian
+    x, y, z = phi[..., 0], phi[..., 1], phi[..., 2]
+    J = np.empty((*phi.shape, 3))
+    J[..., 0, 0], J[..., 1, 1], J[..., 2, 2] = (1.0 - third * (angle2 - c * c) for c in (x, y, z))
+    for i, j, a, b, c in ((0, 1, x, y, z), (2, 0, z, x, y), (1, 2, y, z, x)):
+        J[..., i, j] = third * a * b - half * c
+        J[..., j, i] = third * a * b + half * c
+    return J
+
+
+def _chained(steps: Array) -> tuple[Array, Array]:
+    """Rotations before every step of its chunk, and over the whole chunk: ``D = E_64 ... E_2 E_1``."""
+    before = np.empty_like(steps)
+    total = np.tile(np.eye(3), (len(steps), 1, 1))
+    for k in range(steps.shape[1]):
+        before[:, k] = total
+        total = steps[:, k] @ total
+    return before, total

@@ -1,0 +1,357 @@
+"""From the joint solution to a fit of either sensor: units, canonical form, what is open and what would close it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.attitude import drift_sd_deg_per_min, tilt_sd_deg
+from calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
+from calib.imu.poses import Poses
+from calib.imu.problem import symmetric
+from calib.imu.weigh import MISFIT, GroupFit, Weighed
+from calib.norm_fit import PAIRS
+from calib.recording import Channel, Sensor
+from calib.residuals import residual_statistics
+from calib.triad import TriadModel
+
+Array = NDArray[np.float64]
+Form = Literal["symmetric", "upper"]
+
+METHOD = "imu-multi"
+MOVEMENT = (
+    "hold the unit still for two seconds in twelve or more different poses, each side down once and the others "
+    "oblique, and turn it about another axis each time"
+)
+EARTH_RATE = 7.292115e-5
+"""Turn of the Earth against the stars, rad/s (WGS 84)."""
+_FACES = (("nose up", "nose down"), ("left side down", "right side down"), ("upside down", "level"))
+
+
+@dataclass(frozen=True, eq=False)
+class Facts:
+    """What both results are told of the recording: the channels as given, and the settings."""
+
+    accel: Channel
+    gyro: Channel
+    gravity: float
+    form: Form
+    temperature: float | None
+    relative: bool
+
+
+def imu_refused(facts: Facts, message: str) -> tuple[FitResult, FitResult]:
+    """Both sensors refused, with what would determine them."""
+    accel, gyro = (
+        refused(
+            METHOD,
+            channel.sensor,
+            channel.instance,
+            message,
+            unit=channel.unit,
+            n_samples=len(channel),
+            movement=MOVEMENT,
+        )
+        for channel in (facts.accel, facts.gyro)
+    )
+    return accel, gyro
+
+
+def imu_results(
+    facts: Facts,
+    poses: Poses,
+    weighed: Weighed,
+    covariance: Array,
+    unknown: NDArray[np.intp],
+    *,
+    radius: float,
+    gyro_scale: float,
+    moves_left_out: int,
+) -> tuple[FitResult, FitResult]:
+    """The fits of both sensors, from the solution in radii and scaled rates with its `covariance` (21, 21)."""
+    x = weighed.solution.x
+    spread = _derivative(x, facts, radius, gyro_scale)
+    full = spread @ covariance @ spread.T
+    full[12:15, 12:15] += np.diag(_earth_variance(poses) / gyro_scale**2)
+    models = _models(x, facts, radius, gyro_scale)
+    names = _open_names(unknown, facts.form)
+    warnings = _warnings(facts, poses, weighed, moves_left_out)
+    quality = _quality(poses, weighed, moves_left_out)
+    return (
+        _accel_fit(facts, poses, weighed, models[0], full[:12, :12], names[0], warnings, quality, radius),
+        _gyro_fit(facts, poses, weighed, models[1], full[12:, 12:], names[1], warnings, quality, gyro_scale),
+    )
+
+
+def _models(x: Array, facts: Facts, radius: float, gyro_scale: float) -> tuple[TriadModel, TriadModel]:
+    """Both models in the units of the sensors and the frame of the chosen form."""
+    accel = TriadModel(radius * x[:3], facts.gravity / radius * symmetric(x[3:9]))
+    matrix = gyro_scale * x[9:18].reshape(3, 3)
+    if facts.form == "upper":
+        upper = accel.upper_triangular()
+        matrix = upper.matrix @ np.linalg.inv(accel.matrix) @ matrix
+        accel = upper
+    return accel, TriadModel(x[18:21] / gyro_scale, matrix)
+
+
+def _derivative(x: Array, facts: Facts, radius: float, gyro_scale: float) -> Array:
+    """Derivative (24, 21) of the numbers of both models by the unknowns, by central differences."""
+
+    def numbers(at: Array) -> Array:
+        models = _models(at, facts, radius, gyro_scale)
+        return np.concatenate([part for m in models for part in (m.offset, m.matrix.ravel())])
+
+    step = 1e-6
+    shifts = step * np.eye(len(x))
+    return np.column_stack([(numbers(x + h) - numbers(x - h)) / (2.0 * step) for h in shifts])
+
+
+def _earth_variance(poses: Poses) -> Array:
+    """Variance (3,) of the offset by the Earth's rate, whose direction changes with the pose, (rad/s)^2."""
+    weights = 1.0 / poses.rate_variances
+    weights = weights / weights.sum(axis=0)
+    return np.asarray(EARTH_RATE**2 / 3.0 * (weights**2).sum(axis=0), dtype=np.float64)
+
+
+def _open_names(unknown: NDArray[np.intp], form: Form) -> tuple[dict[str, str], dict[str, str]]:
+    """The numbers of accelerometer and gyroscope that are open, each with the movement that would determine it."""
+    accel: dict[str, str] = {}
+    gyro: dict[str, str] = {}
+    for index in unknown:
+        if index < 6:
+            axis = index % 3
+            name = f"offset_{AXES[axis]}" if index < 3 else f"matrix_{AXES[axis]}{AXES[axis]}"
+            accel[name] = f"hold it {_FACES[axis][0]} and {_FACES[axis][1]}"
+        elif index < 9:
+            i, j = PAIRS[index - 3]
+            for row, column in ((i, j), (j, i))[: 2 if form == "symmetric" else 1]:
+                accel[f"matrix_{AXES[row]}{AXES[column]}"] = _oblique(i, j)
+        else:
+            row, column = divmod(int(index) - 9, 3)
+            gyro[f"matrix_{AXES[row]}{AXES[column]}"] = _turning(row, column)
+    return accel, gyro
+
+
+def _oblique(i: int, j: int) -> str:
+    return (
+        f"hold poses with {AXES[i]} and {AXES[j]} both 45 degrees from vertical, in all four quadrants, "
+        f"and turn about {AXES[3 - i - j]} in between"
+    )
+
+
+def _turning(row: int, column: int) -> str:
+    if row == column:
+        return f"turn it about {AXES[row]} by 90 degrees or more, that axis level, between still poses, both ways"
+    return f"turn it about {AXES[column]} by 90 degrees or more with {AXES[row]} level, between still poses, both ways"
+
+
+def _warnings(facts: Facts, poses: Poses, weighed: Weighed, moves_left_out: int) -> tuple[str, ...]:
+    found = []
+    for group, what, extra in (
+        (weighed.poses, "poses", weighed.problem.extra[0]),
+        (weighed.moves, "movements", weighed.problem.extra[1]),
+    ):
+        if group.p_value is not None and group.p_value < MISFIT:
+            added = (
+                f"{facts.gravity * np.sqrt(extra):.2g} m/s2"
+                if what == "poses"
+                else f"{np.degrees(np.sqrt(extra)):.2g} deg"
+            )
+            found.append(
+                f"the {what} scatter {np.sqrt(group.chi2 / group.dof):.1f} times their noise (sway, non-linearity, "
+                f"vibration); {added} each are added to it, and the sd are that much wider"
+            )
+    left = len(poses) - len(weighed.kept)
+    if left:
+        spans = [poses.spans[k] for k in range(len(poses)) if k not in weighed.kept]
+        listed = ", ".join(f"{start:.1f} to {end:.1f} s" for start, end in spans)
+        found.append(f"{left} of {len(poses)} poses contradict the others and were left out: {listed}")
+    if moves_left_out:
+        found.append(f"{moves_left_out} movements were left out: the gyroscope has holes, is clipped or contradicts")
+    if weighed.problem.freedom < 10:
+        found.append(f"only {weighed.problem.freedom} residuals more than unknowns: hold more poses to test the fit")
+    return tuple(found)
+
+
+def _quality(poses: Poses, weighed: Weighed, moves_left_out: int) -> dict[str, Any]:
+    at = weighed.solution.at
+    extra = weighed.problem.extra
+    return {
+        "poses": len(weighed.kept),
+        "poses_left_out": len(poses) - len(weighed.kept),
+        "moves": len(weighed.problem.before),
+        "moves_left_out": moves_left_out,
+        "still_s": float(np.diff(poses.spans, axis=1).sum()),
+        "moving_s": float(weighed.problem.moves.durations.sum()),
+        "extra_direction_sd_deg": float(np.degrees(np.sqrt(extra[1]))),
+        "extra_pose_sd_g": float(np.sqrt(extra[0])),
+        "joint_chi2": at.cost,
+        "joint_dof": weighed.problem.freedom,
+        "spans": poses.spans[weighed.kept].tolist(),
+    }
+
+
+def _statistics(residuals: Array, group: GroupFit) -> dict[str, Any]:
+    """Size of the residuals against the sensors' own noise, and their whiteness after weighing."""
+    return {
+        **residual_statistics(residuals, max(round(group.dof), 0), 1.0),
+        "chi2": group.chi2,
+        "p_value": group.p_value,
+    }
+
+
+def _accel_fit(
+    facts: Facts,
+    poses: Poses,
+    weighed: Weighed,
+    model: TriadModel,
+    covariance: Array,
+    open_names: dict[str, str],
+    warnings: tuple[str, ...],
+    quality: dict[str, Any],
+    radius: float,
+) -> FitResult:
+    axes_open = {name[-1] for name in open_names if name in _DIRECT}
+    if len(axes_open) == 3 or (axes_open and facts.accel.unit != "m/s2"):
+        return _one_refused(facts, facts.accel, tuple(open_names), "accelerometer")
+    corrected = np.linalg.norm(model.apply(poses.means[weighed.kept]), axis=1) - facts.gravity
+    rms = float(np.sqrt((corrected**2).mean()))
+    return FitResult(
+        method=METHOD,
+        sensor=Sensor.ACCEL,
+        instance=facts.accel.instance,
+        status=FitStatus.PARTIAL if open_names else FitStatus.OK,
+        message=_message(weighed, open_names),
+        model=model,
+        covariance=covariance,
+        unit=facts.accel.unit,
+        n_samples=len(facts.accel),
+        n_used=int(poses.counts[weighed.kept].sum()),
+        residual_rms=rms * radius / facts.gravity,
+        condition_number=_condition(weighed, slice(0, 9)),
+        relative=facts.relative,
+        undetermined=tuple(open_names),
+        movements=open_names,
+        warnings=warnings,
+        temperature=facts.temperature,
+        quality={
+            **_statistics(weighed.solution.at.poses, weighed.poses),
+            **quality,
+            "gravity": facts.gravity,
+            "norm_rms": rms,
+            "pose_residuals": corrected.tolist(),
+            "noise_sd": poses.noise_sd,
+            "attitude_sd_deg": tilt_sd_deg(model, covariance, facts.gravity),
+        },
+        native=_native(model, facts.form),
+    )
+
+
+def _gyro_fit(
+    facts: Facts,
+    poses: Poses,
+    weighed: Weighed,
+    model: TriadModel,
+    covariance: Array,
+    open_names: dict[str, str],
+    warnings: tuple[str, ...],
+    quality: dict[str, Any],
+    gyro_scale: float,
+) -> FitResult:
+    scales_open = [name for name in open_names if name[-1] == name[-2]]
+    if scales_open and facts.gyro.unit != "rad/s":
+        return _one_refused(facts, facts.gyro, tuple(open_names), "gyroscope")
+    moves = weighed.problem.moves
+    misses = weighed.solution.at.moves
+    closure = _closure(weighed)
+    turning = float(np.sqrt((moves.durations**2).mean())) if len(moves) else 1.0
+    return FitResult(
+        method=METHOD,
+        sensor=Sensor.GYRO,
+        instance=facts.gyro.instance,
+        status=FitStatus.PARTIAL if open_names else FitStatus.OK,
+        message=_message(weighed, open_names),
+        model=model,
+        covariance=covariance,
+        unit=facts.gyro.unit,
+        n_samples=len(facts.gyro),
+        n_used=int(poses.gyro_counts.sum()) + int(np.count_nonzero(moves.steps)),
+        residual_rms=closure / turning / gyro_scale,
+        condition_number=_condition(weighed, slice(9, 18)),
+        relative=facts.relative,
+        undetermined=tuple(open_names),
+        movements=open_names,
+        warnings=warnings,
+        temperature=facts.temperature,
+        quality={
+            **_statistics(misses, weighed.moves),
+            **quality,
+            "closure_rms_deg": float(np.degrees(closure)),
+            "noise_sd": np.sqrt(poses.gyro_noise).tolist(),
+            "attitude_sd_deg_per_min": drift_sd_deg_per_min(model, covariance),
+        },
+        native=_native(model, facts.form),
+    )
+
+
+_DIRECT = frozenset(parameter_names()[i] for i in (0, 1, 2, 3, 7, 11))  # offsets and scales
+
+
+def _one_refused(facts: Facts, channel: Channel, names: tuple[str, ...], what: str) -> FitResult:
+    return refused(
+        METHOD,
+        channel.sensor,
+        channel.instance,
+        f"the poses and movements do not determine the {what}'s {', '.join(names)}: {MOVEMENT}",
+        unit=channel.unit,
+        n_samples=len(channel),
+        movement=MOVEMENT,
+    )
+
+
+def _message(weighed: Weighed, open_names: dict[str, str]) -> str:
+    fitted = f"fitted to {len(weighed.kept)} poses and {len(weighed.problem.before)} movements between them"
+    if not open_names:
+        return fitted
+    return f"{fitted}; not determined: {', '.join(open_names)}: {next(iter(open_names.values()))}"
+
+
+def _closure(weighed: Weighed) -> float:
+    """Root mean square, rad, of what the movements miss the next direction by."""
+    solution, before = weighed.solution, weighed.problem.before
+    if not len(before):
+        return 0.0
+    carried = np.einsum("kij,kj->ki", solution.turns.rotations, solution.directions[before])
+    return float(np.sqrt(((carried - solution.directions[before + 1]) ** 2).sum(axis=1).mean()))
+
+
+def _condition(weighed: Weighed, part: slice) -> float:
+    """Condition of the joint information of one sensor's unknowns, each scaled to one."""
+    information = weighed.solution.information
+    diagonal = np.diag(information)[part]
+    on = np.flatnonzero(diagonal > 1e-12 * diagonal.max(initial=0.0)) + part.start
+    if not len(on):
+        return 0.0
+    scale = np.sqrt(np.diag(information)[on])
+    return float(np.sqrt(np.linalg.cond(information[np.ix_(on, on)] / np.outer(scale, scale))))
+
+
+def _native(model: TriadModel, form: Form) -> dict[str, Any]:
+    """Also in the form of imu_tk, ``T K (raw - b)``: misalignment T of unit diagonal, scale K, bias b."""
+    scale = np.diag(model.matrix)
+    native: dict[str, Any] = {
+        "offset": model.offset.tolist(),
+        "matrix": model.matrix.tolist(),
+        "form": form,
+        "units_per_si": (1.0 / scale).tolist() if (scale != 0.0).all() else None,
+    }
+    if (scale != 0.0).all():
+        native["imu_tk"] = {
+            "misalignment": (model.matrix / scale).tolist(),
+            "scale": scale.tolist(),
+            "bias": model.offset.tolist(),
+        }
+    return native

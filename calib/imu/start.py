@@ -1,0 +1,89 @@
+"""Where the joint fit begins: the accelerometer by itself, and a gyroscope of roughly known scale and axes."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.imu.integrate import integrate
+from calib.imu.problem import ImuProblem, cross, symmetric
+from calib.recording import Channel
+
+Array = NDArray[np.float64]
+
+_COARSE = 9.0  # times the variance of a turn by noise: what the samples' rate changes is more than that
+_BLOCK = 0.1  # s over which the direction is averaged while it turns
+
+
+def rough_gyro(accel: Channel, gyro: Channel, spans: Array, rest: Array, centre: Array) -> Array | None:
+    """Matrix (3, 3), rad/s per unit of `gyro`, by which the accelerometer turns between the poses; None: not told.
+
+    ``u' = -w x u`` over blocks of a tenth of a second, linear in the matrix; what the hand accelerates counts as noise.
+
+    Parameters
+    ----------
+    accel, gyro
+        Finite samples of the same time.
+    spans : shape (K, 2)
+        The movements, s.
+    rest, centre : shape (3,)
+        What the gyroscope reads at rest, and the accelerometer without gravity.
+    """
+    rows, changes = [], []
+    for start, end in spans:
+        edges = np.arange(start, end + _BLOCK, _BLOCK)
+        u = _block_means(accel, edges) - centre
+        x = _block_means(gyro, edges) - rest
+        u = u / np.linalg.norm(u, axis=1)[:, None]
+        product = np.einsum("kij,kr->kijr", cross(u), x).reshape(-1, 3, 9)  # [u]x G x, G by rows
+        rows.append(0.5 * _BLOCK * (product[1:] + product[:-1]))
+        changes.append(np.diff(u, axis=0))
+    if not rows:
+        return None
+    design, change = np.concatenate(rows).reshape(-1, 9), np.concatenate(changes).ravel()
+    good = np.isfinite(design).all(axis=1) & np.isfinite(change)
+    if good.sum() < 60:
+        return None
+    solution, _, rank, _ = np.linalg.lstsq(design[good], change[good], rcond=1e-3)
+    matrix = solution.reshape(3, 3)
+    return matrix if rank == 9 and np.linalg.cond(matrix) < 100.0 else None
+
+
+def closure(problem: ImuProblem, x: Array) -> float:
+    """Root mean square, rad, of the angle by which the movements of the model `x` (21,) miss the next pose."""
+    inclined = (problem.means - x[:3]) @ symmetric(x[3:9])
+    u = inclined / np.linalg.norm(inclined, axis=1)[:, None]
+    rotations = integrate(problem.moves, x[9:18].reshape(3, 3), x[18:21], problem.density).rotations
+    carried = np.einsum("kij,kj->ki", rotations, u[problem.before])
+    cosines = np.einsum("ki,ki->k", carried, u[problem.before + 1])
+    return float(np.sqrt((np.arccos(np.clip(cosines, -1.0, 1.0)) ** 2).mean()))
+
+
+def with_turn_noise(problem: ImuProblem, x: Array) -> ImuProblem:
+    """The problem with the noise of its turns as the model `x` (21,) has it, coarse sampling included.
+
+    A turn that every second sample shows otherwise was faster than the samples: a third of the difference is its error
+    (Richardson, second order).
+    """
+    matrix, offset = x[9:18].reshape(3, 3), x[18:21]
+    turns = integrate(problem.moves, matrix, offset, problem.density)
+    coarse = integrate(problem.moves.thinned(), matrix, offset, problem.density).rotations
+    apart = coarse @ np.swapaxes(turns.rotations, 1, 2)
+    angles = 0.5 * np.stack([apart[:, j, i] - apart[:, i, j] for i, j in ((1, 2), (2, 0), (0, 1))], axis=1)
+    noise = np.einsum("kii->k", turns.noise)
+    error = (angles**2).sum(axis=1)
+    fast = np.where(error > _COARSE * noise, error / 9.0, 0.0)
+    return dataclasses.replace(problem, turn_covariances=turns.noise + fast[:, None, None] * np.eye(3))
+
+
+def _block_means(channel: Channel, edges: Array) -> Array:
+    """Means (B, 3) between consecutive `edges` (B + 1,); nan where there is no sample."""
+    which = np.searchsorted(channel.t, edges)
+    sums = np.vstack([np.zeros(3), np.cumsum(channel.values[which[0] : which[-1]], axis=0)])
+    counts = np.diff(which)[:, None]
+    total = np.diff(sums[which - which[0]], axis=0)
+    means = np.full(total.shape, np.nan)
+    np.divide(total, counts, out=means, where=counts > 0)
+    return means

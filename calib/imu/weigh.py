@@ -1,0 +1,159 @@
+"""Noise that the residuals show beyond the sensors' own, and the poses or movements that are off.
+
+A hand's sway, the sensors' non-linearity and acceleration that the gyroscope feels are in no pose's scatter. Where the
+residuals of the poses, or of the movements, are larger than their noise by more than chance, one variance for all of
+that kind is added until they are as large as expected (Paule and Mandel 1982, by the redundancy of each group as in
+Helmert's variance components).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from calib.imu.problem import ImuProblem, ImuSolution, Prior, linearise, log_determinant, solve
+from calib.mag.result import student_variance
+
+Array = NDArray[np.float64]
+
+MISFIT = 0.01
+"""Chance below which residuals count as larger than their noise."""
+_POSES, _MOVES = 0, 1  # places of the groups
+_ROUNDS = 12
+_ENOUGH = 0.02  # relative, of the residuals' size
+_OUTLIER = 5.0  # sd of one residual component after weighing
+_MOST_LEFT_OUT = 0.1  # of the poses
+
+
+@dataclass(frozen=True)
+class GroupFit:
+    """Sum of squares, redundancy and chance of one group of residuals, by the sensors' own noise alone."""
+
+    chi2: float
+    dof: float
+
+    @property
+    def p_value(self) -> float | None:
+        """Chance of so large a sum; None where nothing is redundant."""
+        return float(chdtrc(self.dof, self.chi2)) if self.dof >= 0.5 else None
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """The solution with honest weights, how both groups fitted without them, and what was left out.
+
+    `kept` (P',) are the poses of the given problem that are still in it, `moves_out` the movements that are not.
+    """
+
+    problem: ImuProblem
+    solution: ImuSolution
+    poses: GroupFit
+    moves: GroupFit
+    kept: NDArray[np.intp]
+    moves_out: int
+
+    @property
+    def doubt(self) -> float:
+        """Factor on variances whose noise was found from the residuals themselves, few as they are; else one."""
+        return student_variance(max(self.problem.freedom, 1)) if any(self.problem.extra) else 1.0
+
+
+def weigh(problem: ImuProblem, solution: ImuSolution, prior: Prior) -> Weighed:
+    """Add variances until poses and movements fit, and leave out what never does, at most a tenth of it.
+
+    A movement that is off by more than five sd goes alone, a pose takes its movements with it.
+    """
+    kept, given = np.arange(len(problem.means)), len(problem.before)
+    budget = int(_MOST_LEFT_OUT * len(kept))
+    while True:
+        poses, moves = groups(problem, solution)
+        done, at = _expanded(problem, solution, poses, moves, prior)
+        worst = _worst(at)
+        if worst is None or budget == 0:
+            return Weighed(done, at, poses, moves, kept, given - len(done.before))
+        pose, move = worst
+        fewer = problem.without_move(move) if pose is None else problem.without_pose(pose)
+        directions = at.directions if pose is None else np.delete(at.directions, pose, axis=0)
+        again = solve(fewer, at.x, directions, prior=prior)
+        if again is None:
+            return Weighed(done, at, poses, moves, kept, given - len(done.before))
+        if pose is not None:
+            kept = np.delete(kept, pose)
+        problem, solution, budget = fewer, again, budget - 1
+
+
+def groups(problem: ImuProblem, solution: ImuSolution) -> tuple[GroupFit, GroupFit]:
+    """How poses and movements fit the noise that `problem` gives them."""
+    used = [_used(problem, solution, group) for group in (_POSES, _MOVES)]
+    at = solution.at
+    return (
+        GroupFit(float((at.poses**2).sum()), at.poses.size - used[0]),
+        GroupFit(float((at.moves**2).sum()), at.moves.size - used[1]),
+    )
+
+
+def _used(problem: ImuProblem, solution: ImuSolution, group: int) -> float:
+    """How many unknowns a group of residuals determines: ``tr(N^-1 N_group) = d log det N / d log weight``."""
+    step = 0.01
+    values = []
+    for sign in (1.0, -1.0):
+        weights = [1.0, 1.0]
+        weights[group] = float(np.exp(sign * step))
+        at = linearise(problem, solution.x, solution.directions, solution.turns, weights=(weights[0], weights[1]))
+        values.append(log_determinant(at))
+    return (values[0] - values[1]) / (2.0 * step)
+
+
+def _expanded(
+    problem: ImuProblem, solution: ImuSolution, poses: GroupFit, moves: GroupFit, prior: Prior
+) -> tuple[ImuProblem, ImuSolution]:
+    """The problem with the variances that make the groups fit, and its solution.
+
+    The movements come first: their noise is the one less known, and a movement that is off bends the poses at its ends.
+    """
+    fits = (poses, moves)
+    for group in (_MOVES, _POSES, _MOVES):
+        p_value = fits[group].p_value
+        if p_value is not None and p_value < MISFIT:
+            problem, solution = _fitted(problem, solution, group, prior)
+            fits = groups(problem, solution)
+    return problem, solution
+
+
+def _fitted(problem: ImuProblem, solution: ImuSolution, group: int, prior: Prior) -> tuple[ImuProblem, ImuSolution]:
+    """The problem with the variance that makes one group's residuals as large as expected."""
+    size = _typical_variances(problem)[group]
+    for _ in range(_ROUNDS):
+        fit = groups(problem, solution)[group]
+        factor = fit.chi2 / max(fit.dof, 0.5)
+        if abs(factor - 1.0) < _ENOUGH or (factor < 1.0 and problem.extra[group] == 0.0):
+            break
+        extra = list(problem.extra)
+        extra[group] = max(factor * (size + extra[group]) - size, 0.0)
+        wider = dataclasses.replace(problem, extra=(extra[0], extra[1]))
+        again = solve(wider, solution.x, solution.directions, prior=prior)
+        if again is None:
+            break
+        problem, solution = wider, again
+    return problem, solution
+
+
+def _typical_variances(problem: ImuProblem) -> tuple[float, float]:
+    poses = np.einsum("kii->k", problem.covariances) / 3.0
+    moves = np.einsum("kii->k", problem.turn_covariances) / 3.0
+    moves = moves + problem.wander[problem.before] + problem.wander[problem.before + 1]
+    return float(np.median(poses)), float(np.median(moves)) if len(moves) else 0.0
+
+
+def _worst(solution: ImuSolution) -> tuple[int | None, int] | None:
+    """The pose, else the movement (as the second number), that is off by most; None if none is off."""
+    poses, moves = (np.abs(r).max(axis=1, initial=0.0) for r in (solution.at.poses, solution.at.moves))
+    if max(poses.max(initial=0.0), moves.max(initial=0.0)) <= _OUTLIER:
+        return None
+    if moves.max(initial=0.0) > poses.max(initial=0.0):
+        return None, int(np.argmax(moves))
+    return int(np.argmax(poses)), -1
