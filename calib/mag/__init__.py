@@ -4,10 +4,12 @@
 
     minmax  sphere  ellipsoid_axis    the specified methods, starting values
     ellipsoid                         the full fit: moments (one pass) -> distance (orthogonal) -> robust (outliers)
+    auto                              how much soft iron the samples show: sphere, three radii or the full matrix
+    running                           one pass with its covariance: recursive, mergeable, with forgetting
     accumulator  coverage             for a live procedure: the fit so far, what it is worth, where to turn next
     blur                              a compass that averages while it turns
     orientation                       mounting rotation against the accelerometer
-    samples  shape  serial  heading  sections  result      what these share
+    samples  shape  shape_fit  serial  heading  sections  result      what these share
 
 Every fit takes samples (N, 3) in order of time and the keywords of :class:`calib.mag.result.MagContext`, and returns a
 :class:`calib.fit.FitResult` over offset and matrix whose ``quality`` holds
@@ -36,6 +38,8 @@ from calib.mag.heading import heading_sd_deg
 from calib.mag.minmax import fit_minmax
 from calib.mag.orientation import OrientationResult, Verdict, find_orientation
 from calib.mag.result import MagContext
+from calib.mag.running import RunningEllipsoid
+from calib.mag.shape import MagModel
 from calib.mag.sphere import fit_sphere
 
 __all__ = [
@@ -43,7 +47,9 @@ __all__ = [
     "Coverage",
     "EllipsoidAccumulator",
     "MagContext",
+    "MagModel",
     "OrientationResult",
+    "RunningEllipsoid",
     "Verdict",
     "deblurred",
     "find_orientation",

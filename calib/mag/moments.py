@@ -22,10 +22,10 @@ from calib.mag.shape import Ellipsoid, MagModel
 
 Array = NDArray[np.float64]
 
-# Exponents of x, y, z in the ten monomials of psi.
-_POWERS = np.array(
+POWERS = np.array(
     [[2, 0, 0], [0, 2, 0], [0, 0, 2], [1, 1, 0], [1, 0, 1], [0, 1, 1], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 0]]
 )
+"""Exponents of x, y, z in the ten monomials of psi, (10, 3)."""
 
 # Noise-corrected power: t_e = sum_m _HERMITE[e][m] v^m x^(e - 2m), and E t_e(x + noise) = x^e.
 _HERMITE = ((1.0,), (1.0,), (1.0, -1.0), (1.0, -3.0), (1.0, -6.0, 3.0))
@@ -37,10 +37,10 @@ def _correction_table() -> Array:
     """Table (3, 100, 100): gram matrix -> K0, K1, K2, all flattened."""
     where: dict[tuple[int, ...], int] = {}
     for p, q in itertools.product(range(10), repeat=2):
-        where.setdefault(tuple(_POWERS[p] + _POWERS[q]), 10 * p + q)
+        where.setdefault(tuple(POWERS[p] + POWERS[q]), 10 * p + q)
     table = np.zeros((3, 100, 100))
     for p, q in itertools.product(range(10), repeat=2):
-        powers = _POWERS[p] + _POWERS[q]
+        powers = POWERS[p] + POWERS[q]
         for lowered in itertools.product(*(range(len(_HERMITE[e])) for e in powers)):
             factor = np.prod([_HERMITE[e][m] for e, m in zip(powers, lowered, strict=True)])
             source = where[tuple(int(e) - 2 * m for e, m in zip(powers, lowered, strict=True))]

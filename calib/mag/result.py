@@ -142,11 +142,21 @@ def student_variance(dof: float) -> float:
 
 def magnetometer_result(fit: ShapeFit, samples: Array, context: MagContext) -> FitResult:
     """The verdict on `fit` of `samples` (N, 3); refused where the data do not carry it."""
+    thinned = samples[:: max(1, len(samples) // _MANY)]
+    seen = visited((thinned - fit.ellipsoid.offset) @ correction(fit.ellipsoid, context.strength).matrix.T)
+    quality = residual_quality(fit, context) | {"coverage_mask": mask_bytes(seen), "coverage": float(seen.mean())}
+    return concluded(fit, quality, len(samples), len(fit.residuals), context)
+
+
+def concluded(
+    fit: ShapeFit, about_samples: Mapping[str, Any], n_samples: int, n_used: int, context: MagContext
+) -> FitResult:
+    """The verdict on `fit` from what is known of the samples: :func:`residual_quality`, and their coverage."""
     model = correction(fit.ellipsoid, context.strength)
     strength_sd = 0.0 if context.field is None else context.field.norm_sd
     full = correction_covariance(fit.ellipsoid, fit.covariance, context.strength, strength_sd)
-    quality = _quality(fit, samples, context, model, full)
-    reason = _why_not(fit, model, full)
+    quality = dict(about_samples) | _quality(fit, context, model, full)
+    reason = _why_not(fit, quality["residual_rms"], model, full)
     if reason is not None:
         message, names = reason
         return refused(
@@ -155,27 +165,26 @@ def magnetometer_result(fit: ShapeFit, samples: Array, context: MagContext) -> F
             context.instance,
             message,
             unit=context.unit,
-            n_samples=len(samples),
+            n_samples=n_samples,
             undetermined=names,
             movement=message,
             quality=MappingProxyType(quality),
         )
-    warnings = fit.warnings + _warnings(fit, context, quality)
     return FitResult(
         method=fit.method,
         sensor=Sensor.MAG,
         instance=context.instance,
         status=FitStatus.OK,
-        message=_message(fit, quality),
+        message=_message(quality),
         model=model,
         covariance=full,
         unit=context.unit,
-        n_samples=len(samples),
-        n_used=len(fit.residuals),
+        n_samples=n_samples,
+        n_used=n_used,
         residual_rms=quality["residual_rms"],
         condition_number=fit.condition_number,
         relative=context.relative,
-        warnings=warnings,
+        warnings=fit.warnings + _warnings(fit, context, quality),
         temperature=context.temperature,
         quality=MappingProxyType(quality),
         native=MappingProxyType(_native(fit.ellipsoid, model) | dict(fit.native)),
@@ -198,45 +207,47 @@ def refusal(method: str, error: UndeterminedError, n_samples: int, context: MagC
     )
 
 
-def _quality(fit: ShapeFit, samples: Array, context: MagContext, model: TriadModel, full: Array) -> dict[str, Any]:
-    ellipsoid, radius = fit.ellipsoid, fit.ellipsoid.mean_radius
-    strength = radius if context.strength is None else context.strength
-    in_microtesla = context.unit == "uT" or context.strength is not None
-    offset_sd = model.matrix @ full[:3, :3] @ model.matrix.T
-    thinned = samples[:: max(1, len(samples) // _MANY)]
-    seen = visited((thinned - ellipsoid.offset) @ model.matrix.T)
+def residual_quality(fit: ShapeFit, context: MagContext) -> dict[str, Any]:
+    """What the residuals of `fit` say of it."""
     squares = float(fit.residuals @ fit.residuals)
     noise = context.noise_variance
     floor = white_variance(fit.residuals) if noise is None else noise
-    comparable = context.unit == "uT" and context.strength is not None
     statistics = residual_statistics(fit.residuals[:LONGEST], int(fit.dof), None)
     chi2 = squares / floor if floor > 0.0 else None
     return {
         "residual_rms": math.sqrt(squares / len(fit.residuals)),
-        "dof": fit.dof,
         "chi2": chi2,
         "p_value": float(chdtrc(fit.dof, chi2)) if chi2 is not None and noise is not None else None,
         "noise_sd": math.sqrt(floor),
         "noise_from": "successive residuals" if noise is None else "given",
         "first_correlation": statistics["first_correlation"],
         "white": statistics["white"],
+    }
+
+
+def _quality(fit: ShapeFit, context: MagContext, model: TriadModel, full: Array) -> dict[str, Any]:
+    """What the ellipsoid and its covariance say of it."""
+    radius = fit.ellipsoid.mean_radius
+    strength = radius if context.strength is None else context.strength
+    in_microtesla = context.unit == "uT" or context.strength is not None
+    offset_sd = model.matrix @ full[:3, :3] @ model.matrix.T
+    comparable = context.unit == "uT" and context.strength is not None
+    return {
+        "dof": fit.dof,
         "variance_inflation": fit.variance_inflation,
         "n_outliers": fit.n_outliers,
         "radius": radius,
-        "axis_ratio": float(ellipsoid.radii[2] / ellipsoid.radii[0]),
+        "axis_ratio": float(fit.ellipsoid.radii[2] / fit.ellipsoid.radii[0]),
         "field_ratio": radius / strength if comparable else None,
         "heading_sd_deg": heading_sd_deg(model, full, strength, context.inclination, context.body_from_sensor),
         "heading_dip_deg": math.degrees(context.inclination),
         "offset_sd_ut": math.sqrt(float(np.linalg.eigvalsh(offset_sd)[-1])) if in_microtesla else None,
-        "coverage_mask": mask_bytes(seen),
-        "coverage": float(seen.mean()),
     }
 
 
-def _why_not(fit: ShapeFit, model: TriadModel, full: Array) -> tuple[str, tuple[str, ...]] | None:
-    """Why nothing of the fit may be used, and the parameters that are open; None if it may."""
+def _why_not(fit: ShapeFit, rough: float, model: TriadModel, full: Array) -> tuple[str, tuple[str, ...]] | None:
+    """Why nothing of the fit may be used, and the parameters that are open; None if it may. `rough`: residual rms."""
     radius = fit.ellipsoid.mean_radius
-    rough = float(np.sqrt(np.mean(fit.residuals**2)))
     if rough > _ROUGHEST * radius:
         message = (
             f"the magnetometer samples are {rough / radius:.0%} of the field off every {fit.form}: the field changed "
@@ -292,7 +303,7 @@ def _warnings(fit: ShapeFit, context: MagContext, quality: Mapping[str, Any]) ->
     return tuple(found)
 
 
-def _message(fit: ShapeFit, quality: Mapping[str, Any]) -> str:
+def _message(quality: Mapping[str, Any]) -> str:
     return (
         f"heading good to {quality['heading_sd_deg']:.2g} deg at a dip of {quality['heading_dip_deg']:.0f} deg, "
         f"residual {quality['residual_rms']:.3g} at a field of {quality['radius']:.4g}"
