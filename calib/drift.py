@@ -28,6 +28,8 @@ _NOT_REPEATABLE = 2.0  # half the drift below this many of its own sd, under col
 _LAG_GAIN = 0.3  # share of the residual that a lag must explain to be named
 _LEAST_SAMPLES = 5
 _REPEATED_RUN = 8
+_FAR = 2e3  # steps of the samples: beyond that they are shifted before they are squared
+_TINY = 1e-300
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,31 +136,39 @@ class DriftBlocks:
         """
         n, k = y.shape
         edges = np.linspace(0, n, _block_count(n) + 1).astype(int)
-        y0 = y[:: 1 + n // 1000].mean(axis=0) if origin is None else origin
+        sample = y[:: 1 + n // 1000]
+        shift = sample.mean(axis=0)
+        if np.abs(shift).max() > _FAR * max(float(np.diff(sample, axis=0).std()) if n > 2 else 0.0, _TINY):
+            y, shifted = y - shift, shift  # squares about zero would lose the digits of the scatter
+        else:
+            shifted = np.zeros(k)
         first = 0 if origin is None else 1
         p = degree + 1 - first
         gram, sums = np.zeros((p + k, p + k)), np.zeros((len(edges) - 1, p + k))
         counts, times = np.zeros(len(edges) - 1), np.zeros(len(edges) - 1)
+        powers = np.empty((degree + 1, int(np.diff(edges).max())))
+        powers[0] = 1.0
         for row, (i, j) in enumerate(pairwise(edges)):
-            z = np.empty((p + k, j - i))
-            z[0] = x[i:j] if first else 1.0
-            for power_of in range(1, p):
-                np.multiply(z[power_of - 1], x[i:j], out=z[power_of])
-            np.subtract(y[i:j].T, y0[:, None], out=z[p:])
-            w = None if weights is None else weights[i:j]
-            weighted = z if w is None else z * w
-            gram += weighted @ z.T
-            counts[row] = j - i if w is None else w.sum()
-            sums[row] = weighted.sum(axis=1)
+            V, Y = powers[:, : j - i], y[i:j]
+            for power_of in range(1, degree + 1):
+                np.multiply(V[power_of - 1], x[i:j], out=V[power_of])
+            W = V if weights is None else V * weights[i:j]
+            moments, products = W @ V.T, W @ Y
+            gram[:p, :p] += moments[first:, first:]
+            gram[:p, p:] += products[first:]
+            gram[p:, p:] += Y.T @ (Y if weights is None else Y * weights[i:j, None])
+            counts[row] = moments[0, 0]
+            sums[row, :p], sums[row, p:] = moments[0, first:], products[0]
             times[row] = time[i:j].mean()
+        gram, sums = _about_origin(gram, sums, counts, p, shift - shifted if origin is None else origin - shifted)
         kept = counts > 1e-6 * counts.mean()
         means = sums[kept] / counts[kept, None]
         ordinary = _least_squares(gram, p)
         squares = np.maximum(np.diag(gram[p:, p:] - gram[p:, :p] @ ordinary), 0.0)
         series = means[:, p:]
         if origin is None:  # the series were shifted
-            ordinary[0] += y0
-            series = series + y0
+            ordinary[0] += shift
+            series = series + shift
         return cls(means[:, :p], series, counts[kept], times[kept], gram[:p, :p], ordinary, squares, n)
 
     @property
@@ -175,8 +185,16 @@ class DriftBlocks:
         return coloured_covariance(self.design, self.series, self.counts, self.time, gram=self.gram)
 
 
-def _constant(values: Array) -> bool:
-    return bool((values[:1000] == values[0]).all()) and bool((values == values[0]).all())
+def _about_origin(gram: Array, sums: Array, counts: Array, p: int, shift: Array) -> tuple[Array, Array]:
+    """The sums of series that are `shift` (k,) less."""
+    gram, sums = gram.copy(), sums.copy()
+    design = sums[:, :p].sum(axis=0)
+    total, n = sums[:, p:].sum(axis=0), counts.sum()
+    gram[:p, p:] -= np.outer(design, shift)
+    gram[p:, p:] += n * np.outer(shift, shift) - np.outer(total, shift) - np.outer(shift, total)
+    gram[p:, :p] = gram[:p, p:].T
+    sums[:, p:] -= counts[:, None] * shift
+    return gram, sums
 
 
 def _least_squares(gram: Array, p: int) -> Array:
