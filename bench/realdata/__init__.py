@@ -1,0 +1,1 @@
+"""Every real recording with a known answer, fitted and compared: ``python -m bench.realdata``."""

@@ -1,0 +1,176 @@
+"""Drift with temperature, and noise over hours."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bench.realdata import recordings
+from bench.realdata.finding import Finding, compared, said, with_sd
+from calib.fit import FitResult
+from calib.methods import METHODS
+from calib.recording import Recording, Sensor
+
+_SWEEPS = ("P0_z", "P1_x")
+_CATS = {  # slopes on either sweep: m/s2 or mrad/s per degC
+    (Sensor.ACCEL, 1): (-0.0210, -0.0227),
+    (Sensor.ACCEL, 2): (0.0239, 0.0244),
+    (Sensor.GYRO, 1): (0.466, 0.449),
+    (Sensor.GYRO, 2): (0.120, 0.135),
+}
+
+
+def findings() -> list[Finding]:
+    """All of them."""
+    return [*_ntars(), *_cats(), *_allan()]
+
+
+def _slope(fit: FitResult, axis: int) -> tuple[float, float]:
+    """Slope and sd of one axis; nan where it is declined."""
+    name = f"poly1_{'xyz'[axis]}"
+    if fit.model.polynomial is None or name in fit.undetermined:
+        return np.nan, np.nan
+    return float(fit.model.polynomial.coefficients[axis, 0]), float(fit.sd[fit.names.index(name)])
+
+
+def _ntars() -> list[Finding]:
+    name = "ntars"
+    fits = {fit.sensor: fit for fit in METHODS["thermal-linear"].run(recordings.ntars(), {})}
+    accel, gyro = fits[Sensor.ACCEL], fits[Sensor.GYRO]
+    slopes = [_slope(accel, k) for k in range(3)]
+    rates = [_slope(gyro, k) for k in range(2)]
+    repeated = [w for w in accel.warnings if "repeat" in w]
+    return [
+        compared(
+            name,
+            "thermal-linear",
+            "accel slope, counts per degC",
+            (6.79942, 9.19042, 3.15345),
+            [s[0] for s in slopes],
+            0.0,
+            within=1e-5,
+            because="the digits of the specification",
+        ),
+        compared(
+            name,
+            "thermal-linear",
+            "gyro slope x, y, counts per degC",
+            (0.87682, 0.46056),
+            [s[0] for s in rates],
+            0.0,
+            within=1e-5,
+            because="the digits of the specification",
+        ),
+        said(
+            name,
+            "thermal-linear",
+            "sd of those slopes",
+            "not stated",
+            ", ".join(f"{s[1]:.2g}" for s in [*slopes, *rates]),
+            agrees=None,
+        ),
+        said(
+            name,
+            "thermal-linear",
+            "gyro z",
+            "0: it reads one value throughout",
+            "declined" if "poly1_z" in gyro.undetermined else "not declined",
+            agrees="poly1_z" in gyro.undetermined,
+        ),
+        said(
+            name,
+            "thermal-linear",
+            "rows 26 to 49 repeat rows 2 to 25",
+            "to be noticed",
+            repeated[0] if repeated else "not noticed",
+            agrees=bool(repeated),
+        ),
+    ]
+
+
+def _cats() -> list[Finding]:
+    recordings_of = {sweep: recordings.cats(sweep) for sweep in _SWEEPS}
+    fits = {s: {f.sensor: f for f in METHODS["thermal-linear"].run(r, {})} for s, r in recordings_of.items()}
+    found = []
+    for (sensor, axis), known in _CATS.items():
+        factor = 1e3 if sensor == Sensor.GYRO else 1.0
+        unit = "mrad/s" if sensor == Sensor.GYRO else "m/s2"
+        ours = factor * np.array([_slope(fits[sweep][sensor], axis) for sweep in _SWEEPS])
+        what = f"{sensor.value} {'xyz'[axis]}, {unit} per degC, sweeps {' and '.join(_SWEEPS)}"
+        found += [
+            compared(
+                "temp_cats_imu",
+                "thermal-linear",
+                what,
+                known,
+                ours[:, 0],
+                ours[:, 1],
+                within=0.02 * np.abs(known),
+                because="2 %, the same rows",
+            ),
+            _judged(recordings_of, fits, sensor, axis),
+        ]
+    declined = [s for s in _SWEEPS if np.isnan(_slope(fits[s][Sensor.GYRO], 0)[0])]
+    doubted = [s for s in _SWEEPS if "slope of x" in " ".join(fits[s][Sensor.GYRO].warnings)]
+    slopes = [1e3 * np.array(_slope(fits[s][Sensor.GYRO], 0)) for s in _SWEEPS]
+    words = [with_sd(slope[0], slope[1]) for slope in slopes]
+    words += [f"declined on {sweep}" for sweep in declined] + [f"doubted on {sweep}" for sweep in doubted]
+    return [
+        *found,
+        said(
+            "temp_cats_imu",
+            "thermal-linear",
+            "gyro x, mrad/s per degC",
+            "not repeatable: to be declined",
+            "; ".join(words),
+            agrees=len(declined) == len(_SWEEPS),
+        ),
+    ]
+
+
+def _judged(of: dict[str, Recording], fits: dict[str, dict[Sensor, FitResult]], sensor: Sensor, axis: int) -> Finding:
+    """How much of the other sweep's drift the first sweep's slope removes."""
+    first, second = _SWEEPS
+    channel, temperature = of[second].channel(sensor), of[second].channel(Sensor.TEMPERATURE)
+    at = np.interp(channel.t, temperature.t, temperature.values[:, 0])
+    values = channel.values[:, axis]
+    good = np.isfinite(values) & np.isfinite(at)
+    values, at = values[good], at[good]
+    raw, judged, own = (
+        float((values - slope * at).std())
+        for slope in (0.0, _slope(fits[first][sensor], axis)[0], _slope(fits[second][sensor], axis)[0])
+    )
+    factor, unit = (1e3, "mrad/s") if sensor == Sensor.GYRO else (1.0, "m/s2")
+    return said(
+        "temp_cats_imu",
+        "thermal-linear",
+        f"{sensor.value} {'xyz'[axis]}: sweep {second} corrected by {first}'s slope",
+        f"no better than its own slope can: {factor * own:.3g} {unit}",
+        f"{factor * raw:.3g} before, {factor * judged:.3g} {unit} after",
+        agrees=judged < 1.1 * own,
+    )
+
+
+def _allan() -> list[Finding]:
+    found = []
+    for fit in METHODS["allan"].run(recordings.galaxy(), {}):
+        begins = [span[0] for span in fit.native["holds"]["N"] if span is not None]
+        sd = fit.native["sd"]["N"]
+        found += [
+            said(
+                "allan_galaxy_s5",
+                "allan",
+                f"{fit.sensor.value}: where the slope of white noise begins",
+                "about 10 s: the phone low-passes",
+                f"{', '.join(f'{b:g}' for b in begins)} s, low-pass said",
+                agrees=all(fit.native["low_pass"]) and all(5.0 <= b <= 30.0 for b in begins),
+            ),
+            said(
+                "allan_galaxy_s5",
+                "allan",
+                f"{fit.sensor.value}: N, {fit.native['unit']['N']}",
+                "not stated",
+                with_sd(fit.native["N"], sd),
+                agrees=None,
+            ),
+        ]
+    return found
