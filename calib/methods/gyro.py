@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.errors import InvalidInputError
 from calib.fit import FitResult
-from calib.gyro import fit_gyro_rest
-from calib.methods.method import INSTANCE, Method, Options, mean_or_none
+from calib.gyro import fit_g_sensitivity, fit_gyro_rest, fit_thread, fit_turntable
+from calib.methods.method import GRAVITY, INSTANCE, Method, Option, Options, gravity_of, mean_or_none
 from calib.methods.source import Source
-from calib.recording import Sensor
+from calib.recording import Channel, Sensor
 
 Array = NDArray[np.float64]
 
@@ -34,5 +35,134 @@ def gyro_rest(source: Source, options: Options) -> list[FitResult]:
     return fits
 
 
-METHODS = (Method("gyro-rest", "Gyroscope offset at rest", "five seconds at rest", (INSTANCE,), gyro_rest),)
+def gyro_turntable(source: Source, options: Options) -> list[FitResult]:
+    """Labelled turns, or steady ones that are found, at the stated rate."""
+    if options["rate_true"] is None:
+        raise InvalidInputError("the rate of the table is needed: --rate-true 90, or by label --rate-true x+=90,x-=-90")
+    segments = source.recording.segments
+    if not segments and not source.timed:
+        raise InvalidInputError("turns are found by time: the table has none; give --rate, or a column segment")
+    rate_true = _rates_of(options["rate_true"])
+    return [
+        fit_turntable(
+            gyro,
+            rate_true,
+            segments=segments,
+            accel=source.maybe(Sensor.ACCEL, gyro.instance),
+            rate_sd=float(np.radians(options["rate_sd"])),
+            latitude=options["latitude"],
+            temperature=_mean_temperature(source, gyro),
+            relative=source.relative(gyro),
+        )
+        for gyro in source.channels(Sensor.GYRO)
+    ]
+
+
+def gyro_thread(source: Source, options: Options) -> list[FitResult]:
+    """Turns by label, or the spans of turning that are found; counted by a compass where none are stated."""
+    if not source.timed:
+        raise InvalidInputError("turns are integrated over time: the table has none; give --rate, or a column t")
+    return [
+        fit_thread(
+            gyro,
+            turns=options["turns"],
+            mag=source.maybe(Sensor.MAG, 0),
+            segments=source.recording.segments,
+            angle_sd=float(np.radians(options["angle_sd"])),
+            temperature=_mean_temperature(source, gyro),
+            relative=source.relative(gyro),
+        )
+        for gyro in source.channels(Sensor.GYRO)
+    ]
+
+
+def gyro_g_sensitivity(source: Source, options: Options) -> list[FitResult]:
+    """The rests of every inertial unit that has both sensors."""
+    if not source.timed and not source.recording.segments:
+        raise InvalidInputError("rests are found by time: the table has none; give --rate, or a column segment")
+    fits = []
+    for gyro in source.channels(Sensor.GYRO):
+        accel = source.maybe(Sensor.ACCEL, gyro.instance)
+        if accel is None:
+            raise InvalidInputError(f"the recording has no accelerometer {gyro.instance}: acceleration must be known")
+        stills = source.stills(gyro.instance, held=False)
+        fits.append(
+            fit_g_sensitivity(
+                gyro,
+                accel,
+                np.array([[still.start, still.end] for still in stills]),
+                gravity=gravity_of(options, accel),
+                latitude=options["latitude"],
+                drift=options["drift"] == "yes",
+                temperature=_mean_temperature(source, gyro),
+                relative=source.relative(gyro),
+            )
+        )
+    return fits
+
+
+def _mean_temperature(source: Source, gyro: Channel) -> float | None:
+    temperature = source.temperature(gyro.instance)
+    return mean_or_none(temperature.values[:, 0]) if temperature is not None else None
+
+
+def _rates_of(text: str) -> float | dict[str, float]:
+    """Rates in rad/s from degrees a second: one number, or ``LABEL=RATE,LABEL=RATE``.
+
+    Raises
+    ------
+    InvalidInputError
+        If the text is neither.
+    """
+    try:
+        if "=" not in text:
+            return float(np.radians(float(text)))
+        pairs = [part.rpartition("=") for part in text.split(",")]
+        return {label.strip(): float(np.radians(float(rate))) for label, _, rate in pairs}
+    except ValueError:
+        raise InvalidInputError(
+            f"a rate is a number of degrees a second, or LABEL=RATE,LABEL=RATE; {text!r} is neither"
+        ) from None
+
+
+_LATITUDE = Option("latitude", float, None, "degrees; takes the Earth's rate about the vertical off")
+
+METHODS = (
+    Method("gyro-rest", "Gyroscope offset at rest", "five seconds at rest", (INSTANCE,), gyro_rest),
+    Method(
+        "gyro-turntable",
+        "Gyroscope scale, cross axes and offset from turns at a known rate",
+        "steady turns of five seconds about one axis or three, both ways",
+        (
+            INSTANCE,
+            Option("rate_true", str, None, "true rate, deg/s: one for all turns, or LABEL=RATE,... with its sign"),
+            Option("rate_sd", float, 0.0, "uncertainty of the true rate, deg/s"),
+            _LATITUDE,
+        ),
+        gyro_turntable,
+    ),
+    Method(
+        "gyro-thread",
+        "Gyroscope scale and offset from whole turns on a thread, each way",
+        "whole turns about one axis one way, and as many back",
+        (
+            INSTANCE,
+            Option("turns", float, None, "turns each way, from rest to rest; else a compass counts whole ones"),
+            Option("angle_sd", float, 0.0, "how far from whole the stated turns may be, degrees"),
+        ),
+        gyro_thread,
+    ),
+    Method(
+        "gyro-g-sensitivity",
+        "What acceleration does to the gyroscope: offset + K acceleration",
+        "a rest on each of six sides, ten seconds or more",
+        (
+            INSTANCE,
+            GRAVITY,
+            _LATITUDE,
+            Option("drift", ("no", "yes"), "no", "also fit an offset that moves steadily over time"),
+        ),
+        gyro_g_sensitivity,
+    ),
+)
 """In the order of the command line."""

@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.attitude import drift_sd_deg_per_min
 from calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
 from calib.noise import long_run_variance
 from calib.quantisation import QuantisedMean, mean_of
 from calib.recording import Channel, Sensor
+from calib.residuals import residual_statistics
 from calib.triad import TriadModel
 from calib.windows import finite_rows
 
@@ -20,6 +22,7 @@ specified within +-5 deg/s (ICM-20602, ICM-42688, BMI088: +-1); a hand or a turn
 LARGEST_BIAS = 0.35
 """Rate, rad/s (20 deg/s: the zero-rate tolerance of the MPU-6000), that is believed where a compass stands still."""
 METHOD = "gyro-rest"
+MOVEMENT = "put it down and leave it alone for five seconds"
 _LEAST_SAMPLES = 32
 _WANDER = 0.002
 """Difference of the rate between the parts of a rest, rad/s (0.1 deg/s), below which no drift is a motion."""
@@ -73,13 +76,15 @@ def fit_gyro_rest(
     covariance[:3, :3][silent] = 0.0
     covariance[:3, :3][:, silent] = 0.0
     residual = gyro.values - estimate.mean
+    model = TriadModel(offset=np.where(silent, 0.0, estimate.mean))
+    names = tuple(parameter_names()[i] for i in range(3) if silent[i])
     return FitResult(
         method=METHOD,
         sensor=Sensor.GYRO,
         instance=gyro.instance,
         status=FitStatus.PARTIAL if silent.any() else FitStatus.OK,
         message=f"offset of {len(gyro)} samples at rest",
-        model=TriadModel(offset=np.where(silent, 0.0, estimate.mean)),
+        model=model,
         covariance=covariance,
         unit=gyro.unit,
         n_samples=given,
@@ -87,7 +92,8 @@ def fit_gyro_rest(
         residual_rms=float(np.sqrt((residual**2).mean())),
         condition_number=1.0,
         relative=relative,
-        undetermined=tuple(parameter_names()[i] for i in range(3) if silent[i]),
+        undetermined=names,
+        movements=dict.fromkeys(names, "record it on a stream of finer resolution, or see whether the axis is stuck"),
         warnings=_warnings(gyro, estimate),
         temperature=temperature,
         quality={
@@ -95,6 +101,8 @@ def fit_gyro_rest(
             "noise_sd": [float(sd) if np.isfinite(sd) else None for sd in estimate.sd],
             "one_bin": [AXES[i] for i in range(3) if estimate.constant[i]],
             "duration": float(gyro.t[-1] - gyro.t[0]),
+            **residual_statistics(residual, 3 * (len(gyro) - 1), None),
+            "attitude_sd_deg_per_min": drift_sd_deg_per_min(model, covariance) if gyro.unit == "rad/s" else None,
         },
         native={"mean": estimate.mean.tolist()},
     )
@@ -133,6 +141,7 @@ def _refused(gyro: Channel, given: int, message: str) -> FitResult:
         unit=gyro.unit,
         n_samples=given,
         undetermined=parameter_names()[:3],
+        movement=MOVEMENT,
     )
 
 

@@ -1,0 +1,19 @@
+"""The gyroscope alone: at rest, on a turntable, on a thread, and what acceleration does to it."""
+
+from __future__ import annotations
+
+from calib.gyro.g_sensitivity import fit_g_sensitivity
+from calib.gyro.rest import LARGEST_BIAS, PLAUSIBLE_BIAS, fit_gyro_rest, steady_turn
+from calib.gyro.thread import fit_thread, thread_scale
+from calib.gyro.turntable import fit_turntable
+
+__all__ = [
+    "LARGEST_BIAS",
+    "PLAUSIBLE_BIAS",
+    "fit_g_sensitivity",
+    "fit_gyro_rest",
+    "fit_thread",
+    "fit_turntable",
+    "steady_turn",
+    "thread_scale",
+]

@@ -1,0 +1,193 @@
+"""What acceleration does to a gyroscope: ``rate = b + K a`` at rest in several poses (METHODS 3.5).
+
+The twelve numbers follow from the means of still poses by weighted least squares on ``[a 1]``. The Earth turns as well:
+about the vertical, so that part of it looks like an equal diagonal of K, and about the horizontal, which scatters.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from calib import STANDARD_GRAVITY
+from calib.attitude import drift_sd_deg_per_min
+from calib.errors import InvalidInputError
+from calib.fit import FitResult, FitStatus, refused
+from calib.gyro.turns import EARTH_RATE
+from calib.imu.poses import Poses, measure
+from calib.recording import Channel, Sensor
+from calib.residuals import residual_statistics
+from calib.triad import TriadModel
+from calib.windows import finite_rows
+
+Array = NDArray[np.float64]
+
+METHOD = "gyro-g-sensitivity"
+MOVEMENT = "rest it on each of its six sides for ten seconds or more, and once more in the opposite order"
+_MISFIT = 0.001
+_FLAT = 0.1  # of gravity, rms: poses that span less in some direction leave a column of K open
+_LEAST_SAMPLES = 8
+
+
+def fit_g_sensitivity(
+    gyro: Channel,
+    accel: Channel,
+    spans: Array,
+    *,
+    gravity: float = STANDARD_GRAVITY,
+    latitude: float | None = None,
+    drift: bool = False,
+    temperature: float | None = None,
+    relative: bool = False,
+) -> FitResult:
+    """Offset without acceleration and the matrix K (3, 3) in ``native``, rad/s per m/s2.
+
+    Parameters
+    ----------
+    gyro, accel
+        Samples of the same time; the accelerometer need not be better than a few percent.
+    spans : shape (P, 2)
+        The rests, s.
+    gravity
+        In the unit of `accel`; K is per m/s2 all the same.
+    latitude
+        Degrees; takes the vertical part of the Earth's rate off. None: it stays in K and in the uncertainty.
+    drift
+        Also fit an offset that moves steadily over time; six poses or more are needed.
+    temperature, relative
+        Passed on to the result.
+
+    Raises
+    ------
+    InvalidInputError
+        If gravity is not positive, or the latitude none.
+    """
+    if not (np.isfinite(gravity) and gravity > 0.0):
+        raise InvalidInputError(f"gravity must be positive, not {gravity}")
+    if latitude is not None and not -90.0 <= latitude <= 90.0:
+        raise InvalidInputError(f"a latitude lies between -90 and 90 degrees, not at {latitude}")
+    given = gyro
+    gyro, accel = (channel.take(finite_rows(channel.values)) for channel in (gyro, accel))
+
+    def refusal(message: str) -> FitResult:
+        return refused(
+            METHOD,
+            Sensor.GYRO,
+            given.instance,
+            message,
+            unit=given.unit,
+            n_samples=len(given),
+            movement=MOVEMENT,
+        )
+
+    counts = [np.diff(np.searchsorted(c.t, np.ravel(spans)).reshape(-1, 2), axis=1)[:, 0] for c in (gyro, accel)]
+    spans = np.asarray(spans).reshape(-1, 2)[np.minimum(*counts) >= _LEAST_SAMPLES]
+    unknowns = 5 if drift else 4
+    if len(spans) < unknowns:
+        return refusal(f"{len(spans)} rests of both sensors: {unknowns} different ones at least are needed; {MOVEMENT}")
+    poses = measure(accel, gyro, spans)
+    a = poses.means * (STANDARD_GRAVITY / gravity)
+    if not 0.5 < np.median(np.linalg.norm(a, axis=1)) / STANDARD_GRAVITY < 2.0:
+        return refusal(
+            f"the accelerometer reads {np.median(np.linalg.norm(poses.means, axis=1)):.3g} at rest, not the "
+            f"{gravity:.3g} of gravity: check its unit, or give --gravity"
+        )
+    smallest = np.linalg.svd((a - a.mean(axis=0)) / np.sqrt(len(a)))[1].min()
+    if smallest < _FLAT * STANDARD_GRAVITY:
+        return refusal(f"the {len(a)} rests are too much alike (they span {smallest:.2g} m/s2): {MOVEMENT}")
+    return _fit(given, poses, a, latitude, drift=drift, temperature=temperature, relative=relative)
+
+
+def _fit(
+    gyro: Channel,
+    poses: Poses,
+    a: Array,
+    latitude: float | None,
+    *,
+    drift: bool,
+    temperature: float | None,
+    relative: bool,
+) -> FitResult:
+    """Weighted least squares of every axis by itself on ``[a/g, 1, time]``."""
+    middle = poses.spans.mean(axis=1)
+    time = (middle - middle.mean()) / max(float(np.ptp(middle)), 1e-9)
+    columns = [a / STANDARD_GRAVITY, np.ones((len(a), 1))] + ([time[:, None]] if drift else [])
+    design = np.hstack(columns)
+    rates, variances, warnings = poses.rates, poses.rate_variances, []
+    in_si = gyro.unit == "rad/s"
+    if in_si and latitude is not None:
+        up = a / np.linalg.norm(a, axis=1)[:, None]
+        rates = rates - EARTH_RATE * np.sin(np.radians(latitude)) * up
+    if in_si:
+        horizontal = 1.0 if latitude is None else np.cos(np.radians(latitude)) ** 2
+        variances = variances + EARTH_RATE**2 * horizontal / 3.0
+    p = design.shape[1]
+    coefficients, covariance = np.empty((p, 3)), np.empty((3, p, p))
+    whitened = np.empty_like(rates)
+    for axis in range(3):
+        weight = 1.0 / np.sqrt(variances[:, axis])
+        Q, upper = np.linalg.qr(design * weight[:, None])
+        coefficients[:, axis] = np.linalg.solve(upper, Q.T @ (rates[:, axis] * weight))
+        back = np.linalg.inv(upper)
+        covariance[axis] = back @ back.T
+        whitened[:, axis] = (rates[:, axis] - design @ coefficients[:, axis]) * weight
+    dof = 3 * (len(a) - p)
+    chi2 = float((whitened**2).sum())
+    p_value = float(chdtrc(dof, chi2)) if dof > 0 else None
+    if p_value is not None and p_value < _MISFIT:
+        covariance *= chi2 / dof
+        warnings.append(
+            f"the rests contradict each other (p = {p_value:.1e}): the offset moved meanwhile (temperature), or it was "
+            "turned; the sd are widened. Visit the poses again in the opposite order, or fit --drift yes"
+        )
+    if dof <= 0:
+        warnings.append("as many unknowns as rests: nothing tests the fit; rest it in more poses")
+    if in_si and latitude is None:
+        warnings.append(
+            f"the Earth's rate about the vertical (up to {EARTH_RATE / STANDARD_GRAVITY:.1e} per m/s2) is inside the "
+            "diagonal of K: state --latitude"
+        )
+    K, K_sd = _sensitivity(coefficients, covariance, vertical_unknown=in_si and latitude is None)
+    offsets = np.zeros((12, 12))
+    offsets[:3, :3] = np.diag(covariance[:, 3, 3])
+    model = TriadModel(coefficients[3])
+    shift = K @ np.array([0.0, 0.0, -STANDARD_GRAVITY])
+    return FitResult(
+        method=METHOD,
+        sensor=Sensor.GYRO,
+        instance=gyro.instance,
+        status=FitStatus.OK,
+        message=f"{len(a)} rests; level, acceleration adds {', '.join(f'{x:.2g}' for x in shift)} {gyro.unit}",
+        model=model,
+        covariance=offsets,
+        unit=gyro.unit,
+        n_samples=len(gyro),
+        n_used=int(poses.gyro_counts.sum()),
+        residual_rms=float(np.sqrt(((rates - design @ coefficients) ** 2).mean())),
+        condition_number=float(np.linalg.cond(design)),
+        relative=relative,
+        warnings=tuple(warnings),
+        temperature=temperature,
+        quality={
+            **residual_statistics(whitened, dof, 1.0),
+            "poses": len(a),
+            "attitude_sd_deg_per_min": drift_sd_deg_per_min(model, offsets) if in_si else None,
+        },
+        native={
+            "K": K.tolist(),
+            "K_sd": K_sd.tolist(),
+            "bias": model.offset.tolist(),
+            "offset_level": (model.offset + shift).tolist(),
+            "drift_per_s": (coefficients[4] / max(float(np.ptp(middle)), 1e-9)).tolist() if drift else None,
+        },
+    )
+
+
+def _sensitivity(coefficients: Array, covariance: Array, *, vertical_unknown: bool) -> tuple[Array, Array]:
+    """K (3, 3) per m/s2, row by row an axis of the gyroscope, and its standard deviations."""
+    K = coefficients[:3].T / STANDARD_GRAVITY
+    variance = np.einsum("akk->ak", covariance[:, :3, :3]) / STANDARD_GRAVITY**2
+    if vertical_unknown:
+        variance = variance + np.eye(3) * (EARTH_RATE / STANDARD_GRAVITY) ** 2 / 3.0
+    return K, np.sqrt(variance)
