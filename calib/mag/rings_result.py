@@ -15,6 +15,7 @@ from calib.c_array import c_array, homogeneous
 from calib.fit import FitResult, FitStatus, parameter_names
 from calib.geometry import frame_along
 from calib.mag.heading import heading_sd_deg
+from calib.mag.mounting import mounting_of
 from calib.mag.result import UNDETERMINED_SD, MagContext
 from calib.mag.ring_centres import Circle, Ring
 from calib.mag.rings_algebra import by_dominant, centres_inverse, columns_of, published
@@ -250,28 +251,7 @@ def _quality(
         "offset_sd_ut": math.sqrt(float(np.linalg.eigvalsh(offset)[-1])) if in_microtesla else None,
         "heading_sd_deg": heading_sd_deg(model, covariance, corrected, inclination, context.body_from_sensor),
         "heading_dip_deg": math.degrees(inclination),
-        **_mounting(model, covariance),
-    }
-
-
-def _mounting(model: TriadModel, covariance: Array) -> dict[str, float]:
-    """Angle of the rotation in the matrix, and its standard deviation about the worst axis, degrees."""
-    rotation, symmetric = model.rotation, model.symmetric().matrix
-    # C = Q S, dC = [phi] Q S + Q dS: with G = Q^T dC the skew part gives (tr S - S) Q^T phi
-    turn = np.zeros((3, 9))
-    inverse = np.linalg.inv(np.trace(symmetric) * np.eye(3) - symmetric)
-    for k in range(9):
-        change = np.zeros((3, 3))
-        change.flat[k] = 1.0
-        G = rotation.T @ change
-        turn[:, k] = rotation @ inverse @ np.array([G[2, 1] - G[1, 2], G[0, 2] - G[2, 0], G[1, 0] - G[0, 1]])
-    spread = turn @ covariance[3:, 3:] @ turn.T
-    skew = rotation - rotation.T
-    sine = 0.5 * math.hypot(skew[2, 1], skew[0, 2], skew[1, 0])
-    angle = math.atan2(sine, 0.5 * (float(np.trace(rotation)) - 1.0))
-    return {
-        "mounting_deg": math.degrees(angle),
-        "mounting_sd_deg": math.degrees(math.sqrt(max(float(np.linalg.eigvalsh(spread)[-1]), 0.0))),
+        **mounting_of(model, covariance),
     }
 
 

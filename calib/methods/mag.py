@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from calib.earth import EarthField, earth_field
 from calib.errors import InvalidInputError
 from calib.fit import FitResult
+from calib.mag.align import Vertical, fit_alignment
 from calib.mag.blur import fit_ellipsoid_deblurred, rates_during
 from calib.mag.ellipsoid import fit_ellipsoid
 from calib.mag.ellipsoid_axis import fit_ellipsoid_axis
@@ -20,7 +21,7 @@ from calib.mag.ring_centres import CENTRES
 from calib.mag.rings import fit_rings
 from calib.mag.rings_faces import LABELS
 from calib.mag.sphere import fit_sphere
-from calib.methods.method import FIXTURE, INSTANCE, Method, Option, Options
+from calib.methods.method import FIXTURE, GRAVITY, INSTANCE, Method, Option, Options, gravity_of
 from calib.methods.source import Source
 from calib.procedures.mag import COMPASS_WINDOW
 from calib.recording import Channel, Sensor
@@ -146,6 +147,38 @@ def _rings(source: Source, mag: Channel) -> tuple[list[Array], list[Array | None
     return [mag.values[down @ way > _UPRIGHT] for way in ways], list(ways)
 
 
+def mag_align(source: Source, options: Options) -> list[FitResult]:
+    """Every magnetometer against the first accelerometer."""
+    fits = []
+    accel = source.channels(Sensor.ACCEL)[0]
+    accel = accel.take(finite_rows(accel.values))
+    gyro = source.maybe(Sensor.GYRO, accel.instance)
+    gyro = None if gyro is None or gyro.unit != "rad/s" else gyro.take(finite_rows(gyro.values))
+    vertical = Vertical(
+        t=accel.t,
+        accel=accel.values,
+        gravity=gravity_of(options, accel),
+        gyro_t=None if gyro is None else gyro.t,
+        gyro=None if gyro is None else gyro.values,
+        timed=source.timed,
+    )
+    for mag in source.recording.instances(Sensor.MAG) if source.instance is None else (source.instance,):
+        channel = source.recording.channel(Sensor.MAG, mag)
+        channel = channel.take(finite_rows(channel.values))
+        facts = _mag_facts(source, channel, options)
+        fits.append(
+            fit_alignment(
+                channel.t,
+                channel.values,
+                vertical,
+                gate=options["gate"],
+                time_offset=options["time_offset"],
+                **facts,
+            )
+        )
+    return fits
+
+
 METHODS = (
     Method(
         "mag-minmax",
@@ -201,6 +234,19 @@ METHODS = (
             FIXTURE,
         ),
         mag_rings,
+    ),
+    Method(
+        "mag-align",
+        "Magnetometer offset, full matrix and mounting against the accelerometer",
+        "rotation in all directions, slowly; a calibrated accelerometer in the recording",
+        (
+            INSTANCE,
+            *_FIELD,
+            GRAVITY,
+            Option("gate", float, 0.1, "departure of |accel| from gravity, relative, up to which it is the vertical"),
+            Option("time_offset", float, None, "s by which the magnetometer is later; else it is estimated"),
+        ),
+        mag_align,
     ),
 )
 """In the order of the command line."""

@@ -1,0 +1,253 @@
+"""Magnetometer against the vertical, Gauss-Helmert: both observations carry noise (METHODS 3.2).
+
+Two conditions hold for every sample y of the field and its unit vector g down: ``|B (y - b)| = 1`` and ``g . B (y - b)
+= sin(dip)``. The thirteen unknowns are B, b and sin(dip). Each round linearises at observations that are projected back
+onto the conditions, which is what keeps the noise of y and g from biasing the answer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import UndeterminedError
+
+Array = NDArray[np.float64]
+
+N_UNKNOWNS = 13
+"""B by rows, b, sin(dip)."""
+
+_ROUNDS = 40
+_CLOSE = 0.01  # standard deviations, of a step that is the last: what is left then is smaller by the noise
+_FIRST_NOISE = 0.02
+_LEAST_NOISE = 1e-9
+_BOUND = 1e3  # of the unknowns, whose order is 1: beyond it the iteration runs away
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Standard deviations: of one axis of the field over its strength, and of the vertical, rad."""
+
+    field: float
+    vertical: float
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """Where the iteration ended, in units of the scaled samples."""
+
+    unknowns: Array
+    """(13,)."""
+    information: Array
+    """(13, 13)."""
+    rows: Array
+    """(N, 2, 13): derivatives of the whitened residuals."""
+    residuals: Array
+    """(N, 2): what the conditions leave, in standard deviations and uncorrelated."""
+    noise: Noise
+    corrected: Array
+    """(N, 3): ``B (y - b)`` of the projected observations."""
+    sine_weight: Array
+    """(N,): one over the standard deviation of the second condition given the first."""
+
+    @property
+    def matrix(self) -> Array:
+        """B (3, 3)."""
+        return self.unknowns[:9].reshape(3, 3)
+
+
+def align(field: Array, down: Array, start: Array, noise: Noise | None, least: Noise) -> Alignment:
+    """The maximum of the likelihood of `field` (N, 3), of the order of 1, and unit vectors `down` (N, 3).
+
+    Parameters
+    ----------
+    field, down
+        Observations at the same times.
+    start : shape (13,)
+        Unknowns to begin with.
+    noise
+        None: estimated, from what either condition leaves.
+    least
+        Smallest noise that is believed: that of quantisation.
+
+    Raises
+    ------
+    UndeterminedError
+        If the iteration does not come to an end.
+    """
+    state = _State(start, field, down)
+    now = noise or Noise(_FIRST_NOISE, _FIRST_NOISE)
+    for _ in range(_ROUNDS):
+        linear = _linearised(state, field, down, now)
+        if noise is None:
+            now = _estimated(linear, least)
+            linear = linear.reweighted(now)
+        rows, residuals = linear.whitened()
+        flat = rows.reshape(-1, N_UNKNOWNS)
+        information = flat.T @ flat
+        scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+        values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+        if not values[0] > 1e-13:
+            raise UndeterminedError("the samples leave part of the magnetometer's matrix open")
+        step = -(vectors @ ((vectors.T @ (flat.T @ residuals.ravel() / scale)) / values)) / scale
+        state = linear.projected(step, now)
+        if not np.abs(state.unknowns).max() < _BOUND:
+            break
+        if (np.abs(step) <= _CLOSE / scale).all():
+            bias = flat.T @ linear.whitening(linear.curvature_bias()).ravel()
+            step += vectors @ ((vectors.T @ (bias / scale)) / values) / scale
+            left = residuals + rows @ step
+            weight = 1.0 / np.sqrt(linear.conditional)
+            unknowns = linear.state.unknowns + step
+            return Alignment(unknowns, information, rows, left, now, linear.corrected, weight)
+    raise UndeterminedError("the field and the vertical do not fit each other: the iteration came to no end")
+
+
+def misclosures(unknowns: Array, field: Array, down: Array) -> Array:
+    """What the two conditions leave (N, 2) of `field` and `down` as they are."""
+    w = (field - unknowns[9:12]) @ unknowns[:9].reshape(3, 3).T
+    return np.stack([np.sqrt(_dot(w, w)) - 1.0, _dot(down, w) - unknowns[12]], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """Unknowns and projected observations."""
+
+    unknowns: Array
+    field: Array
+    down: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Linear:
+    """Both conditions of every sample about a state, and what makes up their variances."""
+
+    state: _State
+    observed: _State
+    misclosure: Array  # (N, 2)
+    rows: Array  # (N, 2, 13)
+    by_field: Array  # (N, 2, 3)
+    across: Array  # (N, 3): derivative of the second condition by the vertical
+    corrected: Array  # (N, 3)
+    products: Array  # (N, 3): by_field times itself: 11, 12, 22
+    noise: Noise
+
+    def reweighted(self, noise: Noise) -> _Linear:
+        return replace(self, noise=noise)
+
+    @cached_property
+    def variance(self) -> tuple[Array, Array, Array]:
+        """Covariance of the two conditions: 11, 12, 22."""
+        field = self.noise.field**2
+        second = field * self.products[:, 2] + self.noise.vertical**2 * _dot(self.across, self.across)
+        return field * self.products[:, 0], field * self.products[:, 1], second
+
+    @cached_property
+    def conditional(self) -> Array:
+        """Variance (N,) of the second condition given the first."""
+        first, both, second = self.variance
+        return np.asarray(second - both**2 / first)
+
+    def whitened(self) -> tuple[Array, Array]:
+        """Rows (N, 2, 13) and residuals (N, 2) in standard deviations, the second given the first."""
+        return self.whitening(self.rows), self.whitening(self.misclosure)
+
+    def whitening(self, pairs: Array) -> Array:
+        """`pairs` (N, 2, ...) of what belongs to the two conditions, uncorrelated and of variance one."""
+        first, both, _ = self.variance
+        shape = (len(pairs), *([1] * (pairs.ndim - 2)))
+        white = np.empty_like(pairs)
+        white[:, 0] = pairs[:, 0] / np.sqrt(first).reshape(shape)
+        white[:, 1] = pairs[:, 1] - (both / first).reshape(shape) * pairs[:, 0]
+        white[:, 1] /= np.sqrt(self.conditional).reshape(shape)
+        return white
+
+    def curvature_bias(self) -> Array:
+        """Expectation (N, 2) of the misclosures at the true unknowns: ``tr(F'' S) / 2``, to the second order.
+
+        S is the noise that the projection leaves in the observations, ``S = Q - Q F^T (F Q F^T)^-1 F Q``. For
+        ``|w|``, ``F'' = B^T (1 - u u^T) B / |w|``; for ``g . w`` it is B across field and vertical, and ``-g . w`` for
+        the vertical itself, which stays of length one.
+        """
+        first, both, second = self.variance
+        determinant = first * second - both**2
+        inverse = np.stack([second, -both, first], axis=1) / determinant[:, None]
+        B = self.state.unknowns[:9].reshape(3, 3)
+        length = np.sqrt(_dot(self.corrected, self.corrected))
+        u = self.corrected / length[:, None]
+        f, s = self.by_field[:, 0], self.by_field[:, 1]
+        turned_f, turned_s = f @ B.T, s @ B.T
+        along_f, along_s = _dot(u, turned_f), _dot(u, turned_s)
+        field, vertical = self.noise.field**2, self.noise.vertical**2
+        ff = _dot(turned_f, turned_f) - along_f**2
+        fs = _dot(turned_f, turned_s) - along_f * along_s
+        ss = _dot(turned_s, turned_s) - along_s**2
+        removed = inverse[:, 0] * ff + 2.0 * inverse[:, 1] * fs + inverse[:, 2] * ss
+        trace = float((B**2).sum()) - _dot(f, f)
+        of_length = 0.5 * (field * trace - field**2 * removed) / length
+        q_f, q_s = _dot(self.across, turned_f), _dot(self.across, turned_s)
+        crossed = -field * vertical * (inverse[:, 1] * q_f + inverse[:, 2] * q_s)
+        sphere = 2.0 * vertical - vertical**2 * inverse[:, 2] * _dot(self.across, self.across)
+        down = self.state.down
+        of_sine = crossed - 0.5 * _dot(down, self.corrected) * sphere
+        return np.stack([of_length, of_sine], axis=1)
+
+    def projected(self, step: Array, noise: Noise) -> _State:
+        """The next state: unknowns moved by `step`, observations moved onto the conditions with the least effort."""
+        left = self.misclosure + self.rows @ step
+        first, both, second = self.variance
+        determinant = first * second - both**2
+        pull = np.empty_like(left)
+        pull[:, 0] = (second * left[:, 0] - both * left[:, 1]) / determinant
+        pull[:, 1] = (first * left[:, 1] - both * left[:, 0]) / determinant
+        field = self.observed.field - noise.field**2 * np.einsum("nk,nki->ni", pull, self.by_field)
+        down = self.observed.down - noise.vertical**2 * pull[:, 1, None] * self.across
+        down = down / np.sqrt(_dot(down, down))[:, None]
+        return _State(self.state.unknowns + step, field, down)
+
+
+def _dot(a: Array, b: Array) -> Array:
+    """Product of the rows of `a` and `b` (N, 3): faster than a sum over so short an axis."""
+    return np.asarray(np.einsum("ij,ij->i", a, b))
+
+
+def _linearised(state: _State, field: Array, down: Array, noise: Noise) -> _Linear:
+    B, b, sine = state.unknowns[:9].reshape(3, 3), state.unknowns[9:12], state.unknowns[12]
+    d = state.field - b
+    w = d @ B.T
+    length = np.sqrt(_dot(w, w))
+    u = w / length[:, None]
+    g = state.down
+    along = _dot(g, w)
+    by_field = np.stack([u @ B, g @ B], axis=1)
+    across = w - along[:, None] * g
+    moved = field - state.field
+    misclosure = np.stack([length - 1.0, along - sine], axis=1) + np.einsum("nki,ni->nk", by_field, moved)
+    misclosure[:, 1] += _dot(across, down - g)
+    rows = np.empty((len(d), 2, N_UNKNOWNS))
+    rows[:, 0, :9] = (u[:, :, None] * d[:, None, :]).reshape(-1, 9)
+    rows[:, 1, :9] = (g[:, :, None] * d[:, None, :]).reshape(-1, 9)
+    rows[:, :, 9:12] = -by_field
+    rows[:, 0, 12], rows[:, 1, 12] = 0.0, -1.0
+    f, s = by_field[:, 0], by_field[:, 1]
+    products = np.stack([_dot(f, f), _dot(f, s), _dot(s, s)], axis=1)
+    return _Linear(state, _State(state.unknowns, field, down), misclosure, rows, by_field, across, w, products, noise)
+
+
+def _estimated(linear: _Linear, least: Noise) -> Noise:
+    """Noise of the field from the first condition, which the vertical has no part in; the rest of the second is its.
+
+    Nine of the unknowns are seen by the first condition, four by the second alone.
+    """
+    first, both, second = linear.products.T
+    of_field = float((linear.misclosure[:, 0] ** 2 / first).sum()) / max(len(first) - 9, 1)
+    of_field = max(of_field, least.field**2, _LEAST_NOISE**2)
+    share = both / first
+    rest = (linear.misclosure[:, 1] - share * linear.misclosure[:, 0]) ** 2
+    explained = of_field * (second - share * both)
+    gain = _dot(linear.across, linear.across)
+    squares = float((rest * len(rest) / max(len(rest) - 4, 1) - explained).sum()) / max(float(gain.sum()), 1e-12)
+    return Noise(float(np.sqrt(of_field)), float(np.sqrt(max(squares, least.vertical**2, _LEAST_NOISE**2))))
