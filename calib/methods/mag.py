@@ -25,6 +25,7 @@ from calib.methods.method import FIXTURE, GRAVITY, INSTANCE, Method, Option, Opt
 from calib.methods.source import Source
 from calib.procedures.mag import COMPASS_WINDOW
 from calib.recording import Channel, Sensor
+from calib.rest_reference import SAMPLES, Sensors, fit_rest_reference
 from calib.six_face import down_of
 from calib.windows import finite_rows
 
@@ -147,6 +148,28 @@ def _rings(source: Source, mag: Channel) -> tuple[list[Array], list[Array | None
     return [mag.values[down @ way > _UPRIGHT] for way in ways], list(ways)
 
 
+def rest_reference(source: Source, options: Options) -> list[FitResult]:
+    """The longest rest, else every sample."""
+    fits = []
+    for accel in source.channels(Sensor.ACCEL):
+        part = source.longest_rest(accel)
+        mag = source.maybe(Sensor.MAG, accel.instance) or source.maybe(Sensor.MAG, 0)
+        if mag is not None and len(part):
+            mag = mag.between(part.t[0], np.nextafter(part.t[-1], np.inf))
+        field = None if mag is None else _field(source, mag, {**options, "field": None})
+        fits.append(
+            fit_rest_reference(
+                part,
+                mag,
+                samples=options["samples"],
+                sensors=Sensors(options["accel_sd"], options["mag_sd"]),
+                field=field,
+                relative=source.relative(accel),
+            )
+        )
+    return fits
+
+
 def mag_align(source: Source, options: Options) -> list[FitResult]:
     """Every magnetometer against the first accelerometer."""
     fits = []
@@ -186,6 +209,19 @@ METHODS = (
         "every axis once along and once against the field; only a start for better methods",
         (INSTANCE, *_FIELD),
         mag_of(fit_minmax),
+    ),
+    Method(
+        "rest-reference",
+        "Reference vectors at rest, and the attitude that they imply",
+        "a hundred samples of accelerometer and magnetometer at rest",
+        (
+            INSTANCE,
+            Option("samples", int, SAMPLES, "averaged to a reference vector"),
+            Option("accel_sd", float, 0.0, "offset that the accelerometer's calibration leaves, in its unit"),
+            Option("mag_sd", float, 0.0, "offset that the magnetometer's calibration leaves, in its unit"),
+            _FIELD[0],
+        ),
+        rest_reference,
     ),
     Method(
         "mag-sphere",

@@ -14,7 +14,7 @@ LAYERS = (
     {"errors"},
     {"wire", "recording", "triad", "fit", "windows", "geometry", "attitude", "residuals", "c_array"},
     {"earth", "noise", "allan", "quantisation", "stillness"},
-    {"accel", "gyro", "thermal", "imu", "mag", "norm_fit", "six_face", "drift", "allan_fit", "accel_thermal", "warm_fit"},
+    {"accel", "gyro", "thermal", "imu", "mag", "norm_fit", "six_face", "rest_reference", "drift", "allan_fit", "accel_thermal", "warm_fit", "sweeps"},
     {"simulate", "firmware", "inspection"},
     {"logs"},
     {"procedures", "gap"},

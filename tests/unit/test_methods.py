@@ -37,7 +37,17 @@ def raw(sensor, values, unit, rate=50.0, instance=0):
 def test_the_registry_names_every_method_of_this_issue():
     assert set(METHODS) == {
         *("accel-one-axis", "accel-six-face", "accel-multi", "gyro-rest", "mag-minmax", "mag-sphere"),
-        *("mag-ellipsoid-axis", "mag-ellipsoid", "mag-rings", "mag-align", "thermal-linear", "thermal-poly", "allan", "accel-thermal"),
+        *(
+            "mag-ellipsoid-axis",
+            "mag-ellipsoid",
+            "mag-rings",
+            "mag-align",
+            "rest-reference",
+            "thermal-linear",
+            "thermal-poly",
+            "allan",
+            "accel-thermal",
+        ),
     }
     for name, method in METHODS.items():
         assert method.name == name
