@@ -14,9 +14,10 @@ from calib.fit import AXES, FitResult
 from calib.geometry import sphere_of
 from calib.imu.integrate import Moves
 from calib.imu.poses import LEAST_POSES, Poses, find_poses, measure
-from calib.imu.problem import DIAGONAL, UNKNOWNS, ImuProblem, ImuSolution, Prior, solve
+from calib.imu.problem import ImuProblem, ImuSolution, solve
 from calib.imu.result import Facts, Form, imu_refused, imu_results
 from calib.imu.start import closure, rough_gyro, with_turn_noise
+from calib.imu.unknowns import DIAGONAL, UNKNOWNS, Coordinates, Prior
 from calib.imu.weigh import Weighed, weigh
 from calib.norm_fit import NEUTRAL, UNDETERMINED, NormProblem
 from calib.norm_fit import solve as solve_norm
@@ -166,7 +167,7 @@ def _finished(facts: Facts, poses: Poses, begun: _Begun, cross_sd: float) -> tup
     unknown = _unknown(weighed, begun.prior, cross_sd)
     neutral = weighed.solution.x.copy()
     neutral[unknown] = begun.prior.centre[unknown]
-    solution = solve(weighed.problem, neutral, weighed.solution.directions, held=unknown)
+    solution = solve(weighed.problem, neutral, weighed.solution.directions, coordinates=Coordinates(unknown))
     if solution is None:
         return imu_refused(facts, "the joint fit did not converge: hold more poses, and each of them longer")
     covariance = _covariance(weighed, solution, unknown, begun.prior)

@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_CHUNK = 64  # samples multiplied in a row; all chunks go side by side
+_CHUNK = 64  # at most, samples multiplied in a row; all chunks go side by side
 
 
 @dataclass(frozen=True, eq=False)
 class Moves:
     """The gyroscope's samples between the poses, cut into chunks that no two movements share.
 
-    `rates` (c, 64, 3) in sensor units about `origin` (3,), `steps` (c, 64) in seconds, zero where a chunk has ended;
+    `rates` (c, n, 3) in sensor units about `origin` (3,), `steps` (c, n) in seconds, zero where a chunk has ended;
     `first` (k + 1,) says at which chunk each of the k movements begins, `durations` (k,) what it lasts.
     """
 
@@ -41,18 +41,20 @@ class Moves:
         """The samples `values` (N, 3) at `t` (N,) that rule the time of `spans` (k, 2); N is two at least."""
         edges = np.concatenate([[-np.inf], 0.5 * (t[1:] + t[:-1]), [np.inf]])
         rates, steps, first = [], [], [0]
-        for start, end in spans:
-            i = max(int(np.searchsorted(edges, start, side="right")) - 1, 0)
-            j = int(np.searchsorted(edges, end))
+        begins = np.maximum(np.searchsorted(edges, spans[:, 0], side="right") - 1, 0)
+        ends = np.searchsorted(edges, spans[:, 1])
+        width = int(np.clip((ends - begins).max(initial=2), 2, _CHUNK))
+        width += width % 2
+        for (start, end), i, j in zip(spans, begins, ends, strict=True):
             step = np.minimum(edges[i + 1 : j + 1], end) - np.maximum(edges[i:j], start)
-            count = -(-len(step) // _CHUNK)
-            padding = count * _CHUNK - len(step)
+            count = -(-len(step) // width)
+            padding = count * width - len(step)
             rates.append(np.vstack([values[i:j] - origin, np.zeros((padding, 3))]))
             steps.append(np.concatenate([step, np.zeros(padding)]))
             first.append(first[-1] + count)
         return cls(
-            rates=np.concatenate([*rates, np.zeros((0, 3))]).reshape(-1, _CHUNK, 3),
-            steps=np.concatenate([*steps, np.zeros(0)]).reshape(-1, _CHUNK),
+            rates=np.concatenate([*rates, np.zeros((0, 3))]).reshape(-1, width, 3),
+            steps=np.concatenate([*steps, np.zeros(0)]).reshape(-1, width),
             first=np.array(first, dtype=np.intp),
             origin=origin,
             durations=spans[:, 1] - spans[:, 0],

@@ -19,15 +19,11 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from calib.imu.integrate import Moves, Turns, integrate
+from calib.imu.unknowns import ACCEL, FREE, GYRO, NO_PRIOR, UNKNOWNS, Coordinates, Prior, cross, symmetric
 from calib.norm_fit import PAIRS
 
 Array = NDArray[np.float64]
 
-UNKNOWNS = 21
-"""b (3), C in the order of PAIRS (6), G by rows (9), bg (3)."""
-ACCEL, GYRO = slice(0, 9), slice(9, 21)
-DIAGONAL = np.array([9, 13, 17])
-"""The gyroscope's own scales among the unknowns."""
 _ROUNDS = 60
 _DECREMENT = 1e-8  # of the cost, in squared standard deviations, by a step that is no longer worth another
 
@@ -85,18 +81,6 @@ class ImuProblem:
 
 
 @dataclass(frozen=True, eq=False)
-class Prior:
-    """What is known of the unknowns beforehand: `centre` (21,) and `information` (21,), independent of each other."""
-
-    centre: Array
-    information: Array
-
-
-NO_PRIOR = Prior(np.zeros(UNKNOWNS), np.zeros(UNKNOWNS))
-NOTHING = np.zeros(0, dtype=np.intp)
-
-
-@dataclass(frozen=True, eq=False)
 class Linearised:
     """Whitened residuals of poses (P, 3) and movements (K, 2), and the normal equations with the directions."""
 
@@ -122,29 +106,23 @@ class ImuSolution:
     turns: Turns
 
 
-def symmetric(c: Array) -> Array:
-    """The matrix (3, 3) of the six entries `c` in the order of PAIRS."""
-    return np.array([[c[0], c[3], c[4]], [c[3], c[1], c[5]], [c[4], c[5], c[2]]])
-
-
 def solve(
-    problem: ImuProblem, x: Array, directions: Array, *, prior: Prior = NO_PRIOR, held: NDArray[np.intp] = NOTHING
+    problem: ImuProblem, x: Array, directions: Array, *, prior: Prior = NO_PRIOR, coordinates: Coordinates = FREE
 ) -> ImuSolution | None:
     """Gauss and Newton with damped steps from `x` (21,) and `directions` (P, 3); None if it does not converge.
 
-    `held` unknowns stay where they start. The information of the solution is that of the data, without the prior.
+    The information of the solution is that of the data, without the prior.
     """
     damping = 0.0
-    free = np.setdiff1d(np.arange(UNKNOWNS), held)
     turns = turns_of(problem, x)
     at = linearise(problem, x, directions, turns)
     for _ in range(_ROUNDS):
         off = prior.information * (x - prior.centre)
-        step = _step(at, prior.information, off, free, damping)
+        step = _step(at, prior.information, off, coordinates.tangents(x), damping)
         if step is None:
             return None
-        delta, tangents, decrement = step
-        trial = x + delta
+        change, tangents, decrement = step
+        trial = coordinates.moved(x, change)
         moved = directions + np.einsum("kij,kj->ki", at.bases, tangents)
         moved /= np.linalg.norm(moved, axis=1)[:, None]
         new_turns = turns_of(problem, trial)
@@ -226,25 +204,25 @@ def log_determinant(at: Linearised) -> float:
 
 
 def _step(
-    at: Linearised, prior: Array, prior_gradient: Array, free: NDArray[np.intp], damping: float
+    at: Linearised, prior: Array, prior_gradient: Array, basis: Array, damping: float
 ) -> tuple[Array, Array, float] | None:
-    """Change of the unknowns and of the directions along their tangents (P, 2), and what the cost should fall by.
+    """Change of the unknowns along `basis` (21, p), of the directions (P, 2), and what the cost should fall by.
 
     None if nothing determines it.
     """
     information, gradient, solved = reduced(at, damping)
-    information = information + np.diag(prior)
-    scale = np.sqrt(np.maximum(np.diag(information)[free], 0.0))
+    information = basis.T @ (information + np.diag(prior)) @ basis
+    gradient = basis.T @ (gradient + prior_gradient)
+    scale = np.sqrt(np.maximum(np.diag(information), 0.0))
     if not (np.isfinite(information).all() and (scale > 0.0).all()):
         return None
-    sub = information[np.ix_(free, free)] / np.outer(scale, scale) + damping * np.eye(len(free))
+    sub = information / np.outer(scale, scale) + damping * np.eye(len(scale))
     if np.linalg.cond(sub) > 1e13:
         return None
-    delta = np.zeros(UNKNOWNS)
-    delta[free] = -np.linalg.solve(sub, (gradient + prior_gradient)[free] / scale) / scale
-    tangents = -solved[:, UNKNOWNS] - solved[:, :UNKNOWNS] @ delta
-    decrement = -float((gradient + prior_gradient) @ delta) + float(at.directions @ solved[:, UNKNOWNS])
-    return delta, tangents.reshape(-1, 2), decrement
+    change = -np.linalg.solve(sub, gradient / scale) / scale
+    tangents = -solved[:, UNKNOWNS] - solved[:, :UNKNOWNS] @ (basis @ change)
+    decrement = -float(gradient @ change) + float(at.directions @ solved[:, UNKNOWNS])
+    return change, tangents.reshape(-1, 2), decrement
 
 
 def _bases(u: Array) -> Array:
@@ -286,14 +264,6 @@ def _move_rows(problem: ImuProblem, u: Array, turns: Turns, bases: Array) -> tup
         -white @ across @ turns.rotations @ bases[before],
         white @ across @ bases[after],
     )
-
-
-def cross(v: Array) -> Array:
-    """``[v]x`` (K, 3, 3)."""
-    out = np.zeros((len(v), 3, 3))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        out[:, i, j], out[:, j, i] = -v[:, k], v[:, k]
-    return out
 
 
 def _band(blocks: Array, off: Array) -> Array:

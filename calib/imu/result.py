@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calib.attitude import drift_sd_deg_per_min, tilt_sd_deg
 from calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
 from calib.imu.poses import Poses
-from calib.imu.problem import symmetric
+from calib.imu.unknowns import symmetric
 from calib.imu.weigh import MISFIT, GroupFit, Weighed
 from calib.norm_fit import PAIRS
 from calib.recording import Channel, Sensor

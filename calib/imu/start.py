@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.imu.integrate import integrate
-from calib.imu.problem import ImuProblem, cross, symmetric
+from calib.imu.problem import ImuProblem
+from calib.imu.unknowns import cross, symmetric
 from calib.recording import Channel
 
 Array = NDArray[np.float64]
@@ -17,7 +18,9 @@ _COARSE = 9.0  # times the variance of a turn by noise: what the samples' rate c
 _BLOCK = 0.1  # s over which the direction is averaged while it turns
 
 
-def rough_gyro(accel: Channel, gyro: Channel, spans: Array, rest: Array, centre: Array) -> Array | None:
+def rough_gyro(
+    accel: Channel, gyro: Channel, spans: Array, rest: Array, centre: Array, block: float = _BLOCK
+) -> Array | None:
     """Matrix (3, 3), rad/s per unit of `gyro`, by which the accelerometer turns between the poses; None: not told.
 
     ``u' = -w x u`` over blocks of a tenth of a second, linear in the matrix; what the hand accelerates counts as noise.
@@ -30,15 +33,17 @@ def rough_gyro(accel: Channel, gyro: Channel, spans: Array, rest: Array, centre:
         The movements, s.
     rest, centre : shape (3,)
         What the gyroscope reads at rest, and the accelerometer without gravity.
+    block
+        Time over which a direction is averaged, s.
     """
     rows, changes = [], []
     for start, end in spans:
-        edges = np.arange(start, end + _BLOCK, _BLOCK)
+        edges = np.arange(start, end + block, block)
         u = _block_means(accel, edges) - centre
         x = _block_means(gyro, edges) - rest
         u = u / np.linalg.norm(u, axis=1)[:, None]
         product = np.einsum("kij,kr->kijr", cross(u), x).reshape(-1, 3, 9)  # [u]x G x, G by rows
-        rows.append(0.5 * _BLOCK * (product[1:] + product[:-1]))
+        rows.append(0.5 * block * (product[1:] + product[:-1]))
         changes.append(np.diff(u, axis=0))
     if not rows:
         return None

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from calib.imu.problem import ImuProblem, ImuSolution, Prior, linearise, log_determinant, solve
+from calib.imu.problem import ImuProblem, ImuSolution, linearise, log_determinant, solve
+from calib.imu.unknowns import Prior
 from calib.mag.result import student_variance
 
 Array = NDArray[np.float64]
