@@ -97,7 +97,7 @@ def turn(vector: Array, duration: float, label: str = "") -> Leg:
         s = (t / duration)[:, None]
         return Rotation.from_rotvec(s * s * (3.0 - 2.0 * s) * vector), 6.0 * s * (1.0 - s) / duration * vector
 
-    return Leg(duration, turning, label)
+    return Leg(duration, turning, label, turns=float(np.linalg.norm(vector)) / (2.0 * np.pi))
 
 
 def spin(rate: Array, duration: float, label: str = "") -> Leg:

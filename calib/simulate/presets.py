@@ -132,14 +132,25 @@ def rings(options: MotionOptions, rng: np.random.Generator) -> Motion:
 
 def turntable(options: MotionOptions, rng: np.random.Generator) -> Motion:
     """Each axis down on a turntable that turns at +90 deg/s and then at -90 deg/s; labels ``x+ x- y+ y- z+ z-``."""
-    return _on_table(options, rng, _TABLE_RATE, options.duration or 20.0)
+    seconds = options.duration or 20.0
+    legs: list[Leg] = []
+    axes = {"x": "nose_down", "y": "right", "z": "level"}
+    attitudes = _held([FACES[face] for face in axes.values()], options, rng)
+    for k, (letter, attitude) in enumerate(zip(axes, attitudes, strict=True)):
+        rate = np.asarray(attitude.apply([0.0, 0.0, _TABLE_RATE], inverse=True), dtype=np.float64)
+        legs += [*_spun_up(rate, seconds, f"{letter}+"), *_spun_up(-rate, seconds, f"{letter}-")]
+        if k + 1 < len(attitudes):
+            legs.append(turn((attitude.inv() * attitudes[k + 1]).as_rotvec(), _MOVE))
+    return Motion(tuple(legs), attitudes[0])
 
 
 def thread(options: MotionOptions, rng: np.random.Generator) -> Motion:
-    """Hung on a thread, each axis down: ten whole turns one way, ten the other; labels ``x+ x- y+ y- z+ z-``."""
+    """Hung level on a thread: ten whole turns one way, from rest to rest, and ten back; labels ``z+ z-``."""
     seconds = options.duration or 20.0
-    rate = 2.0 * np.pi * _TURNS / seconds
-    return _on_table(options, rng, rate, seconds)
+    start = _held([FACES["level"]], options, rng)[0]
+    whole = 2.0 * np.pi * _TURNS * np.asarray(start.apply([0.0, 0.0, 1.0], inverse=True), dtype=np.float64)
+    there, back = turn(whole, seconds, "z+"), turn(-whole, seconds, "z-")
+    return Motion((hold(_SETTLE), there, hold(_SETTLE), back, hold(_SETTLE)), start)
 
 
 def warm_up(options: MotionOptions, rng: np.random.Generator) -> Motion:
@@ -188,18 +199,6 @@ def _visited(names: Sequence[str], attitudes: Sequence[Rotation], seconds: float
     legs = [hold(seconds, names[0])]
     for name, (before, after) in zip(names[1:], pairwise(attitudes), strict=True):
         legs += [hold(_SETTLE), turn((before.inv() * after).as_rotvec(), _MOVE), hold(_SETTLE), hold(seconds, name)]
-    return Motion(tuple(legs), attitudes[0])
-
-
-def _on_table(options: MotionOptions, rng: np.random.Generator, rate: float, seconds: float) -> Motion:
-    legs: list[Leg] = []
-    axes = {"x": "nose_down", "y": "right", "z": "level"}
-    attitudes = _held([FACES[face] for face in axes.values()], options, rng)
-    for k, (letter, attitude) in enumerate(zip(axes, attitudes, strict=True)):
-        vertical = attitude.apply([0.0, 0.0, rate], inverse=True)
-        legs += [*_spun_up(vertical, seconds, f"{letter}+"), *_spun_up(-vertical, seconds, f"{letter}-")]
-        if k + 1 < len(attitudes):
-            legs.append(turn((attitude.inv() * attitudes[k + 1]).as_rotvec(), _MOVE))
     return Motion(tuple(legs), attitudes[0])
 
 

@@ -136,3 +136,17 @@ def test_fields_left_out_are_ideal():
     assert errors.full_scale == np.inf
     assert errors.rounding == Rounding.TOWARD_ZERO
     np.testing.assert_array_equal(errors.matrix, np.eye(3))
+
+
+def test_gyroscope_methods_find_the_truth_within_their_uncertainty():
+    suite = typical(np.random.default_rng(12))
+    simulated = made("turntable", suite, rate=100.0, duration=10.0)
+    rates = {f.segment.label: np.degrees(f.rate).sum() for f in simulated.trajectory.facts if f.rate is not None}
+    stated = ",".join(f"{label}={rate:.9g}" for label, rate in rates.items())
+    (fit,) = METHODS["gyro-turntable"].run(simulated.recording, {"rate_true": stated, "rate_sd": 1e-4})
+    z = (fit.model.matrix - suite.gyro.correction.matrix) / fit.sd[3:12].reshape(3, 3)
+    assert np.abs(z).max() < 4.0
+    simulated = made("thread", suite, rate=100.0, duration=20.0)
+    (fit,) = METHODS["gyro-thread"].run(simulated.recording, {"turns": 10, "angle_sd": 0.1})
+    assert abs(fit.model.matrix[2, 2] - suite.gyro.correction.matrix[2, 2]) < 4.0 * fit.sd[3 + 8] + 1e-4
+    assert abs(fit.model.offset[2] - suite.gyro.bias[2]) < 4.0 * fit.sd[2]
