@@ -1,0 +1,1 @@
+"""``docs/methods.md`` and its pictures: ``python -m bench.guide``."""
