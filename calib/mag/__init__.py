@@ -36,6 +36,7 @@ from calib.mag.ellipsoid import fit_ellipsoid
 from calib.mag.ellipsoid_axis import fit_ellipsoid_axis
 from calib.mag.heading import heading_sd_deg
 from calib.mag.minmax import fit_minmax
+from calib.mag.moments import adjusted_least_squares
 from calib.mag.orientation import OrientationResult, Verdict, find_orientation
 from calib.mag.result import MagContext
 from calib.mag.running import RunningEllipsoid
@@ -51,6 +52,7 @@ __all__ = [
     "OrientationResult",
     "RunningEllipsoid",
     "Verdict",
+    "adjusted_least_squares",
     "deblurred",
     "find_orientation",
     "fit_ellipsoid",

@@ -222,19 +222,21 @@ def gauss_newton(
         If the iteration leaves for a degenerate ellipsoid or does not settle.
     """
     ellipsoid, variance = start, noise_variance
-    origin, step, lowest = start, np.zeros(N_PARAMETERS), np.inf
+    origin, step = start, np.zeros(N_PARAMETERS)
+    lowest, lowest_belief = np.inf, 0.0  # data and prior apart: the variance that weighs them is re-estimated
     free = model.basis
     tolerance = 0.03 if len(distances) >= LARGE else 1e-7
     for count in range(MAX_STEPS):
         found, first = first or distances.at(ellipsoid, variance if debias else 0.0, tukey_scale), None
         prior = shape_prior(ellipsoid, prior_sd, cross_sd)
         state = _state(ellipsoid)
-        cost = found.cost + variance * float(state @ prior @ state)
-        if cost > lowest * _MAY_RISE + len(distances) * _ROUNDING:
+        belief = float(state @ prior @ state)
+        allowed = (lowest + variance * lowest_belief) * _MAY_RISE + len(distances) * _ROUNDING
+        if found.cost + variance * belief > allowed:
             step = 0.5 * step
             ellipsoid = origin.stepped(step)
             continue
-        origin, lowest = ellipsoid, cost
+        origin, lowest, lowest_belief = ellipsoid, found.cost, belief
         variance = max(_residual_variance(found, tukey_scale, model.size), _ROUNDING)
         normal = found.information + variance * prior
         step = free @ _solve(free.T @ normal @ free, free.T @ (found.gradient - variance * prior @ state))

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import InvalidInputError, UndeterminedError
-from calib.mag.samples import CHUNK, Cloud
+from calib.mag.samples import CHUNK, Cloud, check_not_flat, check_real_samples
 from calib.mag.shape import Ellipsoid, MagModel
 
 Array = NDArray[np.float64]
@@ -167,6 +167,24 @@ class Moments:
             if abs(step) <= 1e-12 * max(abs(variance), 1e-9):
                 break
         return np.asarray(free @ vector), float(variance)
+
+
+def adjusted_least_squares(samples: NDArray[Any], model: MagModel = MagModel.SYMMETRIC) -> tuple[Ellipsoid, float]:
+    """The ellipsoid of `samples` (N, 3) of any real type, and the noise of one: one pass, without uncertainty.
+
+    Raises
+    ------
+    InvalidInputError
+        Wrong shape, or a number that is not finite.
+    UndeterminedError
+        If the samples are too few, flat, or lie on no ellipsoid.
+    """
+    check_real_samples(samples, model.size + 1)
+    cloud = Cloud.of(samples)
+    moments = Moments.of(cloud)
+    check_not_flat(moments.scatter())
+    ellipsoid, noise_sd = moments.ellipsoid(model)
+    return ellipsoid.moved(cloud.centre, cloud.scale), cloud.scale * noise_sd
 
 
 def _no_ellipsoid() -> UndeterminedError:

@@ -118,7 +118,7 @@ def check_real_samples(array: NDArray[Any], minimum: int, *, may_repeat: bool = 
             f"all {len(array)} magnetometer samples are the same: the sensor is stuck, or was not turned",
             remedy="turn the vehicle in all directions; if the numbers stay, the sensor is broken",
         )
-    if not may_repeat and len(array) <= _COUNTED:
+    if not may_repeat and len(array) <= _COUNTED and len(np.unique(array[:, 0])) < minimum:
         distinct = len(np.unique(array, axis=0))
         if distinct < minimum:
             raise UndeterminedError(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,12 +76,12 @@ class Ellipsoid:
     offset: Array
     shape: Array
 
-    @property
+    @cached_property
     def radii(self) -> Array:
         """Lengths of the three half axes, ascending."""
         return np.asarray(np.linalg.eigvalsh(self.shape), dtype=np.float64)
 
-    @property
+    @cached_property
     def mean_radius(self) -> float:
         """Radius of the sphere of the same volume."""
         return float(np.cbrt(np.prod(self.radii)))

@@ -163,3 +163,13 @@ def test_moments_of_a_smaller_model_hold_its_form(compass: Any, rng: np.random.G
     sphere, rough = moments.ellipsoid(MagModel.OFFSET)
     np.testing.assert_allclose(sphere.radii, sphere.radii[0])
     assert rough > noise
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_prior_does_not_keep_the_iteration_from_settling(compass: Any, seed: int) -> None:
+    """The variance that weighs samples against the prior is re-estimated: that is no rise of the cost."""
+    rng = np.random.default_rng(seed)
+    for _ in range(12):
+        samples = np.rint(read(SYMMETRIC, compass.everywhere(rng, 100), rng))
+        assert fit_ellipsoid(samples, prior_sd=0.1).status == FitStatus.OK
+        assert fit_ellipsoid(samples, model="auto").status == FitStatus.OK
