@@ -1,0 +1,112 @@
+"""Cramer-Rao bounds from the measurement models alone: nothing here is shared with an estimator.
+
+Fisher information F of the parameters, for Gaussian noise; no unbiased estimate scatters less than ``F^-1``.
+Quantisation to a step q adds ``q^2/12`` to the variance of a sample while the motion or the noise spreads it over bins.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_BLOCK = 1 << 16
+
+
+def variance_of(sd: float, quantum: float) -> float:
+    """Variance of one axis of one sample."""
+    return sd * sd + quantum * quantum / 12.0
+
+
+def ellipsoid(directions: Array, shape: Array, variance: float) -> Array:
+    """(9, 9) of ``b_x b_y b_z S_xx S_yy S_zz S_xy S_xz S_yz`` in ``y = S u + b + e``, unit vectors u (N, 3) unknown.
+
+    Each u takes two of a sample's three numbers with it; what is left is the distance along the normal ``S^-1 u``:
+    its derivative by b is n, by a diagonal entry ``n_i u_i``, by a cross term ``n_i u_j + n_j u_i``.
+    """
+    total = np.zeros((9, 9))
+    inverse = np.linalg.inv(shape)
+    for k in range(0, len(directions), _BLOCK):
+        u = directions[k : k + _BLOCK]
+        n = u @ inverse
+        n /= np.sqrt(np.einsum("ij,ij->i", n, n))[:, None]
+        rows = np.empty((len(u), 9))
+        rows[:, 0:3] = n
+        rows[:, 3:6] = n * u
+        rows[:, 6] = n[:, 0] * u[:, 1] + n[:, 1] * u[:, 0]
+        rows[:, 7] = n[:, 0] * u[:, 2] + n[:, 2] * u[:, 0]
+        rows[:, 8] = n[:, 1] * u[:, 2] + n[:, 2] * u[:, 1]
+        total += rows.T @ rows
+    return total / variance
+
+
+def linear_triad(truths: Array, variance: float) -> Array:
+    """(12, 12) of ``b`` and the rows of M in ``y = M x + b + e`` with known x (N, 3): a triad on a perfect fixture."""
+    gram = np.zeros((4, 4))
+    rows = np.hstack([np.ones((len(truths), 1)), truths])
+    gram += rows.T @ rows
+    total = np.zeros((12, 12))
+    for axis in range(3):
+        places = [axis, *(3 + 3 * axis + j for j in range(3))]
+        total[np.ix_(places, places)] = gram / variance
+    return total
+
+
+def polynomial(x: Array, degree: int, variance: float) -> Array:
+    """(degree + 1,) squared of the coefficients of ``1, x, x^2 ...`` of one axis."""
+    gram = np.zeros((degree + 1, degree + 1))
+    for k in range(0, len(x), _BLOCK):
+        rows = np.vander(x[k : k + _BLOCK], degree + 1, increasing=True)
+        gram += rows.T @ rows
+    return gram / variance
+
+
+def alignment(
+    fields: Array, downs: Array, matrix: Array, dip: float, mag_variance: float, down_variance: float
+) -> Array:
+    """(13, 13) of ``b``, the rows of M and the dip of a magnetometer beside an accelerometer.
+
+    ``y = M h + b + e`` and ``d + f`` are measured, h (N, 3) the unit field and d (N, 3) the unit vertical in the body,
+    ``h . d = sin dip``. The attitude of every sample is unknown: its three angles are eliminated by the Schur
+    complement. `down_variance` is that of one component of the measured vertical; along itself it says nothing.
+    """
+    total = np.zeros((13, 13))
+    for h, d in zip(fields, downs, strict=True):
+        by_angle_y, by_angle_d = matrix @ _cross(h), _cross(d)
+        by_parameters = np.zeros((3, 13))
+        by_parameters[:, :3] = np.eye(3)
+        for i in range(3):
+            by_parameters[i, 3 + 3 * i : 6 + 3 * i] = h
+        level = (h - np.sin(dip) * d) / np.cos(dip)
+        by_parameters[:, 12] = matrix @ (np.cos(dip) * d - np.sin(dip) * level)
+        nuisance = by_angle_y.T @ by_angle_y / mag_variance + by_angle_d.T @ by_angle_d / down_variance
+        mixed = by_parameters.T @ by_angle_y / mag_variance
+        total += by_parameters.T @ by_parameters / mag_variance - mixed @ np.linalg.solve(nuisance, mixed.T)
+    return total
+
+
+def _cross(v: Array) -> Array:
+    """The matrix of ``v x``: up to its sign the derivative of a body vector by a small rotation of the body."""
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+def interval_mean(mean: float, sd: float, quantum: float) -> float:
+    """Information on the mean in one number rounded to `quantum`, its noise `sd` unknown as well.
+
+    The probabilities of the bins are a multinomial in (mean, sd); sd is eliminated by the Schur complement.
+    """
+    reach = int(np.ceil(8.0 * sd / quantum)) + 2
+    middle = np.rint(mean / quantum)
+    edges = ((middle + np.arange(-reach, reach + 1)) - 0.5) * quantum
+    z = (edges - mean) / sd
+    below = 0.5 * (1.0 + np.vectorize(math.erf)(z / math.sqrt(2.0)))
+    density = np.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi) / sd
+    share = np.diff(below)
+    by_mean, by_sd = -np.diff(density), -np.diff(density * z)
+    there = share > 1e-300
+    share, by_mean, by_sd = share[there], by_mean[there], by_sd[there]
+    mm, ms, ss = (float((a * b / share).sum()) for a, b in ((by_mean, by_mean), (by_mean, by_sd), (by_sd, by_sd)))
+    return mm - ms * ms / ss

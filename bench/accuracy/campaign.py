@@ -1,0 +1,210 @@
+"""Draws, contenders and tallies: error over bound with its own standard error, intervals, time, memory."""
+
+from __future__ import annotations
+
+import math
+import time
+import tracemalloc
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+FAILURES = (ArithmeticError, ValueError, RuntimeError, TypeError, LookupError, AttributeError, np.linalg.LinAlgError)
+"""What a contender may die of; a crash counts as a failed run."""
+
+BUDGET = 6.0
+"""Seconds of processor time after which a peer's runs of one case end; the project's own always make all of them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """One draw: what a contender is given, the truth of its parameters, and their Fisher information."""
+
+    data: Any
+    truth: Array
+    information: Array
+    stored: Array | None = None
+    """Truth of the numbers whose intervals are counted; None: `truth`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What a contender found: the parameters of the bound, and its stored numbers with their sd if it gives any.
+
+    NaN: this one is declined, by name; it counts neither as an error nor as an interval.
+    """
+
+    values: Array
+    stored: Array | None = None
+    stored_sd: Array | None = None
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A way to estimate; `fit` returns None where it refuses. `ours`: makes every run, whatever it takes."""
+
+    name: str
+    fit: Callable[[Any], Answer | None]
+    ours: bool = False
+    target: float | None = None
+    """Largest error over bound that is promised."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One cell of the tables: `draw` makes the data of a run."""
+
+    title: str
+    size: int
+    draw: Callable[[np.random.Generator], Drawn]
+    runs: int
+    seed: int
+
+
+@dataclass
+class Tally:
+    """What came of a contender in a case."""
+
+    contender: Contender
+    case: Case
+    squares: list[float] = field(default_factory=list)
+    held: list[float] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+    independent: int = 0
+    failed: int = 0
+    refused: int = 0
+    declined: int = 0
+    """Parameters that were declined by name, over all runs."""
+    peak_mb: float | None = None
+
+    @property
+    def runs(self) -> int:
+        """Runs that were made."""
+        return len(self.squares) + self.failed + self.refused
+
+    @property
+    def ratio(self) -> float:
+        """Root of the mean of ``e^T F e / p``: 1 is the bound."""
+        return math.sqrt(float(np.mean(self.squares))) if self.squares else math.nan
+
+    @property
+    def median(self) -> float:
+        """The same of the median run."""
+        return math.sqrt(float(np.median(self.squares))) if self.squares else math.nan
+
+    @property
+    def ratio_sd(self) -> float:
+        """Standard error of the ratio, from the scatter of the runs."""
+        if len(self.squares) < 2:
+            return math.nan
+        return float(np.std(self.squares, ddof=1)) / math.sqrt(len(self.squares)) / (2.0 * self.ratio)
+
+    @property
+    def coverage(self) -> float | None:
+        """Share of the 95 % intervals that held the truth; None: no uncertainty is given."""
+        return float(np.mean(self.held)) if self.held else None
+
+    @property
+    def coverage_sd(self) -> float:
+        """Binomial standard deviation of the share, of that many independent numbers."""
+        return math.sqrt(0.95 * 0.05 / max(len(self.held) * self.independent, 1))
+
+    @property
+    def milliseconds(self) -> float:
+        """Median processor time of a run."""
+        return 1e3 * float(np.median(self.seconds)) if self.seconds else math.nan
+
+    @property
+    def allowance(self) -> float:
+        """Of the ratio, two standard deviations of chance: ``2 / sqrt(2 R p)``."""
+        return 2.0 / math.sqrt(2.0 * max(len(self.squares), 1) * self.independent) if self.independent else math.nan
+
+    @property
+    def met(self) -> bool | None:
+        """Whether the promise was kept; None: none was made."""
+        if self.contender.target is None:
+            return None
+        reached = not self.failed and not self.refused and self.ratio <= self.contender.target + self.allowance
+        honest = self.coverage is None or abs(self.coverage - 0.95) <= 2.0 * self.coverage_sd
+        return reached and honest
+
+
+def run_case(case: Case, contenders: Sequence[Contender], budget: float = BUDGET) -> list[Tally]:
+    """All contenders on the same draws."""
+    rng = np.random.default_rng(case.seed)
+    tallies = [Tally(contender, case) for contender in contenders]
+    spent = dict.fromkeys((c.name for c in contenders), 0.0)
+    for run in range(case.runs):
+        drawn = case.draw(rng)
+        for tally in tallies:
+            name = tally.contender.name
+            if not tally.contender.ours and spent[name] > budget:
+                continue
+            spent[name] += _one(tally, drawn)
+            if run == 0 and spent[name] < budget:
+                tally.peak_mb = _peak(tally.contender, drawn)
+    return tallies
+
+
+def _one(tally: Tally, drawn: Drawn) -> float:
+    begin = time.process_time()
+    try:
+        answer = quietly(tally.contender.fit, drawn.data)
+    except FAILURES:
+        answer, taken = None, time.process_time() - begin
+        tally.failed += 1
+        return taken
+    taken = time.process_time() - begin
+    if answer is None:
+        tally.refused += 1
+        return taken
+    given = ~np.isnan(answer.values)
+    error = (answer.values - drawn.truth)[given]
+    square = float(error @ drawn.information[np.ix_(given, given)] @ error) / max(len(error), 1)
+    if not math.isfinite(square) or not given.any():
+        tally.failed += 1
+        return taken
+    tally.squares.append(square)
+    tally.seconds.append(taken)
+    tally.independent = len(given)
+    tally.declined += int(np.count_nonzero(~given))
+    if answer.stored_sd is not None and answer.stored is not None:
+        truth = drawn.truth if drawn.stored is None else drawn.stored
+        inside = np.abs(answer.stored - truth) <= 1.959964 * answer.stored_sd
+        tally.held.append(float(np.mean(inside[~np.isnan(answer.stored)])))
+    return taken
+
+
+def quietly(fit: Callable[[Any], Answer | None], data: Any) -> Answer | None:
+    """The answer, without the warnings of others."""
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        return fit(data)
+
+
+def _peak(contender: Contender, drawn: Drawn) -> float | None:
+    """Megabytes above the input at the worst moment of one run."""
+    tracemalloc.start()
+    try:
+        quietly(contender.fit, drawn.data)
+        return tracemalloc.get_traced_memory()[1] / 1e6
+    except FAILURES:
+        return None
+    finally:
+        tracemalloc.stop()
+
+
+def best_of(times: int, action: Callable[[], object]) -> float:
+    """Least processor time of `action` over some repeats, s: what other work on the machine disturbs least."""
+    found = []
+    for _ in range(times):
+        begin = time.process_time()
+        action()
+        found.append(time.process_time() - begin)
+    return min(found)

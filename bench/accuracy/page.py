@@ -1,0 +1,65 @@
+"""``docs/accuracy.md``: what is measured, how, and what came out last."""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+
+from bench.accuracy.peers import DISTRIBUTIONS, version_of
+from bench.accuracy.settings import Settings
+from bench.accuracy.tables import Part
+from bench.rows import table
+
+REASONS = Path(__file__).with_name("reasons.md")
+"""Why a target is missed, written by hand; part of the page."""
+
+_TEXT = """# Accuracy
+
+`scripts/accuracy` installs the peers (extra `bench`; none of them is needed to run mavcal), measures everything below
+in one run, writes this file and exits 1 if a target is missed. `scripts/accuracy mag` measures one row,
+`scripts/accuracy --quick` a slice.
+
+The error of an estimate is held against the Cramer-Rao bound: `sqrt(mean of e^T F e / p)` over the runs, with e the
+error of the p parameters and F their Fisher information, computed in `bench/accuracy/bounds.py` by code that shares
+nothing with the estimators. 1.00 is the bound; in brackets the standard error of the figure, from the scatter of its
+runs. A promised ratio is kept if it is at most the target + 2/sqrt(2 R p) over R runs, and the 95 % intervals hold 95 %
+within two binomial standard deviations. All contenders get the same draws; a peer whose runs of a case take more than
+{budget:.0f} s of processor time makes fewer, and the number is stated. Times are processor time, one thread.
+
+Measured on: {machine}; {minutes:.0f} minutes; seed {seed}. Peers: {peers}.
+
+## Targets
+
+{checks}
+
+{reasons}
+
+{parts}
+"""
+
+
+def page(parts: Sequence[Part], settings: Settings, before: str, minutes: float) -> str:
+    """The whole page."""
+    checks = [check for part in parts for check in part.checks]
+    return _TEXT.format(
+        budget=settings.budget,
+        machine=before,
+        minutes=minutes,
+        seed=settings.seed,
+        peers=", ".join(f"{name} {version_of(name) or '(not installed)'}" for name in DISTRIBUTIONS),
+        checks=table(checks) if checks else "No target is judged by this slice.",
+        reasons=REASONS.read_text(encoding="utf-8").strip() if any(not c.met for c in checks) else "All are met.",
+        parts="\n\n".join(f"## {part.title}\n\n{part.body}" for part in parts),
+    )
+
+
+def machine() -> str:
+    """What the figures depend on, without names."""
+    load = " ".join(f"{value:.1f}" for value in os.getloadavg())
+    return (
+        f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, load average {load}, "
+        f"Python {platform.python_version()}, numpy {version('numpy')}, scipy {version('scipy')}"
+    )

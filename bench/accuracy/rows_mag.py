@@ -1,0 +1,168 @@
+"""Magnetometer, nine parameters: all directions, +-45 degrees of tilt, outliers, noise above and below a bin; speed."""
+
+from __future__ import annotations
+
+import tracemalloc
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.accuracy import bounds, forms, peers, scenes
+from bench.accuracy.campaign import Answer, Case, Contender, Drawn, Tally, best_of, run_case
+from bench.accuracy.settings import Settings
+from bench.accuracy.tables import Part, accuracy_part
+from bench.rows import Row, Section
+from calib.fit import FitResult, FitStatus
+from calib.mag import (
+    RunningEllipsoid,
+    adjusted_least_squares,
+    fit_ellipsoid,
+    fit_ellipsoid_axis,
+    fit_minmax,
+    fit_sphere,
+)
+
+Array = NDArray[np.float64]
+
+_NINE = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
+_STORED = [0, 1, 2, 3, 7, 11, 4, 5, 8]  # offsets, diagonal, upper cross terms of the twelve numbers of a model
+CLEAN, SPOILT = 1.05, 1.10
+
+TRUTH = np.concatenate([scenes.OFFSET, scenes.SHAPE[_NINE]])
+
+
+def _stored_truth() -> Array:
+    """Offset and correction ``R S^-1``, R the mean radius: what is stored, and its intervals counted."""
+    correction = np.cbrt(np.linalg.det(scenes.SHAPE)) * np.linalg.inv(scenes.SHAPE)
+    return np.concatenate([scenes.OFFSET, correction[_NINE]])
+
+
+def _ours(fit: Callable[[Array], FitResult]) -> Callable[[Array], Answer | None]:
+    def run(samples: Array) -> Answer | None:
+        found = fit(samples)
+        if found.status == FitStatus.REFUSED:
+            return None
+        values = np.concatenate([found.native["b"], np.array(found.native["shape"])[_NINE]])
+        return Answer(values, found.values[_STORED], found.sd[_STORED])
+
+    return run
+
+
+def _theirs(fit: Callable[[Array], tuple[Array, Array]]) -> Callable[[Array], Answer | None]:
+    def run(samples: Array) -> Answer | None:
+        offset, shape = fit(samples.astype(np.float64))
+        return Answer(np.concatenate([offset, shape[_NINE]]))
+
+    return run
+
+
+def _running(samples: Array) -> FitResult:
+    return RunningEllipsoid.about(samples[:100].mean(axis=0), peers.FIELD).added(samples).fit(quantum=1.0)
+
+
+def contenders(target: float) -> tuple[list[Contender], list[str]]:
+    """Ours, plain forms, and the peers that run here; and why others do not."""
+    found = [
+        Contender("**mavcal mag-ellipsoid**", _ours(lambda s: fit_ellipsoid(s, quantum=1.0)), ours=True, target=target),
+        Contender("mavcal, --robust yes", _ours(lambda s: fit_ellipsoid(s, quantum=1.0, robust=True)), ours=True),
+        Contender("mavcal, --model auto", _ours(lambda s: fit_ellipsoid(s, quantum=1.0, model="auto")), ours=True),
+        Contender("mavcal RunningEllipsoid (ALS)", _ours(_running), ours=True),
+        Contender("mavcal mag-ellipsoid-axis (S1)", _ours(fit_ellipsoid_axis)),
+        Contender("mavcal mag-sphere (S1)", _ours(fit_sphere)),
+        Contender("mavcal mag-minmax (S5)", _ours(fit_minmax)),
+        Contender("algebraic, ten terms (magcal 'sym')", _theirs(forms.algebraic)),
+        Contender("scipy LM, calibrated space", _theirs(forms.calibrated_space)),
+        Contender("scipy LM, orthogonal distance", _theirs(forms.orthogonal)),
+    ]
+    missing = []
+    sample = scenes.magnetometer(np.random.default_rng(0), scenes.everywhere(np.random.default_rng(1), 300), 3.0, 1.0)
+    for name, (distribution, fit) in peers.MAGNETOMETER.items():
+        reason = peers.usable(distribution, fit, sample)
+        version = peers.version_of(distribution)
+        if reason:
+            missing.append(f"{name} ({distribution} {version or ''}): {reason}".replace(" )", ")").rstrip("."))
+        else:
+            found.append(Contender(f"PyPI {name} {version}", _theirs(fit)))
+    return found, missing
+
+
+def _draw(
+    directions: Callable[[np.random.Generator], Array], sd: float, quantum: float, outliers: float
+) -> Callable[[np.random.Generator], Drawn]:
+    def draw(rng: np.random.Generator) -> Drawn:
+        u = directions(rng)
+        samples = scenes.magnetometer(rng, u, sd, quantum)
+        if outliers:
+            samples = scenes.with_outliers(rng, samples, outliers, 150.0, quantum)
+        information = bounds.ellipsoid(u, scenes.SHAPE, bounds.variance_of(sd, quantum))
+        return Drawn(samples.astype(np.int16), TRUTH, information, _stored_truth())
+
+    return draw
+
+
+def cases(settings: Settings) -> dict[str, list[Case]]:
+    """The cases of every table, by its title."""
+    found: dict[str, list[Case]] = {}
+
+    def add(title: str, sizes: list[int], sd: float = 3.0, outliers: float = 0.0, tilt: float | None = None) -> None:
+        for n in settings.sizes(sizes):
+            seed = settings.seed_of(title, n)
+            draw = _draw(
+                lambda rng, n=n: scenes.everywhere(rng, n) if tilt is None else scenes.tilted(rng, n, tilt),
+                sd,
+                1.0,
+                outliers,
+            )
+            found.setdefault(title, []).append(Case(title, n, draw, settings.runs(n), seed))
+
+    decades = [100, 1000, 10_000, 100_000, 1_000_000]
+    add("all directions", decades)
+    add("tilt up to 45 degrees", decades, tilt=45.0)
+    add("all directions, 5 % outliers", decades[1:], outliers=0.05)
+    add("all directions, noise of 10", [10_000, 100_000], sd=10.0)
+    add("all directions, noise of a fifth of a bin", [1000, 100_000], sd=0.2)
+    return found
+
+
+def run(settings: Settings) -> list[Part]:
+    """All tables of the magnetometer."""
+    parts = []
+    for title, of_title in cases(settings).items():
+        found, missing = contenders(SPOILT if "outliers" in title else CLEAN)
+        tallies: list[Tally] = []
+        for case in of_title:
+            settings.say(f"magnetometer, {title}, N = {case.size}, {case.runs} runs, seed {case.seed}")
+            tallies += run_case(case, found, settings.budget)
+        parts.append(accuracy_part(f"Magnetometer: {title}", tallies, missing))
+    parts.append(speed(settings))
+    return parts
+
+
+def speed(settings: Settings) -> Part:
+    """Time and memory at a million samples (quick: fewer), integers and floats."""
+    count = settings.largest
+    rng = np.random.default_rng(settings.seed_of("speed", count))
+    rounded = scenes.magnetometer(rng, scenes.everywhere(rng, count), 3.0, 1.0)
+    full = count == 1_000_000
+    rows = []
+    for name, samples in (("int16", rounded.astype(np.int16)), ("float64", rounded)):
+        for what, action, limit in (
+            ("first fit (ALS)", lambda s=samples: adjusted_least_squares(s), 30.0),
+            ("with covariance", lambda s=samples: fit_ellipsoid(s, quantum=1.0), 100.0),
+            ("with covariance, robust", lambda s=samples: fit_ellipsoid(s, quantum=1.0, robust=True), None),
+        ):
+            taken = 1e3 * best_of(9, action)
+            tracemalloc.start()
+            action()
+            peak = tracemalloc.get_traced_memory()[1] / 1e6
+            tracemalloc.stop()
+            target = "" if limit is None else f"<= {limit:.0f} ms, < 50 MB"
+            met = (taken <= limit and peak < 50.0) if limit is not None and full else None
+            rows.append(Row(f"{what}, {name}", target, f"{taken:.1f} ms, {peak:.1f} MB above the input", met))
+    section = Section(
+        f"Magnetometer: time at N = {count}",
+        tuple(rows),
+        ("Processor time, best of nine, one thread; memory as traced above the input.",),
+    )
+    return Part.of_section(section)

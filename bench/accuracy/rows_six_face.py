@@ -1,0 +1,144 @@
+"""Six faces on a perfect fixture: twelve numbers of an accelerometer, at any noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.accuracy import bounds, peers
+from bench.accuracy.campaign import Answer, Case, Contender, Drawn, run_case
+from bench.accuracy.settings import Settings
+from bench.accuracy.tables import Part, accuracy_part
+from calib import STANDARD_GRAVITY
+from calib.fit import FitStatus
+from calib.quantisation import mean_of
+from calib.recording import Channel, Rounding, Sensor, Stage
+from calib.six_face import Face, fit_six_face
+
+Array = NDArray[np.float64]
+Faces = list[Array]
+"""Samples (n, 3) of each face, in the order of :data:`DOWNS`."""
+
+MILLI_G = 1e-3 * STANDARD_GRAVITY
+DOWNS = np.vstack([np.eye(3), -np.eye(3)])
+TRUTHS = -STANDARD_GRAVITY * DOWNS  # specific force: the axis that points down reads -g
+
+MATRIX = np.array([[1.012, 0.004, -0.006], [-0.003, 0.991, 0.005], [0.002, -0.007, 1.006]])
+OFFSET = np.array([0.21, -0.14, 0.33])
+TRUTH = np.concatenate([OFFSET, MATRIX.ravel()])
+TARGET = 1.02
+
+_LEAST_INFORMED = 0.3  # of a bin; below it a face may lie in one bin, and no bound exists
+
+
+def _ours(faces: Faces) -> Answer | None:
+    found = fit_six_face([_face(samples, down) for samples, down in zip(faces, DOWNS, strict=True)])
+    if found.status != FitStatus.OK:
+        return None
+    matrix = np.linalg.inv(found.model.matrix)
+    return Answer(np.concatenate([found.model.offset, matrix.ravel()]), found.values, found.sd)
+
+
+def _face(samples: Array, down: Array) -> Face:
+    t = np.arange(len(samples)) / 100.0
+    channel = Channel(
+        Sensor.ACCEL, 0, t, samples, "m/s2", Stage.RAW, "bench", quantum=MILLI_G, rounding=Rounding.NEAREST
+    )
+    mean = mean_of(channel)
+    known = not any(mean.constant)
+    return Face(mean.mean, mean.covariance if known else None, down, n=len(samples))
+
+
+def _accelcal(samples: Array, targets: Array) -> Answer:
+    """``C = U A + b`` by rows: regresses the known on the noisy, as accelcal does."""
+    found = np.linalg.lstsq(np.hstack([samples, np.ones((len(samples), 1))]), targets, rcond=None)[0]
+    matrix = np.linalg.inv(found[:3].T)
+    return Answer(np.concatenate([-matrix @ found[3], matrix.ravel()]))
+
+
+def _accelcal_all(faces: Faces) -> Answer:
+    return _accelcal(np.vstack(faces), np.repeat(TRUTHS, [len(f) for f in faces], axis=0))
+
+
+def _accelcal_means(faces: Faces) -> Answer:
+    return _accelcal(np.array([f.mean(axis=0) for f in faces]), TRUTHS)
+
+
+def _ferraris(faces: Faces) -> Answer:
+    """imucal; its regions are called after the axis that reads +g, and it wants a gyro that turned."""
+    from imucal import FerrarisCalibration, FerrarisSignalRegions
+
+    still, turned = np.zeros((10, 3)), np.zeros((100, 3))
+    order = [3, 0, 4, 1, 5, 2]  # x reads +g: its down is -x, and so on
+    regions = {}
+    for name, k in zip(("x_p", "x_a", "y_p", "y_a", "z_p", "z_a"), order, strict=True):
+        regions[f"acc_{name}"], regions[f"gyr_{name}"] = faces[k], still
+    for axis in range(3):
+        spin = turned.copy()
+        spin[:, axis] = 360.0
+        regions[f"acc_{'xyz'[axis]}_rot"], regions[f"gyr_{'xyz'[axis]}_rot"] = turned + faces[0][:1], spin
+    info = FerrarisCalibration(grav=STANDARD_GRAVITY, expected_angle=360.0).compute(
+        FerrarisSignalRegions(**regions), sampling_rate_hz=100.0, from_acc_unit="m/s^2", from_gyr_unit="deg/s"
+    )
+    return Answer(np.concatenate([info.b_a, (info.K_a @ info.R_a).ravel()]))
+
+
+def contenders() -> tuple[list[Contender], list[str]]:
+    found = [
+        Contender("**mavcal accel-six-face**", _ours, ours=True, target=TARGET),
+        Contender("accelcal form, all samples", _accelcal_all),
+        Contender("accelcal form, face means", _accelcal_means),
+    ]
+    reason = peers.usable("imucal", _ferraris, _read(np.random.default_rng(0), 100, 0.03))
+    version = peers.version_of("imucal")
+    if reason:
+        return found, [f"imucal Ferraris ({version or ''}): {reason}".replace(" ()", "")]
+    return [*found, Contender(f"PyPI imucal {version} Ferraris", _ferraris)], []
+
+
+def _read(rng: np.random.Generator, count: int, sd: float) -> Faces:
+    return [
+        np.rint((MATRIX @ truth + OFFSET + sd * rng.normal(size=(count, 3))) / MILLI_G) * MILLI_G for truth in TRUTHS
+    ]
+
+
+def _information(count: int, sd: float) -> Array:
+    """Of the twelve numbers: what the bins say of every face's mean, the noise of every axis unknown."""
+    total = np.zeros((12, 12))
+    for truth in TRUTHS:
+        row = np.concatenate([[1.0], truth])
+        for axis in range(3):
+            worth = count * bounds.interval_mean(float(MATRIX[axis] @ truth + OFFSET[axis]), sd, MILLI_G)
+            places = [axis, *(3 + 3 * axis + j for j in range(3))]
+            total[np.ix_(places, places)] += worth * np.outer(row, row)
+    return total
+
+
+def _draw(count: int, sd: float) -> Callable[[np.random.Generator], Drawn]:
+    information = _information(count, sd)
+    correction = np.linalg.inv(MATRIX)
+    stored = np.concatenate([OFFSET, correction.ravel()])
+
+    def draw(rng: np.random.Generator) -> Drawn:
+        return Drawn(_read(rng, count, sd), TRUTH, information, stored)
+
+    return draw
+
+
+def run(settings: Settings) -> list[Part]:
+    """A table a noise level; quantised to 1 mG."""
+    parts = []
+    found, missing = contenders()
+    for noise in (_LEAST_INFORMED, 1.0, 3.0, 20.0):
+        title = f"Six faces, noise of {noise:g} mG"
+        tallies = []
+        for count in settings.sizes([100, 1000, 10_000]):
+            case = Case(
+                title, 6 * count, _draw(count, noise * MILLI_G), settings.runs(count), settings.seed_of(title, count)
+            )
+            settings.say(f"{title}, {count} a face, {case.runs} runs, seed {case.seed}")
+            tallies += run_case(case, found, settings.budget)
+        parts.append(accuracy_part(title, tallies, missing))
+    return parts
