@@ -25,11 +25,12 @@ Array = NDArray[np.float64]
 
 _BLOCKS = 64
 _NOT_REPEATABLE = 2.0  # half the drift below this many of its own sd, under coloured noise, is no drift of temperature
-_LAG_GAIN = 0.3  # share of the residual that a lag must explain to be named
 _LEAST_SAMPLES = 5
 _REPEATED_RUN = 8
 _FAR = 2e3  # steps of the samples: beyond that they are shifted before they are squared
 _TINY = 1e-300
+_COLDEST, _HOTTEST = -100.0, 160.0  # degC, that a sensor works at
+_SPIKES_AMONG = 50  # rows below which an extreme is not told from a spike
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +43,8 @@ class DriftData:
     half: Array | None  # (N, 3) half widths of the bins; None: not quantised
     constant: NDArray[np.bool_]
     ignored: int
+    unsorted: int = 0
+    spiked: int = 0
 
     @classmethod
     def of(cls, channel: Channel, temperature: Array) -> DriftData:
@@ -58,15 +61,26 @@ class DriftData:
         time, y, half = channel.t, channel.values, half_widths(channel) if channel.quantum > 0.0 else None
         if not good.all():
             time, t, y, half = time[good], t[good], y[good], None if half is None else half[good]
-        constant = (
-            np.array([y[:, i].min() == y[:, i].max() for i in range(3)]) if len(y) else np.ones(3, dtype=np.bool_)
-        )
-        return cls(time, t, y, half, constant, int((~good).sum()))
+        unsorted = int((np.diff(time) < 0).sum())
+        if unsorted:
+            order = np.argsort(time, kind="stable")
+            time, t, y, half = time[order], t[order], y[order], None if half is None else half[order]
+        reach = np.array([[y[:, i].min(), y[:, i].max()] for i in range(3)]) if len(y) else np.zeros((3, 2))
+        constant = reach[:, 0] == reach[:, 1]
+        data = cls(time, t, y, half, constant, int((~good).sum()), unsorted)
+        spikes = _spiked(data, reach)
+        return data if spikes is None else dataclasses.replace(data.rows(~spikes), spiked=int(spikes.sum()))
 
     def rows(self, keep: NDArray[np.bool_]) -> DriftData:
         """Only the rows to `keep`."""
         half = None if self.half is None else self.half[keep]
         return dataclasses.replace(self, time=self.time[keep], t=self.t[keep], y=self.y[keep], half=half)
+
+    def warmed(self, temperature: Array) -> DriftData:
+        """The same samples at other temperatures (N,)."""
+        return DriftData(
+            self.time, temperature, self.y, self.half, self.constant, self.ignored, self.unsorted, self.spiked
+        )
 
     @property
     def n(self) -> int:
@@ -92,6 +106,11 @@ class DriftData:
         """Why nothing can be fitted; empty if it can."""
         if self.n < max(_LEAST_SAMPLES, degree + 2):
             return f"{self.n} finite rows: {max(_LEAST_SAMPLES, degree + 2)} are needed for degree {degree}"
+        if self.t_min < _COLDEST or self.t_max > _HOTTEST:
+            return (
+                f"temperatures of {self.t_min:.0f} to {self.t_max:.0f} are no degrees Celsius: is it the raw column, "
+                "or another unit?"
+            )
         if self.span < min_span:
             return (
                 f"the temperature moved by {self.span:.1f} degC ({self.t_min:.1f} to {self.t_max:.1f}): "
@@ -103,6 +122,19 @@ class DriftData:
         if self.constant.all() and self.half is None:
             return "every axis reads one constant value: the sensor is stuck or not connected"
         return ""
+
+
+def _spiked(data: DriftData, reach: Array) -> NDArray[np.bool_] | None:
+    """Rows that lie far from their neighbours in time, where the extremes give reason to look; None: there is none."""
+    if data.n < _SPIKES_AMONG:
+        return None
+    sample = np.sort(data.y[:: 1 + data.n // 2000], axis=0)
+    low, high = sample[len(sample) // 50], sample[-1 - len(sample) // 50]
+    margin = 4.0 * (high - low)
+    if not ((reach[:, 0] < low - margin) | (reach[:, 1] > high + margin))[margin > 0.0].any():
+        return None
+    outside = ((data.y < low - margin) | (data.y > high + margin)) & (margin > 0.0)
+    return np.asarray(outside.any(axis=1), dtype=np.bool_)
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,6 +257,10 @@ class DriftCurve:
         shift = powers_about(t_ref, middle, half_span, p)
         return cls(shift @ coefficients, shift @ noise.covariances @ shift.T, drift, spread)
 
+    def widened(self, change: Array) -> DriftCurve:
+        """With the covariance that a nuisance of which one sd changes the coefficients by `change` (p, 3) adds."""
+        return dataclasses.replace(self, covariances=self.covariances + np.einsum("pk,qk->kpq", change, change))
+
     def not_repeatable(self, noise: ColouredCovariance) -> NDArray[np.bool_]:
         """Axes whose drift is within their own slow wander."""
         coloured = (noise.whiteness < 0.05) & (noise.excess > 9.0)
@@ -264,36 +300,6 @@ def powers_about(t_ref: float, middle: float, half_span: float, p: int) -> Array
 
 def _block_count(n: int) -> int:
     return n if n <= _BLOCKS // 2 else int(np.clip(n // 8, _BLOCKS // 2, _BLOCKS))
-
-
-def thermal_lag(blocks: DriftBlocks, middle: float, half_span: float, estimated: NDArray[np.bool_]) -> float | None:
-    """Seconds by which the sensor's temperature lags the thermometer's; None if nothing shows it.
-
-    ``T_die = T - lag dT/dt``: the residual then follows slope times rate of change, which needs warming and cooling.
-    """
-    if len(blocks.time) < 24 or blocks.design.shape[1] < 2:
-        return None
-    temperature = middle + half_span * blocks.design[:, 1]
-    rate = np.gradient(temperature, blocks.time) if (np.diff(blocks.time) > 0).all() else np.zeros(len(temperature))
-    moving = np.abs(rate) > 0.1 * np.abs(rate).max(initial=0.0)
-    if not ((rate[moving] > 0).mean() > 0.1 and (rate[moving] < 0).mean() > 0.1):
-        return None
-    numerator = denominator = 0.0
-    before = after = 0.0
-    x = (temperature - middle) / half_span
-    for axis in np.flatnonzero(estimated):
-        slope = power.polyval(x, power.polyder(blocks.ordinary[:, axis])) / half_span
-        residual = blocks.series[:, axis] - blocks.design @ blocks.ordinary[:, axis]
-        weight = 1.0 / max(float(residual.var()), 1e-300)
-        regressor = -slope * rate
-        numerator += weight * float(regressor @ residual)
-        denominator += weight * float(regressor @ regressor)
-        before += weight * float(residual @ residual)
-    if denominator <= 0.0:
-        return None
-    lag = numerator / denominator
-    after = before - numerator**2 / denominator
-    return lag if after < (1.0 - _LAG_GAIN) * before and lag > 0.0 else None
 
 
 def repeated_rows(data: DriftData) -> NDArray[np.bool_]:

@@ -13,12 +13,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.drift import DriftBlocks, DriftCurve, DriftData, repeated_rows, thermal_lag
+from calib.drift import DriftBlocks, DriftCurve, DriftData, powers_about, repeated_rows
 from calib.errors import InvalidInputError
 from calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
 from calib.noise import ColouredCovariance
 from calib.quantisation import COARSE, impute, interval_regression
 from calib.recording import Channel, Sensor
+from calib.sweeps import Die, Judgement, Lag, both_ways, cross_validated, hysteresis, rates, sweeps, thermal_lag
+from calib.thermal_report import (
+    attitude_quality,
+    block_statistics,
+    common_warnings,
+    declined_warnings,
+    noise_quality,
+    or_none,
+    remedy_for,
+    said_of,
+    two_way_warnings,
+)
 from calib.triad import ThermalPolynomial, TriadModel
 
 Array = NDArray[np.float64]
@@ -26,6 +38,8 @@ Array = NDArray[np.float64]
 LINEAR_METHOD = "thermal-linear"
 POLYNOMIAL_METHOD = "thermal-poly"
 
+_ONLY_SLOPE = "a slope says nothing of the offset: rest a gyroscope (gyro-rest), turn an accelerometer on six faces"
+_COLDER = "start with a cold board and let it warm up at rest through ten degrees or more, better down again too"
 _SMALLEST_NOISE = 0.02  # of a quantum
 _MANY = 20_000  # samples beyond which equal ones are counted instead of listed
 
@@ -72,7 +86,9 @@ def fit_linear(
     repeated = repeated_rows(data)
     fresh = data.rows(~repeated)
     blocks = DriftBlocks.of(x, data.time, data.y, degree=1, origin=fixed)
-    noise = DriftBlocks.of(x[~repeated], fresh.time, fresh.y, degree=1, origin=fixed).noise()
+    fresh_blocks = DriftBlocks.of(x[~repeated], fresh.time, fresh.y, degree=1, origin=fixed)
+    noise = fresh_blocks.noise()
+    none = np.zeros(3, dtype=np.bool_)
     slope_row = 0 if fixed is not None else 1
     slopes = blocks.ordinary[slope_row]
     variance = noise.covariances[:, slope_row, slope_row]
@@ -80,7 +96,7 @@ def fit_linear(
     covariance = np.zeros((15, 15))
     covariance[12:, 12:] = np.diag(np.where(estimated, variance, 0.0))
     residual = blocks.residual_sd()
-    warnings = list(_common_warnings(data, estimated))
+    warnings = list(common_warnings(data, estimated))
     if repeated.any():
         warnings.append(
             f"{int(repeated.sum())} of {data.n} rows repeat earlier rows exactly: they count as weights, and not as "
@@ -96,7 +112,7 @@ def fit_linear(
         sensor=channel.sensor,
         instance=channel.instance,
         status=FitStatus.OK if estimated.all() else FitStatus.PARTIAL,
-        message=_said("slope", data, estimated),
+        message=said_of("slope", data, estimated),
         model=TriadModel(
             polynomial=ThermalPolynomial(t_ref, data.t_min, data.t_max, np.where(estimated, slopes, 0.0)[:, None])
         ),
@@ -108,16 +124,21 @@ def fit_linear(
         condition_number=blocks.condition,
         relative=relative,
         undetermined=undetermined,
+        movements={n: _ONLY_SLOPE if n.startswith("offset") else remedy_for(n, data, none, none) for n in undetermined},
         warnings=tuple(warnings),
         temperature=t_ref,
-        quality={**_quality(data, noise, estimated), "repeated_rows": int(repeated.sum())},
+        quality={
+            **noise_quality(data, noise, estimated),
+            **block_statistics(fresh_blocks, fresh_blocks.ordinary, estimated),
+            "repeated_rows": int(repeated.sum()),
+        },
         native={
-            "slopes": _or_none(slopes, estimated),
-            "intercepts": _or_none(intercepts, estimated),
+            "slopes": or_none(slopes, estimated),
+            "intercepts": or_none(intercepts, estimated),
             "t_ref": t_ref,
             "form": "least_squares" if fixed is None else "through_point",
-            "residual_sd": _or_none(residual, estimated),
-            "raw_sd": _or_none(data.y.std(axis=0, ddof=1), estimated),
+            "residual_sd": or_none(residual, estimated),
+            "raw_sd": or_none(data.y.std(axis=0, ddof=1), estimated),
         },
     )
 
@@ -129,6 +150,7 @@ def fit_polynomial(
     degree: int = 3,
     t_ref: float = 35.0,
     min_span: float = 10.0,
+    lag: bool = True,
     relative: bool = False,
 ) -> FitResult:
     """Polynomial of every axis against temperature about `t_ref`, as both firmwares store it.
@@ -145,6 +167,8 @@ def fit_polynomial(
         Where the polynomial is zero, degC.
     min_span : float
         Least range of temperature, degC; less is refused by name.
+    lag : bool
+        Where warming and cooling show that the die lags its thermometer: fit against the die's temperature.
     relative : bool
         The calibration in force was not known.
 
@@ -154,7 +178,9 @@ def fit_polynomial(
         The offset is that at `t_ref` for a gyroscope; for an accelerometer in one pose it is undetermined (gravity and
         tilt are inside it) and only the shape counts. ``quality["drift"]`` is each axis' range over the span and
         ``quality["drift_sd"]`` the largest sd of the curve about its mean. An axis whose wander does not repeat with
-        temperature, one of a constant value, and one seen on too few levels are named and left at zero.
+        temperature, one of a constant value, and one seen on too few levels are named and left at zero. Where the
+        temperature went through its span more than once, ``quality["cross_validation"]`` judges every sweep by the
+        others; ``quality["hysteresis"]`` is warming less cooling.
     """
     if not 1 <= degree <= 5:
         raise InvalidInputError(f"the degree of a thermal polynomial is 1 to 5, not {degree}")
@@ -162,24 +188,28 @@ def fit_polynomial(
     reason = data.refusal(degree, min_span)
     if reason:
         return _refused(POLYNOMIAL_METHOD, channel, reason)
-    middle, half_span = 0.5 * (data.t_min + data.t_max), 0.5 * data.span
-    x = (data.t - middle) / half_span
-    axes = _fit_axes(channel, data, x, degree)
-    curve = DriftCurve.of(axes.coefficients, axes.noise, middle, half_span, t_ref)
+    found, die = _lag_of(data, degree) if lag else (None, None)
+    slower = None
+    if found is not None and die is not None:
+        slower = _Scaled.of(data.warmed(die.at(data.time, found.seconds + found.sd)))
+        data = data.warmed(die.at(data.time, found.seconds))
+    scaled = _Scaled.of(data)
+    axes = _fit_axes(channel, data, scaled.x, degree)
+    judged, repeats = _repeats(axes)
+    curve = DriftCurve.of(axes.coefficients, axes.noise, scaled.middle, scaled.half_span, t_ref)
+    if slower is not None:
+        curve = curve.widened(_by_lag(curve, data, slower, degree, t_ref))
     too_coarse = axes.too_coarse
-    declined = ~data.constant & ~too_coarse & curve.not_repeatable(axes.noise)
+    declined = ~data.constant & ~too_coarse & (curve.not_repeatable(axes.noise) | ~repeats)
     estimated = ~(data.constant | too_coarse | declined)
     shape_only = channel.sensor != Sensor.GYRO
     model, covariance, undetermined = curve.model(data, t_ref, estimated, shape_only=shape_only)
     residual = axes.residual_sd
-    lag = thermal_lag(axes.blocks, middle, half_span, estimated)
-    warnings = [*_common_warnings(data, estimated | too_coarse | declined)]
-    warnings += _declined_warnings(declined, too_coarse, channel)
-    if lag is not None:
-        warnings.append(
-            f"warming and cooling disagree: the sensor lags its thermometer by about {lag:.0f} s; let it change slower"
-        )
-    message = _said("polynomial", data, estimated)
+    warnings = [*common_warnings(data, estimated | too_coarse | declined)]
+    warnings += declined_warnings(declined, too_coarse, channel)
+    two_ways = hysteresis(axes.blocks, scaled.middle, scaled.half_span)
+    warnings += two_way_warnings(found, two_ways, curve, estimated)
+    message = said_of("polynomial", data, estimated)
     return FitResult(
         method=POLYNOMIAL_METHOD,
         sensor=channel.sensor,
@@ -195,16 +225,74 @@ def fit_polynomial(
         condition_number=axes.blocks.condition,
         relative=relative,
         undetermined=undetermined,
+        movements={name: remedy_for(name, data, too_coarse, declined) for name in undetermined},
         warnings=tuple(warnings),
         temperature=t_ref,
         quality={
-            **_quality(data, axes.noise, estimated),
-            "drift": _or_none(curve.drift, ~data.constant),
-            "drift_sd": _or_none(curve.drift_sd, ~data.constant),
-            "lag_s": lag,
+            **noise_quality(data, axes.noise, estimated),
+            **block_statistics(axes.blocks, axes.coefficients, estimated),
+            **attitude_quality(channel, curve, estimated),
+            "drift": or_none(curve.drift, ~data.constant),
+            "drift_sd": or_none(curve.drift_sd, ~data.constant),
+            "lag_s": found.seconds if found else None,
+            "lag_sd_s": found.sd if found else None,
+            "hysteresis": None if two_ways is None else two_ways[0].tolist(),
+            "hysteresis_sd": None if two_ways is None else two_ways[1].tolist(),
+            "cross_validation": judged,
         },
-        native={"residual_sd": _or_none(residual, estimated), "degree": degree},
+        native={"residual_sd": or_none(residual, estimated), "degree": degree},
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Scaled:
+    """The temperature in the variable ``x = (T - middle)/half_span``, within -1 and 1."""
+
+    middle: float
+    half_span: float
+    x: Array
+
+    @classmethod
+    def of(cls, data: DriftData) -> _Scaled:
+        middle, half_span = 0.5 * (data.t_min + data.t_max), 0.5 * data.span
+        return cls(middle, half_span, (data.t - middle) / half_span)
+
+
+def _lag_of(data: DriftData, degree: int) -> tuple[Lag | None, Die | None]:
+    """The lag of the die, and its temperature for any; None if nothing shows one."""
+    scaled = _Scaled.of(data)
+    blocks = DriftBlocks.of(scaled.x, data.time, data.y, degree=degree)
+    rate = rates(blocks, scaled.middle, scaled.half_span)
+    if not both_ways(rate):
+        return None, None
+    die = Die.of(data.time, data.t, blocks, rate)
+    return thermal_lag(blocks, die, scaled.middle, scaled.half_span, ~data.constant), die
+
+
+def _by_lag(curve: DriftCurve, data: DriftData, slower: _Scaled, degree: int, t_ref: float) -> Array:
+    """Change of the coefficients (p, 3) about `t_ref` when the lag is one sd longer."""
+    blocks = DriftBlocks.of(slower.x, data.time, data.y, degree=degree)
+    shift = powers_about(t_ref, slower.middle, slower.half_span, degree + 1)
+    return np.asarray(shift @ blocks.ordinary - curve.coefficients, dtype=np.float64)
+
+
+def _repeats(axes: _Axes) -> tuple[dict[str, Any] | None, NDArray[np.bool_]]:
+    """Every sweep judged by the others, and which axes do repeat: a correction that makes things worse is none.
+
+    Noise alone may do so too; only what is left far above the white noise of the block means counts.
+    """
+    found: Judgement | None = cross_validated(axes.blocks)
+    if found is None:
+        return None, np.ones(3, dtype=np.bool_)
+    white = axes.residual_sd / np.sqrt(axes.blocks.counts.mean())
+    repeats = (found.explained > 0.0) | (found.after < 3.0 * white)
+    judged = {
+        "sweeps": len(sweeps(axes.blocks)),
+        "before": found.before.tolist(),
+        "after": found.after.tolist(),
+        "explained": found.explained.tolist(),
+    }
+    return judged, np.asarray(repeats, dtype=np.bool_)
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,50 +361,12 @@ def _distinct(x: Array, y: Array, half: Array, quantum: float) -> tuple[NDArray[
 
 
 def _refused(method: str, channel: Channel, reason: str) -> FitResult:
-    return refused(method, channel.sensor, channel.instance, reason, unit=channel.unit, n_samples=len(channel))
-
-
-def _said(what: str, data: DriftData, estimated: NDArray[np.bool_]) -> str:
-    axes = ", ".join(AXES[i] for i in range(3) if estimated[i]) or "no axis"
-    return f"{what} of {axes} over {data.t_min:.1f} to {data.t_max:.1f} degC from {data.n} rows"
-
-
-def _common_warnings(data: DriftData, estimated: NDArray[np.bool_]) -> tuple[str, ...]:
-    warnings = []
-    constant = ", ".join(AXES[i] for i in range(3) if data.constant[i] and not estimated[i])
-    if constant and data.half is None:
-        warnings.append(f"{constant} reads one constant value: not estimated")
-    elif constant:
-        warnings.append(f"{constant} reads one constant value: its drift is below one bin, not estimated")
-    if data.ignored:
-        warnings.append(f"{data.ignored} rows without finite numbers were left out")
-    return tuple(warnings)
-
-
-def _declined_warnings(declined: NDArray[np.bool_], too_coarse: NDArray[np.bool_], channel: Channel) -> tuple[str, ...]:
-    warnings = []
-    if declined.any():
-        names = ", ".join(AXES[i] for i in range(3) if declined[i])
-        warnings.append(
-            f"{names} wanders as much by itself as with temperature: its drift is not repeatable, not estimated"
-        )
-    if too_coarse.any():
-        names = ", ".join(AXES[i] for i in range(3) if too_coarse[i])
-        warnings.append(
-            f"{names} shows too few levels of {channel.quantum:.3g} {channel.unit}: its drift cannot be resolved"
-        )
-    return tuple(warnings)
-
-
-def _quality(data: DriftData, noise: ColouredCovariance, estimated: NDArray[np.bool_]) -> dict[str, Any]:
-    return {
-        "span": data.span,
-        "t_min": data.t_min,
-        "t_max": data.t_max,
-        "probability_of_white_noise": _or_none(noise.whiteness, estimated),
-        "sd_over_white_noise": _or_none(np.sqrt(noise.excess), estimated),
-    }
-
-
-def _or_none(values: Array, known: NDArray[np.bool_]) -> list[float | None]:
-    return [float(value) if ok else None for value, ok in zip(values, known, strict=True)]
+    return refused(
+        method,
+        channel.sensor,
+        channel.instance,
+        reason,
+        unit=channel.unit,
+        n_samples=len(channel),
+        movement=_COLDER,
+    )

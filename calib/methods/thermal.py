@@ -17,11 +17,15 @@ from calib.thermal import fit_linear, fit_polynomial
 Array = NDArray[np.float64]
 
 
-def _thermal(source: Source, fit: Callable[[Channel, Array, bool], FitResult]) -> list[FitResult]:
+SENSOR = Option("sensor", ("all", "accel", "gyro"), "all", "only this sensor")
+
+
+def _thermal(source: Source, options: Options, fit: Callable[[Channel, Array, bool], FitResult]) -> list[FitResult]:
     fits = []
-    sensors = [s for s in (Sensor.ACCEL, Sensor.GYRO) if source.recording.instances(s)]
-    if not sensors:
-        source.channels(Sensor.ACCEL)  # says what the recording has instead
+    sensors = [s for s in (Sensor.ACCEL, Sensor.GYRO) if options["sensor"] in {"all", s.value}]
+    sensors = [s for s in sensors if source.recording.instances(s)]
+    if not sensors:  # says what the recording has instead
+        source.channels(Sensor.GYRO if options["sensor"] == "gyro" else Sensor.ACCEL)
     for sensor in sensors:
         for channel in source.channels(sensor):
             temperature = source.temperature(channel.instance)
@@ -55,11 +59,44 @@ def _together(a: Array, b: Array) -> bool:
 
 def thermal_linear(source: Source, options: Options) -> list[FitResult]:
     """Accelerometers and gyroscopes against their temperature, straight lines."""
+    through = _point(options)
+    if through is not None and options["sensor"] == "all" and len({c.sensor for c in _inertial(source)}) > 1:
+        raise InvalidInputError("a fixed point is one sensor's: choose it with --sensor accel or --sensor gyro")
 
     def fit(channel: Channel, temperature: Array, relative: bool) -> FitResult:
-        return fit_linear(channel, temperature, t_ref=options["tref"], min_span=options["min_span"], relative=relative)
+        return fit_linear(
+            channel,
+            temperature,
+            t_ref=options["tref"],
+            through=through,
+            min_span=options["min_span"],
+            relative=relative,
+        )
 
-    return _thermal(source, fit)
+    return _thermal(source, options, fit)
+
+
+def _inertial(source: Source) -> list[Channel]:
+    return [c for c in source.recording.channels if c.sensor in {Sensor.ACCEL, Sensor.GYRO} and len(c)]
+
+
+def _point(options: Options) -> Array | None:
+    """The values at `tref` through which the lines are forced; None: least squares with an intercept.
+
+    Raises
+    ------
+    InvalidInputError
+        If they are not three finite numbers.
+    """
+    if options["through"] is None:
+        return None
+    try:
+        values = np.array([float(part) for part in options["through"].split(",")])
+    except ValueError:
+        values = np.zeros(0)
+    if values.shape != (3,) or not np.isfinite(values).all():
+        raise InvalidInputError(f"through takes three numbers X,Y,Z at tref, not {options['through']!r}")
+    return values
 
 
 def thermal_poly(source: Source, options: Options) -> list[FitResult]:
@@ -72,10 +109,11 @@ def thermal_poly(source: Source, options: Options) -> list[FitResult]:
             degree=options["degree"],
             t_ref=options["tref"],
             min_span=options["min_span"],
+            lag=options["lag"] == "auto",
             relative=relative,
         )
 
-    return _thermal(source, fit)
+    return _thermal(source, options, fit)
 
 
 METHODS = (
@@ -85,7 +123,9 @@ METHODS = (
         "a motionless sensor whose temperature moves",
         (
             INSTANCE,
+            SENSOR,
             Option("tref", float, 25.0, "temperature at which nothing is corrected, degC; 0 is the published form"),
+            Option("through", str, None, "X,Y,Z: the lines go through these at tref; another estimator, never mixed"),
             Option("min_span", float, 2.0, "least range of temperature, degC"),
         ),
         thermal_linear,
@@ -96,9 +136,11 @@ METHODS = (
         "a motionless sensor that warms up by ten degrees or more",
         (
             INSTANCE,
+            SENSOR,
             Option("degree", int, 3, "of the polynomial, 1 to 5"),
             Option("tref", float, 35.0, "temperature at which the polynomial is zero, degC"),
             Option("min_span", float, 10.0, "least range of temperature, degC"),
+            Option("lag", ("auto", "ignore"), "auto", "fit against the temperature of the die where it is seen to lag"),
         ),
         thermal_poly,
     ),

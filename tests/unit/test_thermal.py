@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from calib.drift import DriftBlocks
 from calib.errors import InvalidInputError
 from calib.fit import FitStatus
 from calib.recording import Channel, Sensor, Stage
@@ -310,3 +311,71 @@ def test_counting_equal_samples_gives_the_same_answer_as_listing_them(raw_channe
     monkeypatch.setattr("calib.thermal._MANY", 100)
     counted = fit_polynomial(coarse, T)
     assert np.abs((counted.values - listed.values) / np.where(listed.sd > 0, listed.sd, 1.0)).max() < 1e-4
+
+
+def test_every_open_parameter_has_its_remedy_and_every_fit_its_residuals():
+    T = warm_up(1000)
+    y = drift(T) + 0.01 * np.random.default_rng(11).normal(size=(1000, 3))
+    accel = fit_polynomial(channel(y, Sensor.ACCEL, "m/s2"), T)
+    line = fit_linear(channel(np.column_stack([y[:, :2], np.zeros(1000)])), T)
+    assert set(accel.movements) == set(accel.undetermined)
+    assert "accel-thermal" in accel.movements["offset_x"]
+    assert "gyro-rest" in line.movements["offset_x"]
+    assert "finer resolution" in line.movements["poly1_z"]
+    assert accel.quality["p_value"] > 1e-3
+    assert accel.quality["white"]
+    assert accel.quality["attitude_sd_deg"] == pytest.approx(np.degrees(max(accel.quality["drift_sd"]) / 9.80665))
+    gyro = fit_polynomial(channel(y), T)
+    assert gyro.quality["attitude_sd_deg_per_min"] > 0.0
+    refusal = fit_polynomial(channel(y), np.linspace(30.0, 31.0, 1000))
+    assert "cold board" in refusal.movements["poly1_x" if "poly1_x" in refusal.movements else "offset_x"]
+
+
+def test_a_walk_shows_in_the_residuals():
+    rng = np.random.default_rng(12)
+    T = up_and_down(2000)
+    wild = fit_polynomial(channel(drift(T) + 0.02 * rng.normal(size=(2000, 3)) + walk(rng, 2000, 0.1)), T)
+    assert wild.quality["p_value"] < 1e-3
+    assert not wild.quality["white"]
+
+
+def test_rows_out_of_order_are_sorted():
+    rng = np.random.default_rng(13)
+    T = warm_up(1000)
+    straight = channel(drift(T) + 0.01 * rng.normal(size=(1000, 3)))
+    order = rng.permutation(1000)
+    shuffled = fit_polynomial(
+        dataclasses.replace(straight, t=straight.t[order], values=straight.values[order]), T[order]
+    )
+    assert shuffled.values == pytest.approx(fit_polynomial(straight, T).values, abs=1e-12)
+    assert any("ran backwards" in w for w in shuffled.warnings)
+
+
+def test_spikes_are_left_out_and_counted():
+    rng = np.random.default_rng(14)
+    T = warm_up(1000)
+    y = drift(T) + 0.01 * rng.normal(size=(1000, 3))
+    calm = fit_polynomial(channel(y), T)
+    y[[100, 700], [0, 2]] = [500.0, -800.0]
+    spiked = fit_polynomial(channel(y), T)
+    assert any("2 rows lie far" in w for w in spiked.warnings)
+    known = calm.sd > 0
+    assert np.abs((spiked.values - calm.values)[known] / calm.sd[known]).max() < 0.5
+
+
+@pytest.mark.parametrize("t", [np.linspace(430.0, 612.0, 500), np.linspace(2000.0, 6000.0, 500)])
+def test_raw_temperatures_are_refused(t):
+    fit = fit_polynomial(channel(drift(warm_up(500))), t)
+    assert fit.status == FitStatus.REFUSED
+    assert "no degrees Celsius" in fit.message
+
+
+def test_six_channels_of_a_far_offset_lose_no_digits():
+    rng = np.random.default_rng(15)
+    x = np.linspace(-1.0, 1.0, 3000)
+    y = np.outer(x, np.arange(1.0, 7.0)) + 1e-3 * rng.normal(size=(3000, 6))
+    near, far = (DriftBlocks.of(x, x + 1.0, y + shift, degree=3) for shift in (0.0, 1e7))
+    assert far.ordinary[1:] == pytest.approx(near.ordinary[1:], abs=1e-7)
+    assert far.residual_sd() == pytest.approx(near.residual_sd(), rel=1e-4)
+    forced = DriftBlocks.of(x, x + 1.0, y + 5.0, degree=2, origin=np.full(6, 5.0))
+    assert forced.ordinary == pytest.approx(np.linalg.lstsq(x[:, None] ** [1, 2], y, rcond=None)[0], abs=1e-9)
