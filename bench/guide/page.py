@@ -22,7 +22,7 @@ it has exit code 1 and the reason.
 | hands and two minutes, no fixture | `imu-multi`: twelve poses or more, two seconds each; else `accel-multi` |
 | a fixture that is square to 0.05° | `accel-six-face`, with `--fixture-sd 0.05` |
 | a place away from steel, the vehicle can be turned over | `mag-ellipsoid`, then `mag-align` for the mounting |
-| a vehicle too large to turn over | `mag-ellipsoid --model auto`, or with `--prior-sd`: and believe its heading sd |
+| a vehicle too large to turn over | `mag-ellipsoid`, with `--prior-sd` where the soft iron is known to be small |
 | a cold start and twenty minutes | `thermal-poly`; with faces in between, `accel-thermal` |
 | hours at rest | `allan` |
 | a turntable, or a thread | `gyro-turntable`, `gyro-thread` |
@@ -46,8 +46,9 @@ deviation does.
 ![Directions of the field](pictures/coverage.svg)
 
 With less tilt the offset along the vertical and the scale of the vertical become one number. The line is what the
-method states, the dots what it is really off by; where neither is drawn the fit was refused in one of the runs. A prior
-on the soft iron (`--prior-sd 0.1`: "scales are within 10 %") helps where the motion does not.
+method states, the dots what it is really off by, for compasses whose soft iron is about 3 %; where nothing is drawn the
+fit was refused in at least one of the runs. A prior that is true (`--prior-sd 0.03`: "scales are within 3 %") gives
+what the motion does not; one that is not true gives a wrong answer with a small standard deviation.
 
 ![Offset against tilt](pictures/tilt.svg)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -14,6 +15,7 @@ from calib.recording import Recording, Sensor
 from calib.simulate import MotionOptions, SensorErrors, SensorSuite, Warming, along, motion_of, simulate, trajectory
 
 _RUNS = 8
+_IRON = 0.03  # soft iron of the tilted compass, and its prior
 FIELD = np.array([21.0, 1.1, 43.2])  # uT, dip 64 deg
 MAG = SensorErrors(
     bias=np.array([12.0, -8.5, 21.0]),
@@ -64,7 +66,7 @@ def tilt() -> str:
     """Error and stated uncertainty of the offset against how far the vehicle is tilted, with a prior and without."""
     limits = np.array([10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0, 75.0])
     plot = Plot("Offset of the compass", "largest tilt, degrees", "µT", (5, 80), (0.01, 100), 440, 270, log_y=True)
-    for prior, colour in ((None, BLUE), (0.1, ORANGE)):
+    for prior, colour in ((None, BLUE), (_IRON, ORANGE)):
         shown: list[tuple[float, float, float]] = []
         for k, limit in enumerate(limits):
             fits = [found for n in range(_RUNS) if (found := _offset_error(limit, prior, seed=10 * k + n)) is not None]
@@ -72,7 +74,7 @@ def tilt() -> str:
                 error, stated = np.sqrt(np.mean(np.square(fits), axis=0))
                 shown.append((limit, error, stated))
         at, errors, stated_sd = (list(column) for column in zip(*shown, strict=True))
-        plot.line(at, stated_sd, colour, "no prior" if prior is None else f"prior_sd {prior:g}")
+        plot.line(at, stated_sd, colour, "no prior" if prior is None else f"--prior-sd {prior:g}")
         plot.dots(at, errors, colour, size=3.0)
     plot.legend.append((GREY, f"line: stated sd; dots: error, rms of {_RUNS} runs"))
     return side_by_side(
@@ -168,10 +170,10 @@ PICTURES: Mapping[str, Callable[[], str]] = {
 """By the name of their file."""
 
 
-def _tilted(limit_deg: float, seconds: float, seed: int = 1) -> Recording:
+def _tilted(limit_deg: float, seconds: float, seed: int = 1, sensor: SensorErrors = MAG) -> Recording:
     """Turning about the vertical while tilting up to a limit; beyond 80 degrees, over in every direction."""
     rng = np.random.default_rng(seed)
-    suite = SensorSuite(mag=MAG)
+    suite = SensorSuite(mag=sensor)
     if limit_deg > 80.0:
         motion = motion_of("tumble", MotionOptions(duration=seconds), rng)
         path = trajectory(motion.legs, 50.0, field=FIELD, start=motion.start)
@@ -194,7 +196,10 @@ def _mag(method: str, recording: Recording, **options: float) -> FitResult:
 
 def _offset_error(limit: float, prior: float | None, seed: int) -> tuple[float, float] | None:
     """Length of the error of the offset, and its stated sd, uT; None: the fit was refused."""
-    fit = _mag("mag-ellipsoid", _tilted(limit, 40.0, seed), **({} if prior is None else {"prior_sd": prior}))
+    draw = np.random.default_rng(1000 + seed).normal(size=(3, 3))
+    iron = _IRON * (np.triu(draw) + np.triu(draw, 1).T)
+    sensor = dataclasses.replace(MAG, matrix=np.eye(3) + iron)
+    fit = _mag("mag-ellipsoid", _tilted(limit, 40.0, seed, sensor), **({} if prior is None else {"prior_sd": prior}))
     if fit.status == FitStatus.REFUSED:
         return None
     return float(np.linalg.norm(fit.model.offset - MAG.bias)), float(np.linalg.norm(fit.sd[:3]))
