@@ -228,6 +228,8 @@ def _ferraris() -> list[Finding]:
     faces = {f"{axis}_{side}": f"{axis}_{word}" for axis in "xyz" for side, word in (("p", "up"), ("a", "down"))}
     (fit,) = METHODS["accel-six-face"].run(recordings.labelled(recording, faces), {"gravity": GRAVITY})
     scale = np.linalg.norm(np.linalg.inv(fit.model.matrix), axis=1)
+    (gyro,) = METHODS["gyro-g-sensitivity"].run(recordings.labelled(recording, faces), {"gravity": GRAVITY})
+    K, K_sd = (1e3 * np.degrees(np.array(gyro.native[key])).ravel() for key in ("K", "K_sd"))
     return [
         said(
             name,
@@ -254,6 +256,26 @@ def _ferraris() -> list[Finding]:
             with_sd(answer["b_a"], 0.0),
             f"{with_sd(fit.model.offset, fit.sd[:3])}: from all six faces, imucal's from each axis' own pair",
             agrees=bool((np.abs(fit.model.offset - answer["b_a"]) < 2.5 * fit.sd[:3]).all()),
+        ),
+        compared(
+            name,
+            "gyro-g-sensitivity",
+            "K_ga by rows, 1e-3 deg/s per m/s2",
+            1e3 * answer["K_ga"].ravel(),
+            K,
+            K_sd,
+            within=0.0,
+            because="our own sd alone: none is three sd from zero",
+        ),
+        compared(
+            name,
+            "gyro-g-sensitivity",
+            "gyro offset, deg/s",
+            answer["b_g"],
+            np.degrees(gyro.model.offset),
+            np.degrees(gyro.sd[:3]),
+            within=0.0,
+            because="our own sd alone",
         ),
         said(
             name,

@@ -22,6 +22,9 @@ Turning = Callable[[Array], tuple[Rotation, Array]]
 """From seconds (n,) since the leg began: the rotation since then (body axes) and the body's rate (n, 3)."""
 
 
+_MOST = 2e7  # samples of a trajectory: some gigabytes
+
+
 @dataclass(frozen=True, eq=False)
 class Leg:
     """A stretch of motion. An empty `label` makes no segment; `rate` is the true steady rate, `turns` whole turns."""
@@ -164,6 +167,8 @@ def trajectory(
     ends = np.cumsum([leg.duration for leg in legs]) if legs else np.zeros(1)
     if not (np.isfinite(rate) and rate > 0.0 and np.isfinite(ends).all() and (np.diff(ends, prepend=0.0) > 0.0).all()):
         raise InvalidInputError(f"a motion has legs of positive duration and a positive rate, not {rate} Hz")
+    if ends[-1] * rate > _MOST:
+        raise InvalidInputError(f"{ends[-1]:g} s at {rate:g} Hz are more than {_MOST:g} samples: take less of either")
     t = np.arange(int(np.floor(ends[-1] * rate + 1e-9))) / rate
     if len(t) < 2:
         raise InvalidInputError(f"{ends[-1]} s at {rate} Hz are fewer than two samples")

@@ -100,6 +100,7 @@ def test_warming_goes_from_start_to_end():
         (lambda: trajectory([hold(0.0)], 10.0, field=FIELD), "positive"),
         (lambda: trajectory([], 10.0, field=FIELD), "positive"),
         (lambda: trajectory([hold(0.1)], 10.0, field=FIELD), "fewer than two"),
+        (lambda: trajectory([hold(60.0)], 1e9, field=FIELD), "more than"),
         (lambda: trajectory([hold(1.0)], 10.0, field=np.zeros(2)), "field"),
         (lambda: trajectory([hold(1.0)], 10.0, field=FIELD, gravity=-1.0), "gravity"),
     ],
