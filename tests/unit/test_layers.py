@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 LAYERS = (
     {"errors"},
-    {"wire", "recording", "triad", "fit", "windows", "geometry", "attitude", "residuals", "c_array"},
+    {"wire", "recording", "triad", "fit", "windows", "geometry", "attitude", "residuals", "c_array", "conventions"},
     {"earth", "noise", "allan", "quantisation", "stillness"},
     {
         "accel",
@@ -30,7 +30,7 @@ LAYERS = (
         "sweeps",
         "thermal_report",
     },
-    {"simulate", "firmware", "inspection", "conventions"},
+    {"simulate", "firmware", "inspection", "converted"},
     {"logs"},
     {"procedures", "gap"},
     {"report", "scoring", "methods"},
