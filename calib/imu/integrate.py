@@ -40,22 +40,22 @@ class Moves:
     def of(cls, t: Array, values: Array, spans: Array, origin: Array) -> Moves:
         """The samples `values` (N, 3) at `t` (N,) that rule the time of `spans` (k, 2); N is two at least."""
         edges = np.concatenate([[-np.inf], 0.5 * (t[1:] + t[:-1]), [np.inf]])
-        rates, steps, first = [], [], [0]
         begins = np.maximum(np.searchsorted(edges, spans[:, 0], side="right") - 1, 0)
         ends = np.searchsorted(edges, spans[:, 1])
         width = int(np.clip((ends - begins).max(initial=2), 2, _CHUNK))
         width += width % 2
-        for (start, end), i, j in zip(spans, begins, ends, strict=True):
-            step = np.minimum(edges[i + 1 : j + 1], end) - np.maximum(edges[i:j], start)
-            count = -(-len(step) // width)
-            padding = count * width - len(step)
-            rates.append(np.vstack([values[i:j] - origin, np.zeros((padding, 3))]))
-            steps.append(np.concatenate([step, np.zeros(padding)]))
-            first.append(first[-1] + count)
+        counts = -(-(ends - begins) // width)
+        first = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
+        move = np.repeat(np.arange(len(spans)), counts)
+        within = np.arange(first[-1]) - first[move]
+        rows = (begins[move] + width * within)[:, None] + np.arange(width)
+        inside = rows < ends[move][:, None]
+        rows = np.where(inside, rows, 0)
+        step = np.minimum(edges[rows + 1], spans[move, 1:]) - np.maximum(edges[rows], spans[move, :1])
         return cls(
-            rates=np.concatenate([*rates, np.zeros((0, 3))]).reshape(-1, width, 3),
-            steps=np.concatenate([*steps, np.zeros(0)]).reshape(-1, width),
-            first=np.array(first, dtype=np.intp),
+            rates=(values[rows] - origin) * inside[..., None],
+            steps=np.where(inside, step, 0.0),
+            first=first,
             origin=origin,
             durations=spans[:, 1] - spans[:, 0],
         )

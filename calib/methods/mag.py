@@ -15,6 +15,7 @@ from calib.mag.align import Vertical, fit_alignment
 from calib.mag.blur import fit_ellipsoid_deblurred, rates_during
 from calib.mag.ellipsoid import fit_ellipsoid
 from calib.mag.ellipsoid_axis import fit_ellipsoid_axis
+from calib.mag.gyro_aided import fit_gyro_aided
 from calib.mag.heading import DEFAULT_INCLINATION
 from calib.mag.minmax import fit_minmax
 from calib.mag.ring_centres import CENTRES
@@ -202,6 +203,16 @@ def mag_align(source: Source, options: Options) -> list[FitResult]:
     return fits
 
 
+def mag_gyro(source: Source, options: Options) -> list[FitResult]:
+    """Every compass against the first gyroscope; the blur of a firmware that averages is undone."""
+    window = COMPASS_WINDOW.get(source.recording.identity.autopilot or "", 0.0)
+    gyro = source.recording.channel(Sensor.GYRO, 0)
+    return [
+        fit_gyro_aided(mag, gyro, delay=options["delay"], window=window, **_mag_facts(source, mag, options))
+        for mag in source.channels(Sensor.MAG)
+    ]
+
+
 METHODS = (
     Method(
         "mag-minmax",
@@ -283,6 +294,17 @@ METHODS = (
             Option("time_offset", float, None, "s by which the magnetometer is later; else it is estimated"),
         ),
         mag_align,
+    ),
+    Method(
+        "mag-gyro",
+        "Magnetometer offset, matrix and mounting against the gyroscope",
+        "any motion about two axes or more, a gyroscope in rad/s",
+        (
+            INSTANCE,
+            *_FIELD,
+            Option("delay", float, None, "how much later than the gyroscope the compass is, s; else estimated"),
+        ),
+        mag_gyro,
     ),
 )
 """In the order of the command line."""
