@@ -10,7 +10,7 @@ from calib.accel import fit_one_axis, fit_poses
 from calib.accel_thermal import fit_accel_thermal
 from calib.errors import InvalidInputError
 from calib.fit import FitResult
-from calib.methods.method import FIXTURE, GRAVITY, INSTANCE, Method, Option, Options, gravity_of, mean_or_none
+from calib.methods.method import FIXTURE, GRAVITY, INSTANCE, PLACE, Method, Option, Options, gravity_of, mean_or_none
 from calib.methods.source import Source
 from calib.quantisation import mean_of
 from calib.recording import Channel, Sensor
@@ -139,7 +139,7 @@ METHODS = (
         "accel-one-axis",
         "Accelerometer offset with one axis vertical",
         "a rest with one axis vertical to a degree",
-        (INSTANCE, GRAVITY, FIXTURE),
+        (INSTANCE, GRAVITY, *PLACE, FIXTURE),
         accel_one_axis,
     ),
     Method(
@@ -149,6 +149,7 @@ METHODS = (
         (
             INSTANCE,
             Option("gravity", float, None, "else 1 or the convention's (9.80665; accelcal 9.81), whichever is nearer"),
+            *PLACE,
             Option("convention", CONVENTIONS, "specific-force", "accelcal: the axis that points down reads +g"),
             FIXTURE,
             Option("samples", ("means", "all"), "means", "regress on face means, or on all samples as published"),
@@ -162,6 +163,7 @@ METHODS = (
         (
             INSTANCE,
             GRAVITY,
+            *PLACE,
             Option("cross_sd", float, 0.01, "prior standard deviation of the cross terms; 0 holds them at zero"),
             Option("form", ("symmetric", "upper"), "symmetric", "canonical form of the matrix"),
         ),
@@ -174,6 +176,7 @@ METHODS = (
         (
             INSTANCE,
             GRAVITY,
+            *PLACE,
             Option("degree", int, 2, "of the drift, 1 to 3"),
             Option("tref", float, None, "temperature that the offset refers to, degC; else the mean of the poses"),
             Option("cross_sd", float, 0.01, "prior standard deviation of the cross terms; 0 holds them at zero"),

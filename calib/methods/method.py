@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib import STANDARD_GRAVITY
+from calib.earth import local_gravity
 from calib.errors import InvalidInputError
 from calib.fit import FitResult
 from calib.methods.source import Source
@@ -48,7 +49,7 @@ class Method:
         InvalidInputError
             If an option is unknown or of a wrong type, or the recording lacks the sensor.
         """
-        chosen = _checked(self, options)
+        chosen = _with_local_gravity(_checked(self, options))
         source = Source.of(recording, chosen["instance"])
         return tuple(source.annotated(fit) for fit in self.fit(source, chosen))
 
@@ -90,6 +91,11 @@ def _converted(option: Option, value: Any) -> Any:
 
 
 INSTANCE = Option("instance", int, None, "only this instance, from 0; else every one that is there")
+PLACE = (
+    Option("latitude", float, None, "degrees: gravity of the place in place of the standard one"),
+    Option("altitude", float, None, "m above the ellipsoid, with latitude; 0 where not said"),
+)
+"""Beside :data:`GRAVITY`: the normal gravity of where it was recorded."""
 GRAVITY = Option("gravity", float, None, "length of gravity in the unit of the samples; 9.80665 m/s2 where not said")
 FIXTURE = Option("fixture_sd", float, 0.0, "tilt of the fixture, standard deviation in degrees")
 
@@ -101,6 +107,24 @@ def mean_or_none(values: Sequence[float] | Array) -> float | None:
     return float(finite.mean()) if len(finite) else None
 
 
+def _with_local_gravity(chosen: dict[str, Any]) -> dict[str, Any]:
+    """The options with the gravity of the stated place.
+
+    Raises
+    ------
+    InvalidInputError
+        If gravity is stated as well, or an altitude without a latitude.
+    """
+    latitude, altitude = chosen.get("latitude"), chosen.get("altitude")
+    if latitude is None:
+        if altitude is not None:
+            raise InvalidInputError(f"an altitude of {altitude:g} m without a latitude says nothing of gravity")
+        return chosen
+    if chosen["gravity"] is not None:
+        raise InvalidInputError(f"state gravity ({chosen['gravity']:g}) or the latitude ({latitude:g}), not both")
+    return {**chosen, "gravity": local_gravity(latitude, altitude or 0.0)}
+
+
 def gravity_of(options: Options, accel: Channel) -> float:
     """Length of gravity in the unit of `accel`.
 
@@ -109,8 +133,9 @@ def gravity_of(options: Options, accel: Channel) -> float:
     InvalidInputError
         If the unit is not m/s2 and nothing is stated.
     """
-    if options["gravity"] is not None:
+    in_si = accel.unit == "m/s2"
+    if options["gravity"] is not None and (in_si or options.get("latitude") is None):
         return float(options["gravity"])
-    if accel.unit != "m/s2":
+    if not in_si:
         raise InvalidInputError(f"gravity in {accel.unit} is not known: state it with --gravity")
     return STANDARD_GRAVITY

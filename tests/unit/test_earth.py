@@ -23,6 +23,33 @@ def test_reproduces_a_published_evaluation() -> None:
     assert field.model == "WMM-2025"
 
 
+PUBLISHED = [  # year, height km, latitude, longitude, X Y Z in nT: the test values that NOAA publishes with the models
+    (2020.0, 0, 80, 0, 6570.4, -146.3, 54606.0),
+    (2020.0, 0, 0, 120, 39624.3, 109.9, -10932.5),
+    (2020.0, 0, -80, 240, 5940.6, 15772.1, -52480.8),
+    (2020.0, 100, 80, 0, 6261.8, -185.5, 52429.1),
+    (2022.5, 0, 80, 0, 6529.9, 1.1, 54713.4),
+    (2022.5, 0, 0, 120, 39684.7, -42.2, -10809.5),
+    (2022.5, 100, -80, 240, 5815.0, 14803.0, -49755.3),
+    (2025.0, 0, 80, 0, 6521.6, 145.9, 54791.5),
+    (2025.0, 0, 0, 120, 39677.8, -109.6, -10580.2),
+    (2025.0, 0, -80, 240, 6117.5, 15751.9, -52022.5),
+    (2025.0, 100, 80, 0, 6216.0, 92.4, 52598.8),
+    (2025.0, 65, 43, 93, 24299.9, 210.5, 50037.9),
+    (2027.5, 0, 80, 0, 6500.8, 294.5, 54869.4),
+    (2027.5, 0, 0, 120, 39701.6, -167.4, -10381.8),
+    (2027.5, 100, 0, 120, 37711.5, -148.7, -9969.8),
+    (2027.5, 100, -80, 240, 5984.0, 14760.1, -49317.7),
+]
+
+
+@pytest.mark.parametrize("row", PUBLISHED)
+def test_reproduces_the_test_values_of_the_model(row: tuple[float, ...]) -> None:
+    year, height, latitude, longitude, *components = row
+    field = earth_field(latitude, longitude, 1000.0 * height, year)
+    assert field.north_east_down * 1e3 == pytest.approx(components, abs=0.051)
+
+
 def test_model_follows_the_date() -> None:
     at = {year: earth_field(47.4, 8.5, 500.0, year) for year in (2012.0, 2017.0, 2022.0, 2026.9)}
     assert [f.model for f in at.values()] == ["WMM-2010", "WMM-2015v2", "WMM-2020", "WMM-2025"]
@@ -94,3 +121,9 @@ def test_gravity_falls_with_height_and_straddles_the_standard_one() -> None:
     assert local_gravity(0.0, 0.0) < STANDARD_GRAVITY < local_gravity(90.0, 0.0)
     with pytest.raises(InvalidInputError, match="altitude"):
         local_gravity(45.0, math.inf)
+
+
+@pytest.mark.parametrize(("latitude", "gravity"), [(0.0, 9.7803267715), (45.0, 9.806199203), (90.0, 9.8321863685)])
+def test_gravity_of_the_geodetic_reference_system(latitude: float, gravity: float) -> None:
+    """GRS 80 (Moritz 2000), whose constants differ from those of WGS 84 by 1.5e-6 m/s2."""
+    assert local_gravity(latitude, 0.0) == pytest.approx(gravity, abs=2e-6)

@@ -171,6 +171,24 @@ def test_a_one_axis_rest_in_g():
     assert METHODS["accel-one-axis"].run(counts, {"gravity": 4096})[0].status == FitStatus.OK
 
 
+def test_gravity_of_the_place():
+    values = [0.02, -0.03, -9.832] + 0.002 * np.random.default_rng(8).normal(size=(256, 3))
+    recording = Recording((raw(Sensor.ACCEL, values, "m/s2"),))
+    (fit,) = METHODS["accel-one-axis"].run(recording, {"latitude": 90.0})
+    assert fit.quality["gravity"] == pytest.approx(9.832185, abs=1e-6)
+    (high,) = METHODS["accel-one-axis"].run(recording, {"latitude": "90", "altitude": 1000.0})
+    assert high.quality["gravity"] == pytest.approx(9.829, abs=2e-4)
+    with pytest.raises(InvalidInputError, match="not both"):
+        METHODS["accel-one-axis"].run(recording, {"latitude": 90.0, "gravity": 9.8})
+    with pytest.raises(InvalidInputError, match="without a latitude"):
+        METHODS["accel-multi"].run(recording, {"altitude": 100.0})
+    with pytest.raises(InvalidInputError, match="latitude 95"):
+        METHODS["accel-six-face"].run(recording, {"latitude": 95.0})
+    counts = Recording((raw(Sensor.ACCEL, 418.0 * values, "counts"),))
+    with pytest.raises(InvalidInputError, match="state it with --gravity"):
+        METHODS["accel-one-axis"].run(counts, {"latitude": 90.0})
+
+
 @pytest.mark.parametrize(
     ("name", "options", "says"),
     [
@@ -179,6 +197,8 @@ def test_a_one_axis_rest_in_g():
         ("thermal-poly", {"degree": "three"}, "degree must be a number"),
         ("thermal-poly", {"tref": float("nan")}, "tref must be a number"),
         ("accel-multi", {"cross_sd": True}, "cross_sd must be a number"),
+        ("thermal-linear", {"through": "1,2"}, "three numbers X,Y,Z"),
+        ("thermal-linear", {"through": "1,2,nan"}, "three numbers X,Y,Z"),
     ],
 )
 def test_wrong_options_are_told(name, options, says):
