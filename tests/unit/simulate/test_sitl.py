@@ -8,10 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.errors import InvalidInputError
+from calib.firmware import undo
 from calib.logs import read
 from calib.recording import Sensor
 from calib.simulate import SensorErrors, SensorSuite, Warming, from_sitl, to_sitl
 from calib.simulate.typical import typical
+from calib.stillness import HELD, find_still, pose_means
 
 
 def vector(name: str, values) -> dict[str, float]:
@@ -149,3 +151,38 @@ def test_parameters_of_no_sensor_are_refused():
                 gyro=SensorErrors(t_ref=35.0, temperature=np.ones((3, 1))),
             )
         )
+
+
+def test_the_errors_of_sim_parameters_are_those_of_the_running_simulator(shared_data):
+    """What a real ArduPilot streamed, its calibration undone, corrected by the model of its own SIM_* parameters."""
+    recording = read(shared_data / "sitl_captures" / "six_faces.tlog")
+    suite = from_sitl(recording.parameters.final()).suite
+    raw = undo(recording)
+    temperature = raw.channel(Sensor.TEMPERATURE)
+    poses = pose_means(raw.channel(Sensor.ACCEL), find_still(raw, instance=0, limits=HELD))
+    at = [float(np.interp(0.5 * (p.start + p.end), temperature.t, temperature.values[:, 0])) for p in poses]
+    force = suite.accel.correction.apply(np.array([p.mean for p in poses]), at)
+    assert len(force) == 10
+    np.testing.assert_allclose(np.linalg.norm(force, axis=1), 9.80665, atol=5e-4)
+    assert force[0, 2] < -9.7  # level first
+    field = np.linalg.norm(suite.mag.correction.apply(raw.channel(Sensor.MAG).values), axis=1)
+    still = np.abs(field - np.median(field)) < 0.02
+    assert still.mean() > 0.9  # the rest was read while it turned
+
+
+def test_the_drift_of_sim_parameters_is_that_of_the_running_simulator(shared_data):
+    recording = read(shared_data / "sitl_captures" / "warm_up.tlog")
+    suite = from_sitl(recording.parameters.final()).suite
+    raw = undo(recording)
+    temperature = raw.channel(Sensor.TEMPERATURE)
+    assert np.ptp(temperature.values) > 30.0
+    for sensor, errors, rest, near in (
+        (Sensor.ACCEL, suite.accel, [0.0, 0.0, -9.80665], 0.01),
+        (Sensor.GYRO, suite.gyro, [0.0, 0.0, 0.0], 1e-3),
+    ):
+        channel = raw.channel(sensor)
+        at = np.interp(channel.t, temperature.t, temperature.values[:, 0])
+        corrected = errors.correction.apply(channel.values, at)
+        blocks = corrected[: len(corrected) // 50 * 50].reshape(-1, 50, 3).mean(axis=1)
+        assert np.abs(np.median(blocks, axis=0) - rest).max() < near
+        assert np.abs(blocks[5:] - blocks[5:].mean(axis=0)).max() < 3 * near
