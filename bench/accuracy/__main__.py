@@ -7,11 +7,18 @@ import sys
 import time
 from pathlib import Path
 
-from bench.accuracy import page, rows_mag, rows_six_face, rows_thermal
+from bench.accuracy import page, rows_align, rows_allan, rows_imu, rows_mag, rows_six_face, rows_thermal
 from bench.accuracy.settings import Settings
 from bench.accuracy.tables import Part
 
-ROWS = {"mag": rows_mag.run, "six-face": rows_six_face.run, "thermal": rows_thermal.run}
+ROWS = {
+    "mag": rows_mag.run,
+    "align": rows_align.run,
+    "imu": rows_imu.run,
+    "six-face": rows_six_face.run,
+    "thermal": rows_thermal.run,
+    "allan": rows_allan.run,
+}
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "accuracy.md"
 

@@ -43,6 +43,8 @@ class Answer:
     values: Array
     stored: Array | None = None
     stored_sd: Array | None = None
+    bound: Callable[[], Array] | None = None
+    """Fisher information of what was used, where that is for the contender to choose; None: that of the draw."""
 
 
 @dataclass(frozen=True)
@@ -166,7 +168,8 @@ def _one(tally: Tally, drawn: Drawn) -> float:
         return taken
     given = ~np.isnan(answer.values)
     error = (answer.values - drawn.truth)[given]
-    square = float(error @ drawn.information[np.ix_(given, given)] @ error) / max(len(error), 1)
+    information = drawn.information if answer.bound is None else answer.bound()
+    square = float(error @ information[np.ix_(given, given)] @ error) / max(len(error), 1)
     if not math.isfinite(square) or not given.any():
         tally.failed += 1
         return taken

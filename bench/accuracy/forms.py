@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 Fitted = tuple[Array, Array]
@@ -74,3 +75,17 @@ def orthogonal(samples: Array) -> Fitted:
     start = np.concatenate([np.zeros(3), (shape / scale)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]])
     found = least_squares(residuals, start, method="lm").x
     return b + scale * found[:3], scale * _matrix(found[3:])
+
+
+def rotated(shape: Array, offset: Array, samples: Array, downs: Array) -> Array:
+    """``S Q`` with the rotation Q that makes the angle between field and vertical the steadiest: a second stage."""
+    field = np.linalg.solve(shape, (samples - offset).T).T
+    field /= np.linalg.norm(field, axis=1)[:, None]
+    level = downs / np.linalg.norm(downs, axis=1)[:, None]
+
+    def residuals(p: Array) -> Array:
+        body = field @ Rotation.from_rotvec(p[:3]).as_matrix()
+        return (body * level).sum(axis=1) - p[3]
+
+    found = least_squares(residuals, np.array([0.0, 0.0, 0.0, 0.8]), method="lm").x
+    return shape @ Rotation.from_rotvec(found[:3]).as_matrix()
