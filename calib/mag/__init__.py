@@ -20,6 +20,7 @@ Every fit takes samples (N, 3) in order of time and the keywords of :class:`cali
 ``coverage_mask``           ten bytes, the 80 sections of the sphere that the field was seen in; ``coverage`` 0..1
 ``residual_rms``            distance from the ellipsoid, in the unit of the samples
 ``chi2``, ``dof``           against ``noise_sd``, which is given or comes from successive residuals (``noise_from``)
+``p_value``, ``white``      chance of so large a ``chi2``, None unless the noise is given; whether residuals are white
 ``variance_inflation``      largest factor by which residuals that are correlated in time widened the covariance
 ``field_ratio``             measured over modelled field strength; None where one of them is not known
 ``n_outliers``              samples that were left out

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from calib.errors import InvalidInputError, UndeterminedError
-from calib.mag.moments import Moments
+from calib.mag.moments import Moments, adjusted_least_squares, corrections
+from calib.mag.samples import Cloud
+from calib.mag.shape import Ellipsoid, six_numbers
 
 
 def test_exact_samples_give_the_exact_ellipsoid(compass: Any, rng: np.random.Generator) -> None:
@@ -15,6 +17,32 @@ def test_exact_samples_give_the_exact_ellipsoid(compass: Any, rng: np.random.Gen
     np.testing.assert_allclose(found.offset, compass.truth.offset, atol=1e-8)
     np.testing.assert_allclose(found.shape, compass.truth.shape, atol=1e-8)
     assert noise < 1e-5
+
+
+def test_the_algebraic_fit_of_twelve_points(twelve_points: Any) -> None:
+    """Without the correction for noise it is the smallest eigenvector of the ten terms (METHODS)."""
+    cloud = Cloud.of(twelve_points)
+    theta = np.linalg.eigh(corrections(Moments.of(cloud).gram)[0])[1][:, 0]
+    quadratic = np.diag(theta[:3]) + 0.5 * (np.ones((3, 3)) - np.eye(3)) * theta[[[0, 3, 4], [3, 0, 5], [4, 5, 0]]]
+    offset = -0.5 * np.linalg.solve(quadratic, theta[6:9])
+    values, vectors = np.linalg.eigh(quadratic / (offset @ quadratic @ offset - theta[9]))
+    found = Ellipsoid(offset, (vectors / np.sqrt(values)) @ vectors.T).moved(cloud.centre, cloud.scale)
+    np.testing.assert_allclose(found.offset, [120.18582, -84.61328, 210.17085], atol=6e-6)
+    expected = [551.41066, 450.54855, 499.71978, 30.77567, -17.90751, 25.38172]
+    np.testing.assert_allclose(six_numbers(found.shape), expected, atol=6e-6)
+
+
+def test_one_call_gives_the_first_fit(compass: Any, rng: np.random.Generator) -> None:
+    samples = compass.read(compass.everywhere(rng, 5000), rng)
+    found, noise = adjusted_least_squares(samples)
+    whole, same = Moments.empty(samples.mean(axis=0), 50.0).added(samples).ellipsoid()
+    np.testing.assert_allclose(found.offset, whole.offset, atol=1e-8)
+    np.testing.assert_allclose(found.shape, whole.shape, atol=1e-8)
+    assert noise == pytest.approx(same)
+    with pytest.raises(UndeterminedError, match="too few"):
+        adjusted_least_squares(samples[:9])
+    with pytest.raises(UndeterminedError, match="plane"):
+        adjusted_least_squares(samples * [1.0, 1.0, 0.0])
 
 
 def test_the_noise_comes_out_and_does_not_bias(compass: Any, rng: np.random.Generator) -> None:
@@ -40,9 +68,7 @@ def test_corrected_moments_are_unbiased() -> None:
     rng = np.random.default_rng(1)
     noisy = 1.0 + 0.5 * rng.normal(size=(400_000, 3))
     found = Moments.empty(np.zeros(3), 1.0).added(noisy)
-    from calib.mag.moments import _CORRECTION
-
-    k0, k1, k2 = (_CORRECTION @ (found.gram / found.count).ravel()).reshape(3, 10, 10)
+    k0, k1, k2 = corrections(found.gram / found.count)
     corrected = k0 + 0.25 * k1 + 0.25**2 * k2
     np.testing.assert_allclose(corrected, np.ones((10, 10)), atol=0.03)
 
