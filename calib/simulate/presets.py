@@ -48,12 +48,14 @@ class MotionOptions:
 
     `duration` is the length in seconds of a rest, a tumble, a warm-up or a figure of eight, and of every pose, ring
     and turn of the others. `poses` are the oblique ones beside the six faces. `fixture_sd` is the tilt of every held
-    face about each horizontal axis, degrees.
+    face about each horizontal axis, degrees. `back`: six faces and poses are visited again in opposite order, so that
+    temperature and pose are not confounded.
     """
 
     duration: float | None = None
     poses: int = 10
     fixture_sd: float = 0.0
+    back: bool = False
 
     def __post_init__(self) -> None:
         length = 1.0 if self.duration is None else self.duration
@@ -74,14 +76,14 @@ def rest(options: MotionOptions, rng: np.random.Generator) -> Motion:
 
 def six_faces(options: MotionOptions, rng: np.random.Generator) -> Motion:
     """The six faces in turn, labelled by their names."""
-    return _visited(list(FACES), _held(list(FACES.values()), options, rng), options.duration or 5.0)
+    return _visited(list(FACES), _held(list(FACES.values()), options, rng), options)
 
 
 def poses(options: MotionOptions, rng: np.random.Generator) -> Motion:
     """The six faces and oblique poses, all labelled."""
     oblique = [Rotation.from_quat(q / np.linalg.norm(q)) for q in rng.normal(size=(options.poses, 4))]
     names = [*FACES, *(f"pose{k + 1}" for k in range(options.poses))]
-    return _visited(names, _held([*FACES.values(), *oblique], options, rng), options.duration or 5.0)
+    return _visited(names, _held([*FACES.values(), *oblique], options, rng), options)
 
 
 def tumble(options: MotionOptions, rng: np.random.Generator) -> Motion:
@@ -195,7 +197,10 @@ def _held(attitudes: Sequence[Rotation], options: MotionOptions, rng: np.random.
     return [Rotation.from_rotvec([a, b, 0.0]) * attitude for (a, b), attitude in zip(tilts, attitudes, strict=True)]
 
 
-def _visited(names: Sequence[str], attitudes: Sequence[Rotation], seconds: float) -> Motion:
+def _visited(names: Sequence[str], attitudes: Sequence[Rotation], options: MotionOptions) -> Motion:
+    seconds = options.duration or 5.0
+    if options.back:
+        names, attitudes = [*names, *names[-2::-1]], [*attitudes, *attitudes[-2::-1]]
     legs = [hold(seconds, names[0])]
     for name, (before, after) in zip(names[1:], pairwise(attitudes), strict=True):
         legs += [hold(_SETTLE), turn((before.inv() * after).as_rotvec(), _MOVE), hold(_SETTLE), hold(seconds, name)]

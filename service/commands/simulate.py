@@ -74,6 +74,7 @@ def _numbers(count: int) -> Callable[[click.Context, click.Parameter, str | None
 @click.option("--mag-rate", type=float, help="Of the magnetometer, where it is slower.")
 @click.option("--duration", type=float, metavar="S", help="Of the whole, or of each pose, ring or turn.")
 @click.option("--poses", type=click.IntRange(0, 1000), default=10, show_default=True, help="Oblique ones.")
+@click.option("--back", is_flag=True, help="Visit six faces or poses again in opposite order.")
 @click.option("--fixture-sd", type=float, default=0.0, show_default=True, help="Tilt of each held face, degrees.")
 @click.option(
     "--field",
@@ -162,5 +163,7 @@ def _trajectory(
         attitude = read_table(readable_file(path), **frames).channel(Sensor.ATTITUDE)
         return along(attitude.t, Rotation.from_quat(attitude.values[:, [1, 2, 3, 0]]), **facts)
     assert motion is not None
-    made = motion_of(motion, MotionOptions(options["duration"], options["poses"], options["fixture_sd"]), draw)
+    made = motion_of(
+        motion, MotionOptions(options["duration"], options["poses"], options["fixture_sd"], options["back"]), draw
+    )
     return trajectory(made.legs, options["rate"], start=made.start, **facts)

@@ -5,12 +5,20 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.errors import InvalidInputError
+from calib.faces import down_of
 from calib.simulate import MOTIONS, MotionOptions, Warming, along, motion_of, trajectory
 from calib.simulate.motion import hold, spin, turn
-from calib.six_face import down_of
 
 FIELD = np.array([20.0, 1.0, 43.0])
 G = 9.80665
+DOWN = {  # MAVLink's names: what is down
+    "level": (0, 0, 1),
+    "back": (0, 0, -1),
+    "left": (0, -1, 0),
+    "right": (0, 1, 0),
+    "nose_down": (1, 0, 0),
+    "nose_up": (-1, 0, 0),
+}
 
 
 def made(name: str, rate: float = 50.0, seed: int = 1, **options):
@@ -33,9 +41,7 @@ def test_labelled_faces_are_the_faces_that_they_say():
         assert len(path.facts) == 6
         for facts in path.facts:
             span = (path.t >= facts.segment.start) & (path.t < facts.segment.end)
-            np.testing.assert_allclose(
-                -path.force[span] / G, np.tile(down_of(facts.segment.label), (200, 1)), atol=1e-9
-            )
+            np.testing.assert_allclose(-path.force[span] / G, np.tile(DOWN[facts.segment.label], (200, 1)), atol=1e-9)
 
 
 def test_a_ring_is_one_whole_turn_and_the_table_turns_both_ways():
@@ -62,9 +68,15 @@ def test_a_fixture_tilts_every_face_by_its_own():
     tilts = []
     for facts in path.facts:
         row = int(np.searchsorted(path.t, facts.segment.start))
-        tilts.append(np.degrees(np.arccos(np.clip(-path.force[row] / G @ down_of(facts.segment.label), -1, 1))))
+        tilts.append(np.degrees(np.arccos(np.clip(-path.force[row] / G @ DOWN[facts.segment.label], -1, 1))))
     assert 0.2 < np.mean(tilts) < 3.0
     assert len(set(np.round(tilts, 9))) == 6
+
+
+def test_there_and_back_visits_every_face_twice():
+    labels = [f.segment.label for f in made("six-faces", duration=1.0, back=True).facts]
+    assert labels == ["level", "left", "right", "nose_down", "nose_up", "back", *labels[4::-1]]
+    assert len(labels) == 11
 
 
 def test_legs_begin_where_the_last_one_ended():
