@@ -12,7 +12,7 @@ are the body's: :mod:`calib.firmware.compose` turns them into the mounting of a 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.c_array import c_array, homogeneous
 from calib.conventions import accelcal_from_model, imu_tk_from_model, kalibr_from_model, magcal_from_model
 from calib.errors import InvalidInputError
 from calib.firmware import ardupilot, names, px4
@@ -121,6 +122,28 @@ def converted(fit: FitResult, convention: Convention | str) -> Converted:
     if fit.model.polynomial is not None:
         lost += (f"the drift with temperature; this holds at {fit.model.polynomial.t_ref:g} degC",)
     return Converted(chosen, form, values, lost)
+
+
+def c_header(fits: Sequence[FitResult]) -> str:
+    """A header of C with the correction of every fit as a homogeneous 4 x 4 array, ``mag_0`` for the first compass.
+
+    Raises
+    ------
+    InvalidInputError
+        If a fit is refused, leaves part of its model open, or depends on temperature: a constant array would hide it.
+    """
+    pieces = ["/* corrected = H [x y z 1], row by row; from mavcal */\n"]
+    for fit in fits:
+        name = f"{fit.sensor.value}_{fit.instance}"
+        if fit.status != FitStatus.OK or fit.undetermined or fit.model.polynomial is not None:
+            raise InvalidInputError(
+                f"{name} is not exported as an array: it is {fit.status.value}"
+                f"{', with a drift with temperature' if fit.model.polynomial is not None else ''}. {fit.message}"
+            )
+        relative = ", relative to the calibration in force when it was recorded" if fit.relative else ""
+        pieces.append(f"/* {fit.method}, {fit.unit}{relative} */")
+        pieces.append(f"{c_array(name, homogeneous(fit.model.matrix, fit.model.offset))}\n")
+    return "\n".join(pieces)
 
 
 _Form = tuple[str, dict[str, Any], tuple[str, ...]]

@@ -1,79 +1,42 @@
 """Six faces on a fixture: known directions, so all twelve numbers of an accelerometer (METHODS S4, ``accelcal``).
 
-``C = U A + b`` by rows: least squares of the true face vectors on ``[U 1]``. Tilt of the fixture dominates everything
-(0.05 deg leave 6e-4 of cross term), so its size is part of the covariance.
+``C = U A + b`` by rows: least squares of the true face vectors on ``[U 1]``, as published. It regresses what is known
+on what is noisy, so single noisy samples shrink the answer by ``1 + 3 s^2/g^2``: face means do not, and the forward
+form ``U = t M^T + b`` (half the difference of two faces is a column of M, as with six rings) never does. Tilt of the
+fixture dominates everything (0.05 deg leave 6e-4 of cross term), so its size is part of the covariance.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
-from calib import STANDARD_GRAVITY
+from calib.attitude import tilt_sd_deg
+from calib.c_array import homogeneous
+from calib.conventions import accelcal_from_model
 from calib.errors import InvalidInputError
-from calib.fit import AXES, FitResult, FitStatus, refused
+from calib.faces import CONVENTIONS, Convention, Face, directions_of, recognised_gravity
+from calib.fit import FitResult, FitStatus, refused
 from calib.recording import Sensor
+from calib.residuals import residual_statistics
 from calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 
 METHOD = "accel-six-face"
-ACCELCAL_GRAVITY = 9.81
+Form = Literal["accelcal", "forward"]
+FORMS: tuple[Form, ...] = ("accelcal", "forward")
 
-Convention = Literal["specific-force", "accelcal"]
-CONVENTIONS: tuple[Convention, ...] = ("specific-force", "accelcal")
-
-_SQUARE = np.cos(np.radians(30.0))  # a row farther than this from an axis is no face
 _MISFIT = 0.001
-
-_DOWN_AXES = {  # which body axis points down, and with which sign
-    "level": (2, 1.0),
-    "back": (2, -1.0),
-    "left": (1, -1.0),
-    "right": (1, 1.0),
-    "nose_down": (0, 1.0),
-    "nose_up": (0, -1.0),
-}
-"""MAVLink's ``ACCELCAL_VEHICLE_POS``: lying on its left side, the left side is down."""
-
-
-@dataclass(frozen=True, eq=False)
-class Face:
-    """The mean reading of one face.
-
-    `covariance` (3, 3) of the mean is None where only one reading is known. `down` is the unit vector (3,) that points
-    down in the sensor's axes; None: recognised from the reading.
-    """
-
-    mean: Array
-    covariance: Array | None = None
-    down: Array | None = None
-    n: int = 1
-
-
-def down_of(label: str) -> Array | None:
-    """The direction that is down for a label: a MAVLink pose, or an axis such as ``xup``, ``z_down``, ``+y`` (up).
-
-    None if the label says nothing of the kind.
-    """
-    name = (
-        label.strip().lower().replace("-", "_").replace(" ", "_") if len(label.strip()) > 2 else label.strip().lower()
-    )
-    if name in _DOWN_AXES:
-        axis, sign = _DOWN_AXES[name]
-        return np.asarray(sign * np.eye(3)[axis], dtype=np.float64)
-    bare = name.replace("_", "")
-    for axis, letter in enumerate(AXES):
-        if bare in {f"{letter}up", f"+{letter}"}:
-            return np.asarray(-np.eye(3)[axis], dtype=np.float64)
-        if bare in {f"{letter}down", f"-{letter}"}:
-            return np.asarray(np.eye(3)[axis], dtype=np.float64)
-    return None
+_ALL_FACES = "hold it on each of its six sides in turn, square on the fixture: every axis once up and once down"
+_MOST_CONDITION = 1e6
+_FACES = 6
+_NOTICEABLE = 0.2  # of its sd, a shrink of the scale that is worth a warning
 
 
 def fit_six_face(
@@ -81,6 +44,7 @@ def fit_six_face(
     *,
     gravity: float | None = None,
     convention: Convention = "specific-force",
+    form: Form = "accelcal",
     fixture_sd: float = 0.0,
     instance: int = 0,
     unit: str = "m/s2",
@@ -98,6 +62,9 @@ def fit_six_face(
         the readings.
     convention
         ``specific-force``: level, z reads -g. ``accelcal``: the axis that points down reads +g.
+    form
+        ``accelcal``: the published regression of the true vectors on the readings. ``forward``: of the readings on the
+        true vectors, which noise does not bias.
     fixture_sd : float
         Standard deviation of each face's tilt about each horizontal axis, degrees; part of the covariance.
     instance, unit, temperature, relative
@@ -106,149 +73,179 @@ def fit_six_face(
     Returns
     -------
     FitResult
-        ``native`` holds A (3, 3) and b (3,) of ``C = U A + b``, gravity and convention. The model is the same
-        correction: ``matrix = A^T``, ``offset = -A^-T b``, in the convention of the readings.
+        ``native`` holds A (3, 3) and b (3,) of ``C = U A + b``, the columns of the sensitivity (with the offset, the
+        forward form), the homogeneous 4 x 4 matrix, gravity and convention. The model is the same correction:
+        ``matrix = A^T``, ``offset = -A^-T b``, in the convention of the readings.
+
+    Raises
+    ------
+    InvalidInputError
+        If an option is impossible.
     """
+    if form not in FORMS:
+        raise InvalidInputError(f"the form is one of {', '.join(FORMS)}, not {form!r}")
     if convention not in CONVENTIONS:
         raise InvalidInputError(f"the convention is one of {', '.join(CONVENTIONS)}, not {convention!r}")
     if not (np.isfinite(fixture_sd) and fixture_sd >= 0.0):
         raise InvalidInputError(f"the tilt of the fixture is a number of degrees, not {fixture_sd}")
     n_samples = sum(face.n for face in faces)
 
-    def refusal(message: str) -> FitResult:
-        return refused(METHOD, Sensor.ACCEL, instance, message, unit=unit, n_samples=n_samples)
+    def refusal(message: str, movement: str = _ALL_FACES) -> FitResult:
+        return refused(METHOD, Sensor.ACCEL, instance, message, unit=unit, n_samples=n_samples, movement=movement)
 
     U = np.array([face.mean for face in faces], dtype=np.float64).reshape(-1, 3)
     if len(U) < 6 or not np.isfinite(U).all():
         return refusal(f"{len(U)} faces with finite readings: six are needed, every axis once up and once down")
     sign = 1.0 if convention == "accelcal" else -1.0
-    directions, problem = _directions(faces, U, sign)
+    directions, problem = directions_of(faces, U, sign)
     if problem:
         return refusal(problem)
-    g = _gravity(U, gravity, convention, unit)
+    g = recognised_gravity(U, gravity, convention)
     if g is None:
         size = float(np.linalg.norm(U, axis=1).mean())
-        return refusal(f"readings of length {size:.4g} {unit} are neither g nor m/s2: state --gravity or the unit")
-    return _fitted(faces, U, g * sign * directions, g, convention, fixture_sd, instance, unit, temperature, relative)
+        said = f"readings of length {size:.4g} {unit} are neither g nor m/s2: state --gravity or the unit"
+        return refusal(said, "state the length of gravity in the unit of the samples, or their unit")
+    rows = _Rows(tuple(faces), U, g * sign * directions, g, fixture_sd)
+    about = _About(convention, form, instance, unit, temperature, relative)
+    if np.linalg.cond(_regressors(rows, about.form)) > _MOST_CONDITION:
+        return refusal("the readings of opposite faces do not differ: the accelerometer is stuck, or was not turned")
+    return _fitted(rows, about)
 
 
-def _directions(faces: Sequence[Face], U: Array, sign: float) -> tuple[Array, str]:
-    """Unit vectors (K, 3) that point down, and what is wrong with them; empty if nothing is."""
-    centred = U - 0.5 * (U.max(axis=0) + U.min(axis=0))
-    directions = np.zeros_like(U)
-    for k, face in enumerate(faces):
-        axis = int(np.argmax(np.abs(centred[k])))
-        seen = np.sign(centred[k, axis]) * np.eye(3)[axis] * sign
-        if abs(centred[k, axis]) < _SQUARE * np.linalg.norm(centred[k]):
-            return directions, f"reading {k + 1} ({_listed(U[k])}) lies between the axes: hold every face square"
-        if face.down is not None and not np.array_equal(face.down, seen):
-            if np.array_equal(face.down, -seen):
-                return directions, (
-                    f"reading {k + 1} has the sign of the other convention: one of {' and '.join(CONVENTIONS)} "
-                    "must be stated rightly"
-                )
-            return directions, f"reading {k + 1} ({_listed(U[k])}) is not the face that its label says"
-        directions[k] = seen
-    missing = [
-        f"{AXES[axis]} {'down' if side > 0 else 'up'}"
-        for axis in range(3)
-        for side in (-1.0, 1.0)
-        if not (directions[:, axis] == side).any()
-    ]
-    return directions, f"no face with {', '.join(missing)}: turn it there" if missing else ""
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Readings U (K, 3) of faces whose true vectors are T (K, 3), all of them g long."""
+
+    faces: tuple[Face, ...]
+    U: Array
+    T: Array
+    g: float
+    fixture_sd: float
 
 
-def _gravity(U: Array, gravity: float | None, convention: Convention, unit: str) -> float | None:
-    if gravity is not None:
-        if not (np.isfinite(gravity) and gravity > 0.0):
-            raise InvalidInputError(f"gravity must be positive, not {gravity}")
-        return gravity
-    size = float(np.linalg.norm(U, axis=1).mean())
-    standard = ACCELCAL_GRAVITY if convention == "accelcal" else STANDARD_GRAVITY
-    nearest = min((standard, 1.0), key=lambda g: abs(size - g))
-    return nearest if 0.5 * nearest < size < 2.0 * nearest else None
+@dataclass(frozen=True)
+class _About:
+    """What goes into the result as it came."""
+
+    convention: Convention
+    form: Form
+    instance: int
+    unit: str
+    temperature: float | None
+    relative: bool
 
 
-def _fitted(
-    faces: Sequence[Face],
-    U: Array,
-    T: Array,
-    g: float,
-    convention: Convention,
-    fixture_sd: float,
-    instance: int,
-    unit: str,
-    temperature: float | None,
-    relative: bool,
-) -> FitResult:
-    X = np.column_stack([U, np.ones(len(U))])
-    solution = np.linalg.lstsq(X, T, rcond=None)[0]
-    A, b = np.asarray(solution[:3]), np.asarray(solution[3])
-    residual = np.asarray(T - X @ solution, dtype=np.float64)
-    dof = 3 * (len(U) - 4)
-    H = np.linalg.pinv(X)  # (4, K): solution = H T
-    errors = _Errors.of(faces, A, T, g, fixture_sd, residual, dof)
-    spread = errors.spread(H)
-    chi2 = errors.chi2(residual, T / g) if errors.predicted else None
-    jacobian, model = _model_jacobian(A, b)
-    covariance = jacobian @ spread @ jacobian.T
-    warnings = []
+def _regressors(rows: _Rows, form: Form) -> Array:
+    """Columns of the regression, each of the order of one: ``[U 1]``, or ``[T 1]`` for the forward form."""
+    known = rows.U / np.abs(rows.U).max() if form == "accelcal" else rows.T / rows.g
+    return np.column_stack([known, np.ones(len(known))])
+
+
+def _fitted(rows: _Rows, about: _About) -> FitResult:
+    forward = about.form == "forward"
+    left, right = (rows.T, rows.U) if forward else (rows.U, rows.T)
+    X = np.column_stack([left, np.ones(len(left))])
+    H = np.linalg.pinv(X)  # (4, K): solution = H right
+    solution = np.asarray(H @ right if forward else np.linalg.lstsq(X, right, rcond=None)[0], dtype=np.float64)
+    residual = np.asarray(right - X @ solution, dtype=np.float64)
+    dof = 3 * (len(X) - 4)
+    errors = _Errors.of(rows, np.eye(3) if forward else solution[:3], solution[:3] if forward else np.eye(3), residual)
+    jacobian, model = _forward_jacobian(solution) if forward else _model_jacobian(solution[:3], solution[3])
+    covariance = jacobian @ errors.spread(H) @ jacobian.T
+    chi2 = errors.chi2(residual, rows.T / rows.g) if errors.predicted else None
     p_value = None if chi2 is None else float(chi2_distribution.sf(chi2, dof))
+    warnings = []
     if p_value is not None and p_value < _MISFIT and chi2 is not None:
         covariance = covariance * (chi2 / dof)
         warnings.append(
-            f"the faces disagree more than noise and a tilt of {fixture_sd} deg explain (p = {p_value:.1e}; the sd is "
-            "inflated to their scatter): the fixture is worse, or a face was disturbed"
+            f"the faces disagree more than noise and a tilt of {rows.fixture_sd} deg explain (p = {p_value:.1e}; the "
+            "sd is inflated to their scatter): the fixture is worse, or a face was disturbed"
         )
+    corrected = rows.T - model.apply(rows.U)
+    if not forward:
+        warnings += _shrinks(rows, corrected, dof, float(np.sqrt(np.diag(covariance)[[3, 7, 11]].min())))
+    statistics = residual_statistics(corrected, dof, None)
+    n_samples = sum(face.n for face in rows.faces)
     return FitResult(
         method=METHOD,
         sensor=Sensor.ACCEL,
-        instance=instance,
+        instance=about.instance,
         status=FitStatus.OK,
-        message=f"fitted to {len(U)} readings of six faces, gravity {g:g}",
+        message=f"fitted to {len(X)} readings of six faces, gravity {rows.g:g}",
         model=model,
         covariance=0.5 * (covariance + covariance.T),
-        unit=unit,
-        n_samples=sum(face.n for face in faces),
-        n_used=sum(face.n for face in faces),
-        residual_rms=float(np.sqrt((residual**2).mean())),
+        unit=about.unit,
+        n_samples=n_samples,
+        n_used=n_samples,
+        residual_rms=float(np.sqrt((corrected**2).mean())),
         condition_number=float(np.linalg.cond(X / np.linalg.norm(X, axis=0))),
-        relative=relative,
+        relative=about.relative,
         warnings=tuple(warnings),
-        temperature=temperature,
-        quality={"chi2": chi2, "dof": dof, "p_value": p_value, "faces": len(U), "gravity": g},
-        native={
-            "A": A.tolist(),
-            "b": b.tolist(),
-            "gravity": g,
-            "convention": convention,
-            "form": "C = U A + b by rows",
+        temperature=about.temperature,
+        quality={
+            **statistics,
+            "chi2": chi2,
+            "dof": dof,
+            "p_value": p_value,
+            "faces": len(X),
+            "gravity": rows.g,
+            "fixture_sd_deg": rows.fixture_sd,
+            "attitude_sd_deg": tilt_sd_deg(model, covariance, rows.g),
         },
+        native=_native(model, rows, about),
     )
+
+
+def _native(model: TriadModel, rows: _Rows, about: _About) -> dict[str, Any]:
+    A, b = accelcal_from_model(model)
+    return {
+        "A": A.tolist(),
+        "b": b.tolist(),
+        "columns": np.linalg.inv(model.matrix).tolist(),
+        "offset": model.offset.tolist(),
+        "homogeneous": homogeneous(model.matrix, model.offset).tolist(),
+        "gravity": rows.g,
+        "convention": about.convention,
+        "regression": about.form,
+        "form": "C = U A + b by rows",
+    }
+
+
+def _shrinks(rows: _Rows, residual: Array, dof: int, sd: float) -> list[str]:
+    """What is said of the errors in the regressors: ``1 + 3 s^2/g^2`` for single readings of noise s (METHODS S4)."""
+    if all(face.covariance is not None for face in rows.faces) or len(rows.faces) <= _FACES:
+        return []
+    shrink = 3.0 * float((residual**2).sum()) / dof / rows.g**2
+    if shrink < _NOTICEABLE * sd:
+        return []
+    return [
+        f"single noisy samples stand on the known side of the regression: the matrix is too small by {shrink:.1e} "
+        f"({shrink / sd:.1f} of its sd); use --samples means, or --form forward"
+    ]
 
 
 @dataclass(frozen=True, eq=False)
 class _Errors:
     """Errors of the rows of the regression: noise of each reading, and a tilt that all readings of a face share."""
 
-    noise: Array  # (K, 3, 3) in the corrected unit
-    tilt: Array  # (6, 3, 3): across gravity, g^2 sd^2 (I - t t^T)
+    noise: Array  # (K, 3, 3) in the unit of the regressed side
+    tilt: Array  # (6, 3, 3): across gravity, g^2 sd^2 (I - t t^T), in the same
     members: Array  # (6, K): which readings are of which face
     predicted: bool  # False: the residuals themselves had to tell the noise
 
     @classmethod
-    def of(
-        cls, faces: Sequence[Face], A: Array, T: Array, g: float, fixture_sd: float, residual: Array, dof: int
-    ) -> _Errors:
+    def of(cls, rows: _Rows, readings: Array, truths: Array, residual: Array) -> _Errors:
+        """`readings` and `truths` (3, 3) take errors of a reading and of a true vector to the regressed side."""
         ways = np.vstack([np.eye(3), -np.eye(3)])
-        members = (ways @ T.T > 0.5 * g).astype(np.float64)
-        tilt = (g * np.radians(fixture_sd)) ** 2 * (np.eye(3) - ways[:, :, None] * ways[:, None, :])
-        known = [face.covariance for face in faces if face.covariance is not None]
-        if len(known) < len(faces):
-            scatter = float((residual**2).sum()) / dof
-            return cls(np.tile(scatter * np.eye(3), (len(T), 1, 1)), tilt, members, predicted=False)
-        floor = (1e-9 * g) ** 2 * np.eye(3)  # exact numbers keep a weight
-        noise = np.einsum("ia,kij,jb->kab", A, np.array(known), A) + floor
+        members = (ways @ rows.T.T > 0.5 * rows.g).astype(np.float64)
+        across = np.eye(3) - ways[:, :, None] * ways[:, None, :]
+        tilt = (rows.g * np.radians(rows.fixture_sd)) ** 2 * np.einsum("ia,fij,jb->fab", truths, across, truths)
+        known = [face.covariance for face in rows.faces if face.covariance is not None]
+        if len(known) < len(rows.faces):
+            scatter = float((residual**2).sum()) / (3 * (len(residual) - 4))
+            return cls(np.tile(scatter * np.eye(3), (len(residual), 1, 1)), tilt, members, predicted=False)
+        floor = (1e-9 * float(np.abs(rows.U).max())) ** 2 * np.eye(3)  # exact numbers keep a weight
+        noise = np.einsum("ia,kij,jb->kab", readings, np.array(known) + floor, readings)
         return cls(noise, tilt, members, predicted=True)
 
     def spread(self, H: Array) -> Array:
@@ -283,5 +280,12 @@ def _model_jacobian(A: Array, b: Array) -> tuple[Array, TriadModel]:
     return jacobian, model
 
 
-def _listed(values: Array) -> str:
-    return ", ".join(f"{value:.4g}" for value in values)
+def _forward_jacobian(solution: Array) -> tuple[Array, TriadModel]:
+    """Derivative of the model's twelve numbers by ``[M^T; b]`` (rows), and the model: ``dC = -C dM C``."""
+    matrix = np.asarray(np.linalg.inv(solution[:3].T), dtype=np.float64)
+    jacobian = np.zeros((12, 12))
+    jacobian[:3, 9:] = np.eye(3)
+    for i in range(3):
+        for j in range(3):  # solution[j, i] = M[i, j]
+            jacobian[3:, 3 * j + i] = -np.outer(matrix[:, i], matrix[j]).ravel()
+    return jacobian, TriadModel(offset=solution[3], matrix=matrix)

@@ -12,10 +12,11 @@ from bench.accuracy.campaign import Answer, Case, Contender, Drawn, run_case
 from bench.accuracy.settings import Settings
 from bench.accuracy.tables import Part, accuracy_part
 from calib import STANDARD_GRAVITY
+from calib.faces import Face
 from calib.fit import FitStatus
 from calib.quantisation import mean_of
 from calib.recording import Channel, Rounding, Sensor, Stage
-from calib.six_face import Face, fit_six_face
+from calib.six_face import fit_six_face
 
 Array = NDArray[np.float64]
 Faces = list[Array]

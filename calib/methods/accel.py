@@ -9,12 +9,13 @@ from calib import STANDARD_GRAVITY
 from calib.accel import fit_one_axis, fit_poses
 from calib.accel_thermal import fit_accel_thermal
 from calib.errors import InvalidInputError
+from calib.faces import CONVENTIONS, Face, down_of
 from calib.fit import FitResult
 from calib.methods.method import FIXTURE, GRAVITY, INSTANCE, PLACE, Method, Option, Options, gravity_of, mean_or_none
 from calib.methods.source import Source
 from calib.quantisation import mean_of
 from calib.recording import Channel, Sensor
-from calib.six_face import CONVENTIONS, Face, down_of, fit_six_face
+from calib.six_face import FORMS, fit_six_face
 from calib.stillness import pose_means
 from calib.windows import finite_rows
 
@@ -43,6 +44,7 @@ def accel_six_face(source: Source, options: Options) -> list[FitResult]:
                 faces,
                 gravity=options["gravity"],
                 convention=options["convention"],
+                form=options["form"],
                 fixture_sd=options["fixture_sd"],
                 instance=accel.instance,
                 unit=accel.unit,
@@ -153,6 +155,7 @@ METHODS = (
             Option("convention", CONVENTIONS, "specific-force", "accelcal: the axis that points down reads +g"),
             FIXTURE,
             Option("samples", ("means", "all"), "means", "regress on face means, or on all samples as published"),
+            Option("form", FORMS, "accelcal", "forward: readings on true vectors, which noise does not bias"),
         ),
         accel_six_face,
     ),

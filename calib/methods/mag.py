@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from calib.earth import EarthField, earth_field
 from calib.errors import InvalidInputError
+from calib.faces import down_of
 from calib.fit import FitResult
 from calib.mag.align import Vertical, fit_alignment
 from calib.mag.blur import fit_ellipsoid_deblurred, rates_during
@@ -27,7 +28,6 @@ from calib.methods.source import Source
 from calib.procedures.mag import COMPASS_WINDOW
 from calib.recording import Channel, Sensor
 from calib.rest_reference import SAMPLES, Sensors, fit_rest_reference
-from calib.six_face import down_of
 from calib.windows import finite_rows
 
 Array = NDArray[np.float64]

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
+from calib.converted import Convention, Converted, c_header, converted
 from calib.fit import FitResult, FitStatus
 from calib.methods import METHODS, Method
 from service.commands.output import EXIT_NO, json_option, write_json
-from service.commands.reading import readable_file, reading_options, split_reading
+from service.commands.reading import face_option, read_recording, reading_options, split_reading
 
 
 @click.group()
@@ -23,13 +24,33 @@ def command() -> None:
 
 
 def _subcommand(method: Method) -> click.Command:
-    @click.argument("file")
-    @click.option("--export", type=click.Path(path_type=Path, dir_okay=False), help="Write .param, .parm or .params.")
+    @click.argument("file", required=False)
+    @face_option
+    @click.option(
+        "--export",
+        type=click.Path(path_type=Path, dir_okay=False),
+        help="Write .param, .parm or .params; .h is the correction as a homogeneous 4x4 array of C.",
+    )
+    @click.option(
+        "--as", "as_form", type=click.Choice([c.value for c in Convention]), help="Add the fit in another's form."
+    )
     @reading_options
     @json_option
-    def run(file: str, export: Path | None, as_json: bool, **options: Any) -> int:
+    def run(
+        file: str | None,
+        faces: tuple[tuple[str, str], ...],
+        export: Path | None,
+        as_form: str | None,
+        as_json: bool,
+        **options: Any,
+    ) -> int:
         reading, chosen = split_reading(options)
-        return _fit(method, file, reading, {k: v for k, v in chosen.items() if v is not None}, export, as_json)
+        recording = read_recording(file, faces, reading)
+        fits = method.run(recording, {k: v for k, v in chosen.items() if v is not None})
+        if export is not None:
+            _export(recording, fits, export)
+        _tell(fits, as_form, as_json=as_json)
+        return EXIT_NO if any(fit.status == FitStatus.REFUSED for fit in fits) else 0
 
     made = click.command(method.name, help=f"{method.summary}\n\nNeeds: {method.needs}")(run)
     made.params += [
@@ -48,37 +69,37 @@ def _parameter_type(kind: Any) -> Any:
     return click.Choice(list(kind)) if isinstance(kind, tuple) else kind
 
 
-def _fit(
-    method: Method,
-    file: str,
-    reading: Mapping[str, Any],
-    options: Mapping[str, Any],
-    export: Path | None,
-    as_json: bool,
-) -> int:
-    from calib import logs
-
-    recording = logs.read(readable_file(file), **reading)
-    fits = method.run(recording, options)
-    if export is not None:
-        _export(recording, fits, export)
+def _tell(fits: tuple[FitResult, ...], convention: str | None, *, as_json: bool) -> None:
+    forms = [None if convention is None else _converted(fit, convention) for fit in fits]
     if as_json:
-        write_json(_document(fits))
-    else:
-        for fit in fits:
-            _show(fit)
-    return EXIT_NO if any(fit.status == FitStatus.REFUSED for fit in fits) else 0
+        write_json(_document(fits, forms))
+        return
+    for fit, form in zip(fits, forms, strict=True):
+        _show(fit)
+        if form is not None:
+            _show_form(form)
 
 
-def _document(fits: tuple[FitResult, ...]) -> dict[str, Any]:
+def _converted(fit: FitResult, convention: str) -> Converted | None:
+    """The fit in that form; None: it is refused."""
+    return None if fit.status == FitStatus.REFUSED else converted(fit, convention)
+
+
+def _document(fits: tuple[FitResult, ...], forms: Sequence[Converted | None]) -> dict[str, Any]:
     """The only fit, or the first one with all of them under ``fits``."""
-    from calib.report import fit_to_json
+    from calib.report import fit_to_json, plain
 
     documents = [fit_to_json(fit) for fit in fits]
+    for document, form in zip(documents, forms, strict=True):
+        if form is not None:
+            document["converted"] = plain(form)
     return documents[0] if len(documents) == 1 else {**documents[0], "fits": documents}
 
 
 def _export(recording: Any, fits: tuple[FitResult, ...], out: Path) -> None:
+    if out.suffix == ".h":
+        _write(out, c_header(fits))
+        return
     from calib.firmware.compose import compose
     from calib.firmware.export import write_export
     from calib.firmware.fingerprint import fingerprint
@@ -94,6 +115,14 @@ def _export(recording: Any, fits: tuple[FitResult, ...], out: Path) -> None:
     click.echo(f"{out}: {len(plan.changes)} parameters", err=True)
 
 
+def _write(out: Path, text: str) -> None:
+    try:
+        out.write_text(text, encoding="utf-8", newline="\n")
+    except OSError as error:
+        raise click.ClickException(f"{out} cannot be written: {error.strerror}") from error
+    click.echo(f"{out}: {len(text.splitlines())} lines", err=True)
+
+
 def _show(fit: FitResult) -> None:
     click.echo(f"{fit.method} {fit.sensor.value}[{fit.instance}]: {fit.status.value}. {fit.message}")
     if fit.status == FitStatus.REFUSED:
@@ -107,6 +136,14 @@ def _show(fit: FitResult) -> None:
     click.echo(f"  residual {fit.residual_rms:.4g} {fit.unit} over {fit.n_used} of {fit.n_samples} samples{relative}")
     for warning in fit.warnings:
         click.echo(f"  ! {warning}")
+
+
+def _show_form(form: Converted) -> None:
+    click.echo(f"  {form.convention.value}: {form.form}")
+    for name, value in form.values.items():
+        click.echo(f"    {name} = {value}")
+    for text in form.lost:
+        click.echo(f"    ! left out: {text}")
 
 
 for _method in METHODS.values():

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
+
+if TYPE_CHECKING:
+    from calib.recording import Recording
 
 ACCEL_UNITS = ("si", "g", "mg", "counts")
 GYRO_UNITS = ("si", "deg/s", "mrad/s", "counts")
@@ -41,6 +44,45 @@ OPTIONS: tuple[Callable[[Callable[..., Any]], Callable[..., Any]], ...] = (
     click.option("--unit-gyro", type=click.Choice(GYRO_UNITS), default="si", show_default=True, help="Gyro unit."),
     click.option("--unit-mag", type=click.Choice(MAG_UNITS), default="uT", show_default=True, help="Mag unit."),
 )
+
+
+def labelled_file(_ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
+    """``x-up=FILE`` as label and path, for an option that may be repeated."""
+    pairs = []
+    for value in values:
+        label, equals, path = value.partition("=")
+        if not equals or not label.strip() or not path.strip():
+            raise click.BadParameter(f"{value!r} is not LABEL=FILE; example: x-up=first.csv")
+        pairs.append((label.strip(), path.strip()))
+    return tuple(pairs)
+
+
+face_option = click.option(
+    "--face",
+    "faces",
+    multiple=True,
+    callback=labelled_file,
+    metavar="LABEL=FILE",
+    help="One recording a face, ring or turn instead of FILE; repeated: x-up= y-up= z-up= x-down= y-down= z-down=",
+)
+
+
+def read_recording(file: str | None, faces: Sequence[tuple[str, str]], reading: Mapping[str, Any]) -> Recording:
+    """The recording in `file`, or the labelled ones of `faces` as one.
+
+    Raises
+    ------
+    click.UsageError
+        If there is neither, or both.
+    """
+    from calib import logs
+    from calib.parts import of_parts
+
+    if bool(faces) == (file is not None):
+        raise click.UsageError("give either one FILE, or --face LABEL=FILE for every face")
+    if file is not None:
+        return logs.read(readable_file(file), **reading)
+    return of_parts([(label, logs.read(readable_file(path), **reading)) for label, path in faces])
 
 
 def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:

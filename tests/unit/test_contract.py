@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import calib
+from calib.faces import down_of
 from calib.fit import parameter_names
 from calib.procedures.protocol import Pose
 from calib.recording import Channel, Sensor, Stage
-from calib.six_face import down_of
 from calib.triad import ThermalPolynomial, TriadModel
 
 G = 9.80665

@@ -12,7 +12,19 @@ ROOT = Path(__file__).resolve().parents[2]
 
 LAYERS = (
     {"errors"},
-    {"wire", "recording", "triad", "fit", "windows", "geometry", "attitude", "residuals", "c_array", "conventions"},
+    {
+        "wire",
+        "recording",
+        "triad",
+        "fit",
+        "windows",
+        "geometry",
+        "attitude",
+        "residuals",
+        "c_array",
+        "conventions",
+        "parts",
+    },
     {"earth", "noise", "allan", "quantisation", "stillness"},
     {
         "accel",
@@ -22,6 +34,7 @@ LAYERS = (
         "mag",
         "norm_fit",
         "six_face",
+        "faces",
         "rest_reference",
         "drift",
         "allan_fit",
@@ -29,6 +42,7 @@ LAYERS = (
         "warm_fit",
         "sweeps",
         "thermal_report",
+        "drift_cells",
     },
     {"simulate", "firmware", "inspection", "converted"},
     {"logs"},

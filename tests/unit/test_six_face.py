@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.errors import InvalidInputError
+from calib.faces import Face, down_of
 from calib.fit import FitStatus
-from calib.six_face import Face, down_of, fit_six_face
+from calib.six_face import fit_six_face
 
 G = 9.80665
 ACCELCAL = np.array(  # METHODS S4: XUP YUP ZUP XDOWN YDOWN ZDOWN
@@ -182,7 +183,97 @@ def test_too_few_or_not_finite_faces(faces):
     assert fit_six_face(faces).status == FitStatus.REFUSED
 
 
-@pytest.mark.parametrize("options", [{"convention": "up"}, {"fixture_sd": -1.0}, {"gravity": -9.8}])
+@pytest.mark.parametrize("options", [{"convention": "up"}, {"form": "x"}, {"fixture_sd": -1.0}, {"gravity": -9.8}])
 def test_impossible_options(options):
     with pytest.raises(InvalidInputError):
         fit_six_face([Face(row) for row in ACCELCAL], **{"convention": "accelcal", **options})
+
+
+def all_samples(rng, sd, n):
+    return [Face(-G * way + [0.3, -0.2, 0.1] + sd * rng.normal(size=3)) for way in WAYS for _ in range(n)]
+
+
+def test_the_columns_are_half_the_difference_of_two_faces():
+    """The algebra of six rings: v_i = g A e_i, and the offset is the mean of the six."""
+    rng = np.random.default_rng(5)
+    M = np.eye(3) + rng.normal(0.0, 0.05, (3, 3))
+    faces = faces_of(rng, M, [0.3, -0.2, 0.1], 0.05)
+    fit = fit_six_face(faces, form="forward", gravity=G)
+    U = np.array([face.mean for face in faces])  # down x y z, then up
+    np.testing.assert_allclose(np.array(fit.native["columns"]), (U[3:] - U[:3]).T / (2.0 * G), atol=1e-12)
+    np.testing.assert_allclose(fit.native["offset"], U.mean(axis=0), atol=1e-12)
+    whole = np.array(fit.native["homogeneous"])
+    np.testing.assert_allclose(whole[:3, :3] @ U[0] + whole[:3, 3], fit.model.apply(U[0]), atol=1e-12)
+
+
+def test_exact_faces_give_the_same_by_both_forms():
+    M = np.eye(3) + np.random.default_rng(6).normal(0.0, 0.05, (3, 3))
+    faces = [Face(M @ (-G * way) + [0.3, -0.2, 0.1], np.zeros((3, 3))) for way in WAYS]
+    forward, published = fit_six_face(faces, form="forward"), fit_six_face(faces)
+    np.testing.assert_allclose(forward.values, published.values, atol=1e-9)
+
+
+def test_single_noisy_samples_shrink_the_published_form_by_what_is_predicted():
+    """METHODS S4: 1 / (1 + 3 s^2/g^2); the forward form is right, and the warning says by how much the other is not."""
+    sd, rng = 1.0, np.random.default_rng(7)
+    samples = all_samples(rng, sd, 3000)
+    published, forward = fit_six_face(samples, gravity=G), fit_six_face(samples, gravity=G, form="forward")
+    expected = 1.0 / (1.0 + 3.0 * sd**2 / G**2)
+    assert np.diag(published.model.matrix).mean() == pytest.approx(expected, abs=2e-3)
+    assert np.diag(forward.model.matrix).mean() == pytest.approx(1.0, abs=2e-3)
+    assert np.abs((forward.values - [0.3, -0.2, 0.1, *np.eye(3).ravel()]) / forward.sd).max() < 4.5
+    assert any("too small by 3.0e-02" in w or "too small by 3.1e-02" in w for w in published.warnings)
+    assert not forward.warnings
+    means = [Face(np.mean([f.mean for f in samples[3000 * k : 3000 * (k + 1)]], axis=0)) for k in range(6)]
+    assert np.diag(fit_six_face(means, gravity=G).model.matrix).mean() == pytest.approx(1.0, abs=2e-3)
+
+
+def test_the_published_example_is_not_noisy_enough_for_a_warning():
+    assert not fit_six_face([Face(row) for row in ACCELCAL], convention="accelcal").warnings
+
+
+@pytest.mark.parametrize(("sd", "tilt", "offset_sd"), [(0.05, 0.0, 0.3), (0.5, 0.2, 30.0)])
+def test_the_covariance_of_the_forward_form_holds(sd, tilt, offset_sd):
+    rng = np.random.default_rng(8)
+    nees = []
+    for _ in range(150):
+        M, offset = np.eye(3) + rng.normal(0.0, 0.05, (3, 3)), rng.normal(0.0, offset_sd, 3)
+        fit = fit_six_face(faces_of(rng, M, offset, sd, tilt), fixture_sd=tilt, gravity=G, form="forward")
+        error = fit.values - np.concatenate([offset, np.linalg.inv(M).ravel()])
+        nees.append(error @ np.linalg.solve(fit.covariance, error) / 12.0)
+    assert np.mean(nees) == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / (12 * 150)))
+
+
+def test_all_samples_forward_attain_the_bound_at_any_noise():
+    rng = np.random.default_rng(9)
+    for sd in (0.03, 1.0):
+        design = np.column_stack([np.repeat(-G * WAYS, 40, axis=0), np.ones(240)])
+        information = np.kron(np.eye(3), design.T @ design) / sd**2
+        squares = []
+        for _ in range(60):
+            fit = fit_six_face(all_samples(rng, sd, 40), gravity=G, form="forward")
+            error = np.column_stack([np.linalg.inv(fit.model.matrix) - np.eye(3), fit.model.offset - [0.3, -0.2, 0.1]])
+            squares.append(error.ravel() @ information @ error.ravel() / 12.0)
+        assert np.sqrt(np.mean(squares)) <= 1.02 + 2.0 / np.sqrt(2 * 60 * 12)
+
+
+def test_the_tilt_of_a_level_vehicle_is_predicted():
+    faces = faces_of(np.random.default_rng(10), np.eye(3), np.zeros(3), 0.02, n=100)
+    fit = fit_six_face(faces, gravity=G, fixture_sd=0.2)
+    assert 0.02 < fit.quality["attitude_sd_deg"] < 0.4
+    assert {"chi2", "dof", "p_value", "first_correlation", "white"} <= set(fit.quality)
+
+
+def test_refusals_name_the_movement():
+    fit = fit_six_face([Face(row) for row in ACCELCAL[:5]], convention="accelcal")
+    assert "six sides" in fit.movements["offset_x"]
+    stuck = fit_six_face([Face(np.array([0.0, 0.0, -G]))] * 6)
+    assert stuck.status == FitStatus.REFUSED
+
+
+@given(scale=st.floats(0.2, 5.0), shift=st.tuples(*[st.floats(-3.0, 3.0)] * 3))
+def test_scaled_and_shifted_readings_move_the_answer(scale, shift):
+    base = fit_six_face([Face(row) for row in ACCELCAL], convention="accelcal", gravity=9.81)
+    moved = fit_six_face([Face(scale * row + shift) for row in ACCELCAL], convention="accelcal", gravity=9.81)
+    assert moved.model.offset == pytest.approx(scale * base.model.offset + shift, abs=1e-8)
+    assert moved.model.matrix * scale == pytest.approx(base.model.matrix, abs=1e-9)

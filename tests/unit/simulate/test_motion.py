@@ -5,7 +5,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.errors import InvalidInputError
-from calib.faces import down_of
 from calib.simulate import MOTIONS, MotionOptions, Warming, along, motion_of, trajectory
 from calib.simulate.motion import hold, spin, turn
 
