@@ -9,6 +9,7 @@ from bench.realdata.finding import Finding, compared, said, with_sd
 from calib.fit import FitResult
 from calib.methods import METHODS
 from calib.recording import Recording, Sensor
+from calib.sweeps import judge_drift
 
 _SWEEPS = ("P0_z", "P1_x")
 _CATS = {  # slopes on either sweep: m/s2 or mrad/s per degC
@@ -89,65 +90,68 @@ def _ntars() -> list[Finding]:
 
 def _cats() -> list[Finding]:
     recordings_of = {sweep: recordings.cats(sweep) for sweep in _SWEEPS}
-    fits = {s: {f.sensor: f for f in METHODS["thermal-linear"].run(r, {})} for s, r in recordings_of.items()}
+    linear, poly = (
+        {s: {f.sensor: f for f in METHODS[method].run(r, options)} for s, r in recordings_of.items()}
+        for method, options in (("thermal-linear", {}), ("thermal-poly", {"degree": 1}))
+    )
     found = []
     for (sensor, axis), known in _CATS.items():
         factor = 1e3 if sensor == Sensor.GYRO else 1.0
         unit = "mrad/s" if sensor == Sensor.GYRO else "m/s2"
-        ours = factor * np.array([_slope(fits[sweep][sensor], axis) for sweep in _SWEEPS])
-        what = f"{sensor.value} {'xyz'[axis]}, {unit} per degC, sweeps {' and '.join(_SWEEPS)}"
-        found += [
+        ours = factor * np.array([_slope(linear[sweep][sensor], axis) for sweep in _SWEEPS])
+        found.append(
             compared(
                 "temp_cats_imu",
                 "thermal-linear",
-                what,
+                f"{sensor.value} {'xyz'[axis]}, {unit} per degC, sweeps {' and '.join(_SWEEPS)}",
                 known,
                 ours[:, 0],
                 ours[:, 1],
                 within=0.02 * np.abs(known),
                 because="2 %, the same rows",
-            ),
-            _judged(recordings_of, fits, sensor, axis),
-        ]
-    declined = [s for s in _SWEEPS if np.isnan(_slope(fits[s][Sensor.GYRO], 0)[0])]
-    doubted = [s for s in _SWEEPS if "slope of x" in " ".join(fits[s][Sensor.GYRO].warnings)]
-    slopes = [1e3 * np.array(_slope(fits[s][Sensor.GYRO], 0)) for s in _SWEEPS]
-    words = [with_sd(slope[0], slope[1]) for slope in slopes]
-    words += [f"declined on {sweep}" for sweep in declined] + [f"doubted on {sweep}" for sweep in doubted]
+            )
+        )
+    declined = [s for s in _SWEEPS if np.isnan(_slope(poly[s][Sensor.GYRO], 0)[0])]
     return [
         *found,
+        *_judged(recordings_of, poly),
         said(
             "temp_cats_imu",
-            "thermal-linear",
-            "gyro x, mrad/s per degC",
+            "thermal-poly",
+            "gyro x",
             "not repeatable: to be declined",
-            "; ".join(words),
+            f"declined on {' and '.join(declined) or 'neither'}",
             agrees=len(declined) == len(_SWEEPS),
         ),
     ]
 
 
-def _judged(of: dict[str, Recording], fits: dict[str, dict[Sensor, FitResult]], sensor: Sensor, axis: int) -> Finding:
-    """How much of the other sweep's drift the first sweep's slope removes."""
+def _judged(of: dict[str, Recording], fits: dict[str, dict[Sensor, FitResult]]) -> list[Finding]:
+    """How much of the second sweep's drift the first sweep's straight line removes, and its own."""
     first, second = _SWEEPS
-    channel, temperature = of[second].channel(sensor), of[second].channel(Sensor.TEMPERATURE)
-    at = np.interp(channel.t, temperature.t, temperature.values[:, 0])
-    values = channel.values[:, axis]
-    good = np.isfinite(values) & np.isfinite(at)
-    values, at = values[good], at[good]
-    raw, judged, own = (
-        float((values - slope * at).std())
-        for slope in (0.0, _slope(fits[first][sensor], axis)[0], _slope(fits[second][sensor], axis)[0])
-    )
-    factor, unit = (1e3, "mrad/s") if sensor == Sensor.GYRO else (1.0, "m/s2")
-    return said(
-        "temp_cats_imu",
-        "thermal-linear",
-        f"{sensor.value} {'xyz'[axis]}: sweep {second} corrected by {first}'s slope",
-        f"no better than its own slope can: {factor * own:.3g} {unit}",
-        f"{factor * raw:.3g} before, {factor * judged:.3g} {unit} after",
-        agrees=judged < 1.1 * own,
-    )
+    found = []
+    for sensor, factor, unit in ((Sensor.ACCEL, 1.0, "m/s2"), (Sensor.GYRO, 1e3, "mrad/s")):
+        channel, temperature = of[second].channel(sensor), of[second].channel(Sensor.TEMPERATURE)
+        at = np.interp(channel.t, temperature.t, temperature.values[:, 0])
+        judged, own = (judge_drift(fits[sweep][sensor], channel, at) for sweep in _SWEEPS)
+        for axis in range(3):
+            if np.isnan(_slope(fits[first][sensor], axis)[0]):
+                continue
+            before, after = factor * judged.before[axis], factor * judged.after[axis]
+            declined = np.isnan(_slope(fits[second][sensor], axis)[0])
+            itself = f"{second} alone is declined" if declined else f"{factor * own.after[axis]:.3g} by its own line"
+            known = "the drift repeats" if (sensor, axis) in _CATS else "not stated"
+            found.append(
+                said(
+                    "temp_cats_imu",
+                    "thermal-poly",
+                    f"{sensor.value} {'xyz'[axis]}: fitted on {first}, judged on {second}, rms of block means, {unit}",
+                    known,
+                    f"{before:.3g} before, {after:.3g} after; {itself}",
+                    agrees=bool(after < before) if (sensor, axis) in _CATS else None,
+                )
+            )
+    return found
 
 
 def _allan() -> list[Finding]:
