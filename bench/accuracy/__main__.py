@@ -35,9 +35,11 @@ def main(arguments: list[str] | None = None) -> int:
     before, begin = page.machine(), time.monotonic()
     parts: list[Part] = []
     for name in args.rows or ROWS:
-        parts += ROWS[name](settings)
+        for part in ROWS[name](settings):
+            parts.append(part)
+            print(page.shown(part), flush=True)
     text = page.page(parts, settings, before, (time.monotonic() - begin) / 60.0)
-    print(text)
+    print(page.targets(parts))
     out = args.out or (PAGE if not args.rows and not args.quick else None)
     if out is not None:
         out.write_text(text, encoding="utf-8")

@@ -43,17 +43,27 @@ Measured on: {machine}; {minutes:.0f} minutes; seed {seed}. Peers: {peers}.
 
 def page(parts: Sequence[Part], settings: Settings, before: str, minutes: float) -> str:
     """The whole page."""
-    checks = [check for part in parts for check in part.checks]
+    missed = any(not check.met for part in parts for check in part.checks)
     return _TEXT.format(
         budget=settings.budget,
         machine=before,
         minutes=minutes,
         seed=settings.seed,
         peers=", ".join(f"{name} {version_of(name) or '(not installed)'}" for name in DISTRIBUTIONS),
-        checks=table(checks) if checks else "No target is judged by this slice.",
-        reasons=REASONS.read_text(encoding="utf-8").strip() if any(not c.met for c in checks) else "All are met.",
-        parts="\n\n".join(f"## {part.title}\n\n{part.body}" for part in parts),
+        checks=targets(parts),
+        reasons=REASONS.read_text(encoding="utf-8").strip() if missed else "All are met.",
+        parts="\n\n".join(shown(part) for part in parts),
     )
+
+
+def targets(parts: Sequence[Part]) -> str:
+    """All promises of the parts in one table."""
+    return table([check for part in parts for check in part.checks])
+
+
+def shown(part: Part) -> str:
+    """One part as Markdown."""
+    return f"## {part.title}\n\n{part.body}\n"
 
 
 def machine() -> str:

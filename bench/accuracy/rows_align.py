@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -111,9 +111,8 @@ def _draw(count: int, which: str) -> Callable[[np.random.Generator], Drawn]:
     return draw
 
 
-def run(settings: Settings) -> list[Part]:
+def run(settings: Settings) -> Iterator[Part]:
     """Angle and offset in separate tables, and the time of it."""
-    parts = []
     for which in ("mounting angle", "offset"):
         title = f"Alignment with the accelerometer: {which}"
         contenders = [
@@ -126,10 +125,10 @@ def run(settings: Settings) -> list[Part]:
             case = Case(title, count, _draw(count, which), runs, settings.seed_of("alignment", count))
             settings.say(f"{title}, N = {count}, {case.runs} runs, seed {case.seed}")
             tallies += run_case(case, contenders, settings.budget)
-        parts.append(accuracy_part(title, tallies))
+        yield accuracy_part(title, tallies)
     rng = np.random.default_rng(settings.seed_of("alignment time", 2000))
     data = _read(rng, *_attitudes(rng, 2000))
     run_once = _ours("offset")
     taken = 1e3 * best_of(7, lambda: run_once(data))
     row = Row("N = 2000", "<= 10 ms", f"{taken:.1f} ms", None if settings.quick else taken <= 10.0)
-    return [*parts, Part.of_section(Section("Alignment: time", (row,), ("Processor time, best of seven.",)))]
+    yield Part.of_section(Section("Alignment: time", (row,), ("Processor time, best of seven.",)))

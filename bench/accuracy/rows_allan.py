@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from calib.allan import octaves, overlapping_deviation
 RATE = 100.0
 
 
-def run(settings: Settings) -> list[Part]:
+def run(settings: Settings) -> Iterator[Part]:
     """Octave averaging times of white noise with a walk."""
     count = settings.largest
     rng = np.random.default_rng(settings.seed_of("allan", count))
@@ -42,4 +43,4 @@ def run(settings: Settings) -> list[Part]:
         rows.append(Row("largest difference, relative", "<= 1e-9", f"{apart:.1e}", apart <= 1e-9))
         met = None if settings.quick else own <= taken
         rows.append(Row("time, mavcal : allantools", "<= 1", f"{own / taken:.2f}", met))
-    return [Part.of_section(Section("Allan deviation", tuple(rows), tuple(notes)))]
+    yield Part.of_section(Section("Allan deviation", tuple(rows), tuple(notes)))

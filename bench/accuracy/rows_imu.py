@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -125,9 +125,8 @@ def _draw(poses: int, which: str) -> Callable[[np.random.Generator], Drawn]:
     return draw
 
 
-def run(settings: Settings) -> list[Part]:
+def run(settings: Settings) -> Iterator[Part]:
     """Both sensors against the joint bound of the samples that the detector keeps, and the time of it."""
-    parts = []
     for which in TRUTHS:
         title = f"Multi-position, {which}"
         tallies = []
@@ -139,8 +138,8 @@ def run(settings: Settings) -> list[Part]:
             contenders = [Contender("**mavcal imu-multi**", _ours(which), ours=True, target=TARGET)]
             tallies += run_case(case, contenders, settings.budget)
         notes = ["N is the number of poses; the bound is that of the samples that the detector keeps."]
-        parts.append(accuracy_part(title, tallies, notes=notes))
+        yield accuracy_part(title, tallies, notes=notes)
     data = held(np.random.default_rng(settings.seed_of("multi-position time", 40)), 40)
     taken = best_of(3, lambda: fit_imu(data.accel, data.gyro))
     row = Row("40 poses", "<= 0.5 s", f"{taken:.2f} s", None if settings.quick else taken <= 0.5)
-    return [*parts, Part.of_section(Section("Multi-position: time", (row,), ("Processor time, best of three.",)))]
+    yield Part.of_section(Section("Multi-position: time", (row,), ("Processor time, best of three.",)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tracemalloc
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,12 +90,14 @@ def contenders(target: float) -> tuple[list[Contender], list[str]]:
 def _draw(
     directions: Callable[[np.random.Generator], Array], sd: float, quantum: float, outliers: float
 ) -> Callable[[np.random.Generator], Drawn]:
+    variance = bounds.moving_variance_of(sd, quantum)
+
     def draw(rng: np.random.Generator) -> Drawn:
         u = directions(rng)
         samples = scenes.magnetometer(rng, u, sd, quantum)
         if outliers:
             samples = scenes.with_outliers(rng, samples, outliers, 150.0, quantum)
-        information = bounds.ellipsoid(u, scenes.SHAPE, bounds.variance_of(sd, quantum))
+        information = bounds.ellipsoid(u, scenes.SHAPE, variance)
         return Drawn(samples.astype(np.int16), TRUTH, information, _stored_truth())
 
     return draw
@@ -125,18 +127,16 @@ def cases(settings: Settings) -> dict[str, list[Case]]:
     return found
 
 
-def run(settings: Settings) -> list[Part]:
+def run(settings: Settings) -> Iterator[Part]:
     """All tables of the magnetometer."""
-    parts = []
     for title, of_title in cases(settings).items():
         found, missing = contenders(SPOILT if "outliers" in title else CLEAN)
         tallies: list[Tally] = []
         for case in of_title:
             settings.say(f"magnetometer, {title}, N = {case.size}, {case.runs} runs, seed {case.seed}")
             tallies += run_case(case, found, settings.budget)
-        parts.append(accuracy_part(f"Magnetometer: {title}", tallies, missing))
-    parts.append(speed(settings))
-    return parts
+        yield accuracy_part(f"Magnetometer: {title}", tallies, missing)
+    yield speed(settings)
 
 
 def speed(settings: Settings) -> Part:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,9 +128,8 @@ def _draw(count: int, sd: float) -> Callable[[np.random.Generator], Drawn]:
     return draw
 
 
-def run(settings: Settings) -> list[Part]:
+def run(settings: Settings) -> Iterator[Part]:
     """A table a noise level; quantised to 1 mG."""
-    parts = []
     found, missing = contenders()
     for noise in (_LEAST_INFORMED, 1.0, 3.0, 20.0):
         title = f"Six faces, noise of {noise:g} mG"
@@ -141,5 +140,4 @@ def run(settings: Settings) -> list[Part]:
             )
             settings.say(f"{title}, {count} a face, {case.runs} runs, seed {case.seed}")
             tallies += run_case(case, found, settings.budget)
-        parts.append(accuracy_part(title, tallies, missing))
-    return parts
+        yield accuracy_part(title, tallies, missing)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -124,9 +124,8 @@ def _draw(count: int, walk: float) -> Callable[[np.random.Generator], Drawn]:
     return draw
 
 
-def run(settings: Settings) -> list[Part]:
+def run(settings: Settings) -> Iterator[Part]:
     """White noise, a slow wander, and the time of it."""
-    parts = []
     for title, walk in (("white noise", 0.0), ("a walk of a third of the noise", 0.33)):
         white = walk == 0.0
         contenders = [
@@ -145,9 +144,8 @@ def run(settings: Settings) -> list[Part]:
         declined = sum(tally.declined for tally in tallies)
         if declined:
             notes.append(f"{declined} coefficients were declined by name: drift within the sensor's own wander.")
-        parts.append(accuracy_part(f"Temperature: {title}", tallies, notes=notes))
-    parts.append(_speed(settings))
-    return parts
+        yield accuracy_part(f"Temperature: {title}", tallies, notes=notes)
+    yield _speed(settings)
 
 
 def _speed(settings: Settings) -> Part:

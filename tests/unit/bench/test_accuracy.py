@@ -107,7 +107,8 @@ def test_the_command_writes_its_page(tmp_path: Path, capsys: pytest.CaptureFixtu
     out = tmp_path / "accuracy.md"
     assert main(["six-face", "allan", "--quick", "--out", str(out)]) == 0
     text = out.read_text(encoding="utf-8")
-    assert capsys.readouterr().out.strip() == text.strip()
+    printed = capsys.readouterr().out
+    assert all(line in text for line in printed.splitlines())
     assert "## Six faces, noise of 3 mG" in text
     for name in peers.DISTRIBUTIONS:
         assert re.search(rf"{name} (\(not installed\)|\d)", text)

@@ -102,3 +102,10 @@ def test_a_movement_carries_errors_as_it_carries_the_vertical() -> None:
         np.testing.assert_allclose(rows[:, k], (ends[0] - ends[1]) / 2e-6, atol=0.03)
     np.testing.assert_allclose(data.downs[last], carried(at, rows_imu.GYRO, rows_imu.GYRO_OFFSET), atol=1e-9)
     assert math.sqrt(np.trace(covariance)) == pytest.approx(3e-3 * 0.01 * math.sqrt(2 * 180), rel=0.3)
+
+
+def test_a_number_that_moves_through_the_bins() -> None:
+    assert bounds.moving_variance_of(3.0, 1.0) == pytest.approx(9.0 + 1.0 / 12.0, rel=1e-4)
+    assert bounds.moving_variance_of(0.5, 1.0) == pytest.approx(0.25 + 1.0 / 12.0, rel=0.01)
+    assert bounds.moving_variance_of(0.1, 1.0) < 0.8 / 12.0
+    assert bounds.moving_variance_of(0.1, 0.0) == 0.1**2
