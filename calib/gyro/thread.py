@@ -150,13 +150,18 @@ def turning_spans(gyro: Channel) -> Array:
     slow = quiet[np.abs(quiet) <= np.quantile(np.abs(quiet), 0.5)]
     rate = windows.mean[:, axis] - np.median(slow)
     way = np.where(usable & (np.abs(rate) > _TURNING * np.abs(rate).max()), np.sign(rate), 0.0)
+    quietest = float(np.quantile(windows.scatter[usable], 0.2))
+    noise = quietest / np.sqrt(np.maximum(windows.n, 1)) + 0.5 * gyro.quantum
+    resting = usable & (np.abs(rate) <= 4.0 * noise)
     runs = np.split(np.arange(len(way)), np.flatnonzero(np.diff(way)) + 1)
-    spans = [
-        (starts[run[0]] - _WINDOW / 2, starts[run[-1]] + 1.5 * _WINDOW)
-        for run in runs
-        if way[run[0]] and starts[run[-1]] - starts[run[0]] >= _SHORTEST
-    ]
-    return np.clip(np.array(spans).reshape(-1, 2), gyro.t[0], gyro.t[-1])
+    turns = [run for run in runs if way[run[0]] and starts[run[-1]] - starts[run[0]] >= _SHORTEST]
+    spans = []
+    for run in turns:  # out to where it rests: the slow beginning and end belong to the turns
+        before, after = np.flatnonzero(resting[: run[0]]), run[-1] + np.flatnonzero(resting[run[-1] :])
+        first = starts[before[-1]] + _WINDOW / 2 if len(before) else gyro.t[0]
+        last = starts[after[0]] + _WINDOW / 2 if len(after) else gyro.t[-1]
+        spans.append((first, last))
+    return np.array(spans).reshape(-1, 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,7 +244,8 @@ def _turn(label: str, axis: int, counted: _Counted, gyro: Channel, span: Array, 
     """The turns as a mean rate, with the noise of the gyroscope and of the counting."""
     part = gyro.between(*span)
     step = float(np.median(np.diff(part.t)))
-    noise = np.diff(part.values, axis=0).var(axis=0) / 2.0 + part.quantum**2 / 12.0
+    steps = np.diff(part.values, n=2, axis=0)  # of the noise, and now and then of a start or a stop
+    noise = (1.4826 * np.median(np.abs(steps), axis=0)) ** 2 / 6.0 + part.quantum**2 / 12.0
     variance = (noise * step * counted.duration + counted.variance) / counted.duration**2
     return Turn(
         label=label,

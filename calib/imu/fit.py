@@ -14,7 +14,7 @@ from calib.fit import AXES, FitResult
 from calib.geometry import sphere_of
 from calib.imu.integrate import Moves
 from calib.imu.poses import LEAST_POSES, Poses, find_poses, measure
-from calib.imu.problem import ImuProblem, ImuSolution, solve
+from calib.imu.problem import ImuProblem, ImuSolution, linearise, reduced, solve, turns_of
 from calib.imu.result import Facts, Form, imu_refused, imu_results
 from calib.imu.start import closure, rough_gyro, with_turn_noise
 from calib.imu.unknowns import DIAGONAL, UNKNOWNS, Coordinates, Prior
@@ -158,13 +158,15 @@ def _begin(accel: Channel, gyro: Channel, poses: Poses, gravity: float | None, c
 
 def _finished(facts: Facts, poses: Poses, begun: _Begun, cross_sd: float) -> tuple[FitResult, FitResult]:
     """Solve, weigh, hold what stays unknown, and say it."""
-    first = solve(begun.problem, begun.x, begun.directions, prior=begun.prior)
+    begin = linearise(begun.problem, begun.x, begun.directions, turns_of(begun.problem, begun.x))
+    open_at_start = Coordinates(_unknown(reduced(begin)[0], begun.prior, cross_sd, doubt=1.0))
+    first = solve(begun.problem, begun.x, begun.directions, prior=begun.prior, coordinates=open_at_start)
     if first is None:
         return imu_refused(
             facts, "the movements do not lead from one pose to the next by any model of the gyroscope: check the units"
         )
-    weighed = weigh(with_turn_noise(begun.problem, first.x), first, begun.prior)
-    unknown = _unknown(weighed, begun.prior, cross_sd)
+    weighed = weigh(with_turn_noise(begun.problem, first.x), first, begun.prior, open_at_start)
+    unknown = _unknown(weighed.solution.information, begun.prior, cross_sd, weighed.doubt)
     neutral = weighed.solution.x.copy()
     neutral[unknown] = begun.prior.centre[unknown]
     solution = solve(weighed.problem, neutral, weighed.solution.directions, coordinates=Coordinates(unknown))
@@ -193,11 +195,9 @@ def _prior(centre: Array, cross_sd: float) -> Prior:
     )
 
 
-def _unknown(weighed: Weighed, prior: Prior, cross_sd: float) -> NDArray[np.intp]:
-    """The unknowns that the data do not tell, their noise taken from few residuals where that is so."""
-    solution = weighed.solution
-    information = solution.information + np.diag(prior.information)
-    sd = np.sqrt(np.diag(np.linalg.inv(information)) * weighed.doubt)
+def _unknown(information: Array, prior: Prior, cross_sd: float, doubt: float) -> NDArray[np.intp]:
+    """The unknowns that the data with that `information` (21, 21) do not tell; `doubt` multiplies their variances."""
+    sd = np.sqrt(np.diag(np.linalg.inv(information + np.diag(prior.information))) * doubt)
     limit = np.concatenate([np.full(6, UNDETERMINED), np.full(12, _LEARNT * cross_sd), np.full(3, np.inf)])
     limit[DIAGONAL] = UNDETERMINED
     return np.flatnonzero(sd > limit)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from calib.imu.problem import ImuProblem, ImuSolution, linearise, log_determinant, solve
-from calib.imu.unknowns import Prior
+from calib.imu.unknowns import Coordinates, Prior
 from calib.mag.result import student_variance
 
 Array = NDArray[np.float64]
@@ -26,8 +26,10 @@ MISFIT = 0.01
 _POSES, _MOVES = 0, 1  # places of the groups
 _ROUNDS = 12
 _ENOUGH = 0.02  # relative, of the residuals' size
-_OUTLIER = 5.0  # sd of one residual component after weighing
 _MOST_LEFT_OUT = 0.1  # of the poses
+_SPOILT = 0.5  # of the reduced chi-square: what is left without the one that spoils it
+_SUSPECTS = 3  # poses, and movements, of the largest residuals that are tried
+_LEAST_FREEDOM = 20  # residuals more than unknowns, below which none is called wrong: all are widened
 
 
 @dataclass(frozen=True)
@@ -63,28 +65,51 @@ class Weighed:
         return student_variance(max(self.problem.freedom, 1)) if any(self.problem.extra) else 1.0
 
 
-def weigh(problem: ImuProblem, solution: ImuSolution, prior: Prior) -> Weighed:
-    """Add variances until poses and movements fit, and leave out what never does, at most a tenth of it.
+def weigh(problem: ImuProblem, solution: ImuSolution, prior: Prior, coordinates: Coordinates) -> Weighed:
+    """Leave out what alone spoils the fit, at most a tenth of the poses; then add variances until the rest fits.
 
-    A movement that is off by more than five sd goes alone, a pose takes its movements with it.
+    A pose or a movement spoils the fit if without it the reduced chi-square is less than half of what it was: one that
+    was bumped does, hands that sway do not. A pose takes its movements with it.
     """
     kept, given = np.arange(len(problem.means)), len(problem.before)
-    budget = int(_MOST_LEFT_OUT * len(kept))
-    while True:
+    for _ in range(int(_MOST_LEFT_OUT * len(kept))):
         poses, moves = groups(problem, solution)
-        done, at = _expanded(problem, solution, poses, moves, prior)
-        worst = _worst(at)
-        if worst is None or budget == 0:
-            return Weighed(done, at, poses, moves, kept, given - len(done.before))
-        pose, move = worst
-        fewer = problem.without_move(move) if pose is None else problem.without_pose(pose)
-        directions = at.directions if pose is None else np.delete(at.directions, pose, axis=0)
-        again = solve(fewer, at.x, directions, prior=prior)
-        if again is None:
-            return Weighed(done, at, poses, moves, kept, given - len(done.before))
+        misfit = [group.p_value is not None and group.p_value < MISFIT for group in (poses, moves)]
+        better = _without_worst(problem, solution, prior, coordinates) if any(misfit) else None
+        if better is None:
+            break
+        problem, solution, pose = better
         if pose is not None:
             kept = np.delete(kept, pose)
-        problem, solution, budget = fewer, again, budget - 1
+    poses, moves = groups(problem, solution)
+    done, at = _expanded(problem, solution, poses, moves, prior, coordinates)
+    return Weighed(done, at, poses, moves, kept, given - len(done.before))
+
+
+def _without_worst(
+    problem: ImuProblem, solution: ImuSolution, prior: Prior, coordinates: Coordinates
+) -> tuple[ImuProblem, ImuSolution, int | None] | None:
+    """Without the pose or the movement that spoils the fit, and which pose it was; None if none alone does."""
+    if problem.freedom < _LEAST_FREEDOM:
+        return None
+    poses, moves = (np.abs(r).max(axis=1, initial=0.0) for r in (solution.at.poses, solution.at.moves))
+    tried: list[tuple[float, ImuProblem, ImuSolution, int | None]] = []
+    for pose in np.argsort(poses)[-_SUSPECTS:]:
+        fewer = problem.without_pose(int(pose))
+        again = solve(
+            fewer, solution.x, np.delete(solution.directions, pose, axis=0), prior=prior, coordinates=coordinates
+        )
+        if again is not None and fewer.freedom > 0:
+            tried.append((again.at.cost / fewer.freedom, fewer, again, int(pose)))
+    for move in np.argsort(moves)[-_SUSPECTS:]:
+        fewer = problem.without_move(int(move))
+        again = solve(fewer, solution.x, solution.directions, prior=prior, coordinates=coordinates)
+        if again is not None and fewer.freedom > 0:
+            tried.append((again.at.cost / fewer.freedom, fewer, again, None))
+    best = min(tried, key=lambda t: t[0], default=None)
+    if best is None or best[0] > _SPOILT * solution.at.cost / problem.freedom:
+        return None
+    return best[1:]
 
 
 def groups(problem: ImuProblem, solution: ImuSolution) -> tuple[GroupFit, GroupFit]:
@@ -110,7 +135,7 @@ def _used(problem: ImuProblem, solution: ImuSolution, group: int) -> float:
 
 
 def _expanded(
-    problem: ImuProblem, solution: ImuSolution, poses: GroupFit, moves: GroupFit, prior: Prior
+    problem: ImuProblem, solution: ImuSolution, poses: GroupFit, moves: GroupFit, prior: Prior, coordinates: Coordinates
 ) -> tuple[ImuProblem, ImuSolution]:
     """The problem with the variances that make the groups fit, and its solution.
 
@@ -120,12 +145,14 @@ def _expanded(
     for group in (_MOVES, _POSES, _MOVES):
         p_value = fits[group].p_value
         if p_value is not None and p_value < MISFIT:
-            problem, solution = _fitted(problem, solution, group, prior)
+            problem, solution = _fitted(problem, solution, group, prior, coordinates)
             fits = groups(problem, solution)
     return problem, solution
 
 
-def _fitted(problem: ImuProblem, solution: ImuSolution, group: int, prior: Prior) -> tuple[ImuProblem, ImuSolution]:
+def _fitted(
+    problem: ImuProblem, solution: ImuSolution, group: int, prior: Prior, coordinates: Coordinates
+) -> tuple[ImuProblem, ImuSolution]:
     """The problem with the variance that makes one group's residuals as large as expected."""
     size = _typical_variances(problem)[group]
     for _ in range(_ROUNDS):
@@ -136,7 +163,7 @@ def _fitted(problem: ImuProblem, solution: ImuSolution, group: int, prior: Prior
         extra = list(problem.extra)
         extra[group] = max(factor * (size + extra[group]) - size, 0.0)
         wider = dataclasses.replace(problem, extra=(extra[0], extra[1]))
-        again = solve(wider, solution.x, solution.directions, prior=prior)
+        again = solve(wider, solution.x, solution.directions, prior=prior, coordinates=coordinates)
         if again is None:
             break
         problem, solution = wider, again
@@ -148,13 +175,3 @@ def _typical_variances(problem: ImuProblem) -> tuple[float, float]:
     moves = np.einsum("kii->k", problem.turn_covariances) / 3.0
     moves = moves + problem.wander[problem.before] + problem.wander[problem.before + 1]
     return float(np.median(poses)), float(np.median(moves)) if len(moves) else 0.0
-
-
-def _worst(solution: ImuSolution) -> tuple[int | None, int] | None:
-    """The pose, else the movement (as the second number), that is off by most; None if none is off."""
-    poses, moves = (np.abs(r).max(axis=1, initial=0.0) for r in (solution.at.poses, solution.at.moves))
-    if max(poses.max(initial=0.0), moves.max(initial=0.0)) <= _OUTLIER:
-        return None
-    if moves.max(initial=0.0) > poses.max(initial=0.0):
-        return None, int(np.argmax(moves))
-    return int(np.argmax(poses)), -1
