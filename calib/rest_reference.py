@@ -242,7 +242,7 @@ def _dip(vector: Array) -> tuple[float, float]:
 
 def _message(native: dict[str, Any], quality: dict[str, Any]) -> str:
     def said(name: str, value: float | None, sd: float | None) -> str:
-        return f"{name} open" if value is None or sd is None else f"{name} {value:.2f} +- {sd:.2g} deg"
+        return f"{name} open" if value is None or sd is None else f"{name} {value + 0.0:.2f} +- {sd:.2g} deg"
 
     return ", ".join(
         (

@@ -199,7 +199,7 @@ def _without_outliers(field: Array, down: Array, scale: float, least: Noise) -> 
 
 def _trimmed(field: Array, down: Array, start: Array, least: Noise) -> tuple[Alignment, NDArray[np.bool_]]:
     kept = _near(misclosures(start, field, down))
-    for _ in range(_TRIMS):
+    for trims_left in range(_TRIMS, -1, -1):
         if np.count_nonzero(kept) < max(FEWEST, (1.0 - MOST_OUTLIERS) * len(field)):
             raise UndeterminedError(
                 f"{np.count_nonzero(~kept)} of {len(field)} samples fit no common field and vertical",
@@ -207,7 +207,7 @@ def _trimmed(field: Array, down: Array, start: Array, least: Noise) -> tuple[Ali
             )
         found = align(field[kept], down[kept], start, None, least)
         good = _near(found.residuals)
-        if good.all():
+        if good.all() or not trims_left:
             break
         kept[np.flatnonzero(kept)[~good]] = False
         start = found.unknowns

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -11,9 +12,9 @@ from numpy.typing import NDArray
 from calib.earth import EarthField, earth_field
 from calib.errors import InvalidInputError
 from calib.faces import down_of
-from calib.fit import FitResult
+from calib.fit import FitResult, FitStatus
 from calib.mag.align import Vertical, fit_alignment
-from calib.mag.blur import fit_ellipsoid_deblurred, rates_during
+from calib.mag.blur import deblurred, fit_ellipsoid_deblurred, rates_during
 from calib.mag.ellipsoid import fit_ellipsoid
 from calib.mag.ellipsoid_axis import fit_ellipsoid_axis
 from calib.mag.gyro_aided import fit_gyro_aided
@@ -26,7 +27,7 @@ from calib.mag.sphere import fit_sphere
 from calib.methods.method import FIXTURE, GRAVITY, INSTANCE, Method, Option, Options, gravity_of
 from calib.methods.source import Source
 from calib.procedures.mag import COMPASS_WINDOW
-from calib.recording import Channel, Sensor
+from calib.recording import Channel, Recording, Sensor
 from calib.rest_reference import SAMPLES, Sensors, fit_rest_reference
 from calib.windows import finite_rows
 
@@ -34,6 +35,9 @@ Array = NDArray[np.float64]
 
 _UPRIGHT = np.cos(np.radians(10.0))
 """An axis within this of the vertical is down, or up."""
+
+_DEBLURRED = 2
+"""Rounds of blur and fit: the blur is known as well as the model that it needs."""
 
 _FIELD = (
     Option("year", float, None, "decimal year: ties the scale to the World Magnetic Model at the recorded place"),
@@ -172,10 +176,9 @@ def rest_reference(source: Source, options: Options) -> list[FitResult]:
 
 
 def mag_align(source: Source, options: Options) -> list[FitResult]:
-    """Every magnetometer against the first accelerometer."""
+    """Every magnetometer against the accelerometer that reads gravity best, as the vehicle corrects it."""
     fits = []
-    accel = source.channels(Sensor.ACCEL)[0]
-    accel = accel.take(finite_rows(accel.values))
+    accel = _steadiest(source.streamed, options)
     gyro = source.maybe(Sensor.GYRO, accel.instance)
     gyro = None if gyro is None or gyro.unit != "rad/s" else gyro.take(finite_rows(gyro.values))
     vertical = Vertical(
@@ -186,21 +189,44 @@ def mag_align(source: Source, options: Options) -> list[FitResult]:
         gyro=None if gyro is None else gyro.values,
         timed=source.timed,
     )
-    for mag in source.recording.instances(Sensor.MAG) if source.instance is None else (source.instance,):
-        channel = source.recording.channel(Sensor.MAG, mag)
-        channel = channel.take(finite_rows(channel.values))
-        facts = _mag_facts(source, channel, options)
-        fits.append(
-            fit_alignment(
-                channel.t,
-                channel.values,
-                vertical,
-                gate=options["gate"],
-                time_offset=options["time_offset"],
-                **facts,
-            )
-        )
+    window = COMPASS_WINDOW.get(source.recording.identity.autopilot or "", 0.0)
+    for mag in source.channels(Sensor.MAG):
+        fit = _aligned(source, mag.take(finite_rows(mag.values)), vertical, window, options)
+        fits.append(dataclasses.replace(fit, quality={**fit.quality, "accel_instance": accel.instance}))
     return fits
+
+
+def _aligned(source: Source, mag: Channel, vertical: Vertical, window: float, options: Options) -> FitResult:
+    """One magnetometer against the vertical, the blur of its averaging over `window` seconds undone."""
+    facts = {"gate": options["gate"], "time_offset": options["time_offset"], **_mag_facts(source, mag, options)}
+    if window == 0.0 or vertical.gyro is None or vertical.gyro_t is None:
+        return fit_alignment(mag.t, mag.values, vertical, **facts)
+    increasing = np.append(True, np.diff(vertical.gyro_t) > 0)
+    rates = rates_during(mag.t, vertical.gyro_t[increasing], vertical.gyro[increasing], window)
+    sharp = rates.sharp()
+    mag, rates = mag.take(sharp), rates.take(sharp)
+    fit = fit_alignment(mag.t, mag.values, vertical, **facts)
+    for _ in range(_DEBLURRED):
+        if fit.status == FitStatus.REFUSED:
+            break
+        fit = fit_alignment(mag.t, deblurred(mag.values, rates, fit.model), vertical, **facts)
+    return fit
+
+
+def _steadiest(recording: Recording, options: Options) -> Channel:
+    """The accelerometer whose length is nearest to gravity in most of its samples, or the one that is asked for."""
+    asked = options["accel"]
+    channels = [
+        recording.channel(Sensor.ACCEL, i)
+        for i in (recording.instances(Sensor.ACCEL) or (0,) if asked is None else (asked,))
+    ]
+    finite = [channel.take(finite_rows(channel.values)) for channel in channels]
+
+    def off(channel: Channel) -> float:
+        lengths = np.linalg.norm(channel.values, axis=1)
+        return float(np.median(np.abs(lengths / gravity_of(options, channel) - 1.0))) if len(lengths) else np.inf
+
+    return min(finite, key=off)
 
 
 def mag_gyro(source: Source, options: Options) -> list[FitResult]:
@@ -291,6 +317,7 @@ METHODS = (
             *_FIELD,
             GRAVITY,
             Option("gate", float, 0.1, "departure of |accel| from gravity, relative, up to which it is the vertical"),
+            Option("accel", int, None, "instance of the accelerometer, from 0; else the one that reads gravity best"),
             Option("time_offset", float, None, "s by which the magnetometer is later; else it is estimated"),
         ),
         mag_align,

@@ -18,12 +18,14 @@ class Source:
 
     recording: Recording
     instance: int | None
+    streamed: Recording
+    """As it was read: what helps to calibrate another sensor is best with its own calibration in force."""
 
     @classmethod
     def of(cls, recording: Recording, instance: int | None) -> Source:
         """What `recording` says of the bare sensors; None: every instance."""
         known = recording.identity.autopilot in {"ardupilot", "px4"}
-        return cls(undo(recording) if known else recording, instance)
+        return cls(undo(recording) if known else recording, instance, recording)
 
     def channels(self, sensor: Sensor) -> tuple[Channel, ...]:
         """The channel of every instance that is asked for."""
