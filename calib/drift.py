@@ -34,8 +34,18 @@ _SPIKES_AMONG = 50  # rows below which an extreme is not told from a spike
 
 
 @dataclass(frozen=True, eq=False)
+class Bins:
+    """The bins of one axis: of which row of the data, middle and half width, and how many samples lay there."""
+
+    rows: NDArray[np.intp]
+    values: Array
+    half: Array
+    counts: Array
+
+
+@dataclass(frozen=True, eq=False)
 class DriftData:
-    """The finite samples, and what can be said of them before any fit."""
+    """The finite samples, or means of many of them, and what can be said of them before any fit."""
 
     time: Array
     t: Array  # degC
@@ -45,6 +55,12 @@ class DriftData:
     ignored: int
     unsorted: int = 0
     spiked: int = 0
+    counts: Array | None = None
+    """Samples (N,) that each row is the mean of; None: one."""
+    scatter: Array | None = None
+    """Sums (3,) of the squares of the samples about their rows; None: zero."""
+    cell_bins: tuple[Bins | None, ...] | None = None
+    """Per axis, where the rows are means of quantised samples."""
 
     @classmethod
     def of(cls, channel: Channel, temperature: Array) -> DriftData:
@@ -72,15 +88,62 @@ class DriftData:
         return data if spikes is None else dataclasses.replace(data.rows(~spikes), spiked=int(spikes.sum()))
 
     def rows(self, keep: NDArray[np.bool_]) -> DriftData:
-        """Only the rows to `keep`."""
+        """Only the rows to `keep`; of means, the scatter is taken as spread evenly."""
         half = None if self.half is None else self.half[keep]
-        return dataclasses.replace(self, time=self.time[keep], t=self.t[keep], y=self.y[keep], half=half)
+        counts = None if self.counts is None else self.counts[keep]
+        scatter = self.scatter
+        if scatter is not None and counts is not None:
+            scatter = scatter * (counts.sum() / self.samples)
+        bins = None if self.cell_bins is None else tuple(_kept(b, keep) for b in self.cell_bins)
+        return dataclasses.replace(
+            self,
+            time=self.time[keep],
+            t=self.t[keep],
+            y=self.y[keep],
+            half=half,
+            counts=counts,
+            scatter=scatter,
+            cell_bins=bins,
+        )
 
     def warmed(self, temperature: Array) -> DriftData:
         """The same samples at other temperatures (N,)."""
-        return DriftData(
-            self.time, temperature, self.y, self.half, self.constant, self.ignored, self.unsorted, self.spiked
+        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        return DriftData(**{**fields, "t": temperature})
+
+    def lowered(self, shift: Array) -> DriftData:
+        """The same with `shift` (N, 3) taken away from every row."""
+        if self.cell_bins is None:
+            return dataclasses.replace(self, y=self.y - shift)
+        bins = tuple(
+            None if b is None else dataclasses.replace(b, values=b.values - shift[b.rows, axis])
+            for axis, b in enumerate(self.cell_bins)
         )
+        return dataclasses.replace(self, y=self.y - shift, cell_bins=bins)
+
+    @property
+    def quantised(self) -> bool:
+        """Whether the samples came in bins."""
+        return self.half is not None or self.cell_bins is not None
+
+    def bins(self, axis: int) -> Bins | None:
+        """The bins of one axis; None where they do not matter."""
+        if self.cell_bins is not None:
+            return self.cell_bins[axis]
+        if self.half is None:
+            return None
+        return Bins(np.arange(self.n), self.y[:, axis], self.half[:, axis], np.ones(self.n))
+
+    def blocks(self, x: Array, degree: int) -> DriftBlocks:
+        """Sums on the powers of `x` (N,)."""
+        found = DriftBlocks.of(x, self.time, self.y, degree=degree, weights=self.counts)
+        scatter = 0.0 if self.scatter is None else self.scatter
+        return dataclasses.replace(found, squares=found.squares + scatter, n=self.samples)
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return self.n if self.counts is None else int(self.counts.sum())
 
     @property
     def n(self) -> int:
@@ -119,9 +182,17 @@ class DriftData:
         levels = len(np.unique(self.t[:: 1 + self.n // 20_000]))
         if levels < degree + 2:
             return f"{levels} different temperatures are not enough for degree {degree}"
-        if self.constant.all() and self.half is None:
+        if self.constant.all() and not self.quantised:
             return "every axis reads one constant value: the sensor is stuck or not connected"
         return ""
+
+
+def _kept(bins: Bins | None, keep: NDArray[np.bool_]) -> Bins | None:
+    if bins is None:
+        return None
+    stay = keep[bins.rows]
+    number = np.cumsum(keep) - 1
+    return Bins(number[bins.rows[stay]], bins.values[stay], bins.half[stay], bins.counts[stay])
 
 
 def _spiked(data: DriftData, reach: Array) -> NDArray[np.bool_] | None:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.drift import DriftBlocks, DriftCurve, DriftData, powers_about, repeated_rows
+from calib.drift import Bins, DriftBlocks, DriftCurve, DriftData, powers_about, repeated_rows
 from calib.errors import InvalidInputError
 from calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
 from calib.noise import ColouredCovariance
@@ -80,7 +80,7 @@ def fit_linear(
     data = DriftData.of(channel, temperature)
     reason = data.refusal(1, min_span)
     if reason:
-        return _refused(LINEAR_METHOD, channel, reason)
+        return _refused(LINEAR_METHOD, channel, len(channel), reason)
     x = data.t - t_ref
     fixed = None if through is None else np.asarray(through, dtype=np.float64)
     repeated = repeated_rows(data)
@@ -182,12 +182,29 @@ def fit_polynomial(
         temperature went through its span more than once, ``quality["cross_validation"]`` judges every sweep by the
         others; ``quality["hysteresis"]`` is warming less cooling.
     """
+    data = DriftData.of(channel, temperature)
+    return fit_drift_data(
+        channel, data, len(channel), degree=degree, t_ref=t_ref, min_span=min_span, lag=lag, relative=relative
+    )
+
+
+def fit_drift_data(
+    channel: Channel,
+    data: DriftData,
+    given: int,
+    *,
+    degree: int = 3,
+    t_ref: float = 35.0,
+    min_span: float = 10.0,
+    lag: bool = True,
+    relative: bool = False,
+) -> FitResult:
+    """:func:`fit_polynomial` of samples that are summed already; `channel` says only of what, and may be empty."""
     if not 1 <= degree <= 5:
         raise InvalidInputError(f"the degree of a thermal polynomial is 1 to 5, not {degree}")
-    data = DriftData.of(channel, temperature)
     reason = data.refusal(degree, min_span)
     if reason:
-        return _refused(POLYNOMIAL_METHOD, channel, reason)
+        return _refused(POLYNOMIAL_METHOD, channel, given, reason)
     found, die = _lag_of(data, degree) if lag else (None, None)
     slower = None
     if found is not None and die is not None:
@@ -219,8 +236,8 @@ def fit_polynomial(
         model=model,
         covariance=covariance,
         unit=channel.unit,
-        n_samples=len(channel),
-        n_used=data.n,
+        n_samples=given,
+        n_used=data.samples,
         residual_rms=float(np.sqrt((residual[estimated] ** 2).mean())) if estimated.any() else 0.0,
         condition_number=axes.blocks.condition,
         relative=relative,
@@ -261,7 +278,7 @@ class _Scaled:
 def _lag_of(data: DriftData, degree: int) -> tuple[Lag | None, Die | None]:
     """The lag of the die, and its temperature for any; None if nothing shows one."""
     scaled = _Scaled.of(data)
-    blocks = DriftBlocks.of(scaled.x, data.time, data.y, degree=degree)
+    blocks = data.blocks(scaled.x, degree)
     rate = rates(blocks, scaled.middle, scaled.half_span)
     if not both_ways(rate):
         return None, None
@@ -271,7 +288,7 @@ def _lag_of(data: DriftData, degree: int) -> tuple[Lag | None, Die | None]:
 
 def _by_lag(curve: DriftCurve, data: DriftData, slower: _Scaled, degree: int, t_ref: float) -> Array:
     """Change of the coefficients (p, 3) about `t_ref` when the lag is one sd longer."""
-    blocks = DriftBlocks.of(slower.x, data.time, data.y, degree=degree)
+    blocks = data.blocks(slower.x, degree)
     shift = powers_about(t_ref, slower.middle, slower.half_span, degree + 1)
     return np.asarray(shift @ blocks.ordinary - curve.coefficients, dtype=np.float64)
 
@@ -307,19 +324,19 @@ class _Axes:
 
 
 def _fit_axes(channel: Channel, data: DriftData, x: Array, degree: int) -> _Axes:
-    blocks = DriftBlocks.of(x, data.time, data.y, degree=degree)
+    blocks = data.blocks(x, degree)
     plain = blocks.noise()
     coefficients, residual = blocks.ordinary.copy(), blocks.residual_sd()
     covariances, whiteness, excess = plain.covariances.copy(), plain.whiteness.copy(), plain.excess.copy()
     too_coarse = np.zeros(3, dtype=np.bool_)
     for axis in range(3):
-        if data.half is None:
-            break
-        y, half = data.y[:, axis], data.half[:, axis]
-        wide = bool((half > 0.75 * channel.quantum).any())
+        bins = data.bins(axis)
+        if bins is None:
+            continue
+        wide = bool((bins.half > 0.75 * channel.quantum).any())
         if data.constant[axis] or (residual[axis] > COARSE * channel.quantum and not wide):
             continue
-        coarse = _coarse_axis(x, data.time, y, half, degree, channel.quantum)
+        coarse = _coarse_axis(x, data.time, bins, degree, channel.quantum)
         if coarse is None:
             too_coarse[axis] = True
             continue
@@ -330,43 +347,53 @@ def _fit_axes(channel: Channel, data: DriftData, x: Array, degree: int) -> _Axes
     return _Axes(blocks, coefficients, ColouredCovariance(covariances, whiteness, excess), residual, too_coarse)
 
 
-def _coarse_axis(
-    x: Array, time: Array, y: Array, half: Array, degree: int, quantum: float
-) -> tuple[DriftBlocks, float] | None:
+def _coarse_axis(x: Array, time: Array, bins: Bins, degree: int, quantum: float) -> tuple[DriftBlocks, float] | None:
     """Block sums of an axis whose noise is smaller than its bins, and that noise; None if too few bins are seen.
 
     The interval likelihood's estimate is least squares on ``expected + score/information`` with the information of
     each sample as its weight, so the same sums carry on from there.
     """
-    design = x[:, None] ** np.arange(degree + 1)
-    rows, counts = _distinct(x, y, half, quantum)
-    fit = interval_regression(design[rows], y[rows], half[rows], weights=counts, smallest=_SMALLEST_NOISE * quantum)
-    levels = len(np.unique(np.round(y[rows] / quantum, 3)))
+    at = x[bins.rows]
+    design = at[:, None] ** np.arange(degree + 1)
+    rows, counts = _distinct(at, bins, quantum)
+    fit = interval_regression(
+        design[rows], bins.values[rows], bins.half[rows], weights=counts, smallest=_SMALLEST_NOISE * quantum
+    )
+    levels = len(np.unique(np.round(bins.values[rows] / quantum, 3)))
     if fit.at_limit and levels < degree + 3:
         return None
     expected = design @ fit.coefficients
-    mean, variance = impute(y, half, expected, fit.sigma)
+    mean, variance = impute(bins.values, bins.half, expected, fit.sigma)
     information = np.maximum(1.0 - variance / fit.sigma**2, 1e-9)
     pseudo = expected + (mean - expected) / information
-    return DriftBlocks.of(x, time, pseudo[:, None], degree=degree, weights=information), fit.sigma
+    weights = information * bins.counts
+    if len(bins.rows) > len(x):  # rows that are means: their bins belong together
+        total = np.bincount(bins.rows, weights, minlength=len(x)).astype(np.float64)
+        sums = np.bincount(bins.rows, weights * pseudo, minlength=len(x)).astype(np.float64)
+        pseudo = sums / np.maximum(total, 1e-300)
+        weights, at = total, x
+    else:
+        time = time[bins.rows]
+    blocks = DriftBlocks.of(at, time, pseudo[:, None], degree=degree, weights=weights)
+    return blocks, fit.sigma
 
 
-def _distinct(x: Array, y: Array, half: Array, quantum: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows that stand for all others with the same temperature and bin, and how many each stands for."""
+def _distinct(x: Array, bins: Bins, quantum: float) -> tuple[NDArray[np.intp], Array]:
+    """Rows that stand for all others with the same temperature and bin, and how many samples each stands for."""
     if len(x) <= _MANY:
-        return np.arange(len(x)), np.ones(len(x), dtype=np.intp)
-    key = np.round(x * 2e4).astype(np.int64) * 2_000_003 + np.round(y / (1e-3 * quantum)).astype(np.int64)
-    _, rows, counts = np.unique(key, return_index=True, return_counts=True)
-    return rows, counts
+        return np.arange(len(x)), bins.counts
+    key = np.round(x * 2e4).astype(np.int64) * 2_000_003 + np.round(bins.values / (1e-3 * quantum)).astype(np.int64)
+    _, rows, which = np.unique(key, return_index=True, return_inverse=True)
+    return rows, np.bincount(which, weights=bins.counts).astype(np.float64)
 
 
-def _refused(method: str, channel: Channel, reason: str) -> FitResult:
+def _refused(method: str, channel: Channel, given: int, reason: str) -> FitResult:
     return refused(
         method,
         channel.sensor,
         channel.instance,
         reason,
         unit=channel.unit,
-        n_samples=len(channel),
+        n_samples=given,
         movement=_COLDER,
     )

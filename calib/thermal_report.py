@@ -21,14 +21,14 @@ Array = NDArray[np.float64]
 def said_of(what: str, data: DriftData, estimated: NDArray[np.bool_]) -> str:
     """What was fitted, of which axes, over which range."""
     axes = ", ".join(AXES[i] for i in range(3) if estimated[i]) or "no axis"
-    return f"{what} of {axes} over {data.t_min:.1f} to {data.t_max:.1f} degC from {data.n} rows"
+    return f"{what} of {axes} over {data.t_min:.1f} to {data.t_max:.1f} degC from {data.samples} rows"
 
 
 def common_warnings(data: DriftData, estimated: NDArray[np.bool_]) -> tuple[str, ...]:
     """What any fit of `data` has to say: constant axes, and rows that do not count."""
     warnings = []
     constant = ", ".join(AXES[i] for i in range(3) if data.constant[i] and not estimated[i])
-    if constant and data.half is None:
+    if constant and not data.quantised:
         warnings.append(f"{constant} reads one constant value: not estimated")
     elif constant:
         warnings.append(f"{constant} reads one constant value: its drift is below one bin, not estimated")

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.drift import DriftData
+from calib.drift_cells import DriftCells
 from calib.fit import FitResult, FitStatus
-from calib.procedures.pool import Pool
+from calib.procedures.roster import Frame, Instance
 from calib.recording import Array, Channel, Sensor
-from calib.thermal import fit_polynomial
+from calib.thermal import fit_drift_data
+
+_KEPT = frozenset({Sensor.ACCEL, Sensor.GYRO, Sensor.TEMPERATURE})
 
 DEGREE = 3
 """Order of the polynomial that both firmwares store."""
@@ -22,59 +24,66 @@ SHORTEST = 10.0
 """A still span shorter than this is left out where the pose changes between spans, s."""
 
 
-@dataclass(frozen=True)
-class Span:
-    """A still span that began at `start` (s); `open` while it goes on."""
+class DriftPool:
+    """What the still spans said of every sensor and thermometer, in the same memory however long they last."""
 
-    start: float
-    open: bool = True
+    def __init__(self) -> None:
+        self._cells: dict[Instance, DriftCells] = {}
 
-    def closed(self) -> Span:
-        """The span, ended."""
-        return dataclasses.replace(self, open=False)
+    def add(self, frame: Frame, span: int) -> None:
+        """Keep the samples of a tick that belongs to the still span of that number."""
+        for instance, channel in frame.items():
+            if instance[0] in _KEPT:
+                thermometer = instance[0] == Sensor.TEMPERATURE
+                if instance not in self._cells:
+                    self._cells[instance] = DriftCells(channel.values.shape[1], bins=not thermometer)
+                self._cells[instance].add(channel, span)
+
+    def __contains__(self, instance: Instance) -> bool:
+        return instance in self._cells
+
+    def __getitem__(self, instance: Instance) -> DriftCells:
+        return self._cells[instance]
 
 
-def fit_drift(pool: Pool, sensor: Sensor, instance: int, spans: Sequence[Span], *, relative: bool) -> FitResult:
+def fit_drift(pool: DriftPool, sensor: Sensor, instance: int, *, relative: bool) -> FitResult:
     """Cubic drift of one sensor over its kept samples; a new span of an accelerometer is a new pose."""
-    channel = pool.channel((sensor, instance))
-    thermometer = pool.channel((Sensor.TEMPERATURE, instance))
-    if sensor == Sensor.ACCEL and len(spans) > 1:
-        number = np.searchsorted([s.start for s in spans], channel.t, side="right") - 1
-        return _fit_poses(channel, thermometer, number.astype(np.intp), relative=relative)
-    return fit_polynomial(channel, _temperature_at(channel.t, thermometer), degree=DEGREE, relative=relative)
+    cells, thermometer = pool[sensor, instance], pool[Sensor.TEMPERATURE, instance].table()
+    table = cells.table()
+    data = cells.data(np.interp(table.time, thermometer.time, thermometer.mean[:, 0]))
+    assert cells.channel is not None
+    if sensor == Sensor.ACCEL and len(np.unique(table.span)) > 1:
+        return _fit_poses(cells.channel, data, table.span, relative=relative)
+    return fit_drift_data(cells.channel, data, data.samples, degree=DEGREE, relative=relative)
 
 
-def _temperature_at(t: Array, thermometer: Channel) -> Array:
-    return np.asarray(np.interp(t, thermometer.t, thermometer.values[:, 0]), dtype=np.float64)
-
-
-def _fit_poses(channel: Channel, thermometer: Channel, number: NDArray[np.intp], *, relative: bool) -> FitResult:
+def _fit_poses(channel: Channel, data: DriftData, number: NDArray[np.intp], *, relative: bool) -> FitResult:
     """Offsets of the poses by joint least squares with the curve, then the curve with them taken away.
 
     Least squares of the curve on ``y - D d`` with the joint estimate d has the joint estimate of the curve; its
     covariance lacks the share of d, at most the largest ratio of the information without poses to that with them.
     """
-    lengths = {int(k): float(np.ptp(channel.t[number == k])) for k in np.unique(number)}
-    long = [k for k, seconds in lengths.items() if seconds >= SHORTEST]
-    rows = np.isin(number, long)
-    kept, number = channel.take(rows), number[rows]
-    temperature = _temperature_at(kept.t, thermometer)
-    if len(long) < 2 or np.ptp(temperature) < 1.0:
-        return fit_polynomial(kept, temperature, degree=DEGREE, relative=relative)
-    x = (temperature - temperature.mean()) / max(float(np.ptp(temperature)), 1e-9)
+    given = data.samples
+    long = [int(k) for k in np.unique(number) if float(np.ptp(data.time[number == k])) >= SHORTEST]
+    data, number = data.rows(np.isin(number, long)), number[np.isin(number, long)]
+    if len(long) < 2 or data.span < 1.0:
+        return fit_drift_data(channel, data, given, degree=DEGREE, relative=relative)
+    x = (data.t - data.t.mean()) / max(data.span, 1e-9)
+    root = np.ones(data.n) if data.counts is None else np.sqrt(data.counts)
     curve = x[:, None] ** np.arange(1, DEGREE + 1)
     poses = (number[:, None] == np.array(long)).astype(np.float64)
-    solution = np.linalg.lstsq(np.hstack([poses, curve]), kept.values, rcond=None)[0]
+    solution = np.linalg.lstsq(root[:, None] * np.hstack([poses, curve]), root[:, None] * data.y, rcond=None)[0]
     steps = solution[: len(long)] - solution[0]
-    level = dataclasses.replace(kept, values=kept.values - poses @ steps)
-    fit = fit_polynomial(level, temperature, degree=DEGREE, relative=relative)
-    return _widened(fit, _loss(curve, poses), len(long))
+    level = data.lowered(poses @ steps)
+    fit = fit_drift_data(channel, level, given, degree=DEGREE, relative=relative)
+    return _widened(fit, _loss(root[:, None] * curve, root[:, None] * poses), len(long))
 
 
 def _loss(curve: Array, poses: Array) -> float:
     """Largest factor by which the unknown poses raise the variance of a combination of the curve's terms."""
-    one = curve - curve.mean(axis=0)
-    each = curve - poses @ (poses.T @ curve / poses.sum(axis=0)[:, None])
+    whole = poses.sum(axis=1, keepdims=True)  # the root of the samples of each row
+    one = curve - whole @ (whole.T @ curve) / float((whole**2).sum())
+    each = curve - poses @ (poses.T @ curve / (poses**2).sum(axis=0)[:, None])
     factor = np.linalg.cholesky(each.T @ each + 1e-12 * np.trace(one.T @ one) * np.eye(len(one.T)))
     half = np.linalg.solve(factor, one.T)
     return max(1.0, float(np.linalg.eigvalsh(half @ half.T)[-1]))

@@ -11,9 +11,9 @@ from typing import ClassVar
 
 from calib.fit import FitResult, FitStatus
 from calib.procedures.context import ProcedureContext
-from calib.procedures.drift_fit import Span, fit_drift
+from calib.procedures.drift_fit import DriftPool, fit_drift
 from calib.procedures.motion import Disturbance, Verdict
-from calib.procedures.pool import Pool, Tail
+from calib.procedures.pool import Tail
 from calib.procedures.protocol import Done, Progress, Prompt
 from calib.procedures.results import annotated
 from calib.procedures.roster import Frame, Instance, label
@@ -80,9 +80,10 @@ class ThermalProcedure(TickedProcedure):
     def __init__(self, options: Options, context: ProcedureContext) -> None:
         super().__init__(options, context)
         self._warmth = Warmth(SETTLED_OVER)
-        self._pool = Pool((Sensor.ACCEL, Sensor.GYRO, Sensor.TEMPERATURE))
+        self._pool = DriftPool()
         self._tail = Tail(GUARD_TICKS)
-        self._spans: list[Span] = []
+        self._spans = 0
+        self._resting = False
         self._still = 0.0
         self._why = ""
         self._what = Disturbance.NONE
@@ -121,19 +122,18 @@ class ThermalProcedure(TickedProcedure):
     def _moved(self, verdict: Verdict) -> None:
         self._why, self._what = verdict.why, verdict.what
         self._tail = Tail(GUARD_TICKS)
-        if self._spans and self._spans[-1].open:
-            self._spans[-1] = self._spans[-1].closed()
+        self._resting = False
 
     def _keep(self, start: float, end: float, frame: Frame) -> None:
         kept = self._tail.push(frame)
         if kept is None:
             return
-        self._pool.add(kept)
+        if not self._resting:
+            self._resting = True
+            self._spans += 1
+        self._pool.add(kept, self._spans)
         self._warmth.keep(kept)
         self._still += end - start
-        first = min(float(c.t[0]) for c in kept.values())
-        if not self._spans or not self._spans[-1].open:
-            self._spans.append(Span(first))
 
     # -- judging ---------------------------------------------------------------------------------------------------
 
@@ -172,7 +172,7 @@ class ThermalProcedure(TickedProcedure):
 
     def _fit(self) -> tuple[FitResult, ...]:
         return tuple(
-            fit_drift(self._pool, sensor, instance, self._spans, relative=self.context.relative)
+            fit_drift(self._pool, sensor, instance, relative=self.context.relative)
             for sensor in (Sensor.ACCEL, Sensor.GYRO)
             for instance in self._units()
             if (sensor, instance) in self._pool and (Sensor.TEMPERATURE, instance) in self._pool
@@ -248,7 +248,7 @@ class ThermalProcedure(TickedProcedure):
             "temperature": {str(i): t for i, t in self._warmth.now.items()},
             "rate_degc_per_min": 60.0 * rate,
             "still_s": self._still,
-            "spans": len(self._spans),
+            "spans": self._spans,
             "missed": self._missed,
             "warnings": self.warnings[:],
         }
