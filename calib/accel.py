@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
 from calib import STANDARD_GRAVITY
+from calib.attitude import tilt_sd_deg
 from calib.errors import InvalidInputError
 from calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
 from calib.norm_fit import (
@@ -32,6 +33,7 @@ from calib.norm_fit import (
 )
 from calib.quantisation import mean_of
 from calib.recording import Channel, Sensor
+from calib.residuals import residual_statistics
 from calib.stillness import PoseMean
 from calib.triad import TriadModel
 from calib.windows import finite_rows
@@ -41,6 +43,9 @@ Array = NDArray[np.float64]
 POSES_METHOD = "accel-multi"
 ONE_AXIS_METHOD = "accel-one-axis"
 
+_ALL_SIDES = "hold it still on each of its six sides in turn, and in three oblique poses"
+_OBLIQUE = "hold it still in three oblique poses or more, between its six sides"
+_ONE_AXIS = "lay it down with one axis vertical to a degree, and leave it alone for some seconds"
 _MISFIT = 0.001  # p-value below which the poses contradict each other
 _FACES = (  # what the accelerometer feels, and how the vehicle is then held
     ("nose up", "nose down"),
@@ -88,9 +93,18 @@ def fit_poses(
     _check(gravity, cross_sd)
     n_samples = sum(pose.n for pose in poses)
 
-    def refusal(message: str, undetermined: tuple[str, ...] = parameter_names()) -> FitResult:
+    def refusal(
+        message: str, undetermined: tuple[str, ...] = parameter_names(), movement: str = _ALL_SIDES
+    ) -> FitResult:
         return refused(
-            POSES_METHOD, Sensor.ACCEL, instance, message, unit=unit, n_samples=n_samples, undetermined=undetermined
+            POSES_METHOD,
+            Sensor.ACCEL,
+            instance,
+            message,
+            unit=unit,
+            n_samples=n_samples,
+            undetermined=undetermined,
+            movement=movement,
         )
 
     if len(poses) < 4:
@@ -110,7 +124,7 @@ def fit_poses(
     names = _names(unknown)
     movement = _movement(problem, weak)
     if len({i % 3 for i in unknown}) == 3:
-        return refusal(f"these {len(poses)} poses determine no axis: {movement}", names)
+        return refusal(f"these {len(poses)} poses determine no axis: {movement}", names, movement)
     solution = weak if unknown else solve(problem, weak=False)
     if solution is None:
         return refusal("the fit of the poses did not converge: hold more poses, and each of them longer")
@@ -151,6 +165,7 @@ def fit_one_axis(
             unit=accel.unit,
             n_samples=given,
             undetermined=parameter_names()[:3],
+            movement=_ONE_AXIS,
         )
 
     if len(accel) < 16:
@@ -167,13 +182,15 @@ def fit_one_axis(
     covariance = np.zeros((12, 12))
     covariance[:3, :3] = estimate.covariance + (tilt * gravity) ** 2 * np.diag(1.0 - vertical)
     residual = accel.values - estimate.mean
+    noisy = residual[:, ~np.array(estimate.constant)] if not all(estimate.constant) else residual
+    model = TriadModel(offset=estimate.mean - gravity * down)
     return FitResult(
         method=ONE_AXIS_METHOD,
         sensor=Sensor.ACCEL,
         instance=accel.instance,
         status=FitStatus.OK,
         message=f"offset with {AXES[int(vertical.argmax())]} vertical; a scale error is inside it",
-        model=TriadModel(offset=estimate.mean - gravity * down),
+        model=model,
         covariance=covariance,
         unit=accel.unit,
         n_samples=given,
@@ -184,7 +201,12 @@ def fit_one_axis(
         warnings=()
         if fixture_sd
         else (f"the axis was taken as exactly vertical: one degree of tilt is {gravity * np.sin(np.pi / 180):.3g}",),
-        quality={"n_effective": estimate.n_effective, "gravity": gravity},
+        quality={
+            **residual_statistics(noisy, noisy.size - noisy.shape[1], None),
+            "n_effective": estimate.n_effective,
+            "gravity": gravity,
+            "attitude_sd_deg": tilt_sd_deg(model, covariance, gravity),
+        },
         native={"mean": estimate.mean.tolist(), "vertical": AXES[int(vertical.argmax())]},
     )
 
@@ -250,9 +272,13 @@ def _result(
         condition_number=float(np.linalg.cond(solution.jacobian / np.linalg.norm(solution.jacobian, axis=0))),
         relative=relative,
         undetermined=names,
+        movements=_movements(names, movement),
         warnings=tuple(warnings),
         temperature=float(np.mean(temperatures)) if temperatures else None,
-        quality=_quality(problem, solution, chi2, dof, p_value),
+        quality={
+            **_quality(problem, solution, chi2, dof, p_value),
+            "attitude_sd_deg": tilt_sd_deg(model, full, problem.gravity),
+        },
         native={"offset": model.offset.tolist(), "matrix": model.matrix.tolist(), "form": form},
     )
 
@@ -281,6 +307,12 @@ def _movement(problem: NormProblem, solution: NormSolution) -> str:
     return f"hold it {' and '.join(missing)}" if missing else "hold every pose longer, and add oblique ones"
 
 
+def _movements(names: Sequence[str], movement: str) -> dict[str, str]:
+    """For each parameter that is open: the movement that would determine it."""
+    crossed = {f"matrix_{a}{b}" for a in AXES for b in AXES if a != b}
+    return {name: _OBLIQUE if name in crossed else movement for name in names}
+
+
 def _contradiction(solution: NormSolution, poses: Sequence[PoseMean], p_value: float) -> str:
     worst = int(np.argmax(np.abs(solution.residuals)))
     pose = poses[worst]
@@ -294,6 +326,7 @@ def _quality(
     problem: NormProblem, solution: NormSolution, chi2: float, dof: int, p_value: float | None
 ) -> dict[str, Any]:
     return {
+        **residual_statistics(solution.residuals, max(dof, 0), 1.0),
         "poses": len(solution.lengths),
         "chi2": chi2,
         "dof": dof,

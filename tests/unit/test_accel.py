@@ -325,3 +325,16 @@ def test_one_axis_must_be_vertical(mean, says):
 def test_a_shaken_axis_is_refused_and_so_are_few_samples():
     assert "it moved" in fit_one_axis(vertical((0.0, 0.0, 1.0), sd=0.2), gravity=1.0).message
     assert "16 are needed" in fit_one_axis(vertical((0.0, 0.0, 1.0), n=5), gravity=1.0).message
+
+
+@pytest.mark.parametrize("mean", [(0.0, 0.0, 1.0), (0.02, -0.03, -0.97)])
+def test_one_axis_says_what_its_offset_does_to_the_level(mean):
+    quality = fit_one_axis(vertical(mean), gravity=1.0, fixture_sd=0.5).quality
+    assert quality["attitude_sd_deg"] == pytest.approx(0.5, rel=0.02)
+    assert {"chi2", "dof", "p_value", "first_correlation", "white"} <= set(quality)
+    assert quality["white"]
+
+
+def test_refusals_name_the_movement():
+    assert "one axis vertical" in fit_one_axis(vertical((0.5, 0.5, 0.6)), gravity=1.0).movements["offset_x"]
+    assert "six sides" in fit_poses([]).movements["matrix_xx"]
