@@ -7,10 +7,12 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.drift import DriftData
 from calib.errors import InvalidInputError
 from calib.fit import FitResult
 from calib.methods.method import INSTANCE, Method, Option, Options
 from calib.methods.source import Source
+from calib.procedures.drift_fit import fit_posed
 from calib.recording import Channel, Sensor
 from calib.thermal import fit_linear, fit_polynomial
 
@@ -101,17 +103,17 @@ def _point(options: Options) -> Array | None:
 
 def thermal_poly(source: Source, options: Options) -> list[FitResult]:
     """Accelerometers and gyroscopes against their temperature, polynomials."""
+    fields = {"degree": options["degree"], "t_ref": options["tref"], "min_span": options["min_span"]}
+    segments = source.recording.segments
 
     def fit(channel: Channel, temperature: Array, relative: bool) -> FitResult:
-        return fit_polynomial(
-            channel,
-            temperature,
-            degree=options["degree"],
-            t_ref=options["tref"],
-            min_span=options["min_span"],
-            lag=options["lag"] == "auto",
-            relative=relative,
-        )
+        common = {**fields, "lag": options["lag"] == "auto", "relative": relative}
+        if channel.sensor != Sensor.ACCEL or len(segments) < 2:
+            return fit_polynomial(channel, temperature, **common)
+        number = np.searchsorted([s.start for s in segments], channel.t, side="right") - 1  # each its own pose
+        inside = (number >= 0) & np.isfinite(channel.values).all(axis=1)
+        data = DriftData.of(channel.take(inside), temperature[inside])
+        return fit_posed(channel, data, number[inside].astype(np.intp), **common)
 
     return _thermal(source, options, fit)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 
 import numpy as np
@@ -53,29 +54,42 @@ def fit_drift(pool: DriftPool, sensor: Sensor, instance: int, *, relative: bool)
     data = cells.data(np.interp(table.time, thermometer.time, thermometer.mean[:, 0]))
     assert cells.channel is not None
     if sensor == Sensor.ACCEL and len(np.unique(table.span)) > 1:
-        return _fit_poses(cells.channel, data, table.span, relative=relative)
+        return fit_posed(cells.channel, data, table.span, relative=relative)
     return fit_drift_data(cells.channel, data, data.samples, degree=DEGREE, relative=relative)
 
 
-def _fit_poses(channel: Channel, data: DriftData, number: NDArray[np.intp], *, relative: bool) -> FitResult:
-    """Offsets of the poses by joint least squares with the curve, then the curve with them taken away.
+def fit_posed(
+    channel: Channel,
+    data: DriftData,
+    number: NDArray[np.intp],
+    *,
+    degree: int = DEGREE,
+    t_ref: float = 35.0,
+    min_span: float = 10.0,
+    lag: bool = True,
+    relative: bool = False,
+) -> FitResult:
+    """Drift of a sensor whose pose, the `number` (N,) of each row, has an offset of its own; the curve is common.
 
-    Least squares of the curve on ``y - D d`` with the joint estimate d has the joint estimate of the curve; its
-    covariance lacks the share of d, at most the largest ratio of the information without poses to that with them.
+    Offsets of the poses by joint least squares with the curve, then the curve with them taken away. Least squares of
+    the curve on ``y - D d`` with the joint estimate d has the joint estimate of the curve; its covariance lacks the
+    share of d, at most the largest ratio of the information without poses to that with them.
     """
+    fit_one = functools.partial(
+        fit_drift_data, channel, degree=degree, t_ref=t_ref, min_span=min_span, lag=lag, relative=relative
+    )
     given = data.samples
     long = [int(k) for k in np.unique(number) if float(np.ptp(data.time[number == k])) >= SHORTEST]
     data, number = data.rows(np.isin(number, long)), number[np.isin(number, long)]
     if len(long) < 2 or data.span < 1.0:
-        return fit_drift_data(channel, data, given, degree=DEGREE, relative=relative)
+        return fit_one(data, given)
     x = (data.t - data.t.mean()) / max(data.span, 1e-9)
     root = np.ones(data.n) if data.counts is None else np.sqrt(data.counts)
-    curve = x[:, None] ** np.arange(1, DEGREE + 1)
+    curve = x[:, None] ** np.arange(1, degree + 1)
     poses = (number[:, None] == np.array(long)).astype(np.float64)
     solution = np.linalg.lstsq(root[:, None] * np.hstack([poses, curve]), root[:, None] * data.y, rcond=None)[0]
     steps = solution[: len(long)] - solution[0]
-    level = data.lowered(poses @ steps)
-    fit = fit_drift_data(channel, level, given, degree=DEGREE, relative=relative)
+    fit = fit_one(data.lowered(poses @ steps), given)
     return _widened(fit, _loss(root[:, None] * curve, root[:, None] * poses), len(long))
 
 

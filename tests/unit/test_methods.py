@@ -48,6 +48,7 @@ def test_the_registry_names_every_method_of_this_issue():
             "allan",
             "accel-thermal",
         ),
+        *("gyro-turntable", "gyro-thread", "gyro-g-sensitivity", "mag-gyro", "imu-multi"),
     }
     for name, method in METHODS.items():
         assert method.name == name
@@ -169,6 +170,37 @@ def test_a_one_axis_rest_in_g():
     with pytest.raises(InvalidInputError, match="state it with --gravity"):
         METHODS["accel-one-axis"].run(counts)
     assert METHODS["accel-one-axis"].run(counts, {"gravity": 4096})[0].status == FitStatus.OK
+
+
+def test_a_slope_through_a_point_is_one_sensors_and_says_so():
+    T = np.array([25.0, 35.0, 45.0, 55.0, 65.0, 55.0, 45.0])
+    y = np.column_stack([[400.0, 411.0, 419.0, 431.0, 440.0, 429.0, 420.0]] * 3)
+    recording = Recording(
+        (raw(Sensor.ACCEL, y, "counts"), raw(Sensor.GYRO, y, "counts"), raw(Sensor.TEMPERATURE, T[:, None], "degC"))
+    )
+    (fit,) = METHODS["thermal-linear"].run(recording, {"through": "400,400,400", "sensor": "gyro"})
+    assert fit.sensor == Sensor.GYRO
+    assert fit.native["form"] == "through_point"
+    assert fit.native["slopes"] == pytest.approx([0.997674] * 3, abs=1e-6)
+    (free, _) = METHODS["thermal-linear"].run(recording)
+    assert free.native["slopes"] == pytest.approx([753 / 760] * 3, abs=1e-12)
+    with pytest.raises(InvalidInputError, match="one sensor's"):
+        METHODS["thermal-linear"].run(recording, {"through": "400,400,400"})
+
+
+def test_labelled_sweeps_of_an_accelerometer_are_poses_of_their_own():
+    rng = np.random.default_rng(6)
+    T = 40.0 - 20.0 * np.cos(2 * np.pi * np.arange(4000) / 4000)
+    pose = np.where(np.arange(4000)[:, None] < 2000, [0.0, 0.0, -9.8], [-9.8, 0.0, 0.0])
+    values = pose + np.outer(T - 35.0, [0.01, -0.02, 0.005]) + 0.01 * rng.normal(size=(4000, 3))
+    recording = Recording(
+        (raw(Sensor.ACCEL, values, "m/s2"), raw(Sensor.TEMPERATURE, T[:, None], "degC")),
+        segments=(Segment("P0", 0.0, 40.0), Segment("P1", 40.0, 80.0)),
+    )
+    (fit,) = METHODS["thermal-poly"].run(recording, {"degree": 1})
+    assert fit.quality["poses"] == 2
+    assert np.abs((fit.model.polynomial.coefficients[:, 0] - [0.01, -0.02, 0.005]) / fit.sd[12:]).max() < 4.0
+    assert min(fit.quality["cross_validation"]["explained"]) > 0.9
 
 
 def test_gravity_of_the_place():

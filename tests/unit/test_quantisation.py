@@ -214,3 +214,18 @@ def test_too_few_or_not_finite_samples_are_an_input_error(values):
     channel = Channel(Sensor.GYRO, 0, np.arange(len(values)) * 1.0, values, "rad/s", Stage.RAW, "test")
     with pytest.raises(InvalidInputError, match="two finite samples"):
         mean_of(channel)
+
+
+@pytest.mark.parametrize(("noise", "bias"), [(0.2, 0.1445), (0.3, 0.0539), (0.4, 0.0135), (0.5, 0.0023)])
+def test_the_bias_of_the_plain_mean_and_what_is_left_of_it(noise, bias):
+    """The largest bias of a mean of rounded samples, (1/pi) exp(-2 pi^2 s^2/q^2) quanta, beside ours."""
+    k = np.arange(-3, 4)
+    places = np.linspace(0.0, 0.5, 101)
+    chance = norm.cdf((k + 0.5 - places[:, None]) / noise) - norm.cdf((k - 0.5 - places[:, None]) / noise)
+    assert np.abs(chance @ k - places).max() == pytest.approx(bias, abs=6e-4)  # the first harmonic alone
+    worst = float(places[np.argmax(np.abs(chance @ k - places))])
+    rng = np.random.default_rng(14)
+    ours = [mean_of(rounded(worst + noise * rng.normal(size=4000))) for _ in range(30)]
+    errors = np.array([m.mean[0] - worst for m in ours])
+    assert abs(errors.mean()) < 0.5 * bias + 3.0 * errors.std() / np.sqrt(30)
+    assert np.mean([e**2 / m.covariance[0, 0] for e, m in zip(errors, ours, strict=True)]) < 2.0
