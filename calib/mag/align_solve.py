@@ -85,7 +85,7 @@ def align(field: Array, down: Array, start: Array, noise: Noise | None, least: N
         if noise is None:
             now = _estimated(linear, least)
             linear = linear.reweighted(now)
-        rows, residuals = linear.whitened()
+        rows, residuals = linear.rows(), linear.whitening(linear.misclosure)
         flat = rows.reshape(-1, N_UNKNOWNS)
         information = flat.T @ flat
         scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
@@ -128,7 +128,8 @@ class _Linear:
     state: _State
     observed: _State
     misclosure: Array  # (N, 2)
-    rows: Array  # (N, 2, 13)
+    from_offset: Array  # (N, 3): y - b
+    directions: tuple[Array, Array]  # (N, 3) each: B (y - b) of length one, and down; the conditions' own directions
     by_field: Array  # (N, 2, 3)
     across: Array  # (N, 3): derivative of the second condition by the vertical
     corrected: Array  # (N, 3)
@@ -151,19 +152,34 @@ class _Linear:
         first, both, second = self.variance
         return np.asarray(second - both**2 / first)
 
-    def whitened(self) -> tuple[Array, Array]:
-        """Rows (N, 2, 13) and residuals (N, 2) in standard deviations, the second given the first."""
-        return self.whitening(self.rows), self.whitening(self.misclosure)
+    def rows(self) -> Array:
+        """Derivatives (N, 2, 13) of the whitened conditions: ``c d^T`` by B, ``-B^T c`` by b, for direction c."""
+        first, both, _ = self.variance
+        share, own, other = (both / first)[:, None], 1.0 / np.sqrt(first), 1.0 / np.sqrt(self.conditional)
+        (u, g), f = self.directions, self.by_field
+        d = self.from_offset[:, None, :]
+        rows = np.empty((len(d), 2, N_UNKNOWNS))
+        rows[:, 0, :9] = ((u * own[:, None])[:, :, None] * d).reshape(-1, 9)
+        rows[:, 1, :9] = (((g - share * u) * other[:, None])[:, :, None] * d).reshape(-1, 9)
+        rows[:, 0, 9:12] = -f[:, 0] * own[:, None]
+        rows[:, 1, 9:12] = (share * f[:, 0] - f[:, 1]) * other[:, None]
+        rows[:, 0, 12], rows[:, 1, 12] = 0.0, -other
+        return rows
 
     def whitening(self, pairs: Array) -> Array:
-        """`pairs` (N, 2, ...) of what belongs to the two conditions, uncorrelated and of variance one."""
+        """`pairs` (N, 2) of what belongs to the two conditions, uncorrelated and of variance one."""
         first, both, _ = self.variance
-        shape = (len(pairs), *([1] * (pairs.ndim - 2)))
         white = np.empty_like(pairs)
-        white[:, 0] = pairs[:, 0] / np.sqrt(first).reshape(shape)
-        white[:, 1] = pairs[:, 1] - (both / first).reshape(shape) * pairs[:, 0]
-        white[:, 1] /= np.sqrt(self.conditional).reshape(shape)
+        white[:, 0] = pairs[:, 0] / np.sqrt(first)
+        white[:, 1] = (pairs[:, 1] - both / first * pairs[:, 0]) / np.sqrt(self.conditional)
         return white
+
+    def moved(self, step: Array) -> Array:
+        """The misclosures (N, 2) after `step` of the unknowns."""
+        turned = self.from_offset @ step[:9].reshape(3, 3).T
+        change = np.stack([_dot(c, turned) for c in self.directions], axis=1) - self.by_field @ step[9:12]
+        change[:, 1] -= step[12]
+        return np.asarray(self.misclosure + change)
 
     def curvature_bias(self) -> Array:
         """Expectation (N, 2) of the misclosures at the true unknowns: ``tr(F'' S) / 2``, to the second order.
@@ -197,7 +213,7 @@ class _Linear:
 
     def projected(self, step: Array, noise: Noise) -> _State:
         """The next state: unknowns moved by `step`, observations moved onto the conditions with the least effort."""
-        left = self.misclosure + self.rows @ step
+        left = self.moved(step)
         first, both, second = self.variance
         determinant = first * second - both**2
         pull = np.empty_like(left)
@@ -227,14 +243,10 @@ def _linearised(state: _State, field: Array, down: Array, noise: Noise) -> _Line
     moved = field - state.field
     misclosure = np.stack([length - 1.0, along - sine], axis=1) + np.einsum("nki,ni->nk", by_field, moved)
     misclosure[:, 1] += _dot(across, down - g)
-    rows = np.empty((len(d), 2, N_UNKNOWNS))
-    rows[:, 0, :9] = (u[:, :, None] * d[:, None, :]).reshape(-1, 9)
-    rows[:, 1, :9] = (g[:, :, None] * d[:, None, :]).reshape(-1, 9)
-    rows[:, :, 9:12] = -by_field
-    rows[:, 0, 12], rows[:, 1, 12] = 0.0, -1.0
     f, s = by_field[:, 0], by_field[:, 1]
     products = np.stack([_dot(f, f), _dot(f, s), _dot(s, s)], axis=1)
-    return _Linear(state, _State(state.unknowns, field, down), misclosure, rows, by_field, across, w, products, noise)
+    observed = _State(state.unknowns, field, down)
+    return _Linear(state, observed, misclosure, d, (u, g), by_field, across, w, products, noise)
 
 
 def _estimated(linear: _Linear, least: Noise) -> Noise:

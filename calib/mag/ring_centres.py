@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.geometry import frame_along
 
 Array = NDArray[np.float64]
 
@@ -65,11 +64,16 @@ class Centre:
     """Distance (3,) from the centre of the fitted circle, where that cannot be chance: the turn was uneven. Else 0."""
 
 
+def plane_of(down: Array) -> Array:
+    """Unit vectors (3, 2) across the axis of the body that is `down`."""
+    return np.eye(3)[:, down == 0.0]
+
+
 def fit_circle(points: Array, down: Array) -> Circle | None:
     """The circle about `down` through corrected `points` (N, 3), by Gauss and Newton on distances; None: no circle."""
     if len(points) < FEWEST_OF_CIRCLE:
         return None
-    plane = frame_along(down)[:, 1:]
+    plane = plane_of(down)
     flat = points @ plane
     middle = flat.mean(axis=0)
     size = math.sqrt(float(((flat - middle) ** 2).sum(axis=1).mean()))
@@ -180,7 +184,7 @@ def _weights(ring: Ring, way: str, matrix: Array, about: Array) -> Array | None:
         return np.full(n, 1.0 / n)
     if way == "minmax":
         return None
-    plane = frame_along(ring.down)[:, 1:]
+    plane = plane_of(ring.down)
     flat = (ring.samples - about) @ matrix.T @ plane
     angle = np.arctan2(flat[:, 1], flat[:, 0])
     if way == "thinned":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
@@ -13,11 +14,10 @@ from scipy.special import chdtrc
 
 from calib.c_array import c_array, homogeneous
 from calib.fit import FitResult, FitStatus, parameter_names
-from calib.geometry import frame_along
 from calib.mag.heading import heading_sd_deg
 from calib.mag.mounting import mounting_of
 from calib.mag.result import UNDETERMINED_SD, MagContext
-from calib.mag.ring_centres import Circle, Ring
+from calib.mag.ring_centres import Circle, Ring, plane_of
 from calib.mag.rings_algebra import by_dominant, centres_inverse, columns_of, published
 from calib.recording import Sensor
 from calib.residuals import residual_statistics
@@ -118,6 +118,12 @@ class _Scale:
     fit: RingsFit
     strength: float | None
 
+    @cached_property
+    def moments(self) -> tuple[tuple[int, Array, Array], ...]:
+        """Number, mean and scatter of the samples of every ring."""
+        samples = [ring.samples for ring in self.fit.rings]
+        return tuple((len(s), s.mean(axis=0), np.cov(s.T, bias=True)) for s in samples)
+
     def model(self, centres: Array) -> Array:
         """Offset and matrix (12,) as a function of the centres (K, 3)."""
         offset, columns = columns_of(centres, self.fit.faces)
@@ -134,11 +140,11 @@ class _Scale:
         inverse = np.linalg.inv(columns)
         noise = 0.0 if self.fit.noise_sd is None else self.fit.noise_sd**2
         total, count = 0.0, 0
-        for ring, centre in zip(self.fit.rings, centres, strict=True):
-            flat = (ring.samples - centre) @ inverse.T @ frame_along(ring.down)[:, 1:]
-            plane = inverse.T @ frame_along(ring.down)[:, 1:]
-            total += float((flat**2).sum()) - len(flat) * noise * float((plane**2).sum()) / 2.0
-            count += len(flat)
+        for (n, mean, scatter), ring, centre in zip(self.moments, self.fit.rings, centres, strict=True):
+            plane = inverse.T @ plane_of(ring.down)
+            about = scatter + np.outer(mean - centre, mean - centre) - noise * np.eye(3)
+            total += n * float(np.sum(plane * (about @ plane)))
+            count += n
         return max(total / count, 0.0)
 
     def covariance(self, centres: Array) -> Array:
