@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-
 Array = NDArray[np.float64]
 
 CENTRES = ("circle", "mean", "thinned", "minmax", "4", "3", "2")
