@@ -136,7 +136,7 @@ class DriftData:
 
     def blocks(self, x: Array, degree: int) -> DriftBlocks:
         """Sums on the powers of `x` (N,)."""
-        found = DriftBlocks.of(x, self.time, self.y, degree=degree, weights=self.counts)
+        found = DriftBlocks.of(x, self.time, self.y, degree=degree, weights=self.counts, means=self.counts is not None)
         scatter = 0.0 if self.scatter is None else self.scatter
         return dataclasses.replace(found, squares=found.squares + scatter, n=self.samples)
 
@@ -231,14 +231,15 @@ class DriftBlocks:
         degree: int,
         origin: Array | None = None,
         weights: Array | None = None,
+        means: bool = False,
     ) -> DriftBlocks:
         """Sums of the powers of `x` (N,) and of the series `y` (N, k).
 
         With `origin` (k,) the curves go through it at x = 0 and have no other constant. Without `weights` (N,) every
-        sample counts the same.
+        sample counts the same. Rows that are `means` of many samples make blocks of fewer rows.
         """
         n, k = y.shape
-        edges = np.linspace(0, n, _block_count(n) + 1).astype(int)
+        edges = np.linspace(0, n, _block_count(n, 2 if means else 8) + 1).astype(int)
         sample = y[:: 1 + n // 1000]
         shift = sample.mean(axis=0)
         if np.abs(shift).max() > _FAR * max(float(np.diff(sample, axis=0).std()) if n > 2 else 0.0, _TINY):
@@ -265,14 +266,14 @@ class DriftBlocks:
             times[row] = time[i:j].mean()
         gram, sums = _about_origin(gram, sums, counts, p, shift - shifted if origin is None else origin - shifted)
         kept = counts > 1e-6 * counts.mean()
-        means = sums[kept] / counts[kept, None]
+        averages = sums[kept] / counts[kept, None]
         ordinary = _least_squares(gram, p)
         squares = np.maximum(np.diag(gram[p:, p:] - gram[p:, :p] @ ordinary), 0.0)
-        series = means[:, p:]
+        series = averages[:, p:]
         if origin is None:  # the series were shifted
             ordinary[0] += shift
             series = series + shift
-        return cls(means[:, :p], series, counts[kept], times[kept], gram[:p, :p], ordinary, squares, n)
+        return cls(averages[:, :p], series, counts[kept], times[kept], gram[:p, :p], ordinary, squares, n)
 
     @property
     def condition(self) -> float:
@@ -369,8 +370,9 @@ def powers_about(t_ref: float, middle: float, half_span: float, p: int) -> Array
     return matrix
 
 
-def _block_count(n: int) -> int:
-    return n if n <= _BLOCKS // 2 else int(np.clip(n // 8, _BLOCKS // 2, _BLOCKS))
+def _block_count(n: int, least: int) -> int:
+    """Blocks of `least` rows or more, where there are enough for half of them."""
+    return n if n <= _BLOCKS // 2 else int(np.clip(n // least, _BLOCKS // 2, _BLOCKS))
 
 
 def repeated_rows(data: DriftData) -> NDArray[np.bool_]:

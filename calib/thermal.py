@@ -367,14 +367,15 @@ def _coarse_axis(x: Array, time: Array, bins: Bins, degree: int, quantum: float)
     information = np.maximum(1.0 - variance / fit.sigma**2, 1e-9)
     pseudo = expected + (mean - expected) / information
     weights = information * bins.counts
-    if len(bins.rows) > len(x):  # rows that are means: their bins belong together
+    means = len(bins.rows) > len(x)
+    if means:  # their bins belong together
         total = np.bincount(bins.rows, weights, minlength=len(x)).astype(np.float64)
         sums = np.bincount(bins.rows, weights * pseudo, minlength=len(x)).astype(np.float64)
         pseudo = sums / np.maximum(total, 1e-300)
         weights, at = total, x
     else:
         time = time[bins.rows]
-    blocks = DriftBlocks.of(at, time, pseudo[:, None], degree=degree, weights=weights)
+    blocks = DriftBlocks.of(at, time, pseudo[:, None], degree=degree, weights=weights, means=means)
     return blocks, fit.sigma
 
 
