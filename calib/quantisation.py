@@ -11,6 +11,7 @@ concave (Burridge 1981), so Newton's method finds its maximum from anywhere.
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,6 +30,8 @@ COARSE = 0.75
 _SMALLEST_NOISE = 0.02  # quanta; less noise than this is not believed of any sensor
 _LOG_SQRT_2PI = 0.5 * np.log(2.0 * np.pi)
 _ITERATIONS = 60
+_GRID_SAMPLES = 100  # numbers from which on repeats tell a grid
+_GRID_REPEATS = 4  # times that a level occurs, on average, where numbers were rounded
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +69,25 @@ class IntervalFit:
     influence: Array
     sigma: float
     at_limit: bool
+
+
+def with_apparent_quantum(channel: Channel) -> Channel:
+    """`channel` with the quantum that its numbers show, where none is stated and they repeat on a grid.
+
+    Numbers rounded by another program would otherwise pass for noiseless ones.
+    """
+    if channel.quantum > 0.0 or len(channel) < _GRID_SAMPLES:
+        return channel
+    steps = []
+    for column in channel.values.T:
+        levels = np.unique(column)
+        if not 1 < len(levels) <= len(column) / _GRID_REPEATS:
+            continue
+        gaps = np.diff(levels)
+        multiples = gaps / gaps.min()
+        if np.abs(multiples - np.round(multiples)).max() < 0.01:
+            steps.append(float(gaps.min()))
+    return dataclasses.replace(channel, quantum=max(steps), rounding=Rounding.NEAREST) if steps else channel
 
 
 def half_widths(channel: Channel) -> Array:

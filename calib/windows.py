@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+_SPIKE = 4.0  # times the scatter of its neighbours
+
 
 class Windows(NamedTuple):
     """Statistics of a sensor over M windows; n is 0 where a quarter of the window or more at an end has no sample."""
@@ -43,9 +45,46 @@ def window_statistics(t: Array, x: Array, origin: float, starts: Array, length: 
     return Windows(n, mean, np.sqrt(variance.sum(axis=1)), slope * length)
 
 
+def occupied_starts(t: Array, begin: float, end: float, length: float) -> Array:
+    """Beginnings of windows, a quarter of `length` apart, within ``begin <= start <= end - length``.
+
+    Only those next to a sample of `t` (N,), so that a recording with a hole of years has no more windows than samples.
+    """
+    hop = length / 4.0
+    numbers = np.floor((t[(t >= begin) & (t <= end)] - begin) / hop)
+    starts = begin + hop * np.unique(numbers)
+    return np.asarray(starts[starts <= end - length], dtype=np.float64)
+
+
 def row_of(windows: Windows | None, k: int) -> Windows | None:
     """The statistics of window `k` alone."""
     return None if windows is None else Windows(*(field[k] for field in windows))
+
+
+def without_spikes(values: Array) -> NDArray[np.bool_]:
+    """Which rows of `values` (N, k) are no lone spike: far off both neighbours, which agree.
+
+    Far means four times what the samples around change by and thirty times the usual change; a movement lasts longer
+    than one sample. Two rounds, so that spikes do not hide each other.
+    """
+    keep = np.ones(len(values), dtype=np.bool_)
+    for _ in range(2):
+        rows = np.flatnonzero(keep)
+        keep[rows[_lone(values[rows])]] = False
+    return keep
+
+
+def _lone(values: Array) -> NDArray[np.bool_]:
+    if len(values) < 9:
+        return np.zeros(len(values), dtype=np.bool_)
+    padded = np.pad(values, ((2, 2), (0, 0)), mode="reflect")
+    b2, b1, a1, a2 = (padded[2 + k : len(values) + 2 + k] for k in (-2, -1, 1, 2))
+    off = np.abs(values - 0.5 * (b1 + a1))
+    across = np.abs(a1 - b1)
+    around = np.median([across, np.abs(b1 - b2), np.abs(a1 - a2)], axis=0)  # the next but one may be a spike as well
+    usual = np.median(off, axis=0)
+    lone = (off > _SPIKE * np.maximum(across, around) + 30.0 * usual) & (off > 1e-9 * np.abs(a1))
+    return np.asarray(lone.any(axis=1), dtype=np.bool_)
 
 
 def finite_rows(values: Array) -> NDArray[np.bool_]:

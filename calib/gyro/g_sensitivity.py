@@ -13,13 +13,13 @@ from scipy.special import chdtrc
 from calib import STANDARD_GRAVITY
 from calib.attitude import drift_sd_deg_per_min
 from calib.errors import InvalidInputError
-from calib.fit import FitResult, FitStatus, refused
-from calib.gyro.turns import EARTH_RATE
+from calib.fit import AXES, FitResult, FitStatus, refused
+from calib.gyro.rest import LARGEST_BIAS
+from calib.gyro.turns import EARTH_RATE, usable
 from calib.imu.poses import Poses, measure
 from calib.recording import Channel, Sensor
 from calib.residuals import residual_statistics
 from calib.triad import TriadModel
-from calib.windows import finite_rows
 
 Array = NDArray[np.float64]
 
@@ -68,7 +68,7 @@ def fit_g_sensitivity(
     if latitude is not None and not -90.0 <= latitude <= 90.0:
         raise InvalidInputError(f"a latitude lies between -90 and 90 degrees, not at {latitude}")
     given = gyro
-    gyro, accel = (channel.take(finite_rows(channel.values)) for channel in (gyro, accel))
+    gyro, accel = usable(gyro), usable(accel)
 
     def refusal(message: str) -> FitResult:
         return refused(
@@ -86,6 +86,12 @@ def fit_g_sensitivity(
     unknowns = 5 if drift else 4
     if len(spans) < unknowns:
         return refusal(f"{len(spans)} rests of both sensors: {unknowns} different ones at least are needed; {MOVEMENT}")
+    stuck = [AXES[i] for i in range(3) if np.ptp(gyro.values[:, i]) == 0.0]
+    if stuck:
+        return refusal(f"the gyroscope reads one constant value on {', '.join(stuck)}: it is stuck or not connected")
+    fastest = float(np.linalg.norm(np.median(gyro.values, axis=0)))
+    if gyro.unit == "rad/s" and fastest > LARGEST_BIAS:
+        return refusal(f"the gyroscope reads {fastest:.3g} rad/s: it turns, or the unit is another (deg/s, counts)")
     poses = measure(accel, gyro, spans)
     a = poses.means * (STANDARD_GRAVITY / gravity)
     if not 0.5 < np.median(np.linalg.norm(a, axis=1)) / STANDARD_GRAVITY < 2.0:

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from calib.errors import InvalidInputError, UndeterminedError
 from calib.fit import FitResult, refused
 from calib.geometry import sphere_of
-from calib.gyro.turns import Turn, fit_turns
+from calib.gyro.turns import Turn, fit_turns, usable
 from calib.noise import long_run_variance
 from calib.recording import Channel, Segment, Sensor
-from calib.windows import finite_rows, window_statistics
+from calib.windows import occupied_starts, window_statistics
 
 Array = NDArray[np.float64]
 
@@ -28,6 +28,7 @@ MOVEMENT = "let it turn on the thread by whole turns one way, and by as many the
 _WINDOW = 0.5  # s
 _TURNING = 0.05  # of the fastest rate: slower is rest
 _SHORTEST = 2.0  # s
+_HOLE = 5.0  # usual steps of a sensor: in a longer one turns are lost
 _DISAGREE = 0.25  # turns between what was stated and what a compass or the gyroscope counts
 _PHASES = 400  # starting points of which whole turns are averaged
 
@@ -99,7 +100,7 @@ def fit_thread(
     if turns is not None and not (np.isfinite(turns) and turns > 0.0):
         raise InvalidInputError(f"the number of turns must be positive, not {turns}")
     given = gyro
-    gyro = gyro.take(finite_rows(gyro.values))
+    gyro = usable(gyro)
     spans = np.array([(s.start, s.end) for s in segments]) if segments else turning_spans(gyro)
     labels = [s.label for s in segments] or [f"turn {k + 1}" for k in range(len(spans))]
 
@@ -110,6 +111,8 @@ def fit_thread(
 
     if len(spans) < 2:
         return refusal(f"{len(spans)} spans of turning were found: {MOVEMENT}")
+    if mag is not None:
+        mag = usable(mag)
     integral = _Integral.of(gyro)
     axis = int(np.argmax(np.abs([integral.between(*span) for span in spans]).sum(axis=0)))
     found = []
@@ -117,6 +120,8 @@ def fit_thread(
         inside = len(gyro.between(*span))
         if inside < 8:
             return refusal(f"{inside} samples of the gyroscope in {label}: the recording does not cover the turns")
+        if np.diff(gyro.between(*span).t).max() > _HOLE * float(np.median(np.diff(gyro.t))):
+            return refusal(f"the gyroscope has a hole in {label}: the turns in it are lost")
         counted = _counted(integral, axis, span, mag) if mag is not None else None
         if counted is None and turns is None:
             return refusal(f"the compass does not go round in {label}, {span[0]:.1f} to {span[1]:.1f} s: state --turns")
@@ -142,17 +147,19 @@ def turning_spans(gyro: Channel) -> Array:
     """Spans (S, 2) in which `gyro` turns one way about its busiest axis, from rest to rest."""
     if len(gyro) < 16 or not gyro.t[-1] - gyro.t[0] > _SHORTEST:
         return np.zeros((0, 2))
-    starts = np.arange(gyro.t[0], gyro.t[-1] - _WINDOW, _WINDOW / 4)
+    starts = occupied_starts(gyro.t, gyro.t[0], gyro.t[-1], _WINDOW)
     windows = window_statistics(gyro.t, gyro.values, gyro.t[0], starts, _WINDOW)
-    usable = windows.n > 0
-    axis = int(np.argmax(np.abs(windows.mean[usable]).mean(axis=0)))
-    quiet = windows.mean[usable & (windows.scatter <= np.quantile(windows.scatter[usable], 0.2)), axis]
+    seen = windows.n > 0
+    if not seen.any():
+        return np.zeros((0, 2))
+    axis = int(np.argmax(np.abs(windows.mean[seen]).mean(axis=0)))
+    quiet = windows.mean[seen & (windows.scatter <= np.quantile(windows.scatter[seen], 0.2)), axis]
     slow = quiet[np.abs(quiet) <= np.quantile(np.abs(quiet), 0.5)]
     rate = windows.mean[:, axis] - np.median(slow)
-    way = np.where(usable & (np.abs(rate) > _TURNING * np.abs(rate).max()), np.sign(rate), 0.0)
-    quietest = float(np.quantile(windows.scatter[usable], 0.2))
+    way = np.where(seen & (np.abs(rate) > _TURNING * np.abs(rate).max()), np.sign(rate), 0.0)
+    quietest = float(np.quantile(windows.scatter[seen], 0.2))
     noise = quietest / np.sqrt(np.maximum(windows.n, 1)) + 0.5 * gyro.quantum
-    resting = usable & (np.abs(rate) <= 4.0 * noise)
+    resting = seen & (np.abs(rate) <= 4.0 * noise)
     runs = np.split(np.arange(len(way)), np.flatnonzero(np.diff(way)) + 1)
     turns = [run for run in runs if way[run[0]] and starts[run[-1]] - starts[run[0]] >= _SHORTEST]
     spans = []
@@ -210,9 +217,9 @@ def _stated(integral: _Integral, axis: int, span: Array, turns: float) -> _Count
 
 def _counted(integral: _Integral, axis: int, span: Array, mag: Channel) -> _Counted | None:
     """Whole turns between instants at which the compass reads the same; None if it does not go round."""
-    part = mag.take(finite_rows(mag.values)).between(*span)
+    part = mag.between(*span)
     across = [k for k in range(3) if k != axis]
-    if len(part) < 16:
+    if len(part) < 16 or np.diff(part.t).max() > _HOLE * float(np.median(np.diff(mag.t))):
         return None
     plane = part.values[:, across]
     centre, radius = sphere_of(np.column_stack([plane, np.zeros(len(plane))]))

@@ -15,17 +15,43 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from calib.attitude import drift_sd_deg_per_min
+from calib.errors import InvalidInputError
 from calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
+from calib.quantisation import with_apparent_quantum
 from calib.recording import Channel, Sensor
 from calib.residuals import residual_statistics
 from calib.triad import TriadModel
+from calib.windows import finite_rows, without_spikes
 
 Array = NDArray[np.float64]
 
 EARTH_RATE = 7.292115e-5
 """Turn of the Earth against the stars, rad/s (WGS 84)."""
+_LARGEST = 1e12  # of any unit
+_FASTEST = 200.0  # rad/s, 11 000 deg/s: beyond every gyroscope's range
 _MISFIT = 0.001
 _STRANGE = 2.0  # a scale farther from one than this factor: the rate that was stated is not the one that was turned
+
+
+def usable(channel: Channel) -> Channel:
+    """The finite samples of `channel` that are no lone spikes, with the quantum that they show.
+
+    Raises
+    ------
+    InvalidInputError
+        If time goes back, the columns are not three, or a number is beyond all measure.
+    """
+    if channel.values.shape[1:] != (3,):
+        raise InvalidInputError(f"the {channel.sensor} needs three columns, not {channel.values.shape[1]}")
+    if not np.isfinite(channel.t).all() or (np.diff(channel.t) < 0.0).any():
+        raise InvalidInputError(f"the time of the {channel.sensor} goes back or is not finite: sort the samples")
+    channel = channel.take(finite_rows(channel.values))
+    largest = float(np.abs(channel.values).max(initial=0.0))
+    if largest > (_FASTEST if channel.unit == "rad/s" else _LARGEST):
+        raise InvalidInputError(
+            f"the {channel.sensor} reads up to {largest:.3g} {channel.unit}: no sensor does, check its unit"
+        )
+    return with_apparent_quantum(channel.take(without_spikes(channel.values)))
 
 
 @dataclass(frozen=True, eq=False)

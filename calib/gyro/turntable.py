@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from calib.errors import InvalidInputError
 from calib.fit import AXES, FitResult
-from calib.gyro.turns import EARTH_RATE, Turn, fit_turns
+from calib.gyro.turns import EARTH_RATE, Turn, fit_turns, usable
 from calib.quantisation import mean_of
 from calib.recording import Channel, Segment
-from calib.windows import finite_rows, window_statistics
+from calib.windows import finite_rows, occupied_starts, window_statistics
 
 Array = NDArray[np.float64]
 
@@ -66,7 +66,7 @@ def fit_turntable(
     """
     _check(rate_true, segments, rate_sd, latitude)
     given = gyro
-    gyro = gyro.take(finite_rows(gyro.values))
+    gyro = usable(gyro)
     spans = [(s.label, s.start, s.end) for s in segments] or [("", *span) for span in steady_spans(gyro)]
     turns = []
     for label, start, end in spans:
@@ -96,7 +96,7 @@ def steady_spans(gyro: Channel) -> Array:
     """Spans (S, 2) of two seconds or more in which `gyro` turns at a constant rate, a quarter second off their ends."""
     if len(gyro) < _LEAST or not gyro.t[-1] - gyro.t[0] > _SHORTEST:
         return np.zeros((0, 2))
-    starts = np.arange(gyro.t[0], gyro.t[-1] - _WINDOW, _WINDOW / 4)
+    starts = occupied_starts(gyro.t, gyro.t[0], gyro.t[-1], _WINDOW)
     windows = window_statistics(gyro.t, gyro.values, gyro.t[0], starts, _WINDOW)
     full = windows.n >= min(_LEAST, 4)
     if not full.any():
@@ -107,7 +107,8 @@ def steady_spans(gyro: Channel) -> Array:
     turning = full & (speed > _TURNING * speed[full].max()) & (speed > 10.0 * tolerance)
     steady = turning & (np.linalg.norm(windows.change, axis=1) <= tolerance * np.sqrt(12.0))
     changed = np.linalg.norm(np.diff(windows.mean, axis=0), axis=1) > tolerance[1:] + tolerance[:-1]
-    runs = np.split(np.arange(len(starts)), np.flatnonzero(np.diff(steady) | changed) + 1)
+    apart = np.diff(starts) > 0.3 * _WINDOW  # a hole in the recording
+    runs = np.split(np.arange(len(starts)), np.flatnonzero(np.diff(steady) | changed | apart) + 1)
     spans = [(starts[r[0]] + _WINDOW / 2, starts[r[-1]] + _WINDOW / 2) for r in runs if steady[r[0]]]
     return np.array([span for span in spans if span[1] - span[0] >= _SHORTEST]).reshape(-1, 2)
 

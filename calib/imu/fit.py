@@ -21,13 +21,15 @@ from calib.imu.unknowns import DIAGONAL, UNKNOWNS, Coordinates, Prior
 from calib.imu.weigh import Weighed, weigh
 from calib.norm_fit import NEUTRAL, UNDETERMINED, NormProblem
 from calib.norm_fit import solve as solve_norm
+from calib.quantisation import with_apparent_quantum
 from calib.recording import Channel
-from calib.windows import finite_rows
+from calib.windows import finite_rows, without_spikes
 
 Array = NDArray[np.float64]
 
 _LEAST_SAMPLES = 200
 _LEAST_IN_POSE = 8
+_LARGEST = 1e12  # of any unit
 _GAP = 5.0  # usual steps; a movement with a longer hole in it is not integrated
 _CLIPPED = 3  # samples at the very end of an axis' range that are one too many
 _LEARNT = 1.0 / 3.0  # of the usual size of a misalignment: one that is not known so well stays open
@@ -82,7 +84,8 @@ def fit_imu(
     """
     _check(accel, gyro, gravity, cross_sd)
     facts = Facts(accel, gyro, gravity, form, temperature, relative)
-    accel, gyro = (channel.take(finite_rows(channel.values)) for channel in (accel, gyro))
+    accel, gyro = (c.take(finite_rows(c.values)) for c in (accel, gyro))
+    accel, gyro = (with_apparent_quantum(c.take(without_spikes(c.values))) for c in (accel, gyro))
     reason = _unusable(accel, gyro)
     if reason:
         return imu_refused(facts, reason)
@@ -246,6 +249,9 @@ def _unusable(accel: Channel, gyro: Channel) -> str:
         still = [AXES[i] for i in range(3) if np.ptp(channel.values[:, i]) == 0.0]
         if still:
             return f"the {channel.sensor} reads one constant value on {', '.join(still)}: stuck or not connected"
+        largest = float(np.abs(channel.values).max())
+        if largest > _LARGEST:
+            return f"the {channel.sensor} reads up to {largest:.3g} {channel.unit}: that is no measurement"
         if not np.median(np.diff(channel.t)) > 0.0:
             return f"the time of the {channel.sensor} stands still: give every sample its time, or --rate"
     overlap = min(accel.t[-1], gyro.t[-1]) - max(accel.t[0], gyro.t[0])

@@ -25,6 +25,7 @@ LEAST_POSES = 4
 _CLEARLY = 2.5  # times the pooled long-run variance: more than chance, the pose has noise of its own
 _SWAY = 1.3  # times the noise across gravity from which on it is sway
 _TINY = 1e-9  # of a radius: noise that even exact numbers are given
+_LEAST_VARIANCE = 1e-30  # of any unit
 _WEAK_CROSS = 0.03  # prior sd of cross terms where candidates are compared
 
 
@@ -91,7 +92,7 @@ def measure(accel: Channel, gyro: Channel, spans: Array) -> Poses:
     pooled, quiet = _quietest(scatter)
     pooled = np.maximum(pooled, accel.quantum**2 / 12.0)
     radius = float(np.median([np.linalg.norm(e.mean) for e in estimates]))
-    tiny = (_TINY * radius) ** 2
+    tiny = (_TINY * radius) ** 2 + _LEAST_VARIANCE
     expected = np.array([np.einsum("ij,i,ij->j", f, pooled, f) for f in frames]) + tiny
     series = [e.influence @ f for e, f in zip(estimates, frames, strict=True)]
     long_run = np.array([[long_run_variance(column) for column in s.T] for s in series])
@@ -105,7 +106,7 @@ def measure(accel: Channel, gyro: Channel, spans: Array) -> Poses:
     )
     across = np.array([s[:, 1:].var(axis=0, ddof=1) for s in series]).mean(axis=1)
     noise = expected[:, 1:].mean(axis=1)
-    wander = np.where(across > _SWAY * noise, across - noise, 0.0) / radius**2
+    wander = np.where(across > _SWAY * noise, across - noise, 0.0) / max(radius**2, _LEAST_VARIANCE)
     rates, rate_variances, gyro_noise = _rates(gyro, spans)
     return Poses(
         spans=spans,
@@ -128,7 +129,7 @@ def _rates(gyro: Channel, spans: Array) -> tuple[Array, Array, Array]:
     scatter = np.array([part.values.var(axis=0, ddof=1) for part in parts])
     pooled, quiet = _quietest(scatter)
     pooled = np.maximum(pooled, gyro.quantum**2 / 12.0)
-    pooled = np.maximum(pooled, (_TINY * max(float(np.abs(gyro.values).max()), 1e-300)) ** 2)
+    pooled = np.maximum(pooled, (_TINY * float(np.abs(gyro.values).max())) ** 2 + _LEAST_VARIANCE)
     long_run = np.array([[long_run_variance(column) for column in e.influence.T] for e in estimates])
     usual = max(float(np.median((long_run / pooled)[quiet])), 1.0)
     noise = usual * pooled

@@ -264,6 +264,18 @@ def _gyro_fit(
     scales_open = [name for name in open_names if name[-1] == name[-2]]
     if scales_open and facts.gyro.unit != "rad/s":
         return _one_refused(facts, facts.gyro, tuple(open_names), "gyroscope")
+    scales = np.abs(np.linalg.norm(model.matrix, axis=0))
+    if facts.gyro.unit == "rad/s" and not ((scales > 0.5) & (scales < 2.0)).all():
+        factors = ", ".join(f"{1.0 / scale:.3g}" for scale in scales)
+        return refused(
+            METHOD,
+            Sensor.GYRO,
+            facts.gyro.instance,
+            f"the gyroscope reads {factors} times the rate about x, y, z: check its unit (deg/s, counts)",
+            unit=facts.gyro.unit,
+            n_samples=len(facts.gyro),
+            movement="state its --unit-gyro",
+        )
     moves = weighed.problem.moves
     misses = weighed.solution.at.moves
     closure = _closure(weighed)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.recording import Channel
-from calib.windows import Windows, window_statistics
+from calib.windows import Windows, occupied_starts, window_statistics
 
 Array = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ class Watch:
         begin, end = max(accel.t[0], gyro.t[0]), min(accel.t[-1], gyro.t[-1])
         step = max(_median_step(accel), _median_step(gyro))
         length = max(_WINDOW, _LEAST_SAMPLES * step)
-        starts = np.arange(begin, max(end - length, begin), length / 4)
+        starts = occupied_starts(accel.t, begin, end, length)
         both = [window_statistics(c.t, c.values, begin, starts, length) for c in (accel, gyro)]
         floors = [_floor(windows, c.quantum) for windows, c in zip(both, (accel, gyro), strict=True)]
         return cls(starts, length, both[0], both[1], floors[0], floors[1], gravity)
@@ -82,8 +82,9 @@ def candidates(watch: Watch) -> Iterator[Array]:
 
 def _spans(watch: Watch, still: NDArray[np.bool_]) -> Array:
     """Consecutive still windows, half a window shorter at both ends where motion borders."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
-    first, last = edges[::2], edges[1::2] - 1
+    apart = np.diff(watch.starts) > 0.3 * watch.length  # a hole in the recording
+    first = np.flatnonzero(still & np.concatenate([[True], ~still[:-1] | apart]))
+    last = np.flatnonzero(still & np.concatenate([~still[1:] | apart, [True]]))
     guard = 0.5 * watch.length
     begins = watch.starts[first] + np.where(first > 0, guard, 0.0)
     ends = watch.starts[last] + watch.length - np.where(last < len(still) - 1, guard, 0.0)

@@ -26,13 +26,16 @@ from calib.mag.result import UNDETERMINED_SD, MagContext, MagFacts
 from calib.recording import Channel, Sensor
 from calib.residuals import residual_statistics
 from calib.triad import TriadModel
-from calib.windows import finite_rows
+from calib.windows import finite_rows, without_spikes
 
 Array = NDArray[np.float64]
 
 METHOD = "mag-gyro"
 MOVEMENT = "turn it about two axes or more, by a right angle and both ways, away from steel"
 _LEAST_SAMPLES = 30
+_LARGEST = 1e12  # of any unit
+_FASTEST = 70.0  # rad/s, 4000 deg/s: no gyroscope of a vehicle measures more
+_EARTH = (20.0, 70.0)  # uT: the Earth's field anywhere
 _LEAST_TURN = math.radians(30.0)
 _ROUGHEST = 0.15  # of the field: residuals with which nothing is calibrated
 _SHRINK = 0.002  # of the field, by averaging while it turns: more is left out
@@ -83,7 +86,8 @@ def fit_gyro_aided(
         )
 
     mag, gyro = (channel.take(finite_rows(channel.values)) for channel in (mag, gyro))
-    gyro = gyro.take(np.append(True, np.diff(gyro.t) > 0.0))
+    mag, gyro = (channel.take(without_spikes(channel.values)) for channel in (mag, gyro))
+    gyro = gyro.take(np.diff(gyro.t, prepend=-np.inf) > 0.0)
     reason = _unusable(mag, gyro)
     if reason:
         return refusal(reason)
@@ -147,6 +151,10 @@ def _open(found: Found, context: MagContext) -> tuple[str, tuple[str, ...]]:
             "their axes or clocks differ",
             parameter_names(),
         )
+    scales = np.linalg.norm(found.solution.x[9:18].reshape(3, 3), axis=0)
+    if not ((scales > 0.5) & (scales < 2.0)).all():
+        factors = ", ".join(f"{1.0 / scale:.3g}" for scale in scales)
+        return f"the gyroscope reads {factors} times the rate about x, y, z: check its unit", parameter_names()
     sd = _relative_sd(found, weak_prior(found.solution.x))
     names = tuple(n for n, s in zip(parameter_names(), sd, strict=True) if s > UNDETERMINED_SD)
     listed = ", ".join(names) or "it"
@@ -164,6 +172,9 @@ def _residuals(found: Found) -> Array:
 def _verdict(chain: Chain, found: Found, context: MagContext, given: int) -> FitResult | None:
     """The fit; None if nothing of it may be used."""
     if (_relative_sd(found, weak_prior(found.solution.x)) > UNDETERMINED_SD).any():
+        return None
+    scales = np.linalg.norm(found.solution.x[9:18].reshape(3, 3), axis=0)
+    if not ((scales > 0.5) & (scales < 2.0)).all():
         return None
     residuals = _residuals(found)
     if float(np.sqrt((residuals**2).mean())) > _ROUGHEST:
@@ -255,6 +266,8 @@ def _warnings(found: Found, context: MagContext) -> tuple[str, ...]:
     warnings = []
     if context.strength is None:
         warnings.append("field strength unknown: the matrix keeps the mean radius, its common scale is not calibrated")
+    if context.unit == "uT" and not _EARTH[0] < found.radius < _EARTH[1]:
+        warnings.append(f"a field of {found.radius:.3g} uT is not the Earth's: check the unit, or steel is near")
     if found.coordinates is BENT:
         warnings.append("the gyroscope's scale or axes are off: its matrix was estimated too, calibrate it")
     if np.linalg.norm(found.solution.x[18:21]) > BIAS_SD:
@@ -271,6 +284,9 @@ def _unusable(mag: Channel, gyro: Channel) -> str:
     for channel, least in ((mag, _LEAST_SAMPLES), (gyro, 2 * _LEAST_SAMPLES)):
         if len(channel) < least:
             return f"{len(channel)} finite samples of the {channel.sensor}: {least} are needed"
+        largest = float(np.abs(channel.values).max())
+        if largest > _LARGEST:
+            return f"the {channel.sensor} reads up to {largest:.3g} {channel.unit}: that is no measurement"
         if not np.ptp(channel.values, axis=0).all():
             return f"the {channel.sensor} reads one constant value on an axis: it is stuck, or was not turned"
     inside = (mag.t >= gyro.t[0] + LONGEST_DELAY) & (mag.t <= gyro.t[-1])
@@ -278,6 +294,9 @@ def _unusable(mag: Channel, gyro: Channel) -> str:
         return (
             f"{int(inside.sum())} samples of the compass lie in the time of the gyroscope: {_LEAST_SAMPLES} are needed"
         )
+    fastest = float(np.median(np.linalg.norm(gyro.values, axis=1)))
+    if fastest > _FASTEST:
+        return f"the gyroscope reads {fastest:.3g} rad/s half of the time: its unit is another (deg/s, counts)"
     steps = np.diff(gyro.t)
     rates = gyro.values[1:] - np.median(gyro.values, axis=0)
     turned = float((np.linalg.norm(rates, axis=1) * steps).sum())

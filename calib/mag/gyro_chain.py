@@ -31,10 +31,12 @@ RIGID = Coordinates(np.zeros(0, dtype=np.intp), rigid=True)
 BENT = Coordinates(np.zeros(0, dtype=np.intp))
 BIAS_SD = 0.1  # rad/s, of a gyroscope before the data
 _FIRST_NOISE = 0.01  # of the field: the compass' noise where nothing is known of it yet
+_HOLE = 5.0  # usual steps of the gyroscope; over a longer one no direction is carried
 _GAP = 0.5  # s without a gyroscope that a direction is not carried over
 _DELAY_STEP = 0.02  # s
 LONGEST_DELAY = 0.3  # s
 _ENOUGH = 800  # samples of the compass that serve to begin with
+_CONVINCING = 4.0  # reduced chi-square with the first noise: two percent of the field off, no other start is tried
 _PER_BLOCK = 1.5  # samples of the compass in a block of the start
 
 
@@ -78,11 +80,13 @@ class Chain:
 
     def __init__(self, mag: Channel, gyro: Channel, context: MagContext) -> None:
         inside = (mag.t >= gyro.t[0] + LONGEST_DELAY) & (mag.t <= gyro.t[-1])
-        fresh = np.append(True, np.diff(mag.t) > 0.0)
+        fresh = np.diff(mag.t, prepend=-np.inf) > 0.0
         self.mag = mag.take(inside & fresh)
         self.gyro = gyro
         self.context = context
         step = float(np.median(np.diff(gyro.t)))
+        wide = np.flatnonzero(np.diff(gyro.t) > _HOLE * step)
+        self.holes = np.sort(np.concatenate([gyro.t[wide], gyro.t[wide + 1]]))
         noise = np.diff(gyro.values, n=3, axis=0).var(axis=0) / 20.0  # third differences leave no motion
         self.density = (noise + gyro.quantum**2 / 12.0 + 1e-18) * step
 
@@ -90,8 +94,13 @@ class Chain:
         """The best solution: of two starts, of rigid and bent gyroscopes, and of all delays where none is given."""
         every = -(-len(self.mag) // _ENOUGH)
         few = Chain(self.mag.take(slice(None, None, every)), self.gyro, self.context)
-        begun = [few._at(delay or 0.0, x, radius) for x, radius in self._starts()]
-        found = min((f for f in begun if f is not None), key=lambda f: f.cost, default=None)
+        found: Found | None = None
+        for x, radius in self._starts():
+            begun = few._at(delay or 0.0, x, radius)
+            if begun is not None and (found is None or begun.cost < found.cost):
+                found = begun
+            if found is not None and found.cost < _CONVINCING * max(found.problem.freedom, 1):
+                break
         if found is None or every == 1:
             return None if found is None else self._concluded(self._weighed(found), delay)
         found = few._weighed(found)
@@ -114,7 +123,7 @@ class Chain:
     ) -> Found | None:
         t = self.mag.t - delay
         spans = np.column_stack([t[:-1], t[1:]])
-        linked = np.diff(t) < _GAP
+        linked = (np.diff(t) < _GAP) & (np.diff(np.searchsorted(self.holes, t)) == 0)
         moves = Moves.of(self.gyro.t, self.gyro.values, spans[linked], np.zeros(3))
         quantum = self.mag.quantum**2 / 12.0 / radius**2
         problem = ImuProblem(
@@ -195,7 +204,7 @@ class Chain:
             block = max(0.1, _PER_BLOCK * float(np.median(np.diff(self.mag.t))))
             span = np.array([[self.mag.t[0], self.mag.t[-1]]])
             rough = rough_gyro(self.mag, self.gyro, span, np.zeros(3), centre, block)
-            for matrix in [np.eye(3)] + ([] if rough is None else [rotation_of(rough)]):
+            for matrix in ([] if rough is None else [rotation_of(rough)]) + [np.eye(3)]:
                 x = np.concatenate([centre / radius, NEUTRAL[3:], matrix.ravel(), np.zeros(3)])
                 starts.append((x, radius))
         return starts

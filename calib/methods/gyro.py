@@ -37,6 +37,7 @@ def gyro_rest(source: Source, options: Options) -> list[FitResult]:
 
 def gyro_turntable(source: Source, options: Options) -> list[FitResult]:
     """Labelled turns, or steady ones that are found, at the stated rate."""
+    channels = source.channels(Sensor.GYRO)
     if options["rate_true"] is None:
         raise InvalidInputError("the rate of the table is needed: --rate-true 90, or by label --rate-true x+=90,x-=-90")
     segments = source.recording.segments
@@ -54,7 +55,7 @@ def gyro_turntable(source: Source, options: Options) -> list[FitResult]:
             temperature=_mean_temperature(source, gyro),
             relative=source.relative(gyro),
         )
-        for gyro in source.channels(Sensor.GYRO)
+        for gyro in channels
     ]
 
 

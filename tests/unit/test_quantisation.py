@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from scipy.stats import norm
 
 from calib.errors import InvalidInputError
-from calib.quantisation import half_widths, impute, interval_regression, mean_of
+from calib.quantisation import half_widths, impute, interval_regression, mean_of, with_apparent_quantum
 from calib.recording import Channel, Rounding, Sensor, Stage
 
 
@@ -231,3 +231,15 @@ def test_the_bias_of_the_plain_mean_and_what_is_left_of_it(noise, bias):
     ours = [mean_of(rounded(place + noise * rng.normal(size=1000))) for place in anywhere]
     z = [(m.mean[0] - place) / np.sqrt(m.covariance[0, 0]) for m, place in zip(ours, anywhere, strict=True)]
     assert np.mean(np.square(z)) < 2.0
+
+
+def test_numbers_that_another_program_rounded_show_their_quantum():
+    x = 9.0 + 3.0 * np.random.default_rng(40).normal(size=(2000, 3))
+    smooth = dataclasses.replace(truncated(x), quantum=0.0, values=x)
+    assert with_apparent_quantum(smooth).quantum == 0.0
+    rounded = dataclasses.replace(smooth, values=np.round(x / 0.25) * 0.25)
+    assert with_apparent_quantum(rounded).quantum == pytest.approx(0.25)
+    stated = dataclasses.replace(rounded, quantum=0.5)
+    assert with_apparent_quantum(stated) is stated
+    constant = dataclasses.replace(smooth, values=np.ones((2000, 3)))
+    assert with_apparent_quantum(constant).quantum == 0.0
