@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from calib import STANDARD_GRAVITY
 from calib.accel import fit_one_axis, fit_poses
 from calib.accel_thermal import fit_accel_thermal
+from calib.coarse_means import means_together
 from calib.errors import InvalidInputError
 from calib.faces import CONVENTIONS, Face, down_of
 from calib.fit import FitResult
 from calib.methods.method import FIXTURE, GRAVITY, INSTANCE, PLACE, Method, Option, Options, gravity_of, mean_or_none
 from calib.methods.source import Source
-from calib.quantisation import mean_of
 from calib.recording import Channel, Sensor
 from calib.six_face import FORMS, fit_six_face
 from calib.stillness import pose_means
 from calib.windows import finite_rows
 
 Array = NDArray[np.float64]
+
+_KNOWN = 16  # samples from which on their scatter tells the uncertainty of their mean
 
 
 def accel_one_axis(source: Source, options: Options) -> list[FitResult]:
@@ -60,8 +64,7 @@ def _faces(source: Source, accel: Channel, *, all_samples: bool) -> tuple[list[F
     accel = accel.take(finite_rows(accel.values))
     if source.recording.segments:
         parts = [(down_of(s.label), accel.between(s.start, s.end)) for s in source.recording.segments]
-        faces = [face for down, part in parts if len(part) for face in _face(part, down, all_samples=all_samples)]
-        return faces, None
+        return _face_means(parts, all_samples=all_samples), None
     if not source.timed:
         groups: dict[tuple[int, bool], list[int]] = {}
         middle = 0.5 * (accel.values.max(axis=0) + accel.values.min(axis=0))
@@ -69,7 +72,7 @@ def _faces(source: Source, accel: Channel, *, all_samples: bool) -> tuple[list[F
             axis = int(np.argmax(np.abs(value)))
             groups.setdefault((axis, bool(value[axis] > 0)), []).append(row)
         parts = [(None, accel.take(np.array(rows))) for rows in groups.values()]
-        return [face for _, part in parts for face in _face(part, None, all_samples=all_samples)], None
+        return _face_means(parts, all_samples=all_samples), None
     stills = source.stills(accel.instance, held=True)
     gyro, temperature = source.maybe(Sensor.GYRO, accel.instance), source.temperature(accel.instance)
     poses = pose_means(accel, stills, gyro=gyro, temperature=temperature)
@@ -77,16 +80,21 @@ def _faces(source: Source, accel: Channel, *, all_samples: bool) -> tuple[list[F
     known = [p.temperature for p in square if p.temperature is not None]
     if all_samples:
         spans = [accel.between(p.start, p.end) for p in square]
-        return [face for part in spans for face in _face(part, None, all_samples=True)], mean_or_none(known)
+        return _face_means([(None, part) for part in spans], all_samples=True), mean_or_none(known)
     return [Face(p.mean, p.covariance, n=p.n) for p in square], mean_or_none(known)
 
 
-def _face(part: Channel, down: Array | None, *, all_samples: bool) -> list[Face]:
-    if all_samples or len(part) < 2:
-        return [Face(value, None, down) for value in part.values]
-    mean = mean_of(part)
-    known = len(part) >= 16 and not any(mean.constant)
-    return [Face(mean.mean, mean.covariance if known else None, down, n=len(part))]
+def _face_means(parts: Sequence[tuple[Array | None, Channel]], *, all_samples: bool) -> list[Face]:
+    """What is down and the mean of every part, the noise shared by all of them; or sample by sample."""
+    means = iter(() if all_samples else means_together([part for _, part in parts if len(part) > 1]))
+    faces = []
+    for down, part in parts:
+        if all_samples or len(part) < 2:
+            faces += [Face(value, None, down) for value in part.values]
+        else:
+            mean = next(means)
+            faces.append(Face(mean.mean, mean.covariance if mean.n >= _KNOWN else None, down, n=mean.n))
+    return faces
 
 
 def accel_multi(source: Source, options: Options) -> list[FitResult]:

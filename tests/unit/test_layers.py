@@ -25,7 +25,7 @@ LAYERS = (
         "conventions",
         "parts",
     },
-    {"earth", "noise", "allan", "quantisation", "stillness"},
+    {"earth", "noise", "allan", "quantisation", "coarse_means", "stillness"},
     {
         "accel",
         "gyro",
