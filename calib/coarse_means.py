@@ -8,6 +8,7 @@ all values alike beforehand. That needs no large numbers: a few samples in a sec
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -91,10 +92,10 @@ class _Counted:
         pairs = np.column_stack([part.values[:, axis], half_widths(part)[:, axis]])
         distinct, counts = np.unique(pairs, axis=0, return_counts=True)
         quantum = part.quantum
-        reach = min(_REACH * float(np.sqrt(alone.covariance[axis, axis])), _FARTHEST * quantum)
+        reach = min(_REACH * math.sqrt(alone.covariance[axis, axis]), _FARTHEST * quantum)
         places = alone.mean[axis] + max(reach, 1e-6 * quantum) * np.linspace(-1.0, 1.0, _PLACES)
-        worth = counts * (alone.n_effective / alone.n)
-        return cls(distinct[:, 0] - distinct[:, 1], distinct[:, 0] + distinct[:, 1], worth, np.asarray(places))
+        worth = counts.astype(np.float64) * (alone.n_effective / alone.n)
+        return cls(distinct[:, 0] - distinct[:, 1], distinct[:, 0] + distinct[:, 1], worth, places)
 
     def given(self, noises: Array) -> tuple[Array, Array, Array]:
         """For each of `noises` (S,): logarithm of the likelihood over all means, and mean and variance of the mean."""

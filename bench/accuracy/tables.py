@@ -85,14 +85,15 @@ def _detail(tally: Tally) -> list[str]:
 
 
 def _check(title: str, tally: Tally) -> Row:
-    target = f"<= {tally.contender.target:.2f} + {tally.allowance:.3f}"
-    measured = f"{tally.ratio:.3f} ({tally.ratio_sd:.3f})"
+    promised, measured = [], [f"{tally.ratio:.3f} ({tally.ratio_sd:.3f})"]
+    if tally.contender.target is not None:
+        promised.append(f"<= {tally.contender.target:.2f} + {tally.allowance:.3f}")
     if tally.coverage is not None:
-        target += ", intervals hold 95 %"
-        measured += f", {100.0 * tally.coverage:.2f} % (2 sd: {200.0 * tally.coverage_sd:.2f})"
+        promised.append("intervals hold 95 %" if tally.contender.exact else "intervals hold >= 95 %")
+        measured.append(f"{100.0 * tally.coverage:.2f} % (2 sd: {200.0 * tally.coverage_sd:.2f})")
     if tally.failed or tally.refused:
-        measured += f", {tally.failed + tally.refused} runs without an answer"
-    return Row(f"{title}, N = {tally.case.size}", target, measured, tally.met)
+        measured.append(f"{tally.failed + tally.refused} runs without an answer")
+    return Row(f"{title}, N = {tally.case.size}", ", ".join(promised), ", ".join(measured), tally.met)
 
 
 def _number(value: float) -> str:

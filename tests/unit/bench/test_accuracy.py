@@ -61,6 +61,25 @@ def test_a_promise_that_is_not_kept_is_seen(fit) -> None:
     assert tally.met is False
 
 
+def test_intervals_may_be_judged_from_one_side_and_on_their_own() -> None:
+    def wide(samples):
+        found = samples.mean(axis=0)
+        return Answer(found, found, np.full(2, 0.2))
+
+    def narrow(samples):
+        return Answer(samples.mean(axis=0), samples.mean(axis=0), np.full(2, 0.05))
+
+    exact, enough, proud = run_case(
+        CASE,
+        [
+            Contender("exact", wide, honest=True),
+            Contender("enough", wide, honest=True, exact=False),
+            Contender("proud", narrow, honest=True, exact=False),
+        ],
+    )
+    assert (exact.met, enough.met, proud.met) == (False, True, False)
+
+
 def test_contenders_see_the_same_draws_and_failures_are_counted() -> None:
     one, two, dead, blind = run_case(
         CASE, [Contender(n, f) for n, f in (("one", mean), ("two", mean), ("dead", broken), ("blind", half_blind))]
