@@ -61,6 +61,8 @@ class DriftData:
     """Sums (3,) of the squares of the samples about their rows; None: zero."""
     cell_bins: tuple[Bins | None, ...] | None = None
     """Per axis, where the rows are means of quantised samples."""
+    limits: tuple[float, float] | None = None
+    """Lowest and highest temperature, where the rows are means that do not reach them, degC; None: those of `t`."""
 
     @classmethod
     def of(cls, channel: Channel, temperature: Array) -> DriftData:
@@ -104,12 +106,13 @@ class DriftData:
             counts=counts,
             scatter=scatter,
             cell_bins=bins,
+            limits=None,
         )
 
     def warmed(self, temperature: Array) -> DriftData:
         """The same samples at other temperatures (N,)."""
         fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        return DriftData(**{**fields, "t": temperature})
+        return DriftData(**{**fields, "t": temperature, "limits": None})
 
     def lowered(self, shift: Array) -> DriftData:
         """The same with `shift` (N, 3) taken away from every row."""
@@ -153,12 +156,12 @@ class DriftData:
     @cached_property
     def t_min(self) -> float:
         """Lowest temperature, degC."""
-        return float(self.t.min())
+        return float(self.t.min()) if self.limits is None else self.limits[0]
 
     @cached_property
     def t_max(self) -> float:
         """Highest temperature, degC."""
-        return float(self.t.max())
+        return float(self.t.max()) if self.limits is None else self.limits[1]
 
     @property
     def span(self) -> float:

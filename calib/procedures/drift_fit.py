@@ -30,6 +30,8 @@ class DriftPool:
 
     def __init__(self) -> None:
         self._cells: dict[Instance, DriftCells] = {}
+        self._read: dict[Instance, float] = {}
+        self._ends: dict[Instance, tuple[float, float]] = {}
 
     def add(self, frame: Frame, span: int) -> None:
         """Keep the samples of a tick that belongs to the still span of that number."""
@@ -38,10 +40,30 @@ class DriftPool:
                 thermometer = instance[0] == Sensor.TEMPERATURE
                 if instance not in self._cells:
                     self._cells[instance] = DriftCells(channel.values.shape[1], bins=not thermometer)
-                self._cells[instance].add(channel, span)
+                self._cells[instance].add(self._fresh(instance, channel) if thermometer else channel, span)
+
+    def _fresh(self, instance: Instance, channel: Channel) -> Channel:
+        """The samples of a thermometer that differ from the one before: a value that is repeated grows old.
+
+        Autopilots read it once a second and send it with every sample; where it is read it is true.
+        """
+        values = channel.values[:, 0]
+        low, high = float(values.min()), float(values.max())
+        known = self._ends.get(instance, (low, high))
+        self._ends[instance] = (min(known[0], low), max(known[1], high))
+        before = np.append(self._read.get(instance, np.nan), values[:-1])
+        self._read[instance] = float(values[-1])
+        return channel.take(values != before)
+
+    def data(self, sensor: Sensor, instance: int) -> tuple[DriftData, NDArray[np.intp]]:
+        """What a fit of that sensor takes, and the still span of each of its rows."""
+        cells, thermometer = self[sensor, instance], self[Sensor.TEMPERATURE, instance].table()
+        table = cells.table()
+        data = cells.data(np.interp(table.time, thermometer.time, thermometer.mean[:, 0]))
+        return dataclasses.replace(data, limits=self._ends[Sensor.TEMPERATURE, instance]), table.span
 
     def __contains__(self, instance: Instance) -> bool:
-        return instance in self._cells
+        return instance in self._cells and len(self._cells[instance]) > 0
 
     def __getitem__(self, instance: Instance) -> DriftCells:
         return self._cells[instance]
@@ -49,13 +71,12 @@ class DriftPool:
 
 def fit_drift(pool: DriftPool, sensor: Sensor, instance: int, *, relative: bool) -> FitResult:
     """Cubic drift of one sensor over its kept samples; a new span of an accelerometer is a new pose."""
-    cells, thermometer = pool[sensor, instance], pool[Sensor.TEMPERATURE, instance].table()
-    table = cells.table()
-    data = cells.data(np.interp(table.time, thermometer.time, thermometer.mean[:, 0]))
-    assert cells.channel is not None
-    if sensor == Sensor.ACCEL and len(np.unique(table.span)) > 1:
-        return fit_posed(cells.channel, data, table.span, relative=relative)
-    return fit_drift_data(cells.channel, data, data.samples, degree=DEGREE, relative=relative)
+    data, span = pool.data(sensor, instance)
+    channel = pool[sensor, instance].channel
+    assert channel is not None
+    if sensor == Sensor.ACCEL and len(np.unique(span)) > 1:
+        return fit_posed(channel, data, span, relative=relative)
+    return fit_drift_data(channel, data, data.samples, degree=DEGREE, relative=relative)
 
 
 def fit_posed(

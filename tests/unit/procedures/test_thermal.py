@@ -158,3 +158,18 @@ def test_steps_and_digits_do_not_depend_on_the_chunks(warm, chunks, cuts):
     cut, pieces = run(recording, chunks(recording, cuts))
     assert [repr(s) for s in steps if not isinstance(s, Done)] == [repr(s) for s in pieces if not isinstance(s, Done)]
     np.testing.assert_array_equal(whole.outcome.results[0].values, cut.outcome.results[0].values)
+
+
+def test_a_temperature_that_is_repeated_does_not_grow_old(bench):
+    accel = replace(bench().accels[0], thermal=ACCEL_DRIFT, noise=0.002)
+    gyro = replace(bench().gyros[0], thermal=GYRO_DRIFT, noise=1e-4)
+    made = bench(temperature=warming(20.0, 58.0, 30.0), accels=(accel,), gyros=(gyro,), rate=25.0).hold(100.0)
+    recording = made.record()
+    slow = recording.channel(Sensor.TEMPERATURE)
+    t = recording.channel(Sensor.ACCEL).t
+    held = replace(slow, t=t, values=slow.values[np.searchsorted(slow.t, t, side="right") - 1])
+    others = [c for c in recording.channels if c.sensor != Sensor.TEMPERATURE]
+    repeated, _ = run(recording.with_channels([*others, held]))
+    for fit in repeated.outcome.results:
+        assert fit.model.polynomial.t_min == pytest.approx(20.0)  # the first temperature, not a mean
+        assert (deviations(fit, ACCEL_DRIFT if fit.sensor == Sensor.ACCEL else GYRO_DRIFT) < 4.5).all()
