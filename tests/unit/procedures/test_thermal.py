@@ -172,4 +172,8 @@ def test_a_temperature_that_is_repeated_does_not_grow_old(bench):
     repeated, _ = run(recording.with_channels([*others, held]))
     for fit in repeated.outcome.results:
         assert fit.model.polynomial.t_min == pytest.approx(20.0)  # the first temperature, not a mean
-        assert (deviations(fit, ACCEL_DRIFT if fit.sensor == Sensor.ACCEL else GYRO_DRIFT) < 4.5).all()
+        truth = ACCEL_DRIFT if fit.sensor == Sensor.ACCEL else GYRO_DRIFT
+        assert (deviations(fit, truth) < 4.5).all()
+        d = (np.linspace(22.0, 44.0, 23)[:, None] - 35.0)[..., None] ** np.arange(1, 4)
+        error = (d * (fit.model.polynomial.coefficients - truth)).sum(axis=2)
+        assert np.abs(error - error.mean(axis=0)).max() < 0.1 * np.abs(truth[:, 0]).max()  # a tenth of a degree
