@@ -27,7 +27,7 @@ error of the p parameters and F their Fisher information, computed in `bench/acc
 nothing with the estimators. 1.00 is the bound; in brackets the standard error of the figure, from the scatter of its
 runs. A promised ratio is kept if it is at most the target + 2/sqrt(2 R p) over R runs, and the 95 % intervals hold 95 %
 within two standard deviations (binomial, or from the scatter of the runs where that is larger: the intervals of one run
-are not independent); for the ellipsoid exactly, as asked for, elsewhere 95 % or more. With that many figures some lie
+are not independent); for the ellipsoid exactly, elsewhere 95 % or more. With that many figures some lie
 beyond two standard deviations by chance. All contenders get the same draws; a peer whose runs of a case take more than
 {budget:.0f} s of processor time makes fewer, and the number is stated. Times are processor time, one thread.
 
