@@ -31,7 +31,7 @@ from calib.firmware.plan import (
     WritePlan,
 )
 from calib.fit import FitResult, FitStatus
-from calib.procedures.protocol import Done, GaveUp, Pose, Progress, Prompt, Step
+from calib.procedures.protocol import Done, GaveUp, Number, Pose, Progress, Prompt, Step
 from calib.recording import Sensor
 from calib.triad import ThermalPolynomial, TriadModel
 
@@ -262,17 +262,23 @@ def _after_from(data: Mapping[str, Any]) -> AfterWrite:
 
 
 def _prompt_from(fields: Mapping[str, Any]) -> Prompt:
-    direction = None
-    if fields["direction"] is not None:
-        x, y, z = fields["direction"]
-        direction = (x, y, z)
+    number = fields.get("number")
     return Prompt(
         **{
             **fields,
             "pose": None if fields["pose"] is None else Pose(fields["pose"]),
             "detected": None if fields["detected"] is None else Pose(fields["detected"]),
             "remaining": tuple(Pose(pose) for pose in fields["remaining"]),
-            "direction": direction,
+            "direction": _three(fields["direction"]),
             "answers": tuple(fields["answers"]),
+            "axis": _three(fields.get("axis")),
+            "number": None if number is None else Number(**number),
         }
     )
+
+
+def _three(values: Any) -> tuple[float, float, float] | None:
+    if values is None:
+        return None
+    x, y, z = values
+    return (x, y, z)

@@ -37,12 +37,12 @@ def offsets_usable(draft: Draft, about: Subject, fit: FitResult, *, thermal: boo
 
 
 def scale_usable(draft: Draft, about: Subject, fit: FitResult, in_force: Array) -> bool:
-    """Whether the fit says what the scales are; if it assumed 1, nothing else may be in force (`in_force`, (3,))."""
+    """Whether the fit says what the scales are; those that it assumed must be the ones in force (`in_force`, (3,))."""
     if not np.any(np.diag(fit.covariance)[losses.MATRIX]):
-        if not np.allclose(in_force, 1.0, rtol=0, atol=1e-6) or not np.allclose(fit.model.matrix, np.eye(3)):
+        if not np.allclose(fit.model.matrix, np.diag(in_force), rtol=0, atol=1e-6):
             draft.block(
-                f"{about}: this fit assumes a scale of 1, but the scales in force are {in_force.tolist()}; an offset "
-                "taken that way does not fit to them. Calibrate with six poses"
+                f"{about}: this fit assumes scales of {np.diag(fit.model.matrix).tolist()}, but those in force are "
+                f"{in_force.tolist()}; an offset taken that way does not fit to them. Calibrate with six poses"
             )
         return False
     undetermined = [n for n in ("matrix_xx", "matrix_yy", "matrix_zz") if not fit.determined(n)]

@@ -10,14 +10,13 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
-import numpy as np
-
 from calib.procedures.context import ProcedureContext
 from calib.procedures.frames import body_from_sensor
 from calib.procedures.holds import SHORTEST, Hold, TakenPose, taken
 from calib.procedures.motion import HELD, Disturbance, StillLimits, Verdict
+from calib.procedures.placing import shown_down
 from calib.procedures.pose_fit import Assessment, assess
-from calib.procedures.poses import FACES, TEXTS, WEIGHTLESS, angle, down, in_words, recognise, remaining, suggest
+from calib.procedures.poses import FACES, TEXTS, angle, in_words, recognise, remaining, suggest
 from calib.procedures.protocol import Done, Pose, Progress, Prompt
 from calib.procedures.results import annotated
 from calib.procedures.roster import Frame, Instance
@@ -114,11 +113,7 @@ class AccelProcedure(TickedProcedure):
 
     def _direction(self) -> Array | None:
         """The body direction that points down, as the first accelerometer has it."""
-        for instance in self.present(Sensor.ACCEL):
-            latest = self._watch.latest.get((Sensor.ACCEL, instance))
-            if latest is not None and np.linalg.norm(latest.mean) > WEIGHTLESS:
-                return down(self._body[instance] @ latest.mean)
-        return None
+        return shown_down(self._watch, self._body, self.present(Sensor.ACCEL))
 
     def _moved(self, verdict: Verdict) -> None:
         if self._hold is not None and self._hold.seconds > 0.0:

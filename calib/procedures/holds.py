@@ -10,8 +10,9 @@ import numpy as np
 from calib.procedures.pool import Pool, Tail
 from calib.procedures.poses import angle
 from calib.procedures.protocol import Pose
+from calib.procedures.results import mean_temperature
 from calib.procedures.roster import Frame
-from calib.recording import Array, Sensor
+from calib.recording import Array, Channel, Sensor
 from calib.stillness import PoseMean, Still, pose_means
 
 GUARD_TICKS = 1
@@ -67,6 +68,14 @@ class Hold:
     def complete(self, goal: float) -> bool:
         """Whether the hold may end."""
         return self.seconds >= LONGEST or (self.seconds >= SHORTEST and self.error <= goal)
+
+    def channel(self, sensor: Sensor, instance: int) -> Channel | None:
+        """All samples of one sensor over the hold; None: there are none."""
+        return self._pool.get((sensor, instance))
+
+    def temperature(self, instance: int) -> float | None:
+        """Mean temperature of an inertial unit over the hold, degC; None: it does not stream."""
+        return mean_temperature(self._pool, instance)
 
     def mean(self, instance: int) -> PoseMean | None:
         """Mean of one accelerometer over the hold; None: it gave too few samples."""

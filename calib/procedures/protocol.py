@@ -6,6 +6,7 @@ looks at another clock, so a live job, a replayed .tlog and a test are one code 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
@@ -28,11 +29,31 @@ class Pose(StrEnum):
 
 
 @dataclass(frozen=True)
+class Number:
+    """A number that the operator is asked for; its answer is the number as text."""
+
+    name: str
+    """Machine-stable name: ``rate``, ``turns``."""
+    unit: str
+    low: float
+    high: float
+
+    def read(self, value: str) -> float | None:
+        """`value` as a number; None: it is none, or lies outside the limits."""
+        try:
+            number = float(value)
+        except ValueError:
+            return None
+        return number if math.isfinite(number) and self.low <= number <= self.high else None
+
+
+@dataclass(frozen=True)
 class Prompt:
     """What the operator is asked to do now; a panel draws it, a voice says it."""
 
     step: str
-    """Machine-stable name: ``hold_still``, ``pose``, ``rotate``, ``warm_up``, ``confirm``."""
+    """Machine-stable name: ``hold_still``, ``pose``, ``rotate``, ``warm_up``, ``confirm``; ``place`` (put it down
+    square on a face and let go), ``turn`` (about `axis`, steadily), ``state`` (a `number` is asked for)."""
     text: str
     pose: Pose | None = None
     """The pose that is asked for; None: any, or none."""
@@ -48,6 +69,25 @@ class Prompt:
     stable: bool = False
     answers: tuple[str, ...] = ()
     """Answers that this prompt accepts (``finish``, ``skip``); empty: the data answer."""
+    axis: tuple[float, float, float] | None = None
+    """Turn about this body axis (FRD), right-handed. None: no such turn is asked for."""
+    turns: float | None = None
+    """How many turns to make, then stop. None: go on until the prompt changes."""
+    number: Number | None = None
+    """A number that is asked for beside `answers`."""
+
+    def accepts(self, value: str) -> bool:
+        """Whether `value` is an answer to this prompt."""
+        return value in self.answers or (self.number is not None and self.number.read(value) is not None)
+
+    @property
+    def choice(self) -> str:
+        """What this prompt accepts, in words; empty: nothing, the data answer."""
+        choices = list(self.answers)
+        if self.number is not None:
+            unit = f" {self.number.unit}" if self.number.unit else ""
+            choices.append(f"a number from {self.number.low:g} to {self.number.high:g}{unit}")
+        return ", ".join(choices)
 
 
 @dataclass(frozen=True)

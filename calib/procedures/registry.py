@@ -12,6 +12,8 @@ from calib.procedures.context import ProcedureContext
 from calib.procedures.gyro import GyroProcedure
 from calib.procedures.level import LevelProcedure
 from calib.procedures.mag import MagProcedure
+from calib.procedures.one_axis import AccelOneAxisProcedure
+from calib.procedures.six_face import AccelSixFaceProcedure
 from calib.procedures.spec import Options, ProcedureSpec
 from calib.procedures.thermal import ThermalProcedure
 from calib.procedures.ticked import TickedProcedure
@@ -22,6 +24,8 @@ _CLASSES: tuple[type[TickedProcedure], ...] = (
     MagProcedure,
     ThermalProcedure,
     LevelProcedure,
+    AccelOneAxisProcedure,
+    AccelSixFaceProcedure,
 )
 
 PROCEDURES: Mapping[str, ProcedureSpec] = MappingProxyType({c.spec.kind: c.spec for c in _CLASSES})

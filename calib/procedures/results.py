@@ -6,9 +6,10 @@ import dataclasses
 import math
 from collections.abc import Iterable
 
-from calib.fit import FitResult
+from calib.fit import FitResult, FitStatus
 from calib.procedures.context import ProcedureContext
 from calib.procedures.pool import Pool
+from calib.procedures.roster import label
 from calib.recording import Sensor
 
 
@@ -30,3 +31,9 @@ def share_of_information(target: float, reached: float) -> float:
     Information is ``1/sd^2`` and grows with the samples, so a bar of it moves evenly and never without a gain.
     """
     return 100.0 * min(1.0, (target / reached) ** 2) if math.isfinite(reached) and reached > 0.0 else 0.0
+
+
+def refusals(fits: Iterable[FitResult]) -> str:
+    """Why fits were refused, sensor by sensor."""
+    told = [f"{label(f.sensor, f.instance)}: {f.message}" for f in fits if f.status == FitStatus.REFUSED]
+    return "; ".join(told) or "no sensor is left"

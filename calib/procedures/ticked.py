@@ -82,10 +82,9 @@ class TickedProcedure(ABC):
         """Take an operator's answer."""
         if self.outcome is not None:
             raise ProcedureError(f"the {self.spec.kind} procedure has ended; it takes no answer {value!r}")
-        allowed = self._prompt.answers if self._prompt else ()
-        if value not in allowed:
-            options = ", ".join(allowed) or "none: the data answer"
-            raise ProcedureError(f"{value!r} is no answer to this step; it accepts {options}")
+        if self._prompt is None or not self._prompt.accepts(value):
+            choice = (self._prompt.choice if self._prompt else "") or "none: the data answer"
+            raise ProcedureError(f"{value!r} is no answer to this step; it accepts {choice}")
         self._on_answer(value)
         return self._told()
 

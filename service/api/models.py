@@ -22,7 +22,7 @@ class LinkRequest(_Request):
 class JobRequest(_Request):
     """Start a calibration."""
 
-    kind: str = Field(description="gyro, accel, mag, thermal or level", examples=["gyro"])
+    kind: str = Field(description="a kind of `/procedures`, such as gyro, accel or mag-rings", examples=["gyro"])
     options: dict[str, float | bool] = Field(default_factory=dict, description="options of that procedure")
 
 

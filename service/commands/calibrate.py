@@ -27,7 +27,11 @@ PATIENCE_S = 10.0
 DOUBT_S = 120.0
 """How long a job in doubt is waited for; the next run on this data directory goes on with it."""
 
-KINDS = ("gyro", "accel", "mag", "thermal", "level")
+KINDS = (
+    *("gyro", "accel", "mag", "thermal", "level"),
+    *("accel-one-axis", "accel-six-face"),
+)
+"""Those of ``calib.procedures.registry``, stated here so that help does without numpy (a test compares them)."""
 
 
 @click.command()
@@ -51,8 +55,8 @@ def command(
 ) -> int:
     """Calibrate one sensor of a vehicle, headless; nothing is written without --apply.
 
-    A line typed while it runs answers the present prompt (`finish`, `skip`). Exit code 1 if the calibration did not
-    succeed.
+    A line typed while it runs answers the present prompt (`finish`, or the number that it asks for). Exit code 1 if
+    the calibration did not succeed.
     """
     from service.commands.screen import Screen
     from service.logs import configure_logging

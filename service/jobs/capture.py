@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+from calib.errors import ProcedureError
 from calib.firmware.names import CALIBRATION_PREFIXES
 from calib.firmware.plan import Value
 from calib.firmware.streams import requested_streams
@@ -111,7 +112,7 @@ class Capture:
     async def _until_done(self, digest: LiveDigest, watch: CaptureWatch) -> Done:
         while True:
             await asyncio.sleep(BATCH_S)
-            steps = [step for value in self._answers(digest) for step in digest.answer(value)]
+            steps = self._answered(digest)
             frames, self._frames = self._frames, []
             if frames:
                 steps += await asyncio.to_thread(digest.feed, frames)
@@ -128,15 +129,19 @@ class Capture:
             if isinstance(outcome, GaveUp):
                 raise CaptureEnded(outcome.cause, remedy=outcome.remedy)
 
-    def _answers(self, digest: LiveDigest) -> Sequence[str]:
-        """Answers that came, kept with the procedure's time for the replay."""
-        values = []
+    def _answered(self, digest: LiveDigest) -> list[Step]:
+        """Hand on the answers that came; those that are taken are kept with the procedure's time for the replay."""
+        steps: list[Step] = []
         while not self.handle.answers.empty():
             value = self.handle.answers.get_nowait()
             given = [*self.handle.job.context.get("answers", ()), [max(digest.time, 0.0), value]]
+            try:
+                steps += digest.answer(value)
+            except ProcedureError as error:  # the prompt has changed since it was answered
+                self.handle.warn(f"the answer came too late: {error}")
+                continue
             self.handle.change("answer", {"value": value}, context={**self.handle.job.context, "answers": given})
-            values.append(value)
-        return values
+        return steps
 
     def _told(self, steps: Sequence[Step]) -> None:
         """Hand prompts and progress on to whoever watches the job."""
@@ -169,4 +174,7 @@ class Capture:
 
 def _asks(prompt: Prompt) -> bool:
     """Whether the operator has to do something now, and is not already doing it."""
-    return prompt.rotate or (not prompt.stable and (bool(prompt.remaining) or prompt.pose is not None))
+    if prompt.rotate or prompt.number is not None:
+        return True
+    moves = bool(prompt.remaining) or prompt.pose is not None or prompt.axis is not None
+    return moves and not prompt.stable

@@ -198,9 +198,8 @@ class JobEngine:
         """Answer the job's prompt. Raises AnswerRefused if it does not accept that."""
         handle = self._handle(job_id)
         prompt = handle.job.prompt
-        allowed = () if prompt is None else prompt.answers
-        if value not in allowed:
-            choice = f"it accepts {', '.join(allowed)}" if allowed else "it asks for no answer now"
+        if prompt is None or not prompt.accepts(value):
+            choice = f"it accepts {prompt.choice}" if prompt and prompt.choice else "it asks for no answer now"
             raise AnswerRefused(f"job {job_id} does not take {value!r}: {choice}")
         handle.answers.put_nowait(value)
         return handle.job

@@ -19,7 +19,8 @@ from service.jobs.model import Job
 from service.jobs.states import JobState
 from service.store.rows import SnapshotPurpose
 
-ACCEL = "accel"
+ACCEL_KINDS = frozenset({"accel", "accel-one-axis", "accel-six-face", "imu-multi"})
+"""Jobs that write an accelerometer's calibration."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,7 +50,7 @@ def accel_temperatures(jobs: Iterable[Job], vehicle_id: str, parameters: Mapping
 
     From the newest accelerometer job of this vehicle, if every value that it wrote still stands.
     """
-    ours = [job for job in jobs if job.vehicle_id == vehicle_id and job.kind == ACCEL and job.plan is not None]
+    ours = [job for job in jobs if job.vehicle_id == vehicle_id and job.kind in ACCEL_KINDS and job.plan is not None]
     written = [job for job in ours if job.state == JobState.SUCCEEDED]
     if not written:
         return {}
@@ -59,7 +60,8 @@ def accel_temperatures(jobs: Iterable[Job], vehicle_id: str, parameters: Mapping
         counts = change.sensor == Sensor.ACCEL and not change.session
         if counts and not (change.name in parameters and same(parameters[change.name], change.new, change.kind)):
             return {}
-    return {fit.instance: fit.temperature for fit in newest.results if fit.temperature is not None}
+    results = [fit for fit in newest.results if fit.sensor == Sensor.ACCEL]
+    return {fit.instance: fit.temperature for fit in results if fit.temperature is not None}
 
 
 def make_plan(

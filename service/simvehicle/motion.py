@@ -134,6 +134,24 @@ class Turn:
         return multiply(self._q, quaternion_from_vector(elapsed[:, None] * self._omega)), speed[:, None] * self._omega
 
 
+class WholeTurns:
+    """A thread: so many turns about one body axis from rest to rest, at a steady rate between."""
+
+    def __init__(self, q: Array, start: float, axis: Array, rate: float, turns: float) -> None:
+        angle = 2.0 * math.pi * turns
+        steady = min(abs(rate), angle / RAMP_S)
+        self._q, self._start, self._omega = q, start, axis * math.copysign(steady, rate)
+        # each ramp takes RAMP_S and covers half of what the steady rate would
+        self._duration = angle / steady + RAMP_S
+
+    def evaluate(self, t: Array) -> tuple[Array, Array]:
+        """See Segment."""
+        tau = np.clip(t - self._start, 0.0, self._duration)
+        ahead, speed = _ramped(np.minimum(tau, self._duration - tau))
+        elapsed = np.where(tau <= 0.5 * self._duration, ahead, self._duration - RAMP_S - ahead)
+        return multiply(self._q, quaternion_from_vector(elapsed[:, None] * self._omega)), speed[:, None] * self._omega
+
+
 class Tumble:
     """Smooth tumbling through all directions: Euler angles z, x, z at steady incommensurate rates.
 
@@ -223,13 +241,17 @@ class Motion:
         self.name = f"hold {pose}"
         return reached
 
-    def turn(self, t: float, axis: Sequence[float], rate_dps: float) -> None:
-        """Turn steadily about a body axis."""
+    def turn(self, t: float, axis: Sequence[float], rate_dps: float, turns: float | None = None) -> None:
+        """Turn steadily about a body axis; `turns` of them from rest to rest, or until told otherwise."""
         vector = np.asarray(axis, dtype=np.float64)
         length = float(np.linalg.norm(vector)) if vector.shape == (3,) else 0.0
         if not length > 0:
             raise ControlError(f"turn: axis must be three numbers that are not all zero, got {list(axis)}")
-        self._segment = Turn(self.attitude(t), t, vector / length, math.radians(rate_dps))
+        if turns is not None and not (turns > 0 and rate_dps):
+            raise ControlError(f"turn: {turns} turns at {rate_dps} deg/s cannot be made")
+        q, rate = self.attitude(t), math.radians(rate_dps)
+        whole = None if turns is None else WholeTurns(q, t, vector / length, rate, turns)
+        self._segment = whole or Turn(q, t, vector / length, rate)
         self.name = "turn"
 
     def tumble(self, t: float, rate_dps: float = 45.0) -> None:

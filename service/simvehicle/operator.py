@@ -22,6 +22,7 @@ class Operator:
         warm_from, warm_to: degC of the warm-up.
         warm_tau_s: its time constant, vehicle seconds.
         tumble_dps: how fast the vehicle is turned for its compass.
+        turntable_dps: the rate of its turntable, and of turns on a thread.
         ramp_tau_s: time constant with which it is brought to a wished temperature, vehicle seconds.
     """
 
@@ -33,12 +34,15 @@ class Operator:
         warm_to: float = 62.0,
         warm_tau_s: float = 100.0,
         tumble_dps: float = 45.0,
+        turntable_dps: float = 45.0,
         ramp_tau_s: float = 30.0,
     ) -> None:
         self._vehicle = vehicle
         self._warm_up = {"start": warm_from, "end": warm_to, "tau_s": warm_tau_s}
         self._tumble_dps = tumble_dps
+        self._turntable_dps = turntable_dps
         self._ramp_tau_s = ramp_tau_s
+        self._turns: float = 0.0
         self._doing: object = None
         self._temperature: float | None = None
 
@@ -56,12 +60,23 @@ class Operator:
             self._vehicle.call("warm_up", start=now, end=self._temperature, tau_s=self._ramp_tau_s)
         if prompt["rotate"]:
             self._once("tumble", "tumble", rate_dps=self._tumble_dps)
+        elif prompt["step"] == "turn" and prompt["axis"] is not None:
+            self._turn(prompt["axis"], prompt["turns"])
+        elif prompt["step"] == "place":
+            self._once(("place", prompt["pose"]), "hold", pose=prompt["pose"], tilt_deg=0.0, tremor_deg=0.0)
         elif prompt["step"] == "warm_up":
             self._once("warm_up", "warm_up", **self._warm_up)
         elif prompt["pose"] is not None or prompt["remaining"]:
             self._hold(prompt)
-        elif prompt["step"] in {"hold_still", "confirm"} and self._doing == "tumble":
+        elif prompt["step"] in {"hold_still", "confirm"} and self._turning:
             self._once("still", "still")
+
+    def answer(self, prompt: Mapping[str, Any] | None) -> str | None:
+        """What to answer to `prompt`; None: it asks for no number."""
+        number = None if prompt is None else prompt["number"]
+        if number is None:
+            return None
+        return str({"rate": self._turntable_dps, "turns": self._turns}[number["name"]])
 
     def rest(self) -> None:
         """Put the vehicle down, level and untouched."""
@@ -75,6 +90,15 @@ class Operator:
         direction = prompt["direction"]
         if direction is not None:  # without one: hold on to what is being held
             self._once(("oblique", tuple(direction)), "hold", pose=_attitude(direction))
+
+    @property
+    def _turning(self) -> bool:
+        return self._doing == "tumble" or (isinstance(self._doing, tuple) and self._doing[0] == "turn")
+
+    def _turn(self, axis: Sequence[float], turns: float | None) -> None:
+        """On the turntable; or, if `turns` are to be made, so many of them on a thread, from rest to rest."""
+        self._turns = turns or self._turns
+        self._once(("turn", tuple(axis), turns), "turn", axis=list(axis), rate_dps=self._turntable_dps, turns=turns)
 
     def _once(self, what: object, do: str, **options: Any) -> None:
         if self._doing != what:

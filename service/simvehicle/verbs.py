@@ -84,7 +84,9 @@ class Verbs:
 
     def _turn(self, r: Request) -> Reply:
         self._server.stop_script()
-        self._vehicle.world.motion.turn(self._vehicle.time, r.get("axis", [0, 0, 1]), _number(r, "rate_dps", 20.0))
+        turns = None if r.get("turns") is None else _number(r, "turns")
+        axis, rate_dps = r.get("axis", [0, 0, 1]), _number(r, "rate_dps", 20.0)
+        self._vehicle.world.motion.turn(self._vehicle.time, axis, rate_dps, turns)
         return {}
 
     def _jolt(self, r: Request) -> Reply:

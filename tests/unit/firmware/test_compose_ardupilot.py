@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from calib.firmware.compose import ComposeOptions, compose
 from calib.firmware.plan import ParameterKind
 from calib.fit import FitStatus
 from calib.recording import Sensor
+from calib.triad import TriadModel
 
 SHEARED = np.array([[1.02, 0.004, -0.002], [0.004, 0.97, 0.003], [-0.002, 0.003, 1.01]])
 
@@ -164,7 +167,9 @@ def test_an_offset_taken_with_scale_one_does_not_join_another_scale(
     fit = make_fit(Sensor.ACCEL, offset=[0.1] * 3)
     assert not compose([fit], ardupilot_parameters, ardupilot_fingerprint).blockers
     (text,) = compose([fit], ardupilot_parameters | {"INS_ACCSCAL_X": 1.01}, ardupilot_fingerprint).blockers
-    assert "assumes a scale of 1" in text
+    assert "assumes scales of [1.0, 1.0, 1.0]" in text
+    fit = dataclasses.replace(fit, model=TriadModel(fit.model.offset, np.diag([1.01, 1.0, 1.0])))
+    assert not compose([fit], ardupilot_parameters | {"INS_ACCSCAL_X": 1.01}, ardupilot_fingerprint).blockers
 
 
 def test_parameters_that_the_vehicle_does_not_have_block(ardupilot_parameters, ardupilot_fingerprint, make_fit):

@@ -16,12 +16,13 @@ from calib.procedures.registry import PROCEDURES, create, specification, validat
 from calib.procedures.replay import replay
 from calib.procedures.table import markdown
 from calib.recording import Event, Identity, Recording, Sensor
+from service.commands.calibrate import KINDS
 
 CONTEXT = ProcedureContext(identity=Identity(autopilot="other"), parameters={"X": 1.0})
 
 
 def test_the_kinds_are_those_of_the_jobs():
-    assert list(PROCEDURES) == ["gyro", "accel", "mag", "thermal", "level"]
+    assert list(PROCEDURES) == list(KINDS)
     assert specification("gyro-rest") is PROCEDURES["gyro"]
 
 
@@ -40,7 +41,7 @@ def test_defaults_are_filled_in_and_lie_within_their_limits(kind):
         ("gyro", {"uncertainty": True}, "finite number"),
         ("gyro", {"uncertainty": math.nan}, "finite number"),
         ("accel", {"speed": 1}, "its options are: uncertainty, obliques, patience"),
-        ("compassmot", {}, "known are: gyro, accel, mag, thermal, level"),
+        ("compassmot", {}, "known are: gyro, accel, mag, thermal, level, accel-one-axis"),
     ],
 )
 def test_wrong_options_are_refused_in_one_sentence(kind, options, part):

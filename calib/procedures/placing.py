@@ -1,0 +1,61 @@
+"""A vehicle that is put down square on its faces: which face it is on, and how far from square."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.procedures.motion import StillWatch
+from calib.procedures.poses import DOWN, FACES, TEXTS, WEIGHTLESS, angle, down
+from calib.procedures.protocol import Pose, Prompt
+from calib.recording import Array, Sensor
+
+SQUARE_WITHIN = math.radians(12.0)
+"""A face that looks further off than this was not put down square: an uncalibrated accelerometer errs by less."""
+
+PLACED_S = 3.0
+"""What a prompt says of how long a face is needed at least, s."""
+
+_DIRECTIONS = np.array([DOWN[face] for face in FACES])
+
+
+@dataclass(frozen=True, eq=False)
+class Facing:
+    """The face that is nearest to the body direction `down` (3,), and how far that is from square, rad."""
+
+    face: Pose
+    down: Array
+    off: float
+
+    @property
+    def square(self) -> bool:
+        """Whether it may be meant to be this face."""
+        return self.off <= SQUARE_WITHIN
+
+
+def shown_down(watch: StillWatch, body: Mapping[int, Array], instances: Iterable[int]) -> Array | None:
+    """The body direction (3,) that points down, as the first of `instances` has it; None: none shows gravity.
+
+    `body` are the rotations from the raw frame of every accelerometer to the body.
+    """
+    for instance in instances:
+        latest = watch.latest.get((Sensor.ACCEL, instance))
+        if latest is not None and np.linalg.norm(latest.mean) > WEIGHTLESS:
+            return down(body[instance] @ latest.mean)
+    return None
+
+
+def facing(direction: Array) -> Facing:
+    """Which face points down along `direction` (unit, body)."""
+    nearest = int((_DIRECTIONS @ direction).argmax())
+    return Facing(FACES[nearest], direction, angle(direction, _DIRECTIONS[nearest]))
+
+
+def place(faces: tuple[Pose, ...], note: str, *, suffix: str = "") -> Prompt:
+    """The prompt to put the vehicle down on the first of `faces`, or any other of them."""
+    order = ", in any order" if len(faces) > 1 else ""
+    text = f"{note}Put the vehicle down square {', '.join(TEXTS[f] for f in faces)}{order}{suffix}, and let go."
+    return Prompt("place", text, pose=faces[0], remaining=faces, hold_s=PLACED_S)

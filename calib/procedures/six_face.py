@@ -1,0 +1,197 @@
+"""All twelve numbers of the accelerometers from six faces of a fixture (METHODS S4).
+
+The directions of gravity are taken as known, so cross terms and the rotation of the sensor in the vehicle come out too;
+the price is that a tilt of the fixture enters at full size. Without a fixture the job ``accel`` is the better one.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import numpy as np
+
+from calib.faces import Face
+from calib.fit import FitResult, FitStatus
+from calib.procedures.body_frame import in_sensor
+from calib.procedures.context import ProcedureContext
+from calib.procedures.frames import body_from_sensor
+from calib.procedures.holds import SHORTEST, Hold, TakenPose, taken
+from calib.procedures.motion import Verdict
+from calib.procedures.placing import facing, place, shown_down
+from calib.procedures.pose_fit import CHANCE
+from calib.procedures.poses import DOWN, FACES, TEXTS
+from calib.procedures.protocol import Done, Pose, Progress, Prompt
+from calib.procedures.results import annotated, refusals
+from calib.procedures.roster import Frame, Instance
+from calib.procedures.spec import Holds, Option, Options, ProcedureSpec
+from calib.procedures.ticked import TickedProcedure
+from calib.recording import Array, Sensor
+from calib.six_face import fit_six_face
+
+SPEC = ProcedureSpec(
+    kind="accel-six-face",
+    title="Accelerometer offsets and full matrix from six faces of a fixture",
+    sensors=(Sensor.ACCEL, Sensor.GYRO),
+    helpful=(Sensor.TEMPERATURE,),
+    options=(
+        Option("uncertainty", 0.01, "standard deviation to reach on every axis of every offset", "m/s2", 5e-4, 0.2),
+        Option("fixture_sd", 0.1, "how far from square each face may be (one standard deviation)", "deg", 0.0, 5.0),
+        Option("patience", 180.0, "gives up after this time without a new face", "s", 20.0, 3600.0),
+    ),
+    needs="the vehicle put down on its six faces, square on a fixture or a block, in any order, 3 s each",
+    ends_on="standard deviation of every offset (0.01 m/s2), the fixture's tilt included, and faces that agree",
+    autopilots={
+        "ardupilot": Holds(
+            writes=(
+                "INS_ACCOFFS_*, INS_ACC2OFFS_*, INS_ACC3OFFS_*",
+                "INS_ACCSCAL_* ...",
+                "INS_ACCn_CALTEMP",
+                "AHRS_TRIM_*",
+            ),
+            cannot_represent=("cross terms", "the rotation of one accelerometer in the vehicle (see the job level)"),
+        ),
+        "px4": Holds(
+            writes=("CAL_ACCn_XOFF ... _ZOFF", "CAL_ACCn_XSCALE ... _ZSCALE", "SENS_BOARD_X_OFF, _Y_OFF"),
+            cannot_represent=(
+                "cross terms",
+                "the rotation of one accelerometer in the vehicle (see the job level)",
+                "a change of the scale below 0.01 (norm of the three)",
+                "a change of the offset below 0.01 m/s2, unless thermal compensation runs",
+            ),
+        ),
+    },
+    duration_s=40.0,
+)
+
+ROUNDS = 2
+"""Times that all faces are taken, if they contradict each other, before giving up."""
+
+
+class AccelSixFaceProcedure(TickedProcedure):
+    """Takes a mean at rest on each face, and fits."""
+
+    spec: ClassVar[ProcedureSpec] = SPEC
+
+    def __init__(self, options: Options, context: ProcedureContext) -> None:
+        super().__init__(options, context)
+        self._target = float(options["uncertainty"])
+        self._faces: dict[Pose, TakenPose] = {}
+        self._round = 1
+        self._hold: Hold | None = None
+        self._note = ""
+        self._last_taken = -math.inf
+
+    def _on_start(self, present: set[Instance]) -> None:
+        self._body = {i: body_from_sensor(self.context, Sensor.ACCEL, i) for i in self.present(Sensor.ACCEL)}
+        self._say(place(FACES, ""))
+
+    def _on_tick(self, start: float, end: float, frame: Frame) -> None:
+        verdict = self._watch.update(frame)
+        direction = shown_down(self._watch, self._body, self.present(Sensor.ACCEL))
+        if not verdict.still or direction is None:
+            if self._hold is not None and self._hold.seconds > 0.0:
+                self._note = "It was moved too early. "
+            self._hold = None
+            self._say(place(self._left(), self._note))
+        elif verdict.counted:
+            self._rest(frame, end - start, direction)
+        if self.outcome is None:
+            self._tell(verdict)
+
+    def _left(self) -> tuple[Pose, ...]:
+        return tuple(face for face in FACES if face not in self._faces)
+
+    def _rest(self, frame: Frame, seconds: float, direction: Array) -> None:
+        at = facing(direction)
+        if not at.square:
+            self._hold = None
+            self._say(place(self._left(), f"It is not square on any face ({TEXTS[at.face]} is the nearest). "))
+            return
+        if at.face in self._faces:
+            self._say(place(self._left(), "This face is done. "))
+            return
+        self._hold = self._hold or Hold(direction)
+        self._say(
+            Prompt("place", "At rest: leave it alone.", at.face, self._left(), SHORTEST, detected=at.face, stable=True)
+        )
+        self._hold.add(frame, seconds)
+        # the offset is a mean of six faces, so each may be known worse by the root of that
+        if self._hold.complete(self._target):
+            number = len(self._faces) + 1
+            self._faces[at.face] = taken(self._hold, number, at.face, direction, self.present(Sensor.ACCEL))
+            self._hold, self._note, self._last_taken = None, "", self.time
+            if not self._left():
+                self._evaluate()
+
+    def _evaluate(self) -> None:
+        fits = self._fits(float(self.options["fixture_sd"]))
+        usable = [f for f in fits if f.status != FitStatus.REFUSED]
+        if not usable:
+            self._give_up(refusals(fits), "check the board's orientation, and that every face stands square")
+            return
+        reached = max(float(f.sd[:3].max()) for f in usable)
+        if reached <= self._target:
+            self._end(fits, reached)
+        elif all(f.quality["p_value"] is None or f.quality["p_value"] >= CHANCE for f in usable):
+            self._give_up(
+                f"the offsets are known to {reached:.4f} m/s2, not to {self._target:.4f}: a tilt of "
+                f"{self.options['fixture_sd']:g} deg of the fixture allows no more",
+                "use a squarer fixture and state its fixture_sd, ask for less, or take the job accel, which needs none",
+            )
+        elif self._round < ROUNDS:
+            self._round += 1
+            self._faces.clear()
+            self._note = f"The faces contradict each other (offsets known to {reached:.3f} m/s2): take all six again. "
+        else:
+            self._give_up(
+                f"the faces contradict each other: the offsets are known to {reached:.4f} m/s2, not to "
+                f"{self._target:.4f}",
+                "put it down more squarely or state a larger fixture_sd; check that nothing vibrates or gives way",
+            )
+
+    def _fits(self, fixture_sd: float) -> list[FitResult]:
+        return [self._fit(i, fixture_sd) for i in self.present(Sensor.ACCEL)]
+
+    def _fit(self, instance: int, fixture_sd: float) -> FitResult:
+        body = self._body[instance]
+        means = {face: pose.means[instance] for face, pose in self._faces.items() if instance in pose.means}
+        faces = [Face(body @ m.mean, body @ m.covariance @ body.T, np.array(DOWN[f]), m.n) for f, m in means.items()]
+        temperatures = [m.temperature for m in means.values() if m.temperature is not None]
+        fit = fit_six_face(
+            faces,
+            gravity=self.context.gravity,
+            form="forward",
+            fixture_sd=fixture_sd,
+            instance=instance,
+            temperature=float(np.mean(temperatures)) if temperatures else None,
+            relative=self.context.relative,
+        )
+        return in_sensor(fit, body)
+
+    def _end(self, fits: list[FitResult], reached: float) -> None:
+        self._dropped_rows()
+        if any(f.temperature is None for f in fits if f.status != FitStatus.REFUSED):
+            self._warn("no temperature streamed: the offsets cannot be tied to the temperature they were taken at")
+        results = tuple(annotated(f, self.context, self.warnings) for f in fits)
+        self._finish(Done(results, f"every offset is known to {reached:.4f} m/s2 or better"))
+
+    def _tell(self, verdict: Verdict) -> None:
+        if self.time - max(self._last_taken, self._began) >= self.options["patience"]:
+            cause, remedy = self._missing()
+            self._give_up(
+                f"no new face within {self.options['patience']:.0f} s ({verdict.why or 'at rest'}); {cause}", remedy
+            )
+            return
+        done = len(self._faces)
+        text = f"{done} of 6 faces" if verdict.still else f"{done} of 6 faces; {verdict.why}"
+        eta = (SHORTEST + 3.0) * (6 - done)
+        detail = {"hold_s": self._hold.seconds if self._hold else 0.0, "round": self._round}
+        self._report(Progress(done, 6.0, "faces", text, eta, detail))
+
+    def _missing(self) -> tuple[str, str]:
+        left = ", ".join(TEXTS[face] for face in self._left())
+        return (
+            f"{len(self._faces)} faces were taken and {len(self._left())} are missing",
+            f"put the vehicle down square for {SHORTEST + 1.0:.0f} s each: {left}",
+        )
