@@ -86,6 +86,26 @@ def lose_gyro_matrix(draft: Draft, about: Subject, fit: FitResult) -> None:
         )
 
 
+def lose_compass_mounting(draft: Draft, about: Subject, fit: FitResult, old: Array, new: Array) -> None:
+    """Announce what of a magnetometer's mounting no parameter holds.
+
+    With `old` and `new` (3, 3), the body from the sensor as stated now and by the plan, the whole is
+    ``old Q S (m - b)`` and ``new S (m - b)`` is stored, so ``old Q new^T`` is left. A fit of lengths has no Q.
+    """
+    rotation = losses.split(fit).rotation
+    if losses.rotation_angle(rotation) <= ALIGNED:
+        return
+    angle = np.degrees(losses.rotation_angle(old @ rotation @ new.T))
+    if angle > np.degrees(ALIGNED):
+        draft.lose(
+            about,
+            "mounting",
+            angle,
+            "deg",
+            f"{about}: mounted {angle:.2f} deg askew, which no parameter holds: the heading is off by about as much",
+        )
+
+
 def lose_drift(draft: Draft, about: Subject, fit: FitResult, why: str) -> None:
     """Announce a temperature drift that is not written."""
     polynomial = fit.model.polynomial

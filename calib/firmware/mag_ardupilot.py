@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.firmware import ardupilot, losses, names
+from calib.firmware.announce import lose_compass_mounting
 from calib.firmware.ardupilot import UT_PER_MGAUSS
 from calib.firmware.draft import Draft, Rank, Subject
 from calib.firmware.fitted import Pair, body_from_raw
@@ -67,6 +68,7 @@ def _compose_one(draft: Draft, about: Subject, fit: FitResult) -> None:
     if not _field_plausible(draft, about, fit, parts):
         return
     _set_values(draft, about, roles, parts)
+    lose_compass_mounting(draft, about, fit, old, new)
     absolute = fit.quality.get("field_ratio") is not None
     draft.set_real(
         roles[Role.FIELD_SCALE],

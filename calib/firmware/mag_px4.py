@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.firmware import losses, names, px4
+from calib.firmware.announce import lose_compass_mounting
 from calib.firmware.compose_px4 import set_row
 from calib.firmware.draft import Draft, Rank, Subject
 from calib.firmware.fitted import Pair
@@ -20,7 +21,7 @@ from calib.firmware.mounting import Turn, mounting_turn
 from calib.firmware.names import Role
 from calib.firmware.plan import ParameterKind
 from calib.firmware.px4 import UT_PER_GAUSS
-from calib.firmware.px4_memory import Vector, representable, set_vector
+from calib.firmware.px4_memory import Vector, neutral_model, representable, set_vector
 from calib.firmware.rotations import nearest_rotation, rotation_matrix
 from calib.fit import FitResult
 
@@ -77,6 +78,8 @@ def _compose_one(draft: Draft, about: Subject, fit: FitResult) -> None:
     for triple, vector in wanted.items():
         set_vector(draft, vector, stored[triple])
     _lose(draft, about, fit, parts, wanted, stored)
+    mounting = neutral_model(draft.parameters, about).matrix
+    lose_compass_mounting(draft, about, fit, mounting, mounting if turn is None else turn.matrix @ mounting)
 
 
 def _lose(

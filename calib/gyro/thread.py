@@ -30,6 +30,7 @@ _TURNING = 0.05  # of the fastest rate: slower is rest
 _SHORTEST = 2.0  # s
 _HOLE = 5.0  # usual steps of a sensor: in a longer one turns are lost
 _DISAGREE = 0.25  # turns between what was stated and what a compass or the gyroscope counts
+_REST_PHASE = 0.03  # turns next to a rest that are not used: a running maximum of noise there is no phase
 _PHASES = 400  # starting points of which whole turns are averaged
 
 
@@ -230,12 +231,12 @@ def _counted(integral: _Integral, axis: int, span: Array, mag: Channel) -> _Coun
     direction = float(np.sign(phase[-1] - phase[0]))
     climbing = np.maximum.accumulate(direction * (phase - phase[0]))
     seen = float(climbing[-1])
-    whole = int(np.floor(seen))
+    whole = int(np.floor(seen - 2.0 * _REST_PHASE))
     if whole < 1:
         return None
     moving = np.flatnonzero(np.diff(climbing, prepend=-1.0) > 1e-9)  # a turn's instants, each phase once
     t, phases = part.t[moving], climbing[moving]
-    starts = np.flatnonzero(phases + whole <= phases[-1])
+    starts = np.flatnonzero((phases >= _REST_PHASE) & (phases + whole <= phases[-1] - _REST_PHASE))
     starts = starts[:: max(1, len(starts) // _PHASES)]
     ends = np.interp(phases[starts] + whole, phases, t)
     integrals = integral.at(ends) - integral.at(t[starts])

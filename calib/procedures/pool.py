@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from calib.procedures.roster import Frame, Instance
 from calib.recording import Channel, Recording, Sensor, join
@@ -28,7 +28,7 @@ class Pool:
                 recent = self._recent.setdefault(instance, [])
                 recent.append(channel)
                 if len(recent) >= BLOCK:
-                    self._parts[instance].append(_joined(recent))
+                    self._parts[instance].append(joined(recent))
                     recent.clear()
 
     def __contains__(self, instance: Instance) -> bool:
@@ -37,7 +37,7 @@ class Pool:
     def channel(self, instance: Instance) -> Channel:
         """All kept samples of `instance`."""
         parts = [*self._parts[instance], *self._recent[instance]]
-        self._parts[instance], self._recent[instance] = [_joined(parts)], []
+        self._parts[instance], self._recent[instance] = [joined(parts)], []
         return self._parts[instance][0]
 
     def get(self, instance: Instance) -> Channel | None:
@@ -45,7 +45,8 @@ class Pool:
         return self.channel(instance) if instance in self else None
 
 
-def _joined(parts: list[Channel]) -> Channel:
+def joined(parts: Sequence[Channel]) -> Channel:
+    """One channel of `parts`, which are of one sensor and in order of time."""
     return join(Recording((part,)) for part in parts).channels[0]
 
 

@@ -93,11 +93,15 @@ def suggest(taken: Sequence[Array]) -> tuple[float, float, float]:
     """The oblique direction that would tell most of the cross terms, as the body direction to point down.
 
     A cross term ``c_ij`` changes the length of ``C u`` by ``2 c_ij u_i u_j``: a pose and its opposite tell the same.
+    One that is near to a taken one would not count as new, so it is suggested only if there is no other.
     """
     seen = _crosses(np.array(taken).reshape(-1, 3))
     information = seen.T @ seen + 1e-3 * np.eye(3)
     asked = _crosses(_CANDIDATES)
     gain = np.einsum("ki,ij,kj->k", asked, np.linalg.inv(information), asked)
+    nearest = (_CANDIDATES @ np.array(taken).reshape(-1, 3).T).max(axis=1, initial=-1.0)
+    fresh = nearest < math.cos(APART)
+    gain = np.where(fresh, gain, -nearest)
     best = _CANDIDATES[int(np.round(gain, 6).argmax())]
     return float(best[0]), float(best[1]), float(best[2])
 

@@ -10,13 +10,17 @@ from calib.errors import InvalidInputError
 from calib.procedures.accel import AccelProcedure
 from calib.procedures.context import ProcedureContext
 from calib.procedures.gyro import GyroProcedure
+from calib.procedures.imu import ImuProcedure
 from calib.procedures.level import LevelProcedure
 from calib.procedures.mag import MagProcedure
 from calib.procedures.one_axis import AccelOneAxisProcedure
+from calib.procedures.rings import MagRingsProcedure
 from calib.procedures.six_face import AccelSixFaceProcedure
 from calib.procedures.spec import Options, ProcedureSpec
 from calib.procedures.thermal import ThermalProcedure
+from calib.procedures.thread import GyroThreadProcedure
 from calib.procedures.ticked import TickedProcedure
+from calib.procedures.turntable import GyroTurntableProcedure
 
 _CLASSES: tuple[type[TickedProcedure], ...] = (
     GyroProcedure,
@@ -26,6 +30,10 @@ _CLASSES: tuple[type[TickedProcedure], ...] = (
     LevelProcedure,
     AccelOneAxisProcedure,
     AccelSixFaceProcedure,
+    MagRingsProcedure,
+    GyroTurntableProcedure,
+    GyroThreadProcedure,
+    ImuProcedure,
 )
 
 PROCEDURES: Mapping[str, ProcedureSpec] = MappingProxyType({c.spec.kind: c.spec for c in _CLASSES})

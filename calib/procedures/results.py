@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
 from calib.fit import FitResult, FitStatus
 from calib.procedures.context import ProcedureContext
@@ -17,6 +17,11 @@ def mean_temperature(pool: Pool, instance: int) -> float | None:
     """Mean temperature of an inertial unit over what was kept, degC; None: it does not stream."""
     key = (Sensor.TEMPERATURE, instance)
     return float(pool.channel(key).values.mean()) if key in pool else None
+
+
+def mean_or_none(values: Collection[float]) -> float | None:
+    """Their mean; None: there are none."""
+    return math.fsum(values) / len(values) if values else None
 
 
 def annotated(fit: FitResult, context: ProcedureContext, warnings: Iterable[str]) -> FitResult:

@@ -22,7 +22,7 @@ from calib.procedures.placing import facing, place, shown_down
 from calib.procedures.pose_fit import CHANCE
 from calib.procedures.poses import DOWN, FACES, TEXTS
 from calib.procedures.protocol import Done, Pose, Progress, Prompt
-from calib.procedures.results import annotated, refusals
+from calib.procedures.results import annotated, mean_or_none, refusals
 from calib.procedures.roster import Frame, Instance
 from calib.procedures.spec import Holds, Option, Options, ProcedureSpec
 from calib.procedures.ticked import TickedProcedure
@@ -164,7 +164,7 @@ class AccelSixFaceProcedure(TickedProcedure):
             form="forward",
             fixture_sd=fixture_sd,
             instance=instance,
-            temperature=float(np.mean(temperatures)) if temperatures else None,
+            temperature=mean_or_none(temperatures),
             relative=self.context.relative,
         )
         return in_sensor(fit, body)

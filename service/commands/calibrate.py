@@ -29,7 +29,7 @@ DOUBT_S = 120.0
 
 KINDS = (
     *("gyro", "accel", "mag", "thermal", "level"),
-    *("accel-one-axis", "accel-six-face"),
+    *("accel-one-axis", "accel-six-face", "mag-rings", "gyro-turntable", "gyro-thread", "imu-multi"),
 )
 """Those of ``calib.procedures.registry``, stated here so that help does without numpy (a test compares them)."""
 

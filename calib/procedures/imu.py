@@ -1,0 +1,202 @@
+"""Accelerometers and gyros together, from poses held by hand and the movements between them (METHODS 3.3).
+
+The poses are those of the job ``accel``; the gyro carries the direction of gravity from each to the next, which gives
+its scale and cross axes, and makes the accelerometer better known than poses alone. A rest comes first: a hand's tremor
+would leave the gyro's offset ten times less known. That tremor also bounds the scale, half a degree in every movement:
+a vehicle that is leant on something instead of held gives a tenth of a percent.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import ClassVar
+
+import numpy as np
+
+from calib.attitude import drift_sd_deg_per_min
+from calib.fit import FitResult, FitStatus
+from calib.gyro import fit_gyro_rest
+from calib.imu import fit_imu
+from calib.procedures.accel import EXTRA, AccelProcedure
+from calib.procedures.body_frame import in_body, in_sensor
+from calib.procedures.context import ProcedureContext
+from calib.procedures.frames import body_from_sensor
+from calib.procedures.motion import RESTING, StillWatch
+from calib.procedures.pool import Pool
+from calib.procedures.pose_fit import Assessment
+from calib.procedures.protocol import Done, Pose, Progress, Prompt
+from calib.procedures.results import annotated, mean_temperature, refusals
+from calib.procedures.roster import Frame, Instance, label
+from calib.procedures.spec import Holds, Option, Options, ProcedureSpec
+from calib.recording import Sensor
+from calib.triad import TriadModel
+
+SPEC = ProcedureSpec(
+    kind="imu-multi",
+    title="Accelerometers and gyros together from poses and the movements between",
+    sensors=(Sensor.ACCEL, Sensor.GYRO),
+    helpful=(Sensor.TEMPERATURE,),
+    options=(
+        Option("uncertainty", 0.005, "standard deviation to reach on every axis of every offset", "m/s2", 5e-4, 0.1),
+        Option("scale", 2.0, "standard deviation to reach of the gyros' scale", "%", 0.02, 5.0),
+        Option("obliques", 6.0, "oblique poses to ask for beside the six faces", "", 4.0, 18.0),
+        Option("patience", 180.0, "gives up after this time without a new pose", "s", 20.0, 3600.0),
+    ),
+    needs="the vehicle at rest, then held still on its six faces and in six oblique poses, turned briskly in between",
+    ends_on="standard deviation of every accelerometer offset (0.005 m/s2) and gyro scale (2 %), poses that agree",
+    autopilots={
+        "ardupilot": Holds(
+            writes=(
+                "INS_ACCOFFS_*, INS_ACC2OFFS_*, INS_ACC3OFFS_*",
+                "INS_ACCSCAL_* ...",
+                "INS_GYROFFS_*, INS_GYR2OFFS_*, INS_GYR3OFFS_*",
+                "INS_ACCn_CALTEMP, INS_GYRn_CALTEMP",
+                "AHRS_TRIM_*",
+            ),
+            cannot_represent=("cross terms", "gyro scale", "gyro misalignment"),
+        ),
+        "px4": Holds(
+            writes=(
+                "CAL_ACCn_XOFF ... _ZOFF",
+                "CAL_ACCn_XSCALE ... _ZSCALE",
+                "CAL_GYROn_XOFF, _YOFF, _ZOFF",
+                "SENS_BOARD_X_OFF, _Y_OFF",
+            ),
+            cannot_represent=(
+                "cross terms",
+                "gyro scale",
+                "gyro misalignment",
+                "a change of the accelerometer's scale or offset below 0.01, or of the gyro's offset below 0.01 rad/s",
+            ),
+        ),
+    },
+    duration_s=75.0,
+)
+
+
+REST_S = 6.0
+"""Rest that is taken first, s."""
+
+
+class ImuProcedure(AccelProcedure):
+    """Guides through the poses like the accelerometer job, keeps every sample, and fits both sensors jointly."""
+
+    spec: ClassVar[ProcedureSpec] = SPEC
+
+    def __init__(self, options: Options, context: ProcedureContext) -> None:
+        super().__init__(options, context)
+        self._scale_target = 0.01 * float(options["scale"])
+        self._pool = Pool((Sensor.ACCEL, Sensor.GYRO, Sensor.TEMPERATURE))
+        self._rest_begun: float | None = None
+        self._rest: tuple[float, float] | None = None
+
+    def _on_start(self, present: set[Instance]) -> None:
+        self._quiet = StillWatch(RESTING, present)
+        super()._on_start(present)
+        self._say(_REST)
+        self._gyro_body = {i: body_from_sensor(self.context, Sensor.GYRO, i) for i in self.present(Sensor.GYRO)}
+
+    def _on_tick(self, start: float, end: float, frame: Frame) -> None:
+        self._pool.add(frame)
+        if self._rest is None:
+            self._wait_for_rest(start, end, frame)
+        else:
+            super()._on_tick(start, end, frame)
+
+    def _on_lost(self, instance: Instance) -> None:
+        super()._on_lost(instance)
+        self._quiet.drop(instance)
+
+    def _wait_for_rest(self, start: float, end: float, frame: Frame) -> None:
+        verdict = self._quiet.update(frame)
+        if not verdict.counted:
+            self._rest_begun = None
+        elif self._rest_begun is None:
+            self._rest_begun = start
+        lasted = 0.0 if self._rest_begun is None else end - self._rest_begun
+        if self._rest_begun is not None and lasted >= REST_S:
+            # the last tick may hold the beginning of a movement that is not noticed yet
+            self._rest = self._rest_begun, start
+            self._last_taken = end
+            self._ask(None, stable=False)
+            return
+        self._say(dataclasses.replace(_REST, stable=verdict.counted))
+        if self.elapsed >= self.options["patience"]:
+            self._give_up(
+                f"no rest within {self.elapsed:.0f} s: {verdict.why or 'too short'}", "put it down and let go"
+            )
+            return
+        text = f"at rest for {lasted:.0f} s" if verdict.still else verdict.why
+        self._report(Progress(0.0, float(len(self._left())), "poses", text, None, {"rest_s": lasted}))
+
+    def _end(self, assessment: Assessment) -> None:
+        """The poses agree: fit jointly, and go on with poses until the gyros are known too."""
+        paired = [i for i in self.present(Sensor.ACCEL) if i in self.present(Sensor.GYRO)]
+        fits = [fit for i in paired for fit in self._fit(i)]
+        usable = [f for f in fits if f.status != FitStatus.REFUSED]
+        reached = max((_scale_sd(f) for f in usable if f.sensor == Sensor.GYRO), default=math.inf)
+        offset = max((_offset_sd(f) for f in usable if f.sensor == Sensor.ACCEL), default=math.inf)
+        if reached <= self._scale_target and offset <= self._target:
+            self._done(fits, f"{assessment.short}; the gyros' scale is known to {100.0 * reached:.3f} % or better")
+        elif self._wanted < int(self.options["obliques"]) + EXTRA:
+            self._wanted += 1
+            self._note = "A further pose is needed: turn it there about another axis than before. "
+        else:
+            why = refusals(fits) if not usable else f"the gyros' scale is known to {100.0 * reached:.2f} %"
+            self._give_up(
+                f"{len(self._poses)} poses do not bring the goal: {why}, not to {100.0 * self._scale_target:.2f} %",
+                "turn it further and more briskly from pose to pose, about all axes, or ask for less",
+            )
+
+    def _fit(self, instance: int) -> tuple[FitResult, FitResult]:
+        accel_body, gyro_body = self._body[instance], self._gyro_body[instance]
+        temperature = mean_temperature(self._pool, instance)
+        means = [pose.means[instance] for pose in self._poses if instance in pose.means]
+        accel, gyro = fit_imu(
+            in_body(self._pool.channel((Sensor.ACCEL, instance)), accel_body),
+            in_body(self._pool.channel((Sensor.GYRO, instance)), gyro_body),
+            gravity=self.context.gravity,
+            spans=np.array([*([] if self._rest is None else [self._rest]), *((m.start, m.end) for m in means)]),
+            temperature=temperature,
+            relative=self.context.relative,
+        )
+        return in_sensor(accel, accel_body), self._with_rest(in_sensor(gyro, gyro_body), temperature)
+
+    def _with_rest(self, gyro: FitResult, temperature: float | None) -> FitResult:
+        """The fit with the offset of the rest, where that is better known than by what a hand held still."""
+        assert self._rest is not None
+        rest = fit_gyro_rest(
+            self._pool.channel((Sensor.GYRO, gyro.instance)).between(*self._rest),
+            accel=self._pool.channel((Sensor.ACCEL, gyro.instance)).between(*self._rest),
+            temperature=temperature,
+            relative=self.context.relative,
+        )
+        if FitStatus.REFUSED in (rest.status, gyro.status) or not (rest.sd[:3] < gyro.sd[:3]).all():
+            return gyro
+        covariance = gyro.covariance.copy()
+        covariance[:3, 3:] = covariance[3:, :3] = 0.0
+        covariance[:3, :3] = rest.covariance[:3, :3]
+        model = TriadModel(rest.model.offset, gyro.model.matrix)
+        drift = drift_sd_deg_per_min(model, covariance)
+        quality = {**gyro.quality, "attitude_sd_deg_per_min": drift, "offset_of": "rest"}
+        return dataclasses.replace(gyro, model=model, covariance=covariance, quality=quality)
+
+    def _done(self, fits: list[FitResult], because: str) -> None:
+        self._dropped_rows()
+        for instance in set(self.present(Sensor.ACCEL)) - set(self.present(Sensor.GYRO)):
+            self._warn(f"{label(Sensor.ACCEL, instance)} is left out: its gyro does not stream")
+        self._finish(Done(tuple(annotated(f, self.context, self.warnings) for f in fits), because))
+
+
+_REST = Prompt("place", "Put the vehicle down level on a firm surface and leave it alone.", Pose.LEVEL, hold_s=REST_S)
+
+
+def _scale_sd(fit: FitResult) -> float:
+    names = [f"matrix_{a}{a}" for a in "xyz"]
+    return max(float(fit.sd[3 + 4 * j]) if fit.determined(name) else math.inf for j, name in enumerate(names))
+
+
+def _offset_sd(fit: FitResult) -> float:
+    sd = fit.sd[:3]
+    return math.inf if not fit.determined("offset_x", "offset_y", "offset_z") else float(sd.max())

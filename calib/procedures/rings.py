@@ -1,0 +1,275 @@
+"""Offset, full matrix and mounting of the compasses from six rings about the vertical (METHODS S3).
+
+Only the centres of the rings are used, so a compass that averages over its period is not blurred by the turn; the price
+is that every tilt of a face enters at full size, and that nothing is seen near the magnetic equator.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any, ClassVar
+
+import numpy as np
+
+from calib.fit import FitResult, FitStatus, refused
+from calib.mag.orientation import Verdict
+from calib.mag.result import FIELD_TOLERANCE
+from calib.mag.rings import fit_rings
+from calib.procedures.body_frame import in_body, in_sensor
+from calib.procedures.context import ProcedureContext
+from calib.procedures.frames import body_from_sensor
+from calib.procedures.mag_track import WARNED_ASKEW
+from calib.procedures.motion import Verdict as Stillness
+from calib.procedures.placing import Facing, facing, place, shown_down
+from calib.procedures.pose_fit import CHANCE
+from calib.procedures.poses import DOWN, FACES, TEXTS
+from calib.procedures.protocol import Done, Pose, Progress, Prompt
+from calib.procedures.results import annotated, refusals
+from calib.procedures.ring_track import ONCE_AROUND, RingTrack, mounting_in
+from calib.procedures.roster import Frame, Instance, label
+from calib.procedures.spec import Holds, Option, Options, ProcedureSpec
+from calib.procedures.ticked import TickedProcedure
+from calib.procedures.turning import Spin, SpinWatch
+from calib.recording import Sensor
+
+SPEC = ProcedureSpec(
+    kind="mag-rings",
+    title="Compass hard and soft iron and mounting from six turns about the vertical",
+    sensors=(Sensor.MAG, Sensor.GYRO, Sensor.ACCEL),
+    helpful=(),
+    options=(
+        Option("uncertainty", 0.5, "standard deviation of the heading to reach with every compass", "deg", 0.05, 10.0),
+        Option("fixture_sd", 0.2, "how far from square each face may be (one standard deviation)", "deg", 0.0, 5.0),
+        Option("patience", 240.0, "gives up after this time without a new ring", "s", 20.0, 3600.0),
+    ),
+    needs="the vehicle stood square on each of its six faces and turned once around there, away from steel and magnets",
+    ends_on="standard deviation of the heading of every compass (0.5 deg), the tilt of faces included; rings agree",
+    autopilots={
+        "ardupilot": Holds(
+            writes=(
+                "COMPASS_OFS_*, COMPASS_OFS2_*, COMPASS_OFS3_*",
+                "COMPASS_DIA_*, COMPASS_ODI_* ...",
+                "COMPASS_SCALE, COMPASS_SCALE2, COMPASS_SCALE3",
+                "COMPASS_ORIENT, COMPASS_ORIENT2, COMPASS_ORIENT3 where the mounting is wrong",
+            ),
+            cannot_represent=("a small misalignment of the compass", "a common scale outside 1/1.5 ... 1.5"),
+        ),
+        "px4": Holds(
+            writes=(
+                "CAL_MAGn_XOFF ... _ZOFF",
+                "CAL_MAGn_XSCALE ... _ZSCALE, _XODIAG ... _ZODIAG",
+                "CAL_MAGn_ROT where the mounting is wrong",
+            ),
+            cannot_represent=(
+                "a small misalignment of the compass",
+                "a change of the offset below 0.5 uT (norm of the three)",
+                "a change of the scales or of the cross terms below 0.01 (norm of the three)",
+            ),
+        ),
+    },
+    duration_s=90.0,
+)
+
+FASTEST = math.radians(120.0)
+"""A compass of 10 Hz has samples nine degrees apart up to this rate, rad/s."""
+
+_BEGUN = math.radians(10.0)  # turned by less, nothing is lost
+
+ROUNDS = 2
+"""Times that all six rings are taken before giving up."""
+
+
+class MagRingsProcedure(TickedProcedure):
+    """Takes one ring on each face, and fits."""
+
+    spec: ClassVar[ProcedureSpec] = SPEC
+
+    def __init__(self, options: Options, context: ProcedureContext) -> None:
+        super().__init__(options, context)
+        self._target = float(options["uncertainty"])
+        self._rings: list[RingTrack] = []
+        self._done: set[Pose] = set()
+        self._round = 1
+        self._ring: RingTrack | None = None
+        self._asked: Pose | None = None
+        self._note = ""
+        self._last_taken = -math.inf
+
+    def _on_start(self, present: set[Instance]) -> None:
+        self._level = {i: body_from_sensor(self.context, Sensor.ACCEL, i) for i in self.present(Sensor.ACCEL)}
+        self._body = {i: body_from_sensor(self.context, Sensor.MAG, i) for i in self.present(Sensor.MAG)}
+        self._spins = SpinWatch({i: body_from_sensor(self.context, Sensor.GYRO, i) for i in self.present(Sensor.GYRO)})
+        if self.context.earth_field is None:
+            self._warn("the place is not known: the field strength cannot be judged, and the common scale is not set")
+        self._say(self._place_prompt())
+
+    def _on_tick(self, start: float, end: float, frame: Frame) -> None:
+        verdict = self._watch.update(frame)
+        spin = self._spins.update(frame, self.present(Sensor.GYRO), end - start, resting=verdict.counted)
+        direction = shown_down(self._watch, self._level, self.present(Sensor.ACCEL))
+        if spin is not None and direction is not None:
+            self._follow(frame, verdict, spin, facing(direction))
+        if self.outcome is None:
+            self._tell(verdict)
+
+    def _follow(self, frame: Frame, verdict: Stillness, spin: Spin, at: Facing) -> None:
+        if self._asked is not None and (not at.square or at.face != self._asked):
+            if self._ring is not None and abs(self._ring.angle) > _BEGUN:
+                self._note = "It was tilted before it had gone round: begin this ring anew. "
+            self._ring = self._asked = None
+        axis = np.array(DOWN[at.face])
+        if at.square and at.face not in self._done:
+            if abs(spin.about(axis)) > FASTEST:
+                self._ring, self._note = None, "That was too fast: begin this ring anew, slowly. "
+            elif self._spins.rested and spin.steady_about(axis):
+                self._turned(frame, spin, at)
+                return
+            if verdict.counted or self._asked is not None:
+                self._asked = at.face
+                self._say(self._turn_prompt(at, moving=False))
+                return
+        self._say(self._place_prompt())
+
+    def _left(self) -> tuple[Pose, ...]:
+        return tuple(face for face in FACES if face not in self._done)
+
+    def _place_prompt(self) -> Prompt:
+        return place(self._left(), self._note, suffix=" where it can be turned about the vertical")
+
+    def _turn_prompt(self, at: Facing, *, moving: bool) -> Prompt:
+        text = (
+            "Go on turning, once around." if moving else "Turn it slowly about the vertical, once around, as it stands."
+        )
+        x, y, z = DOWN[at.face]
+        return Prompt("turn", self._note + text, at.face, self._left(), detected=at.face, stable=moving, axis=(x, y, z))
+
+    def _turned(self, frame: Frame, spin: Spin, at: Facing) -> None:
+        if self._ring is None:
+            self._ring, self._asked = RingTrack(at.face), at.face
+        self._note = ""
+        self._ring.add(frame, spin)
+        self._say(self._turn_prompt(at, moving=True))
+        if self._ring.complete(self.present(Sensor.MAG)):
+            self._rings.append(self._ring)
+            self._done.add(self._ring.face)
+            self._ring, self._asked, self._last_taken = None, None, self.time
+            if self._left():
+                self._say(self._place_prompt())
+            else:
+                self._evaluate()
+
+    # -- judging ---------------------------------------------------------------------------------------------------
+
+    def _evaluate(self) -> None:
+        fits = [self._fit(i, float(self.options["fixture_sd"])) for i in self.present(Sensor.MAG)]
+        usable = [f for f in fits if f.status == FitStatus.OK]
+        if not usable:
+            partial = next((f.message for f in fits if f.status == FitStatus.PARTIAL), refusals(fits))
+            self._give_up(
+                f"no compass can be calibrated by rings: {partial}", "take the job mag, which tilts to all sides"
+            )
+            return
+        reached = max(float(f.quality["heading_sd_deg"]) for f in usable)
+        agree = all(f.quality["p_value"] is None or f.quality["p_value"] >= CHANCE for f in usable)
+        noise = max(float(self._fit(f.instance, 0.0).quality["heading_sd_deg"]) for f in usable)
+        if reached <= self._target:
+            self._end(fits, reached)
+        elif agree and noise <= self._target:
+            self._give_up(
+                f"the heading is known to {reached:.2f} deg, not to {self._target:.2f}: a tilt of "
+                f"{self.options['fixture_sd']:g} deg of the faces allows no more",
+                "use a squarer fixture and state its fixture_sd, ask for less, or take the job mag, which needs none",
+            )
+        elif self._round < ROUNDS:
+            self._begin_again(reached, agree=agree)
+        else:
+            why = "the rings are too noisy" if agree else "the rings contradict each other"
+            self._give_up(
+                f"{why}: the heading is known to {reached:.2f} deg, not to {self._target:.2f}",
+                "repeat away from steel, magnets and currents, on a block that stands square",
+            )
+
+    def _begin_again(self, reached: float, *, agree: bool) -> None:
+        self._round += 1
+        self._done.clear()
+        if not agree:
+            self._rings.clear()
+        why = "The heading is not known well enough" if agree else "The rings contradict each other"
+        self._note = f"{why} ({reached:.1f} deg): take all six again. "
+
+    def _fit(self, instance: int, fixture_sd: float) -> FitResult:
+        body = self._body[instance]
+        given = [(r, r.channel(instance)) for r in self._rings]
+        rings = [(r.down, in_body(channel, body)) for r, channel in given if channel is not None]
+        fit = fit_rings(
+            [channel.values for _, channel in rings],
+            [down for down, _ in rings],
+            fixture_sd=fixture_sd,
+            instance=instance,
+            quantum=max((channel.quantum for _, channel in rings), default=0.0),
+            field=self.context.earth_field,
+            relative=self.context.relative,
+        )
+        return _mounted(fit, instance) if fit.status == FitStatus.OK else fit
+
+    def _end(self, fits: list[FitResult], reached: float) -> None:
+        self._dropped_rows()
+        for fit in fits:
+            ratio = fit.quality.get("field_ratio")
+            if ratio is not None and abs(ratio - 1.0) > FIELD_TOLERANCE:
+                about = label(Sensor.MAG, fit.instance)
+                self._warn(f"{about} reads {ratio:.2f} times the modelled field: a magnet or steel is near")
+        results = tuple(annotated(in_sensor(f, self._body[f.instance]), self.context, self.warnings) for f in fits)
+        self._finish(Done(results, f"the heading of every compass is known to {reached:.2f} deg or better"))
+
+    # -- telling ---------------------------------------------------------------------------------------------------
+
+    def _tell(self, verdict: Stillness) -> None:
+        if self.time - max(self._last_taken, self._began) >= self.options["patience"]:
+            cause, remedy = self._missing()
+            self._give_up(f"no new ring within {self.options['patience']:.0f} s; {cause}", remedy)
+            return
+        done = len(self._done)
+        part = min(abs(self._ring.angle) / ONCE_AROUND, 1.0) if self._ring is not None else 0.0
+        text = f"{done} of 6 rings"
+        if part:
+            text += f"; {360.0 * part:.0f} deg of this one"
+        per_ring = (self.time - self._began) / (done + part) if done + part > 0.5 else SPEC.duration_s / 6.0
+        detail: dict[str, Any] = {
+            "angle_deg": 360.0 * part,
+            "face": None if self._ring is None else self._ring.face.value,
+            "round": self._round,
+            "warnings": self.warnings[:],
+        }
+        self._report(Progress(done + part, 6.0, "rings", text, per_ring * (6.0 - done - part), detail))
+
+    def _missing(self) -> tuple[str, str]:
+        names = ", ".join(TEXTS[face] for face in self._left())
+        return (
+            f"{len(self._done)} rings were taken and {len(self._left())} are missing",
+            f"stand the vehicle square and turn it once around: {names}",
+        )
+
+
+def _mounted(fit: FitResult, instance: int) -> FitResult:
+    """The fit (in the body) with what its rotation says of the mounting; refused if no mounting explains it."""
+    mounting = mounting_in(fit.model.rotation)
+    quality = {**fit.quality, "orientation": mounting}
+    if mounting["verdict"] == Verdict.UNEXPLAINED:
+        return refused(
+            fit.method,
+            Sensor.MAG,
+            instance,
+            str(mounting["message"]),
+            unit=fit.unit,
+            n_samples=fit.n_samples,
+            movement="mount the compass square to the vehicle, or state its rotation by angles",
+            quality=quality,
+        )
+    warnings = fit.warnings
+    if mounting["verdict"] == Verdict.ROTATED:
+        warnings += (str(mounting["message"]),)
+    if float(str(mounting["askew_deg"])) > WARNED_ASKEW:
+        warnings += (f"the compass is mounted {mounting['askew_deg']:.0f} deg askew, which no parameter holds",)
+    return dataclasses.replace(fit, quality=quality, warnings=warnings)
