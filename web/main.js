@@ -69,7 +69,12 @@ function keep(container, items, shown, draw) {
     let node = present.get(item.id);
     if (node?.shown !== text) {
       const open = node?.querySelector("details")?.open ?? false;
+      const typed = node?.querySelector("input");
+      const writing = typed && document.activeElement === typed;
       node = draw(item);
+      const field = typed && node.querySelector(`input[name="${typed.name}"]`);
+      if (field) field.value = typed.value;
+      if (field && writing) queueMicrotask(() => field.focus());
       node.dataset.key = item.id;
       node.shown = text;
       if (open && node.querySelector("details")) node.querySelector("details").open = true;

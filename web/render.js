@@ -81,8 +81,20 @@ function promptPart(job, actions) {
   return el("div", { role: "status" },
     el("p", { class: "prompt" }, prompt.text),
     detail.length ? el("p", { class: "quiet" }, detail.join(" ")) : null,
+    numberPart(job, prompt.number, actions),
     el("div", { class: "actions" }, prompt.answers.map((answer) =>
       el("button", { onclick: () => actions.answer(job.id, answer) }, answer))));
+}
+
+/** A field for the number that the prompt asks for. */
+function numberPart(job, number, actions) {
+  if (!number) return null;
+  const field = el("input", { type: "number", name: number.name, min: String(number.low), max: String(number.high),
+    step: "any", required: true, "aria-label": words(number.name) });
+  return el("form", { onsubmit: (event) => {
+    event.preventDefault();
+    actions.answer(job.id, field.value);
+  } }, field, el("span", {}, number.unit || words(number.name)), el("button", { type: "submit" }, "Answer"));
 }
 
 function progressPart(progress) {

@@ -29,7 +29,7 @@ from calib.procedures.protocol import Done, Pose, Progress, Prompt
 from calib.procedures.results import annotated, mean_temperature, refusals
 from calib.procedures.roster import Frame, Instance, label
 from calib.procedures.spec import Holds, Option, Options, ProcedureSpec
-from calib.recording import Sensor
+from calib.recording import Array, Sensor
 from calib.triad import TriadModel
 
 SPEC = ProcedureSpec(
@@ -103,6 +103,10 @@ class ImuProcedure(AccelProcedure):
             self._wait_for_rest(start, end, frame)
         else:
             super()._on_tick(start, end, frame)
+
+    def _ask(self, direction: Array | None, *, stable: bool) -> None:
+        if self._rest is not None:
+            super()._ask(direction, stable=stable)
 
     def _on_lost(self, instance: Instance) -> None:
         super()._on_lost(instance)

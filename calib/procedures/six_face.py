@@ -79,6 +79,7 @@ class AccelSixFaceProcedure(TickedProcedure):
         self._faces: dict[Pose, TakenPose] = {}
         self._round = 1
         self._hold: Hold | None = None
+        self._here: Pose | None = None
         self._note = ""
         self._last_taken = -math.inf
 
@@ -92,7 +93,7 @@ class AccelSixFaceProcedure(TickedProcedure):
         if not verdict.still or direction is None:
             if self._hold is not None and self._hold.seconds > 0.0:
                 self._note = "It was moved too early. "
-            self._hold = None
+            self._hold = self._here = None
             self._say(place(self._left(), self._note))
         elif verdict.counted:
             self._rest(frame, end - start, direction)
@@ -108,8 +109,8 @@ class AccelSixFaceProcedure(TickedProcedure):
             self._hold = None
             self._say(place(self._left(), f"It is not square on any face ({TEXTS[at.face]} is the nearest). "))
             return
-        if at.face in self._faces:
-            self._say(place(self._left(), "This face is done. "))
+        if at.face in self._faces or at.face == self._here:
+            self._say(place(self._left(), self._note or "This face is done. "))
             return
         self._hold = self._hold or Hold(direction)
         self._say(
@@ -120,7 +121,7 @@ class AccelSixFaceProcedure(TickedProcedure):
         if self._hold.complete(self._target):
             number = len(self._faces) + 1
             self._faces[at.face] = taken(self._hold, number, at.face, direction, self.present(Sensor.ACCEL))
-            self._hold, self._note, self._last_taken = None, "", self.time
+            self._hold, self._here, self._note, self._last_taken = None, at.face, "", self.time
             if not self._left():
                 self._evaluate()
 

@@ -109,6 +109,27 @@ def test_poses_are_asked_for_and_a_job_is_cancelled(window, tmp_path):
         window.until("#connection", "trying again")  # the service has gone: it is said, and tried again
 
 
+def test_a_number_that_is_asked_for_is_typed_and_kept_while_the_prompt_changes(window, tmp_path):
+    with (
+        SimulatedVehicle("ardupilot", seed=34, speed=10, config={"thermal": False}) as v,
+        service(tmp_path, "--connect", v.url) as url,
+    ):
+        v.call("hold", pose="left", tremor_deg=2.0)
+        window.open(url)
+        window.until("#vehicles", "on a turntable")
+        window.click("Gyro scale, cross axes and offset on a turntable", "#vehicles")
+        window.until(NEWEST, "State the true rate")
+        window.type(f"{NEWEST} input", "45")
+        v.call("hold", pose="level", tilt_deg=0.0, tremor_deg=0.0)
+        window.until(NEWEST, "At rest: leave it alone. State the true rate")  # the card was drawn anew
+        assert window.run(f"return document.querySelector('{NEWEST} input').value") == "45"
+        window.click("Answer", NEWEST)
+        window.until(NEWEST, "Turn it clockwise (seen from above) at 45 deg/s")
+        window.click("Cancel", NEWEST)
+        window.until(NEWEST, "cancelled")
+        assert window.complaints() == []
+
+
 _DISABLED = "return [...document.querySelectorAll('#vehicles button')].map(b => b.disabled)"
 
 

@@ -22,7 +22,7 @@ from calib.firmware.plan import (
     WritePlan,
 )
 from calib.fit import FitResult, FitStatus, refused
-from calib.procedures.protocol import Done, GaveUp, Pose, Progress, Prompt
+from calib.procedures.protocol import Done, GaveUp, Number, Pose, Progress, Prompt
 from calib.recording import Sensor
 from calib.report import (
     fit_from_json,
@@ -167,6 +167,8 @@ def test_a_verification_survives_text():
     [
         Prompt("pose", "Hold it", pose=Pose.LEFT, remaining=(Pose.LEFT, Pose.BACK), direction=(0.0, 1.0, 0.0)),
         Prompt("confirm", "Ready?", answers=("finish",), stable=True, detected=Pose.LEVEL),
+        Prompt("turn", "Turn it", pose=Pose.LEVEL, axis=(0.0, 0.0, -1.0), turns=10.0),
+        Prompt("state", "How fast?", number=Number("rate", "deg/s", 1.0, 1000.0)),
         Progress(1.0, 2.0, "s", "half", eta=None, detail={"mask": [1, 2]}),
         GaveUp("nothing moved", "move it"),
     ],
@@ -175,6 +177,13 @@ def test_steps_survive_text(step):
     data = through_text(step_to_json(step))
     assert data["type"] in {"prompt", "progress", "gave_up"}
     assert step_from_json(data) == step
+
+
+def test_a_prompt_of_before_numbers_were_asked_for_is_still_read():
+    data = step_to_json(Prompt("confirm", "Ready?", answers=("finish",)))
+    for name in ("axis", "turns", "number"):
+        del data[name]
+    assert step_from_json(data) == Prompt("confirm", "Ready?", answers=("finish",))
 
 
 def test_done_carries_its_fits():

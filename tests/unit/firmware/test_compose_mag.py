@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from calib.firmware import ardupilot, px4
 from calib.firmware.compose import compose
@@ -154,3 +155,21 @@ def test_a_wrong_mounting_on_px4(px4_parameters, px4_fingerprint, make_fit):
     plan = compose([fit], px4_parameters | {"CAL_MAG0_ROT": 4}, px4_fingerprint)
     assert {c.name: c.new for c in plan.changes}["CAL_MAG0_ROT"] == 6
     assert "internal" in compose([fit], px4_parameters, px4_fingerprint).blockers[0]
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+@pytest.mark.parametrize("quarter", [False, True])
+def test_what_no_parameter_holds_of_the_mounting_is_lost_with_its_angle(request, make_fit, autopilot, quarter):
+    """A fit that knows the rotation: 2 deg askew, and perhaps a quarter turn besides, which a parameter holds."""
+    parameters = {**request.getfixturevalue(f"{autopilot}_parameters")}
+    parameters |= {"COMPASS_ORIENT": 0, "COMPASS_EXTERNAL": 1} if autopilot == "ardupilot" else {"CAL_MAG0_ROT": 0}
+    askew = Rotation.from_euler("Y", 2.0, degrees=True).as_matrix()
+    turn = Rotation.from_euler("Z", 90.0, degrees=True).as_matrix().round() if quarter else np.eye(3)
+    found = {"verdict": "rotated" if quarter else "as_stated", "name": "yaw_90", "matrix": turn.tolist()}
+    fit = mag_fit(make_fit, matrix=askew @ turn @ SOFT, quality=KNOWN | {"orientation": found})
+    plan = compose([fit], parameters, request.getfixturevalue(f"{autopilot}_fingerprint"))
+    assert not plan.blockers
+    (loss,) = (x for x in plan.losses if x.what == "mounting")
+    assert (loss.cost, loss.unit) == (pytest.approx(2.0, abs=1e-6), "deg")
+    rotation = {c.name for c in plan.changes} & {"COMPASS_ORIENT", "CAL_MAG0_ROT"}
+    assert bool(rotation) == quarter

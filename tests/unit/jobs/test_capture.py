@@ -5,9 +5,11 @@ from pathlib import Path
 
 import pytest
 
+from calib.procedures.registry import validate_options
 from calib.recording import Identity
 from service.errors import CaptureEnded
 from service.jobs.capture import Capture
+from service.jobs.digest import LiveDigest
 from service.jobs.handle import JobHandle
 from service.jobs.model import Job
 from service.jobs.states import JobState
@@ -27,6 +29,21 @@ class SlowToStart(FakeVehicle):
 
     async def identify(self) -> Identity:
         raise CaptureEnded("that is enough", remedy="")
+
+
+async def test_an_answer_that_comes_too_late_is_told_and_not_replayed() -> None:
+    """The prompt may change between the answer's check and its turn: that must not end the job."""
+    store = SqliteStore(None)
+    vehicle = FakeVehicle.with_floats({})
+    handle = JobHandle(Job("one", vehicle.id, "gyro", {}, JobState.RUNNING, 0.0, 0.0), store, lambda _: None)
+    handle.change("state", {})
+    capture = Capture(handle, vehicle, QUICK)
+    digest = LiveDigest("gyro-turntable", validate_options("gyro-turntable", {}), vehicle.identity, {}, 0.0)
+    handle.answers.put_nowait("45")
+    assert capture._answered(digest) == []
+    assert "the answer came too late" in handle.job.warnings[0]
+    assert "answers" not in handle.job.context
+    store.close()
 
 
 async def test_the_segment_begins_when_every_stream_was_asked_for(tmp_path: Path) -> None:

@@ -28,6 +28,7 @@ COMMANDS: dict[str, Command] = {
     "hold": lambda m: m.hold(1.0, "left", 3.0, 0.2),
     "turn": lambda m: m.turn(1.0, [0.3, -0.2, 1.0], 90.0),
     "tumble": lambda m: m.tumble(1.0, 45.0),
+    "whole turns": lambda m: m.turn(1.0, [0.3, -0.2, 1.0], -120.0, turns=1.0),
 }
 
 
@@ -100,6 +101,24 @@ def test_tumbling_keeps_its_pace_and_covers_the_sphere() -> None:
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     nearest = np.degrees(np.arccos(np.clip((directions @ down.T).max(axis=1), -1, 1)))
     assert nearest.max() < 35
+
+
+@pytest.mark.parametrize(("rate", "turns"), [(90.0, 3.0), (-45.0, 0.5), (360.0, 0.1)])
+def test_turns_on_a_thread_are_as_many_as_asked_for_and_end_at_rest(rate: float, turns: float) -> None:
+    motion = Motion(np.random.default_rng(1))
+    motion.turn(1.0, [0, 0, 1], rate, turns=turns)
+    t = np.linspace(1.0, 20.0, 40_000)
+    _, rates = motion.evaluate(t)
+    angle = np.degrees(np.sum(0.5 * (rates[1:, 2] + rates[:-1, 2]) * np.diff(t)))
+    assert angle == pytest.approx(np.sign(rate) * 360.0 * turns, rel=1e-6)
+    assert not rates[-1].any()
+    assert np.degrees(np.abs(rates).max()) <= abs(rate) * (1.0 + 1e-9)
+
+
+def test_turns_that_cannot_be_made_are_refused() -> None:
+    for rate, turns in ((90.0, 0.0), (0.0, 1.0), (90.0, -2.0)):
+        with pytest.raises(ControlError, match="cannot be made"):
+            Motion(np.random.default_rng(1)).turn(1.0, [0, 0, 1], rate, turns=turns)
 
 
 def test_a_turntable_turns_about_the_body_axis_at_the_asked_rate() -> None:
