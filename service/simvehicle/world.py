@@ -11,6 +11,7 @@ from service.simvehicle.motion import Motion
 from service.simvehicle.rotation import Array, body_from_ned, mounting_matrix
 from service.simvehicle.thermal import Thermal
 from service.simvehicle.truth import SensorTruth, draw_truth
+from service.simvehicle.wander import Wander
 
 
 @dataclass
@@ -39,6 +40,11 @@ class Ramp:
         self.start -= elapsed
 
 
+WALK_PER_NOISE = 2.9e-3
+"""Random walk of a bias in a root second, over the white noise of a sample at 50 Hz: the two are equal in the Allan
+deviation at sqrt(3) N/K = 85 s, as is usual for small MEMS."""
+
+
 @dataclass(frozen=True)
 class State:
     """True attitude (N, 4), body rate (N, 3) and body specific force (N, 3) at times (N,)."""
@@ -64,6 +70,11 @@ class World:
         self.sensor_from_body = mounting_matrix(config.board_orientation).T
         self.mag_from_body = tuple(mounting_matrix(config.mag_orientations[k]).T for k in range(config.mag_count))
         self._noise = np.random.default_rng([config.seed, 2])
+        self._wander = {
+            (truths, k): Wander(np.random.default_rng([config.seed, 3, j, k]))
+            for j, truths in enumerate(("accels", "gyros"))
+            for k in range(config.imu_count)
+        }
 
     def state(self, t: Array) -> State:
         """The exact state at ascending times."""
@@ -79,15 +90,17 @@ class World:
 
     def accel(self, instance: int, state: State, noise_scale: float = 1.0) -> Array:
         """Raw accelerometer (N, 3), m/s², in the sensor's frame."""
-        return self._inertial(self.truth.accels[instance], instance, state.force, state.t, noise_scale)
+        return self._inertial("accels", instance, state.force, state.t, noise_scale)
 
     def gyro(self, instance: int, state: State, noise_scale: float = 1.0) -> Array:
         """Raw gyroscope (N, 3), rad/s, in the sensor's frame."""
-        return self._inertial(self.truth.gyros[instance], instance, state.rate, state.t, noise_scale)
+        return self._inertial("gyros", instance, state.rate, state.t, noise_scale)
 
-    def _inertial(self, truth: SensorTruth, instance: int, body: Array, t: Array, noise_scale: float) -> Array:
+    def _inertial(self, kind: str, instance: int, body: Array, t: Array, noise_scale: float) -> Array:
+        truth: SensorTruth = getattr(self.truth, kind)[instance]
         raw = truth.distort(body @ self.sensor_from_body.T, self.thermal.imu(instance, t))
-        return raw + self._noise.normal(0.0, truth.noise * noise_scale, raw.shape)
+        wander = truth.noise * WALK_PER_NOISE * self._wander[kind, instance](t)
+        return raw + wander + self._noise.normal(0.0, truth.noise * noise_scale, raw.shape)
 
     def mag(self, instance: int, field_body: Array, t: Array, noise_scale: float = 1.0) -> Array:
         """Raw magnetometer (N, 3), µT, in the chip's frame, from the Earth field in the body frame."""
@@ -99,6 +112,8 @@ class World:
     def restart(self, elapsed: float) -> None:
         """The firmware reboots and its clock begins again at zero; the physical world goes on."""
         self.motion.restart(elapsed)
+        for wander in self._wander.values():
+            wander.restart(elapsed)
         self.thermal.restart(elapsed)
         self.throttle.restart(elapsed)
         self.current.restart(elapsed)
