@@ -152,6 +152,13 @@ class FakeVehicle:
         self._frames.append(entry)
         return lambda: self._frames.remove(entry)
 
+    async def record(
+        self, message_ids: frozenset[int], callback: FramesCallback
+    ) -> tuple[TlogPosition, Callable[[], None]]:
+        """See JobVehicle."""
+        await asyncio.sleep(0)
+        return self.tlog_position(), self.subscribe(message_ids, callback)
+
     def deliver(self, frames: Sequence[Frame]) -> None:
         """Hand frames to whoever subscribed to their ids."""
         for ids, callback in tuple(self._frames):

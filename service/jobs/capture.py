@@ -69,15 +69,17 @@ class Capture:
         rates = requested_streams(self.vehicle.identity.autopilot or "", specification(self.handle.job.kind).sensors)
         await ask_for_streams(self.handle, self.vehicle, rates, measure_s=self.settings.measure_s)
         # Only now: on a bad link the requests take long, and a replay of the streams that came first would not wait
-        # for the others. The segment and the subscription begin together, so that live and replay see the same.
-        row = open_span(self.handle.store, self.handle.id, SegmentPurpose.CAPTURE, self.vehicle)
-        forget = self.vehicle.subscribe(LiveDigest.wanted(self.vehicle.identity), self._take)
+        # for the others. The segment and the frames begin at the same place, so that live and replay see the same.
+        position, forget = await self.vehicle.record(LiveDigest.wanted(self.vehicle.identity), self._take)
         try:
-            return await self._captured(earlier)
+            row = open_span(self.handle.store, self.handle.id, SegmentPurpose.CAPTURE, position)
+            try:
+                return await self._captured(earlier)
+            finally:
+                await asyncio.shield(close_span(self.handle.store, row, self.vehicle))
+                self.reach(At.CAPTURE_CLOSED)
         finally:
             forget()
-            await asyncio.shield(close_span(self.handle.store, row, self.vehicle))
-            self.reach(At.CAPTURE_CLOSED)
 
     async def _captured(self, earlier: Sequence[SegmentRow]) -> Done:
         self.reach(At.CAPTURE_STARTED)

@@ -109,6 +109,17 @@ class FleetVehicle:
 
         return self._vehicle.subscribe(message_ids, hand_on)
 
+    async def record(
+        self, message_ids: frozenset[int], callback: FramesCallback
+    ) -> tuple[TlogPosition, Callable[[], None]]:
+        """See JobVehicle."""
+
+        def hand_on(frames: Sequence[Frame], batch: Batch) -> None:
+            callback(frames, batch.tlog_error)
+
+        byte, forget = await self._vehicle.record(message_ids, hand_on)
+        return TlogPosition(self._vehicle.link.tlog.path, byte), forget
+
     def on_parameter(self, callback: Callable[[Reading], None]) -> Callable[[], None]:
         """See JobVehicle."""
         return self._vehicle.parameters.listen(lambda heard, _before: callback(_reading(heard)))

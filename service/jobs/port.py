@@ -110,6 +110,12 @@ class JobVehicle(Protocol):
         """Be called with this vehicle's frames of these ids, in order; returns how to stop."""
         ...
 
+    async def record(
+        self, message_ids: frozenset[int], callback: FramesCallback
+    ) -> tuple[TlogPosition, Callable[[], None]]:
+        """Like `subscribe`, for exactly what the telemetry log holds from the place returned. Raises LinkDown."""
+        ...
+
     def on_parameter(self, callback: Callable[[Reading], None]) -> Callable[[], None]:
         """Be called with every PARAM_VALUE heard, asked for or not; returns how to stop."""
         ...

@@ -7,14 +7,13 @@ import hashlib
 
 from service.jobs.digest import read_range
 from service.jobs.model import Span
-from service.jobs.port import JobVehicle
+from service.jobs.port import JobVehicle, TlogPosition
 from service.store.protocol import JobStore
 from service.store.rows import SegmentPurpose, SegmentRow
 
 
-def open_span(store: JobStore, job_id: str, purpose: SegmentPurpose, vehicle: JobVehicle) -> SegmentRow:
-    """Begin a segment where the vehicle's log stands now."""
-    position = vehicle.tlog_position()
+def open_span(store: JobStore, job_id: str, purpose: SegmentPurpose, position: TlogPosition) -> SegmentRow:
+    """Begin a segment at a place of the vehicle's log."""
     return store.open_segment(job_id, purpose, position.path, position.byte)
 
 

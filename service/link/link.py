@@ -15,7 +15,7 @@ from service.errors import EndpointError, LinkDown
 from service.link.endpoint import Endpoint, EndpointKind, parse_endpoint
 from service.link.local import FileTransport, SerialTransport, SimTransport
 from service.link.loss import SequenceCounter
-from service.link.reader import Outgoing, Reader, Report, StateChange
+from service.link.reader import Mark, Outgoing, Reader, Report, StateChange
 from service.link.recorder import TlogRecorder
 from service.link.tcp import TcpServerTransport, TcpTransport
 from service.link.transports import Transport
@@ -188,6 +188,21 @@ class Link:
             raise LinkDown(f"Link {self.id}: nobody with system id {target[0]} was heard yet.")
         reader.send(Outgoing(raw, target))
 
+    def mark(self, reached: Callable[[int], None]) -> None:
+        """Call `reached` between two batches, with the byte of the recording where the second begins.
+
+        What is subscribed to before this call is in the batches behind that place, and whoever subscribes in `reached`
+        gets exactly what is recorded from there on: frames that were recorded but not yet handed on lie before it.
+
+        Raises
+        ------
+        LinkDown
+            If the link is not connected.
+        """
+        if self._reader is None or self.state in (LinkState.DOWN, LinkState.CLOSED):
+            raise LinkDown(f"Link {self.id} ({self.endpoint}) is {self.state}: {self.reason}")
+        self._reader.mark(reached)
+
     @property
     def tlog(self) -> TlogRecorder:
         """The recording: its ``path``, ``position`` (bytes written), ``error`` and ``await sync()``."""
@@ -237,6 +252,8 @@ class Link:
                     loop.call_soon(self._hand_batch, key, batch)
             elif isinstance(batch, StateChange):
                 self._change_state(batch)
+            elif isinstance(batch, Mark):
+                loop.call_soon(batch.reached, batch.position)
             else:
                 self._announce(batch)
 

@@ -50,7 +50,14 @@ class StateChange(NamedTuple):
     error: LinkError | None = None
 
 
-Report = Batch | LinkEvent | StateChange
+class Mark(NamedTuple):
+    """A place in the order of the batches: the frames handed on behind it are those recorded from `position` on."""
+
+    reached: Callable[[int], None]
+    position: int
+
+
+Report = Batch | LinkEvent | StateChange | Mark
 
 
 class Reader(threading.Thread):
@@ -83,6 +90,7 @@ class Reader(threading.Thread):
         self._closed_crc_errors = 0
         self._frames = 0
         self._outgoing: deque[Outgoing] = deque()
+        self._marks: deque[Callable[[int], None]] = deque()
         self._sent: deque[bytes] = deque(maxlen=64)
         self._sequence = 0
         self._reports: deque[Report] = deque()
@@ -101,6 +109,11 @@ class Reader(threading.Thread):
     def send(self, outgoing: Outgoing) -> None:
         """Queue a message."""
         self._outgoing.append(outgoing)
+        self._wake()
+
+    def mark(self, reached: Callable[[int], None]) -> None:
+        """Ask for a :class:`Mark`; `wanted` as it is now holds for every frame behind it."""
+        self._marks.append(reached)
         self._wake()
 
     def stop(self) -> None:
@@ -184,6 +197,7 @@ class Reader(threading.Thread):
             wait = self._transport.wait()
             selector.select(_IDLE_S if wait is None else min(wait, _IDLE_S))
             self._empty_wake()
+            self._post_marks()
             self._send_queued()
             if self._congested() and self._transport.lossless:
                 time.sleep(_PACE_S)
@@ -209,6 +223,10 @@ class Reader(threading.Thread):
     def _empty_wake(self) -> None:
         with contextlib.suppress(BlockingIOError):
             self._wake_receive.recv(4096)
+
+    def _post_marks(self) -> None:
+        while self._marks:
+            self._post(Mark(self._marks.popleft(), self._recorder.position))
 
     # --- receiving --------------------------------------------------------------------------------------------------
 

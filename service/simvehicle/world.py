@@ -40,9 +40,9 @@ class Ramp:
         self.start -= elapsed
 
 
-WALK_PER_NOISE = 2.9e-3
+WALK_PER_NOISE = 1.7e-3
 """Random walk of a bias in a root second, over the white noise of a sample at 50 Hz: the two are equal in the Allan
-deviation at sqrt(3) N/K = 85 s, as is usual for small MEMS."""
+deviation at sqrt(3) N/K = 144 s, as is usual for small MEMS."""
 
 
 @dataclass(frozen=True)

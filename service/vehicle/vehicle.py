@@ -61,6 +61,7 @@ CONFLICT_S = 30.0
 """A doubt about who is being talked to holds for so long after its last sign."""
 _POLL_S = 2.0
 _WHO_S = 5.0
+_MARK_S = 5.0
 _SECOND_ANSWER_S = 0.3
 _IDENTIFY_TRIES = 5
 
@@ -167,6 +168,35 @@ class Vehicle:
                 forget_ids()
 
         return unsubscribe
+
+    async def record(self, message_ids: frozenset[int], callback: FramesCallback) -> tuple[int, Callable[[], None]]:
+        """Subscribe to exactly what the link's recording holds from a byte on; that byte, and how to stop.
+
+        Raises
+        ------
+        LinkDown
+            If the link is not connected.
+        """
+        begun: asyncio.Future[tuple[int, Callable[[], None]]] = asyncio.get_running_loop().create_future()
+
+        def reached(position: int) -> None:
+            if not begun.done():
+                begun.set_result((position, self.subscribe(message_ids, callback)))
+
+        hold = self.link.subscribe(lambda _batch: None, message_ids)
+        try:
+            self.link.mark(reached)
+            await asyncio.wait({begun}, timeout=_MARK_S)
+            if not begun.done():
+                raise LinkDown(f"Link {self.link.id} ({self.link.endpoint}) does not read: {self.link.reason}")
+        except BaseException:
+            if begun.done():
+                begun.result()[1]()
+            begun.cancel()
+            raise
+        finally:
+            hold()
+        return begun.result()
 
     def feed(self, frames: Sequence[Frame], batch: Batch) -> None:
         """Take the frames of this vehicle out of a batch, in order."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import struct
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import suppress
 from pathlib import Path
@@ -11,7 +12,8 @@ from typing import Any
 
 import pytest
 
-from service.errors import CommandRefused, EndpointError, ParameterMissing, VehicleArmed
+from calib import wire
+from service.errors import CommandRefused, EndpointError, LinkDown, ParameterMissing, VehicleArmed
 from service.link import Link, LinkState
 from service.simvehicle.client import SimulatedVehicle
 from service.vehicle import (
@@ -220,3 +222,35 @@ async def test_a_simulated_link_lives_and_ends_with_its_vehicle(ground: Ground) 
     writer.close()
     with pytest.raises(EndpointError, match="did not start"):
         await ground.link("sim:ardupilot?script=no_such_script")
+
+
+async def test_a_recorded_subscription_hears_exactly_what_the_recording_holds_from_its_place_on(ground: Ground) -> None:
+    """Frames that waited, recorded but not handed on, when it began are neither heard nor behind its place."""
+    with simulated(speed=20.0) as sim:
+        vehicle = await ground.vehicle(sim.url)
+        ids = frozenset({27, 116})
+        await request_streams(vehicle, {27: 100.0, 116: 100.0}, measure_s=0.0)
+        for _ in range(6):
+            always = vehicle.subscribe(ids, lambda frames, _batch: None)  # keeps the frames that wait
+            await asyncio.sleep(0.05)
+            time.sleep(0.15)  # noqa: ASYNC251 - a busy loop: frames gather
+            heard: list[bytes] = []
+            place, forget = await vehicle.record(
+                ids, lambda frames, _batch, heard=heard: heard.extend(frame.raw for frame in frames)
+            )
+            time.sleep(0.05)  # noqa: ASYNC251 - as above
+            await asyncio.sleep(0.1)
+            forget()
+            always()
+            data = vehicle.link.tlog.path.read_bytes()[place:]
+            recorded = [frame.raw for _, frame in wire.iter_tlog(data) if frame.message_id in ids]
+            assert len(heard) > 50
+            assert recorded[: len(heard)] == heard
+
+
+async def test_a_recorded_subscription_on_a_link_that_is_down_is_refused(ground: Ground) -> None:
+    with simulated() as sim:
+        vehicle = await ground.vehicle(sim.url)
+        await vehicle.link.close()
+        with pytest.raises(LinkDown):
+            await vehicle.record(frozenset({27}), lambda _frames, _batch: None)
