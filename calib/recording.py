@@ -32,6 +32,8 @@ class Sensor(StrEnum):
     ROTOR_SPEED = "rotor_speed"  # one column a rotor, Hz
     ATTITUDE = "attitude"  # w x y z, body to north-east-down
     POSITION = "position"  # latitude deg, longitude deg, altitude m
+    VELOCITY = "velocity"  # north east down, m/s
+    PLACE = "place"  # north east down of a local origin, m
 
 
 class Stage(StrEnum):
@@ -202,7 +204,11 @@ class Identity:
 
 @dataclass(frozen=True)
 class Recording:
-    """Channels, parameters, events and identity of one vehicle over one span of time."""
+    """Channels, parameters, events and identity of one vehicle over one span of time.
+
+    `reference` holds what is not of the vehicle's own sensors: what a simulated or ideal sensor read at the same time
+    (ACCEL, GYRO, MAG), and the pose of a reference (ATTITUDE, PLACE, VELOCITY). No calibration touches it.
+    """
 
     channels: tuple[Channel, ...]
     parameters: ParameterTimeline = field(default_factory=ParameterTimeline)
@@ -210,6 +216,7 @@ class Recording:
     segments: tuple[Segment, ...] = ()
     identity: Identity = field(default_factory=Identity)
     source: str = ""
+    reference: tuple[Channel, ...] = ()
 
     def instances(self, sensor: Sensor) -> tuple[int, ...]:
         """The instances of `sensor` that have samples, ascending."""
@@ -242,6 +249,7 @@ class Recording:
             channels=tuple(c.between(start, end) for c in self.channels),
             events=tuple(e for e in self.events if start <= e.t < end),
             segments=tuple(s for s in self.segments if s.start < end and s.end > start),
+            reference=tuple(c.between(start, end) for c in self.reference),
         )
 
     def with_channels(self, channels: Iterable[Channel]) -> Recording:
@@ -262,19 +270,23 @@ def join(chunks: Iterable[Recording]) -> Recording:
     parts = tuple(chunks)
     if not parts:
         return Recording(())
-    pieces: dict[tuple[Sensor, int, str], list[Channel]] = {}
-    for part in parts:
-        for channel in part.channels:
-            pieces.setdefault(channel.key, []).append(channel)
     entries = tuple(e for p in parts for e in p.parameters.entries)
     return Recording(
-        channels=tuple(_concatenated(group) for group in pieces.values()),
+        channels=_concatenated_by_key(c for p in parts for c in p.channels),
         parameters=ParameterTimeline(entries, end_observed=parts[-1].parameters.end_observed),
         events=tuple(e for p in parts for e in p.events),
         segments=tuple(s for p in parts for s in p.segments),
         identity=parts[-1].identity,
         source=parts[0].source,
+        reference=_concatenated_by_key(c for p in parts for c in p.reference),
     )
+
+
+def _concatenated_by_key(channels: Iterable[Channel]) -> tuple[Channel, ...]:
+    pieces: dict[tuple[Sensor, int, str], list[Channel]] = {}
+    for channel in channels:
+        pieces.setdefault(channel.key, []).append(channel)
+    return tuple(_concatenated(group) for group in pieces.values())
 
 
 def _concatenated(group: list[Channel]) -> Channel:
