@@ -1,0 +1,1 @@
+"""The catalogue: every effect that can be named, one family a file."""

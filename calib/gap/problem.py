@@ -1,0 +1,137 @@
+"""What the diagnosis works on: every sensor beside what an ideal one would have read at the same times.
+
+References are made by :mod:`calib.gap.reference`; from here on nothing knows where they came from, except through
+:class:`ReferenceInfo`, which says how far they can be believed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.recording import Sensor
+
+Array = NDArray[np.float64]
+
+
+class ReferenceKind(StrEnum):
+    """Where the ideal readings come from, best first (GAP 3.5b)."""
+
+    REDUNDANT = "redundant"  # another instance on the same vehicle: measured minus measured, free of attitude
+    SIM = "sim"  # ref_* columns, a simulator's log of the same trajectory, or the truth in a simulator's log
+    POSE = "pose"  # an ideal sensor driven by a reference pose
+    ESTIMATOR = "estimator"  # an ideal sensor driven by a trajectory that was re-estimated from the recording itself
+    NOMINAL = "nominal"  # a simulator's log of another flight: both are held against an ideal sensor
+
+
+@dataclass(frozen=True)
+class ReferenceInfo:
+    """How far a reference can be believed.
+
+    Parameters
+    ----------
+    kind
+        Where it comes from.
+    att_sigma_deg
+        Standard deviation of its attitude, degrees; 0 where the attitude is exact or does not matter.
+    att_time_s
+        Time over which that error stays the same, s.
+    text
+        One sentence for the report.
+    """
+
+    kind: ReferenceKind
+    att_sigma_deg: float = 0.0
+    att_time_s: float = 5.0
+    text: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """One sensor against its reference on a uniform grid at its own rate.
+
+    Parameters
+    ----------
+    sensor
+        ACCEL, GYRO or MAG.
+    instances
+        The instance; several if this is what they have in common.
+    t : shape (N,)
+        Uniform, s. A hole in the recording is a stretch where `observed` is False.
+    measured, ideal : shape (N, 3)
+        What the sensor read, and what an ideal one would have read, in the sensor's frame, SI units or uT. With a
+        redundant reference `ideal` is the other instance's reading, and `against` names it.
+    observed : shape (N,)
+        False where there is no sample (both arrays then hold finite fill values).
+    force, rate, spin, field : shape (N, 3)
+        Ideal specific force (m/s2), angular rate (rad/s), its derivative (rad/s2) and magnetic field (uT) in the body
+        at these times; NaN columns nowhere: where one is unknown the attribute is None.
+    attitude : shape (N, 4) or None
+        Body to north-east-down, w x y z.
+    temperature, current, throttle : shape (N,) or None
+        degC, A, 0..1, interpolated to `t`.
+    motors, rotor_hz : shape (N, m) or None
+        0..1; Hz.
+    sigma : shape (3,) or None
+        White noise of one sample that is declared for the reference together with the sensor (a simulator's own
+        noise); None: to be learned from a nominal recording or from the data.
+    quantum
+        Width of a quantisation bin, 0 for none.
+    psd : shape (K, 3) or None
+        Power spectral density per DCT bin learned from nominal recordings, in units of variance of one sample, on
+        `psd_hz` (K,).
+    """
+
+    sensor: Sensor
+    instances: tuple[int, ...]
+    t: Array
+    measured: Array
+    ideal: Array
+    observed: NDArray[np.bool_]
+    force: Array | None = None
+    rate: Array | None = None
+    spin: Array | None = None
+    field: Array | None = None
+    attitude: Array | None = None
+    temperature: Array | None = None
+    current: Array | None = None
+    throttle: Array | None = None
+    motors: Array | None = None
+    rotor_hz: Array | None = None
+    sigma: Array | None = None
+    quantum: float = 0.0
+    psd: Array | None = None
+    psd_hz: Array | None = None
+    against: int | None = None
+
+    @property
+    def fs(self) -> float:
+        """Samples per second."""
+        return 1.0 / float(np.median(np.diff(self.t)))
+
+    @property
+    def residual(self) -> Array:
+        """Measured minus ideal, shape (N, 3)."""
+        return self.measured - self.ideal
+
+    @property
+    def unit(self) -> str:
+        """Of the readings."""
+        return {Sensor.ACCEL: "m/s2", Sensor.GYRO: "rad/s", Sensor.MAG: "uT"}[self.sensor]
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """One diagnosis: traces with one reference each, and what was noticed while they were made."""
+
+    traces: tuple[Trace, ...]
+    reference: ReferenceInfo
+    duration_s: float
+    inputs: dict[str, str] = field(default_factory=dict)
+    """sha256 of the files by role."""
+    warnings: tuple[str, ...] = ()
+    not_testable: tuple[tuple[str, str, str], ...] = ()
+    """Effect id, reason, need: what the recordings do not allow to be tested."""
