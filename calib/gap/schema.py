@@ -1,0 +1,297 @@
+"""The answer of a gap diagnosis, and its JSON ("gap/1").
+
+Parameters are forward: what is added to, or multiplies, the ideal sensor. Numbers in the JSON are finite or null.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum, StrEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import InvalidInputError
+from calib.recording import Sensor
+
+Array = NDArray[np.float64]
+Json = dict[str, Any]
+
+SCHEMA = "gap/1"
+
+
+class Verdict(StrEnum):
+    """What the diagnosis says in one word."""
+
+    EXPLAINED = "explained"  # effects of the catalogue account for the gap
+    PARTLY_EXPLAINED = "partly_explained"  # they account for part of it, and the rest is not of the catalogue
+    UNKNOWN = "unknown"  # there is a gap, and no effect of the catalogue explains it
+    REFERENCE = "reference"  # what differs is the reference
+    NO_GAP = "no_gap"  # nothing beyond the noise
+    NOT_TESTABLE = "not_testable"  # these recordings do not allow an answer
+
+
+@dataclass(frozen=True)
+class Regime:
+    """A condition: one bin of one covariate. `kind` is ``all time temperature current ... band``."""
+
+    kind: str
+    bin: tuple[float, float]
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One channel in one regime where the sensor differs from its reference by more than the noise.
+
+    `nats_per_sample` is the loss of log-likelihood against the declared noise, `p_holm` corrected for every cell.
+    """
+
+    channel: str
+    instance: int
+    regime: Regime
+    nats_per_sample: float
+    rms: float
+    unit: str
+    p_holm: float
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter of an effect with its standard error and 95 % interval."""
+
+    name: str
+    value: float
+    se: float
+    ci95: tuple[float, float]
+    unit: str
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """How sure an effect is.
+
+    `share` is its part of what all effects together gain, the mean of the gain as the first and as the last one.
+    """
+
+    two_delta_loglik: float
+    df: int
+    p_adj: float
+    probability: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another explanation of the same data.
+
+    `kappa` is the share of the effect's energy that the rival can imitate; `delta` by how much the penalised evidence
+    (twice the log-likelihood) prefers the effect; `fix` what would tell them apart.
+    """
+
+    id: str
+    kappa: float
+    delta: float
+    fix: str
+
+
+@dataclass(frozen=True)
+class Gates:
+    """Checks that an effect passed; None where it could not be made."""
+
+    heldout_blocks: bool | None = None
+    other_log: bool | None = None
+    dose_response: bool | None = None
+
+
+@dataclass(frozen=True)
+class EffectEstimate:
+    """An effect that was found. Instances count from 1."""
+
+    id: str
+    sensor: Sensor
+    instances: tuple[int, ...]
+    params: tuple[Estimate, ...]
+    evidence: Evidence
+    confusable_with: tuple[Rival, ...] = ()
+    gates: Gates = Gates()
+    sim_patch: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class HiddenDriver:
+    """The axes drift together: one scalar that nobody recorded drives them along `direction`."""
+
+    p: float
+    direction: tuple[float, float, float]
+    sensor: Sensor
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """What no effect of the catalogue explains."""
+
+    flag: bool = False
+    share: float = 0.0
+    shape: str = ""
+    hidden_driver: HiddenDriver | None = None
+    probability: float = 0.0
+
+
+@dataclass(frozen=True)
+class SequenceStep:
+    """Part of the gap that is closed once this effect is added to the ones before."""
+
+    add: str
+    closed: float
+
+
+@dataclass(frozen=True)
+class Shrink:
+    """How far the gap shrinks on data that were held out, in nats a sample.
+
+    `rms` holds, by sensor, the root mean square of the residual before and after, and the unit.
+    """
+
+    before: float
+    after: float
+    floor: float
+    floor_source: str
+    closed: float | None
+    ci95: tuple[float, float] | None
+    nested: bool
+    sequence: tuple[SequenceStep, ...] = ()
+    rms: Mapping[str, tuple[float, float, str]] = field(default_factory=dict)
+    metric: str = "heldout_nlpd"
+
+
+@dataclass(frozen=True)
+class NotTestable:
+    """An effect that these recordings could not have shown, why, and what would be needed."""
+
+    id: str
+    reason: str
+    need: str
+
+
+@dataclass(frozen=True)
+class Power:
+    """The smallest value of a parameter that these recordings would have shown with a chance of one half."""
+
+    id: str
+    name: str
+    smallest: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class MultipleTesting:
+    """Number of tests made, and the chance that any of them fires without a gap."""
+
+    m: int
+    alpha_family: float
+    grid_corrected: bool = True
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What was diagnosed, against which reference, with which version of the diagnoser."""
+
+    real_sha256: str | None
+    sim_sha256: str | None
+    fs_hz: float
+    duration_s: float
+    reference_kind: str
+    att_sigma_deg: float
+    reference_text: str
+    declared_noise: Mapping[str, tuple[float, ...]]
+    diagnoser_sha256: str
+
+
+@dataclass(frozen=True, eq=False)
+class SeriesFit:
+    """One sensor's residual before and after the effects, for plots; not part of the JSON.
+
+    `residual`, `modelled` (N, 3); `sigma` (3,) of one sample; `parts` by effect id (N, 3).
+    """
+
+    sensor: Sensor
+    instances: tuple[int, ...]
+    t: Array
+    residual: Array
+    modelled: Array
+    sigma: Array
+    unit: str
+    parts: Mapping[str, Array]
+
+
+@dataclass(frozen=True, eq=False)
+class GapReport:
+    """Where a sensor differs from the simulated one, which effects cause it, and how far they close the gap."""
+
+    inputs: Inputs
+    verdict: Verdict
+    where: tuple[Finding, ...] = ()
+    effects: tuple[EffectEstimate, ...] = ()
+    unknown: Unknown = Unknown()
+    shrink: Shrink | None = None
+    not_testable: tuple[NotTestable, ...] = ()
+    power: tuple[Power, ...] = ()
+    multiple_testing: MultipleTesting = MultipleTesting(0, 0.005)
+    warnings: tuple[str, ...] = ()
+    series: tuple[SeriesFit, ...] = ()
+
+
+def as_json(report: GapReport) -> Json:
+    """The JSON of GAP 8, ``power`` beside it."""
+    inputs = report.inputs
+    return {
+        "schema": SCHEMA,
+        "inputs": {
+            "real_sha256": inputs.real_sha256,
+            "sim_sha256": inputs.sim_sha256,
+            "fs_hz": _plain(inputs.fs_hz),
+            "duration_s": _plain(inputs.duration_s),
+            "reference": {
+                "kind": inputs.reference_kind,
+                "att_sigma_deg": _plain(inputs.att_sigma_deg),
+                "text": inputs.reference_text,
+            },
+            "declared_noise": _plain(inputs.declared_noise),
+            "diagnoser_sha256": inputs.diagnoser_sha256,
+        },
+        "verdict": report.verdict.value,
+        "where": [_plain(finding) for finding in report.where],
+        "effects": [_plain(effect) for effect in report.effects],
+        "unknown": _plain(report.unknown),
+        "shrink": _plain(report.shrink),
+        "not_testable": [_plain(entry) for entry in report.not_testable],
+        "power": [_plain(entry) for entry in report.power],
+        "multiple_testing": _plain(report.multiple_testing),
+        "warnings": list(report.warnings),
+    }
+
+
+def _plain(value: Any) -> Any:
+    """`value` in the types of JSON; numbers that are not finite become null."""
+    if isinstance(value, Enum):
+        return value.value
+    if value is None or isinstance(value, bool | str):
+        return value
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, int):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    raise InvalidInputError(f"{type(value).__name__} has no form in JSON")
