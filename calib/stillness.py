@@ -258,23 +258,19 @@ def pose_means(
     """Mean of `accel` in every span of `stills` that holds at least eight of its samples.
 
     With `gyro` (rad/s) the mean is freed of the shrink by tremor: where gravity swings by small angles ``theta`` of
-    covariance ``S``, ``E a = (1 - (tr S - S)/2) a``. The bias of the rate is the median over three spans or more, and
-    each span's own mean otherwise.
+    covariance ``S``, ``E a = (1 - (tr S - S)/2) a``. The bias of the rate is each span's own, for it moves with the
+    temperature: the attitude drifts as much as the accelerometer shows.
     """
-    rates = [_rate(gyro, still) for still in stills]
-    known = [rate for rate in rates if rate is not None]
-    bias = np.median(known, axis=0) if len(known) >= 3 else None
     poses = []
-    for still, rate in zip(stills, rates, strict=True):
+    for still in stills:
+        rate = _rate(gyro, still)
         part = accel.between(still.start, still.end)
         part = part.take(finite_rows(part.values))
         if len(part) < 8:
             continue
         direction = part.values.mean(axis=0)
         estimate = mean_of(part, frame=frame_along(direction))
-        swing = (
-            np.zeros((3, 3)) if gyro is None or rate is None else _swing(gyro, still, rate if bias is None else bias)
-        )
+        swing = np.zeros((3, 3)) if gyro is None or rate is None else _swing(gyro, still, _turning(part))
         shrink = 0.5 * (np.trace(swing) * np.eye(3) - swing)
         poses.append(
             PoseMean(
@@ -390,12 +386,32 @@ def _rate(gyro: Channel | None, still: Still) -> Array | None:
     return np.asarray(values.mean(axis=0), dtype=np.float64) if len(values) >= 8 else None
 
 
-def _swing(gyro: Channel, still: Still, bias: Array) -> Array:
-    """Covariance (3, 3) in rad^2 of the attitude in a still span, from the integrated rate."""
+def _turning(accel: Channel) -> Array:
+    """Rate (3,) with which gravity turns in a span, by least squares, rad/s; zero for counts: their centre is unknown.
+
+    In the body ``df/dt = -w x f``, so that ``w = -(f x df/dt)/|f|^2`` but for a turn about gravity, which does not
+    shorten it.
+    """
+    if accel.unit != "m/s2":
+        return np.zeros(3)
+    t = accel.t - accel.t.mean()
+    spread = float(t @ t)
+    if spread <= 0.0:
+        return np.zeros(3)
+    mean = accel.values.mean(axis=0)
+    slope = t @ (accel.values - mean) / spread
+    return np.asarray(-np.cross(mean, slope) / max(float(mean @ mean), 1e-12))
+
+
+def _swing(gyro: Channel, still: Still, turning: Array) -> Array:
+    """Covariance (3, 3) in rad^2 of the attitude in a still span: the integrated rate about the slope `turning`."""
     part = gyro.between(still.start, still.end)
     part = part.take(finite_rows(part.values))
-    steps = (0.5 * (part.values[1:] + part.values[:-1]) - bias) * np.diff(part.t)[:, None]
-    return np.cov(np.vstack([np.zeros(3), np.cumsum(steps, axis=0)]).T)
+    steps = 0.5 * (part.values[1:] + part.values[:-1]) * np.diff(part.t)[:, None]
+    angle = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
+    t = part.t - part.t.mean()
+    angle += np.outer(t, turning - t @ angle / (t @ t))
+    return np.cov(angle.T)
 
 
 def _mean_temperature(temperature: Channel | None, still: Still) -> float | None:

@@ -180,6 +180,31 @@ def test_tremor_does_not_shorten_gravity(held_poses):
     assert np.abs(np.mean(freed)) < 0.1 * np.mean(plain)
 
 
+def test_a_gyro_bias_that_differs_from_pose_to_pose_is_no_tremor():
+    """While a sensor warms up its gyro drifts by more than a hand turns."""
+    spans = tuple(Still(4.0 * k, 4.0 * k + 4.0, None, None) for k in range(5))
+    bias = np.repeat(np.linspace(-0.03, 0.03, 5), 200)
+    accel, gyro = accel_and_gyro(level(1000), np.outer(bias, [1.0, 0.5, 0.0]), noise=(0.0, 0.0))
+    for pose in pose_means(accel, spans, gyro=gyro):
+        assert np.linalg.norm(pose.mean) == pytest.approx(np.linalg.norm(level(1)), abs=1e-6)
+
+
+def test_a_slow_turn_in_the_hand_does_not_shorten_gravity():
+    t = np.arange(600) / 100.0
+    angle = np.radians(1.5) * t / 6.0
+    accel, gyro = accel_and_gyro(
+        -G * np.stack([-np.sin(angle), np.zeros(600), np.cos(angle)], axis=1),
+        np.tile([0.02, np.radians(0.25) + 0.01, -0.01], (600, 1)),
+        rate=100.0,
+        noise=(0.0, 0.0),
+    )
+    (plain,) = pose_means(accel, (Still(0.0, 6.0, None, None),))
+    (freed,) = pose_means(accel, (Still(0.0, 6.0, None, None),), gyro=gyro)
+    short = G - np.linalg.norm(plain.mean)
+    assert short > 2e-4
+    assert abs(G - np.linalg.norm(freed.mean)) < 0.05 * short
+
+
 def test_a_pose_carries_its_temperature_and_rate():
     accel, gyro = accel_and_gyro(level(200), np.tile([0.0, 0.01, 0.0], (200, 1)))
     temperature = Channel(
