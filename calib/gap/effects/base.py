@@ -17,10 +17,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter in the forward sense: what is added to, or multiplies, the ideal sensor (GAP 8)."""
+    """A parameter in the forward sense: what is added to, or multiplies, the ideal sensor (GAP 8).
+
+    `squared`: the contest's linear amplitude is the square of the value that is reported (amplitudes of noise).
+    """
 
     name: str
     unit: str
+    squared: bool = False
 
 
 class Missing(Protocol):
@@ -38,12 +42,14 @@ def always(_trace: Trace) -> tuple[str, str] | None:
 class Shape:
     """The one nonlinear parameter of an effect: a delay, a cut-off, a time constant, a moment.
 
-    `grid(trace)` gives the values that are tried first (M,); the contest pays log M for them, then refines between
-    neighbours.
+    `grid(trace)` gives the values that are tried first (M,), ascending; the contest pays log M for them, then refines
+    between neighbours. Where M is large, `screen(trace, residual)` picks a few of them (at least one) that are worth
+    trying from what is still unexplained, shape (N, 3); the price stays that of the whole grid.
     """
 
     parameter: Parameter
     grid: Callable[[Trace], Array]
+    screen: Callable[[Trace, Array], Array] | None = None
 
 
 @dataclass(frozen=True)
@@ -64,6 +70,10 @@ class Effect:
         What a trace lacks for it.
     shape
         None: purely linear.
+    rivals
+        Ids of the effects that imitate it where the movement is poor.
+    shared
+        One set of parameters acts on every trace of every sensor; `sensor` then only says whose page it is on.
     """
 
     id: str
@@ -73,16 +83,35 @@ class Effect:
     fix: str
     missing: Missing = always
     shape: Shape | None = None
+    rivals: tuple[str, ...] = ()
+    shared: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class MeanEffect(Effect):
     """Moves the mean: measured = ideal + sum_j parameter_j * columns_j.
 
-    `columns(trace, theta)` gives (p, N, 3); `theta` is the shape's value, NaN for effects without one.
+    Parameters
+    ----------
+    columns
+        ``columns(trace, theta)`` gives (p, N, 3); `theta` is the shape's value, NaN for effects without one. They may
+        depend on each other where the movement is poor: a rank below p is no error.
+    signals
+        ``signals(trace, theta)`` gives (q, N) where column ``3 q + axis`` is signal q on that axis alone: one transform
+        instead of nine. None for effects that are not of this form.
+    fixed
+        The amplitude of the only column is 1 by definition and `parameters` is empty: what is estimated is `theta`.
+    exact
+        ``exact(trace, parameters)`` gives (N, 3), the change of the mean without linearisation; None: it is linear.
+    noise_gain
+        ``noise_gain(trace, omega, theta)`` gives (K,), by which the sensor's own noise spectrum is multiplied; None: 1.
     """
 
     columns: Callable[[Trace, float], Array]
+    signals: Callable[[Trace, float], Array] | None = None
+    fixed: bool = False
+    exact: Callable[[Trace, Array], Array] | None = None
+    noise_gain: Callable[[Trace, Array, float], Array] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +119,8 @@ class NoiseEffect(Effect):
     """Adds power: S_k += sum_j parameter_j * density_j(k), amplitudes >= 0 per axis.
 
     `density(trace, omega, theta)` gives (p, K) on DCT frequencies `omega` (rad per sample, 0..pi), in variance of one
-    sample for a unit parameter. `variance(trace)`, if not None, gives (N,): the effect's power follows it in time.
+    sample for a unit parameter, averaged over the recording; `parameters` are 3 p: the amplitudes of each density on
+    x, y, z. `variance(trace)`, if not None, gives (N,) of mean one: the effect's power follows it in time.
     """
 
     density: Callable[[Trace, Array, float], Array]
