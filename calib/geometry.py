@@ -30,3 +30,18 @@ def frame_along(direction: Array) -> Array:
     unit = direction / size
     basis = np.linalg.qr(np.column_stack([unit, np.eye(3)[np.argsort(np.abs(unit))[:2]].T]))[0]
     return np.asarray(basis, dtype=np.float64)
+
+
+def quaternion_from_euler(roll: Array, pitch: Array, yaw: Array) -> Array:
+    """Quaternions w x y z (N, 4), body to world, of angles (N,) in rad: a turn about z, the new y, then the new x."""
+    (cr, cp, cy), (sr, sp, sy) = [[f(0.5 * angle) for angle in (roll, pitch, yaw)] for f in (np.cos, np.sin)]
+    q = np.stack(
+        [
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ],
+        axis=1,
+    )
+    return np.asarray(q, dtype=np.float64)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from calib.geometry import quaternion_from_euler
 from calib.recording import Channel, Sensor, Stage
 
 if TYPE_CHECKING:
@@ -26,18 +27,8 @@ VFR_HUD: Final = dialect.MAVLINK_MSG_ID_VFR_HUD
 
 
 def _attitude(rows: NDArray[Any]) -> Values:
-    half = [0.5 * rows[name].astype(np.float64) for name in ("roll", "pitch", "yaw")]
-    (cr, cp, cy), (sr, sp, sy) = [np.cos(a) for a in half], [np.sin(a) for a in half]
-    q = np.stack(
-        [
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        ],
-        axis=1,
-    )
-    return np.isfinite(q).all(axis=1), q
+    q = quaternion_from_euler(*(rows[name].astype(np.float64) for name in ("roll", "pitch", "yaw")))
+    return np.asarray(np.isfinite(q).all(axis=1)), q
 
 
 def _quaternion(rows: NDArray[Any]) -> Values:

@@ -6,17 +6,19 @@ from pathlib import Path
 from typing import Any
 
 from calib.errors import InvalidInputError, UnreadableError
+from calib.logs.dataflash import DataFlash, read_dataflash
 from calib.logs.tables import read_table
 from calib.logs.tlog import read_tlog
 from calib.recording import Recording
 
-_LATER = {b"\xa3\x95": "a DataFlash log", b"ULog": "a ULog"}
+_DATAFLASH_START = b"\xa3\x95"
+_LATER = {b"ULog": "a ULog"}
 _MAVLINK_STARTS = (0xFD, 0xFE)
 _TLOG_OPTIONS = ("start", "end", "system")
 
 
 def read(path: Path | str, **options: Any) -> Recording:
-    """Read a telemetry log (.tlog) or a table (.csv and the like, .npz, .mat).
+    """Read a telemetry log (.tlog), a DataFlash log (.bin) or a table (.csv and the like, .npz, .mat).
 
     Parameters
     ----------
@@ -42,6 +44,8 @@ def read(path: Path | str, **options: Any) -> Recording:
     for start, what in _LATER.items():
         if head.startswith(start):
             raise UnreadableError(f"{file.name} is {what}: those cannot be read yet; give a .tlog or a table")
+    if head.startswith(_DATAFLASH_START):
+        return read_dataflash(_plain(file, options))
     if b"FMT," in head:
         raise UnreadableError(
             f"{file.name} is a DataFlash log as text: those cannot be read yet; give a .tlog or a table"
@@ -56,4 +60,12 @@ def read(path: Path | str, **options: Any) -> Recording:
     return read_table(file, **{key: value for key, value in options.items() if key not in _TLOG_OPTIONS})
 
 
-__all__ = ["read", "read_table", "read_tlog"]
+def _plain(file: Path, options: dict[str, Any]) -> Path:
+    """The same file, if no option is given that its format answers itself."""
+    given = [key for key in ("mapping", "rate", *_TLOG_OPTIONS) if options.get(key)]
+    if given:
+        raise InvalidInputError(f"{file.name} is a log, its fields are known: leave {', '.join(given)} out")
+    return file
+
+
+__all__ = ["DataFlash", "read", "read_dataflash", "read_table", "read_tlog"]

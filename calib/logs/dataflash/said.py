@@ -1,0 +1,138 @@
+"""What a DataFlash log says in words: parameters and their changes, whose log it is, arming, modes, errors, texts."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from calib.firmware.log_fields import ARMED_EVENT, DISARMED_EVENT
+from calib.recording import Event, Identity, ParameterEntry
+
+if TYPE_CHECKING:
+    from calib.logs.dataflash.clock import Clock
+    from calib.logs.dataflash.log import Log
+
+_FIRMWARE: Final = re.compile(r"(?:APM:)?(?:Ardu)?(Copter|Plane|Rover|Sub)\s+V(\d+)\.(\d+)(?:\.(\d+))?", re.IGNORECASE)
+_TYPES: Final = {
+    "copter": dialect.MAV_TYPE_QUADROTOR,
+    "plane": dialect.MAV_TYPE_FIXED_WING,
+    "rover": dialect.MAV_TYPE_GROUND_ROVER,
+    "sub": dialect.MAV_TYPE_SUBMARINE,
+}
+_CHIP: Final = re.compile(r"\b([0-9A-F]{8}) ([0-9A-F]{8}) ([0-9A-F]{8})$")
+UID2_BYTES: Final = 18
+
+
+def parameter_entries(log: Log, clock: Clock) -> tuple[ParameterEntry, ...]:
+    """Every parameter the log holds, in its order: the list of the start, and what was set later."""
+    table = log.get("PARM")
+    if table is None or "Name" not in table or "Value" not in table:
+        return ()
+    names, values = table.columns("Name", "Value")
+    return tuple(
+        ParameterEntry(t, name, value)
+        for t, name, value in zip(clock.times(table).tolist(), names.tolist(), values.tolist(), strict=True)
+        if name
+    )
+
+
+def identity_of(log: Log) -> Identity:
+    """Firmware, kind of vehicle and chip, as far as the log says."""
+    identity = Identity(autopilot="ardupilot")
+    for text in _texts(log):
+        found = _FIRMWARE.search(text)
+        if found and identity.firmware is None:
+            kind, major, minor, patch = found.groups(default="0")
+            identity = dataclasses.replace(
+                identity, vehicle_type=_TYPES[kind.lower()], firmware=(int(major), int(minor), int(patch))
+            )
+        chip = _CHIP.search(text)
+        if chip and identity.uid is None:
+            identity = dataclasses.replace(identity, uid=_uid(chip.groups()))
+    version = log.get("VER")
+    if version is not None and len(version) and all(name in version for name in ("Maj", "Min", "Pat")):
+        numbers = [int(column[0]) for column in version.columns("Maj", "Min", "Pat")]
+        identity = dataclasses.replace(identity, firmware=(numbers[0], numbers[1], numbers[2]))
+    return identity
+
+
+def spoken_events(log: Log, clock: Clock) -> list[Event]:
+    """Texts, modes, errors, arming and disarming."""
+    events = [Event(t, "text", text) for t, text in zip(_times(log, clock, "MSG"), _texts(log), strict=True)]
+    for t, (mode,) in _rows(log, clock, "MODE", "Mode"):
+        events.append(Event(t, "text", f"mode {mode}"))
+    for t, (subsystem, code) in _rows(log, clock, "ERR", "Subsys", "ECode"):
+        events.append(Event(t, "text", f"error of subsystem {subsystem}: code {code}"))
+    armed = [(t, bool(state)) for t, (state,) in _rows(log, clock, "ARM", "ArmState")] or [
+        (t, code == ARMED_EVENT)
+        for t, (code,) in _rows(log, clock, "EV", "Id")
+        if code in (ARMED_EVENT, DISARMED_EVENT)
+    ]
+    before = None
+    for t, state in armed:
+        if state != before:
+            kind = "armed" if state else "disarmed"
+            events.append(Event(t, kind, f"the vehicle was {kind}"))
+        before = state
+    return events
+
+
+def counted_events(log: Log, clock: Clock) -> list[Event]:
+    """Clipping of the accelerometers and messages that the logger dropped, each as one sum."""
+    events = []
+    vibration = log.get("VIBE")
+    if vibration is not None:
+        t = clock.times(vibration)
+        unit = vibration["IMU"] if "IMU" in vibration else np.zeros(len(t), dtype=np.intp)
+        for number in np.unique(unit).tolist() if "Clip" in vibration else ():
+            events += _increase(
+                t[unit == number],
+                vibration["Clip"][unit == number],
+                "clipping",
+                f"accelerometer {number + 1} clipped {{}} times",
+            )
+        for number in range(3):
+            if f"Clip{number}" in vibration:
+                events += _increase(
+                    t, vibration[f"Clip{number}"], "clipping", f"accelerometer {number + 1} clipped {{}} times"
+                )
+    dropped = log.get("DSF")
+    if dropped is not None and "Dp" in dropped:
+        events += _increase(
+            clock.times(dropped), dropped["Dp"], "drop", "the vehicle could not write {} messages of this log"
+        )
+    return events
+
+
+def _increase(t: Any, counter: Any, kind: str, text: str) -> list[Event]:
+    """How far a counter rose, at the time when it first did."""
+    steps = np.diff(counter.astype(np.int64), prepend=counter[:1].astype(np.int64))
+    total = int(steps[steps > 0].sum())
+    return [Event(float(t[np.argmax(steps > 0)]), kind, text.format(total))] if total else []
+
+
+def _texts(log: Log) -> list[str]:
+    table = log.get("MSG")
+    return [] if table is None or "Message" not in table else [str(text) for text in table["Message"]]
+
+
+def _times(log: Log, clock: Clock, name: str) -> list[float]:
+    table = log.get(name)
+    return [] if table is None or "Message" not in table else clock.times(table).tolist()
+
+
+def _rows(log: Log, clock: Clock, name: str, *columns: str) -> list[tuple[float, tuple[Any, ...]]]:
+    table = log.get(name)
+    if table is None or any(column not in table for column in columns):
+        return []
+    found = [column.tolist() for column in table.columns(*columns)]
+    return list(zip(clock.times(table).tolist(), zip(*found, strict=True), strict=True))
+
+
+def _uid(words: tuple[str, ...]) -> str:
+    """The chip's number as AUTOPILOT_VERSION's uid2 says it: the log prints words, the message holds their bytes."""
+    return b"".join(bytes.fromhex(word)[::-1] for word in words).rstrip(b"\0").hex()

@@ -1,0 +1,181 @@
+"""What a DataFlash log says beside the calibrated sensors: pose, place, currents, motors, the simulator's truth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.firmware.log_fields import MOTOR_FUNCTIONS, PWM_DEFAULT, THROTTLE_FUNCTIONS
+from calib.geometry import quaternion_from_euler
+from calib.logs.dataflash.channels import instances
+from calib.recording import Channel, Rounding, Sensor, Stage
+
+if TYPE_CHECKING:
+    from calib.logs.dataflash.clock import Clock
+    from calib.logs.dataflash.log import Log, Table
+
+Array = NDArray[np.float64]
+
+FIX_3D: Final = 3
+"""``GPS.Status`` from which on place and velocity are known."""
+
+
+def state_channels(log: Log, clock: Clock, parameters: Mapping[str, float]) -> list[Channel]:
+    """Attitude, position, velocity, current, throttle, motors and rotors, as far as the log has them."""
+    found: list[Channel | None] = [_attitude(log, clock)]
+    for number, name in enumerate(("GPS", "GPS2")):
+        if name in log:
+            found += _gps(log[name], clock, number)
+    found += _currents(log, clock)
+    found += [_throttle(log, clock), _motors(log, clock, parameters), _rotors(log, clock)]
+    return [channel for channel in found if channel is not None and len(channel)]
+
+
+def reference_channels(log: Log, clock: Clock) -> list[Channel]:
+    """The simulator's truth: attitude and position of SIM, place and velocity of SIM2."""
+    found = []
+    sim, local = log.get("SIM"), log.get("SIM2")
+    if sim is not None and "Q1" in sim:
+        t = clock.times(sim)
+        found.append(_made(Sensor.ATTITUDE, sim, t, _unit(np.column_stack(sim.columns("Q1", "Q2", "Q3", "Q4"))), "1"))
+        found.append(_made(Sensor.POSITION, sim, t, np.column_stack(sim.columns("Lat", "Lng", "Alt")), "deg deg m"))
+    if local is not None and "PN" in local:
+        t = clock.times(local)
+        found.append(_made(Sensor.PLACE, local, t, np.column_stack(local.columns("PN", "PE", "PD")), "m"))
+        found.append(_made(Sensor.VELOCITY, local, t, np.column_stack(local.columns("VN", "VE", "VD")), "m/s"))
+    return [channel for channel in found if len(channel)]
+
+
+def _made(
+    sensor: Sensor, table: Table, t: Array, values: Array, unit: str, instance: int = 0, quantum: float = 0.0
+) -> Channel:
+    """A channel of the rows that are finite, in the order of time."""
+    values = np.asarray(values, dtype=np.float64).reshape(len(t), -1)
+    good = np.isfinite(values).all(axis=1) & np.isfinite(t)
+    t, values = t[good], values[good]
+    if (np.diff(t) < 0).any():
+        order = np.argsort(t, kind="stable")
+        t, values = t[order], values[order]
+    rounding = Rounding.NEAREST if quantum else Rounding.NONE
+    return Channel(sensor, instance, t, values, unit, Stage.RAW, table.name, quantum, rounding)
+
+
+def _unit(q: Array) -> Array:
+    """The quaternions (N, 4) at length 1; nan where there is none."""
+    length = np.linalg.norm(q, axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(np.where((length > 0.5)[:, None], q / length[:, None], np.nan))
+
+
+def _attitude(log: Log, clock: Clock) -> Channel | None:
+    table = log.get("ATT")
+    if table is not None and all(name in table for name in ("Roll", "Pitch", "Yaw")):
+        roll, pitch, yaw = (np.radians(column) for column in table.columns("Roll", "Pitch", "Yaw"))
+        return _made(Sensor.ATTITUDE, table, clock.times(table), quaternion_from_euler(roll, pitch, yaw), "1")
+    for name in ("XKQ", "NKQ", "AHR2"):
+        table = log.get(name)
+        if table is not None and "Q1" in table:
+            rows = table["C"] == 0 if "C" in table else slice(None)
+            q = np.column_stack([column[rows] for column in table.columns("Q1", "Q2", "Q3", "Q4")])
+            return _made(Sensor.ATTITUDE, table, clock.times(table)[rows], _unit(q.astype(np.float64)), "1")
+    return None
+
+
+def _gps(table: Table, clock: Clock, number: int) -> list[Channel]:
+    found = []
+    t = clock.times(table)
+    for instance, rows in instances(table, number):
+        fixed = table["Status"][rows] >= FIX_3D
+        place = np.column_stack([column[rows][fixed] for column in table.columns("Lat", "Lng", "Alt")])
+        found.append(_made(Sensor.POSITION, table, t[rows][fixed], place, "deg deg m", instance))
+        if "VZ" in table:
+            speed, course, down = (column[rows][fixed] for column in table.columns("Spd", "GCrs", "VZ"))
+            course = np.radians(course)
+            velocity = np.column_stack([speed * np.cos(course), speed * np.sin(course), down])
+            found.append(_made(Sensor.VELOCITY, table, t[rows][fixed], velocity, "m/s", instance))
+    return found
+
+
+def _currents(log: Log, clock: Clock) -> list[Channel]:
+    found = []
+    for names in (("BAT", "BAT2"), ("CURR", "CUR2")):
+        for number, name in enumerate(names):
+            table = log.get(name)
+            if table is None or "Curr" not in table:
+                continue
+            whole = table.format.letter("Curr") in ("h", "H", "i")  # cA in old firmwares
+            t, current = clock.times(table), table["Curr"] * (0.01 if whole else 1.0)
+            for instance, rows in instances(table, number):
+                quantum = 0.01 if whole else 0.0
+                found.append(_made(Sensor.CURRENT, table, t[rows], current[rows], "A", instance, quantum))
+        if found:
+            break
+    return found
+
+
+def _throttle(log: Log, clock: Clock) -> Channel | None:
+    table = log.get("CTUN")
+    column = next((name for name in ("ThO", "ThrOut") if table is not None and name in table), None)
+    if table is None or column is None:
+        table, column = log.get("CURR"), "Throttle"
+        if table is None:
+            return None
+        column = next((name for name in ("Throttle", "ThrOut") if name in table), "")
+        if not column:
+            return None
+    whole = table.format.letter(column) in ("h", "H", "i", "I")
+    scale = 1000.0 if whole else 100.0 if "NavRoll" in table else 1.0  # planes log per cent
+    return _made(Sensor.THROTTLE, table, clock.times(table), table[column] / scale, "1", 0, 1e-3 if whole else 0.0)
+
+
+def _motors(log: Log, clock: Clock, parameters: Mapping[str, float]) -> Channel | None:
+    table = log.get("RCOU")
+    if table is None:
+        return None
+    outputs = [name for name in table.names if name.strip("Chan").isdigit()]
+    chosen = _motor_outputs([int(name.strip("Chan")) for name in outputs], parameters)
+    if not chosen:
+        return None
+    low, high = _pwm(parameters)
+    columns = dict(zip((int(name.strip("Chan")) for name in outputs), outputs, strict=True))
+    pwm = np.column_stack(table.columns(*(columns[output] for output in chosen))).astype(np.float64)
+    driven = (pwm > 0).any(axis=0)
+    if not driven.any():
+        return None
+    values = np.clip((pwm[:, driven] - low) / (high - low), 0.0, 1.0)
+    return _made(Sensor.MOTOR, table, clock.times(table), values, "1", 0, 1.0 / (high - low))
+
+
+def _motor_outputs(outputs: list[int], parameters: Mapping[str, float]) -> list[int]:
+    """Outputs that drive motors, by motor number; an old firmware has the first ones drive them."""
+    functions = {n: int(parameters.get(f"SERVO{n}_FUNCTION", 0)) for n in outputs}
+    motors = {MOTOR_FUNCTIONS[f]: n for n, f in functions.items() if f in MOTOR_FUNCTIONS}
+    if motors:
+        return [motors[k] for k in sorted(motors)]
+    throttles = [n for n, f in functions.items() if f in THROTTLE_FUNCTIONS]
+    return throttles or ([n for n in outputs if n <= 8] if "SERVO1_FUNCTION" not in parameters else [])
+
+
+def _pwm(parameters: Mapping[str, float]) -> tuple[float, float]:
+    """Pulse widths of 0 and 1, us."""
+    for low, high in (("MOT_PWM_MIN", "MOT_PWM_MAX"), ("RC3_MIN", "RC3_MAX")):
+        if 500 <= parameters.get(low, 0) < parameters.get(high, 0) <= 2500:
+            return float(parameters[low]), float(parameters[high])
+    return PWM_DEFAULT
+
+
+def _rotors(log: Log, clock: Clock) -> Channel | None:
+    """Speeds of all rotors at the times of the first one's messages; the others' last ones known then."""
+    table = log.get("ESC")
+    if table is None or "RPM" not in table:
+        return None
+    t, speed = clock.times(table), table["RPM"] / 60.0
+    rotors = [(np.sort(t[rows]), speed[rows][np.argsort(t[rows], kind="stable")]) for _, rows in instances(table, 0)]
+    if not rotors or not speed.any():  # without telemetry of the speed controllers the firmware logs zeros
+        return None
+    grid = rotors[0][0]
+    columns = [values[np.maximum(np.searchsorted(times, grid, side="right") - 1, 0)] for times, values in rotors]
+    return _made(Sensor.ROTOR_SPEED, table, grid, np.column_stack(columns), "Hz")
