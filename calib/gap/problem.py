@@ -6,6 +6,7 @@ References are made by :mod:`calib.gap.reference`; from here on nothing knows wh
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -71,6 +72,8 @@ class Trace:
         at these times; NaN columns nowhere: where one is unknown the attribute is None.
     attitude : shape (N, 4) or None
         Body to north-east-down, w x y z.
+    place : shape (N, 3) or None
+        North, east, down of a local origin, m.
     temperature, current, throttle : shape (N,) or None
         degC, A, 0..1, interpolated to `t`.
     motors, rotor_hz : shape (N, m) or None
@@ -78,11 +81,13 @@ class Trace:
     sigma : shape (3,) or None
         White noise of one sample that is declared for the reference together with the sensor (a simulator's own
         noise); None: to be learned from a nominal recording or from the data.
+    sigma_dof
+        Degrees of freedom per axis from which `sigma` was estimated; infinite if it is exact.
     quantum
         Width of a quantisation bin, 0 for none.
     psd : shape (K, 3) or None
         Power spectral density per DCT bin learned from nominal recordings, in units of variance of one sample, on
-        `psd_hz` (K,).
+        `psd_hz` (K,): all of the noise, `sigma` included.
     """
 
     sensor: Sensor
@@ -106,6 +111,8 @@ class Trace:
     psd: Array | None = None
     psd_hz: Array | None = None
     against: int | None = None
+    place: Array | None = None
+    sigma_dof: float = math.inf
 
     @property
     def fs(self) -> float:

@@ -1,0 +1,123 @@
+"""What an ideal sensor would have read, as signals over time, whatever it was made from."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.gap.problem import ReferenceInfo, Trace
+from calib.gap.reference.grid import grid_of
+from calib.gap.reference.signal import Signal, slow
+from calib.recording import Channel, Recording, Sensor
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Ideal:
+    """A reference: what ideal sensors in the vehicle's body axes read.
+
+    Parameters
+    ----------
+    info
+        Where it comes from and how far it can be believed.
+    readings
+        Of ACCEL, GYRO, MAG where they are known, (N, 3).
+    attitude
+        Body to north-east-down, w x y z, or None.
+    place
+        North, east, down of a local origin, m, or None.
+    warnings
+        What was noticed on the way.
+    """
+
+    info: ReferenceInfo
+    readings: Mapping[Sensor, Signal]
+    attitude: Signal | None = None
+    place: Signal | None = None
+    warnings: tuple[str, ...] = ()
+    spin: Signal | None = field(default=None)
+
+    def __post_init__(self) -> None:
+        if self.spin is None and Sensor.GYRO in self.readings:
+            object.__setattr__(self, "spin", self.readings[Sensor.GYRO].rate_of_change())
+
+    def shifted(self, by: float) -> Ideal:
+        """The same, `by` seconds later."""
+        readings = {sensor: signal.shifted(by) for sensor, signal in self.readings.items()}
+        attitude = None if self.attitude is None else self.attitude.shifted(by)
+        place = None if self.place is None else self.place.shifted(by)
+        return Ideal(self.info, readings, attitude, place, self.warnings)
+
+    def body(self, t: Array) -> dict[str, Any]:
+        """Force, rate, spin, field, attitude and place at `t`; None for what is not known."""
+        signals = {
+            "force": self.readings.get(Sensor.ACCEL),
+            "rate": self.readings.get(Sensor.GYRO),
+            "spin": self.spin,
+            "field": self.readings.get(Sensor.MAG),
+            "attitude": self.attitude,
+            "place": self.place,
+        }
+        values = {name: None if signal is None else signal.at(t) for name, signal in signals.items()}
+        if (q := values["attitude"]) is not None:
+            values["attitude"] = q / np.linalg.norm(q, axis=1, keepdims=True)
+        return values
+
+
+def trace_of(channel: Channel, reading: Signal, ideal: Ideal | None, recording: Recording) -> Trace:
+    """`channel` on its own grid beside `reading`, with what the body and the vehicle did meanwhile.
+
+    The ideal reading is taken at the true time stamps, so that jitter of the stamps does not become a gap.
+
+    Raises
+    ------
+    InvalidInputError
+        If the channel is no time series.
+    """
+    grid = grid_of(channel)
+    at_points = grid.t.copy()
+    at_points[grid.point] = grid.stamps
+    ideal_values = reading.at(at_points)
+    observed = grid.observed & reading.known(at_points)
+    measured = ideal_values.copy()
+    rows = observed[grid.point]
+    measured[grid.point[rows]] = channel.values[grid.sample[rows]]
+    keep = _span(observed)
+    trace = Trace(
+        sensor=channel.sensor,
+        instances=(channel.instance,),
+        t=grid.t[keep],
+        measured=measured[keep],
+        ideal=ideal_values[keep],
+        observed=observed[keep],
+        quantum=channel.quantum,
+    )
+    body = {} if ideal is None else ideal.body(at_points[keep])
+    return dataclasses.replace(trace, **body, **_vehicle(recording, channel, trace.t))
+
+
+def _span(observed: NDArray[np.bool_]) -> slice:
+    """From the first to the last observed point."""
+    seen = np.flatnonzero(observed)
+    return slice(int(seen[0]), int(seen[-1]) + 1) if len(seen) else slice(0, 0)
+
+
+def _vehicle(recording: Recording, channel: Channel, t: Array) -> dict[str, Any]:
+    """Temperature, current, throttle, motors and rotors at `t`; None where they were not recorded."""
+    thermometers = [c for i in (channel.instance, 0) for c in recording.find(Sensor.TEMPERATURE, i)]
+    single = {
+        "temperature": slow(thermometers, t),
+        "current": slow(recording.find(Sensor.CURRENT), t),
+        "throttle": slow(recording.find(Sensor.THROTTLE), t),
+    }
+    return {
+        **{name: None if values is None else values[:, 0] for name, values in single.items()},
+        "motors": slow(recording.find(Sensor.MOTOR), t),
+        "rotor_hz": slow(recording.find(Sensor.ROTOR_SPEED), t),
+    }
