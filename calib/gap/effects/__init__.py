@@ -1,1 +1,22 @@
 """The catalogue: every effect that can be named, one family a file."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from calib.gap.effects import affine, magnetic, temperature
+from calib.gap.effects.base import Effect
+
+_FAMILIES = (affine, magnetic, temperature)
+
+
+@cache
+def catalogue() -> tuple[Effect, ...]:
+    """Every effect, sensor by sensor within each family."""
+    return tuple(effect for family in _FAMILIES for effect in family.EFFECTS)
+
+
+@cache
+def by_id() -> dict[str, Effect]:
+    """The catalogue by the effects' ids."""
+    return {effect.id: effect for effect in catalogue()}

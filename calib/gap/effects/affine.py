@@ -1,0 +1,110 @@
+"""Bias, scale, misalignment and rotation: ``measured = R K (ideal) + b`` (METHODS 0)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from calib.gap.effects.base import Effect, MeanEffect, Parameter
+from calib.gap.effects.parts import AXES, INERTIAL, TRIADS, TUMBLE, UNIT, axiswise, crossed, moves, per_axis
+from calib.gap.problem import Trace
+from calib.recording import Sensor
+
+Array = NDArray[np.float64]
+
+OFF_DIAGONAL = ((0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1))
+"""Row and column: how much of the ideal `column` axis is seen on the `row` axis."""
+
+
+def constant(trace: Trace, _theta: float) -> Array:
+    """One signal (1, N): one throughout."""
+    return np.ones((1, len(trace.t)))
+
+
+def scale_columns(trace: Trace, _theta: float) -> Array:
+    """Each axis' ideal reading on that axis: ``K - 1``."""
+    columns = np.zeros((3, *trace.ideal.shape))
+    for axis in range(3):
+        columns[axis, :, axis] = trace.ideal[:, axis]
+    return columns
+
+
+def misalignment_columns(trace: Trace, _theta: float) -> Array:
+    """The six elements of the matrix beside its diagonal."""
+    columns = np.zeros((6, *trace.ideal.shape))
+    for j, (row, column) in enumerate(OFF_DIAGONAL):
+        columns[j, :, row] = trace.ideal[:, column]
+    return columns
+
+
+def rotation_columns(trace: Trace, _theta: float) -> Array:
+    """``e_j x ideal``."""
+    return crossed(trace.ideal)
+
+
+def rotated(trace: Trace, parameters: Array) -> Array:
+    """``exp([r x]) ideal - ideal``: a rotation vector in rad, without linearisation."""
+    matrix = Rotation.from_rotvec(np.array(parameters)).as_matrix()
+    return np.asarray(trace.ideal @ (matrix - np.eye(3)).T, dtype=np.float64)
+
+
+def _bias(sensor: Sensor) -> Effect:
+    rivals = {
+        Sensor.ACCEL: ("accel_vibration_rectification", "accel_scale", "reference_attitude"),
+        Sensor.GYRO: ("gyro_g_sensitivity", "gyro_temp_linear", "gyro_vibration_rectification"),
+    }
+    return MeanEffect(
+        f"{sensor}_bias",
+        sensor,
+        per_axis("bias", UNIT[sensor]),
+        "any movement, rest included",
+        f"{TUMBLE}; throttle 0-hover-0 twice at one attitude",
+        columns=axiswise(constant),
+        signals=constant,
+        rivals=rivals[sensor],
+    )
+
+
+def _matrix_part(
+    kind: str,
+    sensor: Sensor,
+    parameters: tuple[Parameter, ...],
+    columns: Callable[[Trace, float], Array],
+    rivals: tuple[str, ...],
+    exact: Callable[[Trace, Array], Array] | None = None,
+) -> Effect:
+    about = {Sensor.ACCEL: "attitudes", Sensor.GYRO: "turns", Sensor.MAG: "attitudes"}[sensor]
+    return MeanEffect(
+        f"{sensor}_{kind}",
+        sensor,
+        parameters,
+        f"{about} about all three axes",
+        "turn about each axis both ways" if sensor == Sensor.GYRO else TUMBLE,
+        moves(sensor),
+        columns=columns,
+        rivals=tuple(f"{sensor}_{rival}" for rival in rivals),
+        exact=exact,
+    )
+
+
+def _effects() -> tuple[Effect, ...]:
+    cross = tuple(Parameter(f"misalignment.{AXES[i]}{AXES[j]}", "1") for i, j in OFF_DIAGONAL)
+    biases = [_bias(s) for s in INERTIAL]
+    scales = [_matrix_part("scale", s, per_axis("scale", "1"), scale_columns, ("bias", "temp_scale")) for s in INERTIAL]
+    crossings = [_matrix_part("misalignment", s, cross, misalignment_columns, ("rotation", "bias")) for s in INERTIAL]
+    # A magnetometer's symmetric matrix is its soft iron; what is left of the matrix is the rotation.
+    rivals = {
+        Sensor.ACCEL: ("misalignment", "bias"),
+        Sensor.GYRO: ("misalignment", "bias"),
+        Sensor.MAG: ("earth_field", "hard_iron"),
+    }
+    rotations = [
+        _matrix_part("rotation", s, per_axis("rotation", "rad"), rotation_columns, rivals[s], rotated) for s in TRIADS
+    ]
+    return (*biases, *scales, *crossings, *rotations)
+
+
+EFFECTS = _effects()

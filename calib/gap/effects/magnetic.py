@@ -1,0 +1,142 @@
+"""What is particular to magnetometers: iron on the vehicle, currents, and the field of the place.
+
+``measured = (I + S) B_b + h + c I`` with ``B_b = R_bn (B_n + dB + G (p - p_0))``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.gap.effects.affine import constant
+from calib.gap.effects.base import Effect, MeanEffect, Parameter
+from calib.gap.effects.parts import TUMBLE, axiswise, body_from_ned, first_missing, moves, per_axis, spread
+from calib.gap.problem import Trace
+from calib.recording import Sensor
+
+Array = NDArray[np.float64]
+
+SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+_SYMMETRIC_NAMES = ("xx", "yy", "zz", "xy", "xz", "yz")
+_LEAST_CURRENT = 0.5  # A, standard deviation; 0.05 uT/A of it are 0.025 uT, a twentieth of a sensor's noise
+_LEAST_PATH = 0.3  # m, standard deviation of the place along its widest direction
+_NED = "ned"
+
+# A gradient of a field without sources in the volume is symmetric (no curl) and has no trace (no divergence).
+GRADIENT = (
+    np.array([[1.0, 0, 0], [0, 0, 0], [0, 0, -1.0]]),
+    np.array([[0.0, 0, 0], [0, 1.0, 0], [0, 0, -1.0]]),
+    np.array([[0.0, 1.0, 0], [1.0, 0, 0], [0, 0, 0]]),
+    np.array([[0.0, 0, 1.0], [0, 0, 0], [1.0, 0, 0]]),
+    np.array([[0.0, 0, 0], [0, 0, 1.0], [0, 1.0, 0]]),
+)
+_GRADIENT_NAMES = ("nn", "ee", "ne", "nd", "ed")
+
+
+def soft_iron_columns(trace: Trace, _theta: float) -> Array:
+    """The six elements of a symmetric matrix."""
+    columns = np.zeros((6, *trace.ideal.shape))
+    for j, (row, column) in enumerate(SYMMETRIC):
+        columns[j, :, row] = trace.ideal[:, column]
+        columns[j, :, column] = trace.ideal[:, row]
+    return columns
+
+
+def current_signal(trace: Trace, _theta: float) -> Array:
+    """The current in A, (1, N)."""
+    assert trace.current is not None
+    return trace.current[None, :]
+
+
+def earth_columns(trace: Trace, _theta: float) -> Array:
+    """North, east and down as the body sees them."""
+    assert trace.attitude is not None
+    return np.ascontiguousarray(body_from_ned(trace.attitude).transpose(2, 0, 1))
+
+
+def gradient_columns(trace: Trace, _theta: float) -> Array:
+    """The five fields of a uniform gradient about the middle of the path, as the body sees them."""
+    assert trace.attitude is not None
+    assert trace.place is not None
+    path = trace.place - trace.place[trace.observed].mean(axis=0)
+    turn = body_from_ned(trace.attitude)
+    return np.stack([np.einsum("nij,nj->ni", turn, path @ g.T) for g in GRADIENT])
+
+
+def _no_current(trace: Trace) -> tuple[str, str] | None:
+    if trace.current is None:
+        return "no current recorded", "a current monitor in the log, currents that vary by >= 0.5 A"
+    size = spread(trace.current[:, None], trace.observed)
+    if size < _LEAST_CURRENT:
+        return f"current varies by {size:.2g} A", "a variation >= 0.5 A: throttle 0-hover-0"
+    return None
+
+
+def _no_attitude(trace: Trace) -> tuple[str, str] | None:
+    return None if trace.attitude is not None else ("attitude unknown", "a reference attitude")
+
+
+def _no_path(trace: Trace) -> tuple[str, str] | None:
+    if trace.place is None:
+        return "position unknown", "a reference position over a path of a metre or more"
+    size = spread(trace.place, trace.observed)
+    if size < _LEAST_PATH:
+        return f"position varies by {size:.2g} m", "a variation >= 0.3 m"
+    return None
+
+
+_ATTITUDES = "attitudes about all three axes"
+
+EFFECTS: tuple[Effect, ...] = (
+    MeanEffect(
+        "mag_hard_iron",
+        Sensor.MAG,
+        per_axis("hard_iron", "uT"),
+        "any movement, rest included",
+        f"{TUMBLE}; throttle 0-hover-0 twice at one attitude",
+        columns=axiswise(constant),
+        signals=constant,
+        rivals=("mag_soft_iron", "mag_motor_current", "mag_earth_field"),
+    ),
+    MeanEffect(
+        "mag_soft_iron",
+        Sensor.MAG,
+        tuple(Parameter(f"soft_iron.{name}", "1") for name in _SYMMETRIC_NAMES),
+        _ATTITUDES,
+        TUMBLE,
+        moves(Sensor.MAG),
+        columns=soft_iron_columns,
+        rivals=("mag_hard_iron", "mag_rotation", "mag_temp_scale"),
+    ),
+    MeanEffect(
+        "mag_motor_current",
+        Sensor.MAG,
+        per_axis("per_ampere", "uT/A"),
+        "currents that vary",
+        "throttle 0-hover-0 twice at one attitude",
+        _no_current,
+        columns=axiswise(current_signal),
+        signals=current_signal,
+        rivals=("mag_hard_iron", "mag_step"),
+    ),
+    MeanEffect(
+        "mag_earth_field",
+        Sensor.MAG,
+        tuple(Parameter(f"earth_field.{axis}", "uT") for axis in _NED),
+        _ATTITUDES,
+        f"{TUMBLE}; the same with the sensor turned by 180 degrees in its mounting",
+        first_missing((_no_attitude, moves(Sensor.MAG))),
+        columns=earth_columns,
+        rivals=("mag_rotation", "mag_hard_iron", "mag_soft_iron"),
+    ),
+    MeanEffect(
+        "mag_field_gradient",
+        Sensor.MAG,
+        tuple(Parameter(f"gradient.{name}", "uT/m") for name in _GRADIENT_NAMES),
+        "a path through the place",
+        "fly the same path at two headings, and again elsewhere",
+        first_missing((_no_attitude, _no_path)),
+        columns=gradient_columns,
+        rivals=("mag_hard_iron", "mag_earth_field", "mag_random_walk"),
+    ),
+)

@@ -1,0 +1,83 @@
+"""Magnetometers: against the field equation written out anew."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from calib.gap.effects import by_id
+from calib.recording import Sensor
+
+from .conftest import EARTH, make
+from .recovery import amplitudes, noisy
+
+
+def _body_from_ned(trace):
+    w, x, y, z = trace.attitude.T
+    return Rotation.from_quat(np.stack([x, y, z, w], axis=1)).inv()
+
+
+def _recovered(effect_id, change, truth, seed=5, sigma=0.2):
+    trace = make(Sensor.MAG)
+    beta, sd, _ = amplitudes(by_id()[effect_id], noisy(trace, change(trace), sigma, seed), np.nan)
+    assert (np.abs(beta - truth) < 4.0 * sigma * sd).all()
+    assert (sigma * sd < 0.2 * np.abs(truth).max()).all()
+
+
+def test_soft_iron():
+    xx, yy, zz, xy, xz, yz = truth = np.array([0.05, -0.03, 0.02, 0.04, -0.06, 0.01])
+    S = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    _recovered("mag_soft_iron", lambda trace: trace.field @ S, truth)
+
+
+def test_motor_current():
+    truth = np.array([0.3, -0.2, 0.4])
+    _recovered("mag_motor_current", lambda trace: np.outer(trace.current, truth), truth)
+
+
+def test_earth_field():
+    truth = np.array([2.0, -1.0, 1.5])
+    _recovered("mag_earth_field", lambda trace: _body_from_ned(trace).apply(EARTH + truth) - trace.field, truth)
+
+
+def test_field_gradient():
+    nn, ee, ne, nd, ed = truth = np.array([0.5, -0.3, 0.2, 0.4, -0.6])
+    G = np.array([[nn, ne, nd], [ne, ee, ed], [nd, ed, -nn - ee]])
+
+    def change(trace):
+        return _body_from_ned(trace).apply((trace.place - trace.place.mean(axis=0)) @ G)
+
+    _recovered("mag_field_gradient", change, truth)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.lists(st.floats(-1.5, 1.5), min_size=3, max_size=3))
+def test_a_turned_sensor_sees_the_same_place_turned(rotvec):
+    turn = Rotation.from_rotvec(rotvec)
+    here, there = make(Sensor.MAG, seconds=5.0), make(Sensor.MAG, seconds=5.0, turn=turn)
+    for effect_id in ("mag_earth_field", "mag_field_gradient"):
+        columns = by_id()[effect_id].columns
+        np.testing.assert_allclose(columns(there, np.nan), columns(here, np.nan) @ turn.as_matrix().T, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("effect_id", "without", "says"),
+    [
+        ("mag_motor_current", {"current": None}, "no current"),
+        ("mag_motor_current", {"current": np.full(7000, 3.0)}, "varies by 0 A"),
+        ("mag_earth_field", {"attitude": None}, "attitude"),
+        ("mag_field_gradient", {"place": None}, "position unknown"),
+        ("mag_field_gradient", {"place": np.ones((7000, 3))}, "varies by 0 m"),
+    ],
+)
+def test_what_is_not_recorded_or_does_not_vary_is_named(effect_id, without, says):
+    effect, trace = by_id()[effect_id], make(Sensor.MAG)
+    assert effect.missing(trace) is None
+    lack = effect.missing(dataclasses.replace(trace, **without))
+    assert lack is not None
+    assert says in lack[0]
