@@ -40,6 +40,8 @@ class Method:
     needs: str
     options: tuple[Option, ...]
     fit: Callable[[Source, Options], Sequence[FitResult]]
+    pool: Callable[[Sequence[Source], Options], Sequence[FitResult]] | None = None
+    """Several logs of one vehicle together; None: the method takes one recording."""
 
     def run(self, recording: Recording, options: Options = MappingProxyType({})) -> tuple[FitResult, ...]:
         """The fits of every instance (or of the option ``instance``) that the recording has.
@@ -52,6 +54,27 @@ class Method:
         chosen = _with_local_gravity(_checked(self, options))
         source = Source.of(recording, chosen["instance"])
         return tuple(source.annotated(fit) for fit in self.fit(source, chosen))
+
+    def run_pooled(
+        self, recordings: Sequence[Recording], options: Options = MappingProxyType({})
+    ) -> tuple[FitResult, ...]:
+        """The fits of several logs of one vehicle together; of one recording the same as :meth:`run`.
+
+        Raises
+        ------
+        InvalidInputError
+            If the method takes one recording only, or the logs are not of one vehicle.
+        """
+        if len(recordings) == 1:
+            return self.run(recordings[0], options)
+        if self.pool is None:
+            raise InvalidInputError(f"{self.name} takes one recording, not {len(recordings)}")
+        chosen = _with_local_gravity(_checked(self, options))
+        sources = [Source.of(recording, chosen["instance"]) for recording in recordings]
+        fits = self.pool(sources, chosen)
+        for source in sources:
+            fits = [source.annotated(fit) for fit in fits]
+        return tuple(fits)
 
 
 def _checked(method: Method, options: Options) -> dict[str, Any]:

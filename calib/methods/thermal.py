@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from calib.drift import DriftData
 from calib.errors import InvalidInputError
 from calib.fit import FitResult
+from calib.flight.thermal import Wish, fit_rests
+from calib.flight.warm import logs_of
 from calib.methods.method import INSTANCE, Method, Option, Options
 from calib.methods.source import Source
 from calib.procedures.drift_fit import fit_posed
@@ -20,6 +22,12 @@ Array = NDArray[np.float64]
 
 
 SENSOR = Option("sensor", ("all", "accel", "gyro"), "all", "only this sensor")
+REFERENCE = Option(
+    "reference",
+    ("auto", "gravity", "difference"),
+    "auto",
+    "of an accelerometer in logs: gravity of each rest, or the difference to another accelerometer that does not drift",
+)
 
 
 def _thermal(source: Source, options: Options, fit: Callable[[Channel, Array, bool], FitResult]) -> list[FitResult]:
@@ -33,7 +41,6 @@ def _thermal(source: Source, options: Options, fit: Callable[[Channel, Array, bo
             temperature = source.temperature(channel.instance)
             if temperature is None:
                 raise InvalidInputError("the recording has no temperature: name its column, --map temperature=COLUMN")
-            channel = _undisturbed(source, channel)
             good = np.isfinite(temperature.values[:, 0])
             if not good.any():
                 raise InvalidInputError("the temperature column has no finite number")
@@ -42,28 +49,50 @@ def _thermal(source: Source, options: Options, fit: Callable[[Channel, Array, bo
     return fits
 
 
-def _undisturbed(source: Source, channel: Channel) -> Channel:
-    """The samples of a vehicle's log in which it lay as in its longest rest; a table is taken whole."""
-    stills = source.stills(channel.instance, held=True) if source.of_vehicle else ()
-    if not stills:
-        return channel
-    longest = max(stills, key=lambda still: still.duration)
-    keep = np.zeros(len(channel), dtype=np.bool_)
-    for still in stills:
-        same = still.accel is None or longest.accel is None or _together(still.accel, longest.accel)
-        keep |= same & (channel.t >= still.start) & (channel.t < still.end)
-    return channel.take(keep)
+def _from_logs(sources: Sequence[Source], options: Options, wish: Wish) -> list[FitResult]:
+    """The same from what vehicles logged: only their rests on the ground."""
+    logs = logs_of([source.recording for source in sources])
+    sensors = [s for s in (Sensor.ACCEL, Sensor.GYRO) if options["sensor"] in {"all", s.value}]
+    fits = []
+    for sensor in sensors:
+        having = [source for source in sources if source.recording.instances(sensor)]
+        instances = sorted({c.instance for source in having for c in source.channels(sensor)})
+        for instance in instances:
+            found = [c for source in having if (c := source.maybe(sensor, instance)) is not None]
+            relative = any(source.relative(c) for source in having for c in found)
+            fits.append(fit_rests(logs, sensor, instance, wish, relative=relative))
+    if not fits:
+        sources[0].channels(Sensor.GYRO if options["sensor"] == "gyro" else Sensor.ACCEL)  # says what there is instead
+    return fits
 
 
-def _together(a: Array, b: Array) -> bool:
-    return bool(np.linalg.norm(a - b) < 0.08 * np.linalg.norm(b))  # five degrees, or a strong drift
+def _logged(sources: Sequence[Source]) -> bool:
+    """Whether vehicles streamed or logged them, without labels.
+
+    Raises
+    ------
+    InvalidInputError
+        If there are several and one of them is a table.
+    """
+    logged = [source.of_vehicle and not source.recording.segments for source in sources]
+    if len(sources) > 1 and not all(logged):
+        raise InvalidInputError("only a vehicle's logs are pooled: a table is fitted by itself")
+    return all(logged)
 
 
 def thermal_linear(source: Source, options: Options) -> list[FitResult]:
     """Accelerometers and gyroscopes against their temperature, straight lines."""
+    return linear_pooled([source], options)
+
+
+def linear_pooled(sources: Sequence[Source], options: Options) -> list[FitResult]:
+    """The same of several logs of one vehicle."""
     through = _point(options)
-    if through is not None and options["sensor"] == "all" and len({c.sensor for c in _inertial(source)}) > 1:
+    if through is not None and options["sensor"] == "all" and len({c.sensor for c in _inertial(sources[0])}) > 1:
         raise InvalidInputError("a fixed point is one sensor's: choose it with --sensor accel or --sensor gyro")
+    if _logged(sources):
+        wish = Wish(0, options["tref"], options["min_span"], through=through, reference=options["reference"])
+        return _from_logs(sources, options, wish)
 
     def fit(channel: Channel, temperature: Array, relative: bool) -> FitResult:
         return fit_linear(
@@ -75,7 +104,7 @@ def thermal_linear(source: Source, options: Options) -> list[FitResult]:
             relative=relative,
         )
 
-    return _thermal(source, options, fit)
+    return _thermal(sources[0], options, fit)
 
 
 def _inertial(source: Source) -> list[Channel]:
@@ -103,6 +132,22 @@ def _point(options: Options) -> Array | None:
 
 def thermal_poly(source: Source, options: Options) -> list[FitResult]:
     """Accelerometers and gyroscopes against their temperature, polynomials."""
+    return poly_pooled([source], options)
+
+
+def poly_pooled(sources: Sequence[Source], options: Options) -> list[FitResult]:
+    """The same of several logs of one vehicle."""
+    if _logged(sources):
+        degree = options["degree"]
+        if not 1 <= degree <= 5:
+            raise InvalidInputError(f"the degree of a thermal polynomial is 1 to 5, not {degree}")
+        lag = options["lag"] == "auto"
+        wish = Wish(degree, options["tref"], options["min_span"], lag=lag, reference=options["reference"])
+        return _from_logs(sources, options, wish)
+    return _poly_of_table(sources[0], options)
+
+
+def _poly_of_table(source: Source, options: Options) -> list[FitResult]:
     fields = {"degree": options["degree"], "t_ref": options["tref"], "min_span": options["min_span"]}
     segments = source.recording.segments
 
@@ -129,8 +174,10 @@ METHODS = (
             Option("tref", float, 25.0, "temperature at which nothing is corrected, degC; 0 is the published form"),
             Option("through", str, None, "X,Y,Z: the lines go through these at tref; another estimator, never mixed"),
             Option("min_span", float, 2.0, "least range of temperature, degC"),
+            REFERENCE,
         ),
         thermal_linear,
+        linear_pooled,
     ),
     Method(
         "thermal-poly",
@@ -142,9 +189,11 @@ METHODS = (
             Option("degree", int, 3, "of the polynomial, 1 to 5"),
             Option("tref", float, 35.0, "temperature at which the polynomial is zero, degC"),
             Option("min_span", float, 10.0, "least range of temperature, degC"),
+            REFERENCE,
             Option("lag", ("auto", "ignore"), "auto", "fit against the temperature of the die where it is seen to lag"),
         ),
         thermal_poly,
+        poly_pooled,
     ),
 )
 """In the order of the command line."""

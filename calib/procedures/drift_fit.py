@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,9 @@ DEGREE = 3
 
 SHORTEST = 10.0
 """A still span shorter than this is left out where the pose changes between spans, s."""
+
+MOVED = "the vehicle was moved: {} still spans, each with its own pose"
+"""What is said of several poses."""
 
 
 class DriftPool:
@@ -89,29 +93,60 @@ def fit_posed(
     min_span: float = 10.0,
     lag: bool = True,
     relative: bool = False,
+    said: str = MOVED,
 ) -> FitResult:
     """Drift of a sensor whose pose, the `number` (N,) of each row, has an offset of its own; the curve is common.
 
     Offsets of the poses by joint least squares with the curve, then the curve with them taken away. Least squares of
     the curve on ``y - D d`` with the joint estimate d has the joint estimate of the curve; its covariance lacks the
-    share of d, at most the largest ratio of the information without poses to that with them.
+    share of d, at most the largest ratio of the information without poses to that with them. `said` is the warning,
+    with the number of poses in it.
     """
     fit_one = functools.partial(
         fit_drift_data, channel, degree=degree, t_ref=t_ref, min_span=min_span, lag=lag, relative=relative
     )
     given = data.samples
-    long = [int(k) for k in np.unique(number) if float(np.ptp(data.time[number == k])) >= SHORTEST]
-    data, number = data.rows(np.isin(number, long)), number[np.isin(number, long)]
-    if len(long) < 2 or data.span < 1.0:
-        return fit_one(data, given)
-    x = (data.t - data.t.mean()) / max(data.span, 1e-9)
-    root = np.ones(data.n) if data.counts is None else np.sqrt(data.counts)
-    curve = x[:, None] ** np.arange(1, degree + 1)
-    poses = (number[:, None] == np.array(long)).astype(np.float64)
-    solution = np.linalg.lstsq(root[:, None] * np.hstack([poses, curve]), root[:, None] * data.y, rcond=None)[0]
-    steps = solution[: len(long)] - solution[0]
-    fit = fit_one(data.lowered(poses @ steps), given)
-    return _widened(fit, _loss(root[:, None] * curve, root[:, None] * poses), len(long))
+    poses = PoseOffsets.of(data, number, degree)
+    if poses is None:
+        return fit_one(_of_long(data, number)[0], given)
+    return poses.widened(fit_one(poses.lowered, given), said)
+
+
+@dataclass(frozen=True, eq=False)
+class PoseOffsets:
+    """Samples with the offset that each pose has of its own taken away, and what not knowing them costs."""
+
+    lowered: DriftData
+    steps: Array  # (K, 3) offset of each pose less that of the last
+    numbers: NDArray[np.intp]  # (K,) of the poses
+    loss: float  # largest factor by which they raise a variance of the curve
+
+    @classmethod
+    def of(cls, data: DriftData, number: NDArray[np.intp], degree: int) -> PoseOffsets | None:
+        """By joint least squares with a curve of that degree; None: fewer than two poses are long enough."""
+        data, number = _of_long(data, number)
+        long = np.unique(number)
+        if len(long) < 2 or data.span < 1.0:
+            return None
+        x = (data.t - data.t.mean()) / max(data.span, 1e-9)
+        root = np.ones(data.n) if data.counts is None else np.sqrt(data.counts)
+        curve = x[:, None] ** np.arange(1, degree + 1)
+        poses = (number[:, None] == long).astype(np.float64)
+        solution = np.linalg.lstsq(root[:, None] * np.hstack([poses, curve]), root[:, None] * data.y, rcond=None)[0]
+        steps = solution[: len(long)] - solution[len(long) - 1]
+        loss = _loss(root[:, None] * curve, root[:, None] * poses)
+        return cls(data.lowered(poses @ steps), steps, long, loss)
+
+    def widened(self, fit: FitResult, said: str = MOVED) -> FitResult:
+        """A fit of :attr:`lowered` with the covariance that the unknown poses leave; `said` warns of their number."""
+        return _widened(fit, self.loss, len(self.numbers), said)
+
+
+def _of_long(data: DriftData, number: NDArray[np.intp]) -> tuple[DriftData, NDArray[np.intp]]:
+    """Only the rows of poses that were held for :data:`SHORTEST`."""
+    long = [k for k in np.unique(number) if float(np.ptp(data.time[number == k])) >= SHORTEST]
+    keep = np.isin(number, long)
+    return data.rows(keep), number[keep]
 
 
 def _loss(curve: Array, poses: Array) -> float:
@@ -124,14 +159,15 @@ def _loss(curve: Array, poses: Array) -> float:
     return max(1.0, float(np.linalg.eigvalsh(half @ half.T)[-1]))
 
 
-def _widened(fit: FitResult, loss: float, poses: int) -> FitResult:
+def _widened(fit: FitResult, loss: float, poses: int, said: str) -> FitResult:
     if fit.status == FitStatus.REFUSED:
         return fit
-    sd = [None if s is None else s * math.sqrt(loss) for s in fit.quality["drift_sd"]]
-    text = f"the vehicle was moved: {poses} still spans, each with its own pose"
+    widened = {}
+    if "drift_sd" in fit.quality:
+        widened["drift_sd"] = [None if s is None else s * math.sqrt(loss) for s in fit.quality["drift_sd"]]
     return dataclasses.replace(
         fit,
         covariance=fit.covariance * loss,
-        warnings=(*fit.warnings, text),
-        quality={**fit.quality, "drift_sd": sd, "poses": poses, "variance_for_poses": loss},
+        warnings=(*fit.warnings, said.format(poses)),
+        quality={**fit.quality, **widened, "poses": poses, "variance_for_poses": loss},
     )

@@ -24,7 +24,7 @@ def command() -> None:
 
 
 def _subcommand(method: Method) -> click.Command:
-    @click.argument("file", required=False)
+    @click.argument("files", nargs=-1, metavar="[FILE]..." if method.pool else "[FILE]")
     @face_option
     @click.option(
         "--export",
@@ -37,7 +37,7 @@ def _subcommand(method: Method) -> click.Command:
     @reading_options
     @json_option
     def run(
-        file: str | None,
+        files: tuple[str, ...],
         faces: tuple[tuple[str, str], ...],
         export: Path | None,
         as_form: str | None,
@@ -45,8 +45,13 @@ def _subcommand(method: Method) -> click.Command:
         **options: Any,
     ) -> int:
         reading, chosen = split_reading(options)
-        recording = read_recording(file, faces, reading)
-        fits = method.run(recording, {k: v for k, v in chosen.items() if v is not None})
+        if len(files) > 1 and method.pool is None:
+            raise click.UsageError(f"{method.name} takes one FILE, not {len(files)}")
+        if len(files) > 1 and faces:
+            raise click.UsageError("give either FILEs, or --face LABEL=FILE for every face")
+        recordings = [read_recording(file, faces, reading) for file in (files or (None,))]
+        recording = recordings[-1]  # whose parameters are the newest: export starts from them
+        fits = method.run_pooled(recordings, {k: v for k, v in chosen.items() if v is not None})
         if export is not None:
             _export(recording, fits, export)
         _tell(fits, as_form, as_json=as_json)

@@ -1,0 +1,159 @@
+"""When a vehicle stood on the ground with its motors off, and was still.
+
+Stillness alone does not tell: a good multicopter that hovers in calm air passes for still. What the autopilot said of
+arming counts, or its motor outputs; where neither was recorded, stillness is all there is, and every rest says so.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import pairwise
+
+import numpy as np
+
+from calib.recording import Channel, Recording, Sensor
+from calib.stillness import RESTING, find_still
+
+UNARMED, ARMED = "disarmed", "armed"
+"""Kinds of the events that tell the motors' state."""
+
+LIMITS = dataclasses.replace(RESTING, accel_drift=0.04, gyro_drift=0.05)
+"""At rest through a warm-up: the means may wander by 0.4 m/s2 and 3 deg/s, as they do over fifty degrees; a vehicle
+that is moved by as much shakes or tilts meanwhile."""
+
+_OFF = 0.03  # of the range of a motor output
+_SETTLED = 0.5  # s after the motors stopped: rotors run down
+
+
+class Phase(StrEnum):
+    """Where a rest lies in the recording."""
+
+    BEFORE = "before"  # the first flight, or there is none
+    BETWEEN = "between"  # two flights
+    AFTER = "after"  # the last flight
+
+
+class Known(StrEnum):
+    """By what it is known that the motors were off."""
+
+    ARMING = "arming"
+    MOTORS = "motors"
+    STILLNESS = "stillness"  # nothing tells: it was only still
+
+
+@dataclass(frozen=True)
+class Span:
+    """A stretch of time, s."""
+
+    start: float
+    end: float
+
+    @property
+    def duration(self) -> float:
+        """Length, s."""
+        return self.end - self.start
+
+
+@dataclass(frozen=True)
+class Rest(Span):
+    """A still span with the motors off."""
+
+    phase: Phase
+    known: Known
+
+
+@dataclass(frozen=True)
+class Ground:
+    """When the motors were off, when they ran, and how that is known."""
+
+    off: tuple[Span, ...]
+    running: tuple[Span, ...]
+    known: Known
+
+
+def ground(recording: Recording) -> Ground:
+    """The spans in which the motors were off."""
+    begin, end = recording.span
+    if not np.isfinite(begin):
+        return Ground((), (), Known.STILLNESS)
+    armed = _armed(recording, begin, end)
+    if armed is not None:
+        return Ground(_between(armed, begin, end, _SETTLED), armed, Known.ARMING)
+    spun = _spun(recording)
+    if spun is not None:
+        return Ground(_between(spun, begin, end, _SETTLED), spun, Known.MOTORS)
+    return Ground((Span(begin, end),), (), Known.STILLNESS)
+
+
+def rests(recording: Recording, instance: int = 0) -> tuple[Rest, ...]:
+    """Every rest of `recording` as the inertial unit `instance` saw it, in order of time.
+
+    Raises
+    ------
+    InvalidInputError
+        If it has neither accelerometer nor gyroscope of that instance.
+    """
+    stood = ground(recording)
+    found = []
+    for span in stood.off:
+        part = recording.between(span.start, np.nextafter(span.end, np.inf))
+        if not any(len(c) > 1 for s in (Sensor.ACCEL, Sensor.GYRO) for c in part.find(s, instance)):
+            continue
+        for still in find_still(part, instance=instance, limits=LIMITS):
+            found.append(Rest(still.start, still.end, _phase(still.start, stood.running), stood.known))
+    if not stood.off and not stood.running:
+        find_still(recording, instance=instance, limits=LIMITS)  # says what is missing
+    return tuple(found)
+
+
+def _phase(start: float, running: tuple[Span, ...]) -> Phase:
+    before = [span for span in running if span.end <= start]
+    if not before:
+        return Phase.BEFORE
+    return Phase.AFTER if len(before) == len(running) else Phase.BETWEEN
+
+
+def _armed(recording: Recording, begin: float, end: float) -> tuple[Span, ...] | None:
+    """Armed spans; None where arming was never spoken of."""
+    said = sorted((e.t, e.kind == ARMED) for e in recording.events if e.kind in (ARMED, UNARMED))
+    if not said:
+        return None
+    states = [(begin, not said[0][1]), *said, (end, said[-1][1])]
+    return _merged([Span(a, max(a, b)) for (a, on), (b, _) in pairwise(states) if on])
+
+
+def _spun(recording: Recording) -> tuple[Span, ...] | None:
+    """Spans in which a motor was driven; None where nothing tells."""
+    channels = recording.find(Sensor.MOTOR) or recording.find(Sensor.THROTTLE)
+    channel = max(channels, key=len, default=None)
+    if channel is None or not np.isfinite(channel.values).any():
+        return None
+    return _merged(_high(channel))
+
+
+def _high(channel: Channel) -> list[Span]:
+    """Spans with an output above idle, from the last sample below it to the next one."""
+    highest = np.nanmax(np.where(np.isfinite(channel.values), channel.values, 0.0), axis=1)
+    rising = np.diff((highest > _OFF).astype(np.int8), prepend=0, append=0)
+    first, last = np.flatnonzero(rising > 0) - 1, np.flatnonzero(rising < 0)
+    t, end = channel.t, len(channel) - 1
+    return [Span(float(t[max(int(i), 0)]), float(t[min(int(j), end)])) for i, j in zip(first, last, strict=True)]
+
+
+def _merged(spans: list[Span]) -> tuple[Span, ...]:
+    merged: list[Span] = []
+    for span in spans:
+        if merged and span.start <= merged[-1].end:
+            merged[-1] = Span(merged[-1].start, max(merged[-1].end, span.end))
+        elif span.duration > 0.0:
+            merged.append(span)
+    return tuple(merged)
+
+
+def _between(spans: tuple[Span, ...], begin: float, end: float, settle: float) -> tuple[Span, ...]:
+    """What `spans` leave of the recording, each gap shortened by `settle` where it follows a span."""
+    edges = [begin, *(t for span in spans for t in (span.start, span.end + settle)), end]
+    gaps = [Span(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return tuple(gap for gap in gaps if gap.duration > 0.0)

@@ -1,0 +1,215 @@
+"""Drift with temperature from ordinary logs: the rests on the ground, several logs of one vehicle pooled.
+
+What a rest does not tell is a nuisance of its own: an accelerometer's rest has a constant for its pose (gravity is in
+it), a gyroscope's log has one for its turn-on bias. Where two inertial units stand side by side, the difference of
+their accelerometers has no pose in it: all rests of a log then share one constant, and a rest after the flight tells
+what the unit did in flight. That is a statement about both of them; it is used only where the other one, by its own
+rests, does not drift.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.fit import AXES, FitResult, FitStatus, refused
+from calib.flight.warm import Log, Warmth, warmth
+from calib.procedures.drift_fit import PoseOffsets, fit_posed
+from calib.recording import Sensor
+from calib.thermal import LINEAR_METHOD, POLYNOMIAL_METHOD, fit_linear
+
+Array = NDArray[np.float64]
+
+STEADY = 0.02
+"""Drift of an accelerometer over the span, m/s2, below which it may be a reference: what a thermal calibration is asked
+to leave (defaults of the calibration's length)."""
+_WIDER = 1.25  # a difference must see this many times the span of the sensor by itself
+_LEAST_SPAN = 2.0  # degC, for the reference to be judged
+COLDER = "log a warm-up at rest from cold, disarmed (LOG_DISARMED 1, SDLOG_MODE 2), better the cooling down too"
+
+
+_SAID = {
+    Sensor.ACCEL: "{} rests or logs, each with a constant of its own: only the shape is common to them",
+    Sensor.GYRO: "{} logs, each with a turn-on bias of its own: the offset is that of the last one",
+}
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What is asked for; `degree` 0 is the straight line of thermal-linear."""
+
+    degree: int
+    t_ref: float
+    min_span: float
+    lag: bool = True
+    through: Array | None = None
+    reference: str = "auto"  # auto, gravity or difference
+
+    @property
+    def method(self) -> str:
+        """Its name."""
+        return POLYNOMIAL_METHOD if self.degree else LINEAR_METHOD
+
+
+def fit_rests(logs: Sequence[Log], sensor: Sensor, instance: int, wish: Wish, *, relative: bool) -> FitResult:
+    """Drift of one sensor over the rests of `logs`; refused with the span that is there and the one that is needed."""
+    own = warmth(logs, sensor, instance)
+    if own is None:
+        return _refused(logs, sensor, instance, wish, "the vehicle never rested with its motors off in this log")
+    if sensor == Sensor.GYRO:
+        return _told(_fit(own, own.log, wish, relative), own, "each log with its own turn-on bias")
+    alone = _told(_fit(own, own.rest, wish, relative), own, "each rest with its own pose")
+    if wish.reference == "gravity":
+        return alone
+    best, why = _by_difference(logs, own, wish, relative)
+    if best is not None:
+        return best
+    if wish.reference == "difference":
+        return _refused(logs, sensor, instance, wish, f"no other accelerometer can be the reference: {why}")
+    return alone if not why else dataclasses.replace(alone, warnings=(*alone.warnings, why))
+
+
+def _fit(rows: Warmth, number: NDArray[np.intp], wish: Wish, relative: bool) -> FitResult:
+    """The drift with one constant for every `number` (N,)."""
+    covered = rows.covered(number)
+    if covered < wish.min_span:
+        return _narrow(rows, wish, covered)
+    if wish.degree:
+        return fit_posed(
+            rows.channel,
+            rows.data,
+            number,
+            degree=wish.degree,
+            t_ref=wish.t_ref,
+            min_span=wish.min_span,
+            lag=wish.lag,
+            relative=relative,
+            said=_SAID[rows.channel.sensor],
+        )
+    poses = PoseOffsets.of(rows.data, number, 1)
+    data = rows.data if poses is None else poses.lowered
+    channel = dataclasses.replace(rows.channel, t=data.time, values=data.y, zero_bin=None)
+    fit = fit_linear(channel, data.t, t_ref=wish.t_ref, through=wish.through, min_span=wish.min_span, relative=relative)
+    return fit if poses is None else poses.widened(fit, _SAID[rows.channel.sensor])
+
+
+def _by_difference(logs: Sequence[Log], own: Warmth, wish: Wish, relative: bool) -> tuple[FitResult | None, str]:
+    """The drift against another accelerometer that has none, where that sees more; or why not."""
+    instance = own.channel.instance
+    others = sorted({i for log in logs for i in log.recording.instances(Sensor.ACCEL)} - {instance})
+    why = ""
+    for other in others:
+        rows = warmth(logs, Sensor.ACCEL, instance, other=other)
+        if rows is None:
+            continue
+        if wish.reference == "auto" and rows.covered(rows.log) < _WIDER * own.covered(own.rest):
+            continue
+        steady = _steady(logs, other, rows.data.span)
+        if isinstance(steady, str):
+            why = steady
+            continue
+        fit = _fit(rows, rows.log, wish, relative)
+        if fit.status != FitStatus.REFUSED:
+            return _told(_against(fit, other, steady), rows, "each log with its own difference of offsets"), ""
+        why = fit.message
+    return None, why
+
+
+def _steady(logs: Sequence[Log], other: int, span: float) -> Array | str:
+    """Slopes (3,) that the reference may have by its own rests, with their sd; or why it is none."""
+    rows = warmth(logs, Sensor.ACCEL, other)
+    name = f"accelerometer {other + 1}"
+    if rows is None:
+        return f"{name} never rested"
+    line = _fit(rows, rows.rest, Wish(degree=1, t_ref=35.0, min_span=_LEAST_SPAN, lag=False), relative=False)
+    if line.status == FitStatus.REFUSED or line.model.polynomial is None:
+        return f"{name} cannot be judged as a reference: {line.message}"
+    slope = line.model.polynomial.coefficients[:, 0]
+    sd = np.sqrt(np.diag(line.covariance)[12:])
+    seen = line.model.polynomial.t_max - line.model.polynomial.t_min
+    drift = float(np.abs(slope).max()) * seen
+    if line.unit == "m/s2" and drift > STEADY:
+        return f"{name} drifts by itself ({drift:.3f} m/s2 over {seen:.1f} degC at rest): it is no reference"
+    return np.asarray(np.hypot(slope, sd), dtype=np.float64)
+
+
+def _against(fit: FitResult, other: int, slopes: Array) -> FitResult:
+    """A fit of a difference: the covariance holds what the reference may drift, as a straight line."""
+    covariance = fit.covariance.copy()
+    poly = fit.model.polynomial
+    assert poly is not None
+    degree = poly.coefficients.shape[1]
+    for axis in range(3):
+        k = 12 + axis * degree
+        if covariance[k, k] > 0.0:
+            covariance[k, k] += slopes[axis] ** 2
+    text = (
+        f"the reference is accelerometer {other + 1}: the drift is that of the difference of the two, on the "
+        f"statement that the reference drifts by no more than the {1e6 * slopes.max():.0f}e-6 m/s2/degC of its own "
+        "rests where those did not reach"
+    )
+    quality = {**fit.quality, "reference": "difference", "reference_instance": other}
+    return dataclasses.replace(fit, covariance=covariance, warnings=(*fit.warnings, text), quality=quality)
+
+
+def _told(fit: FitResult, rows: Warmth, constants: str) -> FitResult:
+    """The fit with what it was made from."""
+    logs = f"{rows.logs} log{'s' if rows.logs > 1 else ''}"
+    warnings = list(fit.warnings)
+    if rows.only_still:
+        warnings.append("nothing tells when the motors ran: what was still is taken for rest on the ground")
+    quality = {
+        **fit.quality,
+        "rests": len(rows.rests),
+        "rest_duration": rows.duration,
+        "logs": rows.logs,
+        "reference": fit.quality.get("reference", "gravity" if fit.sensor == Sensor.ACCEL else "rest"),
+    }
+    if fit.status == FitStatus.REFUSED:
+        return dataclasses.replace(fit, warnings=tuple(warnings), quality=quality)
+    still = _none(fit)
+    if still:
+        warnings.append(f"{still} shows no drift larger than its own sd: there is nothing to correct")
+    message = f"{fit.message}; {len(rows.rests)} rests of {rows.duration:.0f} s in {logs}, {constants}"
+    return dataclasses.replace(fit, message=message, warnings=tuple(warnings), quality=quality)
+
+
+def _none(fit: FitResult) -> str:
+    """Axes whose drift is within twice its sd."""
+    drift, sd = fit.quality.get("drift"), fit.quality.get("drift_sd")
+    if not drift or not sd:
+        return ""
+    small = [d is not None and s is not None and d < 2.0 * 2.0 * s for d, s in zip(drift, sd, strict=True)]
+    return ", ".join(a for a, none in zip(AXES, small, strict=True) if none)
+
+
+def _narrow(rows: Warmth, wish: Wish, covered: float) -> FitResult:
+    data = rows.data
+    return refused(
+        wish.method,
+        rows.channel.sensor,
+        rows.channel.instance,
+        f"at rest the temperature moved by {covered:.1f} degC ({data.t_min:.1f} to {data.t_max:.1f} over "
+        f"{len(rows.rests)} rests of {rows.duration:.0f} s): {wish.min_span:.0f} are needed; {COLDER}",
+        unit=rows.channel.unit,
+        n_samples=data.samples,
+        movement=COLDER,
+        quality={"span": covered, "t_min": data.t_min, "t_max": data.t_max, "rests": len(rows.rests)},
+    )
+
+
+def _refused(logs: Sequence[Log], sensor: Sensor, instance: int, wish: Wish, reason: str) -> FitResult:
+    channels = [c for log in logs for c in log.recording.find(sensor, instance)]
+    return refused(
+        wish.method,
+        sensor,
+        instance,
+        f"{reason}; {COLDER}",
+        unit=channels[0].unit if channels else "",
+        n_samples=sum(len(c) for c in channels),
+        movement=COLDER,
+    )
