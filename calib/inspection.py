@@ -12,7 +12,8 @@ from calib.recording import Channel, Recording
 GAP_PERIODS = 5.0
 """A pause this many median periods long counts as a gap."""
 STUCK_S = 1.0
-"""A value that stays exactly the same this long, in a channel that otherwise changes, is a stuck sensor."""
+STUCK_PERIODS = 10.0
+"""A value that stays the same this long, s and median periods, in a channel that otherwise changes, is stuck."""
 MOST_GAPS_LISTED = 20
 
 
@@ -129,7 +130,8 @@ def _warnings(channel: ChannelSummary) -> list[str]:
         longest = max(channel.gaps, key=lambda g: g.length)
         found.append(f"{name}: {channel.n_gaps} gaps, one of {longest.length:.2f} s at {longest.start:.2f} s")
     inertial = channel.sensor in {"accel", "gyro", "mag"} and not channel.quantum
-    if inertial and channel.samples > 2 and channel.longest_constant > STUCK_S:
+    limit = max(STUCK_S, STUCK_PERIODS / channel.rate) if channel.rate else np.inf
+    if inertial and channel.samples > 2 and channel.longest_constant > limit:
         found.append(f"{name}: the value stood still for {channel.longest_constant:.1f} s: a stuck sensor")
     return found
 

@@ -75,6 +75,8 @@ class Channel:
         How the quantum came about.
     zero_bin : shape (N, k) or None
         True where a truncated sample lies in the zero bin, which is two quanta wide. None: no such bin.
+    window : float
+        Seconds of the sensor's own samples that each value is the mean of; 0: an instant, or not known.
     """
 
     sensor: Sensor
@@ -87,6 +89,7 @@ class Channel:
     quantum: float = 0.0
     rounding: Rounding = Rounding.NONE
     zero_bin: NDArray[np.bool_] | None = None
+    window: float = 0.0
 
     def __post_init__(self) -> None:
         t = np.ascontiguousarray(self.t, dtype=np.float64)
@@ -227,7 +230,9 @@ class Recording:
         return tuple(c for c in self.channels if c.sensor == sensor and c.instance == instance and len(c))
 
     def channel(self, sensor: Sensor, instance: int = 0) -> Channel:
-        """The best channel of that sensor: never a debiased one, finer quantum first, then the longer one.
+        """The best channel of that sensor: never a debiased one, finer quantum first, then more of the sensor's time.
+
+        A few means over long windows tell more than as many instants; channels of unknown windows count their samples.
 
         Raises
         ------
@@ -240,7 +245,7 @@ class Recording:
             raise InvalidInputError(
                 f"the recording has no usable {sensor} of instance {instance} (it has {', '.join(have)})"
             )
-        return min(found, key=lambda c: (c.quantum, -len(c)))
+        return min(found, key=lambda c: (c.quantum, -len(c) * c.window, -len(c)))
 
     def between(self, start: float, end: float) -> Recording:
         """Only the samples, events and segments with ``start <= t < end``; the parameters stay whole."""

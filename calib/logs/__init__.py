@@ -9,10 +9,11 @@ from calib.errors import InvalidInputError, UnreadableError
 from calib.logs.dataflash import DataFlash, read_dataflash
 from calib.logs.tables import read_table
 from calib.logs.tlog import read_tlog
+from calib.logs.ulog import read_ulog
 from calib.recording import Recording
 
 _DATAFLASH_START = b"\xa3\x95"
-_LATER = {b"ULog": "a ULog"}
+_ULOG_START = b"ULog"
 _MAVLINK_STARTS = (0xFD, 0xFE)
 _TLOG_OPTIONS = ("start", "end", "system")
 
@@ -41,9 +42,8 @@ def read(path: Path | str, **options: Any) -> Recording:
             head = opened.read(512)
     except OSError as error:
         raise UnreadableError(f"{file.name} cannot be opened: {error.strerror or error}") from error
-    for start, what in _LATER.items():
-        if head.startswith(start):
-            raise UnreadableError(f"{file.name} is {what}: those cannot be read yet; give a .tlog or a table")
+    if head.startswith(_ULOG_START):
+        return read_ulog(_plain(file, options))
     if head.startswith(_DATAFLASH_START):
         return read_dataflash(_plain(file, options))
     if b"FMT," in head:
@@ -68,4 +68,4 @@ def _plain(file: Path, options: dict[str, Any]) -> Path:
     return file
 
 
-__all__ = ["DataFlash", "read", "read_dataflash", "read_table", "read_tlog"]
+__all__ = ["DataFlash", "read", "read_dataflash", "read_table", "read_tlog", "read_ulog"]

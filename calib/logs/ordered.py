@@ -1,0 +1,50 @@
+"""Samples whose time goes back: what is kept of them."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.recording import Channel
+
+
+def in_order(channel: Channel, latest: float) -> tuple[Channel, int]:
+    """The largest part of the samples whose time never goes back, and how many were left out.
+
+    Parameters
+    ----------
+    channel
+        As logged. A stamp that was damaged, early or late, costs only itself.
+    latest
+        Times that are not finite, negative or beyond this (s) are damaged in any case.
+    """
+    possible = np.isfinite(channel.t) & (channel.t >= 0.0) & (channel.t <= latest)
+    if possible.all() and not (np.diff(channel.t) < 0.0).any():
+        return channel, 0
+    rows = np.flatnonzero(possible)
+    kept = rows[_longest_rise(channel.t[rows])]
+    return channel.take(kept), len(channel) - len(kept)
+
+
+def _longest_rise(t: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Rows of a longest non-decreasing subsequence, by patience sorting."""
+    tops: list[float] = []
+    top_rows: list[int] = []
+    before = np.full(len(t), -1, dtype=np.intp)
+    for row, time in enumerate(t.tolist()):
+        pile = bisect_right(tops, time)
+        if pile:
+            before[row] = top_rows[pile - 1]
+        if pile == len(tops):
+            tops.append(time)
+            top_rows.append(row)
+        else:
+            tops[pile], top_rows[pile] = time, row
+    chain = []
+    row = top_rows[-1] if top_rows else -1
+    while row >= 0:
+        chain.append(row)
+        row = int(before[row])
+    return np.array(chain[::-1], dtype=np.intp)

@@ -1,0 +1,149 @@
+"""PX4's logs (.ulg) to recordings, through pyulog."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyulog.core
+from pyulog.core import ULog
+from pyulog.exceptions import ULogException, ULogIncompatibleFlagException
+
+from calib.errors import UnreadableError
+from calib.firmware.px4_flight import arming_events, flight_channels
+from calib.firmware.px4_topics import US, WANTED, inertial_channels
+from calib.logs.ordered import in_order
+from calib.recording import Channel, Event, Identity, ParameterEntry, ParameterTimeline, Recording
+
+MAGIC: Final = b"ULog\x01\x12\x35"
+ENCRYPTED: Final = b"ULogEnc"
+MOST_FIELDS: Final = 4096
+MOST_DEPTH: Final = 6
+"""Fields of one topic, and formats inside formats: beyond these a definition is damaged."""
+LONGEST_S: Final = 30 * 86400.0
+"""A stamp so long after the first one is damaged."""
+RELEASE_SHIFTS: Final = (24, 16, 8)
+"""Major, minor and patch in ``ver_sw_release``; the lowest byte is the kind of release."""
+
+pyulog.core.print = lambda *_args, **_more: None  # it reports damage on stdout, which is the answer's
+
+
+class _Bounded(ULog):  # type: ignore[misc]
+    """pyulog's parser, safe from formats that contain themselves or unfold without end."""
+
+    class _MessageAddLogged(ULog._MessageAddLogged):  # type: ignore[misc]
+        def _parse_nested_type(self, prefix_str: str, type_name: str, message_formats: Any) -> None:
+            if prefix_str.count(".") > MOST_DEPTH or len(self.field_data) > MOST_FIELDS:
+                raise ValueError(f"format {type_name} unfolds without end")
+            count = sum(max(size, 1) for _, size, _ in message_formats[type_name].fields)
+            if len(self.field_data) + count > MOST_FIELDS:
+                raise ValueError(f"format {type_name} has more than {MOST_FIELDS} fields")
+            super()._parse_nested_type(prefix_str, type_name, message_formats)
+
+
+def read_ulog(path: Path | str) -> Recording:
+    """Read a PX4 log as a recording; every topic at its own rate and stage (:mod:`calib.firmware.px4_topics`).
+
+    Returns
+    -------
+    Recording
+        Times are seconds since boot. The parameters are those of the header with their changes; `end_observed` unless
+        the log lost data, and a change with it. Damage, drops, clipping and what was left out are events.
+
+    Raises
+    ------
+    UnreadableError
+        If the file cannot be opened, is encrypted, is no ULog, or holds no topic that says anything of a sensor.
+    """
+    file = Path(path)
+    log = _parsed(file)
+    topics = {(d.name, int(d.multi_id)): d.data for d in log.data_list if len(d.data.get("timestamp", ()))}
+    start = log.start_timestamp * US
+    timeline = _parameters(log, start)
+    inertial, events = inertial_channels(topics, timeline.final())
+    kept: list[Channel] = []
+    for channel in (*inertial, *flight_channels(topics)):
+        ordered, late = in_order(channel, start + LONGEST_S)
+        if late:
+            text = f"{late} of {len(channel)} samples of {channel.source} carry damaged times and were left out"
+            events.append(Event(start, "damage", text))
+        if len(ordered):
+            kept.append(ordered)
+    if not kept:
+        raise UnreadableError(f"{file.name} is a ULog without a sensor, attitude or position: nothing to read")
+    return Recording(
+        channels=tuple(kept),
+        parameters=timeline,
+        events=tuple(sorted((*events, *_said(log, start), *arming_events(topics)), key=lambda e: e.t)),
+        identity=_identity(log, topics),
+        source=file.name,
+    )
+
+
+def _parsed(file: Path) -> ULog:
+    try:
+        with file.open("rb") as opened:
+            head = opened.read(16)
+            if head.startswith(ENCRYPTED):
+                raise UnreadableError(f"{file.name} is an encrypted ULog: decrypt it with PX4's decrypt_ulog.py first")
+            if len(head) < 16 or not head.startswith(MAGIC):
+                raise UnreadableError(f"{file.name} is no ULog: its header is {head[:8]!r}")
+            opened.seek(0)
+            return _Bounded(opened, sorted(WANTED))
+    except OSError as error:
+        raise UnreadableError(f"{file.name} cannot be read: {error.strerror or error}") from error
+    except ULogIncompatibleFlagException as error:
+        raise UnreadableError(f"{file.name} is a ULog of a later format than pyulog knows: {error}") from error
+    except (ULogException, ValueError, IndexError, KeyError, OverflowError, TypeError, struct.error) as error:
+        raise UnreadableError(f"{file.name} is a damaged ULog: {error}") from error
+
+
+def _parameters(log: ULog, start: float) -> ParameterTimeline:
+    """Header values, then the changes in their order."""
+    first = [ParameterEntry(start, name, value) for name, value in log.initial_parameters.items() if _is_value(value)]
+    later = [
+        ParameterEntry(max(stamp * US, start), name, value)
+        for stamp, name, value in log.changed_parameters
+        if _is_value(value)
+    ]
+    whole = bool(first) and not log.file_corruption and not log.dropouts
+    return ParameterTimeline((*first, *sorted(later, key=lambda entry: entry.t)), end_observed=whole)
+
+
+def _is_value(value: Any) -> bool:
+    return isinstance(value, (int, float))
+
+
+def _said(log: ULog, start: float) -> list[Event]:
+    """Texts, drops and damage."""
+    events = [Event(m.timestamp * US, "text", _printable(m.message)) for m in log.logged_messages]
+    events += [
+        Event(d.timestamp * US, "drop", f"the logger dropped {d.duration} ms: the card was too slow")
+        for d in log.dropouts
+    ]
+    if log.file_corruption:
+        events.append(Event(start, "damage", "the ULog is damaged: what could not be parsed was stepped over"))
+    return [event for event in events if 0.0 <= event.t <= start + LONGEST_S]
+
+
+def _printable(text: str) -> str:
+    return "".join(c if c.isprintable() else " " for c in text).strip()
+
+
+def _identity(log: ULog, topics: Any) -> Identity:
+    info = log.msg_info_dict
+    release, uid = info.get("ver_sw_release"), info.get("sys_uuid")
+    firmware = None
+    if isinstance(release, int) and release > 0:
+        major, minor, patch = ((release >> shift) & 0xFF for shift in RELEASE_SHIFTS)
+        firmware = (major, minor, patch)
+    status = topics.get(("vehicle_status", 0), {})
+    system = int(np.median(status["system_id"])) if "system_id" in status else None
+    return Identity(
+        autopilot="px4",
+        firmware=firmware,
+        uid=uid.lower() if isinstance(uid, str) and uid else None,
+        system=system,
+    )
