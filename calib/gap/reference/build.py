@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 from calib.errors import InvalidInputError
-from calib.gap.problem import Problem, Trace
+from calib.gap.problem import Problem, ReferenceInfo, ReferenceKind, Trace
+from calib.gap.reference.align import CLOSED, SAME, aligned, one_clock, same_digits
+from calib.gap.reference.calibrated import TRIADS, corrected
 from calib.gap.reference.ideal import Ideal, trace_of
 from calib.gap.reference.noise import Noise, learned, with_noise
-from calib.gap.reference.recorded import TRIADS, recorded, simulated
+from calib.gap.reference.recorded import recorded, simulated
+from calib.gap.reference.redundant import differences
 from calib.recording import Channel, Recording, Sensor, Stage
+
+Role = tuple[Sensor, bool]
+"""Sensor, and whether it is held against another instance: traces of one role have the same noise."""
+_REDUNDANT = "The instances of the vehicle are held against each other."
 
 
 def build(real: Recording, sim: Recording | None = None, nominal: Sequence[Recording] = ()) -> Problem:
@@ -29,18 +37,37 @@ def build(real: Recording, sim: Recording | None = None, nominal: Sequence[Recor
     InvalidInputError
         If the recordings have nothing in common, or `real` has no sensor.
     """
+    real, sim = corrected(real), None if sim is None else corrected(sim)
     channels = sensors_of(real)
     if not channels:
         raise InvalidInputError("the recording has no accelerometer, gyroscope or magnetometer: nothing to compare")
-    ideal = recorded(real) or (None if sim is None else recorded(sim) or simulated(sim))
-    if ideal is None:
-        raise InvalidInputError("nothing says what an ideal sensor would have read: add ref_* columns or give --sim")
-    traces = single_traces(real, channels, ideal)
+    ideal = recorded(real) or (None if sim is None else of_same_trajectory(real, sim))
+    single = () if ideal is None else single_traces(real, channels, ideal)
+    traces = single + differences(real, ideal, single)
     if not traces:
-        raise InvalidInputError("the recording and its reference have no sensor in common, or do not overlap in time")
+        raise InvalidInputError("nothing says what an ideal sensor would have read: add ref_* columns or give --sim")
     noise = declared_noise(real, sim, ideal)
-    traces = tuple(with_noise(trace, noise[trace.sensor]) if trace.sensor in noise else trace for trace in traces)
-    return Problem(traces, ideal.info, max(float(t.t[-1] - t.t[0]) for t in traces), warnings=ideal.warnings)
+    traces = tuple(with_noise(trace, noise[key]) if (key := _role(trace)) in noise else trace for trace in traces)
+    info = ideal.info if ideal is not None else ReferenceInfo(ReferenceKind.REDUNDANT, text=_REDUNDANT)
+    warnings = () if ideal is None else ideal.warnings
+    return Problem(traces, info, max(float(t.t[-1] - t.t[0]) for t in traces), warnings=warnings)
+
+
+def of_same_trajectory(real: Recording, sim: Recording) -> Ideal | None:
+    """What `sim` says of the trajectory of `real`, on the clock of `real`; None if it flew another one.
+
+    A log of a simulated autopilot closes the loop through its own sensors: it counts only if it moves as one.
+    """
+    ideal = recorded(sim) or simulated(sim)
+    if ideal is None or same_digits(real, sim):
+        return None
+    shift = aligned(real, sim)
+    if one_clock(real, sim) and (sim.identity.autopilot is None or (shift is not None and shift.near(0.0, CLOSED))):
+        return ideal
+    if shift is None or shift.correlation < (SAME if sim.identity.autopilot is None else CLOSED):
+        return None
+    said = f"the simulator's clock was set {shift.lag:+.4f} s: a delay common to all sensors cannot be told from it"
+    return dataclasses.replace(ideal.shifted(shift.lag), warnings=(*ideal.warnings, said))
 
 
 def sensors_of(recording: Recording) -> list[Channel]:
@@ -59,15 +86,18 @@ def single_traces(real: Recording, channels: list[Channel], ideal: Ideal) -> tup
     return tuple(trace for trace in made if trace.observed.sum() > 1)
 
 
-def declared_noise(real: Recording, sim: Recording | None, ideal: Ideal) -> dict[Sensor, Noise]:
+def declared_noise(real: Recording, sim: Recording | None, ideal: Ideal | None) -> dict[Role, Noise]:
     """A simulator's own noise, where its recording has both its readings and what an ideal sensor read."""
     if sim is None:
         return {}
-    own = recorded(sim) or (recorded(real) and ideal)
-    if not own:
-        return {}
-    found: dict[Sensor, Noise] = {}
-    for trace in single_traces(sim, sensors_of(sim), own):
-        if trace.sensor not in found and (noise := learned(trace)) is not None:
-            found[trace.sensor] = noise
+    own = recorded(sim) or (ideal if recorded(real) else None)
+    single = () if own is None else single_traces(sim, sensors_of(sim), own)
+    found: dict[Role, Noise] = {}
+    for trace in single + differences(sim, own, single):
+        if _role(trace) not in found and (noise := learned(trace)) is not None:
+            found[_role(trace)] = noise
     return found
+
+
+def _role(trace: Trace) -> Role:
+    return trace.sensor, trace.against is not None

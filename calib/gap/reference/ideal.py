@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.gap.problem import ReferenceInfo, Trace
+from calib.gap.reference.calibrated import filter_in_force, sensor_from_corrected
 from calib.gap.reference.grid import grid_of
 from calib.gap.reference.signal import Signal, slow
 from calib.recording import Channel, Recording, Sensor
@@ -73,7 +74,8 @@ class Ideal:
 def trace_of(channel: Channel, reading: Signal, ideal: Ideal | None, recording: Recording) -> Trace:
     """`channel` on its own grid beside `reading`, with what the body and the vehicle did meanwhile.
 
-    The ideal reading is taken at the true time stamps, so that jitter of the stamps does not become a gap.
+    The ideal reading is taken at the true time stamps, so that jitter of the stamps does not become a gap. Both are
+    brought to the scale of the sensor (:mod:`calibrated`).
 
     Raises
     ------
@@ -83,11 +85,12 @@ def trace_of(channel: Channel, reading: Signal, ideal: Ideal | None, recording: 
     grid = grid_of(channel)
     at_points = grid.t.copy()
     at_points[grid.point] = grid.stamps
-    ideal_values = reading.at(at_points)
+    scale = sensor_from_corrected(channel, recording)
+    ideal_values = reading.at(at_points) @ scale.T
     observed = grid.observed & reading.known(at_points)
     measured = ideal_values.copy()
     rows = observed[grid.point]
-    measured[grid.point[rows]] = channel.values[grid.sample[rows]]
+    measured[grid.point[rows]] = channel.values[grid.sample[rows]] @ scale.T
     keep = _span(observed)
     trace = Trace(
         sensor=channel.sensor,
@@ -97,6 +100,7 @@ def trace_of(channel: Channel, reading: Signal, ideal: Ideal | None, recording: 
         ideal=ideal_values[keep],
         observed=observed[keep],
         quantum=channel.quantum,
+        low_pass_hz=filter_in_force(channel, recording),
     )
     body = {} if ideal is None else ideal.body(at_points[keep])
     return dataclasses.replace(trace, **body, **_vehicle(recording, channel, trace.t))

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.gap.problem import ReferenceInfo, ReferenceKind
+from calib.gap.reference.calibrated import TRIADS
 from calib.gap.reference.ideal import Ideal
 from calib.gap.reference.signal import Signal
 from calib.recording import Channel, Recording, Sensor, Stage
 
 Array = NDArray[np.float64]
 
-TRIADS = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
 TABLE = "table"
 """Source of the channels of a table: the only recordings whose own attitude is a truth."""
 

@@ -109,3 +109,19 @@ def test_a_hole_is_not_observed():
 def test_nothing_to_compare_is_said():
     with pytest.raises(InvalidInputError, match="no accelerometer"):
         build(Recording((channel(Sensor.TEMPERATURE, np.arange(9.0), np.arange(9.0)),)))
+
+
+def test_a_simulator_on_another_clock_is_set_right():
+    problem = build(flown(1, reference=False), flown(2, reference=False, offset=3.217))
+    trace = by_sensor(problem)[Sensor.GYRO]
+    assert any("clock" in text for text in problem.warnings)
+    assert trace.residual[50:-50].std() == pytest.approx(np.sqrt(2) * SIGMA[Sensor.GYRO], rel=0.15)
+    assert trace.observed.mean() > 0.98
+
+
+def test_a_simulator_on_another_trajectory_is_no_reference():
+    t = 0.0033 + np.arange(int(RATE * SECONDS)) / RATE
+    other, _ = truth(1.7 * t)
+    moved = Recording(tuple(channel(sensor, t, values) for sensor, values in other.items()))
+    with pytest.raises(InvalidInputError, match="ideal sensor"):
+        build(flown(1, reference=False), moved)

@@ -1,0 +1,106 @@
+"""Whether two recordings are of one trajectory, and by how much their clocks differ."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import correlate, correlation_lags
+
+from calib.gap.reference.calibrated import TRIADS
+from calib.gap.reference.signal import Signal, linear
+from calib.recording import Recording, Sensor, Stage
+
+Array = NDArray[np.float64]
+
+SAME = 0.97
+"""Correlation from which the movements of two tables are one."""
+CLOSED = 0.9995
+"""The same for logs of autopilots: two simulated flights of one mission reach 0.994 in their turn rates."""
+_SAME_LAG_S = 0.02
+_RATE_HZ = 50.0
+_OVERLAP = 0.7  # of the shorter one
+_LONGEST_S = 3600.0
+_STILL = {Sensor.ACCEL: 0.3, Sensor.GYRO: 0.05, Sensor.MAG: 3.0}  # standard deviations below which nothing moves
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """`lag` seconds are to be added to the second clock; `correlation` is that of the movements then, 1 at best."""
+
+    lag: float
+    correlation: float
+
+    def near(self, lag: float, correlation: float) -> bool:
+        """Whether the clocks differ by `lag`, and the movements agree that well."""
+        return abs(self.lag - lag) < _SAME_LAG_S and self.correlation >= correlation
+
+
+def same_digits(real: Recording, other: Recording) -> bool:
+    """Whether all three sensors hold the same samples in both: one recording given twice."""
+    pairs = [(_first(real, sensor), _first(other, sensor)) for sensor in TRIADS]
+    both = [(a, b) for a, b in pairs if a is not None and b is not None]
+    return bool(both) and all(np.array_equal(a.values, b.values) for a, b in both)
+
+
+def one_clock(real: Recording, other: Recording) -> bool:
+    """Whether a sensor of both was sampled at the very same times: rows of one run."""
+    for sensor in TRIADS:
+        a, b = _first(real, sensor), _first(other, sensor)
+        if a is not None and b is not None:
+            shared = np.isin(np.round(a.t, 9), np.round(b.t, 9)).mean()
+            if len(a.t) >= 16 and shared > 0.9 and len(b.t) < 1.2 * len(a.t):
+                return True
+    return False
+
+
+def aligned(real: Recording, other: Recording) -> Alignment | None:
+    """The shift that makes `other` move as `real` does; None if either does not move, or they have no sensor in common.
+
+    Turn rates decide, then specific forces, then fields: the first of them that moves in both.
+    """
+    for sensor in (Sensor.GYRO, Sensor.ACCEL, Sensor.MAG):
+        a, b = _first(real, sensor), _first(other, sensor)
+        if a is None or b is None or max(a.t[-1] - a.t[0], b.t[-1] - b.t[0]) > _LONGEST_S:
+            continue
+        if min(a.values.std(axis=0).max(), b.values.std(axis=0).max()) > _STILL[sensor]:
+            return _best_lag(a, b)
+    return None
+
+
+def _best_lag(a: Signal, b: Signal) -> Alignment:
+    step = 1.0 / _RATE_HZ
+    x, y = _sampled(a, step), _sampled(b, step)
+    n = min(len(x), len(y))
+    product = sum(correlate(x[:, k], y[:, k], method="fft") for k in range(3))
+    lags = correlation_lags(len(x), len(y))
+    overlap = np.minimum(len(x), lags + len(y)) - np.maximum(0, lags)
+    allowed = np.flatnonzero(overlap >= _OVERLAP * n)
+    ahead = _energy(x, lags, len(y)), _energy(y, -lags, len(x))
+    score = np.asarray(product)[allowed] / np.sqrt(np.maximum(ahead[0] * ahead[1], 1e-30))[allowed]
+    best = int(np.argmax(score))
+    fine = 0.0
+    if 0 < best < len(score) - 1:
+        left, here, right = score[best - 1 : best + 2]
+        bend = left - 2.0 * here + right
+        fine = float(np.clip(0.5 * (left - right) / bend, -0.5, 0.5)) if bend < 0.0 else 0.0
+    return Alignment(float(a.t[0] - b.t[0] + (lags[allowed[best]] + fine) * step), float(score[best]))
+
+
+def _sampled(signal: Signal, step: float) -> Array:
+    values = linear(signal.t, signal.values, np.arange(signal.t[0], signal.t[-1], step))
+    return np.asarray(values - values.mean(axis=0))
+
+
+def _energy(x: Array, lags: NDArray[np.intp], other: int) -> Array:
+    """Sum of squares of the rows of `x` that overlap `other` rows shifted by each lag."""
+    total = np.concatenate([[0.0], np.cumsum((x**2).sum(axis=1))])
+    start, end = np.clip(lags, 0, len(x)), np.clip(lags + other, 0, len(x))
+    return np.asarray(total[end] - total[start])
+
+
+def _first(recording: Recording, sensor: Sensor) -> Signal | None:
+    found = [c for c in recording.channels if c.sensor == sensor and c.stage != Stage.DEBIASED]
+    found += [c for c in recording.reference if c.sensor == sensor]
+    return next((s for c in found if (s := Signal.of(c)) is not None), None)

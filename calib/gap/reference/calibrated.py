@@ -1,0 +1,90 @@
+"""At which stage a gap is stated: at the sensor, against the calibration in force.
+
+A correction in force has the form ``corrected = L (sensor - offset - p(T))``. What it was told to remove is no gap: an
+ideal sensor is one for which it is exact. What it scales is undone, so that an effect reads as it acts on the sensor,
+and as a simulator takes it: ``R L^-1 corrected``, with ``R`` the mounting, in body axes. A simulator's log flown with
+the same calibration is treated in the same way, and its offset from the ideal is part of the simulator.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import FirmwareError, InvalidInputError
+from calib.firmware import body_from_sensor, calibration_in_force
+from calib.recording import Channel, Recording, Sensor, Stage
+from calib.triad import TriadModel
+
+Array = NDArray[np.float64]
+
+TRIADS = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
+_FILTERS = {Sensor.ACCEL: "INS_ACCEL_FILTER", Sensor.GYRO: "INS_GYRO_FILTER"}
+
+
+def corrected(recording: Recording) -> Recording:
+    """`recording` with the raw sensors of a vehicle whose calibration is known corrected, in body axes.
+
+    Tables and vehicles without a known calibration stay as they are, and so do sensors whose correction depends on a
+    temperature: bare, they are what their table says.
+    """
+    if not _known(recording):
+        return recording
+    return recording.with_channels(
+        _corrected(c, recording) if c.sensor in TRIADS and c.stage == Stage.RAW and len(c) else c
+        for c in recording.channels
+    )
+
+
+def sensor_from_corrected(channel: Channel, recording: Recording) -> Array:
+    """``R L^-1`` (3, 3): what brings corrected readings, and ideal ones, to the sensor's scale in body axes.
+
+    The identity for what is not corrected, or not known.
+    """
+    about = _model(channel, recording) if channel.stage != Stage.RAW else None
+    if about is None:
+        return np.eye(3)
+    model, mounting = about
+    return np.asarray(mounting @ np.linalg.inv(model.matrix), dtype=np.float64)
+
+
+def _known(recording: Recording) -> bool:
+    return recording.identity.autopilot in {"ardupilot", "px4"} and bool(recording.parameters)
+
+
+def _corrected(channel: Channel, recording: Recording) -> Channel:
+    about = _model(channel, recording)
+    if about is None or about[0].polynomial is not None:
+        return channel
+    return dataclasses.replace(channel, values=about[0].apply(channel.values), stage=Stage.CORRECTED)
+
+
+def _model(channel: Channel, recording: Recording) -> tuple[TriadModel, Array] | None:
+    if not _known(recording) or channel.sensor not in TRIADS:
+        return None
+    parameters = recording.parameters.at(float(channel.t[len(channel) // 2]))
+    autopilot = recording.identity.autopilot
+    try:
+        model = calibration_in_force(autopilot, parameters, channel.sensor, channel.instance)
+        mounting = body_from_sensor(autopilot, parameters, channel.sensor, channel.instance)
+    except (FirmwareError, InvalidInputError):
+        return None
+    return (model, mounting) if abs(np.linalg.det(model.matrix)) > 1e-6 else None
+
+
+def filter_in_force(channel: Channel, recording: Recording) -> float | None:
+    """Cut-off, Hz, of the two-pole filter that ArduPilot's filtered channels went through; None: none, or unknown."""
+    name = _FILTERS.get(channel.sensor)
+    if channel.stage != Stage.FILTERED or recording.identity.autopilot != "ardupilot" or name is None:
+        return None
+    cutoff = float(recording.parameters.final().get(name, 0.0))
+    return cutoff if cutoff > 0.0 else None
+
+
+def filter_gain(hz: Array, cutoff: float | None) -> Array:
+    """Amplitude that a two-pole Butterworth filter leaves of a tone at `hz`; 1 without one."""
+    if cutoff is None:
+        return np.ones_like(hz)
+    return np.asarray(1.0 / np.sqrt(1.0 + (hz / cutoff) ** 4))

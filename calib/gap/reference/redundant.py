@@ -1,0 +1,89 @@
+"""Instances of one vehicle against each other: a reference that needs neither attitude nor field."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from calib.gap.problem import Trace
+from calib.gap.reference.calibrated import TRIADS
+from calib.gap.reference.ideal import Ideal, trace_of
+from calib.gap.reference.signal import Signal
+from calib.recording import Channel, Recording, Sensor, Stage
+
+Array = NDArray[np.float64]
+
+_SMOOTH_S = 2.0
+_CLOSE = 0.05
+"""Share of a step by which time stamps of two instances may differ and still be one sample of both."""
+
+
+def differences(real: Recording, ideal: Ideal | None, single: tuple[Trace, ...]) -> tuple[Trace, ...]:
+    """Of every sensor with several instances, each of them against the one that is most like its reference.
+
+    That one is found from the `single` traces; without them it is the one that is nearest to all others. Of two
+    without a single trace nothing says which is at fault: the first is held against the second.
+    """
+    made: list[Trace] = []
+    for sensor in TRIADS:
+        channels = _comparable(real, sensor)
+        if len(channels) < 2:
+            continue
+        base = _best(channels, _misfit(sensor, single))
+        made += [_difference(c, channels[base], ideal, real) for i, c in sorted(channels.items()) if i != base]
+    return tuple(trace for trace in made if trace.observed.sum() > 1)
+
+
+def _difference(channel: Channel, base: Channel, ideal: Ideal | None, real: Recording) -> Trace:
+    reading = Signal.of(base)
+    assert reading is not None
+    return dataclasses.replace(trace_of(channel, reading, ideal, real), against=base.instance)
+
+
+def _comparable(real: Recording, sensor: Sensor) -> dict[int, Channel]:
+    """A channel of every instance, all of one source and stage; the source that most instances have, then the longest.
+
+    Sources whose instances were sampled at different times are passed over: their difference would be movement.
+    """
+    sources: dict[tuple[str, Stage], dict[int, Channel]] = {}
+    for channel in real.channels:
+        if channel.sensor == sensor and channel.stage != Stage.DEBIASED and len(channel) >= 4:
+            sources.setdefault((channel.source, channel.stage), {}).setdefault(channel.instance, channel)
+    found = [{i: c for i, c in group.items() if _same_times(c, group[min(group)])} for group in sources.values()]
+    return max(found, key=lambda group: (len(group), sum(len(c) for c in group.values())), default={})
+
+
+def _same_times(a: Channel, b: Channel) -> bool:
+    if a is b:
+        return True
+    shared = np.clip(np.searchsorted(b.t, a.t), 1, len(b) - 1)
+    nearest = np.minimum(np.abs(b.t[shared] - a.t), np.abs(b.t[shared - 1] - a.t))
+    return bool((nearest < _CLOSE * np.median(np.diff(b.t))).mean() > 0.9)
+
+
+def _misfit(sensor: Sensor, single: tuple[Trace, ...]) -> dict[int, float]:
+    """Mean square of the slow part of every instance's residual."""
+    return {t.instances[0]: _slow_square(t.residual[t.observed], t.fs) for t in single if t.sensor == sensor}
+
+
+def _slow_square(residual: Array, fs: float) -> float:
+    smooth = uniform_filter1d(residual, max(1, round(_SMOOTH_S * fs)), axis=0)
+    return float(np.mean(smooth**2))
+
+
+def _best(channels: Mapping[int, Channel], misfit: Mapping[int, float]) -> int:
+    if all(i in misfit for i in channels):
+        return min(channels, key=lambda i: misfit[i])
+    if len(channels) == 2:
+        return max(channels)
+    return min(channels, key=lambda i: sum(_apart(channels[i], other) for other in channels.values()))
+
+
+def _apart(a: Channel, b: Channel) -> float:
+    reading = Signal.of(b)
+    assert reading is not None
+    return float(np.median(np.abs(reading.at(a.t) - a.values)))

@@ -1,0 +1,60 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.gap.problem import ReferenceKind
+from calib.gap.reference import build
+from calib.recording import Recording, Sensor
+
+from .test_recorded import RATE, SECONDS, channel, flown, truth
+
+
+def several(biases, seed=1):
+    """An accelerometer with as many instances as `biases`, and no other reference."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(int(RATE * SECONDS)) / RATE
+    ideal, _ = truth(t)
+    return Recording(
+        tuple(
+            channel(Sensor.ACCEL, t, ideal[Sensor.ACCEL] + bias + 0.02 * rng.standard_normal((len(t), 3)), instance=i)
+            for i, bias in enumerate(biases)
+        )
+    )
+
+
+def test_the_difference_of_two_instances_needs_no_attitude():
+    problem = build(several([[0.3, -0.2, 0.15], [0.0, 0.0, 0.0]]))
+    assert problem.reference.kind == ReferenceKind.REDUNDANT
+    (trace,) = problem.traces
+    assert (trace.instances, trace.against) == ((0,), 1)
+    assert trace.residual.mean(axis=0) == pytest.approx([0.3, -0.2, 0.15], abs=0.003)
+
+
+def test_of_three_the_one_that_most_agree_with_is_the_reference():
+    problem = build(several([[0.0, 0.0, 0.0], [0.4, 0.0, 0.0], [0.001, 0.0, 0.0]]))
+    assert {t.against for t in problem.traces} < {0, 2}
+    odd = next(t for t in problem.traces if t.instances == (1,))
+    assert odd.residual.mean(axis=0)[0] == pytest.approx(0.4, abs=0.005)
+
+
+def test_with_another_reference_the_better_of_two_is_the_base():
+    single = flown(effects={Sensor.ACCEL: np.array([0.2, 0.0, 0.0])})
+    clean = flown(seed=5)
+    second = channel(Sensor.ACCEL, clean.channels[0].t, clean.channels[0].values, instance=1)
+    for channels, base in (((*single.channels, second), 1), ((*clean.channels, *_as_second(single)), 0)):
+        problem = build(Recording(tuple(channels), reference=single.reference))
+        pair = [t for t in problem.traces if t.against is not None]
+        assert [t.against for t in pair] == [base]
+        assert np.abs(pair[0].residual.mean(axis=0)) == pytest.approx([0.2, 0.0, 0.0], abs=0.005)
+
+
+def _as_second(recording):
+    return (channel(Sensor.ACCEL, recording.channels[0].t, recording.channels[0].values, instance=1),)
+
+
+def test_instances_sampled_at_different_times_are_not_compared():
+    both = several([[0.3, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    late = channel(Sensor.ACCEL, both.channels[1].t + 0.004, both.channels[1].values, instance=1)
+    with pytest.raises(ValueError, match="ideal sensor"):
+        build(Recording((both.channels[0], late)))
