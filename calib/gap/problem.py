@@ -83,6 +83,9 @@ class Trace:
         noise); None: to be learned from a nominal recording or from the data.
     sigma_dof
         Degrees of freedom per axis from which `sigma` was estimated; infinite if it is exact.
+    low_pass_hz
+        Cut-off of the firmware's own two-pole filter, which `measured` went through; None: not filtered, or not known.
+        A tone or a noise of the sensor was larger before it.
     quantum
         Width of a quantisation bin, 0 for none.
     psd : shape (K, 3) or None
@@ -113,6 +116,7 @@ class Trace:
     against: int | None = None
     place: Array | None = None
     sigma_dof: float = math.inf
+    low_pass_hz: float | None = None
 
     @property
     def fs(self) -> float:
