@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from calib.errors import FirmwareError
 from calib.firmware import names
+from calib.firmware.faults import absurd_motor_gain
 from calib.firmware.names import ARDUPILOT_PREFIXES as CALIBRATION_PREFIXES
 from calib.firmware.names import Role
 from calib.firmware.rotations import euler_matrix, rotation_matrix
@@ -121,9 +122,16 @@ def motor_term(
     if kind == 3:
         _refuse_per_motor(parameters, instance)
         return None
-    gain = UT_PER_MGAUSS * vector(parameters, calibration_names(parameters, Sensor.MAG, instance), names.MOTOR)
+    roles = calibration_names(parameters, Sensor.MAG, instance)
+    gain = UT_PER_MGAUSS * vector(parameters, roles, names.MOTOR)
     if not gain.any():
         return None
+    for role in names.MOTOR:
+        if absurd_motor_gain(roles[role], parameters[roles[role]]):
+            raise FirmwareError(
+                f"{roles[role]} is {parameters[roles[role]]:g}, which is corrupt: set COMPASS_MOTCT to 0, or calibrate "
+                "the compensation again"
+            )
     drive, message = (throttle, "VFR_HUD") if kind == 1 else (current, "BATTERY_STATUS")
     if drive is None:
         raise FirmwareError(

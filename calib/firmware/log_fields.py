@@ -13,9 +13,12 @@ Instances are a column (``I``, ``Instance``, ``Inst``), in older firmwares a dig
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from calib.recording import Rounding, Sensor, Stage
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 MGAUSS_UT: Final = 0.1
 INSTANCE_COLUMNS: Final = ("I", "Instance", "Inst")
@@ -77,6 +80,8 @@ THROTTLE_FUNCTIONS: Final = (70, 73, 74)
 """Throttle, left and right throttle of planes and boats."""
 PWM_DEFAULT: Final = (1000.0, 2000.0)
 
+SOFT_IRON_SINCE: Final = (3, 3)
+"""Firmwares before this version have no soft iron matrix (COMPASS_DIA, COMPASS_ODI): it is the identity."""
 ARMED_EVENT: Final = 10
 DISARMED_EVENT: Final = 11
 
@@ -84,8 +89,32 @@ WANTED: Final = frozenset(
     {
         *(name for reading in (*INERTIAL, COMPASS) for name in reading.messages),
         *("ISBH", "ISBD", "PARM", "ATT", "XKQ", "NKQ", "AHR2", "GPS", "GPS2", "POS", "BAT", "BAT2", "CURR", "CUR2"),
-        *("CTUN", "RCOU", "ESC", "RPM", "SIM", "SIM2", "VIBE", "DSF", "VER", "MSG", "MODE", "EV", "ARM", "ERR"),
+        *("CTUN", "RCOU", "MOT", "ESC", "RPM", "SIM", "SIM2", "VIBE", "DSF", "VER", "MSG", "MODE", "EV", "ARM", "ERR"),
         *("FMTU", "UNIT", "MULT"),
     }
 )
 """Everything that a recording is made of."""
+
+TEXT_COLUMNS: Final = {
+    "PARM": ("Name",),
+    "MSG": ("Message",),
+    "MODE": ("Mode",),
+    "VER": ("FWS",),
+    "FMTU": ("UnitIds", "MultIds"),
+    "UNIT": ("Label",),
+}
+"""By message: the columns that hold characters; every other one holds numbers."""
+
+
+def implied_parameters(parameters: Mapping[str, float], firmware: tuple[int, int, int] | None) -> dict[str, float]:
+    """Values that hold although no parameter says so, because the firmware is older than the parameter."""
+    old = firmware is not None and firmware[:2] < SOFT_IRON_SINCE
+    if not old or "COMPASS_OFS_X" not in parameters or any(name.startswith("COMPASS_DIA") for name in parameters):
+        return {}
+    found: dict[str, float] = {}
+    for digit in ("", "2", "3"):
+        if f"COMPASS_OFS{digit}_X" in parameters:
+            found |= {f"COMPASS_DIA{digit}_{axis}": 1.0 for axis in "XYZ"}
+            found |= {f"COMPASS_ODI{digit}_{axis}": 0.0 for axis in "XYZ"}
+            found |= {f"COMPASS_EXTERN{digit}": 0.0, f"COMPASS_ORIENT{digit}": 0.0} if digit else {}
+    return {name: value for name, value in found.items() if name not in parameters}

@@ -6,12 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from calib.errors import InvalidInputError, UnreadableError
-from calib.logs.dataflash import DataFlash, read_dataflash
+from calib.logs.dataflash import DataFlash, read_dataflash, read_dataflash_text
 from calib.logs.tables import read_table
 from calib.logs.tlog import read_tlog
 from calib.logs.ulog import read_ulog
 from calib.recording import Recording
 
+_HEAD = 1 << 14
+"""Bytes that tell what a file is; a text log may begin with a greeting."""
 _DATAFLASH_START = b"\xa3\x95"
 _ULOG_START = b"ULog"
 _MAVLINK_STARTS = (0xFD, 0xFE)
@@ -19,7 +21,7 @@ _TLOG_OPTIONS = ("start", "end", "system")
 
 
 def read(path: Path | str, **options: Any) -> Recording:
-    """Read a telemetry log (.tlog), a DataFlash log (.bin) or a table (.csv and the like, .npz, .mat).
+    """Read a log (.tlog, DataFlash .bin and text, ULog) or a table (.csv and the like, .npz, .mat).
 
     Parameters
     ----------
@@ -39,17 +41,15 @@ def read(path: Path | str, **options: Any) -> Recording:
     file = Path(path)
     try:
         with file.open("rb") as opened:
-            head = opened.read(512)
+            head = opened.read(_HEAD)
     except OSError as error:
         raise UnreadableError(f"{file.name} cannot be opened: {error.strerror or error}") from error
     if head.startswith(_ULOG_START):
         return read_ulog(_plain(file, options))
-    if head.startswith(_DATAFLASH_START):
+    if head.startswith(_DATAFLASH_START) or file.suffix.lower() == ".bin":
         return read_dataflash(_plain(file, options))
     if b"FMT," in head:
-        raise UnreadableError(
-            f"{file.name} is a DataFlash log as text: those cannot be read yet; give a .tlog or a table"
-        )
+        return read_dataflash_text(_plain(file, options))
     if file.suffix.lower() == ".tlog" or (len(head) > 8 and head[8] in _MAVLINK_STARTS and head[0] == 0):
         if options.get("mapping"):
             raise InvalidInputError(f"{file.name} is a telemetry log, its fields are known: leave the mapping out")
@@ -68,4 +68,4 @@ def _plain(file: Path, options: dict[str, Any]) -> Path:
     return file
 
 
-__all__ = ["DataFlash", "read", "read_dataflash", "read_table", "read_tlog", "read_ulog"]
+__all__ = ["DataFlash", "read", "read_dataflash", "read_dataflash_text", "read_table", "read_tlog", "read_ulog"]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from calib.logs.dataflash.log import DataFlash, Log, Table
-from calib.logs.dataflash.reader import read_dataflash
+from calib.logs.dataflash.log import DataFlash
+from calib.logs.dataflash.reader import read_dataflash, read_dataflash_text
+from calib.logs.dataflash.tables import Log, Table
 
-__all__ = ["DataFlash", "Log", "Table", "read_dataflash"]
+__all__ = ["DataFlash", "Log", "Table", "read_dataflash", "read_dataflash_text"]

@@ -1,4 +1,9 @@
-"""Times of a DataFlash log in seconds since boot."""
+"""Times of a DataFlash log in seconds since boot, and which of them can be believed.
+
+A damaged byte may lie in a time stamp, where it would move a sample to any moment. The messages lie in the file in the
+order of time, so a stamp that contradicts its neighbours is seen and its message left out; a clock that starts again in
+the middle (a restart within one file) goes on where it stopped.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.firmware.log_fields import SAMPLE_TIME_COLUMNS
+from calib.recording import Event
 
 if TYPE_CHECKING:
-    from calib.logs.dataflash.log import Log, Table
+    from calib.logs.dataflash.tables import Log, Table
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -20,44 +26,119 @@ STAMPS: Final = (("TimeUS", 1e-6), ("T", 1e-3), ("TimeMS", 1e-3))
 WRAP_US: Final = 2.0**32
 LATEST_S: Final = 1.0
 """A sample that claims to be older than this when it is logged was read at a time that is not known."""
+BACKWARD_S: Final = 1.0
+"""Messages of several threads may be written so little out of order; a longer step back is damage or a restart."""
+CONFIRMATIONS: Final = 5
+"""So many messages in a row behind a step back are a restart; fewer are damage."""
+RESTART_GAP_S: Final = 0.5
+"""What is put between the last time before a restart and the first one after it; its true length is not known."""
+LONGEST_JUMP_S: Final = 60.0
+"""A last message that lies further behind all others is damage."""
+ROUNDS: Final = 8
 
 
 class Clock:
-    """Gives every message its time; messages without a stamp get the one of the stamped message before them."""
+    """Gives every message of `log` its time; messages without a stamp get that of the stamped one before them."""
 
     def __init__(self, log: Log) -> None:
-        stamped = [name for name in log if _stamp(log[name]) is not None and name not in ("FMT", "PARM", "UNIT")]
-        self._where = np.empty(0, dtype=np.int64)
-        self._times = np.empty(0)
-        if stamped:
-            densest = log[max(stamped, key=lambda name: len(log[name]))]
-            self._where, self._times = densest.offsets, self._stamps(densest)
+        self.doubted = 0
+        self._where, self._times = np.empty(0, dtype=np.int64), np.empty(0)
+        self._restarts: list[tuple[int, float, float]] = []
+        stamped = [name for name in log if name not in ("FMT", "PARM", "UNIT", "MULT") and _stamp(log[name])]
+        if not stamped:
+            return
+        densest = log[max(stamped, key=lambda name: len(log[name]))]
+        where, times = densest.offsets, _stamps(densest)
+        added = np.zeros(len(times))
+        for row in _restarts(times):
+            step = times[row - 1] + added[row - 1] + RESTART_GAP_S - times[row]
+            self._restarts.append((int(where[row]), float(step), float(times[row] + step)))
+            added[row:] = step
+        times = times + added
+        keep = ordered(times)
+        if keep.any() and len(times) > 2 and times[-1] - times[-2] > LONGEST_JUMP_S:
+            keep[-1] = False
+        self._where, self._times = where[keep], times[keep]
+
+    @property
+    def events(self) -> list[Event]:
+        """Restarts within the log."""
+        return [Event(t, "reboot", "the vehicle's clock started again") for _, _, t in self._restarts]
 
     def times(self, table: Table) -> Array:
-        """When the messages of `table` were written, s."""
-        if _stamp(table) is not None:
-            return self._stamps(table)
+        """When the messages of `table` were written, s; nan where the stamp cannot be believed."""
+        if _stamp(table) is None or not len(self._where):
+            return self._by_place(table)
+        t = _stamps(table)
+        for place, step, _ in self._restarts:
+            t[table.offsets >= place] = _stamps(table)[table.offsets >= place] + step
+        first, last = self._times[0] - BACKWARD_S, self._times[-1] + BACKWARD_S
+        if len(t) and not (t[0] >= first and t[-1] <= last and (np.diff(t) >= -BACKWARD_S).all()):
+            i = np.searchsorted(self._where, table.offsets)
+            before, after = self._times[np.maximum(i - 1, 0)], self._times[np.minimum(i, len(self._times) - 1)]
+            wrong = (t < before - BACKWARD_S) | (t > np.maximum(after, before) + BACKWARD_S)
+            self.doubted += int(wrong.sum())
+            t[wrong] = np.nan
+        return t
+
+    def moments(self, table: Table) -> list[float]:
+        """The same for events: a stamp that cannot be believed is replaced by the one of the messages around."""
+        t = self.times(table)
+        return [float(time) for time in np.where(np.isfinite(t), t, self._by_place(table))]
+
+    def sample_times(self, table: Table, t: Array, rows: slice | Mask) -> Array:
+        """When the sensor was read, s, for messages that were written at `t`; both for `rows` of the table."""
+        column = next((name for name in SAMPLE_TIME_COLUMNS if name in table), None)
+        if column is None or table.format.letter(column) not in "QIqi":
+            return t
+        read = table[column][rows].astype(np.float64)
+        # a column of 32 bits wraps every 71 minutes; the compass may be read while its message is being written
+        raw = t if not self._restarts else _stamps(table)[rows]
+        late = 1e-6 * ((raw * 1e6 - read + 0.5 * WRAP_US) % WRAP_US - 0.5 * WRAP_US)
+        return np.where(np.abs(late) < LATEST_S, t - late, t)
+
+    def _by_place(self, table: Table) -> Array:
         if not len(self._where):
             return np.zeros(len(table))
         before = np.searchsorted(self._where, table.offsets) - 1
-        return self._times[np.maximum(before, 0)]
+        return np.asarray(self._times[np.maximum(before, 0)])
 
-    def sample_times(self, table: Table, rows: slice | Mask) -> tuple[Array, Mask]:
-        """When the sensor was read, s, and which `rows` of the table have a believable time."""
-        t = self.times(table)[rows]
-        column = next((name for name in SAMPLE_TIME_COLUMNS if name in table), None)
-        if column is not None and table.format.letter(column) in "QIqi":
-            read = table[column][rows].astype(np.float64)
-            # a column of 32 bits wraps every 71 minutes; the compass may be read while its message is being written
-            late = 1e-6 * ((t * 1e6 - read + 0.5 * WRAP_US) % WRAP_US - 0.5 * WRAP_US)
-            t = np.where(np.abs(late) < LATEST_S, t - late, t)
-        keep = np.ones(len(t), dtype=bool)
-        return t, keep
 
-    def _stamps(self, table: Table) -> Array:
-        stamp = _stamp(table)
-        assert stamp is not None
-        return np.asarray(table[stamp[0]].astype(np.float64) * stamp[1])
+def ordered(t: Array) -> Mask:
+    """Which of the times stay so that none is before the one in front of it; as few as possible are left out.
+
+    Of two that contradict each other the one goes that its other neighbour contradicts too.
+    """
+    keep = np.isfinite(t)
+    for _ in range(ROUNDS):
+        left = np.flatnonzero(keep)
+        times = t[left]
+        back = np.flatnonzero(np.diff(times) < 0)
+        if not len(back):
+            return keep
+        high = (back == 0) | (times[np.maximum(back - 1, 0)] <= times[back + 1])
+        keep[left[np.where(high, back, back + 1)]] = False
+    left = np.flatnonzero(keep)
+    keep[left[t[left] < np.maximum.accumulate(t[left])]] = False
+    return keep
+
+
+def _restarts(t: Array) -> list[int]:
+    """Rows at which the clock begins anew: many in a row are earlier than the one before, and go on in order."""
+    found = []
+    for i in np.flatnonzero(np.diff(t) < -BACKWARD_S).tolist():
+        after = t[i + 1 : i + 1 + CONFIRMATIONS]
+        before = t[max(0, i - CONFIRMATIONS) : i]
+        whole = len(after) == CONFIRMATIONS and len(before) > 0
+        if whole and (np.diff(after) >= 0).all() and after[-1] < np.median(before) - BACKWARD_S:
+            found.append(i + 1)
+    return found
+
+
+def _stamps(table: Table) -> Array:
+    stamp = _stamp(table)
+    assert stamp is not None
+    return np.asarray(table[stamp[0]].astype(np.float64) * stamp[1])
 
 
 def _stamp(table: Table) -> tuple[str, float] | None:

@@ -1,4 +1,4 @@
-"""A DataFlash log as tables of columns, read only as far as they are asked for."""
+"""A binary DataFlash log, read only as far as it is asked for."""
 
 from __future__ import annotations
 
@@ -8,112 +8,19 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calib.errors import InvalidInputError, UnreadableError
-from calib.logs.dataflash.formats import HEADER, Format
-from calib.logs.dataflash.scan import Bytes, Index, scan
+from calib.errors import UnreadableError
+from calib.logs.dataflash.formats import Format
+from calib.logs.dataflash.scan import Index, scan
+from calib.logs.dataflash.tables import BinaryTable, Bytes, Table
 
-Column = NDArray[Any]
-
-ROWS: Final = 1 << 16
-"""Messages that are gathered at once: what is copied on the way stays in the processor's cache."""
-MICRO: Final = 1e-6
-PREFIXES: Final = {1e-1: "d", 1e-2: "c", 1e-3: "m", 1e-6: "u", 1e-9: "n"}
-
-
-class Table:
-    """All messages of one name, column by column.
-
-    ``table["AccX"]`` is a numpy array, one value a message in the order of the file: floats where the log scales
-    integers, else the log's own type; texts are ``str``. ``table.units`` says in what.
-    """
-
-    def __init__(self, format_: Format, data: Bytes, parts: list[tuple[int, NDArray[np.uint32]]]) -> None:
-        self.format = format_
-        self.units: dict[str, str] = {}
-        self._data, self._parts = data, parts
-
-    @property
-    def name(self) -> str:
-        """What the log calls it."""
-        return self.format.name
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Its columns."""
-        return self.format.columns
-
-    def __len__(self) -> int:
-        return sum(len(part) for _, part in self._parts)
-
-    def __contains__(self, column: str) -> bool:
-        return column in self.format.columns
-
-    def __getitem__(self, column: str) -> Column:
-        return self.columns(column)[0]
-
-    @cached_property
-    def offsets(self) -> NDArray[np.int64]:
-        """Where the messages lie in the file."""
-        found = [base + part.astype(np.int64) for base, part in self._parts]
-        return np.concatenate(found) if found else np.empty(0, dtype=np.int64)
-
-    def columns(self, *names: str) -> list[Column]:
-        """Several columns at once, which is faster than one after the other.
-
-        Raises
-        ------
-        InvalidInputError
-            If the messages have no such column.
-        """
-        missing = [name for name in names if name not in self.format.columns]
-        if missing:
-            raise InvalidInputError(
-                f"{self.name} has no column {', '.join(missing)}; it has {', '.join(self.format.columns)}"
-            )
-        out = [self._empty(name) for name in names]
-        done = 0
-        for rows in self._rows():
-            for name, column in zip(names, out, strict=True):
-                column[done : done + len(rows)] = rows[name]
-            done += len(rows)
-        return [self._finished(name, column) for name, column in zip(names, out, strict=True)]
-
-    def _empty(self, name: str) -> Column:
-        dtype = self.format.dtype[name]
-        if self.format.divisor(name) is not None:
-            return np.empty(len(self))
-        return np.empty((len(self), *dtype.shape), dtype.base)
-
-    def _finished(self, name: str, column: Column) -> Column:
-        divisor = self.format.divisor(name)
-        if divisor is not None:
-            column /= divisor
-        elif self.format.is_text(name):
-            return np.char.decode(column, "utf-8", "replace") if len(column) else column.astype(str)
-        return column
-
-    def _rows(self) -> Iterator[NDArray[Any]]:
-        """The messages without their headers, a few at a time."""
-        dtype = self.format.dtype
-        if not dtype.itemsize:
-            return
-        for base, part in self._parts:
-            room = len(self._data) - base - HEADER - dtype.itemsize + 1
-            window = np.ndarray(
-                (room,), np.dtype((np.void, dtype.itemsize)), self._data, offset=base + HEADER, strides=(1,)
-            )
-            for first in range(0, len(part), ROWS):
-                yield window[part[first : first + ROWS]].view(dtype)
-
-
-Log = Mapping[str, Table]
-"""A log as its tables; ``log.get(name)`` is None where it has none."""
+PREFIXES: Final = {-1: "d", -2: "c", -3: "m", -6: "u", -9: "n", 0: ""}
+"""SI prefix of a power of ten."""
+NO_MULTIPLIER: Final = ("-", "?")
 
 
 class DataFlash(Mapping[str, Table]):
-    """A binary DataFlash log: a mapping of message names to :class:`Table` s.
+    """A binary DataFlash log: a mapping of message names to tables of their columns.
 
     >>> log = DataFlash("flight.bin")  # doctest: +SKIP
     >>> log["XKF4"]["SV"].max()  # doctest: +SKIP
@@ -175,7 +82,60 @@ class DataFlash(Mapping[str, Table]):
             If the log has none.
         """
         type_ = max(self._types[name], key=lambda number: int(self.index.counts[number]))
-        return Table(self.index.formats[type_], self._data, self.index.parts[type_])
+        return self._made(type_, self._units.get(type_, {}))
+
+    def _made(self, type_: int, units: Mapping[str, str]) -> BinaryTable:
+        return BinaryTable(self.index.formats[type_], units, self._data, self.index.parts[type_])
+
+    @cached_property
+    def _units(self) -> dict[int, dict[str, str]]:
+        """Units of the columns by type, as FMTU, UNIT and MULT say them."""
+        labels = dict(self._pairs("UNIT", "Id", "Label"))
+        factors = dict(self._pairs("MULT", "Id", "Mult"))
+        found = {}
+        said = (self._column("FMTU", column) for column in ("FmtType", "UnitIds", "MultIds"))
+        for type_, units, multipliers in zip(*said, strict=False):
+            format_ = self.index.formats.get(type_)
+            if format_ is not None:
+                found[type_] = _units_of(format_, str(units), str(multipliers), labels, factors)
+        return found
+
+    def _column(self, name: str, column: str) -> list[Any]:
+        types = self._types.get(name)
+        if not types or column not in self.index.formats[types[0]].columns:
+            return []
+        return list(self._made(types[0], {})[column].tolist())
+
+    def _pairs(self, name: str, key: str, value: str) -> list[tuple[Any, Any]]:
+        return list(zip(self._column(name, key), self._column(name, value), strict=False))
+
+
+def _units_of(
+    format_: Format,
+    units: str,
+    multipliers: str,
+    labels: Mapping[Any, Any],
+    factors: Mapping[Any, Any],
+) -> dict[str, str]:
+    """Unit of each column as its values are given out; a column that the log scales itself is in the plain unit."""
+    found = {}
+    for column, unit, multiplier in zip(format_.columns, units, multipliers, strict=False):
+        label = str(labels.get(ord(unit), ""))
+        factor = factors.get(ord(multiplier))
+        if label and multiplier not in NO_MULTIPLIER and format_.divisor(column) is None and isinstance(factor, float):
+            label = _prefixed(factor, label)
+        if label:
+            found[column] = label
+    return found
+
+
+def _prefixed(factor: float, label: str) -> str:
+    if not 0.0 < factor < np.inf:
+        return label
+    power = round(float(np.log10(factor)))
+    if power in PREFIXES and abs(factor / 10.0**power - 1.0) < 1e-5:
+        return PREFIXES[power] + label
+    return f"{factor:g} {label}"
 
 
 def _mapped(path: Path) -> Bytes:

@@ -9,14 +9,19 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from calib.errors import UnreadableError
-from calib.firmware.log_fields import WANTED
-from calib.logs.dataflash.channels import compass_channels, inertial_channels
+from calib.firmware.faults import parameter_faults
+from calib.firmware.log_fields import TEXT_COLUMNS, WANTED, implied_parameters
+from calib.logs.dataflash.batch import batch_channels
+from calib.logs.dataflash.channels import SensorChannels
 from calib.logs.dataflash.clock import Clock
-from calib.logs.dataflash.log import DataFlash, Log
+from calib.logs.dataflash.log import DataFlash
+from calib.logs.dataflash.offsets import learned_offsets
 from calib.logs.dataflash.said import counted_events, identity_of, parameter_entries, spoken_events
 from calib.logs.dataflash.scan import LONGEST
 from calib.logs.dataflash.state import reference_channels, state_channels
-from calib.recording import Event, ParameterTimeline, Recording
+from calib.logs.dataflash.tables import Log, Table
+from calib.logs.dataflash.text import TextLog
+from calib.recording import Event, Identity, ParameterEntry, ParameterTimeline, Recording
 
 if TYPE_CHECKING:
     from calib.logs.dataflash.scan import Index
@@ -46,28 +51,80 @@ def read_dataflash(path_or_bytes: Path | str | bytes) -> Recording:
     return _recording(log, log.source, _damage(log.index, log.source), whole=whole)
 
 
+def read_dataflash_text(path: Path | str) -> Recording:
+    """Read a DataFlash log as text: the same, from the lines of old firmwares and ground stations.
+
+    Raises
+    ------
+    UnreadableError
+        If it cannot be read as such a log.
+    """
+    file = Path(path)
+    try:
+        content = file.read_bytes()
+    except OSError as error:
+        raise UnreadableError(f"{file.name} cannot be opened: {error.strerror or error}") from error
+    log = TextLog(content, file.name, WANTED)
+    damage = []
+    if log.skipped:
+        text = f"{log.skipped} of {log.lines} lines of {file.name} are no intact messages and were left out"
+        damage.append(Event(0.0, "damage", text))
+    return _recording(log, file.name, damage, whole=not damage)
+
+
 def _recording(log: Log, source: str, damage: list[Event], *, whole: bool) -> Recording:
+    log = {name: table for name, table in log.items() if _as_known(table)}
     clock = Clock(log)
-    entries = parameter_entries(log, clock)
-    parameters = ParameterTimeline(entries, end_observed=bool(entries) and whole)
-    channels = [
-        *inertial_channels(log, clock),
-        *compass_channels(log, clock),
-        *state_channels(log, clock, parameters.final()),
-    ]
+    identity = identity_of(log)
+    parameters, said = _parameters(log, clock, identity, whole=whole)
+    sensors = SensorChannels(log, clock)
+    final = parameters.final()
+    channels = [*sensors.channels, *batch_channels(log, final), *state_channels(log, clock, final)]
     if not channels:
         raise UnreadableError(
             f"{source} is a DataFlash log without a single sample of an inertial unit, a compass or a pose "
             f"(it holds {', '.join(sorted(log)) or 'no message'}): there is nothing to calibrate in it"
         )
-    events = [*damage, *_date(log, clock), *spoken_events(log, clock), *counted_events(log, clock)]
+    reference = tuple(reference_channels(log, clock))
+    events = [*damage, *_date(log, clock), *spoken_events(log, clock), *counted_events(log, clock), *clock.events]
+    events += [*said, *sensors.events]
+    if clock.doubted:
+        text = f"{clock.doubted} messages say a time that those around them contradict, and were left out"
+        events.append(Event(0.0, "damage", text))
     return Recording(
         channels=tuple(channels),
         parameters=parameters,
         events=tuple(sorted(events, key=lambda event: event.t)),
-        identity=identity_of(log),
+        identity=identity,
         source=source,
-        reference=tuple(reference_channels(log, clock)),
+        reference=reference,
+    )
+
+
+def _parameters(log: Log, clock: Clock, identity: Identity, *, whole: bool) -> tuple[ParameterTimeline, list[Event]]:
+    """What the log lists and what was set later, what its age implies, and what the vehicle changed by itself."""
+    entries = list(parameter_entries(log, clock))
+    if whole:
+        listed = {entry.name: entry.value for entry in entries}
+        implied = implied_parameters(listed, identity.firmware)
+        entries = [*(ParameterEntry(-np.inf, name, value) for name, value in implied.items()), *entries]
+    timeline = ParameterTimeline(tuple(entries), end_observed=bool(entries) and whole)
+    learned, events = learned_offsets(log, clock, timeline)
+    if learned:
+        merged = sorted([*entries, *learned], key=lambda entry: entry.t)
+        timeline = ParameterTimeline(tuple(merged), end_observed=timeline.end_observed)
+    start = entries[0].t if entries and np.isfinite(entries[0].t) else 0.0
+    events += [Event(start, "undo", text) for text in parameter_faults(timeline.final())]
+    return timeline, events
+
+
+def _as_known(table: Table) -> bool:
+    """Whether numbers stand where numbers are known to stand, and texts where texts are."""
+    texts = TEXT_COLUMNS.get(table.name, ())
+    arrays = ("x", "y", "z") if table.name == "ISBD" else ()
+    return len(table) > 0 and all(
+        (letter in "nNZ") <= (column in texts) and (letter == "a") == (column in arrays)
+        for column, letter in zip(table.names, table.format.letters, strict=True)
     )
 
 
@@ -94,4 +151,4 @@ def _date(log: Log, clock: Clock) -> list[Event]:
     row = int(known[0])
     seconds = int(table[week][row]) * 604800 + int(table[time][row]) / 1000.0 - LEAP_S
     date = GPS_EPOCH + timedelta(seconds=seconds)
-    return [Event(float(clock.times(table)[row]), "utc", date.isoformat(timespec="seconds"))]
+    return [Event(clock.moments(table)[row], "utc", date.isoformat(timespec="seconds"))]

@@ -14,7 +14,7 @@ from calib.recording import Event, Identity, ParameterEntry
 
 if TYPE_CHECKING:
     from calib.logs.dataflash.clock import Clock
-    from calib.logs.dataflash.log import Log
+    from calib.logs.dataflash.tables import Log
 
 _FIRMWARE: Final = re.compile(r"(?:APM:)?(?:Ardu)?(Copter|Plane|Rover|Sub)\s+V(\d+)\.(\d+)(?:\.(\d+))?", re.IGNORECASE)
 _TYPES: Final = {
@@ -23,6 +23,8 @@ _TYPES: Final = {
     "rover": dialect.MAV_TYPE_GROUND_ROVER,
     "sub": dialect.MAV_TYPE_SUBMARINE,
 }
+_SIMULATED: Final = re.compile(r"[0-9A-Za-z]{32}")
+"""A simulated vehicle prints its machine's id as it is, and sends the first bytes of it."""
 _CHIP: Final = re.compile(r"\b([0-9A-F]{8}) ([0-9A-F]{8}) ([0-9A-F]{8})$")
 UID2_BYTES: Final = 18
 
@@ -35,7 +37,7 @@ def parameter_entries(log: Log, clock: Clock) -> tuple[ParameterEntry, ...]:
     names, values = table.columns("Name", "Value")
     return tuple(
         ParameterEntry(t, name, value)
-        for t, name, value in zip(clock.times(table).tolist(), names.tolist(), values.tolist(), strict=True)
+        for t, name, value in zip(clock.moments(table), names.tolist(), values.tolist(), strict=True)
         if name
     )
 
@@ -53,6 +55,8 @@ def identity_of(log: Log) -> Identity:
         chip = _CHIP.search(text)
         if chip and identity.uid is None:
             identity = dataclasses.replace(identity, uid=_uid(chip.groups()))
+        elif _SIMULATED.fullmatch(text) and identity.uid is None:
+            identity = dataclasses.replace(identity, uid=text[:UID2_BYTES].encode("ascii").hex())
     version = log.get("VER")
     if version is not None and len(version) and all(name in version for name in ("Maj", "Min", "Pat")):
         numbers = [int(column[0]) for column in version.columns("Maj", "Min", "Pat")]
@@ -122,7 +126,7 @@ def _texts(log: Log) -> list[str]:
 
 def _times(log: Log, clock: Clock, name: str) -> list[float]:
     table = log.get(name)
-    return [] if table is None or "Message" not in table else clock.times(table).tolist()
+    return [] if table is None or "Message" not in table else clock.moments(table)
 
 
 def _rows(log: Log, clock: Clock, name: str, *columns: str) -> list[tuple[float, tuple[Any, ...]]]:
@@ -130,7 +134,7 @@ def _rows(log: Log, clock: Clock, name: str, *columns: str) -> list[tuple[float,
     if table is None or any(column not in table for column in columns):
         return []
     found = [column.tolist() for column in table.columns(*columns)]
-    return list(zip(clock.times(table).tolist(), zip(*found, strict=True), strict=True))
+    return list(zip(clock.moments(table), zip(*found, strict=True), strict=True))
 
 
 def _uid(words: tuple[str, ...]) -> str:

@@ -42,15 +42,12 @@ class Index:
         Messages by type number, indexed or not.
     skipped
         Start and length of the stretches that belong to no intact message.
-    refused_formats
-        FMT messages that contradict themselves or an earlier one.
     """
 
     formats: dict[int, Format] = field(default_factory=lambda: {FMT_TYPE: FMT})
     parts: dict[int, list[tuple[int, NDArray[np.uint32]]]] = field(default_factory=dict)
     counts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(256, dtype=np.int64))
     skipped: list[tuple[int, int]] = field(default_factory=list)
-    refused_formats: int = 0
 
     @property
     def skipped_bytes(self) -> int:
@@ -89,13 +86,27 @@ def _candidates(window: Bytes) -> Offsets:
 def _define(index: Index, lengths: Offsets, window: Bytes, begins: Offsets) -> None:
     """Take up the definitions of a block, before its messages are walked."""
     here = begins[window[begins + 2] == FMT_TYPE]
-    for begin in here[here + FMT_LENGTH <= len(window)].tolist():
-        made = read_fmt(window[begin + HEADER : begin + FMT_LENGTH].tobytes())
-        if made is None or index.formats.get(made.type, made).letters != made.letters:
-            index.refused_formats += 1
-        elif made.type not in index.formats:
-            index.formats[made.type] = made
-            lengths[made.type] = made.length
+    for begin in here.tolist():
+        _adopt(index, lengths, window, begin)
+        following = begin + FMT_LENGTH
+        # definitions stand behind one another: one whose header is damaged need not be lost, and its messages with it
+        while following + HEADER <= len(window) and (window[following : following + 2] != MAGIC).sum() == 1:
+            if not _adopt(index, lengths, window, following):
+                break
+            following += FMT_LENGTH
+
+
+def _adopt(index: Index, lengths: Offsets, window: Bytes, begin: int) -> bool:
+    """Whether the definition at `begin` is one that can be believed; it is known from then on."""
+    if begin + FMT_LENGTH > len(window):
+        return False
+    made = read_fmt(window[begin + HEADER : begin + FMT_LENGTH].tobytes())
+    if made is None or index.formats.get(made.type, made).letters != made.letters:
+        return False
+    if made.type not in index.formats:
+        index.formats[made.type] = made
+        lengths[made.type] = made.length
+    return True
 
 
 class _Walk:
@@ -179,7 +190,7 @@ class _Walk:
         if at + HEADER > len(self._window):
             return False
         first, second, type_ = self._window[at : at + HEADER].tolist()
-        return (first == MAGIC[0]) + (second == MAGIC[1]) + bool(self._lengths[type_]) >= 2
+        return bool((first == MAGIC[0]) + (second == MAGIC[1]) + (self._lengths[type_] > 0) >= 2)
 
 
 def _file(index: Index, base: int, begins: Offsets, window: Bytes, names: Collection[str] | None) -> None:

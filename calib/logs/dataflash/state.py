@@ -15,7 +15,7 @@ from calib.recording import Channel, Rounding, Sensor, Stage
 
 if TYPE_CHECKING:
     from calib.logs.dataflash.clock import Clock
-    from calib.logs.dataflash.log import Log, Table
+    from calib.logs.dataflash.tables import Log, Table
 
 Array = NDArray[np.float64]
 
@@ -132,15 +132,15 @@ def _throttle(log: Log, clock: Clock) -> Channel | None:
 
 
 def _motors(log: Log, clock: Clock, parameters: Mapping[str, float]) -> Channel | None:
-    table = log.get("RCOU")
+    table = log.get("RCOU") or log.get("MOT")
     if table is None:
         return None
-    outputs = [name for name in table.names if name.strip("Chan").isdigit()]
-    chosen = _motor_outputs([int(name.strip("Chan")) for name in outputs], parameters)
+    outputs = [name for name in table.names if name.strip("ChanMot").isdigit()]
+    chosen = _motor_outputs([int(name.strip("ChanMot")) for name in outputs], parameters)
     if not chosen:
         return None
     low, high = _pwm(parameters)
-    columns = dict(zip((int(name.strip("Chan")) for name in outputs), outputs, strict=True))
+    columns = dict(zip((int(name.strip("ChanMot")) for name in outputs), outputs, strict=True))
     pwm = np.column_stack(table.columns(*(columns[output] for output in chosen))).astype(np.float64)
     driven = (pwm > 0).any(axis=0)
     if not driven.any():

@@ -289,7 +289,7 @@ def test_dispatch_by_content(table, tmp_path):
         logs.read(table(b"ULog\x01\x12\x35" + bytes(50), "a.csv"))
     with pytest.raises(UnreadableError, match="DataFlash"):
         logs.read(table(b"\xa3\x95\x80" + bytes(50), "a.bin"))
-    with pytest.raises(UnreadableError, match="DataFlash log as text"):
+    with pytest.raises(UnreadableError, match="DataFlash log without a single sample"):
         logs.read(table("ArduCopter V3.1\nFMT, 128, 89, FMT, BBnNZ, Type,Length\n", "a.log"))
     with pytest.raises(UnreadableError, match="cannot be opened"):
         logs.read(tmp_path / "nothing.csv")
