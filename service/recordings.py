@@ -15,7 +15,7 @@ from typing import Any
 
 from calib import logs
 from calib.errors import CalibError, InvalidInputError
-from calib.inspection import inspect
+from calib.flight.report import overview
 from calib.methods import METHODS
 from calib.report import fit_to_json
 from service.errors import DiskFull, RecordingUnknown, UploadError, UploadTooLarge
@@ -123,7 +123,7 @@ def _suffix(name: str) -> str:
 
 
 def _inspected(path: Path, reading: Json) -> Json:
-    return inspect(logs.read(path, **reading))
+    return overview(logs.read(path, **reading))
 
 
 def _fitted(path: Path, reading: Json, method: str, options: Json) -> list[Json]:

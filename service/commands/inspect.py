@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import click
@@ -21,9 +21,9 @@ def command(file: str, as_json: bool, **reading: Any) -> None:
     Reads tables (.csv, .npz, .mat ...) and telemetry logs (.tlog); DataFlash and ULog come later.
     """
     from calib import logs
-    from calib.inspection import inspect
+    from calib.flight.report import overview
 
-    document = inspect(logs.read(readable_file(file), **reading))
+    document = overview(logs.read(readable_file(file), **reading))
     if as_json:
         write_json(document)
     else:
@@ -45,3 +45,22 @@ def _show(document: Mapping[str, Any]) -> None:
     )
     for warning in document["warnings"]:
         click.echo(f"  ! {warning}")
+    if document["flight"] is not None:
+        _show_flight(document["flight"], document["next"])
+
+
+def _show_flight(flight: Mapping[str, Any], steps: Sequence[Mapping[str, Any]]) -> None:
+    rests = sum(r["end"] - r["start"] for r in flight["rests"])
+    flown = sum(s["end"] - s["start"] for s in flight["flown"])
+    click.echo(
+        f"  inertial sensors: {flight['verdict']}; {len(flight['rests'])} rests of {rests:.0f} s, motors on for "
+        f"{flown:.0f} s (known by {flight['motors_known_by']})"
+    )
+    for item in flight["items"]:
+        limit = item["limit"]
+        bounds = "" if limit is None else f"  [warn {limit['warn']:.3g}, fail {limit['fail']:.3g} {limit['unit']}]"
+        click.echo(f"    {item['verdict']:12} {item['name']:18} {item['subject']:10} {item['text']}{bounds}")
+    for step in steps:
+        click.echo(
+            f"  {'next: ' + step['command'] if step['worthwhile'] else 'not:  ' + step['method']}: {step['reason']}"
+        )

@@ -1,0 +1,210 @@
+"""What the inertial sensors went through in flight: vibration, clipping, and whether redundant ones agree in scale."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import find_peaks, welch
+
+from calib.errors import InvalidInputError
+from calib.flight.item import Item, Limit, Verdict, judged, not_testable
+from calib.flight.rest import Span
+from calib.noise import long_run_variance
+from calib.recording import Channel, Recording, Sensor, Stage
+from calib.windows import finite_rows
+
+Array = NDArray[np.float64]
+
+VIBRATION: Final = Limit(30.0, 60.0, "m/s2", "levels of ArduPilot's VIBE message: fine below 30, trouble above 60")
+CLIPPED: Final = Limit(0.0, 100.0, "times", "ArduPilot: a count that rises in flight is trouble, a hundred the cause")
+SCALE: Final = Limit(0.02, 0.10, "1", "twice the sensitivity tolerance of a MEMS sensor (1 %); a broken axis")
+FULL_SCALE: Final = 156.9
+"""16 g, m/s2: the range that autopilots set."""
+
+_HIGH = 5.0  # Hz: what is faster is no manoeuvre (the filter of ArduPilot's VIBE)
+_WINDOW = 1.0  # s of a spectrum
+_LEAST_FLIGHT = 5.0  # s
+_TONES = 3
+_PAUSE = 5.0  # periods
+_SLOWEST = 20.0  # Hz
+_PROMINENT = 30.0  # times the floor around it
+_CELL = 0.1  # s
+_LEARNT = 0.02  # sd of a scale: more is no comparison
+
+
+def flying_items(recording: Recording, flown: Sequence[Span]) -> list[Item]:
+    """Every item that a flight can tell; `flown` are the spans with the motors on."""
+    items = []
+    accels = recording.instances(Sensor.ACCEL)
+    for instance in accels:
+        items += [_vibration(recording, instance, flown), _clipping(recording, instance)]
+    for sensor in (Sensor.ACCEL, Sensor.GYRO):
+        items += [_scale(recording, sensor, pair, flown) for pair in combinations(recording.instances(sensor), 2)]
+    return items
+
+
+def _fastest(recording: Recording, sensor: Sensor, instance: int) -> Channel | None:
+    """The channel with the widest band: unfiltered first, then the one with more samples."""
+    found = [c for c in recording.find(sensor, instance) if c.unit == "m/s2"]
+    return min(found, key=lambda c: (c.stage in (Stage.FILTERED, Stage.DEBIASED), -len(c)), default=None)
+
+
+def _vibration(recording: Recording, instance: int, flown: Sequence[Span]) -> Item:
+    subject = f"accel {instance + 1}"
+    channel = _fastest(recording, Sensor.ACCEL, instance)
+    if channel is None:
+        return not_testable("vibration", subject, "it is not in m/s2")
+    spectrum = _spectrum(channel, flown)
+    if spectrum is None:
+        return not_testable(
+            "vibration", subject, f"fewer than {_LEAST_FLIGHT:.0f} s with the motors on at {_SLOWEST:.0f} Hz or more"
+        )
+    frequency, density = spectrum
+    high = frequency >= _HIGH
+    rms = np.sqrt(np.trapezoid(density[high], frequency[high], axis=0))
+    tones = _tones(frequency[high], density[high].sum(axis=1))
+    listed = ", ".join(f"{t['hz']:.0f} Hz of {t['amplitude']:.2g} m/s2" for t in tones) or "no tone"
+    worst = float(rms.max())
+    text = f"{worst:.2f} m/s2 rms above {_HIGH:.0f} Hz up to {frequency[-1]:.0f} Hz ({listed})"
+    item = judged("vibration", subject, worst, VIBRATION, text, rms=rms.tolist(), tones=tones, source=channel.source)
+    if channel.stage == Stage.FILTERED and item.verdict == Verdict.PASS:
+        why = f"at least {text}: {channel.source} is low-passed; log the unfiltered samples (raw IMU or batch sampling)"
+        return Item("vibration", subject, Verdict.NOT_TESTABLE, why, worst, None, VIBRATION, item.numbers)
+    return item
+
+
+def _spectrum(channel: Channel, flown: Sequence[Span]) -> tuple[Array, Array] | None:
+    """Frequencies (F,) and power density (F, 3) over the flown spans, pauses left out; None: too short or too slow."""
+    runs = []
+    for span in flown:
+        part = channel.between(span.start, span.end)
+        part = part.take(finite_rows(part.values) & (np.diff(part.t, prepend=-np.inf) > 0.0))
+        if len(part) > 1:
+            period = float(np.median(np.diff(part.t)))
+            cuts = np.flatnonzero(np.diff(part.t) > _PAUSE * period) + 1
+            runs += [part.take(rows) for rows in np.split(np.arange(len(part)), cuts)]
+    duration = sum(float(run.t[-1] - run.t[0]) for run in runs)
+    rate = sum(len(run) - 1 for run in runs) / duration if duration > 0.0 else 0.0
+    window = int(_WINDOW * rate)
+    if rate < _SLOWEST or duration < _LEAST_FLIGHT:
+        return None
+    total, weight, frequency = np.zeros((window // 2 + 1, 3)), 0, np.zeros(0)
+    for run in runs:
+        at = np.arange(run.t[0], run.t[-1], 1.0 / rate)  # loggers drop samples and stamp in batches
+        if len(at) >= window:
+            even = np.column_stack([np.interp(at, run.t, column) for column in run.values.T])
+            frequency, density = welch(even, fs=rate, nperseg=window, axis=0)
+            total, weight = total + density * len(at), weight + len(at)
+    return (frequency, total / weight) if weight else None
+
+
+def _tones(frequency: Array, density: Array) -> list[dict[str, float]]:
+    """The strongest lines of a spectrum, with the amplitude of a sine of that power."""
+    if len(density) < 8:
+        return []
+    floor = float(np.median(density))
+    peaks, _ = find_peaks(density, height=_PROMINENT * floor, distance=3)
+    strongest = sorted(peaks.tolist(), key=lambda k: -float(density[k]))[:_TONES]
+    step = float(frequency[1] - frequency[0])
+    found = []
+    for k in strongest:
+        power = float(density[max(k - 2, 0) : k + 3].sum()) * step
+        found.append({"hz": float(frequency[k]), "amplitude": float(np.sqrt(2.0 * power))})
+    return found
+
+
+def _clipping(recording: Recording, instance: int) -> Item:
+    """Counted by the autopilot, or seen as samples at the end of the range."""
+    subject = f"accel {instance + 1}"
+    said = re.compile(rf"accelerometer {instance + 1} clipped (\d+) times")
+    counts = [int(m[1]) for e in recording.events if e.kind == "clipping" and (m := said.search(e.text))]
+    if counts:
+        return judged("clipping", subject, float(sum(counts)), CLIPPED, f"clipped {sum(counts)} times")
+    channel = _fastest(recording, Sensor.ACCEL, instance)
+    values = None if channel is None else np.abs(channel.values[finite_rows(channel.values)])
+    if channel is None or values is None or not len(values):
+        return not_testable("clipping", subject, "no sample in m/s2")
+    at_end = int((values >= 0.999 * FULL_SCALE).any(axis=1).sum())
+    most = float(values.max())
+    text = f"{at_end} samples at 16 g, the largest is {most:.1f} m/s2"
+    if not at_end and channel.stage == Stage.FILTERED and most > 0.5 * FULL_SCALE:
+        return not_testable("clipping", subject, f"{text}, low-passed: what it was before is not known", largest=most)
+    return judged("clipping", subject, float(at_end), CLIPPED, text, largest=most)
+
+
+def _scale(recording: Recording, sensor: Sensor, pair: tuple[int, int], flown: Sequence[Span]) -> Item:
+    """Scale of one instance over the other, axis by axis, from what both went through."""
+    name, subject = f"{sensor.value}_scale", f"{sensor.value} {pair[0] + 1}, {pair[1] + 1}"
+    cells = _cells(recording, sensor, pair, flown)
+    if len(cells) < 100:
+        return not_testable(name, subject, "not enough samples of both with the motors on")
+    first, second = cells[:, :3], cells[:, 3:]
+    scale, sd = _ratio(first, second)
+    known = sd < _LEARNT
+    numbers: dict[str, Any] = {
+        "scale": [float(v) if ok else None for v, ok in zip(scale, known, strict=True)],
+        "scale_sd": [float(v) if ok else None for v, ok in zip(sd, known, strict=True)],
+    }
+    if not known.any():
+        return not_testable(
+            name, subject, "the flight moved too little for the noise: no scale is known to 2 %", **numbers
+        )
+    off = np.where(known, np.abs(scale - 1.0) - 2.0 * sd, -np.inf)
+    worst = int(np.argmax(off))
+    shown = ", ".join(
+        f"{axis} {100.0 * (s - 1.0):+.2f} +- {100.0 * d:.2f}" if ok else f"{axis} not excited"
+        for axis, s, d, ok in zip("xyz", scale, sd, known, strict=True)
+    )
+    text = f"scale of the first over the second, %: {shown}"
+    return judged(name, subject, abs(float(scale[worst]) - 1.0), SCALE, text, sd=float(sd[worst]), **numbers)
+
+
+def _cells(recording: Recording, sensor: Sensor, pair: tuple[int, int], flown: Sequence[Span]) -> Array:
+    """Means (M, 6) of both instances over the same tenths of a second."""
+    try:
+        channels = [recording.channel(sensor, i) for i in pair]
+    except InvalidInputError:  # an estimator's bias is subtracted from one of them
+        return np.zeros((0, 6))
+    if channels[0].unit != channels[1].unit:
+        return np.zeros((0, 6))
+    rows = []
+    for span in flown:
+        edges = np.arange(span.start, span.end, _CELL)
+        if len(edges) < 2:
+            continue
+        means = []
+        for channel in channels:
+            part = channel.between(edges[0], edges[-1])
+            part = part.take(finite_rows(part.values))
+            number = np.searchsorted(edges, part.t, side="right") - 1
+            count = np.bincount(number, minlength=len(edges))[: len(edges)]
+            sums = [np.bincount(number, weights=c, minlength=len(edges))[: len(edges)] for c in part.values.T]
+            means.append(np.where(count > 0, np.array(sums) / np.maximum(count, 1), np.nan).T)
+        both = np.hstack(means)
+        rows.append(both[finite_rows(both)])
+    return np.concatenate(rows) if rows else np.zeros((0, 6))
+
+
+def _ratio(first: Array, second: Array) -> tuple[Array, Array]:
+    """Diagonal (3,) of the matrix from `second` to `first` and its sd; cross terms and an offset are nuisances.
+
+    The noise of `second`, taken as half of what the two differ by, shrinks a regression: what it may is in the sd.
+    """
+    design = np.column_stack([second - second.mean(axis=0), np.ones(len(second))])
+    size = np.maximum(np.linalg.norm(design, axis=0), 1e-12)
+    solution = np.linalg.lstsq(design / size, first, rcond=1e-12)[0] / size[:, None]
+    residual = first - design @ solution
+    inverse = np.linalg.pinv((design / size).T @ (design / size), rcond=1e-12) / np.outer(size, size)
+    scale, sd = np.diag(solution[:3]).copy(), np.empty(3)
+    for axis in range(3):
+        information = max(float(inverse[axis, axis]), 1e-300)
+        noise = 0.5 * float(residual[:, axis].var())
+        shrink = noise * len(first) * information
+        spread = long_run_variance(residual[:, axis]) * information
+        sd[axis] = np.sqrt(spread) + min(shrink, 1.0)
+    return scale, sd

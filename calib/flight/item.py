@@ -1,0 +1,65 @@
+"""One thing that a log was judged by: its number, the limit, and where the limit is from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from types import MappingProxyType
+from typing import Any
+
+
+class Verdict(StrEnum):
+    """What became of an item; the worst one is a log's."""
+
+    PASS = "pass"  # noqa: S105  a verdict
+    NOT_TESTABLE = "not_testable"  # the text says why
+    WARN = "warn"
+    FAIL = "fail"
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Where a number begins to matter, and where the vehicle should not fly with it; `source` says whose limits."""
+
+    warn: float
+    fail: float
+    unit: str
+    source: str
+
+
+@dataclass(frozen=True)
+class Item:
+    """A judged number.
+
+    `value` is None where nothing was measured; `subject` is the sensor, as ``accel 1``; `numbers` are JSON-able.
+    """
+
+    name: str
+    subject: str
+    verdict: Verdict
+    text: str
+    value: float | None = None
+    sd: float | None = None
+    limit: Limit | None = None
+    numbers: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """As JSON."""
+        limit = None if self.limit is None else vars(self.limit)
+        return {**vars(self), "verdict": self.verdict.value, "limit": limit, "numbers": dict(self.numbers)}
+
+
+def judged(
+    name: str, subject: str, value: float, limit: Limit, text: str, *, sd: float | None = None, **numbers: Any
+) -> Item:
+    """An item of which a larger `value` is worse; what its own sd may explain is no finding."""
+    sure = value - 2.0 * (sd or 0.0)
+    verdict = Verdict.FAIL if sure > limit.fail else Verdict.WARN if sure > limit.warn else Verdict.PASS
+    return Item(name, subject, verdict, text, value, sd, limit, numbers)
+
+
+def not_testable(name: str, subject: str, reason: str, **numbers: Any) -> Item:
+    """An item that cannot be judged."""
+    return Item(name, subject, Verdict.NOT_TESTABLE, reason, numbers=numbers)

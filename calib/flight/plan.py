@@ -1,0 +1,185 @@
+"""What a log can give: which fits are worthwhile on it, and which are not, each with its reason."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.flight.rest import Ground, Rest
+from calib.recording import Channel, Recording, Sensor, Stage
+from calib.windows import finite_rows
+
+Array = NDArray[np.float64]
+
+_APART: Final = np.radians(30.0)  # directions of gravity that count as two poses
+_POSES: Final = 4
+_ALLAN: Final = 600.0  # s
+_POLY_SPAN, _LINEAR_SPAN = 10.0, 2.0  # degC, the defaults of the methods
+_HEADINGS: Final = 8  # of twelve sectors of 30 degrees
+_TILT: Final = 40.0  # degrees about the horizontal axes, for a whole ellipsoid
+_LOAD: Final = 0.2  # range of throttle in flight
+_CURRENT: Final = 3.0  # A
+
+
+@dataclass(frozen=True)
+class Step:
+    """One method: whether it is worthwhile on this log, and why (or why not)."""
+
+    method: str
+    worthwhile: bool
+    reason: str
+    command: str
+
+    @property
+    def document(self) -> dict[str, str | bool]:
+        """As JSON."""
+        return dict(vars(self))
+
+
+def next_steps(recording: Recording, rests: Sequence[Rest], ground: Ground) -> tuple[Step, ...]:
+    """Every method that takes a log, the worthwhile ones first."""
+    found = [
+        ("gyro-rest", *_gyro(recording, rests)),
+        ("thermal-poly", *_thermal(recording, rests, _POLY_SPAN)),
+        ("thermal-linear", *_thermal(recording, rests, _LINEAR_SPAN)),
+        ("accel-multi", *_poses(recording, rests)),
+        ("mag-flight", *_mag_flight(recording, ground)),
+        ("mag-motor", *_mag_motor(recording, ground)),
+        ("mag-ellipsoid", *_ellipsoid(recording)),
+        ("allan", *_allan(recording, rests)),
+    ]
+    name = recording.source or "FILE"
+    steps = [Step(method, worth, reason, f"mavcal fit {method} {name}") for method, worth, reason in found]
+    return tuple(sorted(steps, key=lambda step: not step.worthwhile))
+
+
+def _usable(recording: Recording, sensor: Sensor) -> list[Channel]:
+    """The best channel of every instance that is not debiased."""
+    instances = recording.instances(sensor)
+    kept = [i for i in instances if any(c.stage != Stage.DEBIASED for c in recording.find(sensor, i))]
+    return [recording.channel(sensor, i) for i in kept]
+
+
+def _gyro(recording: Recording, rests: Sequence[Rest]) -> tuple[bool, str]:
+    longest = max((r.duration for r in rests), default=0.0)
+    if not _usable(recording, Sensor.GYRO):
+        return False, "the log has no gyroscope of which no bias is subtracted"
+    if longest < 5.0:
+        return False, f"the longest rest lasts {longest:.0f} s: 5 are needed"
+    return True, f"{longest:.0f} s at rest; most autopilots measure this bias at boot anyway"
+
+
+def _thermal(recording: Recording, rests: Sequence[Rest], least: float) -> tuple[bool, str]:
+    thermometers = [recording.channel(Sensor.TEMPERATURE, i) for i in recording.instances(Sensor.TEMPERATURE)]
+    if not thermometers:
+        return False, "the log has no temperature of the inertial units"
+    if not rests:
+        return False, "the vehicle never rested with its motors off: log while disarmed (LOG_DISARMED 1)"
+    spans = []
+    for channel in thermometers:
+        values = np.concatenate([channel.between(r.start, r.end).values for r in rests])
+        values = values[np.isfinite(values)]
+        spans.append((float(values.min()), float(values.max())) if len(values) else (0.0, 0.0))
+    low, high = max(spans, key=lambda span: span[1] - span[0])
+    if high - low < least:
+        return False, (
+            f"at rest the temperature moved by {high - low:.1f} degC: {least:.0f} are needed; log a warm-up from cold, "
+            "and give several logs at once"
+        )
+    return True, f"at rest the temperature went from {low:.1f} to {high:.1f} degC; several logs may be given at once"
+
+
+def _poses(recording: Recording, rests: Sequence[Rest]) -> tuple[bool, str]:
+    accels = _usable(recording, Sensor.ACCEL)
+    if not accels:
+        return False, "the log has no accelerometer"
+    directions: list[Array] = []
+    for rest in rests:
+        part = accels[0].between(rest.start, rest.end)
+        mean = part.values[finite_rows(part.values)].mean(axis=0) if finite_rows(part.values).any() else np.zeros(3)
+        size = float(np.linalg.norm(mean))
+        if size > 0.0 and all(np.arccos(np.clip(mean / size @ d, -1.0, 1.0)) > _APART for d in directions):
+            directions.append(mean / size)
+    if len(directions) < _POSES:
+        return False, (
+            f"the rests show {len(directions)} direction{'' if len(directions) == 1 else 's'} of gravity: hold the "
+            f"vehicle still in {_POSES} or more, six faces are best; a flight cannot give this"
+        )
+    return True, f"the rests show {len(directions)} directions of gravity"
+
+
+def _mag_flight(recording: Recording, ground: Ground) -> tuple[bool, str]:
+    if not recording.instances(Sensor.MAG):
+        return False, "the log has no compass"
+    if not ground.running:
+        return False, "the vehicle never flew"
+    sectors, tilt = _attitudes(recording)
+    if sectors is None:
+        if not _usable(recording, Sensor.GYRO):
+            return False, "the log has neither attitude nor gyroscope"
+        return True, "no attitude is logged: the gyroscope alone carries the field"
+    if sectors < _HEADINGS:
+        return False, (
+            f"the flight saw {sectors} of 12 headings and {tilt:.0f} deg of tilt: fly two full turns, and banks of 30 "
+            "deg if that is safe"
+        )
+    return True, f"the flight saw {sectors} of 12 headings and {tilt:.0f} deg of tilt"
+
+
+def _mag_motor(recording: Recording, ground: Ground) -> tuple[bool, str]:
+    if not recording.instances(Sensor.MAG):
+        return False, "the log has no compass"
+    loads = []
+    for sensor, least in ((Sensor.CURRENT, _CURRENT), (Sensor.THROTTLE, _LOAD), (Sensor.MOTOR, _LOAD)):
+        for channel in recording.find(sensor):
+            reach = float(np.nanmax(np.ptp(channel.values, axis=0))) if finite_rows(channel.values).all() else 0.0
+            if reach >= least:
+                loads.append(
+                    f"{sensor.value} moved by {reach:.2g} {channel.unit if channel.unit != '1' else ''}".strip()
+                )
+    corrupt = [n for n, v in recording.parameters.final().items() if n.startswith("COMPASS_MOT") and not np.isfinite(v)]
+    if corrupt:
+        return True, f"{', '.join(corrupt)} in force is not a number: it corrupts the compass, set it to zero first"
+    if not ground.running:
+        return False, "the motors never ran"
+    if not loads:
+        return False, "neither current nor throttle moved enough: climb and descend a few times"
+    return True, "; ".join(loads)
+
+
+def _ellipsoid(recording: Recording) -> tuple[bool, str]:
+    if not recording.instances(Sensor.MAG):
+        return False, "the log has no compass"
+    sectors, tilt = _attitudes(recording)
+    if sectors is None:
+        return False, "the log has no attitude, so what was seen is not known: try it, it refuses by itself"
+    if sectors < _HEADINGS or tilt < _TILT:
+        return False, (
+            f"{sectors} of 12 headings and {tilt:.0f} deg of tilt do not determine an ellipsoid ({_TILT:.0f} needed): "
+            "mag-flight takes what a level flight gives"
+        )
+    return True, f"{sectors} of 12 headings and {tilt:.0f} deg of tilt"
+
+
+def _attitudes(recording: Recording) -> tuple[int | None, float]:
+    """Sectors of 30 degrees that the heading visited, and the tilt that a hundredth of the time exceeds, degrees."""
+    found = recording.find(Sensor.ATTITUDE)
+    q = found[0].values[finite_rows(found[0].values)] if found else np.zeros((0, 4))
+    if len(q) < 20:
+        return None, 0.0
+    w, x, y, z = q.T
+    heading = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    tilt = np.degrees(np.arccos(np.clip(1.0 - 2.0 * (x * x + y * y), -1.0, 1.0)))
+    sectors = np.unique(np.floor((heading + np.pi) / (np.pi / 6.0)).astype(int) % 12)
+    return len(sectors), float(np.quantile(tilt, 0.99))
+
+
+def _allan(recording: Recording, rests: Sequence[Rest]) -> tuple[bool, str]:
+    longest = max((r.duration for r in rests), default=0.0)
+    if not _usable(recording, Sensor.GYRO) or longest < _ALLAN:
+        return False, f"the longest rest lasts {longest:.0f} s: {_ALLAN:.0f} and more say something of bias instability"
+    return True, f"{longest:.0f} s at rest"

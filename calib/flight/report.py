@@ -1,0 +1,101 @@
+"""The sanity of a log's inertial sensors in one document, and what the log is worth for calibration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from calib.errors import InvalidInputError
+from calib.flight.flying import flying_items
+from calib.flight.item import Item, Verdict
+from calib.flight.plan import Step, next_steps
+from calib.flight.rest import Ground, Rest, ground, rests
+from calib.flight.resting import resting_items
+from calib.inspection import inspect
+from calib.recording import Recording, Sensor
+
+_ORDER = (Verdict.PASS, Verdict.NOT_TESTABLE, Verdict.WARN, Verdict.FAIL)
+
+
+@dataclass(frozen=True)
+class FlightReport:
+    """What became of every item, when the vehicle rested and flew, and which fits are worthwhile."""
+
+    ground: Ground
+    rests: tuple[Rest, ...]
+    items: tuple[Item, ...]
+    spans: tuple[dict[str, Any], ...]
+    steps: tuple[Step, ...]
+
+    @property
+    def verdict(self) -> Verdict:
+        """The worst of what could be tested."""
+        return max((item.verdict for item in self.items), key=_ORDER.index, default=Verdict.NOT_TESTABLE)
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "verdict": self.verdict.value,
+            "motors_known_by": self.ground.known.value,
+            "flown": [{"start": s.start, "end": s.end} for s in self.ground.running],
+            "rests": [{"start": r.start, "end": r.end, "phase": r.phase.value} for r in self.rests],
+            "items": [item.document for item in self.items],
+            "spans": list(self.spans),
+        }
+
+
+def overview(recording: Recording) -> dict[str, Any]:
+    """What is in a recording (:func:`calib.inspection.inspect`); of a vehicle's also ``flight`` and ``next``.
+
+    ``flight`` is the sanity of its inertial sensors, ``next`` the fits that are worthwhile on it and those that are
+    not; both are None for a recording that is not of a vehicle.
+    """
+    report = flight_report(recording)
+    return {
+        **inspect(recording),
+        "flight": None if report is None else report.document,
+        "next": None if report is None else [step.document for step in report.steps],
+    }
+
+
+def flight_report(recording: Recording) -> FlightReport | None:
+    """The sanity of a vehicle's inertial sensors, calibration in force; None: not a vehicle's, or labelled by hand."""
+    instances = sorted({*recording.instances(Sensor.ACCEL), *recording.instances(Sensor.GYRO)})
+    if recording.identity.autopilot is None or recording.segments:
+        return None
+    stood = ground(recording)
+    found: tuple[Rest, ...] = ()
+    if instances:
+        try:
+            found = rests(recording, instances[0])
+        except InvalidInputError:  # debiased streams alone, or time that goes back: no rest can be told
+            found = ()
+    items = (*resting_items(recording, found), *flying_items(recording, stood.running))
+    return FlightReport(stood, found, items, tuple(_spans(recording, found)), next_steps(recording, found, stood))
+
+
+def _spans(recording: Recording, found: tuple[Rest, ...]) -> list[dict[str, Any]]:
+    """Ranges of temperature and of what loads the battery."""
+    spans = []
+    for sensor in (Sensor.TEMPERATURE, Sensor.CURRENT, Sensor.THROTTLE):
+        for instance in recording.instances(sensor):
+            channel = recording.channel(sensor, instance)
+            values = channel.values[np.isfinite(channel.values)]
+            if not len(values):
+                continue
+            still = np.concatenate([channel.between(r.start, r.end).values for r in found] or [np.zeros((0, 1))])
+            still = still[np.isfinite(still)]
+            spans.append(
+                {
+                    "what": sensor.value,
+                    "instance": instance,
+                    "unit": channel.unit,
+                    "least": float(values.min()),
+                    "most": float(values.max()),
+                    "at_rest": [float(still.min()), float(still.max())] if len(still) else None,
+                }
+            )
+    return spans

@@ -1,0 +1,240 @@
+"""What the inertial sensors read while the vehicle stood still: gravity, bias and its drift, level, each against each.
+
+All with the calibration in force: a log is judged as the autopilot took it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib import STANDARD_GRAVITY
+from calib.earth import local_gravity
+from calib.errors import InvalidInputError
+from calib.firmware.rotations import euler_matrix
+from calib.firmware.trim import AHRS_TRIM
+from calib.flight.item import Item, Limit, judged, not_testable
+from calib.flight.rest import Rest
+from calib.quantisation import mean_of
+from calib.recording import Recording, Sensor
+from calib.windows import finite_rows
+
+Array = NDArray[np.float64]
+
+GRAVITY: Final = Limit(0.1, 0.75, "m/s2", "0.6 deg of tilt if it lay across gravity; ARMING_ACCTHRESH of ArduPilot")
+RATE: Final = Limit(
+    np.radians(0.1), np.radians(5.0), "rad/s", "what the calibration at boot reaches; arming check of ArduPilot"
+)
+WANDER: Final = Limit(np.radians(0.1), np.radians(1.0), "rad/s", "as for the bias: ten times what a job aims at")
+APART: Final = Limit(0.2, 0.75, "m/s2", "the sum of what two good sensors may be off; ARMING_ACCTHRESH of ArduPilot")
+RATES_APART: Final = Limit(np.radians(0.2), np.radians(5.0), "rad/s", "twice that of one; arming check of ArduPilot")
+LEVEL: Final = Limit(1.0, 5.0, "deg", "a multicopter drifts visibly from one degree on")
+
+_LEAST = 32  # samples of a mean
+_SHORTEST = 2.0  # s
+_CLEARLY = 3.0  # times the error of the other one
+_SETTLED = 5.0  # s: an attitude estimator is levelled after that
+
+
+@dataclass(frozen=True, eq=False)
+class RestMean:
+    """What one sensor read in one rest: mean and sd (3,), and its temperature (None: not known)."""
+
+    rest: Rest
+    mean: Array
+    sd: Array
+    temperature: float | None
+
+
+def rest_means(recording: Recording, sensor: Sensor, instance: int, rests: Sequence[Rest]) -> tuple[RestMean, ...]:
+    """Means over the rests that are long enough."""
+    if not any(c.unit in ("m/s2", "rad/s") for c in recording.find(sensor, instance)):
+        return ()
+    try:
+        channel = recording.channel(sensor, instance)
+    except InvalidInputError:  # an estimator's bias is subtracted: nothing of the sensor is left in it
+        return ()
+    found = []
+    for rest in rests:
+        part = channel.between(rest.start, rest.end)
+        part = part.take(finite_rows(part.values))
+        if len(part) < _LEAST or rest.duration < _SHORTEST:
+            continue
+        estimate = mean_of(part)
+        sd = np.sqrt(np.diag(estimate.covariance))
+        found.append(RestMean(rest, estimate.mean, sd, _temperature(recording, instance, rest)))
+    return tuple(found)
+
+
+def resting_items(recording: Recording, rests: Sequence[Rest]) -> list[Item]:
+    """Every item that rests can tell, of every instance."""
+    accels = {i: rest_means(recording, Sensor.ACCEL, i, rests) for i in recording.instances(Sensor.ACCEL)}
+    gyros = {i: rest_means(recording, Sensor.GYRO, i, rests) for i in recording.instances(Sensor.GYRO)}
+    gravity, known = gravity_of_place(recording)
+    items = [_gravity(i, means, gravity, known) for i, means in accels.items()]
+    items += [_level(recording, i, means) for i, means in accels.items()]
+    items += [_apart("accel_consistency", "accel", pair, APART, accels) for pair in combinations(accels, 2)]
+    for instance, means in gyros.items():
+        items += [_bias(instance, means), _wander(instance, means)]
+    items += [_apart("gyro_consistency", "gyro", pair, RATES_APART, gyros) for pair in combinations(gyros, 2)]
+    return items
+
+
+def gravity_of_place(recording: Recording) -> tuple[float, bool]:
+    """Normal gravity where the vehicle was, m/s2, and whether the log says where that is."""
+    found = recording.find(Sensor.POSITION)
+    if found:
+        values = found[0].values[finite_rows(found[0].values)]
+        values = values[np.abs(values[:, :2]).max(axis=1) > 1e-6]  # zero is a receiver without fix
+        if len(values):
+            latitude, _, altitude = np.median(values, axis=0)
+            if abs(latitude) <= 90.0 and -1000.0 < altitude < 50e3:
+                return local_gravity(float(latitude), float(altitude)), True
+    return STANDARD_GRAVITY, False
+
+
+def _none(name: str, subject: str) -> Item:
+    return not_testable(name, subject, f"no rest of {_SHORTEST:.0f} s with the motors off")
+
+
+def _gravity(instance: int, means: Sequence[RestMean], gravity: float, known: bool) -> Item:
+    """Length of the force at rest; a calibrated sensor reads the firmware's 9.80665 wherever it was calibrated."""
+    subject = f"accel {instance + 1}"
+    if not means:
+        return _none("gravity_at_rest", subject)
+    lengths = np.array([np.linalg.norm(m.mean) for m in means])
+    low, high = sorted((gravity, STANDARD_GRAVITY))
+    off = np.maximum(np.maximum(lengths - high, low - lengths), 0.0)
+    worst = int(np.argmax(off))
+    place = f"{gravity:.4f} of the place" if known else "9.80665 (the place is not known)"
+    text = f"reads {lengths[worst]:.4f} m/s2 at rest ({means[worst].rest.phase}), gravity is {place}"
+    sd = float(np.linalg.norm(means[worst].sd))
+    return judged(
+        "gravity_at_rest", subject, float(off[worst]), GRAVITY, text, sd=sd, lengths=lengths.tolist(), gravity=gravity
+    )
+
+
+def _level(recording: Recording, instance: int, means: Sequence[RestMean]) -> Item:
+    """Angle between the vertical of the accelerometer, trimmed, and that of the autopilot's attitude."""
+    subject = f"accel {instance + 1}"
+    if not means:
+        return _none("level", subject)
+    attitudes = recording.find(Sensor.ATTITUDE)
+    state = recording.parameters.at(means[0].rest.end)
+    trim = [float(state.get(name, 0.0)) for name in AHRS_TRIM]
+    roll, pitch = np.degrees(trim).tolist()
+    turn = euler_matrix(roll, pitch, 0.0)  # the vehicle's frame from the board's
+    angles, tilts = [], []
+    for m in means:
+        up = turn @ m.mean / np.linalg.norm(m.mean)
+        tilts.append(np.degrees([np.arctan2(-up[1], -up[2]), np.arctan2(up[0], np.hypot(up[1], up[2]))]).tolist())
+        part = attitudes[0].between(m.rest.start, m.rest.end).values if attitudes else np.zeros((0, 4))
+        part = part[finite_rows(part)]
+        if len(part) > 8 and m.rest.duration >= _SETTLED:
+            angles.append(float(np.degrees(np.arccos(np.clip(_vertical(part[len(part) // 2 :]) @ up, -1.0, 1.0)))))
+    numbers: dict[str, Any] = {"roll_pitch_deg": tilts, "trim_deg": [roll, pitch]}
+    if not angles:
+        return not_testable("level", subject, "the log has no attitude during a rest", **numbers)
+    text = f"its vertical and the autopilot's are {max(angles):.2f} deg apart at rest"
+    return judged("level", subject, max(angles), LEVEL, text, angles_deg=angles, **numbers)
+
+
+def _vertical(q: Array) -> Array:
+    """Up in the body frame (3,), the mean over attitudes (N, 4)."""
+    w, x, y, z = q.T
+    up = -np.stack([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z], axis=1)
+    mean = up.mean(axis=0)
+    return np.asarray(mean / max(float(np.linalg.norm(mean)), 1e-12), dtype=np.float64)
+
+
+def _bias(instance: int, means: Sequence[RestMean]) -> Item:
+    subject = f"gyro {instance + 1}"
+    if not means:
+        return _none("gyro_bias_at_rest", subject)
+    worst = max(means, key=lambda m: float(np.linalg.norm(m.mean)))
+    rate = float(np.linalg.norm(worst.mean))
+    text = f"reads {np.degrees(rate):.3f} deg/s at rest ({worst.rest.phase}): {_vector(worst.mean)} rad/s"
+    sd = float(np.linalg.norm(worst.sd))
+    return judged(
+        "gyro_bias_at_rest", subject, rate, RATE, text, sd=sd, bias=worst.mean.tolist(), bias_sd=worst.sd.tolist()
+    )
+
+
+def _wander(instance: int, means: Sequence[RestMean]) -> Item:
+    """Change of the bias between the first and the last rest."""
+    subject = f"gyro {instance + 1}"
+    if len(means) < 2:
+        return not_testable("gyro_bias_drift", subject, "one rest only: log until after the landing (LOG_DISARMED 1)")
+    first, last = means[0], means[-1]
+    change = last.mean - first.mean
+    minutes = (last.rest.start - first.rest.end) / 60.0
+    text = f"its bias moved by {np.degrees(np.linalg.norm(change)):.3f} deg/s in {minutes:.1f} min"
+    warmer = None
+    if first.temperature is not None and last.temperature is not None:
+        warmer = last.temperature - first.temperature
+        text += f" and {warmer:+.1f} degC"
+    sd = float(np.sqrt((first.sd**2 + last.sd**2).sum()))
+    return judged(
+        "gyro_bias_drift",
+        subject,
+        float(np.linalg.norm(change)),
+        WANDER,
+        text,
+        sd=sd,
+        change=change.tolist(),
+        degrees_c=warmer,
+    )
+
+
+def _apart(
+    name: str, sensor: str, pair: tuple[int, int], limit: Limit, means: Mapping[int, Sequence[RestMean]]
+) -> Item:
+    """The largest difference of two instances in the same rest, the vertical one halved as by ArduPilot's check."""
+    a, b = pair
+    subject = f"{sensor} {a + 1}, {b + 1}"
+    others = {m.rest.start: m for m in means[b]}
+    common = [(m, others[m.rest.start]) for m in means[a] if m.rest.start in others]
+    if not common:
+        return _none(name, subject)
+    weight = np.array([1.0, 1.0, 0.5]) if sensor == "accel" else np.ones(3)
+    first, second = max(common, key=lambda two: float(np.linalg.norm(weight * (two[0].mean - two[1].mean))))
+    difference, sd = first.mean - second.mean, np.hypot(first.sd, second.sd)
+    unit = limit.unit
+    halved = ", z counted half" if sensor == "accel" else ""
+    text = f"differ by {_vector(difference)} {unit} at rest ({first.rest.phase}{halved})"
+    errors = [_own_error(sensor, m.mean) for m in (first, second)]
+    if max(errors) > _CLEARLY * min(errors) and max(errors) > 0.25 * limit.warn:
+        text += f"; by what each reads alone {sensor} {1 + (a if errors[0] > errors[1] else b)} is the one that is off"
+    return judged(
+        name,
+        subject,
+        float(np.linalg.norm(weight * difference)),
+        limit,
+        text,
+        sd=float(np.linalg.norm(sd)),
+        difference=difference.tolist(),
+        difference_sd=sd.tolist(),
+        every=[(m.mean - other.mean).tolist() for m, other in common],
+    )
+
+
+def _own_error(sensor: str, mean: Array) -> float:
+    """What one sensor alone shows of its error at rest: a rate, or a length that is not the firmware's gravity."""
+    size = float(np.linalg.norm(mean))
+    return abs(size - STANDARD_GRAVITY) if sensor == "accel" else size
+
+
+def _vector(values: Array) -> str:
+    return "(" + ", ".join(f"{v:+.4f}" for v in values) + ")"
+
+
+def _temperature(recording: Recording, instance: int, rest: Rest) -> float | None:
+    found = recording.find(Sensor.TEMPERATURE, instance)
+    values = found[0].between(rest.start, rest.end).values if found else np.zeros((0, 1))
+    values = values[np.isfinite(values)]
+    return float(values.mean()) if len(values) else None
