@@ -4,10 +4,34 @@ from __future__ import annotations
 
 from functools import cache
 
-from calib.gap.effects import affine, magnetic, temperature
+from calib.gap.effects import (
+    affine,
+    dynamics,
+    events,
+    lattice,
+    magnetic,
+    noise,
+    reference_attitude,
+    temperature,
+    timing,
+    tone,
+    vibration,
+)
 from calib.gap.effects.base import Effect
 
-_FAMILIES = (affine, magnetic, temperature)
+_FAMILIES = (
+    lattice,
+    affine,
+    magnetic,
+    temperature,
+    dynamics,
+    vibration,
+    noise,
+    tone,
+    timing,
+    events,
+    reference_attitude,
+)
 
 
 @cache

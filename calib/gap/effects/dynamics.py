@@ -1,0 +1,78 @@
+"""What the vehicle's movement does to a sensor that does not stand where, or feel only what, an ideal one would."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.gap.effects.base import Effect, MeanEffect, Parameter
+from calib.gap.effects.parts import AXES, TUMBLE, on_each_axis, per_axis, spread
+from calib.gap.problem import Trace
+from calib.recording import Sensor
+
+Array = NDArray[np.float64]
+
+_LEAST_FORCE = 0.3  # m/s2, standard deviation: 3 % of gravity
+_LEAST_LEVER = 0.05  # m/s2 per metre, standard deviation: 2 cm of it are a milligravity's tenth
+
+
+def g_sensitivity_signals(trace: Trace, _theta: float) -> Array:
+    """Three signals: the components of the specific force, m/s2."""
+    assert trace.force is not None
+    return np.ascontiguousarray(trace.force.T)
+
+
+def lever_columns(trace: Trace, _theta: float) -> Array:
+    """``dw/dt x e_j + w x (w x e_j)``: what an accelerometer feels a metre off the reference point along axis j."""
+    assert trace.rate is not None
+    assert trace.spin is not None
+    w, a = trace.rate, trace.spin
+    columns = np.empty((3, *w.shape))
+    for j, e in enumerate(np.eye(3)):
+        columns[j] = np.cross(a, e) + w * w[:, j : j + 1] - e * (w * w).sum(axis=1, keepdims=True)
+    return columns
+
+
+def _force_moves(trace: Trace) -> tuple[str, str] | None:
+    need = f"a variation >= 0.3 m/s2: {TUMBLE}"
+    if trace.force is None:
+        return "specific force unknown", f"an accelerometer or a reference; {need}"
+    size = spread(trace.force, trace.observed)
+    return None if size >= _LEAST_FORCE else (f"specific force varies by {size:.2g} m/s2", need)
+
+
+def _turns_fast(trace: Trace) -> tuple[str, str] | None:
+    need = ">= 0.05 m/s2 per metre of lever: fast turns about two axes"
+    if trace.rate is None or trace.spin is None:
+        return "angular rate unknown", f"a gyroscope or a reference; {need}"
+    size = max(spread(column, trace.observed) for column in lever_columns(trace, np.nan))
+    return None if size >= _LEAST_LEVER else (f"a lever of one metre would show {size:.2g} m/s2", need)
+
+
+def _g_columns(trace: Trace, theta: float) -> Array:
+    return on_each_axis(g_sensitivity_signals(trace, theta))
+
+
+EFFECTS: tuple[Effect, ...] = (
+    MeanEffect(
+        "gyro_g_sensitivity",
+        Sensor.GYRO,
+        tuple(Parameter(f"g_sensitivity.{row}{column}", "rad/s/(m/s2)") for column in AXES for row in AXES),
+        "attitudes, accelerations",
+        TUMBLE,
+        _force_moves,
+        columns=_g_columns,
+        signals=g_sensitivity_signals,
+        rivals=("gyro_bias", "gyro_vibration_rectification"),
+    ),
+    MeanEffect(
+        "accel_lever_arm",
+        Sensor.ACCEL,
+        per_axis("lever_arm", "m"),
+        "fast turns",
+        "fast turns about two axes at different rates; a yaw jerk",
+        _turns_fast,
+        columns=lever_columns,
+        rivals=("accel_delay", "accel_low_pass"),
+    ),
+)

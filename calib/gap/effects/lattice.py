@@ -1,0 +1,250 @@
+"""What the samples themselves show, exactly: levels, repeats, zeros, and an end of the range (GAP 3.0).
+
+What the ideal reading shows as well, and what is declared of the recording, is no gap.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.gap.effects.base import Effect, LatticeEffect, LatticeEvidence, Parameter
+from calib.gap.effects.parts import AXES, TRIADS, UNIT
+from calib.gap.problem import Trace
+from calib.recording import Sensor
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_EVIDENCE = 30.0  # twice the log-likelihood: one in a million
+_FEWEST = 5  # samples that make a pile, a zero band, a hold
+_ON_LEVEL = 0.05  # of a step, by which a level may lie beside the lattice
+_FRACTION = 0.99  # of the gaps between values that are whole steps
+_FINEST = 0.03  # of the noise; a finer step changes its power by less than 1e-4
+_REPEATED = 3.0  # samples a level, at least on average, before levels can be told from chance
+_SAME = 1e-9  # relative difference of equal numbers
+
+
+@dataclass(frozen=True)
+class Levels:
+    """A lattice of step `step` on which values lie up to `error` of a step."""
+
+    step: float
+    error: float
+
+
+def noise_of(values: Array) -> float:
+    """Noise of one sample of `values` (N,) from successive differences that are not zero; 0 if there are none."""
+    steps = np.diff(values)
+    steps = steps[steps != 0.0]
+    return float(1.4826 * np.median(np.abs(steps)) / math.sqrt(2.0)) if len(steps) else 0.0
+
+
+def levels_of(values: Array) -> Levels | None:
+    """The lattice of `values` (N,), None if they are on none (or never change)."""
+    distinct = np.unique(values)
+    size = float(np.abs(distinct).max(initial=0.0))
+    gaps = np.diff(distinct)
+    gaps = gaps[gaps > _SAME * size]
+    if not len(gaps) or len(values) < _REPEATED * (len(gaps) + 1):
+        return None
+    step = float(gaps.min())
+    for _ in range(2):
+        counts = np.round(gaps / step)
+        step = float((gaps @ counts) / (counts @ counts))
+    error = np.abs(gaps / step - np.round(gaps / step))
+    if (error < _ON_LEVEL).mean() < _FRACTION or (np.round(gaps / step) < 1.0).any():
+        return None
+    return Levels(step, float(np.quantile(error, _FRACTION)))
+
+
+def quantisation(trace: Trace) -> LatticeEvidence | None:
+    """Levels coarser than declared and than the ideal reading's. Values: step on x, y, z (0: none)."""
+    steps, two_delta = [0.0] * 3, 0.0
+    for axis in range(3):
+        values, ideal = trace.measured[trace.observed, axis], trace.ideal[trace.observed, axis]
+        found = levels_of(values)
+        if found is None or found.step <= max(1.5 * trace.quantum, _FINEST * noise_of(values - ideal)):
+            continue
+        simulated = levels_of(ideal)
+        if simulated is not None and simulated.step >= 0.7 * found.step:
+            continue
+        steps[axis] = found.step
+        # A continuous reading lies this near to the levels by chance with the share of the line that they cover.
+        two_delta -= 2.0 * len(values) * math.log(2.0 * max(found.error, 1e-6))
+    if two_delta < _EVIDENCE:
+        return None
+    where = ", ".join(f"{a} {s:.4g}" for a, s in zip(AXES, steps, strict=True) if s)
+    text = f"values lie on levels: {where} {trace.unit}"
+    return _evidence(trace, steps, [1e-6 * s for s in steps], two_delta, text)
+
+
+def saturation(trace: Trace) -> LatticeEvidence | None:
+    """Samples that pile up at an end of the range while the ideal reading goes on. Value: the range."""
+    limits, two_delta, masked = [], 0.0, np.zeros(trace.measured.shape, dtype=np.bool_)
+    for axis in range(3):
+        for side in (1.0, -1.0):
+            pile, gain = _pile(side * trace.measured[:, axis], side * trace.ideal[:, axis], trace.observed)
+            if gain >= _EVIDENCE:
+                limits.append(float(np.abs(trace.measured[pile, axis]).max()))
+                two_delta += gain
+                masked[:, axis] |= pile
+    if not limits:
+        return None
+    rows = np.asarray(masked.any(axis=1), dtype=np.bool_)
+    text = f"{int(rows.sum())} samples stand at the end of the range, {max(limits):.4g} {trace.unit}"
+    spread = float(np.ptp(limits)) / 2.0
+    return _evidence(trace, [float(np.median(limits))], [spread], two_delta, text, rows)
+
+
+def _pile(measured: Array, ideal: Array, observed: Mask) -> tuple[Mask, float]:
+    """Rows at the largest value and the evidence that it is an end: more of them than below, and ideal beyond."""
+    top = float(measured[observed].max(initial=-np.inf))
+    near = _SAME * abs(top)
+    pile = observed & (measured >= top - near)
+    count = int(pile.sum())
+    if count < _FEWEST or top == 0.0:
+        return pile, 0.0
+    others, repeats = np.unique(measured[observed & ~pile], return_counts=True)
+    if not len(others):
+        return pile, 0.0  # a sensor that never changes shows no end
+    chance = max(float(repeats[-3:].max()), 0.5)
+    if count <= 3.0 * chance:
+        return pile, 0.0
+    residual = measured - ideal
+    typical = float(np.median(residual[observed & ~pile]))
+    noise = max(noise_of(residual[observed & ~pile]), near)
+    short = np.maximum(typical - residual[pile], 0.0)  # how much is missing, more than of other samples
+    gain = 2.0 * (count * math.log(count / chance) - count + chance)
+    # Without a shortfall the pile is the lattice's own: a reference that is clipped too, or a level that is common.
+    return pile, gain if float((np.minimum(short / noise, 10.0) ** 2).sum()) >= _EVIDENCE else 0.0
+
+
+def dead_band(trace: Trace) -> LatticeEvidence | None:
+    """Small readings that are exactly zero. Values: half width on x, y, z (0: none)."""
+    widths, errors, two_delta = [0.0] * 3, [0.0] * 3, 0.0
+    masked = np.zeros(len(trace.t), dtype=np.bool_)
+    for axis in range(3):
+        found = _zeros(trace, axis)
+        if found is not None:
+            widths[axis], errors[axis], gain, zero = found
+            two_delta += gain
+            masked |= zero
+    if two_delta < _EVIDENCE:
+        return None
+    where = ", ".join(f"{a} {w:.3g}" for a, w in zip(AXES, widths, strict=True) if w)
+    return _evidence(trace, widths, errors, two_delta, f"zero where smaller than {where} {trace.unit}", masked)
+
+
+def _zeros(trace: Trace, axis: int) -> tuple[float, float, float, Mask] | None:
+    values, ideal = trace.measured[:, axis], trace.ideal[:, axis]
+    empty = (trace.measured == 0.0).all(axis=1) & (np.abs(trace.ideal).max(axis=1) > 10.0 * noise_of(values))
+    seen = trace.observed & ~empty
+    zero = seen & (values == 0.0)
+    other = np.abs(values[seen & ~zero])
+    count = int(zero.sum())
+    if count < _FEWEST or len(other) < _FEWEST or (seen & (ideal == 0.0)).sum() > 0.5 * count:
+        return None
+    width = float(other.min())
+    levels = levels_of(values[seen & ~zero])
+    step = max(levels.step if levels is not None else 0.0, trace.quantum)
+    beside = float((other < 2.0 * width).sum())  # in two bands as wide as the empty one on either side
+    if width <= 1.5 * step or beside < 1.0:
+        return None
+    gain = 2.0 * count * math.log(1.0 / _SAME) if step == 0.0 else 2.0 * count * math.log(width / (0.5 * step))
+    return width, max(width / (beside + 1.0), step), gain, zero
+
+
+def hold(trace: Trace) -> LatticeEvidence | None:
+    """Rows that repeat the one before on all three axes. Values: mean time a row is held (s), share of repeats."""
+    both = trace.observed[1:] & trace.observed[:-1]
+    same = trace.measured[1:] == trace.measured[:-1]
+    standing = (trace.ideal[1:] == trace.ideal[:-1]).all(axis=1) | (trace.measured[1:] == 0.0).all(axis=1)
+    repeat = both & same.all(axis=1) & ~standing
+    count, n = int(repeat.sum()), int((both & ~standing).sum())
+    chance = max(n * float(np.prod([_repeats_by_chance(trace, axis) for axis in range(3)])), 0.1)
+    if count < _FEWEST or count <= chance:
+        return None
+    two_delta = 2.0 * (count * math.log(count / chance) - count + chance)
+    if two_delta < _EVIDENCE:
+        return None
+    share = count / n
+    held = 1.0 / (trace.fs * max(1.0 - share, 1.0 / n))
+    se = math.sqrt(share * (1.0 - share) / n)
+    text = f"{count} of {n} rows repeat the one before: each is held for {1000.0 * held:.3g} ms on average"
+    masked = np.concatenate([[False], repeat])
+    return _evidence(trace, [held, share], [held * se / max(1.0 - share, 1.0 / n), se], two_delta, text, masked)
+
+
+def _repeats_by_chance(trace: Trace, axis: int) -> float:
+    """Share of samples that repeat the one before on one axis because of coarse levels: ``q / (2 sqrt(pi) sigma)``.
+
+    Its two samples differ by a Gaussian of sd ``sqrt(2) sigma``, whose density at zero times the step that is. Noise
+    that is smaller than the levels repeats always.
+    """
+    values = trace.measured[trace.observed, axis]
+    levels = levels_of(values)
+    step = max(levels.step if levels is not None else 0.0, trace.quantum)
+    if step == 0.0:
+        return 0.0
+    changed = np.diff(values)
+    changed = changed[changed != 0.0]
+    spread = float(changed.std()) / math.sqrt(2.0) if len(changed) else 0.0
+    if spread <= step:
+        return 1.0
+    return min(1.0, step / (2.0 * math.sqrt(math.pi) * spread))
+
+
+def _evidence(
+    trace: Trace, values: list[float], se: list[float], two_delta: float, text: str, masked: Mask | None = None
+) -> LatticeEvidence:
+    rows = np.zeros(len(trace.t), dtype=np.bool_) if masked is None else masked
+    return LatticeEvidence(tuple(values), tuple(se), two_delta, rows, text)
+
+
+def _of(sensor: Sensor) -> tuple[Effect, ...]:
+    unit = UNIT[sensor]
+    return (
+        LatticeEffect(
+            f"{sensor}_quantisation",
+            sensor,
+            tuple(Parameter(f"lsb.{axis}", unit) for axis in AXES),
+            "any recording",
+            "raw samples in the log",
+            detect=quantisation,
+            rivals=(f"{sensor}_noise",),
+        ),
+        LatticeEffect(
+            f"{sensor}_saturation",
+            sensor,
+            (Parameter("limit", unit),),
+            "readings up to the end of the range",
+            "a larger range; less violent movement",
+            detect=saturation,
+            rivals=(f"{sensor}_hold",),
+        ),
+        LatticeEffect(
+            f"{sensor}_dead_band",
+            sensor,
+            tuple(Parameter(f"half_width.{axis}", unit) for axis in AXES),
+            "readings about zero",
+            "raw samples in the log; slow movement through zero",
+            detect=dead_band,
+            rivals=(f"{sensor}_quantisation",),
+        ),
+        LatticeEffect(
+            f"{sensor}_hold",
+            sensor,
+            (Parameter("hold_s", "s"), Parameter("repeated", "1")),
+            "movement, or noise above the levels",
+            "log every sample once, with its own time stamp",
+            detect=hold,
+            rivals=(f"{sensor}_delay", f"{sensor}_saturation"),
+        ),
+    )
+
+
+EFFECTS: tuple[Effect, ...] = tuple(effect for sensor in TRIADS for effect in _of(sensor))

@@ -1,0 +1,84 @@
+"""Noise by its spectrum: white, flicker, random walk (IEEE Std 952-1997, annex C), in the units of the Allan deviation.
+
+On cosine-transform bins ``w`` (rad per sample) a sample's variance splits into: white ``N^2 fs``; flicker, half an
+integration of white noise of standard deviation B, ``B^2 / (2 sin(w/2))``; a walk with steps of ``K / sqrt(fs)``,
+``K^2 / (4 fs sin^2(w/2))``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.gap.effects.base import Effect, NoiseEffect
+from calib.gap.effects.parts import TRIADS, UNIT, per_axis
+from calib.gap.problem import Trace
+from calib.recording import Sensor
+
+Array = NDArray[np.float64]
+
+_LONG = 30.0  # s from which on a walk is told from a bias
+
+
+def white(trace: Trace, omega: Array, _theta: float) -> Array:
+    """Flat: ``fs`` for a density of one."""
+    return np.full((1, len(omega)), trace.fs)
+
+
+def flicker(_trace: Trace, omega: Array, _theta: float) -> Array:
+    """``1 / (2 sin(w/2))``, the lowest bin in place of the infinite one."""
+    return (0.5 / np.sin(0.5 * _positive(omega)))[None]
+
+
+def walk(trace: Trace, omega: Array, _theta: float) -> Array:
+    """``1 / (4 fs sin^2(w/2))``, likewise."""
+    return (0.25 / (trace.fs * np.sin(0.5 * _positive(omega)) ** 2))[None]
+
+
+def _positive(omega: Array) -> Array:
+    """`omega` with half the lowest other frequency where it is zero."""
+    lowest = float(omega[omega > 0.0].min())
+    return np.where(omega > 0.0, omega, 0.5 * lowest)
+
+
+def _long(trace: Trace) -> tuple[str, str] | None:
+    duration = float(trace.t[-1] - trace.t[0])
+    return None if duration >= _LONG else (f"{duration:.0f} s of data", ">= 30 s, better ten minutes at rest")
+
+
+def _of(sensor: Sensor) -> tuple[Effect, ...]:
+    unit = UNIT[sensor]
+    return (
+        NoiseEffect(
+            f"{sensor}_noise",
+            sensor,
+            per_axis("density", f"{unit}/sqrt(Hz)", squared=True),
+            "any recording",
+            "a minute at rest with the motors off, and one with them on",
+            density=white,
+            rivals=(f"{sensor}_rotor_noise", f"{sensor}_quantisation", f"{sensor}_flicker"),
+        ),
+        NoiseEffect(
+            f"{sensor}_flicker",
+            sensor,
+            per_axis("instability", unit, squared=True),
+            "minutes of data",
+            "ten minutes or more at rest at a constant temperature",
+            _long,
+            density=flicker,
+            rivals=(f"{sensor}_random_walk", f"{sensor}_noise"),
+        ),
+        NoiseEffect(
+            f"{sensor}_random_walk",
+            sensor,
+            per_axis("random_walk", f"{unit}*sqrt(Hz)", squared=True),
+            "minutes of data",
+            "ten minutes or more at rest at a constant temperature",
+            _long,
+            density=walk,
+            rivals=(f"{sensor}_flicker", f"{sensor}_temp_linear", f"{sensor}_step", "reference_attitude"),
+        ),
+    )
+
+
+EFFECTS: tuple[Effect, ...] = tuple(effect for sensor in TRIADS for effect in _of(sensor))

@@ -1,0 +1,43 @@
+"""The reference's own attitude is wrong: a finding about the reference, which accelerometer and magnetometer share."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.gap.effects.affine import rotated, rotation_columns
+from calib.gap.effects.base import Effect, MeanEffect
+from calib.gap.effects.parts import per_axis
+from calib.gap.problem import Trace
+from calib.recording import Sensor
+
+Array = NDArray[np.float64]
+
+
+def direction_columns(trace: Trace, theta: float) -> Array:
+    """``e_j x ideal`` of a sensor that sees a direction; a gyroscope sees none."""
+    if trace.sensor == Sensor.GYRO:
+        return np.zeros((3, *trace.ideal.shape))
+    return rotation_columns(trace, theta)
+
+
+def direction_turned(trace: Trace, parameters: Array) -> Array:
+    """The same for a rotation that is not small."""
+    return np.zeros_like(trace.ideal) if trace.sensor == Sensor.GYRO else rotated(trace, parameters)
+
+
+EFFECTS: tuple[Effect, ...] = (
+    MeanEffect(
+        "reference_attitude",
+        Sensor.ACCEL,
+        per_axis("rotation", "rad"),
+        "any attitude; two sensors that see a direction",
+        "a better reference; two instances of a sensor, whose difference is free of it",
+        rivals=("accel_rotation", "mag_rotation", "accel_random_walk", "mag_random_walk", "accel_bias"),
+        shared=True,
+        columns=direction_columns,
+        exact=direction_turned,
+    ),
+)
+"""Its columns are those of a constant error; the diagnosis lets it wander as :class:`calib.gap.problem.ReferenceInfo`
+says."""

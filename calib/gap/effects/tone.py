@@ -1,0 +1,60 @@
+"""A line at one frequency throughout: a supply's ripple, a pump, a fan."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from calib.gap.effects.base import Effect, MeanEffect, Parameter, Shape
+from calib.gap.effects.parts import TRIADS, UNIT, axiswise, per_axis
+from calib.gap.problem import Trace
+from calib.recording import Sensor
+
+Array = NDArray[np.float64]
+
+_PERIODS = 5  # in a recording, at least: slower ones are drift
+_CANDIDATES = 4
+_AROUND = 201  # bins whose geometric mean is the background
+
+
+def wave(trace: Trace, frequency: float) -> Array:
+    """Two signals: cosine and sine of `frequency` (Hz), phase zero at the first sample."""
+    phase = 2.0 * np.pi * frequency * (trace.t - trace.t[0])
+    return np.stack([np.cos(phase), np.sin(phase)])
+
+
+def bins(trace: Trace) -> Array:
+    """Frequencies that a recording of this length tells apart, Hz."""
+    n = len(trace.t)
+    k = np.arange(min(_PERIODS, max(1, n // 2 - 2)), max(n // 2, 3))
+    return np.asarray(k * (trace.fs / n), dtype=np.float64)
+
+
+def strongest_bins(trace: Trace, residual: Array) -> Array:
+    """The frequencies of :func:`bins` with most power of `residual` (N, 3) above their surroundings, ascending."""
+    grid = bins(trace)
+    y = np.where(trace.observed[:, None], residual, 0.0)
+    power = np.abs(np.fft.rfft(y - y.mean(axis=0), axis=0)) ** 2
+    around = np.exp(uniform_filter1d(np.log(power + np.finfo(float).tiny), _AROUND, axis=0))
+    first = round(float(grid[0]) * len(y) / trace.fs)
+    ratio = (power / around).sum(axis=1)[first : first + len(grid)]
+    return np.sort(grid[np.argsort(ratio)[-_CANDIDATES:]])
+
+
+def _of(sensor: Sensor) -> Effect:
+    unit = UNIT[sensor]
+    return MeanEffect(
+        f"{sensor}_tone",
+        sensor,
+        per_axis("cos", unit) + per_axis("sin", unit),
+        "any recording",
+        "sweep the rotor speed: a tone stays, a vibration follows",
+        shape=Shape(Parameter("frequency_hz", "Hz"), bins, strongest_bins),
+        columns=axiswise(wave),
+        signals=wave,
+        rivals=(f"{sensor}_vibration", f"{sensor}_aliasing") if sensor != Sensor.MAG else ("mag_step",),
+    )
+
+
+EFFECTS: tuple[Effect, ...] = tuple(_of(sensor) for sensor in TRIADS)

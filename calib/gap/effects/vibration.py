@@ -1,0 +1,236 @@
+"""What turning rotors do: lines that follow their speed, lines folded by the sampling, noise, and a shifted mean.
+
+A vibration's phase is not known well enough to subtract it: it is power on its track. With rotor speeds recorded the
+track is a multiple of them, weighted by the fourth power of the speed (an imbalance's force grows with its square);
+without, it is a fixed frequency while the motors run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from calib.gap.effects.base import Effect, MeanEffect, Missing, NoiseEffect, Parameter, Shape
+from calib.gap.effects.noise import white
+from calib.gap.effects.parts import INERTIAL, TRIADS, UNIT, axiswise, per_axis
+from calib.gap.problem import Trace
+from calib.recording import Sensor
+
+Array = NDArray[np.float64]
+
+_RUNNING_HZ = 5.0
+_RUNNING_THROTTLE = 0.05
+_WIDTH = 1.0  # Hz, of a line: what telemetry and a second's wandering leave open
+_LOWEST = 5.0  # Hz, of a vibration at a fixed frequency
+_HARMONICS = (1, 2, 3, 4)  # blades and their second harmonic
+_FOLDED = (1, 2, 3, 4, 5, 6)
+_DETUNED = (0.98, 1.0, 1.02)
+_CANDIDATES = 4
+_LEAST_VARIATION = 0.1  # of the rotors' power, standard deviation over maximum
+_THROTTLE = "throttle 0-hover-0 twice at one attitude"
+_TELEMETRY = ("no rotor speed, motor output or throttle recorded", "rotor speed in the log")
+
+
+def folded(frequency: Array, fs: float) -> Array:
+    """Where a sampling at `fs` shows `frequency`: ``|((f + fs/2) mod fs) - fs/2|``."""
+    return np.asarray(np.abs((frequency + 0.5 * fs) % fs - 0.5 * fs), dtype=np.float64)
+
+
+def drive(trace: Trace) -> Array | None:
+    """Power of the rotors' vibration over time (N,), at most one: fourth power of speed, square of thrust.
+
+    None: not recorded.
+    """
+    if trace.rotor_hz is not None:
+        power = (np.maximum(trace.rotor_hz, 0.0) ** 4).mean(axis=1)
+    elif trace.motors is not None:
+        power = (np.maximum(trace.motors, 0.0) ** 2).mean(axis=1)
+    elif trace.throttle is not None:
+        power = np.maximum(trace.throttle, 0.0) ** 2
+    else:
+        return None
+    largest = float(power[trace.observed].max(initial=0.0))
+    return np.asarray(power / largest, dtype=np.float64) if largest > 0.0 else np.zeros(len(trace.t))
+
+
+def running(trace: Trace) -> NDArray[np.bool_]:
+    """(N,) True while a motor turns."""
+    if trace.rotor_hz is not None:
+        return np.asarray((trace.rotor_hz > _RUNNING_HZ).any(axis=1))
+    if trace.motors is not None:
+        return np.asarray((trace.motors > _RUNNING_THROTTLE).any(axis=1))
+    if trace.throttle is not None:
+        return np.asarray(trace.throttle > _RUNNING_THROTTLE)
+    return np.ones(len(trace.t), dtype=np.bool_)
+
+
+def mean_speed(trace: Trace) -> float:
+    """Mean speed of the rotors while they turn, Hz; 0 where it is not recorded or they never do."""
+    if trace.rotor_hz is None:
+        return 0.0
+    turning = trace.rotor_hz[trace.rotor_hz > _RUNNING_HZ]
+    return float(turning.mean()) if len(turning) else 0.0
+
+
+def line(trace: Trace, omega: Array, frequency: float) -> Array:
+    """Power (1, K) of a line of amplitude one while the motors run, its mean frequency being `frequency` (Hz)."""
+    on = running(trace)
+    speed = mean_speed(trace)
+    if speed > 0.0 and trace.rotor_hz is not None:
+        turning = trace.rotor_hz > _RUNNING_HZ
+        track, weight = trace.rotor_hz[turning] * (frequency / speed), trace.rotor_hz[turning] ** 4
+    else:
+        track, weight = np.array([frequency]), np.ones(1)
+    K = len(omega)
+    where = np.minimum((folded(track, trace.fs) / (0.5 * trace.fs) * K).astype(np.intp), K - 1)
+    share = np.bincount(where, weights=weight, minlength=K) / weight.sum()
+    bins = max(3, round(_WIDTH / (0.5 * trace.fs) * K))
+    share = uniform_filter1d(share, bins, mode="reflect")
+    level = 0.5 * float(on.mean()) * K * share
+    return np.asarray(np.interp(omega, np.pi * np.arange(K) / K, level), dtype=np.float64)[None]
+
+
+def while_running(trace: Trace) -> Array:
+    """(N,) of mean one: the drive where it is known, else whether the motors run."""
+    power = drive(trace) if trace.rotor_hz is not None else running(trace).astype(np.float64)
+    assert power is not None
+    return _mean_one(power, trace)
+
+
+def with_speed(trace: Trace) -> Array:
+    """(N,) of mean one: power of noise whose size grows with the speed of the rotors."""
+    power = drive(trace)
+    assert power is not None
+    return _mean_one(np.sqrt(power), trace)
+
+
+def _mean_one(power: Array, trace: Trace) -> Array:
+    mean = float(power[trace.observed].mean()) if trace.observed.any() else 0.0
+    return power / mean if mean > 0.0 else np.ones_like(power)
+
+
+def rectified(trace: Trace, _theta: float) -> Array:
+    """One signal: the vibration's power over time, one at its strongest."""
+    power = drive(trace)
+    assert power is not None
+    return power[None]
+
+
+def below(trace: Trace) -> Array:
+    """Frequencies of lines that the sampling shows as they are, Hz."""
+    speed = mean_speed(trace)
+    if speed > 0.0:
+        return np.array([h * speed * d for h in _HARMONICS for d in _DETUNED if h * speed < 0.5 * trace.fs])
+    return np.arange(_LOWEST, 0.5 * trace.fs - _WIDTH, 0.5 * _WIDTH)
+
+
+def beyond(trace: Trace) -> Array:
+    """Frequencies of lines that the sampling folds, Hz."""
+    speed = mean_speed(trace)
+    return np.array([h * speed * d for h in _FOLDED for d in _DETUNED if h * speed >= 0.5 * trace.fs])
+
+
+def strongest_bands(trace: Trace, residual: Array) -> Array:
+    """The frequencies of :func:`below` with most power of `residual` (N, 3) above their surroundings, ascending."""
+    grid = below(trace)
+    if mean_speed(trace) > 0.0:
+        return grid
+    y = np.where(trace.observed[:, None], residual, 0.0)
+    power = np.abs(np.fft.rfft(y - y.mean(axis=0), axis=0)) ** 2
+    hz = trace.fs / len(y)
+    band = uniform_filter1d(power, max(1, round(_WIDTH / hz)), axis=0)
+    around = np.exp(uniform_filter1d(np.log(band + np.finfo(float).tiny), max(3, round(20.0 / hz)), axis=0))
+    ratio = (band / around).max(axis=1)[np.minimum((grid / hz).astype(np.intp), len(power) - 1)]
+    return np.sort(grid[np.argsort(ratio)[-_CANDIDATES:]])
+
+
+def _motors_run(trace: Trace) -> tuple[str, str] | None:
+    if drive(trace) is None:
+        return _TELEMETRY
+    return None if running(trace)[trace.observed].any() else ("the motors never run", "motors on")
+
+
+def _drive_varies(trace: Trace) -> tuple[str, str] | None:
+    power = drive(trace)
+    if power is None:
+        return _TELEMETRY
+    size = float(power[trace.observed].std()) if trace.observed.any() else 0.0
+    if size >= _LEAST_VARIATION:
+        return None
+    return f"the rotors' power varies by {100.0 * size:.0f} % of its maximum", f"a variation >= 10 %: {_THROTTLE}"
+
+
+def _shown(trace: Trace) -> tuple[str, str] | None:
+    if (lack := _motors_run(trace)) is not None or len(below(trace)):
+        return lack
+    half = f"half the sampling rate, {0.5 * trace.fs:.0f} Hz"
+    if mean_speed(trace) == 0.0:
+        return f"{half}, lies below any vibration", "faster logging"
+    return f"the rotors turn at {mean_speed(trace):.0f} Hz, beyond {half}", "faster logging"
+
+
+def _rotor_speed_known(trace: Trace) -> tuple[str, str] | None:
+    if trace.rotor_hz is None:
+        return "no rotor speed recorded", "rotor speed in the log"
+    if mean_speed(trace) == 0.0:
+        return "the rotors never turn", "motors on"
+    if not len(beyond(trace)):
+        highest = _FOLDED[-1] * mean_speed(trace)
+        return f"harmonics up to {highest:.0f} Hz lie below half the sampling rate", "slower logging"
+    return None
+
+
+def _line(
+    kind: str, sensor: Sensor, grid: Callable[[Trace], Array], missing: Missing, rivals: tuple[str, ...]
+) -> Effect:
+    screen = strongest_bands if kind == "vibration" else None
+    return NoiseEffect(
+        f"{sensor}_{kind}",
+        sensor,
+        per_axis("amplitude", UNIT[sensor], squared=True),
+        "running motors",
+        "sweep the rotor speed: an alias moves against it, a tone stays",
+        missing,
+        Shape(Parameter("frequency_hz", "Hz"), grid, screen),
+        density=line,
+        variance=while_running,
+        rivals=tuple(f"{sensor}_{rival}" for rival in rivals),
+    )
+
+
+def _of(sensor: Sensor) -> tuple[Effect, ...]:
+    noise = NoiseEffect(
+        f"{sensor}_rotor_noise",
+        sensor,
+        per_axis("density", f"{UNIT[sensor]}/sqrt(Hz)", squared=True),
+        "rotor speeds that vary",
+        "a minute at rest with the motors off, and one with them on",
+        _drive_varies,
+        density=white,
+        variance=with_speed,
+        rivals=(f"{sensor}_noise", *((f"{sensor}_vibration",) if sensor in INERTIAL else ())),
+    )
+    if sensor not in INERTIAL:
+        return (noise,)
+    return (
+        _line("vibration", sensor, below, _shown, ("tone", "aliasing", "rotor_noise")),
+        _line("aliasing", sensor, beyond, _rotor_speed_known, ("vibration", "tone", "rotor_noise")),
+        noise,
+        MeanEffect(
+            f"{sensor}_vibration_rectification",
+            sensor,
+            per_axis("shift", UNIT[sensor]),
+            "vibration that comes and goes",
+            _THROTTLE,
+            _drive_varies,
+            columns=axiswise(rectified),
+            signals=rectified,
+            rivals=(f"{sensor}_bias", f"{sensor}_step"),
+        ),
+    )
+
+
+EFFECTS: tuple[Effect, ...] = tuple(effect for sensor in TRIADS for effect in _of(sensor))
