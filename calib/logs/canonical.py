@@ -32,13 +32,25 @@ SI = {
     Sensor.ROTOR_SPEED: "Hz",
     Sensor.ATTITUDE: "1",
 }
+REFERENCE_SI = {
+    Sensor.ACCEL: "m/s2",
+    Sensor.GYRO: "rad/s",
+    Sensor.MAG: "uT",
+    Sensor.ATTITUDE: "1",
+    Sensor.PLACE: "m",
+    Sensor.VELOCITY: "m/s",
+}
+"""Units of the ``ref_*`` columns, in which they are read and written whatever the sensors' own columns are in."""
 TRIADS = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
 SINGLE = (Sensor.TEMPERATURE, Sensor.CURRENT, Sensor.THROTTLE)
 CANONICAL = re.compile(
     r"(?P<triad>accel|gyro|mag)(?P<of>[1-9]?)_(?P<axis>[xyz])|(?P<one>temperature|current|throttle)(?P<nr>[1-9]?)"
     r"|(?P<many>motor|rotor_hz)_(?P<k>[1-9]\d?)|q_(?P<q>[wxyz])|t|segment"
-    r"|ref_(accel|gyro|mag)_[xyz]|ref_q_[wxyz]|ref_pos_[ned]|ref_vel_[ned]"
+    r"|ref_(?P<ref>accel|gyro|mag)_[xyz]|ref_(?P<refq>q)_[wxyz]|ref_(?P<refpath>pos|vel)_[ned]"
 )
+GROUP = re.compile(r"(ref_)?(accel|gyro|mag)|(accel|gyro|mag)[1-9]|(ref_)?q|ref_pos|ref_vel|motor|rotor_hz")
+"""Names that stand for all of their columns in a mapping: ``accel=imu_acc`` is accel_x=imu_acc_0 and so on."""
+_REFERENCE_STEMS = {Sensor.ATTITUDE: "q", Sensor.PLACE: "pos", Sensor.VELOCITY: "vel"}
 FRD_FROM_FLU = np.array([1.0, -1.0, -1.0])
 
 
@@ -53,6 +65,35 @@ def column_names(channel: Channel) -> tuple[str, ...]:
         return tuple(f"q_{part}" for part in "wxyz")
     prefix = "motor" if channel.sensor == Sensor.MOTOR else "rotor_hz"
     return tuple(f"{prefix}_{k + 1}" for k in range(channel.values.shape[1]))
+
+
+def reference_names(sensor: Sensor) -> tuple[str, ...]:
+    """What the columns of a reference channel are called; empty for a sensor that has none."""
+    if sensor not in REFERENCE_SI:
+        return ()
+    stem = _REFERENCE_STEMS.get(sensor, sensor.value)
+    return tuple(f"ref_{stem}_{part}" for part in _parts(stem))
+
+
+def reference_sensor(name: str) -> Sensor | None:
+    """The sensor whose reference a canonical column holds; None if it holds none."""
+    match = CANONICAL.fullmatch(name)
+    if match is None or not (match["ref"] or match["refq"] or match["refpath"]):
+        return None
+    stems = {stem: sensor for sensor, stem in _REFERENCE_STEMS.items()}
+    stem = match["ref"] or match["refq"] or match["refpath"]
+    return stems.get(stem) or Sensor(stem)
+
+
+def group_names(group: str, width: int) -> tuple[str, ...]:
+    """The canonical columns that `group` stands for; `width` counts where the name does not (motors)."""
+    if group in {"motor", "rotor_hz"}:
+        return tuple(f"{group}_{k + 1}" for k in range(width))
+    return tuple(f"{group}_{part}" for part in _parts(group.removeprefix("ref_")))
+
+
+def _parts(stem: str) -> str:
+    return {"q": "wxyz", "pos": "ned", "vel": "ned"}.get(stem, "xyz")
 
 
 def ned_from_frd(q: Array, *, body: str, world: str) -> Array:

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import io
+import math
+import struct
+import tokenize
 import warnings
 import zipfile
+import zlib
 from collections import Counter
 from dataclasses import dataclass
 
@@ -18,8 +22,25 @@ Array = NDArray[np.float64]
 
 SEPARATORS = (",", ";", "\t", None)  # None: any run of blanks
 COMMENTS = ("#", "%", "//")
+_MAT_COMPRESSED = 15  # miCOMPRESSED
+_NPZ_ERRORS = (
+    ValueError,
+    OSError,
+    EOFError,
+    KeyError,
+    NotImplementedError,
+    RuntimeError,
+    SyntaxError,
+    struct.error,
+    tokenize.TokenError,
+    zlib.error,
+    zipfile.BadZipFile,
+)
+"""What damaged archives and headers make zipfile and numpy raise."""
 _MISSING = frozenset({"na", "n/a", "null", "none", "-", "--", "missing"})
 _SAMPLE = 400  # lines from which separator and number of columns are found
+_MOST_TEXT = 1 << 28  # bytes of text: rows of text cost many times their size while they are read
+_MOST_UNFOLDED = 1 << 26, 200  # bytes that a packed file may unfold to, plus this many times its own size
 _MOST_BAD = 0.1  # share of damaged rows beyond which a file is not a table
 
 
@@ -72,6 +93,10 @@ def text_columns(data: bytes) -> Columns:
     UnreadableError
         If the text is no table.
     """
+    if len(data) > _MOST_TEXT:
+        raise UnreadableError(
+            f"the text has {len(data) >> 20} MB: at most {_MOST_TEXT >> 20} are read; save it as .npz, or cut it"
+        )
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -109,9 +134,10 @@ def npz_columns(data: bytes) -> Columns:
         If the file is damaged, or its arrays are not of numbers.
     """
     try:
+        _check_members(data)
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+    except _NPZ_ERRORS as error:
         raise UnreadableError(
             f"the .npz cannot be read ({error}): write it with numpy.savez and arrays of numbers"
         ) from error
@@ -129,12 +155,52 @@ def mat_columns(data: bytes) -> Columns:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of scipy, about variables that no table needs
+            _check_elements(data)
             content = scipy.io.loadmat(io.BytesIO(data))
     except NotImplementedError as error:
         raise UnreadableError("the .mat is of MATLAB's 7.3 format: save it with -v7, or as .csv") from error
+    except UnreadableError:
+        raise
     except Exception as error:
         raise UnreadableError(f"the .mat cannot be read ({error}): save it with -v7, or as .csv") from error
     return _from_arrays({name: value for name, value in content.items() if not name.startswith("__")})
+
+
+def _check_members(data: bytes) -> None:
+    """Refuse archives whose members unfold beyond reason, and arrays that claim more than their member holds."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        members = archive.infolist()
+        _check_unfolded(sum(member.file_size for member in members), len(data))
+        for member in members:
+            if not member.filename.endswith(".npy"):
+                continue
+            with archive.open(member) as opened:
+                version = np.lib.format.read_magic(opened)
+                read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+                shape, _, dtype = read(opened)
+            if math.prod(shape) * dtype.itemsize > member.file_size:
+                raise UnreadableError(f"the .npz is damaged: {member.filename} claims {shape} of {dtype}")
+
+
+def _check_elements(data: bytes) -> None:
+    """Refuse a MATLAB 5 file whose compressed elements unfold beyond reason."""
+    order = "<" if data[126:128] == b"IM" else ">"
+    place, total = 128, 0
+    while place + 8 <= len(data):
+        kind, size = struct.unpack_from(f"{order}II", data, place)
+        if kind == _MAT_COMPRESSED:
+            unpacker, packed = zlib.decompressobj(), data[place + 8 : place + 8 + size]
+            while packed and not unpacker.eof:
+                total += len(unpacker.decompress(packed, 1 << 20))
+                _check_unfolded(total, len(data))
+                packed = unpacker.unconsumed_tail
+        place += 8 + size
+
+
+def _check_unfolded(total: int, size: int) -> None:
+    least, times = _MOST_UNFOLDED
+    if total > least + times * size:
+        raise UnreadableError(f"the file of {size} bytes unfolds to {total >> 20} MB or more: that is no recording")
 
 
 def _from_arrays(arrays: dict[str, NDArray[np.generic]]) -> Columns:

@@ -1,8 +1,10 @@
 """Tables as recordings and back: the interchange format, and foreign tables with a mapping.
 
 One row a time stamp; an empty cell or nan means no sample then. Columns: ``t segment``, ``accel_x,y,z gyro_x,y,z
-mag_x,y,z`` (a second instance is ``accel2_x`` …), ``temperature current throttle motor_1… rotor_hz_1…`` and
-``q_w,q_x,q_y,q_z``. Units are those of the contract, or stated.
+mag_x,y,z`` (a second instance is ``accel2_x`` …), ``temperature current throttle motor_1… rotor_hz_1…``,
+``q_w,q_x,q_y,q_z``, and the reference: ``ref_accel_x… ref_gyro_x… ref_mag_x…`` (what an ideal sensor would have read),
+``ref_q_w… ref_pos_n,e,d ref_vel_n,e,d`` (its pose). Units are those of the contract, or stated; of
+references always those of the contract.
 """
 
 from __future__ import annotations
@@ -20,18 +22,25 @@ from calib.errors import InvalidInputError, UnreadableError
 from calib.logs.canonical import (
     CANONICAL,
     FRD_FROM_FLU,
+    GROUP,
+    REFERENCE_SI,
     SI,
     SINGLE,
     TRIADS,
     UNITS,
     column_names,
+    group_names,
     ned_from_frd,
+    reference_names,
+    reference_sensor,
 )
 from calib.logs.columns import Columns, mat_columns, npz_columns, text_columns
 from calib.recording import Channel, Event, Recording, Rounding, Segment, Sensor, Stage
 
 Array = NDArray[np.float64]
 
+MOST_BYTES = 1 << 31
+"""Size of the largest table that is read."""
 NO_TIME = "no_time"
 """Kind of the event that says that rows were counted because the table has no time."""
 
@@ -55,9 +64,10 @@ def read_table(
         The file; what it is shows from its content.
     mapping
         Canonical name to column, by header name or 0-based number, with an optional factor:
-        ``{"accel_x": "ax*9.80665"}``.
+        ``{"accel_x": "ax*9.80665"}``; ``{"accel": "acc"}`` names the columns acc_0, acc_1, acc_2 of one array.
     world, body
-        Frames of the attitude and of the vectors in the file; the recording is north-east-down and forward-right-down.
+        Frames of the attitudes and of the vectors in the file; the recording is north-east-down and
+        forward-right-down. ``ref_pos`` and ``ref_vel`` are named by their axes and not turned.
     rate
         Samples a second where the table has no ``t``; None: rows are counted, one a second.
     unit_accel, unit_gyro, unit_mag
@@ -78,19 +88,28 @@ def read_table(
     columns = read_columns(Path(path))
     table = _Table.of(columns, mapping or {})
     t, events = _time(table, columns, rate)
-    order = [key for key in table.cells if key not in {"t", "segment"}]
+    order = [key for key in table.cells if key not in {"t", "segment"} and reference_sensor(key) is None]
     channels = [
         channel
         for sensor, instance in _present(order)
         if (channel := _channel(table, sensor, instance, t, units, body, world)) is not None
     ]
+    reference = tuple(
+        channel for sensor in REFERENCE_SI if (channel := _reference(table, sensor, t, body, world)) is not None
+    )
     if not channels:
         raise UnreadableError(
             "no column is named as a sensor (accel_x, gyro_x, mag_x, temperature ...); the table has "
             f"{columns.listed()}: name them with --map"
         )
     events += tuple(Event(float(t[0]), "damage", text) for text in table.damage)
-    return Recording(channels=tuple(channels), events=events, segments=_segments(table, t), source=str(Path(path).name))
+    return Recording(
+        channels=tuple(channels),
+        events=events,
+        segments=_segments(table, t),
+        source=str(Path(path).name),
+        reference=reference,
+    )
 
 
 def read_columns(path: Path) -> Columns:
@@ -102,6 +121,9 @@ def read_columns(path: Path) -> Columns:
         If the file cannot be opened or is no table.
     """
     try:
+        size = path.stat().st_size
+        if size > MOST_BYTES:
+            raise UnreadableError(f"{path.name} has {size >> 20} MB: a table has at most {MOST_BYTES >> 20}; cut it")
         data = path.read_bytes()
     except OSError as error:
         raise UnreadableError(f"{path.name} cannot be opened: {error.strerror or error}") from error
@@ -113,12 +135,12 @@ def read_columns(path: Path) -> Columns:
 
 
 def write_table(recording: Recording, path: Path | str) -> None:
-    """Write the best channel of every sensor and instance as .csv or .npz, SI units, one row a time stamp.
+    """Write the best channel of every sensor and instance and the reference as .csv or .npz, SI, one row a time stamp.
 
     Parameters
     ----------
     recording
-        Positions and parameters have no column and are left out; counts are written as counts.
+        Positions, parameters and second sets of motors have no column and are left out; counts are written as counts.
     path
         Ends in ``.csv`` or ``.npz``.
 
@@ -132,15 +154,18 @@ def write_table(recording: Recording, path: Path | str) -> None:
         recording.channel(sensor, instance)
         for sensor in SI
         for instance in recording.instances(sensor)
-        if any(c.stage != Stage.DEBIASED for c in recording.find(sensor, instance))
+        if (instance == 0 or sensor in TRIADS or sensor in SINGLE)
+        and any(c.stage != Stage.DEBIASED for c in recording.find(sensor, instance))
     ]
     if not channels:
         raise InvalidInputError("the recording has no samples that a table can hold")
-    t = np.unique(np.concatenate([c.t for c in channels]))
+    named = [(column_names(channel), channel) for channel in channels]
+    named += [(reference_names(c.sensor), c) for c in recording.reference if len(c) and reference_names(c.sensor)]
+    t = np.unique(np.concatenate([channel.t for _, channel in named]))
     columns = {"t": t}
-    for channel in channels:
+    for names, channel in named:
         rows = np.searchsorted(t, channel.t)
-        for name, values in zip(column_names(channel), channel.values.T, strict=True):
+        for name, values in zip(names, channel.values.T, strict=True):
             columns[name] = np.full(len(t), np.nan)
             columns[name][rows] = values
     labels = np.full(len(t), "", dtype=object)
@@ -169,11 +194,11 @@ class _Table:
         for index, name in enumerate(columns.names):
             if CANONICAL.fullmatch(name.lower()):
                 chosen[name.lower()] = (index, 1.0)
-        for name, column in mapping.items():
+        for name, column in _ungrouped(columns, mapping).items():
             if not CANONICAL.fullmatch(name):
                 raise InvalidInputError(
                     f"{name!r} is no column of a recording: t, segment, accel_x, gyro_x, mag_x, temperature, current, "
-                    "throttle, motor_1, rotor_hz_1, q_w and their like are"
+                    "throttle, motor_1, rotor_hz_1, q_w, ref_accel_x, ref_q_w, ref_pos_n and their like are"
                 )
             wanted, factor = _factor(name, column)
             chosen[name] = (columns.index(wanted), factor)
@@ -187,6 +212,30 @@ class _Table:
             index = chosen["segment"][0]
             labels = columns.texts.get(index) or tuple(_label(value) for value in columns.values[index])
         return cls(cells, labels, tuple(text for text in damage if text))
+
+
+def _ungrouped(columns: Columns, mapping: Mapping[str, str]) -> dict[str, str]:
+    """The mapping with every group name replaced by its columns.
+
+    Raises
+    ------
+    UnreadableError
+        If the table has no array of that name and width.
+    """
+    single: dict[str, str] = {}
+    for name, column in mapping.items():
+        if not GROUP.fullmatch(name):
+            single[name] = column
+            continue
+        wanted, star, factor = column.rpartition("*")
+        array = (wanted if star else column).strip()
+        width = sum(f"{array}_{k}" in columns.names for k in range(len(columns.names)))
+        names = group_names(name, width)
+        if not names or len(names) != width:
+            need = f"{len(names)} columns {array}_0, {array}_1 ..." if names else f"columns {array}_0, {array}_1 ..."
+            raise UnreadableError(f"{name}={column} needs {need}; the table has {columns.listed()}")
+        single |= {one: f"{array}_{k}{star}{factor if star else ''}" for k, one in enumerate(names)}
+    return single
 
 
 def _factor(name: str, column: str) -> tuple[str, float]:
@@ -267,12 +316,7 @@ def _channel(
 ) -> Channel | None:
     """The rows of that sensor that have a sample; None if none has."""
     names = _names_of(table, sensor, instance)
-    missing = [name for name in names if name not in table.cells]
-    if missing:
-        raise UnreadableError(f"{', '.join(names)} are needed together; {', '.join(missing)} is missing")
-    values = np.column_stack([table.cells[name] for name in names])
-    there = ~np.isnan(values).any(axis=1)
-    values, t = values[there], t[there]
+    values, t = _samples(table, names, t)
     if not len(values):
         return None
     unit = units.get(sensor, "si")
@@ -293,6 +337,30 @@ def _channel(
         quantum=1.0 if counts else 0.0,
         rounding=Rounding.NEAREST if counts else Rounding.NONE,
     )
+
+
+def _samples(table: _Table, names: tuple[str, ...], t: Array) -> tuple[Array, Array]:
+    """The rows in which all of the columns hold a number, and their times."""
+    missing = [name for name in names if name not in table.cells]
+    if missing:
+        raise UnreadableError(f"{', '.join(names)} are needed together; {', '.join(missing)} is missing")
+    values = np.column_stack([table.cells[name] for name in names])
+    there = ~np.isnan(values).any(axis=1)
+    return values[there], t[there]
+
+
+def _reference(table: _Table, sensor: Sensor, t: Array, body: str, world: str) -> Channel | None:
+    """The ``ref_*`` columns of that sensor; None if there are none, or none has a sample."""
+    if not any(reference_sensor(name) == sensor for name in table.cells):
+        return None
+    values, t = _samples(table, reference_names(sensor), t)
+    if not len(values):
+        return None
+    if sensor in TRIADS and body == "flu":
+        values = values * FRD_FROM_FLU
+    if sensor == Sensor.ATTITUDE:
+        values = ned_from_frd(values, body=body, world=world)
+    return Channel(sensor, 0, t, values, REFERENCE_SI[sensor], Stage.RAW, "table")
 
 
 def _names_of(table: _Table, sensor: Sensor, instance: int) -> tuple[str, ...]:

@@ -252,7 +252,8 @@ def test_impossible_content_is_told_with_its_row(table, text, says):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"mapping": {"accel": "1"}}, "'accel' is no column of a recording"),
+        ({"mapping": {"accel_w": "1"}}, "'accel_w' is no column of a recording"),
+        ({"mapping": {"accel": "1"}}, "accel=1 needs 3 columns 1_0, 1_1"),
         ({"mapping": {"mag_x": "nothing"}}, "no column 'nothing'; the table has t, mag_x"),
         ({"mapping": {"mag_x": "9"}}, "no column '9'"),
         ({"mapping": {"mag_x": "mag_x*two"}}, "'two' is no factor"),
@@ -285,7 +286,7 @@ def test_a_few_texts_among_the_numbers_are_left_out_and_said(table):
 
 
 def test_dispatch_by_content(table, tmp_path):
-    with pytest.raises(UnreadableError, match="a ULog: those cannot be read yet"):
+    with pytest.raises(UnreadableError, match="a ULog without a sensor"):
         logs.read(table(b"ULog\x01\x12\x35" + bytes(50), "a.csv"))
     with pytest.raises(UnreadableError, match="DataFlash"):
         logs.read(table(b"\xa3\x95\x80" + bytes(50), "a.bin"))
@@ -352,3 +353,72 @@ def test_foreign_recordings(shared_data):
     assert len(accel) == 51_175
     with pytest.raises(UnreadableError, match="imu_gyr_0"):
         read_table(shared_data / "broad" / "01_undisturbed_slow_rotation_A.mat")
+
+
+REFERENCE = (
+    "t,accel_x,accel_y,accel_z,rotor_hz_1,rotor_hz_2,ref_accel_x,ref_accel_y,ref_accel_z,ref_q_w,ref_q_x,ref_q_y,ref_q_z,"
+    "ref_pos_n,ref_pos_e,ref_pos_d,ref_vel_n,ref_vel_e,ref_vel_d\n"
+    "0.0,1,2,3,80,81,4,5,6,1,0,0,0,7,8,9,1,2,3\n"
+    "0.5,1,2,3,,,,,,,,,,,,,,,\n"
+    "1.0,,,,82,83,4,5,7,0,1,0,0,,,,1,2,4\n"
+)
+
+
+def test_references_are_read_beside_the_channels(table):
+    recording = read_table(table(REFERENCE))
+    found = {c.sensor: c for c in recording.reference}
+    assert set(found) == {Sensor.ACCEL, Sensor.ATTITUDE, Sensor.PLACE, Sensor.VELOCITY}
+    assert found[Sensor.ACCEL].values.tolist() == [[4, 5, 6], [4, 5, 7]]
+    assert found[Sensor.PLACE].values.tolist() == [[7, 8, 9]]
+    assert found[Sensor.VELOCITY].t.tolist() == [0.0, 1.0]
+    assert len(recording.channel(Sensor.ACCEL)) == 2
+    assert recording.channel(Sensor.ROTOR_SPEED).values.tolist() == [[80, 81], [82, 83]]
+
+
+@pytest.mark.parametrize("ending", [".csv", ".npz"])
+def test_a_converted_table_with_references_is_the_same_recording(table, tmp_path, ending):
+    first = read_table(table(REFERENCE))
+    write_table(first, tmp_path / f"out{ending}")
+    second = read_table(tmp_path / f"out{ending}")
+    for a, b in zip((*first.channels, *first.reference), (*second.channels, *second.reference), strict=True):
+        assert a.sensor == b.sensor
+        np.testing.assert_array_equal(a.t, b.t)
+        np.testing.assert_array_equal(a.values, b.values)
+
+
+def test_units_of_the_sensors_do_not_touch_the_reference_but_frames_do(table):
+    recording = read_table(table(REFERENCE), unit_accel="g", body="flu")
+    np.testing.assert_allclose(recording.channel(Sensor.ACCEL).values[0], np.array([1, -2, -3]) * G)
+    np.testing.assert_array_equal(recording.reference[0].values[0], [4, -5, -6])
+
+
+def test_a_whole_array_is_mapped_by_its_name(tmp_path):
+    rng = np.random.default_rng(3)
+    acc, quat = rng.normal(size=(50, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (50, 1))
+    scipy.io.savemat(tmp_path / "a.mat", {"imu_acc": acc, "opt_quat": quat})
+    mapping = {"accel": "imu_acc*2", "ref_q": "opt_quat"}
+    recording = read_table(tmp_path / "a.mat", mapping=mapping, rate=100.0)
+    np.testing.assert_array_equal(recording.channel(Sensor.ACCEL).values, 2.0 * acc)
+    assert recording.reference[0].sensor == Sensor.ATTITUDE
+    with pytest.raises(UnreadableError, match="needs 4 columns imu_acc_0"):
+        read_table(tmp_path / "a.mat", mapping={"q": "imu_acc"}, rate=100.0)
+
+
+def test_archives_that_unfold_beyond_reason_are_refused(tmp_path):
+    np.savez_compressed(tmp_path / "bomb.npz", t=np.zeros(20_000_000))
+    with pytest.raises(UnreadableError, match="unfolds to"):
+        read_table(tmp_path / "bomb.npz")
+    scipy.io.savemat(tmp_path / "bomb.mat", {"t": np.zeros(20_000_000)}, do_compression=True)
+    with pytest.raises(UnreadableError, match="unfolds to"):
+        read_table(tmp_path / "bomb.mat")
+
+
+def test_an_array_that_claims_more_than_it_holds_is_refused(tmp_path):
+    np.savez(tmp_path / "a.npz", t=np.arange(64.0))
+    data = (tmp_path / "a.npz").read_bytes()
+    (tmp_path / "b.npz").write_bytes(data.replace(b"(64,)", b"(4e9", 1).replace(b"(4e9", b"(9**9,)"[:5], 1))
+    with pytest.raises(UnreadableError):
+        read_table(tmp_path / "b.npz")
+    (tmp_path / "c.npz").write_bytes(data.replace(b"'shape': (64,), }    ", b"'shape': (64000,), } ", 1))
+    with pytest.raises(UnreadableError):
+        read_table(tmp_path / "c.npz")
