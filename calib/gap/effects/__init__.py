@@ -17,7 +17,7 @@ from calib.gap.effects import (
     tone,
     vibration,
 )
-from calib.gap.effects.base import Effect
+from calib.gap.effects.base import Effect, Parameter
 
 _FAMILIES = (
     lattice,
@@ -44,3 +44,9 @@ def catalogue() -> tuple[Effect, ...]:
 def by_id() -> dict[str, Effect]:
     """The catalogue by the effects' ids."""
     return {effect.id: effect for effect in catalogue()}
+
+
+@cache
+def parameter_table() -> dict[str, tuple[Parameter, ...]]:
+    """Names, units and whether the value is a root, by effect: its amplitudes and then its shape (GAP 8)."""
+    return {e.id: e.parameters + ((e.shape.parameter,) if e.shape is not None else ()) for e in catalogue()}

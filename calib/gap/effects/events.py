@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,7 +15,6 @@ from calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _CANDIDATES = 4
-_APART = 0.02  # of the recording, between candidates
 _EDGE = 0.01  # of the recording: a step this near to an end is a bias
 
 
@@ -29,29 +30,39 @@ def moments(trace: Trace) -> Array:
 
 
 def likeliest(trace: Trace, residual: Array) -> Array:
-    """The moments with the largest standardised change of the mean of `residual` (N, 3), well apart, ascending.
+    """The moments with the largest standardised change of the mean of `residual` (N, 3), ascending.
 
+    The recording is split at the first one, then between those found, so a pulse gives both of its edges.
     The noise is taken from successive differences, so a slow drift does not hide a jump.
     """
-    grid = moments(trace)
+    n = len(trace.t)
+    first = int(np.searchsorted(trace.t, moments(trace)[0]))
+    count = np.concatenate([[0.0], np.cumsum(trace.observed.astype(np.float64))])
     y = np.where(trace.observed[:, None], residual, 0.0)
-    count = np.cumsum(trace.observed.astype(np.float64))
-    total, n = np.cumsum(y, axis=0), count[-1]
-    bridge = total - count[:, None] / max(n, 1.0) * total[-1]
-    weight = np.maximum(count * (n - count) / max(n, 1.0), 1.0)
+    total = np.vstack([np.zeros(3), np.cumsum(y, axis=0)])
     noise = np.maximum(np.diff(y, axis=0).var(axis=0), np.finfo(float).tiny)
-    gain = (bridge**2 / noise).sum(axis=1) / weight
-    first = int(np.searchsorted(trace.t, grid[0]))
-    gain = gain[first - 1 : first - 1 + len(grid)] if first else gain[: len(grid)]
-    reach = max(1, int(_APART * len(grid)))
-    found = []
-    for _ in range(min(_CANDIDATES, len(grid))):
-        best = int(np.argmax(gain))
-        if not np.isfinite(gain[best]):
+    found: list[int] = []
+    for _ in range(_CANDIDATES):
+        edges = [0, *sorted(found), n]
+        best = max(_split(count, total, noise, start, end, max(first, 1)) for start, end in pairwise(edges))
+        if best[0] <= 0.0:
             break
-        found.append(float(grid[best]))
-        gain[max(best - reach, 0) : best + reach + 1] = -np.inf
-    return np.sort(np.array(found))
+        found.append(best[1])
+    return np.asarray(trace.t[np.sort(found or [n // 2])], dtype=np.float64)
+
+
+def _split(count: Array, total: Array, noise: Array, start: int, end: int, margin: int) -> tuple[float, int]:
+    """Largest standardised change of the mean between rows `start` and `end`, and the row from which it holds."""
+    rows = np.arange(start + margin, end - margin)
+    before, n = count[rows] - count[start], count[end] - count[start]
+    usable = (before > 0.0) & (before < n)
+    rows, before = rows[usable], before[usable]
+    if not len(rows):
+        return 0.0, start
+    bridge = total[rows] - total[start] - before[:, None] / n * (total[end] - total[start])
+    gain = (bridge**2 / noise).sum(axis=1) * n / (before * (n - before))
+    best = int(np.argmax(gain))
+    return float(gain[best]), int(rows[best])
 
 
 def _of(sensor: Sensor) -> Effect:

@@ -24,7 +24,9 @@ _FEWEST = 5  # samples that make a pile, a zero band, a hold
 _ON_LEVEL = 0.05  # of a step, by which a level may lie beside the lattice
 _FRACTION = 0.99  # of the gaps between values that are whole steps
 _FINEST = 0.03  # of the noise; a finer step changes its power by less than 1e-4
-_REPEATED = 3.0  # samples a level, at least on average, before levels can be told from chance
+_GAPS = 8  # different gaps that show a lattice; fewer show it if every level occurs three times
+_REPEATED = 3
+_STANDS = 0.5  # of the rows in which the sensor moves on while the ideal reading does not: it is at rest
 _SAME = 1e-9  # relative difference of equal numbers
 
 
@@ -49,7 +51,7 @@ def levels_of(values: Array) -> Levels | None:
     size = float(np.abs(distinct).max(initial=0.0))
     gaps = np.diff(distinct)
     gaps = gaps[gaps > _SAME * size]
-    if not len(gaps) or len(values) < _REPEATED * (len(gaps) + 1):
+    if not len(gaps) or (len(gaps) < _GAPS and len(values) < _REPEATED * (len(gaps) + 1)):
         return None
     step = float(gaps.min())
     for _ in range(2):
@@ -162,7 +164,11 @@ def hold(trace: Trace) -> LatticeEvidence | None:
     """Rows that repeat the one before on all three axes. Values: mean time a row is held (s), share of repeats."""
     both = trace.observed[1:] & trace.observed[:-1]
     same = trace.measured[1:] == trace.measured[:-1]
-    standing = (trace.ideal[1:] == trace.ideal[:-1]).all(axis=1) | (trace.measured[1:] == 0.0).all(axis=1)
+    alike = (trace.ideal[1:] == trace.ideal[:-1]).all(axis=1)
+    moved = both & ~same.all(axis=1)
+    if alike[moved].sum() > _STANDS * moved.sum():
+        alike = np.zeros_like(alike)  # an ideal reading that stands still, not one that is held
+    standing = alike | (trace.measured[1:] == 0.0).all(axis=1)
     repeat = both & same.all(axis=1) & ~standing
     count, n = int(repeat.sum()), int((both & ~standing).sum())
     chance = max(n * float(np.prod([_repeats_by_chance(trace, axis) for axis in range(3)])), 0.1)
@@ -186,16 +192,17 @@ def _repeats_by_chance(trace: Trace, axis: int) -> float:
     that is smaller than the levels repeats always.
     """
     values = trace.measured[trace.observed, axis]
+    if np.ptp(values) == 0.0:
+        return 1.0
     levels = levels_of(values)
     step = max(levels.step if levels is not None else 0.0, trace.quantum)
     if step == 0.0:
         return 0.0
-    changed = np.diff(values)
-    changed = changed[changed != 0.0]
-    spread = float(changed.std()) / math.sqrt(2.0) if len(changed) else 0.0
-    if spread <= step:
-        return 1.0
-    return min(1.0, step / (2.0 * math.sqrt(math.pi) * spread))
+    # Movement only makes repeats rarer: the noise alone is the safe side. Its mean absolute difference, zeros among
+    # them, is 2 sigma / sqrt(pi); the levels' own part goes out.
+    noise = 0.5 * math.sqrt(math.pi) * float(np.abs(np.diff(trace.residual[trace.observed, axis])).mean())
+    variance = noise**2 - step**2 / 12.0
+    return 1.0 if variance <= 0.0 else min(1.0, step / (2.0 * math.sqrt(math.pi * variance)))
 
 
 def _evidence(

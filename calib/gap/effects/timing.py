@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
-from scipy.signal import butter, lfilter, lfilter_zi
+from scipy import fft, ndimage
 
 from calib.gap.effects.base import Effect, MeanEffect, Missing, Parameter, Shape
-from calib.gap.effects.parts import TRIADS, lagged
+from calib.gap.effects.parts import TRIADS
 from calib.gap.problem import Trace
 from calib.recording import Sensor
 
@@ -56,33 +55,44 @@ def drift_column(trace: Trace, ppm: float) -> Array:
 
 
 def low_pass_column(trace: Trace, cutoff: float) -> Array:
-    """The filtered ideal reading less the ideal one."""
-    return (_filtered(trace, cutoff, _order(trace, cutoff)) - trace.ideal)[None]
+    """The filtered ideal reading less the ideal one, of the number of poles that is nearer to what was measured."""
+    changes = _filtered_less_ideal(trace, cutoff)
+    return changes[_nearer(trace, changes)][None]
 
 
 def low_pass_gain(trace: Trace, omega: Array, cutoff: float) -> Array:
     """``|H|^2`` of the filter at `omega`, rad per sample."""
+    order = 1 + _nearer(trace, _filtered_less_ideal(trace, cutoff))
     ratio = omega * trace.fs / (2.0 * np.pi * cutoff)
-    return np.asarray(1.0 / (1.0 + ratio ** (2 * _order(trace, cutoff))), dtype=np.float64)
+    return np.asarray(1.0 / (1.0 + ratio ** (2 * order)), dtype=np.float64)
 
 
-def _filtered(trace: Trace, cutoff: float, order: int) -> Array:
-    """Through one pole (a package, an analogue stage) or a Butterworth of two (ArduPilot's, PX4's, most chips')."""
-    if order == 1:
-        return lagged(trace.ideal, 1.0 / trace.fs, 1.0 / (2.0 * np.pi * cutoff))
-    b, a = butter(2, min(cutoff, 0.49 * trace.fs), fs=trace.fs)
-    start = lfilter_zi(b, a)[:, None] * trace.ideal[:1]
-    return np.asarray(lfilter(b, a, trace.ideal, axis=0, zi=start)[0], dtype=np.float64)
+def _filtered_less_ideal(trace: Trace, cutoff: float) -> tuple[Array, Array]:
+    """Through one pole (a package, an analogue stage) and a Butterworth of two (ArduPilot's, PX4's, most chips').
+
+    ``H = 1/(1 + s)`` and ``1/(1 + sqrt(2) s + s^2)`` at ``s = j f/fc``, by Fourier transform; a lead of eight time
+    constants, over which the end ramps back to the beginning, lets the filter settle.
+    """
+    x = trace.ideal
+    lead = min(len(x), max(64, int(8.0 * trace.fs / (2.0 * np.pi * cutoff))))
+    ramp = np.clip(2.0 * np.arange(lead) / lead, 0.0, 1.0)[:, None]
+    padded = np.vstack([x[-1] + ramp * (x[0] - x[-1]), x])
+    size = fft.next_fast_len(len(padded), real=True)
+    padded = np.vstack([np.repeat(x[-1:], size - len(padded), axis=0), padded])
+    spectrum = fft.rfft(padded, axis=0)
+    s = 1j * fft.rfftfreq(size, 1.0 / trace.fs)[:, None] / cutoff
+    one, two = 1.0 / (1.0 + s), 1.0 / (1.0 + np.sqrt(2.0) * s + s * s)
+    return (_back(spectrum * one, size, x), _back(spectrum * two, size, x))
 
 
-def _order(trace: Trace, cutoff: float) -> int:
-    """The number of poles, 1 or 2, whose output is nearer to what was measured; constants do not count."""
-    residual = trace.residual[trace.observed]
-    left = []
-    for order in (1, 2):
-        change = (_filtered(trace, cutoff, order) - trace.ideal)[trace.observed]
-        left.append(float((residual - change).var(axis=0).sum()))
-    return 1 if left[0] <= left[1] else 2
+def _back(spectrum: NDArray[np.complex128], size: int, x: Array) -> Array:
+    return np.asarray(fft.irfft(spectrum, size, axis=0)[-len(x) :] - x, dtype=np.float64)
+
+
+def _nearer(trace: Trace, changes: tuple[Array, Array]) -> int:
+    """Which of the two changes leaves less of the residual; constants do not count."""
+    left = [float((trace.residual - change)[trace.observed].var(axis=0).sum()) for change in changes]
+    return int(left[1] < left[0])
 
 
 def delays(trace: Trace) -> Array:

@@ -37,10 +37,10 @@ def fitted(effect: MeanEffect, trace: Trace) -> tuple[float, np.ndarray, np.ndar
         beta, sd, _ = amplitudes(effect, trace, np.nan)
         return np.nan, beta, sd
     grid = effect.shape.grid(trace)
-    if effect.shape.screen is not None:
-        grid = np.sort(np.append(effect.shape.screen(trace, trace.residual), effect.shape.grid(trace)[[0, -1]]))
-    best = int(np.argmin([amplitudes(effect, trace, th)[2] for th in grid]))
-    low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+    tried = grid if effect.shape.screen is None else effect.shape.screen(trace, trace.residual)
+    best = tried[int(np.argmin([amplitudes(effect, trace, th)[2] for th in tried]))]
+    at = int(np.searchsorted(grid, best))
+    low, high = grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)]
     found = minimize_scalar(
         lambda th: amplitudes(effect, trace, th)[2],
         bounds=(low, high),

@@ -1,0 +1,104 @@
+"""Levels, ends of the range, dead bands and held samples; and that plain sensors show none of them."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from calib.gap.effects import by_id
+from calib.recording import Sensor
+
+from .conftest import make
+from .recovery import noisy, with_measured
+
+KINDS = ("quantisation", "saturation", "dead_band", "hold")
+SIGMA = {Sensor.ACCEL: 0.02, Sensor.GYRO: 0.003, Sensor.MAG: 0.3}
+
+
+def _plain(sensor, kind="tumble", seed=1):
+    return noisy(make(sensor, kind), np.zeros(3), SIGMA[sensor], seed)
+
+
+@pytest.mark.parametrize("sensor", list(SIGMA))
+@pytest.mark.parametrize("mission", ["static", "hover", "tumble"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_plain_sensor_shows_nothing(sensor, mission, kind):
+    trace = _plain(sensor, mission)
+    assert by_id()[f"{sensor}_{kind}"].detect(trace) is None
+    short = trace.measured.astype(np.float32).astype(float)
+    assert by_id()[f"{sensor}_{kind}"].detect(with_measured(trace, short)) is None
+
+
+@pytest.mark.parametrize("sensor", list(SIGMA))
+@pytest.mark.parametrize("steps", [0.1, 1.0, 5.0])
+@pytest.mark.parametrize("mission", ["static", "tumble"])
+def test_levels_are_found_unless_they_are_declared_or_simulated(sensor, steps, mission):
+    trace = _plain(sensor, mission)
+    q = np.array([1.0, 1.1, 0.9]) * steps * SIGMA[sensor]
+    coarse = with_measured(trace, np.round(trace.measured / q) * q)
+    effect = by_id()[f"{sensor}_quantisation"]
+    found = effect.detect(coarse)
+    assert found is not None
+    found_steps = np.array(found.values)
+    seen = found_steps > 0.0
+    np.testing.assert_allclose(found_steps[seen], q[seen], rtol=1e-4)
+    assert seen.any()
+    assert not found.masked.any()
+    assert effect.detect(dataclasses.replace(coarse, quantum=float(q.max()))) is None
+    alike = np.round((trace.ideal + 0.5 * SIGMA[sensor] * np.sin(np.arange(len(trace.t)))[:, None]) / q) * q
+    if mission == "tumble":
+        assert effect.detect(dataclasses.replace(coarse, ideal=alike)) is None
+    for other in ("saturation", "dead_band", "hold"):
+        assert by_id()[f"{sensor}_{other}"].detect(coarse) is None
+
+
+@pytest.mark.parametrize(("sensor", "limit"), [(Sensor.ACCEL, 8.0), (Sensor.GYRO, 0.6), (Sensor.MAG, 40.0)])
+@pytest.mark.parametrize("q", [0.0, 0.01])
+def test_an_end_of_the_range_is_found_unless_the_reference_has_it_too(sensor, limit, q):
+    trace = _plain(sensor)
+    levels = np.round(trace.measured / q) * q if q else trace.measured
+    clipped = with_measured(trace, np.clip(levels, -limit, limit))
+    found = by_id()[f"{sensor}_saturation"].detect(clipped)
+    assert found is not None
+    assert found.values[0] == pytest.approx(limit)
+    assert (found.masked == (np.abs(clipped.measured) == limit).any(axis=1)).all()
+    both = dataclasses.replace(clipped, ideal=np.clip(trace.ideal, -limit, limit))
+    assert by_id()[f"{sensor}_saturation"].detect(both) is None
+    assert by_id()[f"{sensor}_dead_band"].detect(clipped) is None
+    assert by_id()[f"{sensor}_hold"].detect(clipped) is None
+
+
+@pytest.mark.parametrize("sensor", [Sensor.ACCEL, Sensor.GYRO])
+def test_a_dead_band_is_found(sensor):
+    trace = _plain(sensor)
+    width = 6.0 * SIGMA[sensor]
+    measured = np.where(np.abs(trace.measured) < width, 0.0, trace.measured)
+    found = by_id()[f"{sensor}_dead_band"].detect(with_measured(trace, measured))
+    assert found is not None
+    np.testing.assert_allclose(found.values, width, rtol=0.2)
+    assert (found.masked == (measured == 0.0).any(axis=1)).all()
+    assert by_id()[f"{sensor}_saturation"].detect(with_measured(trace, measured)) is None
+
+
+@pytest.mark.parametrize("mission", ["static", "tumble"])
+def test_held_samples_are_found_with_their_time(mission):
+    trace = _plain(Sensor.MAG, mission)
+    held = with_measured(trace, trace.measured[np.arange(len(trace.t)) // 5 * 5])
+    found = by_id()["mag_hold"].detect(held)
+    assert found is not None
+    assert found.values[0] == pytest.approx(0.05, rel=0.01)
+    assert found.values[1] == pytest.approx(0.8, rel=0.01)
+    assert found.masked.sum() == 5600
+    dropped = trace.measured.copy()
+    rows = np.random.default_rng(2).choice(np.arange(1, len(dropped)), 40, replace=False)
+    dropped[rows] = dropped[rows - 1]
+    assert by_id()["mag_hold"].detect(with_measured(trace, dropped)) is not None
+
+
+def test_a_recording_in_which_the_simulator_is_held_as_well_shows_no_hold():
+    trace = _plain(Sensor.MAG)
+    rows = np.arange(len(trace.t)) // 2 * 2
+    alike = dataclasses.replace(trace, measured=trace.measured[rows], ideal=trace.ideal[rows])
+    assert by_id()["mag_hold"].detect(alike) is None
