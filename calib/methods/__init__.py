@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from calib.methods import accel, gyro, imu, mag, noise, thermal
+from calib.methods import accel, gyro, imu, mag, mag_flight, noise, thermal
 from calib.methods.method import Method, Option, Options
 
-_TABLES = (accel, gyro, mag, thermal, imu, noise)
+_TABLES = (accel, gyro, mag, mag_flight, thermal, imu, noise)
 
 METHODS: Mapping[str, Method] = MappingProxyType({method.name: method for t in _TABLES for method in t.METHODS})
 """Every method by its name."""

@@ -1,0 +1,76 @@
+"""What drives the motors, as the fits of a compass look at it: current, throttle, or every output."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from calib.recording import Channel
+from calib.windows import finite_rows
+
+Array = NDArray[np.float64]
+
+SMOOTHING = 2.0
+"""s: faster changes are seen by the compass' averaging and by the log at other instants, and would shrink the slope."""
+_GAP = 3.0  # s over which a drive is not known
+_LIVE = 0.02  # of the largest: an output that moves less is no motor
+
+
+class DriveKind(StrEnum):
+    """What the field of the motors is taken to be proportional to."""
+
+    CURRENT = "current"
+    THROTTLE = "throttle"
+    MOTORS = "motors"
+
+
+UNIT = {DriveKind.CURRENT: "A", DriveKind.THROTTLE: "1", DriveKind.MOTORS: "1"}
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """Samples (N, p) at `t` (N,): A, or 0..1. `numbers`: which motors, from 1; (0,) where it is one for all."""
+
+    kind: DriveKind
+    t: Array
+    values: Array
+    numbers: tuple[int, ...]
+
+    @classmethod
+    def of(cls, kind: DriveKind, channel: Channel) -> Drive | None:
+        """The drive that `channel` carries; None where it never changes, or is nowhere finite."""
+        channel = channel.take(finite_rows(channel.values))
+        channel = channel.take(np.diff(channel.t, prepend=-np.inf) > 0.0)
+        if len(channel) < 3:
+            return None
+        moves = np.ptp(channel.values, axis=0)
+        live = np.flatnonzero(moves > _LIVE * max(float(np.abs(channel.values).max()), 1e-9))
+        if not len(live) or not moves[live].all():
+            return None
+        numbers = tuple(int(i) + 1 for i in live) if kind == DriveKind.MOTORS else (0,)
+        return cls(kind, channel.t, channel.values[:, live[:1] if kind != DriveKind.MOTORS else live], numbers)
+
+    def columns(self, t: Array) -> Array:
+        """At the times `t` (N,): the slow part of every drive, then the fast part (N, 2 p); nan where not known."""
+        slow = self._slow()
+        both = np.hstack([slow, self.values - slow])
+        found = np.column_stack([np.interp(t, self.t, column) for column in both.T])
+        after = np.clip(np.searchsorted(self.t, t), 1, len(self.t) - 1)
+        known = (t >= self.t[0] - _GAP) & (t <= self.t[-1] + _GAP) & (self.t[after] - self.t[after - 1] < _GAP)
+        found[~known] = np.nan
+        return found
+
+    def _slow(self) -> Array:
+        step = float(np.median(np.diff(self.t)))
+        width = int(np.clip(round(SMOOTHING / step), 1, len(self.t)))
+        return np.asarray(uniform_filter1d(self.values, width, axis=0, mode="nearest"))
+
+    @property
+    def range(self) -> Array:
+        """How far each moved (p,), its extreme percents left out."""
+        low, high = np.percentile(self._slow(), (2.0, 98.0), axis=0)
+        return np.asarray(high - low)
