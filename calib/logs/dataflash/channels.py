@@ -14,11 +14,10 @@ from calib.recording import Channel, Event, Rounding, Sensor
 
 if TYPE_CHECKING:
     from calib.logs.dataflash.clock import Clock
-    from calib.logs.dataflash.tables import Column, Log, Table
+    from calib.logs.dataflash.tables import Log, Table
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Rows = slice | Mask
 
 INSTANCES: Final = 8
 """No vehicle has more of a kind; a higher number is damage."""
@@ -47,46 +46,31 @@ class SensorChannels:
 
     def _of_table(self, table: Table, number: int, readings: list[LogReading]) -> Iterator[Channel]:
         present = [(reading, columns) for reading in readings if (columns := _columns_of(table, reading))]
-        wanted = {name for _, columns in present for name in columns}
-        wanted |= {reading.healthy for reading, _ in present if reading.healthy in table}
-        data = dict(zip(wanted, table.columns(*wanted), strict=True))
-        written = self._clock.times(table)
+        health = [(reading.healthy,) for reading, _ in present if reading.healthy in table]
         for instance, rows in instances(table, number):
-            t = self._clock.sample_times(table, written[rows], rows)
+            t = self._clock.sample_times(rows)
             keep = ordered(t)
-            for reading, columns in present:
-                healthy = data[reading.healthy][rows] != 0 if reading.healthy in data else None
-                channel = self._channel(table, reading, instance, t, [data[c][rows] for c in columns], keep, healthy)
+            data = rows.arrays(*(columns for _, columns in present), *health)
+            healthy = {name: column[:, 0] != 0 for (name,), column in zip(health, data[len(present) :], strict=True)}
+            for (reading, _), values in zip(present, data, strict=False):
+                good = self._good(rows, reading, instance, t, values, healthy.get(reading.healthy)) & keep
+                channel = _channel(rows, reading, instance, t, values, good)
                 if channel is not None:
                     yield channel
 
-    def _channel(
-        self,
-        table: Table,
-        reading: LogReading,
-        instance: int,
-        t: Array,
-        columns: list[Column],
-        keep: Mask,
-        healthy: Mask | None,
-    ) -> Channel | None:
+    def _good(
+        self, table: Table, reading: LogReading, instance: int, t: Array, values: Array, healthy: Mask | None
+    ) -> Mask:
+        good = np.ones(len(t), dtype=bool)
         if healthy is not None and not healthy.all() and healthy.any():
             self._say(reading, instance, t, ~healthy, "the vehicle itself calls unhealthy", table)
-            keep = keep & healthy
+            good &= healthy
         if reading.sensor == Sensor.MAG:
-            zero = ~np.any(columns, axis=0)
+            zero: Mask = ~np.asarray(values.any(axis=1))
             if zero.any() and not zero.all():
                 self._say(reading, instance, t, zero, "are exactly 0, 0, 0, which no field is", table)
-            keep = keep & ~zero & _read_anew(t, columns)
-        if keep.all():
-            values = np.empty((len(t), len(columns)))
-            for k, column in enumerate(columns):
-                values[:, k] = column
-        else:
-            t, values = t[keep], np.column_stack([column[keep] for column in columns]).astype(np.float64)
-        if not len(t) or not values.any():
-            return None
-        return _made(table, reading, instance, t, values)
+            good &= ~zero & _read_anew(t, values)
+        return good
 
     def _say(self, reading: LogReading, instance: int, t: Array, bad: Mask, why: str, table: Table) -> None:
         first = float(t[np.argmax(bad)])
@@ -94,16 +78,16 @@ class SensorChannels:
         self.events.append(Event(first if np.isfinite(first) else 0.0, "damage", f"{text}; left out"))
 
 
-def instances(table: Table, number: int) -> Iterator[tuple[int, Rows]]:
-    """Instances of a message and their rows; `number` is the one that its name says."""
+def instances(table: Table, number: int) -> Iterator[tuple[int, Table]]:
+    """The messages of each instance; `number` is the one that their name says."""
     column = next((name for name in INSTANCE_COLUMNS if name in table), None)
     if column is None:
-        yield number, slice(None)
+        yield number, table
         return
     found = table[column]
     counts = np.bincount(found[(found >= 0) & (found < INSTANCES)].astype(np.intp), minlength=INSTANCES)
     for instance in np.flatnonzero(counts).tolist():
-        yield instance, slice(None) if counts[instance] == len(found) else found == instance
+        yield instance, table if counts[instance] == len(found) else table.where(found == instance)
 
 
 def _columns_of(table: Table, reading: LogReading) -> tuple[str, ...]:
@@ -111,13 +95,18 @@ def _columns_of(table: Table, reading: LogReading) -> tuple[str, ...]:
     return next((columns for columns in reading.columns if all(name in table for name in columns)), ())
 
 
-def _made(table: Table, reading: LogReading, instance: int, t: Array, values: Array) -> Channel:
+def _channel(table: Table, reading: LogReading, instance: int, t: Array, values: Array, good: Mask) -> Channel | None:
+    """The good rows; None if there are none, or nothing but zeros: the sensor is not there."""
+    if not good.all():
+        t, values = t[good], values[good]
+    if not len(t) or not values.any():
+        return None
     zero_bin = None
     if reading.rounding == Rounding.TOWARD_ZERO:
         zero_bin = values == 0.0
-        values += 0.5 * np.sign(values)  # bins are (k, k + 1) for k > 0 and (-1, 1) for 0
+        values = values + 0.5 * np.sign(values)  # bins are (k, k + 1) for k > 0 and (-1, 1) for 0
     if reading.factor != 1.0:
-        values *= reading.factor
+        values = values * reading.factor
     return Channel(
         sensor=reading.sensor,
         instance=instance,
@@ -132,11 +121,8 @@ def _made(table: Table, reading: LogReading, instance: int, t: Array, values: Ar
     )
 
 
-def _read_anew(t: Array, columns: list[Column]) -> Mask:
+def _read_anew(t: Array, values: Array) -> Mask:
     """Rows whose compass was read after the row before: its time went on, or the numbers changed."""
     keep = np.ones(len(t), dtype=bool)
-    same = np.diff(t) <= 0.0
-    for column in columns:
-        same &= column[1:] == column[:-1]
-    keep[1:] = ~same
+    keep[1:] = (np.diff(t) > 0.0) | (np.diff(values, axis=0) != 0.0).any(axis=1)
     return keep

@@ -86,14 +86,15 @@ class Clock:
         t = self.times(table)
         return [float(time) for time in np.where(np.isfinite(t), t, self._by_place(table))]
 
-    def sample_times(self, table: Table, t: Array, rows: slice | Mask) -> Array:
-        """When the sensor was read, s, for messages that were written at `t`; both for `rows` of the table."""
+    def sample_times(self, table: Table) -> Array:
+        """When the sensor was read, s; where no column says it, when the message was written."""
+        t = self.times(table)
         column = next((name for name in SAMPLE_TIME_COLUMNS if name in table), None)
         if column is None or table.format.letter(column) not in "QIqi":
             return t
-        read = table[column][rows].astype(np.float64)
+        read = table[column].astype(np.float64)
         # a column of 32 bits wraps every 71 minutes; the compass may be read while its message is being written
-        raw = t if not self._restarts else _stamps(table)[rows]
+        raw = t if not self._restarts else _stamps(table)
         late = 1e-6 * ((raw * 1e6 - read + 0.5 * WRAP_US) % WRAP_US - 0.5 * WRAP_US)
         return np.where(np.abs(late) < LATEST_S, t - late, t)
 

@@ -142,6 +142,6 @@ def _mapped(path: Path) -> Bytes:
     try:
         if not path.stat().st_size:
             raise UnreadableError(f"{path.name} is empty")
-        return np.memmap(path, dtype=np.uint8, mode="r")
+        return np.asarray(np.memmap(path, dtype=np.uint8, mode="r"))
     except OSError as error:
         raise UnreadableError(f"{path.name} cannot be opened: {error.strerror or error}") from error

@@ -32,11 +32,10 @@ def learned_offsets(log: Log, clock: Clock, parameters: ParameterTimeline) -> tu
         table = log.get(message)
         if table is None or not parameters or not all(name in table for name in COLUMNS):
             continue
-        t = np.asarray(clock.moments(table))
-        offsets = np.column_stack(table.columns(*COLUMNS)).astype(np.float64)
         for instance, rows in instances(table, number):
             if instance < ARDUPILOT_COMPASS_SLOTS:
-                found = _unexplained(t[rows], offsets[rows], instance, parameters)
+                t = np.asarray(clock.moments(rows))
+                found = _unexplained(t, rows.arrays(COLUMNS)[0], instance, parameters)
                 if found:
                     entries += found
                     text = (

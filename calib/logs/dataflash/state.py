@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+WHOLE: Final = ("h", "H", "i", "I")
 FIX_3D: Final = 3
 """``GPS.Status`` from which on place and velocity are known."""
 
@@ -86,16 +87,16 @@ def _attitude(log: Log, clock: Clock) -> Channel | None:
 
 def _gps(table: Table, clock: Clock, number: int) -> list[Channel]:
     found = []
-    t = clock.times(table)
-    for instance, rows in instances(table, number):
-        fixed = table["Status"][rows] >= FIX_3D
-        place = np.column_stack([column[rows][fixed] for column in table.columns("Lat", "Lng", "Alt")])
-        found.append(_made(Sensor.POSITION, table, t[rows][fixed], place, "deg deg m", instance))
-        if "VZ" in table:
-            speed, course, down = (column[rows][fixed] for column in table.columns("Spd", "GCrs", "VZ"))
-            course = np.radians(course)
-            velocity = np.column_stack([speed * np.cos(course), speed * np.sin(course), down])
-            found.append(_made(Sensor.VELOCITY, table, t[rows][fixed], velocity, "m/s", instance))
+    fixed = table["Status"] >= FIX_3D if "Status" in table else np.ones(len(table), dtype=bool)
+    for instance, rows in instances(table.where(fixed), number):
+        t = clock.times(rows)
+        if all(name in rows for name in ("Lat", "Lng", "Alt")):
+            place = rows.arrays(("Lat", "Lng", "Alt"))[0]
+            found.append(_made(Sensor.POSITION, rows, t, place, "deg deg m", instance))
+        if all(name in rows for name in ("Spd", "GCrs", "VZ")):
+            speed, course, down = rows.arrays(("Spd", "GCrs", "VZ"))[0].T
+            velocity = np.column_stack([speed * np.cos(np.radians(course)), speed * np.sin(np.radians(course)), down])
+            found.append(_made(Sensor.VELOCITY, rows, t, velocity, "m/s", instance))
     return found
 
 
@@ -106,11 +107,10 @@ def _currents(log: Log, clock: Clock) -> list[Channel]:
             table = log.get(name)
             if table is None or "Curr" not in table:
                 continue
-            whole = table.format.letter("Curr") in ("h", "H", "i")  # cA in old firmwares
-            t, current = clock.times(table), table["Curr"] * (0.01 if whole else 1.0)
+            quantum = 0.01 if table.format.letter("Curr") in WHOLE else 0.0  # cA in old firmwares
             for instance, rows in instances(table, number):
-                quantum = 0.01 if whole else 0.0
-                found.append(_made(Sensor.CURRENT, table, t[rows], current[rows], "A", instance, quantum))
+                current = rows["Curr"] * (quantum or 1.0)
+                found.append(_made(Sensor.CURRENT, rows, clock.times(rows), current, "A", instance, quantum))
         if found:
             break
     return found
@@ -126,7 +126,7 @@ def _throttle(log: Log, clock: Clock) -> Channel | None:
         column = next((name for name in ("Throttle", "ThrOut") if name in table), "")
         if not column:
             return None
-    whole = table.format.letter(column) in ("h", "H", "i", "I")
+    whole = table.format.letter(column) in WHOLE
     scale = 1000.0 if whole else 100.0 if "NavRoll" in table else 1.0  # planes log per cent
     return _made(Sensor.THROTTLE, table, clock.times(table), table[column] / scale, "1", 0, 1e-3 if whole else 0.0)
 
@@ -172,9 +172,16 @@ def _rotors(log: Log, clock: Clock) -> Channel | None:
     table = log.get("ESC")
     if table is None or "RPM" not in table:
         return None
-    t, speed = clock.times(table), table["RPM"] / 60.0
-    rotors = [(np.sort(t[rows]), speed[rows][np.argsort(t[rows], kind="stable")]) for _, rows in instances(table, 0)]
-    if not rotors or not speed.any():  # without telemetry of the speed controllers the firmware logs zeros
+    rotors = []
+    for _, rows in instances(table, 0):
+        t, speed = clock.times(rows), rows["RPM"] / 60.0
+        known = np.flatnonzero(np.isfinite(t) & np.isfinite(speed))
+        order = known[np.argsort(t[known], kind="stable")]
+        if len(order):
+            rotors.append((t[order], speed[order]))
+    if not any(
+        speed.any() for _, speed in rotors
+    ):  # without telemetry of the speed controllers the firmware logs zeros
         return None
     grid = rotors[0][0]
     columns = [values[np.maximum(np.searchsorted(times, grid, side="right") - 1, 0)] for times, values in rotors]

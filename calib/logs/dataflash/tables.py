@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cached_property
 from typing import Any, Final
 
@@ -63,15 +63,20 @@ class Table(ABC):
         InvalidInputError
             If the messages have no such column.
         """
-        missing = [name for name in names if name not in self.format.columns]
-        if missing:
-            raise InvalidInputError(
-                f"{self.name} has no column {', '.join(missing)}; it has {', '.join(self.format.columns)}"
-            )
+        self._check(names)
         return self._columns(names)
+
+    def arrays(self, *groups: tuple[str, ...]) -> list[NDArray[np.float64]]:
+        """Float arrays (N, k), one for each group of k numeric columns; errors as :meth:`columns`."""
+        self._check(tuple(name for group in groups for name in group))
+        return self._arrays(groups)
 
     @abstractmethod
     def __len__(self) -> int: ...
+
+    @abstractmethod
+    def where(self, rows: NDArray[np.bool_]) -> Table:
+        """The same with only those messages."""
 
     @property
     @abstractmethod
@@ -80,6 +85,16 @@ class Table(ABC):
 
     @abstractmethod
     def _columns(self, names: tuple[str, ...]) -> list[Column]: ...
+
+    @abstractmethod
+    def _arrays(self, groups: tuple[tuple[str, ...], ...]) -> list[NDArray[np.float64]]: ...
+
+    def _check(self, names: tuple[str, ...]) -> None:
+        missing = [name for name in names if name not in self.format.columns]
+        if missing:
+            raise InvalidInputError(
+                f"{self.name} has no column {', '.join(missing)}; it has {', '.join(self.format.columns)}"
+            )
 
 
 Log = Mapping[str, Table]
@@ -105,11 +120,32 @@ class BinaryTable(Table):
     def _columns(self, names: tuple[str, ...]) -> list[Column]:
         out = [self._empty(name) for name in names]
         done = 0
-        for rows in self._rows():
+        for rows in self._rows(names):
             for name, column in zip(names, out, strict=True):
                 column[done : done + len(rows)] = rows[name]
             done += len(rows)
         return [self._finished(name, column) for name, column in zip(names, out, strict=True)]
+
+    def where(self, rows: NDArray[np.bool_]) -> BinaryTable:
+        """The same with only those messages."""
+        ends = np.cumsum([len(part) for _, part in self._parts])
+        parts = [(base, part[rows[end - len(part) : end]]) for (base, part), end in zip(self._parts, ends, strict=True)]
+        return BinaryTable(self.format, self.units, self._data, parts)
+
+    def _arrays(self, groups: tuple[tuple[str, ...], ...]) -> list[NDArray[np.float64]]:
+        out = [np.empty((len(self), len(group))) for group in groups]
+        done = 0
+        for rows in self._rows(name for group in groups for name in group):
+            for group, values in zip(groups, out, strict=True):
+                for k, name in enumerate(group):
+                    values[done : done + len(rows), k] = rows[name]
+            done += len(rows)
+        for group, values in zip(groups, out, strict=True):
+            for k, name in enumerate(group):
+                divisor = self.format.divisor(name)
+                if divisor is not None:
+                    values[:, k] /= divisor
+        return out
 
     def _empty(self, name: str) -> Column:
         dtype = self.format.dtype[name]
@@ -125,14 +161,26 @@ class BinaryTable(Table):
             return np.array([text.decode("utf-8", "replace").split("\0")[0] for text in column.tolist()], dtype=str)
         return column
 
-    def _rows(self) -> Iterator[NDArray[Any]]:
-        """The messages without their headers, a few at a time."""
-        dtype = self.format.dtype
-        void = np.dtype((np.void, dtype.itemsize))
-        if not dtype.itemsize:
+    def _rows(self, names: Iterable[str]) -> Iterator[NDArray[Any]]:
+        """The bytes of these columns and what lies between them, some thousand messages at a time."""
+        whole = self.format.dtype
+        fields = {name: whole.fields[name] for name in names} if whole.fields else {}
+        if not fields:
             return
+        first = min(offset for _, offset, *_ in fields.values())
+        size = max(offset + dtype.itemsize for dtype, offset, *_ in fields.values()) - first
+        layout = np.dtype(
+            {
+                "names": list(fields),
+                "formats": [dtype for dtype, *_ in fields.values()],
+                "offsets": [offset - first for _, offset, *_ in fields.values()],
+                "itemsize": size,
+            }
+        )
         for base, part in self._parts:
-            room = len(self._data) - base - HEADER - dtype.itemsize + 1
-            window = np.ndarray((room,), void, self._data, offset=base + HEADER, strides=(1,))
-            for first in range(0, len(part), ROWS):
-                yield window[part[first : first + ROWS]].view(dtype)
+            begin = base + HEADER + first
+            window = np.ndarray(
+                (len(self._data) - begin - size + 1,), np.dtype((np.void, size)), self._data, begin, strides=(1,)
+            )
+            for row in range(0, len(part), ROWS):
+                yield window[part[row : row + ROWS]].view(layout)

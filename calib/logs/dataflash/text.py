@@ -31,6 +31,14 @@ class TextTable(Table):
         """The lines they stand on, from 0."""
         return self._lines
 
+    def where(self, rows: NDArray[np.bool_]) -> TextTable:
+        """The same with only those messages."""
+        cells = [row for row, wanted in zip(self._cells, rows, strict=True) if wanted]
+        return TextTable(self.format, self._lines[rows], cells)
+
+    def _arrays(self, groups: tuple[tuple[str, ...], ...]) -> list[NDArray[np.float64]]:
+        return [np.column_stack(self._columns(group)).astype(np.float64) for group in groups]
+
     def _columns(self, names: tuple[str, ...]) -> list[Column]:
         wanted = [self.format.columns.index(name) for name in names]
         return [self._typed(name, [row[k] for row in self._cells]) for name, k in zip(names, wanted, strict=True)]
