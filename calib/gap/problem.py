@@ -91,6 +91,9 @@ class Trace:
     psd : shape (K, 3) or None
         Power spectral density per DCT bin learned from nominal recordings, in units of variance of one sample, on
         `psd_hz` (K,): all of the noise, `sigma` included.
+    own_psd : shape (K, 3) or None
+        The same without the error of the reference: the sensor's own noise, learned from the differences of instances
+        in nominal recordings. Where it is known, `sigma` is of that noise alone.
     """
 
     sensor: Sensor
@@ -117,6 +120,7 @@ class Trace:
     place: Array | None = None
     sigma_dof: float = math.inf
     low_pass_hz: float | None = None
+    own_psd: Array | None = None
 
     @property
     def fs(self) -> float:

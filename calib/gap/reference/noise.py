@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,20 +65,53 @@ def learned(trace: Trace) -> Noise | None:
     return Noise(centre, np.maximum(mean, np.finfo(float).tiny), count, trace.fs, trace.low_pass_hz)
 
 
-def with_noise(trace: Trace, noise: Noise) -> Trace:
-    """`trace` with that noise declared: its standard deviation if it is white, else its spectrum too.
+def pooled(noises: Sequence[Noise]) -> Noise:
+    """The mean of several of them, on the bands of the first."""
+    first = noises[0]
+    if len(noises) == 1:
+        return first
+    brought = [first.psd, *(_on(n, first.hz, first.fs, first.low_pass_hz) for n in noises[1:])]
+    return dataclasses.replace(first, psd=np.mean(brought, axis=0), dof=first.dof * len(noises))
 
-    A noise of another sampling rate is carried over as a density, and one of a filtered channel is brought to the
-    trace's own filter as far as it was still to be seen; where it says nothing, the nearest band holds.
+
+def with_noise(trace: Trace, total: Noise | None, own: Noise | None) -> Trace:
+    """`trace` with its noise declared.
+
+    Parameters
+    ----------
+    trace
+        Against a reference, or against another instance.
+    total
+        What nominal recordings leave of a trace of the same kind, the reference's error included.
+    own
+        What their instances leave in a difference to each other: twice the sensor's own noise.
     """
-    same = abs(math.log(trace.fs / noise.fs)) < 0.02 and trace.low_pass_hz == noise.low_pass_hz
-    dof = float(noise.dof.sum())
-    if noise.white:
-        return dataclasses.replace(trace, sigma=noise.sigma, sigma_dof=dof) if same else trace
+    alone = trace.against is None
+    if alone and own is not None:
+        own = dataclasses.replace(own, psd=0.5 * own.psd)
+    whole = total if alone else own
+    white = own if own is not None else total
+    if whole is None or white is None:
+        return trace
+    close = abs(math.log(trace.fs / white.fs)) < 0.02 and trace.low_pass_hz == white.low_pass_hz
+    if close:
+        trace = dataclasses.replace(trace, sigma=white.sigma, sigma_dof=float(white.dof.sum()))
+    if whole.white and close:
+        return trace
     hz = np.geomspace(trace.fs / (2.0 * len(trace.t)), trace.fs / 2.0, 3 * _BANDS)
-    known = noise.hz <= _SEEN * (noise.low_pass_hz or np.inf) if not same else np.ones(len(noise.hz), dtype=bool)
+    trace = dataclasses.replace(trace, psd=_on(whole, hz, trace.fs, trace.low_pass_hz), psd_hz=hz)
+    return dataclasses.replace(trace, own_psd=_on(own, hz, trace.fs, trace.low_pass_hz)) if own is not None else trace
+
+
+def _on(noise: Noise, hz: Array, fs: float, low_pass_hz: float | None) -> Array:
+    """Its spectrum at `hz` in samples of rate `fs`, behind the filter `low_pass_hz`.
+
+    It is carried over as a density, and brought to the other filter as far as it was still to be seen behind its own;
+    where it says nothing, the nearest band holds.
+    """
+    filtered = low_pass_hz != noise.low_pass_hz
+    known = noise.hz <= _SEEN * (noise.low_pass_hz or np.inf) if filtered else np.ones(len(noise.hz), dtype=bool)
     at = noise.hz[known]
-    change = (filter_gain(at, trace.low_pass_hz) / filter_gain(at, noise.low_pass_hz)) ** 2 * (trace.fs / noise.fs)
+    change = (filter_gain(at, low_pass_hz) / filter_gain(at, noise.low_pass_hz)) ** 2 * (fs / noise.fs)
     logs = np.log(noise.psd[known] * change[:, None])
-    psd = np.exp(np.column_stack([np.interp(np.log(hz), np.log(at), column) for column in logs.T]))
-    return dataclasses.replace(trace, sigma=noise.sigma if same else None, sigma_dof=dof, psd=psd, psd_hz=hz)
+    return np.asarray(np.exp(np.column_stack([np.interp(np.log(hz), np.log(at), column) for column in logs.T])))

@@ -11,15 +11,14 @@ from scipy.ndimage import uniform_filter1d
 
 from calib.gap.problem import Trace
 from calib.gap.reference.calibrated import TRIADS
+from calib.gap.reference.chosen import comparable
 from calib.gap.reference.ideal import Ideal, trace_of
 from calib.gap.reference.signal import Signal
-from calib.recording import Channel, Recording, Sensor, Stage
+from calib.recording import Channel, Recording, Sensor
 
 Array = NDArray[np.float64]
 
 _SMOOTH_S = 2.0
-_CLOSE = 0.05
-"""Share of a step by which time stamps of two instances may differ and still be one sample of both."""
 
 
 def differences(real: Recording, ideal: Ideal | None, single: tuple[Trace, ...]) -> tuple[Trace, ...]:
@@ -30,7 +29,7 @@ def differences(real: Recording, ideal: Ideal | None, single: tuple[Trace, ...])
     """
     made: list[Trace] = []
     for sensor in TRIADS:
-        channels = _comparable(real, sensor)
+        channels = comparable(real, sensor)
         if len(channels) < 2:
             continue
         base = _best(channels, _misfit(sensor, single))
@@ -42,27 +41,6 @@ def _difference(channel: Channel, base: Channel, ideal: Ideal | None, real: Reco
     reading = Signal.of(base)
     assert reading is not None
     return dataclasses.replace(trace_of(channel, reading, ideal, real), against=base.instance)
-
-
-def _comparable(real: Recording, sensor: Sensor) -> dict[int, Channel]:
-    """A channel of every instance, all of one source and stage; the source that most instances have, then the longest.
-
-    Sources whose instances were sampled at different times are passed over: their difference would be movement.
-    """
-    sources: dict[tuple[str, Stage], dict[int, Channel]] = {}
-    for channel in real.channels:
-        if channel.sensor == sensor and channel.stage != Stage.DEBIASED and len(channel) >= 4:
-            sources.setdefault((channel.source, channel.stage), {}).setdefault(channel.instance, channel)
-    found = [{i: c for i, c in group.items() if _same_times(c, group[min(group)])} for group in sources.values()]
-    return max(found, key=lambda group: (len(group), sum(len(c) for c in group.values())), default={})
-
-
-def _same_times(a: Channel, b: Channel) -> bool:
-    if a is b:
-        return True
-    shared = np.clip(np.searchsorted(b.t, a.t), 1, len(b) - 1)
-    nearest = np.minimum(np.abs(b.t[shared] - a.t), np.abs(b.t[shared - 1] - a.t))
-    return bool((nearest < _CLOSE * np.median(np.diff(b.t))).mean() > 0.9)
 
 
 def _misfit(sensor: Sensor, single: tuple[Trace, ...]) -> dict[int, float]:

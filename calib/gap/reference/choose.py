@@ -1,0 +1,80 @@
+"""Which reference a recording is held against, and what its nominal companions are held against."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from calib.gap.reference.align import CLOSED, SAME, aligned, one_clock, same_digits
+from calib.gap.reference.chosen import sensors_of
+from calib.gap.reference.ideal import Ideal
+from calib.gap.reference.posed import Array, Pose, driven, earth_field_of, pose_of
+from calib.gap.reference.recorded import recorded, simulated
+from calib.recording import Recording, Sensor
+
+
+@dataclass(frozen=True, eq=False)
+class Chosen:
+    """The reference of the real recording, and nominal recordings, each with its own; None where it has none."""
+
+    ideal: Ideal
+    nominal: tuple[tuple[Recording, Ideal | None], ...]
+
+
+def choose(real: Recording, sim: Recording | None, nominal: Sequence[Recording]) -> Chosen | None:
+    """The best reference that the recordings offer (GAP 3.5b); None: there is none but other instances."""
+    clean = [*nominal, *(() if sim is None else (sim,))]
+    ideal = recorded(real)
+    if ideal is not None:
+        return Chosen(_completed(ideal, real), tuple((n, _of_nominal(n, real, ideal)) for n in clean))
+    if sim is not None and (ideal := of_same_trajectory(real, sim)) is not None:
+        return Chosen(ideal, tuple((n, recorded(n)) for n in clean))
+    if (pose := pose_of(real)) is not None:
+        poses = [(n, pose_of(n)) for n in clean]
+        earth = earth_of([(n, p) for n, p in poses if p is not None] or [(real, pose)])
+        made = tuple((n, None if p is None else driven(p, earth)) for n, p in poses)
+        return Chosen(driven(pose, earth), made)
+    return None
+
+
+def of_same_trajectory(real: Recording, sim: Recording) -> Ideal | None:
+    """What `sim` says of the trajectory of `real`, on the clock of `real`; None if it flew another one.
+
+    A log of a simulated autopilot closes the loop through its own sensors: it counts only if it moves as one.
+    """
+    ideal = recorded(sim) or simulated(sim)
+    if ideal is None or same_digits(real, sim):
+        return None
+    shift = aligned(real, sim)
+    if one_clock(real, sim) and (sim.identity.autopilot is None or (shift is not None and shift.near(0.0, CLOSED))):
+        return ideal
+    if shift is None or shift.correlation < (SAME if sim.identity.autopilot is None else CLOSED):
+        return None
+    said = f"the simulator's clock was set {shift.lag:+.4f} s: a delay common to all sensors cannot be told from it"
+    return dataclasses.replace(ideal.shifted(shift.lag), warnings=(*ideal.warnings, said))
+
+
+def earth_of(posed: Sequence[tuple[Recording, Pose]]) -> Array | None:
+    """The field that the magnetometers of the first of `posed` saw that has any."""
+    for recording, pose in posed:
+        if magnetometers := [c for c in sensors_of(recording) if c.sensor == Sensor.MAG]:
+            return earth_field_of(magnetometers, pose)
+    return None
+
+
+def _completed(ideal: Ideal, real: Recording) -> Ideal:
+    """With a pose, what an ideal sensor read is also known where it was not recorded."""
+    sensors = {c.sensor for c in sensors_of(real)} - set(ideal.readings)
+    pose = pose_of(real) if sensors else None
+    if pose is None:
+        return ideal
+    other = driven(pose, earth_of([(real, pose)]))
+    added = {sensor: signal for sensor, signal in other.readings.items() if sensor in sensors}
+    return dataclasses.replace(ideal, readings={**ideal.readings, **added}) if added else ideal
+
+
+def _of_nominal(nominal: Recording, real: Recording, ideal: Ideal) -> Ideal | None:
+    """What a nominal recording itself says, or the real one's reference if both are of one run."""
+    own = recorded(nominal)
+    return own if own is not None else (ideal if one_clock(real, nominal) else None)

@@ -1,0 +1,45 @@
+"""Which channel of every instance is looked at."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.gap.reference.calibrated import TRIADS
+from calib.recording import Channel, Recording, Sensor, Stage
+
+_CLOSE = 0.05
+"""Share of a step by which time stamps of two instances may differ and still be one sample of both."""
+
+
+def sensors_of(recording: Recording) -> list[Channel]:
+    """One channel of every instance of the three sensors: the ones that can be compared, where there are several."""
+    chosen: list[Channel] = []
+    for sensor in TRIADS:
+        together = comparable(recording, sensor)
+        for instance in recording.instances(sensor):
+            if len(together) > 1 and instance in together:
+                chosen.append(together[instance])
+            elif any(c.stage != Stage.DEBIASED for c in recording.find(sensor, instance)):
+                chosen.append(recording.channel(sensor, instance))
+    return chosen
+
+
+def comparable(real: Recording, sensor: Sensor) -> dict[int, Channel]:
+    """A channel of every instance, all of one source and stage; the source that most instances have, then the longest.
+
+    Sources whose instances were sampled at different times are passed over: their difference would be movement.
+    """
+    sources: dict[tuple[str, Stage], dict[int, Channel]] = {}
+    for channel in real.channels:
+        if channel.sensor == sensor and channel.stage != Stage.DEBIASED and len(channel) >= 4:
+            sources.setdefault((channel.source, channel.stage), {}).setdefault(channel.instance, channel)
+    found = [{i: c for i, c in group.items() if _same_times(c, group[min(group)])} for group in sources.values()]
+    return max(found, key=lambda group: (len(group), sum(len(c) for c in group.values())), default={})
+
+
+def _same_times(a: Channel, b: Channel) -> bool:
+    if a is b:
+        return True
+    shared = np.clip(np.searchsorted(b.t, a.t), 1, len(b) - 1)
+    nearest = np.minimum(np.abs(b.t[shared] - a.t), np.abs(b.t[shared - 1] - a.t))
+    return bool((nearest < _CLOSE * np.median(np.diff(b.t))).mean() > 0.9)
