@@ -131,7 +131,10 @@ def _level(recording: Recording, instance: int, means: Sequence[RestMean]) -> It
     turn = euler_matrix(roll, pitch, 0.0)  # the vehicle's frame from the board's
     angles, tilts = [], []
     for m in means:
-        up = turn @ m.mean / np.linalg.norm(m.mean)
+        size = float(np.linalg.norm(m.mean))
+        if size < 0.5 * STANDARD_GRAVITY:
+            return not_testable("level", subject, f"it reads {size:.2f} m/s2 at rest: that is not gravity")
+        up = turn @ m.mean / size
         tilts.append(np.degrees([np.arctan2(-up[1], -up[2]), np.arctan2(up[0], np.hypot(up[1], up[2]))]).tolist())
         part = attitudes[0].between(m.rest.start, m.rest.end).values if attitudes else np.zeros((0, 4))
         part = part[finite_rows(part)]
