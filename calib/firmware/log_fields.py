@@ -15,6 +15,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
 from calib.recording import Rounding, Sensor, Stage
 
 if TYPE_CHECKING:
@@ -43,6 +45,8 @@ class LogReading:
     factor: float = 1.0
     rounding: Rounding = Rounding.NONE
     healthy: str = ""
+    most: float = np.inf
+    """No sensor reads more than this in the field's unit: what does is damage."""
 
     @property
     def quantum(self) -> float:
@@ -53,14 +57,26 @@ class LogReading:
 ACCEL_COLUMNS: Final = ("AccX", "AccY", "AccZ")
 GYRO_COLUMNS: Final = ("GyrX", "GyrY", "GyrZ")
 
+ACCEL_MOST: Final = 1000.0
+"""m/s2; the ranges end at 64 g and below."""
+GYRO_MOST: Final = 100.0
+"""rad/s; the ranges end at 4000 deg/s and below."""
+TEMPERATURE_MOST: Final = 200.0
+
 INERTIAL: Final = (
-    LogReading(Sensor.ACCEL, ("IMU", "IMU2", "IMU3"), (ACCEL_COLUMNS,), Stage.FILTERED, "m/s2", healthy="AH"),
-    LogReading(Sensor.GYRO, ("IMU", "IMU2", "IMU3"), (GYRO_COLUMNS,), Stage.FILTERED, "rad/s", healthy="GH"),
-    LogReading(Sensor.TEMPERATURE, ("IMU", "IMU2", "IMU3"), (("T",), ("Temp",)), Stage.RAW, "degC"),
-    LogReading(Sensor.ACCEL, ("ACC", "ACC2", "ACC3"), (ACCEL_COLUMNS,), Stage.CORRECTED, "m/s2"),
-    LogReading(Sensor.ACCEL, ("ACC1",), (ACCEL_COLUMNS,), Stage.CORRECTED, "m/s2"),
-    LogReading(Sensor.GYRO, ("GYR", "GYR2", "GYR3"), (GYRO_COLUMNS,), Stage.CORRECTED, "rad/s"),
-    LogReading(Sensor.GYRO, ("GYR1",), (GYRO_COLUMNS,), Stage.CORRECTED, "rad/s"),
+    LogReading(
+        Sensor.ACCEL, ("IMU", "IMU2", "IMU3"), (ACCEL_COLUMNS,), Stage.FILTERED, "m/s2", healthy="AH", most=ACCEL_MOST
+    ),
+    LogReading(
+        Sensor.GYRO, ("IMU", "IMU2", "IMU3"), (GYRO_COLUMNS,), Stage.FILTERED, "rad/s", healthy="GH", most=GYRO_MOST
+    ),
+    LogReading(
+        Sensor.TEMPERATURE, ("IMU", "IMU2", "IMU3"), (("T",), ("Temp",)), Stage.RAW, "degC", most=TEMPERATURE_MOST
+    ),
+    LogReading(Sensor.ACCEL, ("ACC", "ACC2", "ACC3"), (ACCEL_COLUMNS,), Stage.CORRECTED, "m/s2", most=ACCEL_MOST),
+    LogReading(Sensor.ACCEL, ("ACC1",), (ACCEL_COLUMNS,), Stage.CORRECTED, "m/s2", most=ACCEL_MOST),
+    LogReading(Sensor.GYRO, ("GYR", "GYR2", "GYR3"), (GYRO_COLUMNS,), Stage.CORRECTED, "rad/s", most=GYRO_MOST),
+    LogReading(Sensor.GYRO, ("GYR1",), (GYRO_COLUMNS,), Stage.CORRECTED, "rad/s", most=GYRO_MOST),
 )
 
 COMPASS: Final = LogReading(

@@ -61,7 +61,10 @@ class SensorChannels:
     def _good(
         self, table: Table, reading: LogReading, instance: int, t: Array, values: Array, healthy: Mask | None
     ) -> Mask:
-        good = np.ones(len(t), dtype=bool)
+        with np.errstate(invalid="ignore"):
+            good: Mask = np.asarray((np.abs(values) <= reading.most).all(axis=1) & np.isfinite(values).all(axis=1))
+        if not good.all():
+            self._say(reading, instance, t, ~good, "are no numbers that such a sensor can read", table)
         if healthy is not None and not healthy.all() and healthy.any():
             self._say(reading, instance, t, ~healthy, "the vehicle itself calls unhealthy", table)
             good &= healthy

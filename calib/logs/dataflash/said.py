@@ -26,6 +26,7 @@ _TYPES: Final = {
 _SIMULATED: Final = re.compile(r"[0-9A-Za-z]{32}")
 """A simulated vehicle prints its machine's id as it is, and sends the first bytes of it."""
 _CHIP: Final = re.compile(r"\b([0-9A-F]{8}) ([0-9A-F]{8}) ([0-9A-F]{8})$")
+_PARAMETER: Final = re.compile(r"[A-Z][A-Z0-9_]{0,15}")
 UID2_BYTES: Final = 18
 
 
@@ -38,7 +39,7 @@ def parameter_entries(log: Log, clock: Clock) -> tuple[ParameterEntry, ...]:
     return tuple(
         ParameterEntry(t, name, value)
         for t, name, value in zip(clock.moments(table), names.tolist(), values.tolist(), strict=True)
-        if name
+        if _PARAMETER.fullmatch(name)
     )
 
 

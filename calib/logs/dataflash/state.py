@@ -20,6 +20,17 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 WHOLE: Final = ("h", "H", "i", "I")
+MOST: Final[Mapping[Sensor, Array]] = {
+    Sensor.ATTITUDE: np.full(4, 1.0 + 1e-6),
+    Sensor.POSITION: np.array([90.0, 180.0, 1e5]),
+    Sensor.VELOCITY: np.full(3, 1000.0),
+    Sensor.PLACE: np.full(3, 1e7),
+    Sensor.CURRENT: np.array([2000.0]),
+    Sensor.THROTTLE: np.array([1.1]),
+    Sensor.MOTOR: np.array([1.0]),
+    Sensor.ROTOR_SPEED: np.array([5000.0]),
+}
+"""No vehicle does more (unit of the channel): what does is damage."""
 FIX_3D: Final = 3
 """``GPS.Status`` from which on place and velocity are known."""
 
@@ -53,9 +64,10 @@ def reference_channels(log: Log, clock: Clock) -> list[Channel]:
 def _made(
     sensor: Sensor, table: Table, t: Array, values: Array, unit: str, instance: int = 0, quantum: float = 0.0
 ) -> Channel:
-    """A channel of the rows that are finite, in the order of time."""
-    values = np.asarray(values, dtype=np.float64).reshape(len(t), -1)
-    good = np.isfinite(values).all(axis=1) & np.isfinite(t)
+    """A channel of the rows that can be true, in the order of time."""
+    with np.errstate(invalid="ignore"):  # damaged bytes may be a signalling NaN
+        values = np.asarray(values, dtype=np.float64).reshape(len(t), -1)
+        good = (np.abs(values) <= MOST[sensor]).all(axis=1) & np.isfinite(values).all(axis=1) & np.isfinite(t)
     t, values = t[good], values[good]
     if (np.diff(t) < 0).any():
         order = np.argsort(t, kind="stable")

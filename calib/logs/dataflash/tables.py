@@ -136,9 +136,10 @@ class BinaryTable(Table):
         out = [np.empty((len(self), len(group))) for group in groups]
         done = 0
         for rows in self._rows(name for group in groups for name in group):
-            for group, values in zip(groups, out, strict=True):
-                for k, name in enumerate(group):
-                    values[done : done + len(rows), k] = rows[name]
+            with np.errstate(invalid="ignore"):  # damaged bytes may be a signalling NaN
+                for group, values in zip(groups, out, strict=True):
+                    for k, name in enumerate(group):
+                        values[done : done + len(rows), k] = rows[name]
             done += len(rows)
         for group, values in zip(groups, out, strict=True):
             for k, name in enumerate(group):
