@@ -30,6 +30,7 @@
     |   +-- NotRevertible         409
     |   +-- PlanBlocked           409
     |   +-- PlanMissing           404
+    |   +-- OtherVehicle          409
     |   +-- ExportUnknown         404
     |   +-- IdempotencyConflict   409
     |   +-- AnswerRefused         409
@@ -280,6 +281,13 @@ class PlanBlocked(JobError):
 
     title = "Plan blocked"
     code = "plan-blocked"
+
+
+class OtherVehicle(JobError):
+    """The recording is not of this vehicle's sensors."""
+
+    title = "Not of this vehicle"
+    code = "other-vehicle"
 
 
 class PlanMissing(JobError):

@@ -8,13 +8,15 @@ import hashlib
 import os
 import secrets
 import time
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from concurrent.futures import Executor
 from pathlib import Path, PurePath
 from typing import Any
 
 from calib import logs
 from calib.errors import CalibError, InvalidInputError
+from calib.firmware.origin import Origin, origin_of
+from calib.fit import FitResult
 from calib.flight.report import overview
 from calib.methods import METHODS
 from calib.report import fit_to_json
@@ -23,6 +25,7 @@ from service.store.protocol import Store
 from service.store.rows import RecordingRow
 
 Json = dict[str, Any]
+_Fitter = Callable[[Path, Json, str, Json], tuple[tuple[FitResult, ...], Origin | None]]
 
 
 class Recordings:
@@ -87,12 +90,35 @@ class Recordings:
         InvalidInputError
             If the method is unknown or its options are not valid.
         """
+        fits, _ = await self._fit(_fitted, recording_id, method, options)
+        return [fit_to_json(fit) for fit in fits]
+
+    async def fit_of_vehicle(
+        self, recording_id: str, method: str, options: Mapping[str, Any]
+    ) -> tuple[tuple[FitResult, ...], Origin]:
+        """The same fits, and whose sensors they are of.
+
+        Raises
+        ------
+        RecordingUnknown, InvalidInputError
+            As for :meth:`fit`.
+        FirmwareError
+            If the recording does not say whose sensors it is of.
+        """
+        fits, origin = await self._fit(_fitted_of_vehicle, recording_id, method, options)
+        assert origin is not None
+        return fits, origin
+
+    async def _fit(
+        self, how: _Fitter, recording_id: str, method: str, options: Mapping[str, Any]
+    ) -> tuple[tuple[FitResult, ...], Origin | None]:
         row = self.get(recording_id)
         if method not in METHODS:
             raise InvalidInputError(f"there is no method {method!r}; there are {', '.join(METHODS)}")
-        fits = await self._run(_fitted, row.path, dict(row.body["reading"]), method, dict(options))
-        assert isinstance(fits, list)
-        return fits
+        fitted: tuple[tuple[FitResult, ...], Origin | None] = await self._run(
+            how, row.path, dict(row.body["reading"]), method, dict(options)
+        )
+        return fitted
 
     async def _receive(self, path: Path, chunks: AsyncIterator[bytes]) -> tuple[int, str]:
         size, digest = 0, hashlib.sha256()
@@ -126,5 +152,11 @@ def _inspected(path: Path, reading: Json) -> Json:
     return overview(logs.read(path, **reading))
 
 
-def _fitted(path: Path, reading: Json, method: str, options: Json) -> list[Json]:
-    return [fit_to_json(fit) for fit in METHODS[method].run(logs.read(path, **reading), options)]
+def _fitted(path: Path, reading: Json, method: str, options: Json) -> tuple[tuple[FitResult, ...], None]:
+    return METHODS[method].run(logs.read(path, **reading), options), None
+
+
+def _fitted_of_vehicle(path: Path, reading: Json, method: str, options: Json) -> tuple[tuple[FitResult, ...], Origin]:
+    recording = logs.read(path, **reading)
+    fits = METHODS[method].run(recording, options)
+    return fits, origin_of(recording, fits)

@@ -49,6 +49,12 @@ class FitRequest(_Request):
     options: Json = Field(default_factory=dict, description="options of that method")
 
 
+class RecordingJobRequest(FitRequest):
+    """Plan the fits of an uploaded recording for a connected vehicle."""
+
+    vehicle_id: str = Field(description="the vehicle that the recording is of")
+
+
 def _column(value: object) -> object:
     return str(value) if type(value) is int else value  # a 0-based number names a column, too
 

@@ -10,9 +10,16 @@ from pydantic import ValidationError
 from calib.errors import InvalidInputError
 from service.api.addresses import relative
 from service.api.dependencies import ServiceDep
-from service.api.models import FitRequest, FitsModel, ReadingOptions, RecordingModel
+from service.api.models import (
+    FitRequest,
+    FitsModel,
+    JobModel,
+    ReadingOptions,
+    RecordingJobRequest,
+    RecordingModel,
+)
 from service.api.security import Scope, require
-from service.api.views import recording_model
+from service.api.views import job_model, recording_model
 
 router = APIRouter(tags=["recordings"])
 READ = Depends(require(Scope.READ))
@@ -56,6 +63,21 @@ async def fit(recording_id: str, body: FitRequest, service: ServiceDep) -> FitsM
     """Run one method on an uploaded recording."""
     fits = await service.recordings.fit(recording_id, body.method, body.options)
     return FitsModel(method=body.method, fits=fits)
+
+
+@router.post("/recordings/{recording_id}/jobs", status_code=202, dependencies=[OPERATE])
+async def plan(
+    recording_id: str, body: RecordingJobRequest, request: Request, response: Response, service: ServiceDep
+) -> JobModel:
+    """A job in review with the fits of an uploaded recording; 409 if it is not of this vehicle's sensors.
+
+    What it plans is accepted, written, proved and taken back as every other job's.
+    """
+    fits, origin = await service.recordings.fit_of_vehicle(recording_id, body.method, body.options)
+    options = {"recording": recording_id, "method": body.method, "options": body.options}
+    model = job_model(await service.jobs.adopt(body.vehicle_id, fits, origin, options))
+    response.headers["Location"] = relative(request, model.href)
+    return model
 
 
 def _reading(text: str) -> dict[str, Any]:

@@ -6,15 +6,18 @@ import asyncio
 import dataclasses
 import time
 import uuid
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from functools import partial
 from typing import Any
 
 import structlog
 
+from calib.firmware.origin import Origin
 from calib.firmware.streams import requested_streams
+from calib.fit import FitResult, FitStatus
 from calib.procedures.registry import specification, validate_options
+from calib.recording import Identity
 from service.errors import (
     AnswerRefused,
     Forbidden,
@@ -31,8 +34,19 @@ from service.jobs.feed import EventFeed
 from service.jobs.handle import JobHandle
 from service.jobs.journal import Step
 from service.jobs.model import Accept, Failure, Job
-from service.jobs.planning import accel_temperatures, checked_plan_options, identity_to_json, keep_plan, make_plan
-from service.jobs.port import VehicleSource
+from service.jobs.planning import (
+    FROM_RECORDING,
+    Planned,
+    accel_temperatures,
+    checked_plan_options,
+    identity_to_json,
+    keep_plan,
+    make_plan,
+    origin_from_json,
+    origin_to_json,
+    require_origin,
+)
+from service.jobs.port import JobVehicle, VehicleSource
 from service.jobs.runner import Runner
 from service.jobs.settings import JobSettings
 from service.jobs.states import CANCELLABLE, CAPTURING, ENDED, WRITING, JobState
@@ -182,6 +196,56 @@ class JobEngine:
         self._spawn(handle, partial(self._captured, handle))
         return handle.job
 
+    async def adopt(
+        self,
+        vehicle_id: str,
+        results: Sequence[FitResult],
+        origin: Origin,
+        options: Mapping[str, Any],
+        plan_options: Mapping[str, bool] | None = None,
+    ) -> Job:
+        """A job in review, of fits of an uploaded recording; `options` say which recording and method.
+
+        Raises
+        ------
+        OtherVehicle
+            If the vehicle does not carry the sensors that the fits are of.
+        VehicleUnknown, VehicleSilent, VehicleArmed, VehicleBusy, VehicleConflict, PhysicalJobRunning
+        InvalidInputError, FirmwareError
+            As for :meth:`submit`.
+        """
+        chosen = checked_plan_options(plan_options or {})
+        vehicle = self._vehicles.vehicle(vehicle_id)
+        require_free(vehicle.id, self.list())
+        require_ready(vehicle)
+        kept = origin_to_json(origin)
+        identity, planned = await self._composed(vehicle, results, chosen, kept)
+        now = self._wall()
+        told = [fit.message for fit in results if fit.status == FitStatus.REFUSED]
+        told += [warning for fit in results for warning in fit.warnings]
+        job = Job(
+            uuid.uuid4().hex[:12],
+            vehicle.id,
+            FROM_RECORDING,
+            dict(options),
+            JobState.REVIEW,
+            now,
+            now,
+            fingerprint=planned.plan.fingerprint,
+            results=tuple(results),
+            plan=planned.plan,
+            warnings=tuple(dict.fromkeys(told)),
+            context={"identity": identity_to_json(identity), "plan_options": chosen, "origin": kept},
+        )
+        handle = self._hold(job)
+        try:
+            handle.change("state", {"state": job.state.value, "outcome": None})
+            keep_plan(handle, planned)
+        except BaseException:
+            del self._handles[job.id]
+            raise
+        return handle.job
+
     async def cancel(self, job_id: str) -> Job:
         """Cancel a job that has written nothing; what it recorded is kept. Raises NotCancellable."""
         handle = self._handle(job_id)
@@ -229,11 +293,7 @@ class JobEngine:
         chosen = checked_plan_options(job.context.get("plan_options", {}) if options is None else options)
         vehicle = self._vehicles.vehicle(job.vehicle_id)
         require_ready(vehicle)
-        identity = await vehicle.identify()
-        listed = await vehicle.list_parameters()
-        parameters = {name: reading.value for name, reading in listed.items()}
-        known = accel_temperatures(self.list(), job.vehicle_id, parameters)
-        planned = await asyncio.to_thread(make_plan, job.results, parameters, identity, chosen, known)
+        identity, planned = await self._composed(vehicle, job.results, chosen, job.context.get("origin"))
         keep_plan(handle, planned)
         context = {**handle.job.context, "identity": identity_to_json(identity), "plan_options": chosen}
         data = {"sha256": planned.plan.sha256}
@@ -302,6 +362,22 @@ class JobEngine:
     def _require_writing(self) -> None:
         if self._read_only:
             raise Forbidden("this service runs with --read-only and never writes: export the plan instead")
+
+    async def _composed(
+        self,
+        vehicle: JobVehicle,
+        results: Sequence[FitResult],
+        options: Mapping[str, bool],
+        origin: Mapping[str, Any] | None,
+    ) -> tuple[Identity, Planned]:
+        """Who the vehicle is, and a plan on its present parameters. `origin` of a recording must be this vehicle."""
+        identity = await vehicle.identify()
+        listed = await vehicle.list_parameters()
+        parameters = {name: reading.value for name, reading in listed.items()}
+        if origin is not None:
+            require_origin(origin_from_json(origin), identity, parameters)
+        known = accel_temperatures(self.list(), vehicle.id, parameters)
+        return identity, await asyncio.to_thread(make_plan, results, parameters, identity, options, known)
 
     def _handle(self, job_id: str) -> JobHandle:
         handle = self._handles.get(job_id)

@@ -9,10 +9,12 @@ from typing import Any
 from calib.errors import InvalidInputError
 from calib.firmware.compose import ComposeOptions, compose
 from calib.firmware.fingerprint import calibration_snapshot, fingerprint
+from calib.firmware.origin import Origin, differences
 from calib.firmware.plan import Value, WritePlan, snapshot_sha256
 from calib.fit import FitResult
 from calib.recording import Identity, Sensor
 from calib.report import plan_to_json
+from service.errors import OtherVehicle
 from service.jobs.handle import JobHandle
 from service.jobs.journal import same
 from service.jobs.model import Job
@@ -21,6 +23,8 @@ from service.store.rows import SnapshotPurpose
 
 ACCEL_KINDS = frozenset({"accel", "accel-one-axis", "accel-six-face", "imu-multi"})
 """Jobs that write an accelerometer's calibration."""
+FROM_RECORDING = "recording"
+"""Kind of a job whose fits are of an uploaded recording: it begins in review."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,7 +54,7 @@ def accel_temperatures(jobs: Iterable[Job], vehicle_id: str, parameters: Mapping
 
     From the newest accelerometer job of this vehicle, if every value that it wrote still stands.
     """
-    ours = [job for job in jobs if job.vehicle_id == vehicle_id and job.kind in ACCEL_KINDS and job.plan is not None]
+    ours = [job for job in jobs if job.vehicle_id == vehicle_id and _of_accel(job) and job.plan is not None]
     written = [job for job in ours if job.state == JobState.SUCCEEDED]
     if not written:
         return {}
@@ -62,6 +66,31 @@ def accel_temperatures(jobs: Iterable[Job], vehicle_id: str, parameters: Mapping
             return {}
     results = [fit for fit in newest.results if fit.sensor == Sensor.ACCEL]
     return {fit.instance: fit.temperature for fit in results if fit.temperature is not None}
+
+
+def _of_accel(job: Job) -> bool:
+    """Whether the job writes an accelerometer's calibration."""
+    if job.kind == FROM_RECORDING:
+        return any(fit.sensor == Sensor.ACCEL for fit in job.results)
+    return job.kind in ACCEL_KINDS
+
+
+def require_origin(origin: Origin, identity: Identity, parameters: Mapping[str, Value]) -> None:
+    """Raise OtherVehicle if the vehicle does not carry the sensors that a recording's fits are of."""
+    reasons = differences(origin, identity, parameters)
+    if reasons:
+        raise OtherVehicle(f"not for this vehicle: {'; '.join(reasons)}")
+
+
+def origin_to_json(origin: Origin) -> dict[str, Any]:
+    """As plain data, for a job's context."""
+    return {**dataclasses.asdict(origin), "mounting": dict(origin.mounting)}
+
+
+def origin_from_json(data: Mapping[str, Any]) -> Origin:
+    """The inverse of :func:`origin_to_json`."""
+    sensors = tuple((str(sensor), int(instance), int(device)) for sensor, instance, device in data["sensors"])
+    return Origin(data["autopilot"], data["uid"], sensors, dict(data["mounting"]))
 
 
 def make_plan(

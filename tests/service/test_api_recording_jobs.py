@@ -1,0 +1,112 @@
+"""From a log to the vehicle: what a job recorded, uploaded, fitted, planned for the same vehicle, and written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import structlog
+
+from service.logs import configure_logging
+from service.simvehicle.client import SimulatedVehicle
+
+from .api_bench import Api, Json, served
+from .jobs_bench import GYRO_OFFSETS, SPEED, stored, zero_gyro_offsets
+
+GYRO = {"kind": "gyro", "options": {"uncertainty": 0.02}}
+
+
+@pytest.fixture(scope="module")
+def sim() -> Iterator[SimulatedVehicle]:
+    with SimulatedVehicle("ardupilot", speed=SPEED, seed=33, config={"thermal": False}) as vehicle:
+        yield vehicle
+
+
+@pytest.fixture(autouse=True)
+def rested(sim: SimulatedVehicle) -> Iterator[None]:
+    sim.call("clear_faults")
+    sim.call("disarm")
+    sim.call("still")
+    zero_gyro_offsets(sim)
+    configure_logging(as_json=False)
+    yield
+    structlog.reset_defaults()
+
+
+async def logged(a: Api, vehicle: Json) -> tuple[Json, bytes]:
+    """A live job in review, and the telemetry log of everything up to the end of its capture."""
+    job = await a.post(f"/vehicles/{vehicle['id']}/jobs", GYRO, 202)
+    job = await a.until(job["id"], "review")
+    await a.delete(f"/jobs/{job['id']}", 200)
+    return job, log_of(a, job)[: job["segments"][-1]["end_byte"]]
+
+
+def log_of(a: Api, job: Json) -> bytes:
+    (path,) = (a.service.settings.data_dir / "tlogs").rglob(job["segments"][-1]["path"])
+    assert isinstance(path, Path)
+    return path.read_bytes()
+
+
+async def upload(a: Api, content: bytes, name: str = "flight.tlog") -> str:
+    found: Any = await a.call("POST", "/api/v1/recordings", 201, params={"name": name}, content=content)
+    return str(found["id"])
+
+
+async def test_a_log_is_fitted_planned_written_proved_and_taken_back(tmp_path, sim):
+    async with served(tmp_path, connect=(sim.url,)) as a:
+        vehicle = await a.vehicle()
+        live, content = await logged(a, vehicle)
+        before = stored(sim)
+        where = f"/recordings/{await upload(a, content)}/jobs"
+        body = {"vehicle_id": vehicle["id"], "method": "gyro-rest"}
+        job = await a.post(where, body, 202)
+        assert (job["kind"], job["state"], job["options"]["method"]) == ("recording", "review", "gyro-rest")
+        assert stored(sim) == before
+        planned = {c["name"]: c["new"] for c in job["plan"]["changes"]}
+        same = {c["name"]: c["new"] for c in live["plan"]["changes"] if c["name"] in GYRO_OFFSETS}
+        for name, value in same.items():
+            assert planned[name] == pytest.approx(value, abs=5e-4)
+        assert (await a.get(f"/jobs/{job['id']}/export.param")).count("# was ") == len(planned)
+
+        again = await a.post(f"/jobs/{job['id']}/plan", None, 200)
+        await a.post(f"/jobs/{job['id']}/apply", {"plan_sha256": again["plan"]["sha256"], "prove_s": 0}, 202)
+        await a.until(job["id"], "succeeded")
+        after = stored(sim)
+        assert {name: after[name] for name in planned} == planned
+        await a.post(f"/jobs/{job['id']}/revert", {}, 202)
+        await a.until(job["id"], "reverted")
+        assert stored(sim) == before
+
+
+async def test_a_log_of_other_sensors_is_refused_with_the_reason(tmp_path, sim):
+    async with served(tmp_path, connect=(sim.url,)) as a:
+        vehicle = await a.vehicle()
+        _, content = await logged(a, vehicle)
+        recording = await upload(a, content)
+        body = {"vehicle_id": vehicle["id"], "method": "gyro-rest"}
+        job = await a.post(f"/recordings/{recording}/jobs", body, 202)
+        held = stored(sim)["INS_GYR2_ID"]
+        sim.call("fault", kind="foreign_write", name="INS_GYR2_ID", value=1234)
+        problem = await a.post(f"/recordings/{recording}/jobs", body, 409)
+        assert problem["type"].endswith("other-vehicle")
+        assert "gyro 2 had the device id" in problem["detail"]
+        assert "1234" in problem["detail"]
+        problem = await a.post(f"/jobs/{job['id']}/plan", None, 409)
+        assert problem["type"].endswith("other-vehicle")
+        sim.call("fault", kind="foreign_write", name="INS_GYR2_ID", value=held)
+
+
+async def test_what_is_of_no_vehicle_is_never_planned(tmp_path, sim):
+    async with served(tmp_path, connect=(sim.url,)) as a:
+        vehicle = await a.vehicle()
+        rows = "".join(f"{k / 50},0.01,0.02,0.0{k % 10}\n" for k in range(400))
+        recording = await upload(a, f"t,gyro_x,gyro_y,gyro_z\n{rows}".encode(), "rest.csv")
+        body = {"vehicle_id": vehicle["id"], "method": "gyro-rest"}
+        problem = await a.post(f"/recordings/{recording}/jobs", body)
+        assert problem["status"] in {409, 422}
+        assert "does not say which vehicle" in problem["detail"]
+        await a.post(f"/recordings/{recording}/jobs", body | {"method": "nothing"}, 422)
+        await a.post(f"/recordings/{recording}/jobs", {"method": "gyro-rest"}, 422)
+        assert await a.get("/jobs") == []
