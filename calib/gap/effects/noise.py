@@ -2,7 +2,8 @@
 
 On cosine-transform bins ``w`` (rad per sample) a sample's variance splits into: white ``N^2 fs``; flicker, half an
 integration of white noise of standard deviation B, ``B^2 / (2 sin(w/2))``; a walk with steps of ``K / sqrt(fs)``,
-``K^2 / (4 fs sin^2(w/2))``.
+``K^2 / (4 fs sin^2(w/2))``. The amplitudes are the sensor's, before the firmware's own filter
+where the trace knows one.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from calib.gap.effects.base import Effect, NoiseEffect
 from calib.gap.effects.parts import TRIADS, UNIT, per_axis
 from calib.gap.problem import Trace
+from calib.gap.reference.calibrated import filter_gain
 from calib.recording import Sensor
 
 Array = NDArray[np.float64]
@@ -22,17 +24,22 @@ _LONG = 30.0  # s from which on a walk is told from a bias
 
 def white(trace: Trace, omega: Array, _theta: float) -> Array:
     """Flat: ``fs`` for a density of one."""
-    return np.full((1, len(omega)), trace.fs)
+    return (trace.fs * behind_filter(trace, omega))[None]
 
 
-def flicker(_trace: Trace, omega: Array, _theta: float) -> Array:
+def flicker(trace: Trace, omega: Array, _theta: float) -> Array:
     """``1 / (2 sin(w/2))``, the lowest bin in place of the infinite one."""
-    return (0.5 / np.sin(0.5 * _positive(omega)))[None]
+    return (0.5 / np.sin(0.5 * _positive(omega)) * behind_filter(trace, omega))[None]
 
 
 def walk(trace: Trace, omega: Array, _theta: float) -> Array:
     """``1 / (4 fs sin^2(w/2))``, likewise."""
-    return (0.25 / (trace.fs * np.sin(0.5 * _positive(omega)) ** 2))[None]
+    return (0.25 / (trace.fs * np.sin(0.5 * _positive(omega)) ** 2) * behind_filter(trace, omega))[None]
+
+
+def behind_filter(trace: Trace, omega: Array) -> Array:
+    """Power (K,) that the firmware's own filter leaves at `omega`, rad per sample."""
+    return filter_gain(omega * (trace.fs / (2.0 * np.pi)), trace.low_pass_hz) ** 2
 
 
 def _positive(omega: Array) -> Array:

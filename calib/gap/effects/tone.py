@@ -19,8 +19,16 @@ _AROUND = 201  # bins whose geometric mean is the background
 
 
 def wave(trace: Trace, frequency: float) -> Array:
-    """Two signals: cosine and sine of `frequency` (Hz), phase zero at the first sample."""
+    """Two signals: cosine and sine of `frequency` (Hz), phase zero at the first sample.
+
+    At the sensor: the firmware's own filter of two poles, where the trace knows one, makes them smaller and later.
+    """
     phase = 2.0 * np.pi * frequency * (trace.t - trace.t[0])
+    if trace.low_pass_hz is not None:
+        s = 1j * frequency / trace.low_pass_hz
+        left = 1.0 / (1.0 + np.sqrt(2.0) * s + s * s)
+        wave = left * np.exp(1j * phase)
+        return np.stack([wave.real, wave.imag])
     return np.stack([np.cos(phase), np.sin(phase)])
 
 

@@ -17,6 +17,7 @@ from calib.gap.effects.base import Effect, MeanEffect, Missing, NoiseEffect, Par
 from calib.gap.effects.noise import white
 from calib.gap.effects.parts import INERTIAL, TRIADS, UNIT, axiswise, per_axis
 from calib.gap.problem import Trace
+from calib.gap.reference.calibrated import filter_gain
 from calib.recording import Sensor
 
 Array = NDArray[np.float64]
@@ -76,7 +77,10 @@ def mean_speed(trace: Trace) -> float:
 
 
 def line(trace: Trace, omega: Array, frequency: float) -> Array:
-    """Power (1, K) of a line of amplitude one while the motors run, its mean frequency being `frequency` (Hz)."""
+    """Power (1, K) of a line of amplitude one while the motors run, its mean frequency being `frequency` (Hz).
+
+    Of amplitude one at the sensor: what the firmware's own filter takes is taken.
+    """
     on = running(trace)
     speed = mean_speed(trace)
     if speed > 0.0 and trace.rotor_hz is not None:
@@ -86,9 +90,10 @@ def line(trace: Trace, omega: Array, frequency: float) -> Array:
         track, weight = np.array([frequency]), np.ones(1)
     K = len(omega)
     where = np.minimum((folded(track, trace.fs) / (0.5 * trace.fs) * K).astype(np.intp), K - 1)
-    share = np.bincount(where, weights=weight, minlength=K) / weight.sum()
+    kept = weight * filter_gain(track, trace.low_pass_hz) ** 2
+    share = np.bincount(where, weights=kept, minlength=K) / weight.sum()
     bins = max(3, round(_WIDTH / (0.5 * trace.fs) * K))
-    share = uniform_filter1d(share, bins, mode="reflect")
+    share = np.maximum(uniform_filter1d(share, bins, mode="reflect"), 0.0)  # a running sum leaves -1e-16
     level = 0.5 * float(on.mean()) * K * share
     return np.asarray(np.interp(omega, np.pi * np.arange(K) / K, level), dtype=np.float64)[None]
 
