@@ -2,5 +2,56 @@
 
 The way through: recordings -> :mod:`calib.gap.reference` -> :class:`calib.gap.problem.Problem` (every sensor beside
 what an ideal one would have read) -> :mod:`calib.gap.diagnose` (the effects of :mod:`calib.gap.effects` in one contest)
--> :class:`calib.gap.schema.GapReport`.
+-> :class:`calib.gap.schema.GapReport`. :func:`run` goes all the way.
 """
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from calib.errors import InvalidInputError
+from calib.gap.diagnose import diagnose
+from calib.gap.effects import catalogue
+from calib.gap.reference import build
+from calib.gap.schema import GapReport, as_json
+from calib.recording import Recording
+
+__all__ = ["GapReport", "as_json", "diagnose", "run"]
+
+
+def run(
+    real: Recording,
+    sim: Recording | None = None,
+    nominal: Sequence[Recording] = (),
+    *,
+    without: Sequence[str] = (),
+    alpha: float = 0.005,
+    nested: bool = True,
+) -> GapReport:
+    """The gap between a real recording and its reference.
+
+    Parameters
+    ----------
+    real
+        The recording whose gap is asked for.
+    sim
+        A simulator's recording of the same trajectory, or of another flight of the same kind.
+    nominal
+        Recordings without an effect, from which the noise is learned.
+    without
+        Ids of effects that are left out of the catalogue.
+    alpha
+        Chance that anything is reported where there is no gap.
+    nested
+        Whether the shrink repeats the selection inside the folds.
+
+    Raises
+    ------
+    InvalidInputError
+        If the recordings have nothing in common, or `without` names an effect that there is not.
+    """
+    effects = catalogue()
+    if strangers := sorted(set(without) - {effect.id for effect in effects}):
+        raise InvalidInputError(f"no such effect in the catalogue: {', '.join(strangers)}")
+    kept = tuple(effect for effect in effects if effect.id not in without)
+    return diagnose(build(real, sim, nominal), effects=kept, alpha=alpha, nested=nested)

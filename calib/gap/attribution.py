@@ -1,0 +1,139 @@
+"""What each effect of a model is worth: its share, its rivals, and how probable it is.
+
+An effect is held against every other hypothesis in its own place, beside all the other effects. `kappa` is the part of
+its fitted energy that a rival can imitate; what separates them is ``gain (1 - kappa)``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.gap.contest import Beside, Contest, Score, existing, noise_score, price_of
+from calib.gap.effects.base import NoiseEffect
+from calib.gap.hypotheses import Columns, Hypothesis, columns_of
+from calib.gap.model import Model, NoiseTerm, Term
+from calib.gap.noise_fit import refitted, without_term
+from calib.gap.schema import Rival
+from calib.gap.selection import Chosen, last_gains, restored
+
+Array = NDArray[np.float64]
+Key = tuple[str, tuple[int, ...]]
+
+TEMPERATURE = 2.0
+"""By which differences of penalised evidence are flattened into probabilities."""
+UNKNOWN_PRIOR = 0.0
+"""Head start of explanations outside the catalogue, in nats."""
+_NEAR = 12.0
+_SAME = 0.98
+
+
+@dataclass(frozen=True, eq=False)
+class Attribution:
+    """Of one effect: what it gains as the last one, its share of all gains, rivals, and probability."""
+
+    key: Key
+    gain: float
+    df: int
+    share: float
+    probability: float
+    unknown_probability: float
+    rivals: tuple[Rival, ...]
+
+
+def attributed(chosen: Chosen, contest: Contest) -> tuple[Attribution, ...]:
+    """One attribution for each effect of a model, largest share first."""
+    model = chosen.model
+    last = last_gains(model, contest)
+    first = {s.hypothesis.key: s.gain for s in chosen.first}
+    joined = {s.hypothesis.key: s.gain for s in chosen.scores}
+    worth = {key: 0.5 * (gain + max(first.get(key, joined.get(key, gain)), 0.0)) for key, (gain, _, _) in last.items()}
+    total = sum(worth.values()) or 1.0
+    found = []
+    for term in model.members:
+        key = term.hypothesis.key
+        others, own = _alternatives(chosen, contest, term)
+        rivals, probability, unknown = _judged(term.hypothesis, own, others)
+        found.append(Attribution(key, last[key][0], last[key][1], worth[key] / total, probability, unknown, rivals))
+    return tuple(sorted(found, key=lambda a: -a.share))
+
+
+@dataclass(frozen=True, eq=False)
+class Alternative:
+    """Another hypothesis in the place of an effect."""
+
+    score: Score
+    kappa: float
+
+
+def _alternatives(chosen: Chosen, contest: Contest, term: Term | NoiseTerm) -> tuple[list[Alternative], float]:
+    """Every other hypothesis in the place of `term`, and the penalised evidence of `term` itself."""
+    model = chosen.model
+    key = term.hypothesis.key
+    if isinstance(term, NoiseTerm):
+        bare = refitted(without_term(model, term), [term.hypothesis.effect.sensor]).model
+        beside, own_columns, energy = Beside(bare), None, 0.0
+        own = noise_score(term.hypothesis, bare)
+        own_gain, own_delta = own.gain, own.delta
+    else:
+        i = model.terms.index(term)
+        beside = Beside(restored(model, i), omit=(i,))
+        own_columns = columns_of(term.hypothesis, term.theta, model.setting.views, model.setting.frames)
+        gram, _, _ = beside.projected(own_columns)
+        energy = float(term.beta @ gram @ term.beta)
+        own_gain, df, _ = (beside.fixed_gain(own_columns), 1, 0) if term.effect.fixed else beside.gain(own_columns)
+        grid = next((s.grid for s in chosen.scores if s.hypothesis.key == key), 1)
+        own_delta = own_gain - price_of(term.hypothesis, df, grid, model)
+    taken = {t.hypothesis.key for t in model.members}
+    found = []
+    for rival in contest.hypotheses:
+        if rival.key in taken or not _meets(rival, term.hypothesis, model):
+            continue
+        score = contest.score(rival, beside)
+        kappa = _imitated(beside, own_columns, term, score, energy, own_gain)
+        found.append(Alternative(score, kappa))
+    return found, own_delta
+
+
+def _meets(rival: Hypothesis, own: Hypothesis, model: Model) -> bool:
+    return any(rival.touches(view) and own.touches(view) for view in model.setting.views)
+
+
+def _imitated(
+    beside: Beside, own: Columns | None, term: Term | NoiseTerm, score: Score, energy: float, own_gain: float
+) -> float:
+    """The part of the effect's energy that the rival's columns can take."""
+    if own is None or isinstance(score.hypothesis.effect, NoiseEffect) or score.df == 0:
+        return float(np.clip(score.gain / max(own_gain, 1e-12), 0.0, 1.0))
+    assert isinstance(term, Term)
+    setting = beside.model.setting
+    columns = columns_of(score.hypothesis, score.theta, setting.views, setting.frames)
+    gram, _, before = beside.projected(columns)
+    basis = existing(gram, before)
+    taken = basis.T @ (beside.cross(columns, own) @ term.beta)
+    return float(np.clip((taken @ taken) / max(energy, 1e-300), 0.0, 1.0))
+
+
+def _judged(own: Hypothesis, own_delta: float, others: Sequence[Alternative]) -> tuple[tuple[Rival, ...], float, float]:
+    """Rivals that these data cannot tell apart, and the probabilities of the effect and of the unknown."""
+    rivals = []
+    weights: list[float] = [0.0]
+    unknown: list[float] = []
+    for other in others:
+        delta = own_delta - other.score.delta
+        is_unknown = other.score.hypothesis.effect.id.startswith("unknown")
+        (unknown if is_unknown else weights).append(-delta / (2.0 * TEMPERATURE))
+        alike = other.score.gain > _SAME * max(own_delta, 1.0) + 0.0 and other.kappa > _SAME
+        if not is_unknown and other.score.hypothesis.effect.id != own.effect.id and (delta < _NEAR or alike):
+            rivals.append(Rival(other.score.hypothesis.effect.id, other.kappa, delta, own.effect.fix))
+    best: dict[str, Rival] = {}
+    for rival in sorted(rivals, key=lambda r: r.delta):
+        best.setdefault(rival.id, rival)
+    everything = np.array([*weights, *(w + UNKNOWN_PRIOR for w in unknown)])
+    total = float(np.logaddexp.reduce(everything))
+    lost = float(np.logaddexp.reduce(unknown)) + UNKNOWN_PRIOR - total if unknown else -math.inf
+    return tuple(best.values()), math.exp(-total), math.exp(lost)

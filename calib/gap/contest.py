@@ -1,0 +1,299 @@
+"""How much each hypothesis would gain beside what the model already has.
+
+Groups of columns gain by their Schur complement in the weighted Gram matrix; effects on the noise by their deviance.
+The chance of so large a gain without the effect is corrected for the grid that was searched: the number of values tried
+multiplies the tail probability (GAP 3.2).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+from scipy.special import chdtrc
+from scipy.stats import binom
+
+from calib.gap.effects.base import MeanEffect, NoiseEffect
+from calib.gap.hypotheses import Columns, Hypothesis, columns_of
+from calib.gap.model import Model, Normal, jacobian, normal_equations, slices_of, solved, stacked
+from calib.gap.noise_fit import AxisFit, axes_of, axis_fit, densities_of, extra_rows
+from calib.gap.problem import Trace
+from calib.recording import Sensor
+
+Array = NDArray[np.float64]
+
+_LEFT = 1e-6
+"""Part of its energy that a column must keep beside the model's others to count."""
+_WORTH = 8.0
+"""Gain of the best value on the grid from which on the shape is refined between its neighbours."""
+_SIDES = 2
+"""Price of an effect whose shape alone is estimated: it vanishes at zero, so it was searched to either side only."""
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """What a hypothesis would gain.
+
+    `gain` is twice the gain of log-likelihood, `p` the chance of so much without it, corrected for the grid; `delta`
+    the gain less its price ``df log N + 2 log grid``; `beta` the amplitudes beside the model as it is.
+    """
+
+    hypothesis: Hypothesis
+    theta: float
+    gain: float
+    df: int
+    grid: int
+    p: float
+    delta: float
+    beta: Array
+
+
+def tail(gain: float, df: int, grid: int) -> float:
+    """Chance that the best of `grid` values gains so much without an effect."""
+    return 1.0 if df == 0 or gain <= 0.0 else min(1.0, grid * float(chdtrc(df, gain)))
+
+
+def one_sided_tail(gain: float, df: int, grid: int) -> float:
+    """The same for `df` amplitudes that cannot be negative: each is zero half of the time (chi-bar squared)."""
+    if gain <= 0.0:
+        return 1.0
+    weights = binom.pmf(np.arange(1, df + 1), df, 0.5)
+    return min(1.0, grid * float(weights @ chdtrc(np.arange(1, df + 1), gain)))
+
+
+class Beside:
+    """The model's own columns, against which every candidate is projected."""
+
+    def __init__(self, model: Model, omit: Sequence[int] = ()) -> None:
+        self.model = model
+        blocks = [jacobian(t, model.setting) for i, t in enumerate(model.terms) if i not in omit]
+        if model.ridge is not None:
+            blocks.append(model.ridge.columns)
+        self._blocks = blocks
+        self._slices = slices_of(blocks)
+        normal: Normal = normal_equations(blocks, model.y, model.weight)
+        if model.ridge is not None:
+            rows = np.arange(self._slices[-1].start, self._slices[-1].stop)
+            normal.gram[rows, rows] += model.ridge.precision
+        self._solution, self.covariance, _ = solved(normal.gram, normal.right)
+        self._right = normal.right
+        self._weighted = [
+            (index, X * model.weight[a] if len(index) else X)
+            for a in range(len(model.y))
+            for index, X in [stacked(blocks, self._slices, a)]
+        ]
+
+    def projected(self, columns: Columns) -> tuple[Array, Array, Array]:
+        """Gram matrix, right side and original energies of `columns` with the model's own columns taken out."""
+        p = columns.p
+        gram, right, cross = np.zeros((p, p)), np.zeros(p), np.zeros((p, len(self._right)))
+        for a, part in columns.parts.items():
+            weighted = part.X * self.model.weight[a]
+            gram[np.ix_(part.index, part.index)] += weighted @ part.X.T
+            right[part.index] += weighted @ self.model.y[a]
+            index, own = self._weighted[a]
+            if len(index):
+                cross[np.ix_(part.index, index)] += part.X @ own.T
+        energy = np.diag(gram).copy()
+        if len(self._right):
+            gram -= cross @ self.covariance @ cross.T
+            right -= cross @ self._solution
+        return gram, right, energy
+
+    def cross(self, one: Columns, other: Columns) -> Array:
+        """Products of two groups of columns with the model's own columns taken out, (p, q)."""
+        total = np.zeros((one.p, other.p))
+        left, right = np.zeros((one.p, len(self._right))), np.zeros((other.p, len(self._right)))
+        for a, part in one.parts.items():
+            index, own = self._weighted[a]
+            if len(index):
+                left[np.ix_(part.index, index)] += part.X @ own.T
+            if a in other.parts:
+                rival = other.parts[a]
+                total[np.ix_(part.index, rival.index)] += (part.X * self.model.weight[a]) @ rival.X.T
+        for a, part in other.parts.items():
+            index, own = self._weighted[a]
+            if len(index):
+                right[np.ix_(part.index, index)] += part.X @ own.T
+        return np.asarray(total - left @ self.covariance @ right.T)
+
+    def gain(self, columns: Columns) -> tuple[float, int, Array]:
+        """Twice the gain of log-likelihood, degrees of freedom and amplitudes of a group of free columns."""
+        gram, right, energy = self.projected(columns)
+        basis = existing(gram, energy)
+        found = basis.T @ right
+        return float(found @ found), basis.shape[1], basis @ found
+
+    def fixed_gain(self, columns: Columns) -> float:
+        """The same for one column whose amplitude is one."""
+        gram, right, _ = self.projected(columns)
+        return float(2.0 * right[0] - gram[0, 0])
+
+
+def existing(gram: Array, energy: Array) -> Array:
+    """Whitening basis (p, r) of the directions of a projected Gram matrix that keep some of their `energy`."""
+    scale = np.sqrt(energy)
+    used = scale > 0.0
+    inverse = np.zeros_like(scale)
+    inverse[used] = 1.0 / scale[used]
+    values, vectors = np.linalg.eigh(gram * np.outer(inverse, inverse))
+    good = values > _LEFT
+    return np.asarray(inverse[:, None] * vectors[:, good] / np.sqrt(values[good]))
+
+
+class Contest:
+    """Scores of hypotheses against models of one setting; transformed columns are kept while they fit in memory."""
+
+    def __init__(self, hypotheses: Sequence[Hypothesis], budget: int = 40_000_000) -> None:
+        self.hypotheses = tuple(hypotheses)
+        self._columns: dict[tuple[str, tuple[int, ...], float], Columns] = {}
+        self._left = budget
+
+    def columns(self, hypothesis: Hypothesis, theta: float, model: Model) -> Columns:
+        """Transformed columns of `hypothesis`, kept."""
+        key = (*hypothesis.key, theta)
+        if key in self._columns:
+            return self._columns[key]
+        made = columns_of(hypothesis, theta, model.setting.views, model.setting.frames)
+        size = sum(part.X.size for part in made.parts.values())
+        if size <= self._left and math.isfinite(theta) <= (hypothesis.effect.shape is not None):
+            self._columns[key] = made
+            self._left -= size
+        return made
+
+    def score(self, hypothesis: Hypothesis, beside: Beside) -> Score:
+        """What `hypothesis` would gain, at its best shape."""
+        if isinstance(hypothesis.effect, NoiseEffect):
+            return noise_score(hypothesis, beside.model)
+        return self._mean_score(hypothesis, beside)
+
+    def _mean_score(self, hypothesis: Hypothesis, beside: Beside) -> Score:
+        effect = hypothesis.effect
+        assert isinstance(effect, MeanEffect)
+        if effect.shape is None:
+            gain, df, beta = beside.gain(self.columns(hypothesis, math.nan, beside.model))
+            return priced(hypothesis, math.nan, gain, df, 1, beta, beside.model)
+        trace, view = widest(hypothesis, beside.model)
+        grid = np.asarray(effect.shape.grid(trace))
+        tried = grid
+        if effect.shape.screen is not None:
+            tried = effect.shape.screen(trace, unexplained(beside.model, view))
+        found = [self._at(hypothesis, float(theta), beside) for theta in tried]
+        if not found:
+            return priced(hypothesis, math.nan, 0.0, 0, 1, np.zeros(0), beside.model)
+        best = max(range(len(found)), key=lambda i: found[i][0])
+        theta, (gain, df, beta) = float(tried[best]), found[best]
+        if gain > _WORTH:
+            theta = self._refined(hypothesis, theta, grid, beside)
+            gain, df, beta = self._at(hypothesis, theta, beside)
+        if effect.fixed:
+            gain = self._fixed_gain(hypothesis, theta, beside)
+            return priced(hypothesis, theta, gain, 1, _SIDES, np.ones(1), beside.model)
+        return priced(hypothesis, theta, gain, df, len(grid), beta, beside.model)
+
+    def _at(self, hypothesis: Hypothesis, theta: float, beside: Beside) -> tuple[float, int, Array]:
+        return beside.gain(self.columns(hypothesis, theta, beside.model))
+
+    def _fixed_gain(self, hypothesis: Hypothesis, theta: float, beside: Beside) -> float:
+        columns = columns_of(hypothesis, theta, beside.model.setting.views, beside.model.setting.frames)
+        return beside.fixed_gain(columns)
+
+    def _refined(self, hypothesis: Hypothesis, theta: float, grid: Array, beside: Beside) -> float:
+        """The best shape between the neighbours of `theta` on the grid."""
+        i = int(np.argmin(np.abs(grid - theta)))
+        low, high = float(grid[max(i - 1, 0)]), float(grid[min(i + 1, len(grid) - 1)])
+        effect = hypothesis.effect
+        assert isinstance(effect, MeanEffect)
+
+        def loss(value: float) -> float:
+            columns = columns_of(hypothesis, value, beside.model.setting.views, beside.model.setting.frames)
+            return -(beside.fixed_gain(columns) if effect.fixed else beside.gain(columns)[0])
+
+        if high <= low:
+            return theta
+        found = minimize_scalar(loss, bounds=(low, high), method="bounded", options={"maxiter": 16})
+        return float(found.x) if found.fun < loss(theta) else theta
+
+
+def price_of(hypothesis: Hypothesis, df: int, grid: int, model: Model) -> float:
+    """What degrees of freedom and a searched grid cost, in twice the log-likelihood.
+
+    A shape costs as much as an amplitude, or the search for it, whichever is more.
+    """
+    samples = math.log(samples_of(hypothesis, model))
+    shape = max(samples, 2.0 * math.log(grid)) if grid > _SIDES else 0.0
+    return df * samples + shape
+
+
+def priced(hypothesis: Hypothesis, theta: float, gain: float, df: int, grid: int, beta: Array, model: Model) -> Score:
+    """A score of an effect on the mean."""
+    delta = gain - price_of(hypothesis, df, grid, model)
+    return Score(hypothesis, theta, gain, df, grid, tail(gain, df, grid), delta, beta)
+
+
+def samples_of(hypothesis: Hypothesis, model: Model) -> int:
+    """Numbers that it could change."""
+    return max(3 * sum(view.n for view in model.setting.views if hypothesis.touches(view)), 2)
+
+
+def noise_score(hypothesis: Hypothesis, model: Model) -> Score:
+    """What an effect on the noise would gain, its amplitudes and those of the model fitted together."""
+    effect = hypothesis.effect
+    assert isinstance(effect, NoiseEffect)
+    thetas = [math.nan]
+    if effect.shape is not None:
+        thetas = [float(theta) for theta in effect.shape.grid(widest(hypothesis, model)[0])]
+    fits = noise_fits(model, effect.sensor)
+    scores = [_noise_gain(hypothesis, theta, model, fits) for theta in thetas]
+    best = max(range(len(thetas)), key=lambda i: scores[i][0])
+    gain, values = scores[best]
+    df = len(effect.parameters)
+    price = price_of(hypothesis, df, len(thetas), model)
+    p = one_sided_tail(gain, df, len(thetas))
+    return Score(hypothesis, thetas[best], gain, df, len(thetas), p, gain - price, values)
+
+
+def noise_fits(model: Model, sensor: Sensor) -> tuple[AxisFit, ...]:
+    """The fits of the three axes of a sensor."""
+    return tuple(axis_fit(model, axes_of(model.setting, sensor, c)) for c in range(3))
+
+
+def _noise_gain(hypothesis: Hypothesis, theta: float, model: Model, fits: Sequence[AxisFit]) -> tuple[float, Array]:
+    by_view = {
+        v: densities_of(hypothesis, view, theta)
+        for v, view in enumerate(model.setting.views)
+        if hypothesis.touches(view)
+    }
+    gain, values = 0.0, []
+    for fit in fits:
+        rows = extra_rows(model, fit, by_view)
+        _, without, _ = fit.fitted()
+        amplitudes, level, _ = fit.fitted(rows)
+        gain += max(without - level, 0.0)
+        values.append(amplitudes[len(fit.names) :])
+    return gain, np.array(values).T
+
+
+def widest(hypothesis: Hypothesis, model: Model) -> tuple[Trace, int]:
+    """The trace, and the index of the series, that show most of it."""
+    best: tuple[float, Trace, int] | None = None
+    for v, view in enumerate(model.setting.views):
+        if not hypothesis.touches(view):
+            continue
+        for i, weight in view.weights.items():
+            if i in hypothesis.instances and (best is None or abs(weight) > best[0]):
+                best = (abs(weight), view.traces[i], v)
+    assert best is not None
+    return best[1], best[2]
+
+
+def unexplained(model: Model, v: int) -> Array:
+    """The residual of a series on the whole grid of its trace, zero where it is not kept."""
+    view = model.setting.views[v]
+    full = np.zeros((len(view.keep), 3))
+    full[view.keep] = model.residual[v]
+    return full

@@ -1,0 +1,217 @@
+"""From a problem to its report: lattice first, then all effects in one contest, then what the answer is worth."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.gap.attribution import Attribution, attributed
+from calib.gap.contest import Contest
+from calib.gap.effects import catalogue
+from calib.gap.effects.base import Effect, LatticeEffect, LatticeEvidence
+from calib.gap.estimates import estimates_of
+from calib.gap.hypotheses import hypotheses_of
+from calib.gap.locate import located
+from calib.gap.model import Model, NoiseTerm, Term, predicted, setting_of, starting_model
+from calib.gap.noise_fit import refitted, starting_noise
+from calib.gap.problem import Problem
+from calib.gap.schema import (
+    EffectEstimate,
+    Estimate,
+    Evidence,
+    GapReport,
+    Gates,
+    Inputs,
+    MultipleTesting,
+    NotTestable,
+    SeriesFit,
+    Unknown,
+    Verdict,
+)
+from calib.gap.selection import Chosen, select
+from calib.gap.views import views_of
+
+Array = NDArray[np.float64]
+
+_FIRST = 1
+"""Instances count from 1 in a report."""
+REFERENCE = "reference_attitude"
+
+
+def diagnose(
+    problem: Problem, *, effects: tuple[Effect, ...] | None = None, alpha: float = 0.005, nested: bool = True
+) -> GapReport:
+    """Where the sensors of `problem` differ from their references, which effects explain it, and how far.
+
+    Parameters
+    ----------
+    problem
+        Sensors beside their references.
+    effects
+        That take part; None: the whole catalogue.
+    alpha
+        Chance that anything is reported where there is no gap.
+    nested
+        Whether the shrink repeats the selection inside the folds.
+    """
+    effects = catalogue() if effects is None else effects
+    lattice = lattice_of(problem, effects)
+    masked = {i: found.masked for i, found in lattice.masks.items()}
+    views = views_of(problem, masked, lattice.variance)
+    setting = setting_of(views)
+    inputs = _inputs(problem)
+    if not views:
+        return _nothing(problem, inputs)
+    hypotheses, missing = hypotheses_of(effects, views)
+    start = refitted(starting_model(setting, starting_noise(setting))).model
+    contest = Contest(hypotheses)
+    chosen = select(start, contest, alpha)
+    attributions = attributed(chosen, contest)
+    found = tuple(_effect(chosen, a) for a in attributions)
+    effects_found = (*lattice.effects, *found)
+    return GapReport(
+        inputs,
+        _verdict(effects_found, Unknown()),
+        located(start, alpha),
+        effects_found,
+        not_testable=_untestable(problem, missing, {h.effect.id for h in hypotheses}),
+        multiple_testing=MultipleTesting(chosen.tests, alpha),
+        warnings=problem.warnings,
+        series=_series(chosen.model),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """What the samples themselves show, by index of the trace where it matters to the rest."""
+
+    effects: tuple[EffectEstimate, ...]
+    masks: Mapping[int, LatticeEvidence]
+    variance: Mapping[int, float]
+
+
+def lattice_of(problem: Problem, effects: Iterable[Effect]) -> Lattice:
+    """Lattice effects of every trace."""
+    found: list[EffectEstimate] = []
+    masks: dict[int, LatticeEvidence] = {}
+    variance: dict[int, float] = {}
+    for i, trace in enumerate(problem.traces):
+        if trace.against is not None:
+            continue
+        for effect in effects:
+            if not isinstance(effect, LatticeEffect) or effect.sensor is not trace.sensor:
+                continue
+            evidence = effect.detect(trace)
+            if evidence is None:
+                continue
+            found.append(_from_lattice(effect, trace.instances, evidence))
+            if evidence.masked.any():
+                masks[i] = evidence if i not in masks else _both(masks[i], evidence)
+            if effect.id.endswith("_quantisation"):
+                variance[i] = max(float(np.mean(np.square(evidence.values[:3]))) - trace.quantum**2, 0.0) / 12.0
+    return Lattice(tuple(found), masks, variance)
+
+
+def _both(one: LatticeEvidence, other: LatticeEvidence) -> LatticeEvidence:
+    masked = one.masked | other.masked
+    return LatticeEvidence(one.values, one.se, one.two_delta_loglik, masked, one.text)
+
+
+def _from_lattice(effect: LatticeEffect, instances: tuple[int, ...], evidence: LatticeEvidence) -> EffectEstimate:
+    params = tuple(
+        Estimate(p.name, value, se, (value - 1.96 * se, value + 1.96 * se), p.unit)
+        for p, value, se in zip(effect.parameters, evidence.values, evidence.se, strict=True)
+    )
+    sure = Evidence(evidence.two_delta_loglik, len(params), 0.0, 0.999, 0.0)
+    return EffectEstimate(effect.id, effect.sensor, tuple(i + _FIRST for i in instances), params, sure)
+
+
+def _effect(chosen: Chosen, found: Attribution) -> EffectEstimate:
+    term = _term(chosen.model, found)
+    p = next((s.p for s in chosen.scores if s.hypothesis.key == found.key), 1.0)
+    effect_id, instances = found.key
+    return EffectEstimate(
+        effect_id,
+        term.hypothesis.effect.sensor,
+        tuple(i + _FIRST for i in instances),
+        estimates_of(chosen, term),
+        Evidence(found.gain, found.df, min(1.0, p * chosen.tests), found.probability, found.share),
+        found.rivals,
+        Gates(),
+    )
+
+
+def _term(model: Model, found: Attribution) -> Term | NoiseTerm:
+    return next(t for t in model.members if t.hypothesis.key == found.key)
+
+
+def _verdict(effects: tuple[EffectEstimate, ...], unknown: Unknown) -> Verdict:
+    if unknown.flag:
+        return Verdict.PARTLY_EXPLAINED if effects else Verdict.UNKNOWN
+    if not effects:
+        return Verdict.NO_GAP
+    return Verdict.REFERENCE if all(e.id == REFERENCE for e in effects) else Verdict.EXPLAINED
+
+
+def _untestable(problem: Problem, missing: Iterable[tuple[str, str, str]], tested: set[str]) -> tuple[NotTestable, ...]:
+    entries = [*problem.not_testable, *(m for m in missing if m[0] not in tested)]
+    return tuple(NotTestable(*entry) for entry in {e[0]: e for e in entries}.values())
+
+
+def _nothing(problem: Problem, inputs: Inputs) -> GapReport:
+    entries = problem.not_testable or (("all", "no sensor has enough samples beside a reference", "a longer overlap"),)
+    return GapReport(
+        inputs,
+        Verdict.NOT_TESTABLE,
+        not_testable=tuple(NotTestable(*e) for e in entries),
+        warnings=problem.warnings,
+    )
+
+
+def _inputs(problem: Problem) -> Inputs:
+    reference = problem.reference
+    noise = {
+        f"{t.sensor.value}{t.instances[0] + _FIRST}": tuple(map(float, t.sigma))
+        for t in problem.traces
+        if t.sigma is not None and t.against is None
+    }
+    return Inputs(
+        problem.inputs.get("real"),
+        problem.inputs.get("sim"),
+        max((t.fs for t in problem.traces), default=0.0),
+        problem.duration_s,
+        reference.kind.value,
+        reference.att_sigma_deg,
+        reference.text,
+        noise,
+        diagnoser_sha256(),
+    )
+
+
+@cache
+def diagnoser_sha256() -> str:
+    """Over the sources of this package: which diagnoser spoke."""
+    root = Path(__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()
+
+
+def _series(model: Model) -> tuple[SeriesFit, ...]:
+    made = []
+    for v, view in enumerate(model.setting.views):
+        parts = {t.hypothesis.effect.id: predicted(t, view) for t in model.terms if t.hypothesis.touches(view)}
+        modelled = np.add.reduce([np.zeros_like(view.residual), *parts.values()])
+        sigma = np.array([np.sqrt(model.noise[3 * v + c].power.mean()) for c in range(3)])
+        instances = tuple(i + _FIRST for i in view.weights)
+        made.append(
+            SeriesFit(view.sensor, instances, view.t, view.residual, modelled, sigma, view.any_trace.unit, parts)
+        )
+    return tuple(made)

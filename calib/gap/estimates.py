@@ -1,0 +1,63 @@
+"""Parameters of the effects of a model, in the names and units of the catalogue."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.gap.effects.base import Parameter
+from calib.gap.model import NoiseTerm, Term
+from calib.gap.noise_fit import NoiseEstimate
+from calib.gap.schema import Estimate
+from calib.gap.selection import Chosen
+
+Array = NDArray[np.float64]
+
+_Z = 1.959964
+_FREE = 1e-4
+"""Part of a parameter in directions that the data do not show, from which on its error is not finite."""
+
+
+def estimates_of(chosen: Chosen, term: Term | NoiseTerm) -> tuple[Estimate, ...]:
+    """The parameters of one effect, its shape last."""
+    if isinstance(term, NoiseTerm):
+        return _of_noise(term, chosen.noise.estimates[term.hypothesis.key])
+    i = chosen.model.terms.index(term)
+    rows = chosen.joint.slices[i]
+    variance = np.diag(chosen.joint.covariance)[rows].copy()
+    variance[_unseen(chosen.joint.normal.gram)[rows]] = math.inf
+    effect = term.effect
+    names = effect.parameters if effect.shape is None else (*effect.parameters, effect.shape.parameter)
+    return tuple(
+        _estimate(name, float(value), math.sqrt(v)) for name, value, v in zip(names, term.values, variance, strict=True)
+    )
+
+
+def _estimate(parameter: Parameter, value: float, se: float) -> Estimate:
+    return Estimate(parameter.name, value, se, (value - _Z * se, value + _Z * se), parameter.unit)
+
+
+def _of_noise(term: NoiseTerm, found: NoiseEstimate) -> tuple[Estimate, ...]:
+    effect = term.hypothesis.effect
+    made = []
+    for parameter, value, se in zip(effect.parameters, found.values.ravel(), found.se.ravel(), strict=True):
+        if not parameter.squared:
+            made.append(_estimate(parameter, float(value), float(se)))
+            continue
+        root = math.sqrt(max(float(value), 0.0))
+        low, high = (math.sqrt(max(float(value) + sign * _Z * float(se), 0.0)) for sign in (-1.0, 1.0))
+        made.append(Estimate(parameter.name, root, (high - low) / (2.0 * _Z), (low, high), parameter.unit))
+    if effect.shape is not None:
+        made.append(_estimate(effect.shape.parameter, term.theta, math.inf))
+    return tuple(made)
+
+
+def _unseen(gram: Array) -> NDArray[np.bool_]:
+    """Which parameters have a part in a direction that the Gram matrix does not see."""
+    scale = np.sqrt(np.diag(gram))
+    scale[scale == 0.0] = 1.0
+    values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
+    hidden = vectors[:, values <= 1e-9 * max(len(values), 1)]
+    return np.asarray((hidden**2).sum(axis=1) > _FREE)

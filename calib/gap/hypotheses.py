@@ -1,0 +1,174 @@
+"""What competes: an effect of the catalogue on one instance, or with one set of parameters on all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.gap.effects.base import Effect, MeanEffect, NoiseEffect
+from calib.gap.likelihood import transform
+from calib.gap.problem import Trace
+from calib.gap.views import View
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """An effect on `instances` of its sensor (of every sensor for effects that all share)."""
+
+    effect: Effect
+    instances: tuple[int, ...]
+
+    @property
+    def key(self) -> tuple[str, tuple[int, ...]]:
+        """What tells hypotheses apart."""
+        return self.effect.id, self.instances
+
+    def touches(self, view: View) -> bool:
+        """Whether it would change this series."""
+        own = self.effect.shared or view.sensor is self.effect.sensor
+        return own and any(i in view.weights for i in self.instances)
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Columns on one axis of one series: which of the hypothesis' columns are not zero there, transformed."""
+
+    index: NDArray[np.intp]
+    X: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """`p` columns over every axis of every series; axis ``3 v + c`` is axis c of series v."""
+
+    p: int
+    parts: Mapping[int, Part] = field(default_factory=dict)
+
+
+def hypotheses_of(
+    effects: Iterable[Effect], views: Sequence[View]
+) -> tuple[tuple[Hypothesis, ...], tuple[tuple[str, str, str], ...]]:
+    """Everything that can be tested, and (id, reason, need) of what cannot."""
+    tested: list[Hypothesis] = []
+    missing: list[tuple[str, str, str]] = []
+    for effect in effects:
+        if not isinstance(effect, MeanEffect | NoiseEffect):
+            continue
+        candidates = _instances(effect, views)
+        possible = []
+        for instances, traces in candidates:
+            lack = [why for trace in traces if (why := effect.missing(trace)) is not None]
+            if lack:
+                missing.append((effect.id, *lack[0]))
+            else:
+                possible.append(instances)
+        tested += [Hypothesis(effect, (i,)) for (i,) in (p for p in possible if len(p) == 1)]
+        if (common := _together(possible)) is not None:
+            tested.append(Hypothesis(effect, common))
+    return tuple(tested), tuple(dict.fromkeys(missing))
+
+
+def _instances(effect: Effect, views: Sequence[View]) -> list[tuple[tuple[int, ...], list[Trace]]]:
+    """Smallest sets of instances on which the effect can sit, with the traces that it would change."""
+    if effect.shared:
+        traces = [trace for view in views for trace in view.traces.values()]
+        everywhere = tuple(sorted({i for view in views for i in view.weights}))
+        return [(everywhere, traces)] if traces else []
+    own = [view for view in views if view.sensor is effect.sensor]
+    found: dict[tuple[int, ...], list[Trace]] = {}
+    for view in own:
+        for instance, trace in view.traces.items():
+            common = trace.against is None and len(trace.instances) > 1
+            found.setdefault(trace.instances if common else (instance,), []).append(trace)
+    return list(found.items())
+
+
+def _together(possible: Sequence[tuple[int, ...]]) -> tuple[int, ...] | None:
+    everything = tuple(sorted({i for p in possible for i in p}))
+    if len(everything) < 2:
+        return None
+    return everything
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """From samples to bins: long series are first averaged over `factor` consecutive samples."""
+
+    factor: int
+    n: int
+
+    def bins(self, series: Array) -> Array:
+        """Transform of `series` (..., n), decimated."""
+        if self.factor > 1:
+            whole = self.n // self.factor * self.factor
+            series = series[..., :whole].reshape(*series.shape[:-1], -1, self.factor).mean(axis=-1)
+        return transform(series)
+
+    @property
+    def size(self) -> int:
+        """Bins."""
+        return self.n // self.factor
+
+    def power(self, S: Array) -> Array:
+        """Power of the averages, folded, from the power (n,) of the samples."""
+        if self.factor == 1:
+            return S
+        m = self.size
+        whole = m * self.factor
+        grid = np.linspace(0.0, len(S) - 1.0, whole)
+        full = S if whole == len(S) else np.interp(grid, np.arange(len(S)), S)
+        half = 0.5 * np.pi * np.arange(whole) / whole
+        gain = np.ones(whole)
+        gain[1:] = (np.sin(self.factor * half[1:]) / (self.factor * np.sin(half[1:]))) ** 2
+        shaped = full * gain
+        total = shaped[:m].copy()
+        for fold in range(1, self.factor):
+            piece = shaped[fold * m : (fold + 1) * m]
+            total += piece[::-1] if fold % 2 else piece
+        return np.asarray(total / self.factor)
+
+
+def columns_of(hypothesis: Hypothesis, theta: float, views: Sequence[View], frames: Sequence[Frame]) -> Columns:
+    """Transformed columns of a hypothesis on the mean."""
+    effect = hypothesis.effect
+    assert isinstance(effect, MeanEffect)
+    parts: dict[int, Part] = {}
+    p = 0
+    for v, view in enumerate(views):
+        if not hypothesis.touches(view):
+            continue
+        if effect.signals is None:
+            block = summed(effect.columns, hypothesis, theta, view)
+            p = len(block)
+            add_block(parts, v, block, frames[v])
+            continue
+        signals = summed(effect.signals, hypothesis, theta, view)
+        p = 3 * len(signals)
+        X = frames[v].bins(signals)
+        for c in range(3):
+            parts[3 * v + c] = Part(3 * np.arange(len(X), dtype=np.intp) + c, X)
+    return Columns(p, parts)
+
+
+def summed(columns: Callable[[Trace, float], Array], hypothesis: Hypothesis, theta: float, view: View) -> Array:
+    """Columns (p, n, 3) or signals (p, n) of a hypothesis in `view`: over its instances, with their weights."""
+    rows = [
+        weight * np.compress(view.keep, columns(view.traces[instance], theta), axis=1)
+        for instance, weight in view.weights.items()
+        if instance in hypothesis.instances
+    ]
+    return np.asarray(np.add.reduce(rows))
+
+
+def add_block(parts: dict[int, Part], v: int, block: Array, frame: Frame) -> None:
+    """Put columns (p, n, 3) of series `v` into `parts`, leaving out what is zero."""
+    for c in range(3):
+        axis = block[:, :, c]
+        used = np.flatnonzero(np.abs(axis).max(axis=1) > 0.0)
+        if len(used):
+            parts[3 * v + c] = Part(used, frame.bins(np.ascontiguousarray(axis[used])))

@@ -1,0 +1,153 @@
+"""The likelihood in the domain of the cosine transform, where stationary noise is independent from bin to bin.
+
+The orthonormal DCT-II diagonalises white noise and a random walk exactly and other stationary noise nearly (Whittle):
+``-2 log L = sum_k [log S_k + (y_k - X_k beta)^2 / S_k]`` at ``w_k = pi k / n``. Powers are variances of one sample.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import dct
+from scipy.optimize import nnls
+
+Array = NDArray[np.float64]
+
+_SINGLE = 48
+"""Lowest bins of the periodogram that stay apart."""
+_MERGED = 900
+"""Number of bins, evenly spaced in log frequency, into which the others are merged."""
+_FIRST = np.sqrt(3.0) / np.pi
+"""Where a power law is evaluated for the bin of the mean: a random walk from 0 over n samples has n^2 / 3 there."""
+
+
+def transform(series: Array) -> Array:
+    """Orthonormal DCT-II along the last axis."""
+    return np.asarray(dct(series, type=2, norm="ortho", axis=-1, overwrite_x=False))
+
+
+def frequencies(n: int) -> Array:
+    """Of the bins of the transform of `n` samples, rad per sample; the bin of the mean counts as 0.55 bins."""
+    k = np.arange(n, dtype=np.float64)
+    k[0] = _FIRST
+    return np.pi * k / n
+
+
+def random_walk(omega: Array) -> Array:
+    """Power of a random walk of unit variance a step."""
+    return np.asarray(1.0 / (4.0 * np.sin(0.5 * omega) ** 2))
+
+
+def flicker(omega: Array) -> Array:
+    """Power of 1/f noise, 1 at one radian per sample."""
+    return np.asarray(1.0 / omega)
+
+
+@dataclass(frozen=True, eq=False)
+class Bins:
+    """Neighbouring frequencies merged: enough for any noise that is smooth over a bin."""
+
+    starts: NDArray[np.intp]
+    counts: Array
+
+    def total(self, values: Array) -> Array:
+        """Sum over each bin, along the last axis."""
+        return np.asarray(np.add.reduceat(values, self.starts, axis=-1))
+
+    def mean(self, values: Array) -> Array:
+        """Mean over each bin, along the last axis."""
+        return self.total(values) / self.counts
+
+
+def bins_of(n: int) -> Bins:
+    """Bins for the transform of `n` samples."""
+    upper = np.unique(np.geomspace(_SINGLE, n, _MERGED).astype(np.intp)) if n > _SINGLE else np.zeros(0, np.intp)
+    starts = np.concatenate([np.arange(min(n, _SINGLE), dtype=np.intp), upper[upper > _SINGLE - 1]])
+    starts = np.unique(starts[starts < n])
+    return Bins(starts, np.diff(np.append(starts, n)).astype(np.float64))
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """The noise of one axis of one series: `base` (n,), and densities (n,) by name with amplitudes >= 0."""
+
+    base: Array
+    densities: Mapping[str, Array]
+    amplitudes: Mapping[str, float]
+
+    @property
+    def power(self) -> Array:
+        """S_k, shape (n,)."""
+        total = self.base.copy()
+        for name, density in self.densities.items():
+            total += self.amplitudes[name] * density
+        return total
+
+
+@dataclass(frozen=True, eq=False)
+class AmplitudeFit:
+    """Maximum of the likelihood over amplitudes >= 0."""
+
+    amplitudes: Array
+    deviance: float
+    """``-2 log L``"""
+    information: Array
+    """Fisher information of the amplitudes."""
+
+
+def deviance(power: Array, periodogram: Array, counts: Array) -> float:
+    """``-2 log L`` of merged bins: sums of squares `periodogram` (B,) of `counts` (B,) values of variance `power`."""
+    return float(counts @ np.log(power) + (periodogram / power).sum())
+
+
+def fit_amplitudes(
+    periodogram: Array, counts: Array, base: Array, densities: Sequence[Array], start: Array | None = None
+) -> AmplitudeFit:
+    """Amplitudes of `densities` (each (B,)) beside `base` (B,): scoring steps by non-negative least squares.
+
+    `base` may be 0 where the densities carry everything.
+    """
+    D = np.asarray(densities, dtype=np.float64).reshape(len(densities), len(counts))
+    mean = periodogram / counts
+    a = _start(mean, counts, base, D) if start is None else np.maximum(start, 0.0)
+    floor = 1e-12 * float(np.average(mean, weights=counts)) + 1e-300
+    level = deviance(np.maximum(base + a @ D, floor), periodogram, counts)
+    for _ in range(40):
+        power = np.maximum(base + a @ D, floor)
+        target = _scored(D, mean - base, np.sqrt(counts) / power)
+        step, gain = 1.0, 0.0
+        while step > 1e-3:
+            trial = a + step * (target - a)
+            new = deviance(np.maximum(base + trial @ D, floor), periodogram, counts)
+            gain = level - new
+            if gain > 0.0:
+                break
+            step *= 0.4
+        if gain <= 0.0:
+            break
+        a, level = trial, new
+        if gain < 1e-4:
+            break
+    power = np.maximum(base + a @ D, floor)
+    weighted = D * (np.sqrt(0.5 * counts) / power)
+    return AmplitudeFit(a, level, weighted @ weighted.T)
+
+
+def _start(mean: Array, counts: Array, base: Array, D: Array) -> Array:
+    """Powers matched in the logarithm, roughly: each density carries its part of the excess."""
+    excess = np.maximum(mean - base, 0.0)
+    scale = np.maximum(mean, 1e-300)
+    return np.asarray(
+        [max(float((counts * excess * d / scale**2).sum() / (counts * d * d / scale**2).sum()), 0.0) for d in D]
+    )
+
+
+def _scored(D: Array, target: Array, weight: Array) -> Array:
+    A = (D * weight).T
+    norm = np.sqrt((A**2).sum(axis=0))
+    norm[norm == 0.0] = 1.0
+    solution, _ = nnls(A / norm, target * weight, maxiter=30 * (len(norm) + 1))
+    return np.asarray(solution / norm)

@@ -1,0 +1,326 @@
+"""A model of the gap: effects on the mean and on the noise, fitted together.
+
+Everything is linear at a point: the columns of linear effects, and the derivatives of the others by their shape and
+(rotations) by their parameters. Gauss-Newton steps over all of them at once reach the joint maximum.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.gap.effects.base import MeanEffect
+from calib.gap.hypotheses import Columns, Frame, Hypothesis, Part, add_block, columns_of, summed
+from calib.gap.likelihood import Bins, Noise, bins_of, transform
+from calib.gap.views import View
+
+Array = NDArray[np.float64]
+
+_LONGEST = 40_000
+"""Samples beyond which the mean is fitted to averages of consecutive samples."""
+_RANK = 1e-9
+"""Relative eigenvalue of a normalised Gram matrix below which a direction does not exist."""
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """The series and how they are transformed."""
+
+    views: tuple[View, ...]
+    frames: tuple[Frame, ...]
+    bins: tuple[Bins, ...]
+
+    @property
+    def axes(self) -> int:
+        """Axes over all series; axis ``3 v + c`` is axis c of series v."""
+        return 3 * len(self.views)
+
+    @property
+    def samples(self) -> int:
+        """Numbers over all axes."""
+        return 3 * sum(view.n for view in self.views)
+
+
+def setting_of(views: tuple[View, ...]) -> Setting:
+    """Frames and bins of the series."""
+    frames = tuple(Frame(max(1, view.n // _LONGEST), view.n) for view in views)
+    return Setting(views, frames, tuple(bins_of(view.n) for view in views))
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """An effect on the mean that is in the model: amplitudes `beta` (p,), shape `theta` (NaN without one)."""
+
+    hypothesis: Hypothesis
+    beta: Array
+    theta: float
+
+    @property
+    def effect(self) -> MeanEffect:
+        """Of the catalogue."""
+        assert isinstance(self.hypothesis.effect, MeanEffect)
+        return self.hypothesis.effect
+
+    @property
+    def values(self) -> Array:
+        """Everything that is estimated: the amplitudes unless they are fixed, then the shape."""
+        free = self.beta[: 0 if self.effect.fixed else None]
+        return free if self.effect.shape is None else np.append(free, self.theta)
+
+    def moved(self, step: Array, limits: tuple[float, float]) -> Term:
+        """The term after a step of its `values`."""
+        new = self.values + step
+        if self.effect.shape is None:
+            return replace(self, beta=new)
+        theta = float(np.clip(new[-1], *limits))
+        return replace(self, theta=theta, beta=self.beta if self.effect.fixed else new[:-1])
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseTerm:
+    """An effect on the noise that is in the model; its densities are named after it."""
+
+    hypothesis: Hypothesis
+    theta: float
+
+    def name(self, j: int) -> str:
+        """Of its j-th density."""
+        effect_id, instances = self.hypothesis.key
+        return f"{effect_id}{list(instances)}#{j}"
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """Terms, what they leave over, and the noise.
+
+    `residual` by series (n, 3); `noise` by axis; `y` and `weight` by axis in the bins of the mean (decimated).
+    """
+
+    setting: Setting
+    terms: tuple[Term, ...]
+    noise_terms: tuple[NoiseTerm, ...]
+    noise: tuple[Noise, ...]
+    residual: tuple[Array, ...]
+    y: tuple[Array, ...]
+    weight: tuple[Array, ...]
+    ridge: Ridge | None = None
+
+    @property
+    def members(self) -> tuple[Term | NoiseTerm, ...]:
+        """Every effect in it."""
+        return (*self.terms, *self.noise_terms)
+
+    def periodogram(self, axis: int) -> Array:
+        """Sums of squares of the full transform of the residual in merged bins."""
+        v, c = divmod(axis, 3)
+        return self.setting.bins[v].total(transform(np.ascontiguousarray(self.residual[v][:, c])) ** 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Ridge:
+    """Columns of a random process with known prior: precision of each amplitude, and what they are now."""
+
+    columns: Columns
+    precision: Array
+
+
+def starting_model(setting: Setting, noise: tuple[Noise, ...], ridge: Ridge | None = None) -> Model:
+    """No effect at all."""
+    residual = tuple(view.residual for view in setting.views)
+    model = Model(setting, (), (), noise, residual, (), (), ridge)
+    return with_noise(with_residual(model), noise)
+
+
+def with_residual(model: Model) -> Model:
+    """The same with its residual computed anew from its terms."""
+    setting = model.setting
+    residual, y = [], []
+    for v, view in enumerate(setting.views):
+        left = view.residual.copy()
+        for term in model.terms:
+            if term.hypothesis.touches(view):
+                left -= predicted(term, view)
+        residual.append(left)
+        y += list(setting.frames[v].bins(np.ascontiguousarray(left.T)))
+    return replace(model, residual=tuple(residual), y=tuple(y))
+
+
+def with_noise(model: Model, noise: tuple[Noise, ...]) -> Model:
+    """The same with another noise."""
+    old = model.noise if model.weight else (None,) * len(noise)
+    weight = [
+        model.weight[a] if old[a] is noise[a] else 1.0 / model.setting.frames[a // 3].power(noise[a].power)
+        for a in range(model.setting.axes)
+    ]
+    return replace(model, noise=noise, weight=tuple(weight))
+
+
+def predicted(term: Term, view: View) -> Array:
+    """Change of the mean by `term` in `view`, shape (n, 3)."""
+    effect = term.effect
+    if effect.exact is not None:
+        exact = effect.exact
+        beta = term.beta
+        moved = summed(lambda trace, _theta: exact(trace, beta)[None], term.hypothesis, term.theta, view)
+        return np.asarray(moved[0])
+    if effect.signals is not None:
+        signals = summed(effect.signals, term.hypothesis, term.theta, view)
+        return np.asarray(np.einsum("qn,qc->nc", signals, term.beta.reshape(len(signals), 3)))
+    columns = summed(effect.columns, term.hypothesis, term.theta, view)
+    return np.asarray(np.tensordot(term.beta, columns, axes=1))
+
+
+def limits_of(term: Term, setting: Setting) -> tuple[float, float]:
+    """Range of the grid of its shape."""
+    shape = term.effect.shape
+    if shape is None:
+        return (-np.inf, np.inf)
+    traces = [t for view in setting.views if term.hypothesis.touches(view) for t in view.traces.values()]
+    grid = shape.grid(traces[0])
+    return float(grid[0]), float(grid[-1])
+
+
+def jacobian(term: Term, setting: Setting) -> Columns:
+    """Columns of everything that `term` estimates, at its present values."""
+    effect = term.effect
+    if effect.shape is None and effect.exact is None:
+        return columns_of(term.hypothesis, term.theta, setting.views, setting.frames)
+    values = term.values
+    low, high = limits_of(term, setting)
+    parts: dict[int, Part] = {}
+    for v, view in enumerate(setting.views):
+        if not term.hypothesis.touches(view):
+            continue
+        block = [_derivative(term, view, j, (low, high)) for j in range(len(values))]
+        add_block(parts, v, np.asarray(block), setting.frames[v])
+    return Columns(len(values), parts)
+
+
+def _derivative(term: Term, view: View, j: int, limits: tuple[float, float]) -> Array:
+    """Of the prediction by value j, central; exact where it is linear in it."""
+    is_shape = term.effect.shape is not None and j == len(term.values) - 1
+    if not is_shape and term.effect.exact is None:
+        unit = np.zeros(len(term.beta))
+        unit[j] = 1.0
+        return predicted(replace(term, beta=unit), view)
+    span = limits[1] - limits[0] if is_shape else 1.0
+    size = max(1e-4 * span, 1e-3 * abs(term.values[j])) if is_shape else 1e-5
+    step = np.zeros(len(term.values))
+    step[j] = size
+    up, down = term.moved(step, limits), term.moved(-step, limits)
+    width = up.values[j] - down.values[j]
+    return np.asarray((predicted(up, view) - predicted(down, view)) / width)
+
+
+@dataclass(frozen=True, eq=False)
+class Normal:
+    """Normal equations over stacked hypotheses: Gram matrix, right side, and where each begins."""
+
+    gram: Array
+    right: Array
+    slices: tuple[slice, ...]
+
+
+def normal_equations(
+    blocks: Sequence[Columns], y: Sequence[Array], weight: Sequence[Array], ridge: Ridge | None = None
+) -> Normal:
+    """``X' W X`` and ``X' W y`` over all axes; the ridge's columns, if any, come last with their prior precision."""
+    everything = [*blocks, ridge.columns] if ridge else list(blocks)
+    slices = slices_of(everything)
+    total = slices[-1].stop if slices else 0
+    gram, right = np.zeros((total, total)), np.zeros(total)
+    for axis in range(len(y)):
+        index, X = stacked(everything, slices, axis)
+        if len(index):
+            weighted = X * weight[axis]
+            gram[np.ix_(index, index)] += weighted @ X.T
+            right[index] += weighted @ y[axis]
+    if ridge:
+        rows = np.arange(slices[-1].start, total)
+        gram[rows, rows] += ridge.precision
+    return Normal(gram, right, tuple(slices))
+
+
+def slices_of(blocks: Sequence[Columns]) -> list[slice]:
+    """Where the columns of each block lie when they are stacked."""
+    ends = np.cumsum([0, *(b.p for b in blocks)])
+    return [slice(int(i), int(j)) for i, j in itertools.pairwise(ends)]
+
+
+def stacked(blocks: Sequence[Columns], slices: Sequence[slice], axis: int) -> tuple[NDArray[np.intp], Array]:
+    """Indices and columns of all `blocks` on one axis."""
+    found = [(b.parts[axis], s.start) for b, s in zip(blocks, slices, strict=True) if axis in b.parts]
+    if not found:
+        return np.zeros(0, np.intp), np.zeros((0, 0))
+    return np.concatenate([part.index + start for part, start in found]), np.concatenate([part.X for part, _ in found])
+
+
+def solved(gram: Array, right: Array) -> tuple[Array, Array, int]:
+    """Solution, covariance and rank of normal equations; directions that do not exist have no part in either."""
+    scale = np.sqrt(np.diag(gram))
+    scale[scale == 0.0] = 1.0
+    values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
+    good = values > _RANK * max(len(values), 1)
+    basis = vectors[:, good] / np.sqrt(values[good])
+    covariance = (basis @ basis.T) / np.outer(scale, scale)
+    return covariance @ right, covariance, int(good.sum())
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """The joint covariance of everything estimated in the mean, and where each term lies."""
+
+    covariance: Array
+    slices: tuple[slice, ...]
+    normal: Normal
+
+
+def refined(model: Model, steps: int = 8) -> tuple[Model, Joint]:
+    """The joint maximum over everything in the mean, at the present noise."""
+    joint = Joint(np.zeros((0, 0)), (), Normal(np.zeros((0, 0)), np.zeros(0), ()))
+    if not model.terms:
+        return model, joint
+    linear = all(t.effect.shape is None and t.effect.exact is None for t in model.terms)
+    for _ in range(1 if linear else steps):
+        blocks = [jacobian(term, model.setting) for term in model.terms]
+        normal = normal_equations(blocks, model.y, model.weight, model.ridge)
+        step, covariance, _ = solved(normal.gram, normal.right)
+        joint = Joint(covariance, normal.slices[: len(blocks)], normal)
+        model, gained = _stepped(model, step, joint)
+        if gained < 1e-3:
+            break
+    return model, joint
+
+
+def _stepped(model: Model, step: Array, joint: Joint) -> tuple[Model, float]:
+    """The model after the step, halved until it is no worse; and what was gained in twice the log-likelihood."""
+    level = misfit(model)
+    for _ in range(6):
+        moved = tuple(
+            term.moved(step[s], limits_of(term, model.setting))
+            for term, s in zip(model.terms, joint.slices, strict=True)
+        )
+        trial = with_residual(replace(model, terms=moved))
+        new = misfit(trial)
+        if new < level:
+            return trial, level - new
+        step = 0.3 * step
+    return model, 0.0
+
+
+def misfit(model: Model) -> float:
+    """Weighted sum of squares of what is left, the random process taken out."""
+    total = sum(float(w @ y**2) for w, y in zip(model.weight, model.y, strict=True))
+    if model.ridge is not None:
+        normal = normal_equations((), model.y, model.weight, model.ridge)
+        total -= float(normal.right @ np.linalg.solve(normal.gram, normal.right))
+    return total
+
+
+def noise_by_name(model: Model, name: str) -> Mapping[int, float]:
+    """By axis: the amplitude of the density of that name."""
+    return {a: n.amplitudes[name] for a, n in enumerate(model.noise) if name in n.amplitudes}

@@ -1,0 +1,183 @@
+"""Forward-backward selection: the best hypothesis that is significant and worth its price joins, until none is.
+
+After every step all parameters are fitted together, the noise anew, and what has become superfluous leaves again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from calib.gap.contest import Beside, Contest, Score
+from calib.gap.effects.base import NoiseEffect
+from calib.gap.hypotheses import Hypothesis
+from calib.gap.model import Joint, Model, NoiseTerm, Term, refined, with_residual
+from calib.gap.noise_fit import NoiseFit, refitted, with_term, without_term
+from calib.recording import Sensor
+
+Array = NDArray[np.float64]
+
+_MOST = 12
+"""Effects in a model: more is no explanation."""
+_MATERIAL = 0.005
+"""Part of the largest gain below which an effect is a second order of the large ones (GAP, pitfalls)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Chosen:
+    """A fitted model, its covariance, the scores when each term joined, and the level of significance."""
+
+    model: Model
+    joint: Joint
+    noise: NoiseFit
+    scores: tuple[Score, ...]
+    tests: int
+    first: tuple[Score, ...]
+    """Scores of all hypotheses against no effect at all."""
+
+
+def fitted(model: Model, sensors: Sequence[Sensor] | None = None) -> tuple[Model, Joint, NoiseFit]:
+    """Mean and noise of a model fitted in turn."""
+    model, _ = refined(model)
+    noise = refitted(model, sensors)
+    model, joint = refined(noise.model)
+    return model, joint, replace(noise, model=model)
+
+
+def select(start: Model, contest: Contest, alpha: float, *, blocked: Sequence[str] = ()) -> Chosen:
+    """The effects that the data show.
+
+    Parameters
+    ----------
+    start
+        The model without an effect, its noise fitted.
+    contest
+        Everything that competes.
+    alpha
+        Chance that any of the tests fires without a gap.
+    blocked
+        Ids that take no part.
+    """
+    candidates = [h for h in contest.hypotheses if h.effect.id not in blocked]
+    level = alpha / max(len(candidates), 1)
+    model, joint, noise = fitted(start)
+    joined: list[Score] = []
+    scores = _scored(model, contest, candidates, {}, None)
+    first = tuple(scores.values())
+    for _ in range(_MOST):
+        best = _best(scores, model, level)
+        if best is None:
+            break
+        trial = with_score(model, best)
+        trial, joint, noise = fitted(trial)
+        joined.append(best)
+        trial, joined = pruned(trial, contest, joined, level)
+        trial, joint, noise = fitted(trial)
+        changed = {view.sensor for view in trial.setting.views if best.hypothesis.touches(view)}
+        model = trial
+        scores = _scored(model, contest, candidates, scores, changed)
+    model, joined = _material(model, joined)
+    model, joint, noise = fitted(model)
+    return Chosen(model, joint, noise, tuple(joined), len(candidates), first)
+
+
+def with_score(model: Model, score: Score) -> Model:
+    """The model with a hypothesis that was scored beside it."""
+    if isinstance(score.hypothesis.effect, NoiseEffect):
+        return with_term(model, NoiseTerm(score.hypothesis, score.theta))
+    term = Term(score.hypothesis, score.beta, score.theta)
+    return with_residual(replace(model, terms=(*model.terms, term)))
+
+
+def _scored(
+    model: Model,
+    contest: Contest,
+    candidates: Sequence[Hypothesis],
+    old: dict[tuple[str, tuple[int, ...]], Score],
+    changed: set[Sensor] | None,
+) -> dict[tuple[str, tuple[int, ...]], Score]:
+    """Scores of all candidates that are not in the model; those of sensors that did not change stay."""
+    taken = {t.hypothesis.key for t in model.terms} | {t.hypothesis.key for t in model.noise_terms}
+    beside = Beside(model)
+    scores = {}
+    for hypothesis in candidates:
+        if hypothesis.key in taken:
+            continue
+        stale = changed is None or hypothesis.effect.shared or hypothesis.effect.sensor in changed
+        known = old.get(hypothesis.key)
+        scores[hypothesis.key] = contest.score(hypothesis, beside) if stale or known is None else known
+    return scores
+
+
+def _best(scores: dict[tuple[str, tuple[int, ...]], Score], model: Model, level: float) -> Score | None:
+    taken = {t.hypothesis.effect.id: t.hypothesis for t in model.members}
+    good = [s for s in scores.values() if s.p < level and not _contained(s.hypothesis, taken)]
+    return max(good, key=lambda s: s.delta, default=None)
+
+
+def _contained(hypothesis: Hypothesis, taken: dict[str, Hypothesis]) -> bool:
+    """Whether the same effect is already in the model on all of these instances."""
+    other = taken.get(hypothesis.effect.id)
+    return other is not None and set(hypothesis.instances) == set(other.instances)
+
+
+def pruned(model: Model, contest: Contest, joined: list[Score], level: float) -> tuple[Model, list[Score]]:
+    """Without the terms that no longer are significant beside the others (Wald on the mean, ratio on the noise)."""
+    while len(joined) > 1:
+        gains = last_gains(model, contest)
+        chances = {key: min(1.0, grid * float(chdtrc(df, gain))) for key, (gain, df, grid) in gains.items()}
+        weak = [(key, p) for key, p in chances.items() if p > level]
+        if not weak:
+            break
+        key = max(weak, key=lambda pair: pair[1])[0]
+        model = without(model, key)
+        joined = [s for s in joined if s.hypothesis.key != key]
+        model, _, _ = fitted(model)
+    return model, joined
+
+
+def without(model: Model, key: tuple[str, tuple[int, ...]]) -> Model:
+    """The model without the term of that key."""
+    for term in model.noise_terms:
+        if term.hypothesis.key == key:
+            return without_term(model, term)
+    left = tuple(t for t in model.terms if t.hypothesis.key != key)
+    return with_residual(replace(model, terms=left))
+
+
+def last_gains(model: Model, contest: Contest) -> dict[tuple[str, tuple[int, ...]], tuple[float, int, int]]:
+    """By term: what it gains beside all the others, its degrees of freedom, and the size of its grid."""
+    found = {}
+    for i, term in enumerate(model.terms):
+        beside = Beside(restored(model, i), omit=(i,))
+        columns = contest.columns(term.hypothesis, term.theta, model)
+        if term.effect.fixed:
+            found[term.hypothesis.key] = (max(beside.fixed_gain(columns), 0.0), 1, 1)
+        else:
+            gain, df, _ = beside.gain(columns)
+            found[term.hypothesis.key] = (gain, df, 1)
+    for noise in model.noise_terms:
+        bare = refitted(without_term(model, noise), [noise.hypothesis.effect.sensor])
+        full = refitted(model, [noise.hypothesis.effect.sensor])
+        gain = sum(bare.deviance.values()) - sum(full.deviance.values())
+        found[noise.hypothesis.key] = (max(gain, 0.0), len(noise.hypothesis.effect.parameters), 1)
+    return found
+
+
+def restored(model: Model, i: int) -> Model:
+    """The model with what term `i` explains given back to the residual; the term stays listed."""
+    others = replace(model, terms=tuple(t for j, t in enumerate(model.terms) if j != i))
+    back = with_residual(others)
+    return replace(model, residual=back.residual, y=back.y)
+
+
+def _material(model: Model, joined: list[Score]) -> tuple[Model, list[Score]]:
+    largest = max((s.gain for s in joined), default=0.0)
+    small = [s for s in joined if s.gain < _MATERIAL * largest]
+    for score in small:
+        model = without(model, score.hypothesis.key)
+    return model, [s for s in joined if s not in small]

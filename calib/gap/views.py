@@ -1,0 +1,219 @@
+"""The series that enter the likelihood: traces, or combinations of instances whose noise is independent.
+
+Instances that share an uncertain reference share its error. Their differences are free of it, so the traces of several
+instances on one grid are turned into orthonormal contrasts (the mean, and differences in which the reference cancels):
+the same information, each series with noise of its own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.gap.problem import Problem, ReferenceKind, Trace
+from calib.recording import Sensor
+
+Array = NDArray[np.float64]
+
+_SHORTEST = 32
+"""Samples below which a series says nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One series: a weighted sum over instances.
+
+    Parameters
+    ----------
+    weights
+        By instance.
+    traces
+        By instance: where its columns are evaluated.
+    residual : shape (n, 3)
+        Measured minus ideal at the rows that are kept.
+    keep : shape (N,)
+        The rows of the traces that are kept.
+    variance : shape (3,) or None
+        Of the white noise of one sample that is declared, quantisation included. None: to be learned.
+    density : shape (n, 3) or None
+        Power at the frequencies of the cosine transform, learned from nominal recordings; in place of `variance`.
+    reference_error
+        Whether the error of the reference's attitude is in it.
+    dof
+        Squared numbers that the noise was learned from, an axis; infinite where it is declared.
+    """
+
+    sensor: Sensor
+    weights: Mapping[int, float]
+    traces: Mapping[int, Trace]
+    residual: Array
+    keep: NDArray[np.bool_]
+    variance: Array | None
+    density: Array | None
+    reference_error: bool
+    dof: float = math.inf
+
+    @property
+    def n(self) -> int:
+        """Samples."""
+        return len(self.residual)
+
+    @property
+    def fs(self) -> float:
+        """Samples per second."""
+        return self.any_trace.fs
+
+    @property
+    def any_trace(self) -> Trace:
+        """The trace of its first instance."""
+        return next(iter(self.traces.values()))
+
+    @property
+    def t(self) -> Array:
+        """Times of the kept rows, s."""
+        return np.asarray(self.any_trace.t[self.keep])
+
+
+def views_of(problem: Problem, masked: Mapping[int, NDArray[np.bool_]], extra: Mapping[int, float]) -> tuple[View, ...]:
+    """Every series of `problem`.
+
+    Parameters
+    ----------
+    problem
+        Traces with one reference each.
+    masked
+        By index of the trace: rows that leave the likelihood.
+    extra
+        By index of the trace: variance that a coarser lattice than the declared one adds to a sample.
+    """
+    uncertain = problem.reference.att_sigma_deg > 0.0 or problem.reference.kind in {
+        ReferenceKind.POSE,
+        ReferenceKind.ESTIMATOR,
+        ReferenceKind.NOMINAL,
+    }
+    views: list[View] = []
+    for sensor in (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG):
+        entries = [
+            _Entry(t, masked.get(i), extra.get(i, 0.0)) for i, t in enumerate(problem.traces) if t.sensor is sensor
+        ]
+        views += _of_sensor(entries, uncertain=uncertain)
+    return tuple(view for view in views if view.n >= _SHORTEST)
+
+
+class _Entry:
+    """A trace with the rows that it keeps."""
+
+    def __init__(self, trace: Trace, masked: NDArray[np.bool_] | None, extra: float) -> None:
+        finite = np.isfinite(trace.measured).all(axis=1) & np.isfinite(trace.ideal).all(axis=1)
+        self.trace = trace
+        self.keep = trace.observed & finite
+        if masked is not None:
+            self.keep = self.keep & ~masked
+        self.extra = extra
+
+
+def _of_sensor(entries: Sequence[_Entry], *, uncertain: bool) -> list[View]:
+    single = [e for e in entries if e.trace.against is None]
+    against = [e for e in entries if e.trace.against is not None]
+    alone = all(len(e.trace.instances) == 1 for e in single)
+    if uncertain and alone and len(single) > 1:
+        if all(_same_grid(single[0].trace, e.trace) for e in single[1:]):
+            return _contrasts(single)
+        if against:
+            return [_single(single[0]), *map(_difference, _spanning(against, set()))]
+    covered = {i for e in single for i in e.trace.instances}
+    return [*map(_single, single), *map(_difference, _spanning(against, covered))]
+
+
+def _same_grid(a: Trace, b: Trace) -> bool:
+    return len(a.t) == len(b.t) and bool(np.abs(a.t - b.t).max() < 0.05 / a.fs)
+
+
+def _spanning(against: Sequence[_Entry], covered: set[int]) -> list[_Entry]:
+    """Differences that each bring an instance that was not there before."""
+    chosen = []
+    seen = set(covered)
+    for entry in against:
+        pair = {*entry.trace.instances, entry.trace.against}
+        if not pair <= seen:
+            chosen.append(entry)
+            seen |= {i for i in pair if i is not None}
+    return chosen
+
+
+def _single(entry: _Entry) -> View:
+    instances = entry.trace.instances
+    weights = dict.fromkeys(instances, 1.0 / len(instances))
+    return _view([entry], [1.0], weights, dict.fromkeys(instances, entry.trace), reference_error=True)
+
+
+def _difference(entry: _Entry) -> View:
+    trace = entry.trace
+    assert trace.against is not None
+    weights = {**dict.fromkeys(trace.instances, 1.0 / len(trace.instances)), trace.against: -1.0}
+    return _view([entry], [1.0], weights, dict.fromkeys(weights, trace), reference_error=False)
+
+
+def _contrasts(entries: Sequence[_Entry]) -> list[View]:
+    m = len(entries)
+    rows = [np.full(m, 1.0 / math.sqrt(m))]
+    for j in range(1, m):
+        row = np.zeros(m)
+        row[:j], row[j] = 1.0, -float(j)
+        rows.append(row / np.linalg.norm(row))
+    instances = [e.trace.instances[0] for e in entries]
+    traces = {i: e.trace for i, e in zip(instances, entries, strict=True)}
+    return [
+        _view(entries, row, dict(zip(instances, map(float, row), strict=True)), traces, reference_error=k == 0)
+        for k, row in enumerate(rows)
+    ]
+
+
+def _view(
+    entries: Sequence[_Entry],
+    factors: Sequence[float] | Array,
+    weights: Mapping[int, float],
+    traces: Mapping[int, Trace],
+    *,
+    reference_error: bool,
+) -> View:
+    used = [(e, float(f)) for e, f in zip(entries, factors, strict=True) if f != 0.0]
+    keep = np.logical_and.reduce([e.keep for e, _ in used])
+    residual = np.add.reduce([f * (e.trace.measured - e.trace.ideal) for e, f in used])[keep]
+    return View(
+        used[0][0].trace.sensor,
+        {i: w for i, w in weights.items() if w != 0.0},
+        traces,
+        np.ascontiguousarray(residual),
+        keep,
+        _declared(used),
+        _learned(used, len(residual)) if reference_error or len(used) == 1 else None,
+        reference_error,
+        min(e.trace.sigma_dof for e, _ in used),
+    )
+
+
+def _declared(used: Sequence[tuple[_Entry, float]]) -> Array | None:
+    total = np.zeros(3)
+    for entry, f in used:
+        if entry.trace.sigma is None:
+            return None
+        # What was learned from a recording has its quantisation in it.
+        rounding = entry.trace.quantum**2 / 12.0 if math.isinf(entry.trace.sigma_dof) else 0.0
+        total += f**2 * (np.asarray(entry.trace.sigma) ** 2 + rounding + entry.extra)
+    return total if (total > 0.0).all() else None
+
+
+def _learned(used: Sequence[tuple[_Entry, float]], n: int) -> Array | None:
+    total = np.zeros((n, 3))
+    for entry, f in used:
+        trace = entry.trace
+        if trace.psd is None or trace.psd_hz is None:
+            return None
+        hz = 0.5 * trace.fs * np.arange(n) / n
+        total += f**2 * (np.column_stack([np.interp(hz, trace.psd_hz, p) for p in trace.psd.T]) + entry.extra)
+    return total if (total > 0.0).all() else None
