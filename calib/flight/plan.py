@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.flight.rest import Ground, Rest
+from calib.flight.rest import DISARMED, Ground, Rest
 from calib.recording import Channel, Recording, Sensor, Stage
 from calib.windows import finite_rows
 
@@ -78,7 +78,7 @@ def _thermal(recording: Recording, rests: Sequence[Rest], least: float) -> tuple
     if not thermometers:
         return False, "the log has no temperature of the inertial units"
     if not rests:
-        return False, "the vehicle never rested with its motors off: log while disarmed (LOG_DISARMED 1)"
+        return False, f"the vehicle never rested with its motors off: log while disarmed ({DISARMED})"
     spans = []
     for channel in thermometers:
         values = np.concatenate([channel.between(r.start, r.end).values for r in rests])

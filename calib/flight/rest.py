@@ -19,6 +19,9 @@ from calib.stillness import RESTING, find_still
 UNARMED, ARMED = "disarmed", "armed"
 """Kinds of the events that tell the motors' state."""
 
+DISARMED = "LOG_DISARMED 1, SDLOG_MODE 2"
+"""The parameters by which ArduPilot and PX4 log while disarmed."""
+
 LIMITS = dataclasses.replace(RESTING, accel_drift=0.04, gyro_drift=0.05)
 """At rest through a warm-up: the means may wander by 0.4 m/s2 and 3 deg/s, as they do over fifty degrees; a vehicle
 that is moved by as much shakes or tilts meanwhile."""

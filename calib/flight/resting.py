@@ -19,7 +19,7 @@ from calib.errors import InvalidInputError
 from calib.firmware.rotations import euler_matrix
 from calib.firmware.trim import AHRS_TRIM
 from calib.flight.item import Item, Limit, judged, not_testable
-from calib.flight.rest import Rest
+from calib.flight.rest import DISARMED, Rest
 from calib.quantisation import mean_of
 from calib.recording import Recording, Sensor
 from calib.windows import finite_rows
@@ -171,8 +171,10 @@ def _bias(instance: int, means: Sequence[RestMean]) -> Item:
 def _wander(instance: int, means: Sequence[RestMean]) -> Item:
     """Change of the bias between the first and the last rest."""
     subject = f"gyro {instance + 1}"
+    if not means:
+        return _none("gyro_bias_drift", subject)
     if len(means) < 2:
-        return not_testable("gyro_bias_drift", subject, "one rest only: log until after the landing (LOG_DISARMED 1)")
+        return not_testable("gyro_bias_drift", subject, f"one rest only: log until after the landing ({DISARMED})")
     first, last = means[0], means[-1]
     change = last.mean - first.mean
     minutes = (last.rest.start - first.rest.end) / 60.0

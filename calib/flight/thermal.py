@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.fit import AXES, FitResult, FitStatus, refused
+from calib.flight.rest import DISARMED
 from calib.flight.warm import Log, Warmth, warmth
 from calib.procedures.drift_fit import PoseOffsets, fit_posed
 from calib.recording import Sensor
@@ -29,7 +30,7 @@ STEADY = 0.02
 to leave (defaults of the calibration's length)."""
 _WIDER = 1.25  # a difference must see this many times the span of the sensor by itself
 _LEAST_SPAN = 2.0  # degC, for the reference to be judged
-COLDER = "log a warm-up at rest from cold, disarmed (LOG_DISARMED 1, SDLOG_MODE 2), better the cooling down too"
+COLDER = f"log a warm-up at rest from cold, disarmed ({DISARMED}), better the cooling down too"
 
 
 _SAID = {
