@@ -16,8 +16,11 @@ _HEAD = 1 << 14
 """Bytes that tell what a file is; a text log may begin with a greeting."""
 _DATAFLASH_START = b"\xa3\x95"
 _ULOG_START = b"ULog"
+_TABLE_STARTS = (b"PK\x03\x04", b"MATLAB", b"\x89HDF")
 _MAVLINK_STARTS = (0xFD, 0xFE)
 _TLOG_OPTIONS = ("start", "end", "system")
+_LOGS = {".ulg": read_ulog, ".bin": read_dataflash, ".log": read_dataflash_text}
+"""Readers of the logs that state everything themselves."""
 
 
 def read(path: Path | str, **options: Any) -> Recording:
@@ -44,13 +47,10 @@ def read(path: Path | str, **options: Any) -> Recording:
             head = opened.read(_HEAD)
     except OSError as error:
         raise UnreadableError(f"{file.name} cannot be opened: {error.strerror or error}") from error
-    if head.startswith(_ULOG_START):
-        return read_ulog(_plain(file, options))
-    if head.startswith(_DATAFLASH_START) or file.suffix.lower() == ".bin":
-        return read_dataflash(_plain(file, options))
-    if b"FMT," in head:
-        return read_dataflash_text(_plain(file, options))
-    if file.suffix.lower() == ".tlog" or (len(head) > 8 and head[8] in _MAVLINK_STARTS and head[0] == 0):
+    kind = _kind(head, file.suffix.lower())
+    if kind in _LOGS:
+        return _LOGS[kind](_plain(file, options))
+    if kind == ".tlog":
         if options.get("mapping"):
             raise InvalidInputError(f"{file.name} is a telemetry log, its fields are known: leave the mapping out")
         return read_tlog(file, **{key: options[key] for key in _TLOG_OPTIONS if key in options})
@@ -58,6 +58,21 @@ def read(path: Path | str, **options: Any) -> Recording:
     if unknown:
         raise InvalidInputError(f"{', '.join(unknown)} belongs to telemetry logs; {file.name} is a table")
     return read_table(file, **{key: value for key, value in options.items() if key not in _TLOG_OPTIONS})
+
+
+def _kind(head: bytes, suffix: str) -> str:
+    """What the content is, whatever the file is called; the ending decides where the content does not show it."""
+    if head.startswith(_ULOG_START):
+        return ".ulg"
+    if head.startswith(_DATAFLASH_START):
+        return ".bin"
+    if head.startswith(_TABLE_STARTS):
+        return ""
+    if len(head) > 8 and head[8] in _MAVLINK_STARTS and head[0] == 0:
+        return ".tlog"
+    if b"FMT," in head:
+        return ".log"
+    return suffix if suffix in {".ulg", ".bin", ".tlog"} else ""
 
 
 def _plain(file: Path, options: dict[str, Any]) -> Path:

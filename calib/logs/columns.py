@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import math
 import struct
-import tokenize
 import warnings
 import zipfile
 import zlib
@@ -23,20 +22,6 @@ Array = NDArray[np.float64]
 SEPARATORS = (",", ";", "\t", None)  # None: any run of blanks
 COMMENTS = ("#", "%", "//")
 _MAT_COMPRESSED = 15  # miCOMPRESSED
-_NPZ_ERRORS = (
-    ValueError,
-    OSError,
-    EOFError,
-    KeyError,
-    NotImplementedError,
-    RuntimeError,
-    SyntaxError,
-    struct.error,
-    tokenize.TokenError,
-    zlib.error,
-    zipfile.BadZipFile,
-)
-"""What damaged archives and headers make zipfile and numpy raise."""
 _MISSING = frozenset({"na", "n/a", "null", "none", "-", "--", "missing"})
 _SAMPLE = 400  # lines from which separator and number of columns are found
 _MOST_TEXT = 1 << 28  # bytes of text: rows of text cost many times their size while they are read
@@ -137,7 +122,9 @@ def npz_columns(data: bytes) -> Columns:
         _check_members(data)
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
-    except _NPZ_ERRORS as error:
+    except UnreadableError:
+        raise
+    except Exception as error:  # zipfile and numpy meet damage with a dozen kinds of them
         raise UnreadableError(
             f"the .npz cannot be read ({error}): write it with numpy.savez and arrays of numbers"
         ) from error
