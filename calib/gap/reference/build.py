@@ -15,8 +15,8 @@ from calib.gap.reference.redundant import differences
 from calib.recording import Channel, Recording, Sensor
 
 _NO_REFERENCE = (
-    "nothing says what an ideal sensor would have read: add ref_* or q_* columns, give --sim of the same trajectory, or "
-    "a log with GPS velocity, or with several instances of a sensor"
+    "nothing says what an ideal sensor would have read: add ref_* or q_* columns, give --sim of the same trajectory, "
+    "or a log with GPS velocity, or with several instances of a sensor"
 )
 _REDUNDANT = "The instances of the vehicle are held against each other."
 

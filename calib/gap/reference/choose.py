@@ -11,6 +11,7 @@ from calib.gap.reference.chosen import sensors_of
 from calib.gap.reference.ideal import Ideal
 from calib.gap.reference.posed import Array, Pose, driven, earth_field_of, pose_of
 from calib.gap.reference.recorded import recorded, simulated
+from calib.gap.reference.smoothed import re_estimated
 from calib.recording import Recording, Sensor
 
 
@@ -35,6 +36,8 @@ def choose(real: Recording, sim: Recording | None, nominal: Sequence[Recording])
         earth = earth_of([(n, p) for n, p in poses if p is not None] or [(real, pose)])
         made = tuple((n, None if p is None else driven(p, earth)) for n, p in poses)
         return Chosen(driven(pose, earth), made)
+    if (ideal := re_estimated(real)) is not None:
+        return Chosen(ideal, tuple((n, re_estimated(n)) for n in clean))
     return None
 
 

@@ -93,7 +93,8 @@ def _acceleration(recording: Recording, t: Array, q: Array) -> Array | None:
         if signal is not None:
             cutoff = None
             if force is not None:
-                moved = linear(signal.t, _derivative(smoothed(signal), sensor), t)
+                plain = smoothed(signal)
+                moved = linear(plain.t, _derivative(plain, sensor), t)
                 cutoff = bandwidth(t, moved, turn.apply(force) + GRAVITY_NED)
             smooth = smoothed(signal, cutoff)
             return linear(smooth.t, _derivative(smooth, sensor), t)

@@ -1,0 +1,208 @@
+"""An ideal sensor driven by a trajectory that was re-estimated from the recording itself (GAP 3.5b).
+
+The attitude in a log was built from the sensors under test and hides their errors; here it only starts the search.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+from calib.earth import earth_field
+from calib.errors import InvalidInputError
+from calib.gap.problem import ReferenceInfo, ReferenceKind
+from calib.gap.reference.chosen import sensors_of
+from calib.gap.reference.ideal import Ideal
+from calib.gap.reference.posed import GRAVITY_NED, rotation
+from calib.gap.reference.recorded import continuous
+from calib.gap.reference.signal import Signal, linear, slow
+from calib.gap.reference.strapdown import STEPS, Increments
+from calib.gap.reference.trajectory import Aiding, State, smooth
+from calib.recording import Channel, Recording, Sensor
+
+Array = NDArray[np.float64]
+
+STEP_S = 0.1
+"""From node to node: what the ideal accelerometer knows ends at half of 1 / STEP_S."""
+_FEWEST_GPS = 20
+_SHORTEST_S = 10.0
+_LONGEST_S = 1800.0
+_MOVES = 0.5  # standard deviation of the current, A, from which a motor's field can be told from an offset
+_DEFAULT_YEAR = 2025.0
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """A trajectory, and the instances that it was made with."""
+
+    state: State
+    imu: Increments
+    instance: int
+    mag_instance: int | None
+
+
+def re_estimated(recording: Recording) -> Ideal | None:
+    """Ideal sensors along the smoothed trajectory of `recording`.
+
+    None without GPS velocity, a gyroscope and an accelerometer over the same ten seconds. Of several inertial units,
+    and of several magnetometers, the one is taken with which everything agrees best.
+    """
+    found = best_trajectory(recording)
+    return None if found is None else _driven(found)
+
+
+def best_trajectory(recording: Recording) -> Smoothed | None:
+    """The smoothed trajectory with the inertial unit and the magnetometer that fit best; None if there is none."""
+    channels = sensors_of(recording)
+    velocity = next((s for c in recording.find(Sensor.VELOCITY) if (s := Signal.of(c)) is not None), None)
+    gyros, accels, mags = (
+        {c.instance: c for c in channels if c.sensor == s} for s in (Sensor.GYRO, Sensor.ACCEL, Sensor.MAG)
+    )
+    units = sorted(set(gyros) & set(accels))
+    if velocity is None or len(velocity.t) < _FEWEST_GPS or not units:
+        return None
+    start, end = _span([gyros[units[0]], accels[units[0]]], velocity)
+    if not _SHORTEST_S <= end - start <= _LONGEST_S:
+        return None
+    t: Array = start + STEP_S * np.arange(int((end - start) / STEP_S) + 1, dtype=np.float64)
+    compass = mags.get(_typical(mags)) if mags else None
+    aiding = _aiding(recording, velocity, compass, t)
+    first = _first_guess(recording, gyros[units[0]], accels[units[0]], aiding, t)
+    made = []
+    for unit in units:
+        gyro, accel = Signal.of(gyros[unit]), Signal.of(accels[unit])
+        if gyro is not None and accel is not None:
+            imu = Increments.of(gyro, accel, t)
+            made.append(Smoothed(smooth(imu, aiding, first), imu, unit, compass.instance if compass else None))
+    return min(made, key=lambda s: s.state.cost, default=None)
+
+
+def _span(channels: list[Channel], velocity: Signal) -> tuple[float, float]:
+    starts = [float(c.t[0]) for c in channels] + [float(velocity.t[0]) - 1.0]
+    ends = [float(c.t[-1]) for c in channels] + [float(velocity.t[-1]) + 1.0]
+    return max(starts), min(ends)
+
+
+def _typical(mags: dict[int, Channel]) -> int:
+    """The instance that is nearest to all others; of two, the first."""
+
+    def apart(i: int) -> float:
+        signal = Signal.of(mags[i])
+        if signal is None:
+            return np.inf
+        return sum(float(np.median(np.abs(signal.at(m.t) - m.values))) for j, m in mags.items() if j != i)
+
+    return min(sorted(mags), key=apart)
+
+
+def _aiding(recording: Recording, velocity: Signal, compass: Channel | None, t: Array) -> Aiding:
+    seen = (velocity.t >= t[0] + 0.3) & (velocity.t <= t[-1])
+    field = None if compass is None else Signal.of(compass)
+    if field is None:
+        none = np.zeros((0, 3))
+        return Aiding(
+            velocity.t[seen], velocity.values[seen], none[:, 0], none, none[:, 0], np.array([20.0, 0.0, 40.0])
+        )
+    inside = (field.t >= t[0]) & (field.t <= t[-1])
+    amperes = slow(recording.find(Sensor.CURRENT), field.t[inside])
+    current = np.zeros(int(inside.sum())) if amperes is None or amperes.std() < _MOVES else amperes[:, 0]
+    return Aiding(
+        velocity.t[seen],
+        velocity.values[seen],
+        field.t[inside],
+        field.values[inside],
+        current,
+        _earth(recording, field),
+    )
+
+
+def _earth(recording: Recording, field: Signal) -> Array:
+    """The field of the World Magnetic Model where the recording was made; without a position one of the right size."""
+    place = next((c for c in recording.find(Sensor.POSITION) if len(c)), None)
+    if place is not None:
+        latitude, longitude, altitude = np.median(place.values, axis=0)
+        try:
+            return earth_field(float(latitude), float(longitude), float(altitude), _year(recording)).north_east_down
+        except InvalidInputError:
+            pass
+    return np.array([0.45, 0.0, 0.9]) * float(np.median(np.linalg.norm(field.values, axis=1)))
+
+
+def _year(recording: Recording) -> float:
+    said = next((e.text for e in recording.events if e.kind == "utc"), "")
+    try:
+        return float(said[:4]) + (float(said[5:7]) - 0.5) / 12.0
+    except ValueError:
+        return _DEFAULT_YEAR
+
+
+def _first_guess(recording: Recording, gyro: Channel, accel: Channel, aiding: Aiding, t: Array) -> Rotation:
+    """Where the search starts: the estimator's attitude, else levelled at the start and turned by the gyroscope."""
+    estimate = next((s for c in recording.find(Sensor.ATTITUDE) if (s := Signal.of(c)) is not None), None)
+    if estimate is not None and estimate.t[0] < t[0] + 2.0 and estimate.t[-1] > t[-1] - 2.0:
+        return rotation(linear(estimate.t, continuous(estimate.values), t))
+    rates, forces = Signal.of(gyro), Signal.of(accel)
+    assert rates is not None
+    assert forces is not None
+    imu = Increments.of(rates, forces, t)
+    zero = np.zeros((len(t) - 1, 3))
+    turns = imu.between(zero, zero).turn
+    attitude = _levelled(accel, aiding, t[0])
+    found = [attitude]
+    for k in range(len(turns)):
+        attitude = attitude * turns[k]
+        found.append(attitude)
+    return Rotation.concatenate(found)
+
+
+def _levelled(accel: Channel, aiding: Aiding, start: float) -> Rotation:
+    """From the first second: gravity is down; the magnetometer, if there is one, points along the Earth's field."""
+    early = accel.values[accel.t <= start + 1.0].mean(axis=0)
+    body, world = [early / np.linalg.norm(early)], [np.array([0.0, 0.0, -1.0])]
+    if len(aiding.mag_t):
+        field = aiding.mag[:10].mean(axis=0)
+        east_b, east_n = np.cross(field, body[0]), np.cross(aiding.earth, world[0])
+        body.append(east_b / np.linalg.norm(east_b))
+        world.append(east_n / np.linalg.norm(east_n))
+    turn, _ = Rotation.align_vectors(np.array(world), np.array(body), weights=np.array([np.inf, 1.0][: len(body)]))
+    return turn
+
+
+def _driven(found: Smoothed) -> Ideal:
+    state, imu = found.state, found.imu
+    between = imu.between(state.gyro_bias[:-1], state.accel_bias[:-1])
+    slip = (state.attitude[1:].inv() * state.attitude[:-1] * between.turn).inv().as_rotvec()
+    steps = []
+    for j, within in enumerate(between.within):
+        steps.append(state.attitude[:-1] * within * Rotation.from_rotvec(slip * (j / STEPS)))
+    fine_t = imu.t[0] + imu.dt / STEPS * np.arange(len(slip) * STEPS)
+    q = np.stack([s.as_quat() for s in steps], axis=1).reshape(-1, 4)[:, [3, 0, 1, 2]]
+    rate = (between.rate + slip[:, None, :] / imu.dt).reshape(-1, 3)
+    attitude = Signal(fine_t, continuous(q))
+    down = CubicSpline(imu.t, state.velocity, axis=0)(fine_t, 1) - GRAVITY_NED
+    body_from_ned = rotation(q).inv()
+    readings = {
+        Sensor.ACCEL: Signal(fine_t, body_from_ned.apply(down)),
+        Sensor.GYRO: Signal(fine_t + 0.5 * imu.dt / STEPS, rate),
+    }
+    if found.mag_instance is not None:
+        readings[Sensor.MAG] = Signal(fine_t, body_from_ned.apply(np.tile(state.earth, (len(fine_t), 1))))
+    return Ideal(_info(found), readings, attitude)
+
+
+def _info(found: Smoothed) -> ReferenceInfo:
+    sources = (
+        "GPS velocity and the inertial unit"
+        if found.mag_instance is None
+        else "GPS velocity, inertial unit and compass"
+    )
+    text = (
+        f"A trajectory re-estimated from {sources} with their errors inside (inertial unit {found.instance + 1}"
+        + ("" if found.mag_instance is None else f", compass {found.mag_instance + 1}")
+        + f"; GPS {found.state.constants[9]:.2f} s late); the log's own attitude is not used as truth."
+    )
+    return ReferenceInfo(ReferenceKind.ESTIMATOR, float(np.degrees(found.state.att_sd)), 10.0, text)

@@ -1,0 +1,72 @@
+"""Gyroscope and accelerometer between the nodes of a trajectory: turned and summed, all intervals at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from calib.gap.reference.signal import Signal
+
+Array = NDArray[np.float64]
+
+STEPS = 8
+"""Steps from node to node; within one the rate counts as constant."""
+
+
+@dataclass(frozen=True, eq=False)
+class Increments:
+    """Of one inertial unit: angle and velocity (K, STEPS, 3) over the steps of each of K intervals of `dt` seconds."""
+
+    t: Array
+    dt: float
+    angle: Array
+    velocity: Array
+
+    @classmethod
+    def of(cls, gyro: Signal, accel: Signal, t: Array) -> Increments:
+        """Between the nodes `t` (K + 1,), uniform."""
+        dt = float(t[1] - t[0])
+        edges = t[0] + dt / STEPS * np.arange((len(t) - 1) * STEPS + 1)
+        shape = (len(t) - 1, STEPS, 3)
+        return cls(t, dt, _integrals(gyro, edges).reshape(shape), _integrals(accel, edges).reshape(shape))
+
+    def between(self, gyro_bias: Array, accel_bias: Array) -> Between:
+        """With the biases (K, 3) of each interval taken off."""
+        step = self.dt / STEPS
+        angle = self.angle - step * gyro_bias[:, None, :]
+        velocity = self.velocity - step * accel_bias[:, None, :]
+        turn = Rotation.identity(len(angle))
+        total = np.zeros((len(angle), 3))
+        within = [turn]
+        for j in range(STEPS):
+            half = turn * Rotation.from_rotvec(0.5 * angle[:, j])  # rotation and sculling to second order
+            total = total + half.apply(velocity[:, j])
+            turn = turn * Rotation.from_rotvec(angle[:, j])
+            within.append(turn)
+        return Between(turn, total, tuple(within[:-1]), angle / step)
+
+
+@dataclass(frozen=True, eq=False)
+class Between:
+    """Turn and velocity (K, 3), in the axes at its start, over each interval; attitudes and rates at its steps."""
+
+    turn: Rotation
+    velocity: Array
+    within: tuple[Rotation, ...]
+    rate: Array
+
+
+def _integrals(signal: Signal, edges: Array) -> Array:
+    """Of every column between consecutive `edges`, straight lines between the samples, held at the ends."""
+    t, values = signal.t, signal.values
+    area = np.vstack([np.zeros(3), np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(t)[:, None], axis=0)])
+    inside = np.clip(edges, t[0], t[-1])
+    k = np.clip(np.searchsorted(t, inside, side="right") - 1, 0, len(t) - 2)
+    s = (inside - t[k])[:, None]
+    slope = (values[k + 1] - values[k]) / (t[k + 1] - t[k])[:, None]
+    upto = area[k] + values[k] * s + 0.5 * slope * s**2
+    upto += np.minimum(edges - t[0], 0.0)[:, None] * values[0] + np.maximum(edges - t[-1], 0.0)[:, None] * values[-1]
+    return np.asarray(np.diff(upto, axis=0))

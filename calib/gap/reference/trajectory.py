@@ -1,0 +1,257 @@
+"""A trajectory re-estimated from a recording: a smoother over gyroscope, accelerometer, GPS velocity and magnetometer.
+
+The candidate effects are inside: biases of gyroscope and accelerometer that may wander, the magnetometer's offset and
+its field per ampere, the delay of the GPS. Gauss-Newton over all nodes at once (multiple shooting): the error state of
+a node is attitude (in the body), velocity, gyroscope and accelerometer bias; neighbours are tied by what the inertial
+unit measured between them, so the normal equations are banded, bordered by the constants.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.spatial.transform import Rotation
+
+from calib.gap.reference.posed import GRAVITY_NED
+from calib.gap.reference.strapdown import Between, Increments
+
+Array = NDArray[np.float64]
+
+NODE = 12  # attitude, velocity, gyroscope bias, accelerometer bias
+CONSTANTS = 10  # magnetometer offset, field per ampere, Earth field, delay of the GPS
+_ITERATIONS = 8
+_HUBER = 3.0
+
+# Standard deviations a priori: of the walks per root second, and of what does not change.
+WALK = np.repeat([3e-4, 0.02, 1e-5, 3e-4], 3)
+BIAS = np.repeat([0.05, 0.5], 3)
+CONSTANT = np.concatenate([np.repeat([20.0, 1.0, 1.0], 3), [0.15]])
+
+
+@dataclass(frozen=True, eq=False)
+class Aiding:
+    """What ties the trajectory to the world.
+
+    Parameters
+    ----------
+    velocity_t, velocity : shape (M,), (M, 3)
+        Of the GPS, m/s, north-east-down, at the times of its receipt.
+    mag_t, mag, current : shape (L,), (L, 3), (L,)
+        Of the magnetometer, uT, and the current then, A. L may be 0.
+    earth : shape (3,)
+        The field expected here, uT, north-east-down.
+    """
+
+    velocity_t: Array
+    velocity: Array
+    mag_t: Array
+    mag: Array
+    current: Array
+    earth: Array
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Of the nodes `t` (K + 1,): attitude, velocity, biases (K + 1, 3), constants (10,), noise of the aiding."""
+
+    t: Array
+    attitude: Rotation
+    velocity: Array
+    gyro_bias: Array
+    accel_bias: Array
+    constants: Array
+    velocity_sd: Array
+    mag_sd: float
+    cost: float = np.inf
+    att_sd: float = np.inf
+
+    @property
+    def earth(self) -> Array:
+        """The Earth's field, uT, north-east-down."""
+        return self.constants[6:9]
+
+
+def smooth(imu: Increments, aiding: Aiding, start: Rotation) -> State:
+    """The trajectory that agrees best with everything, starting the search at the attitudes `start` of the nodes."""
+    n = len(imu.t)
+    velocity = np.column_stack([np.interp(imu.t, aiding.velocity_t, v) for v in aiding.velocity.T])
+    constants = np.concatenate([np.zeros(6), aiding.earth, [0.1]])
+    zero = np.zeros((n, 3))
+    state = State(imu.t, start, velocity, zero, zero, constants, np.full(3, 0.3), 3.0)
+    for _ in range(_ITERATIONS):
+        normal = _normal_equations(imu, aiding, state)
+        state, moved = _stepped(state, normal)
+        if moved < 1e-5:
+            break
+    final = _normal_equations(imu, aiding, state)
+    return replace(state, cost=final.cost, att_sd=_attitude_sd(final))
+
+
+class _Normal:
+    """Normal equations: blocks on the diagonal (n, 12, 12) and beside it (n - 1, 12, 12), border, corner, right."""
+
+    def __init__(self, n: int) -> None:
+        self.diagonal = np.zeros((n, NODE, NODE))
+        self.beside = np.zeros((n - 1, NODE, NODE))
+        self.border = np.zeros((n, NODE, CONSTANTS))
+        self.corner = np.zeros((CONSTANTS, CONSTANTS))
+        self.right = np.zeros((n, NODE))
+        self.right_constants = np.zeros(CONSTANTS)
+        self.cost = 0.0
+        self.velocity_residual = np.zeros((0, 3))
+        self.mag_residual = np.zeros((0, 3))
+
+    def observe(
+        self, node: NDArray[np.intp], by_node: Array, by_constant: Array, residual: Array, weight: Array
+    ) -> None:
+        """Rows ``residual = by_node x + by_constant c + noise``; `weight` (M, 3) are their inverse variances."""
+        weighted, constants = by_node * weight[:, :, None], by_constant * weight[:, :, None]
+        np.add.at(self.diagonal, node, np.einsum("mri,mrj->mij", weighted, by_node))
+        np.add.at(self.border, node, np.einsum("mri,mrj->mij", weighted, by_constant))
+        np.add.at(self.right, node, np.einsum("mri,mr->mi", weighted, residual))
+        self.corner += np.einsum("mri,mrj->ij", constants, by_constant)
+        self.right_constants += np.einsum("mri,mr->i", constants, residual)
+        self.cost += float((weight * residual**2).sum() - np.log(np.maximum(weight, 1e-12)).sum())
+
+    def solved(self, node_right: Array, constant_right: Array) -> tuple[Array, Array]:
+        """Nodes (n, 12, k) and constants (10, k) for right sides of that shape."""
+        n = len(self.diagonal)
+        factor = (cholesky_banded(self._banded(), lower=True), True)
+        flat_border = self.border.reshape(n * NODE, CONSTANTS)
+        inner = cho_solve_banded(factor, np.hstack([flat_border, node_right.reshape(n * NODE, -1)]))
+        over, plain = inner[:, :CONSTANTS], inner[:, CONSTANTS:]
+        c = np.linalg.solve(self.corner - flat_border.T @ over, constant_right - flat_border.T @ plain)
+        return (plain - over @ c).reshape(n, NODE, -1), c
+
+    def _banded(self) -> Array:
+        n = len(self.diagonal)
+        banded = np.zeros((2 * NODE, n * NODE))
+        for j in range(NODE):
+            for i in range(j, NODE):
+                banded[i - j, j::NODE] = self.diagonal[:, i, j]
+            for i in range(NODE):
+                banded[NODE + i - j, j : (n - 1) * NODE : NODE] = self.beside[:, j, i]
+        return banded
+
+
+def _normal_equations(imu: Increments, aiding: Aiding, state: State) -> _Normal:
+    normal = _Normal(len(state.t))
+    between = imu.between(state.gyro_bias[:-1], state.accel_bias[:-1])
+    _tie(normal, imu.dt, between, state)
+    _observe_velocity(normal, imu.dt, between, aiding, state)
+    if len(aiding.mag_t):
+        _observe_field(normal, imu.dt, between, aiding, state)
+    prior = 1.0 / BIAS**2
+    normal.diagonal[0, range(6, NODE), range(6, NODE)] += prior
+    bias = np.concatenate([state.gyro_bias[0], state.accel_bias[0]])
+    normal.right[0, 6:] -= prior * bias
+    expected = np.concatenate([np.zeros(6), aiding.earth, [0.1]])
+    normal.corner[range(CONSTANTS), range(CONSTANTS)] += 1.0 / CONSTANT**2
+    normal.right_constants += (expected - state.constants) / CONSTANT**2
+    normal.cost += float((prior * bias**2).sum() + (((expected - state.constants) / CONSTANT) ** 2).sum())
+    return normal
+
+
+def _tie(normal: _Normal, dt: float, between: Between, state: State) -> None:
+    """Neighbours: ``x[k+1] = F x[k] + defect + walk``."""
+    here, there = state.attitude[:-1], state.attitude[1:]
+    matrix = here.as_matrix()
+    defect = np.zeros((len(matrix), NODE))
+    defect[:, :3] = (there.inv() * here * between.turn).as_rotvec()
+    defect[:, 3:6] = state.velocity[:-1] + here.apply(between.velocity) + GRAVITY_NED * dt - state.velocity[1:]
+    defect[:, 6:9] = state.gyro_bias[:-1] - state.gyro_bias[1:]
+    defect[:, 9:] = state.accel_bias[:-1] - state.accel_bias[1:]
+    f = np.tile(np.eye(NODE), (len(matrix), 1, 1))
+    f[:, :3, :3] = between.turn.inv().as_matrix()
+    f[:, :3, 6:9] = -dt * np.eye(3)
+    f[:, 3:6, :3] = -matrix @ _cross(between.velocity)
+    f[:, 3:6, 9:] = -dt * matrix
+    weight = 1.0 / (WALK**2 * dt)
+    weighted = f * weight[:, None]
+    normal.diagonal[:-1] += np.einsum("kij,kil->kjl", weighted, f)
+    normal.diagonal[1:, range(NODE), range(NODE)] += weight
+    normal.beside -= np.swapaxes(weighted, 1, 2)
+    normal.right[:-1] -= np.einsum("kij,ki->kj", weighted, defect)
+    normal.right[1:] += weight * defect
+    normal.cost += float((weight * defect**2).sum())
+
+
+def _observe_velocity(normal: _Normal, dt: float, between: Between, aiding: Aiding, state: State) -> None:
+    node, since = _nodes(aiding.velocity_t - state.constants[9], state.t)
+    here = state.attitude[node]
+    acceleration = here.apply(between.velocity[np.minimum(node, len(between.velocity) - 1)]) / dt + GRAVITY_NED
+    residual = aiding.velocity - state.velocity[node] - acceleration * since[:, None]
+    by_node = np.zeros((len(node), 3, NODE))
+    by_node[:, :, 3:6] = np.eye(3)
+    by_constant = np.zeros((len(node), 3, CONSTANTS))
+    by_constant[:, :, 9] = -acceleration
+    normal.observe(node, by_node, by_constant, residual, _weights(residual, state.velocity_sd))
+    normal.velocity_residual = residual
+
+
+def _observe_field(normal: _Normal, dt: float, between: Between, aiding: Aiding, state: State) -> None:
+    node, since = _nodes(aiding.mag_t, state.t)
+    rate = between.turn.as_rotvec()[np.minimum(node, len(between.velocity) - 1)] / dt
+    body_from_ned = (state.attitude[node] * Rotation.from_rotvec(rate * since[:, None])).inv()
+    ideal = body_from_ned.apply(state.earth)
+    offset, per_ampere = state.constants[:3], state.constants[3:6]
+    residual = aiding.mag - ideal - offset - aiding.current[:, None] * per_ampere
+    by_node = np.zeros((len(node), 3, NODE))
+    by_node[:, :, :3] = _cross(ideal)
+    by_constant = np.zeros((len(node), 3, CONSTANTS))
+    by_constant[:, :, :3] = np.eye(3)
+    by_constant[:, :, 3:6] = np.eye(3) * aiding.current[:, None, None]
+    by_constant[:, :, 6:9] = body_from_ned.as_matrix()
+    normal.observe(node, by_node, by_constant, residual, _weights(residual, np.full(3, state.mag_sd)))
+    normal.mag_residual = residual
+
+
+def _nodes(t: Array, nodes: Array) -> tuple[NDArray[np.intp], Array]:
+    """The node before each of `t`, and the time since then."""
+    node = np.clip(np.searchsorted(nodes, t, side="right") - 1, 0, len(nodes) - 1)
+    return node, t - nodes[node]
+
+
+def _weights(residual: Array, sd: Array) -> Array:
+    """Inverse variances; what lies beyond three standard deviations loses weight (Huber)."""
+    return np.asarray(np.minimum(1.0, _HUBER * sd / np.maximum(np.abs(residual), 1e-12)) / sd**2)
+
+
+def _stepped(state: State, normal: _Normal) -> tuple[State, float]:
+    """The state moved by the solution, with the noise of the aiding learned anew, and how far attitudes moved, rad."""
+    nodes, constants = normal.solved(normal.right[:, :, None], normal.right_constants[:, None])
+    step = nodes[:, :, 0]
+    mag = normal.mag_residual
+    new = replace(
+        state,
+        attitude=state.attitude * Rotation.from_rotvec(step[:, :3]),
+        velocity=state.velocity + step[:, 3:6],
+        gyro_bias=state.gyro_bias + step[:, 6:9],
+        accel_bias=state.accel_bias + step[:, 9:],
+        constants=state.constants + constants[:, 0],
+        velocity_sd=np.maximum(1.4826 * np.median(np.abs(normal.velocity_residual), axis=0), 0.02),
+        mag_sd=max(1.4826 * float(np.median(np.abs(mag))), 0.1) if len(mag) else state.mag_sd,
+    )
+    return new, float(np.abs(step[:, :3]).max())
+
+
+def _attitude_sd(normal: _Normal) -> float:
+    """Root mean square over a few nodes of the standard deviation of roll, pitch and yaw, rad."""
+    n = len(normal.diagonal)
+    nodes = np.linspace(0, n - 1, 8).astype(np.intp)
+    right = np.zeros((n, NODE, 24))
+    for i, node in enumerate(nodes):
+        right[node, range(3), range(3 * i, 3 * i + 3)] = 1.0
+    solution, _ = normal.solved(right, np.zeros((CONSTANTS, 24)))
+    variances = [solution[node, range(3), range(3 * i, 3 * i + 3)] for i, node in enumerate(nodes)]
+    return float(np.sqrt(np.mean(variances)))
+
+
+def _cross(v: Array) -> Array:
+    """Matrices (K, 3, 3) of the vector product with each of `v` (K, 3)."""
+    made = np.zeros((len(v), 3, 3))
+    made[:, 0, 1], made[:, 0, 2], made[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
+    return np.asarray(made - np.swapaxes(made, 1, 2))
