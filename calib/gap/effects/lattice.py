@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from calib.gap.effects.base import Effect, LatticeEffect, LatticeEvidence, Parameter
 from calib.gap.effects.parts import AXES, TRIADS, UNIT
@@ -26,6 +27,9 @@ _FRACTION = 0.99  # of the gaps between values that are whole steps
 _FINEST = 0.03  # of the noise; a finer step changes its power by less than 1e-4
 _GAPS = 8  # different gaps that show a lattice; fewer show it if every level occurs three times
 _REPEATED = 3
+_SURROUNDINGS = 51  # rows over which the noise stays the same
+_SAFETY = 1.5  # on the number of repeats by chance, whose noise is an estimate
+_TELLING = 0.2  # chance of a repeat above which a row says nothing: it depends on where in its bin the reading lies
 _STANDS = 0.5  # of the rows in which the sensor moves on while the ideal reading does not: it is at rest
 _SAME = 1e-9  # relative difference of equal numbers
 
@@ -169,9 +173,11 @@ def hold(trace: Trace) -> LatticeEvidence | None:
     if alike[moved].sum() > _STANDS * moved.sum():
         alike = np.zeros_like(alike)  # an ideal reading that stands still, not one that is held
     standing = alike | (trace.measured[1:] == 0.0).all(axis=1)
-    repeat = both & same.all(axis=1) & ~standing
-    count, n = int(repeat.sum()), int((both & ~standing).sum())
-    chance = max(n * float(np.prod([_repeats_by_chance(trace, axis) for axis in range(3)])), 0.1)
+    by_chance = _repeats_by_chance(trace, same)
+    telling = both & ~standing & (by_chance < _TELLING)
+    repeat = telling & same.all(axis=1)
+    count, n = int(repeat.sum()), int(telling.sum())
+    chance = max(_SAFETY * float(by_chance[telling].sum()), 0.1)
     if count < _FEWEST or count <= chance:
         return None
     two_delta = 2.0 * (count * math.log(count / chance) - count + chance)
@@ -185,24 +191,32 @@ def hold(trace: Trace) -> LatticeEvidence | None:
     return _evidence(trace, [held, share], [held * se / max(1.0 - share, 1.0 / n), se], two_delta, text, masked)
 
 
-def _repeats_by_chance(trace: Trace, axis: int) -> float:
-    """Share of samples that repeat the one before on one axis because of coarse levels: ``q / (2 sqrt(pi) sigma)``.
+def _repeats_by_chance(trace: Trace, same: Mask) -> Array:
+    """Probability (N - 1,) that a row repeats the one before on all axes because of coarse levels.
 
-    Its two samples differ by a Gaussian of sd ``sqrt(2) sigma``, whose density at zero times the step that is. Noise
-    that is smaller than the levels repeats always.
+    Two samples differ by a Gaussian of sd ``sqrt(2) sigma``, whose density at zero times the step q is
+    ``q / (2 sqrt(pi) sigma)``; noise that is smaller than the levels repeats always. The noise is that of the
+    surroundings (a sensor at rest repeats, a moving one does not), and of the rows that do not repeat, or a hold would
+    hide itself: their mean absolute difference is ``2 sigma / sqrt(pi)``, less the levels' own part.
     """
-    values = trace.measured[trace.observed, axis]
-    if np.ptp(values) == 0.0:
-        return 1.0
-    levels = levels_of(values)
-    step = max(levels.step if levels is not None else 0.0, trace.quantum)
-    if step == 0.0:
-        return 0.0
-    # Movement only makes repeats rarer: the noise alone is the safe side. Its mean absolute difference, zeros among
-    # them, is 2 sigma / sqrt(pi); the levels' own part goes out.
-    noise = 0.5 * math.sqrt(math.pi) * float(np.abs(np.diff(trace.residual[trace.observed, axis])).mean())
-    variance = noise**2 - step**2 / 12.0
-    return 1.0 if variance <= 0.0 else min(1.0, step / (2.0 * math.sqrt(math.pi * variance)))
+    changed = (trace.observed[1:] & trace.observed[:-1] & ~same.all(axis=1)).astype(np.float64)
+    weight = uniform_filter1d(changed, _SURROUNDINGS, mode="nearest")
+    chance = np.ones(len(changed))
+    for axis in range(3):
+        values = trace.measured[trace.observed, axis]
+        levels = levels_of(values)
+        step = max(levels.step if levels is not None else 0.0, trace.quantum)
+        if np.ptp(values) == 0.0:
+            continue
+        if step == 0.0:
+            return np.zeros(len(changed))
+        size = uniform_filter1d(changed * np.abs(np.diff(trace.residual[:, axis])), _SURROUNDINGS, mode="nearest")
+        noise = 0.5 * math.sqrt(math.pi) * size / np.maximum(weight, 0.5 / _SURROUNDINGS)
+        variance = np.maximum(noise**2 - step**2 / 12.0, np.finfo(float).tiny)
+        chance *= np.minimum(1.0, step / (2.0 * np.sqrt(math.pi * variance)))
+    chance = np.where(weight * _SURROUNDINGS < 2.5, 1.0, chance)
+    # A sensor whose noise is below its levels in a tenth of the recording has no noise that would forbid repeats.
+    return np.maximum(chance, float(np.quantile(chance, 0.9)))
 
 
 def _evidence(
