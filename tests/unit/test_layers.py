@@ -46,7 +46,7 @@ LAYERS = (
     },
     {"simulate", "firmware", "inspection", "converted"},
     {"logs"},
-    {"procedures", "gap", "flight"},
+    {"procedures", "gap", "flight", "blind"},
     {"report", "scoring", "methods"},
 )
 """Rooms of ``calib``, lowest first; a room imports its own layer and the ones below."""

@@ -1,0 +1,46 @@
+"""Two authors: the generator shares no code with what it checks."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[3]
+MAY = {"calib.blind", "calib.errors", "calib.recording"}
+
+
+def imported(path: Path) -> set[str]:
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0
+            found.add(str(node.module))
+    return {name for name in found if name.split(".")[0] in {"calib", "service"}}
+
+
+def graph(start: str) -> set[str]:
+    """Every module of the project that importing `start` reaches."""
+    todo, seen = {start}, set[str]()
+    while todo:
+        name = todo.pop()
+        seen.add(name)
+        base = ROOT.joinpath(*name.split("."))
+        paths = [*base.rglob("*.py")] if name == "calib.blind" else [base.with_suffix(".py"), base / "__init__.py"]
+        for path in paths:
+            if path.is_file():
+                todo |= imported(path) - seen
+    return seen
+
+
+def test_the_generator_reaches_neither_the_diagnosis_nor_the_forward_model():
+    reached = graph("calib.blind")
+    assert "calib.recording" in reached
+    assert not {name for name in reached if not name.startswith(tuple(MAY))}
+
+
+def test_the_diagnosis_does_not_know_the_generator():
+    for path in (ROOT / "calib").rglob("*.py"):
+        if "blind" not in path.parts:
+            assert not any(name.startswith("calib.blind") for name in imported(path)), path
