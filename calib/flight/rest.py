@@ -7,6 +7,7 @@ arming counts, or its motor outputs; where neither was recorded, stillness is al
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import pairwise
@@ -14,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from calib.recording import Channel, Recording, Sensor
-from calib.stillness import RESTING, find_still
+from calib.stillness import RESTING, Still, find_still
 
 UNARMED, ARMED = "disarmed", "armed"
 """Kinds of the events that tell the motors' state."""
@@ -109,6 +110,18 @@ def rests(recording: Recording, instance: int = 0) -> tuple[Rest, ...]:
     if not stood.off and not stood.running:
         find_still(recording, instance=instance, limits=LIMITS)  # says what is missing
     return tuple(found)
+
+
+def grounded(recording: Recording, stills: Sequence[Still], shortest: float) -> tuple[Still, ...]:
+    """What of `stills` lies in a span with the motors off, where it lasts `shortest` seconds or more."""
+    off = ground(recording).off
+    parts = [
+        dataclasses.replace(still, start=max(still.start, span.start), end=min(still.end, span.end))
+        for still in stills
+        for span in off
+        if still.start < span.end and span.start < still.end
+    ]
+    return tuple(part for part in parts if part.duration >= shortest)
 
 
 def _phase(start: float, running: tuple[Span, ...]) -> Phase:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from calib.firmware import undo
 from calib.fit import FitResult
+from calib.flight.rest import grounded
 from calib.logs.tables import NO_TIME
 from calib.recording import Channel, Recording, Sensor, Stage
 from calib.stillness import HELD, RESTING, Still, find_still
@@ -57,10 +58,17 @@ class Source:
         return self.recording.identity.autopilot is not None
 
     def stills(self, instance: int, *, held: bool) -> tuple[Still, ...]:
-        """Labelled segments, else the still spans of the recording; none in a table without time."""
+        """Labelled segments, else the still spans of the recording; none in a table without time.
+
+        Of a vehicle only those with the motors off: a good hover passes for still.
+        """
         if self.recording.segments:
             return tuple(Still(s.start, s.end, None, None) for s in self.recording.segments)
-        return find_still(self.recording, instance=instance, limits=HELD if held else RESTING) if self.timed else ()
+        if not self.timed:
+            return ()
+        limits = HELD if held else RESTING
+        found = find_still(self.recording, instance=instance, limits=limits)
+        return grounded(self.recording, found, limits.shortest) if self.of_vehicle else found
 
     def longest_rest(self, channel: Channel) -> Channel:
         """The samples of the longest still span, or all of them where no span is found."""

@@ -7,7 +7,8 @@ import pytest
 
 from calib.errors import InvalidInputError
 from calib.flight.rest import Known, Phase, ground, rests
-from calib.recording import Channel, Event, Recording, Sensor, Stage
+from calib.methods.source import Source
+from calib.recording import Channel, Event, Identity, Recording, Sensor, Stage
 from tests.unit.flight.made import Unit, log
 
 
@@ -67,3 +68,12 @@ def test_nothing_to_judge_by_is_said():
     assert ground(Recording(())).off == ()
     with pytest.raises(InvalidInputError, match="neither accelerometer nor gyroscope"):
         rests(Recording(()))
+
+
+def test_methods_of_a_vehicles_log_do_not_take_a_hover_for_rest():
+    recording = dataclasses.replace(calm(), events=(Event(20.0, "armed", ""), Event(100.0, "disarmed", "")))
+    stills = Source(recording, None, recording).stills(0, held=False)
+    assert [(s.start < 20.0 and s.end <= 20.0) or s.start >= 100.5 for s in stills] == [True] * len(stills)
+    assert sum(s.duration for s in stills) > 38.0
+    table = dataclasses.replace(recording, identity=Identity())
+    assert sum(s.duration for s in Source(table, None, table).stills(0, held=False)) > 100.0
