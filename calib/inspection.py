@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.recording import Channel, Recording
+from calib.recording import Channel, Recording, Sensor, Stage
 
 GAP_PERIODS = 5.0
 """A pause this many median periods long counts as a gap."""
@@ -15,6 +15,16 @@ STUCK_S = 1.0
 STUCK_PERIODS = 10.0
 """A value that stays the same this long, s and median periods, in a channel that otherwise changes, is stuck."""
 MOST_GAPS_LISTED = 20
+TRIADS = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
+COUNTED = ("reboot", "gap", "drop", "clipping", "damage", "left_out")
+"""Kinds of events that are counted."""
+TOLD = ("damage", "clipping", "left_out")
+"""Kinds of events whose texts are warnings."""
+MISSING = {
+    Sensor.ACCEL: "no accelerometer was recorded: only a gyroscope or a compass can be calibrated from it",
+    Sensor.GYRO: "no gyroscope was recorded",
+    Sensor.MAG: "no compass was recorded: no magnetometer can be calibrated from it",
+}
 
 
 @dataclass(frozen=True)
@@ -44,6 +54,10 @@ class ChannelSummary:
     backward_steps: int
     not_finite: int
     longest_constant: float
+    repeated: int
+    """Samples equal to the one before in every column."""
+    norm: tuple[float, float] | None
+    """Mean length of the vector and its standard deviation; None: not a sensor with three axes."""
     least: tuple[float | None, ...]
     mean: tuple[float | None, ...]
     most: tuple[float | None, ...]
@@ -73,6 +87,8 @@ def summarise(channel: Channel) -> ChannelSummary:
         backward_steps=int((steps < 0).sum()),
         not_finite=int((~finite.all(axis=1)).sum()),
         longest_constant=_longest_constant(channel),
+        repeated=int((np.diff(values, axis=0) == 0).all(axis=1).sum()),
+        norm=_norm(channel),
         least=_columns(values, finite, np.min),
         mean=_columns(values, finite, np.mean),
         most=_columns(values, finite, np.max),
@@ -102,8 +118,51 @@ def inspect(recording: Recording) -> dict[str, Any]:
         },
         "segments": [{"label": s.label, "start": s.start, "end": s.end} for s in recording.segments],
         "events": [{"t": _or_none(e.t), "kind": e.kind, "text": e.text} for e in recording.events],
-        "warnings": [w for c in channels for w in _warnings(c)],
+        "reference": [_document(summarise(c)) for c in recording.reference if len(c)],
+        "armed": _armed(recording),
+        "counts": {kind: sum(e.kind == kind for e in recording.events) for kind in COUNTED},
+        "missing": _missing(recording),
+        "warnings": [
+            *_missing(recording),
+            *(e.text for e in recording.events if e.kind in TOLD),
+            *(w for c in channels for w in _warnings(c)),
+        ],
     }
+
+
+def _armed(recording: Recording) -> list[dict[str, float]]:
+    """Spans in which the vehicle was armed, s; one that the recording does not end ends with it."""
+    spans: list[dict[str, float]] = []
+    since: float | None = None
+    for event in recording.events:
+        if event.kind == "armed" and since is None:
+            since = event.t
+        elif event.kind == "disarmed" and since is not None:
+            spans.append({"start": since, "end": event.t})
+            since = None
+    end = recording.span[1]
+    if since is not None and np.isfinite(end):
+        spans.append({"start": since, "end": max(end, since)})
+    return spans
+
+
+def _missing(recording: Recording) -> list[str]:
+    """What the recording lacks, one sentence each, and what that means."""
+    have = {c.sensor for c in recording.channels if len(c) and c.stage != Stage.DEBIASED}
+    if not have & set(TRIADS):
+        return ["no accelerometer, gyroscope or compass was recorded: there is nothing to calibrate"]
+    found = [text for sensor, text in MISSING.items() if sensor not in have]
+    if recording.identity.autopilot is not None and not recording.parameters:
+        found.append("no parameters were recorded: fits are relative to the calibration in force, and are not exported")
+    return found
+
+
+def _norm(channel: Channel) -> tuple[float, float] | None:
+    if channel.sensor not in TRIADS:
+        return None
+    length = np.linalg.norm(channel.values, axis=1)
+    length = length[np.isfinite(length)]
+    return (float(length.mean()), float(length.std())) if len(length) else None
 
 
 def _longest_constant(channel: Channel) -> float:

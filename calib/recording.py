@@ -180,7 +180,8 @@ class Event:
     """Something that was said or happened at time `t` (s, vehicle clock)."""
 
     t: float
-    kind: str  # "text", "reboot", "gap", "armed", "disarmed", "onboard_calibration", "damage", "undo"
+    kind: str
+    """``text reboot gap drop armed disarmed utc onboard_calibration clipping damage left_out undo no_time``"""
     text: str
 
 

@@ -17,9 +17,9 @@ from service.commands.reading import face_option, read_recording, reading_option
 
 @click.group()
 def command() -> None:
-    """Run one method on a recording: a table (.csv, .npz, .mat ...) or a telemetry log (.tlog).
+    """Run one method on a recording: a log (.tlog, DataFlash .bin or text, ULog) or a table (.csv, .npz, .mat ...).
 
-    Exit code 1 if the data do not allow the fit. DataFlash and ULog come later.
+    Exit code 1 if the data do not allow the fit.
     """
 
 

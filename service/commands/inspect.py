@@ -18,7 +18,7 @@ from service.commands.reading import readable_file, reading_options
 def command(file: str, as_json: bool, **reading: Any) -> None:
     """Tell what is in a recording: channels, rates, gaps, ranges, damage.
 
-    Reads tables (.csv, .npz, .mat ...) and telemetry logs (.tlog); DataFlash and ULog come later.
+    Reads telemetry logs (.tlog), DataFlash (.bin, text), ULog (.ulg) and tables (.csv, .npz, .mat ...).
     """
     from calib import logs
     from calib.flight.report import overview
@@ -37,9 +37,14 @@ def _show(document: Mapping[str, Any]) -> None:
     for c in document["channels"]:
         rate = "" if c["rate"] is None else f"{c['rate']:8.2f} Hz"
         mean = " ".join("-" if m is None else f"{m:.5g}" for m in c["mean"])
+        size = "" if c["norm"] is None else f", length {c['norm'][0]:.5g} +- {c['norm'][1]:.2g}"
         name = f"{c['sensor']}[{c['instance']}]"
-        click.echo(f"  {name:14} {c['source']:16} {c['stage']:10} {c['samples']:8} {rate:>12}  mean {mean} {c['unit']}")
+        click.echo(
+            f"  {name:14} {c['source']:16} {c['stage']:10} {c['samples']:8} {rate:>12}  mean {mean}{size} {c['unit']}"
+        )
     parameters = document["parameters"]
+    for span in document["armed"]:
+        click.echo(f"  armed from {span['start']:.1f} to {span['end']:.1f} s")
     click.echo(
         f"  {parameters['count']} parameters, {len(parameters['changes'])} changes, {len(document['events'])} events"
     )
