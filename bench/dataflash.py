@@ -154,9 +154,9 @@ def write_flight(path: Path, size: int, seed: int) -> None:
             piece.tofile(file)
 
 
-def flight(seconds: float, seed: int) -> bytes:
+def flight(seconds: float, seed: int, start_us: int = 5_000_000) -> bytes:
     """The same as bytes, `seconds` long."""
-    return head() + b"".join(piece.tobytes() for piece in blocks(max(1, round(10 * seconds)), seed))
+    return head() + b"".join(piece.tobytes() for piece in blocks(max(1, round(10 * seconds)), seed, start_us))
 
 
 def flipped(data: bytes, count: int, seed: int) -> tuple[bytes, np.ndarray[Any, Any]]:

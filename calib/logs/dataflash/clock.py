@@ -23,8 +23,9 @@ Mask = NDArray[np.bool_]
 
 STAMPS: Final = (("TimeUS", 1e-6), ("T", 1e-3), ("TimeMS", 1e-3))
 """Columns that hold the time since boot. GPS of old firmwares says the time of the week in TimeMS, and its own in T."""
-WRAP_US: Final = 2.0**32
-LATEST_S: Final = 1.0
+WHOLE: Final = ("Q", "I", "q", "i")
+WRAP_US: Final = 2**32
+LATEST_US: Final = 1_000_000
 """A sample that claims to be older than this when it is logged was read at a time that is not known."""
 BACKWARD_S: Final = 1.0
 """Messages of several threads may be written so little out of order; a longer step back is damage or a restart."""
@@ -34,6 +35,8 @@ RESTART_GAP_S: Final = 0.5
 """What is put between the last time before a restart and the first one after it; its true length is not known."""
 LONGEST_JUMP_S: Final = 60.0
 """A last message that lies further behind all others is damage."""
+LONGEST_S: Final = 3600.0
+"""Other messages may go on so long after the last one of the densest."""
 ROUNDS: Final = 8
 
 
@@ -75,8 +78,9 @@ class Clock:
         first, last = self._times[0] - BACKWARD_S, self._times[-1] + BACKWARD_S
         if len(t) and not (t[0] >= first and t[-1] <= last and (np.diff(t) >= -BACKWARD_S).all()):
             i = np.searchsorted(self._where, table.offsets)
-            before, after = self._times[np.maximum(i - 1, 0)], self._times[np.minimum(i, len(self._times) - 1)]
-            wrong = (t < before - BACKWARD_S) | (t > np.maximum(after, before) + BACKWARD_S)
+            earliest = np.concatenate([[0.0], self._times - BACKWARD_S])[i]
+            latest = np.concatenate([self._times + BACKWARD_S, [self._times[-1] + LONGEST_S]])[i]
+            wrong = (t < earliest) | (t > latest)
             self.doubted += int(wrong.sum())
             t[wrong] = np.nan
         return t
@@ -89,14 +93,14 @@ class Clock:
     def sample_times(self, table: Table) -> Array:
         """When the sensor was read, s; where no column says it, when the message was written."""
         t = self.times(table)
-        column = next((name for name in SAMPLE_TIME_COLUMNS if name in table), None)
-        if column is None or table.format.letter(column) not in "QIqi":
+        column = next((name for name in SAMPLE_TIME_COLUMNS if table.format.letter(name) in WHOLE), None)
+        if column is None or table.format.letter("TimeUS") not in WHOLE:
             return t
-        read = table[column].astype(np.float64)
+        written, read = table["TimeUS"].astype(np.int64), table[column].astype(np.int64)
         # a column of 32 bits wraps every 71 minutes; the compass may be read while its message is being written
-        raw = t if not self._restarts else _stamps(table)
-        late = 1e-6 * ((raw * 1e6 - read + 0.5 * WRAP_US) % WRAP_US - 0.5 * WRAP_US)
-        return np.where(np.abs(late) < LATEST_S, t - late, t)
+        late = (written - read + WRAP_US // 2) % WRAP_US - WRAP_US // 2
+        moved = t - 1e-6 * written  # over a restart; nan where the time is not believed
+        return np.where(np.abs(late) < LATEST_US, 1e-6 * (written - late) + moved, t)
 
     def _by_place(self, table: Table) -> Array:
         if not len(self._where):
@@ -144,6 +148,6 @@ def _stamps(table: Table) -> Array:
 
 def _stamp(table: Table) -> tuple[str, float] | None:
     for column, unit in STAMPS:
-        if table.format.letter(column) in ("Q", "I", "q", "i"):
+        if table.format.letter(column) in WHOLE:
             return column, unit
     return None
