@@ -83,12 +83,9 @@ class Rows:
         filled = px4_sensor_ids(parameters)
         for sensor, name, _, _ in DRIVERS:
             known = {device: instance for (kind, instance), device in filled.items() if kind == sensor}
-            free = len(known)
-            for device in _devices(topics, name, sensor):
-                if device in known:
-                    self._of[sensor, device] = known[device]
-                else:
-                    self._of[sensor, device], free = free, free + 1
+            self._of |= {(sensor, device): instance for device, instance in known.items()}
+            others = [device for device in _devices(topics, name, sensor) if device not in known]
+            self._of |= {(sensor, device): len(known) + k for k, device in enumerate(others)}
 
     def instance(self, sensor: Sensor, device: int, multi_id: int) -> int:
         """Instance of the sensor with that device id; the topic's own number where the id is not known."""
@@ -98,9 +95,7 @@ class Rows:
         """Instance of the sensor that older firmwares name as the primary one; 0 where nothing is said."""
         short = {Sensor.ACCEL: "ACC", Sensor.GYRO: "GYRO", Sensor.MAG: "MAG"}[sensor]
         device = int(self._parameters.get(f"CAL_{short}_PRIME", 0))
-        ids = px4_sensor_ids(self._parameters)
-        named = [instance for (kind, instance), held in ids.items() if kind == sensor and held == device]
-        return self._of.get((sensor, device), named[0] if named else 0)
+        return self._of.get((sensor, device), 0)
 
 
 def columns(topic: Topic, *names: str) -> Array:
