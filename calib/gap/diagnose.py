@@ -34,7 +34,8 @@ from calib.gap.schema import (
     Unknown,
     Verdict,
 )
-from calib.gap.selection import Chosen, select
+from calib.gap.selection import Chosen, reduced, select
+from calib.gap.shrink import consistent, held_out, shrink_of
 from calib.gap.views import views_of
 
 Array = NDArray[np.float64]
@@ -72,14 +73,21 @@ def diagnose(
     start = refitted(starting_model(setting, starting_noise(setting))).model
     contest = Contest(hypotheses)
     chosen = select(start, contest, alpha)
+    heldout = held_out(chosen, contest, alpha, nested=nested)
+    gates = {} if heldout is None else {gate.key: gate.passed for gate in heldout.gates}
+    failed = [key for key, passed in gates.items() if passed is False]
+    if failed:
+        chosen = reduced(chosen, failed)
+        heldout = held_out(chosen, contest, alpha, nested=nested)
     attributions = attributed(chosen, contest)
-    found = tuple(_effect(chosen, a) for a in attributions)
+    found = tuple(_effect(chosen, a, gates.get(a.key)) for a in attributions)
     effects_found = (*lattice.effects, *found)
     return GapReport(
         inputs,
         _verdict(effects_found, Unknown()),
         located(start, alpha),
         effects_found,
+        shrink=None if heldout is None else shrink_of(chosen, heldout, nested=nested),
         not_testable=_untestable(problem, missing, {h.effect.id for h in hypotheses}),
         multiple_testing=MultipleTesting(chosen.tests, alpha),
         warnings=problem.warnings,
@@ -132,7 +140,7 @@ def _from_lattice(effect: LatticeEffect, instances: tuple[int, ...], evidence: L
     return EffectEstimate(effect.id, effect.sensor, tuple(i + _FIRST for i in instances), params, sure)
 
 
-def _effect(chosen: Chosen, found: Attribution) -> EffectEstimate:
+def _effect(chosen: Chosen, found: Attribution, passed: bool | None) -> EffectEstimate:
     term = _term(chosen.model, found)
     p = next((s.p for s in chosen.scores if s.hypothesis.key == found.key), 1.0)
     effect_id, instances = found.key
@@ -143,7 +151,7 @@ def _effect(chosen: Chosen, found: Attribution) -> EffectEstimate:
         estimates_of(chosen, term),
         Evidence(found.gain, found.df, min(1.0, p * chosen.tests), found.probability, found.share),
         found.rivals,
-        Gates(),
+        Gates(passed, None, consistent(chosen, found.key)),
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -158,11 +159,17 @@ def columns_of(hypothesis: Hypothesis, theta: float, views: Sequence[View], fram
 def summed(columns: Callable[[Trace, float], Array], hypothesis: Hypothesis, theta: float, view: View) -> Array:
     """Columns (p, n, 3) or signals (p, n) of a hypothesis in `view`: over its instances, with their weights."""
     rows = [
-        weight * np.compress(view.keep, columns(view.traces[instance], theta), axis=1)
+        weight * np.compress(view.keep, _over_trace(columns, view.traces[instance], theta), axis=1)
         for instance, weight in view.weights.items()
         if instance in hypothesis.instances
     ]
     return np.asarray(np.add.reduce(rows))
+
+
+@lru_cache(maxsize=4)
+def _over_trace(columns: Callable[[Trace, float], Array], trace: Trace, theta: float) -> Array:
+    """Of a whole trace; kept for a moment, since blocks of it are asked for one after the other."""
+    return columns(trace, theta)
 
 
 def add_block(parts: dict[int, Part], v: int, block: Array, frame: Frame) -> None:

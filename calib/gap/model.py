@@ -7,7 +7,7 @@ Everything is linear at a point: the columns of linear effects, and the derivati
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from calib.gap.effects.base import MeanEffect
 from calib.gap.hypotheses import Columns, Frame, Hypothesis, Part, add_block, columns_of, summed
 from calib.gap.likelihood import Bins, Noise, bins_of, transform
+from calib.gap.problem import Trace
 from calib.gap.views import View
 
 Array = NDArray[np.float64]
@@ -165,13 +166,21 @@ def predicted(term: Term, view: View) -> Array:
     if effect.exact is not None:
         exact = effect.exact
         beta = term.beta
-        moved = summed(lambda trace, _theta: exact(trace, beta)[None], term.hypothesis, term.theta, view)
-        return np.asarray(moved[0])
+        return _exactly(exact, term.hypothesis, beta, view)
     if effect.signals is not None:
         signals = summed(effect.signals, term.hypothesis, term.theta, view)
         return np.asarray(np.einsum("qn,qc->nc", signals, term.beta.reshape(len(signals), 3)))
     columns = summed(effect.columns, term.hypothesis, term.theta, view)
     return np.asarray(np.tensordot(term.beta, columns, axes=1))
+
+
+def _exactly(exact: Callable[[Trace, Array], Array], hypothesis: Hypothesis, beta: Array, view: View) -> Array:
+    rows = [
+        weight * exact(view.traces[i], beta)[view.keep]
+        for i, weight in view.weights.items()
+        if i in hypothesis.instances
+    ]
+    return np.asarray(np.add.reduce(rows))
 
 
 def limits_of(term: Term, setting: Setting) -> tuple[float, float]:

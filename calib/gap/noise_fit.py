@@ -36,17 +36,17 @@ def declared(view: View) -> Array | None:
 def starting_noise(setting: Setting) -> tuple[Noise, ...]:
     """Of every axis, before any effect: declared, or a white start whose parts are fitted later."""
     noise = []
-    for v, view in enumerate(setting.views):
+    for view in setting.views:
         base = declared(view)
         for c in range(3):
             if base is not None:
-                scale = {f"scale{v}.{c}": base[:, c]} if np.isfinite(view.dof) else {}
+                scale = {f"scale{view.label}.{c}": base[:, c]} if np.isfinite(view.dof) else {}
                 kept = np.zeros(view.n) if scale else base[:, c]
                 noise.append(Noise(kept, scale, dict.fromkeys(scale, 1.0)))
                 continue
             omega = frequencies(view.n)
             level = max(float(np.diff(view.residual[:, c]).var()) / 2.0, 1e-30)
-            parts = {f"{kind}{v}.{c}": np.asarray(shape(omega)) for kind, shape in _NUISANCE.items()}
+            parts = {f"{kind}{view.label}.{c}": np.asarray(shape(omega)) for kind, shape in _NUISANCE.items()}
             start = {name: level if name.startswith("white") else 1e-9 * level for name in parts}
             noise.append(Noise(np.zeros(view.n), parts, start))
     return tuple(noise)
@@ -96,7 +96,7 @@ def axis_fit(model: Model, axes: Sequence[int]) -> AxisFit:
         base.append(np.append(bins.mean(noise.base), 0.0 * tail))
         for name in names:
             density = bins.mean(noise.densities[name]) if name in noise.densities else np.zeros(len(bins.counts))
-            rows[name].append(np.append(density, tail * (name == f"scale{a // 3}.{a % 3}")))
+            rows[name].append(np.append(density, tail * (name == f"scale{view.label}.{a % 3}")))
     known = {name: value for a in axes for name, value in model.noise[a].amplitudes.items()}
     start = np.array([known[name] for name in names])
     return AxisFit(

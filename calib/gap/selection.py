@@ -5,7 +5,7 @@ After every step all parameters are fitted together, the noise anew, and what ha
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -138,6 +138,16 @@ def pruned(model: Model, contest: Contest, joined: list[Score], level: float) ->
         joined = [s for s in joined if s.hypothesis.key != key]
         model, _, _ = fitted(model)
     return model, joined
+
+
+def reduced(chosen: Chosen, keys: Collection[tuple[str, tuple[int, ...]]]) -> Chosen:
+    """The same without the effects of those keys, everything fitted anew."""
+    model = chosen.model
+    for key in keys:
+        model = without(model, key)
+    model, joint, noise = fitted(model)
+    left = tuple(s for s in chosen.scores if s.hypothesis.key not in keys)
+    return replace(chosen, model=model, joint=joint, noise=noise, scores=left)
 
 
 def without(model: Model, key: tuple[str, tuple[int, ...]]) -> Model:

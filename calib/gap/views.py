@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,8 @@ class View:
         Whether the error of the reference's attitude is in it.
     dof
         Squared numbers that the noise was learned from, an axis; infinite where it is declared.
+    label
+        Whose noise it has: blocks of one series share it.
     """
 
     sensor: Sensor
@@ -56,6 +58,7 @@ class View:
     density: Array | None
     reference_error: bool
     dof: float = math.inf
+    label: str = ""
 
     @property
     def n(self) -> int:
@@ -101,7 +104,7 @@ def views_of(problem: Problem, masked: Mapping[int, NDArray[np.bool_]], extra: M
             _Entry(t, masked.get(i), extra.get(i, 0.0)) for i, t in enumerate(problem.traces) if t.sensor is sensor
         ]
         views += _of_sensor(entries, uncertain=uncertain)
-    return tuple(view for view in views if view.n >= _SHORTEST)
+    return tuple(replace(view, label=str(v)) for v, view in enumerate(views) if view.n >= _SHORTEST)
 
 
 class _Entry:
@@ -217,3 +220,17 @@ def _learned(used: Sequence[tuple[_Entry, float]], n: int) -> Array | None:
         hz = 0.5 * trace.fs * np.arange(n) / n
         total += f**2 * (np.column_stack([np.interp(hz, trace.psd_hz, p) for p in trace.psd.T]) + entry.extra)
     return total if (total > 0.0).all() else None
+
+
+def between(view: View, start: float, end: float) -> View | None:
+    """The part of a series with ``start <= t < end``; None if it is too short to say anything."""
+    rows = (view.t >= start) & (view.t < end)
+    if rows.sum() < _SHORTEST:
+        return None
+    keep = view.keep.copy()
+    keep[np.flatnonzero(keep)[~rows]] = False
+    density = None
+    if view.density is not None:
+        old, new = np.arange(view.n) / view.n, np.arange(int(rows.sum())) / rows.sum()
+        density = np.column_stack([np.interp(new, old, column) for column in view.density.T])
+    return replace(view, residual=view.residual[rows], keep=keep, density=density)

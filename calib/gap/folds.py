@@ -1,0 +1,132 @@
+"""Contiguous blocks that are held out in turn: the rest is a problem of its own, on which everything is done again."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.gap.contest import Contest
+from calib.gap.hypotheses import Hypothesis
+from calib.gap.model import (
+    Model,
+    NoiseTerm,
+    Setting,
+    Term,
+    jacobian,
+    normal_equations,
+    setting_of,
+    starting_model,
+    with_residual,
+)
+from calib.gap.noise_fit import refitted, starting_noise, with_term
+from calib.gap.selection import fitted
+from calib.gap.views import View, between
+
+Array = NDArray[np.float64]
+
+_GUARD_S = 0.5
+"""Cut off at either end of a block, so that noise with memory does not tell one block of the next."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fold:
+    """One block and all the others, each with its noise before any effect."""
+
+    train: Model
+    test: Model
+
+
+def folds_of(setting: Setting, count: int) -> tuple[Fold, ...]:
+    """`count` folds of a setting; fewer where a block has no samples."""
+    start = min(float(view.t[0]) for view in setting.views)
+    end = max(float(view.t[-1]) for view in setting.views)
+    edges = np.linspace(start, end, count + 1)
+    guard = min(_GUARD_S, 0.1 * (end - start) / count)
+    blocks = [_block(setting.views, lo + guard, hi - guard) for lo, hi in itertools.pairwise(edges)]
+    blocks = [block for block in blocks if block]
+    if len(blocks) < 3:
+        return ()
+    return tuple(
+        Fold(_start([v for j, block in enumerate(blocks) if j != b for v in block]), _start(blocks[b]))
+        for b in range(len(blocks))
+    )
+
+
+def _block(views: Sequence[View], start: float, end: float) -> list[View]:
+    return [part for view in views if (part := between(view, start, end)) is not None]
+
+
+def _start(views: Sequence[View]) -> Model:
+    setting = setting_of(tuple(views))
+    return starting_model(setting, starting_noise(setting))
+
+
+def refit(start: Model, terms: Sequence[Term | NoiseTerm]) -> Model:
+    """Those effects fitted on another setting, from where they are."""
+    model = start
+    for term in terms:
+        if isinstance(term, NoiseTerm):
+            model = with_term(model, term)
+    mean = tuple(term for term in terms if isinstance(term, Term))
+    model = with_residual(replace(model, terms=mean))
+    return fitted(refitted(model).model)[0]
+
+
+def carried(model: Model, test: Model) -> Model:
+    """A model of the training blocks applied to the held-out one: the same effects, the same noise."""
+    for noise_term in model.noise_terms:
+        test = with_term(test, noise_term)
+    known = {name: value for noise in model.noise for name, value in noise.amplitudes.items()}
+    noise = tuple(
+        replace(n, amplitudes={name: known.get(name, value) for name, value in n.amplitudes.items()})
+        for n in test.noise
+    )
+    return with_residual(replace(test, terms=model.terms, noise=noise))
+
+
+def log_loss(model: Model) -> float:
+    """Negative log-likelihood of a model's own data, in nats, without the constant."""
+    total = 0.0
+    for a in range(model.setting.axes):
+        bins = model.setting.bins[a // 3]
+        power = bins.mean(model.noise[a].power)
+        total += 0.5 * float(bins.counts @ np.log(power) + (model.periodogram(a) / power).sum())
+    return total
+
+
+def power_ratio(model: Model) -> tuple[float, int]:
+    """Mean square of the whitened residual, and how many numbers it is of."""
+    total, count = 0.0, 0
+    for a in range(model.setting.axes):
+        bins = model.setting.bins[a // 3]
+        total += float((model.periodogram(a) / bins.mean(model.noise[a].power)).sum())
+        count += int(bins.counts.sum())
+    return total / max(count, 1), count
+
+
+def expected_gain(term: Term, train: Model, test: Model) -> float:
+    """Nats by which a term of the mean should lower the loss of a held-out block, if it is what it says.
+
+    Half the energy it has there beyond what the error of its estimate costs.
+    """
+    block = normal_equations([jacobian(term, test.setting)], test.y, with_weight(test).weight)
+    rest = normal_equations([jacobian(term, train.setting)], train.y, train.weight)
+    covariance = np.linalg.pinv(rest.gram, rcond=1e-9, hermitian=True)
+    values = np.append(term.beta, 0.0)[: len(block.gram)] if not term.effect.fixed else term.values
+    return float(0.5 * (values @ block.gram @ values - np.trace(block.gram @ covariance)))
+
+
+def with_weight(model: Model) -> Model:
+    """The model with weights of its present noise."""
+    frames = model.setting.frames
+    weight = tuple(1.0 / frames[a // 3].power(model.noise[a].power) for a in range(model.setting.axes))
+    return replace(model, weight=weight)
+
+
+def contest_of(hypotheses: Sequence[Hypothesis]) -> Contest:
+    """A contest whose columns are not kept: every fold has its own."""
+    return Contest(hypotheses, budget=6_000_000)

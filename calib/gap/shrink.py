@@ -1,0 +1,221 @@
+"""How far the gap shrinks on data that the effects have not seen, in nats a sample.
+
+Blocks are held out in turn; effects are chosen and fitted on the others. The loss is the negative log predictive
+density: a proper score that knows means and noise. The floor is what the fit to all data leaves over, less what still
+is above the noise it claims: no model can be expected to go below.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from calib.gap.contest import Contest
+from calib.gap.folds import (
+    Fold,
+    carried,
+    contest_of,
+    expected_gain,
+    folds_of,
+    log_loss,
+    power_ratio,
+    refit,
+    with_weight,
+)
+from calib.gap.model import Model, NoiseTerm, Term, jacobian, normal_equations, solved
+from calib.gap.noise_fit import declared, refitted
+from calib.gap.schema import SequenceStep, Shrink
+from calib.gap.selection import Chosen, select
+
+Array = NDArray[np.float64]
+Key = tuple[str, tuple[int, ...]]
+
+_BLOCKS = 6
+_LONG = 40_000
+_FEW = 4
+"""Blocks where a series is longer than `_LONG` samples: each repeats the selection."""
+_RESAMPLED = 2000
+_PROMISING = 0.01
+"""Chance, uncorrected, below which a hypothesis takes part in the folds; the level stays that of all tests."""
+_SIGNIFICANT = 3.0
+_DISAGREE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Gate:
+    """Whether an effect shrinks held-out data: gain by block in nats, and whether it stays; None: not to be told."""
+
+    key: Key
+    gains: Array
+    passed: bool | None
+
+
+@dataclass(frozen=True, eq=False)
+class Heldout:
+    """Losses by block in nats above the floor, and samples; the gates of the effects."""
+
+    before: Array
+    after: Array
+    samples: Array
+    gates: tuple[Gate, ...]
+    sequence: tuple[SequenceStep, ...]
+
+
+def held_out(chosen: Chosen, contest: Contest, alpha: float, *, nested: bool) -> Heldout | None:
+    """Every block held out in turn; None if the recording is too short for that."""
+    setting = chosen.model.setting
+    if not chosen.model.members:
+        return None
+    long = max(view.n for view in setting.views) > _LONG
+    folds = folds_of(setting, _FEW if long else _BLOCKS)
+    if not folds:
+        return None
+    order = _order(chosen)
+    floor_ratio = _excess(chosen.model)
+    rows, gains, steps = [], [], []
+    for fold in folds:
+        bare = refitted(fold.train).model
+        full = refit(fold.train, order)
+        before = log_loss(carried(bare, fold.test))
+        fixed = log_loss(carried(full, fold.test))
+        floor = log_loss(carried(chosen.model, fold.test)) - floor_ratio * _numbers(fold.test)
+        after = _nested(fold, chosen, contest, alpha) if nested else fixed
+        rows.append((before - floor, after - floor, _numbers(fold.test)))
+        gains.append([_gain(fold, order, i, fixed) for i in range(len(order))])
+        steps.append([before - _prefix(fold, order, k, fixed) for k in range(1, len(order) + 1)])
+    table = np.array(rows)
+    gates = tuple(_gate(term, np.array([g[i] for g in gains]), folds, chosen) for i, term in enumerate(order))
+    return Heldout(table[:, 0], table[:, 1], table[:, 2], gates, _sequence(order, np.array(steps), table[:, 0]))
+
+
+def _order(chosen: Chosen) -> list[Term | NoiseTerm]:
+    """Terms in the order in which they joined."""
+    members = {t.hypothesis.key: t for t in chosen.model.members}
+    return [members[s.hypothesis.key] for s in chosen.scores if s.hypothesis.key in members]
+
+
+def _numbers(model: Model) -> int:
+    return model.setting.samples
+
+
+def _excess(model: Model) -> float:
+    """Nats a number that the model leaves above its own noise, if more than chance."""
+    ratio, count = power_ratio(model)
+    excess = 0.5 * (ratio - 1.0)
+    return excess if excess > _SIGNIFICANT / math.sqrt(2.0 * count) else 0.0
+
+
+def _nested(fold: Fold, chosen: Chosen, contest: Contest, alpha: float) -> float:
+    """Loss of the held-out block under what is selected without it."""
+    promising = {s.hypothesis.key for s in (*chosen.first, *chosen.scores) if s.p < _PROMISING}
+    few = [h for h in contest.hypotheses if h.key in promising]
+    level = alpha * len(few) / max(len(contest.hypotheses), 1)
+    if not few:
+        return log_loss(carried(refitted(fold.train).model, fold.test))
+    found = select(refitted(fold.train).model, contest_of(few), level)
+    return log_loss(carried(found.model, fold.test))
+
+
+def _gain(fold: Fold, order: Sequence[Term | NoiseTerm], i: int, full: float) -> float:
+    others = [term for j, term in enumerate(order) if j != i]
+    return log_loss(carried(refit(fold.train, others), fold.test)) - full
+
+
+def _prefix(fold: Fold, order: Sequence[Term | NoiseTerm], k: int, full: float) -> float:
+    return full if k == len(order) else log_loss(carried(refit(fold.train, order[:k]), fold.test))
+
+
+def _gate(term: Term | NoiseTerm, gains: Array, folds: Sequence[Fold], chosen: Chosen) -> Gate:
+    """Passed where the interval of the held-out gain lies above zero, or where so small a gain had to be expected.
+
+    An effect near the limit of detection gains ``lambda / 2 +- sqrt(lambda)`` nats, and its interval may reach below
+    zero although it is true; it is withdrawn if the gain is also two standard deviations short of that.
+    """
+    low, _ = interval(gains, np.ones(len(gains)))
+    if low > 0.0:
+        return Gate(term.hypothesis.key, gains, passed=True)
+    if isinstance(term, NoiseTerm):
+        return Gate(term.hypothesis.key, gains, passed=bool(gains.sum() > 0.0))
+    expected = sum(expected_gain(term, fold.train, carried(chosen.model, fold.test)) for fold in folds)
+    if expected <= 1.0:
+        return Gate(term.hypothesis.key, gains, passed=None)
+    return Gate(term.hypothesis.key, gains, passed=bool(gains.sum() > expected - 2.0 * math.sqrt(2.0 * expected)))
+
+
+def interval(part: Array, whole: Array) -> tuple[float, float]:
+    """95 % interval of ``sum(part) / sum(whole)`` by resampling the blocks."""
+    rng = np.random.default_rng(0)
+    drawn = rng.integers(0, len(part), (_RESAMPLED, len(part)))
+    total = whole[drawn].sum(axis=1)
+    ratio = part[drawn].sum(axis=1) / np.where(total == 0.0, np.nan, total)
+    ratio = ratio[np.isfinite(ratio)]
+    if not len(ratio):
+        return -math.inf, math.inf
+    low, high = np.quantile(ratio, [0.025, 0.975])
+    return float(low), float(high)
+
+
+def _sequence(order: Sequence[Term | NoiseTerm], steps: Array, gap: Array) -> tuple[SequenceStep, ...]:
+    whole = float(gap.sum())
+    if whole <= 0.0:
+        return ()
+    return tuple(
+        SequenceStep(term.hypothesis.effect.id, float(steps[:, k].sum()) / whole) for k, term in enumerate(order)
+    )
+
+
+def shrink_of(chosen: Chosen, found: Heldout, *, nested: bool) -> Shrink:
+    """The headline."""
+    samples = float(found.samples.sum())
+    gap = float(found.before.sum())
+    closed, ci = None, None
+    if chosen.model.members and gap > 0.0:
+        closed = float((found.before - found.after).sum()) / gap
+        ci = interval(found.before - found.after, found.before)
+    known = any(declared(view) is not None for view in chosen.model.setting.views)
+    source = "declared_noise" if known else "fit_to_all_data"
+    if any(view.density is not None or math.isfinite(view.dof) for view in chosen.model.setting.views):
+        source = "nominal_log"
+    after = float(found.after.sum()) / samples
+    return Shrink(gap / samples, after, 0.0, source, closed, ci, nested, found.sequence, rms_of(chosen.model))
+
+
+def rms_of(model: Model) -> dict[str, tuple[float, float, str]]:
+    """By sensor: root mean square of the residual before and after, of one axis."""
+    found: dict[str, list[tuple[float, float, int, str]]] = {}
+    for view, left in zip(model.setting.views, model.residual, strict=True):
+        entry = (float((view.residual**2).sum()), float((left**2).sum()), left.size, view.any_trace.unit)
+        found.setdefault(view.sensor.value, []).append(entry)
+    return {
+        sensor: (
+            math.sqrt(sum(e[0] for e in entries) / sum(e[2] for e in entries)),
+            math.sqrt(sum(e[1] for e in entries) / sum(e[2] for e in entries)),
+            entries[0][3],
+        )
+        for sensor, entries in found.items()
+    }
+
+
+def consistent(chosen: Chosen, key: Key) -> bool | None:
+    """Whether the blocks, each for itself, agree on an effect's amplitudes: large doses say what small ones say.
+
+    None for effects on the noise and where fewer than two blocks show the effect.
+    """
+    model = chosen.model
+    term = next((t for t in model.terms if t.hypothesis.key == key), None)
+    if term is None:
+        return None
+    total, count = 0.0, 0
+    for fold in folds_of(model.setting, _BLOCKS):
+        block = with_weight(carried(model, fold.test))
+        normal = normal_equations([jacobian(term, block.setting)], block.y, block.weight)
+        step, _, rank = solved(normal.gram, normal.right)
+        total += float(step @ normal.right)
+        count += rank
+    freedom = count - len(term.values)
+    return None if freedom < 1 else bool(chdtrc(freedom, total) > _DISAGREE)
