@@ -244,17 +244,20 @@ def noise_score(hypothesis: Hypothesis, model: Model) -> Score:
     """What an effect on the noise would gain, its amplitudes and those of the model fitted together."""
     effect = hypothesis.effect
     assert isinstance(effect, NoiseEffect)
-    thetas = [math.nan]
+    thetas, grid = [math.nan], 1
     if effect.shape is not None:
-        thetas = [float(theta) for theta in effect.shape.grid(widest(hypothesis, model)[0])]
+        trace, view = widest(hypothesis, model)
+        tried, screen = effect.shape.grid(trace), effect.shape.screen
+        grid = len(tried)
+        thetas = [float(theta) for theta in (tried if screen is None else screen(trace, unexplained(model, view)))]
     fits = noise_fits(model, effect.sensor)
     scores = [_noise_gain(hypothesis, theta, model, fits) for theta in thetas]
     best = max(range(len(thetas)), key=lambda i: scores[i][0])
     gain, values = scores[best]
     df = len(effect.parameters)
-    price = price_of(hypothesis, df, len(thetas), model)
-    p = one_sided_tail(gain, df, len(thetas))
-    return Score(hypothesis, thetas[best], gain, df, len(thetas), p, gain - price, values)
+    price = price_of(hypothesis, df, grid, model)
+    p = one_sided_tail(gain, df, grid)
+    return Score(hypothesis, thetas[best], gain, df, grid, p, gain - price, values)
 
 
 def noise_fits(model: Model, sensor: Sensor) -> tuple[AxisFit, ...]:

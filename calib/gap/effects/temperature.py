@@ -21,8 +21,9 @@ Array = NDArray[np.float64]
 _LEAST_SPAN = {"temp_linear": 2.0, "temp_poly": 5.0, "temp_scale": 3.0, "thermal_lag": 5.0}  # degC, for any statement
 _GOOD_SPAN = 15.0  # degC, for one that tells the rivals apart
 _BEYOND = 20.0  # degC by which the reference temperature may lie outside what was seen
-_REFERENCES = 13  # tried first
-_LAGS = np.geomspace(2.0, 180.0, 9)  # s, of a die in its package to a board in its box
+_REFERENCES = 5  # tried first: the gain of a slope is a smooth function of it
+_ROOTS = 11  # that of a parabola has two tops, one a root
+_LAGS = np.geomspace(2.0, 180.0, 5)  # s, of a die in its package to a board in its box
 
 _HEAT_AND_COOL = "heat and cool through the calibration temperature"
 
@@ -81,6 +82,12 @@ def references(trace: Trace) -> Array:
     return np.linspace(float(seen.min()) - _BEYOND, float(seen.max()) + _BEYOND, _REFERENCES)
 
 
+def roots(trace: Trace) -> Array:
+    """The same for a parabola."""
+    seen = references(trace)
+    return np.linspace(float(seen[0]), float(seen[-1]), _ROOTS)
+
+
 def lags(trace: Trace) -> Array:
     """Time constants to try, s: none that a third of the recording would not show."""
     longest = max(float(trace.t[-1] - trace.t[0]) / 3.0, 2.0 * float(_LAGS[0]))
@@ -128,7 +135,7 @@ def _of(sensor: Sensor) -> tuple[Effect, ...]:
             "temperature that varies widely",
             _HEAT_AND_COOL,
             _span("temp_poly"),
-            at_zero,
+            Shape(at_zero.parameter, roots),
             columns=axiswise(powers),
             signals=powers,
             rivals=ids("temp_linear", "thermal_lag", "random_walk"),

@@ -20,9 +20,9 @@ Array = NDArray[np.float64]
 _SPLINE = 5
 _LONGEST = 0.5  # s, delay
 _SHORTEST = 0.125  # samples, delay
-_DELAYS = 9  # of each sign
-_CUTOFFS = 14
-_DRIFTS = 8  # of each sign
+_DELAYS = 4  # of each sign
+_CUTOFFS = 6
+_DRIFTS = 3  # of each sign
 _LARGEST_DRIFT = 5e-3  # clocks without a crystal
 _LEAST_SHIFT = 1e-3  # s at the end of the recording, of the smallest drift to try
 
