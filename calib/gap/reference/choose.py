@@ -10,9 +10,12 @@ from calib.gap.reference.align import CLOSED, SAME, aligned, one_clock, same_dig
 from calib.gap.reference.chosen import sensors_of
 from calib.gap.reference.ideal import Ideal
 from calib.gap.reference.posed import Array, Pose, driven, earth_field_of, pose_of
-from calib.gap.reference.recorded import recorded, simulated
+from calib.gap.reference.recorded import recorded, simulated, true_attitude
 from calib.gap.reference.smoothed import re_estimated
 from calib.recording import Recording, Sensor
+
+DOUBTFUL_DEG = 0.5
+"""Standard deviation of a reference's attitude from which it is warned of."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,13 +34,17 @@ def choose(real: Recording, sim: Recording | None, nominal: Sequence[Recording])
         return Chosen(_completed(ideal, real), tuple((n, _of_nominal(n, real, ideal)) for n in clean))
     if sim is not None and (ideal := of_same_trajectory(real, sim)) is not None:
         return Chosen(ideal, tuple((n, recorded(n)) for n in clean))
+    logged = real.identity.autopilot is not None  # of a vehicle: a simulator's truth is there too slow for a gyroscope
+    truth = all(true_attitude(r) is not None for r in (real, *clean))
+    if logged and (ideal := re_estimated(real, with_truth=truth)) is not None:
+        return Chosen(_doubted(ideal), tuple((n, re_estimated(n, with_truth=truth)) for n in clean))
     if (pose := pose_of(real)) is not None:
         poses = [(n, pose_of(n)) for n in clean]
         earth = earth_of([(n, p) for n, p in poses if p is not None] or [(real, pose)])
         made = tuple((n, None if p is None else driven(p, earth)) for n, p in poses)
         return Chosen(driven(pose, earth), made)
-    if (ideal := re_estimated(real)) is not None:
-        return Chosen(ideal, tuple((n, re_estimated(n)) for n in clean))
+    if not logged and (ideal := re_estimated(real)) is not None:
+        return Chosen(_doubted(ideal), tuple((n, re_estimated(n)) for n in clean))
     return None
 
 
@@ -64,6 +71,18 @@ def earth_of(posed: Sequence[tuple[Recording, Pose]]) -> Array | None:
         if magnetometers := [c for c in sensors_of(recording) if c.sensor == Sensor.MAG]:
             return earth_field_of(magnetometers, pose)
     return None
+
+
+def _doubted(ideal: Ideal) -> Ideal:
+    """With a warning, if the attitude of the reference is so poor that it imitates an effect."""
+    if ideal.info.att_sigma_deg < DOUBTFUL_DEG:
+        return ideal
+    said = (
+        f"the re-estimated attitude is known to {ideal.info.att_sigma_deg:.1f} deg only: an accelerometer bias below "
+        f"{0.34 * ideal.info.att_sigma_deg:.2f} m/s2 and an offset of the compass cannot be told from a tilt; turn the "
+        "vehicle through all headings"
+    )
+    return dataclasses.replace(ideal, warnings=(*ideal.warnings, said))
 
 
 def _completed(ideal: Ideal, real: Recording) -> Ideal:

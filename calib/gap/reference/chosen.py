@@ -32,7 +32,8 @@ def comparable(real: Recording, sensor: Sensor) -> dict[int, Channel]:
     sources: dict[tuple[str, Stage], dict[int, Channel]] = {}
     for channel in real.channels:
         if channel.sensor == sensor and channel.stage != Stage.DEBIASED and len(channel) >= 4:
-            sources.setdefault((channel.source, channel.stage), {}).setdefault(channel.instance, channel)
+            name = channel.source.rstrip("0123456789")  # older logs number their messages: IMU, IMU2, IMU3
+            sources.setdefault((name, channel.stage), {}).setdefault(channel.instance, channel)
     found = [{i: c for i, c in group.items() if _same_times(c, group[min(group)])} for group in sources.values()]
     return max(found, key=lambda group: (len(group), sum(len(c) for c in group.values())), default={})
 

@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 _BANDS = 28
 _COLOURED = 6.0  # standard deviations by which the band furthest from white must be off
 _FEWEST = 64
+_LEAST = 6  # coefficients in the lowest band
 _SEEN = 5.0  # times the filter's cut-off, beyond which too little is left to be brought back
 
 
@@ -57,7 +58,7 @@ def learned(trace: Trace) -> Noise | None:
     residual[~trace.observed] = 0.0
     power = dct(residual, axis=0, norm="ortho")[1:] ** 2 / trace.observed.mean()
     bins = np.arange(1, n)
-    edges = np.unique(np.concatenate([np.rint(np.geomspace(1.0, n, _BANDS + 1))])).astype(np.intp)
+    edges = np.concatenate([[1], np.unique(np.rint(np.geomspace(_LEAST, n, _BANDS)))]).astype(np.intp)
     group = np.searchsorted(edges, bins, side="right") - 1
     count = np.bincount(group).astype(np.float64)
     mean = np.column_stack([np.bincount(group, weights=column) for column in power.T]) / count[:, None]
@@ -93,6 +94,7 @@ def with_noise(trace: Trace, total: Noise | None, own: Noise | None) -> Trace:
     white = own if own is not None else total
     if whole is None or white is None:
         return trace
+    whole, white = (dataclasses.replace(n, psd=np.maximum(n.psd, _rounding(trace))) for n in (whole, white))
     close = abs(math.log(trace.fs / white.fs)) < 0.02 and trace.low_pass_hz == white.low_pass_hz
     if close:
         trace = dataclasses.replace(trace, sigma=white.sigma, sigma_dof=float(white.dof.sum()))
@@ -100,7 +102,14 @@ def with_noise(trace: Trace, total: Noise | None, own: Noise | None) -> Trace:
         return trace
     hz = np.geomspace(trace.fs / (2.0 * len(trace.t)), trace.fs / 2.0, 3 * _BANDS)
     trace = dataclasses.replace(trace, psd=_on(whole, hz, trace.fs, trace.low_pass_hz), psd_hz=hz)
+    if own is not None:
+        own = dataclasses.replace(own, psd=np.maximum(own.psd, _rounding(trace)))
     return dataclasses.replace(trace, own_psd=_on(own, hz, trace.fs, trace.low_pass_hz)) if own is not None else trace
+
+
+def _rounding(trace: Trace) -> float:
+    """Variance of the rounding, twice that of a difference: less is an accident of digits that did not change."""
+    return trace.quantum**2 / 12.0 * (1.0 if trace.against is None else 2.0)
 
 
 def _on(noise: Noise, hz: Array, fs: float, low_pass_hz: float | None) -> Array:

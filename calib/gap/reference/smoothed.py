@@ -5,6 +5,7 @@ The attitude in a log was built from the sensors under test and hides their erro
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,16 +19,17 @@ from calib.gap.problem import ReferenceInfo, ReferenceKind
 from calib.gap.reference.chosen import sensors_of
 from calib.gap.reference.ideal import Ideal
 from calib.gap.reference.posed import GRAVITY_NED, rotation
-from calib.gap.reference.recorded import continuous
+from calib.gap.reference.recorded import continuous, true_attitude
 from calib.gap.reference.signal import Signal, linear, slow
 from calib.gap.reference.strapdown import STEPS, Increments
-from calib.gap.reference.trajectory import Aiding, State, smooth
+from calib.gap.reference.trajectory import ITERATIONS, Aiding, State, smooth, start_at
 from calib.recording import Channel, Recording, Sensor
 
 Array = NDArray[np.float64]
 
 STEP_S = 0.1
 """From node to node: what the ideal accelerometer knows ends at half of 1 / STEP_S."""
+_TRIALS = 3  # iterations after which the inertial units can be compared
 _FEWEST_GPS = 20
 _SHORTEST_S = 10.0
 _LONGEST_S = 1800.0
@@ -43,19 +45,20 @@ class Smoothed:
     imu: Increments
     instance: int
     mag_instance: int | None
+    true: bool
 
 
-def re_estimated(recording: Recording) -> Ideal | None:
-    """Ideal sensors along the smoothed trajectory of `recording`.
+def re_estimated(recording: Recording, *, with_truth: bool = False) -> Ideal | None:
+    """Ideal sensors along the smoothed trajectory of `recording`; `with_truth`: a simulator's attitude is in it.
 
     None without GPS velocity, a gyroscope and an accelerometer over the same ten seconds. Of several inertial units,
     and of several magnetometers, the one is taken with which everything agrees best.
     """
-    found = best_trajectory(recording)
+    found = best_trajectory(recording, with_truth=with_truth)
     return None if found is None else _driven(found)
 
 
-def best_trajectory(recording: Recording) -> Smoothed | None:
+def best_trajectory(recording: Recording, *, with_truth: bool = False) -> Smoothed | None:
     """The smoothed trajectory with the inertial unit and the magnetometer that fit best; None if there is none."""
     channels = sensors_of(recording)
     velocity = next((s for c in recording.find(Sensor.VELOCITY) if (s := Signal.of(c)) is not None), None)
@@ -71,14 +74,22 @@ def best_trajectory(recording: Recording) -> Smoothed | None:
     t: Array = start + STEP_S * np.arange(int((end - start) / STEP_S) + 1, dtype=np.float64)
     compass = mags.get(_typical(mags)) if mags else None
     aiding = _aiding(recording, velocity, compass, t)
-    first = _first_guess(recording, gyros[units[0]], accels[units[0]], aiding, t)
+    truth = true_attitude(recording) if with_truth else None
+    if truth is not None:
+        seen = truth.known(truth.t) & (truth.t >= t[0]) & (truth.t <= t[-1])
+        aiding = dataclasses.replace(aiding, truth_t=truth.t[seen], truth=rotation(truth.values[seen]))
+    guess = _first_guess(recording, gyros[units[0]], accels[units[0]], aiding, t)
     made = []
     for unit in units:
         gyro, accel = Signal.of(gyros[unit]), Signal.of(accels[unit])
         if gyro is not None and accel is not None:
             imu = Increments.of(gyro, accel, t)
-            made.append(Smoothed(smooth(imu, aiding, first), imu, unit, compass.instance if compass else None))
-    return min(made, key=lambda s: s.state.cost, default=None)
+            state = smooth(imu, aiding, start_at(t, guess, aiding), _TRIALS if len(units) > 1 else ITERATIONS)
+            made.append(Smoothed(state, imu, unit, compass.instance if compass else None, truth is not None))
+    best = min(made, key=lambda s: s.state.cost, default=None)
+    if best is None or len(units) == 1:
+        return best
+    return dataclasses.replace(best, state=smooth(best.imu, aiding, best.state))
 
 
 def _span(channels: list[Channel], velocity: Signal) -> tuple[float, float]:
@@ -200,6 +211,9 @@ def _info(found: Smoothed) -> ReferenceInfo:
         if found.mag_instance is None
         else "GPS velocity, inertial unit and compass"
     )
+    if found.true:
+        text = "The attitude in a simulator's log, and the velocities between."
+        return ReferenceInfo(ReferenceKind.SIM, float(np.degrees(found.state.att_sd)), 10.0, text)
     text = (
         f"A trajectory re-estimated from {sources} with their errors inside (inertial unit {found.instance + 1}"
         + ("" if found.mag_instance is None else f", compass {found.mag_instance + 1}")

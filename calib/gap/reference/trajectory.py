@@ -22,13 +22,22 @@ Array = NDArray[np.float64]
 
 NODE = 12  # attitude, velocity, gyroscope bias, accelerometer bias
 CONSTANTS = 10  # magnetometer offset, field per ampere, Earth field, delay of the GPS
-_ITERATIONS = 8
+ITERATIONS = 8
 _HUBER = 3.0
+LEAST_VELOCITY_SD = 0.1
+LEAST_MAG_SD = 0.5
+"""m/s and uT: what the moment of a sample, the firmware's filters and the motion between nodes leave unmodelled."""
 
 # Standard deviations a priori: of the walks per root second, and of what does not change.
 WALK = np.repeat([3e-4, 0.02, 1e-5, 3e-4], 3)
-BIAS = np.repeat([0.05, 0.5], 3)
-CONSTANT = np.concatenate([np.repeat([20.0, 1.0, 1.0], 3), [0.15]])
+BIAS = np.repeat([0.05, 0.2], 3)
+TRUTH_SD = np.radians(0.05)
+"""Of a simulator's attitude: that of the moment at which it was written."""
+_CAUTION = 3.0
+"""By which the errors of the aiding are larger, where the attitude's own is judged: they are not independent."""
+_LOST = np.repeat([1.0, 10.0], 3)
+"""What attitude (rad) and velocity (m/s) may do over an interval without samples."""
+CONSTANT = np.concatenate([np.repeat([5.0, 1.0, 1.0], 3), [0.15]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +52,8 @@ class Aiding:
         Of the magnetometer, uT, and the current then, A. L may be 0.
     earth : shape (3,)
         The field expected here, uT, north-east-down.
+    truth_t, truth : shape (J,), J rotations
+        Attitudes that are known, of a simulator; None: none.
     """
 
     velocity_t: Array
@@ -51,6 +62,8 @@ class Aiding:
     mag: Array
     current: Array
     earth: Array
+    truth_t: Array | None = None
+    truth: Rotation | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,20 +87,24 @@ class State:
         return self.constants[6:9]
 
 
-def smooth(imu: Increments, aiding: Aiding, start: Rotation) -> State:
-    """The trajectory that agrees best with everything, starting the search at the attitudes `start` of the nodes."""
-    n = len(imu.t)
-    velocity = np.column_stack([np.interp(imu.t, aiding.velocity_t, v) for v in aiding.velocity.T])
+def start_at(t: Array, attitude: Rotation, aiding: Aiding) -> State:
+    """Where the search starts: the attitudes of the nodes `t`, the velocity of the GPS, no errors."""
+    velocity = np.column_stack([np.interp(t, aiding.velocity_t, v) for v in aiding.velocity.T])
     constants = np.concatenate([np.zeros(6), aiding.earth, [0.1]])
-    zero = np.zeros((n, 3))
-    state = State(imu.t, start, velocity, zero, zero, constants, np.full(3, 0.3), 3.0)
-    for _ in range(_ITERATIONS):
+    zero = np.zeros((len(t), 3))
+    return State(t, attitude, velocity, zero, zero, constants, np.full(3, 0.3), 3.0)
+
+
+def smooth(imu: Increments, aiding: Aiding, state: State, iterations: int = ITERATIONS) -> State:
+    """The trajectory that agrees best with everything, searched from `state`."""
+    for _ in range(iterations):
         normal = _normal_equations(imu, aiding, state)
         state, moved = _stepped(state, normal)
         if moved < 1e-5:
             break
-    final = _normal_equations(imu, aiding, state)
-    return replace(state, cost=final.cost, att_sd=_attitude_sd(final))
+    cautious = replace(state, velocity_sd=_CAUTION * state.velocity_sd, mag_sd=_CAUTION * state.mag_sd)
+    att_sd = _attitude_sd(_normal_equations(imu, aiding, cautious))
+    return replace(state, cost=_normal_equations(imu, aiding, state).cost, att_sd=att_sd)
 
 
 class _Normal:
@@ -140,10 +157,12 @@ class _Normal:
 def _normal_equations(imu: Increments, aiding: Aiding, state: State) -> _Normal:
     normal = _Normal(len(state.t))
     between = imu.between(state.gyro_bias[:-1], state.accel_bias[:-1])
-    _tie(normal, imu.dt, between, state)
+    _tie(normal, imu, between, state)
     _observe_velocity(normal, imu.dt, between, aiding, state)
     if len(aiding.mag_t):
         _observe_field(normal, imu.dt, between, aiding, state)
+    if aiding.truth is not None and aiding.truth_t is not None:
+        _observe_truth(normal, imu.dt, between, aiding.truth_t, aiding.truth, state)
     prior = 1.0 / BIAS**2
     normal.diagonal[0, range(6, NODE), range(6, NODE)] += prior
     bias = np.concatenate([state.gyro_bias[0], state.accel_bias[0]])
@@ -155,8 +174,9 @@ def _normal_equations(imu: Increments, aiding: Aiding, state: State) -> _Normal:
     return normal
 
 
-def _tie(normal: _Normal, dt: float, between: Between, state: State) -> None:
+def _tie(normal: _Normal, imu: Increments, between: Between, state: State) -> None:
     """Neighbours: ``x[k+1] = F x[k] + defect + walk``."""
+    dt = imu.dt
     here, there = state.attitude[:-1], state.attitude[1:]
     matrix = here.as_matrix()
     defect = np.zeros((len(matrix), NODE))
@@ -169,14 +189,16 @@ def _tie(normal: _Normal, dt: float, between: Between, state: State) -> None:
     f[:, :3, 6:9] = -dt * np.eye(3)
     f[:, 3:6, :3] = -matrix @ _cross(between.velocity)
     f[:, 3:6, 9:] = -dt * matrix
-    weight = 1.0 / (WALK**2 * dt)
-    weighted = f * weight[:, None]
+    variance = np.tile(WALK**2 * dt, (len(matrix), 1))
+    variance[:, :6] += np.where(imu.known[:, None], np.repeat(imu.sampling**2, 3), _LOST**2)
+    weight = 1.0 / variance
+    weighted = f * weight[:, :, None]
     normal.diagonal[:-1] += np.einsum("kij,kil->kjl", weighted, f)
     normal.diagonal[1:, range(NODE), range(NODE)] += weight
     normal.beside -= np.swapaxes(weighted, 1, 2)
     normal.right[:-1] -= np.einsum("kij,ki->kj", weighted, defect)
     normal.right[1:] += weight * defect
-    normal.cost += float((weight * defect**2).sum())
+    normal.cost += float((weight * defect**2).sum() - np.log(weight).sum())
 
 
 def _observe_velocity(normal: _Normal, dt: float, between: Between, aiding: Aiding, state: State) -> None:
@@ -193,9 +215,7 @@ def _observe_velocity(normal: _Normal, dt: float, between: Between, aiding: Aidi
 
 
 def _observe_field(normal: _Normal, dt: float, between: Between, aiding: Aiding, state: State) -> None:
-    node, since = _nodes(aiding.mag_t, state.t)
-    rate = between.turn.as_rotvec()[np.minimum(node, len(between.velocity) - 1)] / dt
-    body_from_ned = (state.attitude[node] * Rotation.from_rotvec(rate * since[:, None])).inv()
+    node, body_from_ned = _attitudes(aiding.mag_t, dt, between, state)
     ideal = body_from_ned.apply(state.earth)
     offset, per_ampere = state.constants[:3], state.constants[3:6]
     residual = aiding.mag - ideal - offset - aiding.current[:, None] * per_ampere
@@ -207,6 +227,22 @@ def _observe_field(normal: _Normal, dt: float, between: Between, aiding: Aiding,
     by_constant[:, :, 6:9] = body_from_ned.as_matrix()
     normal.observe(node, by_node, by_constant, residual, _weights(residual, np.full(3, state.mag_sd)))
     normal.mag_residual = residual
+
+
+def _observe_truth(normal: _Normal, dt: float, between: Between, truth_t: Array, truth: Rotation, state: State) -> None:
+    node, body_from_ned = _attitudes(truth_t, dt, between, state)
+    residual = (body_from_ned * truth).as_rotvec()
+    by_node = np.zeros((len(node), 3, NODE))
+    by_node[:, :, :3] = np.eye(3)
+    by_constant = np.zeros((len(node), 3, CONSTANTS))
+    normal.observe(node, by_node, by_constant, residual, _weights(residual, np.full(3, TRUTH_SD)))
+
+
+def _attitudes(t: Array, dt: float, between: Between, state: State) -> tuple[NDArray[np.intp], Rotation]:
+    """The node before each of `t`, and the turn from north-east-down to the body then."""
+    node, since = _nodes(t, state.t)
+    rate = between.turn.as_rotvec()[np.minimum(node, len(between.velocity) - 1)] / dt
+    return node, (state.attitude[node] * Rotation.from_rotvec(rate * since[:, None])).inv()
 
 
 def _nodes(t: Array, nodes: Array) -> tuple[NDArray[np.intp], Array]:
@@ -232,14 +268,14 @@ def _stepped(state: State, normal: _Normal) -> tuple[State, float]:
         gyro_bias=state.gyro_bias + step[:, 6:9],
         accel_bias=state.accel_bias + step[:, 9:],
         constants=state.constants + constants[:, 0],
-        velocity_sd=np.maximum(1.4826 * np.median(np.abs(normal.velocity_residual), axis=0), 0.02),
-        mag_sd=max(1.4826 * float(np.median(np.abs(mag))), 0.1) if len(mag) else state.mag_sd,
+        velocity_sd=np.maximum(1.4826 * np.median(np.abs(normal.velocity_residual), axis=0), LEAST_VELOCITY_SD),
+        mag_sd=max(1.4826 * float(np.median(np.abs(mag))), LEAST_MAG_SD) if len(mag) else state.mag_sd,
     )
     return new, float(np.abs(step[:, :3]).max())
 
 
 def _attitude_sd(normal: _Normal) -> float:
-    """Root mean square over a few nodes of the standard deviation of roll, pitch and yaw, rad."""
+    """Median over a few nodes of the standard deviation of roll, pitch and yaw, rad."""
     n = len(normal.diagonal)
     nodes = np.linspace(0, n - 1, 8).astype(np.intp)
     right = np.zeros((n, NODE, 24))
@@ -247,7 +283,7 @@ def _attitude_sd(normal: _Normal) -> float:
         right[node, range(3), range(3 * i, 3 * i + 3)] = 1.0
     solution, _ = normal.solved(right, np.zeros((CONSTANTS, 24)))
     variances = [solution[node, range(3), range(3 * i, 3 * i + 3)] for i, node in enumerate(nodes)]
-    return float(np.sqrt(np.mean(variances)))
+    return float(np.sqrt(np.median(variances)))
 
 
 def _cross(v: Array) -> Array:
