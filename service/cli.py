@@ -20,6 +20,7 @@ COMMANDS = {
     "fit": "Run one method on a recording.",
     "inspect": "Tell what is in a recording.",
     "convert": "Turn a recording into a table.",
+    "gap": "Diagnose where a real sensor differs from a simulated one, and why.",
     "simulate": "A simulated flight controller on a socket, or a synthetic recording.",
     "config": "Show the settings, or their schema.",
     "doctor": "Check this machine for what the service needs.",
