@@ -67,7 +67,7 @@ def _usable(recording: Recording, sensor: Sensor) -> list[Channel]:
 def _gyro(recording: Recording, rests: Sequence[Rest]) -> tuple[bool, str]:
     longest = max((r.duration for r in rests), default=0.0)
     if not _usable(recording, Sensor.GYRO):
-        return False, "the log has no gyroscope of which no bias is subtracted"
+        return False, "the log has no usable gyroscope"
     if longest < 5.0:
         return False, f"the longest rest lasts {longest:.0f} s: 5 are needed"
     return True, f"{longest:.0f} s at rest; most autopilots measure this bias at boot anyway"

@@ -3,8 +3,8 @@
 What a rest does not tell is a nuisance of its own: an accelerometer's rest has a constant for its pose (gravity is in
 it), a gyroscope's log has one for its turn-on bias. Where two inertial units stand side by side, the difference of
 their accelerometers has no pose in it: all rests of a log then share one constant, and a rest after the flight tells
-what the unit did in flight. That is a statement about both of them; it is used only where the other one, by its own
-rests, does not drift.
+what the unit did in flight. Where even the rests of both are too narrow, the flight itself counts (:mod:`~.flown`).
+That is a statement about both of them; it is used only where the other one, by its own rests, does not drift.
 """
 
 from __future__ import annotations
@@ -17,17 +17,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.fit import AXES, FitResult, FitStatus, refused
+from calib.flight.flown import flown_difference
 from calib.flight.rest import DISARMED
 from calib.flight.warm import Log, Warmth, warmth
 from calib.procedures.drift_fit import PoseOffsets, fit_posed
 from calib.recording import Sensor
-from calib.thermal import LINEAR_METHOD, POLYNOMIAL_METHOD, fit_linear
+from calib.thermal import LINEAR_METHOD, POLYNOMIAL_METHOD, fit_drift_data, fit_linear
 
 Array = NDArray[np.float64]
 
-STEADY = 0.02
-"""Drift of an accelerometer over the span, m/s2, below which it may be a reference: what a thermal calibration is asked
-to leave (defaults of the calibration's length)."""
+STEADY = {Sensor.ACCEL: 0.02, Sensor.GYRO: float(np.radians(0.05))}
+"""Drift over the span, m/s2 and rad/s, below which a unit may be a reference: what a thermal calibration is asked to
+leave (defaults of the calibration's length)."""
+_UNITS = ("m/s2", "rad/s")
 _WIDER = 1.25  # a difference must see this many times the span of the sensor by itself
 _LEAST_SPAN = 2.0  # degC, for the reference to be judged
 COLDER = f"log a warm-up at rest from cold, disarmed ({DISARMED}), better the cooling down too"
@@ -62,14 +64,19 @@ def fit_rests(logs: Sequence[Log], sensor: Sensor, instance: int, wish: Wish, *,
     if own is None:
         return _refused(logs, sensor, instance, wish, "the vehicle never rested with its motors off in this log")
     if sensor == Sensor.GYRO:
-        return _told(_fit(own, own.log, wish, relative), own, "each log with its own turn-on bias")
-    alone = _told(_fit(own, own.rest, wish, relative), own, "each rest with its own pose")
-    if wish.reference == "gravity":
-        return alone
-    best, why = _by_difference(logs, own, wish, relative)
+        alone, best, why = (
+            _told(_fit(own, own.log, wish, relative), own, "each log with its own turn-on bias"),
+            None,
+            "",
+        )
+    else:
+        alone = _told(_fit(own, own.rest, wish, relative), own, "each rest with its own pose")
+        best, why = (None, "") if wish.reference == "gravity" else _by_difference(logs, own, wish, relative)
+    if best is None and alone.status == FitStatus.REFUSED and wish.reference != "gravity" and wish.degree:
+        best, why = _in_flight(logs, own, wish, relative)
     if best is not None:
         return best
-    if wish.reference == "difference":
+    if wish.reference == "difference" and sensor == Sensor.ACCEL:
         return _refused(logs, sensor, instance, wish, f"no other accelerometer can be the reference: {why}")
     return alone if not why else dataclasses.replace(alone, warnings=(*alone.warnings, why))
 
@@ -109,7 +116,7 @@ def _by_difference(logs: Sequence[Log], own: Warmth, wish: Wish, relative: bool)
             continue
         if wish.reference == "auto" and rows.covered(rows.log) < _WIDER * own.covered(own.rest):
             continue
-        steady = _steady(logs, other, rows.data.span)
+        steady = _steady(logs, Sensor.ACCEL, other, rows.data.span)
         if isinstance(steady, str):
             why = steady
             continue
@@ -120,21 +127,71 @@ def _by_difference(logs: Sequence[Log], own: Warmth, wish: Wish, relative: bool)
     return None, why
 
 
-def _steady(logs: Sequence[Log], other: int, span: float) -> Array | str:
-    """Slopes (3,) that the reference may have by its own rests, with their sd; or why it is none."""
-    rows = warmth(logs, Sensor.ACCEL, other)
-    name = f"accelerometer {other + 1}"
+def _in_flight(logs: Sequence[Log], own: Warmth, wish: Wish, relative: bool) -> tuple[FitResult | None, str]:
+    """The drift against another unit over whole logs, flights included; or why not."""
+    sensor, instance = own.channel.sensor, own.channel.instance
+    why = ""
+    for other in sorted({i for log in logs for i in log.recording.instances(sensor)} - {instance}):
+        flown = flown_difference(logs, sensor, instance, other, wish.degree)
+        if flown is None or flown.data.span < wish.min_span:
+            continue
+        steady = _steady(logs, sensor, other, flown.data.span)
+        if isinstance(steady, str):
+            why = steady
+            continue
+        fit = fit_drift_data(
+            flown.channel,
+            flown.data,
+            flown.data.samples,
+            degree=wish.degree,
+            t_ref=wish.t_ref,
+            min_span=wish.min_span,
+            lag=wish.lag,
+            relative=relative,
+        )
+        if fit.status == FitStatus.REFUSED:
+            why = fit.message
+            continue
+        text = f"the rests alone are too narrow: {flown.flight:.0f} s of flight count as well, by what the units differ"
+        fit = dataclasses.replace(fit, covariance=fit.covariance * flown.loss, warnings=(*fit.warnings, text))
+        return _told(_against(_without_offset(fit), other, steady), own, "and the flights between them"), ""
+    return None, why
+
+
+def _without_offset(fit: FitResult) -> FitResult:
+    """A fit of a difference says nothing of the offset of one of the two."""
+    names = tuple(f"offset_{axis}" for axis in AXES)
+    open_names = tuple(n for n in fit.names if n in {*fit.undetermined, *names})
+    covariance = fit.covariance.copy()
+    covariance[:3] = covariance[:, :3] = 0.0
+    model = dataclasses.replace(fit.model, offset=np.zeros(3))
+    told = {
+        n: fit.movements.get(n, "only the difference to another unit was seen: rest it (gyro-rest)") for n in open_names
+    }
+    return dataclasses.replace(
+        fit, model=model, covariance=covariance, undetermined=open_names, movements=told, status=FitStatus.PARTIAL
+    )
+
+
+def _steady(logs: Sequence[Log], sensor: Sensor, other: int, span: float) -> Array | str:
+    """Slopes (3,) that the reference may have by its own rests, with their sd; or why it is none over `span` degC."""
+    rows = warmth(logs, sensor, other)
+    name = f"{'accelerometer' if sensor == Sensor.ACCEL else 'gyroscope'} {other + 1}"
     if rows is None:
         return f"{name} never rested"
-    line = _fit(rows, rows.rest, Wish(degree=1, t_ref=35.0, min_span=_LEAST_SPAN, lag=False), relative=False)
-    if line.status == FitStatus.REFUSED or line.model.polynomial is None:
+    groups = rows.rest if sensor == Sensor.ACCEL else rows.log
+    line = _fit(rows, groups, Wish(degree=1, t_ref=35.0, min_span=_LEAST_SPAN, lag=False), relative=False)
+    if line.status == FitStatus.REFUSED or line.model.polynomial is None or len(line.undetermined) > 3:
         return f"{name} cannot be judged as a reference: {line.message}"
     slope = line.model.polynomial.coefficients[:, 0]
     sd = np.sqrt(np.diag(line.covariance)[12:])
-    seen = line.model.polynomial.t_max - line.model.polynomial.t_min
-    drift = float(np.abs(slope).max()) * seen
-    if line.unit == "m/s2" and drift > STEADY:
-        return f"{name} drifts by itself ({drift:.3f} m/s2 over {seen:.1f} degC at rest): it is no reference"
+    drift = float((np.abs(slope) + 2.0 * sd).max()) * span
+    if line.unit not in _UNITS or drift > STEADY[sensor]:
+        seen = line.model.polynomial.t_max - line.model.polynomial.t_min
+        return (
+            f"{name} may drift by itself by {drift:.2g} {line.unit} over {span:.1f} degC, as its {seen:.1f} degC at "
+            "rest say: it is no reference"
+        )
     return np.asarray(np.hypot(slope, sd), dtype=np.float64)
 
 
@@ -149,9 +206,9 @@ def _against(fit: FitResult, other: int, slopes: Array) -> FitResult:
         if covariance[k, k] > 0.0:
             covariance[k, k] += slopes[axis] ** 2
     text = (
-        f"the reference is accelerometer {other + 1}: the drift is that of the difference of the two, on the "
-        f"statement that the reference drifts by no more than the {1e6 * slopes.max():.0f}e-6 m/s2/degC of its own "
-        "rests where those did not reach"
+        f"the reference is {fit.sensor} {other + 1}: the drift is that of the difference of the two, on the "
+        f"statement that the reference drifts by no more than the {1e6 * slopes.max():.3g}e-6 {fit.unit}/degC of its "
+        "own rests where those did not reach"
     )
     quality = {**fit.quality, "reference": "difference", "reference_instance": other}
     return dataclasses.replace(fit, covariance=covariance, warnings=(*fit.warnings, text), quality=quality)

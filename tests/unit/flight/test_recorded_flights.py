@@ -53,6 +53,18 @@ def test_the_polynomial_of_the_first_unit_and_none_of_the_second(shared_data, de
                 assert fit.quality["reference"] == "difference"
 
 
+@pytest.mark.parametrize("sensor", ["accel", "gyro"])
+def test_the_flight_itself_gives_the_polynomial_where_little_rest_was_logged(shared_data, sensor):
+    cut = flown(shared_data / "sitl_flights" / "vib_motor_temp.bin").between(36.0, 130.0)
+    first, second = METHODS["thermal-poly"].run(cut, {"degree": 2, "sensor": sensor})
+    found, truth = first.model.polynomial.coefficients, TRUTH[sensor][:, :2]
+    sd = np.sqrt(np.diag(first.covariance)[12:]).reshape(3, 2)
+    assert np.abs((found - truth) / sd).max() < 3.0
+    assert found[:, 0] == pytest.approx(truth[:, 0], rel=0.1)
+    assert second.status == FitStatus.REFUSED
+    assert any("gyroscope 1 may drift" in w or "accelerometer 1 may drift" in w for w in second.warnings)
+
+
 def test_a_flight_without_warming_is_refused_with_its_span(shared_data):
     fits = METHODS["thermal-poly"].run(flown(shared_data / "sitl_flights" / "null.bin"))
     assert {fit.status for fit in fits} == {FitStatus.REFUSED}

@@ -54,14 +54,45 @@ def test_a_rest_after_the_flight_counts_against_a_steady_neighbour():
     assert np.max(against.quality["drift_sd"]) < 0.5 * np.max(alone.quality["drift_sd"])
     assert against.quality["reference"] == "difference"
     assert np.abs(errors(against, ACCEL)).max() < 3.5
-    assert any("reference is accelerometer 2" in w for w in against.warnings)
+    assert any("reference is accel 2" in w for w in against.warnings)
+
+
+SHORT = {"before": 45.0, "flight": 155.0, "after": 0.0}
+
+
+@pytest.mark.parametrize("sensor", [Sensor.ACCEL, Sensor.GYRO])
+def test_the_flight_counts_where_the_rests_are_too_narrow(sensor):
+    recording = log([DRIFTING, STEADY], (30.0, 52.0), seed=20, noise=0.003, **SHORT)
+    misaligned = [
+        dataclasses.replace(
+            c, values=c.values @ np.array([[1.002, 0.01, 0.0], [0.0, 0.998, -0.008], [0.005, 0.0, 1.0]])
+        )
+        if c.instance == 0 and c.sensor == sensor
+        else c
+        for c in recording.channels
+    ]
+    fit = fitted([recording.with_channels(misaligned)], sensor)
+    assert fit.status == FitStatus.PARTIAL
+    assert {"offset_x", "offset_y", "offset_z"} <= set(fit.undetermined)
+    assert fit.model.polynomial.t_max > 51.0
+    assert np.abs(errors(fit, ACCEL if sensor == Sensor.ACCEL else GYRO)).max() < 3.5
+    assert any("of flight count as well" in w for w in fit.warnings)
+    refused = fitted([recording], sensor, wish=dataclasses.replace(QUADRATIC, reference="gravity"))
+    assert refused.status == FitStatus.REFUSED
+
+
+def test_a_flight_beside_a_neighbour_that_cannot_be_judged_is_refused():
+    recording = log([DRIFTING, STEADY], (30.0, 52.0), seed=21, noise=0.1, **SHORT)
+    fit = fitted([recording], Sensor.ACCEL)
+    assert fit.status == FitStatus.REFUSED
+    assert any("may drift by itself" in w for w in fit.warnings)
 
 
 def test_a_neighbour_that_drifts_itself_is_no_reference():
     both = log([DRIFTING, DRIFTING], (23.0, 53.0), seed=4)
     fit = fitted([both], Sensor.ACCEL)
     assert fit.quality["reference"] == "gravity"
-    assert any("drifts by itself" in w for w in fit.warnings)
+    assert any("may drift by itself" in w for w in fit.warnings)
     forced = fitted([both], Sensor.ACCEL, wish=dataclasses.replace(QUADRATIC, reference="difference"))
     assert forced.status == FitStatus.REFUSED
     assert "no other accelerometer" in forced.message
