@@ -7,8 +7,10 @@ from collections.abc import Sequence
 from calib.errors import InvalidInputError
 from calib.gap.problem import Problem, ReferenceInfo, ReferenceKind, Trace
 from calib.gap.reference.calibrated import corrected
-from calib.gap.reference.choose import Chosen, choose
+from calib.gap.reference.checks import check_vehicles, checked
+from calib.gap.reference.choose import choose
 from calib.gap.reference.chosen import sensors_of
+from calib.gap.reference.deviation import deviations, simulated_ideal
 from calib.gap.reference.ideal import Ideal, trace_of
 from calib.gap.reference.noise import Noise, learned, pooled, with_noise
 from calib.gap.reference.redundant import differences
@@ -18,6 +20,7 @@ _NO_REFERENCE = (
     "nothing says what an ideal sensor would have read: add ref_* or q_* columns, give --sim of the same trajectory, "
     "or a log with GPS velocity, or with several instances of a sensor"
 )
+_NO_OVERLAP = "the recording and its reference have no sensor in common, or do not overlap in time: check their clocks"
 _REDUNDANT = "The instances of the vehicle are held against each other."
 
 
@@ -38,36 +41,43 @@ def build(real: Recording, sim: Recording | None = None, nominal: Sequence[Recor
     InvalidInputError
         If the recordings have nothing in common, or `real` has no sensor.
     """
+    check_vehicles(real, (*nominal, *(() if sim is None else (sim,))))
     real, sim = corrected(real), None if sim is None else corrected(sim)
-    clean = [corrected(n) for n in nominal]
     channels = sensors_of(real)
     if not channels:
         raise InvalidInputError("the recording has no accelerometer, gyroscope or magnetometer: nothing to compare")
-    chosen = choose(real, sim, clean)
-    single = () if chosen is None else single_traces(real, channels, chosen.ideal)
-    pairs = differences(real, None if chosen is None else chosen.ideal, single)
+    chosen = choose(real, sim, [corrected(n) for n in nominal])
+    ideal = None if chosen is None else chosen.ideal
+    single = () if ideal is None else single_traces(real, channels, ideal)
+    pairs = differences(real, ideal, single)
     if not single and not pairs:
-        raise InvalidInputError(_NO_REFERENCE)
-    total, own = noise_of(chosen)
-    traces = tuple(with_noise(t, total.get(t.sensor), own.get(t.sensor)) for t in single + pairs)
-    info = ReferenceInfo(ReferenceKind.REDUNDANT, text=_REDUNDANT) if chosen is None else chosen.ideal.info
-    return Problem(
-        traces,
-        info,
-        duration_s=max(float(t.t[-1] - t.t[0]) for t in traces),
-        warnings=() if chosen is None else chosen.ideal.warnings,
+        raise InvalidInputError(_NO_REFERENCE if ideal is None else _NO_OVERLAP)
+    clean = [] if chosen is None else [(n, nominal_traces(n, its)) for n, its in chosen.nominal]
+    total, own = noise_of([trace for _, traces in clean for trace in traces])
+    offsets = deviations([t for n, traces in clean if n is sim for t in traces if t.against is None])
+    sound = checked(single + pairs)
+    traces = tuple(
+        simulated_ideal(with_noise(t, total.get(t.sensor), own.get(t.sensor)), offsets) for t in sound.traces
     )
+    info = ReferenceInfo(ReferenceKind.REDUNDANT, text=_REDUNDANT) if ideal is None else ideal.info
+    warnings = (*(() if ideal is None else ideal.warnings), *(reason for _, reason, _ in sound.refused))
+    duration = max(float(t.t[-1] - t.t[0]) for t in single + pairs)
+    return Problem(traces, info, duration, warnings=warnings, not_testable=sound.refused)
 
 
-def noise_of(chosen: Chosen | None) -> tuple[dict[Sensor, Noise], dict[Sensor, Noise]]:
+def nominal_traces(recording: Recording, ideal: Ideal | None) -> tuple[Trace, ...]:
+    """What is sound of a nominal recording: each instance against the reference, and against each other."""
+    single = () if ideal is None else single_traces(recording, sensors_of(recording), ideal)
+    return checked(single + differences(recording, ideal, single)).traces
+
+
+def noise_of(nominal: Sequence[Trace]) -> tuple[dict[Sensor, Noise], dict[Sensor, Noise]]:
     """By sensor, what nominal recordings leave against the reference, and what their instances leave to each other."""
     total: dict[Sensor, list[Noise]] = {}
     own: dict[Sensor, list[Noise]] = {}
-    for recording, ideal in () if chosen is None else chosen.nominal:
-        single = () if ideal is None else single_traces(recording, sensors_of(recording), ideal)
-        for trace in single + differences(recording, ideal, single):
-            if (noise := learned(trace)) is not None:
-                (total if trace.against is None else own).setdefault(trace.sensor, []).append(noise)
+    for trace in nominal:
+        if (noise := learned(trace)) is not None:
+            (total if trace.against is None else own).setdefault(trace.sensor, []).append(noise)
     return {s: pooled(n) for s, n in total.items()}, {s: pooled(n) for s, n in own.items()}
 
 
