@@ -49,7 +49,7 @@ FAMILIES: tuple[frozenset[str], ...] = (
 
 
 class Tier(StrEnum):
-    """What a case tries."""
+    """What a case tries. T8 and T9, simulators' flights and real recordings, are files and not made here."""
 
     NULL = "T0"
     SINGLE = "T1"
@@ -59,6 +59,7 @@ class Tier(StrEnum):
     UNKNOWN = "T5"
     KNOWN_AND_UNKNOWN = "T6"
     NUISANCE = "T7"
+    NULL_TILTED = "T10"
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +128,8 @@ def _drafts(tier: Tier, rng: Rng) -> _Draft:
     match tier:
         case Tier.NULL:
             return _Draft(make_mission(_any(rng, ALL), rng), draw_suite(rng), ())
+        case Tier.NULL_TILTED:
+            return _Draft(make_mission(_any(rng, ALL), rng), draw_suite(rng), (), "reference_0.3_deg")
         case Tier.SINGLE:
             return _with(rng, [_pick(rng, KNOWN)])
         case Tier.LADDER:

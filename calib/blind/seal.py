@@ -61,5 +61,6 @@ PLAN: Mapping[Tier, int] = {
     Tier.UNKNOWN: 400,
     Tier.KNOWN_AND_UNKNOWN: 200,
     Tier.NUISANCE: 320,
+    Tier.NULL_TILTED: 300,
 }
 """Cases a tier in a full sealed run."""

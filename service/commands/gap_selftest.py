@@ -1,0 +1,143 @@
+"""``mavcal gap selftest``: the diagnosis against effects that were withheld from it."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from service.commands.output import EXIT_NO, json_option, write_json
+
+TIERS = ("T0", "T1", "T2", "T3", "T4", "T5", "T6", "T7", "T10")
+
+
+@click.command()
+@click.option("--tier", "tiers", multiple=True, type=click.Choice(TIERS), help="Only these; repeated. [default: all]")
+@click.option("--count", type=click.IntRange(1), default=None, help="Cases a tier. [default: the plan of a full run]")
+@click.option("--seed", type=click.IntRange(1), default=1, show_default=True, help="First seed; sealed from 1000000.")
+@click.option("--processes", type=click.IntRange(1, 16), default=2, show_default=True)
+@click.option("--nested/--not-nested", default=True, show_default=True, help="Selection inside the held-out folds.")
+@click.option("--answers", type=click.Path(path_type=Path, dir_okay=False), help="Keep every answer, a JSON line each.")
+@click.option("--score-only", is_flag=True, help="Score what --answers holds, run nothing.")
+@click.option(
+    "--seal", type=click.Path(path_type=Path, dir_okay=False), help="Write the seal of these cases; run none."
+)
+@json_option
+def command(
+    tiers: tuple[str, ...],
+    count: int | None,
+    seed: int,
+    processes: int,
+    nested: bool,
+    answers: Path | None,
+    score_only: bool,
+    seal: Path | None,
+    as_json: bool,
+) -> int:
+    """Run cases whose cause is withheld, and score what the diagnosis says of them.
+
+    The cases come from a generator that shares no code with the diagnosis, each from its tier and seed. Exit code 1
+    if a figure misses its target.
+    """
+    from calib.blind.cases import Tier
+    from calib.blind.seal import PLAN, generator_sha256, scorer_sha256, seeds
+
+    if score_only and answers is None:
+        raise click.UsageError("--score-only needs --answers FILE")
+    chosen = [Tier(t) for t in (tiers or TIERS)]
+    try:
+        cases = [(tier, s) for tier in chosen for s in seeds(seed, count or PLAN[tier])]
+    except ValueError as error:
+        raise click.UsageError(str(error)) from error
+    if seal is not None:
+        _seal(cases, seal, seed)
+        return 0
+    rows = answers.read_text(encoding="utf-8").splitlines() if score_only and answers else None
+    if rows is None:
+        rows = _run(cases, answers, nested=nested, processes=processes)
+    return _report(rows, {"generator_sha256": generator_sha256(), "scorer_sha256": scorer_sha256()}, as_json=as_json)
+
+
+def _seal(cases: Sequence[tuple[Any, int]], out: Path, seed: int) -> None:
+    from calib.blind.cases import make_label
+    from calib.blind.seal import generator_sha256, labels_sha256, scorer_sha256
+
+    labels = []
+    counts: dict[str, int] = {}
+    for tier, s in cases:
+        labels.append(make_label(tier, s))
+        counts[tier.value] = counts.get(tier.value, 0) + 1
+        if len(labels) % 100 == 0:
+            click.echo(f"{len(labels)} of {len(cases)} labels", err=True)
+    document = {
+        "generator_sha256": generator_sha256(),
+        "scorer_sha256": scorer_sha256(),
+        "first_seed": seed,
+        "cases": counts,
+        "labels_sha256": labels_sha256(labels),
+    }
+    out.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+
+
+def _run(cases: Sequence[tuple[Any, int]], out: Path | None, *, nested: bool, processes: int) -> list[str]:
+    from calib.report import plain
+    from service.commands.gap_campaign import Plan, run
+
+    rows: list[str] = []
+    with contextlib.ExitStack() as stack:
+        kept = None if out is None else stack.enter_context(out.open("w", encoding="utf-8"))
+
+        def record(answer: dict[str, Any]) -> None:
+            rows.append(json.dumps(plain(answer)))
+            if kept is not None:
+                kept.write(rows[-1] + "\n")
+                kept.flush()
+            if len(rows) % 20 == 0:
+                click.echo(f"{len(rows)} of {len(cases)}", err=True)
+
+        run(Plan(cases, nested, processes), record)
+    return rows
+
+
+def _report(rows: Sequence[str], seal: dict[str, str], *, as_json: bool) -> int:
+    from calib.blind.score import score
+    from service.commands.gap_campaign import answers
+
+    scores = score(answers(rows))
+    document = {"schema": "gap-selftest/1", "cases": len(rows), **seal, **scores}
+    if as_json:
+        write_json(document)
+    else:
+        _show(document)
+    return EXIT_NO if any(f["passed"] is False for f in scores["figures"]) else 0
+
+
+def _show(document: dict[str, Any]) -> None:
+    click.echo(f"{document['cases']} cases; generator {document['generator_sha256'][:16]}")
+    for figure in document["figures"]:
+        if figure["n"]:
+            click.echo(_line(figure))
+    click.echo("\nby lambda: detected, top-1, in set, unknown rejected")
+    for row in document["by_severity"]:
+        cells = [row[k] for k in ("detected", "top1", "in_set", "unknown_rejected")]
+        shown = "  ".join(f"{c['value']:.3f} ({c['n']})" if c["n"] else "-" for c in cells)
+        click.echo(f"  {row['lambda'][0]:6.0f} - {row['lambda'][1]:4.0f}  {shown}")
+    for tier, rows in document["failures"].items():
+        if rows:
+            click.echo(f"\nfailures, {tier}")
+        for row in rows:
+            said = ", ".join(f"{text} x{n}" if n > 1 else text for text, n in row["said"])
+            click.echo(f"  {row['wrong']:3}/{row['n']:<3} {row['type']}: {said}; seeds {row['seeds']}")
+    for text, n in document["errors"]:
+        click.echo(f"error x{n}: {text}")
+
+
+def _line(figure: dict[str, Any]) -> str:
+    interval = "" if figure["low"] is None else f" [{figure['low']:.3f}, {figure['high']:.3f}]"
+    verdict = {None: "", True: "  ok", False: "  MISSED"}[figure["passed"]]
+    target = f"  target {figure['target']}" if figure["target"] else ""
+    return f"{figure['name']:78} {figure['value']:8.4f}{interval}  n={figure['n']}{target}{verdict}"

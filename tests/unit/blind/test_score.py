@@ -1,0 +1,149 @@
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from calib.blind.answers import Answer, covered, honest_without
+from calib.blind.cases import KNOWN, Tier
+from calib.blind.score import score
+
+
+def effect(
+    name: str, gain: float = 500.0, *, probability: float = 0.95, rivals: tuple[str, ...] = ()
+) -> dict[str, Any]:
+    return {
+        "id": name,
+        "params": [{"name": "bias.x", "value": 1.0, "ci95": [0.9, 1.1]}],
+        "evidence": {"two_delta_loglik": gain, "probability": probability},
+        "confusable_with": [{"id": r} for r in rivals],
+    }
+
+
+def answer(
+    tier: Tier,
+    true: tuple[str, ...],
+    *said: dict[str, Any],
+    unknown: bool = False,
+    size: float = 500.0,
+    strange: tuple[str, ...] = (),
+    **label: Any,
+) -> Answer:
+    def entries(names: tuple[str, ...]) -> list[dict[str, Any]]:
+        return [
+            {
+                "id": n,
+                "sensor": n.partition("_")[0],
+                "lambda": size,
+                "net_lambda": size,
+                "df": 3,
+                "foreseen": False,
+                "params": {"bias.x": 1.05},
+            }
+            for n in names
+        ]
+
+    full = {
+        "id": "x", "tier": tier.value, "seed": 1, "mission": "full", "nuisance": None, "without": [],
+        **label,
+        "effects": entries(true),
+        "unknown": entries(strange),
+    }
+    verdict = "explained" if said else "unknown" if unknown else "no_gap"
+    report = {"verdict": verdict, "effects": list(said), "unknown": {"flag": unknown}, "shrink": {"closed": 0.995}}
+    return Answer(full, report, None, 2.0)
+
+
+def figure(scores: dict[str, Any], name: str) -> dict[str, Any]:
+    return next(f for f in scores["figures"] if f["name"].startswith(name))
+
+
+def test_singles_are_ranked_by_evidence_and_the_set_is_the_named_and_their_rivals():
+    scores = score(
+        [
+            answer(Tier.SINGLE, ("accel_bias",), effect("gyro_bias", 30.0), effect("accel_bias", 400.0)),
+            answer(Tier.SINGLE, ("accel_bias",), effect("accel_step", rivals=("accel_bias", "accel_scale"))),
+            answer(Tier.SINGLE, ("accel_bias",), size=30.0),
+        ]
+    )
+    top = figure(scores, "single: top-1, lambda >= 100")
+    assert (top["value"], top["n"], top["passed"]) == (0.5, 2, False)
+    assert figure(scores, "single: truth in the reported set")["value"] == 1.0
+    assert figure(scores, "single: mean size")["value"] == 2.5
+    assert figure(scores, "single: detected")["value"] == pytest.approx(2 / 3)
+    assert scores["failures"]["single"][0]["type"] == "accel_bias"
+    assert scores["failures"]["single"][0]["wrong"] == 2
+
+
+def test_a_null_is_broken_by_a_name_or_by_unknown():
+    scores = score([answer(Tier.NULL, ()), answer(Tier.NULL, (), unknown=True), answer(Tier.NULL, (), effect("x_y"))])
+    assert figure(scores, "null: something reported")["value"] == pytest.approx(2 / 3)
+
+
+def test_the_tilted_reference_may_be_named_but_no_sensor():
+    rows = [answer(Tier.NULL_TILTED, (), effect(n)) for n in ("reference_attitude", "accel_random_walk")]
+    scores = score(rows)
+    assert figure(scores, "null with 0.3")["value"] == 0.5
+    assert figure(scores, "the same: the reference")["value"] == 0.5
+
+
+def test_f1_is_of_all_names_together_and_another_convention_is_no_surplus():
+    scores = score(
+        [
+            answer(Tier.MIXED, ("accel_bias", "mag_delay"), effect("accel_bias"), effect("gyro_noise")),
+            answer(
+                Tier.MIXED, ("gyro_temp_poly", "mag_delay"), *map(effect, ("gyro_temp_poly", "gyro_bias", "mag_delay"))
+            ),
+        ]
+    )
+    assert figure(scores, "mixed: strict F1")["value"] == pytest.approx(2 * 3 / (2 * 3 + 1 + 1))
+    assert figure(scores, "mixed: exact set")["value"] == 0.5
+
+
+def test_a_left_out_effect_is_unknown_or_a_synonym_but_not_a_stranger():
+    without = {"without": ["gyro_flicker"]}
+    rows = [
+        answer(Tier.LEFT_OUT, ("gyro_flicker",), unknown=True, **without),
+        answer(Tier.LEFT_OUT, ("gyro_flicker",), effect("gyro_random_walk"), **without),
+        answer(Tier.LEFT_OUT, ("gyro_flicker",), effect("accel_bias"), **without),
+        answer(Tier.LEFT_OUT, ("gyro_flicker",), **without),
+    ]
+    scores = score(rows)
+    rejected = figure(scores, "one effect left out: rejected")
+    assert (rejected["value"], rejected["n"]) == (pytest.approx(2 / 3), 3)
+    assert figure(scores, "left out: rejected strictly")["value"] == pytest.approx(1 / 3)
+
+
+def test_unknown_types_and_false_unknowns():
+    scores = score(
+        [
+            answer(Tier.UNKNOWN, (), unknown=True, strange=("unknown_play",)),
+            answer(Tier.UNKNOWN, (), effect("gyro_bias"), strange=("unknown_play",)),
+            answer(Tier.SINGLE, ("accel_bias",), effect("accel_bias"), unknown=True),
+        ]
+    )
+    assert figure(scores, "unknown types rejected, all")["value"] == 0.5
+    assert figure(scores, "false unknown")["value"] == 1.0
+
+
+def test_intervals_are_matched_by_name_or_by_axis():
+    true = {"params": {"bias.x": 1.0, "bias.y": 0.0}}
+    said = {"params": [{"name": "offset.x", "ci95": [0.9, 1.1]}, {"name": "offset.y", "ci95": [0.5, 0.7]}]}
+    assert covered(true, said) == [True, False]
+    assert covered({"params": {"delay_s": 1.0}}, said) == []
+
+
+def test_closed_probabilities_and_errors():
+    failed = Answer(answer(Tier.SINGLE, ("accel_bias",)).label, {}, "ValueError: x", 1.0)
+    good = [answer(Tier.SINGLE, ("accel_bias",), effect("accel_bias", probability=0.97)) for _ in range(30)]
+    scores = score([*good, failed])
+    assert figure(scores, "held-out gap closed: median")["value"] == 0.995
+    assert figure(scores, "95 % intervals hold")["value"] == 1.0
+    assert figure(scores, "probabilities: ECE")["value"] == pytest.approx(0.03)
+    assert figure(scores, "failed with an error")["value"] == pytest.approx(1 / 31)
+    assert scores["errors"] == [("ValueError: x", 1)]
+
+
+def test_no_name_is_its_own_synonym():
+    for kind in KNOWN:
+        assert not honest_without(kind.id, kind.id) or kind.id == "clock_drift"
