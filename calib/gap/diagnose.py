@@ -36,6 +36,7 @@ from calib.gap.schema import (
 )
 from calib.gap.selection import Chosen, reduced, select
 from calib.gap.shrink import consistent, held_out, shrink_of
+from calib.gap.unknown import PREFIX, describe, explained, impostors, is_shape, leftover
 from calib.gap.views import views_of
 
 Array = NDArray[np.float64]
@@ -43,6 +44,8 @@ Array = NDArray[np.float64]
 _FIRST = 1
 """Instances count from 1 in a report."""
 REFERENCE = "reference_attitude"
+_MATERIAL = 0.03
+"""Share of the gap from which on something unknown is said."""
 
 
 def diagnose(
@@ -72,7 +75,8 @@ def diagnose(
     hypotheses, missing = hypotheses_of(effects, views)
     start = refitted(starting_model(setting, starting_noise(setting))).model
     contest = Contest(hypotheses)
-    chosen = select(start, contest, alpha)
+    best = explained(select(start, contest, alpha), contest, start, alpha)
+    chosen, contest = best.chosen, best.contest
     heldout = held_out(chosen, contest, alpha, nested=nested)
     gates = {} if heldout is None else {gate.key: gate.passed for gate in heldout.gates}
     failed = [key for key, passed in gates.items() if passed is False]
@@ -80,19 +84,40 @@ def diagnose(
         chosen = reduced(chosen, failed)
         heldout = held_out(chosen, contest, alpha, nested=nested)
     attributions = attributed(chosen, contest)
-    found = tuple(_effect(chosen, a, gates.get(a.key)) for a in attributions)
+    named = [a for a in attributions if not a.key[0].startswith(PREFIX)]
+    found = tuple(_effect(chosen, a, gates.get(a.key)) for a in named)
+    unknown = unknown_of(chosen, attributions)
     effects_found = (*lattice.effects, *found)
     return GapReport(
         inputs,
-        _verdict(effects_found, Unknown()),
+        _verdict(effects_found, unknown),
         located(start, alpha),
         effects_found,
+        unknown,
         shrink=None if heldout is None else shrink_of(chosen, heldout, nested=nested),
         not_testable=_untestable(problem, missing, {h.effect.id for h in hypotheses}),
         multiple_testing=MultipleTesting(chosen.tests, alpha),
         warnings=problem.warnings,
         series=_series(chosen.model),
     )
+
+
+def unknown_of(chosen: Chosen, attributions: tuple[Attribution, ...]) -> Unknown:
+    """What is not of the catalogue: shapes in the model, noise that is an impostor, bands that are left over."""
+    texts = {t.hypothesis.key: describe(t.hypothesis) for t in chosen.model.terms if is_shape(t.hypothesis)}
+    share = sum(a.share for a in attributions if a.key in texts)
+    driver = None
+    for impostor in impostors(chosen.model):
+        texts[impostor.key] = impostor.text
+        share += sum(a.share for a in attributions if a.key == impostor.key)
+        driver = driver or impostor.driver
+    rest, band = leftover(chosen.model, 0.5 * sum(a.gain for a in attributions))
+    if rest > 0.0:
+        texts["leftover", ()] = band
+        share += rest * (1.0 - share)
+    probability = max((a.unknown_probability for a in attributions), default=0.0)
+    flag = share > _MATERIAL
+    return Unknown(flag, share, "; ".join(texts.values()), driver, max(probability, 0.95 if flag else 0.0))
 
 
 @dataclass(frozen=True, eq=False)

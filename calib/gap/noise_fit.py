@@ -110,6 +110,13 @@ def axis_fit(model: Model, axes: Sequence[int]) -> AxisFit:
     )
 
 
+def noise_rows(model: Model, axis: int, leave: str) -> tuple[Array, Array, Array, list[Array]]:
+    """Counts, periodogram, base and densities of one axis in merged bins, the density named `leave` left out."""
+    bins, noise = model.setting.bins[axis // 3], model.noise[axis]
+    rows = [bins.mean(density) for name, density in noise.densities.items() if name != leave]
+    return bins.counts, model.periodogram(axis), bins.mean(noise.base), rows
+
+
 def axes_of(setting: Setting, sensor: Sensor, c: int) -> tuple[int, ...]:
     """Axis c of every series of `sensor`."""
     return tuple(3 * v + c for v, view in enumerate(setting.views) if view.sensor is sensor)
