@@ -44,12 +44,14 @@ class Shape:
 
     `grid(trace)` gives the values that are tried first (M,), ascending; the contest pays log M for them, then refines
     between neighbours. Where M is large, `screen(trace, residual)` picks a few of them (at least one) that are worth
-    trying from what is still unexplained, shape (N, 3); the price stays that of the whole grid.
+    trying from what is still unexplained, shape (N, 3); the price stays that of the whole grid. `usual` is the value by
+    convention where other effects leave it open (a reference temperature beside a free bias); None: there is none.
     """
 
     parameter: Parameter
     grid: Callable[[Trace], Array]
     screen: Callable[[Trace, Array], Array] | None = None
+    usual: float | None = None
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,8 @@ class Effect:
         Ids of the effects that imitate it where the movement is poor.
     shared
         One set of parameters acts on every trace of every sensor; `sensor` then only says whose page it is on.
+    repeatable
+        It can happen more than once in a recording (a magnet put on and taken off, two tones).
     """
 
     id: str
@@ -85,6 +89,7 @@ class Effect:
     shape: Shape | None = None
     rivals: tuple[str, ...] = ()
     shared: bool = False
+    repeatable: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

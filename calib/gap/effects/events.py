@@ -76,6 +76,7 @@ def _of(sensor: Sensor) -> Effect:
         columns=axiswise(after),
         signals=after,
         rivals=(f"{sensor}_random_walk", f"{sensor}_temp_linear"),
+        repeatable=True,
     )
 
 

@@ -154,14 +154,32 @@ def _zeros(trace: Trace, axis: int) -> tuple[float, float, float, Mask] | None:
     count = int(zero.sum())
     if count < _FEWEST or len(other) < _FEWEST or (seen & (ideal == 0.0)).sum() > 0.5 * count:
         return None
-    width = float(other.min())
     levels = levels_of(values[seen & ~zero])
     step = max(levels.step if levels is not None else 0.0, trace.quantum)
+    if step > 0.0 and count <= 3.0 * max(float((other < 1.5 * step).sum()), 1.0):
+        return None  # zero is a level like others, or truncation's, which is twice as wide
+    shift, se = _shift_towards_zero(values, ideal, seen & ~zero & (np.abs(values) < np.median(other)))
+    width, width_se = float(other.min()), step
     beside = float((other < 2.0 * width).sum())  # in two bands as wide as the empty one on either side
-    if width <= 1.5 * step or beside < 1.0:
+    if shift > max(5.0 * se, 3.0 * width, 1.5 * step):
+        width, width_se = shift, se  # the band was cut out and its edges joined
+    elif width <= 1.5 * step or beside < 1.0:
         return None
-    gain = 2.0 * count * math.log(1.0 / _SAME) if step == 0.0 else 2.0 * count * math.log(width / (0.5 * step))
-    return width, max(width / (beside + 1.0), step), gain, zero
+    else:
+        width_se = max(width / (beside + 1.0), step)
+    gain = 2.0 * count * math.log(1.0 / _SAME if step == 0.0 else width / (0.5 * step))
+    return width, width_se, gain, zero
+
+
+def _shift_towards_zero(values: Array, ideal: Array, rows: Mask) -> tuple[float, float]:
+    """By how much readings of either sign are smaller than ideal ones, a common bias apart, and its standard error."""
+    missing = ideal[rows] - values[rows]
+    up = values[rows] > 0.0
+    if min(up.sum(), (~up).sum()) < _FEWEST:
+        return 0.0, math.inf
+    above, below = missing[up], -missing[~up]
+    se = 0.5 * math.sqrt(float(above.var()) / len(above) + float(below.var()) / len(below))
+    return 0.5 * float(above.mean() + below.mean()), se
 
 
 def hold(trace: Trace) -> LatticeEvidence | None:

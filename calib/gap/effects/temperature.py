@@ -7,6 +7,8 @@ the truth, every thermal effect would be accompanied by a bias that is not there
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,8 +23,10 @@ Array = NDArray[np.float64]
 _LEAST_SPAN = {"temp_linear": 2.0, "temp_poly": 5.0, "temp_scale": 3.0, "thermal_lag": 5.0}  # degC, for any statement
 _GOOD_SPAN = 15.0  # degC, for one that tells the rivals apart
 _BEYOND = 20.0  # degC by which the reference temperature may lie outside what was seen
-_REFERENCES = 5  # tried first: the gain of a slope is a smooth function of it
-_ROOTS = 11  # that of a parabola has two tops, one a root
+_REFERENCES = 13
+_TRIED = 241  # by their cost
+_KEPT = 2
+_USUAL = 25.0  # degC, MATLAB's; beside a free bias no reference temperature is better than another
 _LAGS = np.geomspace(2.0, 180.0, 5)  # s, of a die in its package to a board in its box
 
 _HEAT_AND_COOL = "heat and cool through the calibration temperature"
@@ -82,10 +86,42 @@ def references(trace: Trace) -> Array:
     return np.linspace(float(seen.min()) - _BEYOND, float(seen.max()) + _BEYOND, _REFERENCES)
 
 
-def roots(trace: Trace) -> Array:
-    """The same for a parabola."""
-    seen = references(trace)
-    return np.linspace(float(seen[0]), float(seen[-1]), _ROOTS)
+def best_references(factor: Callable[[Trace], Array], degree: int) -> Callable[[Trace, Array], Array]:
+    """Screen of :func:`references` for an effect of `degree` in temperature on the signals `factor` (N, 3).
+
+    Each axis is fitted with a free polynomial c (white noise); that it vanishes at T, ``a'c = 0`` with
+    ``a = (1, T, T^2 ...)``, then costs ``(a'c)^2 / (a' G^-1 a)``, G the Gram matrix. The least dear ones are returned.
+    """
+
+    def screen(trace: Trace, residual: Array) -> Array:
+        grid = references(trace)
+        middle, half = 0.5 * (grid[0] + grid[-1]), 0.5 * (grid[-1] - grid[0])
+        tried = np.linspace(-1.0, 1.0, _TRIED)
+        a = tried[:, None] ** np.arange(degree + 1)
+        u = (temperature_of(trace)[trace.observed] - middle) / half
+        signals, y = factor(trace)[trace.observed], residual[trace.observed]
+        cost = np.zeros(_TRIED)
+        for axis in range(3):
+            X = signals[:, axis, None] * u[:, None] ** np.arange(degree + 1)
+            inverse = np.linalg.pinv(X.T @ X, hermitian=True)
+            cost += (a @ inverse @ (X.T @ y[:, axis])) ** 2 / np.maximum(
+                ((a @ inverse) * a).sum(axis=1), np.finfo(float).tiny
+            )
+        edged = np.concatenate([[np.inf], cost, [np.inf]])
+        lowest = np.flatnonzero((cost <= edged[:-2]) & (cost <= edged[2:]))
+        best = lowest[np.argsort(cost[lowest])[:_KEPT]]
+        found = np.clip(middle + half * np.sort(tried[best]), grid[0], grid[-1])
+        return np.asarray(found, dtype=np.float64)
+
+    return screen
+
+
+def _ones(trace: Trace) -> Array:
+    return np.ones_like(trace.ideal)
+
+
+def _ideal(trace: Trace) -> Array:
+    return trace.ideal
 
 
 def lags(trace: Trace) -> Array:
@@ -108,7 +144,7 @@ def _span(kind: str) -> Missing:
 
 def _of(sensor: Sensor) -> tuple[Effect, ...]:
     unit = UNIT[sensor]
-    at_zero = Shape(Parameter("t_ref", "degC"), references)
+    vanishes = Parameter("t_ref", "degC")
     iron = {Sensor.MAG: "soft_iron"}.get(sensor, "scale")
     offset = {Sensor.MAG: "hard_iron"}.get(sensor, "bias")
 
@@ -123,7 +159,7 @@ def _of(sensor: Sensor) -> tuple[Effect, ...]:
             "temperature that varies",
             _HEAT_AND_COOL,
             _span("temp_linear"),
-            at_zero,
+            Shape(vanishes, references, best_references(_ones, 1), _USUAL),
             columns=axiswise(above),
             signals=above,
             rivals=ids("temp_poly", "thermal_lag", "random_walk", offset),
@@ -135,7 +171,7 @@ def _of(sensor: Sensor) -> tuple[Effect, ...]:
             "temperature that varies widely",
             _HEAT_AND_COOL,
             _span("temp_poly"),
-            Shape(at_zero.parameter, roots),
+            Shape(vanishes, references, best_references(_ones, 2), _USUAL),
             columns=axiswise(powers),
             signals=powers,
             rivals=ids("temp_linear", "thermal_lag", "random_walk"),
@@ -147,7 +183,7 @@ def _of(sensor: Sensor) -> tuple[Effect, ...]:
             "temperature that varies while the vehicle turns",
             "tumble cold and warm",
             first_missing((_span("temp_scale"), moves(sensor))),
-            at_zero,
+            Shape(vanishes, references, best_references(_ideal, 1), _USUAL),
             columns=warm_scale_columns,
             rivals=ids(iron, "temp_linear"),
         ),

@@ -61,6 +61,7 @@ def _of(sensor: Sensor) -> Effect:
         shape=Shape(Parameter("frequency_hz", "Hz"), bins, strongest_bins),
         columns=axiswise(wave),
         signals=wave,
+        repeatable=True,
         rivals=(f"{sensor}_vibration", f"{sensor}_aliasing") if sensor != Sensor.MAG else ("mag_step",),
     )
 

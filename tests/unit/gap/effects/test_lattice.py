@@ -82,6 +82,15 @@ def test_a_dead_band_is_found(sensor):
     assert by_id()[f"{sensor}_saturation"].detect(with_measured(trace, measured)) is None
 
 
+def test_a_dead_zone_whose_edges_are_joined_is_found_with_its_width():
+    trace = _plain(Sensor.GYRO)
+    v = trace.measured + 0.002
+    measured = np.sign(v) * np.maximum(np.abs(v) - 0.03, 0.0)
+    found = by_id()["gyro_dead_band"].detect(with_measured(trace, measured))
+    assert found is not None
+    np.testing.assert_allclose(found.values, 0.03, rtol=0.05)
+
+
 @pytest.mark.parametrize("mission", ["static", "tumble"])
 def test_held_samples_are_found_with_their_time(mission):
     trace = _plain(Sensor.MAG, mission)
