@@ -7,19 +7,19 @@ its fitted energy that a rival can imitate; what separates them is ``gain (1 - k
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.contest import Beside, Contest, Score, existing, noise_score, price_of
+from calib.gap.contest import Beside, Contest, Score, exactly, existing, noise_score, price_of
 from calib.gap.effects.base import NoiseEffect
 from calib.gap.hypotheses import Columns, Hypothesis, columns_of
 from calib.gap.model import Model, NoiseTerm, Term
 from calib.gap.noise_fit import refitted, without_term
 from calib.gap.schema import Rival
-from calib.gap.selection import Chosen, last_gains, restored
+from calib.gap.selection import Chosen, fitted, grown, last_gains, restored, with_score, without
 
 Array = NDArray[np.float64]
 Key = tuple[str, tuple[int, ...]]
@@ -30,6 +30,9 @@ UNKNOWN_PRIOR = 0.0
 """Head start of explanations outside the catalogue, in nats."""
 _NEAR = 12.0
 _SAME = 0.98
+_CLEARLY = 1.0
+"""Penalised evidence by which an exchange must be better."""
+_ROUNDS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +48,42 @@ class Attribution:
     rivals: tuple[Rival, ...]
 
 
-def attributed(chosen: Chosen, contest: Contest) -> tuple[Attribution, ...]:
+def settled(chosen: Chosen, contest: Contest, alpha: float) -> tuple[Chosen, tuple[Attribution, ...]]:
+    """A model in which no effect has a better one in its place, and what its effects are worth.
+
+    Forward steps take the best single effect first: one that stands for two of them, noise for a mean. Each effect is
+    therefore held against all others once the model is complete.
+    """
+    level = alpha / max(chosen.tests, 1)
+    for _ in range(_ROUNDS):
+        held = {term.hypothesis.key: _alternatives(chosen, contest, term) for term in chosen.model.members}
+        swap = _better(held, level)
+        if swap is None:
+            break
+        old, new = swap
+        model = with_score(without(chosen.model, old), new)
+        model, joint, noise = fitted(model)
+        scores = (*(s for s in chosen.scores if s.hypothesis.key != old), new)
+        chosen = grown(replace(chosen, model=model, joint=joint, noise=noise, scores=scores), contest, level)
+    else:
+        held = {term.hypothesis.key: _alternatives(chosen, contest, term) for term in chosen.model.members}
+    return chosen, _attributed(chosen, contest, held)
+
+
+def _better(held: Mapping[Key, tuple[list[Alternative], float]], level: float) -> tuple[Key, Score] | None:
+    """The exchange of one effect for another that gains most."""
+    best: tuple[float, Key, Score] | None = None
+    for key, (others, own) in held.items():
+        for other in others:
+            gain = other.score.delta - own
+            if other.score.p < level and gain > _CLEARLY and (best is None or gain > best[0]):
+                best = (gain, key, other.score)
+    return None if best is None else best[1:]
+
+
+def _attributed(
+    chosen: Chosen, contest: Contest, held: Mapping[Key, tuple[list[Alternative], float]]
+) -> tuple[Attribution, ...]:
     """One attribution for each effect of a model, largest share first."""
     model = chosen.model
     last = last_gains(model, contest)
@@ -56,7 +94,7 @@ def attributed(chosen: Chosen, contest: Contest) -> tuple[Attribution, ...]:
     found = []
     for term in model.members:
         key = term.hypothesis.key
-        others, own = _alternatives(chosen, contest, term)
+        others, own = held[key]
         rivals, probability, unknown = _judged(term.hypothesis, own, others)
         found.append(Attribution(key, last[key][0], last[key][1], worth[key] / total, probability, unknown, rivals))
     return tuple(sorted(found, key=lambda a: -a.share))
@@ -86,6 +124,8 @@ def _alternatives(chosen: Chosen, contest: Contest, term: Term | NoiseTerm) -> t
         gram, _, _ = beside.projected(own_columns)
         energy = float(term.beta @ gram @ term.beta)
         own_gain, df, _ = (beside.fixed_gain(own_columns), 1, 0) if term.effect.fixed else beside.gain(own_columns)
+        if term.effect.exact is not None:
+            own_gain, _ = exactly(term.hypothesis, term.beta, beside)
         grid = next((s.grid for s in chosen.scores if s.hypothesis.key == key), 1)
         own_delta = own_gain - price_of(term.hypothesis, df, grid, model)
     taken = {t.hypothesis.key for t in model.members}

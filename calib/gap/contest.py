@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,19 @@ from scipy.stats import binom
 
 from calib.gap.effects.base import MeanEffect, NoiseEffect
 from calib.gap.hypotheses import Columns, Hypothesis, columns_of
-from calib.gap.model import Model, Normal, jacobian, normal_equations, slices_of, solved, stacked
+from calib.gap.model import (
+    Model,
+    Normal,
+    Term,
+    jacobian,
+    misfit,
+    normal_equations,
+    refined,
+    slices_of,
+    solved,
+    stacked,
+    with_residual,
+)
 from calib.gap.noise_fit import AxisFit, axes_of, axis_fit, densities_of, extra_rows
 from calib.gap.problem import Trace
 from calib.recording import Sensor
@@ -30,6 +42,8 @@ _LEFT = 1e-6
 """Part of its energy that a column must keep beside the model's others to count."""
 _WORTH = 8.0
 """Gain of the best value on the grid from which on the shape is refined between its neighbours."""
+_CURVED = 300.0
+"""Gain from which on an effect that is not linear in its amplitudes is fitted as it is."""
 _SIDES = 2
 """Price of an effect whose shape alone is estimated: it vanishes at zero, so it was searched to either side only."""
 
@@ -70,6 +84,7 @@ class Beside:
 
     def __init__(self, model: Model, omit: Sequence[int] = ()) -> None:
         self.model = model
+        self.omit = tuple(omit)
         blocks = [jacobian(t, model.setting) for i, t in enumerate(model.terms) if i not in omit]
         if model.ridge is not None:
             blocks.append(model.ridge.columns)
@@ -176,6 +191,8 @@ class Contest:
         assert isinstance(effect, MeanEffect)
         if effect.shape is None:
             gain, df, beta = beside.gain(self.columns(hypothesis, math.nan, beside.model))
+            if effect.exact is not None and gain > _CURVED:
+                gain, beta = exactly(hypothesis, beta, beside)
             return priced(hypothesis, math.nan, gain, df, 1, beta, beside.model)
         trace, view = widest(hypothesis, beside.model)
         grid = np.asarray(effect.shape.grid(trace))
@@ -217,6 +234,16 @@ class Contest:
             return theta
         found = minimize_scalar(loss, bounds=(low, high), method="bounded", options={"maxiter": 16})
         return float(found.x) if found.fun < loss(theta) else theta
+
+
+def exactly(hypothesis: Hypothesis, beta: Array, beside: Beside) -> tuple[float, Array]:
+    """Gain and amplitudes of an effect beside a model, without linearisation."""
+    bare = beside.model
+    kept = tuple(t for i, t in enumerate(bare.terms) if i not in beside.omit)
+    terms = (*kept, Term(hypothesis, beta, math.nan))
+    model, _ = refined(with_residual(replace(bare, terms=terms)))
+    without, _ = refined(replace(bare, terms=kept))
+    return misfit(without) - misfit(model), model.terms[-1].beta
 
 
 def price_of(hypothesis: Hypothesis, df: int, grid: int, model: Model) -> float:

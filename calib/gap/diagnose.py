@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.attribution import Attribution, attributed
+from calib.gap.attribution import Attribution, settled
 from calib.gap.contest import Contest
 from calib.gap.effects import catalogue
 from calib.gap.effects.base import Effect, LatticeEffect, LatticeEvidence
@@ -75,15 +75,18 @@ def diagnose(
     hypotheses, missing = hypotheses_of(effects, views)
     start = refitted(starting_model(setting, starting_noise(setting))).model
     contest = Contest(hypotheses)
-    best = explained(select(start, contest, alpha), contest, start, alpha)
-    chosen, contest = best.chosen, best.contest
+    chosen, attributions = settled(select(start, contest, alpha), contest, alpha)
+    best = explained(chosen, contest, start, alpha)
+    if best.contest is not contest:
+        contest = best.contest
+        chosen, attributions = settled(best.chosen, contest, alpha)
     heldout = held_out(chosen, contest, alpha, nested=nested)
     gates = {} if heldout is None else {gate.key: gate.passed for gate in heldout.gates}
     failed = [key for key, passed in gates.items() if passed is False]
     if failed:
         chosen = reduced(chosen, failed)
         heldout = held_out(chosen, contest, alpha, nested=nested)
-    attributions = attributed(chosen, contest)
+        chosen, attributions = settled(chosen, contest, 0.0)
     named = [a for a in attributions if not a.key[0].startswith(PREFIX)]
     found = tuple(_effect(chosen, a, gates.get(a.key)) for a in named)
     unknown = unknown_of(chosen, attributions)

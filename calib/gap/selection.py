@@ -65,24 +65,29 @@ def select(start: Model, contest: Contest, alpha: float, *, blocked: Sequence[st
     candidates = [h for h in contest.hypotheses if h.effect.id not in blocked]
     level = alpha / max(len(candidates), 1)
     model, joint, noise = fitted(start)
-    joined: list[Score] = []
-    scores = _scored(model, contest, candidates, {}, None)
-    first = tuple(scores.values())
+    first = tuple(_scored(model, contest, candidates, {}, None).values())
+    return grown(Chosen(model, joint, noise, (), len(candidates), first), contest, level, candidates)
+
+
+def grown(chosen: Chosen, contest: Contest, level: float, candidates: Sequence[Hypothesis] | None = None) -> Chosen:
+    """A model with everything that is still significant beside it, at `level` a test."""
+    candidates = contest.hypotheses if candidates is None else candidates
+    model, joined, first = chosen.model, list(chosen.scores), chosen.first
+    known = {} if joined else {s.hypothesis.key: s for s in first}
+    scores = _scored(model, contest, candidates, known, None if joined else set())
     for _ in range(_MOST):
         best = _best(scores, model, level)
         if best is None:
             break
-        trial = with_score(model, best)
-        trial, joint, noise = fitted(trial)
+        trial, _, _ = fitted(with_score(model, best))
         joined.append(best)
         trial, joined = pruned(trial, contest, joined, level)
-        trial, joint, noise = fitted(trial)
         changed = {view.sensor for view in trial.setting.views if best.hypothesis.touches(view)}
         model = trial
         scores = _scored(model, contest, candidates, scores, changed)
     model, joined = _material(model, joined)
     model, joint, noise = fitted(model)
-    return Chosen(model, joint, noise, tuple(joined), len(candidates), first)
+    return Chosen(model, joint, noise, tuple(joined), chosen.tests, first)
 
 
 def with_score(model: Model, score: Score) -> Model:

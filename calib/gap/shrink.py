@@ -88,7 +88,9 @@ def held_out(chosen: Chosen, contest: Contest, alpha: float, *, nested: bool) ->
         rows.append((before - floor, after - floor, _numbers(fold.test)))
         gains.append([_gain(fold, order, i, fixed) for i in range(len(order))])
         steps.append([before - _prefix(fold, order, k, fixed) for k in range(1, len(order) + 1)])
-    table = np.array(rows)
+    table = np.array(rows, dtype=np.float64)
+    lower = min(float(table[:, 1].sum()), 0.0) / float(table[:, 2].sum())  # no model is below the floor
+    table[:, :2] -= lower * table[:, 2:]
     gates = tuple(_gate(term, np.array([g[i] for g in gains]), folds, chosen) for i, term in enumerate(order))
     return Heldout(table[:, 0], table[:, 1], table[:, 2], gates, _sequence(order, np.array(steps), table[:, 0]))
 
