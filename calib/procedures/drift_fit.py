@@ -10,12 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.drift import DriftData
+from calib.drift import DriftData, powers_about
 from calib.drift_cells import DriftCells
 from calib.fit import FitResult, FitStatus
 from calib.procedures.roster import Frame, Instance
 from calib.recording import Array, Channel, Sensor
 from calib.thermal import fit_drift_data
+from calib.triad import ThermalPolynomial
 
 _KEPT = frozenset({Sensor.ACCEL, Sensor.GYRO, Sensor.TEMPERATURE})
 
@@ -99,7 +100,7 @@ def fit_posed(
 
     Offsets of the poses by joint least squares with the curve, then the curve with them taken away. Least squares of
     the curve on ``y - D d`` with the joint estimate d has the joint estimate of the curve; its covariance lacks the
-    share of d, at most the largest ratio of the information without poses to that with them. `said` is the warning,
+    share of d, which :meth:`PoseOffsets.widened` adds. `said` is the warning,
     with the number of poses in it.
     """
     fit_one = functools.partial(
@@ -119,7 +120,10 @@ class PoseOffsets:
     lowered: DriftData
     steps: Array  # (K, 3) offset of each pose less that of the last
     numbers: NDArray[np.intp]  # (K,) of the poses
-    loss: float  # largest factor by which they raise a variance of the curve
+    plain: Array  # (d, d) covariance of the powers of the scaled temperature with one constant, noise of one
+    posed: Array  # (d, d) the same with a constant for every pose
+    middle: float  # degC, where the scaled temperature is zero
+    scale: float  # degC
 
     @classmethod
     def of(cls, data: DriftData, number: NDArray[np.intp], degree: int) -> PoseOffsets | None:
@@ -134,12 +138,48 @@ class PoseOffsets:
         poses = (number[:, None] == long).astype(np.float64)
         solution = np.linalg.lstsq(root[:, None] * np.hstack([poses, curve]), root[:, None] * data.y, rcond=None)[0]
         steps = solution[: len(long)] - solution[len(long) - 1]
-        loss = _loss(root[:, None] * curve, root[:, None] * poses)
-        return cls(data.lowered(poses @ steps), steps, long, loss)
+        plain, posed = _covariances(root[:, None] * curve, root[:, None] * poses)
+        return cls(data.lowered(poses @ steps), steps, long, plain, posed, float(data.t.mean()), max(data.span, 1e-9))
+
+    @property
+    def loss(self) -> float:
+        """Largest factor by which the unknown poses raise the variance of a combination of the curve's terms."""
+        half = np.linalg.solve(np.linalg.cholesky(self.plain), np.linalg.cholesky(self.posed))
+        return max(1.0, float(np.linalg.eigvalsh(half @ half.T)[-1]))
 
     def widened(self, fit: FitResult, said: str = MOVED) -> FitResult:
-        """A fit of :attr:`lowered` with the covariance that the unknown poses leave; `said` warns of their number."""
-        return _widened(fit, self.loss, len(self.numbers), said)
+        """A fit of :attr:`lowered` with the covariance that the unknown poses leave; `said` warns of their number.
+
+        The congruence that takes the one covariance under white noise to the other, applied to that under coloured
+        noise; an offset, which is that of one pose, takes the largest factor.
+        """
+        poly = fit.model.polynomial
+        if fit.status == FitStatus.REFUSED or poly is None:
+            return fit
+        degree = fit.degree
+        shift = powers_about(poly.t_ref, self.middle, self.scale, degree + 1)[1:, 1:]
+        apart = shift @ np.linalg.cholesky(self.posed) @ np.linalg.inv(shift @ np.linalg.cholesky(self.plain))
+        whole = np.eye(len(fit.names))
+        for axis in range(3):
+            rows = slice(12 + axis * degree, 12 + (axis + 1) * degree)
+            whole[rows, rows] = apart
+            whole[axis, axis] = math.sqrt(self.loss)
+        covariance = whole @ fit.covariance @ whole.T
+        quality = {**fit.quality, "poses": len(self.numbers), "variance_for_poses": self.loss}
+        if "drift_sd" in fit.quality:
+            sd = _curve_sd(covariance, poly)
+            quality["drift_sd"] = [None if s is None else v for s, v in zip(fit.quality["drift_sd"], sd, strict=True)]
+        warnings = (*fit.warnings, said.format(len(self.numbers)))
+        return dataclasses.replace(fit, covariance=covariance, warnings=warnings, quality=quality)
+
+
+def _curve_sd(covariance: Array, poly: ThermalPolynomial) -> list[float]:
+    """Largest sd of every axis' curve about its mean over the range."""
+    degree = poly.coefficients.shape[1]
+    grid = (np.linspace(poly.t_min, poly.t_max, 33) - poly.t_ref)[:, None] ** np.arange(1, degree + 1)
+    centred = grid - grid.mean(axis=0)
+    blocks = [covariance[12 + k * degree :, 12 + k * degree :][:degree, :degree] for k in range(3)]
+    return [float(np.sqrt(np.maximum(np.einsum("gp,pq,gq->g", centred, b, centred), 0.0)).max()) for b in blocks]
 
 
 def _of_long(data: DriftData, number: NDArray[np.intp]) -> tuple[DriftData, NDArray[np.intp]]:
@@ -149,25 +189,11 @@ def _of_long(data: DriftData, number: NDArray[np.intp]) -> tuple[DriftData, NDAr
     return data.rows(keep), number[keep]
 
 
-def _loss(curve: Array, poses: Array) -> float:
-    """Largest factor by which the unknown poses raise the variance of a combination of the curve's terms."""
+def _covariances(curve: Array, poses: Array) -> tuple[Array, Array]:
+    """Covariances of the curve's terms with one constant, and with one for every pose; noise of one."""
     whole = poses.sum(axis=1, keepdims=True)  # the root of the samples of each row
     one = curve - whole @ (whole.T @ curve) / float((whole**2).sum())
     each = curve - poses @ (poses.T @ curve / (poses**2).sum(axis=0)[:, None])
-    factor = np.linalg.cholesky(each.T @ each + 1e-12 * np.trace(one.T @ one) * np.eye(len(one.T)))
-    half = np.linalg.solve(factor, one.T)
-    return max(1.0, float(np.linalg.eigvalsh(half @ half.T)[-1]))
-
-
-def _widened(fit: FitResult, loss: float, poses: int, said: str) -> FitResult:
-    if fit.status == FitStatus.REFUSED:
-        return fit
-    widened = {}
-    if "drift_sd" in fit.quality:
-        widened["drift_sd"] = [None if s is None else s * math.sqrt(loss) for s in fit.quality["drift_sd"]]
-    return dataclasses.replace(
-        fit,
-        covariance=fit.covariance * loss,
-        warnings=(*fit.warnings, said.format(poses)),
-        quality={**fit.quality, **widened, "poses": poses, "variance_for_poses": loss},
-    )
+    least = 1e-12 * float(np.trace(one.T @ one)) * np.eye(len(one.T))
+    plain, posed = (np.linalg.inv(part.T @ part + least) for part in (one, each))
+    return 0.5 * (plain + plain.T), 0.5 * (posed + posed.T)
