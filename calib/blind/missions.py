@@ -128,7 +128,7 @@ def make_mission(kind: MissionKind, rng: Rng, *, duration: float = DURATION, log
     throttle = _throttle(kind, t, rng, air, force_n)
     rotor_hz = _rotors(t, rng, throttle)
     load = (rotor_hz.mean(axis=1) / FULL_SPEED_HZ) ** 2  # the current follows the rotors' load
-    current = 0.45 + rng.uniform(25.0, 45.0) * load**1.5 + 0.1 * smooth(t, rng, (0.2, 4.0), 1.0)
+    current = rng.uniform(25.0, 45.0) * load**1.5 + _avionics(t, rng)
     field_n = _earth_field(rng)
     inside = slice(MARGIN, MARGIN + n)
     return World(
@@ -230,6 +230,14 @@ def _rotors(t: Array, rng: Rng, throttle: Array) -> Array:
     speed = lfilter([alpha], [1.0, alpha - 1.0], asked, zi=[(1.0 - alpha) * asked[0]])[0]
     apart = np.stack([1.0 + smooth(t, rng, (0.1, 2.0), 0.012) + rng.normal(0, 0.008) for _ in range(ROTORS)], axis=1)
     return np.asarray(speed[:, None] * apart)
+
+
+def _avionics(t: Array, rng: Rng) -> Array:
+    """What flows without the rotors: electronics, and a payload (transmitter, gimbal, heater) that is switched."""
+    current = 0.45 + np.abs(0.1 * smooth(t, rng, (0.2, 4.0), 1.0))
+    for start in rng.uniform(0.05, 0.8, 2) * t[-1]:
+        current += rng.uniform(1.0, 4.0) * window(t, start, start + rng.uniform(5.0, 15.0), 0.1)
+    return np.asarray(current)
 
 
 def _earth_field(rng: Rng) -> Array:
