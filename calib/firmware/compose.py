@@ -15,6 +15,7 @@ from calib.firmware import compose_ardupilot, compose_px4
 from calib.firmware.draft import ComposeOptions, Draft
 from calib.firmware.fitted import Pair, pair_fits, usable_fits
 from calib.firmware.mag_ardupilot import compose_compasses
+from calib.firmware.mag_motor import compose_motors, is_motor
 from calib.firmware.mag_px4 import compose_magnetometers
 from calib.firmware.plan import Fingerprint, Value, WritePlan
 from calib.firmware.trim import adjust_trim, compose_level, is_level
@@ -68,15 +69,17 @@ def compose(
     """
     draft = Draft(parameters, options)
     usable = usable_fits(draft, fits)
-    sensors = [fit for fit in usable if not is_level(fit)]
+    sensors = [fit for fit in usable if not (is_level(fit) or is_motor(fit))]
     pairs = pair_fits(sensors)
     imu = [pair for pair in pairs if pair.about.sensor != Sensor.MAG]
     mags = [pair for pair in pairs if pair.about.sensor == Sensor.MAG]
+    motors = [fit for fit in usable if is_motor(fit)]
     if fingerprint.autopilot not in COMPOSERS:
         raise FirmwareError(f"calibrations cannot be written to the autopilot {fingerprint.autopilot}")
     try:
         for composer, group in zip(COMPOSERS[fingerprint.autopilot], (imu, mags), strict=True):
             composer(draft, group)
+        compose_motors(draft, fingerprint.autopilot, motors)
     except FirmwareError as error:
         draft.block(str(error))
     adjust_trim(draft, fingerprint.autopilot, sensors)

@@ -52,6 +52,11 @@ def is_shape_only(fit: FitResult) -> bool:
     return fit.sensor == Sensor.ACCEL and fit.model.polynomial is not None and matrix_fixed
 
 
+def keeps_matrix(fit: FitResult) -> bool:
+    """Whether what a compass fit leaves open are entries of the matrix that it kept near the ones in force."""
+    return bool(fit.quality.get("soft_iron_kept")) and all(name.startswith("matrix") for name in fit.undetermined)
+
+
 def drift_axes(fit: FitResult) -> str:
     """The axes whose drift a thermal fit determines; of a fit without temperature every axis."""
     return "".join(a for a in AXES if fit.determined(*(f"poly{j + 1}_{a}" for j in range(fit.degree))))

@@ -21,7 +21,7 @@ from calib.firmware import ardupilot, losses, names
 from calib.firmware.announce import lose_compass_mounting
 from calib.firmware.ardupilot import UT_PER_MGAUSS
 from calib.firmware.draft import Draft, Rank, Subject
-from calib.firmware.fitted import Pair, body_from_raw
+from calib.firmware.fitted import Pair, body_from_raw, keeps_matrix
 from calib.firmware.limits import COMPASS_OFFS_MAX, COMPASS_SCALE_WINDOW
 from calib.firmware.mounting import Turn, mounting_turn
 from calib.firmware.names import Role
@@ -84,7 +84,7 @@ def _is_whole(draft: Draft, about: Subject, fit: FitResult) -> bool:
     if fit.unit != "uT":
         draft.block(f"{about}: the fit is in {fit.unit}; ArduPilot's offsets are in mGauss")
         return False
-    if fit.undetermined:
+    if fit.undetermined and not keeps_matrix(fit):
         draft.block(f"{about}: {', '.join(fit.undetermined)} are not determined. {fit.message}")
         return False
     return True

@@ -150,7 +150,7 @@ def _parameter(draft: Draft, module: object, fit: FitResult, interference: Array
     """What to add, uT per unit: minus the interference, carried to the calibration that will be in force."""
     at_sensor = np.linalg.solve(fit.model.matrix, -interference)
     if module is px4:
-        return at_sensor
+        return np.asarray(at_sensor)
     future = ardupilot.calibration_in_force(draft.predicted, Sensor.MAG, fit.instance)
     return np.asarray(future.matrix @ at_sensor)
 

@@ -15,7 +15,7 @@ from calib.firmware import losses, names, px4
 from calib.firmware.announce import lose_compass_mounting
 from calib.firmware.compose_px4 import set_row
 from calib.firmware.draft import Draft, Rank, Subject
-from calib.firmware.fitted import Pair
+from calib.firmware.fitted import Pair, keeps_matrix
 from calib.firmware.limits import COMPASS_SCALE_WINDOW
 from calib.firmware.mounting import Turn, mounting_turn
 from calib.firmware.names import Role
@@ -52,7 +52,7 @@ def _compose_one(draft: Draft, about: Subject, fit: FitResult) -> None:
     if fit.unit != "uT":
         draft.block(f"{about}: the fit is in {fit.unit}; PX4's offsets are in Gauss")
         return
-    if fit.undetermined:
+    if fit.undetermined and not keeps_matrix(fit):
         draft.block(f"{about}: {', '.join(fit.undetermined)} are not determined. {fit.message}")
         return
     roles = px4.calibration_names(draft.parameters, about.sensor, about.instance)

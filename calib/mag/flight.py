@@ -35,6 +35,7 @@ _BELIEVED = 0.7
 """Of the sd before the data: an entry of the matrix that keeps more than this of it was not seen by the flight."""
 _ROUGHEST = 0.15  # of the field: residuals with which nothing is calibrated
 _MOST_OUTLIERS = 0.3
+_COARSE_DEG = 3.0
 _ENTRIES = ("xx", "yy", "zz", "xy", "xz", "yz")
 _MIRROR = {"xy": "yx", "xz": "zx", "yz": "zy"}
 _WANTED = {
@@ -214,7 +215,7 @@ def _open(found: Estimate, strength: float) -> tuple[tuple[str, ...], tuple[str,
     entries = tuple(
         e
         for e, s, before in zip(_ENTRIES, sd[SHAPE], prior, strict=True)
-        if s >= min(_BELIEVED * before, UNDETERMINED_SD)
+        if before > 0.0 and s >= min(_BELIEVED * before, UNDETERMINED_SD)
     )
     return offsets, entries
 
@@ -247,6 +248,7 @@ def _quality(
         "field_ratio": scale if context.field is not None and context.unit == "uT" else None,
         "heading_sd_deg": heading_sd_deg(model, full, strength, dip, context.body_from_sensor),
         "heading_dip_deg": math.degrees(dip),
+        "soft_iron_kept": True,
         "soft_iron_sd_before": float(found.prior.sd[SHAPE].max()),
         "yaw_range_deg": data.yaw_range_deg,
         "tilt_range_deg": data.tilt_range_deg,
@@ -274,6 +276,11 @@ def _warnings(found: Estimate, context: MagContext, quality: Mapping[str, Any], 
         warnings.append(f"the compass measures {ratio:.2f} times the field of the magnetic model")
     if context.field is not None and not context.field.valid:
         warnings.append(f"the date is outside the years of {context.field.model}: its field is extrapolated")
+    if quality["heading_sd_deg"] > _COARSE_DEG:
+        warnings.append(
+            f"the heading would be good to {quality['heading_sd_deg']:.1f} degrees only: fly whole circles before "
+            "this is written"
+        )
     if quality["n_outliers"]:
         warnings.append(f"{quality['n_outliers']} samples lie off the model and were left out")
     if found.layout.drives:
@@ -297,6 +304,8 @@ def _native(found: Estimate, data: Given, context: MagContext, strength: float) 
         "offset_body_sd": np.sqrt(np.diag(found.solved.covariance)[OFFSET]).tolist(),
         "change_of_offset_body": (found.x[OFFSET] - data.offset_in_force).tolist(),
         "gyro_bias": bias.mean(axis=0).tolist() if data.turning.gyro is not None else None,
+        "mounting_deg": np.degrees(found.x[layout.mounting]).tolist(),
+        "mounting_sd_deg": np.degrees(np.sqrt(np.diag(found.solved.covariance)[layout.mounting])).tolist(),
         "delay": float(found.x[layout.delay][0]) + 0.5 * data.samples.window,
         "attitude_error_deg": math.degrees(float(np.sqrt((found.solved.knots[:, :3] ** 2).sum(axis=1).mean()))),
         "directions": directions(found, strength),

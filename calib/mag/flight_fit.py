@@ -28,6 +28,8 @@ GYRO_SCALE_SD = 0.01
 DELAY_SD = 0.05  # s
 BLUR_SD = 4e-4
 """s2: of averages and filters that are not known, 0.1 s long."""
+MOUNTING_SD = math.radians(2.0)
+"""About each axis, of a compass against the body."""
 JITTER = 3e-3
 """s: by how much a sample's time is not what the log says, beside the constant delay: one turn of a firmware's loop."""
 LEVEL_SD = math.radians(1.5)
@@ -186,6 +188,7 @@ def _prior(
         sd[layout.motor] = np.repeat(size / np.maximum(strongest, 1e-9), 3)
     mean[layout.scale], sd[layout.scale] = -model.scale, GYRO_SCALE_SD
     sd[layout.delay], sd[layout.blur], sd[layout.level] = DELAY_SD, BLUR_SD, LEVEL_SD
+    sd[layout.mounting] = MOUNTING_SD
     if turning.gyro is None:
         sd[layout.scale] = 0.0
     start = np.full(3, np.inf)

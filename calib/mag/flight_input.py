@@ -17,7 +17,6 @@ from calib.mag.motor_drives import Drive
 from calib.mag.result import MagContext
 from calib.recording import Channel, Sensor
 from calib.triad import TriadModel
-from calib.windows import finite_rows
 
 Array = NDArray[np.float64]
 
@@ -69,9 +68,9 @@ def given(
     attitude = _increasing(turning.attitude)
     if attitude is not None:
         lengths = np.linalg.norm(attitude.values, axis=1)
-        attitude = attitude.take(np.abs(lengths - 1.0) < 0.01)
+        attitude = attitude.take(np.flatnonzero(np.abs(lengths - 1.0) < 0.01))
     turning = Turning(gyro if gyro is not None and len(gyro) > 1 else None, _or_none(attitude))
-    mag = mag.take(finite_rows(mag.values) & (np.abs(mag.values) < _LARGEST).all(axis=1))
+    mag = mag.take(_measured(mag.values))
     if turning.gyro is not None or turning.attitude is not None:
         start, end = turning.span()
         mag = mag.take((mag.t >= start) & (mag.t <= end))
@@ -80,7 +79,7 @@ def given(
     correction = TriadModel(np.zeros(3), body_from_sensor) if in_force is None else in_force
     sensitivity = np.linalg.inv(correction.matrix @ body_from_sensor.T)
     drives = np.zeros((len(mag), 0)) if drive is None else drive.columns(mag.t)
-    known = np.isfinite(drives).all(axis=1)
+    known = np.asarray(np.isfinite(drives).all(axis=1), dtype=np.bool_)
     mag, drives = mag.take(known), drives[known]
     samples = Samples(
         mag.t,
@@ -146,8 +145,13 @@ def _check(channel: Channel | None, columns: int) -> None:
 def _increasing(channel: Channel | None) -> Channel | None:
     if channel is None:
         return None
-    channel = channel.take(finite_rows(channel.values) & (np.abs(channel.values) < _LARGEST).all(axis=1))
+    channel = channel.take(_measured(channel.values))
     return channel.take(np.diff(channel.t, prepend=-np.inf) > 0.0)
+
+
+def _measured(values: Array) -> NDArray[np.bool_]:
+    """Rows (N,) that are finite and no absurd number."""
+    return np.asarray(np.isfinite(values).all(axis=1) & (np.abs(values) < _LARGEST).all(axis=1), dtype=np.bool_)
 
 
 def _or_none(channel: Channel | None) -> Channel | None:

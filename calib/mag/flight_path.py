@@ -168,7 +168,7 @@ def first_bias(turning: Turning) -> Array:
     if attitude is not None:
         start, end = max(gyro.t[0], attitude.t[0]), min(gyro.t[-1], attitude.t[-1])
         edges = np.linspace(start, end, max(int((end - start) / _WINDOW), 1) + 1)
-        seen = Rotation.from_matrix(_attitudes(attitude, edges))
+        seen = Rotation.from_matrix(attitudes(attitude, edges))
         carried = Rotation.from_matrix(_Carried(gyro, GyroModel.steady(np.zeros(3))).at(edges)[0])
         ours, theirs = carried[:-1].inv() * carried[1:], seen[:-1].inv() * seen[1:]
         differences = (theirs.inv() * ours).as_rotvec() / np.diff(edges)[:, None]
@@ -256,7 +256,7 @@ def _matrices(wxyz: Array) -> Array:
     return np.asarray(Rotation.from_quat(wxyz[:, [1, 2, 3, 0]]).as_matrix())
 
 
-def _attitudes(attitude: Channel, t: Array) -> Array:
+def attitudes(attitude: Channel, t: Array) -> Array:
     """The log's attitude (N, 3, 3) at `t` (N,), held beyond its ends."""
     track = Slerp(attitude.t, Rotation.from_quat(attitude.values[:, [1, 2, 3, 0]]))
     return np.asarray(track(np.clip(t, attitude.t[0], attitude.t[-1])).as_matrix())
@@ -272,7 +272,7 @@ def _information(knots: Array) -> Array:
 def _observed(attitude: Channel | None, knots: Array, reference: Array) -> tuple[Array, Array]:
     if attitude is None:
         return np.zeros((len(knots), 3)), np.zeros((len(knots), 3))
-    difference = _attitudes(attitude, knots) @ np.swapaxes(reference, 1, 2)
+    difference = attitudes(attitude, knots) @ np.swapaxes(reference, 1, 2)
     seen = (knots >= attitude.t[0]) & (knots <= attitude.t[-1])
     return Rotation.from_matrix(difference).as_rotvec(), _information(knots) * seen[:, None]
 
@@ -280,10 +280,10 @@ def _observed(attitude: Channel | None, knots: Array, reference: Array) -> tuple
 def _path_of_attitude(
     attitude: Channel, t: Array, window: float, knots: Array, left: NDArray[np.intp], fraction: Array
 ) -> Path:
-    rotations = np.mean([_attitudes(attitude, part) for part in _within(t, window)], axis=0)
-    before, after = _attitudes(attitude, t - _STEP), _attitudes(attitude, t + _STEP)
+    rotations = np.mean([attitudes(attitude, part) for part in _within(t, window)], axis=0)
+    before, after = attitudes(attitude, t - _STEP), attitudes(attitude, t + _STEP)
     rates = Rotation.from_matrix(np.swapaxes(before, 1, 2) @ after).as_rotvec() / (2.0 * _STEP)
-    bends = _attitudes(attitude, t + _STEP) - 2.0 * _attitudes(attitude, t) + _attitudes(attitude, t - _STEP)
+    bends = attitudes(attitude, t + _STEP) - 2.0 * attitudes(attitude, t) + attitudes(attitude, t - _STEP)
     count = len(knots)
     return Path(
         knots_t=knots,
@@ -299,5 +299,5 @@ def _path_of_attitude(
         wander=BIAS_WALK**2 * np.diff(knots),
         observed=np.zeros((count, 3)),
         information=_information(knots),
-        knot_rotations=_attitudes(attitude, knots),
+        knot_rotations=attitudes(attitude, knots),
     )

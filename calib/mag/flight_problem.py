@@ -2,12 +2,12 @@
 
 .. code-block:: text
 
-    y_k = A u_k + b + K d_k + noise        u_k = R_k^T h, R_k = exp([delta(t_k)]) R_reference(t_k - delay)
+    y_k = A Q u_k + b + K d_k + noise      u_k = R_k^T h, R_k = exp([delta(t_k)]) R_reference(t_k - delay)
 
 Wanted: the offset b, the symmetric A (the inverse of the soft iron's correction) and the motors' K for the drives d
 (current, throttle, outputs). In the way: at every knot the error delta of the attitude and that of the gyroscope's
-offset; the gyroscope's scale, the delay and the blur of the compass, the field h, and a tilt of the log's level against
-the body.
+offset; the gyroscope's scale, the delay and the blur of the compass, its mounting Q (a small rotation), the field h,
+and a tilt of the log's level against the body.
 
 The knots make a block tridiagonal matrix and the others a border of it, so an hour costs no more than its samples.
 """
@@ -40,10 +40,10 @@ SHAPES = np.array(
     dtype=np.float64,
 )
 """The symmetric matrices (6, 3, 3) of xx, yy, zz, xy, xz, yz."""
-NUISANCES = 10  # gyroscope's scale, field (3 each), delay, blur, level (2)
+NUISANCES = 13  # gyroscope's scale, field (3 each), delay, blur, level (2), mounting (3)
 KNOT = 6  # unknowns at a knot: attitude, gyroscope's offset
 _ROUNDS = 12
-_CONVERGED = 1e-7
+_CONVERGED = 1e-3  # of the sum of squares in standard deviations: a thirtieth of one
 
 
 @dataclass(frozen=True)
@@ -81,6 +81,11 @@ class Layout:
     def level(self) -> slice:
         """Tilt of the log's attitude about the body's x and y, rad."""
         return self._after(8, 10)
+
+    @property
+    def mounting(self) -> slice:
+        """Of the compass in the body, rad: ``Q = exp([mounting])``."""
+        return self._after(10, 13)
 
     @property
     def size(self) -> int:
@@ -146,7 +151,7 @@ def solve(flight: Flight, prior: Prior, start: Array, knots: Array | None = None
             new = _cost(flight, prior, *tried)
             if new <= cost * (1.0 + 1e-12):
                 break
-        done = shrink == 0.0 or cost - new <= _CONVERGED * (1.0 + cost)
+        done = shrink == 0.0 or cost - new <= _CONVERGED
         if shrink > 0.0:
             (x, knots), cost = tried, new
         if done:
@@ -169,6 +174,7 @@ class _Model:
     met: Array  # (N, 3): field in the body as the compass meets it
     by_delay: Array
     by_blur: Array
+    mounted: Array
     layout: Layout
     matrix: Array
 
@@ -182,8 +188,10 @@ class _Model:
         still = np.einsum("nji,nj->ni", path.rotations, turned)
         by_delay = np.cross(path.rates, still)
         by_blur = np.einsum("nji,nj->ni", path.bends, turned)
-        met = still + x[layout.delay] * by_delay + x[layout.blur] * by_blur
-        return cls(turned, back, met, by_delay, by_blur, layout, np.einsum("k,kij->ij", x[SHAPE], SHAPES))
+        seen = still + x[layout.delay] * by_delay + x[layout.blur] * by_blur
+        mounted = np.asarray(Rotation.from_rotvec(x[layout.mounting]).as_matrix())
+        met = seen @ mounted.T
+        return cls(turned, back, met, by_delay, by_blur, mounted, layout, np.einsum("k,kij->ij", x[SHAPE], SHAPES))
 
     def reading(self, flight: Flight, x: Array) -> Array:
         motor = x[self.layout.motor].reshape(-1, 3)
@@ -328,7 +336,8 @@ def _derivatives(flight: Flight, x: Array, knots: Array) -> tuple[Array, Array, 
     model, path = _Model.of(flight, x, knots), flight.path
     layout, count = model.layout, len(flight.y)
     delayed = np.eye(3) + x[layout.delay][0] * _cross_matrices(path.rates)
-    through = model.matrix @ delayed @ np.swapaxes(path.rotations, 1, 2)
+    turned = model.matrix @ model.mounted
+    through = turned @ delayed @ np.swapaxes(path.rotations, 1, 2)
     by_delta = through @ _cross_matrices(model.turned)
     by_others = np.zeros((count, 3, layout.size))
     by_others[:, :, OFFSET] = np.eye(3)
@@ -336,8 +345,9 @@ def _derivatives(flight: Flight, x: Array, knots: Array) -> tuple[Array, Array, 
     eyes = flight.drives[:, :, None, None] * np.eye(3)
     by_others[:, :, layout.motor] = np.moveaxis(eyes, 1, 2).reshape(count, 3, -1)
     by_others[:, :, layout.field] = through @ model.back
-    by_others[:, :, layout.delay] = (model.by_delay @ model.matrix.T)[:, :, None]
-    by_others[:, :, layout.blur] = (model.by_blur @ model.matrix.T)[:, :, None]
+    by_others[:, :, layout.delay] = (model.by_delay @ turned.T)[:, :, None]
+    by_others[:, :, layout.blur] = (model.by_blur @ turned.T)[:, :, None]
+    by_others[:, :, layout.mounting] = -model.matrix @ _cross_matrices(model.met)
     return by_delta, by_others, flight.y - model.reading(flight, x)
 
 

@@ -21,7 +21,7 @@ from calib.errors import UndeterminedError
 from calib.fit import FitResult, FitStatus, parameter_names, refused
 from calib.mag.flight_fit import Estimate, Knowledge, estimate
 from calib.mag.flight_input import Given, given, unusable
-from calib.mag.flight_path import Turning
+from calib.mag.flight_path import Turning, attitudes
 from calib.mag.flight_problem import OFFSET
 from calib.mag.motor_drives import UNIT, Drive, DriveKind
 from calib.mag.result import MagContext, MagFacts
@@ -37,6 +37,9 @@ _BLOCK = 15.0  # s of a hidden stretch
 _FEWEST_BLOCKS, _MOST_BLOCKS = 5, 10
 _CLIPPED = 5.0  # median lengths of a residual: what lies farther counts as this far
 _SURE = 2.0  # standard errors by which hidden stretches must improve
+_LEAST_GAIN = 0.1  # of the residual of hidden stretches: less is not worth a parameter
+_LEAST_TIME = 40.0  # s: hidden stretches of some length, and enough left to fit
+_TINY = 1e-12  # of a squared residual
 _SIGNIFICANT = 4.0  # standard deviations of the term
 _LEAST_HEADING = math.radians(0.3)  # of the horizontal field: a smaller term is not worth a parameter
 _UNKNOWN = 0.05  # of the field over the range of the drive: a term that is no better known is not determined
@@ -123,6 +126,9 @@ def fit_motor(
     reason = unusable(plain)
     if not reason and not drives:
         reason = "neither current nor throttle nor motor outputs that change are in the recording"
+    lasts = plain.samples.t[-1] - plain.samples.t[0] if len(plain.samples.t) else 0.0
+    if not reason and lasts < _LEAST_TIME:
+        reason = f"{lasts:.0f} s of flight are too few to hide stretches of: {_LEAST_TIME:.0f} s are needed"
     if reason:
         return _refusal(context, len(mag), f"{reason}; {MOVEMENT}")
     try:
@@ -159,13 +165,14 @@ def _candidates(
         known &= np.isfinite(drive.columns(mag.t)).all(axis=1)
     mag = mag.take(known)
     found = []
-    for drive in (None, *drives):
-        data = given(mag, turning, in_force, drive, window, context)
+    every: tuple[Drive | None, ...] = (None, *drives)
+    for tried in every:
+        data = given(mag, turning, in_force, tried, window, context)
         reason = unusable(data)
         if reason:
             raise UndeterminedError(reason)
         fit = estimate(data.samples, data.turning, Knowledge(context.field, _SOFT_IRON_SD))
-        found.append((drive, data, fit))
+        found.append((tried, data, fit))
     return [_judged(drive, data, fit) for drive, data, fit in found]
 
 
@@ -189,26 +196,20 @@ def _judged(drive: Drive | None, data: Given, fit: Estimate) -> Candidate:
 
 
 def _beats(better: Candidate, worse: Candidate, sure: float) -> bool:
-    """Whether hidden stretches prefer `better` by `sure` standard errors of their differences."""
-    gains = (worse.scores - better.scores) * worse.counts / worse.counts.mean()
-    error = float(gains.std(ddof=1)) / math.sqrt(len(gains))
-    return float(gains.mean()) > sure * error and float(gains.mean()) > 0.0
+    """Whether hidden stretches prefer `better` by `sure` standard errors; by logarithms, so that each counts alike."""
+    gains = np.log(np.maximum(worse.scores, _TINY)) - np.log(np.maximum(better.scores, _TINY))
+    return float(gains.mean()) > sure * float(gains.std(ddof=1)) / math.sqrt(len(gains))
 
 
 def _chosen(candidates: Sequence[Candidate]) -> Candidate:
     """The simplest of those that are as good as the best, of those that hidden stretches want at all."""
     none = candidates[0]
-    wanted = [c for c in candidates[1:] if c.score < none.score and _improves(c, none) and _matters(c)]
+    enough = (1.0 - _LEAST_GAIN) * none.hidden_rms
+    wanted = [c for c in candidates[1:] if c.hidden_rms < enough and _beats(c, none, _SURE) and _matters(c)]
     if not wanted:
         return none
     best = min(wanted, key=lambda c: c.score)
     return next(c for c in wanted if c is best or not _beats(best, c, 1.0))
-
-
-def _improves(candidate: Candidate, none: Candidate) -> bool:
-    """In sum by two standard errors, or in all but one of the stretches in which the drive moved at all."""
-    gains = none.scores - candidate.scores
-    return _beats(candidate, none, _SURE) or int((gains < 0.0).sum()) <= len(gains) // 5
 
 
 def _matters(candidate: Candidate) -> bool:
@@ -320,12 +321,39 @@ def _native(
         "held_out_rms_after": chosen.hidden_rms,
         **(_told(chosen, gain, context) if drive is not None else {}),
         "candidates": {c.kind: _told(c, gain, context) for c in candidates[1:]},
+        "attitude_trusted": _trusting(candidates, data, gain, context),
         "offset_beside": (gain @ offset).tolist(),
         "offset_beside_sd": np.sqrt(np.diag(gain @ chosen.found.solved.covariance[OFFSET, OFFSET] @ gain.T)).tolist(),
         "never_calibrated": bool(
             float(np.linalg.norm(offset)) > _NEVER_CALIBRATED * strength
             and not np.any(np.abs(data.offset_in_force) > 1e-3 * strength)
         ),
+    }
+
+
+def _trusting(candidates: Sequence[Candidate], data: Given, gain: Array, context: MagContext) -> dict[str, Any] | None:
+    """What least squares find that take the log's attitude, heading included, for the truth; to compare, not to use.
+
+    Its heading came from a compass: where it is corrected at arming or in the air, that step is taken for the motors'.
+    """
+    attitude, field, drive = data.turning.attitude, context.field, candidates[1].drive
+    if attitude is None or field is None or drive is None:
+        return None
+    t = data.samples.t
+    c = (data.samples.y - data.offset_in_force) @ gain.T
+    misses = c - np.einsum("nji,j->ni", attitudes(attitude, t), field.north_east_down)
+    slow = drive.columns(t)[:, : len(drive.numbers)]
+    known = np.isfinite(slow).all(axis=1)
+    rows = np.column_stack([np.ones(int(known.sum())), slow[known]])
+    found, *_ = np.linalg.lstsq(rows, misses[known], rcond=None)
+    after = misses[known] - rows @ found
+    before = misses[known] - misses[known].mean(axis=0)
+    return {
+        "drive": str(drive.kind),
+        "interference": (found[1] if len(found) == 2 else found[1:]).tolist(),
+        "offset": found[0].tolist(),
+        "rms_before": math.sqrt(float((before**2).sum(axis=1).mean())),
+        "rms_after": math.sqrt(float((after**2).sum(axis=1).mean())),
     }
 
 

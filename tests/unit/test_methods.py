@@ -42,6 +42,8 @@ def test_the_registry_names_every_method_of_this_issue():
             "mag-ellipsoid",
             "mag-rings",
             "mag-align",
+            "mag-flight",
+            "mag-motor",
             "rest-reference",
             "thermal-linear",
             "thermal-poly",
