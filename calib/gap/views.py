@@ -194,7 +194,7 @@ def _view(
         np.ascontiguousarray(residual),
         keep,
         _declared(used),
-        _learned(used, len(residual)) if reference_error or len(used) == 1 else None,
+        _learned(used, len(residual)),
         reference_error,
         min(e.trace.sigma_dof for e, _ in used),
     )
@@ -212,14 +212,25 @@ def _declared(used: Sequence[tuple[_Entry, float]]) -> Array | None:
 
 
 def _learned(used: Sequence[tuple[_Entry, float]], n: int) -> Array | None:
-    total = np.zeros((n, 3))
-    for entry, f in used:
-        trace = entry.trace
-        if trace.psd is None or trace.psd_hz is None:
-            return None
-        hz = 0.5 * trace.fs * np.arange(n) / n
-        total += f**2 * (np.column_stack([np.interp(hz, trace.psd_hz, p) for p in trace.psd.T]) + entry.extra)
+    """Each sensor's own noise adds by squares; the error of the reference is one for all: it cancels, or grows."""
+    traces = [entry.trace for entry, _ in used]
+    if any(t.psd is None or t.psd_hz is None or (t.own_psd is None and len(used) > 1) for t in traces):
+        return None
+    total, shared = np.zeros((n, 3)), np.zeros((n, 3))
+    for (entry, f), trace in zip(used, traces, strict=True):
+        whole = _interpolated(trace, trace.psd, n)
+        own = whole if trace.own_psd is None else np.minimum(_interpolated(trace, trace.own_psd, n), whole)
+        total += f**2 * (own + entry.extra)
+        shared += (whole - own) / len(used)
+    total += sum(f for _, f in used) ** 2 * shared
     return total if (total > 0.0).all() else None
+
+
+def _interpolated(trace: Trace, spectrum: Array | None, n: int) -> Array:
+    assert spectrum is not None
+    assert trace.psd_hz is not None
+    hz = 0.5 * trace.fs * np.arange(n) / n
+    return np.column_stack([np.interp(hz, trace.psd_hz, p) for p in spectrum.T])
 
 
 def between(view: View, start: float, end: float) -> View | None:

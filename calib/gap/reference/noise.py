@@ -98,7 +98,7 @@ def with_noise(trace: Trace, total: Noise | None, own: Noise | None) -> Trace:
     close = abs(math.log(trace.fs / white.fs)) < 0.02 and trace.low_pass_hz == white.low_pass_hz
     if close:
         trace = dataclasses.replace(trace, sigma=white.sigma, sigma_dof=float(white.dof.sum()))
-    if whole.white and close:
+    if whole.white and close and not (alone and own is not None):
         return trace
     hz = np.geomspace(trace.fs / (2.0 * len(trace.t)), trace.fs / 2.0, 3 * _BANDS)
     trace = dataclasses.replace(trace, psd=_on(whole, hz, trace.fs, trace.low_pass_hz), psd_hz=hz)
