@@ -88,6 +88,7 @@ COMPASS: Final = LogReading(
     factor=MGAUSS_UT,
     rounding=Rounding.TOWARD_ZERO,
     healthy="Health",
+    most=32768.0,
 )
 
 MOTOR_FUNCTIONS: Final = {**{33 + k: k for k in range(8)}, **{82 + k: 8 + k for k in range(4)}}

@@ -61,8 +61,7 @@ class SensorChannels:
     def _good(
         self, table: Table, reading: LogReading, instance: int, t: Array, values: Array, healthy: Mask | None
     ) -> Mask:
-        with np.errstate(invalid="ignore"):
-            good: Mask = np.asarray((np.abs(values) <= reading.most).all(axis=1) & np.isfinite(values).all(axis=1))
+        good = _readable(values, reading.most)
         if not good.all():
             self._say(reading, instance, t, ~good, "are no numbers that such a sensor can read", table)
         if healthy is not None and not healthy.all() and healthy.any():
@@ -122,6 +121,14 @@ def _channel(table: Table, reading: LogReading, instance: int, t: Array, values:
         rounding=reading.rounding,
         zero_bin=zero_bin,
     )
+
+
+def _readable(values: Array, most: float) -> Mask:
+    """Rows of which every number lies within +-`most`."""
+    with np.errstate(invalid="ignore"):
+        if len(values) and values.min() >= -most and values.max() <= most:  # never true of a NaN
+            return np.ones(len(values), dtype=bool)
+        return np.asarray((np.abs(values) <= most).all(axis=1))
 
 
 def _read_anew(t: Array, values: Array) -> Mask:
