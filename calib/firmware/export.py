@@ -74,6 +74,8 @@ def write_plan(plan: WritePlan, form: ParameterFormat, *, system: int = 1, compo
     head = [
         f"# mavcal: {plan.fingerprint.autopilot} {plan.fingerprint.firmware}".rstrip(),
         f"# plan {plan.sha256}",
+        f"# board {plan.fingerprint.uid or 'not known'}",
+        *(f"# {sensor} has the device id {device}" for sensor, device in plan.fingerprint.device_ids),
         *(f"# {text}" for text in (*plan.warnings, *(loss.text for loss in plan.losses))),
     ]
     if form == ParameterFormat.PARAMS:

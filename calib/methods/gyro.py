@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import InvalidInputError
-from calib.fit import FitResult
+from calib.fit import FitResult, parameter_names, refused
 from calib.gyro import fit_g_sensitivity, fit_gyro_rest, fit_thread, fit_turntable
 from calib.methods.method import GRAVITY, INSTANCE, Method, Option, Options, gravity_of, mean_or_none
 from calib.methods.source import Source
@@ -19,9 +19,12 @@ def gyro_rest(source: Source, options: Options) -> list[FitResult]:
     """The longest rest, with accelerometer and compass as witnesses."""
     fits = []
     for gyro in source.channels(Sensor.GYRO):
+        if source.flown_throughout(gyro.instance):
+            fits.append(_never_at_rest(gyro))
+            continue
         part = source.longest_rest(gyro)
         span = (part.t[0], np.nextafter(part.t[-1], np.inf))
-        accel, mag = source.maybe(Sensor.ACCEL, gyro.instance), source.maybe(Sensor.MAG, 0)
+        accel, mag = source.companion(Sensor.ACCEL, gyro.instance), source.maybe(Sensor.MAG, 0)
         temperature = source.temperature(gyro.instance)
         fits.append(
             fit_gyro_rest(
@@ -33,6 +36,19 @@ def gyro_rest(source: Source, options: Options) -> list[FitResult]:
             )
         )
     return fits
+
+
+def _never_at_rest(gyro: Channel) -> FitResult:
+    return refused(
+        "gyro-rest",
+        Sensor.GYRO,
+        gyro.instance,
+        "the vehicle was armed and never at rest with its motors off: log some seconds on the ground before arming",
+        unit=gyro.unit,
+        n_samples=len(gyro),
+        undetermined=parameter_names()[:3],
+        movement="leave the vehicle still on the ground, disarmed, for some seconds",
+    )
 
 
 def gyro_turntable(source: Source, options: Options) -> list[FitResult]:
@@ -49,7 +65,7 @@ def gyro_turntable(source: Source, options: Options) -> list[FitResult]:
             gyro,
             rate_true,
             segments=segments,
-            accel=source.maybe(Sensor.ACCEL, gyro.instance),
+            accel=source.companion(Sensor.ACCEL, gyro.instance),
             rate_sd=float(np.radians(options["rate_sd"])),
             latitude=options["latitude"],
             temperature=_mean_temperature(source, gyro),

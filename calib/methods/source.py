@@ -39,6 +39,14 @@ class Source:
         """That channel, or None."""
         return self.recording.channel(sensor, instance) if self._usable(sensor, instance) else None
 
+    def companion(self, sensor: Sensor, instance: int) -> Channel | None:
+        """That channel, else the first one of its kind: on one body any of them tells whether it moves.
+
+        PX4 counts accelerometers and gyroscopes by their own calibration rows, so one unit may have two numbers.
+        """
+        others = self.recording.instances(sensor)
+        return self.maybe(sensor, instance) or (self.maybe(sensor, others[0]) if others else None)
+
     def temperature(self, instance: int) -> Channel | None:
         """The thermometer of that instance, or the only one there is."""
         return self.maybe(Sensor.TEMPERATURE, instance) or self.maybe(Sensor.TEMPERATURE, 0)
@@ -69,6 +77,11 @@ class Source:
         limits = HELD if held else RESTING
         found = find_still(self.recording, instance=instance, limits=limits)
         return grounded(self.recording, found, limits.shortest) if self.of_vehicle else found
+
+    def flown_throughout(self, instance: int) -> bool:
+        """Whether a vehicle was armed and never at rest: then none of it is a rest, not even the whole."""
+        armed = any(event.kind == "armed" for event in self.recording.events)
+        return self.of_vehicle and armed and not self.stills(instance, held=False)
 
     def longest_rest(self, channel: Channel) -> Channel:
         """The samples of the longest still span, or all of them where no span is found."""

@@ -10,7 +10,9 @@ from hypothesis import strategies as st
 from calib import logs
 from calib.errors import CalibError, UnreadableError
 from calib.firmware import undo
+from calib.fit import FitStatus
 from calib.logs.ulog import read_ulog
+from calib.methods import METHODS
 from calib.recording import Sensor, Stage
 from tests.unit.logs.ulog_file import ACCEL_ID, GYRO_ID, MAG_ID, PARAMETERS, UlogFile, driver, message, sample
 
@@ -268,3 +270,12 @@ def test_damage_gives_a_recording_or_the_typed_error(tmp_path_factory, data):
     except CalibError:
         return
     assert all(np.isfinite(c.t).all() and (np.diff(c.t) >= 0).all() for c in recording.channels)
+
+
+def test_a_flight_without_a_rest_is_no_rest(reading):
+    log = flight(n=400)
+    armed = log.topic("actuator_armed", "uint8_t armed")
+    log.row(armed, 1_900_000, 1)
+    (fit,) = METHODS["gyro-rest"].run(reading(log))
+    assert fit.status == FitStatus.REFUSED
+    assert "never at rest with its motors off" in fit.message
