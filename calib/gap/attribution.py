@@ -30,6 +30,8 @@ UNKNOWN_PRIOR = 0.0
 """Head start of explanations outside the catalogue, in nats."""
 _NEAR = 12.0
 _SAME = 0.98
+_FAR = 40.0
+"""Rivals are listed within `_NEAR`, or within 2 % of the evidence, but not beyond `_FAR`."""
 _CLEARLY = 1.0
 """Penalised evidence by which an exchange must be better."""
 _ROUNDS = 3
@@ -167,8 +169,8 @@ def _judged(own: Hypothesis, own_delta: float, others: Sequence[Alternative]) ->
         delta = own_delta - other.score.delta
         is_unknown = other.score.hypothesis.effect.id.startswith("unknown")
         (unknown if is_unknown else weights).append(-delta / (2.0 * TEMPERATURE))
-        alike = other.score.gain > _SAME * max(own_delta, 1.0) + 0.0 and other.kappa > _SAME
-        if not is_unknown and other.score.hypothesis.effect.id != own.effect.id and (delta < _NEAR or alike):
+        near = max(_NEAR, min((1.0 - _SAME) * own_delta, _FAR))
+        if not is_unknown and other.score.hypothesis.effect.id != own.effect.id and delta < near:
             rivals.append(Rival(other.score.hypothesis.effect.id, other.kappa, delta, own.effect.fix))
     best: dict[str, Rival] = {}
     for rival in sorted(rivals, key=lambda r: r.delta):

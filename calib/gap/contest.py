@@ -13,12 +13,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import idct
 from scipy.optimize import minimize_scalar
 from scipy.special import chdtrc
 from scipy.stats import binom
 
 from calib.gap.effects.base import MeanEffect, NoiseEffect
 from calib.gap.hypotheses import Columns, Hypothesis, columns_of
+from calib.gap.likelihood import transform
 from calib.gap.model import (
     Model,
     Normal,
@@ -44,6 +46,8 @@ _WORTH = 8.0
 """Gain of the best value on the grid from which on the shape is refined between its neighbours."""
 _CURVED = 300.0
 """Gain from which on an effect that is not linear in its amplitudes is fitted as it is."""
+_FOLLOWS = 6.0
+"""Gain on an axis from which on it is asked whether the noise follows its envelope."""
 _SIDES = 2
 """Price of an effect whose shape alone is estimated: it vanishes at zero, so it was searched to either side only."""
 
@@ -298,14 +302,43 @@ def _noise_gain(hypothesis: Hypothesis, theta: float, model: Model, fits: Sequen
         for v, view in enumerate(model.setting.views)
         if hypothesis.touches(view)
     }
+    effect = hypothesis.effect
+    assert isinstance(effect, NoiseEffect)
     gain, values = 0.0, []
     for fit in fits:
         rows = extra_rows(model, fit, by_view)
         _, without, _ = fit.fitted()
         amplitudes, level, _ = fit.fitted(rows)
         gain += max(without - level, 0.0)
-        values.append(amplitudes[len(fit.names) :])
+        added = amplitudes[len(fit.names) :]
+        values.append(added)
+        if effect.variance is not None and without - level > _FOLLOWS:
+            envelope = effect.variance(widest(hypothesis, model)[0])
+            gain += sum(modulation(model, a, envelope, added @ by_view[a // 3]) for a in fit.axes if a // 3 in by_view)
     return gain, np.array(values).T
+
+
+def modulation(model: Model, axis: int, envelope: Array, density: Array) -> float:
+    """Twice the log-likelihood by which added noise that follows `envelope` (N,), of mean one, beats a steady one.
+
+    In the bins where the added `density` (n,) is a good part of all power, the residual's power should follow the
+    envelope as far as that part goes.
+    """
+    v, c = divmod(axis, 3)
+    power = model.noise[axis].power + density
+    part = density / power
+    band = part > max(0.5 * float(part.max()), 1e-3)
+    y = transform(np.ascontiguousarray(model.residual[v][:, c]))
+    series = np.asarray(idct(np.where(band, y / np.sqrt(power), 0.0), type=2, norm="ortho"))
+    width = float(band.mean())
+    added = float(part[band].mean()) if band.any() else 0.0
+    if added == 0.0:
+        return 0.0
+    expected = np.maximum((1.0 - added) + added * envelope[model.setting.views[v].keep], 1e-3)
+    expected /= expected.mean()
+    squares = series**2
+    squares /= max(float(squares.mean()), 1e-300)
+    return width * float((squares * (1.0 - 1.0 / expected) - np.log(expected)).sum())
 
 
 def widest(hypothesis: Hypothesis, model: Model) -> tuple[Trace, int]:

@@ -85,7 +85,7 @@ def grown(chosen: Chosen, contest: Contest, level: float, candidates: Sequence[H
         changed = {view.sensor for view in trial.setting.views if best.hypothesis.touches(view)}
         model = trial
         scores = _scored(model, contest, candidates, scores, changed)
-    model, joined = _material(model, joined)
+    model, joined = _material(model, contest, joined)
     model, joint, noise = fitted(model)
     return Chosen(model, joint, noise, tuple(joined), chosen.tests, first)
 
@@ -190,9 +190,10 @@ def restored(model: Model, i: int) -> Model:
     return replace(model, residual=back.residual, y=back.y)
 
 
-def _material(model: Model, joined: list[Score]) -> tuple[Model, list[Score]]:
-    largest = max((s.gain for s in joined), default=0.0)
-    small = [s for s in joined if s.gain < _MATERIAL * largest]
-    for score in small:
-        model = without(model, score.hypothesis.key)
-    return model, [s for s in joined if s not in small]
+def _material(model: Model, contest: Contest, joined: list[Score]) -> tuple[Model, list[Score]]:
+    gains = {key: gain for key, (gain, _, _) in last_gains(model, contest).items()} if len(joined) > 1 else {}
+    largest = max(gains.values(), default=0.0)
+    small = [key for key, gain in gains.items() if gain < _MATERIAL * largest]
+    for key in small:
+        model = without(model, key)
+    return model, [s for s in joined if s.hypothesis.key not in small]
