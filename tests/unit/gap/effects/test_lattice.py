@@ -111,3 +111,12 @@ def test_a_recording_in_which_the_simulator_is_held_as_well_shows_no_hold():
     rows = np.arange(len(trace.t)) // 2 * 2
     alike = dataclasses.replace(trace, measured=trace.measured[rows], ideal=trace.ideal[rows])
     assert by_id()["mag_hold"].detect(alike) is None
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_uniform_noise_on_coarse_levels_is_not_held(seed):
+    trace = make(Sensor.ACCEL, "static")
+    q, rng = 0.0098, np.random.default_rng(seed)
+    noise = np.convolve(rng.uniform(-0.012, 0.012, 3 * len(trace.t) + 2), np.ones(3) / 3.0, "valid")
+    values = trace.ideal + rng.uniform(-q, q, 3) + noise.reshape(-1, 3)
+    assert by_id()["accel_hold"].detect(with_measured(trace, np.round(values / q) * q)) is None
