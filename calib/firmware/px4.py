@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.errors import FirmwareError
 from calib.firmware import names
 from calib.firmware.names import PX4_PREFIXES as CALIBRATION_PREFIXES
 from calib.firmware.names import Role
@@ -43,6 +44,7 @@ __all__ = [
     "board_rotation",
     "calibration_in_force",
     "calibration_names",
+    "motor_term",
     "mounting",
     "sensor_ids",
 ]
@@ -50,6 +52,8 @@ __all__ = [
 Array = NDArray[np.float64]
 
 UT_PER_GAUSS: Final = 100.0
+MOTOR_BY_THRUST, MOTOR_BY_CURRENT = 1, 2
+"""CAL_MAG_COMP_TYP: thrust; from 2 on the current of battery 0, 1, in kA."""
 ROTATION_CUSTOM: Final = 100
 """CAL_MAGn_ROT from here on: the Euler angles of the row hold."""
 
@@ -151,6 +155,40 @@ def calibration_in_force(
         return TriadModel(UT_PER_GAUSS * held.offset, turn @ soft_iron)
     constant, polynomial = _thermal(parameters, roles)
     return TriadModel(held.offset + constant, turn @ np.diag(held.scale), polynomial)
+
+
+def motor_term(
+    parameters: Mapping[str, Value], instance: int, throttle: Array | None, currents: Mapping[int, Array]
+) -> Array | None:
+    """``p COMP`` of a magnetometer in its own frame, uT (N, 3); None where no compensation is in force.
+
+    Parameters
+    ----------
+    parameters, instance
+        The vehicle's parameters, and which magnetometer.
+    throttle : shape (N,) or None
+        |thrust setpoint| 0..1 at each sample; None: not recorded.
+    currents
+        Battery currents in A (N,) by battery number, as far as they were recorded.
+
+    Raises
+    ------
+    FirmwareError
+        If what the compensation follows was not recorded.
+    """
+    kind = int(parameters.get("CAL_MAG_COMP_TYP", 0))
+    if kind == 0:
+        return None
+    roles = calibration_names(parameters, Sensor.MAG, instance)
+    gain = vector(parameters, roles, names.MOTOR)
+    if not gain.any():
+        return None
+    thrust = kind == MOTOR_BY_THRUST
+    power = throttle if thrust else currents.get(kind - MOTOR_BY_CURRENT)
+    if power is None:
+        what = "thrust" if thrust else f"current of battery {kind - MOTOR_BY_CURRENT + 1}"
+        raise FirmwareError(f"its correction follows the {what} (CAL_MAG_COMP_TYP {kind}), which was not recorded")
+    return np.asarray((power if thrust else 1e-3 * power)[:, None] * gain * UT_PER_GAUSS)
 
 
 def board_rotation(parameters: Mapping[str, Value]) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import FirmwareError, InvalidInputError
-from calib.firmware import ardupilot
+from calib.firmware import ardupilot, px4
 from calib.firmware.names import CALIBRATION_PREFIXES
 from calib.firmware.pieces import Key, Parameters, Piece
 from calib.firmware.plan import Value
@@ -33,6 +33,7 @@ Array = NDArray[np.float64]
 GUARD_BEFORE_S: Final = 0.5
 GUARD_AFTER_S: Final = 0.1
 """Samples so near to a change are left out: it acts before its echo, and the firmware's filter still rings after it."""
+PX4_BATTERIES: Final = 2
 MIXING: Final = 0.1
 """A rotated axis that takes at least this much from an axis in its zero bin counts as lying in it."""
 
@@ -156,10 +157,20 @@ class Undo:
                     "its correction depends on temperature and none was recorded; stream RAW_IMU or SCALED_IMU too"
                 )
         raw = model.invert(values, temperature)
+        if self._autopilot == "px4" and channel.sensor == Sensor.MAG:
+            added = self._px4_motors(channel, chunk, piece)
+            raw = raw if added is None else raw - added
         known = np.isfinite(raw).all(axis=1) | ~np.isfinite(channel.values).all(axis=1)
         turned = _turned(channel.zero_bin, model.matrix)
         undone = dataclasses.replace(channel, values=raw, stage=Stage.RAW, zero_bin=turned)
         return undone if known.all() else undone.take(np.flatnonzero(known))
+
+    def _px4_motors(self, channel: Channel, chunk: Recording, piece: Piece) -> Array | None:
+        """What PX4 added to the raw field for its motors, uT (N, 3); None: nothing."""
+        known = {k: self._drive(Sensor.CURRENT, k, channel, chunk) for k in range(PX4_BATTERIES)}
+        currents = {k: current for k, current in known.items() if current is not None}
+        throttle = self._drive(Sensor.THROTTLE, 0, channel, chunk)
+        return px4.motor_term(piece.parameters, channel.instance, throttle, currents)
 
     def _drive(self, sensor: Sensor, instance: int, channel: Channel, chunk: Recording) -> Array | None:
         """Last value of `sensor` known at each sample, nan before the first; None: it will never be known."""

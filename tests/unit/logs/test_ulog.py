@@ -279,3 +279,24 @@ def test_a_flight_without_a_rest_is_no_rest(reading):
     (fit,) = METHODS["gyro-rest"].run(reading(log))
     assert fit.status == FitStatus.REFUSED
     assert "never at rest with its motors off" in fit.message
+
+
+def test_compensation_for_the_motors_is_taken_off_too(reading):
+    gains = {"CAL_MAG_COMP_TYP": 2, "CAL_MAG0_XCOMP": 2.0, "CAL_MAG0_YCOMP": 0.0, "CAL_MAG0_ZCOMP": -4.0}
+    log = UlogFile(PARAMETERS | gains | {"CAL_MAG0_XOFF": 0.05})
+    field = log.topic("vehicle_magnetometer", MAGNETOMETER)
+    battery = log.topic("battery_status", "float current_a")
+    log.row(battery, 1_500_000, 10.0)
+    log.row(field, 2_000_000, 2_000_000, MAG_ID, 0.2, 0.1, 0.4, 1)
+    raw = undo(reading(log)).channel(Sensor.MAG)
+    assert raw.stage == Stage.RAW
+    np.testing.assert_allclose(raw.values[0], [20.0 + 5.0 - 2.0, 10.0, 40.0 + 4.0], rtol=1e-6)
+
+
+def test_a_compensation_that_follows_what_was_not_recorded_leaves_the_field_as_it_is(reading):
+    gains = {"CAL_MAG_COMP_TYP": 1, "CAL_MAG0_XCOMP": 2.0, "CAL_MAG0_YCOMP": 0.0, "CAL_MAG0_ZCOMP": -4.0}
+    log = UlogFile(PARAMETERS | gains)
+    log.row(log.topic("vehicle_magnetometer", MAGNETOMETER), 2_000_000, 2_000_000, MAG_ID, 0.2, 0.1, 0.4, 1)
+    undone = undo(reading(log))
+    assert undone.channel(Sensor.MAG).stage == Stage.CORRECTED
+    assert any("follows the thrust" in e.text for e in undone.events)
