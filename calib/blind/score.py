@@ -214,11 +214,15 @@ def _probabilities(answers: Iterable[Answer]) -> list[Figure]:
 
 def _closed(answers: Iterable[Answer]) -> list[Figure]:
     found: dict[bool, list[float]] = {True: [], False: []}
+    limits: list[float] = []
     for answer in answers:
         closed = (answer.report.get("shrink") or {}).get("closed")
         if closed is not None and answer.severity >= STRONG:
             noisy = any(str(e["id"]).endswith(RANDOM) for e in answer.label["effects"])
             found[noisy].append(float(closed))
+            if not noisy:
+                # Each fitted parameter costs half a nat on new data; the gap is lambda/2 nats.
+                limits.append(1.0 - sum(e["df"] for e in answer.label["effects"]) / answer.severity)
 
     def quantile(values: Sequence[float], q: float) -> float | None:
         return float(np.quantile(values, q)) if values else None
@@ -227,6 +231,8 @@ def _closed(answers: Iterable[Answer]) -> list[Figure]:
     return [
         _plain("held-out gap closed: median", quantile(steady, 0.5), len(steady), ">= 0.99"),
         _plain("held-out gap closed: p10", quantile(steady, 0.1), len(steady), ">= 0.98"),
+        _plain("… of a fit that knows the effect (1 - p/lambda): median", quantile(limits, 0.5), len(limits)),
+        _plain("… of a fit that knows the effect (1 - p/lambda): p10", quantile(limits, 0.1), len(limits)),
         _plain("held-out gap closed, noise, flicker and random walk: median", quantile(random, 0.5), len(random)),
     ]
 

@@ -6,12 +6,13 @@ from typing import Any
 
 import click
 
+from service.commands.gap_selftest import command as selftest
 from service.commands.output import EXIT_NO, json_option, write_json
 from service.commands.reading import readable_file, reading_options
 
 
-@click.command()
-@click.option("--real", required=True, metavar="FILE", help="The recording whose gap is asked for.")
+@click.group(invoke_without_command=True)
+@click.option("--real", default=None, metavar="FILE", help="The recording whose gap is asked for.  [required]")
 @click.option(
     "--sim", default=None, metavar="FILE", help="A simulator's recording: of the same trajectory, or of such a flight."
 )
@@ -20,12 +21,19 @@ from service.commands.reading import readable_file, reading_options
 )
 @reading_options
 @json_option
-def command(real: str, sim: str | None, nominal: tuple[str, ...], as_json: bool, **reading: Any) -> int:
+@click.pass_context
+def command(
+    ctx: click.Context, /, real: str | None, sim: str | None, nominal: tuple[str, ...], as_json: bool, **reading: Any
+) -> int:
     """Diagnose the sim-to-real gap of a recording or a log.
 
     The reference is found in the files: ref_* columns, a simulator's log of the same trajectory, a pose, other
     instances of the vehicle, or a trajectory that is estimated anew. Exit code 1 if nothing could be tested.
     """
+    if ctx.invoked_subcommand is not None:
+        return 0
+    if real is None:
+        raise click.UsageError("Missing option '--real'.")
     from calib import gap, logs
     from calib.gap.schema import as_json as document_of
 
@@ -61,3 +69,6 @@ def _show(document: dict[str, Any]) -> None:
 
 def _number(value: float | None) -> str:
     return "unknown" if value is None else f"{value:.4g}"
+
+
+command.add_command(selftest, "selftest")

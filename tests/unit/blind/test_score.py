@@ -44,7 +44,12 @@ def answer(
         ]
 
     full = {
-        "id": "x", "tier": tier.value, "seed": 1, "mission": "full", "nuisance": None, "without": [],
+        "id": "x",
+        "tier": tier.value,
+        "seed": 1,
+        "mission": "full",
+        "nuisance": None,
+        "without": [],
         **label,
         "effects": entries(true),
         "unknown": entries(strange),
