@@ -66,7 +66,8 @@ def _made(
 ) -> Channel:
     """A channel of the rows that can be true, in the order of time."""
     with np.errstate(invalid="ignore"):  # damaged bytes may be a signalling NaN
-        values = np.asarray(values, dtype=np.float64).reshape(len(t), -1)
+        values = np.asarray(values, dtype=np.float64)
+        values = values[:, None] if values.ndim == 1 else values
         good = (np.abs(values) <= MOST[sensor]).all(axis=1) & np.isfinite(values).all(axis=1) & np.isfinite(t)
     t, values = t[good], values[good]
     if (np.diff(t) < 0).any():

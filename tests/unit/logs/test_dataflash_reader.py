@@ -147,6 +147,11 @@ class TestState:
         east = read_dataflash(FLIGHT + moving.tobytes()).channel(Sensor.VELOCITY)
         assert east.values[-1].tolist() == pytest.approx([0.0, 4.0, -1.0], abs=1e-6)
 
+    def test_a_receiver_that_never_had_a_fix(self):
+        blind = made.GPS.rows(3, TimeUS=times(6, 6.2, 6.4), Status=1, Lat=5, Lng=5).tobytes()
+        still = made.IMU.rows(2, TimeUS=times(6, 6.5), AccZ=-9.8, AH=1, GH=1).tobytes()
+        assert read_dataflash(HEAD + still + blind).instances(Sensor.POSITION) == ()
+
     def test_current_throttle_motors_and_rotors(self):
         data = with_rows(
             (CTUN, {"TimeUS": times(6, 6.1), "ThO": [0.25, 0.5]}),
@@ -369,6 +374,30 @@ class TestBadInput:
             undo(read_dataflash(content + SMALL))
         except UnreadableError:
             return
+
+    @pytest.mark.shared
+    @pytest.mark.parametrize("name", ["sitl_flights/null.bin", "df_log171_triple_imu_mag/log171.bin"])
+    def test_mutations_of_real_logs(self, shared_data, name):
+        content = (shared_data / name).read_bytes()[:400_000]
+        for seed in range(6):
+            bad = made.cut(made.flipped(content, 40 * 4**seed, seed)[0], 10, 300, seed)[0]
+            try:
+                recording = undo(read_dataflash(bad))
+            except UnreadableError:
+                continue
+            assert all(np.isfinite(c.values).all() and (np.diff(c.t) >= 0).all() for c in recording.channels)
+
+    @pytest.mark.shared
+    def test_mutations_of_a_real_text_log(self, shared_data, tmp_path):
+        content = (shared_data / "df_loganalyzer_examples/nan.log").read_bytes()
+        for seed in range(6):
+            path = tmp_path / f"{seed}.log"
+            path.write_bytes(made.flipped(content, 40 * 4**seed, seed)[0])
+            try:
+                recording = undo(read_dataflash_text(path))
+            except UnreadableError:
+                continue
+            assert all(np.isfinite(c.values).all() and (np.diff(c.t) >= 0).all() for c in recording.channels)
 
 
 SMALL = (
