@@ -151,8 +151,10 @@ def _missing(recording: Recording) -> list[str]:
     have = {c.sensor for c in recording.channels if len(c) and c.stage != Stage.DEBIASED}
     if not have & set(TRIADS):
         return ["no accelerometer, gyroscope or compass was recorded: there is nothing to calibrate"]
+    if recording.identity.autopilot is None:  # a table holds what its maker wanted
+        return []
     found = [text for sensor, text in MISSING.items() if sensor not in have]
-    if recording.identity.autopilot is not None and not recording.parameters:
+    if not recording.parameters:
         found.append("no parameters were recorded: fits are relative to the calibration in force, and are not exported")
     return found
 

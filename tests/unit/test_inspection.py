@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.inspection import inspect, summarise
-from calib.recording import Channel, Event, Recording, Sensor, Stage
+from calib.recording import Channel, Event, Identity, ParameterTimeline, Recording, Sensor, Stage
 
 
 def channel(t, values, sensor=Sensor.ACCEL, quantum=0.0):
@@ -53,3 +53,27 @@ def test_an_empty_recording_is_described():
 
 def test_one_sample_is_enough():
     assert summarise(channel([1.0], [[1, 2, 3]])).rate is None
+
+
+def test_what_a_vehicle_lacks_is_said():
+    rows = channel(np.arange(0, 1, 0.02), np.random.default_rng(3).normal(size=(50, 3)))
+    bare = inspect(Recording((rows,), identity=Identity(autopilot="px4")))["missing"]
+    assert any("no gyroscope" in text for text in bare)
+    assert any("no compass" in text for text in bare)
+    assert any("no parameters" in text for text in bare)
+    told = ParameterTimeline.constant({"A": 1.0})
+    assert not any("parameters" in t for t in inspect(Recording((rows,), told, identity=Identity("px4")))["missing"])
+    assert inspect(Recording((), identity=Identity("px4")))["missing"] == [
+        "no accelerometer, gyroscope or compass was recorded: there is nothing to calibrate"
+    ]
+
+
+def test_armed_spans_counts_lengths_and_repeats():
+    values = np.array([[3.0, 4.0, 0.0], [3.0, 4.0, 0.0], [0.0, 0.0, 7.0]])
+    events = (Event(0.5, "armed", ""), Event(1.0, "disarmed", ""), Event(1.5, "armed", ""), Event(1.6, "drop", "x"))
+    document = inspect(Recording((channel([0, 1, 2], values),), events=events))
+    assert document["armed"] == [{"start": 0.5, "end": 1.0}, {"start": 1.5, "end": 2.0}]
+    assert (document["counts"]["drop"], document["counts"]["reboot"]) == (1, 0)
+    (only,) = document["channels"]
+    assert only["repeated"] == 1
+    np.testing.assert_allclose(only["norm"], [17 / 3, np.std([5, 5, 7])])
