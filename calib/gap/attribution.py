@@ -133,7 +133,7 @@ def _alternatives(chosen: Chosen, contest: Contest, term: Term | NoiseTerm) -> t
     taken = {t.hypothesis.key for t in model.members}
     found = []
     for rival in contest.hypotheses:
-        if rival.key in taken or not _meets(rival, term.hypothesis, model):
+        if rival.key in taken or rival.again or not _meets(rival, term.hypothesis, model):
             continue
         score = contest.score(rival, beside)
         kappa = _imitated(beside, own_columns, term, score, energy, own_gain)

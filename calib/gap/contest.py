@@ -94,10 +94,8 @@ class Beside:
             blocks.append(model.ridge.columns)
         self._blocks = blocks
         self._slices = slices_of(blocks)
-        normal: Normal = normal_equations(blocks, model.y, model.weight)
-        if model.ridge is not None:
-            rows = np.arange(self._slices[-1].start, self._slices[-1].stop)
-            normal.gram[rows, rows] += model.ridge.precision
+        own = [b for b in blocks if model.ridge is None or b is not model.ridge.columns]
+        normal: Normal = normal_equations(own, model.y, model.weight, model.ridge)
         self._solution, self.covariance, _ = solved(normal.gram, normal.right)
         self._right = normal.right
         self._weighted = [
@@ -253,10 +251,10 @@ def exactly(hypothesis: Hypothesis, beta: Array, beside: Beside) -> tuple[float,
 def price_of(hypothesis: Hypothesis, df: int, grid: int, model: Model) -> float:
     """What degrees of freedom and a searched grid cost, in twice the log-likelihood.
 
-    A shape costs as much as an amplitude, or the search for it, whichever is more.
+    A shape costs as much as an amplitude: what its search costs is in the chance, not in the price.
     """
     samples = math.log(samples_of(hypothesis, model))
-    shape = max(samples, 2.0 * math.log(grid)) if grid > _SIDES else 0.0
+    shape = samples if grid > _SIDES else 0.0
     return df * samples + shape
 
 

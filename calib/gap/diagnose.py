@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.attribution import Attribution, settled
+from calib.gap.attribution import TEMPERATURE, Attribution, settled
 from calib.gap.contest import Contest
 from calib.gap.effects import catalogue
 from calib.gap.effects.base import Effect, LatticeEffect, LatticeEvidence
 from calib.gap.estimates import estimates_of
 from calib.gap.hypotheses import hypotheses_of
 from calib.gap.locate import located
-from calib.gap.model import Model, NoiseTerm, Term, predicted, setting_of, starting_model
+from calib.gap.model import Model, NoiseTerm, Term, predicted, setting_of, starting_model, with_residual
 from calib.gap.noise_fit import refitted, starting_noise
 from calib.gap.problem import Problem
 from calib.gap.schema import (
@@ -38,6 +38,8 @@ from calib.gap.selection import Chosen, reduced, select
 from calib.gap.shrink import consistent, held_out, shrink_of
 from calib.gap.unknown import PREFIX, describe, explained, impostors, is_shape, leftover
 from calib.gap.views import views_of
+from calib.gap.wander import Wander, rms_rotation, sees, wandering
+from calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
@@ -76,6 +78,11 @@ def diagnose(
     start = refitted(starting_model(setting, starting_noise(setting))).model
     contest = Contest(hypotheses)
     chosen, attributions = settled(select(start, contest, alpha), contest, alpha)
+    wander = wandering(chosen, contest, start, alpha) if any(e.id == REFERENCE for e in effects) else None
+    if wander is not None:
+        chosen = wander.chosen
+        start = with_residual(replace(start, ridge=chosen.model.ridge))
+        chosen, attributions = settled(chosen, contest, alpha)
     best = explained(chosen, contest, start, alpha)
     if best.contest is not contest:
         contest = best.contest
@@ -90,7 +97,7 @@ def diagnose(
     named = [a for a in attributions if not a.key[0].startswith(PREFIX)]
     found = tuple(_effect(chosen, a, gates.get(a.key)) for a in named)
     unknown = unknown_of(chosen, attributions)
-    effects_found = (*lattice.effects, *found)
+    effects_found = (*lattice.effects, *(() if wander is None else (_wandering(wander, attributions),)), *found)
     return GapReport(
         inputs,
         _verdict(effects_found, unknown),
@@ -171,16 +178,30 @@ def _from_lattice(effect: LatticeEffect, instances: tuple[int, ...], evidence: L
 def _effect(chosen: Chosen, found: Attribution, passed: bool | None) -> EffectEstimate:
     term = _term(chosen.model, found)
     p = next((s.p for s in chosen.scores if s.hypothesis.key == found.key), 1.0)
-    effect_id, instances = found.key
     return EffectEstimate(
-        effect_id,
+        term.hypothesis.effect.id,
         term.hypothesis.effect.sensor,
-        tuple(i + _FIRST for i in instances),
+        tuple(i + _FIRST for i in found.key[1]),
         estimates_of(chosen, term),
         Evidence(found.gain, found.df, min(1.0, p * chosen.tests), found.probability, found.share),
         found.rivals,
         Gates(passed, None, consistent(chosen, found.key)),
     )
+
+
+def _wandering(wander: Wander, attributions: tuple[Attribution, ...]) -> EffectEstimate:
+    """The reference's own error as an effect: its size on each axis."""
+    model = wander.chosen.model
+    instances = sorted({i + _FIRST for view in model.setting.views if sees(view) for i in view.weights})
+    others = sum(a.gain for a in attributions)
+    sure = Evidence(
+        wander.gain,
+        2,
+        float(np.exp(-0.5 * min(wander.gain, 1400.0))),
+        float(1.0 / (1.0 + np.exp(-0.5 * min(wander.gain, 1400.0) / TEMPERATURE))),
+        wander.gain / (wander.gain + others),
+    )
+    return EffectEstimate(REFERENCE, Sensor.ACCEL, tuple(instances), rms_rotation(model), sure)
 
 
 def _term(model: Model, found: Attribution) -> Term | NoiseTerm:

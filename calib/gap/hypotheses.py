@@ -16,18 +16,31 @@ from calib.gap.views import View
 
 Array = NDArray[np.float64]
 
+_AGAIN = "'"
+_REPEATS = 4
+"""Times that an effect that can be repeated is looked for."""
+
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """An effect on `instances` of its sensor (of every sensor for effects that all share)."""
+    """An effect on `instances` of its sensor (of every sensor for effects that all share).
+
+    `again` counts the times that it is already there, for effects that can happen more than once.
+    """
 
     effect: Effect
     instances: tuple[int, ...]
+    again: int = 0
 
     @property
     def key(self) -> tuple[str, tuple[int, ...]]:
         """What tells hypotheses apart."""
-        return self.effect.id, self.instances
+        return self.effect.id + _AGAIN * self.again, self.instances
+
+    @property
+    def before(self) -> tuple[str, tuple[int, ...]] | None:
+        """Key of the one that must be there first, None for the first."""
+        return (self.effect.id + _AGAIN * (self.again - 1), self.instances) if self.again else None
 
     def touches(self, view: View) -> bool:
         """Whether it would change this series."""
@@ -68,9 +81,11 @@ def hypotheses_of(
                 missing.append((effect.id, *lack[0]))
             else:
                 possible.append(instances)
-        tested += [Hypothesis(effect, (i,)) for (i,) in (p for p in possible if len(p) == 1)]
+        sets: list[tuple[int, ...]] = [p for p in possible if len(p) == 1]
         if (common := _together(possible)) is not None:
-            tested.append(Hypothesis(effect, common))
+            sets.append(common)
+        times = _REPEATS if effect.repeatable else 1
+        tested += [Hypothesis(effect, instances, again) for instances in sets for again in range(times)]
     return tuple(tested), tuple(dict.fromkeys(missing))
 
 

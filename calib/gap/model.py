@@ -123,10 +123,40 @@ class Model:
 
 @dataclass(frozen=True, eq=False)
 class Ridge:
-    """Columns of a random process with known prior: precision of each amplitude, and what they are now."""
+    """An error of the reference's attitude that wanders: a random process with a known prior.
+
+    Parameters
+    ----------
+    columns
+        Of its amplitudes, transformed: three axes of `modes` cosines each.
+    precision
+        Inverse prior variances of the amplitudes.
+    value
+        What they are now, rad.
+    span
+        First and last time, between which the cosines make half turns, s.
+    """
 
     columns: Columns
     precision: Array
+    value: Array
+    span: tuple[float, float]
+
+    def rotation(self, t: Array) -> Array:
+        """The error at times `t` (n,), rotation vectors (n, 3) in rad."""
+        by_axis = self.value.reshape(3, -1)
+        return cosines(t, self.span, by_axis.shape[1]).T @ by_axis.T
+
+    def predicted(self, view: View) -> Array:
+        """Change of the mean of a series, (n, 3)."""
+        ideal = np.add.reduce([w * view.traces[i].ideal[view.keep] for i, w in view.weights.items()])
+        return np.cross(self.rotation(view.t), ideal)
+
+
+def cosines(t: Array, span: tuple[float, float], modes: int) -> Array:
+    """``cos(pi m s)``, (modes, n), where s runs from 0 to 1 over `span`."""
+    s = (t - span[0]) / (span[1] - span[0])
+    return np.asarray(np.cos(np.pi * np.arange(modes)[:, None] * s[None, :]))
 
 
 def starting_model(setting: Setting, noise: tuple[Noise, ...], ridge: Ridge | None = None) -> Model:
@@ -145,6 +175,8 @@ def with_residual(model: Model) -> Model:
         for term in model.terms:
             if term.hypothesis.touches(view):
                 left -= predicted(term, view)
+        if model.ridge is not None and any(3 * v + c in model.ridge.columns.parts for c in range(3)):
+            left -= model.ridge.predicted(view)
         residual.append(left)
         y += list(setting.frames[v].bins(np.ascontiguousarray(left.T)))
     return replace(model, residual=tuple(residual), y=tuple(y))
@@ -251,6 +283,7 @@ def normal_equations(
     if ridge:
         rows = np.arange(slices[-1].start, total)
         gram[rows, rows] += ridge.precision
+        right[rows] -= ridge.precision * ridge.value
     return Normal(gram, right, tuple(slices))
 
 
@@ -291,7 +324,7 @@ class Joint:
 def refined(model: Model, steps: int = 8) -> tuple[Model, Joint]:
     """The joint maximum over everything in the mean, at the present noise."""
     joint = Joint(np.zeros((0, 0)), (), Normal(np.zeros((0, 0)), np.zeros(0), ()))
-    if not model.terms:
+    if not model.terms and model.ridge is None:
         return model, joint
     linear = all(t.effect.shape is None and t.effect.exact is None for t in model.terms)
     for _ in range(1 if linear else steps):
@@ -313,7 +346,10 @@ def _stepped(model: Model, step: Array, joint: Joint) -> tuple[Model, float]:
             term.moved(step[s], limits_of(term, model.setting))
             for term, s in zip(model.terms, joint.slices, strict=True)
         )
-        trial = with_residual(replace(model, terms=moved))
+        ridge = model.ridge
+        if ridge is not None:
+            ridge = replace(ridge, value=ridge.value + step[len(step) - len(ridge.value) :])
+        trial = with_residual(replace(model, terms=moved, ridge=ridge))
         new = misfit(trial)
         if new < level:
             return trial, level - new
@@ -322,11 +358,10 @@ def _stepped(model: Model, step: Array, joint: Joint) -> tuple[Model, float]:
 
 
 def misfit(model: Model) -> float:
-    """Weighted sum of squares of what is left, the random process taken out."""
+    """Weighted sum of squares of what is left, and of the random process against its prior."""
     total = sum(float(w @ y**2) for w, y in zip(model.weight, model.y, strict=True))
     if model.ridge is not None:
-        normal = normal_equations((), model.y, model.weight, model.ridge)
-        total -= float(normal.right @ np.linalg.solve(normal.gram, normal.right))
+        total += float(model.ridge.precision @ model.ridge.value**2)
     return total
 
 

@@ -63,10 +63,11 @@ def select(start: Model, contest: Contest, alpha: float, *, blocked: Sequence[st
         Ids that take no part.
     """
     candidates = [h for h in contest.hypotheses if h.effect.id not in blocked]
-    level = alpha / max(len(candidates), 1)
+    tests = sum(not h.again for h in candidates)
+    level = alpha / max(tests, 1)
     model, joint, noise = fitted(start)
     first = tuple(_scored(model, contest, candidates, {}, None).values())
-    return grown(Chosen(model, joint, noise, (), len(candidates), first), contest, level, candidates)
+    return grown(Chosen(model, joint, noise, (), tests, first), contest, level, candidates)
 
 
 def grown(chosen: Chosen, contest: Contest, level: float, candidates: Sequence[Hypothesis] | None = None) -> Chosen:
@@ -76,7 +77,7 @@ def grown(chosen: Chosen, contest: Contest, level: float, candidates: Sequence[H
     known = {} if joined else {s.hypothesis.key: s for s in first}
     scores = _scored(model, contest, candidates, known, None if joined else set())
     for _ in range(_MOST):
-        best = _best(scores, model, level)
+        best = _best(scores, level)
         if best is None:
             break
         trial, _, _ = fitted(with_score(model, best))
@@ -110,7 +111,7 @@ def _scored(
     beside = Beside(model)
     scores = {}
     for hypothesis in candidates:
-        if hypothesis.key in taken:
+        if hypothesis.key in taken or (hypothesis.before is not None and hypothesis.before not in taken):
             continue
         stale = changed is None or hypothesis.effect.shared or hypothesis.effect.sensor in changed
         known = old.get(hypothesis.key)
@@ -118,16 +119,9 @@ def _scored(
     return scores
 
 
-def _best(scores: dict[tuple[str, tuple[int, ...]], Score], model: Model, level: float) -> Score | None:
-    taken = {t.hypothesis.effect.id: t.hypothesis for t in model.members}
-    good = [s for s in scores.values() if s.p < level and not _contained(s.hypothesis, taken)]
+def _best(scores: dict[tuple[str, tuple[int, ...]], Score], level: float) -> Score | None:
+    good = [s for s in scores.values() if s.p < level]
     return max(good, key=lambda s: s.delta, default=None)
-
-
-def _contained(hypothesis: Hypothesis, taken: dict[str, Hypothesis]) -> bool:
-    """Whether the same effect is already in the model on all of these instances."""
-    other = taken.get(hypothesis.effect.id)
-    return other is not None and set(hypothesis.instances) == set(other.instances)
 
 
 def pruned(model: Model, contest: Contest, joined: list[Score], level: float) -> tuple[Model, list[Score]]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ from calib.gap.folds import (
     refit,
     with_weight,
 )
-from calib.gap.model import Model, NoiseTerm, Term, jacobian, normal_equations, solved
+from calib.gap.model import Model, NoiseTerm, Setting, Term, jacobian, normal_equations, setting_of, solved
 from calib.gap.noise_fit import declared, refitted
 from calib.gap.schema import SequenceStep, Shrink
 from calib.gap.selection import Chosen, select
@@ -72,7 +72,7 @@ def held_out(chosen: Chosen, contest: Contest, alpha: float, *, nested: bool) ->
     if not chosen.model.members:
         return None
     long = max(view.n for view in setting.views) > _LONG
-    folds = folds_of(setting, _FEW if long else _BLOCKS)
+    folds = folds_of(trusting(chosen.model), _FEW if long else _BLOCKS)
     if not folds:
         return None
     order = _order(chosen)
@@ -95,6 +95,18 @@ def held_out(chosen: Chosen, contest: Contest, alpha: float, *, nested: bool) ->
     return Heldout(table[:, 0], table[:, 1], table[:, 2], gates, _sequence(order, np.array(steps), table[:, 0]))
 
 
+def trusting(model: Model) -> Setting:
+    """The setting with the error of the reference taken out: it says nothing about another block."""
+    if model.ridge is None:
+        return model.setting
+    ridge, seen = model.ridge, model.ridge.columns.parts
+    views = [
+        replace(view, residual=view.residual - ridge.predicted(view)) if 3 * v in seen or 3 * v + 1 in seen else view
+        for v, view in enumerate(model.setting.views)
+    ]
+    return setting_of(tuple(views))
+
+
 def _order(chosen: Chosen) -> list[Term | NoiseTerm]:
     """Terms in the order in which they joined."""
     members = {t.hypothesis.key: t for t in chosen.model.members}
@@ -115,8 +127,8 @@ def _excess(model: Model) -> float:
 def _nested(fold: Fold, chosen: Chosen, contest: Contest, alpha: float) -> float:
     """Loss of the held-out block under what is selected without it."""
     promising = {s.hypothesis.key for s in (*chosen.first, *chosen.scores) if s.p < _PROMISING}
-    few = [h for h in contest.hypotheses if h.key in promising]
-    level = alpha * len(few) / max(len(contest.hypotheses), 1)
+    few = [h for h in contest.hypotheses if h.key in promising or (h.before is not None and h.before in promising)]
+    level = alpha * sum(not h.again for h in few) / max(chosen.tests, 1)
     if not few:
         return log_loss(carried(refitted(fold.train).model, fold.test))
     found = select(refitted(fold.train).model, contest_of(few), level)
@@ -213,7 +225,7 @@ def consistent(chosen: Chosen, key: Key) -> bool | None:
     if term is None:
         return None
     total, count = 0.0, 0
-    for fold in folds_of(model.setting, _BLOCKS):
+    for fold in folds_of(trusting(model), _BLOCKS):
         block = with_weight(carried(model, fold.test))
         normal = normal_equations([jacobian(term, block.setting)], block.y, block.weight)
         step, _, rank = solved(normal.gram, normal.right)

@@ -32,9 +32,9 @@ from calib.recording import Sensor
 Array = NDArray[np.float64]
 
 PREFIX = "unknown"
-_KNOTS = 8
+_KNOTS = 6
 _KNOTS_TIME = 20
-_MARGIN = 10.0
+_MARGIN = 6.0
 """Penalised evidence by which a model with shapes must beat the catalogue alone."""
 _SHORTLIST = 6
 _TIES = 1e-3
@@ -186,7 +186,7 @@ def explained(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> W
         strong = [*_best(strong), *_best(_scored(scorer, Beside(start)))]
     shortlist = {s.hypothesis.key: s.hypothesis for s in _best(strong)}
     both = Contest((*contest.hypotheses, *shortlist.values()))
-    level = alpha * len(both.hypotheses) / tests
+    level = alpha * sum(not h.again for h in both.hypotheses) / tests
     other = select(start, both, level)
     if objective(other) < objective(chosen) - _MARGIN:
         return WithShapes(other, both)

@@ -1,0 +1,154 @@
+"""The reference's attitude as a slow process that the accelerometer and the magnetometer see alike (GAP 3.5).
+
+A Gauss-Markov prior makes it cheap: two numbers, its size and its time, are chosen by the marginal likelihood; its
+cosines cost what they take from the prior, not an amplitude each.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.gap.attribution import settled
+from calib.gap.contest import Contest, tail
+from calib.gap.effects.affine import rotation_columns
+from calib.gap.hypotheses import Columns, Frame, Part, add_block
+from calib.gap.model import Model, Ridge, Setting, cosines, normal_equations, refined, with_residual
+from calib.gap.noise_fit import refitted
+from calib.gap.schema import Estimate
+from calib.gap.selection import Chosen, select, without
+from calib.gap.unknown import objective
+from calib.gap.views import View
+from calib.recording import Sensor
+
+Array = NDArray[np.float64]
+
+ID = "reference_attitude"
+_MODES = 40
+_SCREENED = 4000
+"""Samples of a series in the search for size and time."""
+_SIZES_DEG = np.geomspace(0.01, 3.0, 9)
+_TIMES_S = (2.0, 6.0, 20.0, 60.0)
+_DRIFTS = ("_random_walk", "_flicker")
+_MARGIN = 6.0
+
+
+@dataclass(frozen=True, eq=False)
+class Wander:
+    """A model with a wandering reference: how much better it is, and with which size (deg) and time (s)."""
+
+    chosen: Chosen
+    gain: float
+    size_deg: float
+    time_s: float
+
+
+def sees(view: View) -> bool:
+    """Whether a series sees an error of the reference's attitude."""
+    return view.reference_error and view.sensor is not Sensor.GYRO
+
+
+def wandering(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> Wander | None:
+    """The better model in which the reference's attitude wanders, None if there is none."""
+    setting = start.setting
+    if not any(map(sees, setting.views)):
+        return None
+    bare = chosen.model
+    for term in chosen.model.noise_terms:
+        if term.hypothesis.effect.id.endswith(_DRIFTS) and term.hypothesis.effect.sensor is not Sensor.GYRO:
+            bare = without(bare, term.hypothesis.key)
+    bare = refitted(refined(bare)[0]).model
+    gain, size, time = best_prior(bare)
+    if tail(gain, 2, len(_SIZES_DEG) * len(_TIMES_S)) * (chosen.tests + 1) > alpha:
+        return None
+    columns = wander_columns(setting, setting.frames)
+    ridge = Ridge(columns, 1.0 / _prior(setting, size, time), np.zeros(columns.p), span_of(setting))
+    found = select(with_residual(replace(start, ridge=ridge)), contest, alpha, blocked=(ID,))
+    found, _ = settled(found, contest, alpha)
+    price = 2.0 * math.log(sum(3 * v.n for v in setting.views if sees(v)))
+    better = objective(chosen) - (objective(found) + process_cost(found.model) + price)
+    return Wander(found, better, size, time) if better > _MARGIN else None
+
+
+def best_prior(model: Model) -> tuple[float, float, float]:
+    """Twice the gain of marginal log-likelihood of the best size (deg) and time (s)."""
+    setting = model.setting
+    frames = tuple(Frame(max(1, view.n // _SCREENED), view.n) for view in setting.views)
+    columns = wander_columns(setting, frames)
+    y = [row for v in range(len(frames)) for row in frames[v].bins(np.ascontiguousarray(model.residual[v].T))]
+    weight = [1.0 / frames[a // 3].power(model.noise[a].power) for a in range(setting.axes)]
+    normal = normal_equations([columns], y, weight)
+    best = (-math.inf, 0.0, 0.0)
+    for size, time in _priors():
+        root = np.sqrt(_prior(setting, size, time))
+        inner = np.eye(columns.p) + root[:, None] * normal.gram * root
+        factor = np.linalg.cholesky(inner)
+        scaled = np.linalg.solve(factor, root * normal.right)
+        gain = float(scaled @ scaled) - 2.0 * float(np.log(np.diag(factor)).sum())
+        best = max(best, (gain, size, time))
+    return best
+
+
+def _priors() -> Iterator[tuple[float, float]]:
+    for size in _SIZES_DEG:
+        for time in _TIMES_S:
+            yield float(size), time
+
+
+def _prior(setting: Setting, size_deg: float, time_s: float) -> Array:
+    """Variances of the amplitudes of the cosines of a Gauss-Markov process, the same on three axes."""
+    first, last = span_of(setting)
+    omega = np.pi * np.arange(_MODES) / (last - first)
+    density = 2.0 * math.radians(size_deg) ** 2 * time_s / (1.0 + (omega * time_s) ** 2)
+    variance = density * 2.0 / (last - first)
+    variance[0] *= 0.5
+    return np.tile(variance, 3)
+
+
+def span_of(setting: Setting) -> tuple[float, float]:
+    """First and last time of all series."""
+    return min(float(v.t[0]) for v in setting.views), max(float(v.t[-1]) for v in setting.views)
+
+
+def wander_columns(setting: Setting, frames: Sequence[Frame]) -> Columns:
+    """Columns of the amplitudes, axis by axis, over every series that sees the reference's attitude."""
+    span = span_of(setting)
+    parts: dict[int, Part] = {}
+    for v, view in enumerate(setting.views):
+        if not sees(view):
+            continue
+        turn = np.add.reduce([w * rotation_columns(view.traces[i], math.nan) for i, w in view.weights.items()])
+        waves = cosines(view.t, span, _MODES)
+        block = turn[:, view.keep][:, None] * waves[None, :, :, None]
+        add_block(parts, v, block.reshape(3 * _MODES, view.n, 3), frames[v])
+    return Columns(3 * _MODES, parts)
+
+
+def process_cost(model: Model) -> float:
+    """What the process adds to ``-2 log L``: its distance from the prior, and its volume (Laplace)."""
+    assert model.ridge is not None
+    ridge = model.ridge
+    normal = normal_equations((), model.y, model.weight, ridge)
+    volume = float(np.linalg.slogdet(normal.gram)[1]) - float(np.log(ridge.precision).sum())
+    return float(ridge.precision @ ridge.value**2) + volume
+
+
+def rms_rotation(model: Model) -> tuple[Estimate, ...]:
+    """Root mean square of the error about each axis, rad."""
+    assert model.ridge is not None
+    normal = normal_equations((), model.y, model.weight, model.ridge)
+    covariance = np.linalg.inv(normal.gram)
+    turn = model.ridge.rotation(np.linspace(*model.ridge.span, 400))
+    waves = cosines(np.linspace(*model.ridge.span, 400), model.ridge.span, _MODES)
+    made = []
+    for axis in range(3):
+        own = covariance[axis * _MODES : (axis + 1) * _MODES, axis * _MODES : (axis + 1) * _MODES]
+        noise = float(np.einsum("mn,mk,kn->n", waves, own, waves).mean())
+        size = math.sqrt(float((turn[:, axis] ** 2).mean()))
+        se = math.sqrt(noise / max(1, _MODES // 4))
+        made.append(Estimate(f"rotation.{'xyz'[axis]}", size, se, (size - 1.96 * se, size + 1.96 * se), "rad"))
+    return tuple(made)
