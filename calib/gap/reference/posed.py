@@ -154,7 +154,7 @@ def earth_field_of(channels: list[Channel], pose: Pose) -> Array | None:
     return _robust(design, m)[:3]
 
 
-_SPREAD = 0.9
+_SPREAD = 0.98
 """Largest singular value of the mean attitude: 1 if it never changes, 0 if all are visited."""
 
 

@@ -35,6 +35,7 @@ _SHORTEST_S = 10.0
 _LONGEST_S = 1800.0
 _MOVES = 0.5  # standard deviation of the current, A, from which a motor's field can be told from an offset
 _DEFAULT_YEAR = 2025.0
+_MODEL_SD, _GUESS_SD = 1.0, 20.0  # of the Earth's field, uT
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,26 +122,24 @@ def _aiding(recording: Recording, velocity: Signal, compass: Channel | None, t: 
     inside = (field.t >= t[0]) & (field.t <= t[-1])
     amperes = slow(recording.find(Sensor.CURRENT), field.t[inside])
     current = np.zeros(int(inside.sum())) if amperes is None or amperes.std() < _MOVES else amperes[:, 0]
-    return Aiding(
-        velocity.t[seen],
-        velocity.values[seen],
-        field.t[inside],
-        field.values[inside],
-        current,
-        _earth(recording, field),
-    )
+    earth, sd = _earth(recording, field)
+    return Aiding(velocity.t[seen], velocity.values[seen], field.t[inside], field.values[inside], current, earth, sd)
 
 
-def _earth(recording: Recording, field: Signal) -> Array:
-    """The field of the World Magnetic Model where the recording was made; without a position one of the right size."""
+def _earth(recording: Recording, field: Signal) -> tuple[Array, float]:
+    """The field of the World Magnetic Model where the recording was made, and how well it is known, uT.
+
+    Without a position: one of the right size, north and down as in middle latitudes.
+    """
     place = next((c for c in recording.find(Sensor.POSITION) if len(c)), None)
     if place is not None:
         latitude, longitude, altitude = np.median(place.values, axis=0)
         try:
-            return earth_field(float(latitude), float(longitude), float(altitude), _year(recording)).north_east_down
+            known = earth_field(float(latitude), float(longitude), float(altitude), _year(recording))
+            return known.north_east_down, _MODEL_SD
         except InvalidInputError:
             pass
-    return np.array([0.45, 0.0, 0.9]) * float(np.median(np.linalg.norm(field.values, axis=1)))
+    return np.array([0.45, 0.0, 0.9]) * float(np.median(np.linalg.norm(field.values, axis=1))), _GUESS_SD
 
 
 def _year(recording: Recording) -> float:

@@ -52,6 +52,8 @@ class Aiding:
         Of the magnetometer, uT, and the current then, A. L may be 0.
     earth : shape (3,)
         The field expected here, uT, north-east-down.
+    earth_sd
+        How well it is known, uT.
     truth_t, truth : shape (J,), J rotations
         Attitudes that are known, of a simulator; None: none.
     """
@@ -62,6 +64,7 @@ class Aiding:
     mag: Array
     current: Array
     earth: Array
+    earth_sd: float = 1.0
     truth_t: Array | None = None
     truth: Rotation | None = None
 
@@ -168,9 +171,11 @@ def _normal_equations(imu: Increments, aiding: Aiding, state: State) -> _Normal:
     bias = np.concatenate([state.gyro_bias[0], state.accel_bias[0]])
     normal.right[0, 6:] -= prior * bias
     expected = np.concatenate([np.zeros(6), aiding.earth, [0.1]])
-    normal.corner[range(CONSTANTS), range(CONSTANTS)] += 1.0 / CONSTANT**2
-    normal.right_constants += (expected - state.constants) / CONSTANT**2
-    normal.cost += float((prior * bias**2).sum() + (((expected - state.constants) / CONSTANT) ** 2).sum())
+    sd = np.concatenate([CONSTANT[:6], np.full(3, aiding.earth_sd), CONSTANT[9:]])
+    off = expected - state.constants
+    normal.corner[range(CONSTANTS), range(CONSTANTS)] += 1.0 / sd**2
+    normal.right_constants += off / sd**2
+    normal.cost += float((prior * bias**2).sum() + ((off / sd) ** 2).sum())
     return normal
 
 

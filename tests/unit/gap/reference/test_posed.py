@@ -1,0 +1,82 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from calib.gap.problem import ReferenceKind
+from calib.gap.reference import build
+from calib.gap.reference.posed import body_rate, earth_field_of, pose_of
+from calib.recording import Recording, Sensor
+
+from .test_recorded import RATE, SECONDS, SIGMA, by_sensor, channel, flown, truth
+
+EARTH = np.array([22.0, 1.0, 42.0])
+
+
+def posed(seed=1, effects=None, jitter=0.0):
+    """A table whose own attitude is the truth, with noise of `jitter` rad, and no ideal readings."""
+    made = flown(seed, effects=effects, reference=False)
+    t = np.arange(int(RATE * SECONDS)) / RATE
+    _, q = truth(t)
+    q = q + 0.5 * jitter * np.random.default_rng(seed + 100).standard_normal(q.shape)
+    attitude = channel(Sensor.ATTITUDE, t, q / np.linalg.norm(q, axis=1, keepdims=True))
+    return Recording((*made.channels, attitude))
+
+
+def test_an_ideal_sensor_is_driven_by_the_attitude():
+    problem = build(posed(effects={Sensor.GYRO: np.array([0.01, -0.02, 0.03])}))
+    assert problem.reference.kind == ReferenceKind.POSE
+    traces = by_sensor(problem)
+    gyro = traces[Sensor.GYRO].residual[20:-20]
+    assert gyro.mean(axis=0) == pytest.approx([0.01, -0.02, 0.03], abs=3e-4)
+    assert gyro.std(axis=0) == pytest.approx(SIGMA[Sensor.GYRO], rel=0.15)
+    assert traces[Sensor.MAG].residual.std(axis=0) == pytest.approx(SIGMA[Sensor.MAG], rel=0.15)
+    assert "acceleration is not in it" in problem.reference.text
+
+
+def test_a_velocity_gives_the_acceleration():
+    real = posed()
+    t = np.arange(int(RATE * SECONDS)) / RATE
+    velocity = np.column_stack([0.3 * t, np.zeros((len(t), 2))])
+    real = dataclasses.replace(real, reference=(channel(Sensor.VELOCITY, t, velocity),))
+    residual = by_sensor(build(real))[Sensor.ACCEL].residual
+    assert residual.mean(axis=0) == pytest.approx(np.zeros(3), abs=0.003)
+    place = np.column_stack([0.15 * t**2, np.zeros((len(t), 2))])
+    placed = dataclasses.replace(real, reference=(channel(Sensor.PLACE, t, place),))
+    assert by_sensor(build(placed))[Sensor.ACCEL].residual[50:-50].mean(axis=0) == pytest.approx(np.zeros(3), abs=0.003)
+
+
+def test_a_noisy_pose_is_used_below_the_frequency_where_it_is_noise():
+    exact, noisy = pose_of(posed()), pose_of(posed(jitter=2e-3))
+    assert noisy.cutoff_hz is not None
+    assert noisy.cutoff_hz < 10.0
+    assert exact.cutoff_hz is None or exact.cutoff_hz > 3.0
+    ideal, _ = truth(noisy.t)
+    assert np.abs(noisy.rate - ideal[Sensor.GYRO])[50:-50].std() < 0.02
+
+
+def test_rate_of_a_steady_turn():
+    t = np.linspace(0.0, 1.0, 101)
+    q = np.column_stack([np.cos(t), np.zeros(101), np.zeros(101), np.sin(t)])
+    change = np.column_stack([-np.sin(t), np.zeros(101), np.zeros(101), np.cos(t)])
+    assert body_rate(q, change) == pytest.approx(np.tile([0.0, 0.0, 2.0], (101, 1)))
+
+
+def test_the_earths_field_is_told_from_an_offset():
+    real = posed(effects={Sensor.MAG: np.array([5.0, -3.0, 8.0])})
+    mags = [c for c in real.channels if c.sensor == Sensor.MAG]
+    assert earth_field_of(mags, pose_of(real)) == pytest.approx(EARTH, abs=0.3)
+
+
+def test_a_nominal_recording_gives_field_and_noise():
+    t = np.arange(int(RATE * SECONDS))[::4] / RATE
+    magnet = np.where((t > 6.0) & (t < 14.0), 30.0, 0.0)[:, None] * np.array([0.0, 0.0, 1.0])
+    real = posed()
+    changed = [dataclasses.replace(c, values=c.values + magnet) if c.sensor == Sensor.MAG else c for c in real.channels]
+    trace = by_sensor(build(real.with_channels(changed), nominal=(posed(seed=7),)))[Sensor.MAG]
+    off = (trace.t < 5.5) | (trace.t > 14.5)
+    assert trace.residual[off].mean(axis=0) == pytest.approx(np.zeros(3), abs=0.3)
+    assert trace.residual[~off].mean(axis=0)[2] == pytest.approx(30.0, rel=0.15)
+    assert trace.sigma == pytest.approx(SIGMA[Sensor.MAG], rel=0.2)

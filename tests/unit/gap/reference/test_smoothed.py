@@ -1,0 +1,124 @@
+"""A simulated flight whose truth is known: what the smoother makes of it without being told."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.gap.problem import ReferenceKind
+from calib.gap.reference import build
+from calib.gap.reference.signal import Signal
+from calib.gap.reference.smoothed import best_trajectory
+from calib.gap.reference.strapdown import Increments
+from calib.recording import Channel, Recording, Sensor, Stage
+
+from .test_recorded import by_sensor, channel
+
+RATE, SECONDS = 100.0, 60.0
+EARTH = np.array([22.0, 5.0, -52.0])
+G = np.array([0.0, 0.0, 9.80665])
+
+
+def path(t):
+    """Attitude and velocity of a vehicle that turns through all headings and moves about."""
+    velocity = np.column_stack([3.0 * np.sin(0.5 * t), 2.0 * np.cos(0.35 * t), 0.5 * np.sin(0.8 * t)])
+    angles = np.column_stack([0.15 * t, 0.25 * np.sin(0.6 * t), 0.2 * np.sin(0.9 * t + 1.0)])
+    return Rotation.from_euler("ZYX", angles), velocity
+
+
+@functools.cache
+def flight(bias=(0.0, 0.0, 0.0), gyro_bias=(0.0, 0.0, 0.0), per_ampere=(0.0, 0.0, 0.0), instances=1, seed=3):
+    """IMU at 100 Hz, compass at 10 Hz, GPS at 5 Hz, 0.12 s late; the attitude in the log hides the bias."""
+    rng = np.random.default_rng(seed)
+    t, h = np.arange(int(RATE * SECONDS)) / RATE, 1e-4
+    turn, _ = path(t)
+    ahead, after = path(t + h)
+    _, before = path(t - h)
+    force = turn.inv().apply((after - before) / (2.0 * h) - G)
+    rate = (turn.inv() * ahead).as_rotvec() / h
+    channels: list[Channel] = []
+    for i in range(instances):
+        off = 1.0 if i == 0 else 0.0
+        accel = force + off * np.array(bias) + 0.02 * rng.standard_normal(force.shape)
+        gyro = rate + off * np.array(gyro_bias) + 0.001 * rng.standard_normal(rate.shape)
+        channels += [channel(Sensor.ACCEL, t, accel, i, "IMU"), channel(Sensor.GYRO, t, gyro, i, "IMU")]
+    slow = t[::10]
+    current = 10.0 + 5.0 * np.sin(0.2 * slow) * (slow > 10.0)
+    field = path(slow)[0].inv().apply(EARTH) + current[:, None] * np.array(per_ampere)
+    channels.append(channel(Sensor.MAG, slow, field + 0.2 * rng.standard_normal(field.shape), 0, "MAG"))
+    channels.append(channel(Sensor.CURRENT, slow, current))
+    gps = t[::20]
+    velocity = path(gps)[1] + 0.03 * rng.standard_normal((len(gps), 3))
+    channels.append(Channel(Sensor.VELOCITY, 0, gps + 0.12, velocity, "m/s", Stage.RAW, "GPS"))
+    hidden = path(slow)[0] * Rotation.from_rotvec(np.radians([2.5, -1.5, 4.0]))
+    channels.append(channel(Sensor.ATTITUDE, slow, hidden.as_quat()[:, [3, 0, 1, 2]], 0, "ATT"))
+    return Recording(tuple(channels))
+
+
+def error_deg(found):
+    turn, _ = path(found.state.t)
+    return np.degrees((turn.inv() * found.state.attitude).as_rotvec())
+
+
+def test_a_bias_that_the_log_hides_is_found():
+    problem = build(flight(bias=(0.3, -0.2, 0.15), gyro_bias=(0.01, -0.015, 0.008)))
+    assert problem.reference.kind == ReferenceKind.ESTIMATOR
+    traces = by_sensor(problem)
+    assert traces[Sensor.ACCEL].residual.mean(axis=0) == pytest.approx([0.3, -0.2, 0.15], abs=0.03)
+    assert traces[Sensor.GYRO].residual.mean(axis=0) == pytest.approx([0.01, -0.015, 0.008], abs=5e-4)
+
+
+def test_the_attitude_is_as_good_as_it_is_said_to_be():
+    found = best_trajectory(flight())
+    error = error_deg(found)
+    assert np.sqrt((error**2).mean()) < 2.0 * np.degrees(found.state.att_sd)
+    assert np.sqrt((error**2).mean()) < 0.3
+    assert found.state.constants[9] == pytest.approx(0.12, abs=0.01)
+
+
+def test_the_field_of_the_motors_is_no_attitude():
+    found = best_trajectory(flight(per_ampere=(0.3, -0.2, 0.4)))
+    assert found.state.constants[3:6] == pytest.approx([0.3, -0.2, 0.4], abs=0.03)
+    assert np.abs(error_deg(found).mean(axis=0)).max() < 0.5
+
+
+def test_the_unit_with_the_smaller_errors_drives_the_trajectory():
+    real = flight(bias=(0.4, 0.3, -0.2), gyro_bias=(0.02, 0.0, -0.01), instances=2)
+    assert best_trajectory(real).instance == 1
+    pairs = [t for t in build(real).traces if t.against is not None]
+    assert {(t.instances, t.against) for t in pairs} == {((0,), 1)}
+
+
+def test_a_hole_does_not_bend_the_trajectory():
+    whole = flight()
+    cut = [c.take((c.t < 25.0) | (c.t > 31.0)) if c.sensor != Sensor.VELOCITY else c for c in whole.channels]
+    found = best_trajectory(whole.with_channels(cut))
+    beside = (found.state.t < 24.5) | (found.state.t > 31.5)
+    assert np.sqrt((error_deg(found)[beside] ** 2).mean()) < 0.5
+
+
+def test_without_gps_there_is_no_trajectory():
+    real = flight()
+    assert best_trajectory(real.with_channels(c for c in real.channels if c.sensor != Sensor.VELOCITY)) is None
+
+
+def test_increments_of_a_cone_are_those_of_the_attitudes():
+    t = np.arange(0.0, 2.0, 0.0025)
+    angles = np.column_stack([0.3 * np.sin(7.0 * t), 0.3 * np.cos(7.0 * t), 0.5 * t])
+    turn = Rotation.from_euler("ZYX", angles[:, ::-1])
+    ahead = Rotation.from_euler(
+        "ZYX",
+        np.column_stack([0.3 * np.sin(7.0 * (t + 1e-5)), 0.3 * np.cos(7.0 * (t + 1e-5)), 0.5 * (t + 1e-5)])[:, ::-1],
+    )
+    gyro = Signal(t, (turn.inv() * ahead).as_rotvec() / 1e-5)
+    accel = Signal(t, turn.inv().apply([1.0, 2.0, 3.0]))
+    nodes = np.arange(0.0, 1.95, 0.1)
+    zero = np.zeros((len(nodes) - 1, 3))
+    between = Increments.of(gyro, accel, nodes).between(zero, zero)
+    at = turn[np.rint(nodes / 0.0025).astype(int)]
+    error = (between.turn.inv() * (at[:-1].inv() * at[1:])).as_rotvec()
+    assert np.abs(error).max() < 1e-3
+    assert at[:-1].apply(between.velocity) == pytest.approx(np.tile([0.1, 0.2, 0.3], (len(zero), 1)), abs=2e-4)
