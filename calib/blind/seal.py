@@ -40,9 +40,12 @@ def labels_bytes(labels: Iterable[Mapping[str, Any]]) -> bytes:
     return "".join(f"{line}\n" for line in lines).encode()
 
 
-def labels_sha256(labels: Iterable[Mapping[str, Any]]) -> str:
-    """What is committed before the run."""
-    return hashlib.sha256(labels_bytes(labels)).hexdigest()
+def labels_sha256(labels: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+    """What is committed before the run: a hash for the labels of each tier."""
+    by_tier: dict[str, list[Mapping[str, Any]]] = {}
+    for label in labels:
+        by_tier.setdefault(str(label["tier"]), []).append(label)
+    return {tier: hashlib.sha256(labels_bytes(rows)).hexdigest() for tier, rows in sorted(by_tier.items())}
 
 
 def seeds(first: int, count: int) -> Sequence[int]:

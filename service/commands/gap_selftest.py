@@ -105,10 +105,15 @@ def _run(cases: Sequence[tuple[Any, int]], out: Path | None, *, nested: bool, pr
 
 def _report(rows: Sequence[str], seal: dict[str, str], *, as_json: bool) -> int:
     from calib.blind.score import score
+    from calib.blind.seal import labels_sha256
     from service.commands.gap_campaign import answers
 
-    scores = score(answers(rows))
-    document = {"schema": "gap-selftest/1", "cases": len(rows), **seal, **scores}
+    found = answers(rows)
+    scores = score(found)
+    labels = labels_sha256(a.label for a in found)
+    diagnosers = sorted({str((a.report.get("inputs") or {}).get("diagnoser_sha256")) for a in found if a.report})
+    hashes = {**seal, "labels_sha256": labels, "diagnoser_sha256": diagnosers}
+    document = {"schema": "gap-selftest/1", "cases": len(rows), **hashes, **scores}
     if as_json:
         write_json(document)
     else:
@@ -118,6 +123,9 @@ def _report(rows: Sequence[str], seal: dict[str, str], *, as_json: bool) -> int:
 
 def _show(document: dict[str, Any]) -> None:
     click.echo(f"{document['cases']} cases; generator {document['generator_sha256'][:16]}")
+    click.echo(f"diagnosis {', '.join(h[:16] for h in document['diagnoser_sha256'])}")
+    for tier, digest in document["labels_sha256"].items():
+        click.echo(f"labels {tier:4} {digest}")
     for figure in document["figures"]:
         if figure["n"]:
             click.echo(_line(figure))
