@@ -34,7 +34,7 @@ from calib.gap.schema import (
     Unknown,
     Verdict,
 )
-from calib.gap.selection import Chosen, reduced, select
+from calib.gap.selection import Chosen, reduced, select, undrifted
 from calib.gap.shrink import consistent, held_out, shrink_of
 from calib.gap.unknown import PREFIX, describe, explained, impostors, is_shape, leftover
 from calib.gap.views import views_of
@@ -77,7 +77,11 @@ def diagnose(
     hypotheses, missing = hypotheses_of(effects, views)
     start = refitted(starting_model(setting, starting_noise(setting))).model
     contest = Contest(hypotheses)
+    bare = start
     chosen, attributions = settled(select(start, contest, alpha), contest, alpha)
+    other = undrifted(chosen, contest, start, alpha)
+    if other is not chosen:
+        chosen, attributions = settled(other, contest, alpha)
     wander = wandering(chosen, contest, start, alpha) if any(e.id == REFERENCE for e in effects) else None
     if wander is not None:
         chosen = wander.chosen
@@ -101,7 +105,7 @@ def diagnose(
     return GapReport(
         inputs,
         _verdict(effects_found, unknown),
-        located(start, alpha),
+        located(bare, alpha),
         effects_found,
         unknown,
         shrink=None if heldout is None else shrink_of(chosen, heldout, nested=nested),

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from calib.gap.contest import Beside, Contest, Score
+from calib.gap.contest import Beside, Contest, Score, price_of
 from calib.gap.effects.base import NoiseEffect
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.model import Joint, Model, NoiseTerm, Term, refined, with_residual
@@ -191,3 +191,27 @@ def _material(model: Model, contest: Contest, joined: list[Score]) -> tuple[Mode
     for key in small:
         model = without(model, key)
     return model, [s for s in joined if s.hypothesis.key not in small]
+
+
+DRIFTS = ("_random_walk", "_flicker")
+"""Noise that can stand for any slow change of the mean."""
+
+
+def objective(chosen: Chosen) -> float:
+    """``-2 log L`` with the price of every effect: smaller is better."""
+    prices = (price_of(s.hypothesis, s.df, s.grid, chosen.model) for s in chosen.scores)
+    return sum(chosen.noise.deviance.values()) + sum(prices)
+
+
+def undrifted(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> Chosen:
+    """The model, or a better one without drifting noise.
+
+    A walk can take the place of two effects on the mean at once, neither of which is better alone.
+    """
+    drifting = {t.hypothesis.effect.id for t in chosen.model.noise_terms if t.hypothesis.effect.id.endswith(DRIFTS)}
+    if not drifting:
+        return chosen
+    sensors = {h.effect.sensor for h in contest.hypotheses if h.effect.id in drifting}
+    blocked = [f"{sensor.value}{kind}" for sensor in sensors for kind in DRIFTS]
+    other = select(start, contest, alpha, blocked=blocked)
+    return other if objective(other) < objective(chosen) else chosen

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from calib.gap.contest import Beside, Contest, Score, price_of
+from calib.gap.contest import Beside, Contest, Score
 from calib.gap.effects.base import MeanEffect, Parameter
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.likelihood import fit_amplitudes, frequencies, random_walk, transform
@@ -25,7 +25,7 @@ from calib.gap.model import Model, NoiseTerm, Setting
 from calib.gap.noise_fit import noise_rows
 from calib.gap.problem import Trace
 from calib.gap.schema import HiddenDriver
-from calib.gap.selection import Chosen, select
+from calib.gap.selection import Chosen, objective, select
 from calib.gap.views import View
 from calib.recording import Sensor
 
@@ -199,12 +199,6 @@ def _best(scores: Sequence[Score]) -> list[Score]:
 
 def _scored(contest: Contest, beside: Beside) -> list[Score]:
     return [contest.score(h, beside) for h in contest.hypotheses]
-
-
-def objective(chosen: Chosen) -> float:
-    """``-2 log L`` with the price of every effect: smaller is better."""
-    prices = (price_of(s.hypothesis, s.df, s.grid, chosen.model) for s in chosen.scores)
-    return sum(chosen.noise.deviance.values()) + sum(prices)
 
 
 _DRIVEN = 1e-4

@@ -20,8 +20,7 @@ from calib.gap.hypotheses import Columns, Frame, Part, add_block
 from calib.gap.model import Model, Ridge, Setting, cosines, normal_equations, refined, with_residual
 from calib.gap.noise_fit import refitted
 from calib.gap.schema import Estimate
-from calib.gap.selection import Chosen, select, without
-from calib.gap.unknown import objective
+from calib.gap.selection import DRIFTS, Chosen, objective, select, without
 from calib.gap.views import View
 from calib.recording import Sensor
 
@@ -33,7 +32,6 @@ _SCREENED = 4000
 """Samples of a series in the search for size and time."""
 _SIZES_DEG = np.geomspace(0.01, 3.0, 9)
 _TIMES_S = (2.0, 6.0, 20.0, 60.0)
-_DRIFTS = ("_random_walk", "_flicker")
 _MARGIN = 6.0
 
 
@@ -59,7 +57,7 @@ def wandering(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> W
         return None
     bare = chosen.model
     for term in chosen.model.noise_terms:
-        if term.hypothesis.effect.id.endswith(_DRIFTS) and term.hypothesis.effect.sensor is not Sensor.GYRO:
+        if term.hypothesis.effect.id.endswith(DRIFTS) and term.hypothesis.effect.sensor is not Sensor.GYRO:
             bare = without(bare, term.hypothesis.key)
     bare = refitted(refined(bare)[0]).model
     gain, size, time = best_prior(bare)
