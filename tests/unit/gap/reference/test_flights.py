@@ -1,0 +1,51 @@
+"""Flights of a simulated vehicle with real firmware: what was injected, in the references before any diagnosis."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib import logs
+from calib.gap.problem import ReferenceKind
+from calib.gap.reference import build
+from calib.gap.reference.calibrated import corrected
+from calib.gap.reference.smoothed import best_trajectory
+from calib.recording import Sensor
+
+pytestmark = pytest.mark.shared
+
+
+@pytest.fixture(scope="module")
+def flights(shared_data):
+    return lambda name: logs.read(shared_data / "sitl_flights" / f"{name}.bin")
+
+
+def test_biases_read_as_injected_against_the_other_instance_and_along_the_trajectory(flights):
+    problem = build(flights("bias"), flights("null"))
+    assert problem.reference.kind == ReferenceKind.ESTIMATOR
+    injected = {Sensor.ACCEL: [0.3, -0.2, 0.15], Sensor.GYRO: [0.01, -0.015, 0.008], Sensor.MAG: [-6.0, 4.0, -3.0]}
+    within = {Sensor.ACCEL: 0.01, Sensor.GYRO: 2e-4, Sensor.MAG: 0.2}
+    for trace in problem.traces:
+        mean = trace.residual[trace.observed].mean(axis=0)
+        expected = np.array(injected[trace.sensor]) if trace.instances == (0,) else np.zeros(3)
+        near = within[trace.sensor] if trace.against is None else 0.01 * within[trace.sensor] + 5e-5
+        assert mean == pytest.approx(expected, abs=near), (trace.sensor, trace.instances, trace.against)
+
+
+def test_currents_of_the_motors_are_inside_the_trajectory(flights):
+    state = best_trajectory(corrected(flights("vib_motor_temp"))).state
+    assert state.constants[3:6] == pytest.approx([0.3, -0.2, 0.4], abs=0.012)
+
+
+def test_an_attitude_is_estimated_better_than_the_firmware_does(flights):
+    null = flights("null")
+    found = best_trajectory(corrected(null))
+    truth = next(c for c in null.reference if c.sensor == Sensor.ATTITUDE)
+    from calib.gap.reference.posed import rotation
+    from calib.gap.reference.recorded import continuous
+    from calib.gap.reference.signal import linear
+
+    at = rotation(linear(truth.t, continuous(truth.values), found.state.t))
+    error = np.degrees((at.inv() * found.state.attitude).as_rotvec())
+    assert np.sqrt((error[:, :2] ** 2).mean()) < 0.1
+    assert np.sqrt((error[:, 2] ** 2).mean()) < 0.4
