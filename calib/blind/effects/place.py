@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from calib.blind.effects.kind import Added, Kind, Make, direction, named
-from calib.blind.missions import TRAVELLED, TURNED, Rng, World, smooth3
+from calib.blind.missions import TRAVELLED, TURNED, Rng, World
 from calib.blind.sensors import Effect, Order, Suite
 
 Array = NDArray[np.float64]
@@ -70,8 +73,16 @@ def reference_tilt(rng: Rng, world: World, size: float) -> ReferenceTilt:
 
 
 def _slow(rng: Rng, world: World) -> Array:
-    error = smooth3(world.t, rng, (0.01, 0.12), 1.0) + 0.5 * rng.standard_normal(3)
-    return np.asarray(error / np.sqrt((error**2).mean()))
+    """What an attitude filter's error does: noise behind two lags of seconds, about a constant; unit rms."""
+    coarse = world.t[::160]
+    tau = rng.uniform(3.0, 12.0)
+    error = rng.standard_normal((len(coarse) + 600, 3))
+    for lag in (tau, 0.3 * tau):
+        alpha = 1.0 - math.exp(-160.0 * world.dt / lag)
+        error = lfilter([alpha], [1.0, alpha - 1.0], error, axis=0)
+    error = error[600:] / error.std(axis=0) + 0.5 * rng.standard_normal(3)
+    path = CubicSpline(coarse, error)(world.t)
+    return np.asarray(path / np.sqrt((path**2).mean()))
 
 
 def _reference(rng: Rng, world: World, suite: Suite, sensor: str) -> Make:
