@@ -7,7 +7,8 @@ what an ideal one would have read) -> :mod:`calib.gap.diagnose` (the effects of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Mapping, Sequence
 
 from calib.errors import InvalidInputError
 from calib.gap.diagnose import diagnose
@@ -27,6 +28,7 @@ def run(
     without: Sequence[str] = (),
     alpha: float = 0.005,
     nested: bool = True,
+    inputs: Mapping[str, str] | None = None,
 ) -> GapReport:
     """The gap between a real recording and its reference.
 
@@ -44,6 +46,8 @@ def run(
         Chance that anything is reported where there is no gap.
     nested
         Whether the shrink repeats the selection inside the folds.
+    inputs
+        sha256 of the files, by role (``real``, ``sim``), for the report.
 
     Raises
     ------
@@ -54,4 +58,5 @@ def run(
     if strangers := sorted(set(without) - {effect.id for effect in effects}):
         raise InvalidInputError(f"no such effect in the catalogue: {', '.join(strangers)}")
     kept = tuple(effect for effect in effects if effect.id not in without)
-    return diagnose(build(real, sim, nominal), effects=kept, alpha=alpha, nested=nested)
+    problem = dataclasses.replace(build(real, sim, nominal), inputs=dict(inputs or {}))
+    return diagnose(problem, effects=kept, alpha=alpha, nested=nested)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from typing import Any
 
 import click
@@ -37,10 +38,12 @@ def command(
     from calib import gap, logs
     from calib.gap.schema import as_json as document_of
 
+    roles = ("real",) if sim is None else ("real", "sim")
     files = [readable_file(name) for name in (real, *(() if sim is None else (sim,)), *nominal)]
     first, *others = [logs.read(file, **reading) for file in files]
     simulated = others.pop(0) if sim is not None else None
-    report = gap.run(first, simulated, tuple(others))
+    hashes = {role: hashlib.sha256(file.read_bytes()).hexdigest() for role, file in zip(roles, files, strict=False)}
+    report = gap.run(first, simulated, tuple(others), inputs=hashes)
     document = document_of(report)
     if as_json:
         write_json(document)

@@ -103,7 +103,7 @@ def smooth(imu: Increments, aiding: Aiding, state: State, iterations: int = ITER
     for _ in range(iterations):
         normal = _normal_equations(imu, aiding, state)
         state, moved = _stepped(state, normal)
-        if moved < 1e-5:
+        if moved < 5e-5:
             break
     cautious = replace(state, velocity_sd=_CAUTION * state.velocity_sd, mag_sd=_CAUTION * state.mag_sd)
     att_sd = _attitude_sd(_normal_equations(imu, aiding, cautious))
