@@ -35,6 +35,7 @@ def command(
     nested: bool,
     answers: Path | None,
     score_only: bool,
+    data: Path | None,
     seal: Path | None,
     as_json: bool,
 ) -> int:
@@ -48,6 +49,8 @@ def command(
 
     if score_only and answers is None:
         raise click.UsageError("--score-only needs --answers FILE")
+    if data is not None:
+        return _on_recordings(data, answers, nested=nested, as_json=as_json)
     chosen = [Tier(t) for t in (tiers or TIERS)]
     try:
         cases = [(tier, s) for tier in chosen for s in seeds(seed, count or PLAN[tier])]
@@ -60,6 +63,24 @@ def command(
     if rows is None:
         rows = _run(cases, answers, nested=nested, processes=processes)
     return _report(rows, {"generator_sha256": generator_sha256(), "scorer_sha256": scorer_sha256()}, as_json=as_json)
+
+
+def _on_recordings(data: Path, out: Path | None, *, nested: bool, as_json: bool) -> int:
+    """Every recording once; exit code 1 if one with a known list of effects is not named exactly."""
+    from service.commands.gap_real import run
+
+    rows = []
+    for row in run(data, nested=nested):
+        rows.append(row)
+        if out is not None:
+            out.write_text("".join(json.dumps(r) + "\n" for r in rows), encoding="utf-8")
+        if not as_json:
+            said = ", ".join(f"{name}{instances}" for name, instances in row["effects"].items()) or "nothing"
+            more = " + unknown" if row["unknown"] else ""
+            click.echo(f"{row['case']}: {row['known']}\n    {row['error'] or row['verdict']}: {said}{more}")
+    if as_json:
+        write_json({"schema": "gap-selftest-recordings/1", "cases": rows})
+    return EXIT_NO if any(row["exact"] is False for row in rows) else 0
 
 
 def _seal(cases: Sequence[tuple[Any, int]], out: Path, seed: int) -> None:
