@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from calib.gap.contest import Beside, Contest, Score, exactly, existing, noise_score, price_of
 from calib.gap.effects.base import NoiseEffect
 from calib.gap.hypotheses import Columns, Hypothesis, columns_of
-from calib.gap.model import Model, NoiseTerm, Term
+from calib.gap.model import Model, NoiseTerm, Term, refined
 from calib.gap.noise_fit import refitted, without_term
 from calib.gap.schema import Rival
 from calib.gap.selection import Chosen, fitted, grown, last_gains, restored, with_score, without
@@ -121,6 +121,7 @@ def _alternatives(chosen: Chosen, contest: Contest, term: Term | NoiseTerm) -> t
         own_gain, own_delta = own.gain, own.delta
     else:
         i = model.terms.index(term)
+        bare, _ = refined(without(model, key))
         beside = Beside(restored(model, i), omit=(i,))
         own_columns = columns_of(term.hypothesis, term.theta, model.setting.views, model.setting.frames)
         gram, _, _ = beside.projected(own_columns)
@@ -135,7 +136,8 @@ def _alternatives(chosen: Chosen, contest: Contest, term: Term | NoiseTerm) -> t
     for rival in contest.hypotheses:
         if rival.key in taken or rival.again or not _meets(rival, term.hypothesis, model):
             continue
-        score = contest.score(rival, beside)
+        noisy = isinstance(rival.effect, NoiseEffect)
+        score = noise_score(rival, bare) if noisy else contest.score(rival, beside)
         kappa = _imitated(beside, own_columns, term, score, energy, own_gain)
         found.append(Alternative(score, kappa))
     return found, own_delta
