@@ -18,6 +18,7 @@ SAME = 0.97
 """Correlation from which the movements of two tables are one."""
 CLOSED = 0.9995
 """The same for logs of autopilots: two simulated flights of one mission reach 0.994 in their turn rates."""
+_APART = 0.5
 _SAME_LAG_S = 0.02
 _RATE_HZ = 50.0
 _OVERLAP = 0.7  # of the shorter one
@@ -53,6 +54,20 @@ def one_clock(real: Recording, other: Recording) -> bool:
             if len(a.t) >= 16 and shared > 0.9 and len(b.t) < 1.2 * len(a.t):
                 return True
     return False
+
+
+def moving_apart(real: Recording, other: Recording) -> bool:
+    """Whether every sensor that moves in both moves otherwise: two runs whose clocks both began at the same number."""
+    found = []
+    for sensor in TRIADS:
+        a, b = _first(real, sensor), _first(other, sensor)
+        if a is None or b is None or min(len(a.t), len(b.t)) < 16:
+            continue
+        x, y = a.values - a.values.mean(axis=0), linear(b.t, b.values, a.t)
+        y = y - y.mean(axis=0)
+        if min(x.std(axis=0).max(), y.std(axis=0).max()) > _STILL[sensor]:
+            found.append(float((x * y).sum() / np.sqrt((x**2).sum() * (y**2).sum())))
+    return bool(found) and max(found) < _APART
 
 
 def aligned(real: Recording, other: Recording) -> Alignment | None:

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from calib.gap.reference.align import CLOSED, SAME, aligned, one_clock, same_digits
+from calib.gap.reference.align import CLOSED, SAME, aligned, moving_apart, one_clock, same_digits
 from calib.gap.reference.chosen import sensors_of
 from calib.gap.reference.ideal import Ideal
 from calib.gap.reference.posed import Array, Pose, driven, earth_field_of, pose_of
@@ -57,9 +57,12 @@ def of_same_trajectory(real: Recording, sim: Recording) -> Ideal | None:
     if ideal is None or same_digits(real, sim):
         return None
     shift = aligned(real, sim)
-    if one_clock(real, sim) and (sim.identity.autopilot is None or (shift is not None and shift.near(0.0, CLOSED))):
+    table = sim.identity.autopilot is None
+    if one_clock(real, sim) and (
+        not moving_apart(real, sim) if table else shift is not None and shift.near(0.0, CLOSED)
+    ):
         return ideal
-    if shift is None or shift.correlation < (SAME if sim.identity.autopilot is None else CLOSED):
+    if shift is None or shift.correlation < (SAME if table else CLOSED):
         return None
     said = f"the simulator's clock was set {shift.lag:+.4f} s: a delay common to all sensors cannot be told from it"
     return dataclasses.replace(ideal.shifted(shift.lag), warnings=(*ideal.warnings, said))

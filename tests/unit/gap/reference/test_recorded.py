@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -119,9 +121,21 @@ def test_a_simulator_on_another_clock_is_set_right():
     assert trace.observed.mean() > 0.98
 
 
-def test_a_simulator_on_another_trajectory_is_no_reference():
-    t = 0.0033 + np.arange(int(RATE * SECONDS)) / RATE
-    other, _ = truth(1.7 * t)
+@pytest.mark.parametrize("shift", [0.0, 0.0033])
+def test_a_simulator_on_another_trajectory_is_no_reference(shift):
+    t = shift + np.arange(int(RATE * SECONDS)) / RATE
+    other, _ = truth(-1.7 * t)
     moved = Recording(tuple(channel(sensor, t, values) for sensor, values in other.items()))
     with pytest.raises(InvalidInputError, match="ideal sensor"):
         build(flown(1, reference=False), moved)
+
+
+def test_a_sensor_in_another_frame_is_still_on_the_same_trajectory():
+    real = flown(1, reference=False)
+    turned = [
+        dataclasses.replace(c, values=c.values * [1.0, 1.0, -1.0]) if c.sensor == Sensor.GYRO else c
+        for c in real.channels
+    ]
+    problem = build(real.with_channels(turned), flown(2, reference=False))
+    assert problem.not_testable[0][0] == "gyro"
+    assert {t.sensor for t in problem.traces} == {Sensor.ACCEL, Sensor.MAG}
