@@ -134,14 +134,19 @@ def standing(record: WriteRecord, heard: Mapping[str, Value], doubt: str | None 
     """What is known of every parameter that may have been touched.
 
     `heard` are values heard since the last PARAM_SET of each name. One that was not also confirmed as the answer to
-    that PARAM_SET is no proof: it may be a late echo from before. With a `doubt` nothing is certain.
+    that PARAM_SET is no proof: it may be a late echo from before. With a `doubt` nothing is certain, and once a session
+    setting was put back the vehicle may calibrate by itself again.
     """
     found = []
+    freed = [s.name for s in record.sent if s.session and s.name in record.undone | record.restored]
     for sent in record.sent:
         value = heard.get(sent.name, sent.confirmed)
         confirmed = sent.confirmed is not None and value is not None and same(value, sent.confirmed, sent.kind)
         note = "set by somebody else" if sent.name in record.left else doubt or ""
-        found.append(Standing(sent.name, sent.old, sent.new, value, confirmed and doubt is None, note))
+        if freed and not sent.session and sent.name not in record.left:
+            note = "; ".join(filter(None, (note, f"the vehicle may change it since {freed[0]} was put back")))
+        certain = confirmed and doubt is None and (sent.session or not freed)
+        found.append(Standing(sent.name, sent.old, sent.new, value, certain, note))
     return tuple(found)
 
 

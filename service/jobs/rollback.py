@@ -38,6 +38,7 @@ async def _undo(w: Writing, sent: Sent) -> None:
         await w.handle.record_anyway(Step.UNDONE, name=sent.name, value=value)
         return
     if not same(value, sent.new, sent.kind):
+        await w.ask_who()
         await w.handle.record_anyway(Step.LEFT, name=sent.name, value=value)
         return
     await w.handle.record_anyway(Step.UNDO, name=sent.name)

@@ -86,6 +86,8 @@ class Writing:
             either: set[asyncio.Future[Any]] = {setting, foreign}
             await asyncio.wait(either, return_when=asyncio.FIRST_COMPLETED)
             if foreign.done():
+                setting.cancel()
+                await self.ask_who()
                 raise WriteFailed(f"somebody else set {name} to {foreign.result():.9g} meanwhile")
             return setting.result().value
         finally:
@@ -96,6 +98,19 @@ class Writing:
             await asyncio.wait({setting})
             if not setting.cancelled():
                 setting.exception()  # said already, or overtaken by a stronger reason
+
+    async def ask_who(self) -> None:
+        """Ask who answers: a value that is neither ours nor the old one may be another vehicle's at the same address.
+
+        Raises
+        ------
+        WriteStopped
+            If it is.
+        CommandTimeout
+            If nobody says.
+        """
+        await self.guard.run(self.vehicle.identify)
+        self.guard.check()
 
     async def get(self, name: str) -> Value:
         """Read one parameter under the guard."""

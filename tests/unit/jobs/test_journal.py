@@ -97,6 +97,15 @@ def test_standing_is_certain_only_where_the_vehicle_confirmed_and_nothing_else_w
     assert (late["B"].value, late["B"].certain) == (0.0, False)  # may be an echo from before the PARAM_SET
 
 
+def test_nothing_is_certain_once_the_vehicle_may_calibrate_by_itself_again() -> None:
+    steps = (ACCEPTED, send("S", 0, 1, session=True), echo("S", 0), send("A"), echo("A"))
+    assert {s.name: s.certain for s in standing(fold(rows(*steps)), {})} == {"S": True, "A": True}
+    back = fold(rows(*steps, (Step.UNDONE, {"name": "S", "value": 1})))
+    by_name = {s.name: s for s in standing(back, {})}
+    assert (by_name["S"].certain, by_name["A"].certain) == (True, False)
+    assert "since S was put back" in by_name["A"].note
+
+
 def test_values_are_compared_as_they_are_on_the_wire() -> None:
     assert same(0.1, 0.10000000149011612, REAL)
     assert not same(0.1, 0.10000001639127731, REAL)  # the next float32

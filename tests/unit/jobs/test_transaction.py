@@ -171,6 +171,24 @@ async def test_a_third_partys_value_is_left_and_named(make_bench: MakeBench) -> 
     assert any("INS_GYROFFS_X" in text for text in bench.handle.job.warnings)
 
 
+async def test_a_value_that_another_vehicle_said_is_neither_left_nor_certain(make_bench: MakeBench) -> None:
+    """Two vehicles with one address: that there are two shows only when they are asked who they are."""
+    bench = make_bench()
+    bench.vehicle.after_set = lambda n: bench.vehicle.store("INS_GYROFFS_X", 0.125) if n == 3 else None
+    original = bench.vehicle.identify
+
+    async def identify() -> Any:
+        if bench.state == JobState.ROLLING_BACK:
+            bench.vehicle.change_state(conflict="two vehicles answer")
+        return await original()
+
+    bench.vehicle.identify = identify  # type: ignore[method-assign]
+    running = asyncio.create_task(bench.apply())
+    await until(lambda: bench.state == JobState.IN_DOUBT)
+    assert not any(known.certain for known in bench.handle.job.standing)
+    running.cancel()
+
+
 async def test_somebody_elses_value_heard_meanwhile_is_not_overwritten_by_a_repetition(make_bench: MakeBench) -> None:
     bench = make_bench()
 
