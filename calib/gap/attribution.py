@@ -130,7 +130,7 @@ def _alternatives(chosen: Chosen, contest: Contest, term: Term | NoiseTerm) -> t
         if term.effect.exact is not None:
             own_gain, _ = exactly(term.hypothesis, term.beta, beside)
         grid = next((s.grid for s in chosen.scores if s.hypothesis.key == key), 1)
-        own_delta = own_gain - price_of(term.hypothesis, df, grid, model)
+        own_delta = own_gain - price_of(term.hypothesis, df + term.effect.hidden, grid, model)
     taken = {t.hypothesis.key for t in model.members}
     found = []
     for rival in contest.hypotheses:

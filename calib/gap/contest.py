@@ -260,6 +260,7 @@ def price_of(hypothesis: Hypothesis, df: int, grid: int, model: Model) -> float:
 
 def priced(hypothesis: Hypothesis, theta: float, gain: float, df: int, grid: int, beta: Array, model: Model) -> Score:
     """A score of an effect on the mean."""
+    df += hypothesis.effect.hidden if df else 0
     delta = gain - price_of(hypothesis, df, grid, model)
     return Score(hypothesis, theta, gain, df, grid, tail(gain, df, grid), delta, beta)
 

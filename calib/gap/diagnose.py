@@ -20,6 +20,7 @@ from calib.gap.hypotheses import hypotheses_of
 from calib.gap.locate import located
 from calib.gap.model import Model, NoiseTerm, Term, predicted, setting_of, starting_model, with_residual
 from calib.gap.noise_fit import refitted, starting_noise
+from calib.gap.power import powers_of
 from calib.gap.problem import Problem
 from calib.gap.schema import (
     EffectEstimate,
@@ -110,6 +111,7 @@ def diagnose(
         unknown,
         shrink=None if heldout is None else shrink_of(chosen, heldout, nested=nested),
         not_testable=_untestable(problem, missing, {h.effect.id for h in hypotheses}),
+        power=powers_of(chosen, contest, alpha),
         multiple_testing=MultipleTesting(chosen.tests, alpha),
         warnings=problem.warnings,
         series=_series(chosen.model),

@@ -78,6 +78,8 @@ class Effect:
         One set of parameters acts on every trace of every sensor; `sensor` then only says whose page it is on.
     repeatable
         It can happen more than once in a recording (a magnet put on and taken off, two tones).
+    hidden
+        Numbers that are fitted to the residual inside its columns: degrees of freedom that no parameter shows.
     """
 
     id: str
@@ -90,6 +92,7 @@ class Effect:
     rivals: tuple[str, ...] = ()
     shared: bool = False
     repeatable: bool = False
+    hidden: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)

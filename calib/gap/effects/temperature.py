@@ -198,6 +198,7 @@ def _of(sensor: Sensor) -> tuple[Effect, ...]:
             columns=axiswise(late),
             signals=late,
             rivals=ids("temp_linear", "temp_poly", "random_walk"),
+            hidden=1,
         ),
     )
 

@@ -1,0 +1,73 @@
+"""Gains of groups of columns against a plain least-squares computation, and chances on series without a gap."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+from calib.gap.contest import Beside, Contest, one_sided_tail, tail
+from calib.gap.effects import by_id
+from calib.gap.hypotheses import Frame, Hypothesis
+from calib.gap.likelihood import transform
+from calib.gap.model import refined, setting_of, starting_model
+from calib.gap.noise_fit import starting_noise
+from calib.gap.power import noncentrality
+from calib.gap.selection import with_score
+from calib.gap.views import views_of
+from calib.recording import Sensor
+from tests.unit.gap.synthetic import SIGMA, problem_of
+
+
+def start(seed):
+    setting = setting_of(views_of(problem_of(np.random.default_rng(seed), (Sensor.ACCEL,)), {}, {}))
+    return starting_model(setting, starting_noise(setting))
+
+
+def test_gain_beside_another_effect_is_the_ratio_of_least_squares():
+    model = start(0)
+    contest = Contest(())
+    bias, scale = (Hypothesis(by_id()[f"accel_{kind}"], (0,)) for kind in ("bias", "scale"))
+    model, _ = refined(with_score(model, contest.score(bias, Beside(model))))
+    gain = contest.score(scale, Beside(model)).gain
+    view = model.setting.views[0]
+    trace = view.traces[0]
+    X = [e.effect.columns(trace, math.nan).reshape(3, -1).T for e in (bias, scale)]
+    y = view.residual.ravel() / SIGMA[Sensor.ACCEL]
+
+    def left(columns):
+        A = columns / SIGMA[Sensor.ACCEL]
+        return float(((y - A @ np.linalg.lstsq(A, y, rcond=None)[0]) ** 2).sum())
+
+    assert gain == pytest.approx(left(X[0]) - left(np.hstack(X)), rel=1e-6)
+
+
+def test_chances_are_uniform_where_there_is_no_gap():
+    bias = Hypothesis(by_id()["accel_bias"], (0,))
+    chances = [Contest(()).score(bias, Beside(start(seed))).p for seed in range(100, 140)]
+    assert kstest(chances, "uniform").pvalue > 1e-3
+
+
+def test_the_grid_multiplies_the_tail():
+    assert tail(30.0, 3, 10) == pytest.approx(10 * tail(30.0, 3, 1))
+    assert one_sided_tail(9.0, 1, 1) == pytest.approx(0.5 * tail(9.0, 1, 1))
+    assert tail(0.0, 3, 5) == 1.0
+
+
+def test_averages_of_white_noise_have_its_power_over_their_number():
+    frame = Frame(4, 4000)
+    series = np.random.default_rng(0).normal(size=4000)
+    assert frame.power(np.ones(4000)) == pytest.approx(np.full(1000, 0.25), rel=2e-3)
+    assert np.var(frame.bins(series)) == pytest.approx(0.25, rel=0.15)
+    assert np.array_equal(Frame(1, 4000).bins(series), transform(series))
+
+
+def test_the_smallest_effect_that_shows_is_found_half_of_the_time():
+    level = 1e-4
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(20_000, 3))
+    x[:, 0] += math.sqrt(noncentrality(3, level))
+    found = np.mean([tail(float(s), 3, 1) < level for s in (x**2).sum(axis=1)])
+    assert found == pytest.approx(0.5, abs=4.0 * 0.5 / math.sqrt(20_000))

@@ -1,0 +1,151 @@
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from calib.gap.diagnose import diagnose
+from calib.gap.problem import Problem, ReferenceInfo, ReferenceKind
+from calib.gap.schema import GapReport, Verdict, as_json
+from calib.recording import Sensor
+from tests.unit.gap.synthetic import problem_of
+
+A, G, M = Sensor.ACCEL, Sensor.GYRO, Sensor.MAG
+
+
+def found(report: GapReport) -> dict[str, tuple[int, ...]]:
+    return {effect.id: effect.instances for effect in report.effects}
+
+
+def holds(report: GapReport, effect_id: str, truth: list[float], sd: float = 4.0) -> None:
+    effect = next(e for e in report.effects if e.id == effect_id)
+    values = np.array([p.value for p in effect.params[: len(truth)]])
+    errors = np.array([p.se for p in effect.params[: len(truth)]])
+    assert np.all(np.abs(values - truth) < sd * errors), (values, errors)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_gap_is_found_where_there_is_none(seed):
+    report = diagnose(problem_of(np.random.default_rng(seed), (A, G, M)), nested=False)
+    assert report.verdict is Verdict.NO_GAP
+    assert report.effects == ()
+    assert report.where == ()
+    assert not report.unknown.flag
+
+
+def test_two_effects_on_two_sensors_are_named_with_their_parameters():
+    def gap(trace):
+        if trace.sensor is M:
+            return trace.current[:, None] * np.array([0.03, 0.0, -0.02])
+        return np.array([0.0, 0.0015, 0.0]) if trace.sensor is G else 0.0
+
+    report = diagnose(problem_of(np.random.default_rng(1), (A, G, M), gap))
+    assert found(report) == {"mag_motor_current": (1,), "gyro_bias": (1,)}
+    assert report.verdict is Verdict.EXPLAINED
+    holds(report, "mag_motor_current", [0.03, 0.0, -0.02])
+    holds(report, "gyro_bias", [0.0, 0.0015, 0.0])
+    assert report.shrink is not None
+    assert report.shrink.nested
+    assert report.shrink.closed is not None
+    assert report.shrink.closed > 0.95
+    assert all(effect.gates.heldout_blocks for effect in report.effects)
+    assert all(effect.gates.dose_response for effect in report.effects)
+    assert {finding.channel for finding in report.where} <= {"mag.x", "mag.z", "gyro.y"}
+    assert sum(effect.evidence.share for effect in report.effects) == pytest.approx(1.0)
+    text = json.dumps(as_json(report), allow_nan=False)
+    assert set(json.loads(text)) >= {"schema", "inputs", "verdict", "where", "effects", "unknown", "shrink"}
+
+
+def test_bias_and_scale_together_are_not_a_random_walk():
+    def gap(trace):
+        return trace.ideal * np.array([0.004, -0.003, 0.0]) + np.array([0.01, 0.03, 0.0])
+
+    report = diagnose(problem_of(np.random.default_rng(2), (A,), gap), nested=False)
+    assert set(found(report)) == {"accel_bias", "accel_scale"}
+    holds(report, "accel_scale", [0.004, -0.003, 0.0])
+
+
+def test_a_large_rotation_is_neither_a_scale_nor_a_misalignment():
+    def gap(trace):
+        return Rotation.from_rotvec([0.06, 0.0, -0.03]).apply(trace.ideal) - trace.ideal
+
+    report = diagnose(problem_of(np.random.default_rng(3), (A,), gap), nested=False)
+    assert found(report) == {"accel_rotation": (1,)}
+    holds(report, "accel_rotation", [0.06, 0.0, -0.03])
+
+
+def test_a_magnet_that_comes_and_goes_is_two_steps():
+    def gap(trace):
+        return ((trace.t > 12.3) & (trace.t < 29.1))[:, None] * np.array([6.0, -2.0, 1.0])
+
+    report = diagnose(problem_of(np.random.default_rng(4), (M,), gap), nested=False)
+    assert [effect.id for effect in report.effects] == ["mag_step", "mag_step"]
+    moments = sorted(effect.params[-1].value for effect in report.effects)
+    assert moments == pytest.approx([12.3, 29.1], abs=0.05)
+
+
+@pytest.mark.parametrize(("only", "instances"), [(None, (1, 2)), (1, (2,))])
+def test_an_effect_is_shared_or_of_one_instance(only, instances):
+    def gap(_trace):
+        return np.array([0.03, -0.02, 0.0])
+
+    report = diagnose(problem_of(np.random.default_rng(5), (A,), gap, instances=2, only=only), nested=False)
+    assert found(report) == {"accel_bias": instances}
+    holds(report, "accel_bias", [0.03, -0.02, 0.0])
+
+
+def test_instances_tell_their_own_bias_from_the_error_of_their_reference():
+    def wrong(truth, _sensor):
+        slow = np.radians(1.0) * np.sin(2 * np.pi * truth["t"] / 17.0)[:, None] * np.array([1.0, 0.6, -0.3])
+        return np.cross(slow, truth["force"])
+
+    problem = problem_of(
+        np.random.default_rng(6),
+        (A,),
+        lambda _trace: np.array([0.03, -0.02, 0.01]),
+        instances=2,
+        only=0,
+        reference=ReferenceInfo(ReferenceKind.ESTIMATOR, att_sigma_deg=1.0),
+        error=wrong,
+    )
+    report = diagnose(problem, nested=False)
+    assert found(report)["accel_bias"] == (1,)
+    assert found(report)["reference_attitude"] == (1, 2)
+    holds(report, "accel_bias", [0.03, -0.02, 0.01])
+
+
+def test_a_wandering_reference_is_a_finding_about_the_reference():
+    def wrong(truth, sensor):
+        slow = np.radians(0.6) * np.sin(2 * np.pi * truth["t"] / 17.0)[:, None] * np.array([1.0, 0.6, -0.3])
+        return np.cross(slow, truth["force"] if sensor is A else truth["field"])
+
+    report = diagnose(problem_of(np.random.default_rng(7), (A, M), error=wrong), nested=False)
+    assert report.verdict is Verdict.REFERENCE
+    assert report.where
+
+
+def test_what_the_catalogue_does_not_have_is_unknown_with_its_shape():
+    def gap(trace):
+        return np.abs(trace.force[:, :1] - 1.0) * np.array([0.02, 0.0, 0.0])
+
+    report = diagnose(problem_of(np.random.default_rng(8), (A,), gap), nested=False)
+    assert report.verdict is Verdict.UNKNOWN
+    assert "a_x on accel.x" in report.unknown.shape
+
+
+def test_missing_telemetry_is_not_testable_rather_than_absent():
+    problem = problem_of(np.random.default_rng(9), (M,))
+    bare = tuple(dataclasses.replace(t, current=None, temperature=None) for t in problem.traces)
+    report = diagnose(dataclasses.replace(problem, traces=bare), nested=False)
+    reasons = {entry.id: entry.reason for entry in report.not_testable}
+    assert "no current" in reasons["mag_motor_current"]
+    assert "mag_hard_iron" not in reasons
+
+
+def test_without_a_series_nothing_is_testable():
+    report = diagnose(Problem((), ReferenceInfo(ReferenceKind.SIM), 0.0))
+    assert report.verdict is Verdict.NOT_TESTABLE
+    assert report.not_testable

@@ -1,0 +1,35 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.gap.likelihood import bins_of, fit_amplitudes, frequencies, random_walk, transform
+
+
+def test_the_transform_of_a_random_walk_has_the_stated_power():
+    rng = np.random.default_rng(0)
+    y = transform(np.cumsum(rng.normal(size=(400, 256)), axis=1))
+    ratio = (y**2).mean(axis=0)[1:] / random_walk(frequencies(256))[1:]
+    assert ratio.mean() == pytest.approx(1.0, abs=0.03)
+    assert np.abs(ratio - 1.0).max() < 6.0 * np.sqrt(2.0 / 400)
+
+
+def test_amplitudes_of_white_noise_and_a_walk_are_found_together():
+    rng = np.random.default_rng(1)
+    n = 20_000
+    series = 0.7 * rng.normal(size=n) + np.cumsum(0.01 * rng.normal(size=n))
+    bins = bins_of(n)
+    walk = bins.mean(random_walk(frequencies(n)))
+    fit = fit_amplitudes(
+        bins.total(transform(series) ** 2), bins.counts, np.zeros_like(walk), [np.ones_like(walk), walk]
+    )
+    sd = np.sqrt(np.diag(np.linalg.inv(fit.information)))
+    assert np.all(np.abs(fit.amplitudes - [0.49, 1e-4]) < 4.0 * sd)
+
+
+def test_an_amplitude_that_is_not_there_is_zero_and_never_negative():
+    rng = np.random.default_rng(2)
+    bins = bins_of(5000)
+    power = bins.total(transform(0.9 * rng.normal(size=5000)) ** 2)
+    fit = fit_amplitudes(power, bins.counts, np.ones(len(bins.counts)), [np.ones(len(bins.counts))])
+    assert 0.0 <= fit.amplitudes[0] < 1e-12
