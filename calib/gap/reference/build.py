@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from calib.errors import InvalidInputError
 from calib.gap.problem import Problem, ReferenceInfo, ReferenceKind, Trace
-from calib.gap.reference.calibrated import corrected
+from calib.gap.reference.calibrated import corrected, not_undone
 from calib.gap.reference.checks import check_vehicles, checked
 from calib.gap.reference.choose import choose
 from calib.gap.reference.chosen import sensors_of
@@ -60,7 +60,11 @@ def build(real: Recording, sim: Recording | None = None, nominal: Sequence[Recor
         simulated_ideal(with_noise(t, total.get(t.sensor), own.get(t.sensor)), offsets) for t in sound.traces
     )
     info = ReferenceInfo(ReferenceKind.REDUNDANT, text=_REDUNDANT) if ideal is None else ideal.info
-    warnings = (*(() if ideal is None else ideal.warnings), *(reason for _, reason, _ in sound.refused))
+    warnings = (
+        *not_undone(channels, real),
+        *(() if ideal is None else ideal.warnings),
+        *(reason for _, reason, _ in sound.refused),
+    )
     duration = max(float(t.t[-1] - t.t[0]) for t in single + pairs)
     return Problem(traces, info, duration, warnings=warnings, not_testable=sound.refused)
 

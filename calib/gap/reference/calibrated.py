@@ -9,6 +9,7 @@ the same calibration is treated in the same way, and its offset from the ideal i
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +49,15 @@ def sensor_from_corrected(channel: Channel, recording: Recording) -> Array:
         return np.eye(3)
     model, mounting = about
     return np.asarray(mounting @ np.linalg.inv(model.matrix), dtype=np.float64)
+
+
+def not_undone(channels: Sequence[Channel], recording: Recording) -> tuple[str, ...]:
+    """A warning, if the scale of a correction in force on any of `channels` is not known."""
+    unknown = [c for c in channels if c.stage != Stage.RAW and _model(c, recording) is None]
+    if not unknown:
+        return ()
+    names = ", ".join(f"{c.sensor.value} {c.instance + 1}" for c in unknown)
+    return (f"the calibration in force on {names} is not known: what is found there is stated as it was logged",)
 
 
 def _known(recording: Recording) -> bool:
