@@ -36,9 +36,11 @@ BESIDE: Mapping[str, frozenset[str]] = {
     "thermal_lag": frozenset({"bias", "hard_iron"}),
     "temp_scale": frozenset({"scale"}),
     "misalignment": frozenset({"rotation"}),
+    "field_gradient": frozenset({"earth_field"}),
 }
 """Kinds that the same truth has in another convention: a thermal error at another reference temperature has an offset,
-skewed axes in another frame are turned. Beside the true kind they are no false alarm."""
+skewed axes in another frame are turned, a gradient about another origin has a constant field. Beside the true kind they
+are no false alarm."""
 
 
 @dataclass(frozen=True)
