@@ -143,7 +143,7 @@ def _row(case: RealCase, answer: Mapping[str, Any]) -> dict[str, Any]:
         "unknown": bool((report.get("unknown") or {}).get("flag")),
         "closed": (report.get("shrink") or {}).get("closed"),
         "reference": ((report.get("inputs") or {}).get("reference") or {}).get("kind"),
-        "exact": None if case.effects is None else set(said) == set(case.effects),
+        "exact": None if case.effects is None else bool(report) and set(said) == set(case.effects),
         "in_set": None if not case.effects else set(case.effects) <= reach,
         "seconds": answer["seconds"],
     }
