@@ -173,12 +173,16 @@ def columns_of(hypothesis: Hypothesis, theta: float, views: Sequence[View], fram
 
 def summed(columns: Callable[[Trace, float], Array], hypothesis: Hypothesis, theta: float, view: View) -> Array:
     """Columns (p, n, 3) or signals (p, n) of a hypothesis in `view`: over its instances, with their weights."""
-    rows = [
-        weight * np.compress(view.keep, _over_trace(columns, view.traces[instance], theta), axis=1)
-        for instance, weight in view.weights.items()
-        if instance in hypothesis.instances
-    ]
-    return np.asarray(np.add.reduce(rows))
+    total: Array | None = None
+    whole = bool(view.keep.all())
+    for instance, weight in view.weights.items():
+        if instance in hypothesis.instances:
+            row = _over_trace(columns, view.traces[instance], theta)
+            row = row if whole else np.compress(view.keep, row, axis=1)
+            row = row if weight == 1.0 else weight * row
+            total = row if total is None else total + row
+    assert total is not None
+    return total
 
 
 @lru_cache(maxsize=4)
@@ -191,6 +195,6 @@ def add_block(parts: dict[int, Part], v: int, block: Array, frame: Frame) -> Non
     """Put columns (p, n, 3) of series `v` into `parts`, leaving out what is zero."""
     for c in range(3):
         axis = block[:, :, c]
-        used = np.flatnonzero(np.abs(axis).max(axis=1) > 0.0)
+        used = np.flatnonzero(axis.any(axis=1))
         if len(used):
             parts[3 * v + c] = Part(used, frame.bins(np.ascontiguousarray(axis[used])))

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from calib.gap.contest import Beside, Contest, Score
+from calib.gap.contest import Beside, Contest, Score, existing, priced
 from calib.gap.effects.base import MeanEffect, Parameter
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.likelihood import fit_amplitudes, frequencies, random_walk, transform
@@ -198,7 +198,31 @@ def _best(scores: Sequence[Score]) -> list[Score]:
 
 
 def _scored(contest: Contest, beside: Beside) -> list[Score]:
-    return [contest.score(h, beside) for h in contest.hypotheses]
+    """Scores of all shapes; those of single axes are parts of the one of all axes, whose columns are made once."""
+    singles = {h.key: h for h in contest.hypotheses}
+    found = []
+    for hypothesis in contest.hypotheses:
+        assert isinstance(hypothesis.effect, MeanEffect)
+        if hypothesis.effect.signals is None:
+            continue
+        columns = contest.columns(hypothesis, math.nan, beside.model)
+        gram, right, energy = beside.projected(columns)
+        for key, rows in _parts(hypothesis, columns.p):
+            basis = existing(gram[np.ix_(rows, rows)], energy[rows])
+            gain = basis.T @ right[rows]
+            own = singles.get(key)
+            if own is not None:
+                square = float(gain @ gain)
+                found.append(priced(own, math.nan, square, basis.shape[1], 1, basis @ gain, beside.model))
+    return found
+
+
+def _parts(hypothesis: Hypothesis, p: int) -> Iterator[tuple[tuple[str, tuple[int, ...]], NDArray[np.intp]]]:
+    """Keys of a shape and of its parts on single axes, and the columns that they have of it."""
+    effect_id, instances = hypothesis.key
+    yield hypothesis.key, np.arange(p)
+    for c in range(3):
+        yield (f"{effect_id}.{'xyz'[c]}", instances), np.arange(c, p, 3)
 
 
 _DRIVEN = 1e-4

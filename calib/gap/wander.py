@@ -120,10 +120,20 @@ def wander_columns(setting: Setting, frames: Sequence[Frame]) -> Columns:
         if not sees(view):
             continue
         turn = np.add.reduce([w * rotation_columns(view.traces[i], math.nan) for i, w in view.weights.items()])
-        waves = cosines(view.t, span, _MODES)
-        block = turn[:, view.keep][:, None] * waves[None, :, :, None]
-        add_block(parts, v, block.reshape(3 * _MODES, view.n, 3), frames[v])
+        turn, t = _averaged(turn[:, view.keep], frames[v].factor), _averaged(view.t[None, :, None], frames[v].factor)
+        t = t[0, :, 0]
+        waves = cosines(t, span, _MODES)
+        block = turn[:, None] * waves[None, :, :, None]
+        add_block(parts, v, block.reshape(3 * _MODES, len(t), 3), Frame(1, len(t)))
     return Columns(3 * _MODES, parts)
+
+
+def _averaged(values: Array, factor: int) -> Array:
+    """Means of `values` (p, n, k) over `factor` samples, over which the cosines hardly change."""
+    if factor == 1:
+        return values
+    whole = values.shape[1] // factor * factor
+    return np.asarray(values[:, :whole].reshape(len(values), -1, factor, values.shape[2]).mean(axis=2))
 
 
 def process_cost(model: Model) -> float:
