@@ -2,7 +2,8 @@
 
 The way through: recordings -> :mod:`calib.gap.reference` -> :class:`calib.gap.problem.Problem` (every sensor beside
 what an ideal one would have read) -> :mod:`calib.gap.diagnose` (the effects of :mod:`calib.gap.effects` in one contest)
--> :class:`calib.gap.schema.GapReport`. :func:`run` goes all the way.
+-> :class:`calib.gap.schema.GapReport`, whose effects :mod:`calib.gap.export` writes for simulators. :func:`run` goes
+all the way.
 """
 
 from __future__ import annotations
@@ -13,11 +14,12 @@ from collections.abc import Mapping, Sequence
 from calib.errors import InvalidInputError
 from calib.gap.diagnose import diagnose
 from calib.gap.effects import catalogue
+from calib.gap.export import with_patches
 from calib.gap.reference import build
 from calib.gap.schema import GapReport, as_json
 from calib.recording import Recording
 
-__all__ = ["GapReport", "as_json", "diagnose", "run"]
+__all__ = ["GapReport", "as_json", "diagnose", "run", "simulator_of"]
 
 
 def run(

@@ -274,7 +274,17 @@ def _series(model: Model) -> tuple[SeriesFit, ...]:
         modelled = np.add.reduce([np.zeros_like(view.residual), *parts.values()])
         sigma = np.array([np.sqrt(model.noise[3 * v + c].power.mean()) for c in range(3)])
         instances = tuple(i + _FIRST for i in view.weights)
+        power = np.column_stack([model.noise[3 * v + c].power for c in range(3)])
+        trace, keep = view.any_trace, view.keep
+        ideal = trace.ideal[keep] if len(view.weights) == 1 else None
+        about = {"temperature": trace.temperature, "current": trace.current, "throttle": trace.throttle}
+        covariates = {name: values[keep] for name, values in about.items() if values is not None}
         made.append(
-            SeriesFit(view.sensor, instances, view.t, view.residual, modelled, sigma, view.any_trace.unit, parts)
+            SeriesFit(
+                *(view.sensor, instances, view.t, view.residual, modelled, sigma, trace.unit, parts),
+                ideal=ideal,
+                covariates=covariates,
+                power=power,
+            )
         )
     return tuple(made)

@@ -216,7 +216,10 @@ class Inputs:
 class SeriesFit:
     """One sensor's residual before and after the effects, for plots; not part of the JSON.
 
-    `residual`, `modelled` (N, 3); `sigma` (3,) of one sample; `parts` by effect id (N, 3).
+    `residual`, `modelled` (N, 3); `sigma` (3,) of one sample; `parts` by effect id (N, 3). `ideal` (N, 3) is what an
+    ideal sensor read, None where the series is a combination of instances; `covariates` (N,) by name, those that were
+    recorded: temperature (degC), current (A), throttle. `power` (K, 3) is the noise that the model ends with, at the
+    frequencies of a cosine transform from 0 to half the sampling rate, in variance of one sample; None: not known.
     """
 
     sensor: Sensor
@@ -227,6 +230,9 @@ class SeriesFit:
     sigma: Array
     unit: str
     parts: Mapping[str, Array]
+    ideal: Array | None = None
+    covariates: Mapping[str, Array] = field(default_factory=dict)
+    power: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)

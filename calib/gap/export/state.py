@@ -1,0 +1,199 @@
+"""What the effects of a report make of one sensor: errors in the simulator's form, and what has no place in it.
+
+The diagnosis says ``measured = A ideal + b + p(T)`` where `ideal` is what the present simulator reads; with that
+simulator's own ``ideal = M x + b_0`` the sensor to simulate is ``A M x + A (b_0 - h) + h + b``, `h` being what the
+calibration in force removes. A simulator's offsets are those that its calibration cancels (``h = b_0``), which leaves
+``A M x + b_0 + b``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from calib.fit import AXES
+from calib.gap.schema import EffectEstimate
+from calib.recording import Sensor
+from calib.simulate.sensor import SensorErrors
+
+Array = NDArray[np.float64]
+
+_SYMMETRIC = ("xx", "yy", "zz", "xy", "xz", "yz")
+_SHAPED = frozenset(
+    {
+        *("bias", "hard_iron", "scale", "misalignment", "soft_iron", "rotation", "temp_linear", "temp_poly"),
+        *(
+            "temp_scale",
+            "thermal_lag",
+            "g_sensitivity",
+            "noise",
+            "flicker",
+            "random_walk",
+            "quantisation",
+            "saturation",
+        ),
+    }
+)
+"""Kinds of effects that :class:`SensorErrors` has a field for."""
+
+
+def kind_of(effect: EffectEstimate) -> str:
+    """The id without its sensor: ``hard_iron`` of ``mag_hard_iron``."""
+    return effect.id.removeprefix(f"{effect.sensor.value}_")
+
+
+def value(effect: EffectEstimate, name: str) -> float:
+    """The parameter of that name; 0 where the effect has none."""
+    return next((p.value for p in effect.params if p.name == name), 0.0)
+
+
+def vector(effect: EffectEstimate, name: str) -> Array:
+    """``name.x name.y name.z`` (3,); 0 where the effect has none."""
+    return np.array([value(effect, f"{name}.{axis}") for axis in AXES])
+
+
+def named(effect: EffectEstimate) -> str:
+    """The effect as it is spoken of in a file: ``accel_bias of instance 1``."""
+    numbers = ", ".join(map(str, effect.instances))
+    return f"{effect.id} of instance{'s' if len(effect.instances) > 1 else ''} {numbers}"
+
+
+@dataclass(frozen=True, eq=False)
+class Sensors:
+    """Every sensor of the vehicle with its effects, by sensor and instance (from 1), and the effects left over."""
+
+    errors: Mapping[tuple[Sensor, int], SensorErrors]
+    rest: tuple[EffectEstimate, ...]
+
+    def of(self, sensor: Sensor, instance: int) -> SensorErrors:
+        """The errors of one sensor; an ideal one where no effect is."""
+        return self.errors.get((sensor, instance), SensorErrors())
+
+    @property
+    def instances(self) -> tuple[int, ...]:
+        """Numbers of the instances that an effect is on."""
+        return tuple(sorted({instance for _, instance in self.errors}))
+
+
+def sensors_with(
+    effects: Iterable[EffectEstimate],
+    base: Mapping[tuple[Sensor, int], SensorErrors] | None = None,
+    *,
+    t_ref: float = 35.0,
+) -> Sensors:
+    """The sensors that a simulator should have.
+
+    Parameters
+    ----------
+    effects
+        Of a report.
+    base
+        The simulator's present sensors by sensor and instance; None: ideal ones.
+    t_ref
+        Temperature, degC, about which drifts are stated; what a drift stated elsewhere is there becomes part of the
+        bias.
+    """
+    groups: dict[tuple[Sensor, int], list[EffectEstimate]] = {}
+    rest = []
+    for effect in effects:
+        if kind_of(effect) not in _SHAPED:
+            rest.append(effect)
+            continue
+        for instance in effect.instances:
+            groups.setdefault((effect.sensor, instance), []).append(effect)
+    known = base or {}
+    made = {key: _with(known.get(key, SensorErrors()), found, t_ref) for key, found in groups.items()}
+    return Sensors(made, tuple(rest))
+
+
+def _with(base: SensorErrors, effects: Sequence[EffectEstimate], t_ref: float) -> SensorErrors:
+    base = recentred(base, t_ref)
+    turn = np.eye(3)
+    bias, curve = np.zeros(3), np.zeros((3, 2))
+    steps: dict[str, Any] = {}
+    for effect in effects:
+        kind = kind_of(effect)
+        if kind in {"bias", "hard_iron"}:
+            bias += vector(effect, kind)
+        elif kind in {"scale", "misalignment", "soft_iron", "rotation"}:
+            turn += matrix_of(effect)
+        elif kind in {"temp_linear", "temp_poly"}:
+            at, slopes = _about(effect, t_ref)
+            bias, curve = bias + at, curve + slopes
+        elif kind == "thermal_lag":
+            curve[:, 0] += vector(effect, "per_degc")
+            steps["thermal_lag"] = -value(effect, "lag_s")  # the sensor is behind the thermometer, not before it
+        elif kind == "temp_scale":
+            growth = vector(effect, "scale_per_degc")
+            steps["temperature_scale"] = growth
+            turn += np.diag(growth * (t_ref - value(effect, "t_ref")))
+        else:
+            steps |= _sized(effect, base)
+    degree = max(base.temperature.shape[1], 2)
+    temperature = np.zeros((3, degree))
+    temperature[:, : base.temperature.shape[1]] = base.temperature
+    temperature[:, :2] += curve
+    return dataclasses.replace(
+        base, bias=base.bias + bias, matrix=turn @ base.matrix, temperature=temperature, t_ref=t_ref, **steps
+    )
+
+
+def matrix_of(effect: EffectEstimate) -> Array:
+    """What a matrix effect adds to the identity (3, 3)."""
+    kind = kind_of(effect)
+    if kind == "rotation":
+        turn = Rotation.from_rotvec(vector(effect, "rotation")).as_matrix()
+        return np.asarray(turn - np.eye(3), dtype=np.float64)
+    if kind == "scale":
+        return np.diag(vector(effect, "scale"))
+    found = np.zeros((3, 3))
+    for i, row in enumerate(AXES):
+        for j, column in enumerate(AXES):
+            if kind == "soft_iron":
+                name = row + column if row + column in _SYMMETRIC else column + row
+                found[i, j] = value(effect, f"soft_iron.{name}")
+            else:
+                found[i, j] = value(effect, f"misalignment.{row}{column}")
+    return found
+
+
+def recentred(errors: SensorErrors, t_ref: float) -> SensorErrors:
+    """The same sensor with its drift stated about `t_ref` (degC)."""
+    if not errors.temperature.any():
+        return errors
+    shift = np.polynomial.Polynomial([t_ref - errors.t_ref, 1.0])
+    curves = [np.polynomial.Polynomial([0.0, *row])(shift) for row in errors.temperature]
+    size = errors.temperature.shape[1] + 1
+    table = np.array([np.pad(c.coef, (0, size - len(c.coef))) for c in curves])
+    return dataclasses.replace(errors, bias=errors.bias + table[:, 0], temperature=table[:, 1:], t_ref=t_ref)
+
+
+def _about(effect: EffectEstimate, t_ref: float) -> tuple[Array, Array]:
+    """Value (3,) at `t_ref`, and the coefficients (3, 2) about it (FLIGHT_CONTROLLERS 7.1)."""
+    d = t_ref - value(effect, "t_ref")
+    c1, c2 = vector(effect, "per_degc"), vector(effect, "per_degc2")
+    return c1 * d + c2 * d**2, np.column_stack([c1 + 2.0 * c2 * d, c2])
+
+
+def _sized(effect: EffectEstimate, base: SensorErrors) -> dict[str, Any]:
+    """Noise, g-sensitivity, range and resolution; noise is added in power to what the simulator has."""
+    match kind_of(effect):
+        case "noise":
+            return {"noise_density": np.hypot(base.noise_density, vector(effect, "density"))}
+        case "flicker":
+            return {"bias_instability": np.hypot(base.bias_instability, vector(effect, "instability"))}
+        case "random_walk":
+            return {"random_walk": np.hypot(base.random_walk, vector(effect, "random_walk"))}
+        case "g_sensitivity":
+            rows = [[value(effect, f"g_sensitivity.{r}{c}") for c in AXES] for r in AXES]
+            return {"g_sensitivity": np.array(rows)}
+        case "saturation":
+            return {"full_scale": value(effect, "limit")}
+        case _:
+            return {"resolution": float(vector(effect, "lsb").max())}

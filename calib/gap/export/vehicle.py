@@ -1,0 +1,188 @@
+"""A report as calibrations of the vehicle: what its firmware would have to correct so that the gap is gone.
+
+The correction in force is ``truth = L (raw - o - p(T))`` and the diagnosis says ``R (raw - o - p) = A R L^-1 truth + b
++ dp(T)``, R the mounting. Hence ``truth = L R^T A^-1 R (raw - o - R^T b - p - R^T dp)``: a new model of the same form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.errors import FirmwareError
+from calib.firmware import body_from_sensor, calibration_in_force
+from calib.firmware.compose import compose
+from calib.firmware.fingerprint import fingerprint
+from calib.firmware.plan import WritePlan
+from calib.fit import FitResult, FitStatus
+from calib.gap.export.state import kind_of, named, sensors_with, value
+from calib.gap.schema import EffectEstimate, Estimate, GapReport
+from calib.recording import Recording, Sensor
+from calib.triad import ThermalPolynomial, TriadModel
+
+Array = NDArray[np.float64]
+
+_CALIBRATIONS = frozenset(
+    {
+        *("accel_bias", "accel_scale", "accel_misalignment", "accel_rotation", "accel_temp_linear", "accel_temp_poly"),
+        *("gyro_bias", "gyro_scale", "gyro_misalignment", "gyro_rotation", "gyro_temp_linear", "gyro_temp_poly"),
+        *("mag_hard_iron", "mag_soft_iron", "mag_rotation"),
+    }
+)
+"""Effects that a firmware's parameters can take away."""
+
+_UNITS = {Sensor.ACCEL: "m/s2", Sensor.GYRO: "rad/s", Sensor.MAG: "uT"}
+_STEP = 1e-3  # of a standard error: for derivatives
+
+
+def vehicle_plan(report: GapReport, real: Recording) -> tuple[WritePlan, tuple[str, ...]]:
+    """The plan that takes the report's calibration effects away, and what no calibration can.
+
+    Parameters
+    ----------
+    report
+        Of `real`.
+    real
+        Whose parameters, the ones in force when it was recorded, the plan is composed on.
+
+    Raises
+    ------
+    FirmwareError
+        If the recording is not of an ArduPilot or PX4, or says no parameters, or nothing is a calibration.
+    """
+    autopilot, parameters = real.identity.autopilot, real.parameters.final()
+    if autopilot is None or not parameters:
+        raise FirmwareError(
+            "the recording does not say whose calibration it was made with: a plan needs a log with parameters"
+        )
+    chosen = [e for e in report.effects if e.id in _CALIBRATIONS]
+    if not chosen:
+        raise FirmwareError("no effect of the report is a calibration: there is nothing to write to the vehicle")
+    left = tuple(f"{named(e)}: no calibration takes it away" for e in report.effects if e not in chosen)
+    keys = sorted({(e.sensor, n) for e in chosen for n in e.instances})
+    fits = [_fit(report, real, [e for e in chosen if e.sensor is s and n in e.instances], s, n) for s, n in keys]
+    return compose(fits, parameters, fingerprint(real.identity, parameters)), left
+
+
+def _fit(
+    report: GapReport, real: Recording, effects: Sequence[EffectEstimate], sensor: Sensor, number: int
+) -> FitResult:
+    """What the calibration of one sensor should be, with the errors of the effects."""
+    autopilot, parameters, instance = real.identity.autopilot, real.parameters.final(), number - 1
+    force = calibration_in_force(autopilot, parameters, sensor, instance)
+    mounting = body_from_sensor(autopilot, parameters, sensor, instance)
+    t_ref = _reference(effects, force)
+    seen = _temperatures(report, sensor, number)
+    if seen is None and any(kind_of(e).startswith("temp_") for e in effects):
+        raise FirmwareError(f"{sensor.value} {number}: the temperatures that it was seen at are not known")
+
+    def model(changed: Sequence[EffectEstimate]) -> TriadModel:
+        return corrected_model(force, mounting, changed, (sensor, number), t_ref, seen or (t_ref, t_ref))
+
+    found = model(effects)
+    covariance, held = _covariance(effects, model)
+    return FitResult(
+        method="gap",
+        sensor=sensor,
+        instance=instance,
+        status=FitStatus.OK,
+        message=f"the calibration in force with {', '.join(e.id for e in effects)} taken away",
+        model=found,
+        covariance=covariance,
+        unit=_UNITS[sensor],
+        n_samples=_samples(report, sensor, number),
+        n_used=_samples(report, sensor, number),
+        residual_rms=_residual(report, sensor, number),
+        condition_number=1.0,
+        warnings=tuple(f"{name} is kept: its error is not known" for name in held),
+        temperature=None if found.polynomial is None else t_ref,
+    )
+
+
+def corrected_model(
+    force: TriadModel,
+    mounting: Array,
+    effects: Sequence[EffectEstimate],
+    key: tuple[Sensor, int],
+    t_ref: float,
+    seen: tuple[float, float],
+) -> TriadModel:
+    """The correction that takes `effects` away, on top of `force`.
+
+    Drifts are stated about `t_ref` (degC), and hold from the first to the second temperature of `seen`.
+    """
+    errors = sensors_with(effects, t_ref=t_ref).errors[key]
+    inner = mounting.T @ np.linalg.inv(errors.matrix) @ mounting
+    offset = force.offset + mounting.T @ errors.bias
+    if force.polynomial is None and not errors.temperature.any():
+        return TriadModel(offset, force.matrix @ inner, None)
+    added = mounting.T @ errors.temperature
+    curve = np.zeros((3, 3))
+    low, high = seen
+    if force.polynomial is not None:
+        before = force.polynomial
+        curve[:, : before.coefficients.shape[1]] = before.coefficients
+        low, high = before.t_min, before.t_max
+    curve[:, : added.shape[1]] += added
+    return TriadModel(offset, force.matrix @ inner, ThermalPolynomial(t_ref, low, high, curve))
+
+
+def _reference(effects: Sequence[EffectEstimate], force: TriadModel) -> float:
+    """Where drifts are stated: where those in force are, else where the found ones vanish."""
+    if force.polynomial is not None:
+        return force.polynomial.t_ref
+    return next((value(e, "t_ref") for e in effects if kind_of(e).startswith("temp_")), 35.0)
+
+
+def _covariance(
+    effects: Sequence[EffectEstimate], model: Callable[[Sequence[EffectEstimate]], TriadModel]
+) -> tuple[Array, list[str]]:
+    """Of the model's values: the effects' standard errors through central differences; and whose are not finite."""
+    base = _flat(model(effects))
+    covariance = np.zeros((len(base), len(base)))
+    held = []
+    for i, effect in enumerate(effects):
+        for j, parameter in enumerate(effect.params):
+            if not np.isfinite(parameter.se):
+                held.append(f"{effect.id} {parameter.name}")
+                continue
+            if parameter.se <= 0.0:
+                continue
+            up, down = (_flat(model(_moved(effects, i, j, s * _STEP * parameter.se))) for s in (1.0, -1.0))
+            slope = (up - down) / (2.0 * _STEP)
+            covariance += np.outer(slope, slope)
+    return covariance, held
+
+
+def _moved(effects: Sequence[EffectEstimate], i: int, j: int, step: float) -> list[EffectEstimate]:
+    old = effects[i].params[j]
+    moved: Estimate = replace(old, value=old.value + step)
+    params = (*effects[i].params[:j], moved, *effects[i].params[j + 1 :])
+    return [*effects[:i], replace(effects[i], params=params), *effects[i + 1 :]]
+
+
+def _flat(model: TriadModel) -> Array:
+    curve = np.zeros(0) if model.polynomial is None else model.polynomial.coefficients.ravel()
+    return np.concatenate([model.offset, model.matrix.ravel(), curve])
+
+
+def _samples(report: GapReport, sensor: Sensor, number: int) -> int:
+    return max((len(s.t) for s in report.series if s.sensor is sensor and number in s.instances), default=0)
+
+
+def _temperatures(report: GapReport, sensor: Sensor, number: int) -> tuple[float, float] | None:
+    """The coldest and the warmest, degC."""
+    for fit in report.series:
+        warmth = fit.covariates.get("temperature")
+        if fit.sensor is sensor and number in fit.instances and warmth is not None and len(warmth):
+            return float(warmth.min()), float(warmth.max())
+    return None
+
+
+def _residual(report: GapReport, sensor: Sensor, number: int) -> float:
+    """Root mean square of what is left, per axis."""
+    left = [s.residual - s.modelled for s in report.series if s.sensor is sensor and number in s.instances]
+    return float(np.sqrt(np.mean(left[0] ** 2))) if left else 0.0
