@@ -61,4 +61,11 @@ def run(
         raise InvalidInputError(f"no such effect in the catalogue: {', '.join(strangers)}")
     kept = tuple(effect for effect in effects if effect.id not in without)
     problem = dataclasses.replace(build(real, sim, nominal), inputs=dict(inputs or {}))
-    return diagnose(problem, effects=kept, alpha=alpha, nested=nested)
+    report = diagnose(problem, effects=kept, alpha=alpha, nested=nested)
+    return with_patches(report, simulator_of(real, sim))
+
+
+def simulator_of(real: Recording, sim: Recording | None) -> Mapping[str, float]:
+    """``SIM_*`` of the simulator that the remedy is for: of the one that was recorded; empty where none was."""
+    found = (r.parameters.final() for r in (sim, real) if r is not None)
+    return next((p for p in found if any(name.startswith("SIM_") for name in p)), {})

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from .making import effect, report
 
 from calib.gap.effects import by_id
 from calib.gap.effects.base import MeanEffect
@@ -17,6 +16,8 @@ from calib.gap.schema import EffectEstimate, as_json
 from calib.recording import Sensor
 from calib.simulate import from_sitl
 from calib.simulate.document import stated_in
+
+from .making import effect, report
 
 N = 60
 DEFAULT_IRON = np.array([-0.5, -1.3, 1.8])  # uT: SIM_MAG_OFS 5, 13, -18, taken off by COMPASS_OFS
