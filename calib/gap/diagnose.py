@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from calib.gap.effects.base import Effect, LatticeEffect, LatticeEvidence
 from calib.gap.estimates import estimates_of
 from calib.gap.hypotheses import hypotheses_of
 from calib.gap.locate import located
-from calib.gap.model import Model, NoiseTerm, Term, predicted, setting_of, starting_model, with_residual
+from calib.gap.model import Model, NoiseTerm, Term, predicted, setting_of, starting_model
 from calib.gap.noise_fit import refitted, starting_noise
 from calib.gap.power import powers_of
 from calib.gap.problem import Problem
@@ -86,7 +86,8 @@ def diagnose(
     wander = wandering(chosen, contest, start, alpha) if any(e.id == REFERENCE for e in effects) else None
     if wander is not None:
         chosen = wander.chosen
-        start = with_residual(replace(start, ridge=chosen.model.ridge))
+        contest = wander.contest
+        start = starting_model(chosen.model.setting, start.noise, chosen.model.ridge)
         chosen, attributions = settled(chosen, contest, alpha)
     best = explained(chosen, contest, start, alpha)
     if best.contest is not contest:

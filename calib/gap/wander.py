@@ -17,7 +17,7 @@ from calib.gap.attribution import settled
 from calib.gap.contest import Contest, tail
 from calib.gap.effects.affine import rotation_columns
 from calib.gap.hypotheses import Columns, Frame, Part, add_block
-from calib.gap.model import Model, Ridge, Setting, cosines, normal_equations, refined, with_residual
+from calib.gap.model import Model, Ridge, Setting, cosines, normal_equations, refined, starting_model
 from calib.gap.noise_fit import refitted
 from calib.gap.schema import Estimate
 from calib.gap.selection import DRIFTS, Chosen, objective, select, without
@@ -27,7 +27,7 @@ from calib.recording import Sensor
 Array = NDArray[np.float64]
 
 ID = "reference_attitude"
-_MODES = 40
+_MODES = 100
 _SCREENED = 4000
 """Samples of a series in the search for size and time."""
 _SIZES_DEG = np.geomspace(0.01, 3.0, 9)
@@ -37,9 +37,13 @@ _MARGIN = 6.0
 
 @dataclass(frozen=True, eq=False)
 class Wander:
-    """A model with a wandering reference: how much better it is, and with which size (deg) and time (s)."""
+    """A model with a wandering reference, on averages over some samples, and the contest on these.
+
+    `gain` says how much better it is; `size_deg` and `time_s` are of the process.
+    """
 
     chosen: Chosen
+    contest: Contest
     gain: float
     size_deg: float
     time_s: float
@@ -63,13 +67,16 @@ def wandering(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> W
     gain, size, time = best_prior(bare)
     if tail(gain, 2, len(_SIZES_DEG) * len(_TIMES_S)) * (chosen.tests + 1) > alpha:
         return None
-    columns = wander_columns(setting, setting.frames)
+    frames = tuple(Frame(max(1, view.n // _SCREENED), view.n) for view in setting.views)
+    setting = replace(setting, frames=frames)
+    contest = Contest(contest.hypotheses)
+    columns = wander_columns(setting, frames)
     ridge = Ridge(columns, 1.0 / _prior(setting, size, time), np.zeros(columns.p), span_of(setting))
-    found = select(with_residual(replace(start, ridge=ridge)), contest, alpha, blocked=(ID,))
+    found = select(starting_model(setting, start.noise, ridge), contest, alpha, blocked=(ID,))
     found, _ = settled(found, contest, alpha)
     price = 2.0 * math.log(sum(3 * v.n for v in setting.views if sees(v)))
     better = objective(chosen) - (objective(found) + process_cost(found.model) + price)
-    return Wander(found, better, size, time) if better > _MARGIN else None
+    return Wander(found, contest, better, size, time) if better > _MARGIN else None
 
 
 def best_prior(model: Model) -> tuple[float, float, float]:
