@@ -43,6 +43,7 @@ _TINY = 1e-12  # of a squared residual
 _SIGNIFICANT = 4.0  # standard deviations of the term
 _LEAST_HEADING = math.radians(0.3)  # of the horizontal field: a smaller term is not worth a parameter
 _UNKNOWN = 0.05  # of the field over the range of the drive: a term that is no better known is not determined
+_DISAGREES = 4.0  # sd between what the gyroscope and what the logged attitude make of the motors
 _NEVER_CALIBRATED = 0.5  # of the field: offset beside a calibration in force that has none
 _SOFT_IRON_SD = 0.05
 """Of the matrix beside the one in force: a nuisance here."""
@@ -393,6 +394,8 @@ def _message(
             f"compensation against {chosen.kind}: residual of hidden parts of the flight {none.hidden_rms:.3g} -> "
             f"{chosen.hidden_rms:.3g} {unit}"
         )
+        if len(chosen.drive.numbers) == 1:
+            text += f"; the motors add {_vector(native['interference'], native['interference_sd'])} {native['unit']}"
     if native["never_calibrated"]:
         listed = ", ".join(f"{v:.1f}" for v in native["offset_beside"])
         text += f"; this compass was never calibrated: its offset is ({listed}) {unit}"
@@ -408,9 +411,33 @@ def _warnings(native: Mapping[str, Any], chosen: Candidate, context: MagContext)
     ):
         listed = ", ".join(f"{v:.1f}" for v in native["offset_beside"])
         warnings.append(f"the offset in force is wrong by ({listed}) {context.unit}: fit mag-flight too")
+    warnings += _disagreement(native, context.unit)
     if chosen.drive is not None and chosen.drive.kind == DriveKind.MOTORS:
         warnings.append("motor by motor: what a firmware can store of it is said with the export")
     return tuple(warnings)
+
+
+def _disagreement(native: Mapping[str, Any], unit: str) -> list[str]:
+    """Where the logged attitude, taken for the truth, tells of other motors than the gyroscope does."""
+    trusted = native["attitude_trusted"]
+    if trusted is None:
+        return []
+    ours = native["candidates"][trusted["drive"]]
+    theirs, found, sd = trusted["interference"], ours["interference"], ours["interference_sd"]
+    if float((np.abs(np.subtract(theirs, found)) / sd).max()) <= _DISAGREES:
+        return []
+    return [
+        f"whoever takes the log's attitude for the truth finds {_vector(theirs)} {ours['unit']} "
+        f"({trusted['rms_before']:.2f} -> {trusted['rms_after']:.2f} {unit}), where the gyroscope allows "
+        f"{_vector(found, sd)}: the attitude's heading came from a compass, and what corrects it is taken for the "
+        "motors' field; native.attitude_trusted has it in full"
+    ]
+
+
+def _vector(values: Sequence[float], sd: Sequence[float] | None = None) -> str:
+    if sd is None:
+        return f"({', '.join(f'{v:.3g}' for v in values)})"
+    return f"({', '.join(f'{v:.3g} +- {s:.1g}' for v, s in zip(values, sd, strict=True))})"
 
 
 def with_candidate(fit: FitResult, kind: str) -> FitResult:
