@@ -47,7 +47,7 @@ LAYERS = (
     {"simulate", "firmware", "inspection", "converted"},
     {"logs"},
     {"procedures", "gap", "flight", "blind"},
-    {"report", "scoring", "methods"},
+    {"report", "scoring", "methods", "gap_report"},
 )
 """Rooms of ``calib``, lowest first; a room imports its own layer and the ones below."""
 

@@ -1,0 +1,95 @@
+"""What a gap report says, in sentences for somebody who does not know the method."""
+
+from __future__ import annotations
+
+from calib.gap.schema import EffectEstimate, GapReport, Shrink, Verdict
+
+_KINDS = {
+    "bias": "a constant offset",
+    "scale": "a wrong scale",
+    "misalignment": "axes that are not at right angles",
+    "rotation": "a sensor mounted at an angle",
+    "temp_linear": "an offset that follows the temperature",
+    "temp_poly": "an offset that follows the temperature along a curve",
+    "temp_scale": "a scale that follows the temperature",
+    "thermal_lag": "an offset that follows the temperature late",
+    "g_sensitivity": "a rate that follows the specific force",
+    "lever_arm": "a sensor away from the reference point",
+    "vibration": "vibration of the motors",
+    "vibration_rectification": "an offset caused by vibration",
+    "aliasing": "vibration beyond half the sampling rate, folded back",
+    "noise": "more white noise",
+    "random_walk": "an offset that wanders",
+    "flicker": "1/f noise",
+    "rotor_noise": "noise that follows the rotors",
+    "quantisation": "coarser steps",
+    "saturation": "a range that is too small",
+    "dead_band": "small values read as zero",
+    "step": "an offset that comes or goes at a moment",
+    "delay": "readings that are late",
+    "low_pass": "a slower filter",
+    "hold": "repeated samples",
+    "tone": "a steady tone",
+    "hard_iron": "magnetised iron on the vehicle",
+    "soft_iron": "iron that bends the field",
+    "motor_current": "the magnetic field of the motors' current",
+    "earth_field": "another field of the Earth than assumed",
+    "field_gradient": "a field that changes with the place",
+}
+_SENSORS = {"accel": "accelerometer", "gyro": "gyroscope", "mag": "magnetometer"}
+_VERDICTS = {
+    Verdict.EXPLAINED: "The real sensors differ from the simulated ones, and known effects explain the difference.",
+    Verdict.PARTLY_EXPLAINED: "Known effects explain part of the difference; the rest is of a kind that is not known.",
+    Verdict.UNKNOWN: "The real sensors differ from the simulated ones, and no known effect explains it.",
+    Verdict.REFERENCE: "What differs is the reference, not a sensor.",
+    Verdict.NO_GAP: "No difference beyond the noise was found.",
+    Verdict.NOT_TESTABLE: "These recordings do not allow an answer.",
+}
+
+
+def verdict_sentence(report: GapReport) -> str:
+    """The answer in one or two sentences."""
+    said = _VERDICTS[report.verdict]
+    if report.verdict in {Verdict.EXPLAINED, Verdict.PARTLY_EXPLAINED} and report.effects:
+        said += f" Found: {'; '.join(effect_phrase(e) for e in report.effects)}."
+    return said
+
+
+def effect_phrase(effect: EffectEstimate) -> str:
+    """``a constant offset of accelerometer 1 (accel_bias)``."""
+    kind = effect.id.removeprefix(f"{effect.sensor.value}_")
+    if effect.id == "reference_attitude":
+        return "an error of the reference's attitude (reference_attitude)"
+    if effect.id == "clock_drift":
+        return "clocks that run at different speeds (clock_drift)"
+    return f"{_KINDS.get(kind, kind.replace('_', ' '))}, {sensor_name(effect)} ({effect.id})"
+
+
+def sensor_name(effect: EffectEstimate) -> str:
+    """``accelerometer 1``, ``magnetometers 1, 2, 3``."""
+    name = _SENSORS.get(effect.sensor.value, effect.sensor.value)
+    numbers = ", ".join(map(str, effect.instances))
+    return f"{name}{'s' if len(effect.instances) > 1 else ''} {numbers}"
+
+
+def number(value: float | None) -> str:
+    """Four digits; what is not known or not finite in words."""
+    if value is None or value != value:
+        return "not known"
+    return f"{value:.4g}" if abs(value) < 1e300 else "unbounded"
+
+
+def closed_sentence(shrink: Shrink | None) -> str:
+    """How far the gap shrinks."""
+    if shrink is None:
+        return "How far the gap shrinks could not be measured: the recording is too short to hold parts of it back."
+    if shrink.closed is None:
+        return (
+            f"Nothing measurable to close: {number(shrink.before)} nats a sample before, {number(shrink.after)} after."
+        )
+    interval = "" if shrink.ci95 is None else f" (95 % interval {shrink.ci95[0]:.3f} to {shrink.ci95[1]:.3f})"
+    return (
+        f"On data that were held out, adding the effects closes {100.0 * shrink.closed:.1f} % of the gap{interval}: "
+        f"from {number(shrink.before)} to {number(shrink.after)} nats a sample, the floor being {number(shrink.floor)} "
+        f"({shrink.floor_source.replace('_', ' ')})."
+    )
