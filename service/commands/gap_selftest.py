@@ -24,6 +24,11 @@ TIERS = ("T0", "T1", "T2", "T3", "T4", "T5", "T6", "T7", "T10")
 @click.option("--answers", type=click.Path(path_type=Path, dir_okay=False), help="Keep every answer, a JSON line each.")
 @click.option("--score-only", is_flag=True, help="Score what --answers holds, run nothing.")
 @click.option(
+    "--data",
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    help="Instead: the recordings of this folder, as they are and with effects put in.",
+)
+@click.option(
     "--seal", type=click.Path(path_type=Path, dir_okay=False), help="Write the seal of these cases; run none."
 )
 @json_option
