@@ -234,7 +234,7 @@ class Contest:
 
         if high <= low:
             return theta
-        found = minimize_scalar(loss, bounds=(low, high), method="bounded", options={"maxiter": 16})
+        found = minimize_scalar(loss, bounds=(low, high), method="bounded", options={"maxiter": 10})
         return float(found.x) if found.fun < loss(theta) else theta
 
 

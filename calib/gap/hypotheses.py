@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import prev_fast_len
 
 from calib.gap.effects.base import Effect, MeanEffect, NoiseEffect
 from calib.gap.likelihood import transform
@@ -120,21 +121,23 @@ class Frame:
 
     def bins(self, series: Array) -> Array:
         """Transform of `series` (..., n), decimated."""
+        whole = self.size * self.factor
+        if whole < series.shape[-1]:
+            series = series[..., :whole]
         if self.factor > 1:
-            whole = self.n // self.factor * self.factor
-            series = series[..., :whole].reshape(*series.shape[:-1], -1, self.factor).mean(axis=-1)
+            series = series.reshape(*series.shape[:-1], -1, self.factor).mean(axis=-1)
         return transform(series)
 
     @property
     def size(self) -> int:
-        """Bins."""
-        return self.n // self.factor
+        """Bins: a length that transforms fast; the last few samples are left to the noise."""
+        return int(prev_fast_len(self.n // self.factor, real=True))
 
     def power(self, S: Array) -> Array:
         """Power of the averages, folded, from the power (n,) of the samples."""
-        if self.factor == 1:
-            return S
         m = self.size
+        if self.factor == 1:
+            return S if m == len(S) else np.interp(np.linspace(0.0, len(S) - 1.0, m), np.arange(len(S)), S)
         whole = m * self.factor
         grid = np.linspace(0.0, len(S) - 1.0, whole)
         full = S if whole == len(S) else np.interp(grid, np.arange(len(S)), S)
