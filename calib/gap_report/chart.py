@@ -14,7 +14,8 @@ Array = NDArray[np.float64]
 
 BEFORE, AFTER, MODEL, FLOOR = "--before", "--after", "--model", "--floor"
 COLOURS = (BEFORE, AFTER, MODEL, FLOOR)
-_LEFT, _RIGHT, _TOP, _BOTTOM = 62, 12, 28, 40
+_LEFT, _RIGHT, _TOP, _BOTTOM = 62, 12, 40, 38
+_LETTER = 5.9  # mean width of a letter of the legend
 _MOST_POINTS = 600
 
 
@@ -102,15 +103,15 @@ class Chart:
         middle = (_TOP + bottom) / 2
         turned = text(0, 0, self.y_label, anchor="middle", kind="axis")
         out.append(f'<g transform="translate(13 {middle:.0f}) rotate(-90)">{turned}</g>')
-        out += self._legend(right)
+        out += self._legend()
         return svg(self.width, self.height, out, self.title)
 
-    def _legend(self, right: float) -> list[str]:
-        out = []
-        for i, (colour, name) in enumerate(self.legend):
-            y = _TOP + 12 + 14 * i
-            out.append(f'<path d="M{right - 16} {y - 4}h14" style="stroke:var({colour})" stroke-width="3"/>')
-            out.append(text(right - 20, y, name, anchor="end", kind="legend"))
+    def _legend(self) -> list[str]:
+        out, x = [], float(_LEFT)
+        for colour, name in self.legend:
+            out.append(f'<path d="M{x:.1f} 27h14" style="stroke:var({colour})" stroke-width="3"/>')
+            out.append(text(x + 18, 31, name, kind="legend"))
+            x += 30 + _LETTER * len(name)
         return out
 
     def _named(self, colour: str, name: str) -> None:
@@ -149,6 +150,9 @@ def ticks(limits: tuple[float, float], *, log: bool) -> list[tuple[float, str]]:
     low, high = limits
     if log:
         first, last = math.ceil(math.log10(low) - 1e-9), math.floor(math.log10(high) + 1e-9)
+        if last - first < 1:  # less than two powers of ten: halves and fifths of them too
+            fine = [m * 10.0**k for k in range(first - 1, last + 1) for m in (1.0, 2.0, 5.0)]
+            return [(v, f"{v:g}") for v in fine if low <= v <= high]
         every = max(1, math.ceil((last - first) / 6))
         return [(10.0**k, f"{10.0**k:g}") for k in range(first, last + 1, every)]
     step = 10.0 ** math.floor(math.log10((high - low) / 4.0))
@@ -187,7 +191,7 @@ def thinned(t: Array, values: Array) -> tuple[Array, Array]:
 
 def heat(rows: Sequence[str], columns: Sequence[str], cells: Sequence[tuple[int, int, float, str]], title: str) -> str:
     """A table of coloured cells: (row, column, 0..1, words for the pointer); empty ones are blank."""
-    left, top, wide, tall = 128.0, 96.0, 17.0, 17.0
+    left, top, wide, tall = 128.0, 142.0, 17.0, 17.0
     out = []
     for j, name in enumerate(columns):
         x = left + (j + 0.65) * wide
@@ -201,4 +205,4 @@ def heat(rows: Sequence[str], columns: Sequence[str], cells: Sequence[tuple[int,
             f'style="fill:var(--before)" fill-opacity="{0.12 + 0.88 * min(max(level, 0.0), 1.0):.2f}">'
             f"<title>{escape(words)}</title></rect>"
         )
-    return svg(left + wide * len(columns) + 60, top + tall * len(rows) + 8, out, title)
+    return svg(left + wide * len(columns) + 80, top + tall * len(rows) + 8, out, title)

@@ -15,7 +15,7 @@ from calib.gap_report.series_plots import (
     strip,
 )
 from calib.gap_report.style import STYLE
-from calib.gap_report.table_plots import power_table, rivals_table, waterfall, where_map
+from calib.gap_report.table_plots import power_table, regime, rivals_table, waterfall, where_map
 from calib.gap_report.words import closed_sentence, effect_phrase, number, verdict_sentence
 
 _MOST_SHAPES = 12
@@ -143,8 +143,7 @@ def _shrink(report: GapReport) -> str:
 def _where(report: GapReport) -> str:
     top = report.where[:_MOST_WHERE]
     rows = "".join(
-        f"<tr><td>{escape(f.channel)}</td><td>{f.instance}</td><td>{escape(f.regime.kind)} "
-        f"{number(f.regime.bin[0])} to {number(f.regime.bin[1])} {escape(f.regime.unit)}</td>"
+        f"<tr><td>{escape(f.channel)}</td><td>{f.instance}</td><td>{escape(regime(f))}</td>"
         f"<td class='number'>{number(f.nats_per_sample)}</td>"
         f"<td class='number'>{number(f.rms)} {escape(f.unit)}</td></tr>"
         for f in top
@@ -155,8 +154,8 @@ def _where(report: GapReport) -> str:
     )
     return _section(
         "Where",
-        "Each row is an axis of a sensor, each column a condition of the flight; the darker a cell, the more the "
-        "sensor differs there. White cells show nothing beyond the noise.",
+        "Each row is an axis of a sensor, each column a condition of the flight; the stronger the colour, the "
+        "more the sensor differs there. Empty cells show nothing beyond the noise.",
         f"<figure>{where_map(report.where)}</figure>{table}" if rows else "",
     )
 

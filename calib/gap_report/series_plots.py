@@ -196,7 +196,7 @@ def _strip_chart(fit: SeriesFit) -> Chart:
         (float(fit.t[0]), float(fit.t[-1])),
         limits_of(before, after, log=True),
         width=880,
-        height=150,
+        height=160,
         log_y=True,
     )
     chart.line(t, before, BEFORE, "before")
@@ -232,7 +232,7 @@ def conditions(series: Sequence[SeriesFit]) -> list[str]:
             (float(fit.t[0]), float(fit.t[-1])),
             limits_of(values),
             width=880,
-            height=120,
+            height=140,
         )
         chart.line(t, values, MODEL)
         drawn.append(chart.drawn())

@@ -11,12 +11,12 @@ from calib.gap_report.chart import heat, svg, text
 from calib.gap_report.words import number
 
 _SLOTS = 6
-_BANDS = 8
+_FAR = 1000
 _LEAST_NATS = 1e-3  # of a sample: the faintest cell
 
 
 def where_map(findings: Sequence[Finding]) -> str:
-    """Channels by regimes; the darker, the more nats a sample."""
+    """Channels by regimes; the stronger the colour, the more nats a sample."""
     if not findings:
         return ""
     ranges: dict[str, tuple[float, float]] = {}
@@ -31,7 +31,7 @@ def where_map(findings: Sequence[Finding]) -> str:
     order = list(ranges)
     rows = sorted({row for row, _ in cells})
     columns = sorted({column for _, column in cells}, key=lambda c: (order.index(c[0]), c[1]))
-    labels = [_label(next(f for (_, c), f in cells.items() if c == column)) for column in columns]
+    labels = [regime(next(f for (_, c), f in cells.items() if c == column)) for column in columns]
     strongest = max(f.nats_per_sample for f in findings)
     drawn = [
         (rows.index(row), columns.index(column), _level(f.nats_per_sample, strongest), _told(f))
@@ -44,7 +44,7 @@ def _slot(found: Finding, limits: tuple[float, float]) -> int:
     low, high = found.regime.bin
     first, last = limits
     if found.regime.kind == "band":
-        return 0 if low <= 0.0 else 1 + round(math.log2(high))
+        return -_FAR if low <= 0.0 else round(10.0 * math.log10(high))
     return int(_SLOTS * (0.5 * (low + high) - first) / (last - first)) if last > first else 0
 
 
@@ -55,7 +55,8 @@ def _level(nats: float, strongest: float) -> float:
     return math.log(max(nats, _LEAST_NATS) / _LEAST_NATS) / math.log(strongest / _LEAST_NATS)
 
 
-def _label(found: Finding) -> str:
+def regime(found: Finding) -> str:
+    """When it is: ``temperature 20..24 degC``."""
     if found.regime.kind == "all":
         return "whole recording"
     low, high = found.regime.bin
@@ -65,7 +66,7 @@ def _label(found: Finding) -> str:
 
 def _told(f: Finding) -> str:
     return (
-        f"{f.channel} of instance {f.instance}, {_label(f)}: {number(f.nats_per_sample)} nats a sample, "
+        f"{f.channel} of instance {f.instance}, {regime(f)}: {number(f.nats_per_sample)} nats a sample, "
         f"rms {number(f.rms)} {f.unit}, p {number(f.p_holm)}"
     )
 
@@ -97,12 +98,12 @@ def waterfall(shrink: Shrink) -> str:
         out.append(
             f'<rect x="{x:.1f}" y="{y:.1f}" width="{max(end - x, 1.5):.1f}" height="17" style="fill:var({colour})"/>'
         )
-        out.append(text(end + 6, y + 13, number(b if i in {0, len(steps) - 1, len(steps) - 2} else a)))
+        out.append(text(end + 6, y + 13, f"down to {number(a)}" if colour == "--model" else number(b)))
     return svg(left + wide + 90, 16 + tall * len(steps), out, "Gap on held-out data, one effect after the other")
 
 
 def rivals_table(report: GapReport) -> str:
-    """Effects against what could be taken for them: kappa as the darkness of a cell, and what tells them apart."""
+    """Effects against what could be taken for them: kappa as a bar, and what tells them apart."""
     pairs = [(e, r) for e in report.effects for r in e.confusable_with]
     if not pairs:
         return ""

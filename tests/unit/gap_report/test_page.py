@@ -1,0 +1,159 @@
+"""The page of a gap report: self-contained, escaped, with a picture for everything that the report has."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from calib.gap.schema import (
+    Finding,
+    GapReport,
+    MultipleTesting,
+    NotTestable,
+    Power,
+    Regime,
+    Rival,
+    SequenceStep,
+    SeriesFit,
+    Shrink,
+    Unknown,
+    Verdict,
+)
+from calib.gap_report import gap_to_html, verdict_sentence
+from calib.gap_report.chart import Chart, limits_of, thinned, ticks
+from calib.gap_report.series_plots import allan, spectrum
+from calib.recording import Sensor
+from tests.unit.gap.export.making import effect, report
+
+EVIL = '<script>alert("x")</script>'
+
+
+def a_series(count: int = 900) -> SeriesFit:
+    rng = np.random.default_rng(5)
+    t = np.arange(count) / 50.0
+    current = 10.0 + 8.0 * np.sin(0.5 * t)
+    part = np.outer(current, [0.1, -0.2, 0.05])
+    ideal = 40.0 * rng.normal(size=(count, 3))
+    residual = part + 0.3 * rng.normal(size=(count, 3))
+    return SeriesFit(
+        *(Sensor.MAG, (1,), t, residual, part, np.full(3, 0.3), "uT", {"mag_motor_current": part}),
+        ideal=ideal,
+        covariates={"current": current},
+        power=np.full((count, 3), 0.09),
+    )
+
+
+def a_report() -> GapReport:
+    rival = Rival("mag_hard_iron", 0.86, 48.0, EVIL)
+    motor = dataclasses.replace(effect("mag_motor_current", per_ampere=(0.1, -0.2, 0.05)), confusable_with=(rival,))
+    cells = tuple(
+        Finding(f"mag.{axis}", 1, Regime(kind, (low, low + 3.0), unit), nats, 1.0, "uT", 1e-9)
+        for axis, nats in (("x", 0.4), ("y", 2.0))
+        for kind, low, unit in (("all", 0.0, ""), ("current", 2.0, "A"), ("current", 5.0, "A"), ("band", 0.0, "Hz"))
+    )
+    steps = (SequenceStep("mag_motor_current", 0.97),)
+    shrink = Shrink(
+        2.1, 0.05, 0.0, "declared_noise", 0.97, (0.95, 0.99), nested=True, sequence=steps, rms={"mag": (2.0, 0.3, "uT")}
+    )
+    return dataclasses.replace(
+        report(motor),
+        where=cells,
+        shrink=shrink,
+        series=(a_series(),),
+        not_testable=(NotTestable("accel_temp_scale", EVIL, "span >= 15 C"),),
+        power=(Power("mag_hard_iron", "hard_iron.x", 0.02, "uT"),),
+        multiple_testing=MultipleTesting(45, 0.005),
+        warnings=(EVIL,),
+    )
+
+
+def pictures(page: str) -> list[str]:
+    return re.findall(r"<svg.*?</svg>", page, flags=re.DOTALL)
+
+
+def test_every_part_of_the_report_has_its_place() -> None:
+    page = gap_to_html(a_report(), title="a flight")
+    for heading in (
+        *("Which effects", "How far the gap shrinks", "Where", "What the effects look like", "Noise"),
+        *("What these data cannot tell apart", "Over time", "Real, simulated, corrected", "Not testable here"),
+        *("How small an effect would have shown", "What was compared"),
+    ):
+        assert f"<h2>{heading}</h2>" in page
+    assert len(pictures(page)) == 8  # waterfall, map, effect, spectrum, Allan, strip, current, overlay
+
+
+def test_pictures_are_well_formed_and_finite() -> None:
+    for picture in pictures(gap_to_html(a_report())):
+        ElementTree.fromstring(picture)
+        assert "nan" not in picture
+        assert "inf" not in picture.replace("info", "")
+
+
+def test_nothing_from_a_file_reaches_the_page_as_markup_and_nothing_is_fetched() -> None:
+    page = gap_to_html(a_report(), title=EVIL)
+    assert "<script" not in page
+    assert "&lt;script&gt;" in page
+    assert not re.search(r"(src|href)\s*=|url\(|@import|https?:", page)
+
+
+@pytest.mark.parametrize("verdict", list(Verdict))
+def test_a_report_without_anything_is_still_a_page(verdict: Verdict) -> None:
+    bare = dataclasses.replace(report(), verdict=verdict)
+    page = gap_to_html(bare)
+    assert verdict_sentence(bare).split(".")[0] in page
+    assert "<h2>Which effects</h2>" not in page
+    assert pictures(page) == []
+
+
+def test_numbers_that_are_not_finite_are_said_in_words() -> None:
+    series = a_series()
+    broken = dataclasses.replace(series, residual=np.zeros_like(series.residual), modelled=np.zeros((900, 3)), parts={})
+    shrink = Shrink(float("nan"), float("nan"), 0.0, "declared_noise", None, None, nested=False)
+    odd = dataclasses.replace(
+        a_report(), series=(broken, a_series(20)), shrink=shrink, unknown=Unknown(flag=True, share=0.2, shape=EVIL)
+    )
+    page = gap_to_html(odd)
+    assert "not known" in page
+    for picture in pictures(page):
+        assert "nan" not in ElementTree.tostring(ElementTree.fromstring(picture), encoding="unicode")
+
+
+def test_spectrum_and_allan_deviation_of_white_noise() -> None:
+    noise = 0.2 * np.random.default_rng(2).normal(size=40_000)
+    _, density = spectrum(noise, 100.0)
+    assert np.median(density) == pytest.approx(0.2 * np.sqrt(2 / 100.0), rel=0.1)
+    tau, deviation = allan(noise, 100.0)
+    first = tau < 1.0
+    np.testing.assert_allclose(deviation[first], 0.2 / np.sqrt(100.0 * tau[first]), rtol=0.1)
+
+
+def test_thinning_keeps_the_peaks() -> None:
+    values = np.zeros(100_000)
+    values[54_321] = 7.0
+    t, kept = thinned(np.arange(100_000.0), values)
+    assert len(t) <= 620
+    assert kept.max() == 7.0
+    assert (np.diff(t) > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("limits", "log", "labels"),
+    [((0.0, 10.0), False, ["0", "2", "4", "6", "8", "10"]), ((1.0, 1000.0), True, ["1", "10", "100", "1000"]),
+     ((0.8, 3.0), True, ["1", "2"]), ((0.2, 0.31), True, ["0.2"])],
+)  # fmt: skip
+def test_ticks_are_round(limits: tuple[float, float], log: bool, labels: list[str]) -> None:
+    assert [label for _, label in ticks(limits, log=log)] == labels
+
+
+def test_limits_are_never_empty() -> None:
+    for values in ([], [np.nan], [3.0], [0.0], [-1.0, 5.0]):
+        for log in (False, True):
+            low, high = limits_of(values, log=log)
+            assert low < high
+    chart = Chart("t", "x", "y", (0.0, 1.0), limits_of([2.0]))
+    chart.line([0, 0.5, 1], [2.0, np.nan, 2.0], "--before")
+    ElementTree.fromstring(chart.drawn())
