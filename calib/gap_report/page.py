@@ -15,8 +15,8 @@ from calib.gap_report.series_plots import (
     strip,
 )
 from calib.gap_report.style import STYLE
-from calib.gap_report.table_plots import power_table, regime, rivals_table, waterfall, where_map
-from calib.gap_report.words import closed_sentence, effect_phrase, number, verdict_sentence
+from calib.gap_report.table_plots import power_table, rivals_table, waterfall, where_map
+from calib.gap_report.words import closed_sentence, effect_phrase, number, regime, verdict_sentence
 
 _MOST_SHAPES = 12
 _MOST_SERIES = 9

@@ -8,7 +8,7 @@ from html import escape
 
 from calib.gap.schema import Finding, GapReport, Shrink
 from calib.gap_report.chart import heat, svg, text
-from calib.gap_report.words import number
+from calib.gap_report.words import number, regime
 
 _SLOTS = 6
 _FAR = 1000
@@ -53,15 +53,6 @@ def _level(nats: float, strongest: float) -> float:
     if strongest <= _LEAST_NATS:
         return 1.0
     return math.log(max(nats, _LEAST_NATS) / _LEAST_NATS) / math.log(strongest / _LEAST_NATS)
-
-
-def regime(found: Finding) -> str:
-    """When it is: ``temperature 20..24 degC``."""
-    if found.regime.kind == "all":
-        return "whole recording"
-    low, high = found.regime.bin
-    unit = "" if found.regime.unit in {"", "1"} else f" {found.regime.unit}"
-    return f"{found.regime.kind} {low:.3g}..{high:.3g}{unit}"
 
 
 def _told(f: Finding) -> str:

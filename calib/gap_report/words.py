@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from calib.gap.schema import EffectEstimate, GapReport, Shrink, Verdict
+from calib.gap.schema import EffectEstimate, Finding, GapReport, Shrink, Verdict
 
 _KINDS = {
     "bias": "a constant offset",
@@ -47,10 +47,10 @@ _VERDICTS = {
 }
 
 
-def verdict_sentence(report: GapReport) -> str:
-    """The answer in one or two sentences."""
+def verdict_sentence(report: GapReport, *, listed: bool = True) -> str:
+    """The answer in one or two sentences, the effects `listed` or not."""
     said = _VERDICTS[report.verdict]
-    if report.verdict in {Verdict.EXPLAINED, Verdict.PARTLY_EXPLAINED} and report.effects:
+    if listed and report.verdict in {Verdict.EXPLAINED, Verdict.PARTLY_EXPLAINED} and report.effects:
         said += f" Found: {'; '.join(effect_phrase(e) for e in report.effects)}."
     return said
 
@@ -93,3 +93,12 @@ def closed_sentence(shrink: Shrink | None) -> str:
         f"from {number(shrink.before)} to {number(shrink.after)} nats a sample, the floor being {number(shrink.floor)} "
         f"({shrink.floor_source.replace('_', ' ')})."
     )
+
+
+def regime(found: Finding) -> str:
+    """When it is: ``temperature 20..24 degC``."""
+    if found.regime.kind == "all":
+        return "whole recording"
+    low, high = found.regime.bin
+    unit = "" if found.regime.unit in {"", "1"} else f" {found.regime.unit}"
+    return f"{found.regime.kind} {low:.3g}..{high:.3g}{unit}"

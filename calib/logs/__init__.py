@@ -60,6 +60,16 @@ def read(path: Path | str, **options: Any) -> Recording:
     return read_table(file, **{key: value for key, value in options.items() if key not in _TLOG_OPTIONS})
 
 
+def is_table(path: str | Path) -> bool:
+    """Whether the file at `path` is read as a table, to which mappings and units apply; False where it is not there."""
+    file = Path(path)
+    try:
+        with file.open("rb") as opened:
+            return not _kind(opened.read(_HEAD), file.suffix.lower())
+    except OSError:
+        return False
+
+
 def _kind(head: bytes, suffix: str) -> str:
     """What the content is, whatever the file is called; the ending decides where the content does not show it."""
     if head.startswith(_ULOG_START):
@@ -83,4 +93,13 @@ def _plain(file: Path, options: dict[str, Any]) -> Path:
     return file
 
 
-__all__ = ["DataFlash", "read", "read_dataflash", "read_dataflash_text", "read_table", "read_tlog", "read_ulog"]
+__all__ = [
+    "DataFlash",
+    "is_table",
+    "read",
+    "read_dataflash",
+    "read_dataflash_text",
+    "read_table",
+    "read_tlog",
+    "read_ulog",
+]

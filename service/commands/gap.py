@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-import hashlib
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from service.commands.gap_selftest import command as selftest
 from service.commands.output import EXIT_NO, json_option, write_json
-from service.commands.reading import readable_file, reading_options
+from service.commands.reading import parse_mapping, reading_options
+
+if TYPE_CHECKING:
+    from calib.gap.schema import GapReport
+    from calib.gap.verify import Verified
+
+TARGETS = ("sitl", "gazebo", "matlab", "mavcal", "vehicle")
+"""Those of ``calib.gap.export.Target``, stated here so that help does without numpy (a test compares them)."""
+_MOST_WHERE = 3
+_MOST_UNTESTABLE = 8
 
 
 @click.group(invoke_without_command=True)
@@ -20,58 +29,143 @@ from service.commands.reading import readable_file, reading_options
 @click.option(
     "--nominal", multiple=True, metavar="FILE", help="A recording without an effect: noise and Earth's field; repeated."
 )
+@click.option(
+    "--verify",
+    "again",
+    default=None,
+    metavar="FILE",
+    help="A recording of the simulator with the remedy: how much of the gap is left.",
+)
+@click.option("--report", "page", type=click.Path(path_type=Path, dir_okay=False), help="Write the report as HTML.")
+@click.option(
+    "--export",
+    "exports",
+    multiple=True,
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Write the remedy: .parm .param (ArduPilot's SIM_*), .sdf (Gazebo), .m (MATLAB), .json (mavcal simulate); "
+    "repeated.",
+)
+@click.option(
+    "--for",
+    "target",
+    type=click.Choice(TARGETS),
+    default=None,
+    help="Whom --export is for, whatever its ending; vehicle: the vehicle's own calibration.",
+)
+@click.option(
+    "--instance", type=click.IntRange(1, 9), default=1, show_default=True, help="For exports of a single instance."
+)
+@click.option(
+    "--sim-map",
+    "sim_mapping",
+    callback=parse_mapping,
+    metavar="NAME=COLUMN[*FACTOR],...",
+    help="--map of --sim and --verify, where their tables have other columns than the real one.",
+)
 @reading_options
 @json_option
 @click.pass_context
 def command(
-    ctx: click.Context, /, real: str | None, sim: str | None, nominal: tuple[str, ...], as_json: bool, **reading: Any
+    ctx: click.Context,
+    /,
+    *,
+    real: str | None,
+    sim: str | None,
+    nominal: tuple[str, ...],
+    again: str | None,
+    page: Path | None,
+    exports: tuple[Path, ...],
+    target: str | None,
+    instance: int,
+    as_json: bool,
+    **reading: Any,
 ) -> int:
     """Diagnose the sim-to-real gap of a recording or a log.
 
     The reference is found in the files: ref_* columns, a simulator's log of the same trajectory, a pose, other
-    instances of the vehicle, or a trajectory that is estimated anew. Exit code 1 if nothing could be tested.
+    instances of the vehicle, or a trajectory that is estimated anew. The reading options are of --real, and of the
+    other files as far as they are tables. Exit code 1 if nothing could be tested.
     """
     if ctx.invoked_subcommand is not None:
         return 0
     if real is None:
         raise click.UsageError("Missing option '--real'.")
-    from calib import gap, logs
+    from calib import gap
     from calib.gap.schema import as_json as document_of
+    from service.commands.gap_files import check_exports, read_files, write_exports, write_page
 
-    roles = ("real",) if sim is None else ("real", "sim")
-    files = [readable_file(name) for name in (real, *(() if sim is None else (sim,)), *nominal)]
-    first, *others = [logs.read(file, **reading) for file in files]
-    simulated = others.pop(0) if sim is not None else None
-    hashes = {role: hashlib.sha256(file.read_bytes()).hexdigest() for role, file in zip(roles, files, strict=False)}
-    report = gap.run(first, simulated, tuple(others), inputs=hashes)
+    check_exports(exports, target)
+    files = read_files(real, sim, nominal, again, reading)
+    report = gap.run(files.real, files.sim, files.nominal, inputs=files.hashes)
     document = document_of(report)
+    verified = None
+    if files.again is not None:
+        from calib.gap.verify import verified_json, verify
+
+        verified = verify(report, files.real, files.sim, files.again, files.nominal)
+        document["verify"] = verified_json(verified)
+    if page is not None:
+        write_page(report, f"Sim-to-real gap of {Path(real).name}", page)
+    if exports:
+        document["exports"] = write_exports(report, files, exports, target, instance)
     if as_json:
         write_json(document)
     else:
-        _show(document)
+        _show(report, verified)
     return EXIT_NO if document["verdict"] == "not_testable" else 0
 
 
-def _show(document: dict[str, Any]) -> None:
-    click.echo(f"verdict: {document['verdict']}")
-    for effect in document["effects"]:
-        on = ", ".join(str(i) for i in effect["instances"])
-        click.echo(f"{effect['id']} of instance {on}: probability {_number(effect['evidence']['probability'])}")
-        for parameter in effect["params"]:
-            click.echo(
-                f"  {parameter['name']:12} {_number(parameter['value'])} +- {_number(parameter['se'])} "
-                f"{parameter['unit']}"
-            )
-        for rival in effect["confusable_with"]:
-            click.echo(f"  could be {rival['id']}; told apart by: {rival['fix']}")
-    for gone in document["not_testable"]:
-        click.echo(f"not testable: {gone['id']}: {gone['reason']}; needed: {gone['need']}")
-    for warning in document["warnings"]:
+def _show(report: GapReport, verified: Verified | None) -> None:
+    from calib.gap_report.words import closed_sentence, regime, verdict_sentence
+
+    click.echo(f"{report.verdict.value}: {verdict_sentence(report, listed=False)}")
+    for effect in report.effects:
+        _show_effect(effect)
+    if report.unknown.flag:
+        click.echo(f"not explained: {report.unknown.shape or 'a rest'} ({100 * report.unknown.share:.0f} % of the gap)")
+    for found in report.where[:_MOST_WHERE]:
+        click.echo(
+            f"where: {found.channel} of instance {found.instance}, {regime(found)}: rms {found.rms:.3g} {found.unit}, "
+            f"{found.nats_per_sample:.3g} nats a sample"
+        )
+    if report.effects:
+        click.echo(closed_sentence(report.shrink))
+    if verified is not None:
+        _show_verified(verified)
+    for gone in report.not_testable[:_MOST_UNTESTABLE]:
+        click.echo(f"not testable: {gone.id}: {gone.reason}; needed: {gone.need}")
+    if len(report.not_testable) > _MOST_UNTESTABLE:
+        click.echo(f"not testable: {len(report.not_testable) - _MOST_UNTESTABLE} more, see --json")
+    click.echo(f"reference: {report.inputs.reference_kind}. {report.inputs.reference_text}")
+    for warning in report.warnings:
         click.echo(f"! {warning}")
 
 
-def _number(value: float | None) -> str:
-    return "unknown" if value is None else f"{value:.4g}"
+def _show_effect(effect: Any) -> None:
+    from calib.gap_report.words import effect_phrase, number
+
+    click.echo(f"{effect_phrase(effect)}, probability {number(effect.evidence.probability)}")
+    for parameter in effect.params:
+        click.echo(f"  {parameter.name:16} {number(parameter.value)} +- {number(parameter.se)} {parameter.unit}")
+    for rival in effect.confusable_with:
+        click.echo(f"  could be {rival.id}; told apart by: {rival.fix}")
+
+
+def _show_verified(verified: Verified) -> None:
+    from calib.gap_report.words import number
+
+    low, high = verified.remaining.ci95
+    click.echo(
+        f"with the remedy: {number(verified.remaining.nats)} nats a number are left ({number(low)} to {number(high)}), "
+        f"of {number(verified.before.nats)}; {verified.rest.verdict.value}"
+    )
+    for left in verified.effects:
+        on = ", ".join(map(str, left.instances))
+        click.echo(f"  {left.id} of instance {on}: {100 * left.share:.2g} % of its evidence is left")
+    for effect in verified.added:
+        click.echo(f"  {effect.id} is in the simulator and not in the vehicle, or was hidden before")
+    for warning in verified.warnings:
+        click.echo(f"! {warning}")
 
 
 command.add_command(selftest, "selftest")

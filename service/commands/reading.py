@@ -16,7 +16,7 @@ GYRO_UNITS = ("si", "deg/s", "mrad/s", "counts")
 MAG_UNITS = ("uT", "mgauss", "gauss", "counts")
 
 
-def _pairs(_ctx: click.Context, _param: click.Parameter, value: str | None) -> dict[str, str]:
+def parse_mapping(_ctx: click.Context, _param: click.Parameter, value: str | None) -> dict[str, str]:
     """``a=1,b=col*2`` as a mapping."""
     pairs: dict[str, str] = {}
     for item in (value or "").split(","):
@@ -33,7 +33,7 @@ OPTIONS: tuple[Callable[[Callable[..., Any]], Callable[..., Any]], ...] = (
     click.option(
         "--map",
         "mapping",
-        callback=_pairs,
+        callback=parse_mapping,
         metavar="NAME=COLUMN[*FACTOR],...",
         help="Columns by header name or 0-based number.",
     ),

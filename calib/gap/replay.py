@@ -1,0 +1,90 @@
+"""A problem whose simulator already has effects: the ideal readings become those of the affected sensors."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.gap.effects import by_id
+from calib.gap.effects.base import Effect, MeanEffect, NoiseEffect
+from calib.gap.problem import Problem, Trace
+from calib.gap.schema import EffectEstimate
+
+Array = NDArray[np.float64]
+
+_BINS = 1024  # of a spectrum that is made here
+
+
+def with_effects(problem: Problem, effects: Sequence[EffectEstimate]) -> tuple[Problem, tuple[str, ...]]:
+    """`problem` held against a simulator that has `effects`, and those that could not be replayed.
+
+    Mean effects move the ideal reading, noise effects raise the noise that is expected. What is left in its residuals
+    is what such a simulator still lacks.
+    """
+    lost: dict[str, None] = {}
+    traces = []
+    for trace in problem.traces:
+        changed = trace
+        for effect, sign in _acting(trace, effects):
+            described = by_id().get(effect.id)
+            if isinstance(described, MeanEffect) and not described.shared:
+                added = sign * forward(described, effect, trace)
+                # what never was measured keeps reading as the ideal one does
+                measured = np.where(trace.observed[:, None], changed.measured, changed.measured + added)
+                changed = dataclasses.replace(changed, ideal=changed.ideal + added, measured=measured)
+            elif isinstance(described, NoiseEffect):
+                changed = _louder(changed, described, effect)
+            else:
+                lost[effect.id] = None
+        traces.append(changed)
+    return dataclasses.replace(problem, traces=tuple(traces)), tuple(lost)
+
+
+def forward(described: MeanEffect, found: EffectEstimate, trace: Trace) -> Array:
+    """What an effect with its parameters adds to the ideal reading of `trace` (N, 3)."""
+    theta, amplitudes = _split(described, found)
+    if described.exact is not None:
+        return described.exact(trace, amplitudes)
+    columns = described.columns(trace, theta)
+    weights = np.ones(1) if described.fixed else amplitudes
+    return np.asarray(np.tensordot(weights, columns, axes=1), dtype=np.float64)
+
+
+def _split(described: Effect, found: EffectEstimate) -> tuple[float, Array]:
+    """The shape (NaN where there is none) and the amplitudes, in the catalogue's order."""
+    values: Mapping[str, float] = {p.name: p.value for p in found.params}
+    amplitudes = np.array([values.get(p.name, 0.0) for p in described.parameters], dtype=np.float64)
+    return (math.nan if described.shape is None else values[described.shape.parameter.name]), amplitudes
+
+
+def _acting(trace: Trace, effects: Iterable[EffectEstimate]) -> Iterable[tuple[EffectEstimate, float]]:
+    """Effects on the trace's sensor, and minus one for those on the instance that it is held against."""
+    for effect in effects:
+        if effect.sensor is not trace.sensor and not by_id()[effect.id].shared:
+            continue
+        if trace.instances[0] + 1 in effect.instances:
+            yield effect, 1.0
+        if trace.against is not None and trace.against + 1 in effect.instances:
+            yield effect, -1.0
+
+
+def _louder(trace: Trace, described: NoiseEffect, found: EffectEstimate) -> Trace:
+    """`trace` with the effect's power in the noise that is declared; where none is, it is learned anyway."""
+    theta, values = _split(described, found)
+    squared = np.array([v**2 if p.squared else v for v, p in zip(values, described.parameters, strict=True)])
+    hz = np.linspace(0.0, 0.5 * trace.fs, _BINS) if trace.psd_hz is None else trace.psd_hz
+    omega = 2.0 * np.pi * np.asarray(hz) / trace.fs
+    density = described.density(trace, omega, theta)
+    power = np.einsum("pk,pc->kc", density, squared.reshape(len(density), 3))
+    if trace.psd is None:
+        if trace.sigma is None:
+            return trace
+        base = np.broadcast_to(trace.sigma**2, (len(hz), 3))
+    else:
+        base = trace.psd
+    own = None if trace.own_psd is None else trace.own_psd + power
+    return dataclasses.replace(trace, psd=base + power, psd_hz=np.asarray(hz), own_psd=own)

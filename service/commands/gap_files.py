@@ -1,0 +1,132 @@
+"""The files of a gap diagnosis: each read with the options that apply to it; what is written beside the answer."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from service.commands.reading import readable_file
+
+if TYPE_CHECKING:
+    from calib.gap.schema import GapReport
+    from calib.recording import Recording
+
+
+@dataclass(frozen=True)
+class Files:
+    """The recordings by role, and the digests of the first two."""
+
+    real: Recording
+    sim: Recording | None
+    nominal: tuple[Recording, ...]
+    again: Recording | None
+    hashes: Mapping[str, str]
+
+
+def read_files(
+    real: str, sim: str | None, nominal: Sequence[str], again: str | None, reading: Mapping[str, Any]
+) -> Files:
+    """Read every file; the reading options are of `real`, and of the others as far as they are tables."""
+    from calib import logs
+
+    mapping = reading["sim_mapping"]
+    own = {k: v for k, v in reading.items() if k != "sim_mapping"}
+
+    def other(name: str, mapped: Mapping[str, str]) -> Recording:
+        file = readable_file(name)
+        if not logs.is_table(file):  # a log states its own columns, rates and units
+            return logs.read(file)
+        return logs.read(file, **{**own, "mapping": dict(mapped or own["mapping"])})
+
+    first = readable_file(real)
+    hashes = {"real": _sha256(first)} | ({} if sim is None else {"sim": _sha256(readable_file(sim))})
+    return Files(
+        logs.read(first, **own),
+        None if sim is None else other(sim, mapping),
+        tuple(other(name, {}) for name in nominal),
+        None if again is None else other(again, mapping),
+        hashes,
+    )
+
+
+def _sha256(file: Path) -> str:
+    with file.open("rb") as opened:
+        return hashlib.file_digest(opened, "sha256").hexdigest()
+
+
+def write_page(report: GapReport, title: str, out: Path) -> None:
+    """The report as a page."""
+    from calib.gap_report import gap_to_html
+
+    write(out, gap_to_html(report, title=title))
+
+
+def check_exports(outs: Sequence[Path], target: str | None) -> None:
+    """Refuse names that no export can have, before anything is computed.
+
+    Raises
+    ------
+    click.BadParameter
+        If an ending does not say whom the file is for, or does not fit whom it is for.
+    """
+    from calib.errors import InvalidInputError
+    from calib.firmware.export import ParameterFormat
+    from calib.gap.export import Target, target_of
+
+    for out in outs:
+        try:
+            wanted = target_of(out.name) if target is None else Target(target)
+        except InvalidInputError as error:
+            raise click.BadParameter(str(error)) from error
+        forms = [f".{form}" for form in ParameterFormat]
+        if wanted is Target.VEHICLE and out.suffix not in forms:
+            raise click.BadParameter(f"{out.name}: a vehicle's file ends in {', '.join(forms)}")
+
+
+def write_exports(
+    report: GapReport, files: Files, outs: Sequence[Path], target: str | None, instance: int
+) -> list[dict[str, Any]]:
+    """Write the remedy; for each file its name, whom it is for, and what it cannot hold."""
+    from calib.errors import CalibError
+    from calib.firmware.export import ParameterFormat
+    from calib.gap import simulator_of
+    from calib.gap.export import Target, exported, target_of
+
+    written: list[dict[str, Any]] = []
+    for out in outs:
+        wanted = target_of(out.name) if target is None else Target(target)
+        forms = {f".{form}": form for form in ParameterFormat}
+        try:
+            made = exported(
+                report,
+                files.real,
+                wanted,
+                base=simulator_of(files.real, files.sim),
+                instance=instance,
+                form=forms.get(out.suffix, ParameterFormat.PARM),
+            )
+        except CalibError as error:
+            click.echo(f"{out} is not written: {error}", err=True)
+            written.append({"file": out.name, "for": wanted.value, "written": False, "reason": str(error)})
+            continue
+        write(out, made.text)
+        for text in made.not_held:
+            click.echo(f"{out} cannot hold {text}", err=True)
+        written.append(
+            {"file": out.name, "for": wanted.value, "written": True, "not_held": list(made.not_held)},
+        )
+    return written
+
+
+def write(out: Path, text: str) -> None:
+    """Write a file, or say why not."""
+    try:
+        out.write_text(text, encoding="utf-8", newline="\n")
+    except OSError as error:
+        raise click.ClickException(f"{out} cannot be written: {error.strerror}") from error
+    click.echo(f"{out}: {len(text.splitlines())} lines", err=True)
