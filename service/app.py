@@ -12,7 +12,7 @@ from fastapi.responses import FileResponse, HTMLResponse
 from fastapi.staticfiles import StaticFiles
 
 import calib
-from service.api import host, jobs, links, recordings, vehicles
+from service.api import gaps, host, jobs, links, recordings, vehicles
 from service.api.middleware import Envelope
 from service.api.problems import install_problem_handlers
 from service.api.security import Guard, check_exposure
@@ -50,7 +50,7 @@ def create_app(settings: Settings) -> FastAPI:
     app.state.guard = Guard(settings)
     install_problem_handlers(app)
     app.add_middleware(Envelope, settings=settings, guard=app.state.guard)
-    for module in (links, vehicles, jobs, recordings):
+    for module in (links, vehicles, jobs, recordings, gaps):
         app.include_router(module.router, prefix="/api/v1")
     app.include_router(host.router)
     _add_panel(app)

@@ -15,6 +15,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from prometheus_client.registry import Collector
 
 from service.errors import ServiceError
+from service.gaps import Gaps
 from service.jobs.engine import JobEngine
 from service.jobs.fleet import Fleet
 from service.links import Links
@@ -38,6 +39,7 @@ class Service:
     vehicles: VehicleRegistry
     jobs: JobEngine
     recordings: Recordings
+    gaps: Gaps
 
     def obstacle(self) -> str | None:
         """Why no job could be run now; None: nothing stands in the way."""
@@ -72,11 +74,13 @@ async def running_service(settings: Settings) -> AsyncIterator[Service]:
     recordings = Recordings(
         store, settings.data_dir / "recordings", limit_bytes=settings.limits.upload_bytes, executor=executor
     )
+    gaps = Gaps(recordings, settings.data_dir / "gaps", limit_s=settings.limits.gap_s)
     try:
         await jobs.start()
         await _open_links(links, settings, store)
-        yield Service(settings, store, links, vehicles, jobs, recordings)
+        yield Service(settings, store, links, vehicles, jobs, recordings, gaps)
     finally:
+        await gaps.stop()
         await jobs.stop()
         await links.close_all()
         vehicles.close()

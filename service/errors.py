@@ -46,6 +46,10 @@
     +-- UploadError               422
     |   +-- UploadTooLarge        413
     +-- RecordingUnknown          404
+    +-- GapError                  409
+        +-- GapUnknown            404
+        +-- GapUnfinished         409
+        +-- GapsBusy              429
 
 The docstring of a class is its default message; ``status_code``, ``title`` and ``code`` are what the HTTP
 interface answers with.
@@ -414,3 +418,34 @@ class RecordingUnknown(ServiceError):
     status_code = 404
     title = "Recording unknown"
     code = "recording-unknown"
+
+
+class GapError(ServiceError):
+    """The gap diagnosis cannot do that."""
+
+    status_code = 409
+    title = "Gap diagnosis error"
+    code = "gap-error"
+
+
+class GapUnknown(GapError):
+    """No such gap diagnosis. GET /api/v1/gaps lists them."""
+
+    status_code = 404
+    title = "Gap diagnosis unknown"
+    code = "gap-unknown"
+
+
+class GapUnfinished(GapError):
+    """The gap diagnosis has no report: it is not done, or it failed."""
+
+    title = "No report"
+    code = "gap-unfinished"
+
+
+class GapsBusy(GapError):
+    """Too many gap diagnoses are waiting; try again when one has ended."""
+
+    status_code = 429
+    title = "Too many diagnoses"
+    code = "gaps-busy"

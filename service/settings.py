@@ -73,6 +73,7 @@ class LimitSettings(_Part):
     """What one client may cost."""
 
     upload_bytes: int = Field(default=2 * 1024**3, gt=0, description="largest recording that may be uploaded")
+    gap_s: float = Field(default=1800.0, gt=0.0, description="longest time that a gap diagnosis may take, s")
 
 
 def _absolute(path: Path) -> Path:

@@ -8,6 +8,8 @@ from typing import Any
 from calib.procedures.spec import ProcedureSpec
 from calib.report import fit_to_json, plain, plan_to_json, step_to_json, verification_to_json
 from service.api.models import (
+    GapModel,
+    GapSummary,
     JobModel,
     JobSummary,
     LinkModel,
@@ -16,6 +18,7 @@ from service.api.models import (
     RecordingModel,
     VehicleModel,
 )
+from service.gaps import GapRow
 from service.jobs.codec import outcome_to_json
 from service.jobs.model import Job
 from service.link import Link
@@ -118,6 +121,22 @@ def recording_model(row: RecordingRow) -> RecordingModel:
         uploaded_at=row.at,
         inspection=plain(row.body["inspection"]),
     )
+
+
+def gap_summary(row: GapRow) -> GapSummary:
+    """A gap diagnosis without its report."""
+    return GapSummary(**_gap(row))
+
+
+def gap_model(row: GapRow, report: Json | None) -> GapModel:
+    """A gap diagnosis with its report."""
+    done = report is not None
+    return GapModel(**_gap(row), report=report, page=f"api/v1/gaps/{row.id}/report.html" if done else None)
+
+
+def _gap(row: GapRow) -> Json:
+    fields = dataclasses.asdict(row)
+    return {**fields, "nominal": list(row.nominal), "state": row.state.value, "href": f"api/v1/gaps/{row.id}"}
 
 
 def _summary(job: Job) -> Json:
