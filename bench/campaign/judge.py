@@ -103,9 +103,9 @@ def _beside(e: Evidence, planned: Iterable[str]) -> list[str]:
 
 
 def doubt_complaints(e: Evidence) -> tuple[str, ...]:
-    """What is wrong with the list of a job in doubt: certain values are the vehicle's, the others old or new.
+    """What is wrong with the list of a job in doubt: certain values are the vehicle's, the others old, new or as heard.
 
-    A PX4 that calibrates its gyros by itself again may have changed them since, if the list says so.
+    A PX4 that calibrates its gyros by itself may have changed what is not certain since.
     """
     complaints = []
     by_itself = e.now.stored.get("IMU_GYRO_CAL_EN") == 1
@@ -116,8 +116,9 @@ def doubt_complaints(e: Evidence) -> tuple[str, ...]:
             continue
         if s["certain"] and not equal(held, s["value"]):
             complaints.append(f"in doubt, but {name} is certainly {s['value']:.9g}, and the vehicle holds {held:.9g}")
-        moves = by_itself and name.startswith("CAL_GYRO") and "may change it" in s["note"]
-        if not (s["certain"] or moves or equal(held, s["old"]) or equal(held, s["new"])):
+        moves = by_itself and name.startswith("CAL_GYRO")
+        heard = s["value"] is not None and equal(held, s["value"])
+        if not (s["certain"] or moves or heard or equal(held, s["old"]) or equal(held, s["new"])):
             complaints.append(f"in doubt: {name} is neither old nor new, the vehicle holds {held:.9g}")
     complaints += [c for c in _beside(e, listed) if c]
     return tuple(complaints)
