@@ -23,8 +23,8 @@ Every run is judged by the simulator alone, never by the service's word:
 * **as before**: every parameter is stored as it was before the accept. What a third party wrote stays, and is named by
   the job where it lies on a parameter of the plan.
 * **in doubt, list true**: every value that the job calls certain is stored, every other one is the old, the new or the
-  one heard, nothing outside the list changed, and the vehicle takes no new job. Where an operator then disarms the vehicle
-  or mends the link, the job has to come out of its doubt by itself.
+  one heard, nothing outside the list changed, and the vehicle takes no new job. Where an operator then disarms the
+  vehicle or mends the link, the job has to come out of its doubt by itself.
 * **FAILURE**: anything else, jobs that never end and PARAM_SETs to an armed vehicle among them.
 
 A fault on the wire counts as a strike if it was switched on with a PARAM_SET, or later, and hit at least one frame. The
