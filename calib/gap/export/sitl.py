@@ -74,12 +74,20 @@ class SitlPatch:
 
 
 def with_patches(report: GapReport, base: Mapping[str, float] | None = None) -> GapReport:
-    """`report` whose effects carry the simulator's parameters, each as if it were the only one.
+    """`report` whose effects carry the simulator's parameters: each its part of :func:`patch`, so that they add up.
 
+    The constant that a drift leaves at the middle of the simulator's range belongs to the bias where there is one.
     `base` are the ``SIM_*`` of the simulator; None: a fresh one's.
     """
-    effects = tuple(replace(e, sim_patch=dict(patch_of((e,), report, base).values)) for e in report.effects)
-    return replace(report, effects=effects)
+    whole = patch(report, base).values
+    biased = {(e.sensor, n) for e in report.effects if kind_of(e) == "bias" for n in e.instances}
+    effects = []
+    for effect in report.effects:
+        names = list(patch_of((effect,), report, base).values)
+        if kind_of(effect) in {"temp_linear", "temp_poly"} and biased >= {(effect.sensor, n) for n in effect.instances}:
+            names = [name for name in names if "_BIAS" not in name]
+        effects.append(replace(effect, sim_patch={name: whole[name] for name in names if name in whole}))
+    return replace(report, effects=tuple(effects))
 
 
 def patch(report: GapReport, base: Mapping[str, float] | None = None) -> SitlPatch:

@@ -83,7 +83,7 @@ def _fit(
         return corrected_model(force, mounting, changed, (sensor, number), t_ref, seen or (t_ref, t_ref))
 
     found = model(effects)
-    covariance, held = _covariance(effects, model)
+    covariance = _covariance(effects, model)
     return FitResult(
         method="gap",
         sensor=sensor,
@@ -97,7 +97,6 @@ def _fit(
         n_used=_samples(report, sensor, number),
         residual_rms=_residual(report, sensor, number),
         condition_number=1.0,
-        warnings=tuple(f"{name} is kept: its error is not known" for name in held),
         temperature=None if found.polynomial is None else t_ref,
     )
 
@@ -137,24 +136,29 @@ def _reference(effects: Sequence[EffectEstimate], force: TriadModel) -> float:
     return next((value(e, "t_ref") for e in effects if kind_of(e).startswith("temp_")), 35.0)
 
 
-def _covariance(
-    effects: Sequence[EffectEstimate], model: Callable[[Sequence[EffectEstimate]], TriadModel]
-) -> tuple[Array, list[str]]:
-    """Of the model's values: the effects' standard errors through central differences; and whose are not finite."""
-    base = _flat(model(effects))
-    covariance = np.zeros((len(base), len(base)))
-    held = []
+def _covariance(effects: Sequence[EffectEstimate], model: Callable[[Sequence[EffectEstimate]], TriadModel]) -> Array:
+    """Of the model's values: the effects' standard errors through central differences.
+
+    Raises
+    ------
+    FirmwareError
+        If an error is not known: an offset that the data cannot tell from the temperature at which a drift vanishes.
+    """
+    size = len(_flat(model(effects)))
+    covariance = np.zeros((size, size))
     for i, effect in enumerate(effects):
         for j, parameter in enumerate(effect.params):
             if not np.isfinite(parameter.se):
-                held.append(f"{effect.id} {parameter.name}")
-                continue
+                raise FirmwareError(
+                    f"{named(effect)}: {parameter.name} has no finite error here, so it is not written to a vehicle; "
+                    "calibrate with `mavcal fit` on a recording made for it"
+                )
             if parameter.se <= 0.0:
                 continue
             up, down = (_flat(model(_moved(effects, i, j, s * _STEP * parameter.se))) for s in (1.0, -1.0))
             slope = (up - down) / (2.0 * _STEP)
             covariance += np.outer(slope, slope)
-    return covariance, held
+    return covariance
 
 
 def _moved(effects: Sequence[EffectEstimate], i: int, j: int, step: float) -> list[EffectEstimate]:
