@@ -16,7 +16,7 @@ from calib.gap_report.series_plots import (
 )
 from calib.gap_report.style import STYLE
 from calib.gap_report.table_plots import power_table, rivals_table, waterfall, where_map
-from calib.gap_report.words import closed_sentence, effect_phrase, number, regime, verdict_sentence
+from calib.gap_report.words import closed_sentence, effect_phrase, interval, number, quantity, regime, verdict_sentence
 
 _MOST_SHAPES = 12
 _MOST_SERIES = 9
@@ -107,10 +107,9 @@ def _effect_rows(effect: EffectEstimate) -> str:
     rows = []
     for i, p in enumerate(effect.params):
         first = f'<td rowspan="{count}">{about}</td>' if i == 0 else ""
-        interval = f"{number(p.ci95[0])} to {number(p.ci95[1])}"
         rows.append(
-            f"<tr>{first}<td>{escape(p.name)}</td><td class='number'>{number(p.value)} {escape(p.unit)}</td>"
-            f"<td class='number'>{interval}</td></tr>"
+            f"<tr>{first}<td>{escape(p.name)}</td><td class='number'>{escape(quantity(p.value, p.unit))}</td>"
+            f"<td class='number'>{interval(*p.ci95)}</td></tr>"
         )
     return "".join(rows) or f"<tr><td>{about}</td><td></td><td></td><td></td></tr>"
 

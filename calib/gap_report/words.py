@@ -36,6 +36,7 @@ _KINDS = {
     "earth_field": "another field of the Earth than assumed",
     "field_gradient": "a field that changes with the place",
 }
+_ENDLESS = 1e300
 _SENSORS = {"accel": "accelerometer", "gyro": "gyroscope", "mag": "magnetometer"}
 _VERDICTS = {
     Verdict.EXPLAINED: "The real sensors differ from the simulated ones, and known effects explain the difference.",
@@ -76,7 +77,7 @@ def number(value: float | None) -> str:
     """Four digits; what is not known or not finite in words."""
     if value is None or value != value:
         return "not known"
-    return f"{value:.4g}" if abs(value) < 1e300 else "unbounded"
+    return f"{value:.4g}" if abs(value) < _ENDLESS else "unbounded"
 
 
 def closed_sentence(shrink: Shrink | None) -> str:
@@ -99,6 +100,21 @@ def regime(found: Finding) -> str:
     """When it is: ``temperature 20..24 degC``."""
     if found.regime.kind == "all":
         return "whole recording"
-    low, high = found.regime.bin
-    unit = "" if found.regime.unit in {"", "1"} else f" {found.regime.unit}"
-    return f"{found.regime.kind} {low:.3g}..{high:.3g}{unit}"
+    low, high = (0.0 if abs(edge) < 1e-9 else edge for edge in found.regime.bin)
+    return f"{found.regime.kind} {low:.3g}..{high:.3g}{_unit(found.regime.unit)}"
+
+
+def quantity(value: float | None, unit: str) -> str:
+    """A number with its unit, where it has one."""
+    return f"{number(value)}{_unit(unit)}"
+
+
+def interval(low: float, high: float) -> str:
+    """``0.1 to 0.3``; in words where a parameter has no bounds of its own."""
+    if not (abs(low) < _ENDLESS and abs(high) < _ENDLESS):
+        return "not determined by itself"
+    return f"{number(low)} to {number(high)}"
+
+
+def _unit(unit: str) -> str:
+    return "" if unit in {"", "1"} else f" {unit}"

@@ -142,11 +142,11 @@ def _show(report: GapReport, verified: Verified | None) -> None:
 
 
 def _show_effect(effect: Any) -> None:
-    from calib.gap_report.words import effect_phrase, number
+    from calib.gap_report.words import effect_phrase, number, quantity
 
     click.echo(f"{effect_phrase(effect)}, probability {number(effect.evidence.probability)}")
     for parameter in effect.params:
-        click.echo(f"  {parameter.name:16} {number(parameter.value)} +- {number(parameter.se)} {parameter.unit}")
+        click.echo(f"  {parameter.name:16} {number(parameter.value)} +- {quantity(parameter.se, parameter.unit)}")
     for rival in effect.confusable_with:
         click.echo(f"  could be {rival.id}; told apart by: {rival.fix}")
 

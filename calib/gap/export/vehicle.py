@@ -2,6 +2,7 @@
 
 The correction in force is ``truth = L (raw - o - p(T))`` and the diagnosis says ``R (raw - o - p) = A R L^-1 truth + b
 + dp(T)``, R the mounting. Hence ``truth = L R^T A^-1 R (raw - o - R^T b - p - R^T dp)``: a new model of the same form.
+A fit of a raw recording leaves the mounting to the firmware, so ``R^T`` stands before it all.
 """
 
 from __future__ import annotations
@@ -109,15 +110,15 @@ def corrected_model(
     t_ref: float,
     seen: tuple[float, float],
 ) -> TriadModel:
-    """The correction that takes `effects` away, on top of `force`.
+    """The correction that takes `effects` away on top of `force`, from the raw sensor to its own axes.
 
     Drifts are stated about `t_ref` (degC), and hold from the first to the second temperature of `seen`.
     """
     errors = sensors_with(effects, t_ref=t_ref).errors[key]
-    inner = mounting.T @ np.linalg.inv(errors.matrix) @ mounting
+    matrix = mounting.T @ force.matrix @ mounting.T @ np.linalg.inv(errors.matrix) @ mounting
     offset = force.offset + mounting.T @ errors.bias
     if force.polynomial is None and not errors.temperature.any():
-        return TriadModel(offset, force.matrix @ inner, None)
+        return TriadModel(offset, matrix, None)
     added = mounting.T @ errors.temperature
     curve = np.zeros((3, 3))
     low, high = seen
@@ -126,7 +127,7 @@ def corrected_model(
         curve[:, : before.coefficients.shape[1]] = before.coefficients
         low, high = before.t_min, before.t_max
     curve[:, : added.shape[1]] += added
-    return TriadModel(offset, force.matrix @ inner, ThermalPolynomial(t_ref, low, high, curve))
+    return TriadModel(offset, matrix, ThermalPolynomial(t_ref, low, high, curve))
 
 
 def _reference(effects: Sequence[EffectEstimate], force: TriadModel) -> float:

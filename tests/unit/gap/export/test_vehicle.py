@@ -1,0 +1,114 @@
+"""Effects that are calibrations: with the plan written, the firmware corrects them away."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from calib.errors import FirmwareError
+from calib.firmware import ardupilot
+from calib.firmware.export import ParameterFormat, read_parameters
+from calib.firmware.names import ardupilot_compass_names, ardupilot_imu_names
+from calib.gap.export import Target, exported
+from calib.gap.export.vehicle import vehicle_plan
+from calib.gap.schema import EffectEstimate
+from calib.recording import Identity, ParameterEntry, ParameterTimeline, Recording, Sensor
+
+from .making import effect, report
+
+INTEGERS = {"id", "use", "priority", "external", "rotation", "motor_type", "thermal_id", "thermal_enable"}
+
+
+def parameters(**changed: float) -> dict[str, float | int]:
+    """One calibrated inertial unit and compass of an ArduPilot."""
+    values: dict[str, float | int] = {"AHRS_ORIENTATION": 0, "INS_GYR_CAL": 1, "COMPASS_LEARN": 0}
+    values |= {"AHRS_TRIM_X": 0.0, "AHRS_TRIM_Y": 0.0, "COMPASS_OFFS_MAX": 1800.0}
+    for names in (*(ardupilot_imu_names(s, 0) for s in (Sensor.ACCEL, Sensor.GYRO)), ardupilot_compass_names(0, 0)):
+        for role, name in names.items():
+            if "TCAL" in name and not name.endswith("ENABLE"):
+                continue
+            values[name] = 0 if role in INTEGERS else (1.0 if role.startswith("scale_") else 0.0)
+    values |= {"INS_ACC_ID": 2753028, "INS_GYR_ID": 2753029, "INS_USE": 1}
+    values |= {"COMPASS_DEV_ID": 97539, "COMPASS_PRIO1_ID": 97539, "COMPASS_USE": 1, "COMPASS_EXTERNAL": 1}
+    values |= {"INS_ACCOFFS_X": 0.1, "INS_ACCSCAL_Y": 1.01, "INS_GYROFFS_Z": 0.002}
+    values |= {"COMPASS_OFS_X": 5.0, "COMPASS_OFS_Y": 13.0, "COMPASS_OFS_Z": -18.0}
+    return {**values, **changed}
+
+
+def flown(values: dict[str, float | int]) -> Recording:
+    entries = tuple(ParameterEntry(0.0, name, value) for name, value in values.items())
+    identity = Identity("ardupilot", 2, (4, 7, 0), "0123")
+    return Recording((), parameters=ParameterTimeline(entries, end_observed=True), identity=identity)
+
+
+CASES = {
+    "accelerometer": (
+        Sensor.ACCEL,
+        (effect("accel_bias", bias=(0.3, -0.2, 0.15)), effect("accel_scale", scale=(0.02, -0.01, 0.015))),
+    ),
+    "gyroscope": (Sensor.GYRO, (effect("gyro_bias", bias=(0.01, -0.015, 0.008)),)),
+    "compass": (
+        Sensor.MAG,
+        (
+            effect("mag_hard_iron", hard_iron=(-6.0, 4.0, -3.0)),
+            effect("mag_soft_iron", soft_iron={"xx": 0.05, "yy": -0.03, "zz": -0.02, "xy": 0.03, "yz": -0.01}),
+        ),
+    ),
+}
+
+
+def affected(sensor: Sensor, effects: tuple[EffectEstimate, ...], values: dict[str, float | int]) -> tuple[object, ...]:
+    """Truth in body axes, and the raw reading of a sensor with the effects, as the diagnosis states them."""
+    from calib.gap.export.state import sensors_with
+
+    truth = {Sensor.ACCEL: 9.0, Sensor.GYRO: 2.0, Sensor.MAG: 40.0}[sensor] * np.random.default_rng(3).normal(
+        size=(50, 3)
+    )
+    force = ardupilot.calibration_in_force(values, sensor, 0)
+    turn = ardupilot.mounting(values, sensor, 0)
+    ideal = truth @ (turn @ np.linalg.inv(force.matrix)).T  # at the sensor's scale, in body axes
+    errors = sensors_with(effects).errors[sensor, 1]
+    seen = ideal @ errors.matrix.T + errors.bias
+    return truth, seen @ turn + force.offset
+
+
+@pytest.mark.parametrize("orientation", [0, 2])
+@pytest.mark.parametrize("name", CASES)
+def test_with_the_plan_in_force_the_effects_are_gone(name: str, orientation: int) -> None:
+    sensor, effects = CASES[name]
+    values = parameters(AHRS_ORIENTATION=orientation)
+    truth, raw = affected(sensor, effects, values)
+    before = ardupilot.calibration_in_force(values, sensor, 0).apply(raw)
+    plan, left = vehicle_plan(report(*effects), flown(values))
+    assert plan.blockers == ()
+    assert left == ()
+    after = ardupilot.calibration_in_force(values | {c.name: c.new for c in plan.changes}, sensor, 0).apply(raw)
+    ratio = np.sum(after * truth) / np.sum(truth * truth) if sensor is Sensor.MAG else 1.0  # a field's length is free
+    assert np.abs(before - truth).max() > 100.0 * np.abs(after - ratio * truth).max()
+    np.testing.assert_allclose(after, ratio * truth, atol=2e-3 * np.abs(truth).max())
+    assert ratio == pytest.approx(1.0, abs=0.05)
+
+
+def test_the_file_is_that_of_a_job_and_names_what_no_calibration_takes_away() -> None:
+    found = report(effect("accel_bias", bias=(0.3, 0, 0)), effect("accel_vibration", amplitude=(4, 4, 4)))
+    made = exported(found, flown(parameters()), Target.VEHICLE, form=ParameterFormat.PARAM)
+    values = read_parameters(made.text, ParameterFormat.PARAM)
+    assert values["INS_ACCOFFS_X"] == pytest.approx(0.4)
+    assert "# plan" in made.text
+    assert [text.split(":")[0] for text in made.not_held] == ["accel_vibration of instance 1"]
+
+
+def test_an_offset_without_an_error_of_its_own_is_not_written() -> None:
+    bias = effect("accel_bias", bias=(0.3, 0, 0))
+    loose = dataclasses.replace(bias.params[0], se=np.inf)
+    with pytest.raises(FirmwareError, match=r"bias\.x has no finite error"):
+        vehicle_plan(report(dataclasses.replace(bias, params=(loose, *bias.params[1:]))), flown(parameters()))
+
+
+def test_a_vehicle_that_nobody_knows_gets_nothing() -> None:
+    with pytest.raises(FirmwareError, match="parameters"):
+        vehicle_plan(report(effect("accel_bias", bias=(1, 0, 0))), Recording(()))
+    with pytest.raises(FirmwareError, match="no effect of the report is a calibration"):
+        vehicle_plan(report(effect("accel_delay", delay_s=0.01)), flown(parameters()))
