@@ -161,9 +161,11 @@ def _where(report: GapReport) -> str:
 
 def _shapes(report: GapReport) -> str:
     pictures = []
-    for effect in report.effects[:_MOST_SHAPES]:
-        series = of_effect(report.series, effect)
-        pictures.append("" if series is None else shape_plot(series, effect))
+    shown = [effect.id for effect in report.effects]
+    shown += [name for series in report.series for name in series.parts]  # shapes that are not of the catalogue too
+    for name in list(dict.fromkeys(shown))[:_MOST_SHAPES]:
+        series = of_effect(report.series, name)
+        pictures.append("" if series is None else shape_plot(series, name))
     return _section(
         "What the effects look like",
         "What the real sensor read beyond the ideal one, over what the effect follows: dots with intervals before the "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,12 +34,12 @@ def axis_of(series: SeriesFit, effect_id: str | None = None) -> int:
     return int(np.argmax(size / np.maximum(series.sigma, 1e-30) ** 2))
 
 
-def shape_plot(series: SeriesFit, effect: EffectEstimate) -> str:
-    """The residual that one effect explains, over what it follows, before and after."""
-    part = series.parts.get(effect.id)
+def shape_plot(series: SeriesFit, effect_id: str) -> str:
+    """The residual that one effect explains, or a shape that none does, over what it follows, before and after."""
+    part = series.parts.get(effect_id)
     if part is None or len(series.t) < _LEAST or not part.any():
         return ""
-    axis = axis_of(series, effect.id)
+    axis = axis_of(series, effect_id)
     label, x = _follows(series, part[:, axis])
     before = series.residual[:, axis] - (series.modelled - part)[:, axis]
     after = before - part[:, axis]
@@ -47,7 +47,7 @@ def shape_plot(series: SeriesFit, effect: EffectEstimate) -> str:
     _, left, half_left = _binned(x, after)
     _, curve, _ = _binned(x, part[:, axis])
     chart = Chart(
-        f"{effect.id}: {name_of(series)}, {AXES[axis]} axis",
+        f"{effect_id}: {name_of(series)}, {AXES[axis]} axis",
         label,
         f"real less ideal, {series.unit}",
         limits_of(middle),
@@ -272,11 +272,10 @@ def _rate(series: SeriesFit) -> float:
     return 1.0 / max(float(np.median(np.diff(series.t))), 1e-9)
 
 
-def of_effect(series: Sequence[SeriesFit], effect: EffectEstimate) -> SeriesFit | None:
+def of_effect(series: Sequence[SeriesFit], effect_id: str) -> SeriesFit | None:
     """The series on which an effect shows most; None where it has no part in any mean."""
-    having = [s for s in series if effect.id in s.parts and s.sensor is effect.sensor]
-    sized: Mapping[int, float] = {i: _size(s, effect.id) for i, s in enumerate(having)}
-    return having[max(sized, key=lambda i: sized[i])] if having else None
+    having = [s for s in series if effect_id in s.parts]
+    return max(having, key=lambda s: _size(s, effect_id)) if having else None
 
 
 def _size(series: SeriesFit, effect_id: str) -> float:
