@@ -133,11 +133,14 @@ def _alternatives(chosen: Chosen, contest: Contest, term: Term | NoiseTerm) -> t
         own_delta = own_gain - price_of(term.hypothesis, df + term.effect.hidden, grid, model)
     taken = {t.hypothesis.key for t in model.members}
     found = []
-    for rival in contest.hypotheses:
-        if rival.key in taken or rival.again or not _meets(rival, term.hypothesis, model):
-            continue
-        noisy = isinstance(rival.effect, NoiseEffect)
-        score = noise_score(rival, bare) if noisy else contest.score(rival, beside)
+    rivals = [
+        rival
+        for rival in contest.hypotheses
+        if not (rival.key in taken or rival.again) and _meets(rival, term.hypothesis, model)
+    ]
+    scores = [noise_score(rival, bare) for rival in rivals if isinstance(rival.effect, NoiseEffect)]
+    scores += contest.scores([rival for rival in rivals if not isinstance(rival.effect, NoiseEffect)], beside)
+    for score in scores:
         kappa = _imitated(beside, own_columns, term, score, energy, own_gain)
         found.append(Alternative(score, kappa))
     return found, own_delta

@@ -10,17 +10,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import idct
 from scipy.optimize import minimize_scalar
 from scipy.special import chdtrc
 from scipy.stats import binom
 
+from calib.gap.bands import joined
 from calib.gap.effects.base import MeanEffect, NoiseEffect
 from calib.gap.hypotheses import Columns, Hypothesis, columns_of
-from calib.gap.likelihood import transform
 from calib.gap.model import (
     Model,
     Normal,
@@ -46,6 +46,8 @@ _WORTH = 8.0
 """Gain of the best value on the grid from which on the shape is refined between its neighbours."""
 _CURVED = 300.0
 """Gain from which on an effect that is not linear in its amplitudes is fitted as it is."""
+_REFINED = 8
+"""Hypotheses a round whose shape is sought between the values of its grid."""
 _FOLLOWS = 6.0
 """Gain on an axis from which on it is asked whether the noise follows its envelope."""
 _SIDES = 2
@@ -162,6 +164,14 @@ def existing(gram: Array, energy: Array) -> Array:
     return np.asarray(inverse[:, None] * vectors[:, good] / np.sqrt(values[good]))
 
 
+def refinable(score: Score) -> bool:
+    """Whether another fit of its shape, or without linearisation, could gain more."""
+    effect = score.hypothesis.effect
+    return isinstance(effect, MeanEffect) and (
+        (effect.shape is not None and score.gain > _WORTH) or (effect.exact is not None and score.gain > _CURVED)
+    )
+
+
 class Contest:
     """Scores of hypotheses against models of one setting; transformed columns are kept while they fit in memory."""
 
@@ -182,31 +192,45 @@ class Contest:
             self._left -= size
         return made
 
-    def score(self, hypothesis: Hypothesis, beside: Beside) -> Score:
-        """What `hypothesis` would gain, at its best shape."""
+    def score(self, hypothesis: Hypothesis, beside: Beside, *, refine: bool = True) -> Score:
+        """What `hypothesis` would gain, at its best shape; without `refine` only of those on its grid."""
         if isinstance(hypothesis.effect, NoiseEffect):
             return noise_score(hypothesis, beside.model)
-        return self._mean_score(hypothesis, beside)
+        return self._mean_score(hypothesis, beside, refine=refine)
 
-    def _mean_score(self, hypothesis: Hypothesis, beside: Beside) -> Score:
+    def scores(self, hypotheses: Sequence[Hypothesis], beside: Beside) -> list[Score]:
+        """Of several: all on their grids, then the best at their best shapes.
+
+        The others are worth no less than is said; a shape between two values of a grid gains little more than a
+        neighbour's does.
+        """
+        found = [self.score(h, beside, refine=False) for h in hypotheses]
+        shaped = [i for i, s in enumerate(found) if refinable(s)]
+        for i in sorted(shaped, key=lambda i: -found[i].delta)[:_REFINED]:
+            found[i] = self.score(hypotheses[i], beside)
+        return found
+
+    def _mean_score(self, hypothesis: Hypothesis, beside: Beside, *, refine: bool) -> Score:
         effect = hypothesis.effect
         assert isinstance(effect, MeanEffect)
         if effect.shape is None:
             gain, df, beta = beside.gain(self.columns(hypothesis, math.nan, beside.model))
-            if effect.exact is not None and gain > _CURVED:
+            if refine and effect.exact is not None and gain > _CURVED:
                 gain, beta = exactly(hypothesis, beta, beside)
             return priced(hypothesis, math.nan, gain, df, 1, beta, beside.model)
         trace, view = widest(hypothesis, beside.model)
-        grid = np.asarray(effect.shape.grid(trace))
+        setting = beside.model.setting
+        own = trace if effect.shape.screen is not None else setting.views[view].whole.any_trace
+        grid = np.asarray(effect.shape.grid(own))
         tried = grid
         if effect.shape.screen is not None:
-            tried = effect.shape.screen(trace, unexplained(beside.model, view))
+            tried = effect.shape.screen(trace, unexplained(beside.model, view, trace))
         found = [self._at(hypothesis, float(theta), beside) for theta in tried]
         if not found:
             return priced(hypothesis, math.nan, 0.0, 0, 1, np.zeros(0), beside.model)
         best = max(range(len(found)), key=lambda i: found[i][0])
         theta, (gain, df, beta) = float(tried[best]), found[best]
-        if gain > _WORTH:
+        if refine and gain > _WORTH:
             theta = self._refined(hypothesis, theta, grid, beside)
             gain, df, beta = self._at(hypothesis, theta, beside)
         if effect.fixed:
@@ -267,7 +291,7 @@ def priced(hypothesis: Hypothesis, theta: float, gain: float, df: int, grid: int
 
 def samples_of(hypothesis: Hypothesis, model: Model) -> int:
     """Numbers that it could change."""
-    return max(3 * sum(view.n for view in model.setting.views if hypothesis.touches(view)), 2)
+    return max(3 * sum(view.count for view in model.setting.views if hypothesis.touches(view)), 2)
 
 
 def noise_score(hypothesis: Hypothesis, model: Model) -> Score:
@@ -279,7 +303,9 @@ def noise_score(hypothesis: Hypothesis, model: Model) -> Score:
         trace, view = widest(hypothesis, model)
         tried, screen = effect.shape.grid(trace), effect.shape.screen
         grid = len(tried)
-        thetas = [float(theta) for theta in (tried if screen is None else screen(trace, unexplained(model, view)))]
+        thetas = [
+            float(theta) for theta in (tried if screen is None else screen(trace, unexplained(model, view, trace)))
+        ]
     fits = noise_fits(model, effect.sensor)
     scores = [_noise_gain(hypothesis, theta, model, fits) for theta in thetas]
     best = max(range(len(thetas)), key=lambda i: scores[i][0])
@@ -290,9 +316,16 @@ def noise_score(hypothesis: Hypothesis, model: Model) -> Score:
     return Score(hypothesis, thetas[best], gain, df, grid, p, gain - price, values)
 
 
+@lru_cache(maxsize=6)
 def noise_fits(model: Model, sensor: Sensor) -> tuple[AxisFit, ...]:
     """The fits of the three axes of a sensor."""
     return tuple(axis_fit(model, axes_of(model.setting, sensor, c)) for c in range(3))
+
+
+@lru_cache(maxsize=32)
+def alone(fit: AxisFit) -> float:
+    """``-2 log L`` of an axis without anything new."""
+    return fit.fitted()[1]
 
 
 def _noise_gain(hypothesis: Hypothesis, theta: float, model: Model, fits: Sequence[AxisFit]) -> tuple[float, Array]:
@@ -306,14 +339,23 @@ def _noise_gain(hypothesis: Hypothesis, theta: float, model: Model, fits: Sequen
     gain, values = 0.0, []
     for fit in fits:
         rows = extra_rows(model, fit, by_view)
-        _, without, _ = fit.fitted()
+        if not fit.promising(rows):
+            values.append(np.zeros(len(rows)))
+            continue
+        without = alone(fit)
         amplitudes, level, _ = fit.fitted(rows)
         gain += max(without - level, 0.0)
         added = amplitudes[len(fit.names) :]
         values.append(added)
         if effect.variance is not None and without - level > _FOLLOWS:
-            envelope = effect.variance(widest(hypothesis, model)[0])
-            gain += sum(modulation(model, a, envelope, added @ by_view[a // 3]) for a in fit.axes if a // 3 in by_view)
+            for a in fit.axes:
+                if a // 3 in by_view:
+                    view = model.setting.views[a // 3]
+                    instance = max(
+                        (i for i in view.weights if i in hypothesis.instances), key=lambda i: view.weights[i]
+                    )
+                    envelope = effect.variance(view.traces[instance])
+                    gain += modulation(model, a, envelope, added @ by_view[a // 3])
     return gain, np.array(values).T
 
 
@@ -327,13 +369,13 @@ def modulation(model: Model, axis: int, envelope: Array, density: Array) -> floa
     power = model.noise[axis].power + density
     part = density / power
     band = part > max(0.5 * float(part.max()), 1e-3)
-    y = transform(np.ascontiguousarray(model.residual[v][:, c]))
-    series = np.asarray(idct(np.where(band, y / np.sqrt(power), 0.0), type=2, norm="ortho"))
-    width = float(band.mean())
+    view = model.setting.views[v]
+    series = view.whitened(np.where(band, view.spectra(model.residual[v])[c] / np.sqrt(power), 0.0))
+    width = float(band.sum()) / view.n
     added = float(part[band].mean()) if band.any() else 0.0
     if added == 0.0:
         return 0.0
-    expected = np.maximum((1.0 - added) + added * envelope[model.setting.views[v].keep], 1e-3)
+    expected = np.maximum((1.0 - added) + added * envelope[view.keep], 1e-3)
     expected /= expected.mean()
     squares = series**2
     squares /= max(float(squares.mean()), 1e-300)
@@ -342,20 +384,30 @@ def modulation(model: Model, axis: int, envelope: Array, density: Array) -> floa
 
 def widest(hypothesis: Hypothesis, model: Model) -> tuple[Trace, int]:
     """The trace, and the index of the series, that show most of it."""
+    effect_is_noise = isinstance(hypothesis.effect, NoiseEffect)
     best: tuple[float, Trace, int] | None = None
     for v, view in enumerate(model.setting.views):
         if not hypothesis.touches(view):
             continue
         for i, weight in view.weights.items():
             if i in hypothesis.instances and (best is None or abs(weight) > best[0]):
-                best = (abs(weight), view.traces[i], v)
+                whole = hypothesis.fast or effect_is_noise
+                best = (abs(weight), (view.whole if whole else view).traces[i], v)
     assert best is not None
     return best[1], best[2]
 
 
-def unexplained(model: Model, v: int) -> Array:
-    """The residual of a series on the whole grid of its trace, zero where it is not kept."""
-    view = model.setting.views[v]
-    full = np.zeros((len(view.keep), 3))
-    full[view.keep] = model.residual[v]
-    return full
+def unexplained(model: Model, v: int, trace: Trace) -> Array:
+    """The residual of a series on the whole grid of `trace`, zero where it is not kept; of both bands at its rate."""
+    view, left = model.setting.views[v], model.residual[v]
+    full = np.zeros((len(trace.t), 3))
+    if view.fine is None or len(trace.t) == len(view.keep):
+        full[view.keep] = left
+        return full
+    views = model.setting.views
+    upper = model.residual[v + 1] if v + 1 < len(views) and views[v + 1].first else None
+    lower, rest = np.zeros((len(view.keep), 3)), np.zeros_like(full)
+    lower[view.keep] = left
+    if upper is not None:
+        rest[view.fine.keep] = upper
+    return joined(lower, rest)

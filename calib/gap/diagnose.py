@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.gap.attribution import TEMPERATURE, Attribution, settled
+from calib.gap.bands import assembled, split
 from calib.gap.contest import Contest
 from calib.gap.effects import catalogue
 from calib.gap.effects.base import Effect, LatticeEffect, LatticeEvidence
@@ -70,7 +71,7 @@ def diagnose(
     effects = catalogue() if effects is None else effects
     lattice = lattice_of(problem, effects)
     masked = {i: found.masked for i, found in lattice.masks.items()}
-    views = views_of(problem, masked, lattice.variance)
+    views = split(views_of(problem, masked, lattice.variance))
     setting = setting_of(views)
     inputs = _inputs(problem)
     if not views:
@@ -270,12 +271,17 @@ def diagnoser_sha256() -> str:
 
 def _series(model: Model) -> tuple[SeriesFit, ...]:
     made = []
-    for v, view in enumerate(model.setting.views):
-        parts = {t.hypothesis.effect.id: predicted(t, view) for t in model.terms if t.hypothesis.touches(view)}
+    for v, band in enumerate(model.setting.views):
+        if band.first:
+            continue
+        view = band.whole
+        parts = {t.hypothesis.effect.id: predicted(t, view) for t in model.terms if t.hypothesis.touches(band)}
         modelled = np.add.reduce([np.zeros_like(view.residual), *parts.values()])
-        sigma = np.array([np.sqrt(model.noise[3 * v + c].power.mean()) for c in range(3)])
+        power = np.column_stack(
+            [assembled(model.setting.views, [n.power for n in model.noise], v, c) for c in range(3)]
+        )
+        sigma = np.sqrt(power.mean(axis=0))
         instances = tuple(i + _FIRST for i in view.weights)
-        power = np.column_stack([model.noise[3 * v + c].power for c in range(3)])
         trace, keep = view.any_trace, view.keep
         ideal = trace.ideal[keep] if len(view.weights) == 1 else None
         about = {"temperature": trace.temperature, "current": trace.current, "throttle": trace.throttle}

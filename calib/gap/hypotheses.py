@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import prev_fast_len
 
+from calib.gap.bands import resampled
 from calib.gap.effects.base import Effect, MeanEffect, NoiseEffect
 from calib.gap.likelihood import transform
 from calib.gap.problem import Trace
@@ -19,6 +20,7 @@ Array = NDArray[np.float64]
 
 _AGAIN = "'"
 _REPEATS = 4
+_FAST = ("_tone", "_step")
 """Times that an effect that can be repeated is looked for."""
 
 
@@ -46,7 +48,13 @@ class Hypothesis:
     def touches(self, view: View) -> bool:
         """Whether it would change this series."""
         own = self.effect.shared or view.sensor is self.effect.sensor
-        return own and any(i in view.weights for i in self.instances)
+        slow = isinstance(self.effect, MeanEffect) and not self.fast
+        return own and not (slow and view.first) and any(i in view.weights for i in self.instances)
+
+    @property
+    def fast(self) -> bool:
+        """Whether it changes a mean at any frequency: it is made at the sensor's own rate."""
+        return self.effect.id.endswith(_FAST)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +126,7 @@ class Frame:
 
     factor: int
     n: int
+    first: int = 0
 
     def bins(self, series: Array) -> Array:
         """Transform of `series` (..., n), decimated."""
@@ -126,7 +135,7 @@ class Frame:
             series = series[..., :whole]
         if self.factor > 1:
             series = series.reshape(*series.shape[:-1], -1, self.factor).mean(axis=-1)
-        return transform(series)
+        return transform(series)[..., self.first :]
 
     @property
     def size(self) -> int:
@@ -135,7 +144,7 @@ class Frame:
 
     def power(self, S: Array) -> Array:
         """Power of the averages, folded, from the power (n,) of the samples."""
-        m = self.size
+        m = self.size - self.first
         if self.factor == 1:
             return S if m == len(S) else np.interp(np.linspace(0.0, len(S) - 1.0, m), np.arange(len(S)), S)
         whole = m * self.factor
@@ -180,7 +189,10 @@ def summed(columns: Callable[[Trace, float], Array], hypothesis: Hypothesis, the
     whole = bool(view.keep.all())
     for instance, weight in view.weights.items():
         if instance in hypothesis.instances:
-            row = _over_trace(columns, view.traces[instance], theta)
+            if view.fine is not None and hypothesis.fast:
+                row = resampled(_over_trace(columns, view.fine.traces[instance], theta), len(view.keep))
+            else:
+                row = _over_trace(columns, view.traces[instance], theta)
             row = row if whole else np.compress(view.keep, row, axis=1)
             row = row if weight == 1.0 else weight * row
             total = row if total is None else total + row
@@ -188,7 +200,7 @@ def summed(columns: Callable[[Trace, float], Array], hypothesis: Hypothesis, the
     return total
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=8)
 def _over_trace(columns: Callable[[Trace, float], Array], trace: Trace, theta: float) -> Array:
     """Of a whole trace; kept for a moment, since blocks of it are asked for one after the other."""
     return columns(trace, theta)

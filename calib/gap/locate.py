@@ -14,10 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import idct
 from scipy.special import chdtrc, ndtr
 
-from calib.gap.likelihood import transform
 from calib.gap.model import Model
 from calib.gap.problem import Trace
 from calib.gap.schema import Finding, Regime
@@ -79,8 +77,11 @@ def _cells(model: Model, v: int, c: int) -> Iterator[_Cell]:
     view = model.setting.views[v]
     residual = model.residual[v][:, c]
     sd = np.sqrt(model.noise[3 * v + c].power)
-    y = transform(residual)
-    white = np.asarray(idct(y / sd, type=2, norm="ortho"))
+    y = view.spectra(model.residual[v])[c]
+    if view.first:
+        yield from _bands(v, c, view, y, sd)
+        return
+    white = view.whitened(y / sd)
     everything = np.ones(view.n, dtype=bool)
     yield _time_cell(v, c, Regime("all", (0.0, 1.0)), white, residual, everything)
     for kind, unit, values in _covariates(view):
@@ -99,8 +100,8 @@ def _time_cell(v: int, c: int, regime: Regime, white: Array, residual: Array, ro
 
 
 def _bands(v: int, c: int, view: View, y: Array, sd: Array) -> Iterator[_Cell]:
-    hz = 0.5 * view.fs * np.arange(view.n) / view.n
-    edges = [0.0, *np.geomspace(hz[min(8, view.n - 1)], 0.5 * view.fs, _BANDS)]
+    hz = 0.5 * view.fs * np.arange(view.first, view.n) / view.n
+    edges = [0.0, *np.geomspace(hz[min(8, view.count - 1)], 0.5 * view.fs, _BANDS)]
     for low, high in itertools.pairwise(edges):
         rows = (hz >= low) & (hz < high)
         if rows.sum() >= 4:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from calib.gap.effects.base import MeanEffect
 from calib.gap.hypotheses import Columns, Frame, Hypothesis, Part, add_block, columns_of, summed
-from calib.gap.likelihood import Bins, Noise, bins_of, transform
+from calib.gap.likelihood import Bins, Noise, bins_of
 from calib.gap.problem import Trace
 from calib.gap.views import View
 
@@ -43,13 +43,17 @@ class Setting:
     @property
     def samples(self) -> int:
         """Numbers over all axes."""
-        return 3 * sum(view.n for view in self.views)
+        return 3 * sum(view.count for view in self.views)
 
 
 def setting_of(views: tuple[View, ...]) -> Setting:
     """Frames and bins of the series."""
-    frames = tuple(Frame(max(1, view.n // _LONGEST), view.n) for view in views)
-    return Setting(views, frames, tuple(bins_of(view.n) for view in views))
+    return Setting(views, tuple(frame_of(view, _LONGEST) for view in views), tuple(bins_of(v.count) for v in views))
+
+
+def frame_of(view: View, longest: int) -> Frame:
+    """At most about `longest` averages; an upper band stays as it is."""
+    return Frame(1 if view.first else max(1, view.n // longest), view.n, view.first)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +122,7 @@ class Model:
     def periodogram(self, axis: int) -> Array:
         """Sums of squares of the full transform of the residual in merged bins."""
         v, c = divmod(axis, 3)
-        return self.setting.bins[v].total(transform(np.ascontiguousarray(self.residual[v][:, c])) ** 2)
+        return self.setting.bins[v].total(self.setting.views[v].spectra(self.residual[v])[c] ** 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,16 +173,20 @@ def starting_model(setting: Setting, noise: tuple[Noise, ...], ridge: Ridge | No
 def with_residual(model: Model) -> Model:
     """The same with its residual computed anew from its terms."""
     setting = model.setting
-    residual, y = [], []
+    residual: list[Array] = []
+    y: list[Array] = []
     for v, view in enumerate(setting.views):
-        left = view.residual.copy()
+        left = view.residual
         for term in model.terms:
             if term.hypothesis.touches(view):
-                left -= predicted(term, view)
+                left = left - predicted(term, view)
         if model.ridge is not None and any(3 * v + c in model.ridge.columns.parts for c in range(3)):
-            left -= model.ridge.predicted(view)
+            left = left - model.ridge.predicted(view)
         residual.append(left)
-        y += list(setting.frames[v].bins(np.ascontiguousarray(left.T)))
+        if model.y and left is model.residual[v]:
+            y += model.y[3 * v : 3 * v + 3]
+        else:
+            y += list(setting.frames[v].bins(np.ascontiguousarray(left.T)))
     return replace(model, residual=tuple(residual), y=tuple(y))
 
 
@@ -220,8 +228,8 @@ def limits_of(term: Term, setting: Setting) -> tuple[float, float]:
     shape = term.effect.shape
     if shape is None:
         return (-np.inf, np.inf)
-    traces = [t for view in setting.views if term.hypothesis.touches(view) for t in view.traces.values()]
-    grid = shape.grid(traces[0])
+    view = next(view for view in setting.views if term.hypothesis.touches(view))
+    grid = shape.grid(view.whole.any_trace)
     return float(grid[0]), float(grid[-1])
 
 

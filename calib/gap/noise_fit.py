@@ -9,19 +9,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.gap.effects.base import NoiseEffect
 from calib.gap.hypotheses import Hypothesis
-from calib.gap.likelihood import Noise, deviance, fit_amplitudes, flicker, frequencies, random_walk
+from calib.gap.likelihood import Noise, deviance, fit_amplitudes, flicker, random_walk
 from calib.gap.model import Model, NoiseTerm, Setting, with_noise
 from calib.gap.views import View
 from calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
+_LITTLE = 1.0
+"""Twice the log-likelihood, to second order, below which a density is not fitted."""
 _NUISANCE: dict[str, Callable[[Array], Array]] = {"white": np.ones_like, "walk": random_walk, "flicker": flicker}
 """What a noise that nobody declared is made of."""
 
@@ -30,7 +33,12 @@ def declared(view: View) -> Array | None:
     """Power (n, 3) that is declared or learned, None if neither."""
     if view.density is not None:
         return view.density
-    return None if view.variance is None else np.broadcast_to(view.variance, (view.n, 3)).copy()
+    return None if view.variance is None else np.broadcast_to(view.variance, (view.count, 3)).copy()
+
+
+def counts_again(view: View) -> bool:
+    """Whether the recording that its noise was learned from counts in its fit; once for both bands."""
+    return bool(np.isfinite(view.dof)) and declared(view) is not None and not view.first
 
 
 def starting_noise(setting: Setting) -> tuple[Noise, ...]:
@@ -41,14 +49,16 @@ def starting_noise(setting: Setting) -> tuple[Noise, ...]:
         for c in range(3):
             if base is not None:
                 scale = {f"scale{view.label}.{c}": base[:, c]} if np.isfinite(view.dof) else {}
-                kept = np.zeros(view.n) if scale else base[:, c]
+                kept = np.zeros(view.count) if scale else base[:, c]
                 noise.append(Noise(kept, scale, dict.fromkeys(scale, 1.0)))
                 continue
-            omega = frequencies(view.n)
-            level = max(float(np.diff(view.residual[:, c]).var()) / 2.0, 1e-30)
-            parts = {f"{kind}{view.label}.{c}": np.asarray(shape(omega)) for kind, shape in _NUISANCE.items()}
+            omega = view.omega
+            level = max(float(np.diff(view.residual[:, c]).var()) / (2.0 * view.gain), 1e-30)
+            parts = {
+                f"{kind}{view.label}.{c}": view.gain * np.asarray(shape(omega)) for kind, shape in _NUISANCE.items()
+            }
             start = {name: level if name.startswith("white") else 1e-9 * level for name in parts}
-            noise.append(Noise(np.zeros(view.n), parts, start))
+            noise.append(Noise(np.zeros(view.count), parts, start))
     return tuple(noise)
 
 
@@ -64,20 +74,29 @@ class AxisFit:
     densities: Array
     start: Array
 
+    def promising(self, extra: Sequence[Array]) -> bool:
+        """Whether one of the densities `extra` would gain anything to speak of beside its own, to second order."""
+        power = self.base + (self.start @ self.densities if len(self.names) else 0.0)
+        excess, information = self.periodogram / power - self.counts, self.counts / power
+        for row in extra:
+            score = 0.5 * float((row / power) @ excess)
+            if score > 0.0 and score**2 > _LITTLE * 0.5 * float((row**2 / power) @ information):
+                return True
+        return False
+
     def fitted(self, extra: Sequence[Array] = ()) -> tuple[Array, float, Array]:
         """Amplitudes, ``-2 log L`` and information, with densities `extra` beside its own."""
         rows = [*self.densities, *extra]
         if not rows:
             return np.zeros(0), deviance(self.base, self.periodogram, self.counts), np.zeros((0, 0))
-        start = None
         if not extra:
-            start = self.start
-        found = fit_amplitudes(self.periodogram, self.counts, self.base, rows, start)
-        if extra:
-            warm = fit_amplitudes(
-                self.periodogram, self.counts, self.base, rows, np.append(self.start, np.zeros(len(extra)))
-            )
-            found = min(found, warm, key=lambda fit: fit.deviance)
+            found = fit_amplitudes(self.periodogram, self.counts, self.base, rows, self.start)
+            return found.amplitudes, found.deviance, found.information
+        warm = np.append(self.start, np.zeros(len(extra)))
+        found = fit_amplitudes(self.periodogram, self.counts, self.base, rows, warm)
+        if self.promising(extra):
+            cold = fit_amplitudes(self.periodogram, self.counts, self.base, rows)
+            found = min(found, cold, key=lambda fit: fit.deviance)
         return found.amplitudes, found.deviance, found.information
 
 
@@ -89,7 +108,7 @@ def axis_fit(model: Model, axes: Sequence[int]) -> AxisFit:
     rows: dict[str, list[Array]] = {name: [] for name in names}
     for a in axes:
         bins, noise, view = setting.bins[a // 3], model.noise[a], setting.views[a // 3]
-        pseudo = np.isfinite(view.dof) and declared(view) is not None
+        pseudo = counts_again(view)
         tail = np.ones(1) if pseudo else np.zeros(0)
         counts.append(np.append(bins.counts, tail * view.dof if pseudo else tail))
         power.append(np.append(model.periodogram(a), tail * view.dof if pseudo else tail))
@@ -126,13 +145,17 @@ def densities_of(hypothesis: Hypothesis, view: View, theta: float) -> Array:
     """Densities (p, n) of a noise effect in a series: over its instances, with the squares of their weights."""
     effect = hypothesis.effect
     assert isinstance(effect, NoiseEffect)
-    omega = frequencies(view.n)
     rows = [
-        weight**2 * effect.density(view.traces[instance], omega, theta)
+        weight**2 * _density(effect, view, instance, theta)
         for instance, weight in view.weights.items()
         if instance in hypothesis.instances
     ]
     return np.asarray(np.add.reduce(rows))
+
+
+@lru_cache(maxsize=96)
+def _density(effect: NoiseEffect, view: View, instance: int, theta: float) -> Array:
+    return view.gain * effect.density(view.whole.traces[instance], view.omega, theta)
 
 
 def extra_rows(model: Model, fit: AxisFit, by_view: Mapping[int, Array]) -> list[Array]:
@@ -142,7 +165,7 @@ def extra_rows(model: Model, fit: AxisFit, by_view: Mapping[int, Array]) -> list
     for a in fit.axes:
         v = a // 3
         bins, view = model.setting.bins[v], model.setting.views[v]
-        tail = 1 if np.isfinite(view.dof) and declared(view) is not None else 0
+        tail = 1 if counts_again(view) else 0
         block = bins.mean(by_view[v]) if v in by_view else np.zeros((p, len(bins.counts)))
         pieces.append(np.hstack([block, np.zeros((p, tail))]))
     return list(np.hstack(pieces))

@@ -23,8 +23,12 @@ Array = NDArray[np.float64]
 
 _MOST = 12
 """Effects in a model: more is no explanation."""
-_MATERIAL = 0.005
+MATERIAL = 0.005
 """Part of the largest gain below which an effect is a second order of the large ones (GAP, pitfalls)."""
+
+
+_SEEN = 0.1
+"""Part of that below which it does not join in the first place."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +42,11 @@ class Chosen:
     tests: int
     first: tuple[Score, ...]
     """Scores of all hypotheses against no effect at all."""
+
+
+def largest_gain(chosen: Chosen) -> float:
+    """Of the effects in a model, when they joined."""
+    return max((s.gain for s in chosen.scores), default=0.0)
 
 
 def fitted(model: Model, sensors: Sequence[Sensor] | None = None) -> tuple[Model, Joint, NoiseFit]:
@@ -77,7 +86,9 @@ def grown(chosen: Chosen, contest: Contest, level: float, candidates: Sequence[H
     known = {} if joined else {s.hypothesis.key: s for s in first}
     scores = _scored(model, contest, candidates, known, None if joined else set())
     for _ in range(_MOST):
-        best = _best(scores, level)
+        largest = max((s.gain for s in joined), default=0.0)
+        # Noise may have taken the place of a mean: what that gains beside it says little.
+        best = _best(scores, level, 0.0 if model.noise_terms else _SEEN * MATERIAL * largest)
         if best is None:
             break
         trial, _, _ = fitted(with_score(model, best))
@@ -109,18 +120,21 @@ def _scored(
     """Scores of all candidates that are not in the model; those of sensors that did not change stay."""
     taken = {t.hypothesis.key for t in model.terms} | {t.hypothesis.key for t in model.noise_terms}
     beside = Beside(model)
-    scores = {}
+    scores, stale = {}, []
     for hypothesis in candidates:
         if hypothesis.key in taken or (hypothesis.before is not None and hypothesis.before not in taken):
             continue
-        stale = changed is None or hypothesis.effect.shared or hypothesis.effect.sensor in changed
+        moved = changed is None or hypothesis.effect.shared or hypothesis.effect.sensor in changed
         known = old.get(hypothesis.key)
-        scores[hypothesis.key] = contest.score(hypothesis, beside) if stale or known is None else known
-    return scores
+        if moved or known is None:
+            stale.append(hypothesis)
+        else:
+            scores[hypothesis.key] = known
+    return {**scores, **{s.hypothesis.key: s for s in contest.scores(stale, beside)}}
 
 
-def _best(scores: dict[tuple[str, tuple[int, ...]], Score], level: float) -> Score | None:
-    good = [s for s in scores.values() if s.p < level]
+def _best(scores: dict[tuple[str, tuple[int, ...]], Score], level: float, least: float) -> Score | None:
+    good = [s for s in scores.values() if s.p < level and s.gain >= least]
     return max(good, key=lambda s: s.delta, default=None)
 
 
@@ -187,7 +201,7 @@ def restored(model: Model, i: int) -> Model:
 def _material(model: Model, contest: Contest, joined: list[Score]) -> tuple[Model, list[Score]]:
     gains = {key: gain for key, (gain, _, _) in last_gains(model, contest).items()} if len(joined) > 1 else {}
     largest = max(gains.values(), default=0.0)
-    small = [key for key, gain in gains.items() if gain < _MATERIAL * largest]
+    small = [key for key, gain in gains.items() if gain < MATERIAL * largest]
     for key in small:
         model = without(model, key)
     return model, [s for s in joined if s.hypothesis.key not in small]

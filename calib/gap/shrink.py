@@ -71,7 +71,7 @@ def held_out(chosen: Chosen, contest: Contest, alpha: float, *, nested: bool) ->
     setting = chosen.model.setting
     if not chosen.model.members:
         return None
-    long = max(view.n for view in setting.views) > _LONG
+    long = max(view.whole.n for view in setting.views) > _LONG
     folds = folds_of(trusting(chosen.model), _FEW if long else _BLOCKS)
     if not folds:
         return None

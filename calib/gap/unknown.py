@@ -20,12 +20,12 @@ from scipy.special import chdtrc
 from calib.gap.contest import Beside, Contest, Score, existing, priced
 from calib.gap.effects.base import MeanEffect, Parameter
 from calib.gap.hypotheses import Hypothesis
-from calib.gap.likelihood import fit_amplitudes, frequencies, random_walk, transform
+from calib.gap.likelihood import fit_amplitudes, random_walk
 from calib.gap.model import Model, NoiseTerm, Setting
 from calib.gap.noise_fit import noise_rows
 from calib.gap.problem import Trace
 from calib.gap.schema import HiddenDriver
-from calib.gap.selection import Chosen, objective, select
+from calib.gap.selection import MATERIAL, Chosen, largest_gain, objective, select
 from calib.gap.views import View
 from calib.recording import Sensor
 
@@ -54,7 +54,7 @@ def shapes_of(setting: Setting) -> tuple[Hypothesis, ...]:
     """Every shape that can be drawn, of every sensor and instance."""
     found = []
     for view in setting.views:
-        for instance, trace in view.traces.items():
+        for instance, trace in view.traces.items() if not view.first else ():
             if instance in view.weights:
                 found += [Hypothesis(effect, (instance,)) for effect in _effects(trace)]
     unique = {h.key: h for h in found}
@@ -179,7 +179,8 @@ def explained(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> W
     scorer = Contest(shapes, budget=0)
     tests = chosen.tests + len(shapes)
     scores = _scored(scorer, Beside(chosen.model))
-    strong = [s for s in scores if s.p * tests < alpha and s.delta > _MARGIN]
+    least = 0.0 if chosen.model.noise_terms else MATERIAL * largest_gain(chosen)
+    strong = [s for s in scores if s.p * tests < alpha and s.delta > _MARGIN and s.gain >= least]
     if not strong:
         return WithShapes(chosen, contest)
     if chosen.model.members:
@@ -249,7 +250,7 @@ def impostors(model: Model) -> tuple[Impostor, ...]:
             continue
         sensor = term.hypothesis.effect.sensor
         for v, view in enumerate(model.setting.views):
-            if not term.hypothesis.touches(view):
+            if view.first or not term.hypothesis.touches(view):
                 continue
             driver = coherent(model, v, term)
             if driver is not None:
@@ -272,7 +273,7 @@ def coherent(model: Model, v: int, term: NoiseTerm) -> HiddenDriver | None:
     for c in range(3):
         noise = model.noise[3 * v + c]
         part = sum(noise.amplitudes[name] * noise.densities[name] for name in noise.densities if name == term.name(0))
-        y.append(transform(np.ascontiguousarray(model.residual[v][:, c])) / np.sqrt(noise.power))
+        y.append(view.spectra(model.residual[v])[c] / np.sqrt(noise.power))
         own.append(part / noise.power)
     bins = np.flatnonzero(np.max(own, axis=0) > 0.5)
     if len(bins) < _LEAST:
@@ -292,15 +293,17 @@ def coherent(model: Model, v: int, term: NoiseTerm) -> HiddenDriver | None:
 
 def returning(model: Model, v: int, term: NoiseTerm) -> bool:
     """Whether noise with a corner, ``1 / (4 sin^2(w/2) + lambda)``, fits much better than the walk."""
-    omega = frequencies(model.setting.views[v].n)
+    view = model.setting.views[v]
+    omega = view.omega
     steep = 1.0 / random_walk(omega)
     bins = model.setting.bins[v]
     gain = 0.0
     for c in range(3):
         counts, power, base, rows = noise_rows(model, 3 * v + c, term.name(0))
-        walk = fit_amplitudes(power, counts, base, [*rows, bins.mean(random_walk(omega))]).deviance
+        walk = fit_amplitudes(power, counts, base, [*rows, view.gain * bins.mean(random_walk(omega))]).deviance
         best = min(
-            fit_amplitudes(power, counts, base, [*rows, bins.mean(1.0 / (steep + pole**2))]).deviance for pole in _POLES
+            fit_amplitudes(power, counts, base, [*rows, view.gain * bins.mean(1.0 / (steep + pole**2))]).deviance
+            for pole in _POLES
         )
         gain += max(walk - best, 0.0)
     return gain > _RETURNS
@@ -319,8 +322,8 @@ def leftover(model: Model, gap: float) -> tuple[float, str]:
         c = a % 3
         if model.ridge is not None and a in model.ridge.columns.parts:
             continue  # the error of the reference is known only up to the last of its cosines
-        ratio = transform(np.ascontiguousarray(model.residual[a // 3][:, c])) ** 2 / model.noise[a].power
-        edges = np.unique(np.geomspace(4, view.n, _GROUPS + 1).astype(np.intp))
+        ratio = view.spectra(model.residual[a // 3])[c] ** 2 / model.noise[a].power
+        edges = np.unique(np.geomspace(4, view.count, _GROUPS + 1).astype(np.intp))
         for low, high in itertools.pairwise(edges):
             count = int(high - low)
             square = float(ratio[low:high].sum())
@@ -330,6 +333,7 @@ def leftover(model: Model, gap: float) -> tuple[float, str]:
                 if p < worst:
                     hz = 0.5 * view.fs / view.n
                     worst = p
-                    text = f"power from {low * hz:.3g} to {high * hz:.3g} Hz on {view.sensor.value}.{'xyz'[c]}"
+                    band = (low + view.first) * hz, (high + view.first) * hz
+                    text = f"power from {band[0]:.3g} to {band[1]:.3g} Hz on {view.sensor.value}.{'xyz'[c]}"
     share = total / max(gap + total, 1e-300)
     return (share, text) if share > _MATERIAL else (0.0, "")

@@ -8,12 +8,15 @@ the same information, each series with noise of its own.
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import idct
 
+from calib.gap.likelihood import frequencies, transform
 from calib.gap.problem import Problem, ReferenceKind, Trace
 from calib.recording import Sensor
 
@@ -21,6 +24,10 @@ Array = NDArray[np.float64]
 
 _SHORTEST = 32
 """Samples below which a series says nothing."""
+
+
+_KEPT = 60
+_SPECTRA: OrderedDict[tuple[int, int], tuple[Array, Array]] = OrderedDict()
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +53,13 @@ class View:
     dof
         Squared numbers that the noise was learned from, an axis; infinite where it is declared.
     label
-        Whose noise it has: blocks of one series share it.
+        Whose noise it has: blocks of one series share it, and its bands.
+    first
+        The lowest bin of its transform that counts: below lies the other band of the same series.
+    fine
+        Of a lower band, at a lower rate: the whole series at its own rate.
+    gain
+        The lower rate for the series' own: power in a bin for the power there.
     """
 
     sensor: Sensor
@@ -59,11 +72,45 @@ class View:
     reference_error: bool
     dof: float = math.inf
     label: str = ""
+    first: int = 0
+    fine: View | None = None
+    gain: float = 1.0
 
     @property
     def n(self) -> int:
         """Samples."""
         return len(self.residual)
+
+    @property
+    def count(self) -> int:
+        """Numbers an axis that it brings to the likelihood."""
+        return self.n - self.first
+
+    @property
+    def whole(self) -> View:
+        """The series at its own rate."""
+        return self if self.fine is None else self.fine
+
+    @property
+    def omega(self) -> Array:
+        """Frequencies of its bins, rad per sample of the whole series."""
+        return self.gain * frequencies(self.n)[self.first :]
+
+    def spectra(self, series: Array) -> Array:
+        """The bins of the transforms of a `series` (n, 3), (3, count); the last ones asked for are kept."""
+        key = id(series), self.first
+        known = _SPECTRA.get(key)
+        if known is None or known[0] is not series:
+            known = series, transform(np.ascontiguousarray(series.T))[:, self.first :]
+            _SPECTRA[key] = known
+            if len(_SPECTRA) > _KEPT:
+                _SPECTRA.popitem(last=False)
+        return known[1]
+
+    def whitened(self, bins: Array) -> Array:
+        """A series (n,) back from its bins (count,), the others zero."""
+        padded = np.concatenate([np.zeros(self.first), bins]) if self.first else bins
+        return np.asarray(idct(padded, type=2, norm="ortho"))
 
     @property
     def fs(self) -> float:
@@ -240,8 +287,11 @@ def between(view: View, start: float, end: float) -> View | None:
         return None
     keep = view.keep.copy()
     keep[np.flatnonzero(keep)[~rows]] = False
+    count = int(rows.sum())
+    fine = None if view.fine is None else between(view.fine, start, end)
+    first = round(view.first * count / view.n)
     density = None
     if view.density is not None:
-        old, new = np.arange(view.n) / view.n, np.arange(int(rows.sum())) / rows.sum()
+        old, new = np.arange(view.count) / view.count, np.arange(count - first) / (count - first)
         density = np.column_stack([np.interp(new, old, column) for column in view.density.T])
-    return replace(view, residual=view.residual[rows], keep=keep, density=density)
+    return replace(view, residual=view.residual[rows], keep=keep, density=density, first=first, fine=fine)

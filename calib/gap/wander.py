@@ -17,10 +17,19 @@ from calib.gap.attribution import settled
 from calib.gap.contest import Contest, tail
 from calib.gap.effects.affine import rotation_columns
 from calib.gap.hypotheses import Columns, Frame, Part, add_block
-from calib.gap.model import Model, Ridge, Setting, cosines, normal_equations, refined, starting_model
+from calib.gap.model import (
+    Model,
+    Ridge,
+    Setting,
+    cosines,
+    frame_of,
+    normal_equations,
+    refined,
+    starting_model,
+)
 from calib.gap.noise_fit import refitted
 from calib.gap.schema import Estimate
-from calib.gap.selection import DRIFTS, Chosen, objective, select, without
+from calib.gap.selection import DRIFTS, MATERIAL, Chosen, largest_gain, objective, select, without
 from calib.gap.views import View
 from calib.recording import Sensor
 
@@ -51,7 +60,7 @@ class Wander:
 
 def sees(view: View) -> bool:
     """Whether a series sees an error of the reference's attitude."""
-    return view.reference_error and view.sensor is not Sensor.GYRO
+    return view.reference_error and view.sensor is not Sensor.GYRO and not view.first
 
 
 def wandering(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> Wander | None:
@@ -65,16 +74,18 @@ def wandering(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> W
             bare = without(bare, term.hypothesis.key)
     bare = refitted(refined(bare)[0]).model
     gain, size, time = best_prior(bare)
+    if gain < MATERIAL * largest_gain(chosen):
+        return None
     if tail(gain, 2, len(_SIZES_DEG) * len(_TIMES_S)) * (chosen.tests + 1) > alpha:
         return None
-    frames = tuple(Frame(max(1, view.n // _SCREENED), view.n) for view in setting.views)
+    frames = tuple(frame_of(view, _SCREENED) for view in setting.views)
     setting = replace(setting, frames=frames)
     contest = Contest(contest.hypotheses)
     columns = wander_columns(setting, frames)
     ridge = Ridge(columns, 1.0 / _prior(setting, size, time), np.zeros(columns.p), span_of(setting))
     found = select(starting_model(setting, start.noise, ridge), contest, alpha, blocked=(ID,))
     found, _ = settled(found, contest, alpha)
-    price = 2.0 * math.log(sum(3 * v.n for v in setting.views if sees(v)))
+    price = 2.0 * math.log(sum(3 * v.count for v in setting.views if sees(v)))
     better = objective(chosen) - (objective(found) + process_cost(found.model) + price)
     return Wander(found, contest, better, size, time) if better > _MARGIN else None
 
@@ -82,7 +93,7 @@ def wandering(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> W
 def best_prior(model: Model) -> tuple[float, float, float]:
     """Twice the gain of marginal log-likelihood of the best size (deg) and time (s)."""
     setting = model.setting
-    frames = tuple(Frame(max(1, view.n // _SCREENED), view.n) for view in setting.views)
+    frames = tuple(frame_of(view, _SCREENED) for view in setting.views)
     columns = wander_columns(setting, frames)
     y = [row for v in range(len(frames)) for row in frames[v].bins(np.ascontiguousarray(model.residual[v].T))]
     weight = [1.0 / frames[a // 3].power(model.noise[a].power) for a in range(setting.axes)]
