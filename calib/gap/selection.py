@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from calib.gap.contest import Beside, Contest, Score, price_of
-from calib.gap.effects.base import NoiseEffect
+from calib.gap.effects.base import MeanEffect, NoiseEffect
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.model import Joint, Model, NoiseTerm, Term, refined, with_residual
 from calib.gap.noise_fit import NoiseFit, refitted, with_term, without_term
@@ -201,7 +201,12 @@ def restored(model: Model, i: int) -> Model:
 def _material(model: Model, contest: Contest, joined: list[Score]) -> tuple[Model, list[Score]]:
     gains = {key: gain for key, (gain, _, _) in last_gains(model, contest).items()} if len(joined) > 1 else {}
     largest = max(gains.values(), default=0.0)
-    small = [key for key, gain in gains.items() if gain < MATERIAL * largest]
+    # A mean of one sensor is no second order of another's.
+    means = {
+        s.hypothesis.key: s.hypothesis.effect.sensor for s in joined if isinstance(s.hypothesis.effect, MeanEffect)
+    }
+    most = {key: max(gains[k] for k in means if means[k] is means[key]) for key in means if key in gains}
+    small = [key for key, gain in gains.items() if gain < MATERIAL * most.get(key, largest)]
     for key in small:
         model = without(model, key)
     return model, [s for s in joined if s.hypothesis.key not in small]
