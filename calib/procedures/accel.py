@@ -20,8 +20,9 @@ from calib.procedures.poses import FACES, TEXTS, angle, in_words, recognise, rem
 from calib.procedures.protocol import Done, Pose, Progress, Prompt
 from calib.procedures.results import annotated
 from calib.procedures.roster import Frame, Instance
-from calib.procedures.spec import Holds, Option, Options, ProcedureSpec
+from calib.procedures.spec import Option, Options, ProcedureSpec
 from calib.procedures.ticked import TickedProcedure
+from calib.procedures.writable import ACCEL
 from calib.recording import Array, Sensor
 
 SPEC = ProcedureSpec(
@@ -36,25 +37,7 @@ SPEC = ProcedureSpec(
     ),
     needs="the vehicle held still on its six faces and in four oblique poses, in any order, 2-3 s each",
     ends_on="standard deviation of every offset (0.005 m/s2), and poses that agree (residual test, dof 3 or more)",
-    autopilots={
-        "ardupilot": Holds(
-            writes=(
-                "INS_ACCOFFS_*, INS_ACC2OFFS_*, INS_ACC3OFFS_*",
-                "INS_ACCSCAL_* ...",
-                "INS_ACCn_CALTEMP",
-                "AHRS_TRIM_*",
-            ),
-            cannot_represent=("cross terms", "a rotation of one accelerometer against another"),
-        ),
-        "px4": Holds(
-            writes=("CAL_ACCn_XOFF ... _ZOFF", "CAL_ACCn_XSCALE ... _ZSCALE", "SENS_BOARD_X_OFF, _Y_OFF"),
-            cannot_represent=(
-                "cross terms",
-                "a change of the scale below 0.01 (norm of the three)",
-                "a change of the offset below 0.01 m/s2, unless thermal compensation runs",
-            ),
-        ),
-    },
+    autopilots=ACCEL,
     duration_s=60.0,
 )
 

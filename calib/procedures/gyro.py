@@ -19,8 +19,9 @@ from calib.procedures.pool import Pool, Tail
 from calib.procedures.protocol import Done, Progress, Prompt
 from calib.procedures.results import annotated, mean_temperature, share_of_information
 from calib.procedures.roster import Frame, Instance, label
-from calib.procedures.spec import Holds, Option, Options, ProcedureSpec
+from calib.procedures.spec import Option, Options, ProcedureSpec
 from calib.procedures.ticked import TickedProcedure
+from calib.procedures.writable import GYRO
 from calib.recording import Array, Sensor
 
 SPEC = ProcedureSpec(
@@ -34,16 +35,7 @@ SPEC = ProcedureSpec(
     ),
     needs="the vehicle lying still on a firm surface; its attitude does not matter",
     ends_on="standard deviation of the offset on every axis of every gyro (0.01 deg/s), or the stream's resolution",
-    autopilots={
-        "ardupilot": Holds(
-            writes=("INS_GYROFFS_*, INS_GYR2OFFS_*, INS_GYR3OFFS_*", "INS_GYRn_CALTEMP"),
-            cannot_represent=("gyro scale", "gyro misalignment", "offsets that survive a boot while INS_GYR_CAL = 1"),
-        ),
-        "px4": Holds(
-            writes=("CAL_GYROn_XOFF, _YOFF, _ZOFF",),
-            cannot_represent=("gyro scale", "gyro misalignment", "a change below 0.01 rad/s before the next boot"),
-        ),
-    },
+    autopilots=GYRO,
     duration_s=10.0,
     aliases=("gyro-rest",),
 )

@@ -21,8 +21,9 @@ from calib.procedures.mag_track import MagTrack, Motion
 from calib.procedures.protocol import Done, Progress, Prompt
 from calib.procedures.results import annotated, share_of_information
 from calib.procedures.roster import Frame, Instance, label
-from calib.procedures.spec import Holds, Option, Options, ProcedureSpec
+from calib.procedures.spec import Option, Options, ProcedureSpec
 from calib.procedures.ticked import TickedProcedure
+from calib.procedures.writable import MAG
 from calib.recording import Array, Sensor
 from calib.triad import TriadModel
 
@@ -37,29 +38,7 @@ SPEC = ProcedureSpec(
     ),
     needs="the vehicle turned slowly about all axes, outdoors, away from steel and magnets; accelerometers calibrated",
     ends_on="standard deviation of the heading of every compass (0.3 deg), and a mounting that gravity confirms",
-    autopilots={
-        "ardupilot": Holds(
-            writes=(
-                "COMPASS_OFS_*, COMPASS_OFS2_*, COMPASS_OFS3_*",
-                "COMPASS_DIA_*, COMPASS_ODI_* ...",
-                "COMPASS_SCALE, COMPASS_SCALE2, COMPASS_SCALE3",
-                "COMPASS_ORIENT, COMPASS_ORIENT2, COMPASS_ORIENT3 where the mounting is wrong",
-            ),
-            cannot_represent=("a small misalignment of the compass", "a common scale outside 1/1.5 ... 1.5"),
-        ),
-        "px4": Holds(
-            writes=(
-                "CAL_MAGn_XOFF ... _ZOFF",
-                "CAL_MAGn_XSCALE ... _ZSCALE, _XODIAG ... _ZODIAG",
-                "CAL_MAGn_ROT where the mounting is wrong",
-            ),
-            cannot_represent=(
-                "a change of the offset below 0.5 uT (norm of the three)",
-                "a change of the scales or of the cross terms below 0.01 (norm of the three)",
-                "a drift with temperature",
-            ),
-        ),
-    },
+    autopilots=MAG,
     duration_s=40.0,
 )
 

@@ -28,9 +28,10 @@ from calib.procedures.protocol import Done, Pose, Progress, Prompt
 from calib.procedures.results import annotated, refusals
 from calib.procedures.ring_track import ONCE_AROUND, RingTrack, mounting_in
 from calib.procedures.roster import Frame, Instance, label
-from calib.procedures.spec import Holds, Option, Options, ProcedureSpec
+from calib.procedures.spec import Option, Options, ProcedureSpec
 from calib.procedures.ticked import TickedProcedure
 from calib.procedures.turning import Spin, SpinWatch
+from calib.procedures.writable import MAG
 from calib.recording import Sensor
 
 SPEC = ProcedureSpec(
@@ -45,29 +46,7 @@ SPEC = ProcedureSpec(
     ),
     needs="the vehicle stood square on each of its six faces and turned once around there, away from steel and magnets",
     ends_on="standard deviation of the heading of every compass (0.5 deg), the tilt of faces included; rings agree",
-    autopilots={
-        "ardupilot": Holds(
-            writes=(
-                "COMPASS_OFS_*, COMPASS_OFS2_*, COMPASS_OFS3_*",
-                "COMPASS_DIA_*, COMPASS_ODI_* ...",
-                "COMPASS_SCALE, COMPASS_SCALE2, COMPASS_SCALE3",
-                "COMPASS_ORIENT, COMPASS_ORIENT2, COMPASS_ORIENT3 where the mounting is wrong",
-            ),
-            cannot_represent=("a small misalignment of the compass", "a common scale outside 1/1.5 ... 1.5"),
-        ),
-        "px4": Holds(
-            writes=(
-                "CAL_MAGn_XOFF ... _ZOFF",
-                "CAL_MAGn_XSCALE ... _ZSCALE, _XODIAG ... _ZODIAG",
-                "CAL_MAGn_ROT where the mounting is wrong",
-            ),
-            cannot_represent=(
-                "a small misalignment of the compass",
-                "a change of the offset below 0.5 uT (norm of the three)",
-                "a change of the scales or of the cross terms below 0.01 (norm of the three)",
-            ),
-        ),
-    },
+    autopilots=MAG,
     duration_s=90.0,
 )
 

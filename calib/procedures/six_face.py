@@ -24,8 +24,9 @@ from calib.procedures.poses import DOWN, FACES, TEXTS
 from calib.procedures.protocol import Done, Pose, Progress, Prompt
 from calib.procedures.results import annotated, mean_or_none, refusals
 from calib.procedures.roster import Frame, Instance
-from calib.procedures.spec import Holds, Option, Options, ProcedureSpec
+from calib.procedures.spec import Option, Options, ProcedureSpec
 from calib.procedures.ticked import TickedProcedure
+from calib.procedures.writable import ACCEL
 from calib.recording import Array, Sensor
 from calib.six_face import fit_six_face
 
@@ -41,26 +42,7 @@ SPEC = ProcedureSpec(
     ),
     needs="the vehicle put down on its six faces, square on a fixture or a block, in any order, 3 s each",
     ends_on="standard deviation of every offset (0.01 m/s2), the fixture's tilt included, and faces that agree",
-    autopilots={
-        "ardupilot": Holds(
-            writes=(
-                "INS_ACCOFFS_*, INS_ACC2OFFS_*, INS_ACC3OFFS_*",
-                "INS_ACCSCAL_* ...",
-                "INS_ACCn_CALTEMP",
-                "AHRS_TRIM_*",
-            ),
-            cannot_represent=("cross terms", "the rotation of one accelerometer in the vehicle (see the job level)"),
-        ),
-        "px4": Holds(
-            writes=("CAL_ACCn_XOFF ... _ZOFF", "CAL_ACCn_XSCALE ... _ZSCALE", "SENS_BOARD_X_OFF, _Y_OFF"),
-            cannot_represent=(
-                "cross terms",
-                "the rotation of one accelerometer in the vehicle (see the job level)",
-                "a change of the scale below 0.01 (norm of the three)",
-                "a change of the offset below 0.01 m/s2, unless thermal compensation runs",
-            ),
-        ),
-    },
+    autopilots=ACCEL,
     duration_s=40.0,
 )
 

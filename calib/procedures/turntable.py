@@ -22,10 +22,11 @@ from calib.procedures.poses import DOWN, TEXTS
 from calib.procedures.protocol import Done, Number, Pose, Progress, Prompt
 from calib.procedures.results import annotated, mean_or_none, refusals
 from calib.procedures.roster import Frame, Instance
-from calib.procedures.spec import Holds, Option, Options, ProcedureSpec
+from calib.procedures.spec import Option, Options, ProcedureSpec
 from calib.procedures.steady import Stretch
 from calib.procedures.ticked import TickedProcedure
 from calib.procedures.turning import OVERWRITES, TURNING, Spin, SpinWatch, Turned, way
+from calib.procedures.writable import GYRO
 from calib.recording import Segment, Sensor
 
 SPEC = ProcedureSpec(
@@ -44,16 +45,7 @@ SPEC = ProcedureSpec(
     ),
     needs="a turntable of known, steady rate; the vehicle fixed on it with each axis vertical, turned both ways",
     ends_on="standard deviation of the scale of every axis that is turned (0.1 %), and turns that agree",
-    autopilots={
-        "ardupilot": Holds(
-            writes=("INS_GYROFFS_*, INS_GYR2OFFS_*, INS_GYR3OFFS_*", "INS_GYRn_CALTEMP"),
-            cannot_represent=("gyro scale", "gyro misalignment", "offsets that survive a boot while INS_GYR_CAL = 1"),
-        ),
-        "px4": Holds(
-            writes=("CAL_GYROn_XOFF, _YOFF, _ZOFF",),
-            cannot_represent=("gyro scale", "gyro misalignment", "a change below 0.01 rad/s before the next boot"),
-        ),
-    },
+    autopilots=GYRO,
     duration_s=120.0,
 )
 
