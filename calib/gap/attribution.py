@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.contest import Beside, Contest, Score, exactly, existing, noise_score, price_of
+from calib.gap.contest import Beside, Contest, Score, exactly, existing, fixed_score, noise_score, priced
 from calib.gap.effects.base import NoiseEffect
 from calib.gap.hypotheses import Columns, Hypothesis, columns_of
 from calib.gap.model import Model, NoiseTerm, Term, refined
@@ -126,11 +126,8 @@ def _alternatives(chosen: Chosen, contest: Contest, term: Term | NoiseTerm) -> t
         own_columns = columns_of(term.hypothesis, term.theta, model.setting.views, model.setting.frames)
         gram, _, _ = beside.projected(own_columns)
         energy = float(term.beta @ gram @ term.beta)
-        own_gain, df, _ = (beside.fixed_gain(own_columns), 1, 0) if term.effect.fixed else beside.gain(own_columns)
-        if term.effect.exact is not None:
-            own_gain, _ = exactly(term.hypothesis, term.beta, beside)
-        grid = next((s.grid for s in chosen.scores if s.hypothesis.key == key), 1)
-        own_delta = own_gain - price_of(term.hypothesis, df + term.effect.hidden, grid, model)
+        own = _own_score(chosen, term, own_columns, beside)
+        own_gain, own_delta = own.gain, own.delta
     taken = {t.hypothesis.key for t in model.members}
     found = []
     rivals = [
@@ -144,6 +141,17 @@ def _alternatives(chosen: Chosen, contest: Contest, term: Term | NoiseTerm) -> t
         kappa = _imitated(beside, own_columns, term, score, energy, own_gain)
         found.append(Alternative(score, kappa))
     return found, own_delta
+
+
+def _own_score(chosen: Chosen, term: Term, columns: Columns, beside: Beside) -> Score:
+    if term.effect.fixed:
+        return fixed_score(term.hypothesis, term.theta, beside.fixed_gain(columns))
+    found = beside.gain(columns)
+    if term.effect.exact is not None:
+        gain, beta = exactly(term.hypothesis, term.beta, beside)
+        found = replace(found, gain=gain, beta=beta, evidence=gain - found.price)
+    grid = next((s.grid for s in chosen.scores if s.hypothesis.key == term.hypothesis.key), 1)
+    return priced(term.hypothesis, term.theta, found, grid)
 
 
 def _meets(rival: Hypothesis, own: Hypothesis, model: Model) -> bool:

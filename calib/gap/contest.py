@@ -20,6 +20,8 @@ from scipy.stats import binom
 
 from calib.gap.bands import joined
 from calib.gap.effects.base import MeanEffect, NoiseEffect
+from calib.gap.effects.noise import DRIFTS
+from calib.gap.evidence import DRIFT, evidence, price_of_fixed, price_of_noise, price_of_search
 from calib.gap.hypotheses import Columns, Hypothesis, columns_of
 from calib.gap.model import (
     Model,
@@ -48,6 +50,9 @@ _CURVED = 300.0
 """Gain from which on an effect that is not linear in its amplitudes is fitted as it is."""
 _REFINED = 8
 """Hypotheses a round whose shape is sought between the values of its grid."""
+_STEPS = 10
+_STEPS_FIXED = 25
+"""Evaluations in the search for a shape; more where all rests on it."""
 _FOLLOWS = 6.0
 """Gain on an axis from which on it is asked whether the noise follows its envelope."""
 _SIDES = 2
@@ -59,7 +64,7 @@ class Score:
     """What a hypothesis would gain.
 
     `gain` is twice the gain of log-likelihood, `p` the chance of so much without it, corrected for the grid; `delta`
-    the gain less its price ``df log N + 2 log grid``; `beta` the amplitudes beside the model as it is.
+    the gain less its price (:mod:`calib.gap.evidence`); `beta` the amplitudes beside the model as it is.
     """
 
     hypothesis: Hypothesis
@@ -70,6 +75,11 @@ class Score:
     p: float
     delta: float
     beta: Array
+
+    @property
+    def price(self) -> float:
+        """What its degrees of freedom and the search cost, in twice the log-likelihood."""
+        return self.gain - self.delta
 
 
 def tail(gain: float, df: int, grid: int) -> float:
@@ -83,6 +93,21 @@ def one_sided_tail(gain: float, df: int, grid: int) -> float:
         return 1.0
     weights = binom.pmf(np.arange(1, df + 1), df, 0.5)
     return min(1.0, grid * float(weights @ chdtrc(np.arange(1, df + 1), gain)))
+
+
+@dataclass(frozen=True, eq=False)
+class Gain:
+    """Of a group of columns: twice the gain of log-likelihood, degrees of freedom, amplitudes, and evidence."""
+
+    gain: float
+    df: int
+    beta: Array
+    evidence: float
+
+    @property
+    def price(self) -> float:
+        """By which the evidence is less than the gain."""
+        return self.gain - self.evidence
 
 
 class Beside:
@@ -140,12 +165,12 @@ class Beside:
                 right[np.ix_(part.index, index)] += part.X @ own.T
         return np.asarray(total - left @ self.covariance @ right.T)
 
-    def gain(self, columns: Columns) -> tuple[float, int, Array]:
-        """Twice the gain of log-likelihood, degrees of freedom and amplitudes of a group of free columns."""
+    def gain(self, columns: Columns) -> Gain:
+        """What a group of free columns would gain."""
         gram, right, energy = self.projected(columns)
         basis = existing(gram, energy)
         found = basis.T @ right
-        return float(found @ found), basis.shape[1], basis @ found
+        return Gain(float(found @ found), basis.shape[1], basis @ found, evidence(gram, right, columns.units))
 
     def fixed_gain(self, columns: Columns) -> float:
         """The same for one column whose amplitude is one."""
@@ -162,6 +187,10 @@ def existing(gram: Array, energy: Array) -> Array:
     values, vectors = np.linalg.eigh(gram * np.outer(inverse, inverse))
     good = values > _LEFT
     return np.asarray(inverse[:, None] * vectors[:, good] / np.sqrt(values[good]))
+
+
+def _is_fixed(hypothesis: Hypothesis) -> bool:
+    return isinstance(hypothesis.effect, MeanEffect) and hypothesis.effect.fixed
 
 
 def refinable(score: Score) -> bool:
@@ -199,14 +228,16 @@ class Contest:
         return self._mean_score(hypothesis, beside, refine=refine)
 
     def scores(self, hypotheses: Sequence[Hypothesis], beside: Beside) -> list[Score]:
-        """Of several: all on their grids, then the best at their best shapes.
+        """Of several: all on their grids, then the best at their best shapes, and all that have nothing but a shape.
 
         The others are worth no less than is said; a shape between two values of a grid gains little more than a
         neighbour's does.
         """
         found = [self.score(h, beside, refine=False) for h in hypotheses]
         shaped = [i for i, s in enumerate(found) if refinable(s)]
-        for i in sorted(shaped, key=lambda i: -found[i].delta)[:_REFINED]:
+        whole = [i for i in shaped if _is_fixed(hypotheses[i])]
+        free = [i for i in shaped if not _is_fixed(hypotheses[i])]
+        for i in [*whole, *sorted(free, key=lambda i: -found[i].delta)[:_REFINED]]:
             found[i] = self.score(hypotheses[i], beside)
         return found
 
@@ -214,10 +245,11 @@ class Contest:
         effect = hypothesis.effect
         assert isinstance(effect, MeanEffect)
         if effect.shape is None:
-            gain, df, beta = beside.gain(self.columns(hypothesis, math.nan, beside.model))
-            if refine and effect.exact is not None and gain > _CURVED:
-                gain, beta = exactly(hypothesis, beta, beside)
-            return priced(hypothesis, math.nan, gain, df, 1, beta, beside.model)
+            found = beside.gain(self.columns(hypothesis, math.nan, beside.model))
+            if refine and effect.exact is not None and found.gain > _CURVED:
+                gain, beta = exactly(hypothesis, found.beta, beside)
+                found = replace(found, gain=gain, beta=beta, evidence=gain - found.price)
+            return priced(hypothesis, math.nan, found, 1)
         trace, view = widest(hypothesis, beside.model)
         setting = beside.model.setting
         own = trace if effect.shape.screen is not None else setting.views[view].whole.any_trace
@@ -225,20 +257,32 @@ class Contest:
         tried = grid
         if effect.shape.screen is not None:
             tried = effect.shape.screen(trace, unexplained(beside.model, view, trace))
-        found = [self._at(hypothesis, float(theta), beside) for theta in tried]
-        if not found:
-            return priced(hypothesis, math.nan, 0.0, 0, 1, np.zeros(0), beside.model)
-        best = max(range(len(found)), key=lambda i: found[i][0])
-        theta, (gain, df, beta) = float(tried[best]), found[best]
-        if refine and gain > _WORTH:
-            theta = self._refined(hypothesis, theta, grid, beside)
-            gain, df, beta = self._at(hypothesis, theta, beside)
         if effect.fixed:
-            gain = self._fixed_gain(hypothesis, theta, beside)
-            return priced(hypothesis, theta, gain, 1, _SIDES, np.ones(1), beside.model)
-        return priced(hypothesis, theta, gain, df, len(grid), beta, beside.model)
+            return self._fixed_score(hypothesis, tried, beside, refine=refine)
+        gains = [self._at(hypothesis, float(theta), beside) for theta in tried]
+        if not gains:
+            return priced(hypothesis, math.nan, Gain(0.0, 0, np.zeros(0), 0.0), 1)
+        best = max(range(len(gains)), key=lambda i: gains[i].gain)
+        theta, found = float(tried[best]), gains[best]
+        if refine and found.gain > _WORTH:
+            theta = self._refined(hypothesis, theta, grid, beside)
+            found = self._at(hypothesis, theta, beside)
+        return priced(hypothesis, theta, found, len(grid))
 
-    def _at(self, hypothesis: Hypothesis, theta: float, beside: Beside) -> tuple[float, int, Array]:
+    def _fixed_score(self, hypothesis: Hypothesis, grid: Array, beside: Beside, *, refine: bool) -> Score:
+        """Of an effect that has nothing but a shape; without `refine` what a free amplitude gains, which is no less."""
+        columns = [self.columns(hypothesis, float(theta), beside.model) for theta in grid]
+        free = max(beside.gain(c).gain for c in columns)
+        if not refine and free > _WORTH:
+            return fixed_score(hypothesis, float(grid[0]), free)
+        fixed = [beside.fixed_gain(c) for c in columns]
+        best = int(np.argmax(fixed))
+        if free <= _WORTH:
+            return fixed_score(hypothesis, float(grid[best]), fixed[best])
+        theta = self._refined(hypothesis, float(grid[best]), grid, beside)
+        return fixed_score(hypothesis, theta, self._fixed_gain(hypothesis, theta, beside))
+
+    def _at(self, hypothesis: Hypothesis, theta: float, beside: Beside) -> Gain:
         return beside.gain(self.columns(hypothesis, theta, beside.model))
 
     def _fixed_gain(self, hypothesis: Hypothesis, theta: float, beside: Beside) -> float:
@@ -254,11 +298,12 @@ class Contest:
 
         def loss(value: float) -> float:
             columns = columns_of(hypothesis, value, beside.model.setting.views, beside.model.setting.frames)
-            return -(beside.fixed_gain(columns) if effect.fixed else beside.gain(columns)[0])
+            return -(beside.fixed_gain(columns) if effect.fixed else beside.gain(columns).gain)
 
         if high <= low:
             return theta
-        found = minimize_scalar(loss, bounds=(low, high), method="bounded", options={"maxiter": 10})
+        options = {"maxiter": _STEPS_FIXED if effect.fixed else _STEPS, "xatol": 1e-6 * (high - low)}
+        found = minimize_scalar(loss, bounds=(low, high), method="bounded", options=options)
         return float(found.x) if found.fun < loss(theta) else theta
 
 
@@ -272,26 +317,18 @@ def exactly(hypothesis: Hypothesis, beta: Array, beside: Beside) -> tuple[float,
     return misfit(without) - misfit(model), model.terms[-1].beta
 
 
-def price_of(hypothesis: Hypothesis, df: int, grid: int, model: Model) -> float:
-    """What degrees of freedom and a searched grid cost, in twice the log-likelihood.
-
-    A shape costs as much as an amplitude: what its search costs is in the chance, not in the price.
-    """
-    samples = math.log(samples_of(hypothesis, model))
-    shape = samples if grid > _SIDES else 0.0
-    return df * samples + shape
+def priced(hypothesis: Hypothesis, theta: float, found: Gain, grid: int) -> Score:
+    """A score of an effect on the mean with free amplitudes."""
+    hidden = hypothesis.effect.hidden if found.df else 0
+    price = price_of_search(grid) + hidden * price_of_fixed(found.gain)
+    p = tail(found.gain, found.df + hidden, grid)
+    return Score(hypothesis, theta, found.gain, found.df + hidden, grid, p, found.evidence - price, found.beta)
 
 
-def priced(hypothesis: Hypothesis, theta: float, gain: float, df: int, grid: int, beta: Array, model: Model) -> Score:
-    """A score of an effect on the mean."""
-    df += hypothesis.effect.hidden if df else 0
-    delta = gain - price_of(hypothesis, df, grid, model)
-    return Score(hypothesis, theta, gain, df, grid, tail(gain, df, grid), delta, beta)
-
-
-def samples_of(hypothesis: Hypothesis, model: Model) -> int:
-    """Numbers that it could change."""
-    return max(3 * sum(view.count for view in model.setting.views if hypothesis.touches(view)), 2)
+def fixed_score(hypothesis: Hypothesis, theta: float, gain: float) -> Score:
+    """A score of an effect on the mean that has nothing but a shape."""
+    delta = gain - price_of_fixed(gain)
+    return Score(hypothesis, theta, gain, 1, _SIDES, tail(gain, 1, _SIDES), delta, np.ones(1))
 
 
 def noise_score(hypothesis: Hypothesis, model: Model) -> Score:
@@ -309,10 +346,10 @@ def noise_score(hypothesis: Hypothesis, model: Model) -> Score:
     fits = noise_fits(model, effect.sensor)
     scores = [_noise_gain(hypothesis, theta, model, fits) for theta in thetas]
     best = max(range(len(thetas)), key=lambda i: scores[i][0])
-    gain, values = scores[best]
+    gain, values, price = scores[best]
     df = len(effect.parameters)
-    price = price_of(hypothesis, df, grid, model)
     p = one_sided_tail(gain, df, grid)
+    price += price_of_search(grid) + (DRIFT if effect.id.endswith(DRIFTS) else 0.0)
     return Score(hypothesis, thetas[best], gain, df, grid, p, gain - price, values)
 
 
@@ -328,7 +365,10 @@ def alone(fit: AxisFit) -> float:
     return fit.fitted()[1]
 
 
-def _noise_gain(hypothesis: Hypothesis, theta: float, model: Model, fits: Sequence[AxisFit]) -> tuple[float, Array]:
+def _noise_gain(
+    hypothesis: Hypothesis, theta: float, model: Model, fits: Sequence[AxisFit]
+) -> tuple[float, Array, float]:
+    """Gain, amplitudes and price."""
     by_view = {
         v: densities_of(hypothesis, view, theta)
         for v, view in enumerate(model.setting.views)
@@ -336,14 +376,15 @@ def _noise_gain(hypothesis: Hypothesis, theta: float, model: Model, fits: Sequen
     }
     effect = hypothesis.effect
     assert isinstance(effect, NoiseEffect)
-    gain, values = 0.0, []
+    gain, values, price = 0.0, [], 0.0
     for fit in fits:
         rows = extra_rows(model, fit, by_view)
         if not fit.promising(rows):
             values.append(np.zeros(len(rows)))
             continue
         without = alone(fit)
-        amplitudes, level, _ = fit.fitted(rows)
+        amplitudes, level, information = fit.fitted(rows)
+        price += price_of_noise(amplitudes[len(fit.names) :], _marginal(information)[len(fit.names) :])
         gain += max(without - level, 0.0)
         added = amplitudes[len(fit.names) :]
         values.append(added)
@@ -356,7 +397,13 @@ def _noise_gain(hypothesis: Hypothesis, theta: float, model: Model, fits: Sequen
                     )
                     envelope = effect.variance(view.traces[instance])
                     gain += modulation(model, a, envelope, added @ by_view[a // 3])
-    return gain, np.array(values).T
+    return gain, np.array(values).T, price
+
+
+def _marginal(information: Array) -> Array:
+    """Information of each amplitude when all others are unknown as well."""
+    variance = np.diag(np.linalg.pinv(information, rcond=1e-12, hermitian=True))
+    return np.asarray(1.0 / np.maximum(variance, np.finfo(float).tiny))
 
 
 def modulation(model: Model, axis: int, envelope: Array, density: Array) -> float:

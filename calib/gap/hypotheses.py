@@ -67,10 +67,19 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """`p` columns over every axis of every series; axis ``3 v + c`` is axis c of series v."""
+    """`p` columns over every axis of every series; axis ``3 v + c`` is axis c of series v.
+
+    `groups` numbers the units of their amplitudes; None: they have one.
+    """
 
     p: int
     parts: Mapping[int, Part] = field(default_factory=dict)
+    groups: NDArray[np.intp] | None = None
+
+    @property
+    def units(self) -> NDArray[np.intp]:
+        """Which columns have amplitudes of the same unit: the same number, (p,)."""
+        return np.zeros(self.p, np.intp) if self.groups is None else self.groups
 
 
 def hypotheses_of(
@@ -180,7 +189,12 @@ def columns_of(hypothesis: Hypothesis, theta: float, views: Sequence[View], fram
         X = frames[v].bins(signals)
         for c in range(3):
             parts[3 * v + c] = Part(3 * np.arange(len(X), dtype=np.intp) + c, X)
-    return Columns(p, parts)
+    return Columns(p, parts, _units(effect, p))
+
+
+def _units(effect: Effect, p: int) -> NDArray[np.intp] | None:
+    names = [parameter.unit for parameter in effect.parameters]
+    return np.array([names.index(name) for name in names], np.intp) if len(names) == p else None
 
 
 def summed(columns: Callable[[Trace, float], Array], hypothesis: Hypothesis, theta: float, view: View) -> Array:

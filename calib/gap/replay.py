@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.effects import by_id
+from calib.gap.effects import by_id, forward_models
 from calib.gap.effects.base import Effect, MeanEffect, NoiseEffect
 from calib.gap.problem import Problem, Trace
 from calib.gap.schema import EffectEstimate
@@ -30,7 +30,9 @@ def with_effects(problem: Problem, effects: Sequence[EffectEstimate]) -> tuple[P
     for trace in problem.traces:
         changed = trace
         for effect, sign in _acting(trace, effects):
-            described = by_id().get(effect.id)
+            described = forward_models().get(effect.id)
+            if described is not None and not _complete(described, effect):
+                described = None
             if isinstance(described, MeanEffect) and not described.shared:
                 added = sign * forward(described, effect, trace)
                 # what never was measured keeps reading as the ideal one does
@@ -59,6 +61,11 @@ def _split(described: Effect, found: EffectEstimate) -> tuple[float, Array]:
     values: Mapping[str, float] = {p.name: p.value for p in found.params}
     amplitudes = np.array([values.get(p.name, 0.0) for p in described.parameters], dtype=np.float64)
     return (math.nan if described.shape is None else values[described.shape.parameter.name]), amplitudes
+
+
+def _complete(described: Effect, found: EffectEstimate) -> bool:
+    """Whether the shape that it needs was estimated."""
+    return described.shape is None or any(p.name == described.shape.parameter.name for p in found.params)
 
 
 def _acting(trace: Trace, effects: Iterable[EffectEstimate]) -> Iterable[tuple[EffectEstimate, float]]:

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from calib.gap.contest import Beside, Contest, Score, price_of
+from calib.gap.contest import Beside, Contest, Score
 from calib.gap.effects.base import MeanEffect, NoiseEffect
+from calib.gap.effects.noise import DRIFTS
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.model import Joint, Model, NoiseTerm, Term, refined, with_residual
 from calib.gap.noise_fit import NoiseFit, refitted, with_term, without_term
@@ -181,8 +182,8 @@ def last_gains(model: Model, contest: Contest) -> dict[tuple[str, tuple[int, ...
         if term.effect.fixed:
             found[term.hypothesis.key] = (max(beside.fixed_gain(columns), 0.0), 1, 1)
         else:
-            gain, df, _ = beside.gain(columns)
-            found[term.hypothesis.key] = (gain, df, 1)
+            gained = beside.gain(columns)
+            found[term.hypothesis.key] = (gained.gain, gained.df, 1)
     for noise in model.noise_terms:
         bare = refitted(without_term(model, noise), [noise.hypothesis.effect.sensor])
         full = refitted(model, [noise.hypothesis.effect.sensor])
@@ -212,14 +213,9 @@ def _material(model: Model, contest: Contest, joined: list[Score]) -> tuple[Mode
     return model, [s for s in joined if s.hypothesis.key not in small]
 
 
-DRIFTS = ("_random_walk", "_flicker")
-"""Noise that can stand for any slow change of the mean."""
-
-
 def objective(chosen: Chosen) -> float:
     """``-2 log L`` with the price of every effect: smaller is better."""
-    prices = (price_of(s.hypothesis, s.df, s.grid, chosen.model) for s in chosen.scores)
-    return sum(chosen.noise.deviance.values()) + sum(prices)
+    return sum(chosen.noise.deviance.values()) + sum(s.price for s in chosen.scores)
 
 
 def undrifted(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> Chosen:

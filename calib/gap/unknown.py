@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from calib.gap.contest import Beside, Contest, Score, existing, priced
+from calib.gap.contest import Beside, Contest, Gain, Score, existing, priced
 from calib.gap.effects.base import MeanEffect, Parameter
+from calib.gap.evidence import evidence
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.likelihood import fit_amplitudes, random_walk
 from calib.gap.model import Model, NoiseTerm, Setting
@@ -213,8 +214,8 @@ def _scored(contest: Contest, beside: Beside) -> list[Score]:
             gain = basis.T @ right[rows]
             own = singles.get(key)
             if own is not None:
-                square = float(gain @ gain)
-                found.append(priced(own, math.nan, square, basis.shape[1], 1, basis @ gain, beside.model))
+                worth = evidence(gram[np.ix_(rows, rows)], right[rows], np.zeros(len(rows), np.intp))
+                found.append(priced(own, math.nan, Gain(float(gain @ gain), basis.shape[1], basis @ gain, worth), 1))
     return found
 
 
@@ -292,15 +293,17 @@ def coherent(model: Model, v: int, term: NoiseTerm) -> HiddenDriver | None:
 
 
 def returning(model: Model, v: int, term: NoiseTerm) -> bool:
-    """Whether noise with a corner, ``1 / (4 sin^2(w/2) + lambda)``, fits much better than the walk."""
+    """Whether noise with a corner, ``1 / (4 sin^2(w/2) + lambda)``, fits much better than the term's own."""
     view = model.setting.views[v]
-    omega = view.omega
-    steep = 1.0 / random_walk(omega)
     bins = model.setting.bins[v]
+    steep = 1.0 / random_walk(view.omega)
     gain = 0.0
     for c in range(3):
         counts, power, base, rows = noise_rows(model, 3 * v + c, term.name(0))
-        walk = fit_amplitudes(power, counts, base, [*rows, view.gain * bins.mean(random_walk(omega))]).deviance
+        if term.name(0) not in model.noise[3 * v + c].densities:
+            continue
+        own = bins.mean(model.noise[3 * v + c].densities[term.name(0)])
+        walk = fit_amplitudes(power, counts, base, [*rows, own]).deviance
         best = min(
             fit_amplitudes(power, counts, base, [*rows, view.gain * bins.mean(1.0 / (steep + pole**2))]).deviance
             for pole in _POLES

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from calib.gap.attribution import settled
 from calib.gap.contest import Contest, tail
 from calib.gap.effects.affine import rotation_columns
+from calib.gap.effects.noise import DRIFTS
 from calib.gap.hypotheses import Columns, Frame, Part, add_block
 from calib.gap.model import (
     Model,
@@ -29,7 +30,7 @@ from calib.gap.model import (
 )
 from calib.gap.noise_fit import refitted
 from calib.gap.schema import Estimate
-from calib.gap.selection import DRIFTS, MATERIAL, Chosen, largest_gain, objective, select, without
+from calib.gap.selection import MATERIAL, Chosen, largest_gain, objective, select, without
 from calib.gap.views import View
 from calib.recording import Sensor
 

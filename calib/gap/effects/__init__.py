@@ -9,6 +9,7 @@ from calib.gap.effects import (
     dynamics,
     events,
     lattice,
+    limits,
     magnetic,
     noise,
     reference_attitude,
@@ -17,9 +18,10 @@ from calib.gap.effects import (
     tone,
     vibration,
 )
-from calib.gap.effects.base import Effect, Parameter
+from calib.gap.effects.base import Effect, MeanEffect, NoiseEffect, Parameter
 
 _FAMILIES = (
+    limits,
     lattice,
     affine,
     magnetic,
@@ -47,6 +49,19 @@ def by_id() -> dict[str, Effect]:
 
 
 @cache
+def forward_models() -> dict[str, MeanEffect | NoiseEffect]:
+    """By id, what an effect does to mean or noise; what only the samples' lattice shows is left out."""
+    return {effect.id: effect for effect in catalogue() if isinstance(effect, MeanEffect | NoiseEffect)}
+
+
+@cache
 def parameter_table() -> dict[str, tuple[Parameter, ...]]:
-    """Names, units and whether the value is a root, by effect: its amplitudes and then its shape (GAP 8)."""
-    return {e.id: e.parameters + ((e.shape.parameter,) if e.shape is not None else ()) for e in catalogue()}
+    """Names, units and whether the value is a root, by effect: its amplitudes and then its shape (GAP 8).
+
+    An effect that is found in the lattice or in the mean has the parameters of both.
+    """
+    table: dict[str, tuple[Parameter, ...]] = {}
+    for e in catalogue():
+        own = e.parameters + ((e.shape.parameter,) if e.shape is not None else ())
+        table[e.id] = tuple(dict.fromkeys((*table.get(e.id, ()), *own)))
+    return table

@@ -6,7 +6,6 @@ What the ideal reading shows as well, and what is declared of the recording, is 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +13,7 @@ from scipy.ndimage import uniform_filter1d
 
 from calib.gap.effects.base import Effect, LatticeEffect, LatticeEvidence, Parameter
 from calib.gap.effects.parts import AXES, TRIADS, UNIT
+from calib.gap.levels import levels_of, noise_of
 from calib.gap.problem import Trace
 from calib.recording import Sensor
 
@@ -22,49 +22,12 @@ Mask = NDArray[np.bool_]
 
 _EVIDENCE = 30.0  # twice the log-likelihood: one in a million
 _FEWEST = 5  # samples that make a pile, a zero band, a hold
-_ON_LEVEL = 0.05  # of a step, by which a level may lie beside the lattice
-_FRACTION = 0.99  # of the gaps between values that are whole steps
 _FINEST = 0.03  # of the noise; a finer step changes its power by less than 1e-4
-_GAPS = 8  # different gaps that show a lattice; fewer show it if every level occurs three times
-_REPEATED = 3
 _SURROUNDINGS = 51  # rows over which the noise stays the same
 _SAFETY = 1.5  # on the number of repeats by chance, whose noise is an estimate
 _TELLING = 0.2  # chance of a repeat above which a row says nothing: it depends on where in its bin the reading lies
 _STANDS = 0.5  # of the rows in which the sensor moves on while the ideal reading does not: it is at rest
 _SAME = 1e-9  # relative difference of equal numbers
-
-
-@dataclass(frozen=True)
-class Levels:
-    """A lattice of step `step` on which values lie up to `error` of a step."""
-
-    step: float
-    error: float
-
-
-def noise_of(values: Array) -> float:
-    """Noise of one sample of `values` (N,) from successive differences that are not zero; 0 if there are none."""
-    steps = np.diff(values)
-    steps = steps[steps != 0.0]
-    return float(1.4826 * np.median(np.abs(steps)) / math.sqrt(2.0)) if len(steps) else 0.0
-
-
-def levels_of(values: Array) -> Levels | None:
-    """The lattice of `values` (N,), None if they are on none (or never change)."""
-    distinct = np.unique(values)
-    size = float(np.abs(distinct).max(initial=0.0))
-    gaps = np.diff(distinct)
-    gaps = gaps[gaps > _SAME * size]
-    if not len(gaps) or (len(gaps) < _GAPS and len(values) < _REPEATED * (len(gaps) + 1)):
-        return None
-    step = float(gaps.min())
-    for _ in range(2):
-        counts = np.round(gaps / step)
-        step = float((gaps @ counts) / (counts @ counts))
-    error = np.abs(gaps / step - np.round(gaps / step))
-    if (error < _ON_LEVEL).mean() < _FRACTION or (np.round(gaps / step) < 1.0).any():
-        return None
-    return Levels(step, float(np.quantile(error, _FRACTION)))
 
 
 def quantisation(trace: Trace) -> LatticeEvidence | None:

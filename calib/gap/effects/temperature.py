@@ -29,6 +29,8 @@ _KEPT = 2
 _USUAL = 25.0  # degC, MATLAB's; beside a free bias no reference temperature is better than another
 _LAGS = np.geomspace(2.0, 180.0, 5)  # s, of a die in its package to a board in its box
 
+_POWERS = {"per_degc": "", "per_degc2": "2", "per_degc3": "3"}
+
 _HEAT_AND_COOL = "heat and cool through the calibration temperature"
 
 
@@ -44,9 +46,9 @@ def above(trace: Trace, t_ref: float) -> Array:
 
 
 def powers(trace: Trace, t_ref: float) -> Array:
-    """Two signals: ``T - t_ref`` and its square."""
+    """Three signals: ``T - t_ref``, its square and its cube."""
     d = temperature_of(trace) - t_ref
-    return np.stack([d, d * d])
+    return np.stack([d, d * d, d**3])
 
 
 def late(trace: Trace, time_constant: float) -> Array:
@@ -167,11 +169,11 @@ def _of(sensor: Sensor) -> tuple[Effect, ...]:
         MeanEffect(
             f"{sensor}_temp_poly",
             sensor,
-            per_axis("per_degc", f"{unit}/degC") + per_axis("per_degc2", f"{unit}/degC2"),
+            tuple(p for n, to in _POWERS.items() for p in per_axis(n, f"{unit}/degC{to}")),
             "temperature that varies widely",
             _HEAT_AND_COOL,
             _span("temp_poly"),
-            Shape(vanishes, references, best_references(_ones, 2), _USUAL),
+            Shape(vanishes, references, best_references(_ones, 3), _USUAL),
             columns=axiswise(powers),
             signals=powers,
             rivals=ids("temp_linear", "thermal_lag", "random_walk"),

@@ -21,7 +21,8 @@ _SPLINE = 5
 _LONGEST = 0.5  # s, delay
 _SHORTEST = 0.125  # samples, delay
 _DELAYS = 4  # of each sign
-_CUTOFFS = 6
+_CUTOFFS = 9
+_FASTEST = 8.0  # cut-off over sampling rate
 _DRIFTS = 3  # of each sign
 _LARGEST_DRIFT = 5e-3  # clocks without a crystal
 _LEAST_SHIFT = 1e-3  # s at the end of the recording, of the smallest drift to try
@@ -102,8 +103,8 @@ def delays(trace: Trace) -> Array:
 
 
 def cutoffs(trace: Trace) -> Array:
-    """Cut-offs to try, Hz."""
-    return np.geomspace(min(0.5, 0.02 * trace.fs), 0.45 * trace.fs, _CUTOFFS)
+    """Cut-offs to try, Hz; far beyond half the sampling rate a filter still is late by some tenths of a millisecond."""
+    return np.geomspace(min(0.5, 0.02 * trace.fs), _FASTEST * trace.fs, _CUTOFFS)
 
 
 def drifts(trace: Trace) -> Array:

@@ -115,7 +115,7 @@ def sensors_with(
 def _with(base: SensorErrors, effects: Sequence[EffectEstimate], t_ref: float) -> SensorErrors:
     base = recentred(base, t_ref)
     turn = np.eye(3)
-    bias, curve = np.zeros(3), np.zeros((3, 2))
+    bias, curve = np.zeros(3), np.zeros((3, 3))
     steps: dict[str, Any] = {}
     for effect in effects:
         kind = kind_of(effect)
@@ -135,10 +135,10 @@ def _with(base: SensorErrors, effects: Sequence[EffectEstimate], t_ref: float) -
             turn += np.diag(growth * (t_ref - value(effect, "t_ref")))
         else:
             steps |= _sized(effect, base)
-    degree = max(base.temperature.shape[1], 2)
+    degree = max(base.temperature.shape[1], 3)
     temperature = np.zeros((3, degree))
     temperature[:, : base.temperature.shape[1]] = base.temperature
-    temperature[:, :2] += curve
+    temperature[:, :3] += curve
     return dataclasses.replace(
         base, bias=base.bias + bias, matrix=turn @ base.matrix, temperature=temperature, t_ref=t_ref, **steps
     )
@@ -175,10 +175,11 @@ def recentred(errors: SensorErrors, t_ref: float) -> SensorErrors:
 
 
 def _about(effect: EffectEstimate, t_ref: float) -> tuple[Array, Array]:
-    """Value (3,) at `t_ref`, and the coefficients (3, 2) about it (FLIGHT_CONTROLLERS 7.1)."""
+    """Value (3,) at `t_ref`, and the coefficients (3, 3) about it (FLIGHT_CONTROLLERS 7.1)."""
     d = t_ref - value(effect, "t_ref")
-    c1, c2 = vector(effect, "per_degc"), vector(effect, "per_degc2")
-    return c1 * d + c2 * d**2, np.column_stack([c1 + 2.0 * c2 * d, c2])
+    c1, c2, c3 = (vector(effect, name) for name in ("per_degc", "per_degc2", "per_degc3"))
+    coefficients = np.column_stack([c1 + 2.0 * c2 * d + 3.0 * c3 * d**2, c2 + 3.0 * c3 * d, c3])
+    return c1 * d + c2 * d**2 + c3 * d**3, coefficients
 
 
 def _sized(effect: EffectEstimate, base: SensorErrors) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from calib.errors import InvalidInputError
+from calib.gap.levels import steps_of, with_simulated_step
 from calib.gap.problem import Problem, ReferenceInfo, ReferenceKind, Trace
 from calib.gap.reference.calibrated import corrected, not_undone
 from calib.gap.reference.checks import check_vehicles, checked
@@ -53,12 +54,12 @@ def build(real: Recording, sim: Recording | None = None, nominal: Sequence[Recor
     if not single and not pairs:
         raise InvalidInputError(_NO_REFERENCE if ideal is None else _NO_OVERLAP)
     clean = [] if chosen is None else [(n, nominal_traces(n, its)) for n, its in chosen.nominal]
+    steps = steps_of(c for n, _ in clean for c in sensors_of(n))
     total, own = noise_of([trace for _, traces in clean for trace in traces])
     offsets = deviations([t for n, traces in clean if n is sim for t in traces if t.against is None])
     sound = checked(single + pairs)
-    traces = tuple(
-        simulated_ideal(with_noise(t, total.get(t.sensor), own.get(t.sensor)), offsets) for t in sound.traces
-    )
+    rounded = [with_simulated_step(t, steps.get(t.sensor, 0.0)) for t in sound.traces]
+    traces = tuple(simulated_ideal(with_noise(t, total.get(t.sensor), own.get(t.sensor)), offsets) for t in rounded)
     info = ReferenceInfo(ReferenceKind.REDUNDANT, text=_REDUNDANT) if ideal is None else ideal.info
     warnings = (
         *not_undone(channels, real),

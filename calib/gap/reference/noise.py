@@ -10,14 +10,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct
+from scipy.special import chdtr, chdtrc
 
+from calib.gap.likelihood import fit_amplitudes, flicker, random_walk
 from calib.gap.problem import Trace
 from calib.gap.reference.calibrated import filter_gain
 
 Array = NDArray[np.float64]
 
 _BANDS = 28
-_COLOURED = 6.0  # standard deviations by which the band furthest from white must be off
+_COLOURED = 1e-4  # chance of the band furthest from white in white noise, from which on it is not
+_OFF = 1e-3  # chance of a band beside white noise, walk and flicker, from which on it is taken as it is
+_FLOOR = 1e-9  # of the mean power
+_SHRUNK = 12.0  # coefficients that speak for these, against those of such a band
 _FEWEST = 64
 _LEAST = 6  # coefficients in the lowest band
 _SEEN = 5.0  # times the filter's cut-off, beyond which too little is left to be brought back
@@ -45,8 +50,33 @@ class Noise:
     @property
     def white(self) -> bool:
         """Whether every band agrees with the mean of all."""
-        off = np.abs(self.psd / self.sigma**2 - 1.0) * np.sqrt(self.dof / 2.0)[:, None]
-        return bool(off.max() < _COLOURED)
+        chance = chances(self.psd / self.sigma**2, self.dof)
+        return bool(chance.min() * chance.size > _COLOURED)
+
+    def smoothed(self) -> Noise:
+        """Few coefficients say little about the lowest bands: white noise, a walk and flicker, and what they miss.
+
+        A band that differs from their sum by more than chance is taken as it is, but for a share of that sum.
+        """
+        omega = 2.0 * np.pi * self.hz / self.fs
+        gain = filter_gain(self.hz, self.low_pass_hz) ** 2
+        shapes = [gain * shape for shape in (np.ones_like(omega), random_walk(omega), flicker(omega))]
+        made = np.empty_like(self.psd)
+        for c, column in enumerate(self.psd.T):
+            scale = max(float(self.dof @ column / self.dof.sum()), np.finfo(float).tiny)
+            measured = np.maximum(column / scale, _FLOOR)
+            fit = fit_amplitudes(self.dof * measured, self.dof, np.zeros_like(measured), shapes)
+            model = np.maximum(fit.amplitudes @ np.asarray(shapes), _FLOOR)
+            ratio = measured / model
+            shrunk = (self.dof * ratio + _SHRUNK) / (self.dof + _SHRUNK)
+            made[:, c] = scale * model * np.where(chances(ratio[:, None], self.dof)[:, 0] < _OFF, shrunk, 1.0)
+        return dataclasses.replace(self, psd=made)
+
+
+def chances(ratio: Array, dof: Array) -> Array:
+    """Chance, to either side, of means (K, k) of `dof` (K,) squared numbers of variance one as far off as `ratio`."""
+    total = ratio * dof[:, None]
+    return np.asarray(2.0 * np.minimum(chdtrc(dof[:, None], total), chdtr(dof[:, None], total)))
 
 
 def learned(trace: Trace) -> Noise | None:
@@ -100,6 +130,7 @@ def with_noise(trace: Trace, total: Noise | None, own: Noise | None) -> Trace:
         trace = dataclasses.replace(trace, sigma=white.sigma, sigma_dof=float(white.dof.sum()))
     if whole.white and close and not (alone and own is not None):
         return trace
+    whole, own = whole.smoothed(), None if own is None else own.smoothed()
     hz = np.geomspace(trace.fs / (2.0 * len(trace.t)), trace.fs / 2.0, 3 * _BANDS)
     trace = dataclasses.replace(trace, psd=_on(whole, hz, trace.fs, trace.low_pass_hz), psd_hz=hz)
     if own is not None:

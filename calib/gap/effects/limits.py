@@ -1,0 +1,99 @@
+"""Ends of the range and dead bands that lie before the noise and the converter: in a mechanism, an analogue stage.
+
+The samples themselves show nothing (:mod:`calib.gap.effects.lattice` finds what the converter does); the mean does.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.gap.effects.base import Effect, MeanEffect, Missing, Parameter, Shape
+from calib.gap.effects.parts import TRIADS, UNIT
+from calib.gap.problem import Trace
+from calib.recording import Sensor
+
+Array = NDArray[np.float64]
+
+_LIMITS = 12
+_NEAREST, _DEEPEST = 1e-3, 0.7  # how far below the largest reading a limit may lie, relative
+_WIDTHS = 12
+_NARROWEST = 1e-3  # of the largest reading
+_OUTSIDE = 0.02  # of the readings, in a dead band, and beyond it, for anything to be said
+
+
+def clipped_column(trace: Trace, limit: float) -> Array:
+    """What a range that ends at +-`limit` takes from the ideal reading."""
+    return (np.clip(trace.ideal, -limit, limit) - trace.ideal)[None]
+
+
+def dead_column(trace: Trace, width: float) -> Array:
+    """What a band of half width `width`, inside of which the sensor reads zero, takes from the ideal reading."""
+    return np.where(np.abs(trace.ideal) < width, -trace.ideal, 0.0)[None]
+
+
+def _largest(trace: Trace) -> float:
+    return float(np.abs(trace.ideal[trace.observed]).max(initial=0.0))
+
+
+def limits(trace: Trace) -> Array:
+    """Limits to try, ascending, in the unit of the readings."""
+    return np.asarray(_largest(trace) * (1.0 - np.geomspace(_DEEPEST, _NEAREST, _LIMITS)))
+
+
+def widths(trace: Trace) -> Array:
+    """Half widths to try, in the unit of the readings."""
+    return np.asarray(_largest(trace) * np.geomspace(_NARROWEST, 0.5, _WIDTHS))
+
+
+def _reaches_far(sensor: Sensor) -> Missing:
+    def missing(trace: Trace) -> tuple[str, str] | None:
+        size = np.abs(trace.ideal[trace.observed])
+        if not len(size) or float(size.max()) <= 0.0:
+            return f"the ideal {sensor.value} reads zero", "movement up to the end of the range"
+        return None
+
+    return missing
+
+
+def _crosses_zero(sensor: Sensor) -> Missing:
+    def missing(trace: Trace) -> tuple[str, str] | None:
+        ideal = np.abs(trace.ideal[trace.observed])
+        if len(ideal) and (ideal < 0.5 * ideal.max()).mean() > _OUTSIDE and float(ideal.max()) > 0.0:
+            return None
+        return f"the ideal {sensor.value} stays away from zero", "slow movement through zero"
+
+    return missing
+
+
+def _of(sensor: Sensor) -> tuple[Effect, ...]:
+    unit = UNIT[sensor]
+    return (
+        MeanEffect(
+            f"{sensor}_saturation",
+            sensor,
+            (),
+            "readings up to the end of the range",
+            "a larger range; less violent movement",
+            _reaches_far(sensor),
+            Shape(Parameter("limit", unit), limits),
+            columns=clipped_column,
+            fixed=True,
+            rivals=(f"{sensor}_scale" if sensor != Sensor.MAG else "mag_soft_iron",),
+        ),
+        MeanEffect(
+            f"{sensor}_dead_band",
+            sensor,
+            (),
+            "readings about zero",
+            "slow movement through zero",
+            _crosses_zero(sensor),
+            Shape(Parameter("half_width", unit), widths),
+            columns=dead_column,
+            fixed=True,
+            rivals=(f"{sensor}_scale" if sensor != Sensor.MAG else "mag_soft_iron",),
+        ),
+    )
+
+
+EFFECTS: tuple[Effect, ...] = tuple(effect for sensor in TRIADS for effect in _of(sensor))

@@ -1,0 +1,74 @@
+"""The lattice that numbers lie on: the steps of a converter, or of a program that rounded."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.gap.problem import Trace
+from calib.recording import Channel, Sensor
+
+Array = NDArray[np.float64]
+
+_ON_LEVEL = 0.05  # of a step, by which a level may lie beside the lattice
+_FRACTION = 0.99  # of the gaps between values that are whole steps
+_GAPS = 8  # different gaps that show a lattice; fewer show it if every level occurs three times
+_REPEATED = 3
+_SAME = 1e-9  # relative difference of equal numbers
+
+
+@dataclass(frozen=True)
+class Levels:
+    """A lattice of step `step` on which values lie up to `error` of a step."""
+
+    step: float
+    error: float
+
+
+def noise_of(values: Array) -> float:
+    """Noise of one sample of `values` (N,) from successive differences that are not zero; 0 if there are none."""
+    steps = np.diff(values)
+    steps = steps[steps != 0.0]
+    return float(1.4826 * np.median(np.abs(steps)) / math.sqrt(2.0)) if len(steps) else 0.0
+
+
+def levels_of(values: Array) -> Levels | None:
+    """The lattice of `values` (N,), None if they are on none (or never change)."""
+    distinct = np.unique(values)
+    size = float(np.abs(distinct).max(initial=0.0))
+    gaps = np.diff(distinct)
+    gaps = gaps[gaps > _SAME * size]
+    if not len(gaps) or (len(gaps) < _GAPS and len(values) < _REPEATED * (len(gaps) + 1)):
+        return None
+    step = float(gaps.min())
+    for _ in range(2):
+        counts = np.round(gaps / step)
+        step = float((gaps @ counts) / (counts @ counts))
+    error = np.abs(gaps / step - np.round(gaps / step))
+    if (error < _ON_LEVEL).mean() < _FRACTION or (np.round(gaps / step) < 1.0).any():
+        return None
+    return Levels(step, float(np.quantile(error, _FRACTION)))
+
+
+def step_of(values: Array) -> float:
+    """Coarsest step of the columns of `values` (N, k), 0 if they lie on none."""
+    return max((found.step for column in values.T if (found := levels_of(column)) is not None), default=0.0)
+
+
+def steps_of(channels: Iterable[Channel]) -> dict[Sensor, float]:
+    """By sensor, the coarsest step of the readings of any of `channels`."""
+    found: dict[Sensor, float] = {}
+    for channel in channels:
+        good = channel.values[np.isfinite(channel.values).all(axis=1)]
+        found[channel.sensor] = max(found.get(channel.sensor, 0.0), step_of(good))
+    return found
+
+
+def with_simulated_step(trace: Trace, step: float) -> Trace:
+    """`trace` with the `step` that the simulator rounds to declared, as far as the sensor rounds so too."""
+    quantum = max(trace.quantum, min(step, step_of(trace.measured[trace.observed])) if step else 0.0)
+    return trace if quantum == trace.quantum else replace(trace, quantum=quantum)
