@@ -320,7 +320,7 @@ def exactly(hypothesis: Hypothesis, beta: Array, beside: Beside) -> tuple[float,
 def priced(hypothesis: Hypothesis, theta: float, found: Gain, grid: int) -> Score:
     """A score of an effect on the mean with free amplitudes."""
     hidden = hypothesis.effect.hidden if found.df else 0
-    price = price_of_search(grid) + hidden * price_of_fixed(found.gain)
+    price = price_of_search(grid, found.gain) + hidden * price_of_fixed(found.gain)
     p = tail(found.gain, found.df + hidden, grid)
     return Score(hypothesis, theta, found.gain, found.df + hidden, grid, p, found.evidence - price, found.beta)
 
@@ -349,7 +349,7 @@ def noise_score(hypothesis: Hypothesis, model: Model) -> Score:
     gain, values, price = scores[best]
     df = len(effect.parameters)
     p = one_sided_tail(gain, df, grid)
-    price += price_of_search(grid) + (DRIFT if effect.id.endswith(DRIFTS) else 0.0)
+    price += price_of_search(grid, gain) + (DRIFT if effect.id.endswith(DRIFTS) else 0.0)
     return Score(hypothesis, thetas[best], gain, df, grid, p, gain - price, values)
 
 
@@ -376,15 +376,16 @@ def _noise_gain(
     }
     effect = hypothesis.effect
     assert isinstance(effect, NoiseEffect)
-    gain, values, price = 0.0, [], 0.0
+    gain, values, known = 0.0, [], []
     for fit in fits:
         rows = extra_rows(model, fit, by_view)
         if not fit.promising(rows):
             values.append(np.zeros(len(rows)))
+            known.append(fit.known_of(rows))
             continue
         without = alone(fit)
         amplitudes, level, information = fit.fitted(rows)
-        price += price_of_noise(amplitudes[len(fit.names) :], _marginal(information)[len(fit.names) :])
+        known.append(_marginal(information)[len(fit.names) :])
         gain += max(without - level, 0.0)
         added = amplitudes[len(fit.names) :]
         values.append(added)
@@ -397,7 +398,8 @@ def _noise_gain(
                     )
                     envelope = effect.variance(view.traces[instance])
                     gain += modulation(model, a, envelope, added @ by_view[a // 3])
-    return gain, np.array(values).T, price
+    by_density = zip(np.array(values).T, np.array(known).T, strict=True)
+    return gain, np.array(values).T, sum(price_of_noise(a, i) for a, i in by_density)
 
 
 def _marginal(information: Array) -> Array:

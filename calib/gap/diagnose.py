@@ -275,7 +275,11 @@ def _series(model: Model) -> tuple[SeriesFit, ...]:
         if band.first:
             continue
         view = band.whole
-        parts = {t.hypothesis.effect.id: predicted(t, view) for t in model.terms if t.hypothesis.touches(band)}
+        parts: dict[str, Array] = {}
+        for term in model.terms:
+            if term.hypothesis.touches(band):
+                name = term.hypothesis.effect.id  # what happens more than once is shown as one
+                parts[name] = parts.get(name, 0.0) + predicted(term, view)
         modelled = np.add.reduce([np.zeros_like(view.residual), *parts.values()])
         power = np.column_stack(
             [assembled(model.setting.views, [n.power for n in model.noise], v, c) for c in range(3)]

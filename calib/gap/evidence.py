@@ -19,7 +19,7 @@ _SIZES = np.geomspace(1.0, 1e8, 33)
 """Prior variances that are tried, in units of the best-seen direction's error."""
 _FINE = 100
 """Values of a grid from which on its search is paid value by value: moments, frequencies."""
-DRIFT = 10.0
+DRIFT = 16.0
 """Price of noise that wanders: it fits any slow change, so a named cause that fits nearly as well is believed first."""
 _COARSE = 4.0
 """What the search over a coarse grid counts as."""
@@ -57,16 +57,20 @@ def price_of_fixed(gain: float) -> float:
     return math.log1p(max(gain, 0.0)) + 2.0 * math.log(2.0)
 
 
-def price_of_search(grid: int) -> float:
-    """Price of a shape that was sought over `grid` values; none for one value."""
+def price_of_search(grid: int, gain: float) -> float:
+    """Price of a shape that was sought over `grid` values; none for one value.
+
+    No more values can be told apart than the evidence has to offer: a jump of evidence g is known to N/g samples.
+    """
     if grid <= 1:
         return 0.0
-    return 2.0 * math.log(grid if grid > _FINE else _COARSE)
+    return 2.0 * math.log(min(grid, max(gain, _COARSE)) if grid > _FINE else _COARSE)
 
 
 def price_of_noise(amplitudes: Array, information: Array) -> float:
-    """Price of amplitudes of noise, in twice the log-likelihood, each under a prior of its own size.
+    """Price of amplitudes (p,) of noise, in twice the log-likelihood, under a prior of their own size.
 
-    `information`: of each beside all others.
+    `information`: of each beside all others. A sensor's axes are alike: one on which such noise is excluded costs.
     """
-    return float(np.log1p(np.maximum(amplitudes, 0.0) ** 2 * information).sum())
+    size = float(np.mean(np.maximum(amplitudes, 0.0) ** 2)) if len(amplitudes) else 0.0
+    return float(np.log1p(size * information).sum())

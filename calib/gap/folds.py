@@ -28,6 +28,8 @@ from calib.gap.views import View, between
 
 Array = NDArray[np.float64]
 
+_UNSEEN = 1e-9
+"""Part of an amplitude's information below which the other blocks do not show it."""
 _GUARD_S = 0.5
 """Cut off at either end of a block, so that noise with memory does not tell one block of the next."""
 
@@ -80,10 +82,11 @@ def carried(model: Model, test: Model) -> Model:
     """A model of the training blocks applied to the held-out one: the same effects, the same noise."""
     for noise_term in model.noise_terms:
         test = with_term(test, noise_term)
-    known = {name: value for noise in model.noise for name, value in noise.amplitudes.items()}
+    # A density has the same name on every axis.
+    known = {(name, a % 3): value for a, noise in enumerate(model.noise) for name, value in noise.amplitudes.items()}
     noise = tuple(
-        replace(n, amplitudes={name: known.get(name, value) for name, value in n.amplitudes.items()})
-        for n in test.noise
+        replace(n, amplitudes={name: known.get((name, a % 3), value) for name, value in n.amplitudes.items()})
+        for a, n in enumerate(test.noise)
     )
     return with_residual(replace(test, terms=model.terms, noise=noise))
 
@@ -111,13 +114,26 @@ def power_ratio(model: Model) -> tuple[float, int]:
 def expected_gain(term: Term, train: Model, test: Model) -> float:
     """Nats by which a term of the mean should lower the loss of a held-out block, if it is what it says.
 
-    Half the energy it has there beyond what the error of its estimate costs.
+    Half the energy it has there beyond what the error of its estimate costs; far below zero where the other blocks do
+    not show what this one does.
     """
-    block = normal_equations([jacobian(term, test.setting)], test.y, with_weight(test).weight)
+    weighted = with_weight(test)
+    block = normal_equations([jacobian(term, test.setting)], weighted.y, weighted.weight)
     rest = normal_equations([jacobian(term, train.setting)], train.y, train.weight)
-    covariance = np.linalg.pinv(rest.gram, rcond=1e-9, hermitian=True)
-    values = np.append(term.beta, 0.0)[: len(block.gram)] if not term.effect.fixed else term.values
-    return float(0.5 * (values @ block.gram @ values - np.trace(block.gram @ covariance)))
+    whole = rest.gram + block.gram
+    scale = np.sqrt(np.maximum(np.diag(whole), np.finfo(float).tiny))
+    least = _UNSEEN * np.eye(len(scale))
+    covariance = np.linalg.inv(rest.gram / np.outer(scale, scale) + least)
+    cost = float(np.trace((block.gram / np.outer(scale, scale)) @ covariance))
+    return 0.5 * (_energy(term, weighted) - cost)
+
+
+def _energy(term: Term, model: Model) -> float:
+    """Weighted sum of squares of what a term adds."""
+    without = with_residual(replace(model, terms=()))
+    alone = with_residual(replace(model, terms=(term,)))
+    pairs = zip(without.y, alone.y, model.weight, strict=True)
+    return sum(float(w @ (a - b) ** 2) for a, b, w in pairs)
 
 
 def with_weight(model: Model) -> Model:

@@ -38,12 +38,13 @@ class Hypothesis:
     @property
     def key(self) -> tuple[str, tuple[int, ...]]:
         """What tells hypotheses apart."""
-        return self.effect.id + _AGAIN * self.again, self.instances
+        return self.effect.id + self.effect.form + _AGAIN * self.again, self.instances
 
     @property
     def before(self) -> tuple[str, tuple[int, ...]] | None:
         """Key of the one that must be there first, None for the first."""
-        return (self.effect.id + _AGAIN * (self.again - 1), self.instances) if self.again else None
+        name = self.effect.id + self.effect.form
+        return (name + _AGAIN * (self.again - 1), self.instances) if self.again else None
 
     def touches(self, view: View) -> bool:
         """Whether it would change this series."""
@@ -54,7 +55,7 @@ class Hypothesis:
     @property
     def fast(self) -> bool:
         """Whether it changes a mean at any frequency: it is made at the sensor's own rate."""
-        return self.effect.id.endswith(_FAST)
+        return self.effect.id.endswith(_FAST) or bool(self.effect.form)
 
 
 @dataclass(frozen=True, eq=False)

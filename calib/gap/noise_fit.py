@@ -36,9 +36,17 @@ def declared(view: View) -> Array | None:
     return None if view.variance is None else np.broadcast_to(view.variance, (view.count, 3)).copy()
 
 
-def counts_again(view: View) -> bool:
-    """Whether the recording that its noise was learned from counts in its fit; once for both bands."""
-    return bool(np.isfinite(view.dof)) and declared(view) is not None and not view.first
+def learned_once(setting: Setting, axes: Sequence[int]) -> set[int]:
+    """The axes with which the recording that their noise was learned from counts in the fit.
+
+    Once for all blocks of a series and for both its bands.
+    """
+    first: dict[str, int] = {}
+    for a in axes:
+        view = setting.views[a // 3]
+        if np.isfinite(view.dof) and declared(view) is not None and not view.first:
+            first.setdefault(view.label, a)
+    return set(first.values())
 
 
 def starting_noise(setting: Setting) -> tuple[Noise, ...]:
@@ -84,6 +92,11 @@ class AxisFit:
                 return True
         return False
 
+    def known_of(self, extra: Sequence[Array]) -> Array:
+        """Information (p,) of the amplitudes of densities `extra` at zero."""
+        power = self.base + (self.start @ self.densities if len(self.names) else 0.0)
+        return np.array([0.5 * float(self.counts @ (row / power) ** 2) for row in extra])
+
     def fitted(self, extra: Sequence[Array] = ()) -> tuple[Array, float, Array]:
         """Amplitudes, ``-2 log L`` and information, with densities `extra` beside its own."""
         rows = [*self.densities, *extra]
@@ -106,9 +119,10 @@ def axis_fit(model: Model, axes: Sequence[int]) -> AxisFit:
     names = tuple(dict.fromkeys(name for a in axes for name in model.noise[a].densities))
     counts, power, base = [], [], []
     rows: dict[str, list[Array]] = {name: [] for name in names}
+    learned = learned_once(setting, axes)
     for a in axes:
         bins, noise, view = setting.bins[a // 3], model.noise[a], setting.views[a // 3]
-        pseudo = counts_again(view)
+        pseudo = a in learned
         tail = np.ones(1) if pseudo else np.zeros(0)
         counts.append(np.append(bins.counts, tail * view.dof if pseudo else tail))
         power.append(np.append(model.periodogram(a), tail * view.dof if pseudo else tail))
@@ -162,10 +176,11 @@ def extra_rows(model: Model, fit: AxisFit, by_view: Mapping[int, Array]) -> list
     """Merged densities of a candidate in the layout of `fit`; `by_view` (p, n) by series, zero elsewhere."""
     p = len(next(iter(by_view.values())))
     pieces: list[Array] = []
+    learned = learned_once(model.setting, fit.axes)
     for a in fit.axes:
         v = a // 3
-        bins, view = model.setting.bins[v], model.setting.views[v]
-        tail = 1 if counts_again(view) else 0
+        bins = model.setting.bins[v]
+        tail = 1 if a in learned else 0
         block = bins.mean(by_view[v]) if v in by_view else np.zeros((p, len(bins.counts)))
         pieces.append(np.hstack([block, np.zeros((p, tail))]))
     return list(np.hstack(pieces))

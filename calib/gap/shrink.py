@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from calib.gap.contest import Contest
+from calib.gap.effects.noise import DRIFTS
 from calib.gap.folds import (
     Fold,
     carried,
@@ -44,6 +45,10 @@ _PROMISING = 0.01
 """Chance, uncorrected, below which a hypothesis takes part in the folds; the level stays that of all tests."""
 _SIGNIFICANT = 3.0
 _DISAGREE = 1e-3
+_SHORT = 2.5
+"""Standard deviations by which a held-out gain may be less than was due."""
+_FORETOLD = -5.0
+"""Nats below which the other blocks do not know what to expect of one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,20 +150,25 @@ def _prefix(fold: Fold, order: Sequence[Term | NoiseTerm], k: int, full: float) 
 
 
 def _gate(term: Term | NoiseTerm, gains: Array, folds: Sequence[Fold], chosen: Chosen) -> Gate:
-    """Passed where the interval of the held-out gain lies above zero, or where so small a gain had to be expected.
+    """Passed where held-out data are described better; withdrawn where they are not although they should.
 
-    An effect near the limit of detection gains ``lambda / 2 +- sqrt(lambda)`` nats, and its interval may reach below
-    zero although it is true; it is withdrawn if the gain is also two standard deviations short of that.
+    An effect of evidence lambda gains ``lambda / 2 +- sqrt(lambda)`` nats: one near the limit of detection may gain
+    nothing although it is true. What happened in one block only cannot be foretold from the others, and a drift of
+    the bias does not tell one block of the next.
     """
-    low, _ = interval(gains, np.ones(len(gains)))
-    if low > 0.0:
-        return Gate(term.hypothesis.key, gains, passed=True)
+    total = float(gains.sum())
+    key = term.hypothesis.key
     if isinstance(term, NoiseTerm):
-        return Gate(term.hypothesis.key, gains, passed=bool(gains.sum() > 0.0))
-    expected = sum(expected_gain(term, fold.train, carried(chosen.model, fold.test)) for fold in folds)
-    if expected <= 1.0:
-        return Gate(term.hypothesis.key, gains, passed=None)
-    return Gate(term.hypothesis.key, gains, passed=bool(gains.sum() > expected - 2.0 * math.sqrt(2.0 * expected)))
+        drifts = term.hypothesis.effect.id.endswith(DRIFTS)
+        return Gate(key, gains, passed=True if total > 0.0 else None if drifts else False)
+    expected = [expected_gain(term, fold.train, carried(chosen.model, fold.test)) for fold in folds]
+    seen = [e > _FORETOLD for e in expected]
+    due = sum(e for e, s in zip(expected, seen, strict=True) if s)
+    total = float(gains[seen].sum())
+    least = due - _SHORT * math.sqrt(2.0 * due)
+    if due <= 1.0 or (total <= 0.0 and least < 0.0):
+        return Gate(key, gains, passed=None)
+    return Gate(key, gains, passed=total > max(least, 0.0))
 
 
 def interval(part: Array, whole: Array) -> tuple[float, float]:

@@ -19,7 +19,7 @@ from scipy.special import chdtrc
 
 from calib.gap.contest import Beside, Contest, Gain, Score, existing, priced
 from calib.gap.effects.base import MeanEffect, Parameter
-from calib.gap.evidence import evidence
+from calib.gap.evidence import DRIFT, evidence
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.likelihood import fit_amplitudes, random_walk
 from calib.gap.model import Model, NoiseTerm, Setting
@@ -214,9 +214,14 @@ def _scored(contest: Contest, beside: Beside) -> list[Score]:
             gain = basis.T @ right[rows]
             own = singles.get(key)
             if own is not None:
-                worth = evidence(gram[np.ix_(rows, rows)], right[rows], np.zeros(len(rows), np.intp))
+                worth = evidence(gram[np.ix_(rows, rows)], right[rows], np.zeros(len(rows), np.intp)) - _extra(own)
                 found.append(priced(own, math.nan, Gain(float(gain @ gain), basis.shape[1], basis @ gain, worth), 1))
     return found
+
+
+def _extra(hypothesis: Hypothesis) -> float:
+    """What the unknown costs beside its amplitudes: more than drifting noise where it is drift itself."""
+    return 2.0 * DRIFT if "function of time" in hypothesis.effect.id else DRIFT
 
 
 def _parts(hypothesis: Hypothesis, p: int) -> Iterator[tuple[tuple[str, tuple[int, ...]], NDArray[np.intp]]]:

@@ -78,6 +78,8 @@ class Effect:
         One set of parameters acts on every trace of every sensor; `sensor` then only says whose page it is on.
     repeatable
         It can happen more than once in a recording (a magnet put on and taken off, two tones).
+    form
+        Tells apart two descriptions of one effect that compete under the same id; empty for the only one.
     hidden
         Numbers that are fitted to the residual inside its columns: degrees of freedom that no parameter shows.
     """
@@ -93,6 +95,7 @@ class Effect:
     shared: bool = False
     repeatable: bool = False
     hidden: int = 0
+    form: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

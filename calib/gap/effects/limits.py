@@ -15,10 +15,8 @@ from calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
-_LIMITS = 12
-_NEAREST, _DEEPEST = 1e-3, 0.7  # how far below the largest reading a limit may lie, relative
-_WIDTHS = 12
-_NARROWEST = 1e-3  # of the largest reading
+_TRIED = 26
+_LEAST, _MOST = 4.0, 1e6  # evidence of the least and the largest that is tried, times the least
 _OUTSIDE = 0.02  # of the readings, in a dead band, and beyond it, for anything to be said
 
 
@@ -32,18 +30,36 @@ def dead_column(trace: Trace, width: float) -> Array:
     return np.where(np.abs(trace.ideal) < width, -trace.ideal, 0.0)[None]
 
 
-def _largest(trace: Trace) -> float:
-    return float(np.abs(trace.ideal[trace.observed]).max(initial=0.0))
+def _noise(trace: Trace) -> float:
+    """Of one sample: the quietest axis'."""
+    if trace.sigma is not None:
+        return float(np.min(trace.sigma))
+    steps = np.diff(trace.residual[trace.observed], axis=0)
+    return float(np.sqrt(0.5 * steps.var(axis=0)).min()) if len(steps) else 0.0
+
+
+def _at_energies(values: Array, energy: Array, noise: float) -> Array:
+    """Of ascending `values`, those at which the rising `energy` they take reaches steps of a constant ratio."""
+    seen = _LEAST * noise**2
+    top = float(energy[-1])
+    if not (noise > 0.0 and top > seen):
+        return values[-1:]
+    wanted = np.geomspace(seen, min(top, _MOST * seen), _TRIED)
+    return np.unique(values[np.minimum(np.searchsorted(energy, wanted), len(values) - 1)])
 
 
 def limits(trace: Trace) -> Array:
     """Limits to try, ascending, in the unit of the readings."""
-    return np.asarray(_largest(trace) * (1.0 - np.geomspace(_DEEPEST, _NEAREST, _LIMITS)))
+    size = np.sort(np.abs(trace.ideal[trace.observed]).ravel())[::-1]
+    count = np.arange(1, len(size) + 1)
+    energy = np.cumsum(size**2) - 2.0 * size * np.cumsum(size) + count * size**2  # what lies above each of them
+    return np.sort(_at_energies(size, np.maximum.accumulate(energy), _noise(trace)))
 
 
 def widths(trace: Trace) -> Array:
-    """Half widths to try, in the unit of the readings."""
-    return np.asarray(_largest(trace) * np.geomspace(_NARROWEST, 0.5, _WIDTHS))
+    """Half widths to try, ascending, in the unit of the readings."""
+    size = np.sort(np.abs(trace.ideal[trace.observed]).ravel())
+    return _at_energies(size, np.cumsum(size**2), _noise(trace))
 
 
 def _reaches_far(sensor: Sensor) -> Missing:

@@ -44,6 +44,7 @@ def strongest_bins(trace: Trace, residual: Array) -> Array:
     grid = bins(trace)
     y = np.where(trace.observed[:, None], residual, 0.0)
     power = np.abs(np.fft.rfft(y - y.mean(axis=0), axis=0)) ** 2
+    power[0] = power[min(1, len(power) - 1)]  # the mean is gone; its logarithm would drown its neighbours
     around = np.exp(uniform_filter1d(np.log(power + np.finfo(float).tiny), _AROUND, axis=0))
     first = round(float(grid[0]) * len(y) / trace.fs)
     ratio = (power / around).sum(axis=1)[first : first + len(grid)]

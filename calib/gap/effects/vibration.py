@@ -1,6 +1,7 @@
 """What turning rotors do: lines that follow their speed, lines folded by the sampling, noise, and a shifted mean.
 
-A vibration's phase is not known well enough to subtract it: it is power on its track. With rotor speeds recorded the
+Where rotor speeds are logged so fast and well that their integral keeps the phase, a line is a wave that follows one
+rotor, and is subtracted. Where they are not, it is power on its track. With rotor speeds recorded the
 track is a multiple of them, weighted by the fourth power of the speed (an imbalance's force grows with its square);
 without, it is a fixed frequency while the motors run.
 """
@@ -11,6 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import uniform_filter1d
 
 from calib.gap.effects.base import Effect, MeanEffect, Missing, NoiseEffect, Parameter, Shape
@@ -29,6 +31,7 @@ _LOWEST = 5.0  # Hz, of a vibration at a fixed frequency
 _HARMONICS = (1, 2, 3, 4)  # blades and their second harmonic
 _FOLDED = (1, 2, 3, 4, 5, 6)
 _DETUNED = (0.98, 1.0, 1.02)
+_ROTOR = 100.0  # in front of a rotor's orders
 _CANDIDATES = 4
 _LEAST_VARIATION = 0.1  # of the rotors' power, standard deviation over maximum
 _THROTTLE = "throttle 0-hover-0 twice at one attitude"
@@ -152,6 +155,68 @@ def strongest_bands(trace: Trace, residual: Array) -> Array:
     return np.sort(grid[np.argsort(ratio)[-_CANDIDATES:]])
 
 
+def turning(trace: Trace, rotor_order: float) -> Array:
+    """Two signals: cosine and sine of a multiple of one rotor's angle, growing with the square of its speed.
+
+    `rotor_order` is 100 times the rotor's number, from 1, plus the multiple. What the firmware's own filter takes at
+    the mean frequency is taken.
+    """
+    assert trace.rotor_hz is not None
+    rotor, order = divmod(rotor_order, _ROTOR)
+    speed = np.maximum(trace.rotor_hz[:, int(np.clip(rotor, 1, trace.rotor_hz.shape[1])) - 1], 0.0)
+    mean = max(float(speed.mean()), np.finfo(float).tiny)
+    phase = 2.0 * np.pi * order * cumulative_trapezoid(speed, dx=1.0 / trace.fs, initial=0.0)
+    wave = (speed / mean) ** 2 * np.exp(1j * phase)
+    if trace.low_pass_hz is not None:
+        s = 1j * order * mean / trace.low_pass_hz
+        wave = wave / (1.0 + np.sqrt(2.0) * s + s * s)
+    return np.stack([wave.real, wave.imag])
+
+
+def orders_below(trace: Trace) -> Array:
+    """Every rotor's multiples that the sampling shows as they are."""
+    return _orders(trace, _HARMONICS, lambda hz: hz < 0.5 * trace.fs)
+
+
+def orders_beyond(trace: Trace) -> Array:
+    """Every rotor's multiples that the sampling folds."""
+    return _orders(trace, _FOLDED, lambda hz: hz >= 0.5 * trace.fs)
+
+
+def _orders(trace: Trace, orders: tuple[int, ...], wanted: Callable[[float], bool]) -> Array:
+    assert trace.rotor_hz is not None
+    speeds = [float(s[s > _RUNNING_HZ].mean()) if (s > _RUNNING_HZ).any() else 0.0 for s in trace.rotor_hz.T]
+    found = [_ROTOR * (k + 1) + h for k, s in enumerate(speeds) for h in orders if s > 0.0 and wanted(h * s)]
+    return np.array(found, dtype=np.float64)
+
+
+def _followed(grid: Callable[[Trace], Array]) -> Missing:
+    def missing(trace: Trace) -> tuple[str, str] | None:
+        if trace.rotor_hz is None:
+            return "no rotor speed recorded", "rotor speed in the log"
+        return None if len(grid(trace)) else ("no multiple of a rotor's speed lies there", "rotors that turn")
+
+    return missing
+
+
+def _wave(kind: str, sensor: Sensor, grid: Callable[[Trace], Array]) -> Effect:
+    unit = UNIT[sensor]
+    return MeanEffect(
+        f"{sensor}_{kind}",
+        sensor,
+        per_axis("cos", unit) + per_axis("sin", unit),
+        "running motors",
+        "sweep the rotor speed: an alias moves against it, a tone stays",
+        _followed(grid),
+        Shape(Parameter("rotor_order", "100 rotor + order"), grid),
+        columns=axiswise(turning),
+        signals=turning,
+        rivals=(f"{sensor}_tone", f"{sensor}_rotor_noise"),
+        repeatable=True,
+        form="~wave",
+    )
+
+
 def _motors_run(trace: Trace) -> tuple[str, str] | None:
     if drive(trace) is None:
         return _TELEMETRY
@@ -221,6 +286,8 @@ def _of(sensor: Sensor) -> tuple[Effect, ...]:
     if sensor not in INERTIAL:
         return (noise,)
     return (
+        _wave("vibration", sensor, orders_below),
+        _wave("aliasing", sensor, orders_beyond),
         _line("vibration", sensor, below, _shown, ("tone", "aliasing", "rotor_noise")),
         _line("aliasing", sensor, beyond, _rotor_speed_known, ("vibration", "tone", "rotor_noise")),
         noise,
