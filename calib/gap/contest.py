@@ -20,8 +20,7 @@ from scipy.stats import binom
 
 from calib.gap.bands import joined
 from calib.gap.effects.base import MeanEffect, NoiseEffect
-from calib.gap.effects.noise import DRIFTS
-from calib.gap.evidence import DRIFT, evidence, price_of_fixed, price_of_noise, price_of_search
+from calib.gap.evidence import evidence, price_of_fixed, price_of_kind, price_of_noise, price_of_search
 from calib.gap.hypotheses import Columns, Hypothesis, columns_of
 from calib.gap.model import (
     Model,
@@ -321,6 +320,7 @@ def priced(hypothesis: Hypothesis, theta: float, found: Gain, grid: int) -> Scor
     """A score of an effect on the mean with free amplitudes."""
     hidden = hypothesis.effect.hidden if found.df else 0
     price = price_of_search(grid, found.gain) + hidden * price_of_fixed(found.gain)
+    price += price_of_kind(hypothesis.effect.id)
     p = tail(found.gain, found.df + hidden, grid)
     return Score(hypothesis, theta, found.gain, found.df + hidden, grid, p, found.evidence - price, found.beta)
 
@@ -349,7 +349,7 @@ def noise_score(hypothesis: Hypothesis, model: Model) -> Score:
     gain, values, price = scores[best]
     df = len(effect.parameters)
     p = one_sided_tail(gain, df, grid)
-    price += price_of_search(grid, gain) + (DRIFT if effect.id.endswith(DRIFTS) else 0.0)
+    price += price_of_search(grid, gain) + price_of_kind(effect.id)
     return Score(hypothesis, thetas[best], gain, df, grid, p, gain - price, values)
 
 

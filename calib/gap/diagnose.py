@@ -18,6 +18,7 @@ from calib.gap.effects import catalogue
 from calib.gap.effects.base import Effect, LatticeEffect, LatticeEvidence
 from calib.gap.estimates import estimates_of
 from calib.gap.hypotheses import hypotheses_of
+from calib.gap.impostors import impostors, unsteady
 from calib.gap.locate import located
 from calib.gap.model import Model, NoiseTerm, Term, predicted, setting_of, starting_model
 from calib.gap.noise_fit import refitted, starting_noise
@@ -37,8 +38,9 @@ from calib.gap.schema import (
     Verdict,
 )
 from calib.gap.selection import Chosen, reduced, select, undrifted
+from calib.gap.shapes import PREFIX
 from calib.gap.shrink import consistent, held_out, shrink_of
-from calib.gap.unknown import PREFIX, describe, explained, impostors, is_shape, leftover
+from calib.gap.unknown import describe, explained, is_shape, leftover
 from calib.gap.views import views_of
 from calib.gap.wander import Wander, rms_rotation, sees, wandering
 from calib.recording import Sensor
@@ -48,6 +50,9 @@ Array = NDArray[np.float64]
 _FIRST = 1
 """Instances count from 1 in a report."""
 REFERENCE = "reference_attitude"
+_JUMPS = 3
+"""Jumps of one sensor from which on they are no single events."""
+_NOT_LASTING = "a deviation that no effect describes throughout the recording"
 _MATERIAL = 0.03
 """Share of the gap from which on something unknown is said."""
 
@@ -97,13 +102,14 @@ def diagnose(
     heldout = held_out(chosen, contest, alpha, nested=nested)
     gates = {} if heldout is None else {gate.key: gate.passed for gate in heldout.gates}
     failed = [key for key, passed in gates.items() if passed is False]
+    withdrawn = 0.5 * sum(s.gain for s in chosen.scores if s.hypothesis.key in failed)
     if failed:
         chosen = reduced(chosen, failed)
         heldout = held_out(chosen, contest, alpha, nested=nested)
         chosen, attributions = settled(chosen, contest, 0.0)
     named = [a for a in attributions if not a.key[0].startswith(PREFIX)]
     found = tuple(_effect(chosen, a, gates.get(a.key)) for a in named)
-    unknown = unknown_of(chosen, attributions)
+    unknown = unknown_of(chosen, attributions, withdrawn)
     effects_found = (*lattice.effects, *(() if wander is None else (_wandering(wander, attributions),)), *found)
     return GapReport(
         inputs,
@@ -120,8 +126,11 @@ def diagnose(
     )
 
 
-def unknown_of(chosen: Chosen, attributions: tuple[Attribution, ...]) -> Unknown:
-    """What is not of the catalogue: shapes in the model, noise that is an impostor, bands that are left over."""
+def unknown_of(chosen: Chosen, attributions: tuple[Attribution, ...], withdrawn: float) -> Unknown:
+    """What is not of the catalogue: shapes in the model, impostors, bands that are left over, and what did not last.
+
+    `withdrawn`: nats of effects that held-out data took away. Something was there, but it was not they.
+    """
     texts = {t.hypothesis.key: describe(t.hypothesis) for t in chosen.model.terms if is_shape(t.hypothesis)}
     share = sum(a.share for a in attributions if a.key in texts)
     driver = None
@@ -129,10 +138,23 @@ def unknown_of(chosen: Chosen, attributions: tuple[Attribution, ...]) -> Unknown
         texts[impostor.key] = impostor.text
         share += sum(a.share for a in attributions if a.key == impostor.key)
         driver = driver or impostor.driver
-    rest, band = leftover(chosen.model, 0.5 * sum(a.gain for a in attributions))
+    gap = 0.5 * sum(a.gain for a in attributions)
+    rest, band = leftover(chosen.model, gap)
     if rest > 0.0:
         texts["leftover", ()] = band
         share += rest * (1.0 - share)
+    swelling, when = unsteady(chosen.model)
+    for name, nats, text in (("unsteady", swelling, when), ("withdrawn", withdrawn, _NOT_LASTING)):
+        part = nats / (gap + nats) if nats > 0.0 else 0.0
+        if part > _MATERIAL:
+            texts[name, ()] = text
+            share += part * (1.0 - share)
+    jumps = [t for t in chosen.model.terms if t.hypothesis.effect.id.endswith("_step")]
+    for sensor in {t.hypothesis.effect.sensor for t in jumps}:
+        own = [t for t in jumps if t.hypothesis.effect.sensor is sensor]
+        if len(own) >= _JUMPS:
+            texts["jumps", ()] = f"{len(own)} jumps on {sensor.value}: " + ", ".join(f"{t.theta:.1f} s" for t in own)
+            share += sum(a.share for a in attributions if a.key in {t.hypothesis.key for t in own})
     probability = max((a.unknown_probability for a in attributions), default=0.0)
     flag = share > _MATERIAL
     return Unknown(flag, share, "; ".join(texts.values()), driver, max(probability, 0.95 if flag else 0.0))

@@ -19,8 +19,8 @@ _SIZES = np.geomspace(1.0, 1e8, 33)
 """Prior variances that are tried, in units of the best-seen direction's error."""
 _FINE = 100
 """Values of a grid from which on its search is paid value by value: moments, frequencies."""
-DRIFT = 16.0
-"""Price of noise that wanders: it fits any slow change, so a named cause that fits nearly as well is believed first."""
+_LAST = 16.0
+"""Price of what fits anything of its kind: a named cause that fits nearly as well is believed first."""
 _COARSE = 4.0
 """What the search over a coarse grid counts as."""
 
@@ -74,3 +74,10 @@ def price_of_noise(amplitudes: Array, information: Array) -> float:
     """
     size = float(np.mean(np.maximum(amplitudes, 0.0) ** 2)) if len(amplitudes) else 0.0
     return float(np.log1p(size * information).sum())
+
+
+def price_of_kind(effect_id: str) -> float:
+    """Noise that wanders fits any slow change, and so does a line over time; a shape may fit anything."""
+    if effect_id.startswith("unknown"):
+        return 2.0 * _LAST if "function of time" in effect_id else _LAST
+    return _LAST if effect_id.endswith(("_random_walk", "_flicker")) else 0.0

@@ -1,0 +1,155 @@
+"""Noise that is no sensor's own.
+
+Drift whose axes move together has one driver; drift that comes back (Gauss-Markov) is neither a walk nor flicker; noise
+that swells and fades is not the steady one that is declared.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from calib.gap.effects.base import NoiseEffect
+from calib.gap.effects.noise import DRIFTS
+from calib.gap.likelihood import fit_amplitudes, random_walk
+from calib.gap.model import Model, NoiseTerm
+from calib.gap.noise_fit import noise_rows
+from calib.gap.schema import HiddenDriver
+from calib.gap.views import View
+
+Array = NDArray[np.float64]
+
+_DRIVEN = 1e-3
+_LEAST = 6
+_RETURNS = 24.0
+"""Twice the log-likelihood by which noise that comes back must beat a walk: one in a million, and the search."""
+_POLES = np.geomspace(3e-5, 0.3, 10)
+
+
+@dataclass(frozen=True, eq=False)
+class Impostor:
+    """A noise effect that is something else."""
+
+    key: tuple[str, tuple[int, ...]]
+    text: str
+    driver: HiddenDriver | None
+
+
+def impostors(model: Model) -> tuple[Impostor, ...]:
+    """Random walks and flicker of the model that are not a sensor's own noise."""
+    found = []
+    for term in model.noise_terms:
+        if not term.hypothesis.effect.id.endswith(DRIFTS):
+            continue
+        sensor = term.hypothesis.effect.sensor
+        for v, view in enumerate(model.setting.views):
+            if view.first or not term.hypothesis.touches(view):
+                continue
+            driver = coherent(model, v, term)
+            if driver is not None:
+                text = (
+                    f"hidden scalar driver along [{', '.join(f'{d:.2f}' for d in driver.direction)}] on {sensor.value}"
+                )
+                found.append(Impostor(term.hypothesis.key, text, driver))
+                break
+            if returning(model, v, term):
+                text = f"drift that comes back (Gauss-Markov) on {sensor.value}"
+                found.append(Impostor(term.hypothesis.key, text, None))
+                break
+    return tuple(found)
+
+
+def coherent(model: Model, v: int, term: NoiseTerm) -> HiddenDriver | None:
+    """Whether the axes' drifts are correlated (Bartlett): then something drives them together."""
+    view = model.setting.views[v]
+    y, own = [], []
+    for c in range(3):
+        noise = model.noise[3 * v + c]
+        part = sum(noise.amplitudes[name] * noise.densities[name] for name in noise.densities if name == term.name(0))
+        y.append(view.spectra(model.residual[v])[c] / np.sqrt(noise.power))
+        own.append(part / noise.power)
+    bins = np.flatnonzero(np.max(own, axis=0) > 0.5)
+    if len(bins) < _LEAST:
+        return None
+    low = np.array(y)[:, bins]
+    norm = np.sqrt((low**2).sum(axis=1))
+    correlation = (low @ low.T) / np.outer(norm, norm)
+    statistic = -(len(bins) - 1.0 - 11.0 / 6.0) * math.log(max(float(np.linalg.det(correlation)), 1e-300))
+    p = float(chdtrc(3, statistic))
+    if p > _DRIVEN:
+        return None
+    scale = np.array([math.sqrt(float(model.noise[3 * v + c].power[bins].mean())) for c in range(3)])
+    leading = np.linalg.eigh((low * scale[:, None]) @ (low * scale[:, None]).T)[1][:, -1]
+    leading = leading * np.sign(leading[np.argmax(np.abs(leading))])
+    return HiddenDriver(p, (float(leading[0]), float(leading[1]), float(leading[2])), view.sensor)
+
+
+def returning(model: Model, v: int, term: NoiseTerm) -> bool:
+    """Whether noise with a corner, ``1 / (4 sin^2(w/2) + lambda)``, fits much better than the term's own."""
+    view = model.setting.views[v]
+    bins = model.setting.bins[v]
+    steep = 1.0 / random_walk(view.omega)
+    gain = 0.0
+    for c in range(3):
+        counts, power, base, rows = noise_rows(model, 3 * v + c, term.name(0))
+        if term.name(0) not in model.noise[3 * v + c].densities:
+            continue
+        own = bins.mean(model.noise[3 * v + c].densities[term.name(0)])
+        walk = fit_amplitudes(power, counts, base, [*rows, own]).deviance
+        best = min(
+            fit_amplitudes(power, counts, base, [*rows, view.gain * bins.mean(1.0 / (steep + pole**2))]).deviance
+            for pole in _POLES
+        )
+        gain += max(walk - best, 0.0)
+    return gain > _RETURNS
+
+
+_WINDOWS = (8, 32, 128)
+_UNSTEADY = 1e-6
+
+
+def unsteady(model: Model) -> tuple[float, str]:
+    """Nats by which noise that swells and fades would fit better than the steady one, and where; 0 if by chance.
+
+    Only where white noise is declared and nothing in the model varies by itself: what was learned from flights was
+    averaged over its own swelling.
+    """
+    worst, text = 0.0, ""
+    for v, view in enumerate(model.setting.views):
+        if view.density is not None or view.variance is None or view.first or _varies(model, view):
+            continue
+        for c in range(3):
+            white = view.whitened(view.spectra(model.residual[v])[c] / np.sqrt(model.noise[3 * v + c].power))
+            for width in _WINDOWS:
+                nats = _swelling(white, width, len(_WINDOWS) * 3 * len(model.setting.views))
+                if nats > worst:
+                    worst = nats
+                    text = f"noise that comes and goes within {width / view.fs:.2g} s on {view.sensor.value}.{'xyz'[c]}"
+    return worst, text
+
+
+def _varies(model: Model, view: View) -> bool:
+    return any(
+        isinstance(term.hypothesis.effect, NoiseEffect)
+        and term.hypothesis.effect.variance is not None
+        and term.hypothesis.touches(view)
+        for term in model.noise_terms
+    )
+
+
+def _swelling(white: Array, width: int, tests: int) -> float:
+    """Excess scatter of the energies of windows of `width` samples, in nats; 0 if chance makes as much."""
+    count = len(white) // width
+    if count < _LEAST:
+        return 0.0
+    energy = (white[: count * width].reshape(count, width) ** 2).sum(axis=1)
+    mean = energy / float(energy.mean())
+    scatter = float((width * (mean - 1.0 - np.log(np.maximum(mean, 1e-12)))).sum())
+    expected = 1.0 + 1.0 / (3.0 * width)  # Bartlett's correction of the ratio of one variance
+    if float(chdtrc(count - 1, scatter / expected)) * tests > _UNSTEADY:
+        return 0.0
+    return 0.5 * (scatter - expected * (count - 1))
