@@ -136,7 +136,8 @@ def _alternatives(chosen: Chosen, contest: Contest, term: Term | NoiseTerm) -> t
         if not (rival.key in taken or rival.again) and _meets(rival, term.hypothesis, model)
     ]
     scores = [noise_score(rival, bare) for rival in rivals if isinstance(rival.effect, NoiseEffect)]
-    scores += contest.scores([rival for rival in rivals if not isinstance(rival.effect, NoiseEffect)], beside)
+    coarse = contest.scores([rival for rival in rivals if not isinstance(rival.effect, NoiseEffect)], beside)
+    scores += contest.assured(coarse, beside, own_delta - _FAR)
     for score in scores:
         kappa = _imitated(beside, own_columns, term, score, energy, own_gain)
         found.append(Alternative(score, kappa))

@@ -47,13 +47,13 @@ _WORTH = 8.0
 """Gain of the best value on the grid from which on the shape is refined between its neighbours."""
 _CURVED = 300.0
 """Gain from which on an effect that is not linear in its amplitudes is fitted as it is."""
-_REFINED = 8
-"""Hypotheses a round whose shape is sought between the values of its grid."""
 _STEPS = 10
 _STEPS_FIXED = 25
 """Evaluations in the search for a shape; more where all rests on it."""
 _FOLLOWS = 6.0
 """Gain on an axis from which on it is asked whether the noise follows its envelope."""
+_FLIGHTS_DIFFER = 1.0
+"""Part of the learned noise that has to be added to it somewhere."""
 _SIDES = 2
 """Price of an effect whose shape alone is estimated: it vanishes at zero, so it was searched to either side only."""
 
@@ -74,6 +74,8 @@ class Score:
     p: float
     delta: float
     beta: Array
+    sure: bool = True
+    """Whether the shape is the best one, and not only the best on a grid."""
 
     @property
     def price(self) -> float:
@@ -188,10 +190,6 @@ def existing(gram: Array, energy: Array) -> Array:
     return np.asarray(inverse[:, None] * vectors[:, good] / np.sqrt(values[good]))
 
 
-def _is_fixed(hypothesis: Hypothesis) -> bool:
-    return isinstance(hypothesis.effect, MeanEffect) and hypothesis.effect.fixed
-
-
 def refinable(score: Score) -> bool:
     """Whether another fit of its shape, or without linearisation, could gain more."""
     effect = score.hypothesis.effect
@@ -224,21 +222,20 @@ class Contest:
         """What `hypothesis` would gain, at its best shape; without `refine` only of those on its grid."""
         if isinstance(hypothesis.effect, NoiseEffect):
             return noise_score(hypothesis, beside.model)
-        return self._mean_score(hypothesis, beside, refine=refine)
+        found = self._mean_score(hypothesis, beside, refine=refine)
+        return found if refine else replace(found, sure=not refinable(found))
 
     def scores(self, hypotheses: Sequence[Hypothesis], beside: Beside) -> list[Score]:
-        """Of several: all on their grids, then the best at their best shapes, and all that have nothing but a shape.
+        """Of several on their grids; those that are not `sure` are to be asked for alone before they count.
 
-        The others are worth no less than is said; a shape between two values of a grid gains little more than a
-        neighbour's does.
+        A free amplitude gains more at its best shape than on the grid, and no less than an effect that is nothing but a
+        shape: both are close, and most are never looked at again.
         """
-        found = [self.score(h, beside, refine=False) for h in hypotheses]
-        shaped = [i for i, s in enumerate(found) if refinable(s)]
-        whole = [i for i in shaped if _is_fixed(hypotheses[i])]
-        free = [i for i in shaped if not _is_fixed(hypotheses[i])]
-        for i in [*whole, *sorted(free, key=lambda i: -found[i].delta)[:_REFINED]]:
-            found[i] = self.score(hypotheses[i], beside)
-        return found
+        return [self.score(h, beside, refine=False) for h in hypotheses]
+
+    def assured(self, scores: Sequence[Score], beside: Beside, least: float) -> list[Score]:
+        """The same, with every one whose `delta` may be above `least` at its best shape."""
+        return [s if s.sure or s.delta < least else self.score(s.hypothesis, beside) for s in scores]
 
     def _mean_score(self, hypothesis: Hypothesis, beside: Beside, *, refine: bool) -> Score:
         effect = hypothesis.effect
@@ -348,7 +345,7 @@ def noise_score(hypothesis: Hypothesis, model: Model) -> Score:
     best = max(range(len(thetas)), key=lambda i: scores[i][0])
     gain, values, price = scores[best]
     df = len(effect.parameters)
-    p = one_sided_tail(gain, df, grid)
+    p = one_sided_tail(gain, df, grid) if _stands_out(hypothesis, thetas[best], values, model) else 1.0
     price += price_of_search(grid, gain) + price_of_kind(effect.id)
     return Score(hypothesis, thetas[best], gain, df, grid, p, gain - price, values)
 
@@ -400,6 +397,24 @@ def _noise_gain(
                     gain += modulation(model, a, envelope, added @ by_view[a // 3])
     by_density = zip(np.array(values).T, np.array(known).T, strict=True)
     return gain, np.array(values).T, sum(price_of_noise(a, i) for a, i in by_density)
+
+
+def _stands_out(hypothesis: Hypothesis, theta: float, amplitudes: Array, model: Model) -> bool:
+    """Whether added noise is more than two flights of one vehicle differ by.
+
+    A spectrum that was learned from another recording is the mean over its rest and its flight; how much of either
+    there was is no effect. On noise that is declared anything counts.
+    """
+    touched = [v for v, view in enumerate(model.setting.views) if hypothesis.touches(view)]
+    if any(model.setting.views[v].density is None for v in touched):
+        return True
+    for v in touched:
+        densities = densities_of(hypothesis, model.setting.views[v], theta)
+        for c in range(3):
+            added = amplitudes[:, c] @ densities
+            if float((added / model.noise[3 * v + c].power).max()) > _FLIGHTS_DIFFER:
+                return True
+    return False
 
 
 def _marginal(information: Array) -> Array:

@@ -37,7 +37,7 @@ from calib.gap.schema import (
     Unknown,
     Verdict,
 )
-from calib.gap.selection import Chosen, reduced, select, undrifted
+from calib.gap.selection import Chosen, reduced, select
 from calib.gap.shapes import PREFIX
 from calib.gap.shrink import consistent, held_out, shrink_of
 from calib.gap.unknown import describe, explained, is_shape, leftover
@@ -86,9 +86,6 @@ def diagnose(
     contest = Contest(hypotheses)
     bare = start
     chosen, attributions = settled(select(start, contest, alpha), contest, alpha)
-    other = undrifted(chosen, contest, start, alpha)
-    if other is not chosen:
-        chosen, attributions = settled(other, contest, alpha)
     wander = wandering(chosen, contest, start, alpha) if any(e.id == REFERENCE for e in effects) else None
     if wander is not None:
         chosen = wander.chosen

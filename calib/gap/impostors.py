@@ -15,6 +15,7 @@ from scipy.special import chdtrc
 
 from calib.gap.effects.base import NoiseEffect
 from calib.gap.effects.noise import DRIFTS
+from calib.gap.levels import step_of
 from calib.gap.likelihood import fit_amplitudes, random_walk
 from calib.gap.model import Model, NoiseTerm
 from calib.gap.noise_fit import noise_rows
@@ -120,7 +121,7 @@ def unsteady(model: Model) -> tuple[float, str]:
     """
     worst, text = 0.0, ""
     for v, view in enumerate(model.setting.views):
-        if view.density is not None or view.variance is None or view.first or _varies(model, view):
+        if view.density is not None or view.variance is None or view.first or _varies(model, view) or _coarse(view):
             continue
         for c in range(3):
             white = view.whitened(view.spectra(model.residual[v])[c] / np.sqrt(model.noise[3 * v + c].power))
@@ -130,6 +131,16 @@ def unsteady(model: Model) -> tuple[float, str]:
                     worst = nats
                     text = f"noise that comes and goes within {width / view.fs:.2g} s on {view.sensor.value}.{'xyz'[c]}"
     return worst, text
+
+
+def _coarse(view: View) -> bool:
+    """Whether readings are rounded so much that the error of rounding is no noise."""
+    for trace in view.traces.values():
+        rows = trace.measured[view.keep] if len(trace.t) == len(view.keep) else trace.measured
+        variance = float(np.mean(view.variance)) if view.variance is not None else 0.0
+        if step_of(rows) ** 2 > variance:
+            return True
+    return False
 
 
 def _varies(model: Model, view: View) -> bool:

@@ -113,7 +113,7 @@ def fit_amplitudes(
     D = np.asarray(densities, dtype=np.float64).reshape(len(densities), len(counts))
     mean = periodogram / counts
     a = _start(mean, counts, base, D) if start is None else np.maximum(start, 0.0)
-    floor = 1e-12 * float(np.average(mean, weights=counts)) + 1e-300
+    floor = 1e-12 * float(np.average(mean, weights=counts)) + 1e-150
     level = deviance(np.maximum(base + a @ D, floor), periodogram, counts)
     for _ in range(40):
         power = np.maximum(base + a @ D, floor)
@@ -139,10 +139,13 @@ def fit_amplitudes(
 def _start(mean: Array, counts: Array, base: Array, D: Array) -> Array:
     """Powers matched in the logarithm, roughly: each density carries its part of the excess."""
     excess = np.maximum(mean - base, 0.0)
-    scale = np.maximum(mean, 1e-300)
-    return np.asarray(
-        [max(float((counts * excess * d / scale**2).sum() / (counts * d * d / scale**2).sum()), 0.0) for d in D]
-    )
+    scale = np.maximum(mean, 1e-9 * float(np.average(mean, weights=counts)) + 1e-150)
+    found = []
+    for d in D:
+        ratio = d / scale
+        size = float((counts * ratio**2).sum())
+        found.append(max(float((counts * excess / scale * ratio).sum()) / size, 0.0) if size > 0.0 else 0.0)
+    return np.asarray(found)
 
 
 def _scored(D: Array, target: Array, weight: Array) -> Array:

@@ -5,7 +5,7 @@ After every step all parameters are fitted together, the noise anew, and what ha
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from calib.gap.contest import Beside, Contest, Score
-from calib.gap.effects.base import MeanEffect, NoiseEffect
+from calib.gap.effects.base import NoiseEffect
 from calib.gap.effects.noise import DRIFTS
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.model import Joint, Model, NoiseTerm, Term, refined, with_residual
@@ -28,8 +28,17 @@ MATERIAL = 0.005
 """Part of the largest gain below which an effect is a second order of the large ones (GAP, pitfalls)."""
 
 
-_SEEN = 0.1
+_SEEN = 0.3
 """Part of that below which it does not join in the first place."""
+_FRONT = 3
+"""The best so many on their grids are fitted at their best shapes before one of them joins."""
+
+_FAR = 3e-5
+"""Part of the largest gain of all below which an effect on another sensor is a flaw of the reference."""
+
+Key = tuple[str, tuple[int, ...]]
+Gains = Mapping[Key, tuple[float, int, int]]
+"""By effect: gain beside all others, degrees of freedom, size of the grid."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +68,10 @@ def fitted(model: Model, sensors: Sequence[Sensor] | None = None) -> tuple[Model
 
 
 def select(start: Model, contest: Contest, alpha: float, *, blocked: Sequence[str] = ()) -> Chosen:
-    """The effects that the data show.
+    """The effects that the data show; noise that wanders comes last.
+
+    It can take the place of any slow effects on the mean, of two at once of which neither is better alone. It is
+    therefore left out at first, and may join beside them; only then it is asked whether it says more in their place.
 
     Parameters
     ----------
@@ -73,11 +85,17 @@ def select(start: Model, contest: Contest, alpha: float, *, blocked: Sequence[st
         Ids that take no part.
     """
     candidates = [h for h in contest.hypotheses if h.effect.id not in blocked]
+    steady = [h for h in candidates if not h.effect.id.endswith(DRIFTS)]
     tests = sum(not h.again for h in candidates)
     level = alpha / max(tests, 1)
     model, joint, noise = fitted(start)
     first = tuple(_scored(model, contest, candidates, {}, None).values())
-    return grown(Chosen(model, joint, noise, (), tests, first), contest, level, candidates)
+    bare = Chosen(model, joint, noise, (), tests, first)
+    chosen = grown(grown(bare, contest, level, steady), contest, level, candidates)
+    if not wanders(chosen):
+        return chosen
+    other = grown(bare, contest, level, candidates)
+    return other if objective(other) < objective(chosen) else chosen
 
 
 def grown(chosen: Chosen, contest: Contest, level: float, candidates: Sequence[Hypothesis] | None = None) -> Chosen:
@@ -86,19 +104,17 @@ def grown(chosen: Chosen, contest: Contest, level: float, candidates: Sequence[H
     model, joined, first = chosen.model, list(chosen.scores), chosen.first
     known = {} if joined else {s.hypothesis.key: s for s in first}
     scores = _scored(model, contest, candidates, known, None if joined else set())
+    gains: Gains = last_gains(model, contest) if joined else {}
     for _ in range(_MOST):
-        largest = max((s.gain for s in joined), default=0.0)
-        # Noise may have taken the place of a mean: what that gains beside it says little.
-        best = _best(scores, level, 0.0 if model.noise_terms else _SEEN * MATERIAL * largest)
+        best = _best(scores, level, gains, contest, model)
         if best is None:
             break
         trial, _, _ = fitted(with_score(model, best))
         joined.append(best)
-        trial, joined = pruned(trial, contest, joined, level)
+        model, joined, gains = pruned(trial, contest, joined, level)
         changed = {view.sensor for view in trial.setting.views if best.hypothesis.touches(view)}
-        model = trial
         scores = _scored(model, contest, candidates, scores, changed)
-    model, joined = _material(model, contest, joined)
+    model, joined = _material(model, joined, gains)
     model, joint, noise = fitted(model)
     return Chosen(model, joint, noise, tuple(joined), chosen.tests, first)
 
@@ -115,9 +131,9 @@ def _scored(
     model: Model,
     contest: Contest,
     candidates: Sequence[Hypothesis],
-    old: dict[tuple[str, tuple[int, ...]], Score],
+    old: dict[Key, Score],
     changed: set[Sensor] | None,
-) -> dict[tuple[str, tuple[int, ...]], Score]:
+) -> dict[Key, Score]:
     """Scores of all candidates that are not in the model; those of sensors that did not change stay."""
     taken = {t.hypothesis.key for t in model.terms} | {t.hypothesis.key for t in model.noise_terms}
     beside = Beside(model)
@@ -134,27 +150,52 @@ def _scored(
     return {**scores, **{s.hypothesis.key: s for s in contest.scores(stale, beside)}}
 
 
-def _best(scores: dict[tuple[str, tuple[int, ...]], Score], level: float, least: float) -> Score | None:
-    good = [s for s in scores.values() if s.p < level and s.gain >= least]
-    return max(good, key=lambda s: s.delta, default=None)
+def _best(scores: dict[Key, Score], level: float, gains: Gains, contest: Contest, model: Model) -> Score | None:
+    """The best of `scores` that is significant and no second order of others, the first few at their best shapes.
+
+    Noise that wanders may have taken the place of a mean: what that gains beside it says little.
+    """
+    wandering = any(term.hypothesis.effect.id.endswith(DRIFTS) for term in model.noise_terms)
+    seen = 0.0 if wandering else _SEEN
+    beside: Beside | None = None
+    while True:
+        good = [s for s in scores.values() if s.p < level and s.gain >= seen * _least(s.hypothesis, model, gains)]
+        if not good:
+            return None
+        front = sorted(good, key=lambda s: -s.delta)[:_FRONT]
+        unsure = next((s for s in front if not s.sure), None)
+        if unsure is None:
+            return front[0]
+        beside = beside or Beside(model)
+        scores[unsure.hypothesis.key] = contest.score(unsure.hypothesis, beside)
 
 
-def pruned(model: Model, contest: Contest, joined: list[Score], level: float) -> tuple[Model, list[Score]]:
+def _least(hypothesis: Hypothesis, model: Model, gains: Gains) -> float:
+    """Gain below which an effect is a second order of the largest one on its sensor, or of one far larger elsewhere."""
+    of = {term.hypothesis.key: term.hypothesis.effect for term in model.members}
+    effect = hypothesis.effect
+    near = [
+        gains[k][0] for k, e in of.items() if k in gains and (e.sensor is effect.sensor or e.shared or effect.shared)
+    ]
+    far = max((gain for gain, _, _ in gains.values()), default=0.0)
+    return max(MATERIAL * max(near, default=0.0), _FAR * far)
+
+
+def pruned(model: Model, contest: Contest, joined: list[Score], level: float) -> tuple[Model, list[Score], Gains]:
     """Without the terms that no longer are significant beside the others (Wald on the mean, ratio on the noise)."""
-    while len(joined) > 1:
+    while True:
         gains = last_gains(model, contest)
         chances = {key: min(1.0, grid * float(chdtrc(df, gain))) for key, (gain, df, grid) in gains.items()}
         weak = [(key, p) for key, p in chances.items() if p > level]
-        if not weak:
-            break
+        if not weak or len(joined) < 2:
+            return model, joined, gains
         key = max(weak, key=lambda pair: pair[1])[0]
         model = without(model, key)
         joined = [s for s in joined if s.hypothesis.key != key]
         model, _, _ = fitted(model)
-    return model, joined
 
 
-def reduced(chosen: Chosen, keys: Collection[tuple[str, tuple[int, ...]]]) -> Chosen:
+def reduced(chosen: Chosen, keys: Collection[Key]) -> Chosen:
     """The same without the effects of those keys, everything fitted anew."""
     model = chosen.model
     for key in keys:
@@ -164,7 +205,7 @@ def reduced(chosen: Chosen, keys: Collection[tuple[str, tuple[int, ...]]]) -> Ch
     return replace(chosen, model=model, joint=joint, noise=noise, scores=left)
 
 
-def without(model: Model, key: tuple[str, tuple[int, ...]]) -> Model:
+def without(model: Model, key: Key) -> Model:
     """The model without the term of that key."""
     for term in model.noise_terms:
         if term.hypothesis.key == key:
@@ -173,7 +214,7 @@ def without(model: Model, key: tuple[str, tuple[int, ...]]) -> Model:
     return with_residual(replace(model, terms=left))
 
 
-def last_gains(model: Model, contest: Contest) -> dict[tuple[str, tuple[int, ...]], tuple[float, int, int]]:
+def last_gains(model: Model, contest: Contest) -> dict[Key, tuple[float, int, int]]:
     """By term: what it gains beside all the others, its degrees of freedom, and the size of its grid."""
     found = {}
     for i, term in enumerate(model.terms):
@@ -199,18 +240,15 @@ def restored(model: Model, i: int) -> Model:
     return replace(model, residual=back.residual, y=back.y)
 
 
-def _material(model: Model, contest: Contest, joined: list[Score]) -> tuple[Model, list[Score]]:
-    gains = {key: gain for key, (gain, _, _) in last_gains(model, contest).items()} if len(joined) > 1 else {}
-    largest = max(gains.values(), default=0.0)
-    # A mean of one sensor is no second order of another's.
-    means = {
-        s.hypothesis.key: s.hypothesis.effect.sensor for s in joined if isinstance(s.hypothesis.effect, MeanEffect)
-    }
-    most = {key: max(gains[k] for k in means if means[k] is means[key]) for key in means if key in gains}
-    small = [key for key, gain in gains.items() if gain < MATERIAL * most.get(key, largest)]
+def _material(model: Model, joined: list[Score], gains: Gains) -> tuple[Model, list[Score]]:
+    small = [k for k, (gain, _, _) in gains.items() if gain < _least(_member(model, k), model, gains)]
     for key in small:
         model = without(model, key)
     return model, [s for s in joined if s.hypothesis.key not in small]
+
+
+def _member(model: Model, key: Key) -> Hypothesis:
+    return next(term.hypothesis for term in model.members if term.hypothesis.key == key)
 
 
 def objective(chosen: Chosen) -> float:
@@ -218,15 +256,6 @@ def objective(chosen: Chosen) -> float:
     return sum(chosen.noise.deviance.values()) + sum(s.price for s in chosen.scores)
 
 
-def undrifted(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> Chosen:
-    """The model, or a better one without drifting noise.
-
-    A walk can take the place of two effects on the mean at once, neither of which is better alone.
-    """
-    drifting = {t.hypothesis.effect.id for t in chosen.model.noise_terms if t.hypothesis.effect.id.endswith(DRIFTS)}
-    if not drifting:
-        return chosen
-    sensors = {h.effect.sensor for h in contest.hypotheses if h.effect.id in drifting}
-    blocked = [f"{sensor.value}{kind}" for sensor in sensors for kind in DRIFTS]
-    other = select(start, contest, alpha, blocked=blocked)
-    return other if objective(other) < objective(chosen) else chosen
+def wanders(chosen: Chosen) -> bool:
+    """Whether noise that wanders is in the model."""
+    return any(t.hypothesis.effect.id.endswith(DRIFTS) for t in chosen.model.noise_terms)

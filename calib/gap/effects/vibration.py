@@ -109,10 +109,10 @@ def while_running(trace: Trace) -> Array:
 
 
 def with_speed(trace: Trace) -> Array:
-    """(N,) of mean one: power of noise whose size grows with the speed of the rotors."""
+    """(N,) of mean one: power of noise whose size grows as the air's force does, with the square of the speed."""
     power = drive(trace)
     assert power is not None
-    return _mean_one(np.sqrt(power), trace)
+    return _mean_one(power, trace)
 
 
 def _mean_one(power: Array, trace: Trace) -> Array:

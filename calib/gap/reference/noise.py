@@ -24,6 +24,9 @@ _OFF = 1e-3  # chance of a band beside white noise, walk and flicker, from which
 _FLOOR = 1e-9  # of the mean power
 _SHRUNK = 12.0  # coefficients that speak for these, against those of such a band
 _FEWEST = 64
+_LINE_HZ = 1.0
+_HOVERS = 0.08  # by which the speeds of rotors differ from flight to flight, relative
+_SLOW_HZ = 5.0  # below which no rotor turns
 _LEAST = 6  # coefficients in the lowest band
 _SEEN = 5.0  # times the filter's cut-off, beyond which too little is left to be brought back
 
@@ -72,6 +75,13 @@ class Noise:
             made[:, c] = scale * model * np.where(chances(ratio[:, None], self.dof)[:, 0] < _OFF, shrunk, 1.0)
         return dataclasses.replace(self, psd=made)
 
+    def widened(self) -> Noise:
+        """Lines of rotors over the frequencies that they have in other flights, which hover at other speeds."""
+        near = np.abs(np.log(self.hz[:, None] / self.hz)) <= _HOVERS
+        near &= (np.minimum(self.hz[:, None], self.hz) > _SLOW_HZ) | np.eye(len(self.hz), dtype=bool)
+        psd = np.where(near[:, :, None], self.psd[None], 0.0).max(axis=1)
+        return dataclasses.replace(self, psd=psd)
+
 
 def chances(ratio: Array, dof: Array) -> Array:
     """Chance, to either side, of means (K, k) of `dof` (K,) squared numbers of variance one as far off as `ratio`."""
@@ -88,12 +98,21 @@ def learned(trace: Trace) -> Noise | None:
     residual[~trace.observed] = 0.0
     power = dct(residual, axis=0, norm="ortho")[1:] ** 2 / trace.observed.mean()
     bins = np.arange(1, n)
-    edges = np.concatenate([[1], np.unique(np.rint(np.geomspace(_LEAST, n, _BANDS)))]).astype(np.intp)
+    edges = _edges(n, trace.fs)
     group = np.searchsorted(edges, bins, side="right") - 1
     count = np.bincount(group).astype(np.float64)
     mean = np.column_stack([np.bincount(group, weights=column) for column in power.T]) / count[:, None]
     centre = np.exp(np.bincount(group, weights=np.log(bins)) / count) * trace.fs / (2.0 * n)
     return Noise(centre, np.maximum(mean, np.finfo(float).tiny), count, trace.fs, trace.low_pass_hz)
+
+
+def _edges(n: int, fs: float) -> NDArray[np.intp]:
+    """First coefficients of the bands: evenly spaced in the logarithm, but never wider than a line of a rotor."""
+    widest = max(_FEWEST, round(_LINE_HZ * 2.0 * n / fs))
+    even = np.unique(np.rint(np.geomspace(_LEAST, n, _BANDS)))
+    narrow = np.diff(even) < widest
+    first = int(even[narrow.argmin()]) if not narrow.all() else n
+    return np.concatenate([[1], even[even < first], np.arange(first, n, widest)]).astype(np.intp)
 
 
 def pooled(noises: Sequence[Noise]) -> Noise:
@@ -130,8 +149,9 @@ def with_noise(trace: Trace, total: Noise | None, own: Noise | None) -> Trace:
         trace = dataclasses.replace(trace, sigma=white.sigma, sigma_dof=float(white.dof.sum()))
     if whole.white and close and not (alone and own is not None):
         return trace
-    whole, own = whole.smoothed(), None if own is None else own.smoothed()
+    whole, own = whole.smoothed().widened(), None if own is None else own.smoothed().widened()
     hz = np.geomspace(trace.fs / (2.0 * len(trace.t)), trace.fs / 2.0, 3 * _BANDS)
+    hz = np.unique(np.concatenate([hz, whole.hz[whole.hz < 0.5 * trace.fs]]))
     trace = dataclasses.replace(trace, psd=_on(whole, hz, trace.fs, trace.low_pass_hz), psd_hz=hz)
     if own is not None:
         own = dataclasses.replace(own, psd=np.maximum(own.psd, _rounding(trace)))
