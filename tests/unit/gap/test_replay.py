@@ -56,6 +56,14 @@ def test_noise_is_expected_then() -> None:
 
 
 def test_what_cannot_be_replayed_is_named() -> None:
-    problem, lost = with_effects(a_problem(), [effect("accel_saturation", limit=20.0), effect("mag_saturation")])
-    assert lost == ("accel_saturation",)
+    problem, lost = with_effects(
+        a_problem(), [effect("accel_quantisation", lsb=(0.1, 0.1, 0.1)), effect("mag_quantisation")]
+    )
+    assert lost == ("accel_quantisation",)
     np.testing.assert_array_equal(problem.traces[0].ideal, a_problem().traces[0].ideal)
+
+
+def test_an_end_of_the_range_clips_the_ideal_reading() -> None:
+    problem, lost = with_effects(a_problem(), [effect("accel_saturation", limit=5.0)])
+    assert lost == ()
+    np.testing.assert_allclose(problem.traces[0].ideal, np.clip(a_problem().traces[0].ideal, -5.0, 5.0))

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from calib.gap.effects import by_id, catalogue, parameter_table
+from calib.gap.effects import by_id, catalogue, forward_models, parameter_table
 from calib.gap.effects.base import LatticeEffect, MeanEffect, NoiseEffect
 from calib.recording import Sensor
 
@@ -21,6 +22,8 @@ BOTH = """
 """
 INERTIAL = "bias scale misalignment vibration vibration_rectification aliasing" + BOTH
 MAGNETIC = "hard_iron soft_iron motor_current earth_field field_gradient" + BOTH
+LIMITS = {f"{sensor}_{kind}" for sensor in ("accel", "gyro", "mag") for kind in ("saturation", "dead_band")}
+LINES = {f"{sensor}_{kind}" for sensor in ("accel", "gyro") for kind in ("vibration", "aliasing")}
 
 
 def test_every_kind_of_the_schema_is_there_and_nothing_else():
@@ -28,7 +31,21 @@ def test_every_kind_of_the_schema_is_there_and_nothing_else():
     expected |= {f"mag_{kind}" for kind in MAGNETIC.split()}
     expected |= {"accel_lever_arm", "gyro_g_sensitivity", "clock_drift", "reference_attitude"}
     assert set(by_id()) == expected
-    assert len(catalogue()) == len(expected)
+    assert Counter(e.id for e in catalogue()) == {name: 1 + (name in LIMITS | LINES) for name in expected}
+
+
+def test_an_end_of_the_range_is_sought_in_the_samples_and_in_the_mean():
+    for name in LIMITS:
+        assert isinstance(by_id()[name], LatticeEffect)
+        assert isinstance(forward_models()[name], MeanEffect)
+
+
+def test_a_line_is_power_or_a_wave_and_both_compete_under_names_of_their_own():
+    for name in LINES:
+        forms = {e.form: type(e) for e in catalogue() if e.id == name}
+        assert forms == {"~wave": MeanEffect, "": NoiseEffect}
+    names = [e.id + e.form for e in catalogue() if not isinstance(e, LatticeEffect)]
+    assert len(set(names)) == len(names)
 
 
 def test_rivals_exist_and_every_effect_says_what_excites_it_and_what_helps():
@@ -93,9 +110,10 @@ def _check(effect, trace):
 def test_the_table_of_parameters_names_each_one_once_with_its_unit():
     for effect in catalogue():
         rows = parameter_table()[effect.id]
-        assert [r.name for r in rows] == [p.name for p in effect.parameters] + (
-            [effect.shape.parameter.name] if effect.shape is not None else []
-        )
+        own = _own(effect)
+        assert set(own) <= set(rows)
+        if effect.id not in LIMITS | LINES:
+            assert list(rows) == own
         assert len({r.name for r in rows}) == len(rows) > 0
         assert all(r.unit for r in rows)
 
@@ -112,14 +130,24 @@ def test_no_trace_changes():
         np.testing.assert_array_equal(getattr(trace, name), value)
 
 
+def _own(effect):
+    return [*effect.parameters, *([effect.shape.parameter] if effect.shape is not None else [])]
+
+
+def _name(effect):
+    if effect.form == "~wave":
+        return f"`{effect.id}` as a wave"
+    return f"`{effect.id}`" + (" before the noise" if effect.id in LIMITS and isinstance(effect, MeanEffect) else "")
+
+
 def _row(effect):
     """Its line on the page."""
     stems: dict[tuple[str, str], list[str]] = {}
-    for parameter in parameter_table()[effect.id]:
+    for parameter in _own(effect):
         stem, _, suffix = parameter.name.partition(".")
         stems.setdefault((stem, parameter.unit), []).append(suffix)
     cells = [f"`{stem}{'.{' + ','.join(s) + '}' if s != [''] else ''}` {unit}" for (stem, unit), s in stems.items()]
-    return f"| `{effect.id}` | {', '.join(cells)} | {effect.excited_by} | {', '.join(effect.rivals)} | {effect.fix} |"
+    return f"| {_name(effect)} | {', '.join(cells)} | {effect.excited_by} | {', '.join(effect.rivals)} | {effect.fix} |"
 
 
 def test_the_page_lists_the_catalogue_as_it_is():

@@ -22,13 +22,17 @@ THETA = {
     "drift_ppm": 300.0,
     "frequency_hz": 1.3,
     "time_s": 30.0,
+    "rotor_order": 101.0,
 }
+OF_LARGEST = {"limit": 0.8, "half_width": 0.2}
 MISSIONS = ("static", "hover", "tumble")
 
 
 def _space(effect, trace):
     """Orthonormal columns of what an effect can do."""
-    theta = THETA[effect.shape.parameter.name] if effect.shape is not None else np.nan
+    name = effect.shape.parameter.name if effect.shape is not None else ""
+    largest = float(np.abs(trace.ideal).max())
+    theta = OF_LARGEST[name] * largest if name in OF_LARGEST else THETA.get(name, np.nan)
     X = effect.columns(trace, theta).reshape(-1, trace.ideal.size).T
     size = np.linalg.norm(X, axis=0)
     U, s, _ = np.linalg.svd(X[:, size > 0.0] / size[size > 0.0], full_matrices=False)

@@ -26,14 +26,19 @@ def test_a_slope_is_recovered_whatever_its_reference_temperature(t_ref):
     np.testing.assert_allclose(beta, K, atol=5.0 * 0.05 * sd.max() + 1e-9)
 
 
-def test_a_parabola_is_recovered():
+@pytest.mark.parametrize("cubic", [(0.0, 0.0, 0.0), (4e-6, 0.0, -6e-6)])
+def test_a_parabola_and_a_cubic_are_recovered(cubic):
     trace = make(Sensor.GYRO)
     d = trace.temperature - 35.0
     bent = np.array([1e-4, -2e-4, 3e-4])
+    change = np.outer(d, K) + np.outer(d**2, bent) + np.outer(d**3, cubic)
     effect = by_id()["gyro_temp_poly"]
-    found, beta, _ = fitted(effect, noisy(trace, np.outer(d, K) + np.outer(d**2, bent), 0.01, 2))
+    found, beta, sd = fitted(effect, noisy(trace, change, 0.01, 2))
     assert found == pytest.approx(35.0, abs=0.1)
-    np.testing.assert_allclose(beta, [*K, *bent], rtol=0.05)
+    moved = np.polynomial.Polynomial([found - 35.0, 1.0])
+    for axis in range(3):
+        about = np.polynomial.Polynomial([0.0, K[axis], bent[axis], cubic[axis]])(moved).coef
+        assert (np.abs(beta[axis::3] - np.pad(about[1:], (0, 4 - len(about)))) < 4.0 * 0.01 * sd[axis::3]).all()
 
 
 def test_a_scale_with_temperature_is_recovered():

@@ -87,7 +87,7 @@ def test_rotor_noise_follows_the_speed_in_time():
     trace = make(Sensor.GYRO)
     effect = by_id()["gyro_rotor_noise"]
     speed = trace.rotor_hz.mean(axis=1)
-    size = 0.02 * speed / speed.max()
+    size = 0.02 * (speed / speed.max()) ** 2
     y = np.random.default_rng(3).normal(size=trace.ideal.shape) * size[:, None]
     model = effect.variance(trace) * effect.density(trace, _omega(trace), np.nan)[0].mean()
     fit = (model @ (y**2).mean(axis=1)) / (model @ model)
