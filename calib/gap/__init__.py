@@ -12,10 +12,11 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 
 from calib.errors import InvalidInputError
+from calib.gap.baseline import baseline_of, beside
 from calib.gap.diagnose import diagnose
 from calib.gap.effects import catalogue
 from calib.gap.export import with_patches
-from calib.gap.reference import build
+from calib.gap.reference import build, flew_another
 from calib.gap.schema import GapReport, as_json
 from calib.recording import Recording
 
@@ -61,6 +62,8 @@ def run(
         raise InvalidInputError(f"no such effect in the catalogue: {', '.join(strangers)}")
     kept = tuple(effect for effect in effects if effect.id not in without)
     problem = dataclasses.replace(build(real, sim, nominal), inputs=dict(inputs or {}))
+    if sim is not None and flew_another(real, sim):
+        problem = beside(problem, baseline_of(build(sim, sim, nominal), alpha))
     report = diagnose(problem, effects=kept, alpha=alpha, nested=nested)
     return with_patches(report, simulator_of(real, sim))
 

@@ -8,7 +8,7 @@ multiplies the tail probability (GAP 3.2).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -22,6 +22,7 @@ from calib.gap.bands import joined
 from calib.gap.effects.base import MeanEffect, NoiseEffect
 from calib.gap.evidence import evidence, price_of_fixed, price_of_kind, price_of_noise, price_of_search
 from calib.gap.hypotheses import Columns, Hypothesis, columns_of
+from calib.gap.louder import Added, stands_out, tone_beside_lines, whose
 from calib.gap.model import (
     Model,
     Normal,
@@ -52,8 +53,6 @@ _STEPS_FIXED = 25
 """Evaluations in the search for a shape; more where all rests on it."""
 _FOLLOWS = 6.0
 """Gain on an axis from which on it is asked whether the noise follows its envelope."""
-_FLIGHTS_DIFFER = 1.0
-"""Part of the learned noise that has to be added to it somewhere."""
 _SIDES = 2
 """Price of an effect whose shape alone is estimated: it vanishes at zero, so it was searched to either side only."""
 
@@ -201,8 +200,11 @@ def refinable(score: Score) -> bool:
 class Contest:
     """Scores of hypotheses against models of one setting; transformed columns are kept while they fit in memory."""
 
-    def __init__(self, hypotheses: Sequence[Hypothesis], budget: int = 40_000_000) -> None:
+    def __init__(
+        self, hypotheses: Sequence[Hypothesis], budget: int = 40_000_000, floor: Mapping[Sensor, float] | None = None
+    ) -> None:
         self.hypotheses = tuple(hypotheses)
+        self.floor = dict(floor or {})
         self._columns: dict[tuple[str, tuple[int, ...], float], Columns] = {}
         self._left = budget
 
@@ -263,7 +265,8 @@ class Contest:
         if refine and found.gain > _WORTH:
             theta = self._refined(hypothesis, theta, grid, beside)
             found = self._at(hypothesis, theta, beside)
-        return priced(hypothesis, theta, found, len(grid))
+        score = priced(hypothesis, theta, found, len(grid))
+        return score if tone_beside_lines(hypothesis, found.beta, beside.model) else replace(score, p=1.0)
 
     def _fixed_score(self, hypothesis: Hypothesis, grid: Array, beside: Beside, *, refine: bool) -> Score:
         """Of an effect that has nothing but a shape; without `refine` what a free amplitude gains, which is no less."""
@@ -345,7 +348,9 @@ def noise_score(hypothesis: Hypothesis, model: Model) -> Score:
     best = max(range(len(thetas)), key=lambda i: scores[i][0])
     gain, values, price = scores[best]
     df = len(effect.parameters)
-    p = one_sided_tail(gain, df, grid) if _stands_out(hypothesis, thetas[best], values, model) else 1.0
+    added = Added(hypothesis, thetas[best], values)
+    believed = stands_out(added, model) and whose(added, model)
+    p = one_sided_tail(gain, df, grid) if believed else 1.0
     price += price_of_search(grid, gain) + price_of_kind(effect.id)
     return Score(hypothesis, thetas[best], gain, df, grid, p, gain - price, values)
 
@@ -397,24 +402,6 @@ def _noise_gain(
                     gain += modulation(model, a, envelope, added @ by_view[a // 3])
     by_density = zip(np.array(values).T, np.array(known).T, strict=True)
     return gain, np.array(values).T, sum(price_of_noise(a, i) for a, i in by_density)
-
-
-def _stands_out(hypothesis: Hypothesis, theta: float, amplitudes: Array, model: Model) -> bool:
-    """Whether added noise is more than two flights of one vehicle differ by.
-
-    A spectrum that was learned from another recording is the mean over its rest and its flight; how much of either
-    there was is no effect. On noise that is declared anything counts.
-    """
-    touched = [v for v, view in enumerate(model.setting.views) if hypothesis.touches(view)]
-    if any(model.setting.views[v].density is None for v in touched):
-        return True
-    for v in touched:
-        densities = densities_of(hypothesis, model.setting.views[v], theta)
-        for c in range(3):
-            added = amplitudes[:, c] @ densities
-            if float((added / model.noise[3 * v + c].power).max()) > _FLIGHTS_DIFFER:
-                return True
-    return False
 
 
 def _marginal(information: Array) -> Array:

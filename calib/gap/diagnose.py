@@ -20,6 +20,7 @@ from calib.gap.estimates import estimates_of
 from calib.gap.hypotheses import hypotheses_of
 from calib.gap.impostors import impostors, unsteady
 from calib.gap.locate import located
+from calib.gap.louder import unsteady_line
 from calib.gap.model import Model, NoiseTerm, Term, predicted, setting_of, starting_model
 from calib.gap.noise_fit import refitted, starting_noise
 from calib.gap.power import powers_of
@@ -83,14 +84,14 @@ def diagnose(
         return _nothing(problem, inputs)
     hypotheses, missing = hypotheses_of(effects, views)
     start = refitted(starting_model(setting, starting_noise(setting))).model
-    contest = Contest(hypotheses)
+    contest = Contest(hypotheses, floor=problem.floor)
     bare = start
     chosen, attributions = settled(select(start, contest, alpha), contest, alpha)
     wander = wandering(chosen, contest, start, alpha) if any(e.id == REFERENCE for e in effects) else None
     if wander is not None:
         chosen = wander.chosen
         contest = wander.contest
-        start = starting_model(chosen.model.setting, start.noise, chosen.model.ridge)
+        start = starting_model(chosen.model.setting, wander.noise, chosen.model.ridge)
         chosen, attributions = settled(chosen, contest, alpha)
     best = explained(chosen, contest, start, alpha)
     if best.contest is not contest:
@@ -104,7 +105,8 @@ def diagnose(
         chosen = reduced(chosen, failed)
         heldout = held_out(chosen, contest, alpha, nested=nested)
         chosen, attributions = settled(chosen, contest, 0.0)
-    named = [a for a in attributions if not a.key[0].startswith(PREFIX)]
+    unsteady_lines = {t.hypothesis.key for t in chosen.model.noise_terms if unsteady_line(t, chosen.model)}
+    named = [a for a in attributions if not (a.key[0].startswith(PREFIX) or a.key in unsteady_lines)]
     found = tuple(_effect(chosen, a, gates.get(a.key)) for a in named)
     unknown = unknown_of(chosen, attributions, withdrawn)
     effects_found = (*lattice.effects, *(() if wander is None else (_wandering(wander, attributions),)), *found)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.gap.effects.base import Parameter
+from calib.gap.louder import LINES, line_amplitudes
 from calib.gap.model import NoiseTerm, Term
 from calib.gap.noise_fit import NoiseEstimate
 from calib.gap.schema import Estimate
@@ -23,7 +24,11 @@ _FREE = 1e-4
 def estimates_of(chosen: Chosen, term: Term | NoiseTerm) -> tuple[Estimate, ...]:
     """The parameters of one effect, its shape last."""
     if isinstance(term, NoiseTerm):
-        return _of_noise(term, chosen.noise.estimates[term.hypothesis.key])
+        found = chosen.noise.estimates[term.hypothesis.key]
+        if term.hypothesis.effect.id.endswith(LINES):
+            values, se = line_amplitudes(term, chosen.model)
+            found = NoiseEstimate(values[None], se[None])
+        return _of_noise(term, found)
     i = chosen.model.terms.index(term)
     rows = chosen.joint.slices[i]
     variance = np.diag(chosen.joint.covariance)[rows].copy()

@@ -21,6 +21,8 @@ _FINE = 100
 """Values of a grid from which on its search is paid value by value: moments, frequencies."""
 _LAST = 16.0
 """Price of what fits anything of its kind: a named cause that fits nearly as well is believed first."""
+_DOUBT = 8.0
+"""Price of blaming the reference for what a sensor may have done."""
 _COARSE = 4.0
 """What the search over a coarse grid counts as."""
 
@@ -77,7 +79,9 @@ def price_of_noise(amplitudes: Array, information: Array) -> float:
 
 
 def price_of_kind(effect_id: str) -> float:
-    """Noise that wanders fits any slow change, and so does a line over time; a shape may fit anything."""
+    """By kind: noise that wanders fits any slow change, and so does a line over time; a shape may fit anything."""
     if effect_id.startswith("unknown"):
         return 2.0 * _LAST if "function of time" in effect_id else _LAST
+    if effect_id == "reference_attitude":
+        return _DOUBT
     return _LAST if effect_id.endswith(("_random_walk", "_flicker")) else 0.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +25,7 @@ from calib.gap.model import (
 from calib.gap.noise_fit import refitted, starting_noise, with_term
 from calib.gap.selection import fitted
 from calib.gap.views import View, between
+from calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
@@ -143,6 +144,6 @@ def with_weight(model: Model) -> Model:
     return replace(model, weight=weight)
 
 
-def contest_of(hypotheses: Sequence[Hypothesis]) -> Contest:
+def contest_of(hypotheses: Sequence[Hypothesis], floor: Mapping[Sensor, float]) -> Contest:
     """A contest whose columns are not kept: every fold has its own."""
-    return Contest(hypotheses, budget=6_000_000)
+    return Contest(hypotheses, budget=6_000_000, floor=floor)

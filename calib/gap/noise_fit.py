@@ -159,12 +159,8 @@ def densities_of(hypothesis: Hypothesis, view: View, theta: float) -> Array:
     """Densities (p, n) of a noise effect in a series: over its instances, with the squares of their weights."""
     effect = hypothesis.effect
     assert isinstance(effect, NoiseEffect)
-    rows = [
-        weight**2 * _density(effect, view, instance, theta)
-        for instance, weight in view.weights.items()
-        if instance in hypothesis.instances
-    ]
-    return np.asarray(np.add.reduce(rows))
+    own = {i: w for i, w in view.weights.items() if i in hypothesis.instances}
+    return np.asarray(np.add.reduce([w**2 * _density(effect, view, i, theta) for i, w in own.items()]))
 
 
 @lru_cache(maxsize=96)

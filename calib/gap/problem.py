@@ -150,3 +150,5 @@ class Problem:
     warnings: tuple[str, ...] = ()
     not_testable: tuple[tuple[str, str, str], ...] = ()
     """Effect id, reason, need: what the recordings do not allow to be tested."""
+    floor: dict[Sensor, float] = field(default_factory=dict)
+    """Twice the log-likelihood by sensor below which an effect is a flaw of the reference: the simulator has it too."""

@@ -92,10 +92,21 @@ def select(start: Model, contest: Contest, alpha: float, *, blocked: Sequence[st
     first = tuple(_scored(model, contest, candidates, {}, None).values())
     bare = Chosen(model, joint, noise, (), tests, first)
     chosen = grown(grown(bare, contest, level, steady), contest, level, candidates)
-    if not wanders(chosen):
+    if not (wanders(chosen) or _drift_leads(first, level)):
         return chosen
     other = grown(bare, contest, level, candidates)
-    return other if objective(other) < objective(chosen) else chosen
+    worth = MATERIAL * max((gain for gain, _, _ in last_gains(chosen.model, contest).values()), default=0.0)
+    return other if objective(other) < objective(chosen) - worth else chosen
+
+
+def _drift_leads(first: Sequence[Score], level: float) -> bool:
+    """Whether noise that wanders is the best single effect on some sensor."""
+    best: dict[Sensor, Score] = {}
+    for score in (s for s in first if s.p < level):
+        sensor = score.hypothesis.effect.sensor
+        if sensor not in best or score.delta > best[sensor].delta:
+            best[sensor] = score
+    return any(score.hypothesis.effect.id.endswith(DRIFTS) for score in best.values())
 
 
 def grown(chosen: Chosen, contest: Contest, level: float, candidates: Sequence[Hypothesis] | None = None) -> Chosen:
@@ -159,7 +170,13 @@ def _best(scores: dict[Key, Score], level: float, gains: Gains, contest: Contest
     seen = 0.0 if wandering else _SEEN
     beside: Beside | None = None
     while True:
-        good = [s for s in scores.values() if s.p < level and s.gain >= seen * _least(s.hypothesis, model, gains)]
+        good = [
+            s
+            for s in scores.values()
+            if s.p < level
+            and s.gain >= seen * _least(s.hypothesis, model, gains)
+            and s.gain >= contest.floor.get(s.hypothesis.effect.sensor, 0.0)
+        ]
         if not good:
             return None
         front = sorted(good, key=lambda s: -s.delta)[:_FRONT]

@@ -47,6 +47,8 @@ _SIGNIFICANT = 3.0
 _DISAGREE = 1e-3
 _SHORT = 2.5
 """Standard deviations by which a held-out gain may be less than was due."""
+_ENOUGH = 0.2
+"""Part of what was due that is enough in any case: no model of a real sensor foretells thousands of nats exactly."""
 _FORETOLD = -5.0
 """Nats below which the other blocks do not know what to expect of one."""
 
@@ -136,7 +138,7 @@ def _nested(fold: Fold, chosen: Chosen, contest: Contest, alpha: float) -> float
     level = alpha * sum(not h.again for h in few) / max(chosen.tests, 1)
     if not few:
         return log_loss(carried(refitted(fold.train).model, fold.test))
-    found = select(refitted(fold.train).model, contest_of(few), level)
+    found = select(refitted(fold.train).model, contest_of(few, contest.floor), level)
     return log_loss(carried(found.model, fold.test))
 
 
@@ -163,12 +165,22 @@ def _gate(term: Term | NoiseTerm, gains: Array, folds: Sequence[Fold], chosen: C
         return Gate(key, gains, passed=True if total > 0.0 else None if drifts else False)
     expected = [expected_gain(term, fold.train, carried(chosen.model, fold.test)) for fold in folds]
     seen = [e > _FORETOLD for e in expected]
-    due = sum(e for e, s in zip(expected, seen, strict=True) if s)
+    sizes = [_touched(term, fold.test.setting) for fold in folds]
+    due = sum(_at_most(e, n) for e, s, n in zip(expected, seen, sizes, strict=True) if s)
     total = float(gains[seen].sum())
-    least = due - _SHORT * math.sqrt(2.0 * due)
+    least = min(due - _SHORT * math.sqrt(2.0 * due), _ENOUGH * due)
     if due <= 1.0 or (total <= 0.0 and least < 0.0):
         return Gate(key, gains, passed=None)
     return Gate(key, gains, passed=total > max(least, 0.0))
+
+
+def _touched(term: Term, setting: Setting) -> int:
+    return sum(3 * view.count for view in setting.views if term.hypothesis.touches(view))
+
+
+def _at_most(nats: float, numbers: int) -> float:
+    """What of a gain is left beside a model whose noise grew in place of the effect: ``n/2 log(1 + 2 nats/n)``."""
+    return 0.5 * numbers * math.log1p(max(2.0 * nats / max(numbers, 1), -0.9))
 
 
 def interval(part: Array, whole: Array) -> tuple[float, float]:

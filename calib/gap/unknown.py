@@ -68,10 +68,10 @@ def explained(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> W
     if chosen.model.members:
         strong = [*_best(strong), *_best(_scored(scorer, Beside(start)))]
     shortlist = {s.hypothesis.key: s.hypothesis for s in _best(strong)}
-    both = Contest((*contest.hypotheses, *shortlist.values()))
+    both = Contest((*contest.hypotheses, *shortlist.values()), floor=contest.floor)
     level = alpha * sum(not h.again for h in both.hypotheses) / tests
     other = select(start, both, level)
-    if objective(other) < objective(chosen) - _MARGIN:
+    if objective(other) < objective(chosen) - max(_MARGIN, MATERIAL * largest_gain(chosen)):
         return WithShapes(other, both)
     return WithShapes(chosen, contest)
 
@@ -115,6 +115,7 @@ def _parts(hypothesis: Hypothesis, p: int) -> Iterator[tuple[tuple[str, tuple[in
 
 
 _LEFTOVER = 1e-7
+_MINUTES_DIFFER = 2.0
 _MATERIAL = 0.03
 _GROUPS = 24
 
@@ -133,7 +134,8 @@ def leftover(model: Model, gap: float) -> tuple[float, str]:
             count = int(high - low)
             square = float(ratio[low:high].sum())
             p = float(chdtrc(count, square)) * _GROUPS * model.setting.axes
-            if p < _LEFTOVER:
+            # A learned spectrum is that of other minutes: twice as much is none of this recording's.
+            if p < _LEFTOVER and (view.density is None or square > _MINUTES_DIFFER * count):
                 total += 0.5 * (square - count - count * math.log(square / count))
                 if p < worst:
                     hz = 0.5 * view.fs / view.n

@@ -18,6 +18,7 @@ from calib.gap.contest import Contest, tail
 from calib.gap.effects.affine import rotation_columns
 from calib.gap.effects.noise import DRIFTS
 from calib.gap.hypotheses import Columns, Frame, Part, add_block
+from calib.gap.likelihood import Noise
 from calib.gap.model import (
     Model,
     Ridge,
@@ -49,7 +50,8 @@ _MARGIN = 6.0
 class Wander:
     """A model with a wandering reference, on averages over some samples, and the contest on these.
 
-    `gain` says how much better it is; `size_deg` and `time_s` are of the process.
+    `gain` says how much better it is; `size_deg` and `time_s` are of the process, `noise` is with what it has above its
+    last cosine.
     """
 
     chosen: Chosen
@@ -57,6 +59,7 @@ class Wander:
     gain: float
     size_deg: float
     time_s: float
+    noise: tuple[Noise, ...]
 
 
 def sees(view: View) -> bool:
@@ -81,14 +84,15 @@ def wandering(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> W
         return None
     frames = tuple(frame_of(view, _SCREENED) for view in setting.views)
     setting = replace(setting, frames=frames)
-    contest = Contest(contest.hypotheses)
+    contest = Contest(contest.hypotheses, floor=contest.floor)
     columns = wander_columns(setting, frames)
     ridge = Ridge(columns, 1.0 / _prior(setting, size, time), np.zeros(columns.p), span_of(setting))
-    found = select(starting_model(setting, start.noise, ridge), contest, alpha, blocked=(ID,))
+    noise = with_tail(setting, start.noise, size, time)
+    found = select(starting_model(setting, noise, ridge), contest, alpha, blocked=(ID,))
     found, _ = settled(found, contest, alpha)
     price = 2.0 * math.log(sum(3 * v.count for v in setting.views if sees(v)))
     better = objective(chosen) - (objective(found) + process_cost(found.model) + price)
-    return Wander(found, contest, better, size, time) if better > _MARGIN else None
+    return Wander(found, contest, better, size, time, noise) if better > _MARGIN else None
 
 
 def best_prior(model: Model) -> tuple[float, float, float]:
@@ -108,6 +112,24 @@ def best_prior(model: Model) -> tuple[float, float, float]:
         gain = float(scaled @ scaled) - 2.0 * float(np.log(np.diag(factor)).sum())
         best = max(best, (gain, size, time))
     return best
+
+
+def with_tail(setting: Setting, noise: Sequence[Noise], size_deg: float, time_s: float) -> tuple[Noise, ...]:
+    """The noise with what the process has above the last of its cosines, as far as a sensor sees it on average."""
+    first, last = span_of(setting)
+    changed = list(noise)
+    for v, view in enumerate(setting.views):
+        if not sees(view):
+            continue
+        omega = view.omega * view.whole.fs
+        density = 2.0 * math.radians(size_deg) ** 2 * time_s / (1.0 + (omega * time_s) ** 2)
+        power = np.where(omega > np.pi * _MODES / (last - first), density * view.fs, 0.0)
+        ideal = np.add.reduce([w * view.traces[i].ideal[view.keep] for i, w in view.weights.items()])
+        square = (ideal**2).mean(axis=0)
+        for c in range(3):
+            own = changed[3 * v + c]
+            changed[3 * v + c] = replace(own, base=own.base + power * float(square.sum() - square[c]))
+    return tuple(changed)
 
 
 def _priors() -> Iterator[tuple[float, float]]:

@@ -18,6 +18,7 @@ from scipy.ndimage import uniform_filter1d
 from calib.gap.effects.base import Effect, MeanEffect, Missing, NoiseEffect, Parameter, Shape
 from calib.gap.effects.noise import white
 from calib.gap.effects.parts import INERTIAL, TRIADS, UNIT, axiswise, per_axis
+from calib.gap.likelihood import transform
 from calib.gap.problem import Trace
 from calib.gap.reference.calibrated import filter_gain
 from calib.recording import Sensor
@@ -82,23 +83,23 @@ def mean_speed(trace: Trace) -> float:
 def line(trace: Trace, omega: Array, frequency: float) -> Array:
     """Power (1, K) of a line of amplitude one while the motors run, its mean frequency being `frequency` (Hz).
 
-    Of amplitude one at the sensor: what the firmware's own filter takes is taken.
+    The spectrum of a wave that starts and stops with the motors, skirts included: a strong line shows far from its
+    frequency. It follows the rotors where their speed is known. Of amplitude one at the sensor: what the firmware's own
+    filter takes is taken.
     """
-    on = running(trace)
     speed = mean_speed(trace)
     if speed > 0.0 and trace.rotor_hz is not None:
-        turning = trace.rotor_hz > _RUNNING_HZ
-        track, weight = trace.rotor_hz[turning] * (frequency / speed), trace.rotor_hz[turning] ** 4
+        track = trace.rotor_hz.mean(axis=1) * (frequency / speed)
+        size = (np.maximum(trace.rotor_hz, 0.0).mean(axis=1) / speed) ** 2
     else:
-        track, weight = np.array([frequency]), np.ones(1)
-    K = len(omega)
-    where = np.minimum((folded(track, trace.fs) / (0.5 * trace.fs) * K).astype(np.intp), K - 1)
-    kept = weight * filter_gain(track, trace.low_pass_hz) ** 2
-    share = np.bincount(where, weights=kept, minlength=K) / weight.sum()
-    bins = max(3, round(_WIDTH / (0.5 * trace.fs) * K))
-    share = np.maximum(uniform_filter1d(share, bins, mode="reflect"), 0.0)  # a running sum leaves -1e-16
-    level = 0.5 * float(on.mean()) * K * share
-    return np.asarray(np.interp(omega, np.pi * np.arange(K) / K, level), dtype=np.float64)[None]
+        track, size = np.full(len(trace.t), frequency), np.ones(len(trace.t))
+    size = np.where(running(trace), size, 0.0) * filter_gain(np.maximum(track, 1e-3), trace.low_pass_hz)
+    phase = 2.0 * np.pi * cumulative_trapezoid(track, dx=1.0 / trace.fs, initial=0.0)
+    power = 0.5 * (transform(size * np.cos(phase)) ** 2 + transform(size * np.sin(phase)) ** 2)
+    n = len(power)
+    bins = max(3, round(_WIDTH / (0.5 * trace.fs) * n))
+    power = np.maximum(uniform_filter1d(power, bins, mode="reflect"), 0.0)  # a running sum leaves -1e-16
+    return np.asarray(np.interp(omega, np.pi * np.arange(n) / n, power), dtype=np.float64)[None]
 
 
 def while_running(trace: Trace) -> Array:

@@ -6,5 +6,6 @@ instance on the same vehicle (:mod:`redundant`).
 """
 
 from calib.gap.reference.build import build
+from calib.gap.reference.choose import flew_another
 
-__all__ = ["build"]
+__all__ = ["build", "flew_another"]

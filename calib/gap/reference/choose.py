@@ -68,6 +68,12 @@ def of_same_trajectory(real: Recording, sim: Recording) -> Ideal | None:
     return dataclasses.replace(ideal.shifted(shift.lag), warnings=(*ideal.warnings, said))
 
 
+def flew_another(real: Recording, sim: Recording) -> bool:
+    """Whether a simulated vehicle's log is of another flight: each is held against an ideal sensor of its own."""
+    table = sim.identity.autopilot is None or real.identity.autopilot is None
+    return not table and recorded(real) is None and of_same_trajectory(real, sim) is None
+
+
 def earth_of(posed: Sequence[tuple[Recording, Pose]]) -> Array | None:
     """The field that the magnetometers of the first of `posed` saw that has any."""
     for recording, pose in posed:

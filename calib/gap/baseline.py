@@ -1,0 +1,75 @@
+"""What a simulated flight already shows against its own ideal: flaws of the reference and traits of the simulator.
+
+Where the simulator flew another flight (GAP 3.5b c), both logs are held against an ideal sensor, and the gap is what
+the real one has and the simulated one has not: what the simulated one shows is put into the ideal reading of the real.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from calib.gap.bands import split
+from calib.gap.contest import Contest
+from calib.gap.effects import catalogue
+from calib.gap.effects.base import MeanEffect
+from calib.gap.estimates import estimates_of
+from calib.gap.hypotheses import hypotheses_of
+from calib.gap.model import setting_of, starting_model
+from calib.gap.noise_fit import refitted, starting_noise
+from calib.gap.problem import Problem
+from calib.gap.replay import with_effects
+from calib.gap.schema import EffectEstimate, Evidence
+from calib.gap.selection import last_gains, select
+from calib.gap.views import views_of
+from calib.recording import Sensor
+
+_CARRIED = (
+    *("_bias", "_scale", "_misalignment", "_rotation", "_lever_arm", "_delay", "_low_pass", "clock_drift"),
+    *("_hard_iron", "_soft_iron", "_earth_field", "reference_attitude"),
+)
+"""Ends of the ids of what another flight shows alike; what depends on temperature, current or an event is not."""
+_DIFFERENT = 0.1
+"""Part of the evidence of a simulated flight's own flaws that a real one must have beyond them."""
+_SMALL = 0.01
+"""Evidence a number below which two flights differ anyway: a re-estimated ideal sensor is not surer of itself."""
+
+
+@dataclass(frozen=True, eq=False)
+class Baseline:
+    """Effects of a simulated flight, and by sensor the gain of the largest of them."""
+
+    effects: tuple[EffectEstimate, ...]
+    gains: Mapping[Sensor, float]
+
+
+def baseline_of(problem: Problem, alpha: float) -> Baseline:
+    """What of the mean a simulated flight shows beside its own ideal; what happens once is not carried over."""
+    views = split(views_of(problem, {}, {}))
+    steady = [e for e in catalogue() if isinstance(e, MeanEffect) and e.id.endswith(_CARRIED) and "_temp" not in e.id]
+    hypotheses, _ = hypotheses_of(steady, views)
+    setting = setting_of(views)
+    if not views or not hypotheses:
+        return Baseline((), {})
+    contest = Contest(hypotheses)
+    chosen = select(refitted(starting_model(setting, starting_noise(setting))).model, contest, alpha)
+    gains = {key: gain for key, (gain, _, _) in last_gains(chosen.model, contest).items()}
+    found, largest = [], dict.fromkeys((view.sensor for view in views), 0.0)
+    for term in chosen.model.terms:
+        effect = term.hypothesis.effect
+        gain = gains[term.hypothesis.key]
+        for sensor in largest:
+            if effect.shared or sensor is effect.sensor:
+                largest[sensor] = max(largest[sensor], gain)
+        instances = tuple(i + 1 for i in term.hypothesis.instances)
+        evidence = Evidence(gain, len(term.values), 0.0, 1.0, 0.0)
+        found.append(EffectEstimate(effect.id, effect.sensor, instances, estimates_of(chosen, term), evidence))
+    return Baseline(tuple(found), largest)
+
+
+def beside(problem: Problem, baseline: Baseline) -> Problem:
+    """`problem` held against a simulator that has what its own flight shows."""
+    changed, _ = with_effects(problem, baseline.effects)
+    samples = {sensor: sum(3 * len(t.t) for t in problem.traces if t.sensor is sensor) for sensor in Sensor}
+    floor = {s: max(_DIFFERENT * baseline.gains.get(s, 0.0), _SMALL * n) for s, n in samples.items()}
+    return replace(changed, floor=floor)
