@@ -33,3 +33,27 @@ def test_an_amplitude_that_is_not_there_is_zero_and_never_negative():
     power = bins.total(transform(0.9 * rng.normal(size=5000)) ** 2)
     fit = fit_amplitudes(power, bins.counts, np.ones(len(bins.counts)), [np.ones(len(bins.counts))])
     assert 0.0 <= fit.amplitudes[0] < 1e-12
+
+
+@pytest.mark.parametrize("power", [0.0, 1.0])
+@pytest.mark.parametrize("base", [0.0, 1.0])
+def test_densities_or_a_recording_without_any_power_are_no_trouble(power, base):
+    bins = bins_of(500)
+    n = len(bins.counts)
+    densities = [np.zeros(n), np.full(n, 1e-200), np.ones(n), bins.mean(random_walk(frequencies(500)))]
+    fit = fit_amplitudes(power * bins.counts, bins.counts, np.full(n, base), densities)
+    assert np.isfinite(fit.amplitudes).all()
+    assert (fit.amplitudes >= 0.0).all()
+    assert np.isfinite(fit.deviance)
+    assert np.isfinite(fit.information).all()
+    assert fit.amplitudes[0] == 0.0
+
+
+def test_a_start_near_the_truth_is_found_from_the_powers_alone():
+    bins = bins_of(20_000)
+    walk = bins.mean(random_walk(frequencies(20_000)))
+    series = np.random.default_rng(3).normal(0.0, 0.7, 20_000)
+    power = bins.total(transform(series) ** 2)
+    cold = fit_amplitudes(power, bins.counts, np.zeros_like(walk), [np.ones_like(walk), walk])
+    warm = fit_amplitudes(power, bins.counts, np.zeros_like(walk), [np.ones_like(walk), walk], np.array([0.49, 0.0]))
+    assert cold.deviance == pytest.approx(warm.deviance, abs=1e-2)

@@ -1,0 +1,74 @@
+"""What a simulated flight shows against its own ideal is no gap of a real one that shows it as well."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from calib.gap.baseline import Baseline, baseline_of, beside
+from calib.gap.diagnose import diagnose
+from calib.gap.schema import Verdict
+from calib.recording import Sensor
+from tests.unit.gap.synthetic import problem_of
+
+ALPHA = 0.005
+BIAS = np.array([0.2, -0.1, 0.15])
+SCALE = np.array([0.03, -0.02, 0.0])
+
+
+def shared(trace):
+    return BIAS + trace.ideal * SCALE
+
+
+def both(trace):
+    return shared(trace) + np.array([0.0, 0.3, 0.0])
+
+
+def flight(seed, gap=None):
+    return problem_of(np.random.default_rng(seed), (Sensor.ACCEL,), gap)
+
+
+@pytest.fixture(scope="module")
+def simulated() -> Baseline:
+    return baseline_of(flight(1, shared), ALPHA)
+
+
+def test_the_simulated_flights_own_flaws_are_named_with_their_size(simulated):
+    found = {e.id: e for e in simulated.effects}
+    assert set(found) == {"accel_bias", "accel_scale"}
+    for name, truth in (("accel_bias", BIAS), ("accel_scale", SCALE)):
+        values, errors = (np.array([getattr(p, k) for p in found[name].params]) for k in ("value", "se"))
+        assert (np.abs(values - truth) < 4.0 * errors).all()
+    assert found["accel_bias"].instances == (1,)
+    assert simulated.gains[Sensor.ACCEL] > 1000.0
+
+
+def test_what_both_flights_show_is_no_gap(simulated):
+    report = diagnose(beside(flight(2, shared), simulated), nested=False)
+    assert report.verdict is Verdict.NO_GAP
+    assert report.effects == ()
+
+
+def test_what_only_the_real_flight_shows_is_found_in_its_own_size(simulated):
+    problem = dataclasses.replace(beside(flight(3, both), simulated), floor={})
+    report = diagnose(problem, nested=False)
+    assert [e.id for e in report.effects] == ["accel_bias"]
+    values, errors = (np.array([getattr(p, k) for p in report.effects[0].params]) for k in ("value", "se"))
+    assert (np.abs(values - [0.0, 0.3, 0.0]) < 4.0 * errors + 0.02).all()
+
+
+def test_what_the_simulated_flight_shows_less_than_the_real_one_must_be_clear(simulated):
+    floor = beside(flight(2, shared), simulated).floor
+    assert floor[Sensor.ACCEL] >= 0.1 * simulated.gains[Sensor.ACCEL]
+    clean = beside(flight(2), baseline_of(flight(1), ALPHA))
+    assert clean.floor[Sensor.ACCEL] == pytest.approx(0.01 * 3 * len(clean.traces[0].t))
+
+
+def test_a_simulated_flight_without_a_flaw_changes_nothing():
+    baseline = baseline_of(flight(4), ALPHA)
+    assert baseline.effects == ()
+    assert baseline.gains[Sensor.ACCEL] == 0.0
+    problem = flight(2, shared)
+    np.testing.assert_array_equal(beside(problem, baseline).traces[0].ideal, problem.traces[0].ideal)

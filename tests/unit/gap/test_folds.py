@@ -1,0 +1,88 @@
+"""Blocks that are held out: what is carried over to them keeps its axis, and what they should gain."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from calib.gap.effects import forward_models
+from calib.gap.folds import carried, expected_gain, folds_of, log_loss, refit
+from calib.gap.hypotheses import Hypothesis
+from calib.gap.model import NoiseTerm, Term, setting_of, starting_model
+from calib.gap.noise_fit import refitted, starting_noise, with_term
+from calib.gap.views import views_of
+from calib.recording import Sensor
+from tests.unit.gap.synthetic import SIGMA, problem_of
+
+LOUD = np.array([2.0, 0.5, 8.0])
+
+
+def louder(trace):
+    rng = np.random.default_rng(77)
+    return LOUD * SIGMA[trace.sensor] * rng.normal(size=trace.ideal.shape)
+
+
+def folds(seed, gap=None, *, unknown=False, count=4):
+    problem = problem_of(np.random.default_rng(seed), (Sensor.GYRO,), gap)
+    if unknown:
+        problem = dataclasses.replace(problem, traces=tuple(dataclasses.replace(t, sigma=None) for t in problem.traces))
+    return folds_of(setting_of(views_of(problem, {}, {})), count)
+
+
+NOISE = NoiseTerm(Hypothesis(forward_models()["gyro_noise"], (0,)), np.nan)
+
+
+def test_noise_that_differs_by_axis_keeps_its_axis():
+    for fold in folds(1, louder):
+        train = refit(fold.train, [NOISE])
+        test = carried(train, fold.test)
+        for c in range(3):
+            assert test.noise[c].amplitudes[NOISE.name(0)] == train.noise[c].amplitudes[NOISE.name(0)]
+        found = np.sqrt([50.0 * test.noise[c].amplitudes[NOISE.name(0)] for c in range(3)]) / SIGMA[Sensor.GYRO]
+        assert found == pytest.approx(LOUD, rel=0.2)
+
+
+def test_noise_that_nobody_declared_keeps_its_axis_too():
+    for fold in folds(2, louder, unknown=True):
+        train = refitted(fold.train).model
+        test = carried(train, fold.test)
+        power = np.array([test.noise[c].power.mean() for c in range(3)])
+        assert np.sqrt(power) == pytest.approx(SIGMA[Sensor.GYRO] * np.hypot(1.0, LOUD), rel=0.15)
+
+
+def test_the_right_axis_has_the_smaller_loss():
+    for fold in folds(3, louder):
+        train = refit(fold.train, [NOISE])
+        turned = dataclasses.replace(train, noise=train.noise[1:] + train.noise[:1])
+        assert log_loss(carried(train, fold.test)) < log_loss(carried(turned, fold.test)) - 100.0
+
+
+def test_a_true_effect_gains_on_a_held_out_block_what_it_should():
+    def gap(_trace):
+        return np.array([0.0, 1.0, -0.5]) * SIGMA[Sensor.GYRO]
+
+    bias = Hypothesis(forward_models()["gyro_bias"], (0,))
+    gained, due = 0.0, 0.0
+    for fold in folds(4, gap):
+        term = Term(bias, np.zeros(3), np.nan)
+        train = refit(fold.train, [term])
+        gained += log_loss(carried(refitted(fold.train).model, fold.test)) - log_loss(carried(train, fold.test))
+        due += expected_gain(train.terms[0], fold.train, carried(train, fold.test))
+    assert gained == pytest.approx(due, abs=4.0 * np.sqrt(2.0 * due))
+
+
+def test_what_happens_in_one_block_only_cannot_be_foretold():
+    step = Hypothesis(forward_models()["gyro_step"], (0,))
+    term = Term(step, np.array([0.01, 0.0, 0.0]), 35.0)
+    found = [expected_gain(term, fold.train, fold.test) for fold in folds(5)]
+    assert found[-1] < -5.0
+    assert all(e > -5.0 for e in found[:-1])
+
+
+def test_a_recording_in_fewer_than_three_pieces_has_no_folds():
+    assert folds(6, count=2) == ()
+    setting = setting_of(views_of(problem_of(np.random.default_rng(6), (Sensor.GYRO,)), {}, {}))
+    model = with_term(starting_model(setting, starting_noise(setting)), NOISE)
+    assert carried(model, starting_model(setting, starting_noise(setting))).noise_terms == (NOISE,)

@@ -1,0 +1,98 @@
+"""Shapes beyond the catalogue: what is drawn over which covariate, and that a low order is found in its columns."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from calib.gap.contest import Beside, Contest
+from calib.gap.effects import by_id
+from calib.gap.hypotheses import Hypothesis
+from calib.gap.model import setting_of, starting_model
+from calib.gap.noise_fit import starting_noise
+from calib.gap.shapes import PREFIX, shapes_of
+from calib.gap.views import views_of
+from calib.recording import Sensor
+from tests.unit.gap.synthetic import SIGMA, problem_of
+
+
+def model_of(sensor=Sensor.ACCEL, gap=None, *, instances=1, seed=1, **over):
+    problem = problem_of(np.random.default_rng(seed), (sensor,), gap, instances=instances)
+    traces = tuple(dataclasses.replace(t, **over) for t in problem.traces)
+    setting = setting_of(views_of(dataclasses.replace(problem, traces=traces), {}, {}))
+    return starting_model(setting, starting_noise(setting))
+
+
+def named(model):
+    return {h.effect.excited_by: h for h in shapes_of(model.setting)}
+
+
+def gains(model):
+    contest, beside = Contest((), budget=0), Beside(model)
+    return {name: contest.score(h, beside) for name, h in named(model).items()}
+
+
+def test_every_covariate_that_is_recorded_has_its_line_and_none_that_is_not():
+    all_of_it = named(model_of())
+    for covariate in ("a_x", "w_z", "|a|", "time", "temperature", "current", "throttle", "the slope of temperature"):
+        assert f"function of {covariate} on accel" in all_of_it
+        assert f"function of {covariate} on accel.y" in all_of_it
+    bare = named(model_of(temperature=None, current=None))
+    assert not [name for name in bare if "temperature" in name or "current" in name]
+    still = named(model_of(throttle=np.full(2000, 0.5)))
+    assert "function of throttle on accel" not in still
+
+
+def test_shapes_are_told_apart_by_instance_and_from_the_catalogue():
+    found = shapes_of(model_of(instances=2).setting)
+    assert len({h.key for h in found}) == len(found)
+    assert {h.instances for h in found} == {(0,), (1,)}
+    assert all(h.effect.id.startswith(PREFIX) for h in found)
+    assert not {h.effect.id for h in found} & set(by_id())
+
+
+def test_columns_are_finite_and_none_changes_its_trace():
+    model = model_of(Sensor.MAG)
+    trace = model.setting.views[0].traces[0]
+    before = trace.ideal.copy()
+    for h in named(model).values():
+        columns = h.effect.columns(trace, math.nan)
+        assert columns.shape[1:] == (len(trace.t), 3)
+        assert np.isfinite(columns).all()
+    np.testing.assert_array_equal(trace.ideal, before)
+
+
+LOW = {
+    "square of the reading on accel": lambda t: (t.ideal / 10.0) ** 2,
+    "cube of the reading on accel": lambda t: (t.ideal / 10.0) ** 3,
+    "size of the reading on accel": lambda t: np.abs(t.ideal) / 10.0,
+    "direction of the reading's change on accel": lambda t: np.sign(np.gradient(t.ideal, axis=0)),
+    "approach with 10 s on accel": lambda t: np.exp(-t.t / 10.0)[:, None],
+    "square of current on accel": lambda t: ((t.current / 20.0) ** 2)[:, None],
+}
+
+
+@pytest.mark.parametrize("name", list(LOW))
+def test_a_low_order_is_worth_more_as_itself_than_as_a_broken_line(name):
+    size = np.array([0.5, -0.3, 0.2]) * SIGMA[Sensor.ACCEL]
+    found = gains(model_of(gap=lambda trace: size * LOW[name](trace)))
+    own = found[name]
+    assert own.p < 1e-6
+    assert own.delta > max(s.delta for other, s in found.items() if other.startswith("function of"))
+
+
+def test_noise_is_worth_no_shape():
+    worst = max(s.delta for seed in range(3) for s in gains(model_of(seed=seed)).values())
+    assert worst < 0.0
+
+
+def test_a_shape_of_one_axis_touches_that_axis_alone():
+    model = model_of()
+    trace = model.setting.views[0].traces[0]
+    h: Hypothesis = named(model)["function of a_x on accel.z"]
+    columns = h.effect.columns(trace, math.nan)
+    assert not columns[:, :, :2].any()
+    assert columns[:, :, 2].sum(axis=0) == pytest.approx(np.ones(len(trace.t)))
