@@ -11,6 +11,7 @@ from calib.gap.diagnose import diagnose
 from calib.gap.problem import Problem, ReferenceInfo, ReferenceKind
 from calib.gap.schema import GapReport, Verdict, as_json
 from calib.recording import Sensor
+from tests.unit.gap.effects.conftest import make
 from tests.unit.gap.synthetic import problem_of
 
 A, G, M = Sensor.ACCEL, Sensor.GYRO, Sensor.MAG
@@ -66,6 +67,54 @@ def test_bias_and_scale_together_are_not_a_random_walk():
     report = diagnose(problem_of(np.random.default_rng(2), (A,), gap), nested=False)
     assert set(found(report)) == {"accel_bias", "accel_scale"}
     holds(report, "accel_scale", [0.004, -0.003, 0.0])
+
+
+@pytest.mark.parametrize("seed", [11, 19, 21])
+def test_two_effects_at_once_do_not_become_a_walk_because_each_alone_is_worth_less(seed):
+    def gap(trace):
+        return trace.ideal * np.array([0.01, 0.0, -0.01]) + np.array([0.05, -0.03, 0.02])
+
+    report = diagnose(problem_of(np.random.default_rng(seed), (A,), gap), nested=False)
+    assert set(found(report)) == {"accel_bias", "accel_scale"}
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_what_a_sensor_shows_stays_although_nobody_declared_its_noise(seed):
+    problem = problem_of(np.random.default_rng(seed), (A,), lambda _trace: np.array([0.3, -0.2, 0.1]))
+    quiet = tuple(dataclasses.replace(t, sigma=None) for t in problem.traces)
+    report = diagnose(dataclasses.replace(problem, traces=quiet), nested=False)
+    assert found(report) == {"accel_bias": (1,)}
+    assert not report.unknown.flag
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_offset_in_hover_is_no_end_of_the_range(seed):
+    trace = make(A, "hover", seconds=40.0, fs=50.0)
+    noise = np.random.default_rng(seed).normal(0.0, 0.05, trace.ideal.shape)
+    measured = trace.ideal + noise + np.array([0.0, 0.0, 0.1])
+    trace = dataclasses.replace(trace, measured=measured, sigma=np.full(3, 0.05))
+    report = diagnose(Problem((trace,), ReferenceInfo(ReferenceKind.SIM), 40.0), nested=False)
+    assert found(report) == {"accel_bias": (1,)}
+
+
+def test_a_wave_that_follows_a_rotor_is_found_with_its_order_beside_an_offset():
+    def turns(trace):
+        return 16.0 * np.sqrt(np.maximum(trace.throttle, 0.0))
+
+    def gap(trace):
+        speed = turns(trace)
+        angle = 2.0 * np.pi * np.append(0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]))) / 50.0
+        wave = (speed / speed.mean()) ** 2 * np.cos(angle)
+        return np.outer(wave, [0.05, 0.02, -0.03]) + np.array([0.05, -0.03, 0.02])
+
+    problem = problem_of(np.random.default_rng(2), (A,), gap)
+    known = tuple(dataclasses.replace(t, rotor_hz=turns(t)[:, None] * [0.9, 1.0, 1.1]) for t in problem.traces)
+    report = diagnose(dataclasses.replace(problem, traces=known), nested=False)
+    assert set(found(report)) == {"accel_bias", "accel_vibration"}
+    holds(report, "accel_vibration", [0.05, 0.02, -0.03, 0.0, 0.0, 0.0])
+    holds(report, "accel_bias", [0.05, -0.03, 0.02])
+    wave = next(e for e in report.effects if e.id == "accel_vibration")
+    assert wave.params[-1].value == pytest.approx(201.0, abs=1e-3)
 
 
 def test_a_large_rotation_is_neither_a_scale_nor_a_misalignment():

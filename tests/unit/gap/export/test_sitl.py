@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -58,7 +60,13 @@ MIXES = {
     "accelerometer": (
         effect("accel_bias", bias=(0.3, -0.2, 0.15)),
         effect("accel_scale", scale=(0.02, -0.01, 0.03)),
-        effect("accel_temp_poly", per_degc=(0.008, -0.005, 0.012), per_degc2=(1e-4, 0, -2e-5), t_ref=21.0),
+        effect(
+            "accel_temp_poly",
+            per_degc=(0.008, -0.005, 0.012),
+            per_degc2=(1e-4, 0, -2e-5),
+            per_degc3=(-2e-6, 3e-6, 0),
+            t_ref=21.0,
+        ),
     ),
     "gyroscope": (
         effect("gyro_bias", bias=(0.01, -0.015, 0.008)),
@@ -162,6 +170,13 @@ def test_what_cannot_be_held_is_said_by_name(one: EffectEstimate, word: str) -> 
     assert len(found.not_held) == 1
     assert one.id in found.not_held[0]
     assert word in found.not_held[0]
+
+
+def test_a_wave_that_follows_a_rotor_is_written_with_its_size_or_said_by_name() -> None:
+    whole = effect("accel_vibration", cos=(3.0, 3.0, 3.0), sin=(4.0, 4.0, 4.0), rotor_order=101.0)
+    wave = dataclasses.replace(whole, params=tuple(p for p in whole.params if p.value))
+    found = patch(report(wave))
+    assert found.not_held or found.values["SIM_ACC1_RND"] == pytest.approx(5.0)
 
 
 def test_a_motor_field_on_one_compass_of_three_is_not_only_there() -> None:
