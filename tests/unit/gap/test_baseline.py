@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from calib.gap.baseline import Baseline, baseline_of, beside
 from calib.gap.diagnose import diagnose
@@ -64,6 +65,22 @@ def test_what_the_simulated_flight_shows_less_than_the_real_one_must_be_clear(si
     assert floor[Sensor.ACCEL] >= 0.1 * simulated.gains[Sensor.ACCEL]
     clean = beside(flight(2), baseline_of(flight(1), ALPHA))
     assert clean.floor[Sensor.ACCEL] == pytest.approx(0.01 * 3 * len(clean.traces[0].t))
+
+
+def turned(trace):
+    return Rotation.from_rotvec([0.05, -0.03, 0.02]).apply(trace.ideal) - trace.ideal
+
+
+def drifting(trace):
+    late = [np.interp(trace.t - 3e-3 * trace.t, trace.t, column) for column in trace.ideal.T]
+    return np.column_stack(late) - trace.ideal
+
+
+@pytest.mark.parametrize("gap", [turned, drifting])
+def test_what_all_sensors_share_in_both_flights_is_no_gap(gap):
+    first, second = (problem_of(np.random.default_rng(s), (Sensor.ACCEL, Sensor.MAG), gap) for s in (1, 2))
+    report = diagnose(beside(second, baseline_of(first, ALPHA)), nested=False)
+    assert report.effects == ()
 
 
 def test_a_simulated_flight_without_a_flaw_changes_nothing():
