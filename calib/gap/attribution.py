@@ -15,11 +15,23 @@ from numpy.typing import NDArray
 
 from calib.gap.contest import Beside, Contest, Score, exactly, existing, fixed_score, noise_score, priced
 from calib.gap.effects.base import NoiseEffect
+from calib.gap.effects.noise import DRIFTS
 from calib.gap.hypotheses import Columns, Hypothesis, columns_of
 from calib.gap.model import Model, NoiseTerm, Term, refined
 from calib.gap.noise_fit import refitted, without_term
 from calib.gap.schema import Rival
-from calib.gap.selection import Chosen, fitted, grown, last_gains, restored, with_score, without
+from calib.gap.selection import (
+    Chosen,
+    fitted,
+    grown,
+    last_gains,
+    objective,
+    restored,
+    select,
+    with_score,
+    without,
+)
+from calib.recording import Sensor
 
 Array = NDArray[np.float64]
 Key = tuple[str, tuple[int, ...]]
@@ -70,6 +82,22 @@ def settled(chosen: Chosen, contest: Contest, alpha: float) -> tuple[Chosen, tup
     else:
         held = {term.hypothesis.key: _alternatives(chosen, contest, term) for term in chosen.model.members}
     return chosen, _attributed(chosen, contest, held)
+
+
+def steadily(chosen: Chosen, start: Model, contest: Contest, alpha: float) -> Chosen:
+    """The model, or a better one without noise that wanders, whose effects were exchanged until none has a better one.
+
+    Forward steps may stop where two of the wrong effects stand; wandering noise then beats them, and not the right two.
+    """
+    drifting = {t.hypothesis.effect.sensor for t in chosen.model.noise_terms if t.hypothesis.effect.id.endswith(DRIFTS)}
+    if not drifting or {Sensor.ACCEL, Sensor.MAG} <= drifting:  # both: it is the reference, which comes next
+        return chosen
+    steady = [h for h in contest.hypotheses if not h.effect.id.endswith(DRIFTS)]
+    level = alpha * len(steady) / max(len(contest.hypotheses), 1)
+    without_drift = Contest(steady, floor=contest.floor)
+    other, _ = settled(select(start, without_drift, level), without_drift, level)
+    other = replace(other, tests=chosen.tests, first=chosen.first)
+    return other if objective(other) < objective(chosen) else chosen
 
 
 def _better(held: Mapping[Key, tuple[list[Alternative], float]], level: float) -> tuple[Key, Score] | None:

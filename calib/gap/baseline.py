@@ -69,7 +69,7 @@ def baseline_of(problem: Problem, alpha: float) -> Baseline:
 
 def beside(problem: Problem, baseline: Baseline) -> Problem:
     """`problem` held against a simulator that has what its own flight shows."""
-    changed, _ = with_effects(problem, baseline.effects)
+    changed, _ = with_effects(problem, baseline.effects, shared=True)
     samples = {sensor: sum(3 * len(t.t) for t in problem.traces if t.sensor is sensor) for sensor in Sensor}
     floor = {s: max(_DIFFERENT * baseline.gains.get(s, 0.0), _SMALL * n) for s, n in samples.items()}
     return replace(changed, floor=floor)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.attribution import TEMPERATURE, Attribution, settled
+from calib.gap.attribution import TEMPERATURE, Attribution, settled, steadily
 from calib.gap.bands import assembled, split
 from calib.gap.contest import Contest
 from calib.gap.effects import catalogue
@@ -86,7 +86,7 @@ def diagnose(
     start = refitted(starting_model(setting, starting_noise(setting))).model
     contest = Contest(hypotheses, floor=problem.floor)
     bare = start
-    chosen, attributions = settled(select(start, contest, alpha), contest, alpha)
+    chosen, attributions = settled(steadily(select(start, contest, alpha), start, contest, alpha), contest, alpha)
     wander = wandering(chosen, contest, start, alpha) if any(e.id == REFERENCE for e in effects) else None
     if wander is not None:
         chosen = wander.chosen

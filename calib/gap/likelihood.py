@@ -6,6 +6,7 @@ The orthonormal DCT-II diagonalises white noise and a random walk exactly and ot
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -112,6 +113,8 @@ def fit_amplitudes(
     """
     D = np.asarray(densities, dtype=np.float64).reshape(len(densities), len(counts))
     mean = periodogram / counts
+    if not (mean > 0.0).any():
+        return AmplitudeFit(np.zeros(len(D)), deviance(base + 1e-150, periodogram, counts), np.eye(len(D)))
     a = _start(mean, counts, base, D) if start is None else np.maximum(start, 0.0)
     floor = 1e-12 * float(np.average(mean, weights=counts)) + 1e-150
     level = deviance(np.maximum(base + a @ D, floor), periodogram, counts)
@@ -143,8 +146,13 @@ def _start(mean: Array, counts: Array, base: Array, D: Array) -> Array:
     found = []
     for d in D:
         ratio = d / scale
+        largest = float(ratio.max(initial=0.0))
+        if not 0.0 < largest < math.inf:
+            found.append(0.0)
+            continue
+        ratio = ratio / largest
         size = float((counts * ratio**2).sum())
-        found.append(max(float((counts * excess / scale * ratio).sum()) / size, 0.0) if size > 0.0 else 0.0)
+        found.append(max(float((counts * excess / scale * ratio).sum()) / size, 0.0) / largest)
     return np.asarray(found)
 
 

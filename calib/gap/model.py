@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -200,8 +201,9 @@ def with_noise(model: Model, noise: tuple[Noise, ...]) -> Model:
     return replace(model, noise=noise, weight=tuple(weight))
 
 
+@lru_cache(maxsize=64)
 def predicted(term: Term, view: View) -> Array:
-    """Change of the mean by `term` in `view`, shape (n, 3)."""
+    """Change of the mean by `term` in `view`, shape (n, 3); the last ones asked for are kept."""
     effect = term.effect
     if effect.exact is not None:
         exact = effect.exact
@@ -233,8 +235,9 @@ def limits_of(term: Term, setting: Setting) -> tuple[float, float]:
     return float(grid[0]), float(grid[-1])
 
 
+@lru_cache(maxsize=16)
 def jacobian(term: Term, setting: Setting) -> Columns:
-    """Columns of everything that `term` estimates, at its present values."""
+    """Columns of everything that `term` estimates, at its present values; the last ones asked for are kept."""
     effect = term.effect
     if effect.shape is None and effect.exact is None:
         return columns_of(term.hypothesis, term.theta, setting.views, setting.frames)

@@ -19,21 +19,21 @@ Array = NDArray[np.float64]
 _BINS = 1024  # of a spectrum that is made here
 
 
-def with_effects(problem: Problem, effects: Sequence[EffectEstimate]) -> tuple[Problem, tuple[str, ...]]:
+def with_effects(
+    problem: Problem, effects: Sequence[EffectEstimate], *, shared: bool = False
+) -> tuple[Problem, tuple[str, ...]]:
     """`problem` held against a simulator that has `effects`, and those that could not be replayed.
 
     Mean effects move the ideal reading, noise effects raise the noise that is expected. What is left in its residuals
-    is what such a simulator still lacks.
+    is what such a simulator still lacks. What all sensors share is the reference's and no simulator's, unless `shared`.
     """
     lost: dict[str, None] = {}
     traces = []
     for trace in problem.traces:
         changed = trace
         for effect, sign in _acting(trace, effects):
-            described = forward_models().get(effect.id)
-            if described is not None and not _complete(described, effect):
-                described = None
-            if isinstance(described, MeanEffect) and not described.shared:
+            described = next((e for e in forward_models().get(effect.id, ()) if _complete(e, effect)), None)
+            if isinstance(described, MeanEffect) and (shared or not described.shared):
                 added = sign * forward(described, effect, trace)
                 # what never was measured keeps reading as the ideal one does
                 measured = np.where(trace.observed[:, None], changed.measured, changed.measured + added)
@@ -64,8 +64,10 @@ def _split(described: Effect, found: EffectEstimate) -> tuple[float, Array]:
 
 
 def _complete(described: Effect, found: EffectEstimate) -> bool:
-    """Whether the shape that it needs was estimated."""
-    return described.shape is None or any(p.name == described.shape.parameter.name for p in found.params)
+    """Whether everything that it needs was estimated."""
+    known = {p.name for p in found.params}
+    shape = {described.shape.parameter.name} if described.shape is not None else set()
+    return {p.name for p in described.parameters} | shape <= known
 
 
 def _acting(trace: Trace, effects: Iterable[EffectEstimate]) -> Iterable[tuple[EffectEstimate, float]]:

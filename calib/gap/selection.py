@@ -22,7 +22,7 @@ from calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
-_MOST = 12
+_MOST = 8
 """Effects in a model: more is no explanation."""
 MATERIAL = 0.005
 """Part of the largest gain below which an effect is a second order of the large ones (GAP, pitfalls)."""

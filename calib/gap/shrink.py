@@ -167,9 +167,13 @@ def _gate(term: Term | NoiseTerm, gains: Array, folds: Sequence[Fold], chosen: C
     seen = [e > _FORETOLD for e in expected]
     sizes = [_touched(term, fold.test.setting) for fold in folds]
     due = sum(_at_most(e, n) for e, s, n in zip(expected, seen, sizes, strict=True) if s)
+    gained = next((s.gain for s in chosen.scores if s.hypothesis.key == key), math.inf)
+    due = min(due, 0.5 * gained)  # what undeclared noise takes in its place is no gain
     total = float(gains[seen].sum())
+    if due <= 1.0:
+        return Gate(key, gains, passed=None)
     least = min(due - _SHORT * math.sqrt(2.0 * due), _ENOUGH * due)
-    if due <= 1.0 or (total <= 0.0 and least < 0.0):
+    if total <= 0.0 and least < 0.0:
         return Gate(key, gains, passed=None)
     return Gate(key, gains, passed=total > max(least, 0.0))
 

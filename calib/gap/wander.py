@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.attribution import settled
 from calib.gap.contest import Contest, tail
 from calib.gap.effects.affine import rotation_columns
 from calib.gap.effects.noise import DRIFTS
-from calib.gap.hypotheses import Columns, Frame, Part, add_block
+from calib.gap.hypotheses import Columns, Frame, Hypothesis, Part, add_block
 from calib.gap.likelihood import Noise
 from calib.gap.model import (
     Model,
@@ -84,15 +83,20 @@ def wandering(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> W
         return None
     frames = tuple(frame_of(view, _SCREENED) for view in setting.views)
     setting = replace(setting, frames=frames)
-    contest = Contest(contest.hypotheses, floor=contest.floor)
+    # A bias that wanders cannot be told from a reference that does.
+    told = [h for h in contest.hypotheses if h.effect.id != ID and not (h.effect.id.endswith(DRIFTS) and _seen_by(h))]
+    contest = Contest(told, floor=contest.floor)
     columns = wander_columns(setting, frames)
     ridge = Ridge(columns, 1.0 / _prior(setting, size, time), np.zeros(columns.p), span_of(setting))
     noise = with_tail(setting, start.noise, size, time)
-    found = select(starting_model(setting, noise, ridge), contest, alpha, blocked=(ID,))
-    found, _ = settled(found, contest, alpha)
+    found = select(starting_model(setting, noise, ridge), contest, alpha)
     price = 2.0 * math.log(sum(3 * v.count for v in setting.views if sees(v)))
     better = objective(chosen) - (objective(found) + process_cost(found.model) + price)
     return Wander(found, contest, better, size, time, noise) if better > _MARGIN else None
+
+
+def _seen_by(hypothesis: Hypothesis) -> bool:
+    return hypothesis.effect.sensor is not Sensor.GYRO
 
 
 def best_prior(model: Model) -> tuple[float, float, float]:

@@ -49,9 +49,13 @@ def by_id() -> dict[str, Effect]:
 
 
 @cache
-def forward_models() -> dict[str, MeanEffect | NoiseEffect]:
-    """By id, what an effect does to mean or noise; what only the samples' lattice shows is left out."""
-    return {effect.id: effect for effect in catalogue() if isinstance(effect, MeanEffect | NoiseEffect)}
+def forward_models() -> dict[str, tuple[MeanEffect | NoiseEffect, ...]]:
+    """By id, what an effect does to mean or noise, in all its forms; what only the lattice shows is left out."""
+    found: dict[str, tuple[MeanEffect | NoiseEffect, ...]] = {}
+    for effect in catalogue():
+        if isinstance(effect, MeanEffect | NoiseEffect):
+            found[effect.id] = (*found.get(effect.id, ()), effect)
+    return found
 
 
 @cache

@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 
 _TRIED = 26
 _LEAST, _MOST = 4.0, 1e6  # evidence of the least and the largest that is tried, times the least
+_BELOW = 0.9  # of the largest reading: an end of the range there leaves some readings alone, an offset none
 _OUTSIDE = 0.02  # of the readings, in a dead band, and beyond it, for anything to be said
 
 
@@ -67,6 +68,8 @@ def _reaches_far(sensor: Sensor) -> Missing:
         size = np.abs(trace.ideal[trace.observed])
         if not len(size) or float(size.max()) <= 0.0:
             return f"the ideal {sensor.value} reads zero", "movement up to the end of the range"
+        if (size.max(axis=1) < _BELOW * size.max()).mean() < _OUTSIDE:
+            return f"the ideal {sensor.value} is as large throughout", "movement that comes and goes"
         return None
 
     return missing

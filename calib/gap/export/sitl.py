@@ -186,6 +186,8 @@ def _motor_current(effect: EffectEstimate, sensors: Sensors, report: GapReport) 
 
 def _vibration(effect: EffectEstimate, sensors: Sensors, report: GapReport) -> tuple[dict[str, float], list[str]]:
     """A sine on each axis while the motors run; SIM_ACCn_RND is its amplitude, one for the axes that have it."""
+    if not any(p.name == "frequency_hz" for p in effect.params):
+        return {}, ["a wave that follows one rotor's speed"]
     size = (
         np.hypot(vector(effect, "cos"), vector(effect, "sin"))
         if kind_of(effect) == "tone"

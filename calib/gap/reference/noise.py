@@ -22,6 +22,7 @@ _BANDS = 28
 _COLOURED = 1e-4  # chance of the band furthest from white in white noise, from which on it is not
 _OFF = 1e-3  # chance of a band beside white noise, walk and flicker, from which on it is taken as it is
 _FLOOR = 1e-9  # of the mean power
+_CLEANED = 6  # times that lines are taken out
 _SHRUNK = 12.0  # coefficients that speak for these, against those of such a band
 _FEWEST = 64
 _LINE_HZ = 1.0
@@ -68,8 +69,7 @@ class Noise:
         for c, column in enumerate(self.psd.T):
             scale = max(float(self.dof @ column / self.dof.sum()), np.finfo(float).tiny)
             measured = np.maximum(column / scale, _FLOOR)
-            fit = fit_amplitudes(self.dof * measured, self.dof, np.zeros_like(measured), shapes)
-            model = np.maximum(fit.amplitudes @ np.asarray(shapes), _FLOOR)
+            model = _smooth(measured, self.dof, shapes)
             ratio = measured / model
             shrunk = (self.dof * ratio + _SHRUNK) / (self.dof + _SHRUNK)
             made[:, c] = scale * model * np.where(chances(ratio[:, None], self.dof)[:, 0] < _OFF, shrunk, 1.0)
@@ -79,8 +79,24 @@ class Noise:
         """Lines of rotors over the frequencies that they have in other flights, which hover at other speeds."""
         near = np.abs(np.log(self.hz[:, None] / self.hz)) <= _HOVERS
         near &= (np.minimum(self.hz[:, None], self.hz) > _SLOW_HZ) | np.eye(len(self.hz), dtype=bool)
-        psd = np.where(near[:, :, None], self.psd[None], 0.0).max(axis=1)
-        return dataclasses.replace(self, psd=psd)
+        gain = (filter_gain(self.hz, self.low_pass_hz) ** 2)[:, None]
+        psd = np.where(near[:, :, None], (self.psd / gain)[None], 0.0).max(axis=1)
+        return dataclasses.replace(self, psd=psd * gain)
+
+
+def _smooth(measured: Array, dof: Array, shapes: Sequence[Array]) -> Array:
+    """The sum of `shapes` that fits `measured` (K,), lines left out: one strong line would raise all of it."""
+    quiet = np.ones(len(measured), dtype=bool)
+    model = measured
+    for _ in range(_CLEANED):
+        rows = [shape[quiet] for shape in shapes]
+        fit = fit_amplitudes((dof * measured)[quiet], dof[quiet], np.zeros(int(quiet.sum())), rows)
+        model = np.maximum(fit.amplitudes @ np.asarray(shapes), _FLOOR)
+        loud = (measured > model) & (chances((measured / model)[:, None], dof)[:, 0] < _OFF)
+        if not (loud & quiet).any() or (quiet & ~loud).sum() < len(shapes) + 2:
+            break
+        quiet &= ~loud
+    return np.asarray(model)
 
 
 def chances(ratio: Array, dof: Array) -> Array:

@@ -31,7 +31,7 @@ def folds(seed, gap=None, *, unknown=False, count=4):
     return folds_of(setting_of(views_of(problem, {}, {})), count)
 
 
-NOISE = NoiseTerm(Hypothesis(forward_models()["gyro_noise"], (0,)), np.nan)
+NOISE = NoiseTerm(Hypothesis(forward_models()["gyro_noise"][-1], (0,)), np.nan)
 
 
 def test_noise_that_differs_by_axis_keeps_its_axis():
@@ -63,7 +63,7 @@ def test_a_true_effect_gains_on_a_held_out_block_what_it_should():
     def gap(_trace):
         return np.array([0.0, 1.0, -0.5]) * SIGMA[Sensor.GYRO]
 
-    bias = Hypothesis(forward_models()["gyro_bias"], (0,))
+    bias = Hypothesis(forward_models()["gyro_bias"][-1], (0,))
     gained, due = 0.0, 0.0
     for fold in folds(4, gap):
         term = Term(bias, np.zeros(3), np.nan)
@@ -74,7 +74,7 @@ def test_a_true_effect_gains_on_a_held_out_block_what_it_should():
 
 
 def test_what_happens_in_one_block_only_cannot_be_foretold():
-    step = Hypothesis(forward_models()["gyro_step"], (0,))
+    step = Hypothesis(forward_models()["gyro_step"][-1], (0,))
     term = Term(step, np.array([0.01, 0.0, 0.0]), 35.0)
     found = [expected_gain(term, fold.train, fold.test) for fold in folds(5)]
     assert found[-1] < -5.0

@@ -33,7 +33,7 @@ def model_of(change, *, rounding=0.0, seed=0, n=N, **over):
 
 
 def wandering(model):
-    term = NoiseTerm(Hypothesis(forward_models()["gyro_random_walk"], (0,)), np.nan)
+    term = NoiseTerm(Hypothesis(forward_models()["gyro_random_walk"][-1], (0,)), np.nan)
     return refitted(with_term(model, term)).model, term
 
 
@@ -71,7 +71,7 @@ def test_noise_that_is_not_declared_or_follows_the_rotors_by_itself_is_not_asked
     t = np.arange(N) / FS
     rotors = np.repeat(np.where(t % 10.0 < 1.0, 90.0, 10.0)[:, None], 4, axis=1)
     model = model_of(bursts(5.0), rotor_hz=rotors)
-    term = NoiseTerm(Hypothesis(forward_models()["gyro_rotor_noise"], (0,)), np.nan)
+    term = NoiseTerm(Hypothesis(forward_models()["gyro_rotor_noise"][-1], (0,)), np.nan)
     assert unsteady(refitted(with_term(model, term)).model)[0] == 0.0
 
 

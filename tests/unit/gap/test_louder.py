@@ -35,7 +35,7 @@ def model_of(seed: int, louder: tuple[int, ...], *, reference: ReferenceInfo = E
 
 
 def noise(instances: tuple[int, ...]) -> Added:
-    hypothesis = Hypothesis(forward_models()["gyro_noise"], instances)
+    hypothesis = Hypothesis(forward_models()["gyro_noise"][-1], instances)
     return Added(hypothesis, np.nan, np.full((1, 3), SIGMA[Sensor.GYRO] ** 2 / 50.0))
 
 
@@ -80,7 +80,7 @@ def a_line(size: float) -> tuple[Model, NoiseTerm]:
 
     problem = problem_of(np.random.default_rng(5), (Sensor.GYRO,), gap)
     setting = setting_of(views_of(problem, {}, {}))
-    term = NoiseTerm(Hypothesis(forward_models()["gyro_vibration"], (0,)), 10.0)
+    term = NoiseTerm(Hypothesis(forward_models()["gyro_vibration"][-1], (0,)), 10.0)
     model = refitted(with_term(starting_model(setting, starting_noise(setting)), term)).model
     return model, term
 
@@ -96,7 +96,7 @@ def test_the_amplitude_of_a_line_is_read_at_its_frequency(size):
 
 def test_a_little_broad_noise_beside_a_strong_line_is_its_unsteadiness():
     model, line = a_line(10.0)
-    broad = NoiseTerm(Hypothesis(forward_models()["gyro_noise"], (0,)), np.nan)
+    broad = NoiseTerm(Hypothesis(forward_models()["gyro_noise"][-1], (0,)), np.nan)
     both = refitted(with_term(model, broad)).model
     assert unsteady_line(broad, both)
     assert not unsteady_line(line, both)
@@ -110,10 +110,10 @@ def noise_term(instances: tuple[int, ...]) -> NoiseTerm:
 
 def test_a_small_tone_beside_a_strong_line_is_part_of_it():
     model, _ = a_line(10.0)
-    tone = Hypothesis(forward_models()["gyro_tone"], (0,))
+    tone = Hypothesis(forward_models()["gyro_tone"][-1], (0,))
     assert line_power(tone, model) > 0.0
     small, large = (np.full(6, k * SIGMA[Sensor.GYRO]) for k in (0.1, 10.0))
     assert not tone_beside_lines(tone, small, model)
     assert tone_beside_lines(tone, large, model)
-    bias = Hypothesis(forward_models()["gyro_bias"], (0,))
+    bias = Hypothesis(forward_models()["gyro_bias"][-1], (0,))
     assert tone_beside_lines(bias, small[:3], model)

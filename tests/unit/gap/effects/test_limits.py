@@ -37,7 +37,7 @@ def emptied(trace, width):
 def test_an_end_of_the_range_is_recovered(name, limit, seed):
     trace = with_sigma(make(Sensor(name.split("_")[0]), fs=50.0))
     sigma = SIGMA[trace.sensor]
-    found, _, _ = fitted(forward_models()[name], noisy(trace, clipped(trace, limit), sigma, seed))
+    found, _, _ = fitted(forward_models()[name][-1], noisy(trace, clipped(trace, limit), sigma, seed))
     beyond = int((np.abs(trace.ideal) > limit).sum())
     assert abs(found - limit) < 3.0 * sigma / np.sqrt(beyond)
 
@@ -49,14 +49,14 @@ def test_an_end_of_the_range_is_recovered(name, limit, seed):
 def test_a_dead_band_is_recovered(name, width, seed):
     trace = with_sigma(make(Sensor(name.split("_")[0]), fs=50.0))
     sigma = SIGMA[trace.sensor]
-    found, _, _ = fitted(forward_models()[name], noisy(trace, emptied(trace, width), sigma, seed))
+    found, _, _ = fitted(forward_models()[name][-1], noisy(trace, emptied(trace, width), sigma, seed))
     assert found == pytest.approx(width, rel=0.01)
 
 
 @pytest.mark.parametrize("kind", ["saturation", "dead_band"])
 @pytest.mark.parametrize("sensor", list(SIGMA))
 def test_noise_shows_neither(sensor, kind):
-    effect, sigma = forward_models()[f"{sensor}_{kind}"], SIGMA[sensor]
+    effect, sigma = forward_models()[f"{sensor}_{kind}"][-1], SIGMA[sensor]
     trace = with_sigma(make(sensor, fs=25.0))
     for seed in range(10):
         plain = noisy(trace, np.zeros(3), sigma, seed)
@@ -68,7 +68,7 @@ def test_noise_shows_neither(sensor, kind):
 @pytest.mark.parametrize("kind", ["saturation", "dead_band"])
 @pytest.mark.parametrize("sensor", list(SIGMA))
 def test_what_is_tried_reaches_from_hardly_seen_to_everything(sensor, kind):
-    effect, sigma = forward_models()[f"{sensor}_{kind}"], SIGMA[sensor]
+    effect, sigma = forward_models()[f"{sensor}_{kind}"][-1], SIGMA[sensor]
     trace = with_sigma(make(sensor, fs=50.0))
     grid = effect.shape.grid(trace)
     assert (np.diff(grid) > 0.0).all()
@@ -80,7 +80,7 @@ def test_what_is_tried_reaches_from_hardly_seen_to_everything(sensor, kind):
 
 
 def test_the_noise_is_taken_from_the_trace_where_none_is_declared():
-    effect = forward_models()["gyro_saturation"]
+    effect = forward_models()["gyro_saturation"][-1]
     trace = noisy(make(Sensor.GYRO, fs=50.0), np.zeros(3), 0.01, 1)
     declared = effect.shape.grid(with_sigma(trace))
     assert effect.shape.grid(trace) == pytest.approx(declared, rel=0.1)
@@ -89,8 +89,8 @@ def test_the_noise_is_taken_from_the_trace_where_none_is_declared():
 def test_where_nothing_moves_through_zero_there_is_no_dead_band():
     trace = make(Sensor.MAG, fs=25.0)
     away = dataclasses.replace(trace, ideal=60.0 + 0.1 * trace.ideal)
-    assert "stays away from zero" in forward_models()["mag_dead_band"].missing(away)[0]
-    assert forward_models()["mag_dead_band"].missing(trace) is None
+    assert "stays away from zero" in forward_models()["mag_dead_band"][-1].missing(away)[0]
+    assert forward_models()["mag_dead_band"][-1].missing(trace) is None
     still = dataclasses.replace(trace, ideal=np.zeros_like(trace.ideal))
-    assert forward_models()["mag_saturation"].missing(still) is not None
-    assert forward_models()["mag_dead_band"].missing(still) is not None
+    assert forward_models()["mag_saturation"][-1].missing(still) is not None
+    assert forward_models()["mag_dead_band"][-1].missing(still) is not None
