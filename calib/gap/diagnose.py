@@ -86,13 +86,15 @@ def diagnose(
     start = refitted(starting_model(setting, starting_noise(setting))).model
     contest = Contest(hypotheses, floor=problem.floor)
     bare = start
-    chosen, attributions = settled(steadily(select(start, contest, alpha), start, contest, alpha), contest, alpha)
+    chosen = select(start, contest, alpha)
     wander = wandering(chosen, contest, start, alpha) if any(e.id == REFERENCE for e in effects) else None
     if wander is not None:
         chosen = wander.chosen
         contest = wander.contest
         start = starting_model(chosen.model.setting, wander.noise, chosen.model.ridge)
-        chosen, attributions = settled(chosen, contest, alpha)
+    else:
+        chosen = steadily(chosen, start, contest, alpha)
+    chosen, attributions = settled(chosen, contest, alpha)
     best = explained(chosen, contest, start, alpha)
     if best.contest is not contest:
         contest = best.contest
