@@ -20,8 +20,9 @@ Array = NDArray[np.float64]
 
 _AGAIN = "'"
 _REPEATS = 4
-_FAST = ("_tone", "_step")
 """Times that an effect that can be repeated is looked for."""
+_FAST = ("_tone", "_step")
+"""Ends of the ids of effects that change a mean at any frequency."""
 
 
 @dataclass(frozen=True, eq=False)

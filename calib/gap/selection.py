@@ -67,7 +67,7 @@ def fitted(model: Model, sensors: Sequence[Sensor] | None = None) -> tuple[Model
     return model, joint, replace(noise, model=model)
 
 
-def select(start: Model, contest: Contest, alpha: float, *, blocked: Sequence[str] = ()) -> Chosen:
+def select(start: Model, contest: Contest, alpha: float) -> Chosen:
     """The effects that the data show; noise that wanders comes last.
 
     It can take the place of any slow effects on the mean, of two at once of which neither is better alone. It is
@@ -81,10 +81,8 @@ def select(start: Model, contest: Contest, alpha: float, *, blocked: Sequence[st
         Everything that competes.
     alpha
         Chance that any of the tests fires without a gap.
-    blocked
-        Ids that take no part.
     """
-    candidates = [h for h in contest.hypotheses if h.effect.id not in blocked]
+    candidates = contest.hypotheses
     steady = [h for h in candidates if not h.effect.id.endswith(DRIFTS)]
     tests = sum(not h.again for h in candidates)
     level = alpha / max(tests, 1)

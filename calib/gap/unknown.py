@@ -1,9 +1,9 @@
 """What no effect of the catalogue explains, as competitors that pay for their freedom.
 
 Shapes: a broken line over each covariate, products of signals, jumps. They stand in the same contest as the catalogue
-and pay ``df log N``; the catalogue is tried first and alone, and a shape wins only if the best model with shapes is
-better than the best without. What is left over is tested band by band. (Noise that
-is no sensor's own: :mod:`calib.gap.impostors`.)
+and pay for their freedom; the catalogue is tried first and alone, and a shape wins only if the best model with shapes
+is better than the best without. What is left over is tested band by band. (Noise that is no sensor's own:
+:mod:`calib.gap.impostors`.)
 """
 
 from __future__ import annotations

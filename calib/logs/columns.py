@@ -144,11 +144,11 @@ def mat_columns(data: bytes) -> Columns:
             warnings.simplefilter("ignore")  # of scipy, about variables that no table needs
             _check_elements(data)
             content = scipy.io.loadmat(io.BytesIO(data))
-    except NotImplementedError as error:
+    except NotImplementedError as error:  # what scipy raises for the HDF5 of version 7.3
         raise UnreadableError("the .mat is of MATLAB's 7.3 format: save it with -v7, or as .csv") from error
     except UnreadableError:
         raise
-    except Exception as error:
+    except Exception as error:  # a damaged file makes scipy raise anything
         raise UnreadableError(f"the .mat cannot be read ({error}): save it with -v7, or as .csv") from error
     return _from_arrays({name: value for name, value in content.items() if not name.startswith("__")})
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import math
 from dataclasses import dataclass
 
@@ -14,7 +15,7 @@ PX4_LEAD_S = 0.0009  # 0.3 of PX4's main-loop delay of 3 ms: how much too early 
 
 
 @dataclass
-class Stream:
+class Stream(abc.ABC):
     """One periodic message of one link.
 
     Attributes:
@@ -28,9 +29,9 @@ class Stream:
     interval_us: int
     anchor: float
 
+    @abc.abstractmethod
     def due(self, until: float) -> list[float]:
         """The times up to and including `until` at which the message is sent; each is returned once."""
-        raise NotImplementedError
 
 
 class ArduPilotStream(Stream):

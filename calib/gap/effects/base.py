@@ -42,7 +42,7 @@ def always(_trace: Trace) -> tuple[str, str] | None:
 class Shape:
     """The one nonlinear parameter of an effect: a delay, a cut-off, a time constant, a moment.
 
-    `grid(trace)` gives the values that are tried first (M,), ascending; the contest pays log M for them, then refines
+    `grid(trace)` gives the values that are tried first (M,), ascending; the contest pays for the search, then refines
     between neighbours. Where M is large, `screen(trace, residual)` picks a few of them (at least one) that are worth
     trying from what is still unexplained, shape (N, 3); the price stays that of the whole grid. `usual` is the value by
     convention where other effects leave it open (a reference temperature beside a free bias); None: there is none.

@@ -5,6 +5,8 @@ The samples themselves show nothing (:mod:`calib.gap.effects.lattice` finds what
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -85,33 +87,43 @@ def _crosses_zero(sensor: Sensor) -> Missing:
     return missing
 
 
+_KINDS = (
+    (
+        "saturation",
+        Parameter("limit", ""),
+        limits,
+        clipped_column,
+        "readings up to the end of the range",
+        "a larger range; less violent movement",
+        _reaches_far,
+    ),
+    (
+        "dead_band",
+        Parameter("half_width", ""),
+        widths,
+        dead_column,
+        "readings about zero",
+        "slow movement through zero",
+        _crosses_zero,
+    ),
+)
+
+
 def _of(sensor: Sensor) -> tuple[Effect, ...]:
-    unit = UNIT[sensor]
-    return (
+    return tuple(
         MeanEffect(
-            f"{sensor}_saturation",
+            f"{sensor}_{name}",
             sensor,
             (),
-            "readings up to the end of the range",
-            "a larger range; less violent movement",
-            _reaches_far(sensor),
-            Shape(Parameter("limit", unit), limits),
-            columns=clipped_column,
+            excites,
+            manoeuvre,
+            missing(sensor),
+            Shape(replace(parameter, unit=UNIT[sensor]), grid),
+            columns=column,
             fixed=True,
             rivals=(f"{sensor}_scale" if sensor != Sensor.MAG else "mag_soft_iron",),
-        ),
-        MeanEffect(
-            f"{sensor}_dead_band",
-            sensor,
-            (),
-            "readings about zero",
-            "slow movement through zero",
-            _crosses_zero(sensor),
-            Shape(Parameter("half_width", unit), widths),
-            columns=dead_column,
-            fixed=True,
-            rivals=(f"{sensor}_scale" if sensor != Sensor.MAG else "mag_soft_iron",),
-        ),
+        )
+        for name, parameter, grid, column, excites, manoeuvre, missing in _KINDS
     )
 
 
