@@ -18,13 +18,12 @@ from calib.gap.effects import catalogue
 from calib.gap.effects.base import Effect, LatticeEffect, LatticeEvidence
 from calib.gap.estimates import estimates_of
 from calib.gap.hypotheses import hypotheses_of
-from calib.gap.impostors import impostors, unsteady
 from calib.gap.locate import located
 from calib.gap.louder import unsteady_line
 from calib.gap.model import Model, NoiseTerm, Term, predicted, setting_of, starting_model
 from calib.gap.noise_fit import refitted, starting_noise
 from calib.gap.power import powers_of
-from calib.gap.problem import Problem
+from calib.gap.problem import Problem, Trace
 from calib.gap.schema import (
     EffectEstimate,
     Estimate,
@@ -39,9 +38,9 @@ from calib.gap.schema import (
     Verdict,
 )
 from calib.gap.selection import Chosen, reduced, select
-from calib.gap.shapes import PREFIX
-from calib.gap.shrink import consistent, held_out, shrink_of
-from calib.gap.unknown import describe, explained, is_shape, leftover
+from calib.gap.shrink import dose_of, held_out, shrink_of
+from calib.gap.strangers import strangers_in, unknown_of
+from calib.gap.unknown import explained
 from calib.gap.views import views_of
 from calib.gap.wander import Wander, rms_rotation, sees, wandering
 from calib.recording import Sensor
@@ -51,11 +50,8 @@ Array = NDArray[np.float64]
 _FIRST = 1
 """Instances count from 1 in a report."""
 REFERENCE = "reference_attitude"
-_JUMPS = 3
-"""Jumps of one sensor from which on they are no single events."""
-_NOT_LASTING = "a deviation that no effect describes throughout the recording"
-_MATERIAL = 0.03
-"""Share of the gap from which on something unknown is said."""
+_ALIKE = 0.25
+"""Relative difference of what the samples of two recordings of one sensor show."""
 
 
 def diagnose(
@@ -107,10 +103,11 @@ def diagnose(
         chosen = reduced(chosen, failed)
         heldout = held_out(chosen, contest, alpha, nested=nested)
         chosen, attributions = settled(chosen, contest, 0.0)
-    unsteady_lines = {t.hypothesis.key for t in chosen.model.noise_terms if unsteady_line(t, chosen.model)}
-    named = [a for a in attributions if not (a.key[0].startswith(PREFIX) or a.key in unsteady_lines)]
-    found = tuple(_effect(chosen, a, gates.get(a.key)) for a in named)
-    unknown = unknown_of(chosen, attributions, withdrawn)
+    strangers = strangers_in(chosen.model)
+    denied = {key for stranger in strangers for key in stranger.keys}
+    denied |= {t.hypothesis.key for t in chosen.model.noise_terms if unsteady_line(t, chosen.model)}
+    found = tuple(_effect(chosen, a, gates.get(a.key)) for a in attributions if a.key not in denied)
+    unknown = unknown_of(chosen.model, attributions, strangers, withdrawn, problem.reference.bandwidth_hz)
     effects_found = (*lattice.effects, *(() if wander is None else (_wandering(wander, attributions),)), *found)
     return GapReport(
         inputs,
@@ -125,40 +122,6 @@ def diagnose(
         warnings=problem.warnings,
         series=_series(chosen.model),
     )
-
-
-def unknown_of(chosen: Chosen, attributions: tuple[Attribution, ...], withdrawn: float) -> Unknown:
-    """What is not of the catalogue: shapes in the model, impostors, bands that are left over, and what did not last.
-
-    `withdrawn`: nats of effects that held-out data took away. Something was there, but it was not they.
-    """
-    texts = {t.hypothesis.key: describe(t.hypothesis) for t in chosen.model.terms if is_shape(t.hypothesis)}
-    share = sum(a.share for a in attributions if a.key in texts)
-    driver = None
-    for impostor in impostors(chosen.model):
-        texts[impostor.key] = impostor.text
-        share += sum(a.share for a in attributions if a.key == impostor.key)
-        driver = driver or impostor.driver
-    gap = 0.5 * sum(a.gain for a in attributions)
-    rest, band = leftover(chosen.model, gap)
-    if rest > 0.0:
-        texts["leftover", ()] = band
-        share += rest * (1.0 - share)
-    swelling, when = unsteady(chosen.model)
-    for name, nats, text in (("unsteady", swelling, when), ("withdrawn", withdrawn, _NOT_LASTING)):
-        part = nats / (gap + nats) if nats > 0.0 else 0.0
-        if part > _MATERIAL:
-            texts[name, ()] = text
-            share += part * (1.0 - share)
-    jumps = [t for t in chosen.model.terms if t.hypothesis.effect.id.endswith("_step")]
-    for sensor in {t.hypothesis.effect.sensor for t in jumps}:
-        own = [t for t in jumps if t.hypothesis.effect.sensor is sensor]
-        if len(own) >= _JUMPS:
-            texts["jumps", ()] = f"{len(own)} jumps on {sensor.value}: " + ", ".join(f"{t.theta:.1f} s" for t in own)
-            share += sum(a.share for a in attributions if a.key in {t.hypothesis.key for t in own})
-    probability = max((a.unknown_probability for a in attributions), default=0.0)
-    flag = share > _MATERIAL
-    return Unknown(flag, share, "; ".join(texts.values()), driver, max(probability, 0.95 if flag else 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +145,7 @@ def lattice_of(problem: Problem, effects: Iterable[Effect]) -> Lattice:
             if not isinstance(effect, LatticeEffect) or effect.sensor is not trace.sensor:
                 continue
             evidence = effect.detect(trace)
-            if evidence is None:
+            if evidence is None or _usual(effect, evidence, problem.nominal):
                 continue
             found.append(_from_lattice(effect, trace.instances, evidence))
             if evidence.masked.any():
@@ -190,6 +153,17 @@ def lattice_of(problem: Problem, effects: Iterable[Effect]) -> Lattice:
             if effect.id.endswith("_quantisation"):
                 variance[i] = max(float(np.mean(np.square(evidence.values[:3]))) - trace.quantum**2, 0.0) / 12.0
     return Lattice(tuple(found), masks, variance)
+
+
+def _usual(effect: LatticeEffect, evidence: LatticeEvidence, nominal: Iterable[Trace]) -> bool:
+    """Whether a recording without an effect shows the same in its samples: then its noise knows of it."""
+    for trace in nominal:
+        other = effect.detect(trace) if trace.sensor is effect.sensor else None
+        if other is not None and len(other.values) == len(evidence.values):
+            mine, its = np.array(evidence.values), np.array(other.values)
+            if (np.abs(mine - its) <= _ALIKE * np.maximum(np.abs(mine), np.abs(its))).all():
+                return True
+    return False
 
 
 def _both(one: LatticeEvidence, other: LatticeEvidence) -> LatticeEvidence:
@@ -207,16 +181,16 @@ def _from_lattice(effect: LatticeEffect, instances: tuple[int, ...], evidence: L
 
 
 def _effect(chosen: Chosen, found: Attribution, passed: bool | None) -> EffectEstimate:
-    term = _term(chosen.model, found)
+    term, dose = _term(chosen.model, found), dose_of(chosen, found.key)
     p = next((s.p for s in chosen.scores if s.hypothesis.key == found.key), 1.0)
     return EffectEstimate(
         term.hypothesis.effect.id,
         term.hypothesis.effect.sensor,
         tuple(i + _FIRST for i in found.key[1]),
-        estimates_of(chosen, term),
+        estimates_of(chosen, term, dose.widening),
         Evidence(found.gain, found.df, min(1.0, p * chosen.tests), found.probability, found.share),
         found.rivals,
-        Gates(passed, None, consistent(chosen, found.key)),
+        Gates(passed, None, dose.agrees),
     )
 
 

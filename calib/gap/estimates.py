@@ -21,8 +21,8 @@ _FREE = 1e-4
 """Part of a parameter in directions that the data do not show, from which on its error is not finite."""
 
 
-def estimates_of(chosen: Chosen, term: Term | NoiseTerm) -> tuple[Estimate, ...]:
-    """The parameters of one effect, its shape last."""
+def estimates_of(chosen: Chosen, term: Term | NoiseTerm, widening: float = 1.0) -> tuple[Estimate, ...]:
+    """The parameters of one effect, its shape last; errors on the mean are `widening` times those of the noise."""
     if isinstance(term, NoiseTerm):
         found = chosen.noise.estimates[term.hypothesis.key]
         if term.hypothesis.effect.id.endswith(LINES):
@@ -36,7 +36,8 @@ def estimates_of(chosen: Chosen, term: Term | NoiseTerm) -> tuple[Estimate, ...]
     effect = term.effect
     names = effect.parameters if effect.shape is None else (*effect.parameters, effect.shape.parameter)
     return tuple(
-        _estimate(name, float(value), math.sqrt(v)) for name, value, v in zip(names, term.values, variance, strict=True)
+        _estimate(name, float(value), widening * math.sqrt(v))
+        for name, value, v in zip(names, term.values, variance, strict=True)
     )
 
 

@@ -22,8 +22,7 @@ from calib.gap.model import (
     starting_model,
     with_residual,
 )
-from calib.gap.noise_fit import refitted, starting_noise, with_term
-from calib.gap.selection import fitted
+from calib.gap.noise_fit import starting_noise, with_term
 from calib.gap.views import View, between
 from calib.recording import Sensor
 
@@ -68,15 +67,16 @@ def _start(views: Sequence[View]) -> Model:
     return starting_model(setting, starting_noise(setting))
 
 
-def refit(start: Model, terms: Sequence[Term | NoiseTerm]) -> Model:
-    """Those effects fitted on another setting, from where they are."""
-    model = start
-    for term in terms:
-        if isinstance(term, NoiseTerm):
-            model = with_term(model, term)
-    mean = tuple(term for term in terms if isinstance(term, Term))
-    model = with_residual(replace(model, terms=mean))
-    return fitted(refitted(model).model)[0]
+def joined(model: Model, term: Term | NoiseTerm) -> Model:
+    """The model with a term of another setting, fitted from where that is."""
+    if isinstance(term, NoiseTerm):
+        return fitted_about(with_term(model, term), term.hypothesis)
+    return fitted_about(with_residual(replace(model, terms=(*model.terms, term))), term.hypothesis)
+
+
+def parted(model: Model, hypothesis: Hypothesis) -> Model:
+    """The model without the term of a hypothesis, what remains fitted anew."""
+    return fitted_about(without(model, hypothesis.key), hypothesis)
 
 
 def carried(model: Model, test: Model) -> Model:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 
@@ -19,10 +19,11 @@ from calib.gap.views import View
 Array = NDArray[np.float64]
 
 _AGAIN = "'"
+_FORM = "~"
 _REPEATS = 4
 """Times that an effect that can be repeated is looked for."""
-_FAST = ("_tone", "_step")
-"""Ends of the ids of effects that change a mean at any frequency."""
+_FAST = ("_tone", "_step", "~wave")
+"""Ends of the names of effects that change a mean at any frequency."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +57,12 @@ class Hypothesis:
     @property
     def fast(self) -> bool:
         """Whether it changes a mean at any frequency: it is made at the sensor's own rate."""
-        return self.effect.id.endswith(_FAST) or bool(self.effect.form)
+        return (self.effect.id + self.effect.form).endswith(_FAST)
+
+    def described_by(self, keys: Collection[tuple[str, tuple[int, ...]]]) -> bool:
+        """Whether one of `keys` is the same effect on the same instances in another form: it happens once."""
+        other = [instances for name, instances in keys if name.split(_FORM)[0] == self.effect.id]
+        return not self.effect.repeatable and self.instances in other
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ Everything is linear at a point: the columns of linear effects, and the derivati
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -19,6 +19,7 @@ from calib.gap.hypotheses import Columns, Frame, Hypothesis, Part, add_block, co
 from calib.gap.likelihood import Bins, Noise, bins_of
 from calib.gap.problem import Trace
 from calib.gap.views import View
+from calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
@@ -26,6 +27,11 @@ _LONGEST = 40_000
 """Samples beyond which the mean is fitted to averages of consecutive samples."""
 _RANK = 1e-9
 """Relative eigenvalue of a normalised Gram matrix below which a direction does not exist."""
+_WORTH_A_STEP = 1e-3
+"""Twice the log-likelihood that a step must promise to be tried, and gain for another to follow."""
+_STEPS = 8
+_SHORTENED = 4
+"""Lengths that are tried of a step."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +161,14 @@ class Ridge:
     def predicted(self, view: View) -> Array:
         """Change of the mean of a series, (n, 3)."""
         ideal = np.add.reduce([w * view.traces[i].ideal[view.keep] for i, w in view.weights.items()])
-        return np.cross(self.rotation(view.t), ideal)
+        by_axis = self.value.reshape(3, -1)
+        return np.cross(_waves(view, self.span, by_axis.shape[1]).T @ by_axis.T, ideal)
+
+
+@lru_cache(maxsize=6)
+def _waves(view: View, span: tuple[float, float], modes: int) -> Array:
+    """The cosines at the times of a series; kept, since only their amplitudes change from step to step."""
+    return cosines(view.t, span, modes)
 
 
 def cosines(t: Array, span: tuple[float, float], modes: int) -> Array:
@@ -177,18 +190,23 @@ def with_residual(model: Model) -> Model:
     residual: list[Array] = []
     y: list[Array] = []
     for v, view in enumerate(setting.views):
-        left = view.residual
-        for term in model.terms:
-            if term.hypothesis.touches(view):
-                left = left - predicted(term, view)
-        if model.ridge is not None and any(3 * v + c in model.ridge.columns.parts for c in range(3)):
-            left = left - model.ridge.predicted(view)
+        own = tuple(term for term in model.terms if term.hypothesis.touches(view))
+        seen = model.ridge is not None and any(3 * v + c in model.ridge.columns.parts for c in range(3))
+        left, bins = _left(view, setting.frames[v], own, model.ridge if seen else None)
         residual.append(left)
-        if model.y and left is model.residual[v]:
-            y += model.y[3 * v : 3 * v + 3]
-        else:
-            y += list(setting.frames[v].bins(np.ascontiguousarray(left.T)))
+        y += list(bins)
     return replace(model, residual=tuple(residual), y=tuple(y))
+
+
+@lru_cache(maxsize=64)
+def _left(view: View, frame: Frame, terms: tuple[Term, ...], ridge: Ridge | None) -> tuple[Array, Array]:
+    """What terms and ridge leave of a series, and its bins; kept, since most terms stay when one changes."""
+    left = view.residual
+    for term in terms:
+        left = left - predicted(term, view)
+    if ridge is not None:
+        left = left - ridge.predicted(view)
+    return left, frame.bins(np.ascontiguousarray(left.T))
 
 
 def with_noise(model: Model, noise: tuple[Noise, ...]) -> Model:
@@ -332,35 +350,66 @@ class Joint:
     normal: Normal
 
 
-def refined(model: Model, steps: int = 8) -> tuple[Model, Joint]:
-    """The joint maximum over everything in the mean, at the present noise."""
+def refined(model: Model, steps: int = _STEPS) -> tuple[Model, Joint]:
+    """The joint maximum over everything in the mean, at the present noise; moments stay where they were found."""
+    return _refined(model, tuple(range(len(model.terms))), steps)
+
+
+def refined_on(model: Model, sensors: Collection[Sensor]) -> Model:
+    """The same over the terms of some sensors, and of all that have a term in common with them."""
+    near = coupled(model, sensors)
+    members = (i for i, t in enumerate(model.terms) if t.effect.shared or t.effect.sensor in near)
+    return _refined(model, tuple(members), _STEPS)[0]
+
+
+def coupled(model: Model, sensors: Collection[Sensor]) -> frozenset[Sensor]:
+    """`sensors`, and all others if a term or an error of the reference ties sensors together."""
+    tied = model.ridge is not None or any(t.effect.shared for t in model.terms)
+    return frozenset(view.sensor for view in model.setting.views) if tied else frozenset(sensors)
+
+
+def _refined(model: Model, members: tuple[int, ...], steps: int) -> tuple[Model, Joint]:
     joint = Joint(np.zeros((0, 0)), (), Normal(np.zeros((0, 0)), np.zeros(0), ()))
-    if not model.terms and model.ridge is None:
+    if not members and model.ridge is None:
         return model, joint
-    linear = all(t.effect.shape is None and t.effect.exact is None for t in model.terms)
+    own = [model.terms[i].effect for i in members]
+    linear = all((e.shape is None or e.shape.still) and e.exact is None for e in own)
     for _ in range(1 if linear else steps):
-        blocks = [jacobian(term, model.setting) for term in model.terms]
+        blocks = [jacobian(model.terms[i], model.setting) for i in members]
         normal = normal_equations(blocks, model.y, model.weight, model.ridge)
-        step, covariance, _ = solved(normal.gram, normal.right)
-        joint = Joint(covariance, normal.slices[: len(blocks)], normal)
-        model, gained = _stepped(model, step, joint)
-        if gained < 1e-3:
+        joint = Joint(solved(normal.gram, normal.right)[1], normal.slices[: len(blocks)], normal)
+        step = _step_of([model.terms[i] for i in members], joint)
+        if float(step @ normal.right) < _WORTH_A_STEP:
+            break
+        model, gained = _stepped(model, step, dict(zip(members, joint.slices, strict=True)))
+        if gained < _WORTH_A_STEP:
             break
     return model, joint
 
 
-def _stepped(model: Model, step: Array, joint: Joint) -> tuple[Model, float]:
-    """The model after the step, halved until it is no worse; and what was gained in twice the log-likelihood."""
+def _step_of(terms: Sequence[Term], joint: Joint) -> Array:
+    """The Gauss-Newton step; shapes that stay where they were found have no part in it."""
+    normal = joint.normal
+    rows = zip(terms, joint.slices, strict=True)
+    still = {s.stop - 1 for term, s in rows if term.effect.shape is not None and term.effect.shape.still}
+    free = [i for i in range(len(normal.right)) if i not in still]
+    step = np.zeros(len(normal.right))
+    step[free] = solved(normal.gram[np.ix_(free, free)], normal.right[free])[0]
+    return step
+
+
+def _stepped(model: Model, step: Array, rows: Mapping[int, slice]) -> tuple[Model, float]:
+    """The model after the step, shortened until it is no worse; and what was gained in twice the log-likelihood."""
     level = misfit(model)
-    for _ in range(6):
-        moved = tuple(
-            term.moved(step[s], limits_of(term, model.setting))
-            for term, s in zip(model.terms, joint.slices, strict=True)
-        )
+    for _ in range(_SHORTENED):
+        moved = list(model.terms)
+        for i, own in rows.items():
+            if step[own].any():
+                moved[i] = moved[i].moved(step[own], limits_of(moved[i], model.setting))
         ridge = model.ridge
         if ridge is not None:
             ridge = replace(ridge, value=ridge.value + step[len(step) - len(ridge.value) :])
-        trial = with_residual(replace(model, terms=moved, ridge=ridge))
+        trial = with_residual(replace(model, terms=tuple(moved), ridge=ridge))
         new = misfit(trial)
         if new < level:
             return trial, level - new

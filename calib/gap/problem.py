@@ -42,12 +42,15 @@ class ReferenceInfo:
         Time over which that error stays the same, s.
     text
         One sentence for the report.
+    bandwidth_hz
+        Up to which it knows how the vehicle accelerates; above, an accelerometer feels more than it tells.
     """
 
     kind: ReferenceKind
     att_sigma_deg: float = 0.0
     att_time_s: float = 5.0
     text: str = ""
+    bandwidth_hz: float = math.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,5 +153,7 @@ class Problem:
     warnings: tuple[str, ...] = ()
     not_testable: tuple[tuple[str, str, str], ...] = ()
     """Effect id, reason, need: what the recordings do not allow to be tested."""
+    nominal: tuple[Trace, ...] = ()
+    """Sensors of recordings without an effect: what the samples of both show is no gap."""
     floor: dict[Sensor, float] = field(default_factory=dict)
     """Twice the log-likelihood by sensor below which an effect is a flaw of the reference: the simulator has it too."""

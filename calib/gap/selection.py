@@ -16,7 +16,7 @@ from calib.gap.contest import Beside, Contest, Score
 from calib.gap.effects.base import NoiseEffect
 from calib.gap.effects.noise import DRIFTS
 from calib.gap.hypotheses import Hypothesis
-from calib.gap.model import Joint, Model, NoiseTerm, Term, refined, with_residual
+from calib.gap.model import Joint, Model, NoiseTerm, Term, coupled, refined, refined_on, with_residual
 from calib.gap.noise_fit import NoiseFit, refitted, with_term, without_term
 from calib.recording import Sensor
 
@@ -59,12 +59,20 @@ def largest_gain(chosen: Chosen) -> float:
     return max((s.gain for s in chosen.scores), default=0.0)
 
 
-def fitted(model: Model, sensors: Sequence[Sensor] | None = None) -> tuple[Model, Joint, NoiseFit]:
+def fitted(model: Model) -> tuple[Model, Joint, NoiseFit]:
     """Mean and noise of a model fitted in turn."""
     model, _ = refined(model)
-    noise = refitted(model, sensors)
+    noise = refitted(model)
     model, joint = refined(noise.model)
     return model, joint, replace(noise, model=model)
+
+
+def fitted_about(model: Model, hypothesis: Hypothesis) -> Model:
+    """The same of the sensors that `hypothesis` touches, where it came or went: the others are not moved by it."""
+    own = {view.sensor for view in model.setting.views if hypothesis.touches(view)}
+    near = coupled(model, own)
+    noise = refitted(refined_on(model, near), sorted(near))
+    return refined_on(noise.model, near)
 
 
 def select(start: Model, contest: Contest, alpha: float) -> Chosen:
@@ -118,7 +126,7 @@ def grown(chosen: Chosen, contest: Contest, level: float, candidates: Sequence[H
         best = _best(scores, level, gains, contest, model)
         if best is None:
             break
-        trial, _, _ = fitted(with_score(model, best))
+        trial = fitted_about(with_score(model, best), best.hypothesis)
         joined.append(best)
         model, joined, gains = pruned(trial, contest, joined, level)
         changed = {view.sensor for view in trial.setting.views if best.hypothesis.touches(view)}
@@ -148,7 +156,9 @@ def _scored(
     beside = Beside(model)
     scores, stale = {}, []
     for hypothesis in candidates:
-        if hypothesis.key in taken or (hypothesis.before is not None and hypothesis.before not in taken):
+        if hypothesis.key in taken or hypothesis.described_by(taken):
+            continue
+        if hypothesis.before is not None and hypothesis.before not in taken:
             continue
         moved = changed is None or hypothesis.effect.shared or hypothesis.effect.sensor in changed
         known = old.get(hypothesis.key)
@@ -205,9 +215,9 @@ def pruned(model: Model, contest: Contest, joined: list[Score], level: float) ->
         if not weak or len(joined) < 2:
             return model, joined, gains
         key = max(weak, key=lambda pair: pair[1])[0]
-        model = without(model, key)
+        gone = _member(model, key)
         joined = [s for s in joined if s.hypothesis.key != key]
-        model, _, _ = fitted(model)
+        model = fitted_about(without(model, key), gone)
 
 
 def reduced(chosen: Chosen, keys: Collection[Key]) -> Chosen:

@@ -23,9 +23,10 @@ from calib.gap.folds import (
     contest_of,
     expected_gain,
     folds_of,
+    joined,
     log_loss,
+    parted,
     power_ratio,
-    refit,
     with_weight,
 )
 from calib.gap.model import Model, NoiseTerm, Setting, Term, jacobian, normal_equations, setting_of, solved
@@ -86,15 +87,17 @@ def held_out(chosen: Chosen, contest: Contest, alpha: float, *, nested: bool) ->
     floor_ratio = _excess(chosen.model)
     rows, gains, steps = [], [], []
     for fold in folds:
-        bare = refitted(fold.train).model
-        full = refit(fold.train, order)
-        before = log_loss(carried(bare, fold.test))
-        fixed = log_loss(carried(full, fold.test))
+        chain = [refitted(fold.train).model]
+        for term in order:
+            chain.append(joined(chain[-1], term))
+        losses = [log_loss(carried(model, fold.test)) for model in chain]
+        before, fixed = losses[0], losses[-1]
         floor = log_loss(carried(chosen.model, fold.test)) - floor_ratio * _numbers(fold.test)
         after = _nested(fold, chosen, contest, alpha) if nested else fixed
         rows.append((before - floor, after - floor, _numbers(fold.test)))
-        gains.append([_gain(fold, order, i, fixed) for i in range(len(order))])
-        steps.append([before - _prefix(fold, order, k, fixed) for k in range(1, len(order) + 1)])
+        less = (parted(chain[-1], term.hypothesis) for term in order)
+        gains.append([log_loss(carried(model, fold.test)) - fixed for model in less])
+        steps.append([before - loss for loss in losses[1:]])
     table = np.array(rows, dtype=np.float64)
     lower = min(float(table[:, 1].sum()), 0.0) / float(table[:, 2].sum())  # no model is below the floor
     table[:, :2] -= lower * table[:, 2:]
@@ -140,15 +143,6 @@ def _nested(fold: Fold, chosen: Chosen, contest: Contest, alpha: float) -> float
         return log_loss(carried(refitted(fold.train).model, fold.test))
     found = select(refitted(fold.train).model, contest_of(few, contest.floor), level)
     return log_loss(carried(found.model, fold.test))
-
-
-def _gain(fold: Fold, order: Sequence[Term | NoiseTerm], i: int, full: float) -> float:
-    others = [term for j, term in enumerate(order) if j != i]
-    return log_loss(carried(refit(fold.train, others), fold.test)) - full
-
-
-def _prefix(fold: Fold, order: Sequence[Term | NoiseTerm], k: int, full: float) -> float:
-    return full if k == len(order) else log_loss(carried(refit(fold.train, order[:k]), fold.test))
 
 
 def _gate(term: Term | NoiseTerm, gains: Array, folds: Sequence[Fold], chosen: Chosen) -> Gate:
@@ -241,15 +235,24 @@ def rms_of(model: Model) -> dict[str, tuple[float, float, str]]:
     }
 
 
-def consistent(chosen: Chosen, key: Key) -> bool | None:
+@dataclass(frozen=True)
+class Dose:
     """Whether the blocks, each for itself, agree on an effect's amplitudes: large doses say what small ones say.
 
-    None for effects on the noise and where fewer than two blocks show the effect.
+    `agrees` is None for effects on the noise and where fewer than two blocks show the effect. Where they disagree, the
+    stated errors are too small by `widening` (Birge's ratio): something that is not in the model moves the amplitudes.
     """
+
+    agrees: bool | None = None
+    widening: float = 1.0
+
+
+def dose_of(chosen: Chosen, key: Key) -> Dose:
+    """What the blocks say of the effect `key`."""
     model = chosen.model
     term = next((t for t in model.terms if t.hypothesis.key == key), None)
     if term is None:
-        return None
+        return Dose()
     total, count = 0.0, 0
     for fold in folds_of(trusting(model), _BLOCKS):
         block = with_weight(carried(model, fold.test))
@@ -258,4 +261,7 @@ def consistent(chosen: Chosen, key: Key) -> bool | None:
         total += float(step @ normal.right)
         count += rank
     freedom = count - len(term.values)
-    return None if freedom < 1 else bool(chdtrc(freedom, total) > _DISAGREE)
+    if freedom < 1:
+        return Dose()
+    agrees = bool(chdtrc(freedom, total) > _DISAGREE)
+    return Dose(agrees, 1.0 if agrees else math.sqrt(total / freedom))

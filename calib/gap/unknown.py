@@ -2,20 +2,17 @@
 
 Shapes: a broken line over each covariate, products of signals, jumps. They stand in the same contest as the catalogue
 and pay for their freedom; the catalogue is tried first and alone, and a shape wins only if the best model with shapes
-is better than the best without. What is left over is tested band by band. (Noise that is no sensor's own:
-:mod:`calib.gap.impostors`.)
+is better than the best without. (What is said of them, and of all else that is unknown: :mod:`calib.gap.strangers`.)
 """
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 from calib.gap.contest import Beside, Contest, Gain, Score, existing, priced
 from calib.gap.effects.base import MeanEffect
@@ -23,24 +20,13 @@ from calib.gap.evidence import evidence
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.model import Model
 from calib.gap.selection import MATERIAL, Chosen, largest_gain, objective, select
-from calib.gap.shapes import PREFIX, shapes_of
-from calib.gap.views import View
+from calib.gap.shapes import shapes_of
 
 Array = NDArray[np.float64]
 
 _MARGIN = 6.0
 """Penalised evidence by which a model with shapes must beat the catalogue alone."""
 _SHORTLIST = 6
-
-
-def is_shape(hypothesis: Hypothesis) -> bool:
-    """Whether it stands for the unknown."""
-    return hypothesis.effect.id.startswith(PREFIX)
-
-
-def describe(hypothesis: Hypothesis) -> str:
-    """The shape in words: ``function of a_x on accel.x``."""
-    return hypothesis.effect.excited_by
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,35 +98,3 @@ def _parts(hypothesis: Hypothesis, p: int) -> Iterator[tuple[tuple[str, tuple[in
     yield hypothesis.key, np.arange(p)
     for c in range(3):
         yield (f"{effect_id}.{'xyz'[c]}", instances), np.arange(c, p, 3)
-
-
-_LEFTOVER = 1e-7
-_MINUTES_DIFFER = 2.0
-_MATERIAL = 0.03
-_GROUPS = 24
-
-
-def leftover(model: Model, gap: float) -> tuple[float, str]:
-    """Share of the gap (nats) that single bands still show above the noise, and where; 0 if none is significant."""
-    worst, total, text = 1.0, 0.0, ""
-    for a in range(model.setting.axes):
-        view: View = model.setting.views[a // 3]
-        c = a % 3
-        if model.ridge is not None and a in model.ridge.columns.parts:
-            continue  # the error of the reference is known only up to the last of its cosines
-        ratio = view.spectra(model.residual[a // 3])[c] ** 2 / model.noise[a].power
-        edges = np.unique(np.geomspace(4, view.count, _GROUPS + 1).astype(np.intp))
-        for low, high in itertools.pairwise(edges):
-            count = int(high - low)
-            square = float(ratio[low:high].sum())
-            p = float(chdtrc(count, square)) * _GROUPS * model.setting.axes
-            # A learned spectrum is that of other minutes: twice as much is none of this recording's.
-            if p < _LEFTOVER and (view.density is None or square > _MINUTES_DIFFER * count):
-                total += 0.5 * (square - count - count * math.log(square / count))
-                if p < worst:
-                    hz = 0.5 * view.fs / view.n
-                    worst = p
-                    band = (low + view.first) * hz, (high + view.first) * hz
-                    text = f"power from {band[0]:.3g} to {band[1]:.3g} Hz on {view.sensor.value}.{'xyz'[c]}"
-    share = total / max(gap + total, 1e-300)
-    return (share, text) if share > _MATERIAL else (0.0, "")

@@ -72,7 +72,7 @@ def _of(sensor: Sensor) -> Effect:
         per_axis("step", UNIT[sensor]),
         "the event itself",
         "the same movement before and after; a log without the event",
-        shape=Shape(Parameter("time_s", "s"), moments, likeliest),
+        shape=Shape(Parameter("time_s", "s"), moments, likeliest, still=True),
         columns=axiswise(after),
         signals=after,
         rivals=(f"{sensor}_random_walk", f"{sensor}_temp_linear"),

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.gap.effects.affine import constant
-from calib.gap.effects.base import Effect, MeanEffect, Parameter
+from calib.gap.effects.base import Effect, MeanEffect, Parameter, Shape
 from calib.gap.effects.parts import TUMBLE, axiswise, body_from_ned, first_missing, moves, per_axis, spread
 from calib.gap.problem import Trace
 from calib.recording import Sensor
@@ -21,6 +21,8 @@ _SYMMETRIC_NAMES = ("xx", "yy", "zz", "xy", "xz", "yz")
 _LEAST_CURRENT = 0.5  # A, standard deviation; 0.05 uT/A of it are 0.025 uT, a twentieth of a sensor's noise
 _LEAST_PATH = 0.3  # m, standard deviation of the place along its widest direction
 _NED = "ned"
+_LONGEST_LAG = 0.3  # s
+_LAGS = 25
 
 # A gradient of a field without sources in the volume is symmetric (no curl) and has no trace (no divergence).
 GRADIENT = (
@@ -46,6 +48,20 @@ def current_signal(trace: Trace, _theta: float) -> Array:
     """The current in A, (1, N)."""
     assert trace.current is not None
     return trace.current[None, :]
+
+
+def late_current_signal(trace: Trace, lag: float) -> Array:
+    """The current in A `lag` seconds before, (1, N).
+
+    A compass averages over its own interval, a current monitor filters, and both are logged when their turn comes.
+    """
+    assert trace.current is not None
+    return np.interp(trace.t - lag, trace.t, trace.current)[None, :]
+
+
+def lags(_trace: Trace) -> Array:
+    """Lags to try, s."""
+    return np.linspace(-_LONGEST_LAG, _LONGEST_LAG, _LAGS)
 
 
 def earth_columns(trace: Trace, _theta: float) -> Array:
@@ -87,6 +103,7 @@ def _no_path(trace: Trace) -> tuple[str, str] | None:
 
 _ATTITUDES = "attitudes about all three axes"
 
+# Of two forms the one with more parameters comes first: a report that has them all is replayed with it.
 EFFECTS: tuple[Effect, ...] = (
     MeanEffect(
         "mag_hard_iron",
@@ -107,6 +124,19 @@ EFFECTS: tuple[Effect, ...] = (
         moves(Sensor.MAG),
         columns=soft_iron_columns,
         rivals=("mag_hard_iron", "mag_rotation", "mag_temp_scale"),
+    ),
+    MeanEffect(
+        "mag_motor_current",
+        Sensor.MAG,
+        per_axis("per_ampere", "uT/A"),
+        "currents that vary",
+        "throttle 0-hover-0 twice at one attitude",
+        _no_current,
+        Shape(Parameter("lag_s", "s"), lags),
+        columns=axiswise(late_current_signal),
+        signals=late_current_signal,
+        rivals=("mag_hard_iron", "mag_step"),
+        form="~late",
     ),
     MeanEffect(
         "mag_motor_current",

@@ -6,9 +6,13 @@ of the Nyquist frequency), not expanded: at 5 ms and 5 Hz the first order is alr
 
 from __future__ import annotations
 
+import math
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage
+from scipy.interpolate import BSpline
 
 from calib.gap.effects.base import Effect, MeanEffect, Missing, Parameter, Shape
 from calib.gap.effects.parts import TRIADS
@@ -18,6 +22,8 @@ from calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _SPLINE = 5
+_EDGE = 12  # samples, beyond which a spline no longer feels an end
+_KNOT = BSpline.basis_element(np.arange(-3.0, 4.0), extrapolate=False)
 _LONGEST = 0.5  # s, delay
 _SHORTEST = 0.125  # samples, delay
 _DELAYS = 4  # of each sign
@@ -32,27 +38,41 @@ _SLOPE = {Sensor.ACCEL: 0.5, Sensor.GYRO: 0.05, Sensor.MAG: 1.0}
 _SHAKE = "a fast shake or a yaw jerk"
 
 
-def shifted(values: Array, samples: float) -> Array:
-    """`values` (N, k), uniform in time, `samples` later; what lies outside is held."""
-    columns = [ndimage.shift(column, samples, order=_SPLINE, mode="nearest") for column in values.T]
-    return np.stack(columns, axis=1)
+@lru_cache(maxsize=12)
+def splines_of(trace: Trace) -> Array:
+    """Coefficients (3, N + 2 _EDGE) of the splines through the ideal reading, held at both ends; the last are kept."""
+    held = np.pad(trace.ideal, ((_EDGE, _EDGE), (0, 0)), mode="edge")
+    return np.stack([ndimage.spline_filter1d(column, _SPLINE, mode="nearest") for column in held.T])
 
 
-def stretched(values: Array, drift: float) -> Array:
-    """`values` (N, k) read at ``n (1 - drift)``: the clock of the reading runs slow, by `drift`, from the first on."""
-    at = np.arange(len(values)) * (1.0 - drift)
-    columns = [ndimage.map_coordinates(c, at[None, :], order=_SPLINE, mode="nearest") for c in values.T]
+def shifted(trace: Trace, samples: float) -> Array:
+    """The ideal reading (N, 3), `samples` later; what lies outside is held."""
+    whole = math.floor(-samples)
+    at = -samples - whole + np.arange(2, -4, -1)  # from each of the six knots about a sample
+    values = ndimage.correlate1d(splines_of(trace), _KNOT(at), axis=1, mode="nearest", origin=-1)
+    count = values.shape[1]
+    inside = np.arange(_EDGE, count - _EDGE) + whole
+    return np.ascontiguousarray(values[:, np.clip(inside, 0, count - 1)].T)
+
+
+def stretched(trace: Trace, drift: float) -> Array:
+    """The ideal reading (N, 3) read at ``n (1 - drift)``: its clock runs slow, by `drift`, from the first on."""
+    at = np.arange(len(trace.ideal)) * (1.0 - drift) + _EDGE
+    columns = [
+        ndimage.map_coordinates(c, at[None, :], order=_SPLINE, mode="nearest", prefilter=False)
+        for c in splines_of(trace)
+    ]
     return np.stack(columns, axis=1)
 
 
 def delay_column(trace: Trace, delay: float) -> Array:
     """``ideal(t - delay) - ideal(t)``."""
-    return (shifted(trace.ideal, delay * trace.fs) - trace.ideal)[None]
+    return (shifted(trace, delay * trace.fs) - trace.ideal)[None]
 
 
 def drift_column(trace: Trace, ppm: float) -> Array:
     """``ideal(t - drift (t - t_0)) - ideal(t)``."""
-    return (stretched(trace.ideal, 1e-6 * ppm) - trace.ideal)[None]
+    return (stretched(trace, 1e-6 * ppm) - trace.ideal)[None]
 
 
 def low_pass_column(trace: Trace, cutoff: float) -> Array:

@@ -67,7 +67,8 @@ def build(real: Recording, sim: Recording | None = None, nominal: Sequence[Recor
         *(reason for _, reason, _ in sound.refused),
     )
     duration = max(float(t.t[-1] - t.t[0]) for t in single + pairs)
-    return Problem(traces, info, duration, warnings=warnings, not_testable=sound.refused)
+    usual = tuple(trace for _, its in clean for trace in its if trace.against is None)
+    return Problem(traces, info, duration, warnings=warnings, not_testable=sound.refused, nominal=usual)
 
 
 def nominal_traces(recording: Recording, ideal: Ideal | None) -> tuple[Trace, ...]:

@@ -28,6 +28,8 @@ from calib.recording import Channel, Recording, Sensor
 Array = NDArray[np.float64]
 
 STEP_S = 0.1
+_FOLLOWED_HZ = 0.2 / STEP_S
+"""Up to which a spline through the velocities of the nodes follows an acceleration: a fifth is lost there."""
 """From node to node: what the ideal accelerometer knows ends at half of 1 / STEP_S."""
 _TRIALS = 3  # iterations after which the inertial units can be compared
 _FEWEST_GPS = 20
@@ -212,10 +214,11 @@ def _info(found: Smoothed) -> ReferenceInfo:
     )
     if found.true:
         text = "The attitude in a simulator's log, and the velocities between."
-        return ReferenceInfo(ReferenceKind.SIM, float(np.degrees(found.state.att_sd)), 10.0, text)
+        return ReferenceInfo(ReferenceKind.SIM, float(np.degrees(found.state.att_sd)), 10.0, text, _FOLLOWED_HZ)
     text = (
         f"A trajectory re-estimated from {sources} with their errors inside (inertial unit {found.instance + 1}"
         + ("" if found.mag_instance is None else f", compass {found.mag_instance + 1}")
         + f"; GPS {found.state.constants[9]:.2f} s late); the log's own attitude is not used as truth."
     )
-    return ReferenceInfo(ReferenceKind.ESTIMATOR, float(np.degrees(found.state.att_sd)), 10.0, text)
+    att_sd = float(np.degrees(found.state.att_sd))
+    return ReferenceInfo(ReferenceKind.ESTIMATOR, att_sd, 10.0, text, _FOLLOWED_HZ)

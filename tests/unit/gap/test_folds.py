@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.gap.effects import forward_models
-from calib.gap.folds import carried, expected_gain, folds_of, log_loss, refit
+from calib.gap.folds import carried, expected_gain, folds_of, joined, log_loss
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.model import NoiseTerm, Term, setting_of, starting_model
 from calib.gap.noise_fit import refitted, starting_noise, with_term
@@ -36,7 +36,7 @@ NOISE = NoiseTerm(Hypothesis(forward_models()["gyro_noise"][-1], (0,)), np.nan)
 
 def test_noise_that_differs_by_axis_keeps_its_axis():
     for fold in folds(1, louder):
-        train = refit(fold.train, [NOISE])
+        train = joined(refitted(fold.train).model, NOISE)
         test = carried(train, fold.test)
         for c in range(3):
             assert test.noise[c].amplitudes[NOISE.name(0)] == train.noise[c].amplitudes[NOISE.name(0)]
@@ -54,7 +54,7 @@ def test_noise_that_nobody_declared_keeps_its_axis_too():
 
 def test_the_right_axis_has_the_smaller_loss():
     for fold in folds(3, louder):
-        train = refit(fold.train, [NOISE])
+        train = joined(refitted(fold.train).model, NOISE)
         turned = dataclasses.replace(train, noise=train.noise[1:] + train.noise[:1])
         assert log_loss(carried(train, fold.test)) < log_loss(carried(turned, fold.test)) - 100.0
 
@@ -67,7 +67,7 @@ def test_a_true_effect_gains_on_a_held_out_block_what_it_should():
     gained, due = 0.0, 0.0
     for fold in folds(4, gap):
         term = Term(bias, np.zeros(3), np.nan)
-        train = refit(fold.train, [term])
+        train = joined(refitted(fold.train).model, term)
         gained += log_loss(carried(refitted(fold.train).model, fold.test)) - log_loss(carried(train, fold.test))
         due += expected_gain(train.terms[0], fold.train, carried(train, fold.test))
     assert gained == pytest.approx(due, abs=4.0 * np.sqrt(2.0 * due))

@@ -1,0 +1,134 @@
+"""What of a model is not of the catalogue, and what is left over beside it.
+
+Shapes, noise that is no sensor's own, jumps that are no single events, bands that nothing explains, and what held-out
+data took back. None of it is named as an effect: a wrong name looks right.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import chdtrc
+
+from calib.gap.attribution import Attribution
+from calib.gap.impostors import impostors, unsteady
+from calib.gap.model import Model
+from calib.gap.schema import HiddenDriver, Unknown
+from calib.gap.selection import Key
+from calib.gap.shapes import PREFIX
+from calib.gap.views import View
+from calib.recording import Sensor
+
+_JUMPS = 3
+"""Jumps of one sensor from which on they are no single events."""
+_ONE_EVENT_S = 2.0
+"""Jumps that follow each other within this time are one event: something is put on or taken off."""
+_NOT_LASTING = "a deviation that no effect describes throughout the recording"
+_MATERIAL = 0.03
+"""Share of the gap from which on something unknown is said."""
+_LEFTOVER = 1e-7
+_MINUTES_DIFFER = 2.0
+_GROUPS = 24
+
+
+@dataclass(frozen=True, eq=False)
+class Stranger:
+    """Terms of a model that stand for something that has no name."""
+
+    keys: tuple[Key, ...]
+    text: str
+    driver: HiddenDriver | None = None
+
+
+def strangers_in(model: Model) -> tuple[Stranger, ...]:
+    """Every stranger among the terms of a model."""
+    shapes = [t.hypothesis for t in model.terms if t.hypothesis.effect.id.startswith(PREFIX)]
+    drifts = (Stranger((found.key,), found.text, found.driver) for found in impostors(model))
+    return (*(Stranger((h.key,), h.effect.excited_by) for h in shapes), *drifts, *_swarms(model))
+
+
+def _swarms(model: Model) -> list[Stranger]:
+    """Jumps of one sensor that are too many to be events."""
+    jumps = [t for t in model.terms if t.hypothesis.effect.id.endswith("_step")]
+    found = []
+    for sensor in dict.fromkeys(t.hypothesis.effect.sensor for t in jumps):
+        own = sorted((t for t in jumps if t.hypothesis.effect.sensor is sensor), key=lambda t: t.theta)
+        events = 1 + sum(b.theta - a.theta > _ONE_EVENT_S for a, b in itertools.pairwise(own))
+        if events >= _JUMPS:
+            when = ", ".join(f"{t.theta:.1f} s" for t in own)
+            found.append(Stranger(tuple(t.hypothesis.key for t in own), f"{len(own)} jumps on {sensor.value}: {when}"))
+    return found
+
+
+def unknown_of(
+    model: Model,
+    attributions: Sequence[Attribution],
+    strangers: Sequence[Stranger],
+    withdrawn: float,
+    bandwidth_hz: float = math.inf,
+) -> Unknown:
+    """What is not of the catalogue: strangers in the model, bands that are left over, and what did not last.
+
+    Parameters
+    ----------
+    model, attributions, strangers
+        The model, what its effects are worth, and which of them have no name.
+    withdrawn
+        Nats of effects that held-out data took away. Something was there, but it was not they.
+    bandwidth_hz
+        Up to which the reference knows how the vehicle moves.
+    """
+    worth = {a.key: a.share for a in attributions}
+    texts = [s.text for s in strangers]
+    share = sum(worth.get(key, 0.0) for s in strangers for key in s.keys)
+    gap = 0.5 * sum(a.gain for a in attributions)
+    rest, band = leftover(model, gap, bandwidth_hz)
+    if rest > 0.0:
+        texts.append(band)
+        share += rest * (1.0 - share)
+    swelling, when = unsteady(model)
+    for nats, text in ((swelling, when), (withdrawn, _NOT_LASTING)):
+        part = nats / (gap + nats) if nats > 0.0 else 0.0
+        if part > _MATERIAL:
+            texts.append(text)
+            share += part * (1.0 - share)
+    driver = next((s.driver for s in strangers if s.driver is not None), None)
+    probability = max((a.unknown_probability for a in attributions), default=0.0)
+    flag = share > _MATERIAL
+    return Unknown(flag, share, "; ".join(texts), driver, max(probability, 0.95 if flag else 0.0))
+
+
+def leftover(model: Model, gap: float, bandwidth_hz: float = math.inf) -> tuple[float, str]:
+    """Share of the gap (nats) that single bands still show above the noise, and where; 0 if none is significant.
+
+    Above `bandwidth_hz` an accelerometer feels movement of which the reference does not know.
+    """
+    worst, total, text = 1.0, 0.0, ""
+    for a in range(model.setting.axes):
+        view: View = model.setting.views[a // 3]
+        c = a % 3
+        if model.ridge is not None and a in model.ridge.columns.parts:
+            continue  # the error of the reference is known only up to the last of its cosines
+        ratio = view.spectra(model.residual[a // 3])[c] ** 2 / model.noise[a].power
+        known = bandwidth_hz if view.reference_error and view.sensor is Sensor.ACCEL else math.inf
+        edges = np.unique(np.geomspace(4, view.count, _GROUPS + 1).astype(np.intp))
+        for low, high in itertools.pairwise(edges):
+            hz = 0.5 * view.fs / view.n
+            if (high + view.first) * hz > known:
+                break
+            count = int(high - low)
+            square = float(ratio[low:high].sum())
+            p = float(chdtrc(count, square)) * _GROUPS * model.setting.axes
+            # A learned spectrum is that of other minutes: twice as much is none of this recording's.
+            if p < _LEFTOVER and (view.density is None or square > _MINUTES_DIFFER * count):
+                total += 0.5 * (square - count - count * math.log(square / count))
+                if p < worst:
+                    worst = p
+                    band = (low + view.first) * hz, (high + view.first) * hz
+                    text = f"power from {band[0]:.3g} to {band[1]:.3g} Hz on {view.sensor.value}.{'xyz'[c]}"
+    share = total / max(gap + total, 1e-300)
+    return (share, text) if share > _MATERIAL else (0.0, "")
