@@ -51,7 +51,7 @@ def baseline_of(problem: Problem, alpha: float) -> Baseline:
     setting = setting_of(views)
     if not views or not hypotheses:
         return Baseline((), {})
-    contest = Contest(hypotheses)
+    contest = Contest(hypotheses, floor=_indifferent(problem))
     chosen = select(refitted(starting_model(setting, starting_noise(setting))).model, contest, alpha)
     gains = {key: gain for key, (gain, _, _) in last_gains(chosen.model, contest).items()}
     found, largest = [], dict.fromkeys((view.sensor for view in views), 0.0)
@@ -70,6 +70,10 @@ def baseline_of(problem: Problem, alpha: float) -> Baseline:
 def beside(problem: Problem, baseline: Baseline) -> Problem:
     """`problem` held against a simulator that has what its own flight shows."""
     changed, _ = with_effects(problem, baseline.effects, shared=True)
-    samples = {sensor: sum(3 * len(t.t) for t in problem.traces if t.sensor is sensor) for sensor in Sensor}
-    floor = {s: max(_DIFFERENT * baseline.gains.get(s, 0.0), _SMALL * n) for s, n in samples.items()}
+    floor = {s: max(_DIFFERENT * baseline.gains.get(s, 0.0), small) for s, small in _indifferent(problem).items()}
     return replace(changed, floor=floor)
+
+
+def _indifferent(problem: Problem) -> dict[Sensor, float]:
+    """Twice the log-likelihood by sensor that two flights differ by anyway."""
+    return {s: _SMALL * sum(3 * len(t.t) for t in problem.traces if t.sensor is s) for s in Sensor}

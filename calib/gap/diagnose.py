@@ -23,7 +23,7 @@ from calib.gap.louder import unsteady_line
 from calib.gap.model import Model, NoiseTerm, Term, predicted, setting_of, starting_model
 from calib.gap.noise_fit import refitted, starting_noise
 from calib.gap.power import powers_of
-from calib.gap.problem import Problem, Trace
+from calib.gap.problem import Problem
 from calib.gap.schema import (
     EffectEstimate,
     Estimate,
@@ -40,8 +40,10 @@ from calib.gap.schema import (
 from calib.gap.selection import Chosen, reduced, select
 from calib.gap.shrink import dose_of, held_out, shrink_of
 from calib.gap.strangers import strangers_in, unknown_of
+from calib.gap.transitions import transitions, without_transitions
 from calib.gap.unknown import explained
-from calib.gap.views import views_of
+from calib.gap.usual import usual_samples, usual_tone
+from calib.gap.views import View, views_of
 from calib.gap.wander import Wander, rms_rotation, sees, wandering
 from calib.recording import Sensor
 
@@ -50,12 +52,15 @@ Array = NDArray[np.float64]
 _FIRST = 1
 """Instances count from 1 in a report."""
 REFERENCE = "reference_attitude"
-_ALIKE = 0.25
-"""Relative difference of what the samples of two recordings of one sensor show."""
 
 
 def diagnose(
-    problem: Problem, *, effects: tuple[Effect, ...] | None = None, alpha: float = 0.005, nested: bool = True
+    problem: Problem,
+    *,
+    effects: tuple[Effect, ...] | None = None,
+    alpha: float = 0.005,
+    nested: bool = True,
+    rounds: int = 3,
 ) -> GapReport:
     """Where the sensors of `problem` differ from their references, which effects explain it, and how far.
 
@@ -69,6 +74,8 @@ def diagnose(
         Chance that anything is reported where there is no gap.
     nested
         Whether the shrink repeats the selection inside the folds.
+    rounds
+        Times that samples during events that take time (:mod:`calib.gap.transitions`) are left out.
     """
     effects = catalogue() if effects is None else effects
     lattice = lattice_of(problem, effects)
@@ -83,6 +90,9 @@ def diagnose(
     contest = Contest(hypotheses, floor=problem.floor)
     bare = start
     chosen = select(start, contest, alpha)
+    if rounds and (taking := transitions(chosen.model)):
+        problem = without_transitions(problem, taking)
+        return diagnose(problem, effects=effects, alpha=alpha, nested=nested, rounds=rounds - 1)
     wander = wandering(chosen, contest, start, alpha) if any(e.id == REFERENCE for e in effects) else None
     if wander is not None:
         chosen = wander.chosen
@@ -105,6 +115,7 @@ def diagnose(
         chosen, attributions = settled(chosen, contest, 0.0)
     strangers = strangers_in(chosen.model)
     denied = {key for stranger in strangers for key in stranger.keys}
+    denied |= {t.hypothesis.key for t in chosen.model.terms if usual_tone(t, problem.nominal)}
     denied |= {t.hypothesis.key for t in chosen.model.noise_terms if unsteady_line(t, chosen.model)}
     found = tuple(_effect(chosen, a, gates.get(a.key)) for a in attributions if a.key not in denied)
     unknown = unknown_of(chosen.model, attributions, strangers, withdrawn, problem.reference.bandwidth_hz)
@@ -145,7 +156,7 @@ def lattice_of(problem: Problem, effects: Iterable[Effect]) -> Lattice:
             if not isinstance(effect, LatticeEffect) or effect.sensor is not trace.sensor:
                 continue
             evidence = effect.detect(trace)
-            if evidence is None or _usual(effect, evidence, problem.nominal):
+            if evidence is None or usual_samples(effect, evidence, problem.nominal):
                 continue
             found.append(_from_lattice(effect, trace.instances, evidence))
             if evidence.masked.any():
@@ -153,17 +164,6 @@ def lattice_of(problem: Problem, effects: Iterable[Effect]) -> Lattice:
             if effect.id.endswith("_quantisation"):
                 variance[i] = max(float(np.mean(np.square(evidence.values[:3]))) - trace.quantum**2, 0.0) / 12.0
     return Lattice(tuple(found), masks, variance)
-
-
-def _usual(effect: LatticeEffect, evidence: LatticeEvidence, nominal: Iterable[Trace]) -> bool:
-    """Whether a recording without an effect shows the same in its samples: then its noise knows of it."""
-    for trace in nominal:
-        other = effect.detect(trace) if trace.sensor is effect.sensor else None
-        if other is not None and len(other.values) == len(evidence.values):
-            mine, its = np.array(evidence.values), np.array(other.values)
-            if (np.abs(mine - its) <= _ALIKE * np.maximum(np.abs(mine), np.abs(its))).all():
-                return True
-    return False
 
 
 def _both(one: LatticeEvidence, other: LatticeEvidence) -> LatticeEvidence:
@@ -266,6 +266,14 @@ def diagnoser_sha256() -> str:
     return digest.hexdigest()
 
 
+def _drawn(term: Term, band: View) -> Array:
+    """The prediction of a term at the own rate of a series; what is slow is drawn between the samples of its band."""
+    if band.fine is None or term.hypothesis.fast:
+        return predicted(term, band.whole)
+    slow = predicted(term, band)
+    return np.column_stack([np.interp(band.whole.t, band.t, column) for column in slow.T])
+
+
 def _series(model: Model) -> tuple[SeriesFit, ...]:
     made = []
     for v, band in enumerate(model.setting.views):
@@ -276,7 +284,7 @@ def _series(model: Model) -> tuple[SeriesFit, ...]:
         for term in model.terms:
             if term.hypothesis.touches(band):
                 name = term.hypothesis.effect.id  # what happens more than once is shown as one
-                parts[name] = parts.get(name, 0.0) + predicted(term, view)
+                parts[name] = parts.get(name, 0.0) + _drawn(term, band)
         modelled = np.add.reduce([np.zeros_like(view.residual), *parts.values()])
         power = np.column_stack(
             [assembled(model.setting.views, [n.power for n in model.noise], v, c) for c in range(3)]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.gap.contest import Contest
+from calib.gap.effects.noise import DRIFTS
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.model import (
     Model,
@@ -23,6 +24,7 @@ from calib.gap.model import (
     with_residual,
 )
 from calib.gap.noise_fit import starting_noise, with_term
+from calib.gap.selection import fitted_about, without
 from calib.gap.views import View, between
 from calib.recording import Sensor
 
@@ -72,6 +74,22 @@ def joined(model: Model, term: Term | NoiseTerm) -> Model:
     if isinstance(term, NoiseTerm):
         return fitted_about(with_term(model, term), term.hypothesis)
     return fitted_about(with_residual(replace(model, terms=(*model.terms, term))), term.hypothesis)
+
+
+def foretold(term: Term | NoiseTerm, whole: Model, train: Setting) -> bool:
+    """Whether the blocks of `train` can know of a term of the `whole` model.
+
+    Of a jump beside a drift of the bias only those can in which it happens; without a drift, their levels tell its
+    size.
+    """
+    effect = term.hypothesis.effect
+    if not isinstance(term, Term) or effect.shape is None or not effect.shape.still:
+        return True
+    drifts = (t.hypothesis.effect for t in whole.noise_terms)
+    if not any(e.id.endswith(DRIFTS) and e.sensor is effect.sensor for e in drifts):
+        return True
+    own = (view for view in train.views if term.hypothesis.touches(view))
+    return any(view.t[0] < term.theta < view.t[-1] for view in own)
 
 
 def parted(model: Model, hypothesis: Hypothesis) -> Model:

@@ -253,30 +253,38 @@ def limits_of(term: Term, setting: Setting) -> tuple[float, float]:
     return float(grid[0]), float(grid[-1])
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=40)
 def jacobian(term: Term, setting: Setting) -> Columns:
     """Columns of everything that `term` estimates, at its present values; the last ones asked for are kept."""
     effect = term.effect
     if effect.shape is None and effect.exact is None:
         return columns_of(term.hypothesis, term.theta, setting.views, setting.frames)
-    values = term.values
-    low, high = limits_of(term, setting)
+    count = len(term.values)
+    limits = limits_of(term, setting)
+    linear = effect.exact is None and not effect.fixed
     parts: dict[int, Part] = {}
     for v, view in enumerate(setting.views):
         if not term.hypothesis.touches(view):
             continue
-        block = [_derivative(term, view, j, (low, high)) for j in range(len(values))]
+        block = [_derivative(term, view, j, limits) for j in range(count - 1 if linear else 0, count)]
         add_block(parts, v, np.asarray(block), setting.frames[v])
-    return Columns(len(values), parts)
+    if not linear:
+        return Columns(count, parts)
+    own = columns_of(term.hypothesis, term.theta, setting.views, setting.frames).parts
+    return Columns(count, {a: _with_last(own.get(a), parts.get(a), count - 1) for a in sorted({*own, *parts})})
+
+
+def _with_last(own: Part | None, last: Part | None, row: int) -> Part:
+    """The columns of an axis, and the one of number `row` behind them."""
+    found = [own] if own is not None else []
+    if last is not None:
+        found.append(Part(last.index + row, last.X))
+    return Part(np.concatenate([p.index for p in found]), np.concatenate([p.X for p in found]))
 
 
 def _derivative(term: Term, view: View, j: int, limits: tuple[float, float]) -> Array:
-    """Of the prediction by value j, central; exact where it is linear in it."""
+    """Of the prediction by value j, central."""
     is_shape = term.effect.shape is not None and j == len(term.values) - 1
-    if not is_shape and term.effect.exact is None:
-        unit = np.zeros(len(term.beta))
-        unit[j] = 1.0
-        return predicted(replace(term, beta=unit), view)
     span = limits[1] - limits[0] if is_shape else 1.0
     size = max(1e-4 * span, 1e-3 * abs(term.values[j])) if is_shape else 1e-5
     step = np.zeros(len(term.values))

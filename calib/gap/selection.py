@@ -12,22 +12,38 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from calib.gap.contest import Beside, Contest, Score
+from calib.gap.contest import Beside, Contest, Score, existing
 from calib.gap.effects.base import NoiseEffect
 from calib.gap.effects.noise import DRIFTS
 from calib.gap.hypotheses import Hypothesis
-from calib.gap.model import Joint, Model, NoiseTerm, Term, coupled, refined, refined_on, with_residual
+from calib.gap.model import (
+    Joint,
+    Model,
+    NoiseTerm,
+    Term,
+    coupled,
+    jacobian,
+    normal_equations,
+    refined,
+    refined_on,
+    solved,
+    with_residual,
+)
 from calib.gap.noise_fit import NoiseFit, refitted, with_term, without_term
 from calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
 _MOST = 8
+"""Effects that join in a row."""
+_IN_ALL = 12
 """Effects in a model: more is no explanation."""
 MATERIAL = 0.005
 """Part of the largest gain below which an effect is a second order of the large ones (GAP, pitfalls)."""
 
 
+_REAL = 0.01
+"""The same where the noise was learned from flights: small true structure is everywhere in them."""
 _SEEN = 0.3
 """Part of that below which it does not join in the first place."""
 _FRONT = 3
@@ -54,9 +70,9 @@ class Chosen:
     """Scores of all hypotheses against no effect at all."""
 
 
-def largest_gain(chosen: Chosen) -> float:
-    """Of the effects in a model, when they joined."""
-    return max((s.gain for s in chosen.scores), default=0.0)
+def largest_gain(chosen: Chosen, contest: Contest) -> float:
+    """Of the effects in a model, each beside all the others."""
+    return max((gain for gain, _, _ in last_gains(chosen.model, contest).values()), default=0.0)
 
 
 def fitted(model: Model) -> tuple[Model, Joint, NoiseFit]:
@@ -101,7 +117,7 @@ def select(start: Model, contest: Contest, alpha: float) -> Chosen:
     if not (wanders(chosen) or _drift_leads(first, level)):
         return chosen
     other = grown(bare, contest, level, candidates)
-    worth = MATERIAL * max((gain for gain, _, _ in last_gains(chosen.model, contest).values()), default=0.0)
+    worth = MATERIAL * largest_gain(chosen, contest)
     return other if objective(other) < objective(chosen) - worth else chosen
 
 
@@ -122,7 +138,7 @@ def grown(chosen: Chosen, contest: Contest, level: float, candidates: Sequence[H
     known = {} if joined else {s.hypothesis.key: s for s in first}
     scores = _scored(model, contest, candidates, known, None if joined else set())
     gains: Gains = last_gains(model, contest) if joined else {}
-    for _ in range(_MOST):
+    for _ in range(min(_MOST, _IN_ALL - len(joined))):
         best = _best(scores, level, gains, contest, model)
         if best is None:
             break
@@ -172,17 +188,17 @@ def _scored(
 def _best(scores: dict[Key, Score], level: float, gains: Gains, contest: Contest, model: Model) -> Score | None:
     """The best of `scores` that is significant and no second order of others, the first few at their best shapes.
 
-    Noise that wanders may have taken the place of a mean: what that gains beside it says little.
+    Noise that wanders may have taken the place of a slow mean: what that gains beside it says little.
     """
     wandering = any(term.hypothesis.effect.id.endswith(DRIFTS) for term in model.noise_terms)
-    seen = 0.0 if wandering else _SEEN
     beside: Beside | None = None
     while True:
         good = [
             s
             for s in scores.values()
             if s.p < level
-            and s.gain >= seen * _least(s.hypothesis, model, gains)
+            and s.gain
+            >= (0.0 if wandering and not s.hypothesis.periodic else _SEEN) * _least(s.hypothesis, model, gains)
             and s.gain >= contest.floor.get(s.hypothesis.effect.sensor, 0.0)
         ]
         if not good:
@@ -203,7 +219,8 @@ def _least(hypothesis: Hypothesis, model: Model, gains: Gains) -> float:
         gains[k][0] for k, e in of.items() if k in gains and (e.sensor is effect.sensor or e.shared or effect.shared)
     ]
     far = max((gain for gain, _, _ in gains.values()), default=0.0)
-    return max(MATERIAL * max(near, default=0.0), _FAR * far)
+    part = _REAL if any(view.density is not None for view in model.setting.views) else MATERIAL
+    return max(part * max(near, default=0.0), _FAR * far)
 
 
 def pruned(model: Model, contest: Contest, joined: list[Score], level: float) -> tuple[Model, list[Score], Gains]:
@@ -241,21 +258,47 @@ def without(model: Model, key: Key) -> Model:
 
 def last_gains(model: Model, contest: Contest) -> dict[Key, tuple[float, int, int]]:
     """By term: what it gains beside all the others, its degrees of freedom, and the size of its grid."""
-    found = {}
-    for i, term in enumerate(model.terms):
-        beside = Beside(restored(model, i), omit=(i,))
-        columns = contest.columns(term.hypothesis, term.theta, model)
-        if term.effect.fixed:
-            found[term.hypothesis.key] = (max(beside.fixed_gain(columns), 0.0), 1, 1)
-        else:
-            gained = beside.gain(columns)
-            found[term.hypothesis.key] = (gained.gain, gained.df, 1)
+    found = _mean_gains(model, contest)
     for noise in model.noise_terms:
         bare = refitted(without_term(model, noise), [noise.hypothesis.effect.sensor])
         full = refitted(model, [noise.hypothesis.effect.sensor])
         gain = sum(bare.deviance.values()) - sum(full.deviance.values())
         found[noise.hypothesis.key] = (max(gain, 0.0), len(noise.hypothesis.effect.parameters), 1)
     return found
+
+
+def _mean_gains(model: Model, contest: Contest) -> dict[Key, tuple[float, int, int]]:
+    """Of the terms on the mean, from one set of normal equations.
+
+    A term is given back to the residual and fitted by its own columns beside everything that the others estimate.
+    """
+    if not model.terms:
+        return {}
+    own = [contest.columns(term.hypothesis, term.theta, model) for term in model.terms]
+    others = [jacobian(term, model.setting) for term in model.terms]
+    normal = normal_equations([*own, *others], model.y, model.weight, model.ridge)
+    count, size = len(own), len(normal.right)
+    found = {}
+    for i, term in enumerate(model.terms):
+        mine = normal.slices[i]
+        start = normal.slices[count].start
+        beside = np.array([k for k in range(start, size) if not _within(k, normal.slices[count + i])], np.intp)
+        values = np.ones(1) if term.effect.fixed else term.beta
+        right = normal.right + normal.gram[:, mine] @ values
+        cross = normal.gram[mine][:, beside]
+        held, covariance, _ = solved(normal.gram[np.ix_(beside, beside)], right[beside])
+        gram = normal.gram[mine, mine] - cross @ covariance @ cross.T
+        left = right[mine] - cross @ held
+        if term.effect.fixed:
+            found[term.hypothesis.key] = (max(float(2.0 * left[0] - gram[0, 0]), 0.0), 1, 1)
+        else:
+            basis = existing(gram, np.diag(normal.gram)[mine])
+            found[term.hypothesis.key] = (float(((basis.T @ left) ** 2).sum()), basis.shape[1], 1)
+    return found
+
+
+def _within(k: int, rows: slice) -> bool:
+    return bool(rows.start <= k < rows.stop)
 
 
 def restored(model: Model, i: int) -> Model:

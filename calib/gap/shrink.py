@@ -23,6 +23,7 @@ from calib.gap.folds import (
     contest_of,
     expected_gain,
     folds_of,
+    foretold,
     joined,
     log_loss,
     parted,
@@ -85,23 +86,28 @@ def held_out(chosen: Chosen, contest: Contest, alpha: float, *, nested: bool) ->
         return None
     order = _order(chosen)
     floor_ratio = _excess(chosen.model)
-    rows, gains, steps = [], [], []
+    rows, gains, steps, told = [], [], [], []
     for fold in folds:
         chain = [refitted(fold.train).model]
-        for term in order:
-            chain.append(joined(chain[-1], term))
+        known = [foretold(term, chosen.model, fold.train.setting) for term in order]
+        for term, seen in zip(order, known, strict=True):
+            chain.append(joined(chain[-1], term) if seen else chain[-1])
         losses = [log_loss(carried(model, fold.test)) for model in chain]
         before, fixed = losses[0], losses[-1]
         floor = log_loss(carried(chosen.model, fold.test)) - floor_ratio * _numbers(fold.test)
         after = _nested(fold, chosen, contest, alpha) if nested else fixed
         rows.append((before - floor, after - floor, _numbers(fold.test)))
-        less = (parted(chain[-1], term.hypothesis) for term in order)
+        less = (parted(chain[-1], t.hypothesis) if seen else chain[-1] for t, seen in zip(order, known, strict=True))
+        told.append(known)
         gains.append([log_loss(carried(model, fold.test)) - fixed for model in less])
         steps.append([before - loss for loss in losses[1:]])
     table = np.array(rows, dtype=np.float64)
     lower = min(float(table[:, 1].sum()), 0.0) / float(table[:, 2].sum())  # no model is below the floor
     table[:, :2] -= lower * table[:, 2:]
-    gates = tuple(_gate(term, np.array([g[i] for g in gains]), folds, chosen) for i, term in enumerate(order))
+    gates = tuple(
+        _gate(term, np.array([g[i] for g in gains]), [k[i] for k in told], folds, chosen)
+        for i, term in enumerate(order)
+    )
     return Heldout(table[:, 0], table[:, 1], table[:, 2], gates, _sequence(order, np.array(steps), table[:, 0]))
 
 
@@ -145,7 +151,7 @@ def _nested(fold: Fold, chosen: Chosen, contest: Contest, alpha: float) -> float
     return log_loss(carried(found.model, fold.test))
 
 
-def _gate(term: Term | NoiseTerm, gains: Array, folds: Sequence[Fold], chosen: Chosen) -> Gate:
+def _gate(term: Term | NoiseTerm, gains: Array, told: Sequence[bool], folds: Sequence[Fold], chosen: Chosen) -> Gate:
     """Passed where held-out data are described better; withdrawn where they are not although they should.
 
     An effect of evidence lambda gains ``lambda / 2 +- sqrt(lambda)`` nats: one near the limit of detection may gain
@@ -158,7 +164,7 @@ def _gate(term: Term | NoiseTerm, gains: Array, folds: Sequence[Fold], chosen: C
         drifts = term.hypothesis.effect.id.endswith(DRIFTS)
         return Gate(key, gains, passed=True if total > 0.0 else None if drifts else False)
     expected = [expected_gain(term, fold.train, carried(chosen.model, fold.test)) for fold in folds]
-    seen = [e > _FORETOLD for e in expected]
+    seen = [e > _FORETOLD and t for e, t in zip(expected, told, strict=True)]
     sizes = [_touched(term, fold.test.setting) for fold in folds]
     due = sum(_at_most(e, n) for e, s, n in zip(expected, seen, sizes, strict=True) if s)
     gained = next((s.gain for s in chosen.scores if s.hypothesis.key == key), math.inf)
@@ -169,7 +175,13 @@ def _gate(term: Term | NoiseTerm, gains: Array, folds: Sequence[Fold], chosen: C
     least = min(due - _SHORT * math.sqrt(2.0 * due), _ENOUGH * due)
     if total <= 0.0 and least < 0.0:
         return Gate(key, gains, passed=None)
-    return Gate(key, gains, passed=total > max(least, 0.0))
+    passed = total > max(least, 0.0)
+    return Gate(key, gains, passed=None if not passed and _an_event(term) else passed)
+
+
+def _an_event(term: Term) -> bool:
+    """Whether it happens at a moment: the levels of other blocks are then shared with other events and with drifts."""
+    return term.effect.shape is not None and term.effect.shape.still
 
 
 def _touched(term: Term, setting: Setting) -> int:
@@ -220,18 +232,21 @@ def shrink_of(chosen: Chosen, found: Heldout, *, nested: bool) -> Shrink:
 
 
 def rms_of(model: Model) -> dict[str, tuple[float, float, str]]:
-    """By sensor: root mean square of the residual before and after, of one axis."""
-    found: dict[str, list[tuple[float, float, int, str]]] = {}
-    for view, left in zip(model.setting.views, model.residual, strict=True):
-        entry = (float((view.residual**2).sum()), float((left**2).sum()), left.size, view.any_trace.unit)
-        found.setdefault(view.sensor.value, []).append(entry)
+    """By sensor: root mean square of the residual before and after, of one axis.
+
+    Each band counts with what lies in it, at the rate of the whole series.
+    """
+    energy: dict[str, list[float]] = {}
+    units: dict[str, str] = {}
+    for view, residual in zip(model.setting.views, model.residual, strict=True):
+        units[view.sensor.value] = view.any_trace.unit
+        entry = energy.setdefault(view.sensor.value, [0.0, 0.0, 0.0])
+        for k, series in enumerate((view.residual, residual)):
+            entry[k] += float((view.spectra(series) ** 2).sum()) / view.gain
+        entry[2] += 0.0 if view.first else 3.0 * view.whole.n
     return {
-        sensor: (
-            math.sqrt(sum(e[0] for e in entries) / sum(e[2] for e in entries)),
-            math.sqrt(sum(e[1] for e in entries) / sum(e[2] for e in entries)),
-            entries[0][3],
-        )
-        for sensor, entries in found.items()
+        sensor: (math.sqrt(before / count), math.sqrt(after / count), units[sensor])
+        for sensor, (before, after, count) in energy.items()
     }
 
 

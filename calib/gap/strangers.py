@@ -20,13 +20,12 @@ from calib.gap.model import Model
 from calib.gap.schema import HiddenDriver, Unknown
 from calib.gap.selection import Key
 from calib.gap.shapes import PREFIX
+from calib.gap.transitions import events_of
 from calib.gap.views import View
 from calib.recording import Sensor
 
 _JUMPS = 3
 """Jumps of one sensor from which on they are no single events."""
-_ONE_EVENT_S = 2.0
-"""Jumps that follow each other within this time are one event: something is put on or taken off."""
 _NOT_LASTING = "a deviation that no effect describes throughout the recording"
 _MATERIAL = 0.03
 """Share of the gap from which on something unknown is said."""
@@ -53,12 +52,11 @@ def strangers_in(model: Model) -> tuple[Stranger, ...]:
 
 def _swarms(model: Model) -> list[Stranger]:
     """Jumps of one sensor that are too many to be events."""
-    jumps = [t for t in model.terms if t.hypothesis.effect.id.endswith("_step")]
     found = []
-    for sensor in dict.fromkeys(t.hypothesis.effect.sensor for t in jumps):
-        own = sorted((t for t in jumps if t.hypothesis.effect.sensor is sensor), key=lambda t: t.theta)
-        events = 1 + sum(b.theta - a.theta > _ONE_EVENT_S for a, b in itertools.pairwise(own))
-        if events >= _JUMPS:
+    for sensor in dict.fromkeys(view.sensor for view in model.setting.views):
+        events = events_of(model, sensor)
+        own = [term for event in events for term in event]
+        if len(events) >= _JUMPS:
             when = ", ".join(f"{t.theta:.1f} s" for t in own)
             found.append(Stranger(tuple(t.hypothesis.key for t in own), f"{len(own)} jumps on {sensor.value}: {when}"))
     return found

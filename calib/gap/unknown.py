@@ -47,7 +47,8 @@ def explained(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> W
     scorer = Contest(shapes, budget=0)
     tests = chosen.tests + len(shapes)
     scores = _scored(scorer, Beside(chosen.model))
-    least = 0.0 if chosen.model.noise_terms else MATERIAL * largest_gain(chosen)
+    largest = largest_gain(chosen, contest)
+    least = 0.0 if chosen.model.noise_terms else MATERIAL * largest
     strong = [s for s in scores if s.p * tests < alpha and s.delta > _MARGIN and s.gain >= least]
     if not strong:
         return WithShapes(chosen, contest)
@@ -57,7 +58,7 @@ def explained(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> W
     both = Contest((*contest.hypotheses, *shortlist.values()), floor=contest.floor)
     level = alpha * sum(not h.again for h in both.hypotheses) / tests
     other = select(start, both, level)
-    if objective(other) < objective(chosen) - max(_MARGIN, MATERIAL * largest_gain(chosen)):
+    if objective(other) < objective(chosen) - max(_MARGIN, MATERIAL * largest):
         return WithShapes(other, both)
     return WithShapes(chosen, contest)
 

@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.errors import InvalidInputError
 from calib.gap.diagnose import diagnose
-from calib.gap.problem import ReferenceKind
+from calib.gap.problem import Problem, ReferenceKind
 from calib.gap.reference import build
 from calib.gap.reference.recorded import recorded
 from calib.gap.replay import with_effects
@@ -105,11 +106,13 @@ def verify(
     alone = build(real, sim, nominal)
     same = direct.reference.kind is ReferenceKind.SIM and recorded(real) is None and recorded(again) is None
     lost: tuple[str, ...] = ()
+    said: tuple[str, ...] = ()
     if same:
         problem = direct
     else:
-        found = diagnose(build(again, sim, nominal), alpha=alpha, nested=False)
+        found = diagnose(_of_new(again, sim, nominal), alpha=alpha, nested=False)
         problem, lost = with_effects(alone, found.effects)
+        said = tuple(f"the new recording: {warning}" for warning in found.warnings)
     rest = diagnose(problem, alpha=alpha, nested=False)
     known = {(e.id, n) for e in report.effects for n in e.instances}
     added = tuple(e for e in rest.effects if not any((e.id, n) in known for n in e.instances))
@@ -121,8 +124,16 @@ def verify(
         tuple(_left(e, rest) for e in report.effects),
         added,
         rest,
-        (*rest.warnings, *warnings),
+        (*rest.warnings, *said, *warnings),
     )
+
+
+def _of_new(again: Recording, sim: Recording | None, nominal: Sequence[Recording]) -> Problem:
+    """`again` beside its own reference; an error says which of the recordings it is about."""
+    try:
+        return build(again, sim, nominal)
+    except InvalidInputError as error:
+        raise InvalidInputError(f"the new recording of the simulator cannot be diagnosed by itself: {error}") from error
 
 
 def size_of(report: GapReport) -> Size:

@@ -77,7 +77,7 @@ def wandering(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> W
             bare = without(bare, term.hypothesis.key)
     bare = refitted(refined(bare)[0]).model
     gain, size, time = best_prior(bare)
-    if gain < MATERIAL * largest_gain(chosen):
+    if gain < MATERIAL * largest_gain(chosen, contest):
         return None
     if tail(gain, 2, len(_SIZES_DEG) * len(_TIMES_S)) * (chosen.tests + 1) > alpha:
         return None

@@ -16,6 +16,7 @@ BEFORE, AFTER, MODEL, FLOOR = "--before", "--after", "--model", "--floor"
 COLOURS = (BEFORE, AFTER, MODEL, FLOOR)
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 12, 40, 38
 _LETTER = 5.9  # mean width of a letter of the legend
+_STEEP = 0.87  # height of a letter's width in the turned names of columns
 _MOST_POINTS = 600
 
 
@@ -191,7 +192,9 @@ def thinned(t: Array, values: Array) -> tuple[Array, Array]:
 
 def heat(rows: Sequence[str], columns: Sequence[str], cells: Sequence[tuple[int, int, float, str]], title: str) -> str:
     """A table of coloured cells: (row, column, 0..1, words for the pointer); empty ones are blank."""
-    left, top, wide, tall = 128.0, 142.0, 17.0, 17.0
+    left, wide, tall = 128.0, 17.0, 17.0
+    longest = _LETTER * max(map(len, columns), default=0)
+    top = 14.0 + _STEEP * longest
     out = []
     for j, name in enumerate(columns):
         x = left + (j + 0.65) * wide
@@ -205,4 +208,4 @@ def heat(rows: Sequence[str], columns: Sequence[str], cells: Sequence[tuple[int,
             f'style="fill:var(--before)" fill-opacity="{0.12 + 0.88 * min(max(level, 0.0), 1.0):.2f}">'
             f"<title>{escape(words)}</title></rect>"
         )
-    return svg(left + wide * len(columns) + 80, top + tall * len(rows) + 8, out, title)
+    return svg(left + wide * len(columns) + 0.5 * longest, top + tall * len(rows) + 8, out, title)

@@ -16,7 +16,16 @@ from calib.gap_report.series_plots import (
 )
 from calib.gap_report.style import STYLE
 from calib.gap_report.table_plots import power_table, rivals_table, waterfall, where_map
-from calib.gap_report.words import closed_sentence, effect_phrase, interval, number, quantity, regime, verdict_sentence
+from calib.gap_report.words import (
+    closed_sentence,
+    effect_phrase,
+    interval,
+    not_compared,
+    number,
+    quantity,
+    regime,
+    verdict_sentence,
+)
 
 _MOST_SHAPES = 12
 _MOST_SERIES = 9
@@ -74,6 +83,8 @@ def _head(report: GapReport, title: str) -> str:
                 f"Not explained: {report.unknown.shape or 'a rest'} ({100 * report.unknown.share:.0f} % of the gap)."
             )
         )
+    if missing := not_compared(report):
+        lines.append(f"<b>{escape(missing)}</b>")
     warnings = "".join(f"<li>{escape(w)}</li>" for w in report.warnings)
     body = "<br>".join(lines)
     return (
@@ -133,8 +144,9 @@ def _shrink(report: GapReport) -> str:
     table = f"<table><tr><th>sensor</th><th>rms before</th><th>rms after</th><th>unit</th></tr>{rows}</table>"
     return _section(
         "How far the gap shrinks",
-        "How badly parts of the recording that were kept aside are predicted, in nats a sample (lower is better), "
-        "while one effect after the other is added.",
+        "How badly parts of the recording that were kept aside are predicted (lower is better), while one effect after "
+        "the other is added. A nat is a factor of 2.7 in how likely the readings are: 0.01 nats a sample are a factor "
+        "of 2.7 in every hundred samples.",
         (f"<figure>{picture}</figure>" if (picture := waterfall(shrink)) else "") + (table if rows else ""),
     )
 
@@ -217,7 +229,7 @@ def _limits(report: GapReport) -> str:
         f"<tr><td>{escape(n.id)}</td><td>{escape(n.reason)}</td><td>{escape(n.need)}</td></tr>"
         for n in report.not_testable
     )
-    table = f"<table><tr><th>effect</th><th>why not</th><th>what it needs</th></tr>{rows}</table>"
+    table = f"<table><tr><th>sensor or effect</th><th>why not</th><th>what it needs</th></tr>{rows}</table>"
     return _section(
         "Not testable here",
         "Effects that this recording could not have shown, which is not the same as their absence.",

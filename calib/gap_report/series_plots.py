@@ -124,7 +124,7 @@ def spectrum_plot(series: SeriesFit) -> str:
     chart.line(hz, after, AFTER, "with the effects")
     if series.power is not None:
         own = 0.5 * fs * np.arange(len(series.power)) / len(series.power)
-        chart.line(hz, np.sqrt(np.interp(hz, own, series.power[:, axis]) / (0.5 * fs)), FLOOR, "noise of the model")
+        chart.line(hz, np.sqrt(np.interp(hz, own, series.power[:, axis]) / (0.5 * fs)), FLOOR, "model's noise")
     return chart.drawn()
 
 

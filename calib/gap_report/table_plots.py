@@ -8,10 +8,11 @@ from html import escape
 
 from calib.gap.schema import Finding, GapReport, Shrink
 from calib.gap_report.chart import heat, svg, text
-from calib.gap_report.words import number, regime
+from calib.gap_report.words import number, quantity, regime
 
 _SLOTS = 6
 _FAR = 1000
+_LABEL = 130  # beside the longest bar
 _LEAST_NATS = 1e-3  # of a sample: the faintest cell
 
 
@@ -90,7 +91,7 @@ def waterfall(shrink: Shrink) -> str:
             f'<rect x="{x:.1f}" y="{y:.1f}" width="{max(end - x, 1.5):.1f}" height="17" style="fill:var({colour})"/>'
         )
         out.append(text(end + 6, y + 13, f"down to {number(a)}" if colour == "--model" else number(b)))
-    return svg(left + wide + 90, 16 + tall * len(steps), out, "Gap on held-out data, one effect after the other")
+    return svg(left + wide + _LABEL, 16 + tall * len(steps), out, "Gap on held-out data, one effect after the other")
 
 
 def rivals_table(report: GapReport) -> str:
@@ -117,7 +118,7 @@ def power_table(report: GapReport) -> str:
         return ""
     rows = "".join(
         f"<tr><td>{escape(p.id)}</td><td>{escape(p.name)}</td>"
-        f'<td class="number">{number(p.smallest)} {escape(p.unit)}</td></tr>'
+        f'<td class="number">{escape(quantity(p.smallest, p.unit))}</td></tr>'
         for p in report.power
     )
     return f"<table><tr><th>effect</th><th>parameter</th><th>smallest that would show</th></tr>{rows}</table>"

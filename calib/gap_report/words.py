@@ -56,6 +56,14 @@ def verdict_sentence(report: GapReport, *, listed: bool = True) -> str:
     return said
 
 
+def not_compared(report: GapReport) -> str:
+    """Which sensors the answer is not about, though they were recorded; empty: it is about all."""
+    lost = dict.fromkeys(n.id for n in report.not_testable if n.id in _SENSORS)
+    if not lost or report.verdict is Verdict.NOT_TESTABLE:
+        return ""
+    return f"Not compared, at least in part: {', '.join(_SENSORS[name] for name in lost)}; why is said below."
+
+
 def effect_phrase(effect: EffectEstimate) -> str:
     """``a constant offset of accelerometer 1 (accel_bias)``."""
     kind = effect.id.removeprefix(f"{effect.sensor.value}_")
@@ -101,6 +109,8 @@ def regime(found: Finding) -> str:
     if found.regime.kind == "all":
         return "whole recording"
     low, high = (0.0 if abs(edge) < 1e-9 else edge for edge in found.regime.bin)
+    if f"{low:.3g}" == f"{high:.3g}":
+        return f"{found.regime.kind} {low:.3g}{_unit(found.regime.unit)}"
     return f"{found.regime.kind} {low:.3g}..{high:.3g}{_unit(found.regime.unit)}"
 
 

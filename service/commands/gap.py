@@ -92,9 +92,10 @@ def command(
         raise click.UsageError("Missing option '--real'.")
     from calib import gap
     from calib.gap.schema import as_json as document_of
-    from service.commands.gap_files import check_exports, read_files, write_exports, write_page
+    from service.commands.gap_files import check_exports, check_folders, read_files, write_exports, write_page
 
     check_exports(exports, target)
+    check_folders((*exports, *(() if page is None else (page,))))
     files = read_files(real, sim, nominal, again, reading)
     report = gap.run(files.real, files.sim, files.nominal, inputs=files.hashes)
     document = document_of(report)
@@ -116,9 +117,11 @@ def command(
 
 
 def _show(report: GapReport, verified: Verified | None) -> None:
-    from calib.gap_report.words import closed_sentence, regime, verdict_sentence
+    from calib.gap_report.words import closed_sentence, not_compared, regime, verdict_sentence
 
     click.echo(f"{report.verdict.value}: {verdict_sentence(report, listed=False)}")
+    if missing := not_compared(report):
+        click.echo(missing)
     for effect in report.effects:
         _show_effect(effect)
     if report.unknown.flag:

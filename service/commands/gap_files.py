@@ -88,6 +88,19 @@ def check_exports(outs: Sequence[Path], target: str | None) -> None:
             raise click.BadParameter(f"{out.name}: a vehicle's file ends in {', '.join(forms)}")
 
 
+def check_folders(outs: Sequence[Path]) -> None:
+    """Refuse files whose folder is not there, before minutes are spent on what could not be written.
+
+    Raises
+    ------
+    click.BadParameter
+        If there is no such folder.
+    """
+    for out in outs:
+        if not out.parent.is_dir():
+            raise click.BadParameter(f"{out} cannot be written: there is no folder {out.parent}")
+
+
 def write_exports(
     report: GapReport, files: Files, outs: Sequence[Path], target: str | None, instance: int
 ) -> list[dict[str, Any]]:

@@ -16,7 +16,9 @@ BROAD = {
     **{f"accel_{a}": f"imu_acc_{k}" for k, a in enumerate("xyz")},
     **{f"mag_{a}": f"imu_mag_{k}" for k, a in enumerate("xyz")},
     **{f"ref_q_{a}": f"opt_quat_{k}" for k, a in enumerate("wxyz")},
-    **{"ref_pos_n": "opt_pos_1", "ref_pos_e": "opt_pos_0", "ref_pos_d": "opt_pos_2*-1"},
+    "ref_pos_n": "opt_pos_1",
+    "ref_pos_e": "opt_pos_0",
+    "ref_pos_d": "opt_pos_2*-1",
 }
 VQF = {
     f"{name}_{a}": f"{column}_{k}" for name, column in (("gyro", "gyr"), ("accel", "acc")) for k, a in enumerate("xyz")

@@ -116,6 +116,8 @@ def test_mappings_are_of_the_real_table_and_the_simulators_has_its_own(cli: Cli,
         (("--real", "real.csv", "--export", "x.xyz"), ".parm"),
         (("--real", "real.csv", "--export", "x.sdf", "--for", "vehicle"), "vehicle"),
         (("--real", "real.csv", "--sim", "gone.bin"), "gone.bin"),
+        (("--real", "real.csv", "--export", "gone/x.parm"), "no folder gone"),
+        (("--real", "real.csv", "--report", "gone/x.html"), "no folder gone"),
     ],
 )
 def test_wrong_use_is_told_before_anything_is_computed(
@@ -125,6 +127,27 @@ def test_wrong_use_is_told_before_anything_is_computed(
     code, _, err = cli("gap", *arguments)
     assert code == 2
     assert word in err
+
+
+def test_the_new_recording_is_named_where_it_cannot_be_diagnosed(cli: Cli, tmp_path: Path) -> None:
+    write_table(tmp_path / "real.csv")
+    write_table(tmp_path / "short.csv", seconds=2.0)
+    rows = (tmp_path / "short.csv").read_text().replace("ref_accel", "gyro")
+    (tmp_path / "bare.csv").write_text(rows)
+    _, said, _ = cli("gap", "--real", "real.csv", "--verify", "short.csv", "--json")
+    assert any(text.startswith("the new recording: accel") for text in said["verify"]["warnings"])
+    code, said, _ = cli("gap", "--real", "real.csv", "--verify", "bare.csv", "--json")
+    assert code == 2
+    assert "the new recording of the simulator" in said["error"]["detail"]
+
+
+def test_what_was_not_compared_is_told_with_the_answer(cli: Cli, tmp_path: Path) -> None:
+    table = write_table(tmp_path / "real.csv").read_text().splitlines()
+    head = table[0] + ",gyro_x,gyro_y,gyro_z,ref_gyro_x,ref_gyro_y,ref_gyro_z"
+    rows = [f"{row},0,0,0,{np.sin(i / 9)},{np.cos(i / 9)},0.1" for i, row in enumerate(table[1:])]
+    (tmp_path / "real.csv").write_text("\n".join([head, *rows]))
+    _, text, _ = cli("gap", "--real", "real.csv")
+    assert "Not compared, at least in part: gyroscope" in text.splitlines()[1]
 
 
 def test_a_table_has_no_calibration_to_write(cli: Cli, tmp_path: Path) -> None:

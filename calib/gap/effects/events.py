@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -14,6 +15,8 @@ from calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
+SLOW_S = 1.5
+"""Duration of a step that is no jump."""
 _CANDIDATES = 4
 _EDGE = 0.01  # of the recording: a step this near to an end is a bias
 
@@ -21,6 +24,11 @@ _EDGE = 0.01  # of the recording: a step this near to an end is a bias
 def after(trace: Trace, moment: float) -> Array:
     """One signal: zero before `moment` (s), one from then on; in between at the sample before it: it can be refined."""
     return np.clip((trace.t - moment) * trace.fs + 1.0, 0.0, 1.0)[None]
+
+
+def gradually(trace: Trace, moment: float) -> Array:
+    """One signal: from zero to one over `SLOW_S` about `moment` (s): hands take their time."""
+    return np.clip((trace.t - moment) / SLOW_S + 0.5, 0.0, 1.0)[None]
 
 
 def moments(trace: Trace) -> Array:
@@ -65,19 +73,24 @@ def _split(count: Array, total: Array, noise: Array, start: int, end: int, margi
     return float(gain[best]), int(rows[best])
 
 
-def _of(sensor: Sensor) -> Effect:
+def _of(sensor: Sensor, form: str, signal: Callable[[Trace, float], Array], *, still: bool) -> Effect:
     return MeanEffect(
         f"{sensor}_step",
         sensor,
         per_axis("step", UNIT[sensor]),
         "the event itself",
         "the same movement before and after; a log without the event",
-        shape=Shape(Parameter("time_s", "s"), moments, likeliest, still=True),
-        columns=axiswise(after),
-        signals=after,
+        shape=Shape(Parameter("time_s", "s"), moments, likeliest, still=still),
+        columns=axiswise(signal),
+        signals=signal,
         rivals=(f"{sensor}_random_walk", f"{sensor}_temp_linear"),
         repeatable=True,
+        form=form,
     )
 
 
-EFFECTS: tuple[Effect, ...] = tuple(_of(sensor) for sensor in TRIADS)
+EFFECTS: tuple[Effect, ...] = tuple(
+    effect
+    for sensor in TRIADS
+    for effect in (_of(sensor, "", after, still=True), _of(sensor, "~slow", gradually, still=False))
+)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.signal import correlate, correlation_lags
 
 from calib.gap.reference.calibrated import TRIADS
+from calib.gap.reference.frames import turned_correlation
 from calib.gap.reference.signal import Signal, linear
 from calib.recording import Recording, Sensor, Stage
 
@@ -19,6 +20,7 @@ SAME = 0.97
 CLOSED = 0.9995
 """The same for logs of autopilots: two simulated flights of one mission reach 0.994 in their turn rates."""
 _APART = 0.5
+_TURNED = 0.9  # the best of 48 frames is more alike by chance than one
 _SAME_LAG_S = 0.02
 _RATE_HZ = 50.0
 _OVERLAP = 0.7  # of the shorter one
@@ -57,7 +59,10 @@ def one_clock(real: Recording, other: Recording) -> bool:
 
 
 def moving_apart(real: Recording, other: Recording) -> bool:
-    """Whether every sensor that moves in both moves otherwise: two runs whose clocks both began at the same number."""
+    """Whether every sensor that moves in both moves otherwise: two runs whose clocks both began at the same number.
+
+    Movements that are one in another frame are not apart: which frame, the checks say.
+    """
     found = []
     for sensor in TRIADS:
         a, b = _first(real, sensor), _first(other, sensor)
@@ -66,8 +71,29 @@ def moving_apart(real: Recording, other: Recording) -> bool:
         x, y = a.values - a.values.mean(axis=0), linear(b.t, b.values, a.t)
         y = y - y.mean(axis=0)
         if min(x.std(axis=0).max(), y.std(axis=0).max()) > _STILL[sensor]:
-            found.append(float((x * y).sum() / np.sqrt((x**2).sum() * (y**2).sum())))
+            alike = float((x * y).sum() / np.sqrt((x**2).sum() * (y**2).sum()))
+            found.append(1.0 if turned_correlation(x, y) > _TURNED else alike)
     return bool(found) and max(found) < _APART
+
+
+def aligned_in_any_frame(real: Recording, other: Recording) -> Alignment | None:
+    """As :func:`aligned`, by the sizes of turn rates and forces, which no frame changes; None where they do not tell.
+
+    The correlation is that of the movements in the frame of `other` that fits best.
+    """
+    for sensor in (Sensor.GYRO, Sensor.ACCEL):
+        a, b = _first(real, sensor), _first(other, sensor)
+        if a is None or b is None or max(a.t[-1] - a.t[0], b.t[-1] - b.t[0]) > _LONGEST_S:
+            continue
+        sizes = [Signal(s.t, np.linalg.norm(s.values, axis=1, keepdims=True)) for s in (a, b)]
+        if min(s.values.std() for s in sizes) > _STILL[sensor]:
+            lag = _best_lag(*sizes).lag
+            shared = a.t[(a.t >= b.t[0] + lag) & (a.t <= b.t[-1] + lag)]
+            if len(shared) >= 16:
+                return Alignment(
+                    lag, turned_correlation(linear(a.t, a.values, shared), linear(b.t + lag, b.values, shared))
+                )
+    return None
 
 
 def aligned(real: Recording, other: Recording) -> Alignment | None:
@@ -88,7 +114,7 @@ def _best_lag(a: Signal, b: Signal) -> Alignment:
     step = 1.0 / _RATE_HZ
     x, y = _sampled(a, step), _sampled(b, step)
     n = min(len(x), len(y))
-    product = sum(correlate(x[:, k], y[:, k], method="fft") for k in range(3))
+    product = sum(correlate(x[:, k], y[:, k], method="fft") for k in range(x.shape[1]))
     lags = correlation_lags(len(x), len(y))
     overlap = np.minimum(len(x), lags + len(y)) - np.maximum(0, lags)
     allowed = np.flatnonzero(overlap >= _OVERLAP * n)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import itertools
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import welch
 
 from calib.errors import InvalidInputError
 from calib.gap.problem import Trace
+from calib.gap.reference.frames import correlation, turn_of
+from calib.logs.tables import NO_TIME
 from calib.recording import Recording, Sensor
 
 Array = NDArray[np.float64]
@@ -20,17 +23,21 @@ _MOVES = {Sensor.ACCEL: 0.3, Sensor.GYRO: 0.03, Sensor.MAG: 1.5}  # rms about th
 _TURNS_MUCH = 3.0
 _ALIKE = 0.8  # correlation from which readings and reference are the same but for frame or unit
 _UNLIKE = 0.3  # and below which they have nothing in common
-_BETTER = 0.25  # share of the misfit that another frame must leave
-_TIED = 1.1
+_SLIGHT = 0.02  # share of misfit below which no other frame is looked for: a turn by 11 degrees
 _SIZE = 3.0  # ratio of sizes that no calibration error reaches
+_FAR_OFF = 6.0  # ratio of whole fields that no iron reaches
+_ONE_VALUE = 1e-12  # range below which a number is one
+_DIGITS = 1e-12  # share of the readings that the computer's rounding makes
+_POSSIBLE = 1e7  # reading that no sensor has in any unit
+_SLOWEST_S = 0.7  # between two samples, from which on time is not in seconds, or nothing is left of a movement
+_NOISIER = 10.0  # ratio of noise powers from which the reference is worse than the sensor
 _FACTORS = {
-    1000.0: "a thousand",
-    100.0: "a hundred, as between gauss and uT",
-    57.29578: "57.3, as between degrees and radians",
-    10.0: "ten, as between mgauss and uT",
-    9.80665: "9.8, as between g and m/s2",
-    4.0: "four",
+    Sensor.ACCEL: {1000.0 / 9.80665: "102, as between mg and m/s2", 9.80665: "9.8, as between g and m/s2"},
+    Sensor.GYRO: {57.29578: "57.3, as between degrees and radians"},
+    Sensor.MAG: {100.0: "a hundred, as between gauss and uT", 10.0: "ten, as between mgauss and uT"},
 }
+_ANY_FACTOR = {1e6: "a million", 1000.0: "a thousand", 4.0: "four"}
+_WEAKEST_UT, _STRONGEST_UT = 10.0, 130.0  # the Earth's field is 22 to 67 uT, and buildings bend it
 _AXES = "xyz"
 
 Refusal = tuple[str, str, str]
@@ -66,21 +73,111 @@ def refusal_of(trace: Trace) -> Refusal | None:
         reason = f"{name} has {int(rows.sum())} samples over {seconds:.1f} s beside its reference"
         return trace.sensor.value, reason, f"at least {SHORTEST_S:.0f} s, better a minute"
     measured, ideal = trace.measured[rows], trace.ideal[rows]
-    moves = ideal.std(axis=0) > _MOVES[trace.sensor]
-    stuck = (np.ptp(measured, axis=0) == 0.0) & moves
+    return (
+        _impossible(trace, name, measured, ideal)
+        or (_of_field(name, measured, ideal) if trace.sensor == Sensor.MAG else None)
+        or _dead(trace, name, measured, ideal)
+        or _copied(trace, name, measured, ideal)
+        or _in_another_frame(trace, name, measured, ideal)
+        or _worse_reference(trace, name, measured, ideal)
+    )
+
+
+def _impossible(trace: Trace, name: str, measured: Array, ideal: Array) -> Refusal | None:
+    for whose, values in ((name, measured), (f"the reference of {name}", ideal)):
+        row, axis = np.unravel_index(int(np.argmax(np.abs(values))), values.shape)
+        if abs(values[row, axis]) > _POSSIBLE:
+            at = float(trace.t[trace.observed][row])
+            reason = f"{whose} reads {values[row, axis]:.3g} {trace.unit} on {_AXES[axis]} at {at:.3f} s"
+            return trace.sensor.value, reason, "damaged rows left out, or the right unit"
+    return None
+
+
+def _dead(trace: Trace, name: str, measured: Array, ideal: Array) -> Refusal | None:
+    """An axis that never changes says nothing, even at rest: a live sensor has noise."""
+    stuck = np.ptp(measured, axis=0) < _ONE_VALUE
     if stuck.any():
-        axes = ", ".join(a for a, s in zip(_AXES, stuck, strict=True) if s)
-        return (
-            trace.sensor.value,
-            f"{axes} of {name} reads one value throughout while the vehicle moves",
-            "a live sensor",
-        )
-    turning = np.sort(ideal.std(axis=0))[1] > _TURNS_MUCH * _MOVES[trace.sensor]
+        moves = (ideal.std(axis=0) > _MOVES[trace.sensor]) & stuck
+        when = " while the vehicle moves" if moves.any() else ": a live sensor has noise"
+        named = _axes(moves if moves.any() else stuck)
+        return trace.sensor.value, f"{named} of {name} reads one value throughout{when}", "a live sensor"
+    still = (np.ptp(ideal, axis=0) == 0.0) & (measured.std(axis=0) > _MOVES[trace.sensor])
+    if still.any() and trace.against is None:
+        reason = f"the reference of {name} has one value throughout on {_axes(still)} while the sensor moves"
+        return trace.sensor.value, reason, "a reference of the same movement: check its columns, or leave them out"
+    return None
+
+
+def _copied(trace: Trace, name: str, measured: Array, ideal: Array) -> Refusal | None:
+    """A difference without noise: the reference was made from the sensor, or both by one formula.
+
+    Two instances of a simulator may read the same digits, noise and all: what they differ by is then known exactly.
+    """
+    if trace.against is not None:
+        return None
+    difference = measured - ideal
+    same = np.ptp(difference, axis=0) <= _DIGITS * np.abs(measured).max()
+    if not same.any():
+        return None
+    by = ", ".join(f"{value:.6g}" for value in difference[0])
+    reason = f"{name} and its reference differ by {by} {trace.unit} throughout on {_axes(same)}, without any noise"
+    return trace.sensor.value, reason, "a reference that was not made from the sensor, and a sensor with noise"
+
+
+def _axes(chosen: NDArray[np.bool_]) -> str:
+    return ", ".join(a for a, s in zip(_AXES, chosen, strict=True) if s)
+
+
+def _in_another_frame(trace: Trace, name: str, measured: Array, ideal: Array) -> Refusal | None:
+    spread = _spreads(ideal)[1]
+    turning = spread > (1.0 if trace.sensor == Sensor.MAG else _TURNS_MUCH) * _MOVES[trace.sensor]
     if trace.sensor == Sensor.GYRO or turning:  # an offset of the sensor is no frame
         measured, ideal = measured - measured.mean(axis=0), ideal - ideal.mean(axis=0)
+        slight = _SLIGHT
     elif trace.sensor == Sensor.MAG:
         return None
-    return _of_frame(trace, name, measured, ideal) if _tells(trace.sensor, ideal) else None
+    else:
+        slight = 0.0  # gravity is most of it, whatever x and y do
+    return _of_frame(trace, name, measured, ideal, slight) if _tells(trace.sensor, ideal) else None
+
+
+def _spreads(values: Array) -> Array:
+    """Standard deviations (3,) along the principal directions, largest first."""
+    return np.asarray(np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(values.T))[::-1], 0.0)))
+
+
+def _of_field(name: str, measured: Array, ideal: Array) -> Refusal | None:
+    """Units of a magnetometer, by the size of the whole field: iron adds to it, but not several times of it."""
+    read, true = (float(np.median(np.linalg.norm(v, axis=1))) for v in (measured, ideal))
+    if true == 0.0 or read == 0.0:
+        return None  # nothing was read: that is said elsewhere
+    if not _WEAKEST_UT < true < _STRONGEST_UT:
+        reason = f"the field at {name} would be {true:.3g} uT, and the Earth's is 22 to 67"
+        return Sensor.MAG.value, reason, "uT: --unit-mag, or a factor in --map"
+    size = read / true
+    if 1.0 / _FAR_OFF < size < _FAR_OFF:
+        return None
+    return Sensor.MAG.value, f"{name} is {size:.4g} times its reference: {_factor(size, Sensor.MAG)}", _unit(Sensor.MAG)
+
+
+def _worse_reference(trace: Trace, name: str, measured: Array, ideal: Array) -> Refusal | None:
+    """A reference whose own white noise is most of the difference: the sensor is then the better of the two."""
+    if trace.against is not None:
+        return None
+    length = min(256, len(measured) // 6)
+    power = [
+        welch(v, nperseg=length, detrend="linear", average="median", axis=0)[1][2:-1]
+        for v in (measured, ideal, measured - ideal)
+    ]  # medians over pieces and frequencies: what happens at an edge, once, or as a line is no noise
+    half = len(power[0]) // 2
+    own, of_reference, left = (np.median(p[half:], axis=0) for p in power)
+    slow = np.median(power[2][: half // 2], axis=0)
+    worse = (of_reference > _NOISIER * own) & (slow > 0.5 * of_reference) & (left > 0.5 * of_reference)
+    if not worse.any():
+        return None
+    times = float(np.sqrt((of_reference[worse] / np.maximum(own[worse], 1e-300)).max()))
+    reason = f"the reference of {name} has {times:.3g} times the noise of the sensor on {_axes(worse)}"
+    return trace.sensor.value, reason, "a reference that is better than the sensor"
 
 
 def _tells(sensor: Sensor, ideal: Array) -> bool:
@@ -88,10 +185,9 @@ def _tells(sensor: Sensor, ideal: Array) -> bool:
     return bool(np.sqrt((ideal**2).sum(axis=1).mean()) > _MOVES[sensor])
 
 
-def _of_frame(trace: Trace, name: str, measured: Array, ideal: Array) -> Refusal | None:
-    cross = measured.T @ ideal
-    turn = _signed_permutation(cross, measured, ideal)
-    alike = _correlation(measured, ideal @ turn.T)
+def _of_frame(trace: Trace, name: str, measured: Array, ideal: Array, slight: float) -> Refusal | None:
+    turn = turn_of(measured, ideal, slight)
+    alike = correlation(measured, ideal @ turn.T)
     if alike < _ALIKE:
         if alike >= _UNLIKE or trace.sensor != Sensor.GYRO:
             return None
@@ -99,8 +195,8 @@ def _of_frame(trace: Trace, name: str, measured: Array, ideal: Array) -> Refusal
         return trace.sensor.value, reason, "a reference of the same movement, better than the sensor"
     size = float(np.sum(measured * (ideal @ turn.T)) / np.sum(ideal**2))
     if not 1.0 / _SIZE < size < _SIZE:
-        reason = f"{name} is {size:.4g} times its reference: {_factor(size)}"
-        return trace.sensor.value, reason, "the right unit: --unit-accel, --unit-gyro, --unit-mag, or a factor in --map"
+        reason = f"{name} is {size:.4g} times its reference: {_factor(size, trace.sensor)}"
+        return trace.sensor.value, reason, _unit(trace.sensor)
     if not np.array_equal(turn, np.eye(3)):
         return trace.sensor.value, f"{name} is in another frame than its reference: {_in_words(turn)}", _FRAME_NEED
     return None
@@ -109,33 +205,8 @@ def _of_frame(trace: Trace, name: str, measured: Array, ideal: Array) -> Refusal
 _FRAME_NEED = "the same frame in both: --body, --world or --map"
 
 
-def _signed_permutation(cross: Array, measured: Array, ideal: Array) -> Array:
-    """The exchange of axes and signs that fits best; the identity unless another leaves a quarter of its misfit.
-
-    Scale and offset are left out of the comparison: among turns the sum ``m . P i`` decides. Of those that fit alike,
-    the one that changes least.
-    """
-    best = float(np.sqrt((measured**2).sum() * (ideal**2).sum()))
-    misfit = {key: max(best - float((cross * turn).sum()), 1e-12 * best) for key, turn in _TURNS.items()}
-    least = min(misfit.values())
-    if misfit[_IDENTITY] * _BETTER <= least:
-        return _TURNS[_IDENTITY]
-    tied = [key for key, value in misfit.items() if value <= _TIED * least + 1e-3 * best]
-    return _TURNS[max(tied, key=lambda key: float(np.trace(_TURNS[key])))]
-
-
-def _turns() -> dict[tuple[tuple[int, ...], tuple[int, ...]], Array]:
-    found = {}
-    for order in itertools.permutations(range(3)):
-        for signs in itertools.product((1, -1), repeat=3):
-            turn = np.zeros((3, 3))
-            turn[range(3), order] = signs
-            found[order, signs] = turn
-    return found
-
-
-_TURNS = _turns()
-_IDENTITY = ((0, 1, 2), (1, 1, 1))
+def _unit(sensor: Sensor) -> str:
+    return f"the right unit: --unit-{sensor.value}, or a factor in --map"
 
 
 def _in_words(turn: Array) -> str:
@@ -151,15 +222,11 @@ def _in_words(turn: Array) -> str:
     return ", ".join(said)
 
 
-def _factor(size: float) -> str:
-    ratio = max(size, 1.0 / size)
-    factor = min(_FACTORS, key=lambda f: abs(np.log(ratio / f)))
-    return f"units off by a factor of {_FACTORS[factor]}" if abs(np.log(ratio / factor)) < 0.2 else "units differ"
-
-
-def _correlation(a: Array, b: Array) -> float:
-    size = float(np.sqrt((a**2).sum() * (b**2).sum()))
-    return float((a * b).sum()) / size if size > 0.0 else 0.0
+def _factor(size: float, sensor: Sensor) -> str:
+    ratio = max(size, 1.0 / max(size, 1e-300))
+    known = _FACTORS[sensor] | _ANY_FACTOR
+    factor = min(known, key=lambda f: abs(np.log(ratio / f)))
+    return f"units off by a factor of {known[factor]}" if abs(np.log(ratio / factor)) < 0.2 else "units differ"
 
 
 def check_vehicles(real: Recording, others: tuple[Recording, ...]) -> None:
@@ -177,3 +244,30 @@ def check_vehicles(real: Recording, others: tuple[Recording, ...]) -> None:
                 f"{other.source or 'the other recording'} is of another kind of vehicle (MAV_TYPE "
                 f"{other.identity.vehicle_type}) than {real.source or 'the real one'} ({kind}): give logs of one"
             )
+
+
+def check_times(recordings: Iterable[Recording]) -> None:
+    """Time is in seconds, and fast enough to follow a movement.
+
+    Raises
+    ------
+    InvalidInputError
+        If the fastest sensor of one of them is sampled less than about once a second, or its time stands still.
+    """
+    for recording in recordings:
+        name = recording.source or "a recording"
+        times = [np.unique(c.t) for c in recording.channels if c.sensor in _MOVES and len(c) >= FEWEST]
+        if times and max(map(len, times)) < 4:
+            raise InvalidInputError(f"{name} has one time for all samples: fill column t, or leave it out, with --rate")
+        steps = [float(np.median(np.diff(t))) for t in times if len(t) > 3]
+        if not steps or min(steps) < _SLOWEST_S:
+            continue
+        if counted := next((e.text for e in recording.events if e.kind == NO_TIME), None):
+            raise InvalidInputError(f"{name}: {counted}")
+        unit = next((u for u in _TIMES if min(steps) > _TIMES[u][0]), "")
+        told = f": t looks like {unit}, and is in seconds: --map t=t*{_TIMES[unit][1]}" if unit else ""
+        raise InvalidInputError(f"{name} has a sample every {min(steps):.4g} s{told or ': too slow for any movement'}")
+
+
+_TIMES = {"nanoseconds": (2e5, "1e-9"), "microseconds": (200.0, "1e-6"), "milliseconds": (_SLOWEST_S, "1e-3")}
+"""Median steps from which time is taken for that unit: sensors have some 5 to 5000 samples a second."""

@@ -3,13 +3,26 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from calib.gap.reference.align import CLOSED, SAME, aligned, moving_apart, one_clock, same_digits
-from calib.gap.reference.chosen import sensors_of
+from calib.errors import InvalidInputError
+from calib.gap.reference.align import (
+    CLOSED,
+    SAME,
+    aligned,
+    aligned_in_any_frame,
+    moving_apart,
+    one_clock,
+    same_digits,
+)
+from calib.gap.reference.calibrated import TRIADS
+from calib.gap.reference.checks import check_times
+from calib.gap.reference.chosen import comparable, sensors_of
 from calib.gap.reference.ideal import Ideal
-from calib.gap.reference.posed import Array, Pose, driven, earth_field_of, pose_of
+from calib.gap.reference.notices import notices, why_no_reference
+from calib.gap.reference.posed import Array, Cutoffs, Pose, driven, earth_field_of, pose_of
 from calib.gap.reference.recorded import recorded, simulated, true_attitude
 from calib.gap.reference.smoothed import re_estimated
 from calib.recording import Recording, Sensor
@@ -27,7 +40,26 @@ class Chosen:
 
 
 def choose(real: Recording, sim: Recording | None, nominal: Sequence[Recording]) -> Chosen | None:
-    """The best reference that the recordings offer (GAP 3.5b); None: there is none but other instances."""
+    """The best reference that the recordings offer (GAP 3.5b); None: there is none but other instances.
+
+    Raises
+    ------
+    InvalidInputError
+        If time is not in seconds, or there is a simulator's recording that is no reference, and no other.
+    """
+    check_times((real, *nominal, *(() if sim is None else (sim,))))
+    chosen = _best(real, sim, nominal)
+    if chosen is not None:
+        said = tuple(notices(real, sim, nominal, chosen.ideal))
+        return dataclasses.replace(
+            chosen, ideal=dataclasses.replace(chosen.ideal, warnings=(*chosen.ideal.warnings, *said))
+        )
+    if sim is not None and sim is not real and not any(len(comparable(real, s)) > 1 for s in TRIADS):
+        raise InvalidInputError(why_no_reference(real, sim))
+    return None
+
+
+def _best(real: Recording, sim: Recording | None, nominal: Sequence[Recording]) -> Chosen | None:
     clean = [*nominal, *(() if sim is None else (sim,))]
     ideal = recorded(real)
     if ideal is not None:
@@ -40,6 +72,9 @@ def choose(real: Recording, sim: Recording | None, nominal: Sequence[Recording])
         return Chosen(_doubted(ideal), tuple((n, re_estimated(n, with_truth=truth)) for n in clean))
     if (pose := pose_of(real)) is not None:
         poses = [(n, pose_of(n)) for n in clean]
+        if any(p is not None and p.cutoffs != pose.cutoffs for _, p in poses):
+            common = functools.reduce(Cutoffs.lower, (p.cutoffs for _, p in poses if p is not None), pose.cutoffs)
+            pose, poses = pose_of(real, common) or pose, [(n, pose_of(n, common)) for n in clean]
         earth = earth_of([(n, p) for n, p in poses if p is not None] or [(real, pose)])
         made = tuple((n, None if p is None else driven(p, earth)) for n, p in poses)
         return Chosen(driven(pose, earth), made)
@@ -58,6 +93,8 @@ def of_same_trajectory(real: Recording, sim: Recording) -> Ideal | None:
         return None
     shift = aligned(real, sim)
     table = sim.identity.autopilot is None
+    if table and (shift is None or shift.correlation < SAME):
+        shift = aligned_in_any_frame(real, sim) or shift
     if one_clock(real, sim) and (
         not moving_apart(real, sim) if table else shift is not None and shift.near(0.0, CLOSED)
     ):

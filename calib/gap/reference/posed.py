@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_erosion
 from scipy.spatial.transform import Rotation
 
 from calib import STANDARD_GRAVITY
+from calib.errors import InvalidInputError
 from calib.gap.problem import ReferenceInfo, ReferenceKind
+from calib.gap.reference.frames import TURNS, correlation, likened, turned_correlation
 from calib.gap.reference.ideal import Ideal
 from calib.gap.reference.recorded import continuous, true_attitude, true_place
 from calib.gap.reference.signal import Signal, linear
@@ -21,6 +25,22 @@ Array = NDArray[np.float64]
 GRAVITY_NED = np.array([0.0, 0.0, STANDARD_GRAVITY])
 
 
+@dataclass(frozen=True)
+class Cutoffs:
+    """Frequencies in Hz up to which turning and moving are taken from a pose; None: all."""
+
+    turning: float | None = None
+    moving: float | None = None
+
+    def lower(self, other: Cutoffs) -> Cutoffs:
+        """The lower of each: two recordings are compared as far as both poses tell."""
+        return Cutoffs(_lower(self.turning, other.turning), _lower(self.moving, other.moving))
+
+
+def _lower(one: float | None, other: float | None) -> float | None:
+    return min((c for c in (one, other) if c is not None), default=None)
+
+
 @dataclass(frozen=True, eq=False)
 class Pose:
     """Attitude (N, 4) body to north-east-down on `t`, angular rate (N, 3) in the body, acceleration (N, 3) in NED."""
@@ -30,8 +50,10 @@ class Pose:
     rate: Array
     acceleration: Array | None
     place: Signal | None
-    cutoff_hz: float | None
+    cutoffs: Cutoffs
     att_sigma_deg: float
+    known: NDArray[np.bool_]
+    """Where on `t` it was recorded, shape (N,); elsewhere it was drawn across a hole."""
 
     def body_from_ned(self, t: Array) -> Rotation:
         """At the times `t`."""
@@ -43,24 +65,92 @@ def rotation(q: Array) -> Rotation:
     return Rotation.from_quat(q[:, [1, 2, 3, 0]])
 
 
-def pose_of(recording: Recording) -> Pose | None:
-    """The reference pose of `recording`: ``ref_q_*``, or a table's own; None without an attitude."""
+def pose_of(recording: Recording, highest: Cutoffs | None = None) -> Pose | None:
+    """The reference pose of `recording`: ``ref_q_*``, or a table's own; None without an attitude.
+
+    `highest`: frequencies beyond which nothing is kept, whatever the recording allows; None: there are none.
+    """
+    highest = highest or Cutoffs()
     attitude = true_attitude(recording)
     if attitude is None:
         return None
     smooth, q, rate = _turned(attitude, None)
     gyro = _judge(recording, Sensor.GYRO, smooth.t)
-    if gyro is not None and (cutoff := bandwidth(smooth.t, rate, gyro)) is not None:
-        smooth, q, rate = _turned(attitude, cutoff)
+    if gyro is not None:
+        _check_convention(smooth, gyro, _judge(recording, Sensor.ACCEL, smooth.t))
+        if (cutoff := _lower(bandwidth(smooth.t, rate, likened(gyro, rate)), highest.turning)) is not None:
+            smooth, q, rate = _turned(attitude, cutoff)
+    acceleration, moving = _acceleration(recording, smooth.t, q, highest.moving)
     return Pose(
         t=smooth.t,
         attitude=q,
         rate=rate,
-        acceleration=_acceleration(recording, smooth.t, q),
+        acceleration=acceleration,
         place=true_place(recording),
-        cutoff_hz=smooth.cutoff_hz,
+        cutoffs=Cutoffs(smooth.cutoff_hz, moving),
         att_sigma_deg=float(np.degrees(2.0 * np.sqrt((smooth.noise**2).sum()))),
+        known=_known(attitude, smooth),
     )
+
+
+def _known(attitude: Signal, smooth: Smoothed) -> NDArray[np.bool_]:
+    """Where an attitude was recorded nearby: what a filter draws across a hole is no pose."""
+    known = attitude.known(smooth.t)
+    if smooth.cutoff_hz is None or known.all():
+        return known
+    count = int(1.0 / smooth.cutoff_hz / float(smooth.t[1] - smooth.t[0]))
+    return np.asarray(binary_erosion(known, np.ones(2 * count + 1), border_value=1))
+
+
+def _check_convention(smooth: Smoothed, gyro: Array, force: Array | None) -> None:
+    """The quaternion turns as the gyroscope does, unless it was written in another convention.
+
+    Some conventions turn as a gyroscope in another frame does: then gravity decides.
+
+    Raises
+    ------
+    InvalidInputError
+        If its inverse, or its numbers in another order, turn as the gyroscope does and it does not, or if it has
+        nothing in common with it.
+    """
+    if np.linalg.eigvalsh(np.cov(gyro.T))[1] < _TURNING**2:
+        return  # a turn about one axis is a turn the other way with a sign
+    reading = smoothed(Signal(smooth.t, gyro), _CONVENTION_HZ).values
+
+    def turns(q: Array) -> Array:
+        turned = smoothed(Signal(smooth.t, continuous(q)), _CONVENTION_HZ)
+        return body_rate(turned.values / np.linalg.norm(turned.values, axis=1, keepdims=True), turned.first)
+
+    def hangs(q: Array) -> float:
+        return 0.0 if force is None else correlation(force, rotation(q).inv().apply(-GRAVITY_NED))
+
+    if correlation(reading, turns(smooth.values)) > _ALIKE:
+        return
+    made = {what: change(smooth.values) for what, change in _CONVENTIONS.items()}
+    others = {what: correlation(reading, turns(q)) for what, q in made.items()}
+    what = max(others, key=lambda name: others[name])
+    given = turned_correlation(reading, turns(smooth.values))
+    need = "give q_w, q_x, q_y, q_z from the body to north-east-down"
+    if others[what] > _ALIKE and hangs(made[what]) >= hangs(smooth.values):
+        raise InvalidInputError(
+            f"the attitude does not turn as the gyroscope does, and would (correlation {others[what]:.2f}) if it were "
+            f"{what}: {need}"
+        )
+    if given < _STRANGE:
+        raise InvalidInputError(
+            f"the attitude and the gyroscope have nothing in common (correlation {given:.2f}): {need}, of the same "
+            "movement"
+        )
+
+
+_CONVENTIONS: dict[str, Callable[[Array], Array]] = {
+    "inverted, from north-east-down to the body": lambda q: q * [1.0, -1.0, -1.0, -1.0],
+    "written x y z w": lambda q: q[:, [3, 0, 1, 2]],
+    "written z w x y": lambda q: q[:, [1, 2, 3, 0]],
+}
+_TURNING = 0.05
+_CONVENTION_HZ = 5.0
+_ALIKE, _STRANGE = 0.9, 0.3
 
 
 def _turned(attitude: Signal, cutoff: float | None) -> tuple[Smoothed, Array, Array]:
@@ -83,8 +173,11 @@ def body_rate(q: Array, change: Array) -> Array:
     return np.asarray(2.0 * (w * dv - v * dw - np.cross(v, dv)))
 
 
-def _acceleration(recording: Recording, t: Array, q: Array) -> Array | None:
-    """In NED at `t`, from velocity or place, as far up in frequency as the accelerometer knows of it; None without."""
+def _acceleration(recording: Recording, t: Array, q: Array, highest: float | None) -> tuple[Array | None, float | None]:
+    """In NED at `t`, from velocity or place, as far up in frequency as the accelerometer knows of it, and how far.
+
+    None without.
+    """
     found: dict[Sensor, Channel] = {c.sensor: c for c in recording.reference if len(c) >= 16}
     turn = rotation(q)
     force = _judge(recording, Sensor.ACCEL, t)
@@ -95,10 +188,11 @@ def _acceleration(recording: Recording, t: Array, q: Array) -> Array | None:
             if force is not None:
                 plain = smoothed(signal)
                 moved = linear(plain.t, _derivative(plain, sensor), t)
-                cutoff = bandwidth(t, moved, turn.apply(force) + GRAVITY_NED)
-            smooth = smoothed(signal, cutoff)
-            return linear(smooth.t, _derivative(smooth, sensor), t)
-    return None
+                likely = likened(force, turn.inv().apply(moved - GRAVITY_NED))
+                cutoff = bandwidth(t, moved, turn.apply(likely) + GRAVITY_NED)
+            smooth = smoothed(signal, _lower(cutoff, highest))
+            return linear(smooth.t, _derivative(smooth, sensor), t), smooth.cutoff_hz
+    return None, None
 
 
 def _derivative(smooth: Smoothed, sensor: Sensor) -> Array:
@@ -110,20 +204,21 @@ def driven(pose: Pose, earth: Array | None) -> Ideal:
 
     Without a place or a velocity the vehicle is taken not to accelerate, and the text says so.
     """
-    turn = rotation(pose.attitude).inv()
+    rows, turn = pose.known, rotation(pose.attitude).inv()
     acceleration = np.zeros((len(pose.t), 3)) if pose.acceleration is None else pose.acceleration
     readings = {
-        Sensor.ACCEL: Signal(pose.t, turn.apply(acceleration - GRAVITY_NED)),
-        Sensor.GYRO: Signal(pose.t, pose.rate),
+        Sensor.ACCEL: Signal(pose.t[rows], turn.apply(acceleration - GRAVITY_NED)[rows]),
+        Sensor.GYRO: Signal(pose.t[rows], pose.rate[rows]),
     }
     if earth is not None:
-        readings[Sensor.MAG] = Signal(pose.t, turn.apply(np.tile(earth, (len(pose.t), 1))))
-    band = "" if pose.cutoff_hz is None else f", below {pose.cutoff_hz:.3g} Hz, where its own noise begins"
+        readings[Sensor.MAG] = Signal(pose.t[rows], turn.apply(np.tile(earth, (len(pose.t), 1)))[rows])
+    cutoff = pose.cutoffs.turning
+    band = "" if cutoff is None else f", below {cutoff:.3g} Hz, where its own noise begins"
     still = "" if pose.acceleration is not None else "; no place or velocity was recorded: acceleration is not in it"
     return Ideal(
         ReferenceInfo(ReferenceKind.POSE, pose.att_sigma_deg, text=f"An ideal sensor driven by a pose{band}{still}."),
         readings,
-        Signal(pose.t, continuous(pose.attitude)),
+        Signal(pose.t[rows], continuous(pose.attitude[rows])),
         pose.place,
     )
 
@@ -132,7 +227,9 @@ def earth_field_of(channels: list[Channel], pose: Pose) -> Array | None:
     """The field in NED that magnetometers saw along `pose`, beside an offset of each; None if nothing determines it.
 
     ``m = R_bn B + h``, linear in B and every h; residuals beyond three times their median lose weight, so that what
-    comes and goes does not pull. Where too few attitudes were visited to tell B from h, h is taken as zero.
+    comes and goes does not pull. Where too few attitudes were visited to tell B from h, h is taken as zero. A
+    magnetometer in another frame fits no field in its own: B is then what it saw in the frame that fits, in which the
+    field points north. None as well where several frames fit alike, as they do about one axis.
     """
     rows, values, owner = [], [], []
     for i, channel in enumerate(channels):
@@ -150,8 +247,41 @@ def earth_field_of(channels: list[Channel], pose: Pose) -> Array | None:
     for i in range(len(channels)):
         offsets[which == i, :, 3 * i : 3 * i + 3] = np.eye(3)
     told_apart = np.linalg.svd(turns.mean(axis=0), compute_uv=False)[0] < _SPREAD
-    design = np.concatenate([turns, offsets], axis=2) if told_apart else turns
-    return _robust(design, m)[:3]
+    both = np.concatenate([turns, offsets], axis=2)
+    frame = _frame_of(both, m)
+    return None if frame is None else _robust(both if told_apart else turns, m @ frame)[:3]
+
+
+def _frame_of(design: Array, m: Array) -> Array | None:
+    """Exchange of axes and signs after which `m` (N, 3) fits a field; None: several do, and its own does not.
+
+    A frame and its opposite fit alike, with opposite fields: the one in which the field points north.
+    """
+    few = slice(None, None, max(1, len(m) // 500))
+    flat = design[few].reshape(-1, design.shape[2])
+    left = np.linalg.svd(flat, full_matrices=False)
+    span = left[0][:, left[1] > 1e-6 * left[1][0]]
+
+    def misfit(turn: Array) -> float:
+        right = (m[few] @ turn).ravel()
+        return float(np.sum((right - span @ (span.T @ right)) ** 2))
+
+    own = misfit(np.eye(3))
+    if own < _FITS * np.sum((m[few] - m[few].mean(axis=0)) ** 2):
+        return np.eye(3)
+    found = {key: misfit(turn) for key, turn in TURNS.items()}
+    least = min(found.values())
+    if own <= 4.0 * least:
+        return np.eye(3)
+    fitting = [TURNS[key] for key, value in found.items() if value <= 2.0 * least]
+    if len(fitting) > 2:  # one and its opposite
+        return None
+    north = [turn for turn in fitting if _robust(design[few], m[few] @ turn)[0] > 0.0]
+    return (north or fitting)[0]
+
+
+_FITS = 0.1
+"""Share of a magnetometer's movement that may be left beside its field: more does not fit at all."""
 
 
 _SPREAD = 0.98

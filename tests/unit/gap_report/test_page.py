@@ -24,8 +24,10 @@ from calib.gap.schema import (
     Verdict,
 )
 from calib.gap_report import gap_to_html, verdict_sentence
-from calib.gap_report.chart import Chart, limits_of, thinned, ticks
-from calib.gap_report.series_plots import allan, spectrum
+from calib.gap_report.chart import Chart, heat, limits_of, thinned, ticks
+from calib.gap_report.series_plots import allan, spectrum, spectrum_plot
+from calib.gap_report.table_plots import waterfall
+from calib.gap_report.words import regime
 from calib.recording import Sensor
 from tests.unit.gap.export.making import effect, report
 
@@ -157,3 +159,48 @@ def test_limits_are_never_empty() -> None:
     chart = Chart("t", "x", "y", (0.0, 1.0), limits_of([2.0]))
     chart.line([0, 0.5, 1], [2.0, np.nan, 2.0], "--before")
     ElementTree.fromstring(chart.drawn())
+
+
+def test_sensors_that_were_not_compared_are_in_the_answer():
+    lost = NotTestable("gyro", "gyro of instance 1 is in another frame than its reference", "the same frame")
+    page = gap_to_html(dataclasses.replace(report(effect("accel_bias", bias=(0.1, 0.0, 0.0))), not_testable=(lost,)))
+    box = page.split('class="verdict"')[1].split("</div>")[0]
+    assert "Not compared, at least in part: gyroscope" in box
+    assert "Not compared" not in gap_to_html(report(effect("accel_bias", bias=(0.1, 0.0, 0.0))))
+
+
+def placed(picture: str) -> list[tuple[float, float, str]]:
+    """Upright words that begin where they stand: right edge as drawn (6.2 units a letter), width of the picture."""
+    root = ElementTree.fromstring(picture)
+    width = float(root.attrib["viewBox"].split()[2])
+    return [
+        (float(e.attrib["x"]) + 6.2 * len(e.text or ""), width, e.text or "")
+        for e in root.findall("text")
+        if e.attrib.get("text-anchor") == "start"
+    ]
+
+
+def test_no_word_runs_out_of_its_picture():
+    long = Shrink(
+        0.009692, 0.0001222, 0.0, "declared_noise", 0.97, (0.95, 0.99), nested=True,
+        sequence=(SequenceStep("accel_rotation", 0.001), SequenceStep("gyro_bias", 0.9874)), rms={},
+    )  # fmt: skip
+    for picture in (waterfall(long), spectrum_plot(a_series())):
+        assert [words for right, width, words in placed(picture) if right > width] == []
+
+
+def test_names_of_conditions_have_room_above_the_map():
+    name = "rotor speed of motor 4 118..120 Hz"
+    root = ElementTree.fromstring(heat(["accel.x 1"], [name], [(0, 0, 1.0, "")], "map"))
+    turned = next(g for g in root.findall("g") if name in "".join(g.itertext()))
+    y = float(turned.attrib["transform"].split("translate(")[1].split(")")[0].split()[1])
+    assert y > 0.866 * 5.6 * len(name)
+
+
+def test_a_condition_that_never_changes_has_one_number():
+    assert regime(Finding("accel.x", 1, Regime("throttle", (0.0, 0.0), ""), 1.0, 1.0, "m/s2", 1e-9)) == "throttle 0"
+
+
+def test_numbers_without_a_unit_have_none():
+    page = gap_to_html(dataclasses.replace(report(), power=(Power("accel_scale", "scale.x", 0.0086, "1"),)))
+    assert "0.0086</td>" in page

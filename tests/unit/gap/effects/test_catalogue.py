@@ -23,6 +23,8 @@ BOTH = """
 INERTIAL = "bias scale misalignment vibration vibration_rectification aliasing" + BOTH
 MAGNETIC = "hard_iron soft_iron motor_current earth_field field_gradient" + BOTH
 LIMITS = {f"{sensor}_{kind}" for sensor in ("accel", "gyro", "mag") for kind in ("saturation", "dead_band")}
+LATE = {"mag_motor_current"}
+SLOW = {f"{sensor}_step" for sensor in ("accel", "gyro", "mag")}
 LINES = {f"{sensor}_{kind}" for sensor in ("accel", "gyro") for kind in ("vibration", "aliasing")}
 
 
@@ -31,7 +33,7 @@ def test_every_kind_of_the_schema_is_there_and_nothing_else():
     expected |= {f"mag_{kind}" for kind in MAGNETIC.split()}
     expected |= {"accel_lever_arm", "gyro_g_sensitivity", "clock_drift", "reference_attitude"}
     assert set(by_id()) == expected
-    assert Counter(e.id for e in catalogue()) == {name: 1 + (name in LIMITS | LINES) for name in expected}
+    assert Counter(e.id for e in catalogue()) == {name: 1 + (name in LIMITS | LINES | LATE | SLOW) for name in expected}
 
 
 def test_an_end_of_the_range_is_sought_in_the_samples_and_in_the_mean():
@@ -46,6 +48,12 @@ def test_a_line_is_power_or_a_wave_and_both_compete_under_names_of_their_own():
         assert forms == {"~wave": MeanEffect, "": NoiseEffect}
     names = [e.id + e.form for e in catalogue() if not isinstance(e, LatticeEffect)]
     assert len(set(names)) == len(names)
+
+
+def test_a_lag_of_the_current_and_a_gradual_step_are_forms_of_their_effects():
+    assert {e.form for e in catalogue() if e.id in LATE} == {"", "~late"}
+    for name in SLOW:
+        assert {e.form for e in catalogue() if e.id == name} == {"", "~slow"}
 
 
 def test_rivals_exist_and_every_effect_says_what_excites_it_and_what_helps():
@@ -112,7 +120,7 @@ def test_the_table_of_parameters_names_each_one_once_with_its_unit():
         rows = parameter_table()[effect.id]
         own = _own(effect)
         assert set(own) <= set(rows)
-        if effect.id not in LIMITS | LINES:
+        if effect.id not in LIMITS | LINES | LATE:
             assert list(rows) == own
         assert len({r.name for r in rows}) == len(rows) > 0
         assert all(r.unit for r in rows)
@@ -135,8 +143,9 @@ def _own(effect):
 
 
 def _name(effect):
-    if effect.form == "~wave":
-        return f"`{effect.id}` as a wave"
+    forms = {"~wave": "as a wave", "~late": "with a lag", "~slow": "that takes its time"}
+    if effect.form:
+        return f"`{effect.id}` {forms[effect.form]}"
     return f"`{effect.id}`" + (" before the noise" if effect.id in LIMITS and isinstance(effect, MeanEffect) else "")
 
 

@@ -7,7 +7,8 @@ import pytest
 
 from calib.errors import InvalidInputError
 from calib.gap.reference import build
-from calib.recording import Identity, Recording, Sensor
+from calib.logs.tables import NO_TIME
+from calib.recording import Event, Identity, Recording, Sensor
 
 from .test_recorded import RATE, by_sensor, channel, flown
 
@@ -107,3 +108,145 @@ def test_samples_that_are_not_finite_are_holes():
 def test_a_recording_of_nothing_is_refused():
     with pytest.raises(InvalidInputError):
         build(Recording(()))
+
+
+def hovering(values, sensor):
+    """Little movement about a mean: what a hover leaves of it."""
+    size = 0.25 if sensor == Sensor.MAG else 1.0
+    return values.mean(axis=0) + size * (values - values.mean(axis=0))
+
+
+def calm():
+    """A recording with ideal readings in which the field turns little."""
+    real = flown()
+    reference = tuple(dataclasses.replace(c, values=hovering(c.values, c.sensor)) for c in real.reference)
+    noise = np.random.default_rng(4)
+    channels = [
+        dataclasses.replace(c, values=hovering(c.values, c.sensor) + 0.2 * noise.standard_normal(c.values.shape))
+        if c.sensor == Sensor.MAG
+        else c
+        for c in real.channels
+    ]
+    return dataclasses.replace(real, channels=tuple(channels), reference=reference)
+
+
+def test_the_frame_of_a_compass_shows_in_a_hover():
+    (refused,) = build(
+        changed(calm(), Sensor.MAG, lambda v: v[:, [1, 0, 2]] + np.array([20.0, -5.0, 9.0]))
+    ).not_testable
+    assert "x reads y, y reads x" in refused[1]
+    assert build(changed(calm(), Sensor.MAG, lambda v: v + np.array([40.0, -25.0, 19.0]))).not_testable == ()
+
+
+def test_the_unit_of_a_compass_shows_at_rest():
+    def stand(values):
+        noise = np.random.default_rng(1).standard_normal(values.shape)
+        return values.mean(axis=0) + 0.1 * noise
+
+    real = changed(flown(), Sensor.MAG, stand)
+    real = dataclasses.replace(
+        real,
+        reference=tuple(
+            dataclasses.replace(c, values=np.tile(c.values.mean(axis=0), (len(c), 1))) if c.sensor == Sensor.MAG else c
+            for c in real.reference
+        ),
+    )
+    assert build(real).not_testable == ()
+    for factor, words in ((1000.0, "a thousand"), (10.0, "mgauss"), (0.01, "gauss")):
+        (refused,) = build(changed(real, Sensor.MAG, lambda v, f=factor: f * v)).not_testable
+        assert words in refused[1]
+        assert "--unit-mag" in refused[2]
+
+
+def test_milligravities_are_no_gauss():
+    (refused,) = build(changed(flown(), Sensor.ACCEL, lambda v: v / 9.80665e-3)).not_testable
+    assert "mg and m/s2" in refused[1]
+
+
+def of_reference(recording, sensor, change):
+    return dataclasses.replace(
+        recording,
+        reference=tuple(
+            dataclasses.replace(c, values=change(c.values)) if c.sensor == sensor else c for c in recording.reference
+        ),
+    )
+
+
+@pytest.mark.parametrize("sensor", [Sensor.ACCEL, Sensor.GYRO, Sensor.MAG])
+def test_a_reference_of_zeros_is_named(sensor):
+    real = of_reference(flown(), sensor, lambda v: np.tile([0.0, 0.0, 40.0 * (sensor == Sensor.MAG)], (len(v), 1)))
+    (refused,) = build(real).not_testable
+    assert refused[0] == sensor.value
+    assert "has one value throughout" in refused[1]
+
+
+def test_a_reference_that_is_worse_than_the_sensor_is_named():
+    noise = np.random.default_rng(3)
+    (refused,) = build(
+        of_reference(flown(), Sensor.ACCEL, lambda v: v + 0.3 * noise.standard_normal(v.shape))
+    ).not_testable
+    assert "times the noise of the sensor on x, y, z" in refused[1]
+
+
+def test_a_slower_sensor_is_no_worse_reference():
+    def slow(values):
+        kernel = np.ones(25) / 25.0
+        return np.column_stack([np.convolve(c, kernel, mode="same") for c in values.T])
+
+    assert build(changed(flown(), Sensor.GYRO, slow)).not_testable == ()
+
+
+def test_a_copy_of_the_reference_is_named():
+    real = flown()
+    exact = next(c.values for c in real.reference if c.sensor == Sensor.GYRO)
+    (refused,) = build(changed(real, Sensor.GYRO, lambda _: exact + np.array([0.1, 0.0, -0.2]))).not_testable
+    assert "differ by 0.1, 0, -0.2 rad/s throughout on x, y, z, without any noise" in refused[1]
+
+
+def test_a_sensor_without_noise_is_not_alive_even_at_rest():
+    still = flown()
+    for sensor in (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG):
+        still = of_reference(still, sensor, lambda v: np.tile(v[0], (len(v), 1)))
+        still = changed(still, sensor, lambda v: np.tile(v[0], (len(v), 1)))
+    problem = build(still)
+    assert problem.traces == ()
+    assert all("a live sensor has noise" in reason for _, reason, _ in problem.not_testable)
+
+
+def test_a_damaged_number_is_named_with_its_time():
+    def struck(values):
+        spoilt = values.copy()
+        spoilt[700, 0] = 1e30
+        return spoilt
+
+    (refused,) = build(changed(flown(), Sensor.ACCEL, struck)).not_testable
+    assert "reads 1e+30 m/s2 on x at 7.000 s" in refused[1]
+
+
+@pytest.mark.parametrize(("factor", "words"), [(1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds")])
+def test_time_in_another_unit_is_named(factor, words):
+    real = flown()
+
+    def later(channels):
+        return tuple(dataclasses.replace(c, t=c.t * factor) for c in channels)
+
+    timed = dataclasses.replace(real, channels=later(real.channels), reference=later(real.reference))
+    with pytest.raises(InvalidInputError, match=f"looks like {words}"):
+        build(timed)
+
+
+def test_time_that_stands_still_is_named():
+    real = flown()
+    stopped = [dataclasses.replace(c, t=np.full(len(c), 5.0)) for c in real.channels]
+    with pytest.raises(InvalidInputError, match="one time for all samples"):
+        build(real.with_channels(stopped))
+
+
+def test_rows_that_were_counted_are_no_time():
+    real = dataclasses.replace(flown(), events=(Event(0.0, NO_TIME, "rows are counted; give --rate"),))
+
+    def counted(channels):
+        return tuple(dataclasses.replace(c, t=np.arange(len(c), dtype=float)) for c in channels)
+
+    with pytest.raises(InvalidInputError, match="--rate"):
+        build(dataclasses.replace(real, channels=counted(real.channels), reference=counted(real.reference)))

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from calib.errors import InvalidInputError
 from calib.gap.problem import ReferenceKind
 from calib.gap.reference import build
 from calib.gap.reference.posed import body_rate, earth_field_of, pose_of
@@ -48,11 +49,17 @@ def test_a_velocity_gives_the_acceleration():
     assert by_sensor(build(placed))[Sensor.ACCEL].residual[50:-50].mean(axis=0) == pytest.approx(np.zeros(3), abs=0.003)
 
 
+def test_a_pose_goes_no_further_than_the_one_it_is_compared_with():
+    noisy = pose_of(posed(jitter=2e-3))
+    exact = pose_of(posed(), noisy.cutoffs)
+    assert exact.cutoffs.turning == noisy.cutoffs.turning
+
+
 def test_a_noisy_pose_is_used_below_the_frequency_where_it_is_noise():
     exact, noisy = pose_of(posed()), pose_of(posed(jitter=2e-3))
-    assert noisy.cutoff_hz is not None
-    assert noisy.cutoff_hz < 10.0
-    assert exact.cutoff_hz is None or exact.cutoff_hz > 3.0
+    assert noisy.cutoffs.turning is not None
+    assert noisy.cutoffs.turning < 10.0
+    assert exact.cutoffs.turning is None or exact.cutoffs.turning > 3.0
     ideal, _ = truth(noisy.t)
     assert np.abs(noisy.rate - ideal[Sensor.GYRO])[50:-50].std() < 0.02
 
@@ -80,3 +87,58 @@ def test_a_nominal_recording_gives_field_and_noise():
     assert trace.residual[off].mean(axis=0) == pytest.approx(np.zeros(3), abs=0.3)
     assert trace.residual[~off].mean(axis=0)[2] == pytest.approx(30.0, rel=0.15)
     assert trace.sigma == pytest.approx(SIGMA[Sensor.MAG], rel=0.2)
+
+
+def turned(recording, sensor, turn):
+    """`recording` with the readings of `sensor` in another frame."""
+    return recording.with_channels(
+        dataclasses.replace(c, values=c.values @ turn.T) if c.sensor == sensor else c for c in recording.channels
+    )
+
+
+@pytest.mark.parametrize(
+    ("turn", "words"),
+    [
+        (np.diag([1.0, -1.0, -1.0]), "the sign of y is turned, the sign of z is turned"),
+        (np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, 1]]), "x reads y, y reads x"),
+    ],
+)
+@pytest.mark.parametrize("sensor", [Sensor.ACCEL, Sensor.GYRO, Sensor.MAG])
+def test_a_frame_is_named_and_costs_the_other_sensors_nothing(sensor, turn, words):
+    usual, problem = by_sensor(build(posed())), build(turned(posed(), sensor, turn))
+    (refused,) = problem.not_testable
+    assert refused[0] == sensor.value
+    assert words in refused[1]
+    for other, trace in by_sensor(problem).items():
+        assert trace.residual[50:-50].std() == pytest.approx(usual[other].residual[50:-50].std(), rel=0.1)
+
+
+@pytest.mark.parametrize("factor", [1000.0, 10.0, 0.01])
+def test_a_field_that_is_not_the_earths_is_named(factor):
+    (refused,) = build(turned(posed(), Sensor.MAG, factor * np.eye(3))).not_testable
+    assert "the Earth's is 22 to 67" in refused[1]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda q: q * [1.0, -1.0, -1.0, -1.0], "inverted"),
+        (lambda q: q[:, [1, 2, 3, 0]], "x y z w"),
+        (lambda q: np.tile(q[0], (len(q), 1)), "nothing in common"),
+    ],
+)
+def test_an_attitude_of_another_convention_is_named(change, words):
+    real = posed()
+    other = [
+        dataclasses.replace(c, values=change(c.values)) if c.sensor == Sensor.ATTITUDE else c for c in real.channels
+    ]
+    with pytest.raises(InvalidInputError, match=words):
+        build(real.with_channels(other))
+
+
+def test_a_hole_of_the_pose_is_no_reference():
+    real = posed()
+    kept = [c.take((c.t < 8.0) | (c.t > 10.0)) if c.sensor == Sensor.ATTITUDE else c for c in real.channels]
+    for trace in build(real.with_channels(kept)).traces:
+        assert not trace.observed[(trace.t > 8.1) & (trace.t < 9.9)].any()
+        assert trace.observed[trace.t < 6.5].all()

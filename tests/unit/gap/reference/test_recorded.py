@@ -139,3 +139,15 @@ def test_a_sensor_in_another_frame_is_still_on_the_same_trajectory():
     problem = build(real.with_channels(turned), flown(2, reference=False))
     assert problem.not_testable[0][0] == "gyro"
     assert {t.sensor for t in problem.traces} == {Sensor.ACCEL, Sensor.MAG}
+
+
+@pytest.mark.parametrize("offset", [0.0, 3.217])
+@pytest.mark.parametrize(
+    "turn", [np.diag([1.0, -1.0, -1.0]), np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]), -np.eye(3)]
+)
+def test_all_sensors_in_another_frame_are_still_on_the_same_trajectory(offset, turn):
+    real = flown(1, reference=False)
+    turned = [dataclasses.replace(c, values=c.values @ turn.T) if c.sensor in SIGMA else c for c in real.channels]
+    problem = build(real.with_channels(turned), flown(2, reference=False, offset=offset))
+    assert {name for name, _, _ in problem.not_testable} == {"accel", "gyro", "mag"}
+    assert all("another frame" in reason for _, reason, _ in problem.not_testable)

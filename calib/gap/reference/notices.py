@@ -1,0 +1,106 @@
+"""What is said of recordings beside the traces: what was not compared, given twice, or is too coarse to be compared."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from calib.gap.problem import ReferenceKind
+from calib.gap.reference.align import SAME, aligned, aligned_in_any_frame, same_digits
+from calib.gap.reference.calibrated import TRIADS
+from calib.gap.reference.chosen import comparable, sensors_of
+from calib.gap.reference.grid import LONGEST_HOLE_S
+from calib.gap.reference.ideal import Ideal
+from calib.recording import Recording, Sensor
+
+_SLOWER = 0.5
+"""Ratio of rates from which a reference leaves out what the sensor sees."""
+_REPEATED = 0.1
+"""Share of samples with the stamp of another from which it is said."""
+
+
+def notices(real: Recording, sim: Recording | None, nominal: Sequence[Recording], ideal: Ideal) -> Iterator[str]:
+    """Sentences for the report."""
+    if sim is not None and sim is not real and same_digits(real, sim):
+        yield (
+            "the simulator's recording holds the same samples as the real one: what they show counts as the "
+            "simulator's own, and no gap can be seen"
+        )
+    if any(same_digits(real, n) for n in nominal):
+        yield (
+            "a nominal recording holds the same samples as the real one: what they show counts as noise; give one of "
+            "another time"
+        )
+    yield from _not_compared(real, ideal)
+    yield from _too_slow(real, ideal)
+    yield from _one_stamp(real)
+    yield from _in_parts(real)
+
+
+def _not_compared(real: Recording, ideal: Ideal) -> Iterator[str]:
+    there = {c.sensor for c in sensors_of(real)}
+    for sensor in TRIADS:
+        if sensor in ideal.readings and sensor not in there:
+            if any(c.sensor == sensor for c in real.reference):
+                yield f"{sensor.value} has a reference and no sample with all three axes: are its columns empty?"
+        elif sensor in there and sensor not in ideal.readings and len(comparable(real, sensor)) < 2:
+            why = ""
+            if sensor == Sensor.MAG and ideal.info.kind == ReferenceKind.POSE:
+                why = ": along the pose it fits no field in its own frame, and in several others one"
+            yield f"{sensor.value} has no reference and was not compared{why}"
+
+
+def _too_slow(real: Recording, ideal: Ideal) -> Iterator[str]:
+    if ideal.info.kind not in {ReferenceKind.SIM, ReferenceKind.POSE}:
+        return  # of no recording: how fast it is, is known
+    for channel in sensors_of(real):
+        signal = ideal.readings.get(channel.sensor)
+        times = np.unique(channel.t)
+        if signal is None or len(times) < 2:
+            continue
+        theirs, ours = (1.0 / float(np.median(np.diff(t))) for t in (signal.t, times))
+        if theirs < _SLOWER * ours:
+            yield (
+                f"the reference of {channel.sensor.value} has {theirs:.3g} samples a second and the sensor {ours:.3g}: "
+                f"above {0.5 * theirs:.3g} Hz whatever the sensor reads is a gap"
+            )
+
+
+def _one_stamp(real: Recording) -> Iterator[str]:
+    for channel in sensors_of(real):
+        lost = 1.0 - len(np.unique(channel.t)) / max(len(channel), 1)
+        if lost > _REPEATED:
+            name = f"{channel.sensor.value} of instance {channel.instance + 1}"
+            yield f"{100.0 * lost:.0f} % of the samples of {name} have the time of another and were left out"
+
+
+def _in_parts(real: Recording) -> Iterator[str]:
+    longest = max((float(np.diff(c.t).max()) for c in sensors_of(real) if len(c) > 1), default=0.0)
+    if longest > LONGEST_HOLE_S:
+        yield (
+            f"the recording has a hole of {longest:.0f} s: only its longest part was compared; cut it there and give "
+            "each part by itself"
+        )
+
+
+def why_no_reference(real: Recording, sim: Recording) -> str:
+    """Why the simulator's recording is no reference for the real one, and what would be."""
+    if same_digits(real, sim):
+        return "the simulator's recording holds the same samples as the real one: was one file given twice?"
+    ours, theirs = ({c.sensor for c in sensors_of(r)} for r in (real, sim))
+    if not ours & theirs:
+        return (
+            f"the recordings have no sensor in common: the real one has {_names(ours)}, the simulator's "
+            f"{_names(theirs)}"
+        )
+    found = [a.correlation for a in (aligned(real, sim), aligned_in_any_frame(real, sim)) if a is not None]
+    told = f"correlation {max(found):.2f} at best, {SAME} is needed" if found else "too little moves in both to tell"
+    return (
+        f"the simulator's recording is of another movement ({told}), and nothing else says what an ideal sensor would "
+        "have read: give a simulation of this very trajectory with time in seconds, or ref_* or q_* columns"
+    )
+
+
+def _names(sensors: set[Sensor]) -> str:
+    return ", ".join(s.value for s in TRIADS if s in sensors) or "none"
