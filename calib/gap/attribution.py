@@ -38,6 +38,8 @@ Key = tuple[str, tuple[int, ...]]
 
 TEMPERATURE = 2.0
 """By which differences of penalised evidence are flattened into probabilities."""
+NAMED = 0.9
+"""Share of clear names that were right on development cases: there are rivals that nobody wrote down."""
 UNKNOWN_PRIOR = 0.0
 """Head start of explanations outside the catalogue, in nats."""
 _NEAR = 12.0
@@ -220,4 +222,4 @@ def _judged(own: Hypothesis, own_delta: float, others: Sequence[Alternative]) ->
     everything = np.array([*weights, *(w + UNKNOWN_PRIOR for w in unknown)])
     total = float(np.logaddexp.reduce(everything))
     lost = float(np.logaddexp.reduce(unknown)) + UNKNOWN_PRIOR - total if unknown else -math.inf
-    return tuple(best.values()), math.exp(-total), math.exp(lost)
+    return tuple(best.values()), NAMED * math.exp(-total), math.exp(lost)

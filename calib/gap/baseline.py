@@ -31,7 +31,7 @@ _CARRIED = (
 """Ends of the ids of what another flight shows alike; what depends on temperature, current or an event is not."""
 _DIFFERENT = 0.1
 """Part of the evidence of a simulated flight's own flaws that a real one must have beyond them."""
-_SMALL = 0.01
+_SMALL = 0.03
 """Evidence a number below which two flights differ anyway: a re-estimated ideal sensor is not surer of itself."""
 
 

@@ -291,6 +291,8 @@ def _derivative(term: Term, view: View, j: int, limits: tuple[float, float]) -> 
     step[j] = size
     up, down = term.moved(step, limits), term.moved(-step, limits)
     width = up.values[j] - down.values[j]
+    if width == 0.0:  # beyond an end of the range that this series allows
+        return np.zeros((view.n, 3))
     return np.asarray((predicted(up, view) - predicted(down, view)) / width)
 
 

@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 
 _LITTLE = 1.0
 """Twice the log-likelihood, to second order, below which a density is not fitted."""
+_DIGITS = 1e-9
+"""Noise of a sample over its reading below which nobody is believed to measure."""
 _NUISANCE: dict[str, Callable[[Array], Array]] = {"white": np.ones_like, "walk": random_walk, "flicker": flicker}
 """What a noise that nobody declared is made of."""
 
@@ -62,11 +64,12 @@ def starting_noise(setting: Setting) -> tuple[Noise, ...]:
                 continue
             omega = view.omega
             level = max(float(np.diff(view.residual[:, c]).var()) / (2.0 * view.gain), 1e-30)
+            least = max(_DIGITS * float(np.abs(view.any_trace.measured).max()), 1e-15) ** 2
             parts = {
                 f"{kind}{view.label}.{c}": view.gain * np.asarray(shape(omega)) for kind, shape in _NUISANCE.items()
             }
             start = {name: level if name.startswith("white") else 1e-9 * level for name in parts}
-            noise.append(Noise(np.zeros(view.count), parts, start))
+            noise.append(Noise(np.full(view.count, least), parts, start))
     return tuple(noise)
 
 

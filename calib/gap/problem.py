@@ -97,6 +97,8 @@ class Trace:
     own_psd : shape (K, 3) or None
         The same without the error of the reference: the sensor's own noise, learned from the differences of instances
         in nominal recordings. Where it is known, `sigma` is of that noise alone.
+    followed
+        Whether the reference knows how fast the reading changes; False: only its level.
     """
 
     sensor: Sensor
@@ -124,6 +126,7 @@ class Trace:
     sigma_dof: float = math.inf
     low_pass_hz: float | None = None
     own_psd: Array | None = None
+    followed: bool = True
 
     @property
     def fs(self) -> float:

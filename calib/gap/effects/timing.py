@@ -153,6 +153,8 @@ def _turns(trace: Trace) -> tuple[str, str] | None:
 
 def _lively(sensor: Sensor) -> Missing:
     def missing(trace: Trace) -> tuple[str, str] | None:
+        if not trace.followed:
+            return "the re-estimated reference does not follow fast changes", "a log at a higher rate, or a pose"
         found, least = slope(trace), _SLOPE[sensor]
         if found >= least:
             return None

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 from calib.errors import InvalidInputError
 from calib.gap.levels import steps_of, with_simulated_step
 from calib.gap.problem import Problem, ReferenceInfo, ReferenceKind, Trace
 from calib.gap.reference.calibrated import corrected, not_undone
-from calib.gap.reference.checks import check_vehicles, checked
+from calib.gap.reference.checks import Checked, check_vehicles, checked
 from calib.gap.reference.choose import choose
 from calib.gap.reference.chosen import sensors_of
 from calib.gap.reference.deviation import deviations, simulated_ideal
@@ -22,6 +24,8 @@ _NO_REFERENCE = (
     "or a log with GPS velocity, or with several instances of a sensor"
 )
 _NO_OVERLAP = "the recording and its reference have no sensor in common, or do not overlap in time: check their clocks"
+_FAST_HZ = 100.0  # rate of a gyroscope whose turns between samples are hardly more than noise
+_OTHER = "the simulator's or a nominal recording"
 _REDUNDANT = "The instances of the vehicle are held against each other."
 
 
@@ -51,9 +55,11 @@ def build(real: Recording, sim: Recording | None = None, nominal: Sequence[Recor
     ideal = None if chosen is None else chosen.ideal
     single = () if ideal is None else single_traces(real, channels, ideal)
     pairs = differences(real, ideal, single)
+    single = told_by(single, pairs)
     if not single and not pairs:
         raise InvalidInputError(_NO_REFERENCE if ideal is None else _NO_OVERLAP)
-    clean = [] if chosen is None else [(n, nominal_traces(n, its)) for n, its in chosen.nominal]
+    judged = [] if chosen is None else [(n, nominal_traces(n, its)) for n, its in chosen.nominal]
+    clean = [(n, found.traces) for n, found in judged]
     steps = steps_of(c for n, _ in clean for c in sensors_of(n))
     total, own = noise_of([trace for _, traces in clean for trace in traces])
     offsets = deviations([t for n, traces in clean if n is sim for t in traces if t.against is None])
@@ -65,16 +71,24 @@ def build(real: Recording, sim: Recording | None = None, nominal: Sequence[Recor
         *not_undone(channels, real),
         *(() if ideal is None else ideal.warnings),
         *(reason for _, reason, _ in sound.refused),
+        *dict.fromkeys(f"nothing was learned of {r[0]} from {_OTHER}: {r[1]}" for _, f in judged for r in f.refused),
     )
     duration = max(float(t.t[-1] - t.t[0]) for t in single + pairs)
     usual = tuple(trace for _, its in clean for trace in its if trace.against is None)
     return Problem(traces, info, duration, warnings=warnings, not_testable=sound.refused, nominal=usual)
 
 
-def nominal_traces(recording: Recording, ideal: Ideal | None) -> tuple[Trace, ...]:
+def told_by(single: tuple[Trace, ...], pairs: tuple[Trace, ...]) -> tuple[Trace, ...]:
+    """Without those whose reference was drawn through their own few samples, where another instance tells more."""
+    paired = {pair.sensor for pair in pairs}
+    return tuple(t for t in single if t.followed or t.sensor is not Sensor.GYRO or t.sensor not in paired)
+
+
+def nominal_traces(recording: Recording, ideal: Ideal | None) -> Checked:
     """What is sound of a nominal recording: each instance against the reference, and against each other."""
     single = () if ideal is None else single_traces(recording, sensors_of(recording), ideal)
-    return checked(single + differences(recording, ideal, single)).traces
+    pairs = differences(recording, ideal, single)
+    return checked(told_by(single, pairs) + pairs)
 
 
 def noise_of(nominal: Sequence[Trace]) -> tuple[dict[Sensor, Noise], dict[Sensor, Noise]]:
@@ -90,4 +104,11 @@ def noise_of(nominal: Sequence[Trace]) -> tuple[dict[Sensor, Noise], dict[Sensor
 def single_traces(real: Recording, channels: list[Channel], ideal: Ideal) -> tuple[Trace, ...]:
     """Each of `channels` beside what an ideal sensor of its kind read, where that is known."""
     made = [trace_of(c, ideal.readings[c.sensor], ideal, real) for c in channels if c.sensor in ideal.readings]
-    return tuple(trace for trace in made if trace.observed.sum() > 1)
+    return tuple(replace(t, followed=_followed(t, ideal.info)) for t in made if t.observed.sum() > 1)
+
+
+def _followed(trace: Trace, reference: ReferenceInfo) -> bool:
+    """A re-estimated trajectory follows forces up to its bandwidth, and turns as fast as the gyroscope was logged."""
+    if math.isinf(reference.bandwidth_hz) or trace.sensor is Sensor.MAG:
+        return True
+    return trace.sensor is Sensor.GYRO and trace.fs > _FAST_HZ

@@ -172,6 +172,7 @@ def _worse_reference(trace: Trace, name: str, measured: Array, ideal: Array) -> 
     half = len(power[0]) // 2
     own, of_reference, left = (np.median(p[half:], axis=0) for p in power)
     slow = np.median(power[2][: half // 2], axis=0)
+    own = np.maximum(own, 2.0 * trace.quantum**2 / 12.0)  # one-sided, at a sampling rate of one
     worse = (of_reference > _NOISIER * own) & (slow > 0.5 * of_reference) & (left > 0.5 * of_reference)
     if not worse.any():
         return None

@@ -22,6 +22,7 @@ _BANDS = 28
 _COLOURED = 1e-4  # chance of the band furthest from white in white noise, from which on it is not
 _OFF = 1e-3  # chance of a band beside white noise, walk and flicker, from which on it is taken as it is
 _FLOOR = 1e-9  # of the mean power
+_SINGLE = 2.0**-24  # relative error of a single-precision number
 _CLEANED = 6  # times that lines are taken out
 _SHRUNK = 12.0  # coefficients that speak for these, against those of such a band
 _FEWEST = 64
@@ -119,7 +120,12 @@ def learned(trace: Trace) -> Noise | None:
     count = np.bincount(group).astype(np.float64)
     mean = np.column_stack([np.bincount(group, weights=column) for column in power.T]) / count[:, None]
     centre = np.exp(np.bincount(group, weights=np.log(bins)) / count) * trace.fs / (2.0 * n)
-    return Noise(centre, np.maximum(mean, np.finfo(float).tiny), count, trace.fs, trace.low_pass_hz)
+    return Noise(centre, np.maximum(mean, digits_of(trace)), count, trace.fs, trace.low_pass_hz)
+
+
+def digits_of(trace: Trace) -> float:
+    """Variance of the rounding of single-precision numbers: instances of a simulator may agree to the last digit."""
+    return max((_SINGLE * float(np.abs(trace.measured).max())) ** 2, float(np.finfo(float).tiny))
 
 
 def _edges(n: int, fs: float) -> NDArray[np.intp]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -52,7 +53,7 @@ def _not_compared(real: Recording, ideal: Ideal) -> Iterator[str]:
 
 
 def _too_slow(real: Recording, ideal: Ideal) -> Iterator[str]:
-    if ideal.info.kind not in {ReferenceKind.SIM, ReferenceKind.POSE}:
+    if ideal.info.kind not in {ReferenceKind.SIM, ReferenceKind.POSE} or math.isfinite(ideal.info.bandwidth_hz):
         return  # of no recording: how fast it is, is known
     for channel in sensors_of(real):
         signal = ideal.readings.get(channel.sensor)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import maximum_filter1d
 from scipy.spatial.transform import Rotation
 
 from calib.earth import earth_field
@@ -21,13 +22,16 @@ from calib.gap.reference.ideal import Ideal
 from calib.gap.reference.posed import GRAVITY_NED, rotation
 from calib.gap.reference.recorded import continuous, true_attitude
 from calib.gap.reference.signal import Signal, linear, slow
-from calib.gap.reference.strapdown import STEPS, Increments
-from calib.gap.reference.trajectory import ITERATIONS, Aiding, State, smooth, start_at
+from calib.gap.reference.strapdown import STEPS, Between, Increments
+from calib.gap.reference.trajectory import ITERATIONS, WALK, Aiding, State, smooth, start_at
 from calib.recording import Channel, Recording, Sensor
 
 Array = NDArray[np.float64]
 
 STEP_S = 0.1
+_STRAIN = 8.0
+"""Standard deviations from which on an interval is not believed, and intervals on either side."""
+_AROUND = 10
 _FOLLOWED_HZ = 0.2 / STEP_S
 """Up to which a spline through the velocities of the nodes follows an acceleration: a fifth is lost there."""
 """From node to node: what the ideal accelerometer knows ends at half of 1 / STEP_S."""
@@ -194,16 +198,28 @@ def _driven(found: Smoothed) -> Ideal:
     fine_t = imu.t[0] + imu.dt / STEPS * np.arange(len(slip) * STEPS)
     q = np.stack([s.as_quat() for s in steps], axis=1).reshape(-1, 4)[:, [3, 0, 1, 2]]
     rate = (between.rate + slip[:, None, :] / imu.dt).reshape(-1, 3)
+    held = np.repeat(~_strained(found, between), STEPS)
     attitude = Signal(fine_t, continuous(q))
     down = CubicSpline(imu.t, state.velocity, axis=0)(fine_t, 1) - GRAVITY_NED
     body_from_ned = rotation(q).inv()
     readings = {
-        Sensor.ACCEL: Signal(fine_t, body_from_ned.apply(down)),
-        Sensor.GYRO: Signal(fine_t + 0.5 * imu.dt / STEPS, rate),
+        Sensor.ACCEL: Signal(fine_t[held], body_from_ned.apply(down)[held]),
+        Sensor.GYRO: Signal(fine_t[held] + 0.5 * imu.dt / STEPS, rate[held]),
     }
     if found.mag_instance is not None:
-        readings[Sensor.MAG] = Signal(fine_t, body_from_ned.apply(np.tile(state.earth, (len(fine_t), 1))))
+        readings[Sensor.MAG] = Signal(fine_t[held], body_from_ned.apply(np.tile(state.earth, (len(fine_t), 1)))[held])
     return Ideal(_info(found), readings, attitude)
+
+
+def _strained(found: Smoothed, between: Between) -> NDArray[np.bool_]:
+    """Intervals about which the trajectory and the inertial unit contradict each other: a crash, a clipped sensor."""
+    state, imu = found.state, found.imu
+    here, there = state.attitude[:-1], state.attitude[1:]
+    turned = (there.inv() * here * between.turn).as_rotvec()
+    moved = state.velocity[:-1] + here.apply(between.velocity) + GRAVITY_NED * imu.dt - state.velocity[1:]
+    sd = np.sqrt(WALK[[0, 3]] ** 2 * imu.dt + imu.sampling**2)
+    off = np.maximum(np.abs(turned).max(axis=1) / sd[0], np.abs(moved).max(axis=1) / sd[1])
+    return np.asarray(maximum_filter1d(off, 2 * _AROUND + 1) > _STRAIN)
 
 
 def _info(found: Smoothed) -> ReferenceInfo:

@@ -64,7 +64,7 @@ def test_what_the_simulated_flight_shows_less_than_the_real_one_must_be_clear(si
     floor = beside(flight(2, shared), simulated).floor
     assert floor[Sensor.ACCEL] >= 0.1 * simulated.gains[Sensor.ACCEL]
     clean = beside(flight(2), baseline_of(flight(1), ALPHA))
-    assert clean.floor[Sensor.ACCEL] == pytest.approx(0.01 * 3 * len(clean.traces[0].t))
+    assert clean.floor[Sensor.ACCEL] == pytest.approx(0.03 * 3 * len(clean.traces[0].t))
 
 
 def turned(trace):

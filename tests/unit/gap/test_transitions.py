@@ -18,10 +18,10 @@ def put_on(trace):
     up = np.clip((trace.t - ON_S) / 0.8, 0.0, 1.0)
     down = np.clip((trace.t - OFF_S) / 0.4, 0.0, 1.0)
     wobble = np.sin(2.0 * np.pi * (trace.t - ON_S)) * ((up > 0.0) & (up < 1.0))
-    return np.outer(up - down, SIZE) + 0.5 * np.outer(wobble, SIZE[::-1])
+    return np.outer(up - down, SIZE) + 0.2 * np.outer(wobble, SIZE[::-1])
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_levels_before_and_after_give_the_size(seed):
     problem = problem_of(np.random.default_rng(seed), (Sensor.ACCEL,), put_on)
     report = diagnose(problem, nested=False)
