@@ -198,3 +198,21 @@ def test_without_a_series_nothing_is_testable():
     report = diagnose(Problem((), ReferenceInfo(ReferenceKind.SIM), 0.0))
     assert report.verdict is Verdict.NOT_TESTABLE
     assert report.not_testable
+
+
+def test_blocks_that_disagree_widen_the_errors():
+    """A current's field whose size changes on the way: the stated error must not be that of the noise alone."""
+
+    def swinging(trace):
+        return np.outer(trace.current * (1.0 + 0.3 * np.sin(2.0 * np.pi * trace.t / 13.0)), [0.2, -0.1, 0.3])
+
+    def steady(trace):
+        return np.outer(trace.current, [0.2, -0.1, 0.3])
+
+    errors = {}
+    for gap in (steady, swinging):
+        report = diagnose(problem_of(np.random.default_rng(21), (Sensor.MAG,), gap), nested=False)
+        found = next(e for e in report.effects if e.id == "mag_motor_current")
+        errors[gap] = max(p.se for p in found.params if p.name.startswith("per_ampere"))
+        assert found.gates.dose_response is (gap is steady)
+    assert errors[swinging] > 3.0 * errors[steady]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.gap.effects import forward_models
-from calib.gap.folds import carried, expected_gain, folds_of, joined, log_loss
+from calib.gap.folds import carried, expected_gain, folds_of, foretold, joined, log_loss
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.model import NoiseTerm, Term, setting_of, starting_model
 from calib.gap.noise_fit import refitted, starting_noise, with_term
@@ -86,3 +86,14 @@ def test_a_recording_in_fewer_than_three_pieces_has_no_folds():
     setting = setting_of(views_of(problem_of(np.random.default_rng(6), (Sensor.GYRO,)), {}, {}))
     model = with_term(starting_model(setting, starting_noise(setting)), NOISE)
     assert carried(model, starting_model(setting, starting_noise(setting))).noise_terms == (NOISE,)
+
+
+def test_a_jump_beside_a_drift_is_foretold_only_by_the_blocks_in_which_it_happens():
+    made = folds(5)
+    whole = made[0].train
+    step = Term(Hypothesis(forward_models()["gyro_step"][0], (0,)), np.ones(3), 15.0)
+    drift = NoiseTerm(Hypothesis(forward_models()["gyro_random_walk"][-1], (0,)), np.nan)
+    assert all(foretold(step, whole, fold.train.setting) for fold in made)
+    drifting = dataclasses.replace(whole, noise_terms=(drift,))
+    assert [foretold(step, drifting, fold.train.setting) for fold in made] == [True, False, True, True]
+    assert all(foretold(drift, drifting, fold.train.setting) for fold in made)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from calib.gap.effects import by_id
+from calib.gap.effects import by_id, forward_models
 from calib.recording import Sensor
 
 from .conftest import EARTH, make
@@ -81,3 +81,14 @@ def test_what_is_not_recorded_or_does_not_vary_is_named(effect_id, without, says
     lack = effect.missing(dataclasses.replace(trace, **without))
     assert lack is not None
     assert says in lack[0]
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.05, -0.1])
+def test_a_current_may_be_late(lag):
+    trace = make(Sensor.MAG)
+    steady = dataclasses.replace(trace, current=12.0 + 5.0 * np.sin(1.5 * trace.t) + 2.0 * np.sin(4.0 * trace.t))
+    late = 12.0 + 5.0 * np.sin(1.5 * (trace.t - lag)) + 2.0 * np.sin(4.0 * (trace.t - lag))
+    effect = next(e for e in forward_models()["mag_motor_current"] if e.form == "~late")
+    np.testing.assert_allclose(effect.signals(steady, lag)[0, 20:-20], late[20:-20], atol=2e-2)
+    grid = effect.shape.grid(steady)
+    assert grid[0] <= lag <= grid[-1]

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calib import logs
+from calib.gap.effects import catalogue
 from calib.gap.problem import ReferenceKind
 from calib.gap.reference import build
 from calib.gap.reference.signal import Signal
@@ -122,3 +124,39 @@ def test_increments_of_a_cone_are_those_of_the_attitudes():
     error = (between.turn.inv() * (at[:-1].inv() * at[1:])).as_rotvec()
     assert np.abs(error).max() < 1e-3
     assert at[:-1].apply(between.velocity) == pytest.approx(np.tile([0.1, 0.2, 0.3], (len(zero), 1)), abs=2e-4)
+
+
+def test_a_crash_is_left_out_and_a_quiet_flight_is_not(shared_data):
+    path = shared_data / "df_log171_triple_imu_mag" / "log171.bin"
+    single = [t for t in build(logs.read(path)).traces if t.against is None]
+    for trace in single:
+        crash = (trace.t > 238.0) & (trace.t < 241.0)
+        assert not trace.observed[crash].any()
+        assert trace.observed.mean() > 0.7
+    assert all(trace.observed.mean() > 0.99 for trace in by_sensor(build(flight())).values())
+
+
+def thinned(recording, step):
+    """The same with every `step`-th sample of the inertial units."""
+    kept = {Sensor.ACCEL, Sensor.GYRO}
+    return recording.with_channels(
+        c.take(slice(None, None, step)) if c.sensor in kept else c for c in recording.channels
+    )
+
+
+def test_a_re_estimated_reference_is_asked_only_for_what_it_follows():
+    traces = by_sensor(build(thinned(flight(), 2)))
+    assert not traces[Sensor.ACCEL].followed
+    assert not traces[Sensor.GYRO].followed
+    assert traces[Sensor.MAG].followed
+    delays = {e.id: e for e in catalogue() if e.id in {"accel_delay", "gyro_low_pass", "mag_delay"}}
+    lacks = {name: effect.missing(traces[effect.sensor]) for name, effect in delays.items()}
+    assert "does not follow" in lacks["accel_delay"][0]
+    assert "does not follow" in lacks["gyro_low_pass"][0]
+    assert lacks["mag_delay"] is None or "does not follow" not in lacks["mag_delay"][0]
+
+
+def test_gyroscopes_of_a_slow_log_are_compared_with_each_other_only():
+    gyros = [t for t in build(thinned(flight(instances=2), 2)).traces if t.sensor == Sensor.GYRO]
+    assert gyros
+    assert all(t.against is not None for t in gyros)

@@ -1,0 +1,44 @@
+"""What has no name is said, and is not named as something else."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.gap.diagnose import diagnose
+from calib.recording import Sensor
+from tests.unit.gap.synthetic import problem_of
+
+MOMENTS = (8.0, 16.0, 24.0, 32.0)
+
+
+def jumping(moments):
+    def gap(trace):
+        size = np.array([0.4, -0.3, 0.2])
+        levels = sum(sign * (trace.t > at) for at, sign in zip(moments, (1.0, -2.0, 2.0, -1.5), strict=False))
+        return np.outer(levels, size)
+
+    return gap
+
+
+def test_two_jumps_are_events_with_a_name():
+    report = diagnose(problem_of(np.random.default_rng(1), (Sensor.ACCEL,), jumping(MOMENTS[:2])), nested=False)
+    assert [e.id for e in report.effects] == ["accel_step"] * 2
+    assert not report.unknown.flag
+
+
+def test_a_sensor_that_keeps_jumping_is_unknown_and_no_jump_is_named():
+    report = diagnose(problem_of(np.random.default_rng(1), (Sensor.ACCEL,), jumping(MOMENTS)), nested=False)
+    assert report.unknown.flag
+    assert "jumps on accel" in report.unknown.shape
+    assert not any(e.id == "accel_step" for e in report.effects)
+
+
+def test_drift_that_one_driver_moves_is_unknown_and_not_a_walk():
+    def driven(trace):
+        walk = np.cumsum(np.random.default_rng(7).normal(size=len(trace.t)))
+        return np.outer(0.02 * walk, [0.6, -0.5, 0.6])
+
+    report = diagnose(problem_of(np.random.default_rng(2), (Sensor.ACCEL,), driven), nested=False)
+    assert report.unknown.flag
+    assert report.unknown.hidden_driver is not None
+    assert not any(e.id == "accel_random_walk" for e in report.effects)
