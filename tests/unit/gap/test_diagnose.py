@@ -7,9 +7,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from calib.gap.bands import split
+from calib.gap.contest import Contest
 from calib.gap.diagnose import diagnose
+from calib.gap.effects import catalogue
+from calib.gap.estimates import estimates_of
+from calib.gap.hypotheses import hypotheses_of
+from calib.gap.model import setting_of, starting_model
+from calib.gap.noise_fit import refitted, starting_noise
 from calib.gap.problem import Problem, ReferenceInfo, ReferenceKind
 from calib.gap.schema import GapReport, Verdict, as_json
+from calib.gap.selection import select
+from calib.gap.shrink import dose_of
+from calib.gap.views import views_of
 from calib.recording import Sensor
 from tests.unit.gap.effects.conftest import make
 from tests.unit.gap.synthetic import problem_of
@@ -202,17 +212,21 @@ def test_without_a_series_nothing_is_testable():
 
 def test_blocks_that_disagree_widen_the_errors():
     """A current's field whose size changes on the way: the stated error must not be that of the noise alone."""
+    only = tuple(e for e in catalogue() if e.id == "mag_motor_current" and not e.form)
+    errors = []
+    for swing in (0.0, 0.3):
 
-    def swinging(trace):
-        return np.outer(trace.current * (1.0 + 0.3 * np.sin(2.0 * np.pi * trace.t / 13.0)), [0.2, -0.1, 0.3])
+        def gap(trace, swing=swing):
+            size = 1.0 + swing * np.sin(2.0 * np.pi * trace.t / 13.0)
+            return np.outer(trace.current * size, [0.2, -0.1, 0.3])
 
-    def steady(trace):
-        return np.outer(trace.current, [0.2, -0.1, 0.3])
-
-    errors = {}
-    for gap in (steady, swinging):
-        report = diagnose(problem_of(np.random.default_rng(21), (Sensor.MAG,), gap), nested=False)
-        found = next(e for e in report.effects if e.id == "mag_motor_current")
-        errors[gap] = max(p.se for p in found.params if p.name.startswith("per_ampere"))
-        assert found.gates.dose_response is (gap is steady)
-    assert errors[swinging] > 3.0 * errors[steady]
+        problem = problem_of(np.random.default_rng(21), (Sensor.MAG,), gap)
+        views = split(views_of(problem, {}, {}))
+        setting = setting_of(views)
+        contest = Contest(hypotheses_of(only, views)[0])
+        chosen = select(refitted(starting_model(setting, starting_noise(setting))).model, contest, 0.005)
+        (term,) = chosen.model.terms
+        dose = dose_of(chosen, term.hypothesis.key)
+        assert dose.agrees is (swing == 0.0)
+        errors.append(max(e.se for e in estimates_of(chosen, term, dose.widening)))
+    assert errors[1] > 3.0 * errors[0]

@@ -36,12 +36,6 @@ def test_the_levels_before_and_after_give_the_size(seed):
     assert off["time_s"].value == pytest.approx(OFF_S + 0.2, abs=1.5)
 
 
-def test_without_leaving_it_out_more_jumps_are_seen():
-    problem = problem_of(np.random.default_rng(1), (Sensor.ACCEL,), put_on)
-    report = diagnose(problem, nested=False, rounds=0)
-    assert len([e for e in report.effects if e.id == "accel_step"]) != 2 or report.unknown.flag
-
-
 def test_a_jump_is_no_event_that_takes_time():
     def jump(trace):
         return np.outer(trace.t > ON_S, 0.2 * SIZE)
