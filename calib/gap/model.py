@@ -30,6 +30,7 @@ _RANK = 1e-9
 _WORTH_A_STEP = 1e-3
 """Twice the log-likelihood that a step must promise to be tried, and gain for another to follow."""
 _STEPS = 8
+"""Gauss-Newton steps of one fit."""
 _SHORTENED = 4
 """Lengths that are tried of a step."""
 
@@ -360,16 +361,16 @@ class Joint:
     normal: Normal
 
 
-def refined(model: Model, steps: int = _STEPS) -> tuple[Model, Joint]:
+def refined(model: Model) -> tuple[Model, Joint]:
     """The joint maximum over everything in the mean, at the present noise; moments stay where they were found."""
-    return _refined(model, tuple(range(len(model.terms))), steps)
+    return _refined(model, tuple(range(len(model.terms))))
 
 
 def refined_on(model: Model, sensors: Collection[Sensor]) -> Model:
     """The same over the terms of some sensors, and of all that have a term in common with them."""
     near = coupled(model, sensors)
     members = (i for i, t in enumerate(model.terms) if t.effect.shared or t.effect.sensor in near)
-    return _refined(model, tuple(members), _STEPS)[0]
+    return _refined(model, tuple(members))[0]
 
 
 def coupled(model: Model, sensors: Collection[Sensor]) -> frozenset[Sensor]:
@@ -378,13 +379,13 @@ def coupled(model: Model, sensors: Collection[Sensor]) -> frozenset[Sensor]:
     return frozenset(view.sensor for view in model.setting.views) if tied else frozenset(sensors)
 
 
-def _refined(model: Model, members: tuple[int, ...], steps: int) -> tuple[Model, Joint]:
+def _refined(model: Model, members: tuple[int, ...]) -> tuple[Model, Joint]:
     joint = Joint(np.zeros((0, 0)), (), Normal(np.zeros((0, 0)), np.zeros(0), ()))
     if not members and model.ridge is None:
         return model, joint
     own = [model.terms[i].effect for i in members]
     linear = all((e.shape is None or e.shape.still) and e.exact is None for e in own)
-    for _ in range(1 if linear else steps):
+    for _ in range(1 if linear else _STEPS):
         blocks = [jacobian(model.terms[i], model.setting) for i in members]
         normal = normal_equations(blocks, model.y, model.weight, model.ridge)
         joint = Joint(solved(normal.gram, normal.right)[1], normal.slices[: len(blocks)], normal)
@@ -433,8 +434,3 @@ def misfit(model: Model) -> float:
     if model.ridge is not None:
         total += float(model.ridge.precision @ model.ridge.value**2)
     return total
-
-
-def noise_by_name(model: Model, name: str) -> Mapping[int, float]:
-    """By axis: the amplitude of the density of that name."""
-    return {a: n.amplitudes[name] for a, n in enumerate(model.noise) if name in n.amplitudes}
