@@ -46,6 +46,7 @@ _NEAR = 12.0
 _SAME = 0.98
 _FAR = 40.0
 """Rivals are listed within `_NEAR`, or within 2 % of the evidence, but not beyond `_FAR`."""
+_EVEN = 0.5
 _CLEARLY = 1.0
 """Penalised evidence by which an exchange must be better."""
 _ROUNDS = 3
@@ -62,6 +63,13 @@ class Attribution:
     probability: float
     unknown_probability: float
     rivals: tuple[Rival, ...]
+    shape: str = ""
+    """The likeliest of what has no name in its place."""
+
+    @property
+    def doubted(self) -> bool:
+        """Whether something without a name is likelier than every name."""
+        return self.unknown_probability > _EVEN
 
 
 def settled(chosen: Chosen, contest: Contest, alpha: float) -> tuple[Chosen, tuple[Attribution, ...]]:
@@ -128,8 +136,15 @@ def _attributed(
         key = term.hypothesis.key
         others, own = held[key]
         rivals, probability, unknown = _judged(term.hypothesis, own, others)
-        found.append(Attribution(key, last[key][0], last[key][1], worth[key] / total, probability, unknown, rivals))
+        share = worth[key] / total
+        gain, df, _ = last[key]
+        found.append(Attribution(key, gain, df, share, probability, unknown, rivals, _likeliest_shape(others)))
     return tuple(sorted(found, key=lambda a: -a.share))
+
+
+def _likeliest_shape(others: Sequence[Alternative]) -> str:
+    shapes = [a.score for a in others if a.score.hypothesis.effect.id.startswith("unknown")]
+    return max(shapes, key=lambda s: s.delta).hypothesis.effect.excited_by if shapes else ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -113,7 +113,7 @@ def diagnose(
         chosen = reduced(chosen, failed)
         heldout = held_out(chosen, contest, alpha, nested=nested)
         chosen, attributions = settled(chosen, contest, 0.0)
-    strangers = strangers_in(chosen.model)
+    strangers = strangers_in(chosen.model, attributions)
     denied = {key for stranger in strangers for key in stranger.keys}
     denied |= {t.hypothesis.key for t in chosen.model.terms if usual_tone(t, problem.nominal)}
     denied |= {t.hypothesis.key for t in chosen.model.noise_terms if unsteady_line(t, chosen.model)}

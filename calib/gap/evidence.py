@@ -21,6 +21,9 @@ _FINE = 100
 """Values of a grid from which on its search is paid value by value: moments, frequencies."""
 _LAST = 16.0
 """Price of what fits anything of its kind: a named cause that fits nearly as well is believed first."""
+_SHAPES = {"driven": 8.0, "own": 12.0, "approach": 16.0, "linear": 14.0, "product": 16.0, "line": 16.0, "time": 32.0}
+"""Price of a shape by its family: the fewer things it could stand for, the less."""
+_ONE_OF_MANY = 4.0
 _DOUBT = 8.0
 """Price of blaming the reference for what a sensor may have done."""
 _COARSE = 4.0
@@ -79,9 +82,13 @@ def price_of_noise(amplitudes: Array, information: Array) -> float:
 
 
 def price_of_kind(effect_id: str) -> float:
-    """By kind: noise that wanders fits any slow change, and so does a line over time; a shape may fit anything."""
+    """By kind: noise that wanders fits any slow change, and so does a line over time; a shape may fit anything.
+
+    A shape is ``unknown:<family>:<text>``, and one of many that were looked through ``unknown:one <family>:<text>``.
+    """
     if effect_id.startswith("unknown"):
-        return 2.0 * _LAST if "function of time" in effect_id else _LAST
+        family = effect_id.split(":")[1]
+        return _SHAPES[family.removeprefix("one ")] + _ONE_OF_MANY * family.startswith("one ")
     if effect_id == "reference_attitude":
         return _DOUBT
     return _LAST if effect_id.endswith(("_random_walk", "_flicker")) else 0.0

@@ -26,8 +26,8 @@ Array = NDArray[np.float64]
 
 _DRIVEN = 1e-3
 _LEAST = 6
-_RETURNS = 24.0
-"""Twice the log-likelihood by which noise that comes back must beat a walk: one in a million, and the search."""
+_RETURNS, _RETURNS_EACH = 8.0, 14.0
+"""Twice the log-likelihood by which noise that comes back must beat a walk: with one corner, with one for each axis."""
 _POLES = np.geomspace(3e-5, 0.3, 10)
 
 
@@ -94,19 +94,18 @@ def returning(model: Model, v: int, term: NoiseTerm) -> bool:
     view = model.setting.views[v]
     bins = model.setting.bins[v]
     steep = 1.0 / random_walk(view.omega)
-    gain = 0.0
+    corners = [view.gain * bins.mean(1.0 / (steep + pole**2)) for pole in _POLES]
+    gains = []
     for c in range(3):
         counts, power, base, rows = noise_rows(model, 3 * v + c, term.name(0))
         if term.name(0) not in model.noise[3 * v + c].densities:
             continue
         own = bins.mean(model.noise[3 * v + c].densities[term.name(0)])
         walk = fit_amplitudes(power, counts, base, [*rows, own]).deviance
-        best = min(
-            fit_amplitudes(power, counts, base, [*rows, view.gain * bins.mean(1.0 / (steep + pole**2))]).deviance
-            for pole in _POLES
-        )
-        gain += max(walk - best, 0.0)
-    return gain > _RETURNS
+        gains.append([walk - fit_amplitudes(power, counts, base, [*rows, corner]).deviance for corner in corners])
+    by_axis = np.array(gains).reshape(-1, len(_POLES))
+    each = float(np.maximum(by_axis.max(axis=1, initial=0.0), 0.0).sum())
+    return float(by_axis.sum(axis=0).max(initial=0.0)) > _RETURNS or each > _RETURNS_EACH
 
 
 _WINDOWS = (8, 32, 128)

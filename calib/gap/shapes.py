@@ -1,23 +1,25 @@
-"""Shapes that no effect of the catalogue has: broken lines over covariates, products, and low orders of the readings.
+"""Shapes that no effect of the catalogue has: lines over covariates, products, other sensors, low orders of readings.
 
-They stand in the same contest as the catalogue and pay for their freedom. Low orders are there beside the broken lines
-since one amplitude an axis shows what six would hide: a curve, a dead travel, a slow approach.
+They stand in the same contest as the catalogue and pay for their freedom. What has many amplitudes is offered in parts
+as well, by axis and by signal: one amplitude shows what eighteen would hide.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.gap.effects.base import MeanEffect, Parameter
 from calib.gap.hypotheses import Hypothesis
-from calib.gap.model import Setting
+from calib.gap.model import Setting, Term
 from calib.gap.problem import Trace
 from calib.recording import Sensor
 
 Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
 
 PREFIX = "unknown"
 _KNOTS = 6
@@ -25,163 +27,243 @@ _KNOTS_TIME = 20
 _TIES = 1e-3
 _APPROACHES_S = (3.0, 10.0, 30.0)
 _STILL = 0.1  # of the rms slope: slower changes have no direction
+_TRAVELS = (0.01, 0.03, 0.1, 0.3)
+"""Dead travels, in parts of the reading's range."""
+_HARMONICS = (2, 3, 4, 5)
+_HIGHEST = 0.4  # of the rate: beyond, two bands of one series meet
+_AXES = "xyz"
 
 
-def shapes_of(setting: Setting) -> tuple[Hypothesis, ...]:
-    """Every shape that can be drawn, of every sensor and instance."""
-    found = []
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A hypothesis of many amplitudes, and by the rows of its columns what is offered as a hypothesis of its own."""
+
+    whole: Hypothesis
+    parts: tuple[tuple[Hypothesis, Rows], ...] = ()
+
+    @property
+    def hypotheses(self) -> tuple[Hypothesis, ...]:
+        """All that it offers."""
+        return self.whole, *(h for h, _ in self.parts)
+
+
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Signals (q, N) that act on every axis alike, or with `each` signals (N, 3) of the axis itself.
+
+    `family` is what its price goes by (:func:`calib.gap.evidence.price_of_kind`); `names` of the single signals, where
+    they are offered alone.
+    """
+
+    family: str
+    text: str
+    signals: Array
+    names: tuple[str, ...] = ()
+    each: bool = False
+
+
+def shapes_of(setting: Setting, tones: Sequence[Term] = ()) -> tuple[Shape, ...]:
+    """Every shape that can be drawn, of every sensor and instance; of waves that `tones` found, their overtones."""
+    found: dict[object, Shape] = {}
     for view in setting.views:
         for instance, trace in view.traces.items() if not view.first else ():
-            if instance in view.weights:
-                found += [Hypothesis(effect, (instance,)) for effect in _effects(trace)]
-    unique = {h.key: h for h in found}
-    return tuple(unique.values())
+            if instance not in view.weights:
+                continue
+            own = [t for t in tones if t.hypothesis.touches(view) and instance in t.hypothesis.instances]
+            overtones = (_overtones(trace, tone) for tone in own)
+            for group in (*_groups(trace), *(g for g in overtones if len(g.signals))):
+                shape = _shape(trace.sensor, group, instance)
+                found.setdefault(shape.whole.key, shape)
+    return tuple(found.values())
 
 
-def _effects(trace: Trace) -> Iterator[MeanEffect]:
-    for name, values, knots in _covariates(trace):
-        basis = _hats(values, trace.observed, knots)
-        if basis is not None:
-            yield from _on_axes(trace.sensor, f"function of {name}", basis)
-    for name, products in _products(trace):
-        yield _effect(trace.sensor, f"{name} on {trace.sensor.value}", products, None)
-    for name, signal in _orders(trace):
-        yield _effect(trace.sensor, f"{name} on {trace.sensor.value}", _fixed_basis(signal), None)
-    for name, columns in _own(trace):
-        yield _by_axis(trace.sensor, f"{name} on {trace.sensor.value}", columns)
+def _groups(trace: Trace) -> Iterator[_Group]:
+    yield from _lines(trace)
+    yield from _linear(trace)
+    yield from _products(trace)
+    yield from _driven(trace)
+    yield from _own(trace)
 
 
-def _on_axes(sensor: Sensor, name: str, basis: Callable[[Trace], Array]) -> Iterator[MeanEffect]:
-    yield _effect(sensor, f"{name} on {sensor.value}", basis, None)
-    for c in range(3):
-        yield _effect(sensor, f"{name} on {sensor.value}.{'xyz'[c]}", basis, c)
+def _shape(sensor: Sensor, group: _Group, instance: int) -> Shape:
+    def made(text: str, rows: Rows, *, single: bool = False) -> Hypothesis:
+        name = f"{PREFIX}:{'one ' * single}{group.family}:{text}"
+        return Hypothesis(_effect(name, sensor, text, group, rows), (instance,))
+
+    q = 1 if group.each else len(group.signals)
+    rows = np.arange(3 * q, dtype=np.intp)
+    text, on = group.text, sensor.value
+    parts = [(made(f"{text} on {on}.{_AXES[c]}", rows[c::3]), rows[c::3]) for c in range(3)]
+    for j, name in enumerate(group.names):
+        parts.append((made(f"{name} on {on}", rows[3 * j : 3 * j + 3]), rows[3 * j : 3 * j + 3]))
+        for c in range(3):
+            one = rows[3 * j + c : 3 * j + c + 1]
+            parts.append((made(f"{name} on {on}.{_AXES[c]}", one, single=True), one))
+    return Shape(made(f"{text} on {on}", rows), tuple(parts))
 
 
-def _effect(sensor: Sensor, text: str, basis: Callable[[Trace], Array], axis: int | None) -> MeanEffect:
-    def signals(trace: Trace, _theta: float) -> Array:
-        return basis(trace)
+def _effect(name: str, sensor: Sensor, text: str, group: _Group, rows: Rows) -> MeanEffect:
+    """The columns `rows` of a group; column ``3 q + axis`` is signal q on that axis."""
 
     def columns(trace: Trace, _theta: float) -> Array:
-        made = basis(trace)
-        placed = np.zeros((*made.shape, 3))
-        placed[:, :, axis or 0] = made
+        placed = np.zeros((len(rows), len(trace.t), 3))
+        for k, row in enumerate(rows):
+            signal, axis = divmod(int(row), 3)
+            placed[k, :, axis] = group.signals[:, axis] if group.each else group.signals[signal]
         return placed
 
+    def signals(_trace: Trace, _theta: float) -> Array:
+        return group.signals
+
+    whole = not group.each and len(rows) == 3 * len(group.signals)
+    wish = "a recording in which the covariate varies by itself"
     return MeanEffect(
-        f"{PREFIX}:{text}",
+        name,
         sensor,
         (Parameter("amplitude", ""),),
         text,
-        "a recording in which the covariate varies by itself",
+        wish,
         columns=columns,
-        signals=signals if axis is None else None,
+        signals=signals if whole else None,
     )
 
 
-def _by_axis(sensor: Sensor, text: str, values: Array) -> MeanEffect:
-    """One amplitude an axis, on `values` (N, 3)."""
-
-    def columns(_trace: Trace, _theta: float) -> Array:
-        placed = np.zeros((3, *values.shape))
-        for axis in range(3):
-            placed[axis, :, axis] = values[:, axis]
-        return placed
-
-    parameters = (Parameter("amplitude", ""),)
-    wish = "a recording in which the covariate varies by itself"
-    return MeanEffect(f"{PREFIX}:{text}", sensor, parameters, text, wish, columns=columns)
-
-
-def _own(trace: Trace) -> Iterator[tuple[str, Array]]:
-    """Of each axis' own ideal reading: low orders, and the direction of its change."""
-    x = trace.ideal
-    size = np.sqrt((x**2).mean(axis=0)) + 1e-300
-    yield "square of the reading", (x / size) ** 2
-    yield "cube of the reading", (x / size) ** 3
-    yield "size of the reading", np.abs(x) / size
-    slope = np.gradient(x, axis=0)
-    steady = _STILL * np.sqrt((slope**2).mean(axis=0)) + 1e-300
-    yield "direction of the reading's change", np.tanh(slope / steady)
-
-
-def _orders(trace: Trace) -> Iterator[tuple[str, Array]]:
-    """Signals (q, N) of low order."""
-    for name, scalar in (("current", trace.current), ("throttle", trace.throttle)):
-        if scalar is not None:
-            yield f"square of {name}", (scalar**2)[None]
-    elapsed = trace.t - trace.t[0]
-    for time in _APPROACHES_S:
-        yield f"approach with {time:.0f} s", np.exp(-elapsed / time)[None]
-    if trace.sensor is Sensor.MAG:
-        yield "change of the field", np.ascontiguousarray(np.gradient(trace.ideal, trace.t, axis=0).T)
-
-
-def _fixed_basis(signals: Array) -> Callable[[Trace], Array]:
-    def basis(_trace: Trace) -> Array:
-        return signals
-
-    return basis
+def _lines(trace: Trace) -> Iterator[_Group]:
+    """Broken lines over covariates."""
+    for name, values, knots in _covariates(trace):
+        signals = _hats(values, trace.observed, knots)
+        if signals is not None:
+            yield _Group("time" if name == "time" else "line", f"function of {name}", signals)
 
 
 def _covariates(trace: Trace) -> Iterator[tuple[str, Array, int]]:
+    for letter, vector in _vectors(trace):
+        yield from ((f"{letter}_{_AXES[c]}", vector[:, c], _KNOTS) for c in range(3))
+    for name, size in (("|a|", trace.force), ("|w|", trace.rate)):
+        if size is not None:
+            yield name, np.linalg.norm(size, axis=1), _KNOTS
+    yield "time", trace.t, _KNOTS_TIME
+    yield from ((name, scalar, _KNOTS) for name, scalar in _scalars(trace))
+
+
+def _vectors(trace: Trace) -> Iterator[tuple[str, Array]]:
     for letter, vector in (("a", trace.force), ("w", trace.rate), ("dw", trace.spin), ("m", trace.field)):
         if vector is not None:
-            yield from ((f"{letter}_{'xyz'[c]}", vector[:, c], _KNOTS) for c in range(3))
-    for name, vector in (("|a|", trace.force), ("|w|", trace.rate)):
-        if vector is not None:
-            yield name, np.linalg.norm(vector, axis=1), _KNOTS
-    yield "time", trace.t, _KNOTS_TIME
+            yield letter, vector
+
+
+def _scalars(trace: Trace) -> Iterator[tuple[str, Array]]:
     for name, scalar in (("temperature", trace.temperature), ("current", trace.current), ("throttle", trace.throttle)):
         if scalar is not None:
-            yield name, scalar, _KNOTS
+            yield name, scalar
     if trace.rotor_hz is not None:
-        yield "rotor speed", trace.rotor_hz.mean(axis=1), _KNOTS
+        yield "rotor speed", trace.rotor_hz.mean(axis=1)
     if trace.temperature is not None:
-        yield "the slope of temperature", np.gradient(trace.temperature, trace.t), _KNOTS
+        yield "the slope of temperature", np.gradient(trace.temperature, trace.t)
 
 
-def _hats(values: Array, observed: NDArray[np.bool_], knots: int) -> Callable[[Trace], Array] | None:
+def _hats(values: Array, observed: NDArray[np.bool_], knots: int) -> Array | None:
     """Hat functions over quantiles of a covariate; None where it hardly varies."""
-    seen = values[observed]
-    if len(seen) < 4 * knots or float(np.ptp(seen)) <= 1e-9 * (abs(float(seen.mean())) + 1e-12):
+    if not _varies(values, observed, 4 * knots):
         return None
+    seen = values[observed]
     at = np.unique(np.quantile(seen, np.linspace(0.0, 1.0, knots)))
     keep = np.concatenate([[True], np.diff(at) > _TIES * np.ptp(at)])
     at = at[keep]
     if len(at) < 3:
         return None
     clipped = np.clip(values, at[0], at[-1])
-
-    def basis(_trace: Trace) -> Array:
-        return np.array([np.interp(clipped, at, unit) for unit in np.eye(len(at))])
-
-    return basis
+    return np.array([np.interp(clipped, at, unit) for unit in np.eye(len(at))])
 
 
-def _products(trace: Trace) -> Iterator[tuple[str, Callable[[Trace], Array]]]:
+def _varies(values: Array, observed: NDArray[np.bool_], least: int) -> bool:
+    seen = values[observed]
+    return len(seen) >= least and float(np.ptp(seen)) > 1e-9 * (abs(float(seen.mean())) + 1e-12)
+
+
+def _linear(trace: Trace) -> Iterator[_Group]:
+    """What another sensor of the vehicle reads, or how fast this one's reading changes."""
+    for letter, vector in _vectors(trace):
+        names = tuple(f"{letter}_{axis}" for axis in _AXES)
+        yield _Group("linear", f"linear in {letter}", np.ascontiguousarray(vector.T), names)
+    if trace.sensor is Sensor.MAG:
+        change = np.ascontiguousarray(np.gradient(trace.ideal, trace.t, axis=0).T)
+        yield _Group("linear", "change of the field", change, tuple(f"dm_{axis}" for axis in _AXES))
+
+
+def _products(trace: Trace) -> Iterator[_Group]:
     pairs = (
-        ("products of a and a", trace.force, trace.force),
-        ("products of w and w", trace.rate, trace.rate),
-        ("products of a and w", trace.force, trace.rate),
-        ("current times field", _column(trace.current), trace.field),
-        ("current times a", _column(trace.current), trace.force),
-        ("temperature times a", _column(trace.temperature), trace.force),
-        ("temperature times w", _column(trace.temperature), trace.rate),
+        ("a", "a", trace.force, trace.force),
+        ("w", "w", trace.rate, trace.rate),
+        ("a", "w", trace.force, trace.rate),
+        ("current", "field", _column(trace.current), trace.field),
+        ("current", "a", _column(trace.current), trace.force),
+        ("temperature", "a", _column(trace.temperature), trace.force),
+        ("temperature", "w", _column(trace.temperature), trace.rate),
     )
-    for name, one, other in pairs:
-        if one is not None and other is not None:
-            yield name, _product(one, other)
+    for one, other, left, right in pairs:
+        if left is None or right is None:
+            continue
+        scalar = left.shape[1] == 1
+        which = [(i, j) for i in range(left.shape[1]) for j in range(i if one == other else 0, right.shape[1])]
+        signals = np.array([left[:, i] * right[:, j] for i, j in which])
+        names = tuple(f"{one if scalar else f'{one}_{_AXES[i]}'} times {other}_{_AXES[j]}" for i, j in which)
+        text = f"{one} times {other}" if scalar else f"products of {one} and {other}"
+        yield _Group("product", text, signals, names)
 
 
 def _column(scalar: Array | None) -> Array | None:
     return None if scalar is None else (scalar - scalar.mean())[:, None]
 
 
-def _product(one: Array, other: Array) -> Callable[[Trace], Array]:
-    same = one is other
+def _driven(trace: Trace) -> Iterator[_Group]:
+    """One driver, to the first or second power; a battery, which sags with current and charge; an approach."""
+    if trace.current is not None and _varies(trace.current, trace.observed, 4 * _KNOTS):
+        charge = np.cumsum(trace.current) / trace.fs
+        yield _Group("driven", "current and charge", np.stack([trace.current, charge]), ("current", "charge"))
+    for name, scalar in _scalars(trace):
+        if name not in ("temperature", "current") and _varies(scalar, trace.observed, 4 * _KNOTS):
+            yield _Group("driven", name, scalar[None])
+        if name not in ("temperature", "the slope of temperature"):
+            yield _Group("driven", f"square of {name}", (scalar**2)[None])
+    elapsed = trace.t - trace.t[0]
+    for time in _APPROACHES_S:
+        yield _Group("approach", f"approach with {time:.0f} s", np.exp(-elapsed / time)[None])
 
-    def basis(_trace: Trace) -> Array:
-        rows = [one[:, i] * other[:, j] for i in range(one.shape[1]) for j in range(i if same else 0, other.shape[1])]
-        return np.array(rows)
 
-    return basis
+def _own(trace: Trace) -> Iterator[_Group]:
+    """Of each axis' own ideal reading: low orders, the direction of its change, and dead travels."""
+    x = trace.ideal
+    size = np.sqrt((x**2).mean(axis=0)) + 1e-300
+    slope = np.gradient(x, axis=0)
+    steady = _STILL * np.sqrt((slope**2).mean(axis=0)) + 1e-300
+    orders = [
+        ("square of the reading", (x / size) ** 2),
+        ("cube of the reading", (x / size) ** 3),
+        ("size of the reading", np.abs(x) / size),
+        ("direction of the reading's change", np.tanh(slope / steady)),
+        *((f"dead travel of {part:.1%} of the range", _travel(x, part)) for part in _TRAVELS),
+    ]
+    yield from (_Group("own", name, signal, each=True) for name, signal in orders)
+
+
+def _travel(x: Array, part: float) -> Array:
+    """Where a pointer with play stands between the ends of its travel, -1..1, (N, 3): the play operator, scaled."""
+    found = np.zeros_like(x)
+    for c in range(3):
+        half = 0.5 * part * float(np.ptp(x[:, c])) + 1e-300
+        at = float(x[0, c])
+        pointer = []
+        for value in x[:, c].tolist():
+            at = min(max(at, value - half), value + half)
+            pointer.append(at)
+        found[:, c] = (x[:, c] - np.array(pointer)) / half
+    return found
+
+
+def _overtones(trace: Trace, tone: Term) -> _Group:
+    """Of a wave that was found: what it has if it is periodic and no sine."""
+    orders = [k for k in _HARMONICS if k * tone.theta < _HIGHEST * trace.fs]
+    phase = 2.0 * np.pi * tone.theta * (trace.t - trace.t[0])
+    signals = [wave(k * phase) for k in orders for wave in (np.cos, np.sin)]
+    return _Group("own", f"overtones of {tone.theta:.3g} Hz", np.array(signals).reshape(len(signals), len(trace.t)))

@@ -43,11 +43,18 @@ class Stranger:
     driver: HiddenDriver | None = None
 
 
-def strangers_in(model: Model) -> tuple[Stranger, ...]:
-    """Every stranger among the terms of a model."""
+def strangers_in(model: Model, attributions: Sequence[Attribution]) -> tuple[Stranger, ...]:
+    """Every stranger among the terms of a model, and every effect in whose place one is likelier."""
     shapes = [t.hypothesis for t in model.terms if t.hypothesis.effect.id.startswith(PREFIX)]
-    drifts = (Stranger((found.key,), found.text, found.driver) for found in impostors(model))
-    return (*(Stranger((h.key,), h.effect.excited_by) for h in shapes), *drifts, *_swarms(model))
+    drifts = [Stranger((found.key,), found.text, found.driver) for found in impostors(model)]
+    known = {h.key for h in shapes} | {key for drift in drifts for key in drift.keys}
+    doubted = [a for a in attributions if a.doubted and a.key not in known]
+    return (
+        *(Stranger((h.key,), h.effect.excited_by) for h in shapes),
+        *drifts,
+        *(Stranger((a.key,), f"{a.shape}, or {a.key[0]}") for a in doubted),
+        *_swarms(model),
+    )
 
 
 def _swarms(model: Model) -> list[Stranger]:
@@ -82,7 +89,7 @@ def unknown_of(
     """
     worth = {a.key: a.share for a in attributions}
     texts = [s.text for s in strangers]
-    share = sum(worth.get(key, 0.0) for s in strangers for key in s.keys)
+    share = sum(worth.get(key, 0.0) for key in {key for s in strangers for key in s.keys})
     gap = 0.5 * sum(a.gain for a in attributions)
     rest, band = leftover(model, gap, bandwidth_hz)
     if rest > 0.0:

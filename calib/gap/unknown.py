@@ -1,30 +1,30 @@
 """What no effect of the catalogue explains, as competitors that pay for their freedom.
 
-Shapes: a broken line over each covariate, products of signals, jumps. They stand in the same contest as the catalogue
-and pay for their freedom; the catalogue is tried first and alone, and a shape wins only if the best model with shapes
-is better than the best without. (What is said of them, and of all else that is unknown: :mod:`calib.gap.strangers`.)
+The catalogue is tried first and alone. Shapes (:mod:`calib.gap.shapes`) are then held against it in three places:
+beside its model, in the place of all that it has on a sensor, and in the place of each of its effects; the best of them
+join the contest. (What is said of them, and of all else that is unknown: :mod:`calib.gap.strangers`.)
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.gap.contest import Beside, Contest, Gain, Score, existing, priced
-from calib.gap.effects.base import MeanEffect
-from calib.gap.evidence import evidence
+from calib.gap.evidence import evidence, price_of_kind
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.model import Model
-from calib.gap.selection import MATERIAL, Chosen, largest_gain, objective, select
-from calib.gap.shapes import shapes_of
+from calib.gap.noise_fit import refitted
+from calib.gap.selection import MATERIAL, Chosen, fitted_about, grown, largest_gain, objective, select, without
+from calib.gap.shapes import Shape, shapes_of
 
 Array = NDArray[np.float64]
 
-_MARGIN = 6.0
+_MARGIN = 2.0
 """Penalised evidence by which a model with shapes must beat the catalogue alone."""
 _SHORTLIST = 6
 
@@ -38,64 +38,87 @@ class WithShapes:
 
 
 def explained(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> WithShapes:
-    """The catalogue's model, or a better one with shapes.
-
-    Shapes are tried beside the catalogue's model and beside none; those that are significant join the contest, which
-    begins anew.
-    """
-    shapes = shapes_of(chosen.model.setting)
-    scorer = Contest(shapes, budget=0)
-    tests = chosen.tests + len(shapes)
-    scores = _scored(scorer, Beside(chosen.model))
-    largest = largest_gain(chosen, contest)
-    least = 0.0 if chosen.model.noise_terms else MATERIAL * largest
-    strong = [s for s in scores if s.p * tests < alpha and s.delta > _MARGIN and s.gain >= least]
-    if not strong:
-        return WithShapes(chosen, contest)
-    if chosen.model.members:
-        strong = [*_best(strong), *_best(_scored(scorer, Beside(start)))]
-    shortlist = {s.hypothesis.key: s.hypothesis for s in _best(strong)}
-    both = Contest((*contest.hypotheses, *shortlist.values()), floor=contest.floor)
-    level = alpha * sum(not h.again for h in both.hypotheses) / tests
-    other = select(start, both, level)
-    if objective(other) < objective(chosen) - max(_MARGIN, MATERIAL * largest):
-        return WithShapes(other, both)
-    return WithShapes(chosen, contest)
+    """The catalogue's model, or a better one with shapes, and a contest that has the likeliest shapes as rivals."""
+    shapes = shapes_of(chosen.model.setting, [t for t in chosen.model.terms if t.hypothesis.periodic])
+    scorer = Contest(())
+    tests = chosen.tests + sum(len(s.hypotheses) for s in shapes)
+    named = bool(chosen.model.members)
+    places = [
+        *((score, 0.0) for score in _scored(shapes, scorer, Beside(chosen.model))),
+        *(_instead_of_all(chosen, shapes, scorer, start) if named else ()),
+        *_instead_of_each(chosen, shapes, scorer),
+    ]
+    worth = max(_MARGIN, _least(chosen, contest)) if named else 0.0
+    strong = [score for score, own in places if score.p * tests < alpha and score.delta > own + worth]
+    likely = {s.hypothesis.key: s.hypothesis for s in _best(places) if s.delta > 0.0}
+    both = Contest((*contest.hypotheses, *likely.values()), floor=contest.floor)
+    if strong:
+        level = alpha * sum(not h.again for h in both.hypotheses) / tests
+        others = (select(start, both, level), grown(chosen, both, alpha / tests))
+        other = min(others, key=objective)
+        if objective(other) < objective(chosen) - worth:
+            return WithShapes(other, both)
+    return WithShapes(chosen, both)
 
 
-def _best(scores: Sequence[Score]) -> list[Score]:
-    return sorted(scores, key=lambda s: -s.delta)[: 2 * _SHORTLIST]
+def _least(chosen: Chosen, contest: Contest) -> float:
+    """Part of the largest gain that is a second order of it; noise takes what is its own."""
+    return 0.0 if chosen.model.noise_terms else MATERIAL * largest_gain(chosen, contest)
 
 
-def _scored(contest: Contest, beside: Beside) -> list[Score]:
-    """Scores of all shapes; those of single axes are parts of the one of all axes, whose columns are made once."""
-    singles = {h.key: h for h in contest.hypotheses}
+def _best(places: Sequence[tuple[Score, float]]) -> list[Score]:
+    """The best few in each place."""
     found = []
-    for hypothesis in contest.hypotheses:
-        assert isinstance(hypothesis.effect, MeanEffect)
-        if hypothesis.effect.signals is None:
-            if hypothesis.key[0][-2:-1] != ".":
-                found.append(_scored_alone(contest, hypothesis, beside))
-            continue
-        columns = contest.columns(hypothesis, math.nan, beside.model)
-        gram, right, energy = beside.projected(columns)
-        for key, rows in _parts(hypothesis, columns.p):
-            basis = existing(gram[np.ix_(rows, rows)], energy[rows])
-            gain = basis.T @ right[rows]
-            own = singles.get(key)
-            if own is not None:
-                worth = evidence(gram[np.ix_(rows, rows)], right[rows], np.zeros(len(rows), np.intp))
-                found.append(priced(own, math.nan, Gain(float(gain @ gain), basis.shape[1], basis @ gain, worth), 1))
+    for own in dict.fromkeys(own for _, own in places):
+        scores = [score for score, place in places if place == own]
+        found += sorted(scores, key=lambda s: -s.delta)[:_SHORTLIST]
     return found
 
 
-def _scored_alone(contest: Contest, hypothesis: Hypothesis, beside: Beside) -> Score:
-    return priced(hypothesis, math.nan, beside.gain(contest.columns(hypothesis, math.nan, beside.model)), 1)
+def _instead_of_all(
+    chosen: Chosen, shapes: Sequence[Shape], scorer: Contest, start: Model
+) -> list[tuple[Score, float]]:
+    """Shapes in the place of all effects of a sensor, beside what these are worth together."""
+    found = []
+    before = refitted(start).deviance
+    for sensor in {term.hypothesis.effect.sensor for term in chosen.model.members}:
+        own = [s for s in chosen.scores if s.hypothesis.effect.sensor is sensor]
+        gain = sum(before[key] - chosen.noise.deviance[key] for key in before if key[0] is sensor)
+        worth = gain - sum(s.price for s in own)
+        touched = [s for s in shapes if s.whole.effect.sensor is sensor]
+        found += [(score, worth) for score in _scored(touched, scorer, Beside(start))]
+    return found
 
 
-def _parts(hypothesis: Hypothesis, p: int) -> Iterator[tuple[tuple[str, tuple[int, ...]], NDArray[np.intp]]]:
-    """Keys of a shape and of its parts on single axes, and the columns that they have of it."""
-    effect_id, instances = hypothesis.key
-    yield hypothesis.key, np.arange(p)
-    for c in range(3):
-        yield (f"{effect_id}.{'xyz'[c]}", instances), np.arange(c, p, 3)
+def _instead_of_each(chosen: Chosen, shapes: Sequence[Shape], scorer: Contest) -> list[tuple[Score, float]]:
+    """Shapes in the place of each effect, beside the penalised evidence of that effect."""
+    found = []
+    level = objective(chosen)
+    for term in chosen.model.members:
+        bare = refitted(fitted_about(without(chosen.model, term.hypothesis.key), term.hypothesis))
+        touched = [s for s in shapes if s.whole.effect.sensor is term.hypothesis.effect.sensor]
+        price = next((s.price for s in chosen.scores if s.hypothesis.key == term.hypothesis.key), 0.0)
+        own = sum(bare.deviance.values()) + sum(s.price for s in chosen.scores) - price - level
+        found += [(score, own) for score in _scored(touched, scorer, Beside(bare.model))]
+    return found
+
+
+def _scored(shapes: Sequence[Shape], contest: Contest, beside: Beside) -> list[Score]:
+    """Scores of all shapes and of their parts, whose columns are made once."""
+    found = []
+    for shape in shapes:
+        columns = contest.columns(shape.whole, math.nan, beside.model)
+        gram, right, energy = beside.projected(columns)
+        whole = _score(shape.whole, gram, right, energy)
+        found.append(whole)
+        for hypothesis, rows in shape.parts:
+            if whole.gain > price_of_kind(hypothesis.effect.id):  # no part gains more than the whole
+                found.append(_score(hypothesis, gram[np.ix_(rows, rows)], right[rows], energy[rows]))
+    return found
+
+
+def _score(hypothesis: Hypothesis, gram: Array, right: Array, energy: Array) -> Score:
+    basis = existing(gram, energy)
+    gain = basis.T @ right
+    worth = evidence(gram, right, np.zeros(len(right), np.intp))
+    return priced(hypothesis, math.nan, Gain(float(gain @ gain), basis.shape[1], basis @ gain, worth), 1)

@@ -110,5 +110,9 @@ def test_what_fits_anything_is_believed_after_a_named_cause():
     named = price_of_kind("accel_bias")
     assert named == price_of_kind("accel_noise") == 0.0
     assert 0.0 < price_of_kind("reference_attitude") < price_of_kind("gyro_random_walk")
-    assert price_of_kind("gyro_flicker") == price_of_kind("unknown:cube of the reading on gyro")
-    assert price_of_kind("unknown:function of time on gyro") > price_of_kind("gyro_flicker")
+    driver, line, time = (price_of_kind(f"unknown:{family}:anything") for family in ("driven", "line", "time"))
+    assert 0.0 < driver < line == price_of_kind("gyro_flicker") < time
+
+
+def test_one_signal_of_many_that_were_looked_through_costs_more_than_all_of_them():
+    assert price_of_kind("unknown:one product:a_x times a_y on gyro.z") > price_of_kind("unknown:product:a on gyro")

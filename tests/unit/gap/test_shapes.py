@@ -13,6 +13,7 @@ from calib.gap.effects import by_id
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.model import setting_of, starting_model
 from calib.gap.noise_fit import starting_noise
+from calib.gap.selection import with_score
 from calib.gap.shapes import PREFIX, shapes_of
 from calib.gap.views import views_of
 from calib.recording import Sensor
@@ -27,7 +28,7 @@ def model_of(sensor=Sensor.ACCEL, gap=None, *, instances=1, seed=1, **over):
 
 
 def named(model):
-    return {h.effect.excited_by: h for h in shapes_of(model.setting)}
+    return {h.effect.excited_by: h for shape in shapes_of(model.setting) for h in shape.hypotheses}
 
 
 def gains(model):
@@ -47,7 +48,7 @@ def test_every_covariate_that_is_recorded_has_its_line_and_none_that_is_not():
 
 
 def test_shapes_are_told_apart_by_instance_and_from_the_catalogue():
-    found = shapes_of(model_of(instances=2).setting)
+    found = [h for shape in shapes_of(model_of(instances=2).setting) for h in shape.hypotheses]
     assert len({h.key for h in found}) == len(found)
     assert {h.instances for h in found} == {(0,), (1,)}
     assert all(h.effect.id.startswith(PREFIX) for h in found)
@@ -72,7 +73,53 @@ LOW = {
     "direction of the reading's change on accel": lambda t: np.sign(np.gradient(t.ideal, axis=0)),
     "approach with 10 s on accel": lambda t: np.exp(-t.t / 10.0)[:, None],
     "square of current on accel": lambda t: ((t.current / 20.0) ** 2)[:, None],
+    "dead travel of 10.0% of the range on accel": lambda t: played(t.ideal, 0.05 * np.ptp(t.ideal, axis=0)),
 }
+
+
+def played(x, half):
+    """A pointer that the reading drags along between two stops: what it lacks of the reading, -1..1."""
+    pointer = x.copy()
+    for i in range(1, len(x)):
+        pointer[i] = np.clip(pointer[i - 1], x[i] - half, x[i] + half)
+    return (x - pointer) / half
+
+
+ALONE = {
+    "dw_y on accel.x": lambda t: np.outer(t.spin[:, 1], [0.05, 0.0, 0.0]),
+    "a_x times a_z on accel.y": lambda t: np.outer(t.force[:, 0] * t.force[:, 2], [0.0, 0.003, 0.0]),
+    "throttle on accel.z": lambda t: np.outer(t.throttle, [0.0, 0.0, 0.05]),
+}
+
+
+@pytest.mark.parametrize("name", list(ALONE))
+def test_one_signal_on_one_axis_is_worth_most_as_itself(name):
+    found = gains(model_of(gap=ALONE[name]))
+    own = found[name]
+    assert own.p < 1e-6
+    assert own.df == 1
+    assert own.delta == max(s.delta for s in found.values())
+
+
+def test_current_and_the_charge_it_has_drawn_are_a_sagging_battery():
+    def sagging(trace):
+        charge = np.cumsum(trace.current) / trace.fs
+        return np.outer(0.002 * trace.current + 0.0003 * charge, [0.0, 1.0, 0.0])
+
+    found = gains(model_of(gap=sagging))
+    best = max(found, key=lambda name: found[name].delta)
+    assert best == "current and charge on accel.y"
+
+
+def test_a_square_wave_has_overtones_of_the_tone_that_was_found():
+    model = model_of(gap=lambda t: np.outer(np.sign(np.sin(2 * np.pi * 0.5 * t.t)), [0.02, 0.0, 0.0]))
+    tone = Hypothesis(by_id()["accel_tone"], (0,))
+    score = Contest((tone,)).score(tone, Beside(model))
+    with_tone = with_score(model, score)
+    shapes = {s.whole.effect.excited_by: s.whole for s in shapes_of(model.setting, with_tone.terms)}
+    overtones = Contest((), budget=0).score(shapes["overtones of 0.5 Hz on accel"], Beside(with_tone))
+    assert overtones.p < 1e-6
+    assert not any("overtones" in s.whole.effect.excited_by for s in shapes_of(model.setting))
 
 
 @pytest.mark.parametrize("name", list(LOW))
