@@ -234,7 +234,7 @@ def _judged(own: Hypothesis, own_delta: float, others: Sequence[Alternative]) ->
     best: dict[str, Rival] = {}
     for rival in sorted(rivals, key=lambda r: r.delta):
         best.setdefault(rival.id, rival)
-    everything = np.array([*weights, *(w + UNKNOWN_PRIOR for w in unknown)])
-    total = float(np.logaddexp.reduce(everything))
-    lost = float(np.logaddexp.reduce(unknown)) + UNKNOWN_PRIOR - total if unknown else -math.inf
+    stranger = max(unknown, default=-math.inf) + UNKNOWN_PRIOR  # the others are parts of it, or it in another guise
+    total = float(np.logaddexp.reduce([*weights, stranger]))
+    lost = stranger - total
     return tuple(best.values()), NAMED * math.exp(-total), math.exp(lost)

@@ -6,8 +6,9 @@ as well, by axis and by signal: one amplitude shows what eighteen would hide.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,8 @@ _TRAVELS = (0.01, 0.03, 0.1, 0.3)
 """Dead travels, in parts of the reading's range."""
 _HARMONICS = (2, 3, 4, 5)
 _HIGHEST = 0.4  # of the rate: beyond, two bands of one series meet
+_OFFSET = 0.2
+"""Standard deviation of a signal, in parts of its size, below which it is nothing but an offset."""
 _AXES = "xyz"
 
 
@@ -79,26 +82,28 @@ def shapes_of(setting: Setting, tones: Sequence[Term] = ()) -> tuple[Shape, ...]
 
 def _groups(trace: Trace) -> Iterator[_Group]:
     yield from _lines(trace)
-    yield from _linear(trace)
-    yield from _products(trace)
-    yield from _driven(trace)
+    for group in (*_linear(trace), *_products(trace), *_driven(trace)):
+        swinging = [j for j, signal in enumerate(group.signals) if _swings(signal)]
+        if swinging:
+            names = tuple(group.names[j] for j in swinging) if group.names else ()
+            yield replace(group, signals=group.signals[swinging], names=names)
     yield from _own(trace)
 
 
 def _shape(sensor: Sensor, group: _Group, instance: int) -> Shape:
-    def made(text: str, rows: Rows, *, single: bool = False) -> Hypothesis:
-        name = f"{PREFIX}:{'one ' * single}{group.family}:{text}"
+    def made(text: str, rows: Rows, *, part: bool = False) -> Hypothesis:
+        name = f"{PREFIX}:{'one ' * part}{group.family}:{text}"
         return Hypothesis(_effect(name, sensor, text, group, rows), (instance,))
 
     q = 1 if group.each else len(group.signals)
     rows = np.arange(3 * q, dtype=np.intp)
     text, on = group.text, sensor.value
-    parts = [(made(f"{text} on {on}.{_AXES[c]}", rows[c::3]), rows[c::3]) for c in range(3)]
+    parts = [(made(f"{text} on {on}.{_AXES[c]}", rows[c::3], part=True), rows[c::3]) for c in range(3)]
     for j, name in enumerate(group.names):
-        parts.append((made(f"{name} on {on}", rows[3 * j : 3 * j + 3]), rows[3 * j : 3 * j + 3]))
+        parts.append((made(f"{name} on {on}", rows[3 * j : 3 * j + 3], part=True), rows[3 * j : 3 * j + 3]))
         for c in range(3):
             one = rows[3 * j + c : 3 * j + c + 1]
-            parts.append((made(f"{name} on {on}.{_AXES[c]}", one, single=True), one))
+            parts.append((made(f"{name} on {on}.{_AXES[c]}", one, part=True), one))
     return Shape(made(f"{text} on {on}", rows), tuple(parts))
 
 
@@ -181,6 +186,11 @@ def _varies(values: Array, observed: NDArray[np.bool_], least: int) -> bool:
     return len(seen) >= least and float(np.ptp(seen)) > 1e-9 * (abs(float(seen.mean())) + 1e-12)
 
 
+def _swings(values: Array) -> bool:
+    """Whether it differs from an offset."""
+    return float(values.std()) > _OFFSET * math.sqrt(float((values**2).mean()))
+
+
 def _linear(trace: Trace) -> Iterator[_Group]:
     """What another sensor of the vehicle reads, or how fast this one's reading changes."""
     for letter, vector in _vectors(trace):
@@ -218,11 +228,11 @@ def _column(scalar: Array | None) -> Array | None:
 
 def _driven(trace: Trace) -> Iterator[_Group]:
     """One driver, to the first or second power; a battery, which sags with current and charge; an approach."""
-    if trace.current is not None and _varies(trace.current, trace.observed, 4 * _KNOTS):
+    if trace.current is not None:
         charge = np.cumsum(trace.current) / trace.fs
         yield _Group("driven", "current and charge", np.stack([trace.current, charge]), ("current", "charge"))
     for name, scalar in _scalars(trace):
-        if name not in ("temperature", "current") and _varies(scalar, trace.observed, 4 * _KNOTS):
+        if name not in ("temperature", "current"):
             yield _Group("driven", name, scalar[None])
         if name not in ("temperature", "the slope of temperature"):
             yield _Group("driven", f"square of {name}", (scalar**2)[None])
@@ -244,7 +254,10 @@ def _own(trace: Trace) -> Iterator[_Group]:
         ("direction of the reading's change", np.tanh(slope / steady)),
         *((f"dead travel of {part:.1%} of the range", _travel(x, part)) for part in _TRAVELS),
     ]
-    yield from (_Group("own", name, signal, each=True) for name, signal in orders)
+    for name, signal in orders:
+        swings = np.array([_swings(signal[:, c]) for c in range(3)])
+        if swings.any():
+            yield _Group("own", name, signal * swings, each=True)
 
 
 def _travel(x: Array, part: float) -> Array:

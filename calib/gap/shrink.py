@@ -1,8 +1,9 @@
 """How far the gap shrinks on data that the effects have not seen, in nats a sample.
 
 Blocks are held out in turn; effects are chosen and fitted on the others. The loss is the negative log predictive
-density: a proper score that knows means and noise. The floor is what the fit to all data leaves over, less what still
-is above the noise it claims: no model can be expected to go below.
+density: a proper score that knows means and noise. The floor is what a model would lose that has the effects exactly:
+the loss of the fit to all data, with the half nat for each of its numbers by which it follows its own noise (Akaike
+1974) given back, less what still is above the noise it claims.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from calib.gap.selection import Chosen, select
 Array = NDArray[np.float64]
 Key = tuple[str, tuple[int, ...]]
 
-_BLOCKS = 6
+_BLOCKS = 8
 _LONG = 40_000
 _FEW = 4
 """Blocks where a series is longer than `_LONG` samples: each repeats the selection."""
@@ -94,7 +95,7 @@ def held_out(chosen: Chosen, contest: Contest, alpha: float, *, nested: bool) ->
             chain.append(joined(chain[-1], term) if seen else chain[-1])
         losses = [log_loss(carried(model, fold.test)) for model in chain]
         before, fixed = losses[0], losses[-1]
-        floor = log_loss(carried(chosen.model, fold.test)) - floor_ratio * _numbers(fold.test)
+        floor = _floor(chosen, chain[-1], fold) - floor_ratio * _numbers(fold.test)
         after = _nested(fold, chosen, contest, alpha) if nested else fixed
         rows.append((before - floor, after - floor, _numbers(fold.test)))
         less = (parted(chain[-1], t.hypothesis) if seen else chain[-1] for t, seen in zip(order, known, strict=True))
@@ -109,6 +110,19 @@ def held_out(chosen: Chosen, contest: Contest, alpha: float, *, nested: bool) ->
         for i, term in enumerate(order)
     )
     return Heldout(table[:, 0], table[:, 1], table[:, 2], gates, _sequence(order, np.array(steps), table[:, 0]))
+
+
+def _floor(chosen: Chosen, fitted: Model, fold: Fold) -> float:
+    """Loss of a held-out block under the effects as all data have them.
+
+    How loud a sensor is every model has to learn from the other blocks, and is no part of the gap: unless noise is the
+    effect, the floor has that of the model `fitted` there.
+    """
+    noise = fitted if not chosen.model.noise_terms else chosen.model
+    known = replace(noise, terms=chosen.model.terms)
+    followed = len(chosen.joint.covariance) if chosen.model.ridge is None else 0
+    share = _numbers(fold.test) / max(_numbers(fold.train) + _numbers(fold.test), 1)
+    return log_loss(carried(known, fold.test)) + 0.5 * followed * share
 
 
 def trusting(model: Model) -> Setting:
