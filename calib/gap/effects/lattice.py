@@ -178,11 +178,12 @@ def _repeats_by_chance(trace: Trace, same: Mask) -> Array:
     Two samples differ by a Gaussian of sd ``sqrt(2) sigma``, whose density at zero times the step q is
     ``q / (2 sqrt(pi) sigma)``; noise that is smaller than the levels repeats always. The noise is that of the
     surroundings (a sensor at rest repeats, a moving one does not), and of the rows that do not repeat, or a hold would
-    hide itself: their mean absolute difference is ``2 sigma / sqrt(pi)``, less the levels' own part.
+    hide itself: their mean absolute difference is ``2 sigma / sqrt(pi)``, less the levels' own part. A sensor whose
+    ideal reading goes on by D meanwhile repeats more rarely by ``exp(-D^2 / 4 sigma^2)``, the levels counted as noise.
     """
     changed = (trace.observed[1:] & trace.observed[:-1] & ~same.all(axis=1)).astype(np.float64)
     weight = uniform_filter1d(changed, _SURROUNDINGS, mode="nearest")
-    chance = np.ones(len(changed))
+    chance, movement = np.ones(len(changed)), np.zeros(len(changed))
     for axis in range(3):
         values = trace.measured[trace.observed, axis]
         levels = levels_of(values)
@@ -195,9 +196,10 @@ def _repeats_by_chance(trace: Trace, same: Mask) -> Array:
         noise = 0.5 * math.sqrt(math.pi) * size / np.maximum(weight, 0.5 / _SURROUNDINGS)
         variance = np.maximum(noise**2 - step**2 / 12.0, np.finfo(float).tiny)
         chance *= np.minimum(1.0, step / (2.0 * np.sqrt(math.pi * variance)))
+        movement += np.diff(trace.ideal[:, axis]) ** 2 / (4.0 * (variance + step**2))
     chance = np.where(weight * _SURROUNDINGS < 2.5, 1.0, chance)
     # A sensor whose noise is below its levels in a tenth of the recording has no noise that would forbid repeats.
-    return np.maximum(chance, float(np.quantile(chance, 0.9)))
+    return np.asarray(np.maximum(chance, float(np.quantile(chance, 0.9))) * np.exp(-movement))
 
 
 def _evidence(

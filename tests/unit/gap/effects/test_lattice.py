@@ -120,3 +120,18 @@ def test_uniform_noise_on_coarse_levels_is_not_held(seed):
     noise = np.convolve(rng.uniform(-0.012, 0.012, 3 * len(trace.t) + 2), np.ones(3) / 3.0, "valid")
     values = trace.ideal + rng.uniform(-q, q, 3) + noise.reshape(-1, 3)
     assert by_id()["accel_hold"].detect(with_measured(trace, np.round(values / q) * q)) is None
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_few_held_rows_show_between_levels_that_repeat_by_chance(seed):
+    sensor, q = Sensor.GYRO, 0.4 * SIGMA[Sensor.GYRO]
+    plain = noisy(make(sensor, "tumble", fs=10.0), np.zeros(3), SIGMA[sensor], seed)
+    rounded = with_measured(plain, np.round(plain.measured / q) * q)
+    assert by_id()["gyro_hold"].detect(rounded) is None
+    held = rounded.measured.copy()
+    speed = np.abs(np.diff(plain.ideal, axis=0)).max(axis=1)
+    rows = np.flatnonzero(speed > np.median(speed))[5:-5:40] + 1
+    held[rows] = held[rows - 1]
+    found = by_id()["gyro_hold"].detect(with_measured(rounded, held))
+    assert found is not None
+    assert found.masked[rows].all()
