@@ -32,6 +32,8 @@ _TRAVELS = (0.01, 0.03, 0.1, 0.3)
 """Dead travels, in parts of the reading's range."""
 _HARMONICS = (2, 3, 4, 5)
 _HIGHEST = 0.4  # of the rate: beyond, two bands of one series meet
+_ON = tuple(np.arange(0.1, 0.95, 0.05).round(2).tolist())
+"""Parts of a period for which something may be switched on."""
 _OFFSET = 0.2
 """Standard deviation of a signal, in parts of its size, below which it is nothing but an offset."""
 _AXES = "xyz"
@@ -73,8 +75,7 @@ def shapes_of(setting: Setting, tones: Sequence[Term] = ()) -> tuple[Shape, ...]
             if instance not in view.weights:
                 continue
             own = [t for t in tones if t.hypothesis.touches(view) and instance in t.hypothesis.instances]
-            overtones = (_overtones(trace, tone) for tone in own)
-            for group in (*_groups(trace), *(g for g in overtones if len(g.signals))):
+            for group in (*_groups(trace), *(g for tone in own for g in _periodic(trace, tone))):
                 shape = _shape(trace.sensor, group, instance)
                 found.setdefault(shape.whole.key, shape)
     return tuple(found.values())
@@ -274,9 +275,18 @@ def _travel(x: Array, part: float) -> Array:
     return found
 
 
-def _overtones(trace: Trace, tone: Term) -> _Group:
-    """Of a wave that was found: what it has if it is periodic and no sine."""
-    orders = [k for k in _HARMONICS if k * tone.theta < _HIGHEST * trace.fs]
-    phase = 2.0 * np.pi * tone.theta * (trace.t - trace.t[0])
-    signals = [wave(k * phase) for k in orders for wave in (np.cos, np.sin)]
-    return _Group("own", f"overtones of {tone.theta:.3g} Hz", np.array(signals).reshape(len(signals), len(trace.t)))
+def _periodic(trace: Trace, tone: Term) -> Iterator[_Group]:
+    """Of a wave that was found: what it has if it is periodic and no sine, or something that switches on and off."""
+    hz = tone.theta
+    phase = 2.0 * np.pi * hz * (trace.t - trace.t[0])
+    orders = [k for k in _HARMONICS if k * hz < _HIGHEST * trace.fs]
+    if orders:
+        signals = np.array([wave(k * phase) for k in orders for wave in (np.cos, np.sin)])
+        yield _Group("own", f"overtones of {hz:.3g} Hz", signals)
+    if 2.0 * hz < _HIGHEST * trace.fs:
+        waves, _, _ = np.linalg.svd(tone.beta.reshape(2, 3))
+        for end, side in (("high", 1.0), ("low", -1.0)):
+            wave = np.cos(phase - math.atan2(side * waves[1, 0], side * waves[0, 0]))  # of the axes together
+            for part in _ON:
+                on = np.asarray(wave > math.cos(math.pi * part), dtype=np.float64)
+                yield _Group("own", f"{hz:.3g} Hz, on for {part:.0%} about its {end}", on[None])

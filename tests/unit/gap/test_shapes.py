@@ -122,6 +122,23 @@ def test_a_square_wave_has_overtones_of_the_tone_that_was_found():
     assert not any("overtones" in s.whole.effect.excited_by for s in shapes_of(model.setting))
 
 
+@pytest.mark.parametrize(("part", "sign"), [(0.3, 1.0), (0.55, -1.0)])
+def test_what_switches_on_and_off_is_told_from_the_tone_that_was_found(part, sign):
+    def switched(trace):
+        return np.outer(sign * (trace.t % 5.0 < 5.0 * part), [0.03, 0.0, 0.01])
+
+    model = model_of(gap=switched)
+    tone = Hypothesis(by_id()["accel_tone"], (0,))
+    with_tone = with_score(model, Contest((tone,)).score(tone, Beside(model)))
+    shapes = [h for s in shapes_of(model.setting, with_tone.terms) for h in s.hypotheses]
+    switches = [h for h in shapes if ", on for" in h.effect.excited_by]
+    contest, beside = Contest((), budget=0), Beside(model)
+    best = max(switches, key=lambda h: contest.score(h, beside).delta)
+    on = int(best.effect.excited_by.partition("on for ")[2].partition("%")[0])
+    assert on == pytest.approx(100 * part, abs=5.1)
+    assert contest.score(best, beside).delta > contest.score(tone, beside).delta + 10.0
+
+
 @pytest.mark.parametrize("name", list(LOW))
 def test_a_low_order_is_worth_more_as_itself_than_as_a_broken_line(name):
     size = np.array([0.5, -0.3, 0.2]) * SIGMA[Sensor.ACCEL]
