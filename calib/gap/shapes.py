@@ -203,28 +203,19 @@ def _linear(trace: Trace) -> Iterator[_Group]:
 
 
 def _products(trace: Trace) -> Iterator[_Group]:
-    pairs = (
-        ("a", "a", trace.force, trace.force),
-        ("w", "w", trace.rate, trace.rate),
-        ("a", "w", trace.force, trace.rate),
-        ("current", "field", _column(trace.current), trace.field),
-        ("current", "a", _column(trace.current), trace.force),
-        ("temperature", "a", _column(trace.temperature), trace.force),
-        ("temperature", "w", _column(trace.temperature), trace.rate),
-    )
-    for one, other, left, right in pairs:
-        if left is None or right is None:
-            continue
-        scalar = left.shape[1] == 1
-        which = [(i, j) for i in range(left.shape[1]) for j in range(i if one == other else 0, right.shape[1])]
-        signals = np.array([left[:, i] * right[:, j] for i, j in which])
-        names = tuple(f"{one if scalar else f'{one}_{_AXES[i]}'} times {other}_{_AXES[j]}" for i, j in which)
-        text = f"{one} times {other}" if scalar else f"products of {one} and {other}"
-        yield _Group("product", text, signals, names)
-
-
-def _column(scalar: Array | None) -> Array | None:
-    return None if scalar is None else (scalar - scalar.mean())[:, None]
+    """Of two vectors, and of a scalar with the sensor's own ideal reading: axes that turn or stretch with it."""
+    vectors = dict(_vectors(trace))
+    for one, other in (("a", "a"), ("w", "w"), ("a", "w")):
+        if one in vectors and other in vectors:
+            which = [(i, j) for i in range(3) for j in range(i if one == other else 0, 3)]
+            signals = np.array([vectors[one][:, i] * vectors[other][:, j] for i, j in which])
+            names = tuple(f"{one}_{_AXES[i]} times {other}_{_AXES[j]}" for i, j in which)
+            yield _Group("product", f"products of {one} and {other}", signals, names)
+    own = {Sensor.ACCEL: "a", Sensor.GYRO: "w", Sensor.MAG: "m"}[trace.sensor]
+    for name, scalar in (*_scalars(trace), ("time", trace.t)):
+        signals = np.ascontiguousarray(((scalar - scalar.mean())[:, None] * trace.ideal).T)
+        names = tuple(f"{name} times {own}_{axis}" for axis in _AXES)
+        yield _Group("product", f"{name} times {own}", signals, names)
 
 
 def _driven(trace: Trace) -> Iterator[_Group]:
