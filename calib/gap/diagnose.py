@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from calib.gap.attribution import TEMPERATURE, Attribution, settled, steadily
 from calib.gap.bands import assembled, split
 from calib.gap.contest import Contest
+from calib.gap.doubts import nameless, not_following, without_sensors
 from calib.gap.effects import catalogue
 from calib.gap.effects.base import Effect, LatticeEffect, LatticeEvidence
 from calib.gap.estimates import estimates_of
@@ -90,6 +91,8 @@ def diagnose(
     contest = Contest(hypotheses, floor=problem.floor)
     bare = start
     chosen = select(start, contest, alpha)
+    if lost := not_following(chosen.model):
+        return diagnose(without_sensors(problem, lost), effects=effects, alpha=alpha, nested=nested, rounds=rounds)
     if rounds and (taking := transitions(chosen.model)):
         problem = without_transitions(problem, taking)
         return diagnose(problem, effects=effects, alpha=alpha, nested=nested, rounds=rounds - 1)
@@ -113,7 +116,7 @@ def diagnose(
         chosen = reduced(chosen, failed)
         heldout = held_out(chosen, contest, alpha, nested=nested)
         chosen, attributions = settled(chosen, contest, 0.0)
-    strangers = strangers_in(chosen.model)
+    strangers = (*strangers_in(chosen.model), *nameless(attributions, withdrawn))
     denied = {key for stranger in strangers for key in stranger.keys}
     denied |= {t.hypothesis.key for t in chosen.model.terms if usual_tone(t, problem.nominal)}
     denied |= {t.hypothesis.key for t in chosen.model.noise_terms if unsteady_line(t, chosen.model)}
