@@ -25,6 +25,7 @@ from calib.gap.model import Model, NoiseTerm, Term, predicted, setting_of, start
 from calib.gap.noise_fit import refitted, starting_noise
 from calib.gap.power import powers_of
 from calib.gap.problem import Problem
+from calib.gap.quieter import quieter
 from calib.gap.schema import (
     EffectEstimate,
     Estimate,
@@ -133,7 +134,7 @@ def diagnose(
         not_testable=_untestable(problem, missing, {h.effect.id for h in hypotheses}),
         power=powers_of(chosen, contest, alpha),
         multiple_testing=MultipleTesting(chosen.tests, alpha),
-        warnings=problem.warnings,
+        warnings=(*problem.warnings, *quieter(chosen.model)),
         series=_series(chosen.model),
     )
 
