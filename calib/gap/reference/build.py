@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from calib.errors import InvalidInputError
@@ -26,6 +26,7 @@ _NO_REFERENCE = (
 )
 _NO_OVERLAP = "the recording and its reference have no sensor in common, or do not overlap in time: check their clocks"
 _FAST_HZ = 100.0  # rate of a gyroscope whose turns between samples are hardly more than noise
+_ONE_RATE = 0.02  # by which rates may differ, relative
 _OTHER = "the simulator's or a nominal recording"
 _REDUNDANT = "The instances of the vehicle are held against each other."
 
@@ -68,6 +69,7 @@ def build(real: Recording, sim: Recording | None = None, nominal: Sequence[Recor
     offsets = deviations([t for n, traces in clean if n is sim for t in traces if t.against is None])
     sound = checked(single + pairs)
     rounded = [with_simulated_step(t, steps.get(t.sensor, 0.0)) for t in sound.traces]
+    total = _of_one_rate(total, of_readings, sound.traces)
     rounded = [replace(t, ideal_sd=error_sd(n)) if (n := of_readings.get(t.sensor)) else t for t in rounded]
     traces = tuple(simulated_ideal(with_noise(t, total.get(t.sensor), own.get(t.sensor)), offsets) for t in rounded)
     info = ReferenceInfo(ReferenceKind.REDUNDANT, text=_REDUNDANT) if ideal is None else ideal.info
@@ -80,6 +82,15 @@ def build(real: Recording, sim: Recording | None = None, nominal: Sequence[Recor
     duration = max(float(t.t[-1] - t.t[0]) for t in single + pairs)
     usual = tuple(trace for _, its in clean for trace in its if trace.against is None)
     return Problem(traces, info, duration, warnings=warnings, not_testable=sound.refused, nominal=usual)
+
+
+def _of_one_rate(
+    total: dict[Sensor, Noise], of_readings: Mapping[Sensor, Noise], traces: Sequence[Trace]
+) -> dict[Sensor, Noise]:
+    """Without what was learned from readings of another rate: whether these were averaged or picked, nobody knows."""
+    rates = {t.sensor: t.fs for t in traces}
+    other = {s for s, n in of_readings.items() if s in rates and abs(math.log(rates[s] / n.fs)) > _ONE_RATE}
+    return {s: noise for s, noise in total.items() if s not in other}
 
 
 def told_by(single: tuple[Trace, ...], pairs: tuple[Trace, ...]) -> tuple[Trace, ...]:

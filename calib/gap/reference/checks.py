@@ -30,6 +30,8 @@ _FAR_OFF = 6.0  # ratio of whole fields that no iron reaches
 _ONE_VALUE = 1e-12  # range below which a number is one
 _DIGITS = 1e-12  # share of the readings that the computer's rounding makes
 _POSSIBLE = 1e7  # reading that no sensor has in any unit
+_WILD = 50.0  # times all that the reference reads, from which a single reading is damage
+_SELDOM = 0.01  # share of readings
 _SLOWEST_S = 0.7  # between two samples, from which on time is not in seconds, or nothing is left of a movement
 _NOISIER = 10.0  # ratio of noise powers from which the reference is worse than the sensor
 _FACTORS = {
@@ -92,7 +94,13 @@ def _impossible(trace: Trace, name: str, measured: Array, ideal: Array) -> Refus
             at = float(trace.t[trace.observed][row])
             reason = f"{whose} reads {values[row, axis]:.3g} {trace.unit} on {_AXES[axis]} at {at:.3f} s"
             return trace.sensor.value, reason, "damaged rows left out, or the right unit"
-    return None
+    size, usual = np.abs(measured).max(axis=1), max(float(np.abs(ideal).max()), MOVES[trace.sensor])
+    wild = size > _WILD * max(usual, float(np.median(size)))
+    if not 0.0 < wild.mean() < _SELDOM:
+        return None
+    at = float(trace.t[trace.observed][np.argmax(size)])
+    reason = f"{name} reads {size.max():.3g} {trace.unit} at {at:.3f} s, and {int(wild.sum())} such rows in all"
+    return trace.sensor.value, reason, "damaged rows left out"
 
 
 def _dead(trace: Trace, name: str, measured: Array, ideal: Array) -> Refusal | None:

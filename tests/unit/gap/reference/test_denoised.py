@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -79,3 +81,11 @@ def test_a_simulators_readings_serve_without_their_noise_and_declare_it():
     assert trace.psd is not None
     assert trace.psd[0] == pytest.approx(2.0 * trace.psd[-1], rel=0.2)
     assert 0.0 < trace.ideal_sd < 0.5 * SIGMA[Sensor.ACCEL]
+
+
+def test_noise_of_readings_of_another_rate_is_not_declared():
+    sim = flown(seed=2, reference=False)
+    slower = sim.with_channels(dataclasses.replace(c, t=c.t[::2], values=c.values[::2]) for c in sim.channels)
+    trace = by_sensor(build(flown(reference=False), slower))[Sensor.ACCEL]
+    assert trace.sigma is None
+    assert trace.ideal_sd > 0.0

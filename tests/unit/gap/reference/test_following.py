@@ -59,3 +59,11 @@ def test_poor_sensors_still_follow(gap):
 def test_exchanged_axes_are_another_matter():
     ideal = swaying()
     assert not unrelated(trace(ideal[:, [1, 0, 2]] + noise(0.05), ideal), 0.3).any()
+
+
+def test_single_damaged_rows_are_no_noise():
+    ideal = swaying()
+    measured = ideal + noise(0.05)
+    assert refusal_of(trace(measured, ideal)) is None
+    measured[[70, 3000]] += 1e4
+    assert "2 such rows" in refusal_of(trace(measured, ideal))[1]
