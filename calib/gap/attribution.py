@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from calib.gap.contest import Beside, Contest, Score, exactly, existing, fixed_score, noise_score, priced
 from calib.gap.effects.base import NoiseEffect
 from calib.gap.effects.noise import DRIFTS
+from calib.gap.filtered import told_by_noise
 from calib.gap.hypotheses import Columns, Hypothesis, columns_of
 from calib.gap.model import Model, NoiseTerm, Term, refined
 from calib.gap.noise_fit import refitted, without_term
@@ -191,7 +192,8 @@ def _alternatives(chosen: Chosen, contest: Contest, term: Term | NoiseTerm) -> t
 
 def _own_score(chosen: Chosen, term: Term, columns: Columns, beside: Beside) -> Score:
     if term.effect.fixed:
-        return fixed_score(term.hypothesis, term.theta, beside.fixed_gain(columns))
+        gain = beside.fixed_gain(columns) + told_by_noise(term.hypothesis, term.theta, beside.model)
+        return fixed_score(term.hypothesis, term.theta, gain)
     found = beside.gain(columns)
     if term.effect.exact is not None:
         gain, beta = exactly(term.hypothesis, term.beta, beside)

@@ -21,6 +21,7 @@ from scipy.stats import binom
 from calib.gap.bands import joined
 from calib.gap.effects.base import MeanEffect, NoiseEffect
 from calib.gap.evidence import evidence, price_of_fixed, price_of_kind, price_of_noise, price_of_search
+from calib.gap.filtered import told_by_noise
 from calib.gap.hypotheses import Columns, Hypothesis, columns_of
 from calib.gap.louder import Added, stands_out, tone_beside_lines, whose
 from calib.gap.model import (
@@ -279,7 +280,8 @@ class Contest:
         if free <= _WORTH:
             return fixed_score(hypothesis, float(grid[best]), fixed[best])
         theta = self._refined(hypothesis, float(grid[best]), grid, beside)
-        return fixed_score(hypothesis, theta, self._fixed_gain(hypothesis, theta, beside))
+        gain = self._fixed_gain(hypothesis, theta, beside)
+        return fixed_score(hypothesis, theta, gain + told_by_noise(hypothesis, theta, beside.model))
 
     def _at(self, hypothesis: Hypothesis, theta: float, beside: Beside) -> Gain:
         return beside.gain(self.columns(hypothesis, theta, beside.model))

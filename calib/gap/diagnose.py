@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from calib.gap.attribution import TEMPERATURE, Attribution, settled, steadily
 from calib.gap.bands import assembled, split
 from calib.gap.contest import Contest
+from calib.gap.doubts import nameless, not_following, without_sensors
 from calib.gap.effects import catalogue
 from calib.gap.effects.base import Effect, LatticeEffect, LatticeEvidence
 from calib.gap.estimates import estimates_of
@@ -24,6 +25,7 @@ from calib.gap.model import Model, NoiseTerm, Term, predicted, setting_of, start
 from calib.gap.noise_fit import refitted, starting_noise
 from calib.gap.power import powers_of
 from calib.gap.problem import Problem
+from calib.gap.quieter import quieter
 from calib.gap.schema import (
     EffectEstimate,
     Estimate,
@@ -90,6 +92,8 @@ def diagnose(
     contest = Contest(hypotheses, floor=problem.floor)
     bare = start
     chosen = select(start, contest, alpha)
+    if lost := not_following(chosen.model):
+        return diagnose(without_sensors(problem, lost), effects=effects, alpha=alpha, nested=nested, rounds=rounds)
     if rounds and (taking := transitions(chosen.model)):
         problem = without_transitions(problem, taking)
         return diagnose(problem, effects=effects, alpha=alpha, nested=nested, rounds=rounds - 1)
@@ -113,7 +117,7 @@ def diagnose(
         chosen = reduced(chosen, failed)
         heldout = held_out(chosen, contest, alpha, nested=nested)
         chosen, attributions = settled(chosen, contest, 0.0)
-    strangers = strangers_in(chosen.model, attributions)
+    strangers = (*strangers_in(chosen.model, attributions), *nameless(attributions, withdrawn))
     denied = {key for stranger in strangers for key in stranger.keys}
     denied |= {t.hypothesis.key for t in chosen.model.terms if usual_tone(t, problem.nominal)}
     denied |= {t.hypothesis.key for t in chosen.model.noise_terms if unsteady_line(t, chosen.model)}
@@ -130,7 +134,7 @@ def diagnose(
         not_testable=_untestable(problem, missing, {h.effect.id for h in hypotheses}),
         power=powers_of(chosen, contest, alpha),
         multiple_testing=MultipleTesting(chosen.tests, alpha),
-        warnings=problem.warnings,
+        warnings=(*problem.warnings, *quieter(chosen.model)),
         series=_series(chosen.model),
     )
 

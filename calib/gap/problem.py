@@ -97,6 +97,8 @@ class Trace:
     own_psd : shape (K, 3) or None
         The same without the error of the reference: the sensor's own noise, learned from the differences of instances
         in nominal recordings. Where it is known, `sigma` is of that noise alone.
+    ideal_sd
+        Standard deviation of the noise in `ideal`, of its noisiest axis; 0 where it is exact, or not known.
     followed
         Whether the reference knows how fast the reading changes; False: only its level.
     """
@@ -127,6 +129,7 @@ class Trace:
     low_pass_hz: float | None = None
     own_psd: Array | None = None
     followed: bool = True
+    ideal_sd: float = 0.0
 
     @property
     def fs(self) -> float:

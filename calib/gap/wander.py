@@ -111,11 +111,23 @@ def best_prior(model: Model) -> tuple[float, float, float]:
     for size, time in _priors():
         root = np.sqrt(_prior(setting, size, time))
         inner = np.eye(columns.p) + root[:, None] * normal.gram * root
-        factor = np.linalg.cholesky(inner)
-        scaled = np.linalg.solve(factor, root * normal.right)
-        gain = float(scaled @ scaled) - 2.0 * float(np.log(np.diag(factor)).sum())
-        best = max(best, (gain, size, time))
+        best = max(best, (marginal(inner, root * normal.right), size, time))
     return best
+
+
+def marginal(inner: Array, right: Array) -> float:
+    """``r' A^-1 r - log det A`` of a matrix that is one plus squares.
+
+    Beside next to no noise these squares are so large that rounding makes some of them negative.
+    """
+    try:
+        factor = np.linalg.cholesky(inner)
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(inner)
+        values = np.maximum(values, 1.0)
+        return float((vectors.T @ right) ** 2 @ (1.0 / values)) - float(np.log(values).sum())
+    scaled = np.linalg.solve(factor, right)
+    return float(scaled @ scaled) - 2.0 * float(np.log(np.diag(factor)).sum())
 
 
 def with_tail(setting: Setting, noise: Sequence[Noise], size_deg: float, time_s: float) -> tuple[Noise, ...]:

@@ -21,6 +21,9 @@ _TRIED = 26
 _LEAST, _MOST = 4.0, 1e6  # evidence of the least and the largest that is tried, times the least
 _BELOW = 0.9  # of the largest reading: an end of the range there leaves some readings alone, an offset none
 _OUTSIDE = 0.02  # of the readings, in a dead band, and beyond it, for anything to be said
+_BLURRED = 5.0
+"""Standard deviations of the noise in a reference, within which it does not say that a sensor should read zero, or at
+the end of its range more."""
 
 
 def clipped_column(trace: Trace, limit: float) -> Array:
@@ -56,13 +59,17 @@ def limits(trace: Trace) -> Array:
     size = np.sort(np.abs(trace.ideal[trace.observed]).ravel())[::-1]
     count = np.arange(1, len(size) + 1)
     energy = np.cumsum(size**2) - 2.0 * size * np.cumsum(size) + count * size**2  # what lies above each of them
-    return np.sort(_at_energies(size, np.maximum.accumulate(energy), _noise(trace)))
+    tried = np.sort(_at_energies(size, np.maximum.accumulate(energy), _noise(trace)))
+    below = tried[tried <= size[0] - _BLURRED * trace.ideal_sd]
+    return below if len(below) else tried[:1]
 
 
 def widths(trace: Trace) -> Array:
     """Half widths to try, ascending, in the unit of the readings."""
     size = np.sort(np.abs(trace.ideal[trace.observed]).ravel())
-    return _at_energies(size, np.cumsum(size**2), _noise(trace))
+    tried = _at_energies(size, np.cumsum(size**2), _noise(trace))
+    beyond = tried[tried > _BLURRED * trace.ideal_sd]
+    return beyond if len(beyond) else size[-1:]
 
 
 def _reaches_far(sensor: Sensor) -> Missing:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from calib.errors import InvalidInputError
@@ -13,6 +13,7 @@ from calib.gap.reference.calibrated import corrected, not_undone
 from calib.gap.reference.checks import Checked, check_vehicles, checked
 from calib.gap.reference.choose import choose
 from calib.gap.reference.chosen import sensors_of
+from calib.gap.reference.denoised import error_sd, with_error
 from calib.gap.reference.deviation import deviations, simulated_ideal
 from calib.gap.reference.ideal import Ideal, trace_of
 from calib.gap.reference.noise import Noise, learned, pooled, with_noise
@@ -25,6 +26,7 @@ _NO_REFERENCE = (
 )
 _NO_OVERLAP = "the recording and its reference have no sensor in common, or do not overlap in time: check their clocks"
 _FAST_HZ = 100.0  # rate of a gyroscope whose turns between samples are hardly more than noise
+_ONE_RATE = 0.02  # by which rates may differ, relative
 _OTHER = "the simulator's or a nominal recording"
 _REDUNDANT = "The instances of the vehicle are held against each other."
 
@@ -53,6 +55,7 @@ def build(real: Recording, sim: Recording | None = None, nominal: Sequence[Recor
         raise InvalidInputError("the recording has no accelerometer, gyroscope or magnetometer: nothing to compare")
     chosen = choose(real, sim, [corrected(n) for n in nominal])
     ideal = None if chosen is None else chosen.ideal
+    of_readings = {} if ideal is None else ideal.noise
     single = () if ideal is None else single_traces(real, channels, ideal)
     pairs = differences(real, ideal, single)
     single = told_by(single, pairs)
@@ -61,10 +64,13 @@ def build(real: Recording, sim: Recording | None = None, nominal: Sequence[Recor
     judged = [] if chosen is None else [(n, nominal_traces(n, its)) for n, its in chosen.nominal]
     clean = [(n, found.traces) for n, found in judged]
     steps = steps_of(c for n, _ in clean for c in sensors_of(n))
-    total, own = noise_of([trace for _, traces in clean for trace in traces])
+    total, own = noise_of([trace for n, traces in clean for trace in traces if n is not sim or not of_readings])
+    total |= {s: with_error(total[s], noise) if s in total else noise for s, noise in of_readings.items()}
     offsets = deviations([t for n, traces in clean if n is sim for t in traces if t.against is None])
     sound = checked(single + pairs)
     rounded = [with_simulated_step(t, steps.get(t.sensor, 0.0)) for t in sound.traces]
+    total = _of_one_rate(total, of_readings, sound.traces)
+    rounded = [replace(t, ideal_sd=error_sd(n)) if (n := of_readings.get(t.sensor)) else t for t in rounded]
     traces = tuple(simulated_ideal(with_noise(t, total.get(t.sensor), own.get(t.sensor)), offsets) for t in rounded)
     info = ReferenceInfo(ReferenceKind.REDUNDANT, text=_REDUNDANT) if ideal is None else ideal.info
     warnings = (
@@ -76,6 +82,15 @@ def build(real: Recording, sim: Recording | None = None, nominal: Sequence[Recor
     duration = max(float(t.t[-1] - t.t[0]) for t in single + pairs)
     usual = tuple(trace for _, its in clean for trace in its if trace.against is None)
     return Problem(traces, info, duration, warnings=warnings, not_testable=sound.refused, nominal=usual)
+
+
+def _of_one_rate(
+    total: dict[Sensor, Noise], of_readings: Mapping[Sensor, Noise], traces: Sequence[Trace]
+) -> dict[Sensor, Noise]:
+    """Without what was learned from readings of another rate: whether these were averaged or picked, nobody knows."""
+    rates = {t.sensor: t.fs for t in traces}
+    other = {s for s, n in of_readings.items() if s in rates and abs(math.log(rates[s] / n.fs)) > _ONE_RATE}
+    return {s: noise for s, noise in total.items() if s not in other}
 
 
 def told_by(single: tuple[Trace, ...], pairs: tuple[Trace, ...]) -> tuple[Trace, ...]:

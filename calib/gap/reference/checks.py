@@ -11,6 +11,7 @@ from scipy.signal import welch
 
 from calib.errors import InvalidInputError
 from calib.gap.problem import Trace
+from calib.gap.reference.following import unrelated
 from calib.gap.reference.frames import correlation, turn_of
 from calib.logs.tables import NO_TIME
 from calib.recording import Recording, Sensor
@@ -19,7 +20,7 @@ Array = NDArray[np.float64]
 
 SHORTEST_S = 5.0
 FEWEST = 48
-_MOVES = {Sensor.ACCEL: 0.3, Sensor.GYRO: 0.03, Sensor.MAG: 1.5}  # rms about the mean from which an ideal sensor moves
+MOVES = {Sensor.ACCEL: 0.3, Sensor.GYRO: 0.03, Sensor.MAG: 1.5}  # rms about the mean from which an ideal sensor moves
 _TURNS_MUCH = 3.0
 _ALIKE = 0.8  # correlation from which readings and reference are the same but for frame or unit
 _UNLIKE = 0.3  # and below which they have nothing in common
@@ -29,6 +30,8 @@ _FAR_OFF = 6.0  # ratio of whole fields that no iron reaches
 _ONE_VALUE = 1e-12  # range below which a number is one
 _DIGITS = 1e-12  # share of the readings that the computer's rounding makes
 _POSSIBLE = 1e7  # reading that no sensor has in any unit
+_WILD = 50.0  # times all that the reference reads, from which a single reading is damage
+_SELDOM = 0.01  # share of readings
 _SLOWEST_S = 0.7  # between two samples, from which on time is not in seconds, or nothing is left of a movement
 _NOISIER = 10.0  # ratio of noise powers from which the reference is worse than the sensor
 _FACTORS = {
@@ -75,6 +78,7 @@ def refusal_of(trace: Trace) -> Refusal | None:
     measured, ideal = trace.measured[rows], trace.ideal[rows]
     return (
         _impossible(trace, name, measured, ideal)
+        or _unrelated(trace, name)
         or (_of_field(name, measured, ideal) if trace.sensor == Sensor.MAG else None)
         or _dead(trace, name, measured, ideal)
         or _copied(trace, name, measured, ideal)
@@ -90,22 +94,39 @@ def _impossible(trace: Trace, name: str, measured: Array, ideal: Array) -> Refus
             at = float(trace.t[trace.observed][row])
             reason = f"{whose} reads {values[row, axis]:.3g} {trace.unit} on {_AXES[axis]} at {at:.3f} s"
             return trace.sensor.value, reason, "damaged rows left out, or the right unit"
-    return None
+    size, usual = np.abs(measured).max(axis=1), max(float(np.abs(ideal).max()), MOVES[trace.sensor])
+    wild = size > _WILD * max(usual, float(np.median(size)))
+    if not 0.0 < wild.mean() < _SELDOM:
+        return None
+    at = float(trace.t[trace.observed][np.argmax(size)])
+    reason = f"{name} reads {size.max():.3g} {trace.unit} at {at:.3f} s, and {int(wild.sum())} such rows in all"
+    return trace.sensor.value, reason, "damaged rows left out"
 
 
 def _dead(trace: Trace, name: str, measured: Array, ideal: Array) -> Refusal | None:
     """An axis that never changes says nothing, even at rest: a live sensor has noise."""
     stuck = np.ptp(measured, axis=0) < _ONE_VALUE
     if stuck.any():
-        moves = (ideal.std(axis=0) > _MOVES[trace.sensor]) & stuck
+        moves = (ideal.std(axis=0) > MOVES[trace.sensor]) & stuck
         when = " while the vehicle moves" if moves.any() else ": a live sensor has noise"
         named = _axes(moves if moves.any() else stuck)
         return trace.sensor.value, f"{named} of {name} reads one value throughout{when}", "a live sensor"
-    still = (np.ptp(ideal, axis=0) == 0.0) & (measured.std(axis=0) > _MOVES[trace.sensor])
+    still = (np.ptp(ideal, axis=0) == 0.0) & (measured.std(axis=0) > MOVES[trace.sensor])
     if still.any() and trace.against is None:
         reason = f"the reference of {name} has one value throughout on {_axes(still)} while the sensor moves"
         return trace.sensor.value, reason, "a reference of the same movement: check its columns, or leave them out"
     return None
+
+
+def _unrelated(trace: Trace, name: str) -> Refusal | None:
+    """A sensor that does not follow its reference: one of them is dead, or of another movement."""
+    if trace.against is not None or not trace.followed:
+        return None
+    axes = unrelated(trace, MOVES[trace.sensor])
+    if not axes.any() or (np.ptp(trace.measured[trace.observed], axis=0)[axes] < _ONE_VALUE).all():
+        return None
+    reason = f"{name} does not follow its reference on {_axes(axes)}: they have nothing in common"
+    return trace.sensor.value, reason, "a live sensor, and a reference of the same movement"
 
 
 def _copied(trace: Trace, name: str, measured: Array, ideal: Array) -> Refusal | None:
@@ -130,7 +151,7 @@ def _axes(chosen: NDArray[np.bool_]) -> str:
 
 def _in_another_frame(trace: Trace, name: str, measured: Array, ideal: Array) -> Refusal | None:
     spread = _spreads(ideal)[1]
-    turning = spread > (1.0 if trace.sensor == Sensor.MAG else _TURNS_MUCH) * _MOVES[trace.sensor]
+    turning = spread > (1.0 if trace.sensor == Sensor.MAG else _TURNS_MUCH) * MOVES[trace.sensor]
     if trace.sensor == Sensor.GYRO or turning:  # an offset of the sensor is no frame
         measured, ideal = measured - measured.mean(axis=0), ideal - ideal.mean(axis=0)
         slight = _SLIGHT
@@ -183,7 +204,7 @@ def _worse_reference(trace: Trace, name: str, measured: Array, ideal: Array) -> 
 
 def _tells(sensor: Sensor, ideal: Array) -> bool:
     """Whether the vectors are long enough that a frame or a unit would show."""
-    return bool(np.sqrt((ideal**2).sum(axis=1).mean()) > _MOVES[sensor])
+    return bool(np.sqrt((ideal**2).sum(axis=1).mean()) > MOVES[sensor])
 
 
 def _of_frame(trace: Trace, name: str, measured: Array, ideal: Array, slight: float) -> Refusal | None:
@@ -257,7 +278,7 @@ def check_times(recordings: Iterable[Recording]) -> None:
     """
     for recording in recordings:
         name = recording.source or "a recording"
-        times = [np.unique(c.t) for c in recording.channels if c.sensor in _MOVES and len(c) >= FEWEST]
+        times = [np.unique(c.t) for c in recording.channels if c.sensor in MOVES and len(c) >= FEWEST]
         if times and max(map(len, times)) < 4:
             raise InvalidInputError(f"{name} has one time for all samples: fill column t, or leave it out, with --rate")
         steps = [float(np.median(np.diff(t))) for t in times if len(t) > 3]

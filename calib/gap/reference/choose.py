@@ -65,7 +65,7 @@ def _best(real: Recording, sim: Recording | None, nominal: Sequence[Recording]) 
     if ideal is not None:
         return Chosen(_completed(ideal, real), tuple((n, _of_nominal(n, real, ideal)) for n in clean))
     if sim is not None and (ideal := of_same_trajectory(real, sim)) is not None:
-        return Chosen(ideal, tuple((n, recorded(n)) for n in clean))
+        return Chosen(ideal, tuple((n, recorded(n) or (ideal if n is sim and ideal.noise else None)) for n in clean))
     logged = real.identity.autopilot is not None  # of a vehicle: a simulator's truth is there too slow for a gyroscope
     truth = all(true_attitude(r) is not None for r in (real, *clean))
     if logged and (ideal := re_estimated(real, with_truth=truth)) is not None:

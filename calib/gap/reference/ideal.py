@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from calib.gap.problem import ReferenceInfo, Trace
 from calib.gap.reference.calibrated import filter_in_force, sensor_from_corrected
 from calib.gap.reference.grid import grid_of
+from calib.gap.reference.noise import Noise
 from calib.gap.reference.signal import Signal, slow
 from calib.recording import Channel, Recording, Sensor
 
@@ -35,6 +36,8 @@ class Ideal:
         North, east, down of a local origin, m, or None.
     warnings
         What was noticed on the way.
+    noise
+        By sensor, where the reference was made of readings with noise: what sensors like those leave beside it.
     """
 
     info: ReferenceInfo
@@ -43,6 +46,7 @@ class Ideal:
     place: Signal | None = None
     warnings: tuple[str, ...] = ()
     spin: Signal | None = field(default=None)
+    noise: Mapping[Sensor, Noise] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.spin is None and Sensor.GYRO in self.readings:
@@ -53,7 +57,7 @@ class Ideal:
         readings = {sensor: signal.shifted(by) for sensor, signal in self.readings.items()}
         attitude = None if self.attitude is None else self.attitude.shifted(by)
         place = None if self.place is None else self.place.shifted(by)
-        return Ideal(self.info, readings, attitude, place, self.warnings)
+        return Ideal(self.info, readings, attitude, place, self.warnings, noise=self.noise)
 
     def body(self, t: Array) -> dict[str, Any]:
         """Force, rate, spin, field, attitude and place at `t`; None for what is not known."""

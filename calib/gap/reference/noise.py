@@ -38,7 +38,7 @@ class Noise:
     """Spectrum of the residual of nominal recordings per DCT bin: `psd` (K, 3) in variance of one sample on `hz` (K,).
 
     `dof` (K,) are the squared coefficients that each band was averaged from; `fs` their sampling rate, `low_pass_hz`
-    the firmware's filter that is in it.
+    the firmware's filter that is in it. `smooth`: its form is known, and only its size was learned.
     """
 
     hz: Array
@@ -46,6 +46,7 @@ class Noise:
     dof: Array
     fs: float
     low_pass_hz: float | None = None
+    smooth: bool = False
 
     @property
     def sigma(self) -> Array:
@@ -55,6 +56,8 @@ class Noise:
     @property
     def white(self) -> bool:
         """Whether every band agrees with the mean of all."""
+        if self.smooth:
+            return bool(np.ptp(self.psd, axis=0).max() == 0.0)
         chance = chances(self.psd / self.sigma**2, self.dof)
         return bool(chance.min() * chance.size > _COLOURED)
 
@@ -63,6 +66,8 @@ class Noise:
 
         A band that differs from their sum by more than chance is taken as it is, but for a share of that sum.
         """
+        if self.smooth:
+            return self
         omega = 2.0 * np.pi * self.hz / self.fs
         gain = filter_gain(self.hz, self.low_pass_hz) ** 2
         shapes = [gain * shape for shape in (np.ones_like(omega), random_walk(omega), flicker(omega))]
@@ -78,6 +83,8 @@ class Noise:
 
     def widened(self) -> Noise:
         """Lines of rotors over the frequencies that they have in other flights, which hover at other speeds."""
+        if self.smooth:
+            return self
         near = np.abs(np.log(self.hz[:, None] / self.hz)) <= _HOVERS
         near &= (np.minimum(self.hz[:, None], self.hz) > _SLOW_HZ) | np.eye(len(self.hz), dtype=bool)
         gain = (filter_gain(self.hz, self.low_pass_hz) ** 2)[:, None]
@@ -142,7 +149,7 @@ def pooled(noises: Sequence[Noise]) -> Noise:
     first = noises[0]
     if len(noises) == 1:
         return first
-    brought = [first.psd, *(_on(n, first.hz, first.fs, first.low_pass_hz) for n in noises[1:])]
+    brought = [first.psd, *(on(n, first.hz, first.fs, first.low_pass_hz) for n in noises[1:])]
     return dataclasses.replace(first, psd=np.mean(brought, axis=0), dof=first.dof * len(noises))
 
 
@@ -174,10 +181,10 @@ def with_noise(trace: Trace, total: Noise | None, own: Noise | None) -> Trace:
     whole, own = whole.smoothed().widened(), None if own is None else own.smoothed().widened()
     hz = np.geomspace(trace.fs / (2.0 * len(trace.t)), trace.fs / 2.0, 3 * _BANDS)
     hz = np.unique(np.concatenate([hz, whole.hz[whole.hz < 0.5 * trace.fs]]))
-    trace = dataclasses.replace(trace, psd=_on(whole, hz, trace.fs, trace.low_pass_hz), psd_hz=hz)
+    trace = dataclasses.replace(trace, psd=on(whole, hz, trace.fs, trace.low_pass_hz), psd_hz=hz)
     if own is not None:
         own = dataclasses.replace(own, psd=np.maximum(own.psd, _rounding(trace)))
-    return dataclasses.replace(trace, own_psd=_on(own, hz, trace.fs, trace.low_pass_hz)) if own is not None else trace
+    return dataclasses.replace(trace, own_psd=on(own, hz, trace.fs, trace.low_pass_hz)) if own is not None else trace
 
 
 def _rounding(trace: Trace) -> float:
@@ -185,7 +192,7 @@ def _rounding(trace: Trace) -> float:
     return trace.quantum**2 / 12.0 * (1.0 if trace.against is None else 2.0)
 
 
-def _on(noise: Noise, hz: Array, fs: float, low_pass_hz: float | None) -> Array:
+def on(noise: Noise, hz: Array, fs: float, low_pass_hz: float | None) -> Array:
     """Its spectrum at `hz` in samples of rate `fs`, behind the filter `low_pass_hz`.
 
     It is carried over as a density, and brought to the other filter as far as it was still to be seen behind its own;

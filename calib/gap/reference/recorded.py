@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from calib.gap.problem import ReferenceInfo, ReferenceKind
 from calib.gap.reference.calibrated import TRIADS
+from calib.gap.reference.denoised import denoised
 from calib.gap.reference.ideal import Ideal
 from calib.gap.reference.signal import Signal
 from calib.recording import Channel, Recording, Sensor, Stage
@@ -38,16 +39,26 @@ def recorded(recording: Recording) -> Ideal | None:
 
 
 def simulated(recording: Recording) -> Ideal | None:
-    """What the sensors of a simulator's `recording` read, its own noise included; None if it has none."""
-    readings = _signals(
+    """What the sensors of a simulator's `recording` read, without its noise where it has some; None if it has none."""
+    channels = [
         recording.channel(sensor, recording.instances(sensor)[0])
         for sensor in TRIADS
         if any(c.stage != Stage.DEBIASED for c in recording.channels if c.sensor == sensor and len(c))
-    )
+    ]
+    readings = _signals(channels)
     if not readings:
         return None
-    text = "Readings of a simulator on the same trajectory, its own noise included."
-    return Ideal(ReferenceInfo(ReferenceKind.SIM, text=text), readings, true_attitude(recording), true_place(recording))
+    quiet = {c.sensor: found for c in channels if c.sensor in readings and (found := denoised(c)) is not None}
+    readings |= {sensor: found.signal for sensor, found in quiet.items()}
+    named = ", ".join(sensor.value for sensor in quiet)
+    freed = f"freed of its own noise ({named})" if quiet else "its own noise included"
+    return Ideal(
+        ReferenceInfo(ReferenceKind.SIM, text=f"Readings of a simulator on the same trajectory, {freed}."),
+        readings,
+        true_attitude(recording),
+        true_place(recording),
+        noise={sensor: found.noise for sensor, found in quiet.items()},
+    )
 
 
 def true_attitude(recording: Recording) -> Signal | None:

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from calib.gap.effects import forward_models
+from calib.gap.effects.limits import limits, widths
+from calib.gap.problem import Trace
 from calib.recording import Sensor
 
 from .conftest import make
@@ -94,3 +96,14 @@ def test_where_nothing_moves_through_zero_there_is_no_dead_band():
     still = dataclasses.replace(trace, ideal=np.zeros_like(trace.ideal))
     assert forward_models()["mag_saturation"][-1].missing(still) is not None
     assert forward_models()["mag_dead_band"][-1].missing(still) is not None
+
+
+def test_noise_of_the_reference_is_no_limit():
+    rng = np.random.default_rng(3)
+    n = 4000
+    ideal = np.where(np.arange(n)[:, None] < n // 2, 0.0, rng.normal(size=(n, 3))) + 0.01 * rng.normal(size=(n, 3))
+    trace = Trace(
+        Sensor.GYRO, (0,), np.arange(n) / 100.0, ideal, ideal, np.ones(n, bool), sigma=np.full(3, 0.01), ideal_sd=0.01
+    )
+    assert widths(trace).min() > 0.05
+    assert limits(trace).max() < np.abs(ideal).max() - 0.05

@@ -1,0 +1,63 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from calib.gap import diagnose
+from calib.gap.effects import by_id
+from calib.gap.effects.timing import low_pass_gain
+from calib.gap.filtered import told_by_noise
+from calib.gap.hypotheses import Hypothesis
+from calib.gap.model import setting_of, starting_model
+from calib.gap.noise_fit import starting_noise
+from calib.gap.views import views_of
+from calib.recording import Sensor
+
+from .synthetic import problem_of
+
+CUTOFF = 12.0  # Hz, of 25
+
+
+def through_filter(trace, values):
+    """`values` through the filter of the catalogue, without its phase."""
+    f = np.fft.rfftfreq(len(values), 1.0 / trace.fs)
+    gain = np.sqrt(low_pass_gain(trace, 2.0 * np.pi * f / trace.fs, CUTOFF))
+    return np.fft.irfft(np.fft.rfft(values, axis=0) * gain[:, None], len(values), axis=0)
+
+
+def made(noise, level=1.0):
+    """A sensor whose noise went through the filter, or whose reading is late by as much."""
+    problem = problem_of(np.random.default_rng(3), (Sensor.GYRO,))
+    trace = problem.traces[0]
+    left = through_filter(trace, trace.residual) if noise else trace.residual
+    trace = dataclasses.replace(trace, measured=trace.ideal + level * left, sigma_dof=5000.0)
+    return dataclasses.replace(problem, traces=(trace,))
+
+
+def said(problem, effect="gyro_low_pass"):
+    setting = setting_of(views_of(problem, {}, {}))
+    model = starting_model(setting, starting_noise(setting))
+    return told_by_noise(Hypothesis(by_id()[effect], (0,)), CUTOFF, model)
+
+
+@pytest.mark.parametrize("level", [1.0, 0.3])
+def test_the_form_of_the_noise_tells_and_not_its_level(level):
+    assert said(made(noise=True, level=level)) > 100.0
+    assert said(made(noise=False, level=level)) < -100.0
+
+
+def test_what_does_not_filter_and_noise_that_nobody_declared_say_nothing():
+    assert said(made(noise=True), "gyro_delay") == 0.0
+    problem = made(noise=True)
+    bare = dataclasses.replace(problem, traces=(dataclasses.replace(problem.traces[0], sigma=None),))
+    assert said(bare) == 0.0
+
+
+def test_a_late_sensor_with_noise_of_its_own_is_no_filter():
+    problem = problem_of(np.random.default_rng(6), (Sensor.GYRO,))
+    trace = problem.traces[0]
+    late = trace.ideal - np.gradient(trace.ideal, 1.0 / trace.fs, axis=0) * 0.004
+    problem = dataclasses.replace(problem, traces=(dataclasses.replace(trace, measured=late + trace.residual),))
+    assert [e.id for e in diagnose(problem, nested=False).effects] == ["gyro_delay"]
