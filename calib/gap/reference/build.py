@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from calib.errors import InvalidInputError
@@ -14,7 +14,9 @@ from calib.gap.reference.checks import Checked, check_vehicles, checked
 from calib.gap.reference.choose import choose
 from calib.gap.reference.chosen import sensors_of
 from calib.gap.reference.deviation import deviations, simulated_ideal
+from calib.gap.reference.driven_noise import as_driven, driven_by
 from calib.gap.reference.ideal import Ideal, trace_of
+from calib.gap.reference.moments import age_of, louder, settled
 from calib.gap.reference.noise import Noise, learned, pooled, with_noise
 from calib.gap.reference.redundant import differences
 from calib.recording import Channel, Recording, Sensor
@@ -59,13 +61,17 @@ def build(real: Recording, sim: Recording | None = None, nominal: Sequence[Recor
     if not single and not pairs:
         raise InvalidInputError(_NO_REFERENCE if ideal is None else _NO_OVERLAP)
     judged = [] if chosen is None else [(n, nominal_traces(n, its)) for n, its in chosen.nominal]
-    clean = [(n, found.traces) for n, found in judged]
+    ages = ages_of([t for _, found in judged for t in found.traces])
+    clean = [(n, tuple(_settled(t, ages) for t in found.traces)) for n, found in judged]
     steps = steps_of(c for n, _ in clean for c in sensors_of(n))
     total, own = noise_of([trace for _, traces in clean for trace in traces])
     offsets = deviations([t for n, traces in clean if n is sim for t in traces if t.against is None])
     sound = checked(single + pairs)
     rounded = [with_simulated_step(t, steps.get(t.sensor, 0.0)) for t in sound.traces]
-    traces = tuple(simulated_ideal(with_noise(t, total.get(t.sensor), own.get(t.sensor)), offsets) for t in rounded)
+    usual = [trace for _, its in clean for trace in its]
+    noisy = [with_noise(_settled(t, ages), total.get(t.sensor), own.get(t.sensor)) for t in rounded]
+    driven = driven_by(usual)
+    traces = tuple(simulated_ideal(as_driven(_louder(t, ages, usual), driven), offsets) for t in noisy)
     info = ReferenceInfo(ReferenceKind.REDUNDANT, text=_REDUNDANT) if ideal is None else ideal.info
     warnings = (
         *not_undone(channels, real),
@@ -74,8 +80,25 @@ def build(real: Recording, sim: Recording | None = None, nominal: Sequence[Recor
         *dict.fromkeys(f"nothing was learned of {r[0]} from {_OTHER}: {r[1]}" for _, f in judged for r in f.refused),
     )
     duration = max(float(t.t[-1] - t.t[0]) for t in single + pairs)
-    usual = tuple(trace for _, its in clean for trace in its if trace.against is None)
-    return Problem(traces, info, duration, warnings=warnings, not_testable=sound.refused, nominal=usual)
+    single_nominal = tuple(t for t in usual if t.against is None)
+    return Problem(traces, info, duration, warnings=warnings, not_testable=sound.refused, nominal=single_nominal)
+
+
+def ages_of(nominal: Sequence[Trace]) -> dict[Sensor, float]:
+    """By sensor that is judged by its differences alone: variance of the age of their samples, where there is any."""
+    alone = {t.sensor for t in nominal} - {t.sensor for t in nominal if t.against is None}
+    found = {s: age_of([t for t in nominal if t.sensor is s]) for s in alone}
+    return {sensor: age for sensor, age in found.items() if age > 0.0}
+
+
+def _settled(trace: Trace, ages: Mapping[Sensor, float]) -> Trace:
+    age = ages.get(trace.sensor) if trace.against is not None else None
+    return trace if age is None else settled(trace, age)
+
+
+def _louder(trace: Trace, ages: Mapping[Sensor, float], nominal: Sequence[Trace]) -> Trace:
+    age = ages.get(trace.sensor) if trace.against is not None else None
+    return trace if age is None else louder(trace, age, [t for t in nominal if t.sensor is trace.sensor])
 
 
 def told_by(single: tuple[Trace, ...], pairs: tuple[Trace, ...]) -> tuple[Trace, ...]:

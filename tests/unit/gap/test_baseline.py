@@ -89,3 +89,27 @@ def test_a_simulated_flight_without_a_flaw_changes_nothing():
     assert baseline.gains[Sensor.ACCEL] == 0.0
     problem = flight(2, shared)
     np.testing.assert_array_equal(beside(problem, baseline).traces[0].ideal, problem.traces[0].ideal)
+
+
+def late(trace):
+    return np.column_stack([np.interp(trace.t - 0.02, trace.t, column) for column in trace.ideal.T]) - trace.ideal
+
+
+def test_noise_that_was_learned_from_the_flight_does_not_hide_its_flaws():
+    clean = problem_of(np.random.default_rng(1), (Sensor.GYRO,), late)
+    spectrum = np.tile((clean.traces[0].residual ** 2).mean(axis=0), (2, 1))
+    learned = dataclasses.replace(
+        clean.traces[0], sigma=np.sqrt(spectrum[0]), sigma_dof=1e3, psd=spectrum, psd_hz=np.array([0.0, 25.0])
+    )
+    found = baseline_of(dataclasses.replace(clean, traces=(learned,)), ALPHA)
+    plain = baseline_of(clean, ALPHA)
+    assert [e.id for e in found.effects] == ["gyro_delay"]
+    assert found.gains[Sensor.GYRO] == pytest.approx(plain.gains[Sensor.GYRO], rel=0.1)
+
+
+def test_a_livelier_flight_must_show_more(simulated):
+    calm, lively = flight(2, shared), flight(2, shared)
+    trace = lively.traces[0]
+    fast = dataclasses.replace(trace, ideal=3.0 * trace.ideal, measured=3.0 * trace.measured)
+    lively = dataclasses.replace(lively, traces=(fast,))
+    assert beside(lively, simulated).floor[Sensor.ACCEL] > 1.5 * beside(calm, simulated).floor[Sensor.ACCEL]
