@@ -7,19 +7,19 @@ the real one has and the simulated one has not: what the simulated one shows is 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from calib.gap.bands import split
 from calib.gap.contest import Contest
 from calib.gap.effects import catalogue
-from calib.gap.effects.base import MeanEffect
+from calib.gap.effects.base import Effect, MeanEffect
 from calib.gap.estimates import estimates_of
 from calib.gap.hypotheses import hypotheses_of
 from calib.gap.model import setting_of, starting_model
 from calib.gap.noise_fit import refitted, starting_noise
 from calib.gap.problem import Problem, Trace
-from calib.gap.replay import with_effects
+from calib.gap.replay import with_effects, with_effects_in
 from calib.gap.schema import EffectEstimate, Evidence
 from calib.gap.selection import last_gains, select
 from calib.gap.views import views_of
@@ -47,6 +47,10 @@ class Baseline:
     changes: Mapping[Sensor, float]
     indifferent: Mapping[Sensor, float]
 
+    def in_ideal(self, traces: Sequence[Trace]) -> tuple[Trace, ...]:
+        """`traces` of the simulator beside what it reads with its flaws: what is left is its noise."""
+        return with_effects_in(traces, self.effects)[0]
+
 
 def baseline_of(problem: Problem, alpha: float) -> Baseline:
     """What of the mean a simulated flight shows beside its own ideal; what happens once is not carried over.
@@ -55,7 +59,7 @@ def baseline_of(problem: Problem, alpha: float) -> Baseline:
     """
     problem = replace(problem, traces=tuple(map(_undeclared, problem.traces)))
     views = split(views_of(problem, {}, {}))
-    steady = [e for e in catalogue() if isinstance(e, MeanEffect) and e.id.endswith(_CARRIED) and "_temp" not in e.id]
+    steady = [e for e in catalogue() if _carried(e)]
     hypotheses, _ = hypotheses_of(steady, views)
     setting = setting_of(views)
     if not views or not hypotheses:
@@ -87,16 +91,30 @@ def _undeclared(trace: Trace) -> Trace:
 def beside(problem: Problem, baseline: Baseline) -> Problem:
     """`problem` held against a simulator that has what its own flight shows."""
     changed, _ = with_effects(problem, baseline.effects, shared=True)
-    here, there = _indifferent(problem), baseline.indifferent
     livelier = _changes(problem, changed)
-    floor = {
-        s: max(
-            small,
-            _times(livelier, baseline.changes, s) * max(_DIFFERENT * baseline.gains.get(s, 0.0), there.get(s, 0.0)),
-        )
-        for s, small in here.items()
-    }
+    small = _indifferent(problem)
+    floor = {s: max(small[s], _flaws(problem, baseline, livelier, s)) for s in small}
     return replace(changed, floor=floor)
+
+
+def _carried(effect: Effect) -> bool:
+    return isinstance(effect, MeanEffect) and effect.id.endswith(_CARRIED) and "_temp" not in effect.id
+
+
+def _flaws(problem: Problem, baseline: Baseline, livelier: Mapping[Sensor, float], sensor: Sensor) -> float:
+    """Twice the log-likelihood that what a simulated flight's flaws leave open has in this one.
+
+    A livelier flight shows more of them. Their parameters are as uncertain as a part of their own evidence, and as what
+    was too little to be asked for beside them. They are common to all instances; noise that is fitted anew grows to
+    meet them, so that evidence counts as ``n log(1 + gain / n)``.
+    """
+    there = baseline.changes.get(sensor, 0.0)
+    if there == 0.0:
+        return 0.0
+    part = max(_DIFFERENT * baseline.gains.get(sensor, 0.0), baseline.indifferent.get(sensor, 0.0))
+    gain = max(1.0, livelier.get(sensor, 0.0) / there) * part
+    numbers = max(3 * len(t.t) for t in problem.traces if t.sensor is sensor)
+    return numbers * math.log1p(gain / numbers)
 
 
 def _changes(problem: Problem, changed: Problem) -> dict[Sensor, float]:
@@ -106,14 +124,6 @@ def _changes(problem: Problem, changed: Problem) -> dict[Sensor, float]:
         step = (after.ideal - before.ideal)[before.observed]
         total[before.sensor] = total.get(before.sensor, 0.0) + float((step**2).sum())
     return total
-
-
-def _times(here: Mapping[Sensor, float], there: Mapping[Sensor, float], sensor: Sensor) -> float:
-    """How much more evidence the same flaws have in a livelier flight; never less than in the simulated one.
-
-    What was too little to be asked for there has moved the parameters of the others by as much.
-    """
-    return max(1.0, here.get(sensor, 0.0) / there[sensor]) if there.get(sensor, 0.0) > 0.0 else 0.0
 
 
 def _indifferent(problem: Problem) -> dict[Sensor, float]:

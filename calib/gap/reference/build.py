@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from calib.errors import InvalidInputError
@@ -31,7 +31,13 @@ _OTHER = "the simulator's or a nominal recording"
 _REDUNDANT = "The instances of the vehicle are held against each other."
 
 
-def build(real: Recording, sim: Recording | None = None, nominal: Sequence[Recording] = ()) -> Problem:
+def build(
+    real: Recording,
+    sim: Recording | None = None,
+    nominal: Sequence[Recording] = (),
+    *,
+    flaws: Callable[[Sequence[Trace]], tuple[Trace, ...]] = tuple,
+) -> Problem:
     """Every sensor of `real` beside its best reference.
 
     Parameters
@@ -42,6 +48,8 @@ def build(real: Recording, sim: Recording | None = None, nominal: Sequence[Recor
         A simulator's recording of the same trajectory, or of another flight of the same kind.
     nominal
         Recordings without an effect, from which the noise and the Earth's field are learned.
+    flaws
+        Puts into the ideal readings of the simulator's traces what is known of them already: it is no noise.
 
     Raises
     ------
@@ -61,6 +69,7 @@ def build(real: Recording, sim: Recording | None = None, nominal: Sequence[Recor
     if not single and not pairs:
         raise InvalidInputError(_NO_REFERENCE if ideal is None else _NO_OVERLAP)
     judged = [] if chosen is None else [(n, nominal_traces(n, its)) for n, its in chosen.nominal]
+    judged = [(n, replace(f, traces=flaws(f.traces)) if n is sim else f) for n, f in judged]
     ages = ages_of([t for _, found in judged for t in found.traces])
     clean = [(n, tuple(_settled(t, ages) for t in found.traces)) for n, found in judged]
     steps = steps_of(c for n, _ in clean for c in sensors_of(n))

@@ -62,7 +62,8 @@ def test_what_only_the_real_flight_shows_is_found_in_its_own_size(simulated):
 
 def test_what_the_simulated_flight_shows_less_than_the_real_one_must_be_clear(simulated):
     floor = beside(flight(2, shared), simulated).floor
-    assert floor[Sensor.ACCEL] >= 0.1 * simulated.gains[Sensor.ACCEL]
+    numbers = flight(2).traces[0].ideal.size
+    assert np.expm1(floor[Sensor.ACCEL] / numbers) * numbers >= 0.1 * simulated.gains[Sensor.ACCEL]
     clean = beside(flight(2), baseline_of(flight(1), ALPHA))
     assert clean.floor[Sensor.ACCEL] == pytest.approx(0.03 * 3 * len(clean.traces[0].t))
 
@@ -113,3 +114,10 @@ def test_a_livelier_flight_must_show_more(simulated):
     fast = dataclasses.replace(trace, ideal=3.0 * trace.ideal, measured=3.0 * trace.measured)
     lively = dataclasses.replace(lively, traces=(fast,))
     assert beside(lively, simulated).floor[Sensor.ACCEL] > 1.5 * beside(calm, simulated).floor[Sensor.ACCEL]
+
+
+def test_noise_is_learned_beside_the_flaws(simulated):
+    traces = flight(4, shared).traces
+    (left,) = simulated.in_ideal(traces)
+    assert np.sqrt((left.residual**2).mean()) == pytest.approx(0.05, rel=0.05)
+    assert np.sqrt((traces[0].residual ** 2).mean()) > 0.1
