@@ -61,9 +61,12 @@ def run(
     if strangers := sorted(set(without) - {effect.id for effect in effects}):
         raise InvalidInputError(f"no such effect in the catalogue: {', '.join(strangers)}")
     kept = tuple(effect for effect in effects if effect.id not in without)
-    problem = dataclasses.replace(build(real, sim, nominal), inputs=dict(inputs or {}))
     if sim is not None and flew_another(real, sim):
-        problem = beside(problem, baseline_of(build(sim, sim, nominal), alpha))
+        baseline = baseline_of(build(sim, sim, nominal), alpha)
+        problem = beside(build(real, sim, nominal, flaws=baseline.in_ideal), baseline)
+    else:
+        problem = build(real, sim, nominal)
+    problem = dataclasses.replace(problem, inputs=dict(inputs or {}))
     report = diagnose(problem, effects=kept, alpha=alpha, nested=nested)
     return with_patches(report, simulator_of(real, sim))
 

@@ -6,19 +6,20 @@ the real one has and the simulated one has not: what the simulated one shows is 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from calib.gap.bands import split
 from calib.gap.contest import Contest
 from calib.gap.effects import catalogue
-from calib.gap.effects.base import MeanEffect
+from calib.gap.effects.base import Effect, MeanEffect
 from calib.gap.estimates import estimates_of
 from calib.gap.hypotheses import hypotheses_of
 from calib.gap.model import setting_of, starting_model
 from calib.gap.noise_fit import refitted, starting_noise
-from calib.gap.problem import Problem
-from calib.gap.replay import with_effects
+from calib.gap.problem import Problem, Trace
+from calib.gap.replay import with_effects, with_effects_in
 from calib.gap.schema import EffectEstimate, Evidence
 from calib.gap.selection import last_gains, select
 from calib.gap.views import views_of
@@ -37,20 +38,32 @@ _SMALL = 0.03
 
 @dataclass(frozen=True, eq=False)
 class Baseline:
-    """Effects of a simulated flight, and by sensor the gain of the largest of them."""
+    """Effects of a simulated flight, and by sensor: the gain of the largest of them, what all of them change (the sum
+    of squares over the flight), and the gain below which they were not asked for.
+    """
 
     effects: tuple[EffectEstimate, ...]
     gains: Mapping[Sensor, float]
+    changes: Mapping[Sensor, float]
+    indifferent: Mapping[Sensor, float]
+
+    def in_ideal(self, traces: Sequence[Trace]) -> tuple[Trace, ...]:
+        """`traces` of the simulator beside what it reads with its flaws: what is left is its noise."""
+        return with_effects_in(traces, self.effects)[0]
 
 
 def baseline_of(problem: Problem, alpha: float) -> Baseline:
-    """What of the mean a simulated flight shows beside its own ideal; what happens once is not carried over."""
+    """What of the mean a simulated flight shows beside its own ideal; what happens once is not carried over.
+
+    The noise that was learned from this flight has in it what is looked for: it is fitted anew beside it.
+    """
+    problem = replace(problem, traces=tuple(map(_undeclared, problem.traces)))
     views = split(views_of(problem, {}, {}))
-    steady = [e for e in catalogue() if isinstance(e, MeanEffect) and e.id.endswith(_CARRIED) and "_temp" not in e.id]
+    steady = [e for e in catalogue() if _carried(e)]
     hypotheses, _ = hypotheses_of(steady, views)
     setting = setting_of(views)
     if not views or not hypotheses:
-        return Baseline((), {})
+        return Baseline((), {}, {}, {})
     contest = Contest(hypotheses, floor=_indifferent(problem))
     chosen = select(refitted(starting_model(setting, starting_noise(setting))).model, contest, alpha)
     gains = {key: gain for key, (gain, _, _) in last_gains(chosen.model, contest).items()}
@@ -64,14 +77,53 @@ def baseline_of(problem: Problem, alpha: float) -> Baseline:
         instances = tuple(i + 1 for i in term.hypothesis.instances)
         evidence = Evidence(gain, len(term.values), 0.0, 1.0, 0.0)
         found.append(EffectEstimate(effect.id, effect.sensor, instances, estimates_of(chosen, term), evidence))
-    return Baseline(tuple(found), largest)
+    changed, _ = with_effects(problem, found, shared=True)
+    return Baseline(tuple(found), largest, _changes(problem, changed), _indifferent(problem))
+
+
+def _undeclared(trace: Trace) -> Trace:
+    """Without noise that was learned; what is declared for certain stays."""
+    if trace.psd is None and math.isinf(trace.sigma_dof):
+        return trace
+    return replace(trace, sigma=None, sigma_dof=math.inf, psd=None, psd_hz=None, own_psd=None)
 
 
 def beside(problem: Problem, baseline: Baseline) -> Problem:
     """`problem` held against a simulator that has what its own flight shows."""
     changed, _ = with_effects(problem, baseline.effects, shared=True)
-    floor = {s: max(_DIFFERENT * baseline.gains.get(s, 0.0), small) for s, small in _indifferent(problem).items()}
+    livelier = _changes(problem, changed)
+    small = _indifferent(problem)
+    floor = {s: max(small[s], _flaws(problem, baseline, livelier, s)) for s in small}
     return replace(changed, floor=floor)
+
+
+def _carried(effect: Effect) -> bool:
+    return isinstance(effect, MeanEffect) and effect.id.endswith(_CARRIED) and "_temp" not in effect.id
+
+
+def _flaws(problem: Problem, baseline: Baseline, livelier: Mapping[Sensor, float], sensor: Sensor) -> float:
+    """Twice the log-likelihood that what a simulated flight's flaws leave open has in this one.
+
+    A livelier flight shows more of them. Their parameters are as uncertain as a part of their own evidence, and as what
+    was too little to be asked for beside them. They are common to all instances; noise that is fitted anew grows to
+    meet them, so that evidence counts as ``n log(1 + gain / n)``.
+    """
+    there = baseline.changes.get(sensor, 0.0)
+    if there == 0.0:
+        return 0.0
+    part = max(_DIFFERENT * baseline.gains.get(sensor, 0.0), baseline.indifferent.get(sensor, 0.0))
+    gain = max(1.0, livelier.get(sensor, 0.0) / there) * part
+    numbers = max(3 * len(t.t) for t in problem.traces if t.sensor is sensor)
+    return numbers * math.log1p(gain / numbers)
+
+
+def _changes(problem: Problem, changed: Problem) -> dict[Sensor, float]:
+    """By sensor, sum of squares of what effects change of the ideal readings."""
+    total: dict[Sensor, float] = {}
+    for before, after in zip(problem.traces, changed.traces, strict=True):
+        step = (after.ideal - before.ideal)[before.observed]
+        total[before.sensor] = total.get(before.sensor, 0.0) + float((step**2).sum())
+    return total
 
 
 def _indifferent(problem: Problem) -> dict[Sensor, float]:

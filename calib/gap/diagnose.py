@@ -122,7 +122,8 @@ def diagnose(
     denied |= {t.hypothesis.key for t in chosen.model.terms if usual_tone(t, problem.nominal)}
     denied |= {t.hypothesis.key for t in chosen.model.noise_terms if unsteady_line(t, chosen.model)}
     found = tuple(_effect(chosen, a, gates.get(a.key)) for a in attributions if a.key not in denied)
-    unknown = unknown_of(chosen.model, attributions, strangers, withdrawn, problem.reference.bandwidth_hz)
+    bandwidth, floor = problem.reference.bandwidth_hz, problem.floor
+    unknown = unknown_of(chosen.model, attributions, strangers, withdrawn, bandwidth, floor)
     effects_found = (*lattice.effects, *(() if wander is None else (_wandering(wander, attributions),)), *found)
     return GapReport(
         inputs,

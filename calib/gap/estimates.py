@@ -13,6 +13,7 @@ from calib.gap.model import NoiseTerm, Term
 from calib.gap.noise_fit import NoiseEstimate
 from calib.gap.schema import Estimate
 from calib.gap.selection import Chosen
+from calib.gap.transitions import levels_apart
 
 Array = NDArray[np.float64]
 
@@ -21,8 +22,14 @@ _FREE = 1e-4
 """Part of a parameter in directions that the data do not show, from which on its error is not finite."""
 
 
+_SIGNIFICANT = 3.0
+
+
 def estimates_of(chosen: Chosen, term: Term | NoiseTerm, widening: float = 1.0) -> tuple[Estimate, ...]:
-    """The parameters of one effect, its shape last; errors on the mean are `widening` times those of the noise."""
+    """The parameters of one effect, its shape last; errors on the mean are `widening` times those of the noise.
+
+    A step between levels that do not fit it is no surer than they differ.
+    """
     if isinstance(term, NoiseTerm):
         found = chosen.noise.estimates[term.hypothesis.key]
         if term.hypothesis.effect.id.endswith(LINES):
@@ -35,9 +42,12 @@ def estimates_of(chosen: Chosen, term: Term | NoiseTerm, widening: float = 1.0) 
     variance[_unseen(chosen.joint.normal.gram)[rows]] = math.inf
     effect = term.effect
     names = effect.parameters if effect.shape is None else (*effect.parameters, effect.shape.parameter)
+    se = widening * np.sqrt(variance)
+    if effect.id.endswith("_step"):
+        apart = levels_apart(chosen.model, term)
+        se[:3] = np.where(apart > _SIGNIFICANT * se[:3], np.hypot(se[:3], apart), se[:3])
     return tuple(
-        _estimate(name, float(value), widening * math.sqrt(v))
-        for name, value, v in zip(names, term.values, variance, strict=True)
+        _estimate(name, float(value), float(error)) for name, value, error in zip(names, term.values, se, strict=True)
     )
 
 

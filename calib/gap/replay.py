@@ -27,9 +27,17 @@ def with_effects(
     Mean effects move the ideal reading, noise effects raise the noise that is expected. What is left in its residuals
     is what such a simulator still lacks. What all sensors share is the reference's and no simulator's, unless `shared`.
     """
+    traces, lost = with_effects_in(problem.traces, effects, shared=shared)
+    return dataclasses.replace(problem, traces=traces), lost
+
+
+def with_effects_in(
+    traces: Sequence[Trace], effects: Sequence[EffectEstimate], *, shared: bool = True
+) -> tuple[tuple[Trace, ...], tuple[str, ...]]:
+    """The same of bare traces."""
     lost: dict[str, None] = {}
-    traces = []
-    for trace in problem.traces:
+    made = []
+    for trace in traces:
         changed = trace
         for effect, sign in _acting(trace, effects):
             described = next((e for e in forward_models().get(effect.id, ()) if _complete(e, effect)), None)
@@ -42,8 +50,8 @@ def with_effects(
                 changed = _louder(changed, described, effect)
             else:
                 lost[effect.id] = None
-        traces.append(changed)
-    return dataclasses.replace(problem, traces=tuple(traces)), tuple(lost)
+        made.append(changed)
+    return tuple(made), tuple(lost)
 
 
 def forward(described: MeanEffect, found: EffectEstimate, trace: Trace) -> Array:

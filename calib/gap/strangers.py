@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,6 +75,7 @@ def unknown_of(
     strangers: Sequence[Stranger],
     withdrawn: float,
     bandwidth_hz: float = math.inf,
+    floor: Mapping[Sensor, float] | None = None,
 ) -> Unknown:
     """What is not of the catalogue: strangers in the model, bands that are left over, and what did not last.
 
@@ -86,12 +87,14 @@ def unknown_of(
         Nats of effects that held-out data took away. Something was there, but it was not they.
     bandwidth_hz
         Up to which the reference knows how the vehicle moves.
+    floor
+        Twice the nats by sensor that the reference's own flaws make (:mod:`calib.gap.baseline`).
     """
     worth = {a.key: a.share for a in attributions}
     texts = [s.text for s in strangers]
     share = sum(worth.get(key, 0.0) for key in {key for s in strangers for key in s.keys})
     gap = 0.5 * sum(a.gain for a in attributions)
-    rest, band = leftover(model, gap, bandwidth_hz)
+    rest, band = leftover(model, gap, bandwidth_hz, floor or {})
     if rest > 0.0:
         texts.append(band)
         share += rest * (1.0 - share)
@@ -107,12 +110,16 @@ def unknown_of(
     return Unknown(flag, share, "; ".join(texts), driver, max(probability, 0.95 if flag else 0.0))
 
 
-def leftover(model: Model, gap: float, bandwidth_hz: float = math.inf) -> tuple[float, str]:
+def leftover(
+    model: Model, gap: float, bandwidth_hz: float = math.inf, floor: Mapping[Sensor, float] | None = None
+) -> tuple[float, str]:
     """Share of the gap (nats) that single bands still show above the noise, and where; 0 if none is significant.
 
-    Above `bandwidth_hz` an accelerometer feels movement of which the reference does not know.
+    Above `bandwidth_hz` an accelerometer feels movement of which the reference does not know; a sensor that has less
+    than its `floor` left over shows the reference's flaws.
     """
-    worst, total, text = 1.0, 0.0, ""
+    nats: dict[Sensor, float] = {}
+    worst: dict[Sensor, tuple[float, str]] = {}
     for a in range(model.setting.axes):
         view: View = model.setting.views[a // 3]
         c = a % 3
@@ -130,10 +137,14 @@ def leftover(model: Model, gap: float, bandwidth_hz: float = math.inf) -> tuple[
             p = float(chdtrc(count, square)) * _GROUPS * model.setting.axes
             # A learned spectrum is that of other minutes: twice as much is none of this recording's.
             if p < _LEFTOVER and (view.density is None or square > _MINUTES_DIFFER * count):
-                total += 0.5 * (square - count - count * math.log(square / count))
-                if p < worst:
-                    worst = p
+                nats[view.sensor] = nats.get(view.sensor, 0.0) + 0.5 * (
+                    square - count - count * math.log(square / count)
+                )
+                if p < worst.get(view.sensor, (1.0, ""))[0]:
                     band = (low + view.first) * hz, (high + view.first) * hz
                     text = f"power from {band[0]:.3g} to {band[1]:.3g} Hz on {view.sensor.value}.{'xyz'[c]}"
+                    worst[view.sensor] = p, text
+    material = {sensor: n for sensor, n in nats.items() if 2.0 * n > (floor or {}).get(sensor, 0.0)}
+    total = sum(material.values())
     share = total / max(gap + total, 1e-300)
-    return (share, text) if share > _MATERIAL else (0.0, "")
+    return (share, min(worst[s] for s in material)[1]) if share > _MATERIAL else (0.0, "")

@@ -1,24 +1,36 @@
 """Events that take time: while a magnet is put on, a sensor reads neither what it did before nor what it does after.
 
-A step has no duration. Several of them in a row that stand for one event say that there is one; the samples between
-are then left out, and one step is the difference of the levels.
+A step has no duration. Several of them in a row that stand for one event say that there is one, and so do readings
+beside a step that are not yet, or no longer, on the level that they keep afterwards, or had before; these samples are
+left out, and one step is the difference of the levels.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from calib.gap.effects.events import SLOW_S
 from calib.gap.model import Model, Term
 from calib.gap.problem import Problem
+from calib.gap.views import View
 from calib.recording import Sensor
+
+Array = NDArray[np.float64]
 
 ONE_EVENT_S = 2.0
 """Jumps that follow each other within this time are one event."""
 _MARGIN_S = 0.3
 """Before the first and after the last of them."""
+_WINDOW_S = 0.25
+_LEVEL = 33
+"""Windows whose median is a level: some eight seconds."""
+_FAR = 6.0
+"""Standard deviations of a window from which on it is off its level."""
 
 
 @dataclass(frozen=True)
@@ -43,14 +55,78 @@ def events_of(model: Model, sensor: Sensor) -> list[list[Term]]:
 
 
 def transitions(model: Model) -> tuple[Transition, ...]:
-    """Events of a model that take several jumps, or one that is gradual."""
-    sensors = dict.fromkeys(view.sensor for view in model.setting.views)
-    events = itertools.chain.from_iterable(events_of(model, sensor) for sensor in sensors)
-    return tuple(
-        Transition(event[0].effect.sensor, event[0].theta - _beside(event[0]), event[-1].theta + _beside(event[-1]))
-        for event in events
-        if len(event) > 1 or event[0].effect.form
-    )
+    """Events of a model that take several jumps, or one that is gradual, or beside which the levels are not reached."""
+    found = []
+    for sensor in dict.fromkeys(view.sensor for view in model.setting.views):
+        for event in events_of(model, sensor):
+            start, end = event[0].theta, event[-1].theta
+            views = [v for v, view in enumerate(model.setting.views) if event[0].hypothesis.touches(view)]
+            reached = [unsettled(model.setting.views[v], model.residual[v], start, end) for v in views]
+            early, late = min(r[0] for r in reached), max(r[1] for r in reached)
+            if len(event) > 1 or event[0].effect.form or early < start or late > end:
+                early, late = min(early, start - _beside(event[0])), max(late, end + _beside(event[-1]))
+                found.append(Transition(sensor, early, late))
+    return tuple(found)
+
+
+def unsettled(view: View, residual: Array, start: float, end: float) -> tuple[float, float]:
+    """From when to when a series (n, 3) about an event is off the levels that it keeps before and after it.
+
+    Means over windows are held against their median over the seconds on that side; how far they scatter about such
+    medians elsewhere says how much is off, whatever the noise. Gaps in the series end what is beside them.
+    """
+    width = max(1, round(_WINDOW_S * view.fs))
+    count = len(residual) // width
+    if view.first or count < 3 * _LEVEL:
+        return start, end
+    means = residual[: count * width].reshape(count, width, 3).mean(axis=1)
+    t = view.t[: count * width].reshape(count, width)
+    smooth = median_filter(means, size=(_LEVEL, 1), mode="nearest")
+    scatter = 1.4826 * np.median(np.abs(means - smooth), axis=0) + np.finfo(float).tiny
+    before = np.flatnonzero(t[:, -1] < start)[::-1]
+    after = np.flatnonzero(t[:, 0] > end)
+    first, last = _off(means[before], scatter), _off(means[after], scatter)
+    early = float(t[before[first - 1], 0]) - _MARGIN_S if first else start
+    late = float(t[after[last - 1], -1]) + _MARGIN_S if last else end
+    return early, late
+
+
+def _off(means: Array, scatter: Array) -> int:
+    """How many of `means` (m, 3), the nearest to an event first, come before two in a row that are on the level."""
+    if len(means) < _LEVEL:
+        return 0
+    level = np.median(means[:_LEVEL], axis=0)
+    on = np.asarray((np.abs(means[:_LEVEL] - level) < _FAR * scatter).all(axis=1))
+    calm = np.flatnonzero(on[:-1] & on[1:])
+    return int(calm[0]) if len(calm) else 0
+
+
+def levels_apart(model: Model, term: Term) -> Array:
+    """By how much (3,) the levels that a model leaves before and after a step differ: nothing, if its size is right.
+
+    Over some seconds beside it and over all the time to its neighbours, the larger of both.
+    """
+    seen = [v for v, view in enumerate(model.setting.views) if term.hypothesis.touches(view) and not view.first]
+    weights = [
+        sum(w for i, w in model.setting.views[v].weights.items() if i in term.hypothesis.instances) for v in seen
+    ]
+    v, weight = max(zip(seen, weights, strict=True), key=lambda pair: abs(pair[1]))
+    moments = [t.theta for event in events_of(model, term.effect.sensor) for t in event if t is not term]
+    start = max((m for m in moments if m < term.theta), default=-np.inf)
+    end = min((m for m in moments if m > term.theta), default=np.inf)
+    t, residual = model.setting.views[v].t, model.residual[v]
+    apart = np.zeros(3)
+    for reach in (_LEVEL * _WINDOW_S, np.inf):
+        before = (t > max(start, term.theta - reach)) & (t < term.theta)
+        after = (t > term.theta) & (t < min(end, term.theta + reach))
+        if before.any() and after.any():
+            step = np.abs(residual[after].mean(axis=0) - residual[before].mean(axis=0))
+            apart = np.maximum(apart, step / abs(weight))
+    return apart
+
+
+def _weight(term: Term, view: View) -> float:
+    return sum(w for i, w in view.weights.items() if i in term.hypothesis.instances)
 
 
 def _beside(term: Term) -> float:

@@ -77,7 +77,8 @@ def wandering(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> W
             bare = without(bare, term.hypothesis.key)
     bare = refitted(refined(bare)[0]).model
     gain, size, time = best_prior(bare)
-    if gain < MATERIAL * largest_gain(chosen, contest):
+    least = max((contest.floor.get(v.sensor, 0.0) for v in setting.views if sees(v)), default=0.0)
+    if gain < max(MATERIAL * largest_gain(chosen, contest), least):
         return None
     if tail(gain, 2, len(_SIZES_DEG) * len(_TIMES_S)) * (chosen.tests + 1) > alpha:
         return None

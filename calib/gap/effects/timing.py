@@ -142,7 +142,12 @@ def slope(trace: Trace) -> float:
 
 
 def _turns(trace: Trace) -> tuple[str, str] | None:
-    """The vehicle's turning decides for every sensor alike: the clock is one."""
+    """The vehicle's turning decides for every sensor alike: the clock is one.
+
+    A trajectory that was re-estimated from the recording itself runs on the clock that is in question.
+    """
+    if not trace.followed:
+        return "the re-estimated reference has the clock of the recording", "a reference with a clock of its own"
     if trace.spin is None or trace.sensor == Sensor.GYRO:
         return _lively(trace.sensor)(trace)
     found, least = float(np.sqrt((trace.spin[trace.observed] ** 2).mean(axis=0).max())), _SLOPE[Sensor.GYRO]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from calib.errors import InvalidInputError
@@ -15,7 +15,9 @@ from calib.gap.reference.choose import choose
 from calib.gap.reference.chosen import sensors_of
 from calib.gap.reference.denoised import error_sd, with_error
 from calib.gap.reference.deviation import deviations, simulated_ideal
+from calib.gap.reference.driven_noise import as_driven, driven_by
 from calib.gap.reference.ideal import Ideal, trace_of
+from calib.gap.reference.moments import age_of, louder, settled
 from calib.gap.reference.noise import Noise, learned, pooled, with_noise
 from calib.gap.reference.redundant import differences
 from calib.recording import Channel, Recording, Sensor
@@ -31,7 +33,13 @@ _OTHER = "the simulator's or a nominal recording"
 _REDUNDANT = "The instances of the vehicle are held against each other."
 
 
-def build(real: Recording, sim: Recording | None = None, nominal: Sequence[Recording] = ()) -> Problem:
+def build(
+    real: Recording,
+    sim: Recording | None = None,
+    nominal: Sequence[Recording] = (),
+    *,
+    flaws: Callable[[Sequence[Trace]], tuple[Trace, ...]] = tuple,
+) -> Problem:
     """Every sensor of `real` beside its best reference.
 
     Parameters
@@ -42,6 +50,8 @@ def build(real: Recording, sim: Recording | None = None, nominal: Sequence[Recor
         A simulator's recording of the same trajectory, or of another flight of the same kind.
     nominal
         Recordings without an effect, from which the noise and the Earth's field are learned.
+    flaws
+        Puts into the ideal readings of the simulator's traces what is known of them already: it is no noise.
 
     Raises
     ------
@@ -62,7 +72,9 @@ def build(real: Recording, sim: Recording | None = None, nominal: Sequence[Recor
     if not single and not pairs:
         raise InvalidInputError(_NO_REFERENCE if ideal is None else _NO_OVERLAP)
     judged = [] if chosen is None else [(n, nominal_traces(n, its)) for n, its in chosen.nominal]
-    clean = [(n, found.traces) for n, found in judged]
+    judged = [(n, replace(f, traces=flaws(f.traces)) if n is sim else f) for n, f in judged]
+    ages = ages_of([t for _, found in judged for t in found.traces])
+    clean = [(n, tuple(_settled(t, ages) for t in found.traces)) for n, found in judged]
     steps = steps_of(c for n, _ in clean for c in sensors_of(n))
     total, own = noise_of([trace for n, traces in clean for trace in traces if n is not sim or not of_readings])
     total |= {s: with_error(total[s], noise) if s in total else noise for s, noise in of_readings.items()}
@@ -71,7 +83,10 @@ def build(real: Recording, sim: Recording | None = None, nominal: Sequence[Recor
     rounded = [with_simulated_step(t, steps.get(t.sensor, 0.0)) for t in sound.traces]
     total = _of_one_rate(total, of_readings, sound.traces)
     rounded = [replace(t, ideal_sd=error_sd(n)) if (n := of_readings.get(t.sensor)) else t for t in rounded]
-    traces = tuple(simulated_ideal(with_noise(t, total.get(t.sensor), own.get(t.sensor)), offsets) for t in rounded)
+    usual = [trace for _, its in clean for trace in its]
+    noisy = [with_noise(_settled(t, ages), total.get(t.sensor), own.get(t.sensor)) for t in rounded]
+    driven = driven_by(usual)
+    traces = tuple(simulated_ideal(as_driven(_louder(t, ages, usual), driven), offsets) for t in noisy)
     info = ReferenceInfo(ReferenceKind.REDUNDANT, text=_REDUNDANT) if ideal is None else ideal.info
     warnings = (
         *not_undone(channels, real),
@@ -80,8 +95,25 @@ def build(real: Recording, sim: Recording | None = None, nominal: Sequence[Recor
         *dict.fromkeys(f"nothing was learned of {r[0]} from {_OTHER}: {r[1]}" for _, f in judged for r in f.refused),
     )
     duration = max(float(t.t[-1] - t.t[0]) for t in single + pairs)
-    usual = tuple(trace for _, its in clean for trace in its if trace.against is None)
-    return Problem(traces, info, duration, warnings=warnings, not_testable=sound.refused, nominal=usual)
+    single_nominal = tuple(t for t in usual if t.against is None)
+    return Problem(traces, info, duration, warnings=warnings, not_testable=sound.refused, nominal=single_nominal)
+
+
+def ages_of(nominal: Sequence[Trace]) -> dict[Sensor, float]:
+    """By sensor that is judged by its differences alone: variance of the age of their samples, where there is any."""
+    alone = {t.sensor for t in nominal} - {t.sensor for t in nominal if t.against is None}
+    found = {s: age_of([t for t in nominal if t.sensor is s]) for s in alone}
+    return {sensor: age for sensor, age in found.items() if age > 0.0}
+
+
+def _settled(trace: Trace, ages: Mapping[Sensor, float]) -> Trace:
+    age = ages.get(trace.sensor) if trace.against is not None else None
+    return trace if age is None else settled(trace, age)
+
+
+def _louder(trace: Trace, ages: Mapping[Sensor, float], nominal: Sequence[Trace]) -> Trace:
+    age = ages.get(trace.sensor) if trace.against is not None else None
+    return trace if age is None else louder(trace, age, [t for t in nominal if t.sensor is trace.sensor])
 
 
 def _of_one_rate(

@@ -9,6 +9,7 @@ the same calibration is treated in the same way, and its offset from the ideal i
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -91,6 +92,11 @@ def filter_in_force(channel: Channel, recording: Recording) -> float | None:
         return None
     cutoff = float(recording.parameters.final().get(name, 0.0))
     return cutoff if cutoff > 0.0 else None
+
+
+def filter_delay(cutoff: float | None) -> float:
+    """Seconds by which that filter is late at low frequencies, ``sqrt(2) / (2 pi cutoff)``; 0 without one."""
+    return 0.0 if cutoff is None else math.sqrt(2.0) / (2.0 * math.pi * cutoff)
 
 
 def filter_gain(hz: Array, cutoff: float | None) -> Array:

@@ -24,8 +24,10 @@ _OFF = 1e-3  # chance of a band beside white noise, walk and flicker, from which
 _FLOOR = 1e-9  # of the mean power
 _SINGLE = 2.0**-24  # relative error of a single-precision number
 _CLEANED = 6  # times that lines are taken out
+_PARTS = 16  # of a recording, in which its noise should be the same
 _SHRUNK = 12.0  # coefficients that speak for these, against those of such a band
 _FEWEST = 64
+_WHOLE = 0.9  # of the samples observed, from which on a recording has few holes
 _LINE_HZ = 1.0
 _HOVERS = 0.08  # by which the speeds of rotors differ from flight to flight, relative
 _SLOW_HZ = 5.0  # below which no rotor turns
@@ -38,7 +40,8 @@ class Noise:
     """Spectrum of the residual of nominal recordings per DCT bin: `psd` (K, 3) in variance of one sample on `hz` (K,).
 
     `dof` (K,) are the squared coefficients that each band was averaged from; `fs` their sampling rate, `low_pass_hz`
-    the firmware's filter that is in it. `smooth`: its form is known, and only its size was learned.
+    the firmware's filter that is in it. `smooth`: its form is known, and only its size was learned. `steady`: it is as
+    strong at any time; a simulator's may cease with the motors.
     """
 
     hz: Array
@@ -47,6 +50,7 @@ class Noise:
     fs: float
     low_pass_hz: float | None = None
     smooth: bool = False
+    steady: bool = True
 
     @property
     def sigma(self) -> Array:
@@ -55,11 +59,11 @@ class Noise:
 
     @property
     def white(self) -> bool:
-        """Whether every band agrees with the mean of all."""
+        """Whether every band agrees with the mean of all, at any time."""
         if self.smooth:
-            return bool(np.ptp(self.psd, axis=0).max() == 0.0)
+            return self.steady and bool(np.ptp(self.psd, axis=0).max() == 0.0)
         chance = chances(self.psd / self.sigma**2, self.dof)
-        return bool(chance.min() * chance.size > _COLOURED)
+        return self.steady and bool(chance.min() * chance.size > _COLOURED)
 
     def smoothed(self) -> Noise:
         """Few coefficients say little about the lowest bands: white noise, a walk and flicker, and what they miss.
@@ -114,20 +118,39 @@ def chances(ratio: Array, dof: Array) -> Array:
 
 
 def learned(trace: Trace) -> Noise | None:
-    """The noise in the residual of a nominal `trace`; None if it is too short or has too many holes."""
-    n = len(trace.t)
-    if n < _FEWEST or trace.observed.mean() < 0.9:
-        return None
+    """The noise in the residual of a nominal `trace`; None if it is too short.
+
+    Few holes are filled with zeros; what lies between many is taken as one series, as the likelihood takes it.
+    """
     residual = trace.residual - trace.residual[trace.observed].mean(axis=0)
-    residual[~trace.observed] = 0.0
-    power = dct(residual, axis=0, norm="ortho")[1:] ** 2 / trace.observed.mean()
+    if trace.observed.mean() < _WHOLE:
+        residual = residual[trace.observed]
+    n = len(residual)
+    if trace.observed.sum() < _FEWEST:
+        return None
+    seen = np.broadcast_to(trace.observed if n == len(trace.t) else np.True_, n)
+    residual[~seen] = 0.0
+    power = dct(residual, axis=0, norm="ortho")[1:] ** 2 / seen.mean()
     bins = np.arange(1, n)
     edges = _edges(n, trace.fs)
     group = np.searchsorted(edges, bins, side="right") - 1
     count = np.bincount(group).astype(np.float64)
     mean = np.column_stack([np.bincount(group, weights=column) for column in power.T]) / count[:, None]
     centre = np.exp(np.bincount(group, weights=np.log(bins)) / count) * trace.fs / (2.0 * n)
-    return Noise(centre, np.maximum(mean, digits_of(trace)), count, trace.fs, trace.low_pass_hz)
+    steady = _steady(residual[seen])
+    return Noise(centre, np.maximum(mean, digits_of(trace)), count, trace.fs, trace.low_pass_hz, steady)
+
+
+def _steady(residual: Array) -> bool:
+    """Whether the differences of successive rows of `residual` (N, 3) are as large in every part of the recording."""
+    squares = np.diff(residual, axis=0)[::2] ** 2
+    width = len(squares) // _PARTS
+    if width < 2 or not squares.any(axis=0).all():
+        return True
+    parts = squares[: width * _PARTS].reshape(_PARTS, width, 3).mean(axis=1)
+    ratio = np.maximum(parts / parts.mean(axis=0), _FLOOR)
+    scatter = width * (ratio - 1.0 - np.log(ratio)).sum(axis=0) / (1.0 + 1.0 / (3.0 * width))  # Bartlett
+    return bool(chdtrc(_PARTS - 1, scatter).min() * len(scatter) > _COLOURED)
 
 
 def digits_of(trace: Trace) -> float:
@@ -149,8 +172,9 @@ def pooled(noises: Sequence[Noise]) -> Noise:
     first = noises[0]
     if len(noises) == 1:
         return first
+    steady = all(n.steady for n in noises)
     brought = [first.psd, *(on(n, first.hz, first.fs, first.low_pass_hz) for n in noises[1:])]
-    return dataclasses.replace(first, psd=np.mean(brought, axis=0), dof=first.dof * len(noises))
+    return dataclasses.replace(first, psd=np.mean(brought, axis=0), dof=first.dof * len(noises), steady=steady)
 
 
 def with_noise(trace: Trace, total: Noise | None, own: Noise | None) -> Trace:
@@ -185,6 +209,23 @@ def with_noise(trace: Trace, total: Noise | None, own: Noise | None) -> Trace:
     if own is not None:
         own = dataclasses.replace(own, psd=np.maximum(own.psd, _rounding(trace)))
     return dataclasses.replace(trace, own_psd=on(own, hz, trace.fs, trace.low_pass_hz)) if own is not None else trace
+
+
+def with_more(trace: Trace, variance: Array) -> Trace:
+    """`trace` with noise of `variance` (3,) expected on top, which comes and goes: a spectrum, and no steady number."""
+    if trace.sigma is None and trace.psd is None:
+        return trace
+    psd, hz = trace.psd, trace.psd_hz
+    if psd is None or hz is None:
+        assert trace.sigma is not None
+        psd, hz = np.tile(trace.sigma**2, (2, 1)), np.array([0.0, 0.5 * trace.fs])
+    return dataclasses.replace(
+        trace,
+        sigma=None if trace.sigma is None else np.sqrt(trace.sigma**2 + variance),
+        psd=psd + variance,
+        psd_hz=hz,
+        own_psd=None if trace.own_psd is None else trace.own_psd + variance,
+    )
 
 
 def _rounding(trace: Trace) -> float:

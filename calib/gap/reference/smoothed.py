@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from calib.earth import earth_field
 from calib.errors import InvalidInputError
 from calib.gap.problem import ReferenceInfo, ReferenceKind
+from calib.gap.reference.calibrated import filter_delay, filter_in_force
 from calib.gap.reference.chosen import sensors_of
 from calib.gap.reference.ideal import Ideal
 from calib.gap.reference.posed import GRAVITY_NED, rotation
@@ -46,13 +47,18 @@ _MODEL_SD, _GUESS_SD = 1.0, 20.0  # of the Earth's field, uT
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """A trajectory, and the instances that it was made with."""
+    """A trajectory, and the instances that it was made with.
+
+    `late` are the seconds by which the firmware's own filters delayed gyroscope and accelerometer: the trajectory is
+    free of them, and what an ideal sensor behind the same filters read has them again.
+    """
 
     state: State
     imu: Increments
     instance: int
     mag_instance: int | None
     true: bool
+    late: tuple[float, float] = (0.0, 0.0)
 
 
 def re_estimated(recording: Recording, *, with_truth: bool = False) -> Ideal | None:
@@ -90,9 +96,11 @@ def best_trajectory(recording: Recording, *, with_truth: bool = False) -> Smooth
     for unit in units:
         gyro, accel = Signal.of(gyros[unit]), Signal.of(accels[unit])
         if gyro is not None and accel is not None:
-            imu = Increments.of(gyro, accel, t)
+            late = tuple(filter_delay(filter_in_force(c, recording)) for c in (gyros[unit], accels[unit]))
+            imu = Increments.of(gyro.shifted(-late[0]), accel.shifted(-late[1]), t)
             state = smooth(imu, aiding, start_at(t, guess, aiding), _TRIALS if len(units) > 1 else ITERATIONS)
-            made.append(Smoothed(state, imu, unit, compass.instance if compass else None, truth is not None))
+            mag = compass.instance if compass else None
+            made.append(Smoothed(state, imu, unit, mag, truth is not None, (late[0], late[1])))
     best = min(made, key=lambda s: s.state.cost, default=None)
     if best is None or len(units) == 1:
         return best
@@ -203,8 +211,8 @@ def _driven(found: Smoothed) -> Ideal:
     down = CubicSpline(imu.t, state.velocity, axis=0)(fine_t, 1) - GRAVITY_NED
     body_from_ned = rotation(q).inv()
     readings = {
-        Sensor.ACCEL: Signal(fine_t[held], body_from_ned.apply(down)[held]),
-        Sensor.GYRO: Signal(fine_t[held] + 0.5 * imu.dt / STEPS, rate[held]),
+        Sensor.ACCEL: Signal(fine_t[held] + found.late[1], body_from_ned.apply(down)[held]),
+        Sensor.GYRO: Signal(fine_t[held] + 0.5 * imu.dt / STEPS + found.late[0], rate[held]),
     }
     if found.mag_instance is not None:
         readings[Sensor.MAG] = Signal(fine_t[held], body_from_ned.apply(np.tile(state.earth, (len(fine_t), 1)))[held])

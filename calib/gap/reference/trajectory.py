@@ -1,7 +1,8 @@
 """A trajectory re-estimated from a recording: a smoother over gyroscope, accelerometer, GPS velocity and magnetometer.
 
-The candidate effects are inside: biases of gyroscope and accelerometer that may wander, the magnetometer's offset and
-its field per ampere, the delay of the GPS. Gauss-Newton over all nodes at once (multiple shooting): the error state of
+The candidate effects are inside: biases of gyroscope and accelerometer that may wander, the magnetometer's offset, its
+field per ampere and its delay (a compass that averages over its period is late by half of it, and turns otherwise bend
+the field), the delay of the GPS. Gauss-Newton over all nodes at once (multiple shooting): the error state of
 a node is attitude (in the body), velocity, gyroscope and accelerometer bias; neighbours are tied by what the inertial
 unit measured between them, so the normal equations are banded, bordered by the constants.
 """
@@ -21,7 +22,7 @@ from calib.gap.reference.strapdown import Between, Increments
 Array = NDArray[np.float64]
 
 NODE = 12  # attitude, velocity, gyroscope bias, accelerometer bias
-CONSTANTS = 10  # magnetometer offset, field per ampere, Earth field, delay of the GPS
+CONSTANTS = 11  # magnetometer offset, field per ampere, Earth field, delay of the GPS and of the magnetometer
 ITERATIONS = 8
 _HUBER = 3.0
 LEAST_VELOCITY_SD = 0.1
@@ -37,7 +38,7 @@ _CAUTION = 3.0
 """By which the errors of the aiding are larger, where the attitude's own is judged: they are not independent."""
 _LOST = np.repeat([1.0, 10.0], 3)
 """What attitude (rad) and velocity (m/s) may do over an interval without samples."""
-CONSTANT = np.concatenate([np.repeat([5.0, 1.0, 1.0], 3), [0.15]])
+CONSTANT = np.concatenate([np.repeat([5.0, 1.0, 1.0], 3), [0.15, 0.05]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +72,7 @@ class Aiding:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Of the nodes `t` (K + 1,): attitude, velocity, biases (K + 1, 3), constants (10,), noise of the aiding."""
+    """Of the nodes `t` (K + 1,): attitude, velocity, biases (K + 1, 3), constants (11,), noise of the aiding."""
 
     t: Array
     attitude: Rotation
@@ -93,7 +94,7 @@ class State:
 def start_at(t: Array, attitude: Rotation, aiding: Aiding) -> State:
     """Where the search starts: the attitudes of the nodes `t`, the velocity of the GPS, no errors."""
     velocity = np.column_stack([np.interp(t, aiding.velocity_t, v) for v in aiding.velocity.T])
-    constants = np.concatenate([np.zeros(6), aiding.earth, [0.1]])
+    constants = np.concatenate([np.zeros(6), aiding.earth, [0.1, 0.0]])
     zero = np.zeros((len(t), 3))
     return State(t, attitude, velocity, zero, zero, constants, np.full(3, 0.3), 3.0)
 
@@ -137,7 +138,7 @@ class _Normal:
         self.cost += float((weight * residual**2).sum() - np.log(np.maximum(weight, 1e-12)).sum())
 
     def solved(self, node_right: Array, constant_right: Array) -> tuple[Array, Array]:
-        """Nodes (n, 12, k) and constants (10, k) for right sides of that shape."""
+        """Nodes (n, 12, k) and constants (11, k) for right sides of that shape."""
         n = len(self.diagonal)
         factor = (cholesky_banded(self._banded(), lower=True), True)
         flat_border = self.border.reshape(n * NODE, CONSTANTS)
@@ -170,7 +171,7 @@ def _normal_equations(imu: Increments, aiding: Aiding, state: State) -> _Normal:
     normal.diagonal[0, range(6, NODE), range(6, NODE)] += prior
     bias = np.concatenate([state.gyro_bias[0], state.accel_bias[0]])
     normal.right[0, 6:] -= prior * bias
-    expected = np.concatenate([np.zeros(6), aiding.earth, [0.1]])
+    expected = np.concatenate([np.zeros(6), aiding.earth, [0.1, 0.0]])
     sd = np.concatenate([CONSTANT[:6], np.full(3, aiding.earth_sd), CONSTANT[9:]])
     off = expected - state.constants
     normal.corner[range(CONSTANTS), range(CONSTANTS)] += 1.0 / sd**2
@@ -220,7 +221,7 @@ def _observe_velocity(normal: _Normal, dt: float, between: Between, aiding: Aidi
 
 
 def _observe_field(normal: _Normal, dt: float, between: Between, aiding: Aiding, state: State) -> None:
-    node, body_from_ned = _attitudes(aiding.mag_t, dt, between, state)
+    node, body_from_ned, rate = _attitudes(aiding.mag_t - state.constants[10], dt, between, state)
     ideal = body_from_ned.apply(state.earth)
     offset, per_ampere = state.constants[:3], state.constants[3:6]
     residual = aiding.mag - ideal - offset - aiding.current[:, None] * per_ampere
@@ -230,12 +231,13 @@ def _observe_field(normal: _Normal, dt: float, between: Between, aiding: Aiding,
     by_constant[:, :, :3] = np.eye(3)
     by_constant[:, :, 3:6] = np.eye(3) * aiding.current[:, None, None]
     by_constant[:, :, 6:9] = body_from_ned.as_matrix()
+    by_constant[:, :, 10] = np.cross(rate, ideal)
     normal.observe(node, by_node, by_constant, residual, _weights(residual, np.full(3, state.mag_sd)))
     normal.mag_residual = residual
 
 
 def _observe_truth(normal: _Normal, dt: float, between: Between, truth_t: Array, truth: Rotation, state: State) -> None:
-    node, body_from_ned = _attitudes(truth_t, dt, between, state)
+    node, body_from_ned, _ = _attitudes(truth_t, dt, between, state)
     residual = (body_from_ned * truth).as_rotvec()
     by_node = np.zeros((len(node), 3, NODE))
     by_node[:, :, :3] = np.eye(3)
@@ -243,11 +245,11 @@ def _observe_truth(normal: _Normal, dt: float, between: Between, truth_t: Array,
     normal.observe(node, by_node, by_constant, residual, _weights(residual, np.full(3, TRUTH_SD)))
 
 
-def _attitudes(t: Array, dt: float, between: Between, state: State) -> tuple[NDArray[np.intp], Rotation]:
-    """The node before each of `t`, and the turn from north-east-down to the body then."""
+def _attitudes(t: Array, dt: float, between: Between, state: State) -> tuple[NDArray[np.intp], Rotation, Array]:
+    """The node before each of `t`, the turn from north-east-down to the body then, and the rate in the body."""
     node, since = _nodes(t, state.t)
     rate = between.turn.as_rotvec()[np.minimum(node, len(between.velocity) - 1)] / dt
-    return node, (state.attitude[node] * Rotation.from_rotvec(rate * since[:, None])).inv()
+    return node, (state.attitude[node] * Rotation.from_rotvec(rate * since[:, None])).inv(), rate
 
 
 def _nodes(t: Array, nodes: Array) -> tuple[NDArray[np.intp], Array]:

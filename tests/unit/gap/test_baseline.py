@@ -62,7 +62,8 @@ def test_what_only_the_real_flight_shows_is_found_in_its_own_size(simulated):
 
 def test_what_the_simulated_flight_shows_less_than_the_real_one_must_be_clear(simulated):
     floor = beside(flight(2, shared), simulated).floor
-    assert floor[Sensor.ACCEL] >= 0.1 * simulated.gains[Sensor.ACCEL]
+    numbers = flight(2).traces[0].ideal.size
+    assert np.expm1(floor[Sensor.ACCEL] / numbers) * numbers >= 0.1 * simulated.gains[Sensor.ACCEL]
     clean = beside(flight(2), baseline_of(flight(1), ALPHA))
     assert clean.floor[Sensor.ACCEL] == pytest.approx(0.03 * 3 * len(clean.traces[0].t))
 
@@ -89,3 +90,34 @@ def test_a_simulated_flight_without_a_flaw_changes_nothing():
     assert baseline.gains[Sensor.ACCEL] == 0.0
     problem = flight(2, shared)
     np.testing.assert_array_equal(beside(problem, baseline).traces[0].ideal, problem.traces[0].ideal)
+
+
+def late(trace):
+    return np.column_stack([np.interp(trace.t - 0.02, trace.t, column) for column in trace.ideal.T]) - trace.ideal
+
+
+def test_noise_that_was_learned_from_the_flight_does_not_hide_its_flaws():
+    clean = problem_of(np.random.default_rng(1), (Sensor.GYRO,), late)
+    spectrum = np.tile((clean.traces[0].residual ** 2).mean(axis=0), (2, 1))
+    learned = dataclasses.replace(
+        clean.traces[0], sigma=np.sqrt(spectrum[0]), sigma_dof=1e3, psd=spectrum, psd_hz=np.array([0.0, 25.0])
+    )
+    found = baseline_of(dataclasses.replace(clean, traces=(learned,)), ALPHA)
+    plain = baseline_of(clean, ALPHA)
+    assert [e.id for e in found.effects] == ["gyro_delay"]
+    assert found.gains[Sensor.GYRO] == pytest.approx(plain.gains[Sensor.GYRO], rel=0.1)
+
+
+def test_a_livelier_flight_must_show_more(simulated):
+    calm, lively = flight(2, shared), flight(2, shared)
+    trace = lively.traces[0]
+    fast = dataclasses.replace(trace, ideal=3.0 * trace.ideal, measured=3.0 * trace.measured)
+    lively = dataclasses.replace(lively, traces=(fast,))
+    assert beside(lively, simulated).floor[Sensor.ACCEL] > 1.5 * beside(calm, simulated).floor[Sensor.ACCEL]
+
+
+def test_noise_is_learned_beside_the_flaws(simulated):
+    traces = flight(4, shared).traces
+    (left,) = simulated.in_ideal(traces)
+    assert np.sqrt((left.residual**2).mean()) == pytest.approx(0.05, rel=0.05)
+    assert np.sqrt((traces[0].residual ** 2).mean()) > 0.1

@@ -6,6 +6,10 @@ import numpy as np
 
 from calib.gap.diagnose import diagnose
 from calib.gap.effects import catalogue
+from calib.gap.model import setting_of, starting_model
+from calib.gap.noise_fit import starting_noise
+from calib.gap.strangers import leftover
+from calib.gap.views import views_of
 from calib.recording import Sensor
 from tests.unit.gap.synthetic import problem_of
 
@@ -32,6 +36,21 @@ def test_a_sensor_that_keeps_jumping_is_unknown_and_no_jump_is_named():
     assert report.unknown.flag
     assert "jumps on accel" in report.unknown.shape
     assert not any(e.id == "accel_step" for e in report.effects)
+
+
+def test_what_the_references_own_flaws_leave_over_is_not_unknown():
+    def humming(trace):
+        return 0.1 * np.sin(2.0 * np.pi * 9.0 * trace.t + 2.0 * np.sin(2.0 * np.pi * 0.7 * trace.t))[:, None]
+
+    problem = problem_of(np.random.default_rng(3), (Sensor.ACCEL,), humming)
+    views = views_of(problem, {}, {})
+    setting = setting_of(views)
+    model = starting_model(setting, starting_noise(setting))
+    share, text = leftover(model, 0.0)
+    assert share == 1.0
+    assert "Hz on accel" in text
+    assert leftover(model, 0.0, floor={Sensor.ACCEL: 1e6}) == (0.0, "")
+    assert leftover(model, 0.0, floor={Sensor.MAG: 1e6}) == (share, text)
 
 
 def test_drift_that_one_driver_moves_is_unknown_and_not_a_walk():

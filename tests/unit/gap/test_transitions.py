@@ -2,10 +2,29 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from calib.gap.diagnose import diagnose
+from calib.gap.effects import catalogue
+from calib.gap.estimates import estimates_of
+from calib.gap.hypotheses import Hypothesis
+from calib.gap.model import (
+    Joint,
+    Term,
+    jacobian,
+    normal_equations,
+    setting_of,
+    solved,
+    starting_model,
+    with_residual,
+)
+from calib.gap.noise_fit import NoiseFit, starting_noise
+from calib.gap.selection import Chosen
+from calib.gap.transitions import levels_apart, transitions
+from calib.gap.views import views_of
 from calib.recording import Sensor
 from tests.unit.gap.synthetic import problem_of
 
@@ -34,6 +53,48 @@ def test_the_levels_before_and_after_give_the_size(seed):
             assert one.value == pytest.approx(sign * size, abs=4.0 * one.se)
     assert on["time_s"].value == pytest.approx(ON_S + 0.4, abs=1.5)
     assert off["time_s"].value == pytest.approx(OFF_S + 0.2, abs=1.5)
+
+
+def approached(trace, size=SIZE):
+    """On at once, but brought to its place over the next second and a half: the level is reached late."""
+    settling = np.clip(1.0 - (trace.t - ON_S) / 1.5, 0.0, 1.0) * (trace.t > ON_S)
+    return np.outer(trace.t > ON_S, size) - 0.4 * np.outer(settling, size[::-1])
+
+
+def stepped(gap, at=ON_S, size=SIZE):
+    """A model that holds a gap for a single jump of that size."""
+    problem = problem_of(np.random.default_rng(5), (Sensor.ACCEL,), gap)
+    setting = setting_of(views_of(problem, {}, {}))
+    step = next(e for e in catalogue() if e.id == "accel_step" and not e.form)
+    term = Term(Hypothesis(step, (0,)), np.array(size), at)
+    bare = starting_model(setting, starting_noise(setting))
+    return with_residual(dataclasses.replace(bare, terms=(term,)))
+
+
+def test_a_level_that_is_reached_late_is_a_transition_although_one_jump_was_found():
+    (found,) = transitions(stepped(approached))
+    assert found.start <= ON_S
+    assert ON_S + 1.2 < found.end < ON_S + 3.0
+    assert transitions(stepped(lambda trace: np.outer(trace.t > ON_S, SIZE))) == ()
+
+
+def test_a_step_between_levels_that_do_not_fit_it_is_no_surer_than_they_differ():
+    def jump(trace):
+        return np.outer(trace.t > ON_S, SIZE)
+
+    right, wrong = stepped(jump), stepped(jump, size=SIZE + np.array([0.3, 0.0, 0.0]))
+    assert levels_apart(right, right.terms[0]).max() < 0.03
+    assert levels_apart(wrong, wrong.terms[0])[0] == pytest.approx(0.3, abs=0.03)
+    start = dataclasses.replace(wrong, terms=())
+    chosen = Chosen(wrong, _joint(wrong), NoiseFit(start, {}), (), 1, ())
+    errors = [p.se for p in estimates_of(chosen, wrong.terms[0])]
+    assert errors[0] == pytest.approx(0.3, abs=0.03)
+    assert max(errors[1:3]) < 0.02
+
+
+def _joint(model):
+    normal = normal_equations([jacobian(t, model.setting) for t in model.terms], model.y, model.weight)
+    return Joint(solved(normal.gram, normal.right)[1], normal.slices, normal)
 
 
 def test_a_jump_is_no_event_that_takes_time():

@@ -87,3 +87,10 @@ def test_rest_shows_no_timing(effect_id):
 def test_the_clock_is_judged_by_the_turning_alone():
     trace = make(Sensor.MAG, "tumble")
     assert by_id()["clock_drift"].missing(dataclasses.replace(trace, ideal=np.ones_like(trace.ideal))) is None
+
+
+def test_a_reference_made_from_the_recording_has_its_clock():
+    trace = trace_of_waves()
+    effect = by_id()["clock_drift"]
+    assert effect.missing(trace) is None
+    assert effect.missing(dataclasses.replace(trace, followed=False)) is not None

@@ -105,3 +105,18 @@ def test_a_long_hole_makes_two_recordings_of_which_the_longer_counts():
     grid = grid_of(channel(Sensor.GYRO, t, np.zeros((len(t), 3))))
     assert grid.cut
     assert grid.t[0] == pytest.approx(100.0, abs=1e-6)
+
+
+def test_noise_that_ceases_is_not_called_white():
+    ceasing = white()
+    ceasing[5000:] *= 0.7
+    assert not learned(trace(ceasing)).white
+    assert np.mean([learned(trace(white(2000, seed=s))).steady for s in range(200)]) > 0.99
+
+
+def test_many_holes_do_not_forbid_to_learn():
+    holed = trace(white())
+    seen = np.arange(len(holed.t)) % 1000 < 800
+    found = learned(Trace(Sensor.ACCEL, (0,), holed.t, holed.measured, holed.ideal, seen))
+    assert found.sigma == pytest.approx(0.02, rel=0.03)
+    assert found.dof.sum() == pytest.approx(seen.sum(), abs=2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 
 import numpy as np
@@ -15,7 +16,7 @@ from calib.gap.reference import build
 from calib.gap.reference.signal import Signal
 from calib.gap.reference.smoothed import best_trajectory
 from calib.gap.reference.strapdown import Increments
-from calib.recording import Channel, Recording, Sensor, Stage
+from calib.recording import Channel, ParameterTimeline, Recording, Sensor, Stage
 
 from .test_recorded import by_sensor, channel
 
@@ -60,6 +61,13 @@ def flight(bias=(0.0, 0.0, 0.0), gyro_bias=(0.0, 0.0, 0.0), per_ampere=(0.0, 0.0
     return Recording(tuple(channels))
 
 
+def moved(recording, sensor, by):
+    """The same with the samples of a sensor stamped `by` seconds after they were true."""
+    return recording.with_channels(
+        dataclasses.replace(c, t=c.t + by) if c.sensor == sensor else c for c in recording.channels
+    )
+
+
 def error_deg(found):
     turn, _ = path(found.state.t)
     return np.degrees((turn.inv() * found.state.attitude).as_rotvec())
@@ -85,6 +93,32 @@ def test_the_field_of_the_motors_is_no_attitude():
     found = best_trajectory(flight(per_ampere=(0.3, -0.2, 0.4)))
     assert found.state.constants[3:6] == pytest.approx([0.3, -0.2, 0.4], abs=0.03)
     assert np.abs(error_deg(found).mean(axis=0)).max() < 0.5
+
+
+def test_a_compass_that_is_late_bends_neither_the_field_nor_the_attitude():
+    late = moved(flight(), Sensor.MAG, 0.06)
+    found = best_trajectory(late)
+    assert found.state.constants[10] == pytest.approx(0.06, abs=0.01)
+    assert np.abs(found.state.earth - EARTH).max() < 0.3
+    assert np.abs(error_deg(found).mean(axis=0)).max() < 0.2
+
+
+def test_the_delay_of_the_firmwares_own_filters_is_no_delay_of_other_sensors():
+    late = np.sqrt(2.0) / (2.0 * np.pi * 5.0)
+    real = moved(moved(flight(), Sensor.GYRO, late), Sensor.ACCEL, late)
+    filtered = [
+        dataclasses.replace(c, stage=Stage.FILTERED) if c.sensor in {Sensor.GYRO, Sensor.ACCEL} else c
+        for c in real.channels
+    ]
+    identity = dataclasses.replace(real.identity, autopilot="ardupilot")
+    parameters = ParameterTimeline.constant({"INS_GYRO_FILTER": 5.0, "INS_ACCEL_FILTER": 5.0})
+    real = dataclasses.replace(real.with_channels(filtered), identity=identity, parameters=parameters)
+    found = best_trajectory(real)
+    assert found.late == pytest.approx((late, late))
+    assert found.state.constants[9] == pytest.approx(0.12, abs=0.01)
+    assert found.state.constants[10] == pytest.approx(0.0, abs=0.01)
+    gyro = by_sensor(build(real))[Sensor.GYRO]
+    assert gyro.residual.std(axis=0).max() < 0.004
 
 
 def test_the_unit_with_the_smaller_errors_drives_the_trajectory():

@@ -1,0 +1,56 @@
+"""Two units under one time stamp: what moves between their own moments is no noise of theirs."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from calib.gap.problem import Trace
+from calib.gap.reference.moments import age_of, louder, settled
+from calib.recording import Sensor
+
+AGE, NOISE, FS = 1e-3, 1e-3, 25.0
+
+
+def pair(seed=0, swing=6.0, age=AGE, noise=NOISE, gap=0.0):
+    """A gyroscope against another one that is older or younger by `age` (s, sd); it turns in the middle only."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(2000) / FS
+    quiet = np.where((t > 30.0) & (t < 40.0), 1.0, 0.02)[:, None]
+    phase = 2.0 * np.pi * np.array([0.4, 0.5, 0.6]) * t[:, None]
+    rate, slope = swing * quiet * np.sin(phase), swing * quiet * np.cos(phase) * 2.0 * np.pi * np.array([0.4, 0.5, 0.6])
+    measured = rate + slope * age * rng.standard_normal((len(t), 1)) + noise * rng.standard_normal(rate.shape)
+    seen = np.ones(len(t), dtype=bool)
+    return Trace(Sensor.GYRO, (1,), t, measured + gap * rate, rate, seen, against=0)
+
+
+def test_the_age_of_the_samples_is_learned():
+    assert np.sqrt(age_of([pair()])) == pytest.approx(AGE, rel=0.15)
+    assert age_of([pair(s, age=0.0) for s in range(20)]) == 0.0
+    assert age_of([]) == 0.0
+
+
+def test_samples_whose_moment_matters_more_than_the_noise_are_left_out():
+    found = settled(pair(), AGE**2)
+    assert found.observed[:700].all()
+    assert found.observed[750:1000].mean() < 0.3
+    left = (pair().residual[found.observed] ** 2).mean()
+    assert left < 1.5 * NOISE**2
+
+
+def test_a_sensor_that_became_noisy_does_not_hide_itself():
+    noisy = pair(noise=0.05)
+    assert settled(noisy, AGE**2).observed.mean() > 0.99
+
+
+def test_a_flight_that_moves_more_is_expected_to_be_louder():
+    nominal = dataclasses.replace(pair(swing=0.2), sigma=np.full(3, NOISE))
+    lively = dataclasses.replace(pair(swing=1.0), sigma=np.full(3, NOISE))
+    made = louder(lively, AGE**2, [nominal])
+    slope = (np.diff(lively.ideal, axis=0) * FS) ** 2
+    assert made.psd[0] == pytest.approx(NOISE**2 + AGE**2 * slope.mean(axis=0), rel=0.3)
+    assert made.sigma == pytest.approx(np.sqrt(made.psd[0]))
+    same = louder(nominal, AGE**2, [lively])
+    assert same.sigma == pytest.approx(nominal.sigma)
