@@ -41,8 +41,8 @@ from calib.gap.schema import (
 )
 from calib.gap.selection import Chosen, reduced, select
 from calib.gap.shrink import dose_of, held_out, shrink_of
-from calib.gap.strangers import strangers_in, unknown_of
-from calib.gap.transitions import transitions, without_transitions
+from calib.gap.strangers import NOT_LASTING, strangers_in, unknown_of
+from calib.gap.transitions import Transition, passing, transitions, without_transitions
 from calib.gap.unknown import explained
 from calib.gap.usual import usual_samples, usual_tone
 from calib.gap.views import View, views_of
@@ -63,6 +63,7 @@ def diagnose(
     alpha: float = 0.005,
     nested: bool = True,
     rounds: int = 3,
+    left_out: tuple[Transition, ...] = (),
 ) -> GapReport:
     """Where the sensors of `problem` differ from their references, which effects explain it, and how far.
 
@@ -78,6 +79,8 @@ def diagnose(
         Whether the shrink repeats the selection inside the folds.
     rounds
         Times that samples during events that take time (:mod:`calib.gap.transitions`) are left out.
+    left_out
+        Those that are left out already.
     """
     effects = catalogue() if effects is None else effects
     lattice = lattice_of(problem, effects)
@@ -93,10 +96,13 @@ def diagnose(
     bare = start
     chosen = select(start, contest, alpha)
     if lost := not_following(chosen.model):
-        return diagnose(without_sensors(problem, lost), effects=effects, alpha=alpha, nested=nested, rounds=rounds)
-    if rounds and (taking := transitions(chosen.model)):
-        problem = without_transitions(problem, taking)
-        return diagnose(problem, effects=effects, alpha=alpha, nested=nested, rounds=rounds - 1)
+        problem, again = without_sensors(problem, lost), rounds
+    elif rounds and (taking := transitions(chosen.model, {s.hypothesis.key: s.gain for s in chosen.scores})):
+        problem, again, left_out = without_transitions(problem, taking), rounds - 1, (*left_out, *taking)
+    else:
+        again = None
+    if again is not None:
+        return diagnose(problem, effects=effects, alpha=alpha, nested=nested, rounds=again, left_out=left_out)
     wander = wandering(chosen, contest, start, alpha) if any(e.id == REFERENCE for e in effects) else None
     if wander is not None:
         chosen = wander.chosen
@@ -123,7 +129,8 @@ def diagnose(
     denied |= {t.hypothesis.key for t in chosen.model.noise_terms if unsteady_line(t, chosen.model)}
     found = tuple(_effect(chosen, a, gates.get(a.key)) for a in attributions if a.key not in denied)
     bandwidth, floor = problem.reference.bandwidth_hz, problem.floor
-    unknown = unknown_of(chosen.model, attributions, strangers, withdrawn, bandwidth, floor)
+    without_name = [(withdrawn, NOT_LASTING), *((one.nats, one.text) for one in passing(left_out, chosen.model))]
+    unknown = unknown_of(chosen.model, attributions, strangers, without_name, bandwidth, floor)
     effects_found = (*lattice.effects, *(() if wander is None else (_wandering(wander, attributions),)), *found)
     return GapReport(
         inputs,

@@ -26,7 +26,7 @@ from calib.recording import Sensor
 
 _JUMPS = 3
 """Jumps of one sensor from which on they are no single events."""
-_NOT_LASTING = "a deviation that no effect describes throughout the recording"
+NOT_LASTING = "a deviation that no effect describes throughout the recording"
 _MATERIAL = 0.03
 """Share of the gap from which on something unknown is said."""
 _LEFTOVER = 1e-7
@@ -73,7 +73,7 @@ def unknown_of(
     model: Model,
     attributions: Sequence[Attribution],
     strangers: Sequence[Stranger],
-    withdrawn: float,
+    lost: Sequence[tuple[float, str]],
     bandwidth_hz: float = math.inf,
     floor: Mapping[Sensor, float] | None = None,
 ) -> Unknown:
@@ -83,8 +83,8 @@ def unknown_of(
     ----------
     model, attributions, strangers
         The model, what its effects are worth, and which of them have no name.
-    withdrawn
-        Nats of effects that held-out data took away. Something was there, but it was not they.
+    lost
+        Nats of what is in no effect of the model, and what is said of it.
     bandwidth_hz
         Up to which the reference knows how the vehicle moves.
     floor
@@ -99,7 +99,7 @@ def unknown_of(
         texts.append(band)
         share += rest * (1.0 - share)
     swelling, when = unsteady(model)
-    for nats, text in ((swelling, when), (withdrawn, _NOT_LASTING)):
+    for nats, text in ((swelling, when), *lost):
         part = nats / (gap + nats) if nats > 0.0 else 0.0
         if part > _MATERIAL:
             texts.append(text)

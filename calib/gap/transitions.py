@@ -7,7 +7,7 @@ left out, and one step is the difference of the levels.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +21,7 @@ from calib.gap.views import View
 from calib.recording import Sensor
 
 Array = NDArray[np.float64]
+Key = tuple[str, tuple[int, ...]]
 
 ONE_EVENT_S = 2.0
 """Jumps that follow each other within this time are one event."""
@@ -35,11 +36,17 @@ _FAR = 6.0
 
 @dataclass(frozen=True)
 class Transition:
-    """From `start` to `end`, s, the readings of a sensor say nothing."""
+    """From `start` to `end`, s, the readings of a sensor say nothing; `nats` is what its jumps were worth."""
 
     sensor: Sensor
     start: float
     end: float
+    nats: float = 0.0
+
+    @property
+    def text(self) -> str:
+        """Said of one after which everything is as before."""
+        return f"a change that passes on {self.sensor.value} from {self.start:.1f} to {self.end:.1f} s"
 
 
 def events_of(model: Model, sensor: Sensor) -> list[list[Term]]:
@@ -54,8 +61,11 @@ def events_of(model: Model, sensor: Sensor) -> list[list[Term]]:
     return events
 
 
-def transitions(model: Model) -> tuple[Transition, ...]:
-    """Events of a model that take several jumps, or one that is gradual, or beside which the levels are not reached."""
+def transitions(model: Model, gains: Mapping[Key, float] | None = None) -> tuple[Transition, ...]:
+    """Events of a model that take several jumps, or one that is gradual, or beside which the levels are not reached.
+
+    `gains`: of its effects, twice the log-likelihood.
+    """
     found = []
     for sensor in dict.fromkeys(view.sensor for view in model.setting.views):
         for event in events_of(model, sensor):
@@ -65,8 +75,19 @@ def transitions(model: Model) -> tuple[Transition, ...]:
             early, late = min(r[0] for r in reached), max(r[1] for r in reached)
             if len(event) > 1 or event[0].effect.form or early < start or late > end:
                 early, late = min(early, start - _beside(event[0])), max(late, end + _beside(event[-1]))
-                found.append(Transition(sensor, early, late))
+                nats = 0.5 * sum((gains or {}).get(jump.hypothesis.key, 0.0) for jump in event)
+                found.append(Transition(sensor, early, late, nats))
     return tuple(found)
+
+
+def passing(left_out: Sequence[Transition], model: Model) -> tuple[Transition, ...]:
+    """Those after which the level is what it was before: what happened there is in no effect of the model."""
+    jumps = [(t.effect.sensor, t.theta) for t in model.terms if t.effect.id.endswith("_step")]
+
+    def lasts(one: Transition) -> bool:
+        return any(s is one.sensor and one.start - ONE_EVENT_S < at < one.end + ONE_EVENT_S for s, at in jumps)
+
+    return tuple(one for one in left_out if one.nats > 0.0 and not lasts(one))
 
 
 def unsettled(view: View, residual: Array, start: float, end: float) -> tuple[float, float]:

@@ -22,6 +22,7 @@ from calib.gap.model import (
     with_residual,
 )
 from calib.gap.noise_fit import NoiseFit, starting_noise
+from calib.gap.schema import Verdict
 from calib.gap.selection import Chosen
 from calib.gap.transitions import levels_apart, transitions
 from calib.gap.views import views_of
@@ -105,3 +106,17 @@ def test_a_jump_is_no_event_that_takes_time():
     (effect,) = diagnose(problem, nested=False).effects
     assert effect.id == "accel_step"
     assert {p.name: p.value for p in effect.params}["time_s"] == pytest.approx(ON_S, abs=0.05)
+
+
+def passed_by(trace):
+    """Iron goes past within two seconds, and nothing stays."""
+    return np.outer(np.exp(-0.5 * ((trace.t - 20.0) / 0.5) ** 2), SIZE)
+
+
+def test_what_passes_by_is_not_forgotten_with_its_samples():
+    problem = problem_of(np.random.default_rng(4), (Sensor.ACCEL,), passed_by)
+    report = diagnose(problem, nested=False)
+    assert report.unknown.flag
+    assert "passes on accel" in report.unknown.shape
+    assert not any(e.id == "accel_step" for e in report.effects)
+    assert report.verdict is Verdict.UNKNOWN
