@@ -138,7 +138,7 @@ def learned(trace: Trace) -> Noise | None:
     mean = np.column_stack([np.bincount(group, weights=column) for column in power.T]) / count[:, None]
     centre = np.exp(np.bincount(group, weights=np.log(bins)) / count) * trace.fs / (2.0 * n)
     steady = _steady(residual[seen])
-    return Noise(centre, np.maximum(mean, digits_of(trace)), count, trace.fs, trace.low_pass_hz, steady)
+    return Noise(centre, np.maximum(mean, digits_of(trace)), count, trace.fs, trace.low_pass_hz, steady=steady)
 
 
 def _steady(residual: Array) -> bool:
