@@ -30,6 +30,7 @@ _APPROACHES_S = (3.0, 10.0, 30.0)
 _STILL = 0.1  # of the rms slope: slower changes have no direction
 _TRAVELS = (0.01, 0.03, 0.1, 0.3)
 """Dead travels, in parts of the reading's range."""
+_POINTS = 20_000
 _HARMONICS = (2, 3, 4, 5)
 _HIGHEST = 0.4  # of the rate: beyond, two bands of one series meet
 _ON = tuple(np.arange(0.1, 0.95, 0.05).round(2).tolist())
@@ -244,7 +245,10 @@ def _own(trace: Trace) -> Iterator[_Group]:
         ("cube of the reading", (x / size) ** 3),
         ("size of the reading", np.abs(x) / size),
         ("direction of the reading's change", np.tanh(slope / steady)),
-        *((f"dead travel of {part:.1%} of the range", _travel(x, part)) for part in _TRAVELS),
+        *(
+            (f"dead travel of {part:.1%} of the range", pointer)
+            for part, pointer in zip(_TRAVELS, _travels(x), strict=True)
+        ),
     ]
     for name, signal in orders:
         swings = np.array([_swings(signal[:, c]) for c in range(3)])
@@ -252,18 +256,20 @@ def _own(trace: Trace) -> Iterator[_Group]:
             yield _Group("own", name, signal * swings, each=True)
 
 
-def _travel(x: Array, part: float) -> Array:
-    """Where a pointer with play stands between the ends of its travel, -1..1, (N, 3): the play operator, scaled."""
-    found = np.zeros_like(x)
-    for c in range(3):
-        half = 0.5 * part * float(np.ptp(x[:, c])) + 1e-300
-        at = float(x[0, c])
-        pointer = []
-        for value in x[:, c].tolist():
-            at = min(max(at, value - half), value + half)
-            pointer.append(at)
-        found[:, c] = (x[:, c] - np.array(pointer)) / half
-    return found
+def _travels(x: Array) -> Array:
+    """Where pointers with play stand between the ends of their travels, -1..1, (travels, N, 3): the play operator.
+
+    Of a long series every few samples are looked at.
+    """
+    every = max(1, len(x) // _POINTS)
+    half = 0.5 * np.array(_TRAVELS)[:, None] * np.ptp(x, axis=0) + 1e-300
+    at = np.broadcast_to(x[0], half.shape)
+    pointers = []
+    for low, high in zip(x[::every, None, :] - half, x[::every, None, :] + half, strict=True):
+        at = np.minimum(np.maximum(at, low), high)
+        pointers.append(at)
+    found = (x[::every, None, :] - np.array(pointers)) / half
+    return np.repeat(found, every, axis=0)[: len(x)].transpose(1, 0, 2)
 
 
 def _periodic(trace: Trace, tone: Term) -> Iterator[_Group]:
