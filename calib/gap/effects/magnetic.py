@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 _SYMMETRIC_NAMES = ("xx", "yy", "zz", "xy", "xz", "yz")
 _LEAST_CURRENT = 0.5  # A, standard deviation; 0.05 uT/A of it are 0.025 uT, a twentieth of a sensor's noise
+_LEAST_THROTTLE = 0.05  # standard deviation
 _LEAST_PATH = 0.3  # m, standard deviation of the place along its widest direction
 _NED = "ned"
 _LONGEST_LAG = 0.3  # s
@@ -59,6 +60,20 @@ def late_current_signal(trace: Trace, lag: float) -> Array:
     return np.interp(trace.t - lag, trace.t, trace.current)[None, :]
 
 
+def throttle_signal(trace: Trace, exponent: float) -> Array:
+    """A power of the throttle, 0..1, (1, N): for vehicles without a good current monitor (ArduPilot's COMPASS_MOTCT 1).
+
+    A propeller draws current as the 1.5th power of its thrust; how the throttle goes with that is the firmware's.
+    """
+    assert trace.throttle is not None
+    return np.maximum(trace.throttle, 0.0)[None, :] ** exponent
+
+
+def exponents(_trace: Trace) -> Array:
+    """Powers of the throttle to try."""
+    return np.linspace(0.5, 3.0, 11)
+
+
 def lags(_trace: Trace) -> Array:
     """Lags to try, s."""
     return np.linspace(-_LONGEST_LAG, _LONGEST_LAG, _LAGS)
@@ -85,6 +100,15 @@ def _no_current(trace: Trace) -> tuple[str, str] | None:
     size = spread(trace.current[:, None], trace.observed)
     if size < _LEAST_CURRENT:
         return f"current varies by {size:.2g} A", "a variation >= 0.5 A: throttle 0-hover-0"
+    return None
+
+
+def _no_throttle(trace: Trace) -> tuple[str, str] | None:
+    if trace.throttle is None:
+        return "no current and no throttle recorded", "a current monitor in the log, currents that vary by >= 0.5 A"
+    size = spread(trace.throttle[:, None], trace.observed)
+    if size < _LEAST_THROTTLE:
+        return f"throttle varies by {100.0 * size:.2g} %", "a variation >= 5 %: throttle 0-hover-0"
     return None
 
 
@@ -137,6 +161,19 @@ EFFECTS: tuple[Effect, ...] = (
         signals=late_current_signal,
         rivals=("mag_hard_iron", "mag_step"),
         form="~late",
+    ),
+    MeanEffect(
+        "mag_motor_current",
+        Sensor.MAG,
+        per_axis("full_throttle", "uT"),
+        "throttle that varies",
+        "throttle 0-hover-0 twice at one attitude",
+        _no_throttle,
+        Shape(Parameter("exponent", "1"), exponents),
+        columns=axiswise(throttle_signal),
+        signals=throttle_signal,
+        rivals=("mag_hard_iron", "mag_step"),
+        form="~throttle",
     ),
     MeanEffect(
         "mag_motor_current",

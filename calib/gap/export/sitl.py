@@ -178,6 +178,8 @@ def _belongs(name: str, wanted: list[str], sensor: Sensor) -> bool:
 
 def _motor_current(effect: EffectEstimate, sensors: Sensors, report: GapReport) -> tuple[dict[str, float], list[str]]:
     """``D^-1 (B + MOT I)``: one vector for all compasses, before the soft iron."""
+    if not any(p.name.startswith("per_ampere") for p in effect.params):
+        return {}, ["a field that follows the throttle: SIM_MAG_MOT follows the simulated current"]
     ahead = np.linalg.inv(sensors.of(Sensor.MAG, effect.instances[0]).matrix)
     missed = sorted(_all(report, Sensor.MAG) - set(effect.instances))
     lost = [f"SIM_MAG_MOT acts on every compass, also on {', '.join(map(str, missed))}"] if missed else []

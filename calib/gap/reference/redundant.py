@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -19,6 +20,7 @@ from calib.recording import Channel, Recording, Sensor
 Array = NDArray[np.float64]
 
 _SMOOTH_S = 2.0
+_EDGE_S = 0.5  # from the ends of a trajectory, where the filters of the units reach beyond it
 
 
 def differences(real: Recording, ideal: Ideal | None, single: tuple[Trace, ...]) -> tuple[Trace, ...]:
@@ -40,7 +42,19 @@ def differences(real: Recording, ideal: Ideal | None, single: tuple[Trace, ...])
 def _difference(channel: Channel, base: Channel, ideal: Ideal | None, real: Recording) -> Trace:
     reading = Signal.of(base)
     assert reading is not None
-    return dataclasses.replace(trace_of(channel, reading, ideal, real), against=base.instance)
+    trace = dataclasses.replace(trace_of(channel, reading, ideal, real), against=base.instance)
+    if ideal is None:
+        return trace
+    return dataclasses.replace(trace, observed=trace.observed & ~_contradicted(channel.sensor, ideal, trace.t))
+
+
+def _contradicted(sensor: Sensor, ideal: Ideal, t: Array) -> NDArray[np.bool_]:
+    """Where a re-estimated trajectory does not believe its own inertial unit: in a crash no unit is a reference."""
+    own = ideal.readings.get(sensor)
+    if own is None or ideal.attitude is None or math.isinf(ideal.info.bandwidth_hz) or sensor is Sensor.MAG:
+        return np.zeros(len(t), dtype=np.bool_)
+    within = (t > ideal.attitude.t[0] + _EDGE_S) & (t < ideal.attitude.t[-1] - _EDGE_S)
+    return np.asarray(within & ~own.known(t))
 
 
 def _misfit(sensor: Sensor, single: tuple[Trace, ...]) -> dict[int, float]:

@@ -197,7 +197,7 @@ def test_what_the_catalogue_does_not_have_is_unknown_with_its_shape():
 
 def test_missing_telemetry_is_not_testable_rather_than_absent():
     problem = problem_of(np.random.default_rng(9), (M,))
-    bare = tuple(dataclasses.replace(t, current=None, temperature=None) for t in problem.traces)
+    bare = tuple(dataclasses.replace(t, current=None, throttle=None, temperature=None) for t in problem.traces)
     report = diagnose(dataclasses.replace(problem, traces=bare), nested=False)
     reasons = {entry.id: entry.reason for entry in report.not_testable}
     assert "no current" in reasons["mag_motor_current"]

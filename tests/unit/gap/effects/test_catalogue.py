@@ -33,7 +33,9 @@ def test_every_kind_of_the_schema_is_there_and_nothing_else():
     expected |= {f"mag_{kind}" for kind in MAGNETIC.split()}
     expected |= {"accel_lever_arm", "gyro_g_sensitivity", "clock_drift", "reference_attitude"}
     assert set(by_id()) == expected
-    assert Counter(e.id for e in catalogue()) == {name: 1 + (name in LIMITS | LINES | LATE | SLOW) for name in expected}
+    assert Counter(e.id for e in catalogue()) == {
+        name: 1 + (name in LIMITS | LINES | SLOW) + 2 * (name in LATE) for name in expected
+    }
 
 
 def test_an_end_of_the_range_is_sought_in_the_samples_and_in_the_mean():
@@ -51,7 +53,7 @@ def test_a_line_is_power_or_a_wave_and_both_compete_under_names_of_their_own():
 
 
 def test_a_lag_of_the_current_and_a_gradual_step_are_forms_of_their_effects():
-    assert {e.form for e in catalogue() if e.id in LATE} == {"", "~late"}
+    assert {e.form for e in catalogue() if e.id in LATE} == {"", "~late", "~throttle"}
     for name in SLOW:
         assert {e.form for e in catalogue() if e.id == name} == {"", "~slow"}
 
@@ -143,7 +145,12 @@ def _own(effect):
 
 
 def _name(effect):
-    forms = {"~wave": "as a wave", "~late": "with a lag", "~slow": "that takes its time"}
+    forms = {
+        "~wave": "as a wave",
+        "~late": "with a lag",
+        "~slow": "that takes its time",
+        "~throttle": "by the throttle",
+    }
     if effect.form:
         return f"`{effect.id}` {forms[effect.form]}"
     return f"`{effect.id}`" + (" before the noise" if effect.id in LIMITS and isinstance(effect, MeanEffect) else "")

@@ -92,3 +92,16 @@ def test_a_current_may_be_late(lag):
     np.testing.assert_allclose(effect.signals(steady, lag)[0, 20:-20], late[20:-20], atol=2e-2)
     grid = effect.shape.grid(steady)
     assert grid[0] <= lag <= grid[-1]
+
+
+def test_the_throttle_drives_the_field_where_no_current_was_recorded():
+    effect = next(e for e in forward_models()["mag_motor_current"] if e.form == "~throttle")
+    trace = dataclasses.replace(make(Sensor.MAG), current=None)
+    assert effect.missing(trace) is None
+    assert by_id()["mag_motor_current"].missing(trace) is not None
+    truth = np.array([6.0, -4.0, 8.0])
+    beta, sd, _ = amplitudes(effect, noisy(trace, np.outer(trace.throttle**1.5, truth), 0.2, 5), 1.5)
+    assert (np.abs(beta - truth) < 4.0 * 0.2 * sd).all()
+    steady = dataclasses.replace(trace, throttle=np.full(len(trace.t), 0.5))
+    assert effect.missing(steady) is not None
+    assert effect.missing(dataclasses.replace(trace, throttle=None)) is not None

@@ -211,3 +211,11 @@ def test_any_soft_and_hard_iron_comes_back(iron: list[float], hard: list[float])
     trace = a_trace(Sensor.MAG)
     expected = trace.ideal + sum(forward(e, trace) for e in effects)
     np.testing.assert_allclose(simulated(dict(patch(report(*effects)).values), trace), expected, atol=1e-7)
+
+
+def test_a_field_that_follows_the_throttle_is_not_held() -> None:
+    by_current = effect("mag_motor_current", (1,), per_ampere=(3.0, -2.0, 4.0))
+    renamed = [dataclasses.replace(p, name=p.name.replace("per_ampere", "full_throttle")) for p in by_current.params]
+    found = patch(report(dataclasses.replace(by_current, params=tuple(renamed))))
+    assert not any(name.startswith("SIM_MAG_MOT") for name in found.values)
+    assert any("throttle" in text for text in found.not_held)

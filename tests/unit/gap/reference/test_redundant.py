@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from calib.gap.reference import build
 from calib.recording import Recording, Sensor
 
 from .test_recorded import RATE, SECONDS, channel, flown, truth
+from .test_smoothed import flight
 
 
 def several(biases, seed=1):
@@ -58,3 +61,19 @@ def test_instances_sampled_at_different_times_are_not_compared():
     late = channel(Sensor.ACCEL, both.channels[1].t + 0.004, both.channels[1].values, instance=1)
     with pytest.raises(ValueError, match="ideal sensor"):
         build(Recording((both.channels[0], late)))
+
+
+def test_while_the_trajectory_contradicts_its_own_unit_no_unit_is_compared():
+    whole = flight(instances=2)
+    crash = [
+        dataclasses.replace(c, values=np.where(((c.t > 30.0) & (c.t < 30.3))[:, None], 80.0, c.values))
+        if c.sensor == Sensor.ACCEL
+        else c
+        for c in whole.channels
+    ]
+    pairs = [t for t in build(whole.with_channels(crash)).traces if t.against is not None]
+    assert {t.sensor for t in pairs} == {Sensor.ACCEL, Sensor.GYRO}
+    for pair in pairs:
+        assert not pair.observed[(pair.t > 30.0) & (pair.t < 30.3)].any()
+        assert pair.observed.mean() > 0.8
+    assert all(t.observed.all() for t in build(whole).traces if t.against is not None)
