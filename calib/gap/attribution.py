@@ -39,10 +39,10 @@ Key = tuple[str, tuple[int, ...]]
 
 TEMPERATURE = 2.0
 """By which differences of penalised evidence are flattened into probabilities."""
-NAMED = 0.9
+NAMED = 0.95
 """Share of clear names that were right on development cases: there are rivals that nobody wrote down."""
-UNKNOWN_PRIOR = 0.0
-"""Head start of explanations outside the catalogue, in nats."""
+_STANDS_IN = 0.8
+"""The same of noise that wanders, which takes the place of anything slow, beside that."""
 _NEAR = 12.0
 _SAME = 0.98
 _FAR = 40.0
@@ -224,19 +224,23 @@ def _imitated(
 def _judged(own: Hypothesis, own_delta: float, others: Sequence[Alternative]) -> tuple[tuple[Rival, ...], float, float]:
     """Rivals that these data cannot tell apart, and the probabilities of the effect and of the unknown."""
     rivals = []
-    weights: list[float] = [0.0]
-    unknown: list[float] = []
+    same, weights, unknown = [0.0], [-math.inf], [-math.inf]
     for other in others:
         delta = own_delta - other.score.delta
         is_unknown = other.score.hypothesis.effect.id.startswith("unknown")
-        (unknown if is_unknown else weights).append(-delta / (2.0 * TEMPERATURE))
+        weight = -delta / (2.0 * TEMPERATURE)
+        if other.score.hypothesis.effect.id == own.effect.id and other.score.hypothesis.instances == own.instances:
+            same.append(weight)  # the same name in another form
+        else:
+            (unknown if is_unknown else weights).append(weight)
         near = max(_NEAR, min((1.0 - _SAME) * own_delta, _FAR))
         if not is_unknown and other.score.hypothesis.effect.id != own.effect.id and delta < near:
             rivals.append(Rival(other.score.hypothesis.effect.id, other.kappa, delta, own.effect.fix))
     best: dict[str, Rival] = {}
     for rival in sorted(rivals, key=lambda r: r.delta):
         best.setdefault(rival.id, rival)
-    stranger = max(unknown, default=-math.inf) + UNKNOWN_PRIOR  # the others are parts of it, or it in another guise
-    total = float(np.logaddexp.reduce([*weights, stranger]))
-    lost = stranger - total
-    return tuple(best.values()), NAMED * math.exp(-total), math.exp(lost)
+    stranger = max(unknown)  # the others are parts of it, or it in another guise
+    total = float(np.logaddexp.reduce([*same, *weights, stranger]))
+    right = NAMED * math.exp(float(np.logaddexp.reduce(same)) - total)
+    wanders = own.effect.id.endswith(DRIFTS)
+    return tuple(best.values()), right * (_STANDS_IN if wanders else 1.0), math.exp(stranger - total)

@@ -21,7 +21,7 @@ from scipy.stats import binom
 from calib.gap.bands import joined
 from calib.gap.effects.base import MeanEffect, NoiseEffect
 from calib.gap.evidence import evidence, price_of_fixed, price_of_kind, price_of_noise, price_of_search
-from calib.gap.filtered import told_by_noise
+from calib.gap.filtered import shaped, told_by_noise
 from calib.gap.hypotheses import Columns, Hypothesis, columns_of
 from calib.gap.louder import Added, stands_out, tone_beside_lines, whose
 from calib.gap.model import (
@@ -349,6 +349,7 @@ def noise_score(hypothesis: Hypothesis, model: Model) -> Score:
     scores = [_noise_gain(hypothesis, theta, model, fits) for theta in thetas]
     best = max(range(len(thetas)), key=lambda i: scores[i][0])
     gain, values, price = scores[best]
+    gain = max(gain - shaped(model, effect.sensor), 0.0)
     df = len(effect.parameters)
     added = Added(hypothesis, thetas[best], values)
     believed = stands_out(added, model) and whose(added, model)

@@ -14,11 +14,21 @@ from calib.gap.effects.base import MeanEffect
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.model import Model
 from calib.gap.noise_fit import declared
+from calib.recording import Sensor
 
 _ABOVE = 0.25
 """Share of the Nyquist frequency below which what is left may be movement."""
 _LEAST = 1e-6
 """Part of the noise that any filter leaves: digits."""
+
+
+def shaped(model: Model, sensor: Sensor) -> float:
+    """Twice the log-likelihood of what the filters of a model have done to the noise of a sensor.
+
+    The model's noise does not have that form: an effect on the noise gains as much by imitating it.
+    """
+    own = [t for t in model.terms if t.effect.sensor is sensor]
+    return sum(max(told_by_noise(t.hypothesis, t.theta, model), 0.0) for t in own)
 
 
 def told_by_noise(hypothesis: Hypothesis, theta: float, model: Model) -> float:

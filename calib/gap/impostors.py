@@ -16,7 +16,7 @@ from scipy.special import chdtrc
 from calib.gap.effects.base import NoiseEffect
 from calib.gap.effects.noise import DRIFTS
 from calib.gap.levels import step_of
-from calib.gap.likelihood import fit_amplitudes, random_walk
+from calib.gap.likelihood import fit_amplitudes, flicker, random_walk
 from calib.gap.model import Model, NoiseTerm
 from calib.gap.noise_fit import noise_rows
 from calib.gap.schema import HiddenDriver
@@ -90,22 +90,24 @@ def coherent(model: Model, v: int, term: NoiseTerm) -> HiddenDriver | None:
 
 
 def returning(model: Model, v: int, term: NoiseTerm) -> bool:
-    """Whether noise with a corner, ``1 / (4 sin^2(w/2) + lambda)``, fits much better than the term's own."""
+    """Whether noise with a corner, ``1 / (4 sin^2(w/2) + lambda)``, fits much better than a walk and than flicker."""
     view = model.setting.views[v]
     bins = model.setting.bins[v]
     steep = 1.0 / random_walk(view.omega)
     corners = [view.gain * bins.mean(1.0 / (steep + pole**2)) for pole in _POLES]
-    gains = []
+    known = [view.gain * bins.mean(form(view.omega)) for form in (random_walk, flicker)]
+    common, each = np.zeros(len(_POLES)), 0.0
+    best = np.zeros(len(known))
     for c in range(3):
         counts, power, base, rows = noise_rows(model, 3 * v + c, term.name(0))
         if term.name(0) not in model.noise[3 * v + c].densities:
             continue
-        own = bins.mean(model.noise[3 * v + c].densities[term.name(0)])
-        walk = fit_amplitudes(power, counts, base, [*rows, own]).deviance
-        gains.append([walk - fit_amplitudes(power, counts, base, [*rows, corner]).deviance for corner in corners])
-    by_axis = np.array(gains).reshape(-1, len(_POLES))
-    each = float(np.maximum(by_axis.max(axis=1, initial=0.0), 0.0).sum())
-    return float(by_axis.sum(axis=0).max(initial=0.0)) > _RETURNS or each > _RETURNS_EACH
+        bare = fit_amplitudes(power, counts, base, rows).deviance
+        plain = np.array([bare - fit_amplitudes(power, counts, base, [*rows, form]).deviance for form in known])
+        gains = np.array([bare - fit_amplitudes(power, counts, base, [*rows, corner]).deviance for corner in corners])
+        common, best = common + gains, best + plain
+        each += max(float(gains.max() - plain.max()), 0.0)
+    return float(common.max() - best.max()) > _RETURNS or each > _RETURNS_EACH
 
 
 _WINDOWS = (8, 32, 128)

@@ -112,6 +112,8 @@ def fit_amplitudes(
     `base` may be 0 where the densities carry everything.
     """
     D = np.asarray(densities, dtype=np.float64).reshape(len(densities), len(counts))
+    if not len(D):
+        return AmplitudeFit(np.zeros(0), deviance(base, periodogram, counts), np.zeros((0, 0)))
     mean = periodogram / counts
     if not (mean > 0.0).any():
         return AmplitudeFit(np.zeros(len(D)), deviance(base + 1e-150, periodogram, counts), np.eye(len(D)))

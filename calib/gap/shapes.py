@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 PREFIX = "unknown"
+_FLEXIBLE = ("line", "time")
 _KNOTS = 6
 _KNOTS_TIME = 20
 _TIES = 1e-3
@@ -80,6 +81,12 @@ def shapes_of(setting: Setting, tones: Sequence[Term] = ()) -> tuple[Shape, ...]
                 shape = _shape(trace.sensor, group, instance)
                 found.setdefault(shape.whole.key, shape)
     return tuple(found.values())
+
+
+def flexible(hypothesis: Hypothesis) -> bool:
+    """Whether it is a broken line, which bends about anything that its covariate drives."""
+    family = hypothesis.effect.id.split(":")[1]
+    return family.removeprefix("one ") in _FLEXIBLE
 
 
 def _groups(trace: Trace) -> Iterator[_Group]:

@@ -30,6 +30,8 @@ _MARGIN_S = 0.3
 _WINDOW_S = 0.25
 _LEVEL = 33
 """Windows whose median is a level: some eight seconds."""
+_RAMP = 0.3
+"""Part of a ramp's samples from which on it is seen."""
 _FAR = 6.0
 """Standard deviations of a window from which on it is off its level."""
 
@@ -73,11 +75,18 @@ def transitions(model: Model, gains: Mapping[Key, float] | None = None) -> tuple
             views = [v for v, view in enumerate(model.setting.views) if event[0].hypothesis.touches(view)]
             reached = [unsettled(model.setting.views[v], model.residual[v], start, end) for v in views]
             early, late = min(r[0] for r in reached), max(r[1] for r in reached)
-            if len(event) > 1 or event[0].effect.form or early < start or late > end:
+            slow = bool(event[0].effect.form) and any(_ramp_seen(event[0], model.setting.views[v]) for v in views)
+            if len(event) > 1 or slow or early < start or late > end:
                 early, late = min(early, start - _beside(event[0])), max(late, end + _beside(event[-1]))
                 nats = 0.5 * sum((gains or {}).get(jump.hypothesis.key, 0.0) for jump in event)
                 found.append(Transition(sensor, early, late, nats))
     return tuple(found)
+
+
+def _ramp_seen(term: Term, view: View) -> bool:
+    """Whether a gradual event has samples of its own: one that lies in a hole is no more than two levels."""
+    during = (view.t > term.theta - 0.5 * SLOW_S) & (view.t < term.theta + 0.5 * SLOW_S)
+    return int(during.sum()) > _RAMP * SLOW_S * view.fs
 
 
 def passing(left_out: Sequence[Transition], model: Model) -> tuple[Transition, ...]:

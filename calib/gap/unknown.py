@@ -20,13 +20,15 @@ from calib.gap.hypotheses import Hypothesis
 from calib.gap.model import Model
 from calib.gap.noise_fit import refitted
 from calib.gap.selection import MATERIAL, Chosen, fitted_about, grown, largest_gain, objective, select, without
-from calib.gap.shapes import Shape, shapes_of
+from calib.gap.shapes import Shape, flexible, shapes_of
 
 Array = NDArray[np.float64]
 
 _MARGIN = 2.0
 """Penalised evidence by which a model with shapes must beat the catalogue alone."""
 _SHORTLIST = 6
+_CONTAINED = 0.8
+"""Part of a flexible line's evidence from which on a named effect is what it bends about, and it stands beside that."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,14 +53,16 @@ def explained(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> W
     worth = max(_MARGIN, _least(chosen, contest)) if named else 0.0
     strong = [score for score, own in places if score.p * tests < alpha and score.delta > own + worth]
     likely = {s.hypothesis.key: s.hypothesis for s in _best(places) if s.delta > 0.0}
-    both = Contest((*contest.hypotheses, *likely.values()), floor=contest.floor)
+    bent = {s.hypothesis.key for s, own in places if flexible(s.hypothesis) and own > _CONTAINED * s.delta}
+    rivals = [h for key, h in likely.items() if key not in bent]
+    instead = Contest((*contest.hypotheses, *rivals), floor=contest.floor)
     if strong:
-        level = alpha * sum(not h.again for h in both.hypotheses) / tests
-        others = (select(start, both, level), grown(chosen, both, alpha / tests))
-        other = min(others, key=objective)
+        level = alpha * sum(not h.again for h in instead.hypotheses) / tests
+        beside = Contest((*contest.hypotheses, *likely.values()), floor=contest.floor)
+        other = min((select(start, instead, level), grown(chosen, beside, alpha / tests)), key=objective)
         if objective(other) < objective(chosen) - worth:
-            return WithShapes(other, both)
-    return WithShapes(chosen, both)
+            return WithShapes(other, instead)
+    return WithShapes(chosen, instead)
 
 
 def _least(chosen: Chosen, contest: Contest) -> float:

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from calib.gap import diagnose
+from calib.gap.contest import noise_score
 from calib.gap.effects import by_id
 from calib.gap.effects.timing import low_pass_gain
-from calib.gap.filtered import told_by_noise
+from calib.gap.filtered import shaped, told_by_noise
 from calib.gap.hypotheses import Hypothesis
-from calib.gap.model import setting_of, starting_model
-from calib.gap.noise_fit import starting_noise
+from calib.gap.model import Term, setting_of, starting_model
+from calib.gap.noise_fit import refitted, starting_noise
 from calib.gap.views import views_of
 from calib.recording import Sensor
 
@@ -53,6 +54,18 @@ def test_what_does_not_filter_and_noise_that_nobody_declared_say_nothing():
     problem = made(noise=True)
     bare = dataclasses.replace(problem, traces=(dataclasses.replace(problem.traces[0], sigma=None),))
     assert said(bare) == 0.0
+
+
+def test_noise_that_a_filter_has_shaped_has_no_cause_of_its_own():
+    problem = made(noise=True)
+    loose = dataclasses.replace(problem, traces=(dataclasses.replace(problem.traces[0], sigma_dof=50.0),))
+    setting = setting_of(views_of(loose, {}, {}))
+    model = refitted(starting_model(setting, starting_noise(setting))).model
+    flicker = Hypothesis(by_id()["gyro_flicker"], (0,))
+    assert noise_score(flicker, model).gain > 50.0
+    filtered = dataclasses.replace(model, terms=(Term(Hypothesis(by_id()["gyro_low_pass"], (0,)), np.ones(1), CUTOFF),))
+    assert shaped(filtered, Sensor.GYRO) > 100.0
+    assert noise_score(flicker, filtered).gain == 0.0
 
 
 def test_a_late_sensor_with_noise_of_its_own_is_no_filter():

@@ -57,3 +57,10 @@ def test_a_start_near_the_truth_is_found_from_the_powers_alone():
     cold = fit_amplitudes(power, bins.counts, np.zeros_like(walk), [np.ones_like(walk), walk])
     warm = fit_amplitudes(power, bins.counts, np.zeros_like(walk), [np.ones_like(walk), walk], np.array([0.49, 0.0]))
     assert cold.deviance == pytest.approx(warm.deviance, abs=1e-2)
+
+
+def test_nothing_to_fit_is_the_loss_of_the_base():
+    counts, base = np.full(20, 3.0), np.linspace(1.0, 2.0, 20)
+    found = fit_amplitudes(counts * base, counts, base, [])
+    assert found.deviance == pytest.approx(float(counts @ np.log(base) + counts.sum()))
+    assert found.amplitudes.shape == (0,)
