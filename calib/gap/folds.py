@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -136,6 +137,10 @@ def expected_gain(term: Term, train: Model, test: Model) -> float:
     Half the energy it has there beyond what the error of its estimate costs; far below zero where the other blocks do
     not show what this one does.
     """
+    if not any(term.hypothesis.touches(view) for view in test.setting.views):
+        return 0.0
+    if not any(term.hypothesis.touches(view) for view in train.setting.views):
+        return -math.inf
     weighted = with_weight(test)
     block = normal_equations([jacobian(term, test.setting)], weighted.y, weighted.weight)
     rest = normal_equations([jacobian(term, train.setting)], train.y, train.weight)

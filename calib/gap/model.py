@@ -249,7 +249,9 @@ def limits_of(term: Term, setting: Setting) -> tuple[float, float]:
     shape = term.effect.shape
     if shape is None:
         return (-np.inf, np.inf)
-    view = next(view for view in setting.views if term.hypothesis.touches(view))
+    view = next((view for view in setting.views if term.hypothesis.touches(view)), None)
+    if view is None:  # nothing of it is in this part of the recording
+        return (-np.inf, np.inf)
     grid = shape.grid(view.whole.any_trace)
     return float(grid[0]), float(grid[-1])
 

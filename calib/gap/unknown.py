@@ -28,7 +28,7 @@ _MARGIN = 2.0
 """Penalised evidence by which a model with shapes must beat the catalogue alone."""
 _SHORTLIST = 6
 _CONTAINED = 0.8
-"""Part of a flexible line's evidence from which on a named effect is what it bends about, and it stands beside that."""
+"""Part of a shape's evidence from which on a simpler effect is what it goes about."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,30 +39,46 @@ class WithShapes:
     contest: Contest
 
 
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """A shape where it would stand: what it displaces is worth `own` (penalised evidence) with `df` numbers."""
+
+    score: Score
+    own: float = 0.0
+    df: int = 0
+
+    @property
+    def better(self) -> float:
+        """By how much the shape is."""
+        return self.score.delta - self.own
+
+    @property
+    def elaborate(self) -> bool:
+        """Whether it says no more than what it would displace, in more numbers: it may stand beside that alone."""
+        more = flexible(self.score.hypothesis) or self.score.df > self.df
+        return more and self.own > _CONTAINED * self.score.delta
+
+
 def explained(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> WithShapes:
     """The catalogue's model, or a better one with shapes, and a contest that has the likeliest shapes as rivals."""
     shapes = shapes_of(chosen.model.setting, [t for t in chosen.model.terms if t.hypothesis.periodic])
     scorer = Contest(())
     tests = chosen.tests + sum(len(s.hypotheses) for s in shapes)
-    named = bool(chosen.model.members)
-    places = [
-        *((score, 0.0) for score in _scored(shapes, scorer, Beside(chosen.model))),
-        *(_instead_of_all(chosen, shapes, scorer, start) if named else ()),
-        *_instead_of_each(chosen, shapes, scorer),
-    ]
-    worth = max(_MARGIN, _least(chosen, contest)) if named else 0.0
-    strong = [score for score, own in places if score.p * tests < alpha and score.delta > own + worth]
-    likely = {s.hypothesis.key: s.hypothesis for s in _best(places) if s.delta > 0.0}
-    bent = {s.hypothesis.key for s, own in places if flexible(s.hypothesis) and own > _CONTAINED * s.delta}
-    rivals = [h for key, h in likely.items() if key not in bent]
-    instead = Contest((*contest.hypotheses, *rivals), floor=contest.floor)
+    beside = [_Place(score) for score in _scored(shapes, scorer, Beside(chosen.model))]
+    instead = [*_instead_of_all(chosen, shapes, scorer, start), *_instead_of_each(chosen, shapes, scorer)]
+    worth = max(_MARGIN, _least(chosen, contest)) if chosen.model.members else 0.0
+    strong = any(p.score.p * tests < alpha and p.better > worth for p in (*beside, *instead))
+    likely = {p.score.hypothesis.key: p.score.hypothesis for p in _best((*beside, *instead)) if p.score.delta > 0.0}
+    elaborate = {p.score.hypothesis.key for p in instead if p.elaborate}
+    plain = [h for key, h in likely.items() if key not in elaborate]
+    rivals = Contest((*contest.hypotheses, *plain), floor=contest.floor)
     if strong:
-        level = alpha * sum(not h.again for h in instead.hypotheses) / tests
-        beside = Contest((*contest.hypotheses, *likely.values()), floor=contest.floor)
-        other = min((select(start, instead, level), grown(chosen, beside, alpha / tests)), key=objective)
+        level = alpha * sum(not h.again for h in rivals.hypotheses) / tests
+        everything = Contest((*contest.hypotheses, *likely.values()), floor=contest.floor)
+        other = min((select(start, rivals, level), grown(chosen, everything, alpha / tests)), key=objective)
         if objective(other) < objective(chosen) - worth:
-            return WithShapes(other, instead)
-    return WithShapes(chosen, instead)
+            return WithShapes(other, rivals)
+    return WithShapes(chosen, rivals)
 
 
 def _least(chosen: Chosen, contest: Contest) -> float:
@@ -70,40 +86,38 @@ def _least(chosen: Chosen, contest: Contest) -> float:
     return 0.0 if chosen.model.noise_terms else MATERIAL * largest_gain(chosen, contest)
 
 
-def _best(places: Sequence[tuple[Score, float]]) -> list[Score]:
+def _best(places: Sequence[_Place]) -> list[_Place]:
     """The best few in each place."""
     found = []
-    for own in dict.fromkeys(own for _, own in places):
-        scores = [score for score, place in places if place == own]
-        found += sorted(scores, key=lambda s: -s.delta)[:_SHORTLIST]
+    for own in dict.fromkeys(p.own for p in places):
+        found += sorted((p for p in places if p.own == own), key=lambda p: -p.score.delta)[:_SHORTLIST]
     return found
 
 
-def _instead_of_all(
-    chosen: Chosen, shapes: Sequence[Shape], scorer: Contest, start: Model
-) -> list[tuple[Score, float]]:
-    """Shapes in the place of all effects of a sensor, beside what these are worth together."""
+def _instead_of_all(chosen: Chosen, shapes: Sequence[Shape], scorer: Contest, start: Model) -> list[_Place]:
+    """Shapes in the place of all effects of a sensor."""
     found = []
     before = refitted(start).deviance
     for sensor in {term.hypothesis.effect.sensor for term in chosen.model.members}:
         own = [s for s in chosen.scores if s.hypothesis.effect.sensor is sensor]
         gain = sum(before[key] - chosen.noise.deviance[key] for key in before if key[0] is sensor)
-        worth = gain - sum(s.price for s in own)
+        worth, df = gain - sum(s.price for s in own), sum(s.df for s in own)
         touched = [s for s in shapes if s.whole.effect.sensor is sensor]
-        found += [(score, worth) for score in _scored(touched, scorer, Beside(start))]
+        found += [_Place(score, worth, df) for score in _scored(touched, scorer, Beside(start))]
     return found
 
 
-def _instead_of_each(chosen: Chosen, shapes: Sequence[Shape], scorer: Contest) -> list[tuple[Score, float]]:
-    """Shapes in the place of each effect, beside the penalised evidence of that effect."""
+def _instead_of_each(chosen: Chosen, shapes: Sequence[Shape], scorer: Contest) -> list[_Place]:
+    """Shapes in the place of each effect."""
     found = []
     level = objective(chosen)
     for term in chosen.model.members:
         bare = refitted(fitted_about(without(chosen.model, term.hypothesis.key), term.hypothesis))
         touched = [s for s in shapes if s.whole.effect.sensor is term.hypothesis.effect.sensor]
-        price = next((s.price for s in chosen.scores if s.hypothesis.key == term.hypothesis.key), 0.0)
+        score = next((s for s in chosen.scores if s.hypothesis.key == term.hypothesis.key), None)
+        price, df = (0.0, 0) if score is None else (score.price, score.df)
         own = sum(bare.deviance.values()) + sum(s.price for s in chosen.scores) - price - level
-        found += [(score, own) for score in _scored(touched, scorer, Beside(bare.model))]
+        found += [_Place(score, own, df) for score in _scored(touched, scorer, Beside(bare.model))]
     return found
 
 

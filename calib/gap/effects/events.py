@@ -14,10 +14,12 @@ from calib.gap.problem import Trace
 from calib.recording import Sensor
 
 Array = NDArray[np.float64]
+Screen = Callable[[Trace, Array], Array]
 
 SLOW_S = 1.5
 """Duration of a step that is no jump."""
 _CANDIDATES = 4
+_SEEN = 0.7  # of the samples of a ramp
 _EDGE = 0.01  # of the recording: a step this near to an end is a bias
 
 
@@ -59,6 +61,17 @@ def likeliest(trace: Trace, residual: Array) -> Array:
     return np.asarray(trace.t[np.sort(found or [n // 2])], dtype=np.float64)
 
 
+def likeliest_ramps(trace: Trace, residual: Array) -> Array:
+    """The same of those whose ramp was recorded; beside a hole two levels are all that is known, and a jump says that.
+
+    Where there is none, the first moment of all, which explains nothing.
+    """
+    found = likeliest(trace, residual)
+    during = np.abs(trace.t[:, None] - found) < 0.5 * SLOW_S
+    seen = (during & trace.observed[:, None]).sum(axis=0) > _SEEN * during.sum(axis=0)
+    return found[seen] if seen.any() else moments(trace)[:1]
+
+
 def _split(count: Array, total: Array, noise: Array, start: int, end: int, margin: int) -> tuple[float, int]:
     """Largest standardised change of the mean between rows `start` and `end`, and the row from which it holds."""
     rows = np.arange(start + margin, end - margin)
@@ -73,14 +86,14 @@ def _split(count: Array, total: Array, noise: Array, start: int, end: int, margi
     return float(gain[best]), int(rows[best])
 
 
-def _of(sensor: Sensor, form: str, signal: Callable[[Trace, float], Array], *, still: bool) -> Effect:
+def _of(sensor: Sensor, form: str, signal: Callable[[Trace, float], Array], screen: Screen, *, still: bool) -> Effect:
     return MeanEffect(
         f"{sensor}_step",
         sensor,
         per_axis("step", UNIT[sensor]),
         "the event itself",
         "the same movement before and after; a log without the event",
-        shape=Shape(Parameter("time_s", "s"), moments, likeliest, still=still),
+        shape=Shape(Parameter("time_s", "s"), moments, screen, still=still),
         columns=axiswise(signal),
         signals=signal,
         rivals=(f"{sensor}_random_walk", f"{sensor}_temp_linear"),
@@ -92,5 +105,8 @@ def _of(sensor: Sensor, form: str, signal: Callable[[Trace, float], Array], *, s
 EFFECTS: tuple[Effect, ...] = tuple(
     effect
     for sensor in TRIADS
-    for effect in (_of(sensor, "", after, still=True), _of(sensor, "~slow", gradually, still=False))
+    for effect in (
+        _of(sensor, "", after, likeliest, still=True),
+        _of(sensor, "~slow", gradually, likeliest_ramps, still=False),
+    )
 )

@@ -23,6 +23,7 @@ Mask = NDArray[np.bool_]
 _EVIDENCE = 30.0  # twice the log-likelihood: one in a million
 _FEWEST = 5  # samples that make a pile, a zero band, a hold
 _FINEST = 0.03  # of the noise; a finer step changes its power by less than 1e-4
+_STEPS = 5
 _SURROUNDINGS = 51  # rows over which the noise stays the same
 _SAFETY = 1.5  # on the number of repeats by chance, whose noise is an estimate
 _TELLING = 0.2  # chance of a repeat above which a row says nothing: it depends on where in its bin the reading lies
@@ -196,10 +197,19 @@ def _repeats_by_chance(trace: Trace, same: Mask) -> Array:
         noise = 0.5 * math.sqrt(math.pi) * size / np.maximum(weight, 0.5 / _SURROUNDINGS)
         variance = np.maximum(noise**2 - step**2 / 12.0, np.finfo(float).tiny)
         chance *= np.minimum(1.0, step / (2.0 * np.sqrt(math.pi * variance)))
-        movement += np.diff(trace.ideal[:, axis]) ** 2 / (4.0 * (variance + step**2))
+        movement += _moved(trace.ideal[:, axis]) ** 2 / (4.0 * (variance + step**2))
     chance = np.where(weight * _SURROUNDINGS < 2.5, 1.0, chance)
     # A sensor whose noise is below its levels in a tenth of the recording has no noise that would forbid repeats.
     return np.asarray(np.maximum(chance, float(np.quantile(chance, 0.9))) * np.exp(-movement))
+
+
+def _moved(ideal: Array) -> Array:
+    """By how much an ideal reading (N,) goes on between rows, (N - 1,): at that row and in the mean of those around it.
+
+    An estimated reading jitters from row to row, which is no movement.
+    """
+    steps = np.diff(ideal)
+    return np.asarray(np.minimum(np.abs(steps), np.abs(uniform_filter1d(steps, _STEPS, mode="nearest"))))
 
 
 def _evidence(

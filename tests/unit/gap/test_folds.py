@@ -97,3 +97,9 @@ def test_a_jump_beside_a_drift_is_foretold_only_by_the_blocks_in_which_it_happen
     drifting = dataclasses.replace(whole, noise_terms=(drift,))
     assert [foretold(step, drifting, fold.train.setting) for fold in made] == [True, False, True, True]
     assert all(foretold(drift, drifting, fold.train.setting) for fold in made)
+
+
+def test_what_a_block_cannot_show_is_not_expected_of_it():
+    fold = folds(1)[0]
+    term = Term(Hypothesis(forward_models()["mag_hard_iron"][-1], (0,)), np.ones(3), np.nan)
+    assert expected_gain(term, fold.train, fold.test) == 0.0

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from calib.gap.effects import by_id
+from calib.gap.effects.events import SLOW_S, likeliest, likeliest_ramps, moments
 from calib.recording import Sensor
 
 from .conftest import make
@@ -39,3 +40,31 @@ def test_rows_that_were_not_observed_move_no_step():
     spoilt[1000:1500] = 400.0
     holed = dataclasses.replace(noise, measured=spoilt, observed=(trace.t < 10.0) | (trace.t >= 15.0))
     assert np.abs(by_id()["mag_step"].shape.screen(holed, holed.residual) - 30.0).min() < 0.1
+
+
+def stepped(hole):
+    """A level that changes at 30 s, the samples within `hole` seconds about it missing: these are zero."""
+    trace = make(Sensor.MAG)
+    seen = np.abs(trace.t - 30.0) > 0.5 * hole
+    noise = np.random.default_rng(1).normal(0.0, 0.3, trace.ideal.shape)
+    residual = np.where(seen[:, None], noise + np.outer(trace.t > 30.0, [0.0, 0.0, 5.0]), 0.0)
+    return dataclasses.replace(trace, observed=seen), residual
+
+
+def test_a_ramp_that_was_recorded_is_tried_where_the_level_changes():
+    found = likeliest_ramps(*stepped(0.0))
+    assert np.abs(found - 30.0).min() < 0.1
+
+
+def test_beside_a_hole_a_jump_is_tried_and_no_ramp():
+    trace, residual = stepped(2.0 * SLOW_S)
+    assert np.abs(likeliest(trace, residual) - 30.0).min() < SLOW_S + 0.1
+    ramps = likeliest_ramps(trace, residual)
+    assert len(ramps)
+    assert not (np.abs(ramps - 30.0) < 1.4 * SLOW_S).any()
+
+
+def test_with_no_ramp_at_all_the_first_moment_is_left():
+    trace, residual = stepped(0.0)
+    gaps = dataclasses.replace(trace, observed=np.arange(len(trace.t)) % 4 == 0)
+    np.testing.assert_array_equal(likeliest_ramps(gaps, residual), moments(gaps)[:1])
