@@ -129,7 +129,8 @@ def diagnose(
     denied |= {t.hypothesis.key for t in chosen.model.noise_terms if unsteady_line(t, chosen.model)}
     found = tuple(_effect(chosen, a, gates.get(a.key)) for a in attributions if a.key not in denied)
     bandwidth, floor = problem.reference.bandwidth_hz, problem.floor
-    without_name = [(withdrawn, NOT_LASTING), *((one.nats, one.text) for one in passing(left_out, chosen.model))]
+    passed = () if wander is not None else passing(left_out, chosen.model)  # a reference that turns looks like that
+    without_name = [(withdrawn, NOT_LASTING), *((one.nats, one.text) for one in passed)]
     unknown = unknown_of(chosen.model, attributions, strangers, without_name, bandwidth, floor)
     effects_found = (*lattice.effects, *(() if wander is None else (_wandering(wander, attributions),)), *found)
     return GapReport(

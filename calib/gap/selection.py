@@ -34,9 +34,9 @@ from calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
-_MOST = 12
+_MOST = 10
 """Effects that join in a row."""
-_IN_ALL = 18
+_IN_ALL = 14
 """Effects in a model: more is no explanation."""
 MATERIAL = 0.005
 """Part of the largest gain below which an effect is a second order of the large ones (GAP, pitfalls)."""
