@@ -34,10 +34,12 @@ from calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
-_MOST = 10
-"""Effects that join in a row."""
-_IN_ALL = 14
-"""Effects in a model: more is no explanation."""
+_MOST = 8
+"""Effects that join in a row, events beside."""
+_EVENTS = 6
+"""Events that may join after them."""
+_IN_ALL = 12
+"""Effects in a model, events beside: more is no explanation."""
 MATERIAL = 0.005
 """Part of the largest gain below which an effect is a second order of the large ones (GAP, pitfalls)."""
 
@@ -138,8 +140,10 @@ def grown(chosen: Chosen, contest: Contest, level: float, candidates: Sequence[H
     known = {} if joined else {s.hypothesis.key: s for s in first}
     scores = _scored(model, contest, candidates, known, None if joined else set())
     gains: Gains = last_gains(model, contest) if joined else {}
-    for _ in range(min(_MOST, _IN_ALL - len(joined))):
-        best = _best(scores, level, gains, contest, model)
+    for step in range(_MOST + _EVENTS):
+        full = step >= _MOST or _lasting(joined) >= _IN_ALL
+        still = {key: s for key, s in scores.items() if _happens(s)} if full else scores
+        best = _best(still, level, gains, contest, model)
         if best is None:
             break
         trial = fitted_about(with_score(model, best), best.hypothesis)
@@ -150,6 +154,15 @@ def grown(chosen: Chosen, contest: Contest, level: float, candidates: Sequence[H
     model, joined = _material(model, joined, gains)
     model, joint, noise = fitted(model)
     return Chosen(model, joint, noise, tuple(joined), chosen.tests, first)
+
+
+def _happens(score: Score) -> bool:
+    """Whether it is an event: one that waits for room behind flaws of other sensors spoils their noise meanwhile."""
+    return score.hypothesis.effect.id.endswith("_step")
+
+
+def _lasting(joined: Sequence[Score]) -> int:
+    return sum(not _happens(s) for s in joined)
 
 
 def with_score(model: Model, score: Score) -> Model:
