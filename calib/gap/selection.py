@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 
 _MOST = 8
 """Effects that join in a row, events beside."""
-_EVENTS = 6
+_EVENTS = 3
 """Events that may join after them."""
 _IN_ALL = 12
 """Effects in a model, events beside: more is no explanation."""

@@ -26,6 +26,8 @@ PREFIX = "unknown"
 _FLEXIBLE = ("line", "time")
 _KNOTS = 6
 _KNOTS_TIME = 20
+_ENDS = 0.01
+"""Part of the samples beyond the last knots: an amplitude that rests on a few of them would explode elsewhere."""
 _TIES = 1e-3
 _APPROACHES_S = (3.0, 10.0, 30.0)
 _STILL = 0.1  # of the rms slope: slower changes have no direction
@@ -181,7 +183,7 @@ def _hats(values: Array, observed: NDArray[np.bool_], knots: int) -> Array | Non
     if not _varies(values, observed, 4 * knots):
         return None
     seen = values[observed]
-    at = np.unique(np.quantile(seen, np.linspace(0.0, 1.0, knots)))
+    at = np.unique(np.quantile(seen, np.linspace(_ENDS, 1.0 - _ENDS, knots)))
     keep = np.concatenate([[True], np.diff(at) > _TIES * np.ptp(at)])
     at = at[keep]
     if len(at) < 3:
