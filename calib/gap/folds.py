@@ -81,11 +81,17 @@ def foretold(term: Term | NoiseTerm, whole: Model, train: Setting) -> bool:
     """Whether the blocks of `train` can know of a term of the `whole` model.
 
     Of a jump beside a drift of the bias only those can in which it happens; without a drift, their levels tell its
-    size.
+    size. Of two jumps between which they have no sample they know the sum, and neither.
     """
     effect = term.hypothesis.effect
     if not isinstance(term, Term) or effect.shape is None or not effect.shape.still:
         return True
+    seen = np.concatenate([view.t for view in train.views if term.hypothesis.touches(view)] or [np.zeros(0)])
+    for other in whole.terms:
+        if other is not term and other.effect.shape is effect.shape and other.effect.sensor is effect.sensor:
+            first, last = sorted((term.theta, other.theta))
+            if not ((seen > first) & (seen < last)).any():
+                return False
     drifts = (t.hypothesis.effect for t in whole.noise_terms)
     if not any(e.id.endswith(DRIFTS) and e.sensor is effect.sensor for e in drifts):
         return True

@@ -103,3 +103,14 @@ def test_what_a_block_cannot_show_is_not_expected_of_it():
     fold = folds(1)[0]
     term = Term(Hypothesis(forward_models()["mag_hard_iron"][-1], (0,)), np.ones(3), np.nan)
     assert expected_gain(term, fold.train, fold.test) == 0.0
+
+
+def test_two_jumps_in_one_held_out_block_are_not_foretold():
+    fold = folds(1)[0]
+    step = forward_models()["gyro_step"][0]
+    inside = float(fold.test.setting.views[0].t[200])
+    pair = [Term(Hypothesis(step, (0,), k), np.ones(3), inside + k) for k in range(2)]
+    far = Term(Hypothesis(step, (0,), 1), np.ones(3), float(fold.train.setting.views[-1].t[200]))
+    whole = fold.train
+    assert not foretold(pair[0], dataclasses.replace(whole, terms=tuple(pair)), fold.train.setting)
+    assert foretold(pair[0], dataclasses.replace(whole, terms=(pair[0], far)), fold.train.setting)
