@@ -137,9 +137,7 @@ def levels_apart(model: Model, term: Term) -> Array:
     Over some seconds beside it and over all the time to its neighbours, the larger of both.
     """
     seen = [v for v, view in enumerate(model.setting.views) if term.hypothesis.touches(view) and not view.first]
-    weights = [
-        sum(w for i, w in model.setting.views[v].weights.items() if i in term.hypothesis.instances) for v in seen
-    ]
+    weights = [_weight(term, model.setting.views[v]) for v in seen]
     v, weight = max(zip(seen, weights, strict=True), key=lambda pair: abs(pair[1]))
     moments = [t.theta for event in events_of(model, term.effect.sensor) for t in event if t is not term]
     start = max((m for m in moments if m < term.theta), default=-np.inf)
@@ -156,6 +154,7 @@ def levels_apart(model: Model, term: Term) -> Array:
 
 
 def _weight(term: Term, view: View) -> float:
+    """How much of what a term does to its instances a series shows."""
     return sum(w for i, w in view.weights.items() if i in term.hypothesis.instances)
 
 
