@@ -48,9 +48,11 @@ _SAME = 0.98
 _FAR = 40.0
 """Rivals are listed within `_NEAR`, or within 2 % of the evidence, but not beyond `_FAR`."""
 _EVEN = 0.5
+"""Probability of what has no name from which on it is likelier than every name together."""
 _CLEARLY = 1.0
 """Penalised evidence by which an exchange must be better."""
 _ROUNDS = 3
+"""Exchanges at most."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,11 +18,13 @@ from calib.gap.transitions import levels_apart
 Array = NDArray[np.float64]
 
 _Z = 1.959964
+"""Standard errors from an estimate to either end of its 95 % interval."""
 _FREE = 1e-4
 """Part of a parameter in directions that the data do not show, from which on its error is not finite."""
 
 
 _SIGNIFICANT = 3.0
+"""Standard errors of a step beyond which it does not fit the levels beside it."""
 
 
 def estimates_of(chosen: Chosen, term: Term | NoiseTerm, widening: float = 1.0) -> tuple[Estimate, ...]:

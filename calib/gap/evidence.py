@@ -24,6 +24,7 @@ _LAST = 16.0
 _SHAPES = {"driven": 8.0, "own": 12.0, "approach": 16.0, "linear": 14.0, "product": 16.0, "line": 16.0, "time": 32.0}
 """Price of a shape by its family: the fewer things it could stand for, the less."""
 _ONE_OF_MANY = 4.0
+"""Added to it for a part of a shape: the one of many that fits best."""
 _DOUBT = 8.0
 """Price of blaming the reference for what a sensor may have done."""
 _COARSE = 4.0

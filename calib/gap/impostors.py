@@ -25,10 +25,13 @@ from calib.gap.views import View
 Array = NDArray[np.float64]
 
 _DRIVEN = 1e-3
+"""Chance of independent axes' correlation below which something drives them together."""
 _LEAST = 6
+"""Bins in which a drift is most of the noise, or windows of energy, below which nothing is said."""
 _RETURNS, _RETURNS_EACH = 8.0, 14.0
 """Twice the log-likelihood by which noise that comes back must beat a walk: with one corner, with one for each axis."""
 _POLES = np.geomspace(3e-5, 0.3, 10)
+"""Corners that are tried, rad per sample."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +114,9 @@ def returning(model: Model, v: int, term: NoiseTerm) -> bool:
 
 
 _WINDOWS = (8, 32, 128)
+"""Samples over which energies are summed, in turn."""
 _UNSTEADY = 1e-6
+"""Chance, over all that is looked at, below which steady noise does not scatter so."""
 
 
 def unsteady(model: Model) -> tuple[float, str]:

@@ -16,8 +16,8 @@ Array = NDArray[np.float64]
 
 _ON_LEVEL = 0.05  # of a step, by which a level may lie beside the lattice
 _FRACTION = 0.99  # of the gaps between values that are whole steps
-_GAPS = 8  # different gaps that show a lattice; fewer show it if every level occurs three times
-_REPEATED = 3
+_GAPS = 8  # different gaps that show a lattice; fewer show it if levels occur often
+_REPEATED = 3  # samples a level, on average
 _SAME = 1e-9  # relative difference of equal numbers
 
 

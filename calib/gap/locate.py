@@ -23,9 +23,9 @@ from calib.gap.views import View
 
 Array = NDArray[np.float64]
 
-_BINS = 6
-_BANDS = 8
-_FEWEST = 24
+_BINS = 6  # of equal width, over time or what else was recorded
+_BANDS = 8  # of frequency
+_FEWEST = 24  # samples in a bin that is tested
 _FIRST = 1
 """Instances count from 1 in a report."""
 

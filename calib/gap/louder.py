@@ -19,6 +19,7 @@ _FLIGHTS_DIFFER = 1.0
 _OF_LINE = 0.05
 """Part of a line's power below which noise and other lines beside it are its own unsteadiness."""
 _NEAR_HZ = 2.0
+"""Distance from a line's frequency within which its power is looked at."""
 _INVOLVED = 0.2
 """Part of the largest excess of an instance that another one must show to be part of it."""
 LINES = ("_vibration", "_aliasing")

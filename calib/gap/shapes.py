@@ -26,15 +26,20 @@ PREFIX = "unknown"
 _FLEXIBLE = ("line", "time")
 _KNOTS = 6
 _KNOTS_TIME = 20
+"""Knots of a broken line over a covariate, and of one over time."""
 _ENDS = 0.01
 """Part of the samples beyond the last knots: an amplitude that rests on a few of them would explode elsewhere."""
 _TIES = 1e-3
+"""Distance of two knots, in parts of all knots' range, below which they are one."""
 _APPROACHES_S = (3.0, 10.0, 30.0)
+"""Time constants of an approach that begins with the recording."""
 _STILL = 0.1  # of the rms slope: slower changes have no direction
 _TRAVELS = (0.01, 0.03, 0.1, 0.3)
 """Dead travels, in parts of the reading's range."""
 _POINTS = 20_000
+"""Samples from twice which on only some of a series are looked at for dead travel."""
 _HARMONICS = (2, 3, 4, 5)
+"""Overtones, in multiples of the frequency of a wave."""
 _HIGHEST = 0.4  # of the rate: beyond, two bands of one series meet
 _ON = tuple(np.arange(0.1, 0.95, 0.05).round(2).tolist())
 """Parts of a period for which something may be switched on."""

@@ -40,14 +40,18 @@ Array = NDArray[np.float64]
 Key = tuple[str, tuple[int, ...]]
 
 _BLOCKS = 8
+"""Of a recording, each of which is held out once."""
 _LONG = 40_000
 _FEW = 4
 """Blocks where a series is longer than `_LONG` samples: each repeats the selection."""
 _RESAMPLED = 2000
+"""Draws of as many blocks, for an interval."""
 _PROMISING = 0.01
 """Chance, uncorrected, below which a hypothesis takes part in the folds; the level stays that of all tests."""
 _SIGNIFICANT = 3.0
+"""Standard errors from which on power above the noise is no chance."""
 _DISAGREE = 1e-3
+"""Chance below which blocks do not agree on the size of an effect."""
 _SHORT = 2.5
 """Standard deviations by which a held-out gain may be less than was due."""
 _ENOUGH = 0.2

@@ -30,8 +30,11 @@ NOT_LASTING = "a deviation that no effect describes throughout the recording"
 _MATERIAL = 0.03
 """Share of the gap from which on something unknown is said."""
 _LEFTOVER = 1e-7
+"""Chance, over all bands of all axes, below which noise alone has no such power."""
 _MINUTES_DIFFER = 2.0
+"""Times a learned spectrum, up to which power may be that of other minutes."""
 _GROUPS = 24
+"""Bands of a series, of a constant ratio of frequencies."""
 
 
 @dataclass(frozen=True, eq=False)

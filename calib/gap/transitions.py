@@ -28,6 +28,7 @@ ONE_EVENT_S = 2.0
 _MARGIN_S = 0.3
 """Before the first and after the last of them."""
 _WINDOW_S = 0.25
+"""Over which readings are averaged before they are held against a level."""
 _LEVEL = 33
 """Windows whose median is a level: some eight seconds."""
 _RAMP = 0.3

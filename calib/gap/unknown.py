@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 _MARGIN = 2.0
 """Penalised evidence by which a model with shapes must beat the catalogue alone."""
 _SHORTLIST = 6
+"""Shapes in each place that stand in the contest."""
 _CONTAINED = 0.8
 """Part of a shape's evidence from which on a simpler effect is what it goes about."""
 

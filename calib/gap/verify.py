@@ -28,9 +28,9 @@ from calib.recording import Recording
 Array = NDArray[np.float64]
 Json = dict[str, Any]
 
-_BLOCKS = 20
-_DRAWS = 400
-_SEED = 20
+_BLOCKS = 20  # of a series, that are drawn with replacement
+_DRAWS = 400  # of as many blocks, for an interval
+_SEED = 20  # of the draws: one gap has one interval
 _UNSEEN = 12.0  # nats in all: a gain that the contest's threshold hides
 
 

@@ -27,6 +27,7 @@ _SHORTEST = 32
 
 
 _KEPT = 60
+"""Spectra that are remembered."""
 _SPECTRA: OrderedDict[tuple[int, int], tuple[Array, Array]] = OrderedDict()
 
 

@@ -38,11 +38,14 @@ Array = NDArray[np.float64]
 
 ID = "reference_attitude"
 _MODES = 100
+"""Cosines over the recording that an error of attitude about one axis is made of."""
 _SCREENED = 4000
 """Samples of a series in the search for size and time."""
 _SIZES_DEG = np.geomspace(0.01, 3.0, 9)
 _TIMES_S = (2.0, 6.0, 20.0, 60.0)
+"""Rms and correlation time of the error that are tried."""
 _MARGIN = 6.0
+"""Penalised evidence by which a model with such an error must beat the one without."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ Screen = Callable[[Trace, Array], Array]
 
 SLOW_S = 1.5
 """Duration of a step that is no jump."""
-_CANDIDATES = 4
+_CANDIDATES = 4  # moments that are tried
 _SEEN = 0.7  # of the samples of a ramp
 _EDGE = 0.01  # of the recording: a step this near to an end is a bias
 

@@ -17,7 +17,7 @@ from calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
-_TRIED = 26
+_TRIED = 26  # values of a limit or a width, at most
 _LEAST, _MOST = 4.0, 1e6  # evidence of the least and the largest that is tried, times the least
 _BELOW = 0.9  # of the largest reading: an end of the range there leaves some readings alone, an offset none
 _OUTSIDE = 0.02  # of the readings, in a dead band, and beyond it, for anything to be said

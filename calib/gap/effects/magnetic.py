@@ -17,13 +17,14 @@ from calib.recording import Sensor
 Array = NDArray[np.float64]
 
 SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+"""Row and column of a symmetric matrix' elements, in the order of their names."""
 _SYMMETRIC_NAMES = ("xx", "yy", "zz", "xy", "xz", "yz")
 _LEAST_CURRENT = 0.5  # A, standard deviation; 0.05 uT/A of it are 0.025 uT, a twentieth of a sensor's noise
 _LEAST_THROTTLE = 0.05  # standard deviation
 _LEAST_PATH = 0.3  # m, standard deviation of the place along its widest direction
 _NED = "ned"
 _LONGEST_LAG = 0.3  # s
-_LAGS = 25
+_LAGS = 25  # that are tried, early and late
 
 # A gradient of a field without sources in the volume is symmetric (no curl) and has no trace (no divergence).
 GRADIENT = (

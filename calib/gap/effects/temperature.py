@@ -23,9 +23,9 @@ Array = NDArray[np.float64]
 _LEAST_SPAN = {"temp_linear": 2.0, "temp_poly": 5.0, "temp_scale": 3.0, "thermal_lag": 5.0}  # degC, for any statement
 _GOOD_SPAN = 15.0  # degC, for one that tells the rivals apart
 _BEYOND = 20.0  # degC by which the reference temperature may lie outside what was seen
-_REFERENCES = 13
+_REFERENCES = 13  # temperatures of the grid
 _TRIED = 241  # by their cost
-_KEPT = 2
+_KEPT = 2  # minima of that cost
 _USUAL = 25.0  # degC, MATLAB's; beside a free bias no reference temperature is better than another
 _LAGS = np.geomspace(2.0, 180.0, 5)  # s, of a die in its package to a board in its box
 

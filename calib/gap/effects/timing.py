@@ -21,13 +21,13 @@ from calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
-_SPLINE = 5
+_SPLINE = 5  # degree of the splines through the ideal reading
 _EDGE = 12  # samples, beyond which a spline no longer feels an end
-_KNOT = BSpline.basis_element(np.arange(-3.0, 4.0), extrapolate=False)
+_KNOT = BSpline.basis_element(np.arange(-3.0, 4.0), extrapolate=False)  # of that degree, about its middle
 _LONGEST = 0.5  # s, delay
 _SHORTEST = 0.125  # samples, delay
 _DELAYS = 4  # of each sign
-_CUTOFFS = 9
+_CUTOFFS = 9  # that are tried
 _FASTEST = 8.0  # cut-off over sampling rate
 _DRIFTS = 3  # of each sign
 _LARGEST_DRIFT = 5e-3  # clocks without a crystal

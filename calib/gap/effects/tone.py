@@ -14,7 +14,7 @@ from calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _PERIODS = 5  # in a recording, at least: slower ones are drift
-_CANDIDATES = 4
+_CANDIDATES = 4  # frequencies that are tried
 _AROUND = 201  # bins whose geometric mean is the background
 
 

@@ -25,15 +25,15 @@ from calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
-_RUNNING_HZ = 5.0
-_RUNNING_THROTTLE = 0.05
+_RUNNING_HZ = 5.0  # above which a rotor turns
+_RUNNING_THROTTLE = 0.05  # of a motor's output or the throttle, 0..1: above which a motor turns
 _WIDTH = 1.0  # Hz, of a line: what telemetry and a second's wandering leave open
 _LOWEST = 5.0  # Hz, of a vibration at a fixed frequency
 _HARMONICS = (1, 2, 3, 4)  # blades and their second harmonic
-_FOLDED = (1, 2, 3, 4, 5, 6)
-_DETUNED = (0.98, 1.0, 1.02)
+_FOLDED = (1, 2, 3, 4, 5, 6)  # multiples that the sampling may fold
+_DETUNED = (0.98, 1.0, 1.02)  # times the mean speed, that are tried
 _ROTOR = 100.0  # in front of a rotor's orders
-_CANDIDATES = 4
+_CANDIDATES = 4  # frequencies that are tried
 _LEAST_VARIATION = 0.1  # of the rotors' power, standard deviation over maximum
 _THROTTLE = "throttle 0-hover-0 twice at one attitude"
 _TELEMETRY = ("no rotor speed, motor output or throttle recorded", "rotor speed in the log")

@@ -16,6 +16,7 @@ from calib.simulate.document import errors_to_json
 from calib.simulate.matlab import OBJECTS, to_matlab
 
 _T_REF = 25.0
+"""Reference temperature of the exported curves, degC."""
 _MEASURED = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
 
 

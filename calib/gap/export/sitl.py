@@ -34,7 +34,7 @@ _FAR = 1e6  # m: an anomaly of that height is the same everywhere
 _ON_TOP = ("SIM_MAG_MOT", "SIM_MAG_DELAY", "SIM_IMU_POS")
 """What an effect is added to; other parameters of the whole vehicle are replaced."""
 _ACTIVE = 0.3  # of the strongest axis: the least that counts as a vibration
-_INSTANCES = {Sensor.ACCEL: 5, Sensor.GYRO: 5, Sensor.MAG: 3}
+_INSTANCES = {Sensor.ACCEL: 5, Sensor.GYRO: 5, Sensor.MAG: 3}  # that the simulator has
 
 _FAMILIES: Mapping[str, tuple[str, ...]] = {
     "accel_bias": ("SIM_ACC#_BIAS",),

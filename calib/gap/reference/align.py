@@ -19,12 +19,12 @@ SAME = 0.97
 """Correlation from which the movements of two tables are one."""
 CLOSED = 0.9995
 """The same for logs of autopilots: two simulated flights of one mission reach 0.994 in their turn rates."""
-_APART = 0.5
+_APART = 0.5  # correlation below which movements are different ones
 _TURNED = 0.9  # the best of 48 frames is more alike by chance than one
-_SAME_LAG_S = 0.02
-_RATE_HZ = 50.0
+_SAME_LAG_S = 0.02  # by which equal lags may differ
+_RATE_HZ = 50.0  # of the samples whose lag is sought
 _OVERLAP = 0.7  # of the shorter one
-_LONGEST_S = 3600.0
+_LONGEST_S = 3600.0  # of a series whose lag is sought
 _STILL = {Sensor.ACCEL: 0.3, Sensor.GYRO: 0.05, Sensor.MAG: 3.0}  # standard deviations below which nothing moves
 
 

@@ -18,10 +18,10 @@ from calib.recording import Recording, Sensor
 
 Array = NDArray[np.float64]
 
-SHORTEST_S = 5.0
-FEWEST = 48
+SHORTEST_S = 5.0  # of samples beside a reference, for any statement
+FEWEST = 48  # of them
 MOVES = {Sensor.ACCEL: 0.3, Sensor.GYRO: 0.03, Sensor.MAG: 1.5}  # rms about the mean from which an ideal sensor moves
-_TURNS_MUCH = 3.0
+_TURNS_MUCH = 3.0  # times `MOVES`, from which an accelerometer's movement about its mean tells its frame
 _ALIKE = 0.8  # correlation from which readings and reference are the same but for frame or unit
 _UNLIKE = 0.3  # and below which they have nothing in common
 _SLIGHT = 0.02  # share of misfit below which no other frame is looked for: a turn by 11 degrees
@@ -34,6 +34,7 @@ _WILD = 50.0  # times all that the reference reads, from which a single reading 
 _SELDOM = 0.01  # share of readings
 _SLOWEST_S = 0.7  # between two samples, from which on time is not in seconds, or nothing is left of a movement
 _NOISIER = 10.0  # ratio of noise powers from which the reference is worse than the sensor
+# Ratios of sizes that mistaken units make, and how they are said.
 _FACTORS = {
     Sensor.ACCEL: {1000.0 / 9.80665: "102, as between mg and m/s2", 9.80665: "9.8, as between g and m/s2"},
     Sensor.GYRO: {57.29578: "57.3, as between degrees and radians"},

@@ -28,14 +28,14 @@ Array = NDArray[np.float64]
 
 _LOWEST = 1 / 8
 """Share of the Nyquist frequency above which the noise is sought: below is where vehicles move."""
-_BLOCKS = 16
+_BLOCKS = 16  # of the coefficients above that, at most
 _FEWEST = 128  # coefficients in a block
 _ALIKE = 3  # blocks, and
 _MOST = 0.5  # share of all, that must agree on the floor: what falls with frequency is movement, or filtered noise
 _BY_CHANCE = 4.0  # standard deviations by which blocks of one floor may differ
 _SURE = 3.0  # and by which a band must be above it to hold movement
 _STEP = 1.08  # ratio of the edges of bands
-_NARROWEST = 8
+_NARROWEST = 8  # coefficients in a band
 _LINES = (1, 3, 9, 27)
 """Widths of what stands out of a band, coefficients: lines, and lines that drift."""
 _RARE = 0.1  # of them that a recording of noise alone has, by width

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _BETTER = 0.25  # share of the misfit that another frame must leave
-_TIED = 1.1
+_TIED = 1.1  # times the least misfit, within which the frame that turns least is taken
 _UNIT = 3.0  # ratio of sizes from which the unit is another
 
 

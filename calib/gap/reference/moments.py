@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 _CHANCE = 1e-4
 """Of steady noise that seems to follow the change of the reading."""
-_FEWEST = 64
+_FEWEST = 64  # samples that say something of noise
 
 
 def slopes_squared(trace: Trace) -> Array:

@@ -18,7 +18,7 @@ from calib.gap.reference.calibrated import filter_gain
 
 Array = NDArray[np.float64]
 
-_BANDS = 28
+_BANDS = 28  # edges of bands, before wide ones are divided
 _COLOURED = 1e-4  # chance of the band furthest from white in white noise, from which on it is not
 _OFF = 1e-3  # chance of a band beside white noise, walk and flicker, from which on it is taken as it is
 _FLOOR = 1e-9  # of the mean power
@@ -26,9 +26,9 @@ _SINGLE = 2.0**-24  # relative error of a single-precision number
 _CLEANED = 6  # times that lines are taken out
 _PARTS = 16  # of a recording, in which its noise should be the same
 _SHRUNK = 12.0  # coefficients that speak for these, against those of such a band
-_FEWEST = 64
+_FEWEST = 64  # samples of a recording, and coefficients of a band that is divided no further
 _WHOLE = 0.9  # of the samples observed, from which on a recording has few holes
-_LINE_HZ = 1.0
+_LINE_HZ = 1.0  # width of a line of a rotor
 _HOVERS = 0.08  # by which the speeds of rotors differ from flight to flight, relative
 _SLOW_HZ = 5.0  # below which no rotor turns
 _LEAST = 6  # coefficients in the lowest band

@@ -148,9 +148,9 @@ _CONVENTIONS: dict[str, Callable[[Array], Array]] = {
     "written x y z w": lambda q: q[:, [3, 0, 1, 2]],
     "written z w x y": lambda q: q[:, [1, 2, 3, 0]],
 }
-_TURNING = 0.05
-_CONVENTION_HZ = 5.0
-_ALIKE, _STRANGE = 0.9, 0.3
+_TURNING = 0.05  # rad/s, standard deviation about a second axis, from which turns tell the convention
+_CONVENTION_HZ = 5.0  # up to which turns are compared
+_ALIKE, _STRANGE = 0.9, 0.3  # correlations from which turns are the same, and below which they have nothing in common
 
 
 def _turned(attitude: Signal, cutoff: float | None) -> tuple[Smoothed, Array, Array]:

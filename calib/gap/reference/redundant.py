@@ -19,7 +19,7 @@ from calib.recording import Channel, Recording, Sensor
 
 Array = NDArray[np.float64]
 
-_SMOOTH_S = 2.0
+_SMOOTH_S = 2.0  # over which a residual is averaged, for its slow part
 _EDGE_S = 0.5  # from the ends of a trajectory, where the filters of the units reach beyond it
 
 

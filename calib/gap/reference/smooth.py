@@ -14,7 +14,7 @@ from calib.gap.reference.signal import Signal
 Array = NDArray[np.float64]
 
 _OPEN = 0.9  # cut-offs beyond this share of the Nyquist frequency are none
-_LOWEST_HZ = 1.0
+_LOWEST_HZ = 1.0  # of a cut-off
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,18 +30,18 @@ from calib.recording import Channel, Recording, Sensor
 Array = NDArray[np.float64]
 
 STEP_S = 0.1
+"""From node to node: what the ideal accelerometer knows ends at half of 1 / STEP_S."""
 _STRAIN = 8.0
-"""Standard deviations from which on an interval is not believed, and intervals on either side."""
 _AROUND = 10
+"""Standard deviations from which on an interval is not believed, and intervals on either side."""
 _FOLLOWED_HZ = 0.2 / STEP_S
 """Up to which a spline through the velocities of the nodes follows an acceleration: a fifth is lost there."""
-"""From node to node: what the ideal accelerometer knows ends at half of 1 / STEP_S."""
 _TRIALS = 3  # iterations after which the inertial units can be compared
-_FEWEST_GPS = 20
-_SHORTEST_S = 10.0
-_LONGEST_S = 1800.0
+_FEWEST_GPS = 20  # velocities, for a trajectory
+_SHORTEST_S = 10.0  # for a trajectory
+_LONGEST_S = 1800.0  # for a trajectory
 _MOVES = 0.5  # standard deviation of the current, A, from which a motor's field can be told from an offset
-_DEFAULT_YEAR = 2025.0
+_DEFAULT_YEAR = 2025.0  # of the Earth's field, where a recording has no date
 _MODEL_SD, _GUESS_SD = 1.0, 20.0  # of the Earth's field, uT
 
 

@@ -23,8 +23,8 @@ Array = NDArray[np.float64]
 
 NODE = 12  # attitude, velocity, gyroscope bias, accelerometer bias
 CONSTANTS = 11  # magnetometer offset, field per ampere, Earth field, delay of the GPS and of the magnetometer
-ITERATIONS = 8
-_HUBER = 3.0
+ITERATIONS = 8  # at most
+_HUBER = 3.0  # standard deviations beyond which a residual loses weight
 LEAST_VELOCITY_SD = 0.1
 LEAST_MAG_SD = 0.5
 """m/s and uT: what the moment of a sample, the firmware's filters and the motion between nodes leave unmodelled."""
@@ -39,6 +39,7 @@ _CAUTION = 3.0
 _LOST = np.repeat([1.0, 10.0], 3)
 """What attitude (rad) and velocity (m/s) may do over an interval without samples."""
 CONSTANT = np.concatenate([np.repeat([5.0, 1.0, 1.0], 3), [0.15, 0.05]])
+"""Of what does not change, a priori; the Earth's field has the standard deviation that its source has."""
 
 
 @dataclass(frozen=True, eq=False)
