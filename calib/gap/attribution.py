@@ -146,7 +146,7 @@ def _attributed(
 
 
 def _likeliest_shape(others: Sequence[Alternative]) -> str:
-    shapes = [a.score for a in others if a.score.hypothesis.effect.id.startswith("unknown")]
+    shapes = [a.score for a in others if a.score.hypothesis.effect.nameless]
     return max(shapes, key=lambda s: s.delta).hypothesis.effect.excited_by if shapes else ""
 
 
@@ -229,7 +229,7 @@ def _judged(own: Hypothesis, own_delta: float, others: Sequence[Alternative]) ->
     same, weights, unknown = [0.0], [-math.inf], [-math.inf]
     for other in others:
         delta = own_delta - other.score.delta
-        is_unknown = other.score.hypothesis.effect.id.startswith("unknown")
+        is_unknown = other.score.hypothesis.effect.nameless
         weight = -delta / (2.0 * TEMPERATURE)
         if other.score.hypothesis.effect.id == own.effect.id and other.score.hypothesis.instances == own.instances:
             same.append(weight)  # the same name in another form

@@ -12,7 +12,7 @@ from calib.gap.model import Model, predicted
 from calib.gap.problem import Problem
 from calib.gap.reference.checks import MOVES
 from calib.gap.selection import Key
-from calib.gap.shapes import PREFIX
+from calib.gap.shape_ids import is_shape
 from calib.gap.strangers import Stranger
 from calib.recording import Sensor
 
@@ -64,7 +64,7 @@ def nameless(attributions: Iterable[Attribution], withdrawn: float) -> Iterable[
     """Effects whose place something else takes far better, which is no effect or did not last: they stand for that."""
     by_sensor: dict[str, list[Key]] = {}
     for a in attributions:
-        if a.key[0].startswith(PREFIX):
+        if is_shape(a.key[0]):
             continue  # it has no name to begin with
         if a.probability < _BELIEVED and (withdrawn > 0.0 or a.unknown_probability > a.probability):
             by_sensor.setdefault(a.key[0].partition("_")[0], []).append(a.key)

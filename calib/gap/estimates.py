@@ -45,7 +45,7 @@ def estimates_of(chosen: Chosen, term: Term | NoiseTerm, widening: float = 1.0) 
     effect = term.effect
     names = effect.parameters if effect.shape is None else (*effect.parameters, effect.shape.parameter)
     se = widening * np.sqrt(variance)
-    if effect.id.endswith("_step"):
+    if effect.jumps:
         apart = levels_apart(chosen.model, term)
         se[:3] = np.where(apart > _SIGNIFICANT * se[:3], np.hypot(se[:3], apart), se[:3])
     return tuple(

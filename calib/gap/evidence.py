@@ -13,6 +13,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.gap.effects.noise import DRIFTS
+from calib.gap.shape_ids import family_of, is_part, is_shape
+
 Array = NDArray[np.float64]
 
 _SIZES = np.geomspace(1.0, 1e8, 33)
@@ -83,13 +86,9 @@ def price_of_noise(amplitudes: Array, information: Array) -> float:
 
 
 def price_of_kind(effect_id: str) -> float:
-    """By kind: noise that wanders fits any slow change, and so does a line over time; a shape may fit anything.
-
-    A shape is ``unknown:<family>:<text>``, and one of many that were looked through ``unknown:one <family>:<text>``.
-    """
-    if effect_id.startswith("unknown"):
-        family = effect_id.split(":")[1]
-        return _SHAPES[family.removeprefix("one ")] + _ONE_OF_MANY * family.startswith("one ")
+    """By kind: noise that wanders fits any slow change, and so does a line over time; a shape may fit anything."""
+    if is_shape(effect_id):
+        return _SHAPES[family_of(effect_id)] + _ONE_OF_MANY * is_part(effect_id)
     if effect_id == "reference_attitude":
         return _DOUBT
-    return _LAST if effect_id.endswith(("_random_walk", "_flicker")) else 0.0
+    return _LAST if effect_id.endswith(DRIFTS) else 0.0

@@ -22,9 +22,8 @@ _AGAIN = "'"
 _FORM = "~"
 _REPEATS = 4
 """Times that an effect that can be repeated is looked for."""
-_PERIODIC = ("_tone", "~wave")
-_FAST = ("_tone", "_step", "~wave")
-"""Ends of the names of effects that change a mean at any frequency."""
+_WAVE = "~wave"
+"""Form of an effect that follows the angle of a rotor."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,12 +57,12 @@ class Hypothesis:
     @property
     def fast(self) -> bool:
         """Whether it changes a mean at any frequency: it is made at the sensor's own rate."""
-        return (self.effect.id + self.effect.form).endswith(_FAST)
+        return self.periodic or (self.effect.jumps and not self.effect.form)
 
     @property
     def periodic(self) -> bool:
         """Whether it is a wave: noise that wanders cannot take its place."""
-        return (self.effect.id + self.effect.form).endswith(_PERIODIC)
+        return self.effect.tonal or self.effect.form == _WAVE
 
     def described_by(self, keys: Collection[tuple[str, tuple[int, ...]]]) -> bool:
         """Whether one of `keys` is the same effect on the same instances in another form: it happens once."""

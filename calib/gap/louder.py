@@ -68,7 +68,7 @@ def unsteady_line(term: NoiseTerm, model: Model) -> bool:
 
 def tone_beside_lines(hypothesis: Hypothesis, beta: Array, model: Model) -> bool:
     """The same of a tone with amplitudes `beta`."""
-    if not hypothesis.effect.id.endswith("_tone"):
+    if not hypothesis.effect.tonal:
         return True
     samples = sum(model.setting.views[v].whole.n for v in _touched(hypothesis, model) if not _upper(model, v))
     return 0.5 * float(beta @ beta) * samples > _OF_LINE * line_power(hypothesis, model)

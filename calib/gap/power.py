@@ -30,7 +30,7 @@ def _all(chosen: Chosen, contest: Contest, level: float) -> Iterator[Power]:
     beside = Beside(chosen.model)
     for hypothesis in contest.hypotheses:
         effect = hypothesis.effect
-        if isinstance(effect, NoiseEffect) or effect.shape is not None or effect.id.startswith("unknown"):
+        if isinstance(effect, NoiseEffect) or effect.shape is not None or effect.nameless:
             continue
         assert isinstance(effect, MeanEffect)
         gram, _, energy = beside.projected(contest.columns(hypothesis, math.nan, chosen.model))

@@ -158,7 +158,7 @@ def grown(chosen: Chosen, contest: Contest, level: float, candidates: Sequence[H
 
 def _happens(score: Score) -> bool:
     """Whether it is an event: one that waits for room behind flaws of other sensors spoils their noise meanwhile."""
-    return score.hypothesis.effect.id.endswith("_step")
+    return score.hypothesis.effect.jumps
 
 
 def _lasting(joined: Sequence[Score]) -> int:

@@ -17,12 +17,12 @@ from calib.gap.effects.base import MeanEffect, Parameter
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.model import Setting, Term
 from calib.gap.problem import Trace
+from calib.gap.shape_ids import family_of, shape_id
 from calib.recording import Sensor
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
-PREFIX = "unknown"
 _FLEXIBLE = ("line", "time")
 _KNOTS = 6
 _KNOTS_TIME = 20
@@ -92,8 +92,7 @@ def shapes_of(setting: Setting, tones: Sequence[Term] = ()) -> tuple[Shape, ...]
 
 def flexible(hypothesis: Hypothesis) -> bool:
     """Whether it is a broken line, which bends about anything that its covariate drives."""
-    family = hypothesis.effect.id.split(":")[1]
-    return family.removeprefix("one ") in _FLEXIBLE
+    return family_of(hypothesis.effect.id) in _FLEXIBLE
 
 
 def _groups(trace: Trace) -> Iterator[_Group]:
@@ -108,7 +107,7 @@ def _groups(trace: Trace) -> Iterator[_Group]:
 
 def _shape(sensor: Sensor, group: _Group, instance: int) -> Shape:
     def made(text: str, rows: Rows, *, part: bool = False) -> Hypothesis:
-        name = f"{PREFIX}:{'one ' * part}{group.family}:{text}"
+        name = shape_id(group.family, text, part=part)
         return Hypothesis(_effect(name, sensor, text, group, rows), (instance,))
 
     q = 1 if group.each else len(group.signals)

@@ -19,7 +19,6 @@ from calib.gap.impostors import impostors, unsteady
 from calib.gap.model import Model
 from calib.gap.schema import HiddenDriver, Unknown
 from calib.gap.selection import Key
-from calib.gap.shapes import PREFIX
 from calib.gap.transitions import events_of
 from calib.gap.views import View
 from calib.recording import Sensor
@@ -48,7 +47,7 @@ class Stranger:
 
 def strangers_in(model: Model, attributions: Sequence[Attribution]) -> tuple[Stranger, ...]:
     """Every stranger among the terms of a model, and every effect in whose place one is likelier."""
-    shapes = [t.hypothesis for t in model.terms if t.hypothesis.effect.id.startswith(PREFIX)]
+    shapes = [t.hypothesis for t in model.terms if t.hypothesis.effect.nameless]
     drifts = [Stranger((found.key,), found.text, found.driver) for found in impostors(model)]
     known = {h.key for h in shapes} | {key for drift in drifts for key in drift.keys}
     doubted = [a for a in attributions if a.doubted and a.key not in known]

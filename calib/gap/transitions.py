@@ -54,7 +54,7 @@ class Transition:
 
 def events_of(model: Model, sensor: Sensor) -> list[list[Term]]:
     """The jumps of a sensor in a model in the order of time, those of one event together."""
-    jumps = [t for t in model.terms if t.effect.id.endswith("_step") and t.effect.sensor is sensor]
+    jumps = [t for t in model.terms if t.effect.jumps and t.effect.sensor is sensor]
     events: list[list[Term]] = []
     for term in sorted(jumps, key=lambda t: t.theta):
         if events and term.theta - events[-1][-1].theta < ONE_EVENT_S:
@@ -92,7 +92,7 @@ def _ramp_seen(term: Term, view: View) -> bool:
 
 def passing(left_out: Sequence[Transition], model: Model) -> tuple[Transition, ...]:
     """Those after which the level is what it was before: what happened there is in no effect of the model."""
-    jumps = [(t.effect.sensor, t.theta) for t in model.terms if t.effect.id.endswith("_step")]
+    jumps = [(t.effect.sensor, t.theta) for t in model.terms if t.effect.jumps]
 
     def lasts(one: Transition) -> bool:
         return any(s is one.sensor and one.start - ONE_EVENT_S < at < one.end + ONE_EVENT_S for s, at in jumps)

@@ -39,7 +39,7 @@ def usual_tone(term: Term, nominal: Iterable[Trace]) -> bool:
 
     A learned spectrum holds means over bands and does not show it.
     """
-    if not term.hypothesis.effect.id.endswith("_tone"):
+    if not term.effect.tonal:
         return False
     size = float(np.sqrt((term.beta**2).sum()))
     return any(

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.gap.problem import Trace
+from calib.gap.shape_ids import is_shape
 from calib.recording import Sensor
 
 Array = NDArray[np.float64]
@@ -99,6 +100,21 @@ class Effect:
     repeatable: bool = False
     hidden: int = 0
     form: str = ""
+
+    @property
+    def nameless(self) -> bool:
+        """Whether it is a shape that the catalogue does not have."""
+        return is_shape(self.id)
+
+    @property
+    def jumps(self) -> bool:
+        """Whether it is an event, in any form: an offset that comes at a moment, which is its shape."""
+        return self.id.endswith("_step")
+
+    @property
+    def tonal(self) -> bool:
+        """Whether it is a wave of one frequency, which is its shape."""
+        return self.id.endswith("_tone")
 
 
 @dataclass(frozen=True, kw_only=True)

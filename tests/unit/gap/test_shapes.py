@@ -14,7 +14,7 @@ from calib.gap.hypotheses import Hypothesis
 from calib.gap.model import setting_of, starting_model
 from calib.gap.noise_fit import starting_noise
 from calib.gap.selection import with_score
-from calib.gap.shapes import PREFIX, shapes_of
+from calib.gap.shapes import shapes_of
 from calib.gap.views import views_of
 from calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
@@ -51,7 +51,7 @@ def test_shapes_are_told_apart_by_instance_and_from_the_catalogue():
     found = [h for shape in shapes_of(model_of(instances=2).setting) for h in shape.hypotheses]
     assert len({h.key for h in found}) == len(found)
     assert {h.instances for h in found} == {(0,), (1,)}
-    assert all(h.effect.id.startswith(PREFIX) for h in found)
+    assert all(h.effect.nameless for h in found)
     assert not {h.effect.id for h in found} & set(by_id())
 
 
