@@ -5,11 +5,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.gap.effects.affine import constant
-from calib.gap.effects.base import Effect, MeanEffect, Parameter, Shape
+from calib.gap.effects.base import Effect, MeanEffect, Missing, Parameter, Shape
 from calib.gap.effects.parts import TUMBLE, axiswise, body_from_ned, first_missing, moves, per_axis, spread
 from calib.gap.problem import Trace
 from calib.recording import Sensor
@@ -126,7 +128,36 @@ def _no_path(trace: Trace) -> tuple[str, str] | None:
     return None
 
 
+def _motor_current(
+    form: str,
+    parameters: tuple[Parameter, ...],
+    excited_by: str,
+    missing: Missing,
+    signals: Callable[[Trace, float], Array],
+    shape: Shape | None = None,
+) -> Effect:
+    """The field of the motors' current as it goes by one signal: the current, or what stands for it."""
+    return MeanEffect(
+        "mag_motor_current",
+        Sensor.MAG,
+        parameters,
+        excited_by,
+        "throttle 0-hover-0 twice at one attitude",
+        missing,
+        shape,
+        columns=axiswise(signals),
+        signals=signals,
+        rivals=("mag_hard_iron", "mag_step"),
+        form=form,
+    )
+
+
 _ATTITUDES = "attitudes about all three axes"
+_CURRENTS = "currents that vary"
+_PER_AMPERE = per_axis("per_ampere", "uT/A")
+_FULL_THROTTLE = per_axis("full_throttle", "uT")
+_LAG = Shape(Parameter("lag_s", "s"), lags)
+_EXPONENT = Shape(Parameter("exponent", "1"), exponents)
 
 # Of two forms the one with more parameters comes first: a report that has them all is replayed with it.
 EFFECTS: tuple[Effect, ...] = (
@@ -150,43 +181,9 @@ EFFECTS: tuple[Effect, ...] = (
         columns=soft_iron_columns,
         rivals=("mag_hard_iron", "mag_rotation", "mag_temp_scale"),
     ),
-    MeanEffect(
-        "mag_motor_current",
-        Sensor.MAG,
-        per_axis("per_ampere", "uT/A"),
-        "currents that vary",
-        "throttle 0-hover-0 twice at one attitude",
-        _no_current,
-        Shape(Parameter("lag_s", "s"), lags),
-        columns=axiswise(late_current_signal),
-        signals=late_current_signal,
-        rivals=("mag_hard_iron", "mag_step"),
-        form="~late",
-    ),
-    MeanEffect(
-        "mag_motor_current",
-        Sensor.MAG,
-        per_axis("full_throttle", "uT"),
-        "throttle that varies",
-        "throttle 0-hover-0 twice at one attitude",
-        _no_throttle,
-        Shape(Parameter("exponent", "1"), exponents),
-        columns=axiswise(throttle_signal),
-        signals=throttle_signal,
-        rivals=("mag_hard_iron", "mag_step"),
-        form="~throttle",
-    ),
-    MeanEffect(
-        "mag_motor_current",
-        Sensor.MAG,
-        per_axis("per_ampere", "uT/A"),
-        "currents that vary",
-        "throttle 0-hover-0 twice at one attitude",
-        _no_current,
-        columns=axiswise(current_signal),
-        signals=current_signal,
-        rivals=("mag_hard_iron", "mag_step"),
-    ),
+    _motor_current("~late", _PER_AMPERE, _CURRENTS, _no_current, late_current_signal, _LAG),
+    _motor_current("~throttle", _FULL_THROTTLE, "throttle that varies", _no_throttle, throttle_signal, _EXPONENT),
+    _motor_current("", _PER_AMPERE, _CURRENTS, _no_current, current_signal),
     MeanEffect(
         "mag_earth_field",
         Sensor.MAG,
