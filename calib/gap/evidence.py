@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.gap.effects.noise import DRIFTS
+from calib.gap.effects.reference_attitude import REFERENCE
 from calib.gap.shape_ids import family_of, is_part, is_shape
 
 Array = NDArray[np.float64]
@@ -89,6 +90,6 @@ def price_of_kind(effect_id: str) -> float:
     """By kind: noise that wanders fits any slow change, and so does a line over time; a shape may fit anything."""
     if is_shape(effect_id):
         return _SHAPES[family_of(effect_id)] + _ONE_OF_MANY * is_part(effect_id)
-    if effect_id == "reference_attitude":
+    if effect_id == REFERENCE:
         return _DOUBT
     return _LAST if effect_id.endswith(DRIFTS) else 0.0

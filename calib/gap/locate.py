@@ -18,7 +18,7 @@ from scipy.special import chdtrc, ndtr
 
 from calib.gap.model import Model
 from calib.gap.problem import Trace
-from calib.gap.schema import Finding, Regime
+from calib.gap.schema import FIRST, Finding, Regime
 from calib.gap.views import View
 
 Array = NDArray[np.float64]
@@ -26,8 +26,6 @@ Array = NDArray[np.float64]
 _BINS = 6  # of equal width, over time or what else was recorded
 _BANDS = 8  # of frequency
 _FEWEST = 24  # samples in a bin that is tested
-_FIRST = 1
-"""Instances count from 1 in a report."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +66,7 @@ def located(model: Model, alpha: float) -> tuple[Finding, ...]:
 
 def _finding(model: Model, cell: _Cell, p: float) -> Finding:
     view = model.setting.views[cell.v]
-    instance = max(view.weights, key=lambda i: view.weights[i]) + _FIRST
+    instance = max(view.weights, key=lambda i: view.weights[i]) + FIRST
     channel = f"{view.sensor.value}.{'xyz'[cell.c]}"
     return Finding(channel, instance, cell.regime, cell.nats, cell.rms, view.any_trace.unit, p)
 

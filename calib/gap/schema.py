@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 Json = dict[str, Any]
 
 SCHEMA = "gap/1"
+FIRST = 1
+"""Instances count from 1 in a report."""
 
 
 class Verdict(StrEnum):

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from calib.gap.contest import Contest, tail
 from calib.gap.effects.affine import rotation_columns
 from calib.gap.effects.noise import DRIFTS
+from calib.gap.effects.reference_attitude import REFERENCE
 from calib.gap.hypotheses import Columns, Frame, Hypothesis, Part, add_block
 from calib.gap.likelihood import Noise
 from calib.gap.model import (
@@ -36,7 +37,6 @@ from calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
-ID = "reference_attitude"
 _MODES = 100
 """Cosines over the recording that an error of attitude about one axis is made of."""
 _SCREENED = 4000
@@ -88,7 +88,9 @@ def wandering(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> W
     frames = tuple(frame_of(view, _SCREENED) for view in setting.views)
     setting = replace(setting, frames=frames)
     # A bias that wanders cannot be told from a reference that does.
-    told = [h for h in contest.hypotheses if h.effect.id != ID and not (h.effect.id.endswith(DRIFTS) and _seen_by(h))]
+    told = [
+        h for h in contest.hypotheses if h.effect.id != REFERENCE and not (h.effect.id.endswith(DRIFTS) and _seen_by(h))
+    ]
     contest = Contest(told, floor=contest.floor)
     columns = wander_columns(setting, frames)
     ridge = Ridge(columns, 1.0 / _prior(setting, size, time), np.zeros(columns.p), span_of(setting))

@@ -26,9 +26,12 @@ def direction_turned(trace: Trace, parameters: Array) -> Array:
     return np.zeros_like(trace.ideal) if trace.sensor == Sensor.GYRO else rotated(trace, parameters)
 
 
+REFERENCE = "reference_attitude"
+"""Its id, by which findings about the reference are told from those about sensors."""
+
 EFFECTS: tuple[Effect, ...] = (
     MeanEffect(
-        "reference_attitude",
+        REFERENCE,
         Sensor.ACCEL,
         per_axis("rotation", "rad"),
         "any attitude; two sensors that see a direction",

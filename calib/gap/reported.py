@@ -1,0 +1,49 @@
+"""Effects of a model as a report has them: parameters, evidence, rivals, and the gates that they passed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.gap.attribution import TEMPERATURE, Attribution
+from calib.gap.effects.reference_attitude import REFERENCE
+from calib.gap.estimates import estimates_of
+from calib.gap.model import Model, NoiseTerm, Term
+from calib.gap.schema import FIRST, EffectEstimate, Evidence, Gates
+from calib.gap.selection import Chosen
+from calib.gap.shrink import dose_of
+from calib.gap.wander import Wander, rms_rotation, sees
+from calib.recording import Sensor
+
+
+def effect_of(chosen: Chosen, found: Attribution, passed: bool | None) -> EffectEstimate:
+    """An effect of the catalogue; `passed`: whether held-out blocks confirm it, None where they say nothing."""
+    term, dose = _term(chosen.model, found), dose_of(chosen, found.key)
+    p = next((s.p for s in chosen.scores if s.hypothesis.key == found.key), 1.0)
+    return EffectEstimate(
+        term.hypothesis.effect.id,
+        term.hypothesis.effect.sensor,
+        tuple(i + FIRST for i in found.key[1]),
+        estimates_of(chosen, term, dose.widening),
+        Evidence(found.gain, found.df, min(1.0, p * chosen.tests), found.probability, found.share),
+        found.rivals,
+        Gates(passed, None, dose.agrees),
+    )
+
+
+def wandering_reference(wander: Wander, attributions: tuple[Attribution, ...]) -> EffectEstimate:
+    """The reference's own error as an effect: its size on each axis."""
+    model = wander.chosen.model
+    instances = sorted({i + FIRST for view in model.setting.views if sees(view) for i in view.weights})
+    others = sum(a.gain for a in attributions)
+    sure = Evidence(
+        wander.gain,
+        2,
+        float(np.exp(-0.5 * min(wander.gain, 1400.0))),
+        float(1.0 / (1.0 + np.exp(-0.5 * min(wander.gain, 1400.0) / TEMPERATURE))),
+        wander.gain / (wander.gain + others),
+    )
+    return EffectEstimate(REFERENCE, Sensor.ACCEL, tuple(instances), rms_rotation(model), sure)
+
+
+def _term(model: Model, found: Attribution) -> Term | NoiseTerm:
+    return next(t for t in model.members if t.hypothesis.key == found.key)

@@ -1,0 +1,58 @@
+"""What the samples of a problem themselves show, trace by trace: effects of the lattice, and rows that say no more."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.gap.effects.base import Effect, LatticeEffect, LatticeEvidence
+from calib.gap.problem import Problem
+from calib.gap.schema import FIRST, EffectEstimate, Estimate, Evidence
+from calib.gap.usual import usual_samples
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """What the samples themselves show, by index of the trace where it matters to the rest."""
+
+    effects: tuple[EffectEstimate, ...]
+    masks: Mapping[int, LatticeEvidence]
+    variance: Mapping[int, float]
+
+
+def lattice_of(problem: Problem, effects: Iterable[Effect]) -> Lattice:
+    """Lattice effects of every trace."""
+    found: list[EffectEstimate] = []
+    masks: dict[int, LatticeEvidence] = {}
+    variance: dict[int, float] = {}
+    for i, trace in enumerate(problem.traces):
+        if trace.against is not None:
+            continue
+        for effect in effects:
+            if not isinstance(effect, LatticeEffect) or effect.sensor is not trace.sensor:
+                continue
+            evidence = effect.detect(trace)
+            if evidence is None or usual_samples(effect, evidence, problem.nominal):
+                continue
+            found.append(_from_lattice(effect, trace.instances, evidence))
+            if evidence.masked.any():
+                masks[i] = evidence if i not in masks else _both(masks[i], evidence)
+            if effect.id.endswith("_quantisation"):
+                variance[i] = max(float(np.mean(np.square(evidence.values[:3]))) - trace.quantum**2, 0.0) / 12.0
+    return Lattice(tuple(found), masks, variance)
+
+
+def _both(one: LatticeEvidence, other: LatticeEvidence) -> LatticeEvidence:
+    masked = one.masked | other.masked
+    return LatticeEvidence(one.values, one.se, one.two_delta_loglik, masked, one.text)
+
+
+def _from_lattice(effect: LatticeEffect, instances: tuple[int, ...], evidence: LatticeEvidence) -> EffectEstimate:
+    params = tuple(
+        Estimate(p.name, value, se, (value - 1.96 * se, value + 1.96 * se), p.unit)
+        for p, value, se in zip(effect.parameters, evidence.values, evidence.se, strict=True)
+    )
+    sure = Evidence(evidence.two_delta_loglik, len(params), 0.0, 0.999, 0.0)
+    return EffectEstimate(effect.id, effect.sensor, tuple(i + FIRST for i in instances), params, sure)
