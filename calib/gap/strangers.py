@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,7 +75,7 @@ def unknown_of(
     model: Model,
     attributions: Sequence[Attribution],
     strangers: Sequence[Stranger],
-    lost: Sequence[tuple[float, str]],
+    unexplained: Sequence[tuple[float, str]],
     bandwidth_hz: float = math.inf,
     floor: Mapping[Sensor, float] | None = None,
 ) -> Unknown:
@@ -85,7 +85,7 @@ def unknown_of(
     ----------
     model, attributions, strangers
         The model, what its effects are worth, and which of them have no name.
-    lost
+    unexplained
         Nats of what is in no effect of the model, and what is said of it.
     bandwidth_hz
         Up to which the reference knows how the vehicle moves.
@@ -101,7 +101,7 @@ def unknown_of(
         texts.append(band)
         share += rest * (1.0 - share)
     swelling, when = unsteady(model)
-    for nats, text in ((swelling, when), *lost):
+    for nats, text in ((swelling, when), *unexplained):
         part = nats / (gap + nats) if nats > 0.0 else 0.0
         if part > _MATERIAL:
             texts.append(text)
@@ -121,32 +121,59 @@ def leftover(
     than its `floor` left over shows the reference's flaws.
     """
     nats: dict[Sensor, float] = {}
-    worst: dict[Sensor, tuple[float, str]] = {}
-    for a in range(model.setting.axes):
-        view: View = model.setting.views[a // 3]
-        c = a % 3
-        if model.ridge is not None and a in model.ridge.columns.parts:
-            continue  # the error of the reference is known only up to the last of its cosines
-        ratio = view.spectra(model.residual[a // 3])[c] ** 2 / model.noise[a].power
-        known = bandwidth_hz if view.reference_error and view.sensor is Sensor.ACCEL else math.inf
-        edges = np.unique(np.geomspace(4, view.count, _GROUPS + 1).astype(np.intp))
-        for low, high in itertools.pairwise(edges):
-            hz = 0.5 * view.fs / view.n
-            if (high + view.first) * hz > known:
-                break
-            count = int(high - low)
-            square = float(ratio[low:high].sum())
-            p = float(chdtrc(count, square)) * _GROUPS * model.setting.axes
-            # A learned spectrum is that of other minutes: twice as much is none of this recording's.
-            if p < _LEFTOVER and (view.density is None or square > _MINUTES_DIFFER * count):
-                nats[view.sensor] = nats.get(view.sensor, 0.0) + 0.5 * (
-                    square - count - count * math.log(square / count)
-                )
-                if p < worst.get(view.sensor, (1.0, ""))[0]:
-                    band = (low + view.first) * hz, (high + view.first) * hz
-                    text = f"power from {band[0]:.3g} to {band[1]:.3g} Hz on {view.sensor.value}.{'xyz'[c]}"
-                    worst[view.sensor] = p, text
+    worst: dict[Sensor, _Excess] = {}
+    for one in _excesses(model, bandwidth_hz):
+        nats[one.sensor] = nats.get(one.sensor, 0.0) + one.nats
+        if one.sensor not in worst or one.p < worst[one.sensor].p:
+            worst[one.sensor] = one
     material = {sensor: n for sensor, n in nats.items() if 2.0 * n > (floor or {}).get(sensor, 0.0)}
     total = sum(material.values())
     share = total / max(gap + total, 1e-300)
-    return (share, min(worst[s] for s in material)[1]) if share > _MATERIAL else (0.0, "")
+    if share > _MATERIAL:
+        return share, min((worst[sensor] for sensor in material), key=lambda one: (one.p, one.text)).text
+    return 0.0, ""
+
+
+@dataclass(frozen=True)
+class _Excess:
+    """A band of an axis with more power than its noise: worth `nats`, and `p` that chance makes one, over all bands."""
+
+    sensor: Sensor
+    p: float
+    nats: float
+    text: str
+
+
+def _excesses(model: Model, bandwidth_hz: float) -> Iterator[_Excess]:
+    """Every band that noise alone does not explain."""
+    for a in range(model.setting.axes):
+        if model.ridge is not None and a in model.ridge.columns.parts:
+            continue  # the error of the reference is known only up to the last of its cosines
+        view = model.setting.views[a // 3]
+        ratio = view.spectra(model.residual[a // 3])[a % 3] ** 2 / model.noise[a].power
+        for low, high in _bands(view, bandwidth_hz):
+            count, square = high - low, float(ratio[low:high].sum())
+            p = float(chdtrc(count, square)) * _GROUPS * model.setting.axes
+            # A learned spectrum is that of other minutes: twice as much is none of this recording's.
+            if p < _LEFTOVER and (view.density is None or square > _MINUTES_DIFFER * count):
+                nats = 0.5 * (square - count - count * math.log(square / count))
+                yield _Excess(view.sensor, p, nats, _said(view, low, high, "xyz"[a % 3]))
+
+
+def _bands(view: View, bandwidth_hz: float) -> Iterator[tuple[int, int]]:
+    """First bins of bands of a series, and those behind their last, as far as its reference knows of movement."""
+    known = bandwidth_hz if view.reference_error and view.sensor is Sensor.ACCEL else math.inf
+    edges = np.unique(np.geomspace(4, view.count, _GROUPS + 1).astype(np.intp))
+    for low, high in itertools.pairwise(edges.tolist()):
+        if (high + view.first) * _bin_hz(view) > known:
+            break
+        yield low, high
+
+
+def _bin_hz(view: View) -> float:
+    return 0.5 * view.fs / view.n
+
+
+def _said(view: View, low: int, high: int, axis: str) -> str:
+    start, end = ((k + view.first) * _bin_hz(view) for k in (low, high))
+    return f"power from {start:.3g} to {end:.3g} Hz on {view.sensor.value}.{axis}"

@@ -34,7 +34,7 @@ _CONTAINED = 0.8
 
 @dataclass(frozen=True, eq=False)
 class WithShapes:
-    """The better of the two models, the contest it came from, and the number of all tests."""
+    """The better of the two models, and the contest that has the likeliest shapes among its rivals."""
 
     chosen: Chosen
     contest: Contest
