@@ -109,7 +109,7 @@ def unknown_of(
     driver = next((s.driver for s in strangers if s.driver is not None), None)
     probability = max((a.unknown_probability for a in attributions), default=0.0)
     flag = share > _MATERIAL
-    return Unknown(flag, share, "; ".join(texts), driver, max(probability, 0.95 if flag else 0.0))
+    return Unknown(flag, share, "; ".join(dict.fromkeys(texts)), driver, max(probability, 0.95 if flag else 0.0))
 
 
 def leftover(

@@ -8,7 +8,7 @@ from calib.gap.diagnose import diagnose
 from calib.gap.effects import catalogue
 from calib.gap.model import setting_of, starting_model
 from calib.gap.noise_fit import starting_noise
-from calib.gap.strangers import leftover
+from calib.gap.strangers import Stranger, leftover, unknown_of
 from calib.gap.views import views_of
 from calib.recording import Sensor
 from tests.unit.gap.synthetic import problem_of
@@ -51,6 +51,15 @@ def test_what_the_references_own_flaws_leave_over_is_not_unknown():
     assert "Hz on accel" in text
     assert leftover(model, 0.0, floor={Sensor.ACCEL: 1e6}) == (0.0, "")
     assert leftover(model, 0.0, floor={Sensor.MAG: 1e6}) == (share, text)
+
+
+def test_what_stands_for_several_effects_is_said_once():
+    setting = setting_of(views_of(problem_of(np.random.default_rng(4), (Sensor.ACCEL,)), {}, {}))
+    model = starting_model(setting, starting_noise(setting))
+    texts = ("approach with 10 s on accel, or accel_bias", "3 jumps on accel", "a drift on accel")
+    strangers = [Stranger((("accel_bias", (i,)),), texts[j]) for i, j in enumerate((0, 1, 0))]
+    found = unknown_of(model, (), strangers, [(50.0, texts[1]), (50.0, texts[2])])
+    assert found.shape == "; ".join(texts)
 
 
 def test_drift_that_one_driver_moves_is_unknown_and_not_a_walk():
