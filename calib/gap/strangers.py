@@ -19,6 +19,7 @@ from calib.gap.impostors import impostors, unsteady
 from calib.gap.model import Model
 from calib.gap.schema import HiddenDriver, Unknown
 from calib.gap.selection import Key
+from calib.gap.switching import switching
 from calib.gap.transitions import events_of
 from calib.gap.views import View
 from calib.recording import Sensor
@@ -48,11 +49,14 @@ class Stranger:
 def strangers_in(model: Model, attributions: Sequence[Attribution]) -> tuple[Stranger, ...]:
     """Every stranger among the terms of a model, and every effect in whose place one is likelier."""
     shapes = [t.hypothesis for t in model.terms if t.hypothesis.effect.nameless]
-    drifts = [Stranger((found.key,), found.text, found.driver) for found in impostors(model)]
-    known = {h.key for h in shapes} | {key for drift in drifts for key in drift.keys}
+    levels = [Stranger(found.keys, found.text) for found in switching(model, attributions)]
+    taken = {key for two in levels for key in two.keys}
+    drifts = [Stranger((found.key,), found.text, found.driver) for found in impostors(model) if found.key not in taken]
+    known = taken | {h.key for h in shapes} | {key for drift in drifts for key in drift.keys}
     doubted = [a for a in attributions if a.doubted and a.key not in known]
     return (
         *(Stranger((h.key,), h.effect.excited_by) for h in shapes),
+        *levels,
         *drifts,
         *(Stranger((a.key,), f"{a.shape}, or {a.key[0]}") for a in doubted),
         *_swarms(model),

@@ -1,0 +1,159 @@
+"""Readings that switch to and fro between two levels: telegraph noise, known as popcorn or burst noise of electronics.
+
+Its spectrum is that of a drift that comes back, and a few of its jumps look like an effect that comes and goes. What
+tells it from both is that only two levels occur: each axis is a Markov chain of two states, seen through white noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.gap.attribution import Attribution
+from calib.gap.effects.noise import DRIFTS
+from calib.gap.model import Model, NoiseTerm, Term, predicted, starting_model
+from calib.gap.noise_fit import refitted, starting_noise
+from calib.gap.views import View
+from calib.recording import Sensor
+
+Array = NDArray[np.float64]
+Key = tuple[str, tuple[int, ...]]
+
+_WINDOWS = 700
+"""Averages that a series is looked at in: tenths of a second of a minute."""
+_FEWEST = 64
+_BETTER = 22.0
+"""Twice the log-likelihood by which the chains must beat an effect: one walk or flicker in a hundred shows as much."""
+_FLAT = 2.0
+"""Largest over least power, below half the rate of the averages, up to which their noise is white."""
+_JUMPS = 3.5
+"""Expected number of them from which on readings go to and fro: a step that ends has two."""
+_RARE, _OFTEN = 1e-4, 0.5
+"""Chances of a jump from one average to the next."""
+_STARTS = (0.02, 0.2)
+_ROUNDS, _SETTLED = 30, 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Switching:
+    """Effects in whose place two levels are far likelier."""
+
+    keys: tuple[Key, ...]
+    text: str
+
+
+def switching(model: Model, attributions: Sequence[Attribution]) -> tuple[Switching, ...]:
+    """Effects of a model, alone or all of a sensor together, that stand for jumps to and fro."""
+    found: list[Switching] = []
+    for v, view in enumerate(model.setting.views):
+        if view.first or view.count < _FEWEST:
+            continue
+        places = [(term, a) for a in attributions if (term := _slow(model, a.key, view)) is not None]
+        better = [(a.key,) for term, a in places if _gain(model, v, [term]) - a.gain > _BETTER]
+        text = f"jumps to and fro between two levels on {view.sensor.value}"
+        found += (Switching(keys, text) for keys in better)
+        alone = sum(other.sensor is view.sensor for other in model.setting.views) == 1
+        if not better and len(places) > 1 and alone:
+            together = _gain(model, v, [term for term, _ in places])
+            if together - _worth(model, view.sensor) > _BETTER:
+                found.append(Switching(tuple(a.key for _, a in places), text))
+    return tuple(found)
+
+
+def _slow(model: Model, key: Key, view: View) -> Term | NoiseTerm | None:
+    """The term of a key if it acts on a series and is not noise of every frequency."""
+    term = next((t for t in model.members if t.hypothesis.key == key), None)
+    if term is None or not term.hypothesis.touches(view):
+        return None
+    return term if isinstance(term, Term) or term.hypothesis.effect.id.endswith(DRIFTS) else None
+
+
+def _worth(model: Model, sensor: Sensor) -> float:
+    """Twice the log-likelihood of all effects of a sensor."""
+    bare = refitted(starting_model(model.setting, starting_noise(model.setting), model.ridge)).deviance
+    full = refitted(model).deviance
+    return sum(bare[key] - full[key] for key in bare if key[0] is sensor)
+
+
+def _gain(model: Model, v: int, terms: Iterable[Term | NoiseTerm]) -> float:
+    """Twice the log-likelihood of two levels on each axis of series `v` in the place of `terms`."""
+    view, terms = model.setting.views[v], tuple(terms)
+    series = model.residual[v] + sum(predicted(t, view) for t in terms if isinstance(t, Term))
+    width = -(-len(series) // _WINDOWS)
+    count = len(series) // width
+    power = []
+    for noise in model.noise[3 * v : 3 * v + 3]:
+        own = {t.name(0) for t in terms if isinstance(t, NoiseTerm)}
+        drift = sum((noise.amplitudes[name] * noise.densities[name] for name in noise.densities if name in own), 0.0)
+        rest = (noise.power - drift)[:count]
+        if float(rest.max()) > _FLAT * float(rest.min()):
+            return 0.0
+        power.append(float(rest.mean()))
+    means = series[: count * width].reshape(count, width, 3).mean(axis=1)
+    gain, jumps = two_levels(means, np.array(power) / width)
+    return float(gain.sum()) if ((jumps > _JUMPS) & (gain > _BETTER)).any() else 0.0
+
+
+def two_levels(x: Array, variance: Array) -> tuple[Array, Array]:
+    """Of each column of `x` (n, p) twice the log-likelihood ratio of a Markov chain of two levels against zero.
+
+    Beside it (p,) the expected number of jumps. `variance` (p,): of the white noise. Levels and chances of a jump are
+    estimated (Baum & Welch; Rabiner 1989, III).
+    """
+    middle, spread = x.mean(axis=0), np.maximum(x.std(axis=0), 1e-300)
+    best, jumps = np.full(x.shape[1], -np.inf), np.zeros(x.shape[1])
+    for start in _STARTS:
+        levels = np.stack([middle - spread, middle + spread], axis=1)
+        jump = np.full((x.shape[1], 2), start)
+        before = np.full(x.shape[1], -np.inf)
+        for _ in range(_ROUNDS):
+            log_likelihood, levels, jump, expected = _round(x, variance, levels, jump)
+            if np.all(log_likelihood - before < _SETTLED):
+                break
+            before = log_likelihood
+        jumps = np.where(2.0 * log_likelihood > best, expected, jumps)
+        best = np.maximum(best, 2.0 * log_likelihood)
+    return best, jumps
+
+
+def _round(x: Array, variance: Array, levels: Array, jump: Array) -> tuple[Array, Array, Array, Array]:
+    """One round of Baum and Welch: the log-likelihood at `levels` and `jump` (p, 2), the next of both, the jumps."""
+    exponent = 0.5 * (x[..., None] ** 2 - (x[..., None] - levels) ** 2) / variance[:, None]
+    top = exponent.max(axis=2, keepdims=True)
+    emission = np.exp(exponent - top)
+    moves = np.stack([np.stack([1.0 - jump[:, 0], jump[:, 0]], -1), np.stack([jump[:, 1], 1.0 - jump[:, 1]], -1)], -2)
+    steps = moves * emission[:, :, None, :]
+    first = jump[:, ::-1] / jump.sum(axis=1, keepdims=True) * emission[0]
+    opened = steps.copy()
+    opened[0] = first[:, None, :] * np.array([[1.0], [0.0]])
+    forward, scale = _products(opened)
+    alpha = forward[:, :, 0, :]
+    log_likelihood = scale[-1] + np.log(alpha[-1].sum(axis=-1)) + top[:, :, 0].sum(axis=0)
+    beta = np.ones_like(alpha)
+    beta[:-1] = _products(np.swapaxes(steps[:0:-1], 2, 3))[0][::-1].sum(axis=2)
+    state = alpha * beta
+    state /= state.sum(axis=-1, keepdims=True)
+    pairs = alpha[:-1, :, :, None] * steps[1:] * beta[1:, :, None, :]
+    pairs /= pairs.sum(axis=(2, 3), keepdims=True)
+    levels = (state * x[..., None]).sum(axis=0) / np.maximum(state.sum(axis=0), 1e-9)
+    stays = np.maximum(state[:-1].sum(axis=0), 1e-9)
+    jumps = np.stack([pairs[:, :, 0, 1].sum(axis=0), pairs[:, :, 1, 0].sum(axis=0)], axis=1)
+    return log_likelihood, levels, np.clip(jumps / stays, _RARE, _OFTEN), jumps.sum(axis=1)
+
+
+def _products(steps: Array) -> tuple[Array, Array]:
+    """Of matrices (n, p, 2, 2) all products from the first on, their largest entries one, and their log scales (n, p).
+
+    By doubling (Hillis & Steele 1986): log2(n) steps over whole arrays instead of n over small ones.
+    """
+    products, scale, reach = steps, np.zeros(steps.shape[:2]), 1
+    while reach < len(steps):
+        longer = products[:-reach] @ products[reach:]
+        size = longer.max(axis=(2, 3))
+        scale = np.concatenate([scale[:reach], scale[:-reach] + scale[reach:] + np.log(size)])
+        products = np.concatenate([products[:reach], longer / size[..., None, None]])
+        reach *= 2
+    return products, scale
