@@ -437,18 +437,30 @@ def modulation(model: Model, axis: int, envelope: Array, density: Array) -> floa
 
 
 def widest(hypothesis: Hypothesis, model: Model) -> tuple[Trace, int]:
-    """The trace, and the index of the series, that show most of it."""
-    effect_is_noise = isinstance(hypothesis.effect, NoiseEffect)
-    best: tuple[float, Trace, int] | None = None
-    for v, view in enumerate(model.setting.views):
-        if not hypothesis.touches(view):
-            continue
-        for i, weight in view.weights.items():
-            if i in hypothesis.instances and (best is None or abs(weight) > best[0]):
-                whole = hypothesis.fast or effect_is_noise
-                best = (abs(weight), (view.whole if whole else view).traces[i], v)
-    assert best is not None
-    return best[1], best[2]
+    """The trace, and the index of the series, that show most of it: of several alike the one with most left over.
+
+    What is sought may have been in one block only.
+    """
+    found = [
+        (abs(weight), v, i)
+        for v, view in enumerate(model.setting.views)
+        if hypothesis.touches(view)
+        for i, weight in view.weights.items()
+        if i in hypothesis.instances
+    ]
+    most = max(weight for weight, _, _ in found)
+    alike = [(v, i) for weight, v, i in found if weight == most]
+    v, i = alike[0] if len(alike) == 1 else max(alike, key=lambda one: _loudness(model, one[0]))
+    view = model.setting.views[v]
+    whole = hypothesis.fast or isinstance(hypothesis.effect, NoiseEffect)
+    return (view.whole if whole else view).traces[i], v
+
+
+def _loudness(model: Model, v: int) -> float:
+    """What a series has left over for its noise, in both bands."""
+    views = model.setting.views
+    bands = [v, v + 1] if v + 1 < len(views) and views[v + 1].first else [v]
+    return max(float((model.weight[a] * model.y[a] ** 2).mean()) for b in bands for a in range(3 * b, 3 * b + 3))
 
 
 def unexplained(model: Model, v: int, trace: Trace) -> Array:

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from calib.gap.attribution import Attribution
 from calib.gap.effects.noise import DRIFTS
+from calib.gap.likelihood import fit_amplitudes
 from calib.gap.model import Model, NoiseTerm, Term, predicted, starting_model
-from calib.gap.noise_fit import refitted, starting_noise
+from calib.gap.noise_fit import noise_rows, refitted, starting_noise
 from calib.gap.views import View
 from calib.recording import Sensor
 
@@ -49,18 +50,23 @@ def switching(model: Model, attributions: Sequence[Attribution]) -> tuple[Switch
     """Effects of a model, alone or all of a sensor together, that stand for jumps to and fro."""
     found: list[Switching] = []
     for v, view in enumerate(model.setting.views):
-        if view.first or view.count < _FEWEST:
+        if view.first or view.count < _FEWEST or _turned(model, v):
             continue
-        places = [(term, a) for a in attributions if (term := _slow(model, a.key, view)) is not None]
-        better = [(a.key,) for term, a in places if _gain(model, v, [term]) - a.gain > _BETTER]
+        places = [(term, a.key) for a in attributions if (term := _slow(model, a.key, view)) is not None]
+        better = [(key,) for term, key in places if _gain(model, v, [term]) - _own(model, v, term) > _BETTER]
         text = f"jumps to and fro between two levels on {view.sensor.value}"
         found += (Switching(keys, text) for keys in better)
         alone = sum(other.sensor is view.sensor for other in model.setting.views) == 1
         if not better and len(places) > 1 and alone:
             together = _gain(model, v, [term for term, _ in places])
             if together - _worth(model, view.sensor) > _BETTER:
-                found.append(Switching(tuple(a.key for _, a in places), text))
+                found.append(Switching(tuple(key for _, key in places), text))
     return tuple(found)
+
+
+def _turned(model: Model, v: int) -> bool:
+    """Whether the error of the reference is a part of the model there: any levels would be its own."""
+    return model.ridge is not None and any(3 * v + c in model.ridge.columns.parts for c in range(3))
 
 
 def _slow(model: Model, key: Key, view: View) -> Term | NoiseTerm | None:
@@ -69,6 +75,22 @@ def _slow(model: Model, key: Key, view: View) -> Term | NoiseTerm | None:
     if term is None or not term.hypothesis.touches(view):
         return None
     return term if isinstance(term, Term) or term.hypothesis.effect.id.endswith(DRIFTS) else None
+
+
+def _own(model: Model, v: int, term: Term | NoiseTerm) -> float:
+    """Twice the log-likelihood of a term on series `v`, the others being as they are."""
+    view = model.setting.views[v]
+    if isinstance(term, Term):
+        left = model.residual[v]
+        square = view.spectra(left + predicted(term, view)) ** 2 - view.spectra(left) ** 2
+        return float((square / np.array([noise.power for noise in model.noise[3 * v : 3 * v + 3]])).sum())
+    gain = 0.0
+    for a in range(3 * v, 3 * v + 3):
+        counts, power, base, rows = noise_rows(model, a, term.name(0))
+        drift = model.setting.bins[v].mean(model.noise[a].densities[term.name(0)])
+        bare, full = (fit_amplitudes(power, counts, base, densities) for densities in (rows, [*rows, drift]))
+        gain += bare.deviance - full.deviance
+    return gain
 
 
 def _worth(model: Model, sensor: Sensor) -> float:

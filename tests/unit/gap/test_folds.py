@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from calib.gap.contest import Beside, Contest
 from calib.gap.effects import forward_models
 from calib.gap.folds import carried, expected_gain, folds_of, foretold, joined, log_loss
 from calib.gap.hypotheses import Hypothesis
@@ -50,6 +51,22 @@ def test_noise_that_nobody_declared_keeps_its_axis_too():
         test = carried(train, fold.test)
         power = np.array([test.noise[c].power.mean() for c in range(3)])
         assert np.sqrt(power) == pytest.approx(SIGMA[Sensor.GYRO] * np.hypot(1.0, LOUD), rel=0.15)
+
+
+def shaken(trace):
+    """A vibration of which only the third quarter of the recording knows."""
+    during = (trace.t > 20.0) & (trace.t < 30.0)
+    wave = 10.0 * SIGMA[trace.sensor] * np.sin(2.0 * np.pi * 17.0 * trace.t) * during
+    return wave[:, None] * np.ones(3)
+
+
+def test_a_vibration_is_sought_in_the_block_that_has_it():
+    # The first of the blocks that remain is still: its four strongest frequencies are chance.
+    line = Hypothesis(forward_models()["gyro_vibration"][-1], (0,))
+    model = refitted(folds(4, shaken)[1].train).model
+    score = Contest(()).score(line, Beside(model))
+    assert score.theta == pytest.approx(17.0, abs=0.5)
+    assert score.gain > 1000.0
 
 
 def test_the_right_axis_has_the_smaller_loss():

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 
 import numpy as np
 import pytest
 
 from calib.gap.attribution import Attribution
+from calib.gap.diagnose import diagnose
 from calib.gap.effects import forward_models
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.model import NoiseTerm, setting_of, starting_model
@@ -16,6 +18,7 @@ from calib.gap.problem import Problem, ReferenceInfo, ReferenceKind, Trace
 from calib.gap.switching import switching, two_levels
 from calib.gap.views import views_of
 from calib.recording import Sensor
+from tests.unit.gap.synthetic import SIGMA, problem_of
 
 G, FS, N, SD = Sensor.GYRO, 50.0, 3500, 0.003
 WALK = ("gyro_random_walk", (0,))
@@ -69,6 +72,29 @@ def test_an_effect_that_the_sensor_does_not_have_is_not_asked():
     model, (walk,) = drifting(change)
     assert switching(model, ()) == ()
     assert [s.keys for s in switching(model, (walk,))] == [(WALK,)]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_follows_motors_that_are_switched_is_theirs_beside_a_relative_as_well(seed):
+    # Two effects that imitate each other: what one of them gains as the last is little, what it does is much.
+    rng = np.random.default_rng(seed)
+    problem = problem_of(rng, (G,))
+    (trace,) = problem.traces
+    on = (np.floor(trace.t / 5.0) % 2 == 1).astype(float)
+    tilted = np.column_stack([4.0 * on, -2.0 * on, -9.8 + 0.0 * on]) + 0.6 * np.sin(
+        0.9 * trace.t[:, None] + [0.0, 1.0, 2.0]
+    )
+    change = SIGMA[G] * (1.5 * on[:, None] * [0.6, -0.6, 0.5] + 0.3 * tilted)
+    trace = dataclasses.replace(
+        trace,
+        measured=trace.measured + change,
+        force=tilted,
+        throttle=0.6 * on,
+        motors=np.repeat(0.6 * on[:, None], 4, axis=1),
+    )
+    report = diagnose(dataclasses.replace(problem, traces=(trace,)), nested=False)
+    assert "two levels" not in report.unknown.shape
+    assert report.effects
 
 
 def test_likelihood_of_two_levels_is_that_of_all_paths():
