@@ -6,9 +6,8 @@ after the filter and is not shaped. Only the form counts, not the level: a quiet
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.gap.effects.base import MeanEffect
 from calib.gap.hypotheses import Hypothesis
@@ -16,10 +15,13 @@ from calib.gap.model import Model
 from calib.gap.noise_fit import declared
 from calib.recording import Sensor
 
+Array = NDArray[np.float64]
+
 _ABOVE = 0.25
 """Share of the Nyquist frequency below which what is left may be movement."""
 _LEAST = 1e-6
 """Part of the noise that any filter leaves: digits."""
+_TINY = 1e-300
 
 
 def shaped(model: Model, sensor: Sensor) -> float:
@@ -34,37 +36,38 @@ def shaped(model: Model, sensor: Sensor) -> float:
 def told_by_noise(hypothesis: Hypothesis, theta: float, model: Model) -> float:
     """Twice the log-likelihood that is gained if the noise went through a filter as well; 0 where none is declared.
 
-    Noise that was learned from this recording alone has the filter in it already, and differences of instances have
-    the noise of both.
+    In the likeliest of the ways in which it may have done so. Noise that was learned from this recording alone has the
+    filter in it already, and differences of instances have the noise of both.
     """
     effect = hypothesis.effect
     if not isinstance(effect, MeanEffect) or effect.noise_gain is None:
         return 0.0
-    sums: dict[tuple[str, int], list[tuple[float, float, float, float]]] = {}
+    pieces: dict[tuple[str, int], list[Array]] = {}
     for v, view in enumerate(model.setting.views):
         if view.sensor is not effect.sensor or tuple(view.weights) != hypothesis.instances or declared(view) is None:
             continue
-        bins, trace = model.setting.bins[v], view.whole.any_trace
-        fast = bins.mean(view.omega) > _ABOVE * np.pi
-        if not fast.any():
-            continue
-        gain = np.maximum(effect.noise_gain(trace, view.omega, theta), _LEAST)
-        rounding = view.gain * trace.quantum**2 / 12.0
+        gains = np.maximum(effect.noise_gain(view.whole.any_trace, view.omega, theta), _LEAST)
         for c in range(3):
-            power = model.noise[3 * v + c].power
-            plain = bins.mean(power)[fast]
-            shaped = bins.mean(np.maximum(power - rounding, 0.0) * gain + np.minimum(rounding, power))[fast]
-            squares, count = model.periodogram(3 * v + c)[fast], bins.counts[fast]
-            sums.setdefault((view.label, c), []).append(
-                (
-                    float(count.sum()),
-                    float(count @ np.log(plain / shaped)),
-                    float((squares / plain).sum()),
-                    float((squares / shaped).sum()),
-                )
-            )
-    total = 0.0
-    for pieces in sums.values():
-        count, logs, before, after = np.sum(pieces, axis=0)
-        total += float(logs + count * math.log(before / after))
-    return total
+            pieces.setdefault((view.label, c), []).append(_compared(model, v, c, gains))
+    told = [_told(np.sum(parts, axis=0)) for parts in pieces.values()]
+    return float(np.sum(told, axis=0).max()) if told else 0.0
+
+
+def _compared(model: Model, v: int, c: int, gains: Array) -> Array:
+    """Of axis `c` of series `v` beside filters (R, K): numbers, log ratios, and misfit without and with, (R, 4)."""
+    view, bins = model.setting.views[v], model.setting.bins[v]
+    fast = bins.mean(view.omega) > _ABOVE * np.pi
+    power = model.noise[3 * v + c].power
+    rounding = view.gain * view.whole.any_trace.quantum**2 / 12.0
+    filtered = np.maximum(power - rounding, 0.0) * gains + np.minimum(rounding, power)
+    plain, shaped = bins.mean(power)[fast], bins.mean(filtered)[:, fast]
+    squares, count = model.periodogram(3 * v + c)[fast], bins.counts[fast]
+    rows = np.ones(len(gains))
+    logs, after = np.log(plain / shaped) @ count, (squares / shaped).sum(axis=1)
+    return np.stack([count.sum() * rows, logs, (squares / plain).sum() * rows, after], axis=1)
+
+
+def _told(compared: Array) -> Array:
+    """Twice the log-likelihood ratio (R,), the level of the noise being free on either side."""
+    count, logs, before, after = compared.T
+    return np.where(count > 0.0, logs + count * np.log(np.maximum(before, _TINY) / np.maximum(after, _TINY)), 0.0)

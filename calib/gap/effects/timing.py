@@ -29,6 +29,7 @@ _SHORTEST = 0.125  # samples, delay
 _DELAYS = 4  # of each sign
 _CUTOFFS = 9  # that are tried
 _FASTEST = 8.0  # cut-off over sampling rate
+_FOLDS = 20  # of a faster rate's noise: the rest is flat
 _DRIFTS = 3  # of each sign
 _LARGEST_DRIFT = 5e-3  # clocks without a crystal
 _LEAST_SHIFT = 1e-3  # s at the end of the recording, of the smallest drift to try
@@ -82,10 +83,15 @@ def low_pass_column(trace: Trace, cutoff: float) -> Array:
 
 
 def low_pass_gain(trace: Trace, omega: Array, cutoff: float) -> Array:
-    """``|H|^2`` of the filter at `omega`, rad per sample."""
+    """``|H|^2`` of the filter at `omega` (K,), rad per sample, (2, K): of noise at the rate of the log, and of faster.
+
+    A sensor that filters at a higher rate than it is logged at folds what is left beyond half the rate of the log back.
+    """
     order = 1 + _nearer(trace, _filtered_less_ideal(trace, cutoff))
-    ratio = omega * trace.fs / (2.0 * np.pi * cutoff)
-    return np.asarray(1.0 / (1.0 + ratio ** (2 * order)), dtype=np.float64)
+    folds = 2.0 * np.pi * np.arange(-_FOLDS, _FOLDS + 1)[:, None]
+    ratio = np.abs(omega + folds) * trace.fs / (2.0 * np.pi * cutoff)
+    gains = 1.0 / (1.0 + ratio ** (2 * order))
+    return np.stack([gains[_FOLDS], gains.sum(axis=0)])
 
 
 def _filtered_less_ideal(trace: Trace, cutoff: float) -> tuple[Array, Array]:

@@ -103,7 +103,7 @@ def _check(effect, trace):
                     for axis in range(3):
                         np.testing.assert_array_equal(columns[3 * q + axis, :, axis], signal)
             if effect.noise_gain is not None:
-                assert (effect.noise_gain(trace, omega, theta) <= 1.0).all()
+                assert (effect.noise_gain(trace, omega, theta)[0] <= 1.0).all()
         elif isinstance(effect, NoiseEffect):
             density = effect.density(trace, omega, theta)
             assert density.shape == (len(effect.parameters) // 3, n)
