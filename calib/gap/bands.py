@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import idct, prev_fast_len
+from scipy.fft import idct
 
-from calib.gap.likelihood import transform
+from calib.gap.likelihood import fast_length, transform
 from calib.gap.problem import Trace
 from calib.gap.views import View
 
@@ -63,7 +63,7 @@ def _bands(view: View, slow: dict[tuple[int, int], Trace]) -> tuple[View, ...]:
     duration = whole / fs
     rate = max(_LOWEST_HZ, min(_RATE_HZ, _SAMPLES / duration))
     while whole >= _LONG and rate < 0.5 * fs:
-        m = int(prev_fast_len(round(whole * rate / fs), real=True))
+        m = fast_length(round(whole * rate / fs))
         if _still(view, m / whole):
             return _split(view, m, slow)
         rate *= 2.0
@@ -72,7 +72,7 @@ def _bands(view: View, slow: dict[tuple[int, int], Trace]) -> tuple[View, ...]:
 
 def _shorter(view: View, slow: dict[tuple[int, int], Trace]) -> View:
     """Without the last few samples: a length that transforms fast."""
-    n = int(prev_fast_len(len(view.keep), real=True))
+    n = fast_length(len(view.keep))
     keep = view.keep[:n]
     rows = int(keep.sum())
     if rows == view.n:

@@ -8,11 +8,10 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import prev_fast_len
 
 from calib.gap.bands import resampled
 from calib.gap.effects.base import Effect, MeanEffect, NoiseEffect
-from calib.gap.likelihood import transform
+from calib.gap.likelihood import fast_length, transform
 from calib.gap.problem import Trace
 from calib.gap.views import View
 
@@ -162,7 +161,7 @@ class Frame:
     @property
     def size(self) -> int:
         """Bins: a length that transforms fast; the last few samples are left to the noise."""
-        return int(prev_fast_len(self.n // self.factor, real=True))
+        return fast_length(self.n // self.factor)
 
     def power(self, S: Array) -> Array:
         """Power of the averages, folded, from the power (n,) of the samples."""

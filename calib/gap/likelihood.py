@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +22,26 @@ _SINGLE = 48
 """Lowest bins of the periodogram that stay apart."""
 _MERGED = 900
 """Number of bins, evenly spaced in log frequency, into which the others are merged."""
+_PRIMES = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31)
 _FIRST = np.sqrt(3.0) / np.pi
 """Where a power law is evaluated for the bin of the mean: a random walk from 0 over n samples has n^2 / 3 there."""
+
+
+@lru_cache(maxsize=256)
+def fast_length(n: int) -> int:
+    """The largest length up to `n` that transforms fast: without a prime factor above 31.
+
+    They are dense: of 14 000 samples at most 36 are lost. Of the lengths with factors 2, 3 and 5 alone it would be a second
+    of a minute, and what grows to the end of a recording has a tenth of its energy there.
+    """
+    for length in range(n, 0, -1):
+        rest = length
+        for prime in _PRIMES:
+            while rest % prime == 0:
+                rest //= prime
+        if rest == 1:
+            return length
+    return n
 
 
 def transform(series: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -42,6 +43,20 @@ def test_gain_beside_another_effect_is_the_ratio_of_least_squares():
         return float(((y - A @ np.linalg.lstsq(A, y, rcond=None)[0]) ** 2).sum())
 
     assert gain == pytest.approx(left(X[0]) - left(np.hstack(X)), rel=1e-6)
+
+
+def test_what_grows_to_the_end_of_a_recording_counts_to_its_end():
+    # Of the samples that noise is fitted to the mean may leave out next to nothing, or a drift is called noise.
+    rng = np.random.default_rng(5)
+    problem = problem_of(rng, (Sensor.ACCEL,))
+    (trace,) = problem.traces
+    kept = np.arange(len(trace.t)) < 1993  # a prime
+    late = SIGMA[Sensor.ACCEL] * np.exp((trace.t - trace.t[-1]) / 1.0)[:, None] * [3.0, 0.0, 0.0]
+    trace = dataclasses.replace(trace, measured=trace.measured + late, observed=kept)
+    setting = setting_of(views_of(dataclasses.replace(problem, traces=(trace,)), {}, {}))
+    model = starting_model(setting, starting_noise(setting))
+    energy = sum(float(w @ y**2) for w, y in zip(model.weight, model.y, strict=True))
+    assert energy == pytest.approx(float(((trace.residual[kept] / SIGMA[Sensor.ACCEL]) ** 2).sum()), rel=0.015)
 
 
 def test_chances_are_uniform_where_there_is_no_gap():

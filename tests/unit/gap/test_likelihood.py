@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.gap.likelihood import bins_of, fit_amplitudes, frequencies, random_walk, transform
+from calib.gap.likelihood import bins_of, fast_length, fit_amplitudes, frequencies, random_walk, transform
 
 
 def test_the_transform_of_a_random_walk_has_the_stated_power():
@@ -64,3 +64,13 @@ def test_nothing_to_fit_is_the_loss_of_the_base():
     found = fit_amplitudes(counts * base, counts, base, [])
     assert found.deviance == pytest.approx(float(counts @ np.log(base) + counts.sum()))
     assert found.amplitudes.shape == (0,)
+
+
+@pytest.mark.parametrize("n", [1, 37, 1993, 6999, 14_000, 13_999, 41_003])
+def test_next_to_nothing_is_lost_to_a_length_that_transforms_fast(n):
+    length = fast_length(n)
+    assert 0.993 * n - 1 < length <= n
+    for prime in (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31):
+        while length % prime == 0:
+            length //= prime
+    assert length == 1
