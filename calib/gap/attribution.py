@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from calib.gap.contest import Beside, Contest, Score, exactly, existing, fixed_score, noise_score, priced
 from calib.gap.effects.base import NoiseEffect
 from calib.gap.effects.noise import DRIFTS
+from calib.gap.evidence import price_of_kind
 from calib.gap.filtered import told_by_noise
 from calib.gap.hypotheses import Columns, Hypothesis, columns_of
 from calib.gap.model import Model, NoiseTerm, Term, refined
@@ -46,7 +47,8 @@ _STANDS_IN = 0.8
 _NEAR = 12.0
 _SAME = 0.98
 _FAR = 40.0
-"""Rivals are listed within `_NEAR`, or within 2 % of the evidence, but not beyond `_FAR`."""
+"""Rivals are listed within `_NEAR`, or within 2 % of the evidence, but not beyond `_FAR`; what pays for fitting
+anything of its kind (wandering noise) as far beyond as it pays."""
 _EVEN = 0.5
 """Probability of what has no name from which on it is likelier than every name together."""
 _CLEARLY = 1.0
@@ -87,14 +89,19 @@ def settled(chosen: Chosen, contest: Contest, alpha: float) -> tuple[Chosen, tup
         swap = _better(held, level)
         if swap is None:
             break
-        old, new = swap
-        model = with_score(without(chosen.model, old), new)
-        model, joint, noise = fitted(model)
-        scores = (*(s for s in chosen.scores if s.hypothesis.key != old), new)
-        chosen = grown(replace(chosen, model=model, joint=joint, noise=noise, scores=scores), contest, level)
+        other = _exchanged(chosen, *swap)
+        if objective(other) >= objective(chosen):
+            break  # by itself it looked better than it fits together with the others
+        chosen = grown(other, contest, level)
     else:
         held = {term.hypothesis.key: _alternatives(chosen, contest, term) for term in chosen.model.members}
     return chosen, _attributed(chosen, contest, held)
+
+
+def _exchanged(chosen: Chosen, old: Key, new: Score) -> Chosen:
+    model, joint, noise = fitted(with_score(without(chosen.model, old), new))
+    scores = (*(s for s in chosen.scores if s.hypothesis.key != old), new)
+    return replace(chosen, model=model, joint=joint, noise=noise, scores=scores)
 
 
 def steadily(chosen: Chosen, start: Model, contest: Contest, alpha: float) -> Chosen:
@@ -235,7 +242,7 @@ def _judged(own: Hypothesis, own_delta: float, others: Sequence[Alternative]) ->
             same.append(weight)  # the same name in another form
         else:
             (unknown if is_unknown else weights).append(weight)
-        near = max(_NEAR, min((1.0 - _SAME) * own_delta, _FAR))
+        near = max(_NEAR, min((1.0 - _SAME) * own_delta, _FAR)) + price_of_kind(other.score.hypothesis.effect.id)
         if not is_unknown and other.score.hypothesis.effect.id != own.effect.id and delta < near:
             rivals.append(Rival(other.score.hypothesis.effect.id, other.kappa, delta, own.effect.fix))
     best: dict[str, Rival] = {}

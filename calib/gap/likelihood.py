@@ -31,8 +31,8 @@ _FIRST = np.sqrt(3.0) / np.pi
 def fast_length(n: int) -> int:
     """The largest length up to `n` that transforms fast: without a prime factor above 31.
 
-    They are dense: of 14 000 samples at most 36 are lost. Of the lengths with factors 2, 3 and 5 alone it would be a second
-    of a minute, and what grows to the end of a recording has a tenth of its energy there.
+    They are dense: of 14 000 samples at most 36 are lost. Of the lengths with factors 2, 3 and 5 alone it would be a
+    second of a minute, and what grows to the end of a recording has a tenth of its energy there.
     """
     for length in range(n, 0, -1):
         rest = length

@@ -6,7 +6,7 @@ tells it from both is that only two levels occur: each axis is a Markov chain of
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,11 +14,9 @@ from numpy.typing import NDArray
 
 from calib.gap.attribution import Attribution
 from calib.gap.effects.noise import DRIFTS
-from calib.gap.likelihood import fit_amplitudes
-from calib.gap.model import Model, NoiseTerm, Term, predicted, starting_model
-from calib.gap.noise_fit import noise_rows, refitted, starting_noise
+from calib.gap.likelihood import Noise
+from calib.gap.model import Model, NoiseTerm, Term, predicted
 from calib.gap.views import View
-from calib.recording import Sensor
 
 Array = NDArray[np.float64]
 Key = tuple[str, tuple[int, ...]]
@@ -53,14 +51,11 @@ def switching(model: Model, attributions: Sequence[Attribution]) -> tuple[Switch
         if view.first or view.count < _FEWEST or _turned(model, v):
             continue
         places = [(term, a.key) for a in attributions if (term := _slow(model, a.key, view)) is not None]
-        better = [(key,) for term, key in places if _gain(model, v, [term]) - _own(model, v, term) > _BETTER]
+        better: list[tuple[Key, ...]] = [(key,) for term, key in places if _better(model, v, [term])]
+        if not better and len(places) > 1 and _better(model, v, [term for term, _ in places]):
+            better = [tuple(key for _, key in places)]
         text = f"jumps to and fro between two levels on {view.sensor.value}"
         found += (Switching(keys, text) for keys in better)
-        alone = sum(other.sensor is view.sensor for other in model.setting.views) == 1
-        if not better and len(places) > 1 and alone:
-            together = _gain(model, v, [term for term, _ in places])
-            if together - _worth(model, view.sensor) > _BETTER:
-                found.append(Switching(tuple(key for _, key in places), text))
     return tuple(found)
 
 
@@ -77,46 +72,28 @@ def _slow(model: Model, key: Key, view: View) -> Term | NoiseTerm | None:
     return term if isinstance(term, Term) or term.hypothesis.effect.id.endswith(DRIFTS) else None
 
 
-def _own(model: Model, v: int, term: Term | NoiseTerm) -> float:
-    """Twice the log-likelihood of a term on series `v`, the others being as they are."""
+def _better(model: Model, v: int, terms: Sequence[Term | NoiseTerm]) -> bool:
+    """Whether two levels on each axis of series `v` are far likelier than `terms`, the others being as they are."""
     view = model.setting.views[v]
-    if isinstance(term, Term):
-        left = model.residual[v]
-        square = view.spectra(left + predicted(term, view)) ** 2 - view.spectra(left) ** 2
-        return float((square / np.array([noise.power for noise in model.noise[3 * v : 3 * v + 3]])).sum())
-    gain = 0.0
-    for a in range(3 * v, 3 * v + 3):
-        counts, power, base, rows = noise_rows(model, a, term.name(0))
-        drift = model.setting.bins[v].mean(model.noise[a].densities[term.name(0)])
-        bare, full = (fit_amplitudes(power, counts, base, densities) for densities in (rows, [*rows, drift]))
-        gain += bare.deviance - full.deviance
-    return gain
-
-
-def _worth(model: Model, sensor: Sensor) -> float:
-    """Twice the log-likelihood of all effects of a sensor."""
-    bare = refitted(starting_model(model.setting, starting_noise(model.setting), model.ridge)).deviance
-    full = refitted(model).deviance
-    return sum(bare[key] - full[key] for key in bare if key[0] is sensor)
-
-
-def _gain(model: Model, v: int, terms: Iterable[Term | NoiseTerm]) -> float:
-    """Twice the log-likelihood of two levels on each axis of series `v` in the place of `terms`."""
-    view, terms = model.setting.views[v], tuple(terms)
     series = model.residual[v] + sum(predicted(t, view) for t in terms if isinstance(t, Term))
+    drifts = {t.name(0) for t in terms if isinstance(t, NoiseTerm)}
+    full = np.array([noise.power for noise in model.noise[3 * v : 3 * v + 3]])
+    rest = np.array([_without(noise, drifts) for noise in model.noise[3 * v : 3 * v + 3]])
+    bare = np.log(rest) + view.spectra(series) ** 2 / rest
+    own = float((bare - np.log(full) - view.spectra(model.residual[v]) ** 2 / full).sum())
     width = -(-len(series) // _WINDOWS)
     count = len(series) // width
-    power = []
-    for noise in model.noise[3 * v : 3 * v + 3]:
-        own = {t.name(0) for t in terms if isinstance(t, NoiseTerm)}
-        drift = sum((noise.amplitudes[name] * noise.densities[name] for name in noise.densities if name in own), 0.0)
-        rest = (noise.power - drift)[:count]
-        if float(rest.max()) > _FLAT * float(rest.min()):
-            return 0.0
-        power.append(float(rest.mean()))
+    slow = rest[:, :count]
+    if (slow.max(axis=1) > _FLAT * slow.min(axis=1)).any():
+        return False
     means = series[: count * width].reshape(count, width, 3).mean(axis=1)
-    gain, jumps = two_levels(means, np.array(power) / width)
-    return float(gain.sum()) if ((jumps > _JUMPS) & (gain > _BETTER)).any() else 0.0
+    gain, jumps = two_levels(means, slow.mean(axis=1) / width)
+    return bool(((jumps > _JUMPS) & (gain > _BETTER)).any()) and float(gain.sum()) > own + _BETTER
+
+
+def _without(noise: Noise, names: Collection[str]) -> Array:
+    """The power of noise without densities."""
+    return noise.power - sum((noise.amplitudes[name] * noise.densities[name] for name in names), 0.0)
 
 
 def two_levels(x: Array, variance: Array) -> tuple[Array, Array]:
