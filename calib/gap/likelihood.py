@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +64,7 @@ class Bins:
         return self.total(values) / self.counts
 
 
+@lru_cache(maxsize=64)
 def bins_of(n: int) -> Bins:
     """Bins for the transform of `n` samples."""
     upper = np.unique(np.geomspace(_SINGLE, n, _MERGED).astype(np.intp)) if n > _SINGLE else np.zeros(0, np.intp)
