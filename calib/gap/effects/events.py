@@ -52,9 +52,13 @@ def likeliest(trace: Trace, residual: Array) -> Array:
     total = np.vstack([np.zeros(3), np.cumsum(y, axis=0)])
     noise = np.maximum(np.diff(y, axis=0).var(axis=0), np.finfo(float).tiny)
     found: list[int] = []
+    known: dict[tuple[int, int], tuple[float, int]] = {}
     for _ in range(_CANDIDATES):
-        edges = [0, *sorted(found), n]
-        best = max(_split(count, total, noise, start, end, max(first, 1)) for start, end in pairwise(edges))
+        pieces = list(pairwise([0, *sorted(found), n]))
+        for start, end in pieces:
+            if (start, end) not in known:
+                known[start, end] = _split(count, total, noise, start, end, max(first, 1))
+        best = max(known[piece] for piece in pieces)
         if best[0] <= 0.0:
             break
         found.append(best[1])
