@@ -22,22 +22,23 @@ from calib.gap.bands import joined
 from calib.gap.effects.base import MeanEffect, NoiseEffect
 from calib.gap.evidence import evidence, price_of_fixed, price_of_kind, price_of_noise, price_of_search
 from calib.gap.filtered import shaped, told_by_noise
-from calib.gap.hypotheses import Columns, Hypothesis, columns_of
+from calib.gap.hypotheses import Columns, Hypothesis, Part, columns_of
+from calib.gap.kept import Kept
 from calib.gap.louder import Added, stands_out, tone_beside_lines, whose
 from calib.gap.model import (
     Model,
     Normal,
+    Ridge,
     Term,
     jacobian,
     misfit,
     normal_equations,
     refined,
-    slices_of,
-    solved,
     stacked,
     with_residual,
 )
 from calib.gap.noise_fit import AxisFit, axes_of, axis_fit, densities_of, extra_rows
+from calib.gap.normal import solved
 from calib.gap.problem import Trace
 from calib.recording import Sensor
 
@@ -118,33 +119,22 @@ class Beside:
         self.model = model
         self.omit = tuple(omit)
         blocks = [jacobian(t, model.setting) for i, t in enumerate(model.terms) if i not in omit]
-        if model.ridge is not None:
-            blocks.append(model.ridge.columns)
-        self._blocks = blocks
-        self._slices = slices_of(blocks)
-        own = [b for b in blocks if model.ridge is None or b is not model.ridge.columns]
-        normal: Normal = normal_equations(own, model.y, model.weight, model.ridge)
+        normal: Normal = normal_equations(blocks, model.y, model.weight, model.ridge)
         self._solution, self.covariance, _ = solved(normal.gram, normal.right)
         self._right = normal.right
-        self._weighted = [
-            (index, X * model.weight[a] if len(index) else X)
-            for a in range(len(model.y))
-            for index, X in [stacked(blocks, self._slices, a)]
-        ]
+        self._own = [_own_on(a, blocks, normal.slices, model.ridge) for a in range(len(model.y))]
 
     def projected(self, columns: Columns) -> tuple[Array, Array, Array]:
         """Gram matrix, right side and original energies of `columns` with the model's own columns taken out."""
         p = columns.p
-        gram, right, cross = np.zeros((p, p)), np.zeros(p), np.zeros((p, len(self._right)))
+        gram, right = np.zeros((p, p)), np.zeros(p)
+        weighted = self._weighted(columns)
         for a, part in columns.parts.items():
-            weighted = part.X * self.model.weight[a]
-            gram[np.ix_(part.index, part.index)] += weighted @ part.X.T
-            right[part.index] += weighted @ self.model.y[a]
-            index, own = self._weighted[a]
-            if len(index):
-                cross[np.ix_(part.index, index)] += part.X @ own.T
+            gram[part.index[:, None], part.index] += weighted[a] @ part.X.T
+            right[part.index] += weighted[a] @ self.model.y[a]
         energy = np.diag(gram).copy()
         if len(self._right):
+            cross = self._with_own(columns, weighted)
             gram -= cross @ self.covariance @ cross.T
             right -= cross @ self._solution
         return gram, right, energy
@@ -152,19 +142,21 @@ class Beside:
     def cross(self, one: Columns, other: Columns) -> Array:
         """Products of two groups of columns with the model's own columns taken out, (p, q)."""
         total = np.zeros((one.p, other.p))
-        left, right = np.zeros((one.p, len(self._right))), np.zeros((other.p, len(self._right)))
-        for a, part in one.parts.items():
-            index, own = self._weighted[a]
-            if len(index):
-                left[np.ix_(part.index, index)] += part.X @ own.T
-            if a in other.parts:
-                rival = other.parts[a]
-                total[np.ix_(part.index, rival.index)] += (part.X * self.model.weight[a]) @ rival.X.T
-        for a, part in other.parts.items():
-            index, own = self._weighted[a]
-            if len(index):
-                right[np.ix_(part.index, index)] += part.X @ own.T
-        return np.asarray(total - left @ self.covariance @ right.T)
+        left, right = self._weighted(one), self._weighted(other)
+        for a in left.keys() & right.keys():
+            total[one.parts[a].index[:, None], other.parts[a].index] += left[a] @ other.parts[a].X.T
+        return np.asarray(total - self._with_own(one, left) @ self.covariance @ self._with_own(other, right).T)
+
+    def _weighted(self, columns: Columns) -> dict[int, Array]:
+        return {a: part.X * self.model.weight[a] for a, part in columns.parts.items()}
+
+    def _with_own(self, columns: Columns, weighted: Mapping[int, Array]) -> Array:
+        """Products of `weighted` columns with the model's own, (p, own)."""
+        cross = np.zeros((columns.p, len(self._right)))
+        for a, X in weighted.items():
+            for own in self._own[a]:
+                cross[columns.parts[a].index[:, None], own.index] += X @ own.X.T
+        return cross
 
     def gain(self, columns: Columns) -> Gain:
         """What a group of free columns would gain."""
@@ -173,10 +165,34 @@ class Beside:
         found = basis.T @ right
         return Gain(float(found @ found), basis.shape[1], basis @ found, evidence(gram, right, columns.units))
 
+    def free_gain(self, columns: Columns) -> float:
+        """The gain alone, which is all that a search for a shape asks for."""
+        gram, right, energy = self.projected(columns)
+        return _free_gain(gram, right, energy)
+
     def fixed_gain(self, columns: Columns) -> float:
         """The same for one column whose amplitude is one."""
-        gram, right, _ = self.projected(columns)
-        return float(2.0 * right[0] - gram[0, 0])
+        return self.free_and_fixed(columns)[1]
+
+    def free_and_fixed(self, columns: Columns) -> tuple[float, float]:
+        """What one column would gain with a free amplitude, and with one of one."""
+        gram, right, energy = self.projected(columns)
+        return _free_gain(gram, right, energy), float(2.0 * right[0] - gram[0, 0])
+
+
+def _own_on(axis: int, blocks: Sequence[Columns], slices: Sequence[slice], ridge: Ridge | None) -> list[Part]:
+    """Columns of a model on an axis: of its terms together, and of its ridge, which are too many to be copied."""
+    index, X = stacked(blocks, slices[: len(blocks)], axis)
+    found = [Part(index, X)] if len(index) else []
+    if ridge is not None and axis in ridge.columns.parts:
+        waves = ridge.columns.parts[axis]
+        found.append(Part(waves.index + slices[-1].start, waves.X))
+    return found
+
+
+def _free_gain(gram: Array, right: Array, energy: Array) -> float:
+    found = existing(gram, energy).T @ right
+    return float(found @ found)
 
 
 def existing(gram: Array, energy: Array) -> Array:
@@ -202,24 +218,23 @@ class Contest:
     """Scores of hypotheses against models of one setting; transformed columns are kept while they fit in memory."""
 
     def __init__(
-        self, hypotheses: Sequence[Hypothesis], budget: int = 40_000_000, floor: Mapping[Sensor, float] | None = None
+        self,
+        hypotheses: Sequence[Hypothesis],
+        budget: int = 40_000_000,
+        floor: Mapping[Sensor, float] | None = None,
+        kept: Kept | None = None,
     ) -> None:
         self.hypotheses = tuple(hypotheses)
         self.floor = dict(floor or {})
-        self._columns: dict[tuple[str, tuple[int, ...], float], Columns] = {}
-        self._left = budget
+        self._kept = Kept(budget) if kept is None else kept
+
+    def among(self, hypotheses: Sequence[Hypothesis]) -> Contest:
+        """A contest of other hypotheses on the same setting, which shares the columns that were made."""
+        return Contest(hypotheses, floor=self.floor, kept=self._kept)
 
     def columns(self, hypothesis: Hypothesis, theta: float, model: Model) -> Columns:
         """Transformed columns of `hypothesis`, kept."""
-        key = (*hypothesis.key, theta)
-        if key in self._columns:
-            return self._columns[key]
-        made = columns_of(hypothesis, theta, model.setting.views, model.setting.frames)
-        size = sum(part.X.size for part in made.parts.values())
-        if size <= self._left and math.isfinite(theta) <= (hypothesis.effect.shape is not None):
-            self._columns[key] = made
-            self._left -= size
-        return made
+        return self._kept.of(hypothesis, theta, model.setting)
 
     def score(self, hypothesis: Hypothesis, beside: Beside, *, refine: bool = True) -> Score:
         """What `hypothesis` would gain, at its best shape; without `refine` only of those on its grid."""
@@ -258,33 +273,29 @@ class Contest:
             tried = effect.shape.screen(trace, unexplained(beside.model, view, trace))
         if effect.fixed:
             return self._fixed_score(hypothesis, tried, beside, refine=refine)
-        gains = [self._at(hypothesis, float(theta), beside) for theta in tried]
+        gains = [beside.free_gain(self.columns(hypothesis, float(theta), beside.model)) for theta in tried]
         if not gains:
             return priced(hypothesis, math.nan, Gain(0.0, 0, np.zeros(0), 0.0), 1)
-        best = max(range(len(gains)), key=lambda i: gains[i].gain)
-        theta, found = float(tried[best]), gains[best]
-        if refine and found.gain > _WORTH:
+        best = int(np.argmax(gains))
+        theta = float(tried[best])
+        if refine and gains[best] > _WORTH:
             theta = self._refined(hypothesis, theta, grid, beside)
-            found = self._at(hypothesis, theta, beside)
+        found = beside.gain(self.columns(hypothesis, theta, beside.model))
         score = priced(hypothesis, theta, found, len(grid))
         return score if tone_beside_lines(hypothesis, found.beta, beside.model) else replace(score, p=1.0)
 
     def _fixed_score(self, hypothesis: Hypothesis, grid: Array, beside: Beside, *, refine: bool) -> Score:
         """Of an effect that has nothing but a shape; without `refine` what a free amplitude gains, which is no less."""
         columns = [self.columns(hypothesis, float(theta), beside.model) for theta in grid]
-        free = max(beside.gain(c).gain for c in columns)
+        gains = np.array([beside.free_and_fixed(c) for c in columns])
+        free, best = float(gains[:, 0].max()), int(np.argmax(gains[:, 1]))
         if not refine and free > _WORTH:
             return fixed_score(hypothesis, float(grid[0]), free)
-        fixed = [beside.fixed_gain(c) for c in columns]
-        best = int(np.argmax(fixed))
         if free <= _WORTH:
-            return fixed_score(hypothesis, float(grid[best]), fixed[best])
+            return fixed_score(hypothesis, float(grid[best]), float(gains[best, 1]))
         theta = self._refined(hypothesis, float(grid[best]), grid, beside)
         gain = self._fixed_gain(hypothesis, theta, beside)
         return fixed_score(hypothesis, theta, gain + told_by_noise(hypothesis, theta, beside.model))
-
-    def _at(self, hypothesis: Hypothesis, theta: float, beside: Beside) -> Gain:
-        return beside.gain(self.columns(hypothesis, theta, beside.model))
 
     def _fixed_gain(self, hypothesis: Hypothesis, theta: float, beside: Beside) -> float:
         columns = columns_of(hypothesis, theta, beside.model.setting.views, beside.model.setting.frames)
@@ -299,7 +310,7 @@ class Contest:
 
         def loss(value: float) -> float:
             columns = columns_of(hypothesis, value, beside.model.setting.views, beside.model.setting.frames)
-            return -(beside.fixed_gain(columns) if effect.fixed else beside.gain(columns).gain)
+            return -(beside.fixed_gain(columns) if effect.fixed else beside.free_gain(columns))
 
         if high <= low:
             return theta

@@ -13,7 +13,7 @@ import numpy as np
 from calib.gap.effects.base import MeanEffect
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.model import Model
-from calib.gap.noise_fit import declared
+from calib.gap.noise_fit import is_declared
 from calib.recording import Sensor
 
 _ABOVE = 0.25
@@ -42,7 +42,7 @@ def told_by_noise(hypothesis: Hypothesis, theta: float, model: Model) -> float:
         return 0.0
     sums: dict[tuple[str, int], list[tuple[float, float, float, float]]] = {}
     for v, view in enumerate(model.setting.views):
-        if view.sensor is not effect.sensor or tuple(view.weights) != hypothesis.instances or declared(view) is None:
+        if view.sensor is not effect.sensor or tuple(view.weights) != hypothesis.instances or not is_declared(view):
             continue
         bins, trace = model.setting.bins[v], view.whole.any_trace
         fast = bins.mean(view.omega) > _ABOVE * np.pi
