@@ -49,7 +49,7 @@ def above(trace: Trace, t_ref: float) -> Array:
 def powers(trace: Trace, t_ref: float) -> Array:
     """Three signals: ``T - t_ref``, its square and its cube."""
     d = temperature_of(trace) - t_ref
-    return np.stack([d, d * d, d**3])
+    return np.stack([d, d * d, d * d * d])
 
 
 def late(trace: Trace, time_constant: float) -> Array:

@@ -9,6 +9,7 @@ without, it is a fixed frequency while the motors run.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,13 +45,14 @@ def folded(frequency: Array, fs: float) -> Array:
     return np.asarray(np.abs((frequency + 0.5 * fs) % fs - 0.5 * fs), dtype=np.float64)
 
 
+@lru_cache(maxsize=12)
 def drive(trace: Trace) -> Array | None:
     """Power of the rotors' vibration over time (N,), at most one: fourth power of speed, square of thrust.
 
     None: not recorded.
     """
     if trace.rotor_hz is not None:
-        power = (np.maximum(trace.rotor_hz, 0.0) ** 4).mean(axis=1)
+        power = np.square(np.square(np.maximum(trace.rotor_hz, 0.0))).mean(axis=1)
     elif trace.motors is not None:
         power = (np.maximum(trace.motors, 0.0) ** 2).mean(axis=1)
     elif trace.throttle is not None:
