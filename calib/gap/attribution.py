@@ -13,13 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.contest import Beside, Contest, Score, exactly, existing, fixed_score, noise_score, priced
+from calib.gap.contest import Contest, Score, exactly, fixed_score, noise_score, priced
 from calib.gap.effects.base import NoiseEffect
 from calib.gap.effects.noise import DRIFTS
 from calib.gap.filtered import told_by_noise
 from calib.gap.hypotheses import Columns, Hypothesis, columns_of
 from calib.gap.model import Model, NoiseTerm, Term, refined
 from calib.gap.noise_fit import refitted, without_term
+from calib.gap.projection import Beside, existing
 from calib.gap.schema import Rival
 from calib.gap.selection import (
     Chosen,

@@ -20,32 +20,25 @@ from scipy.stats import binom
 
 from calib.gap.bands import joined
 from calib.gap.effects.base import MeanEffect, NoiseEffect
-from calib.gap.evidence import evidence, price_of_fixed, price_of_kind, price_of_noise, price_of_search
+from calib.gap.evidence import price_of_fixed, price_of_kind, price_of_noise, price_of_search
 from calib.gap.filtered import shaped, told_by_noise
-from calib.gap.hypotheses import Columns, Hypothesis, Part, columns_of
+from calib.gap.hypotheses import Columns, Hypothesis, columns_of
 from calib.gap.kept import Kept
 from calib.gap.louder import Added, stands_out, tone_beside_lines, whose
 from calib.gap.model import (
     Model,
-    Normal,
-    Ridge,
     Term,
-    jacobian,
     misfit,
-    normal_equations,
     refined,
-    stacked,
     with_residual,
 )
 from calib.gap.noise_fit import AxisFit, axes_of, axis_fit, densities_of, extra_rows
-from calib.gap.normal import solved
 from calib.gap.problem import Trace
+from calib.gap.projection import Beside, Gain
 from calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
-_LEFT = 1e-6
-"""Part of its energy that a column must keep beside the model's others to count."""
 _WORTH = 8.0
 """Gain of the best value on the grid from which on the shape is refined between its neighbours."""
 _CURVED = 300.0
@@ -95,115 +88,6 @@ def one_sided_tail(gain: float, df: int, grid: int) -> float:
         return 1.0
     weights = binom.pmf(np.arange(1, df + 1), df, 0.5)
     return min(1.0, grid * float(weights @ chdtrc(np.arange(1, df + 1), gain)))
-
-
-@dataclass(frozen=True, eq=False)
-class Gain:
-    """Of a group of columns: twice the gain of log-likelihood, degrees of freedom, amplitudes, and evidence."""
-
-    gain: float
-    df: int
-    beta: Array
-    evidence: float
-
-    @property
-    def price(self) -> float:
-        """By which the evidence is less than the gain."""
-        return self.gain - self.evidence
-
-
-class Beside:
-    """The model's own columns, against which every candidate is projected."""
-
-    def __init__(self, model: Model, omit: Sequence[int] = ()) -> None:
-        self.model = model
-        self.omit = tuple(omit)
-        blocks = [jacobian(t, model.setting) for i, t in enumerate(model.terms) if i not in omit]
-        normal: Normal = normal_equations(blocks, model.y, model.weight, model.ridge)
-        self._solution, self.covariance, _ = solved(normal.gram, normal.right)
-        self._right = normal.right
-        self._own = [_own_on(a, blocks, normal.slices, model.ridge) for a in range(len(model.y))]
-
-    def projected(self, columns: Columns) -> tuple[Array, Array, Array]:
-        """Gram matrix, right side and original energies of `columns` with the model's own columns taken out."""
-        p = columns.p
-        gram, right = np.zeros((p, p)), np.zeros(p)
-        weighted = self._weighted(columns)
-        for a, part in columns.parts.items():
-            gram[part.index[:, None], part.index] += weighted[a] @ part.X.T
-            right[part.index] += weighted[a] @ self.model.y[a]
-        energy = np.diag(gram).copy()
-        if len(self._right):
-            cross = self._with_own(columns, weighted)
-            gram -= cross @ self.covariance @ cross.T
-            right -= cross @ self._solution
-        return gram, right, energy
-
-    def cross(self, one: Columns, other: Columns) -> Array:
-        """Products of two groups of columns with the model's own columns taken out, (p, q)."""
-        total = np.zeros((one.p, other.p))
-        left, right = self._weighted(one), self._weighted(other)
-        for a in left.keys() & right.keys():
-            total[one.parts[a].index[:, None], other.parts[a].index] += left[a] @ other.parts[a].X.T
-        return np.asarray(total - self._with_own(one, left) @ self.covariance @ self._with_own(other, right).T)
-
-    def _weighted(self, columns: Columns) -> dict[int, Array]:
-        return {a: part.X * self.model.weight[a] for a, part in columns.parts.items()}
-
-    def _with_own(self, columns: Columns, weighted: Mapping[int, Array]) -> Array:
-        """Products of `weighted` columns with the model's own, (p, own)."""
-        cross = np.zeros((columns.p, len(self._right)))
-        for a, X in weighted.items():
-            for own in self._own[a]:
-                cross[columns.parts[a].index[:, None], own.index] += X @ own.X.T
-        return cross
-
-    def gain(self, columns: Columns) -> Gain:
-        """What a group of free columns would gain."""
-        gram, right, energy = self.projected(columns)
-        basis = existing(gram, energy)
-        found = basis.T @ right
-        return Gain(float(found @ found), basis.shape[1], basis @ found, evidence(gram, right, columns.units))
-
-    def free_gain(self, columns: Columns) -> float:
-        """The gain alone, which is all that a search for a shape asks for."""
-        gram, right, energy = self.projected(columns)
-        return _free_gain(gram, right, energy)
-
-    def fixed_gain(self, columns: Columns) -> float:
-        """The same for one column whose amplitude is one."""
-        return self.free_and_fixed(columns)[1]
-
-    def free_and_fixed(self, columns: Columns) -> tuple[float, float]:
-        """What one column would gain with a free amplitude, and with one of one."""
-        gram, right, energy = self.projected(columns)
-        return _free_gain(gram, right, energy), float(2.0 * right[0] - gram[0, 0])
-
-
-def _own_on(axis: int, blocks: Sequence[Columns], slices: Sequence[slice], ridge: Ridge | None) -> list[Part]:
-    """Columns of a model on an axis: of its terms together, and of its ridge, which are too many to be copied."""
-    index, X = stacked(blocks, slices[: len(blocks)], axis)
-    found = [Part(index, X)] if len(index) else []
-    if ridge is not None and axis in ridge.columns.parts:
-        waves = ridge.columns.parts[axis]
-        found.append(Part(waves.index + slices[-1].start, waves.X))
-    return found
-
-
-def _free_gain(gram: Array, right: Array, energy: Array) -> float:
-    found = existing(gram, energy).T @ right
-    return float(found @ found)
-
-
-def existing(gram: Array, energy: Array) -> Array:
-    """Whitening basis (p, r) of the directions of a projected Gram matrix that keep some of their `energy`."""
-    scale = np.sqrt(energy)
-    used = scale > 0.0
-    inverse = np.zeros_like(scale)
-    inverse[used] = 1.0 / scale[used]
-    values, vectors = np.linalg.eigh(gram * np.outer(inverse, inverse))
-    good = values > _LEFT
-    return np.asarray(inverse[:, None] * vectors[:, good] / np.sqrt(values[good]))
 
 
 def refinable(score: Score) -> bool:
@@ -273,7 +157,7 @@ class Contest:
             tried = effect.shape.screen(trace, unexplained(beside.model, view, trace))
         if effect.fixed:
             return self._fixed_score(hypothesis, tried, beside, refine=refine)
-        gains = [beside.free_gain(self.columns(hypothesis, float(theta), beside.model)) for theta in tried]
+        gains = beside.free_gains([self.columns(hypothesis, float(theta), beside.model) for theta in tried])
         if not gains:
             return priced(hypothesis, math.nan, Gain(0.0, 0, np.zeros(0), 0.0), 1)
         best = int(np.argmax(gains))
@@ -287,7 +171,7 @@ class Contest:
     def _fixed_score(self, hypothesis: Hypothesis, grid: Array, beside: Beside, *, refine: bool) -> Score:
         """Of an effect that has nothing but a shape; without `refine` what a free amplitude gains, which is no less."""
         columns = [self.columns(hypothesis, float(theta), beside.model) for theta in grid]
-        gains = np.array([beside.free_and_fixed(c) for c in columns])
+        gains = beside.free_and_fixed_gains(columns)
         free, best = float(gains[:, 0].max()), int(np.argmax(gains[:, 1]))
         if not refine and free > _WORTH:
             return fixed_score(hypothesis, float(grid[0]), free)
@@ -310,7 +194,7 @@ class Contest:
 
         def loss(value: float) -> float:
             columns = columns_of(hypothesis, value, beside.model.setting.views, beside.model.setting.frames)
-            return -(beside.fixed_gain(columns) if effect.fixed else beside.free_gain(columns))
+            return -(beside.fixed_gain(columns) if effect.fixed else beside.free_gains([columns])[0])
 
         if high <= low:
             return theta
@@ -462,6 +346,7 @@ def widest(hypothesis: Hypothesis, model: Model) -> tuple[Trace, int]:
     return best[1], best[2]
 
 
+@lru_cache(maxsize=8)
 def unexplained(model: Model, v: int, trace: Trace) -> Array:
     """The residual of a series on the whole grid of `trace`, zero where it is not kept; of both bands at its rate."""
     view, left = model.setting.views[v], model.residual[v]

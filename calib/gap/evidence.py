@@ -13,6 +13,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.gap.normal import eigh
+
 Array = NDArray[np.float64]
 
 _SIZES = np.geomspace(1.0, 1e8, 33)
@@ -46,7 +48,7 @@ def evidence(gram: Array, right: Array, groups: NDArray[np.intp]) -> float:
         own = groups == g
         mean = float(information[own].mean())
         scale[own] = 1.0 / math.sqrt(mean) if mean > 0.0 else 0.0
-    values, vectors = np.linalg.eigh(gram * np.outer(scale, scale))
+    values, vectors = eigh(gram * np.outer(scale, scale))
     largest = float(values[-1]) if len(values) else 0.0
     if largest <= 0.0:
         return 0.0

@@ -160,15 +160,23 @@ class Ridge:
 
     def predicted(self, view: View) -> Array:
         """Change of the mean of a series, (n, 3)."""
-        ideal = np.add.reduce([w * view.traces[i].ideal[view.keep] for i, w in view.weights.items()])
         by_axis = self.value.reshape(3, -1)
-        return np.cross(_waves(view, self.span, by_axis.shape[1]).T @ by_axis.T, ideal)
+        turn = by_axis @ _waves(view, self.span, by_axis.shape[1])
+        x, y, z = _turned(view)
+        return np.stack([turn[1] * z - turn[2] * y, turn[2] * x - turn[0] * z, turn[0] * y - turn[1] * x], axis=1)
 
 
 @lru_cache(maxsize=6)
 def _waves(view: View, span: tuple[float, float], modes: int) -> Array:
     """The cosines at the times of a series; kept, since only their amplitudes change from step to step."""
     return cosines(view.t, span, modes)
+
+
+@lru_cache(maxsize=6)
+def _turned(view: View) -> Array:
+    """What an error of the attitude turns: the ideal reading of a series, (3, n)."""
+    ideal = np.add.reduce([w * view.traces[i].ideal[view.keep] for i, w in view.weights.items()])
+    return np.ascontiguousarray(ideal.T)
 
 
 def cosines(t: Array, span: tuple[float, float], modes: int) -> Array:
@@ -229,7 +237,7 @@ def predicted(term: Term, view: View) -> Array:
         return _exactly(exact, term.hypothesis, beta, view)
     if effect.signals is not None:
         signals = summed(effect.signals, term.hypothesis, term.theta, view)
-        return np.asarray(np.einsum("qn,qc->nc", signals, term.beta.reshape(len(signals), 3)))
+        return np.asarray(signals.T @ term.beta.reshape(len(signals), 3))
     columns = summed(effect.columns, term.hypothesis, term.theta, view)
     return np.asarray(np.tensordot(term.beta, columns, axes=1))
 

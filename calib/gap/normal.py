@@ -39,6 +39,14 @@ def weighted_gram(part: Part, weight: Array) -> Array:
     return known[2]
 
 
+def eigh(gram: Array) -> tuple[Array, Array]:
+    """Eigenvalues, ascending, and eigenvectors of a symmetric matrix; most of those in a contest are single numbers."""
+    if len(gram) == 1:
+        return gram[0], np.ones((1, 1))
+    values, vectors = np.linalg.eigh(gram)
+    return values, vectors
+
+
 def solved(gram: Array, right: Array) -> tuple[Array, Array, int]:
     """Solution, covariance and rank of normal equations; directions that do not exist have no part in either."""
     scale = np.sqrt(np.diag(gram))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from calib.gap.contest import Beside, Contest, Score, existing
+from calib.gap.contest import Contest, Score
 from calib.gap.effects.base import NoiseEffect
 from calib.gap.effects.noise import DRIFTS
 from calib.gap.hypotheses import Hypothesis
@@ -30,6 +30,7 @@ from calib.gap.model import (
 )
 from calib.gap.noise_fit import NoiseFit, refitted, with_term, without_term
 from calib.gap.normal import solved
+from calib.gap.projection import Beside, existing
 from calib.recording import Sensor
 
 Array = NDArray[np.float64]

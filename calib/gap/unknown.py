@@ -14,11 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.contest import Beside, Contest, Gain, Score, existing, priced
+from calib.gap.contest import Contest, Score, priced
 from calib.gap.evidence import evidence, price_of_kind
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.model import Model
 from calib.gap.noise_fit import refitted
+from calib.gap.projection import Beside, Gain, existing
 from calib.gap.selection import MATERIAL, Chosen, fitted_about, grown, largest_gain, objective, select, without
 from calib.gap.shapes import Shape, flexible, shapes_of
 
