@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,6 +127,7 @@ def _floor(chosen: Chosen, fitted: Model, fold: Fold) -> float:
     return log_loss(carried(known, fold.test)) + 0.5 * followed * share
 
 
+@lru_cache(maxsize=2)
 def trusting(model: Model) -> Setting:
     """The setting with the error of the reference taken out: it says nothing about another block."""
     if model.ridge is None:
