@@ -247,7 +247,7 @@ def noise_score(hypothesis: Hypothesis, model: Model) -> Score:
     gain = max(gain - shaped(model, effect.sensor), 0.0)
     df = len(effect.parameters)
     added = Added(hypothesis, thetas[best], values)
-    believed = stands_out(added, model) and whose(added, model)
+    believed = gain > 0.0 and stands_out(added, model) and whose(added, model)
     p = one_sided_tail(gain, df, grid) if believed else 1.0
     price += price_of_search(grid, gain) + price_of_kind(effect.id)
     return Score(hypothesis, thetas[best], gain, df, grid, p, gain - price, values)
