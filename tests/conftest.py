@@ -5,6 +5,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+import service  # noqa: F401  before numpy is loaded: it keeps numpy to one thread
+
 # Wall-clock deadlines judge the machine, not the code; failures print the seed that repeats them.
 settings.register_profile("mavcal", deadline=None, print_blob=True)
 settings.load_profile("mavcal")

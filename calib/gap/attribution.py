@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.contest import Beside, Contest, Score, exactly, existing, fixed_score, noise_score, priced
+from calib.gap.contest import Contest, Score, exactly, fixed_score, noise_score, priced
 from calib.gap.effects.base import NoiseEffect
 from calib.gap.effects.noise import DRIFTS
 from calib.gap.evidence import price_of_kind
@@ -21,6 +21,7 @@ from calib.gap.filtered import told_by_noise
 from calib.gap.hypotheses import Columns, Hypothesis, columns_of
 from calib.gap.model import Model, NoiseTerm, Term, refined
 from calib.gap.noise_fit import refitted, without_term
+from calib.gap.projection import Beside, existing
 from calib.gap.schema import Rival
 from calib.gap.selection import (
     Chosen,
@@ -114,7 +115,7 @@ def steadily(chosen: Chosen, start: Model, contest: Contest, alpha: float) -> Ch
         return chosen
     steady = [h for h in contest.hypotheses if not h.effect.id.endswith(DRIFTS)]
     level = alpha * len(steady) / max(len(contest.hypotheses), 1)
-    without_drift = Contest(steady, floor=contest.floor)
+    without_drift = contest.among(steady)
     other, _ = settled(select(start, without_drift, level), without_drift, level)
     other = replace(other, tests=chosen.tests, first=chosen.first)
     return other if objective(other) < objective(chosen) else chosen
@@ -159,7 +160,7 @@ def _likeliest_shape(others: Sequence[Alternative]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """Another hypothesis in the place of an effect."""
+    """Another hypothesis in the place of an effect; `kappa` is 0 where it is too far behind to be listed."""
 
     score: Score
     kappa: float
@@ -194,7 +195,8 @@ def _alternatives(chosen: Chosen, contest: Contest, term: Term | NoiseTerm) -> t
     coarse = contest.scores([rival for rival in rivals if not isinstance(rival.effect, NoiseEffect)], beside)
     scores += contest.assured(coarse, beside, own_delta - _FAR)
     for score in scores:
-        kappa = _imitated(beside, own_columns, term, score, energy, own_gain)
+        near = own_delta - score.delta < _FAR + price_of_kind(score.hypothesis.effect.id)
+        kappa = _imitated(beside, own_columns, term, score, energy, own_gain, contest) if near else 0.0
         found.append(Alternative(score, kappa))
     return found, own_delta
 
@@ -216,14 +218,19 @@ def _meets(rival: Hypothesis, own: Hypothesis, model: Model) -> bool:
 
 
 def _imitated(
-    beside: Beside, own: Columns | None, term: Term | NoiseTerm, score: Score, energy: float, own_gain: float
+    beside: Beside,
+    own: Columns | None,
+    term: Term | NoiseTerm,
+    score: Score,
+    energy: float,
+    own_gain: float,
+    contest: Contest,
 ) -> float:
     """The part of the effect's energy that the rival's columns can take."""
     if own is None or isinstance(score.hypothesis.effect, NoiseEffect) or score.df == 0:
         return float(np.clip(score.gain / max(own_gain, 1e-12), 0.0, 1.0))
     assert isinstance(term, Term)
-    setting = beside.model.setting
-    columns = columns_of(score.hypothesis, score.theta, setting.views, setting.frames)
+    columns = contest.columns(score.hypothesis, score.theta, beside.model)
     gram, _, before = beside.projected(columns)
     basis = existing(gram, before)
     taken = basis.T @ (beside.cross(columns, own) @ term.beta)

@@ -20,31 +20,25 @@ from scipy.stats import binom
 
 from calib.gap.bands import joined
 from calib.gap.effects.base import MeanEffect, NoiseEffect
-from calib.gap.evidence import evidence, price_of_fixed, price_of_kind, price_of_noise, price_of_search
+from calib.gap.evidence import price_of_fixed, price_of_kind, price_of_noise, price_of_search
 from calib.gap.filtered import shaped, told_by_noise
 from calib.gap.hypotheses import Columns, Hypothesis, columns_of
+from calib.gap.kept import Kept
 from calib.gap.louder import Added, stands_out, tone_beside_lines, whose
 from calib.gap.model import (
     Model,
-    Normal,
     Term,
-    jacobian,
     misfit,
-    normal_equations,
     refined,
-    slices_of,
-    solved,
-    stacked,
     with_residual,
 )
 from calib.gap.noise_fit import AxisFit, axes_of, axis_fit, densities_of, extra_rows
 from calib.gap.problem import Trace
+from calib.gap.projection import Beside, Gain
 from calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
-_LEFT = 1e-6
-"""Part of its energy that a column must keep beside the model's others to count."""
 _WORTH = 8.0
 """Gain of the best value on the grid from which on the shape is refined between its neighbours."""
 _CURVED = 300.0
@@ -96,100 +90,6 @@ def one_sided_tail(gain: float, df: int, grid: int) -> float:
     return min(1.0, grid * float(weights @ chdtrc(np.arange(1, df + 1), gain)))
 
 
-@dataclass(frozen=True, eq=False)
-class Gain:
-    """Of a group of columns: twice the gain of log-likelihood, degrees of freedom, amplitudes, and evidence."""
-
-    gain: float
-    df: int
-    beta: Array
-    evidence: float
-
-    @property
-    def price(self) -> float:
-        """By which the evidence is less than the gain."""
-        return self.gain - self.evidence
-
-
-class Beside:
-    """The model's own columns, against which every candidate is projected."""
-
-    def __init__(self, model: Model, omit: Sequence[int] = ()) -> None:
-        self.model = model
-        self.omit = tuple(omit)
-        blocks = [jacobian(t, model.setting) for i, t in enumerate(model.terms) if i not in omit]
-        if model.ridge is not None:
-            blocks.append(model.ridge.columns)
-        self._blocks = blocks
-        self._slices = slices_of(blocks)
-        own = [b for b in blocks if model.ridge is None or b is not model.ridge.columns]
-        normal: Normal = normal_equations(own, model.y, model.weight, model.ridge)
-        self._solution, self.covariance, _ = solved(normal.gram, normal.right)
-        self._right = normal.right
-        self._weighted = [
-            (index, X * model.weight[a] if len(index) else X)
-            for a in range(len(model.y))
-            for index, X in [stacked(blocks, self._slices, a)]
-        ]
-
-    def projected(self, columns: Columns) -> tuple[Array, Array, Array]:
-        """Gram matrix, right side and original energies of `columns` with the model's own columns taken out."""
-        p = columns.p
-        gram, right, cross = np.zeros((p, p)), np.zeros(p), np.zeros((p, len(self._right)))
-        for a, part in columns.parts.items():
-            weighted = part.X * self.model.weight[a]
-            gram[np.ix_(part.index, part.index)] += weighted @ part.X.T
-            right[part.index] += weighted @ self.model.y[a]
-            index, own = self._weighted[a]
-            if len(index):
-                cross[np.ix_(part.index, index)] += part.X @ own.T
-        energy = np.diag(gram).copy()
-        if len(self._right):
-            gram -= cross @ self.covariance @ cross.T
-            right -= cross @ self._solution
-        return gram, right, energy
-
-    def cross(self, one: Columns, other: Columns) -> Array:
-        """Products of two groups of columns with the model's own columns taken out, (p, q)."""
-        total = np.zeros((one.p, other.p))
-        left, right = np.zeros((one.p, len(self._right))), np.zeros((other.p, len(self._right)))
-        for a, part in one.parts.items():
-            index, own = self._weighted[a]
-            if len(index):
-                left[np.ix_(part.index, index)] += part.X @ own.T
-            if a in other.parts:
-                rival = other.parts[a]
-                total[np.ix_(part.index, rival.index)] += (part.X * self.model.weight[a]) @ rival.X.T
-        for a, part in other.parts.items():
-            index, own = self._weighted[a]
-            if len(index):
-                right[np.ix_(part.index, index)] += part.X @ own.T
-        return np.asarray(total - left @ self.covariance @ right.T)
-
-    def gain(self, columns: Columns) -> Gain:
-        """What a group of free columns would gain."""
-        gram, right, energy = self.projected(columns)
-        basis = existing(gram, energy)
-        found = basis.T @ right
-        return Gain(float(found @ found), basis.shape[1], basis @ found, evidence(gram, right, columns.units))
-
-    def fixed_gain(self, columns: Columns) -> float:
-        """The same for one column whose amplitude is one."""
-        gram, right, _ = self.projected(columns)
-        return float(2.0 * right[0] - gram[0, 0])
-
-
-def existing(gram: Array, energy: Array) -> Array:
-    """Whitening basis (p, r) of the directions of a projected Gram matrix that keep some of their `energy`."""
-    scale = np.sqrt(energy)
-    used = scale > 0.0
-    inverse = np.zeros_like(scale)
-    inverse[used] = 1.0 / scale[used]
-    values, vectors = np.linalg.eigh(gram * np.outer(inverse, inverse))
-    good = values > _LEFT
-    return np.asarray(inverse[:, None] * vectors[:, good] / np.sqrt(values[good]))
-
-
 def refinable(score: Score) -> bool:
     """Whether another fit of its shape, or without linearisation, could gain more."""
     effect = score.hypothesis.effect
@@ -202,24 +102,23 @@ class Contest:
     """Scores of hypotheses against models of one setting; transformed columns are kept while they fit in memory."""
 
     def __init__(
-        self, hypotheses: Sequence[Hypothesis], budget: int = 40_000_000, floor: Mapping[Sensor, float] | None = None
+        self,
+        hypotheses: Sequence[Hypothesis],
+        budget: int = 40_000_000,
+        floor: Mapping[Sensor, float] | None = None,
+        kept: Kept | None = None,
     ) -> None:
         self.hypotheses = tuple(hypotheses)
         self.floor = dict(floor or {})
-        self._columns: dict[tuple[str, tuple[int, ...], float], Columns] = {}
-        self._left = budget
+        self._kept = Kept(budget) if kept is None else kept
+
+    def among(self, hypotheses: Sequence[Hypothesis]) -> Contest:
+        """A contest of other hypotheses on the same setting, which shares the columns that were made."""
+        return Contest(hypotheses, floor=self.floor, kept=self._kept)
 
     def columns(self, hypothesis: Hypothesis, theta: float, model: Model) -> Columns:
         """Transformed columns of `hypothesis`, kept."""
-        key = (*hypothesis.key, theta)
-        if key in self._columns:
-            return self._columns[key]
-        made = columns_of(hypothesis, theta, model.setting.views, model.setting.frames)
-        size = sum(part.X.size for part in made.parts.values())
-        if size <= self._left and math.isfinite(theta) <= (hypothesis.effect.shape is not None):
-            self._columns[key] = made
-            self._left -= size
-        return made
+        return self._kept.of(hypothesis, theta, model.setting)
 
     def score(self, hypothesis: Hypothesis, beside: Beside, *, refine: bool = True) -> Score:
         """What `hypothesis` would gain, at its best shape; without `refine` only of those on its grid."""
@@ -258,33 +157,29 @@ class Contest:
             tried = effect.shape.screen(trace, unexplained(beside.model, view, trace))
         if effect.fixed:
             return self._fixed_score(hypothesis, tried, beside, refine=refine)
-        gains = [self._at(hypothesis, float(theta), beside) for theta in tried]
+        gains = beside.free_gains([self.columns(hypothesis, float(theta), beside.model) for theta in tried])
         if not gains:
             return priced(hypothesis, math.nan, Gain(0.0, 0, np.zeros(0), 0.0), 1)
-        best = max(range(len(gains)), key=lambda i: gains[i].gain)
-        theta, found = float(tried[best]), gains[best]
-        if refine and found.gain > _WORTH:
+        best = int(np.argmax(gains))
+        theta = float(tried[best])
+        if refine and gains[best] > _WORTH:
             theta = self._refined(hypothesis, theta, grid, beside)
-            found = self._at(hypothesis, theta, beside)
+        found = beside.gain(self.columns(hypothesis, theta, beside.model))
         score = priced(hypothesis, theta, found, len(grid))
         return score if tone_beside_lines(hypothesis, found.beta, beside.model) else replace(score, p=1.0)
 
     def _fixed_score(self, hypothesis: Hypothesis, grid: Array, beside: Beside, *, refine: bool) -> Score:
         """Of an effect that has nothing but a shape; without `refine` what a free amplitude gains, which is no less."""
         columns = [self.columns(hypothesis, float(theta), beside.model) for theta in grid]
-        free = max(beside.gain(c).gain for c in columns)
+        gains = beside.free_and_fixed_gains(columns)
+        free, best = float(gains[:, 0].max()), int(np.argmax(gains[:, 1]))
         if not refine and free > _WORTH:
             return fixed_score(hypothesis, float(grid[0]), free)
-        fixed = [beside.fixed_gain(c) for c in columns]
-        best = int(np.argmax(fixed))
         if free <= _WORTH:
-            return fixed_score(hypothesis, float(grid[best]), fixed[best])
+            return fixed_score(hypothesis, float(grid[best]), float(gains[best, 1]))
         theta = self._refined(hypothesis, float(grid[best]), grid, beside)
         gain = self._fixed_gain(hypothesis, theta, beside)
         return fixed_score(hypothesis, theta, gain + told_by_noise(hypothesis, theta, beside.model))
-
-    def _at(self, hypothesis: Hypothesis, theta: float, beside: Beside) -> Gain:
-        return beside.gain(self.columns(hypothesis, theta, beside.model))
 
     def _fixed_gain(self, hypothesis: Hypothesis, theta: float, beside: Beside) -> float:
         columns = columns_of(hypothesis, theta, beside.model.setting.views, beside.model.setting.frames)
@@ -299,7 +194,7 @@ class Contest:
 
         def loss(value: float) -> float:
             columns = columns_of(hypothesis, value, beside.model.setting.views, beside.model.setting.frames)
-            return -(beside.fixed_gain(columns) if effect.fixed else beside.gain(columns).gain)
+            return -(beside.fixed_gain(columns) if effect.fixed else beside.free_gains([columns])[0])
 
         if high <= low:
             return theta
@@ -352,7 +247,7 @@ def noise_score(hypothesis: Hypothesis, model: Model) -> Score:
     gain = max(gain - shaped(model, effect.sensor), 0.0)
     df = len(effect.parameters)
     added = Added(hypothesis, thetas[best], values)
-    believed = stands_out(added, model) and whose(added, model)
+    believed = gain > 0.0 and stands_out(added, model) and whose(added, model)
     p = one_sided_tail(gain, df, grid) if believed else 1.0
     price += price_of_search(grid, gain) + price_of_kind(effect.id)
     return Score(hypothesis, thetas[best], gain, df, grid, p, gain - price, values)
@@ -463,6 +358,7 @@ def _loudness(model: Model, v: int) -> float:
     return max(float((model.weight[a] * model.y[a] ** 2).mean()) for b in bands for a in range(3 * b, 3 * b + 3))
 
 
+@lru_cache(maxsize=8)
 def unexplained(model: Model, v: int, trace: Trace) -> Array:
     """The residual of a series on the whole grid of `trace`, zero where it is not kept; of both bands at its rate."""
     view, left = model.setting.views[v], model.residual[v]

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from calib.gap.effects.noise import DRIFTS
 from calib.gap.effects.reference_attitude import REFERENCE
+from calib.gap.normal import eigh
 from calib.gap.shape_ids import family_of, is_part, is_shape
 
 Array = NDArray[np.float64]
@@ -51,7 +52,7 @@ def evidence(gram: Array, right: Array, groups: NDArray[np.intp]) -> float:
         own = groups == g
         mean = float(information[own].mean())
         scale[own] = 1.0 / math.sqrt(mean) if mean > 0.0 else 0.0
-    values, vectors = np.linalg.eigh(gram * np.outer(scale, scale))
+    values, vectors = eigh(gram * np.outer(scale, scale))
     largest = float(values[-1]) if len(values) else 0.0
     if largest <= 0.0:
         return 0.0

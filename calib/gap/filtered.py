@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from calib.gap.effects.base import MeanEffect
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.model import Model
-from calib.gap.noise_fit import declared
+from calib.gap.noise_fit import is_declared
 from calib.recording import Sensor
 
 Array = NDArray[np.float64]
@@ -44,7 +44,7 @@ def told_by_noise(hypothesis: Hypothesis, theta: float, model: Model) -> float:
         return 0.0
     pieces: dict[tuple[str, int], list[Array]] = {}
     for v, view in enumerate(model.setting.views):
-        if view.sensor is not effect.sensor or tuple(view.weights) != hypothesis.instances or declared(view) is None:
+        if view.sensor is not effect.sensor or tuple(view.weights) != hypothesis.instances or not is_declared(view):
             continue
         gains = np.maximum(effect.noise_gain(view.whole.any_trace, view.omega, theta), _LEAST)
         for c in range(3):

@@ -167,10 +167,9 @@ class Frame:
         """Power of the averages, folded, from the power (n,) of the samples."""
         m = self.size - self.first
         if self.factor == 1:
-            return S if m == len(S) else np.interp(np.linspace(0.0, len(S) - 1.0, m), np.arange(len(S)), S)
+            return S if m == len(S) else _stretched(S, m)
         whole = m * self.factor
-        grid = np.linspace(0.0, len(S) - 1.0, whole)
-        full = S if whole == len(S) else np.interp(grid, np.arange(len(S)), S)
+        full = S if whole == len(S) else _stretched(S, whole)
         half = 0.5 * np.pi * np.arange(whole) / whole
         gain = np.ones(whole)
         gain[1:] = (np.sin(self.factor * half[1:]) / (self.factor * np.sin(half[1:]))) ** 2
@@ -180,6 +179,20 @@ class Frame:
             piece = shaped[fold * m : (fold + 1) * m]
             total += piece[::-1] if fold % 2 else piece
         return np.asarray(total / self.factor)
+
+
+def _stretched(values: Array, m: int) -> Array:
+    """Values (n,) drawn at `m` places from the first to the last."""
+    left, part = _places(len(values), m)
+    return values[left] + part * (values[left + 1] - values[left])
+
+
+@lru_cache(maxsize=32)
+def _places(n: int, m: int) -> tuple[NDArray[np.intp], Array]:
+    """Of `m` places on a series of `n`: the sample before each, and how far it lies beyond."""
+    at = np.linspace(0.0, n - 1.0, m)
+    left = np.minimum(at.astype(np.intp), n - 2)
+    return left, at - left
 
 
 def columns_of(hypothesis: Hypothesis, theta: float, views: Sequence[View], frames: Sequence[Frame]) -> Columns:

@@ -82,6 +82,7 @@ class Bins:
         return self.total(values) / self.counts
 
 
+@lru_cache(maxsize=64)
 def bins_of(n: int) -> Bins:
     """Bins for the transform of `n` samples."""
     upper = np.unique(np.geomspace(_SINGLE, n, _MERGED).astype(np.intp)) if n > _SINGLE else np.zeros(0, np.intp)

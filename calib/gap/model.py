@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from calib.gap.effects.base import MeanEffect
 from calib.gap.hypotheses import Columns, Frame, Hypothesis, Part, add_block, columns_of, summed
 from calib.gap.likelihood import Bins, Noise, bins_of
+from calib.gap.normal import solved, weighted_gram
 from calib.gap.problem import Trace
 from calib.gap.views import View
 from calib.recording import Sensor
@@ -25,8 +26,6 @@ Array = NDArray[np.float64]
 
 _LONGEST = 40_000
 """Samples beyond which the mean is fitted to averages of consecutive samples."""
-_RANK = 1e-9
-"""Relative eigenvalue of a normalised Gram matrix below which a direction does not exist."""
 _WORTH_A_STEP = 1e-3
 """Twice the log-likelihood that a step must promise to be tried, and gain for another to follow."""
 _STEPS = 8
@@ -161,15 +160,23 @@ class Ridge:
 
     def predicted(self, view: View) -> Array:
         """Change of the mean of a series, (n, 3)."""
-        ideal = np.add.reduce([w * view.traces[i].ideal[view.keep] for i, w in view.weights.items()])
         by_axis = self.value.reshape(3, -1)
-        return np.cross(_waves(view, self.span, by_axis.shape[1]).T @ by_axis.T, ideal)
+        turn = by_axis @ _waves(view, self.span, by_axis.shape[1])
+        x, y, z = _turned(view)
+        return np.stack([turn[1] * z - turn[2] * y, turn[2] * x - turn[0] * z, turn[0] * y - turn[1] * x], axis=1)
 
 
 @lru_cache(maxsize=6)
 def _waves(view: View, span: tuple[float, float], modes: int) -> Array:
     """The cosines at the times of a series; kept, since only their amplitudes change from step to step."""
     return cosines(view.t, span, modes)
+
+
+@lru_cache(maxsize=6)
+def _turned(view: View) -> Array:
+    """What an error of the attitude turns: the ideal reading of a series, (3, n)."""
+    ideal = np.add.reduce([w * view.traces[i].ideal[view.keep] for i, w in view.weights.items()])
+    return np.ascontiguousarray(ideal.T)
 
 
 def cosines(t: Array, span: tuple[float, float], modes: int) -> Array:
@@ -230,7 +237,7 @@ def predicted(term: Term, view: View) -> Array:
         return _exactly(exact, term.hypothesis, beta, view)
     if effect.signals is not None:
         signals = summed(effect.signals, term.hypothesis, term.theta, view)
-        return np.asarray(np.einsum("qn,qc->nc", signals, term.beta.reshape(len(signals), 3)))
+        return np.asarray(signals.T @ term.beta.reshape(len(signals), 3))
     columns = summed(effect.columns, term.hypothesis, term.theta, view)
     return np.asarray(np.tensordot(term.beta, columns, axes=1))
 
@@ -317,11 +324,20 @@ def normal_equations(
     total = slices[-1].stop if slices else 0
     gram, right = np.zeros((total, total)), np.zeros(total)
     for axis in range(len(y)):
-        index, X = stacked(everything, slices, axis)
+        index, X = stacked(blocks, slices[: len(blocks)], axis)
+        weighted = X * weight[axis] if len(index) else X
         if len(index):
-            weighted = X * weight[axis]
-            gram[np.ix_(index, index)] += weighted @ X.T
+            gram[index[:, None], index] += weighted @ X.T
             right[index] += weighted @ y[axis]
+        if ridge and axis in ridge.columns.parts:
+            wave = ridge.columns.parts[axis]
+            rows = wave.index + slices[-1].start
+            gram[rows[:, None], rows] += weighted_gram(wave, weight[axis])
+            right[rows] += wave.X @ (weight[axis] * y[axis])
+            if len(index):
+                cross = weighted @ wave.X.T
+                gram[index[:, None], rows] += cross
+                gram[rows[:, None], index] += cross.T
     if ridge:
         rows = np.arange(slices[-1].start, total)
         gram[rows, rows] += ridge.precision
@@ -341,17 +357,6 @@ def stacked(blocks: Sequence[Columns], slices: Sequence[slice], axis: int) -> tu
     if not found:
         return np.zeros(0, np.intp), np.zeros((0, 0))
     return np.concatenate([part.index + start for part, start in found]), np.concatenate([part.X for part, _ in found])
-
-
-def solved(gram: Array, right: Array) -> tuple[Array, Array, int]:
-    """Solution, covariance and rank of normal equations; directions that do not exist have no part in either."""
-    scale = np.sqrt(np.diag(gram))
-    scale[scale == 0.0] = 1.0
-    values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
-    good = values > _RANK * max(len(values), 1)
-    basis = vectors[:, good] / np.sqrt(values[good])
-    covariance = (basis @ basis.T) / np.outer(scale, scale)
-    return covariance @ right, covariance, int(good.sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -405,9 +410,11 @@ def _step_of(terms: Sequence[Term], joint: Joint) -> Array:
     normal = joint.normal
     rows = zip(terms, joint.slices, strict=True)
     still = {s.stop - 1 for term, s in rows if term.effect.shape is not None and term.effect.shape.still}
-    free = [i for i in range(len(normal.right)) if i not in still]
+    if not still:
+        return np.asarray(joint.covariance @ normal.right)
+    free = np.array([i for i in range(len(normal.right)) if i not in still], np.intp)
     step = np.zeros(len(normal.right))
-    step[free] = solved(normal.gram[np.ix_(free, free)], normal.right[free])[0]
+    step[free] = solved(normal.gram[free[:, None], free], normal.right[free])[0]
     return step
 
 

@@ -31,6 +31,11 @@ _NUISANCE: dict[str, Callable[[Array], Array]] = {"white": np.ones_like, "walk":
 """What a noise that nobody declared is made of."""
 
 
+def is_declared(view: View) -> bool:
+    """Whether the power of a series is declared or learned."""
+    return view.density is not None or view.variance is not None
+
+
 def declared(view: View) -> Array | None:
     """Power (n, 3) that is declared or learned, None if neither."""
     if view.density is not None:
@@ -46,7 +51,7 @@ def learned_once(setting: Setting, axes: Sequence[int]) -> set[int]:
     first: dict[str, int] = {}
     for a in axes:
         view = setting.views[a // 3]
-        if np.isfinite(view.dof) and declared(view) is not None and not view.first:
+        if np.isfinite(view.dof) and is_declared(view) and not view.first:
             first.setdefault(view.label, a)
     return set(first.values())
 

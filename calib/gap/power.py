@@ -9,8 +9,9 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import chdtri, chndtr
 
-from calib.gap.contest import Beside, Contest
+from calib.gap.contest import Contest
 from calib.gap.effects.base import MeanEffect, NoiseEffect
+from calib.gap.projection import Beside
 from calib.gap.schema import Power
 from calib.gap.selection import Chosen
 

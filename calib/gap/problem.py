@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,7 +132,7 @@ class Trace:
     followed: bool = True
     ideal_sd: float = 0.0
 
-    @property
+    @cached_property
     def fs(self) -> float:
         """Samples per second."""
         return 1.0 / float(np.median(np.diff(self.t)))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from calib.gap.contest import Beside, Contest, Score, existing
+from calib.gap.contest import Contest, Score
 from calib.gap.effects.base import NoiseEffect
 from calib.gap.effects.noise import DRIFTS
 from calib.gap.hypotheses import Hypothesis
@@ -26,10 +26,11 @@ from calib.gap.model import (
     normal_equations,
     refined,
     refined_on,
-    solved,
     with_residual,
 )
 from calib.gap.noise_fit import NoiseFit, refitted, with_term, without_term
+from calib.gap.normal import solved
+from calib.gap.projection import Beside, existing
 from calib.recording import Sensor
 
 Array = NDArray[np.float64]
@@ -299,7 +300,7 @@ def _mean_gains(model: Model, contest: Contest) -> dict[Key, tuple[float, int, i
         values = np.ones(1) if term.effect.fixed else term.beta
         right = normal.right + normal.gram[:, mine] @ values
         cross = normal.gram[mine][:, beside]
-        held, covariance, _ = solved(normal.gram[np.ix_(beside, beside)], right[beside])
+        held, covariance, _ = solved(normal.gram[beside[:, None], beside], right[beside])
         gram = normal.gram[mine, mine] - cross @ covariance @ cross.T
         left = right[mine] - cross @ held
         if term.effect.fixed:

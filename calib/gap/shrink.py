@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,8 +32,9 @@ from calib.gap.folds import (
     power_ratio,
     with_weight,
 )
-from calib.gap.model import Model, NoiseTerm, Setting, Term, jacobian, normal_equations, setting_of, solved
-from calib.gap.noise_fit import declared, refitted
+from calib.gap.model import Model, NoiseTerm, Setting, Term, jacobian, normal_equations, setting_of
+from calib.gap.noise_fit import is_declared, refitted
+from calib.gap.normal import solved
 from calib.gap.schema import SequenceStep, Shrink
 from calib.gap.selection import Chosen, select
 
@@ -129,6 +131,7 @@ def _floor(chosen: Chosen, fitted: Model, fold: Fold) -> float:
     return log_loss(carried(known, fold.test)) + 0.5 * followed * share
 
 
+@lru_cache(maxsize=2)
 def trusting(model: Model) -> Setting:
     """The setting with the error of the reference taken out: it says nothing about another block."""
     if model.ridge is None:
@@ -241,7 +244,7 @@ def shrink_of(chosen: Chosen, found: Heldout, *, nested: bool) -> Shrink:
     if chosen.model.members and gap > 0.0:
         closed = float((found.before - found.after).sum()) / gap
         ci = interval(found.before - found.after, found.before)
-    known = any(declared(view) is not None for view in chosen.model.setting.views)
+    known = any(is_declared(view) for view in chosen.model.setting.views)
     source = "declared_noise" if known else "fit_to_all_data"
     if any(view.density is not None or math.isfinite(view.dof) for view in chosen.model.setting.views):
         source = "nominal_log"

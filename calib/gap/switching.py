@@ -25,7 +25,7 @@ _WINDOWS = 700
 """Averages that a series is looked at in: tenths of a second of a minute."""
 _FEWEST = 64
 _BETTER = 19.0
-"""Twice the log-likelihood by which the chains must beat an effect: three walks or flickers in a hundred show as much."""
+"""Twice the log-likelihood by which the chains must beat an effect: three walks in a hundred show as much."""
 _FLAT = 2.0
 """Largest over least power, below half the rate of the averages, up to which their noise is white."""
 _JUMPS = 3.5

@@ -14,11 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.contest import Beside, Contest, Gain, Score, existing, priced
+from calib.gap.contest import Contest, Score, priced
 from calib.gap.evidence import evidence, price_of_kind
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.model import Model
 from calib.gap.noise_fit import refitted
+from calib.gap.projection import Beside, Gain, existing
 from calib.gap.selection import MATERIAL, Chosen, fitted_about, grown, largest_gain, objective, select, without
 from calib.gap.shapes import Shape, flexible, shapes_of
 
@@ -63,7 +64,7 @@ class _Place:
 def explained(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> WithShapes:
     """The catalogue's model, or a better one with shapes, and a contest that has the likeliest shapes as rivals."""
     shapes = shapes_of(chosen.model.setting, [t for t in chosen.model.terms if t.hypothesis.periodic])
-    scorer = Contest(())
+    scorer = contest.among(())
     tests = chosen.tests + sum(len(s.hypotheses) for s in shapes)
     beside = [_Place(score) for score in _scored(shapes, scorer, Beside(chosen.model))]
     instead = [*_instead_of_all(chosen, shapes, scorer, start), *_instead_of_each(chosen, shapes, scorer)]
@@ -72,10 +73,10 @@ def explained(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> W
     likely = {p.score.hypothesis.key: p.score.hypothesis for p in _best((*beside, *instead)) if p.score.delta > 0.0}
     elaborate = {p.score.hypothesis.key for p in instead if p.elaborate}
     plain = [h for key, h in likely.items() if key not in elaborate]
-    rivals = Contest((*contest.hypotheses, *plain), floor=contest.floor)
+    rivals = contest.among((*contest.hypotheses, *plain))
     if strong:
         level = alpha * sum(not h.again for h in rivals.hypotheses) / tests
-        everything = Contest((*contest.hypotheses, *likely.values()), floor=contest.floor)
+        everything = contest.among((*contest.hypotheses, *likely.values()))
         other = min((select(start, rivals, level), grown(chosen, everything, alpha / tests)), key=objective)
         if objective(other) < objective(chosen) - worth:
             return WithShapes(other, rivals)
@@ -132,7 +133,7 @@ def _scored(shapes: Sequence[Shape], contest: Contest, beside: Beside) -> list[S
         found.append(whole)
         for hypothesis, rows in shape.parts:
             if whole.gain > price_of_kind(hypothesis.effect.id):  # no part gains more than the whole
-                found.append(_score(hypothesis, gram[np.ix_(rows, rows)], right[rows], energy[rows]))
+                found.append(_score(hypothesis, gram[rows[:, None], rows], right[rows], energy[rows]))
     return found
 
 

@@ -11,6 +11,7 @@ import math
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,7 +93,7 @@ class View:
         """The series at its own rate."""
         return self if self.fine is None else self.fine
 
-    @property
+    @cached_property
     def omega(self) -> Array:
         """Frequencies of its bins, rad per sample of the whole series."""
         return self.gain * frequencies(self.n)[self.first :]
@@ -123,7 +124,7 @@ class View:
         """The trace of its first instance."""
         return next(iter(self.traces.values()))
 
-    @property
+    @cached_property
     def t(self) -> Array:
         """Times of the kept rows, s."""
         return np.asarray(self.any_trace.t[self.keep])

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from calib.gap.contest import Contest, tail
 from calib.gap.effects.affine import rotation_columns
@@ -132,7 +133,7 @@ def marginal(inner: Array, right: Array) -> float:
         values, vectors = np.linalg.eigh(inner)
         values = np.maximum(values, 1.0)
         return float((vectors.T @ right) ** 2 @ (1.0 / values)) - float(np.log(values).sum())
-    scaled = np.linalg.solve(factor, right)
+    scaled = solve_triangular(factor, right, lower=True, check_finite=False)
     return float(scaled @ scaled) - 2.0 * float(np.log(np.diag(factor)).sum())
 
 

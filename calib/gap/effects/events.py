@@ -49,12 +49,16 @@ def likeliest(trace: Trace, residual: Array) -> Array:
     first = int(np.searchsorted(trace.t, moments(trace)[0]))
     count = np.concatenate([[0.0], np.cumsum(trace.observed.astype(np.float64))])
     y = np.where(trace.observed[:, None], residual, 0.0)
-    total = np.vstack([np.zeros(3), np.cumsum(y, axis=0)])
+    total = np.hstack([np.zeros((3, 1)), np.cumsum(y.T, axis=1)])
     noise = np.maximum(np.diff(y, axis=0).var(axis=0), np.finfo(float).tiny)
     found: list[int] = []
+    known: dict[tuple[int, int], tuple[float, int]] = {}
     for _ in range(_CANDIDATES):
-        edges = [0, *sorted(found), n]
-        best = max(_split(count, total, noise, start, end, max(first, 1)) for start, end in pairwise(edges))
+        pieces = list(pairwise([0, *sorted(found), n]))
+        for start, end in pieces:
+            if (start, end) not in known:
+                known[start, end] = _split(count, total, noise, start, end, max(first, 1))
+        best = max(known[piece] for piece in pieces)
         if best[0] <= 0.0:
             break
         found.append(best[1])
@@ -74,16 +78,16 @@ def likeliest_ramps(trace: Trace, residual: Array) -> Array:
 
 def _split(count: Array, total: Array, noise: Array, start: int, end: int, margin: int) -> tuple[float, int]:
     """Largest standardised change of the mean between rows `start` and `end`, and the row from which it holds."""
-    rows = np.arange(start + margin, end - margin)
-    before, n = count[rows] - count[start], count[end] - count[start]
-    usable = (before > 0.0) & (before < n)
-    rows, before = rows[usable], before[usable]
-    if not len(rows):
+    first, last = start + margin, end - margin
+    n = float(count[end] - count[start])
+    before = count[first:last] - count[start]
+    pairs = before * (n - before)
+    if first >= last or not pairs.any():
         return 0.0, start
-    bridge = total[rows] - total[start] - before[:, None] / n * (total[end] - total[start])
-    gain = (bridge**2 / noise).sum(axis=1) * n / (before * (n - before))
+    bridge = total[:, first:last] - total[:, start, None] - ((total[:, end] - total[:, start]) / n)[:, None] * before
+    gain = (1.0 / noise) @ (bridge * bridge) * n / np.where(pairs > 0.0, pairs, np.inf)
     best = int(np.argmax(gain))
-    return float(gain[best]), int(rows[best])
+    return float(gain[best]), first + best
 
 
 def _of(sensor: Sensor, form: str, signal: Callable[[Trace, float], Array], screen: Screen, *, still: bool) -> Effect:

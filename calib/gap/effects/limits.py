@@ -6,6 +6,7 @@ The samples themselves show nothing (:mod:`calib.gap.effects.lattice` finds what
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +55,7 @@ def _at_energies(values: Array, energy: Array, noise: float) -> Array:
     return np.unique(values[np.minimum(np.searchsorted(energy, wanted), len(values) - 1)])
 
 
+@lru_cache(maxsize=16)
 def limits(trace: Trace) -> Array:
     """Limits to try, ascending, in the unit of the readings."""
     size = np.sort(np.abs(trace.ideal[trace.observed]).ravel())[::-1]
@@ -64,6 +66,7 @@ def limits(trace: Trace) -> Array:
     return below if len(below) else tried[:1]
 
 
+@lru_cache(maxsize=16)
 def widths(trace: Trace) -> Array:
     """Half widths to try, ascending, in the unit of the readings."""
     size = np.sort(np.abs(trace.ideal[trace.observed]).ravel())

@@ -8,6 +8,7 @@ the truth, every thermal effect would be accompanied by a bias that is not there
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +49,7 @@ def above(trace: Trace, t_ref: float) -> Array:
 def powers(trace: Trace, t_ref: float) -> Array:
     """Three signals: ``T - t_ref``, its square and its cube."""
     d = temperature_of(trace) - t_ref
-    return np.stack([d, d * d, d**3])
+    return np.stack([d, d * d, d * d * d])
 
 
 def late(trace: Trace, time_constant: float) -> Array:
@@ -95,18 +96,24 @@ def best_references(factor: Callable[[Trace], Array], degree: int) -> Callable[[
     ``a = (1, T, T^2 ...)``, then costs ``(a'c)^2 / (a' G^-1 a)``, G the Gram matrix. The least dear ones are returned.
     """
 
+    @lru_cache(maxsize=8)
+    def prepared(trace: Trace) -> tuple[Array, Array, Array]:
+        grid = references(trace)
+        u = (temperature_of(trace)[trace.observed] - 0.5 * (grid[0] + grid[-1])) / (0.5 * (grid[-1] - grid[0]))
+        signals, powers_of_u = factor(trace)[trace.observed], u ** np.arange(degree + 1)[:, None]
+        grams = np.array([(powers_of_u * column**2) @ powers_of_u.T for column in signals.T])
+        return signals, powers_of_u, np.linalg.pinv(grams, hermitian=True)
+
     def screen(trace: Trace, residual: Array) -> Array:
         grid = references(trace)
         middle, half = 0.5 * (grid[0] + grid[-1]), 0.5 * (grid[-1] - grid[0])
         tried = np.linspace(-1.0, 1.0, _TRIED)
         a = tried[:, None] ** np.arange(degree + 1)
-        u = (temperature_of(trace)[trace.observed] - middle) / half
-        signals, y = factor(trace)[trace.observed], residual[trace.observed]
+        signals, powers_of_u, inverses = prepared(trace)
+        right = powers_of_u @ (signals * residual[trace.observed])
         cost = np.zeros(_TRIED)
-        for axis in range(3):
-            X = signals[:, axis, None] * u[:, None] ** np.arange(degree + 1)
-            inverse = np.linalg.pinv(X.T @ X, hermitian=True)
-            cost += (a @ inverse @ (X.T @ y[:, axis])) ** 2 / np.maximum(
+        for axis, inverse in enumerate(inverses):
+            cost += (a @ inverse @ right[:, axis]) ** 2 / np.maximum(
                 ((a @ inverse) * a).sum(axis=1), np.finfo(float).tiny
             )
         edged = np.concatenate([[np.inf], cost, [np.inf]])

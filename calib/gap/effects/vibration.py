@@ -9,6 +9,7 @@ without, it is a fixed frequency while the motors run.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,13 +45,14 @@ def folded(frequency: Array, fs: float) -> Array:
     return np.asarray(np.abs((frequency + 0.5 * fs) % fs - 0.5 * fs), dtype=np.float64)
 
 
+@lru_cache(maxsize=12)
 def drive(trace: Trace) -> Array | None:
     """Power of the rotors' vibration over time (N,), at most one: fourth power of speed, square of thrust.
 
     None: not recorded.
     """
     if trace.rotor_hz is not None:
-        power = (np.maximum(trace.rotor_hz, 0.0) ** 4).mean(axis=1)
+        power = np.square(np.square(np.maximum(trace.rotor_hz, 0.0))).mean(axis=1)
     elif trace.motors is not None:
         power = (np.maximum(trace.motors, 0.0) ** 2).mean(axis=1)
     elif trace.throttle is not None:
@@ -61,6 +63,7 @@ def drive(trace: Trace) -> Array | None:
     return np.asarray(power / largest, dtype=np.float64) if largest > 0.0 else np.zeros(len(trace.t))
 
 
+@lru_cache(maxsize=12)
 def running(trace: Trace) -> NDArray[np.bool_]:
     """(N,) True while a motor turns."""
     if trace.rotor_hz is not None:
@@ -87,6 +90,14 @@ def line(trace: Trace, omega: Array, frequency: float) -> Array:
     frequency. It follows the rotors where their speed is known. Of amplitude one at the sensor: what the firmware's own
     filter takes is taken.
     """
+    power = _line_over_all_bins(trace, frequency)
+    n = len(power)
+    return np.asarray(np.interp(omega, np.pi * np.arange(n) / n, power), dtype=np.float64)[None]
+
+
+@lru_cache(maxsize=24)
+def _line_over_all_bins(trace: Trace, frequency: float) -> Array:
+    """The same at the bins of the whole trace, (N,); kept for the other bands and contrasts of the sensor."""
     speed = mean_speed(trace)
     if speed > 0.0 and trace.rotor_hz is not None:
         track = trace.rotor_hz.mean(axis=1) * (frequency / speed)
@@ -96,10 +107,9 @@ def line(trace: Trace, omega: Array, frequency: float) -> Array:
     size = np.where(running(trace), size, 0.0) * filter_gain(np.maximum(track, 1e-3), trace.low_pass_hz)
     phase = 2.0 * np.pi * cumulative_trapezoid(track, dx=1.0 / trace.fs, initial=0.0)
     power = 0.5 * (transform(size * np.cos(phase)) ** 2 + transform(size * np.sin(phase)) ** 2)
-    n = len(power)
-    bins = max(3, round(_WIDTH / (0.5 * trace.fs) * n))
-    power = np.maximum(uniform_filter1d(power, bins, mode="reflect"), 0.0)  # a running sum leaves -1e-16
-    return np.asarray(np.interp(omega, np.pi * np.arange(n) / n, power), dtype=np.float64)[None]
+    bins = max(3, round(_WIDTH / (0.5 * trace.fs) * len(power)))
+    smooth = uniform_filter1d(power, bins, mode="reflect")
+    return np.asarray(np.maximum(smooth, 0.0), dtype=np.float64)  # a running sum leaves -1e-16
 
 
 def while_running(trace: Trace) -> Array:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import welch
+from scipy.signal.windows import hann
 
 from calib.errors import InvalidInputError
 from calib.gap.problem import Trace
@@ -187,10 +187,8 @@ def _worse_reference(trace: Trace, name: str, measured: Array, ideal: Array) -> 
     if trace.against is not None:
         return None
     length = min(256, len(measured) // 6)
-    power = [
-        welch(v, nperseg=length, detrend="linear", average="median", axis=0)[1][2:-1]
-        for v in (measured, ideal, measured - ideal)
-    ]  # medians over pieces and frequencies: what happens at an edge, once, or as a line is no noise
+    # Medians over pieces and frequencies: what happens at an edge, once, or as a line is no noise.
+    power = [_usual_power(v, length)[2:-1] for v in (measured, ideal, measured - ideal)]
     half = len(power[0]) // 2
     own, of_reference, left = (np.median(p[half:], axis=0) for p in power)
     slow = np.median(power[2][: half // 2], axis=0)
@@ -201,6 +199,21 @@ def _worse_reference(trace: Trace, name: str, measured: Array, ideal: Array) -> 
     times = float(np.sqrt((of_reference[worse] / np.maximum(own[worse], 1e-300)).max()))
     reason = f"the reference of {name} has {times:.3g} times the noise of the sensor on {_axes(worse)}"
     return trace.sensor.value, reason, "a reference that is better than the sensor"
+
+
+def _usual_power(values: Array, length: int) -> Array:
+    """One-sided power of `values` (N, 3) at a sampling rate of one: the median over pieces of `length` less trend.
+
+    Welch's periodogram (half overlapping, Hann) of all pieces at once; the median of so many exponential variables of
+    mean one is the alternating harmonic sum.
+    """
+    pieces = np.lib.stride_tricks.sliding_window_view(values, length, axis=0)[:: length - length // 2]
+    line = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, length), 2))[0]
+    window = hann(length, sym=False)
+    spectra = np.fft.rfft((pieces - pieces @ line @ line.T) * window, axis=-1)
+    even = 2.0 * np.arange(1, (len(pieces) - 1) // 2 + 1)
+    middle = 1.0 + float((1.0 / (even + 1.0) - 1.0 / even).sum())
+    return np.asarray(2.0 * np.median(np.abs(spectra) ** 2, axis=0).T / (middle * (window @ window)))
 
 
 def _tells(sensor: Sensor, ideal: Array) -> bool:

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from calib.gap.contest import Beside, Contest, one_sided_tail, tail
+from calib.gap.contest import Contest, one_sided_tail, tail
 from calib.gap.effects import by_id
 from calib.gap.hypotheses import Frame, Hypothesis
 from calib.gap.likelihood import transform
 from calib.gap.model import refined, setting_of, starting_model
 from calib.gap.noise_fit import starting_noise
 from calib.gap.power import noncentrality
+from calib.gap.projection import Beside
 from calib.gap.selection import with_score
 from calib.gap.views import views_of
 from calib.recording import Sensor

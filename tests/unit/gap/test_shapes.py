@@ -8,11 +8,12 @@ import math
 import numpy as np
 import pytest
 
-from calib.gap.contest import Beside, Contest
+from calib.gap.contest import Contest
 from calib.gap.effects import by_id
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.model import setting_of, starting_model
 from calib.gap.noise_fit import starting_noise
+from calib.gap.projection import Beside
 from calib.gap.selection import with_score
 from calib.gap.shapes import shapes_of
 from calib.gap.views import views_of

@@ -17,11 +17,11 @@ from calib.gap.model import (
     jacobian,
     normal_equations,
     setting_of,
-    solved,
     starting_model,
     with_residual,
 )
 from calib.gap.noise_fit import NoiseFit, starting_noise
+from calib.gap.normal import solved
 from calib.gap.schema import Verdict
 from calib.gap.selection import Chosen
 from calib.gap.transitions import levels_apart, transitions
