@@ -143,7 +143,7 @@ def _date(log: Log, clock: Clock) -> list[Event]:
     if table is None:
         return []
     week, time = ("GWk", "GMS") if "GWk" in table else ("Week", "TimeMS")
-    if week not in table or time not in table:
+    if any(name not in table for name in (week, time, "Status")):
         return []
     known = np.flatnonzero((table[week] > 1000) & (table["Status"] >= 3))
     if not len(known):

@@ -354,6 +354,14 @@ class TestBadInput:
             assert (np.diff(channel.t) >= 0).all()
         undo(recording)
 
+    @pytest.mark.parametrize("name", sorted({c for m in made.MESSAGES for c in m.columns.split(",")}, key=str))
+    def test_a_column_whose_name_is_damaged_is_missed_or_refused(self, name):
+        damaged = SMALL.replace(f",{name}".encode(), b"," + b"~" * len(name))
+        try:
+            read_dataflash(damaged)
+        except UnreadableError as error:
+            assert str(error)
+
     @settings(max_examples=60)
     @given(st.data())
     def test_definitions_may_say_anything(self, data):
