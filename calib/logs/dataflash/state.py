@@ -34,6 +34,14 @@ MOST: Final[Mapping[Sensor, Array]] = {
 FIX_3D: Final = 3
 """``GPS.Status`` from which on place and velocity are known."""
 
+_QUATERNION = ("Q1", "Q2", "Q3", "Q4")
+_TRUTH = (
+    ("SIM", Sensor.ATTITUDE, _QUATERNION, "1"),
+    ("SIM", Sensor.POSITION, ("Lat", "Lng", "Alt"), "deg deg m"),
+    ("SIM2", Sensor.PLACE, ("PN", "PE", "PD"), "m"),
+    ("SIM2", Sensor.VELOCITY, ("VN", "VE", "VD"), "m/s"),
+)
+
 
 def state_channels(log: Log, clock: Clock, parameters: Mapping[str, float]) -> list[Channel]:
     """Attitude, position, velocity, current, throttle, motors and rotors, as far as the log has them."""
@@ -49,15 +57,12 @@ def state_channels(log: Log, clock: Clock, parameters: Mapping[str, float]) -> l
 def reference_channels(log: Log, clock: Clock) -> list[Channel]:
     """The simulator's truth: attitude and position of SIM, place and velocity of SIM2."""
     found = []
-    sim, local = log.get("SIM"), log.get("SIM2")
-    if sim is not None and "Q1" in sim:
-        t = clock.times(sim)
-        found.append(_made(Sensor.ATTITUDE, sim, t, _unit(np.column_stack(sim.columns("Q1", "Q2", "Q3", "Q4"))), "1"))
-        found.append(_made(Sensor.POSITION, sim, t, np.column_stack(sim.columns("Lat", "Lng", "Alt")), "deg deg m"))
-    if local is not None and "PN" in local:
-        t = clock.times(local)
-        found.append(_made(Sensor.PLACE, local, t, np.column_stack(local.columns("PN", "PE", "PD")), "m"))
-        found.append(_made(Sensor.VELOCITY, local, t, np.column_stack(local.columns("VN", "VE", "VD")), "m/s"))
+    for name, sensor, columns, unit in _TRUTH:
+        table = log.get(name)
+        if table is not None and all(column in table for column in columns):
+            values = np.column_stack(table.columns(*columns))
+            values = _unit(values) if sensor is Sensor.ATTITUDE else values
+            found.append(_made(sensor, table, clock.times(table), values, unit))
     return [channel for channel in found if len(channel)]
 
 
@@ -91,9 +96,9 @@ def _attitude(log: Log, clock: Clock) -> Channel | None:
         return _made(Sensor.ATTITUDE, table, clock.times(table), quaternion_from_euler(roll, pitch, yaw), "1")
     for name in ("XKQ", "NKQ", "AHR2"):
         table = log.get(name)
-        if table is not None and "Q1" in table:
+        if table is not None and all(column in table for column in _QUATERNION):
             rows = table["C"] == 0 if "C" in table else slice(None)
-            q = np.column_stack([column[rows] for column in table.columns("Q1", "Q2", "Q3", "Q4")])
+            q = np.column_stack([column[rows] for column in table.columns(*_QUATERNION)])
             return _made(Sensor.ATTITUDE, table, clock.times(table)[rows], _unit(q.astype(np.float64)), "1")
     return None
 
