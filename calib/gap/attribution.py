@@ -41,7 +41,7 @@ Key = tuple[str, tuple[int, ...]]
 
 TEMPERATURE = 2.0
 """By which differences of penalised evidence are flattened into probabilities."""
-NAMED = 0.92
+NAMED = 0.95
 """Share of clear names that were right on development cases: there are rivals that nobody wrote down."""
 _STANDS_IN = 0.8
 """The same of noise that wanders, which takes the place of anything slow, beside that."""

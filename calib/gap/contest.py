@@ -20,7 +20,7 @@ from scipy.stats import binom
 
 from calib.gap.bands import joined
 from calib.gap.effects.base import MeanEffect, NoiseEffect
-from calib.gap.evidence import price_of_fixed, price_of_kind, price_of_noise, price_of_search
+from calib.gap.evidence import price_of_fixed, price_of_kind, price_of_noise, price_of_numbers, price_of_search
 from calib.gap.filtered import shaped, told_by_noise
 from calib.gap.hypotheses import Columns, Hypothesis, columns_of
 from calib.gap.kept import Kept
@@ -218,6 +218,7 @@ def priced(hypothesis: Hypothesis, theta: float, found: Gain, grid: int) -> Scor
     hidden = hypothesis.effect.hidden if found.df else 0
     price = price_of_search(grid, found.gain) + hidden * price_of_fixed(found.gain)
     price += price_of_kind(hypothesis.effect.id)
+    price += 0.0 if hypothesis.effect.nameless else price_of_numbers(len(found.beta))
     p = tail(found.gain, found.df + hidden, grid)
     return Score(hypothesis, theta, found.gain, found.df + hidden, grid, p, found.evidence - price, found.beta)
 
@@ -334,14 +335,14 @@ def modulation(model: Model, axis: int, envelope: Array, density: Array) -> floa
 def widest(hypothesis: Hypothesis, model: Model) -> tuple[Trace, int]:
     """The trace, and the index of the series, that show most of it: of several alike the one with most left over.
 
-    What is sought may have been in one block only.
+    What is sought may have been in one block only. Of two bands the lower one stands for both.
     """
     found = [
         (abs(weight), v, i)
         for v, view in enumerate(model.setting.views)
         if hypothesis.touches(view)
         for i, weight in view.weights.items()
-        if i in hypothesis.instances
+        if i in hypothesis.instances and not (view.first and hypothesis.touches(model.setting.views[v - 1]))
     ]
     most = max(weight for weight, _, _ in found)
     alike = [(v, i) for weight, v, i in found if weight == most]

@@ -32,6 +32,8 @@ _ONE_OF_MANY = 4.0
 """Added to it for a part of a shape: the one of many that fits best."""
 _DOUBT = 8.0
 """Price of blaming the reference for what a sensor may have done."""
+_NUMBER, _VECTOR = 1.0, 3
+"""Price of an amplitude as such, beyond three: what it gains by chance (Akaike 1974)."""
 _COARSE = 4.0
 """What the search over a coarse grid counts as."""
 
@@ -61,6 +63,15 @@ def evidence(gram: Array, right: Array, groups: NDArray[np.intp]) -> float:
     sizes = _SIZES[:, None] / largest
     worth = (square * sizes / (1.0 + sizes * values) - np.log1p(sizes * values)).sum(axis=1)
     return float(worth.max())
+
+
+def price_of_numbers(count: int) -> float:
+    """Price of `count` amplitudes as such: of causes that explain the same the one with fewer numbers is believed.
+
+    Beside the evidence, in which a direction that the movement does not excite costs nothing: at rest the nine numbers
+    of a sensitivity to force are an offset of three. A vector is the least that a cause of three axes has.
+    """
+    return _NUMBER * max(count - _VECTOR, 0)
 
 
 def price_of_fixed(gain: float) -> float:

@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from calib.gap.contest import Contest, one_sided_tail, tail
+from calib.gap.bands import split
+from calib.gap.contest import Contest, one_sided_tail, tail, widest
 from calib.gap.effects import by_id
 from calib.gap.hypotheses import Frame, Hypothesis
 from calib.gap.likelihood import transform
 from calib.gap.model import refined, setting_of, starting_model
 from calib.gap.noise_fit import starting_noise
 from calib.gap.power import noncentrality
+from calib.gap.problem import Problem, ReferenceInfo, ReferenceKind, Trace
 from calib.gap.projection import Beside
 from calib.gap.selection import with_score
 from calib.gap.views import views_of
@@ -87,3 +89,18 @@ def test_the_smallest_effect_that_shows_is_found_half_of_the_time():
     x[:, 0] += math.sqrt(noncentrality(3, level))
     found = np.mean([tail(float(s), 3, 1) < level for s in (x**2).sum(axis=1)])
     assert found == pytest.approx(0.5, abs=4.0 * 0.5 / math.sqrt(20_000))
+
+
+def test_of_two_bands_the_lower_one_stands_for_both_however_loud_the_upper_one_is():
+    rng = np.random.default_rng(8)
+    t = np.arange(24_000) / 400.0
+    ideal = 0.3 * np.sin(0.7 * t)[:, None] * [1.0, -0.5, 0.2]
+    humming = 0.1 * np.sin(2.0 * np.pi * 90.0 * t)[:, None]
+    measured = ideal + 0.003 * rng.normal(size=ideal.shape) + humming
+    trace = Trace(Sensor.GYRO, (0,), t, measured, ideal, np.ones(len(t), bool), sigma=np.full(3, 0.003))
+    problem = Problem((trace,), ReferenceInfo(ReferenceKind.SIM), 60.0)
+    setting = setting_of(split(views_of(problem, {}, {})))
+    model = starting_model(setting, starting_noise(setting))
+    assert [view.first > 0 for view in setting.views] == [False, True]
+    for kind in ("step", "tone", "bias", "noise"):
+        assert widest(Hypothesis(by_id()[f"gyro_{kind}"], (0,)), model)[1] == 0
