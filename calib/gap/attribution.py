@@ -27,6 +27,7 @@ from calib.gap.selection import (
     Chosen,
     fitted,
     grown,
+    largest_gain,
     last_gains,
     objective,
     restored,
@@ -55,6 +56,8 @@ _EVEN = 0.5
 _CLEARLY = 1.0
 """Penalised evidence by which an exchange must be better."""
 _ROUNDS = 3
+_TOGETHER = 0.1
+"""Part of the largest gain by which events that were tried first must be better: a jump at an end is an offset."""
 """Exchanges at most."""
 
 
@@ -109,6 +112,7 @@ def steadily(chosen: Chosen, start: Model, contest: Contest, alpha: float) -> Ch
     """The model, or a better one without noise that wanders, whose effects were exchanged until none has a better one.
 
     Forward steps may stop where two of the wrong effects stand; wandering noise then beats them, and not the right two.
+    Of a magnet that is put on and taken off neither jump alone says much: events are tried by themselves first as well.
     """
     drifting = {t.hypothesis.effect.sensor for t in chosen.model.noise_terms if t.hypothesis.effect.id.endswith(DRIFTS)}
     if not drifting or {Sensor.ACCEL, Sensor.MAG} <= drifting:  # both: it is the reference, which comes next
@@ -117,8 +121,15 @@ def steadily(chosen: Chosen, start: Model, contest: Contest, alpha: float) -> Ch
     level = alpha * len(steady) / max(len(contest.hypotheses), 1)
     without_drift = contest.among(steady)
     other, _ = settled(select(start, without_drift, level), without_drift, level)
-    other = replace(other, tests=chosen.tests, first=chosen.first)
-    return other if objective(other) < objective(chosen) else chosen
+    best = other if objective(other) < objective(chosen) else chosen
+    jumps = [h for h in steady if h.effect.jumps and h.effect.sensor in drifting]
+    events = select(start, contest.among(jumps), alpha * len(jumps) / max(len(contest.hypotheses), 1))
+    if len(events.scores) > 1:
+        begun = grown(replace(events, tests=other.tests), without_drift, level / max(other.tests, 1))
+        other, _ = settled(begun, without_drift, level)
+        if objective(other) < objective(best) - _TOGETHER * largest_gain(chosen, contest):
+            best = other
+    return replace(best, tests=chosen.tests, first=chosen.first)
 
 
 def _better(held: Mapping[Key, tuple[list[Alternative], float]], level: float) -> tuple[Key, Score] | None:

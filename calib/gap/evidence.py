@@ -32,8 +32,8 @@ _ONE_OF_MANY = 4.0
 """Added to it for a part of a shape: the one of many that fits best."""
 _DOUBT = 8.0
 """Price of blaming the reference for what a sensor may have done."""
-_NUMBER, _VECTOR = 1.0, 3
-"""Price of an amplitude as such, beyond three: what it gains by chance (Akaike 1974)."""
+_NUMBER, _VECTOR = 0.5, 3
+"""Price of an amplitude as such, beyond three."""
 _COARSE = 4.0
 """What the search over a coarse grid counts as."""
 

@@ -99,8 +99,6 @@ def select(start: Model, contest: Contest, alpha: float) -> Chosen:
 
     It can take the place of any slow effects on the mean, of two at once of which neither is better alone. It is
     therefore left out at first, and may join beside them; only then it is asked whether it says more in their place.
-    Where it might, events are tried by themselves as well: of a magnet that is put on and taken off neither jump alone
-    says much.
 
     Parameters
     ----------
@@ -121,11 +119,7 @@ def select(start: Model, contest: Contest, alpha: float) -> Chosen:
     chosen = grown(grown(bare, contest, level, steady), contest, level, candidates)
     if not (wanders(chosen) or _drift_leads(first, level)):
         return chosen
-    others = [grown(bare, contest, level, candidates)]
-    begun = grown(bare, contest, level, [h for h in steady if h.effect.jumps])
-    if begun.scores:
-        others.append(grown(grown(begun, contest, level, steady), contest, level, candidates))
-    other = min(others, key=objective)
+    other = grown(bare, contest, level, candidates)
     worth = MATERIAL * largest_gain(chosen, contest)
     return other if objective(other) < objective(chosen) - worth else chosen
 
