@@ -113,6 +113,8 @@ def returning(model: Model, v: int, term: NoiseTerm) -> bool:
     return float(common.max() - best.max()) > _RETURNS or each > _RETURNS_EACH
 
 
+_TOGETHER = (([0, 1, 2], ""), ([0], ".x"), ([1], ".y"), ([2], ".z"))
+"""Axes that may swell together, and their name: one supply feeds all three."""
 _WINDOWS = (8, 32, 128)
 """Samples over which energies are summed, in turn."""
 _UNSTEADY = 1e-6
@@ -129,13 +131,18 @@ def unsteady(model: Model) -> tuple[float, str]:
     for v, view in enumerate(model.setting.views):
         if view.density is not None or view.variance is None or view.first or _varies(model, view) or _coarse(view):
             continue
-        for c in range(3):
-            white = view.whitened(view.spectra(model.residual[v])[c] / np.sqrt(model.noise[3 * v + c].power))
+        white = np.stack(
+            [
+                view.whitened(view.spectra(model.residual[v])[c] / np.sqrt(model.noise[3 * v + c].power))
+                for c in range(3)
+            ]
+        )
+        for axes, name in _TOGETHER:
             for width in _WINDOWS:
-                nats = _swelling(white, width, len(_WINDOWS) * 3 * len(model.setting.views))
+                nats = _swelling(white[axes], width, len(_WINDOWS) * len(_TOGETHER) * len(model.setting.views))
                 if nats > worst:
                     worst = nats
-                    text = f"noise that comes and goes within {width / view.fs:.2g} s on {view.sensor.value}.{'xyz'[c]}"
+                    text = f"noise that comes and goes within {width / view.fs:.2g} s on {view.sensor.value}{name}"
     return worst, text
 
 
@@ -159,14 +166,20 @@ def _varies(model: Model, view: View) -> bool:
 
 
 def _swelling(white: Array, width: int, tests: int) -> float:
-    """Excess scatter of the energies of windows of `width` samples, in nats; 0 if chance makes as much."""
-    count = len(white) // width
+    """Excess scatter of the energies of windows of `width` samples of axes (p, n), in nats; 0 if chance makes as much.
+
+    Tails that are heavier than normal ones scatter more wherever they lie.
+    """
+    count = white.shape[1] // width
     if count < _LEAST:
         return 0.0
-    energy = (white[: count * width].reshape(count, width) ** 2).sum(axis=1)
+    freedom = width * len(white)
+    energy = (white[:, : count * width].reshape(len(white), count, width) ** 2).sum(axis=(0, 2))
     mean = energy / float(energy.mean())
-    scatter = float((width * (mean - 1.0 - np.log(np.maximum(mean, 1e-12)))).sum())
-    expected = 1.0 + 1.0 / (3.0 * width)  # Bartlett's correction of the ratio of one variance
+    scatter = float((freedom * (mean - 1.0 - np.log(np.maximum(mean, 1e-12)))).sum())
+    square = white**2
+    tails = max(float((square.var(axis=1) / (2.0 * square.mean(axis=1) ** 2)).mean()), 1.0)
+    expected = tails * (1.0 + 1.0 / (3.0 * freedom))  # Bartlett's correction of the ratio of one variance
     if float(chdtrc(count - 1, scatter / expected)) * tests > _UNSTEADY:
         return 0.0
-    return 0.5 * (scatter - expected * (count - 1))
+    return float(0.5 * (scatter - expected * (count - 1)))

@@ -51,6 +51,21 @@ def test_noise_that_comes_in_bursts_is_unsteady(times, of):
     assert "gyro" in text
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_bursts_of_all_axes_at_once_show_earlier_than_those_of_one(seed):
+    nats, text = unsteady(model_of(bursts(1.0, seed=seed)))
+    assert nats > 30.0
+    assert text.endswith("on gyro")
+    assert unsteady(model_of(bursts(1.0, seed=seed) * [1.0, 0.0, 0.0]))[0] == 0.0
+
+
+def test_heavy_tails_that_lie_anywhere_are_not_unsteady():
+    for seed in range(20):
+        rng = np.random.default_rng(seed + 900)
+        heavy = SD * rng.standard_t(4.0, size=(N, 3))
+        assert unsteady(model_of(heavy, seed=seed))[0] == 0.0
+
+
 def test_steady_noise_is_not_unsteady():
     assert [unsteady(model_of(0.0, seed=seed))[0] for seed in range(100)] == [0.0] * 100
 
