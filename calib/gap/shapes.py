@@ -7,7 +7,7 @@ as well, by axis and by signal: one amplitude shows what eighteen would hide.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,6 +45,13 @@ _ON = tuple(np.arange(0.1, 0.95, 0.05).round(2).tolist())
 """Parts of a period for which something may be switched on."""
 _OFFSET = 0.2
 """Standard deviation of a signal, in parts of its size, below which it is nothing but an offset."""
+_MATRICES = {
+    (Sensor.ACCEL, "a"): {"accel_scale", "accel_misalignment"},
+    (Sensor.GYRO, "w"): {"gyro_scale", "gyro_misalignment"},
+    (Sensor.GYRO, "a"): {"gyro_g_sensitivity"},
+    (Sensor.MAG, "m"): {"mag_soft_iron", "mag_rotation"},
+}
+"""Effects that are every linear map of a vector to a sensor: one entry of it is theirs as well."""
 _AXES = "xyz"
 
 
@@ -76,15 +83,18 @@ class _Group:
     each: bool = False
 
 
-def shapes_of(setting: Setting, tones: Sequence[Term] = ()) -> tuple[Shape, ...]:
-    """Every shape that can be drawn, of every sensor and instance; of waves that `tones` found, their overtones."""
+def shapes_of(setting: Setting, tones: Sequence[Term] = (), named: Collection[str] = ()) -> tuple[Shape, ...]:
+    """Every shape that can be drawn, of every sensor and instance; of waves that `tones` found, their overtones.
+
+    What has a name among the effects `named` in every one of its parts is no shape.
+    """
     found: dict[object, Shape] = {}
     for view in setting.views:
         for instance, trace in view.traces.items() if not view.first else ():
             if instance not in view.weights:
                 continue
             own = [t for t in tones if t.hypothesis.touches(view) and instance in t.hypothesis.instances]
-            for group in (*_groups(trace), *(g for tone in own for g in _periodic(trace, tone))):
+            for group in (*_groups(trace, named), *(g for tone in own for g in _periodic(trace, tone))):
                 shape = _shape(trace.sensor, group, instance)
                 found.setdefault(shape.whole.key, shape)
     return tuple(found.values())
@@ -95,9 +105,9 @@ def flexible(hypothesis: Hypothesis) -> bool:
     return family_of(hypothesis.effect.id) in _FLEXIBLE
 
 
-def _groups(trace: Trace) -> Iterator[_Group]:
+def _groups(trace: Trace, named: Collection[str]) -> Iterator[_Group]:
     yield from _lines(trace)
-    for group in (*_linear(trace), *_products(trace), *_driven(trace)):
+    for group in (*_linear(trace, named), *_products(trace), *_driven(trace)):
         swinging = [j for j, signal in enumerate(group.signals) if _swings(signal)]
         if swinging:
             names = tuple(group.names[j] for j in swinging) if group.names else ()
@@ -206,9 +216,12 @@ def _swings(values: Array) -> bool:
     return float(values.std()) > _OFFSET * math.sqrt(float((values**2).mean()))
 
 
-def _linear(trace: Trace) -> Iterator[_Group]:
+def _linear(trace: Trace, named: Collection[str]) -> Iterator[_Group]:
     """What another sensor of the vehicle reads, or how fast this one's reading changes."""
     for letter, vector in _vectors(trace):
+        own = _MATRICES.get((trace.sensor, letter))
+        if own is not None and own <= set(named):
+            continue
         names = tuple(f"{letter}_{axis}" for axis in _AXES)
         yield _Group("linear", f"linear in {letter}", np.ascontiguousarray(vector.T), names)
     if trace.sensor is Sensor.MAG:

@@ -63,7 +63,8 @@ class _Place:
 
 def explained(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> WithShapes:
     """The catalogue's model, or a better one with shapes, and a contest that has the likeliest shapes as rivals."""
-    shapes = shapes_of(chosen.model.setting, [t for t in chosen.model.terms if t.hypothesis.periodic])
+    periodic = [t for t in chosen.model.terms if t.hypothesis.periodic]
+    shapes = shapes_of(chosen.model.setting, periodic, {h.effect.id for h in contest.hypotheses})
     scorer = contest.among(())
     tests = chosen.tests + sum(len(s.hypotheses) for s in shapes)
     beside = [_Place(score) for score in _scored(shapes, scorer, Beside(chosen.model))]

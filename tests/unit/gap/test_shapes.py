@@ -56,6 +56,26 @@ def test_shapes_are_told_apart_by_instance_and_from_the_catalogue():
     assert not {h.effect.id for h in found} & set(by_id())
 
 
+@pytest.mark.parametrize(
+    ("sensor", "letter", "ids"),
+    [
+        (Sensor.ACCEL, "a", {"accel_scale", "accel_misalignment"}),
+        (Sensor.GYRO, "w", {"gyro_scale", "gyro_misalignment"}),
+        (Sensor.GYRO, "a", {"gyro_g_sensitivity"}),
+        (Sensor.MAG, "m", {"mag_soft_iron", "mag_rotation"}),
+    ],
+)
+def test_one_entry_of_a_matrix_that_has_a_name_is_no_shape(sensor, letter, ids):
+    def linear(named):
+        shapes = (h.effect.excited_by for s in shapes_of(model_of(sensor).setting, named=named) for h in s.hypotheses)
+        return {name for name in shapes if name.startswith((f"linear in {letter}", f"{letter}_x on"))}
+
+    assert ids <= set(by_id())
+    assert linear(by_id()) == set()
+    for missing in ids:
+        assert linear(set(by_id()) - {missing})
+
+
 def test_columns_are_finite_and_none_changes_its_trace():
     model = model_of(Sensor.MAG)
     trace = model.setting.views[0].traces[0]
