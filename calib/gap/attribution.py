@@ -93,10 +93,7 @@ def settled(chosen: Chosen, contest: Contest, alpha: float) -> tuple[Chosen, tup
         swap = _better(held, level)
         if swap is None:
             break
-        other = _exchanged(chosen, *swap)
-        if objective(other) >= objective(chosen):
-            break  # by itself it looked better than it fits together with the others
-        chosen = grown(other, contest, level)
+        chosen = grown(_exchanged(chosen, *swap), contest, level)
     else:
         held = {term.hypothesis.key: _alternatives(chosen, contest, term) for term in chosen.model.members}
     return chosen, _attributed(chosen, contest, held)

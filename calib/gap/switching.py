@@ -87,7 +87,7 @@ def _better(model: Model, v: int, terms: Sequence[Term | NoiseTerm]) -> bool:
     if (slow.max(axis=1) > _FLAT * slow.min(axis=1)).any():
         return False
     means = series[: count * width].reshape(count, width, 3).mean(axis=1)
-    gain, jumps = two_levels(means, slow.mean(axis=1) / width)
+    gain, jumps = two_levels(means, slow.max(axis=1) / width)  # no more than the spectrum grants the effects
     return bool(((jumps > _JUMPS) & (gain > _BETTER)).any()) and float(gain.sum()) > own + _BETTER
 
 
