@@ -1,0 +1,67 @@
+"""Recordings whose errors are known, diagnosed whole: exactly those effects and instances, and their parameters."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib import gap, logs
+from calib.gap.schema import EffectEstimate, GapReport, Verdict
+from service.commands.gap_real import _broad
+
+pytestmark = [pytest.mark.shared, pytest.mark.timeout(400)]
+
+GAUSS = 0.1  # uT in a milligauss
+
+FLIGHTS = {
+    "bias": {
+        "accel_bias": ([1], "bias", [0.3, -0.2, 0.15]),
+        "gyro_bias": ([1], "bias", [0.01, -0.015, 0.008]),
+        "mag_hard_iron": ([1], "hard_iron", [-6.0, 4.0, -3.0]),
+    },
+    "mix": {"gyro_bias": ([1], "bias", [-0.012, 0.018, 0.02]), "mag_soft_iron": ([1], "", [])},
+    "vib_motor_temp": {
+        "accel_vibration": ([1, 2], "amplitude", [4.0, 4.0, 4.0]),
+        "accel_temp_poly": ([1], "per_degc", [8e-3, -5e-3, 12e-3]),
+        "gyro_temp_linear": ([1], "per_degc", [3e-4, -2e-4, 1.5e-4]),
+        "mag_motor_current": ([1, 2, 3], "per_ampere", [3.0 * GAUSS, -2.0 * GAUSS, 4.0 * GAUSS]),
+    },
+}
+BESIDE = {"vib_motor_temp": {"gyro_vibration"}}
+"""What is in the recording as well: the simulator shakes its gyroscopes too."""
+
+
+def agrees(effect: EffectEstimate, name: str, known: list[float]) -> None:
+    for axis, value in zip("xyz", known, strict=bool(known)):
+        said = next(p for p in effect.params if p.name == f"{name}.{axis}")
+        assert said.value == pytest.approx(value, rel=0.1)
+        assert said.se is not None
+        assert abs(said.value - value) < 3.0 * max(said.se, 1e-3 * abs(value))
+
+
+@pytest.mark.parametrize("name", FLIGHTS)
+def test_a_flight_against_the_clean_one_shows_what_was_put_in(shared_data: Path, name: str) -> None:
+    folder = shared_data / "sitl_flights"
+    report = gap.run(logs.read(folder / f"{name}.bin"), logs.read(folder / "null.bin"), nested=False)
+    assert report.verdict is Verdict.EXPLAINED
+    found = {e.id: e for e in report.effects}
+    assert set(found) - BESIDE.get(name, set()) == set(FLIGHTS[name])
+    for effect_id, (instances, parameter, known) in FLIGHTS[name].items():
+        assert list(found[effect_id].instances) == instances
+        assert found[effect_id].evidence.probability > 0.5
+        agrees(found[effect_id], parameter, known)
+
+
+def test_a_magnet_that_is_put_on_and_taken_off_is_a_step_and_its_opposite(shared_data: Path) -> None:
+    folder = shared_data / "broad"
+    real, nominal = (_broad(next(folder.glob(f"{trial}_*.mat"))) for trial in ("32", "01"))
+    report: GapReport = gap.run(real, None, [nominal], nested=False)
+    steps = [{p.name: p.value for p in e.params} for e in report.effects if e.id == "mag_step"]
+    on, off = sorted(steps, key=lambda step: step["time_s"])
+    assert 34.0 < on["time_s"] < 42.0
+    assert 92.0 < off["time_s"] < 100.0
+    for step, sign in ((on, 1.0), (off, -1.0)):
+        vector = sign * np.array([step[f"step.{axis}"] for axis in "xyz"])
+        assert vector == pytest.approx([-6.0, -1.0, 58.0], abs=2.0)
