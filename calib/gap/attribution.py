@@ -25,6 +25,7 @@ from calib.gap.projection import Beside, existing
 from calib.gap.schema import Rival
 from calib.gap.selection import (
     Chosen,
+    Key,
     fitted,
     grown,
     largest_gain,
@@ -38,7 +39,6 @@ from calib.gap.selection import (
 from calib.recording import Sensor
 
 Array = NDArray[np.float64]
-Key = tuple[str, tuple[int, ...]]
 
 TEMPERATURE = 2.0
 """By which differences of penalised evidence are flattened into probabilities."""
@@ -56,9 +56,9 @@ _EVEN = 0.5
 _CLEARLY = 1.0
 """Penalised evidence by which an exchange must be better."""
 _ROUNDS = 3
+"""Exchanges at most."""
 _TOGETHER = 0.1
 """Part of the largest gain by which events that were tried first must be better: a jump at an end is an offset."""
-"""Exchanges at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,13 +120,20 @@ def steadily(chosen: Chosen, start: Model, contest: Contest, alpha: float) -> Ch
     other, _ = settled(select(start, without_drift, level), without_drift, level)
     best = other if objective(other) < objective(chosen) else chosen
     jumps = [h for h in steady if h.effect.jumps and h.effect.sensor in drifting]
-    events = select(start, contest.among(jumps), alpha * len(jumps) / max(len(contest.hypotheses), 1))
-    if len(events.scores) > 1:
-        begun = grown(replace(events, tests=other.tests), without_drift, level / max(other.tests, 1))
-        other, _ = settled(begun, without_drift, level)
-        if objective(other) < objective(best) - _TOGETHER * largest_gain(chosen, contest):
-            best = other
+    events = _events_first(start, jumps, without_drift, level)
+    if events is not None and objective(events) < objective(best) - _TOGETHER * largest_gain(chosen, contest):
+        best = events
     return replace(best, tests=chosen.tests, first=chosen.first)
+
+
+def _events_first(start: Model, jumps: Sequence[Hypothesis], contest: Contest, alpha: float) -> Chosen | None:
+    """A model that begins with `jumps` alone; None where there are no two of them."""
+    tests = sum(not h.again for h in contest.hypotheses)
+    events = select(start, contest.among(jumps), alpha * len(jumps) / max(len(contest.hypotheses), 1))
+    if len(events.scores) < 2:
+        return None
+    begun = grown(replace(events, tests=tests), contest, alpha / max(tests, 1))
+    return settled(begun, contest, alpha)[0]
 
 
 def _better(held: Mapping[Key, tuple[list[Alternative], float]], level: float) -> tuple[Key, Score] | None:

@@ -22,6 +22,7 @@ _ABOVE = 0.25
 _LEAST = 1e-6
 """Part of the noise that any filter leaves: digits."""
 _TINY = 1e-300
+"""In place of no power at all."""
 
 
 def shaped(model: Model, sensor: Sensor) -> float:

@@ -36,10 +36,9 @@ from calib.gap.model import Model, NoiseTerm, Setting, Term, jacobian, normal_eq
 from calib.gap.noise_fit import is_declared, refitted
 from calib.gap.normal import solved
 from calib.gap.schema import SequenceStep, Shrink
-from calib.gap.selection import Chosen, select
+from calib.gap.selection import Chosen, Key, select
 
 Array = NDArray[np.float64]
-Key = tuple[str, tuple[int, ...]]
 
 _BLOCKS = 8
 """Of a recording, each of which is held out once."""

@@ -16,14 +16,15 @@ from calib.gap.attribution import Attribution
 from calib.gap.effects.noise import DRIFTS
 from calib.gap.likelihood import Noise
 from calib.gap.model import Model, NoiseTerm, Term, predicted
+from calib.gap.selection import Key
 from calib.gap.views import View
 
 Array = NDArray[np.float64]
-Key = tuple[str, tuple[int, ...]]
 
 _WINDOWS = 700
 """Averages that a series is looked at in: tenths of a second of a minute."""
 _FEWEST = 64
+"""Samples below which a series does not tell levels apart."""
 _BETTER = 19.0
 """Twice the log-likelihood by which the chains must beat an effect: three walks in a hundred show as much."""
 _FLAT = 2.0
@@ -33,7 +34,9 @@ _JUMPS = 3.5
 _RARE, _OFTEN = 1e-4, 0.5
 """Chances of a jump from one average to the next."""
 _STARTS = (0.02, 0.2)
+"""The chances that a fit begins with, in turn."""
 _ROUNDS, _SETTLED = 30, 0.05
+"""Rounds of a fit at most, and the log-likelihood that a further one must gain."""
 
 
 @dataclass(frozen=True, eq=False)

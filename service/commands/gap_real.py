@@ -83,7 +83,7 @@ def cases(data: Path, folder: Path) -> Iterator[RealCase]:
     if "broad_01" in nominal:
         whole = table(nominal["broad_01"], "broad_01")
         for file, known in LABELLED.items():
-            recording = _broad(data / "broad" / file)
+            recording = broad_recording(data / "broad" / file)
             yield RealCase(file.removesuffix(".mat"), table(recording, file[:2]), None, (whole,), known)
     for file, effects in SITL.items():
         path, null = data / "sitl_flights" / file, data / "sitl_flights" / "null.bin"
@@ -91,7 +91,8 @@ def cases(data: Path, folder: Path) -> Iterator[RealCase]:
             yield RealCase(f"sitl {file}", path, null, (), "injected by SIM_* parameters", effects)
 
 
-def _broad(path: Path) -> Recording:
+def broad_recording(path: Path) -> Recording:
+    """A trial of the BROAD data set: inertial unit, compass and the motion capture's pose, in ENU."""
     from calib import logs
 
     return logs.read(path, mapping=BROAD, world="enu", rate=2000.0 / 7.0)
@@ -101,7 +102,7 @@ def _nominal(data: Path) -> Iterator[tuple[str, Recording]]:
     from calib import logs
 
     if (path := data / "broad" / "01_undisturbed_slow_rotation_A.mat").is_file():
-        yield "broad_01", _broad(path)
+        yield "broad_01", broad_recording(path)
     if (path := data / "vqf_test_data" / "imu_data.npz").is_file():
         yield "vqf", logs.read(path, mapping=VQF, rate=_vqf_rate(path))
     if (path := data / "xio_fusion" / "sensor_data.csv").is_file():

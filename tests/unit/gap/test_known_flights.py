@@ -9,7 +9,7 @@ import pytest
 
 from calib import gap, logs
 from calib.gap.schema import EffectEstimate, GapReport, Verdict
-from service.commands.gap_real import _broad
+from service.commands.gap_real import broad_recording
 
 pytestmark = [pytest.mark.shared, pytest.mark.timeout(400)]
 
@@ -56,7 +56,7 @@ def test_a_flight_against_the_clean_one_shows_what_was_put_in(shared_data: Path,
 
 def test_a_magnet_that_is_put_on_and_taken_off_is_a_step_and_its_opposite(shared_data: Path) -> None:
     folder = shared_data / "broad"
-    real, nominal = (_broad(next(folder.glob(f"{trial}_*.mat"))) for trial in ("32", "01"))
+    real, nominal = (broad_recording(next(folder.glob(f"{trial}_*.mat"))) for trial in ("32", "01"))
     report: GapReport = gap.run(real, None, [nominal], nested=False)
     steps = [{p.name: p.value for p in e.params} for e in report.effects if e.id == "mag_step"]
     on, off = sorted(steps, key=lambda step: step["time_s"])
