@@ -218,7 +218,7 @@ def priced(hypothesis: Hypothesis, theta: float, found: Gain, grid: int) -> Scor
     hidden = hypothesis.effect.hidden if found.df else 0
     price = price_of_search(grid, found.gain) + hidden * price_of_fixed(found.gain)
     price += price_of_kind(hypothesis.effect.id)
-    price += 0.0 if hypothesis.effect.nameless else price_of_numbers(len(found.beta))
+    price += 0.0 if hypothesis.effect.nameless else price_of_numbers(found.idle)
     p = tail(found.gain, found.df + hidden, grid)
     return Score(hypothesis, theta, found.gain, found.df + hidden, grid, p, found.evidence - price, found.beta)
 

@@ -32,8 +32,8 @@ _ONE_OF_MANY = 4.0
 """Added to it for a part of a shape: the one of many that fits best."""
 _DOUBT = 8.0
 """Price of blaming the reference for what a sensor may have done."""
-_NUMBER, _VECTOR = 0.5, 3
-"""Price of an amplitude as such, beyond three."""
+_NUMBER = 0.5
+"""Price of an amplitude that the data do not tell."""
 _COARSE = 4.0
 """What the search over a coarse grid counts as."""
 
@@ -48,30 +48,61 @@ def evidence(gram: Array, right: Array, groups: NDArray[np.intp]) -> float:
     groups : shape (p,)
         Amplitudes of one unit have the same number; between groups sizes are relative to their mean information.
     """
+    return weighed(gram, right, groups)[0]
+
+
+def weighed(gram: Array, right: Array, groups: NDArray[np.intp]) -> tuple[float, float]:
+    """The :func:`evidence`, and of how many amplitudes the data tell at that size of the prior: from 0 to p."""
+    scale = _scale(gram, groups)
+    values, vectors = eigh(gram * np.outer(scale, scale))
+    if not len(values) or values[-1] <= 0.0:
+        return 0.0, 0.0
+    size, worth = _best_size(np.maximum(values, 0.0), (vectors.T @ (right * scale)) ** 2)
+    return worth, float((size * values / (1.0 + size * values)).sum())
+
+
+def prior_sd(gram: Array, right: Array, groups: NDArray[np.intp]) -> Array:
+    """Standard deviations (p,) of the prior at its best size; zero where the data would rather have no amplitudes."""
+    scale = _scale(gram, groups)
+    values, vectors = eigh(gram * np.outer(scale, scale))
+    if not len(values) or values[-1] <= 0.0:
+        return np.zeros(len(gram))
+    size, worth = _best_size(np.maximum(values, 0.0), (vectors.T @ (right * scale)) ** 2)
+    return scale * math.sqrt(size) if worth > 0.0 else np.zeros(len(gram))
+
+
+def _scale(gram: Array, groups: NDArray[np.intp]) -> Array:
+    """One over the root of the mean information of each amplitude's group; zero where there is none."""
     information = np.diag(gram)
     scale = np.ones(len(gram))
     for g in np.unique(groups):
         own = groups == g
         mean = float(information[own].mean())
         scale[own] = 1.0 / math.sqrt(mean) if mean > 0.0 else 0.0
-    values, vectors = eigh(gram * np.outer(scale, scale))
-    largest = float(values[-1]) if len(values) else 0.0
-    if largest <= 0.0:
-        return 0.0
-    square = (vectors.T @ (right * scale)) ** 2
-    values = np.maximum(values, 0.0)
-    sizes = _SIZES[:, None] / largest
+    return scale
+
+
+def _best_size(values: Array, square: Array) -> tuple[float, float]:
+    """The prior variance of standardised amplitudes that explains the data best, and twice the log evidence there.
+
+    Parameters
+    ----------
+    values, square : shape (p,)
+        Eigenvalues of the information, the last one the largest, and squares of the right side along their directions.
+    """
+    sizes = _SIZES[:, None] / values[-1]
     worth = (square * sizes / (1.0 + sizes * values) - np.log1p(sizes * values)).sum(axis=1)
-    return float(worth.max())
+    best = int(worth.argmax())
+    return float(sizes[best, 0]), float(worth[best])
 
 
-def price_of_numbers(count: int) -> float:
-    """Price of `count` amplitudes as such: of causes that explain the same the one with fewer numbers is believed.
+def price_of_numbers(idle: float) -> float:
+    """Price of amplitudes that the data do not tell: of causes that explain the same the one with fewer is believed.
 
     Beside the evidence, in which a direction that the movement does not excite costs nothing: at rest the nine numbers
-    of a sensitivity to force are an offset of three. A vector is the least that a cause of three axes has.
+    of a sensitivity to force are an offset of three.
     """
-    return _NUMBER * max(count - _VECTOR, 0)
+    return _NUMBER * idle
 
 
 def price_of_fixed(gain: float) -> float:

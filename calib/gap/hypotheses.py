@@ -214,12 +214,13 @@ def columns_of(hypothesis: Hypothesis, theta: float, views: Sequence[View], fram
         X = frames[v].bins(signals)
         for c in range(3):
             parts[3 * v + c] = Part(3 * np.arange(len(X), dtype=np.intp) + c, X)
-    return Columns(p, parts, _units(effect, p))
+    return Columns(p, parts, units_of(effect, p))
 
 
-def _units(effect: Effect, p: int) -> NDArray[np.intp] | None:
+def units_of(effect: Effect, p: int) -> NDArray[np.intp]:
+    """Which of an effect's `p` amplitudes have the same unit: the same number, (p,)."""
     names = [parameter.unit for parameter in effect.parameters]
-    return np.array([names.index(name) for name in names], np.intp) if len(names) == p else None
+    return np.array([names.index(name) for name in names] if len(names) == p else [0] * p, np.intp)
 
 
 def summed(columns: Callable[[Trace, float], Array], hypothesis: Hypothesis, theta: float, view: View) -> Array:

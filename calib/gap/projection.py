@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.evidence import evidence
+from calib.gap.evidence import weighed
 from calib.gap.hypotheses import Columns, Part
 from calib.gap.model import Model, Normal, Ridge, jacobian, normal_equations, stacked
 from calib.gap.normal import eigh, solved
@@ -21,12 +21,16 @@ _LEFT = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Gain:
-    """Of a group of columns: twice the gain of log-likelihood, degrees of freedom, amplitudes, and evidence."""
+    """Of a group of columns: twice the gain of log-likelihood, degrees of freedom, amplitudes, and evidence.
+
+    `idle`: of how many amplitudes the data do not tell.
+    """
 
     gain: float
     df: int
     beta: Array
     evidence: float
+    idle: float = 0.0
 
     @property
     def price(self) -> float:
@@ -97,7 +101,8 @@ class Beside:
         gram, right, energy = self.projected(columns)
         basis = existing(gram, energy)
         found = basis.T @ right
-        return Gain(float(found @ found), basis.shape[1], basis @ found, evidence(gram, right, columns.units))
+        worth, told = weighed(gram, right, columns.units)
+        return Gain(float(found @ found), basis.shape[1], basis @ found, worth, len(right) - told)
 
     def free_gains(self, groups: Sequence[Columns]) -> list[float]:
         """The gains alone of several groups, which is all that a search for a shape asks for."""

@@ -35,6 +35,7 @@ from calib.gap.folds import (
 from calib.gap.model import Model, NoiseTerm, Setting, Term, jacobian, normal_equations, setting_of
 from calib.gap.noise_fit import is_declared, refitted
 from calib.gap.normal import solved
+from calib.gap.predictive import predictive_loss
 from calib.gap.schema import SequenceStep, Shrink
 from calib.gap.selection import Chosen, Key, select
 
@@ -98,14 +99,14 @@ def held_out(chosen: Chosen, contest: Contest, alpha: float, *, nested: bool) ->
         known = [foretold(term, chosen.model, fold.train.setting) for term in order]
         for term, seen in zip(order, known, strict=True):
             chain.append(joined(chain[-1], term) if seen else chain[-1])
-        losses = [log_loss(carried(model, fold.test)) for model in chain]
+        losses = [predictive_loss(model, fold.test) for model in chain]
         before, fixed = losses[0], losses[-1]
         floor = _floor(chosen, chain[-1], fold) - floor_ratio * _numbers(fold.test)
         after = _nested(fold, chosen, contest, alpha) if nested else fixed
         rows.append((before - floor, after - floor, _numbers(fold.test)))
         less = (parted(chain[-1], t.hypothesis) if seen else chain[-1] for t, seen in zip(order, known, strict=True))
         told.append(known)
-        gains.append([log_loss(carried(model, fold.test)) - fixed for model in less])
+        gains.append([predictive_loss(model, fold.test) - fixed for model in less])
         steps.append([before - loss for loss in losses[1:]])
     table = np.array(rows, dtype=np.float64)
     lower = min(float(table[:, 1].sum()), 0.0) / float(table[:, 2].sum())  # no model is below the floor
@@ -166,9 +167,9 @@ def _nested(fold: Fold, chosen: Chosen, contest: Contest, alpha: float) -> float
     few = [h for h in contest.hypotheses if h.key in promising or (h.before is not None and h.before in promising)]
     level = alpha * sum(not h.again for h in few) / max(chosen.tests, 1)
     if not few:
-        return log_loss(carried(refitted(fold.train).model, fold.test))
+        return predictive_loss(refitted(fold.train).model, fold.test)
     found = select(refitted(fold.train).model, contest_of(few, contest.floor), level)
-    return log_loss(carried(found.model, fold.test))
+    return predictive_loss(found.model, fold.test)
 
 
 def _gate(term: Term | NoiseTerm, gains: Array, told: Sequence[bool], folds: Sequence[Fold], chosen: Chosen) -> Gate:
