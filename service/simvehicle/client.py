@@ -141,7 +141,7 @@ class SimulatedVehicle:
         return line
 
     def truth(self) -> dict[str, Any]:
-        """The whole truth of the sensors, as `truthreport.truth_report` gives it."""
+        """The whole truth of the sensors at this moment, as `truthreport.truth_report` gives it."""
         return dict(self.call("truth")["truth"])
 
     def parameters(self) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -15,6 +15,7 @@ from service.simvehicle.world import World
 def truth_report(vehicle: Vehicle) -> dict[str, Any]:
     """Sensor truth by instance: raw = matrix · true + offset + polynomial(T − t_ref) + noise.
 
+    A bias wanders: the inertial sensors' `offset` is that of this moment, so ask when the samples are taken.
     Accelerometer m/s², gyroscope rad/s, magnetometer µT, each in its sensor's frame. Magnetometers also carry
     `body_offset` and `body_matrix`, the same truth for the field in the body frame: raw_body = R · raw.
     """
@@ -31,14 +32,16 @@ def truth_report(vehicle: Vehicle) -> dict[str, Any]:
         "altitude_m": config.altitude_m,
         "board_orientation": config.board_orientation,
         "temperature_offsets": list(config.imu_temperature_offsets[: config.imu_count]),
-        "accels": [_entry(s, ids["accel"][k]) for k, s in enumerate(world.truth.accels)],
-        "gyros": [_entry(s, ids["gyro"][k]) for k, s in enumerate(world.truth.gyros)],
+        "accels": [_inertial_entry(vehicle, "accels", k, ids["accel"][k]) for k in range(config.imu_count)],
+        "gyros": [_inertial_entry(vehicle, "gyros", k, ids["gyro"][k]) for k in range(config.imu_count)],
         "mags": [_mag_entry(world, k, ids["mag"][k]) for k in range(len(world.truth.mags))],
     }
 
 
-def _entry(sensor: SensorTruth, device_id: int) -> dict[str, Any]:
-    return {"id": device_id, **sensor.as_dict()}
+def _inertial_entry(vehicle: Vehicle, kind: str, k: int, device_id: int) -> dict[str, Any]:
+    sensor: SensorTruth = getattr(vehicle.world.truth, kind)[k]
+    (offset,) = vehicle.world.bias(kind, k, np.array([vehicle.time]))
+    return {"id": device_id, **sensor.as_dict(), "offset": offset.tolist()}
 
 
 def _mag_entry(world: World, k: int, device_id: int) -> dict[str, Any]:

@@ -96,11 +96,19 @@ class World:
         """Raw gyroscope (N, 3), rad/s, in the sensor's frame."""
         return self._inertial("gyros", instance, state.rate, state.t, noise_scale)
 
+    def bias(self, kind: str, instance: int, t: Array) -> Array:
+        """Offset (N, 3) of one of the "accels" or "gyros" at times (N,): the one drawn, and what it wandered since."""
+        truth: SensorTruth = getattr(self.truth, kind)[instance]
+        return np.asarray(truth.offset + self._wandered(kind, instance, t))
+
+    def _wandered(self, kind: str, instance: int, t: Array) -> Array:
+        truth: SensorTruth = getattr(self.truth, kind)[instance]
+        return np.asarray(truth.noise * WALK_PER_NOISE * self._wander[kind, instance](t))
+
     def _inertial(self, kind: str, instance: int, body: Array, t: Array, noise_scale: float) -> Array:
         truth: SensorTruth = getattr(self.truth, kind)[instance]
         raw = truth.distort(body @ self.sensor_from_body.T, self.thermal.imu(instance, t))
-        wander = truth.noise * WALK_PER_NOISE * self._wander[kind, instance](t)
-        return raw + wander + self._noise.normal(0.0, truth.noise * noise_scale, raw.shape)
+        return raw + self._wandered(kind, instance, t) + self._noise.normal(0.0, truth.noise * noise_scale, raw.shape)
 
     def mag(self, instance: int, field_body: Array, t: Array, noise_scale: float = 1.0) -> Array:
         """Raw magnetometer (N, 3), µT, in the chip's frame, from the Earth field in the body frame."""
