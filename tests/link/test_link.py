@@ -318,7 +318,7 @@ async def test_a_full_disk_is_told_and_recording_goes_on_afterwards(opened: Open
     peer.sendto(wire.encode(imu(), 1, 1, 1), to)
     await collector.until(lambda: len(collector.frames) == 2)
     assert "Free some space" in str(collector.batches[-1].tlog_error)
-    assert any(e.kind is LinkEventKind.TLOG for e in collector.events)
+    await collector.until(lambda: any(e.kind is LinkEventKind.TLOG for e in collector.events))
     os.close(recorder._file)
     recorder._file, recorder._retry_at = good, 0.0
     recorder.position = before
@@ -341,7 +341,7 @@ async def test_signed_links_believe_only_signed_frames_and_keep_the_time_stamp(
     peer.sendto(wire.encode(imu(4), 1, 1, 1, wire.Signing(KEY, 1, 5 * 10**11 + 1)), to)
     await collector.until(lambda: len(collector.frames) == 2)
     assert [wire.decode(f).xacc for f in collector.frames] == [3, 4]
-    assert any(e.kind is LinkEventKind.SIGNATURE_REFUSED for e in collector.events)
+    await collector.until(lambda: any(e.kind is LinkEventKind.SIGNATURE_REFUSED for e in collector.events))
     frame, _ = await received(peer, 0)
     assert wire.check_signature(frame, KEY)
     await collector.until(lambda: bool(stored))
@@ -439,8 +439,8 @@ async def test_a_real_capture_is_replayed_frame_by_frame(tmp_path: Path, shared_
     link = Link("replay", f"file:{path}?speed=0", tlog_dir=tmp_path)
     collector = Collector(link)
     await link.open()
-    await collector.until(lambda: link.state is LinkState.DOWN)
-    await link.close()
     truth = [frame.raw for _, frame in wire.iter_tlog(path.read_bytes())]
+    await collector.until(lambda: link.state is LinkState.DOWN and len(collector.frames) >= len(truth))
+    await link.close()
     assert [frame.raw for frame in collector.frames] == truth
     assert [frame.raw for _, frame in wire.iter_tlog(link.tlog.path.read_bytes())] == truth

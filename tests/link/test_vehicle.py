@@ -190,7 +190,7 @@ async def test_two_vehicles_with_one_system_id_are_never_written_to(ground: Grou
         await ground.until(lambda: vehicle.conflicts)
         assert not vehicle.writable().ok
         assert "system id 1" in vehicle.conflicts[0]
-        assert VehicleEventKind.CONFLICT in ground.kinds()
+        await ground.until(lambda: VehicleEventKind.CONFLICT in ground.kinds())
 
 
 async def test_a_vehicle_that_falls_silent_is_told_and_comes_back(ground: Ground) -> None:
