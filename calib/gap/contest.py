@@ -217,7 +217,7 @@ def priced(hypothesis: Hypothesis, theta: float, found: Gain, grid: int) -> Scor
     """A score of an effect on the mean with free amplitudes."""
     hidden = hypothesis.effect.hidden if found.df else 0
     price = price_of_search(grid, found.gain) + hidden * price_of_fixed(found.gain)
-    price += price_of_kind(hypothesis.effect.id)
+    price += price_of_kind(hypothesis.effect.id) + hypothesis.handicap
     price += 0.0 if hypothesis.effect.nameless else price_of_numbers(found.idle)
     p = tail(found.gain, found.df + hidden, grid)
     return Score(hypothesis, theta, found.gain, found.df + hidden, grid, p, found.evidence - price, found.beta)
@@ -225,7 +225,7 @@ def priced(hypothesis: Hypothesis, theta: float, found: Gain, grid: int) -> Scor
 
 def fixed_score(hypothesis: Hypothesis, theta: float, gain: float) -> Score:
     """A score of an effect on the mean that has nothing but a shape."""
-    delta = gain - price_of_fixed(gain)
+    delta = gain - price_of_fixed(gain) - hypothesis.handicap
     return Score(hypothesis, theta, gain, 1, _SIDES, tail(gain, 1, _SIDES), delta, np.ones(1))
 
 
@@ -250,7 +250,7 @@ def noise_score(hypothesis: Hypothesis, model: Model) -> Score:
     added = Added(hypothesis, thetas[best], values)
     believed = gain > 0.0 and stands_out(added, model) and whose(added, model)
     p = one_sided_tail(gain, df, grid) if believed else 1.0
-    price += price_of_search(grid, gain) + price_of_kind(effect.id)
+    price += price_of_search(grid, gain) + price_of_kind(effect.id) + hypothesis.handicap
     return Score(hypothesis, thetas[best], gain, df, grid, p, gain - price, values)
 
 

@@ -22,7 +22,7 @@ from calib.gap.power import powers_of
 from calib.gap.problem import Problem
 from calib.gap.quieter import quieter
 from calib.gap.reported import effect_of, wandering_reference
-from calib.gap.samples import Lattice, lattice_of
+from calib.gap.samples import Lattice, lattice_of, shown_by
 from calib.gap.schema import EffectEstimate, GapReport, MultipleTesting, NotTestable, Unknown, Verdict
 from calib.gap.selection import Chosen, Key, reduced, select
 from calib.gap.series import series_of
@@ -127,7 +127,7 @@ def _task_of(problem: Problem, effects: tuple[Effect, ...]) -> _Task | None:
     if not views:
         return None
     setting = setting_of(views)
-    hypotheses, missing = hypotheses_of(effects, views)
+    hypotheses, missing = hypotheses_of(effects, views, problem.worse)
     bare = refitted(starting_model(setting, starting_noise(setting))).model
     return _Task(problem, lattice, bare, Contest(hypotheses, floor=problem.floor), missing)
 
@@ -208,7 +208,7 @@ def _effects(task: _Task, answer: _Answer, strangers: Iterable[Stranger]) -> tup
     denied |= {t.hypothesis.key for t in model.noise_terms if unsteady_line(t, model)}
     found = (effect_of(answer.chosen, a, answer.gates.get(a.key)) for a in answer.attributions if a.key not in denied)
     wander = () if answer.wander is None else (wandering_reference(answer.wander, answer.attributions),)
-    return (*task.lattice.effects, *wander, *found)
+    return (*task.lattice.effects, *wander, *(e for e in found if not shown_by(task.lattice, e)))
 
 
 def _verdict(effects: tuple[EffectEstimate, ...], unknown: Unknown) -> Verdict:

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from calib.gap.bands import resampled
 from calib.gap.effects.base import Effect, MeanEffect, NoiseEffect
+from calib.gap.effects.noise import DRIFTS
 from calib.gap.likelihood import fast_length, transform
-from calib.gap.problem import Trace
+from calib.gap.problem import Trace, Worse
 from calib.gap.views import View
+from calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
@@ -21,6 +23,9 @@ _AGAIN = "'"
 _FORM = "~"
 _REPEATS = 4
 """Times that an effect that can be repeated is looked for."""
+_ELSEWHERE = 24.0
+"""Price of an effect on another instance than the one that has something: it decides where nothing else does, and no
+more."""
 _WAVE = "~wave"
 """Form of an effect that follows the angle of a rotor."""
 
@@ -29,12 +34,14 @@ _WAVE = "~wave"
 class Hypothesis:
     """An effect on `instances` of its sensor (of every sensor for effects that all share).
 
-    `again` counts the times that it is already there, for effects that can happen more than once.
+    `again` counts the times that it is already there, for effects that can happen more than once. `handicap` is its
+    price, in twice the log-likelihood, where it is rather another instance that has something.
     """
 
     effect: Effect
     instances: tuple[int, ...]
     again: int = 0
+    handicap: float = 0.0
 
     @property
     def key(self) -> tuple[str, tuple[int, ...]]:
@@ -95,9 +102,12 @@ class Columns:
 
 
 def hypotheses_of(
-    effects: Iterable[Effect], views: Sequence[View]
+    effects: Iterable[Effect], views: Sequence[View], worse: Mapping[Sensor, Worse] | None = None
 ) -> tuple[tuple[Hypothesis, ...], tuple[tuple[str, str, str], ...]]:
-    """Everything that can be tested, and (id, reason, need) of what cannot."""
+    """Everything that can be tested, and (id, reason, need) of what cannot.
+
+    `worse`: by sensor with two instances, on which of them an effect rather is.
+    """
     tested: list[Hypothesis] = []
     missing: list[tuple[str, str, str]] = []
     for effect in effects:
@@ -115,8 +125,23 @@ def hypotheses_of(
         if (common := _together(possible)) is not None:
             sets.append(common)
         times = _REPEATS if effect.repeatable else 1
-        tested += [Hypothesis(effect, instances, again) for instances in sets for again in range(times)]
+        for instances in sets:
+            handicap = _handicap(effect, instances, worse or {})
+            tested += [Hypothesis(effect, instances, again, handicap) for again in range(times)]
     return tuple(tested), tuple(dict.fromkeys(missing))
+
+
+def _handicap(effect: Effect, instances: tuple[int, ...], worse: Mapping[Sensor, Worse]) -> float:
+    """Noise of both adds up in a difference as that of one does; what both add to the mean is not in it at all."""
+    told = worse.get(effect.sensor)
+    if effect.shared or told is None:
+        return 0.0
+    noise = isinstance(effect, NoiseEffect)
+    fast = effect.tonal or (noise and not effect.id.endswith(DRIFTS))
+    at_fault = told.fast if fast or told.slow is None else told.slow
+    if at_fault is None or instances == at_fault or not (noise or len(instances) == len(at_fault)):
+        return 0.0
+    return _ELSEWHERE
 
 
 def _instances(effect: Effect, views: Sequence[View]) -> list[tuple[tuple[int, ...], list[Trace]]]:

@@ -129,7 +129,7 @@ def unsteady(model: Model) -> tuple[float, str]:
     """
     worst, text = 0.0, ""
     for v, view in enumerate(model.setting.views):
-        if view.density is not None or view.variance is None or view.first or _varies(model, view) or _coarse(view):
+        if view.density is not None or view.variance is None or view.first or _varies(model, view) or coarse(view):
             continue
         white = np.stack(
             [
@@ -146,7 +146,7 @@ def unsteady(model: Model) -> tuple[float, str]:
     return worst, text
 
 
-def _coarse(view: View) -> bool:
+def coarse(view: View) -> bool:
     """Whether readings are rounded so much that the error of rounding is no noise."""
     for trace in view.traces.values():
         rows = trace.measured[view.keep] if len(trace.t) == len(view.keep) else trace.measured

@@ -120,7 +120,8 @@ def _excess(added: Added, model: Model) -> Mapping[int, float]:
             if other.sensor is view.sensor and other.first == view.first and other.count == view.count
         ]
         weights = {i: [model.setting.views[u].weights.get(i, 0.0) for u in group] for i in view.weights}
-        if any(abs(sum(w * w for w in row) - 1.0) > 1e-6 for row in weights.values()):
+        rows = np.array(list(weights.values()))
+        if np.abs(rows @ rows.T - np.eye(len(rows))).max() > 1e-6:
             return {}  # not orthonormal: no way back to single instances
         shape = added.power(model, v)
         spectra = [model.setting.views[u].spectra(model.residual[u]) for u in group]

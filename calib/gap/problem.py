@@ -148,6 +148,17 @@ class Trace:
         return {Sensor.ACCEL: "m/s2", Sensor.GYRO: "rad/s", Sensor.MAG: "uT"}[self.sensor]
 
 
+@dataclass(frozen=True)
+class Worse:
+    """Which of two instances have something: slowly, against the reference that both share, and in fast bands.
+
+    None: nothing says.
+    """
+
+    slow: tuple[int, ...] | None = None
+    fast: tuple[int, ...] | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """One diagnosis: traces with one reference each, and what was noticed while they were made."""
@@ -164,3 +175,5 @@ class Problem:
     """Sensors of recordings without an effect: what the samples of both show is no gap."""
     floor: dict[Sensor, float] = field(default_factory=dict)
     """Twice the log-likelihood by sensor below which an effect is a flaw of the reference: the simulator has it too."""
+    worse: dict[Sensor, Worse] = field(default_factory=dict)
+    """By sensor with two instances, which of them have something."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.gap.effects.base import Effect, LatticeEffect, LatticeEvidence
-from calib.gap.problem import Problem
+from calib.gap.problem import Problem, Trace
 from calib.gap.schema import FIRST, EffectEstimate, Estimate, Evidence
 from calib.gap.usual import usual_samples
 
@@ -27,13 +27,10 @@ def lattice_of(problem: Problem, effects: Iterable[Effect]) -> Lattice:
     found: list[EffectEstimate] = []
     masks: dict[int, LatticeEvidence] = {}
     variance: dict[int, float] = {}
-    for i, trace in enumerate(problem.traces):
-        if trace.against is not None:
-            continue
-        for effect in effects:
-            if not isinstance(effect, LatticeEffect) or effect.sensor is not trace.sensor:
-                continue
-            evidence = effect.detect(trace)
+    lattices = [effect for effect in effects if isinstance(effect, LatticeEffect)]
+    for i, trace in _each_instance(problem.traces):
+        for effect in lattices:
+            evidence = effect.detect(trace) if effect.sensor is trace.sensor else None
             if evidence is None or usual_samples(effect, evidence, problem.nominal):
                 continue
             found.append(_from_lattice(effect, trace.instances, evidence))
@@ -42,6 +39,28 @@ def lattice_of(problem: Problem, effects: Iterable[Effect]) -> Lattice:
             if effect.id.endswith("_quantisation"):
                 variance[i] = max(float(np.mean(np.square(evidence.values[:3]))) - trace.quantum**2, 0.0) / 12.0
     return Lattice(tuple(found), masks, variance)
+
+
+def shown_by(lattice: Lattice, effect: EffectEstimate) -> bool:
+    """Whether an effect is what the samples show already: themselves, or because coarse levels have one at zero."""
+    alike = {effect.id, effect.id.replace("_dead_band", "_quantisation")}
+    return any(e.id in alike and set(effect.instances) <= set(e.instances) for e in lattice.effects)
+
+
+def _each_instance(traces: Sequence[Trace]) -> Iterator[tuple[int, Trace]]:
+    """Index and trace of every instance: against the reference or, where it has none, against another instance."""
+    single = {(t.sensor, i) for t in traces if t.against is None for i in t.instances}
+    for index, trace in enumerate(traces):
+        if trace.against is None:
+            yield index, trace
+            continue
+        swapped = replace(
+            trace, measured=trace.ideal, ideal=trace.measured, instances=(trace.against,), against=trace.instances[0]
+        )
+        for one in (trace, swapped):
+            if (one.sensor, one.instances[0]) not in single:
+                single.add((one.sensor, one.instances[0]))
+                yield index, one
 
 
 def _both(one: LatticeEvidence, other: LatticeEvidence) -> LatticeEvidence:

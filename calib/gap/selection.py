@@ -138,9 +138,11 @@ def grown(chosen: Chosen, contest: Contest, level: float, candidates: Sequence[H
     """A model with everything that is still significant beside it, at `level` a test."""
     candidates = contest.hypotheses if candidates is None else candidates
     model, joined, first = chosen.model, list(chosen.scores), chosen.first
+    gains: Gains = {}
+    if joined:  # what was exchanged may have made others superfluous
+        model, joined, gains = pruned(model, contest, joined, level)
     known = {} if joined else {s.hypothesis.key: s for s in first}
     scores = _scored(model, contest, candidates, known, None if joined else set())
-    gains: Gains = last_gains(model, contest) if joined else {}
     for step in range(_MOST + _EVENTS):
         full = step >= _MOST or _lasting(joined) >= _IN_ALL
         still = {key: s for key, s in scores.items() if _happens(s)} if full else scores

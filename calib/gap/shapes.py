@@ -95,7 +95,7 @@ def shapes_of(setting: Setting, tones: Sequence[Term] = (), named: Collection[st
                 continue
             own = [t for t in tones if t.hypothesis.touches(view) and instance in t.hypothesis.instances]
             for group in (*_groups(trace, named), *(g for tone in own for g in _periodic(trace, tone))):
-                shape = _shape(trace.sensor, group, instance)
+                shape = _shape(trace, group, instance)
                 found.setdefault(shape.whole.key, shape)
     return tuple(found.values())
 
@@ -115,14 +115,14 @@ def _groups(trace: Trace, named: Collection[str]) -> Iterator[_Group]:
     yield from _own(trace)
 
 
-def _shape(sensor: Sensor, group: _Group, instance: int) -> Shape:
+def _shape(trace: Trace, group: _Group, instance: int) -> Shape:
     def made(text: str, rows: Rows, *, part: bool = False) -> Hypothesis:
         name = shape_id(group.family, text, part=part)
-        return Hypothesis(_effect(name, sensor, text, group, rows), (instance,))
+        return Hypothesis(_effect(name, trace, text, group, rows), (instance,))
 
     q = 1 if group.each else len(group.signals)
     rows = np.arange(3 * q, dtype=np.intp)
-    text, on = group.text, sensor.value
+    text, on = group.text, trace.sensor.value
     parts = [(made(f"{text} on {on}.{_AXES[c]}", rows[c::3], part=True), rows[c::3]) for c in range(3)]
     for j, name in enumerate(group.names):
         parts.append((made(f"{name} on {on}", rows[3 * j : 3 * j + 3], part=True), rows[3 * j : 3 * j + 3]))
@@ -132,18 +132,25 @@ def _shape(sensor: Sensor, group: _Group, instance: int) -> Shape:
     return Shape(made(f"{text} on {on}", rows), tuple(parts))
 
 
-def _effect(name: str, sensor: Sensor, text: str, group: _Group, rows: Rows) -> MeanEffect:
-    """The columns `rows` of a group; column ``3 q + axis`` is signal q on that axis."""
+def _along(trace: Trace, own: Trace, drawn: Array) -> Array:
+    """A signal `drawn` at the times of `own` at those of `trace`: a difference of instances has rows of its own."""
+    return drawn if len(trace.t) == len(own.t) else np.interp(trace.t, own.t, drawn)
+
+
+def _effect(name: str, own: Trace, text: str, group: _Group, rows: Rows) -> MeanEffect:
+    """The columns `rows` of a group drawn along the trace `own`; column ``3 q + axis`` is signal q on that axis."""
+    sensor = own.sensor
 
     def columns(trace: Trace, _theta: float) -> Array:
         placed = np.zeros((len(rows), len(trace.t), 3))
         for k, row in enumerate(rows):
             signal, axis = divmod(int(row), 3)
-            placed[k, :, axis] = group.signals[:, axis] if group.each else group.signals[signal]
+            drawn = group.signals[:, axis] if group.each else group.signals[signal]
+            placed[k, :, axis] = _along(trace, own, drawn)
         return placed
 
-    def signals(_trace: Trace, _theta: float) -> Array:
-        return group.signals
+    def signals(trace: Trace, _theta: float) -> Array:
+        return np.array([_along(trace, own, drawn) for drawn in group.signals])
 
     whole = not group.each and len(rows) == 3 * len(group.signals)
     wish = "a recording in which the covariate varies by itself"

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from calib.gap.attribution import Attribution
 from calib.gap.effects.noise import DRIFTS
+from calib.gap.impostors import coarse
 from calib.gap.likelihood import Noise
 from calib.gap.model import Model, NoiseTerm, Term, predicted
 from calib.gap.selection import Key
@@ -51,7 +52,7 @@ def switching(model: Model, attributions: Sequence[Attribution]) -> tuple[Switch
     """Effects of a model, alone or all of a sensor together, that stand for jumps to and fro."""
     found: list[Switching] = []
     for v, view in enumerate(model.setting.views):
-        if view.first or view.count < _FEWEST or _turned(model, v):
+        if view.first or view.count < _FEWEST or _turned(model, v) or coarse(view):
             continue
         places = [(term, a.key) for a in attributions if (term := _slow(model, a.key, view)) is not None]
         better: list[tuple[Key, ...]] = [(key,) for term, key in places if _better(model, v, [term])]

@@ -11,7 +11,7 @@ from calib.gap.levels import steps_of, with_simulated_step
 from calib.gap.problem import Problem, ReferenceInfo, ReferenceKind, Trace
 from calib.gap.reference.calibrated import corrected, not_undone
 from calib.gap.reference.checks import Checked, check_vehicles, checked
-from calib.gap.reference.choose import choose
+from calib.gap.reference.choose import Chosen, choose
 from calib.gap.reference.chosen import sensors_of
 from calib.gap.reference.denoised import error_sd, with_error
 from calib.gap.reference.deviation import deviations, simulated_ideal
@@ -20,6 +20,7 @@ from calib.gap.reference.ideal import Ideal, trace_of
 from calib.gap.reference.moments import age_of, louder, settled
 from calib.gap.reference.noise import Noise, learned, pooled, with_noise
 from calib.gap.reference.redundant import differences
+from calib.gap.reference.which import worse_of
 from calib.recording import Channel, Recording, Sensor
 
 _NO_REFERENCE = (
@@ -68,6 +69,7 @@ def build(
     of_readings = {} if ideal is None else ideal.noise
     single = () if ideal is None else single_traces(real, channels, ideal)
     pairs = differences(real, ideal, single)
+    worse = worse_of(single, _singles_of(sim, chosen))
     single = told_by(single, pairs)
     if not single and not pairs:
         raise InvalidInputError(_NO_REFERENCE if ideal is None else _NO_OVERLAP)
@@ -96,7 +98,9 @@ def build(
     )
     duration = max(float(t.t[-1] - t.t[0]) for t in single + pairs)
     single_nominal = tuple(t for t in usual if t.against is None)
-    return Problem(traces, info, duration, warnings=warnings, not_testable=sound.refused, nominal=single_nominal)
+    return Problem(
+        traces, info, duration, warnings=warnings, not_testable=sound.refused, nominal=single_nominal, worse=worse
+    )
 
 
 def ages_of(nominal: Sequence[Trace]) -> dict[Sensor, float]:
@@ -104,6 +108,12 @@ def ages_of(nominal: Sequence[Trace]) -> dict[Sensor, float]:
     alone = {t.sensor for t in nominal} - {t.sensor for t in nominal if t.against is None}
     found = {s: age_of([t for t in nominal if t.sensor is s]) for s in alone}
     return {sensor: age for sensor, age in found.items() if age > 0.0}
+
+
+def _singles_of(sim: Recording | None, chosen: Chosen | None) -> tuple[Trace, ...]:
+    """Each instance of a simulator's recording against its own reference, where it flew by itself."""
+    own = None if chosen is None else next((its for n, its in chosen.nominal if n is sim), None)
+    return () if sim is None or own is None else single_traces(sim, sensors_of(sim), own)
 
 
 def _settled(trace: Trace, ages: Mapping[Sensor, float]) -> Trace:

@@ -78,4 +78,4 @@ def _best(channels: Mapping[int, Channel], misfit: Mapping[int, float]) -> int:
 def _apart(a: Channel, b: Channel) -> float:
     reading = Signal.of(b)
     assert reading is not None
-    return float(np.median(np.abs(reading.at(a.t) - a.values)))
+    return float(np.mean(np.abs(reading.at(a.t) - a.values)))

@@ -120,7 +120,7 @@ def _typical(mags: dict[int, Channel]) -> int:
         signal = Signal.of(mags[i])
         if signal is None:
             return np.inf
-        return sum(float(np.median(np.abs(signal.at(m.t) - m.values))) for j, m in mags.items() if j != i)
+        return sum(float(np.mean(np.abs(signal.at(m.t) - m.values))) for j, m in mags.items() if j != i)
 
     return min(sorted(mags), key=apart)
 
