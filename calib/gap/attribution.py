@@ -257,6 +257,8 @@ def _judged(own: Hypothesis, own_delta: float, others: Sequence[Alternative]) ->
     rivals = []
     same, weights, unknown = [0.0], [-math.inf], [-math.inf]
     for other in others:
+        if other.score.p >= 1.0:
+            continue  # noise that the instances named do not show is no rival
         delta = own_delta - other.score.delta
         is_unknown = other.score.hypothesis.effect.nameless
         weight = -delta / (2.0 * TEMPERATURE)
