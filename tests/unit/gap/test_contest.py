@@ -10,16 +10,16 @@ import pytest
 from scipy.stats import kstest
 
 from calib.gap.bands import split
-from calib.gap.contest import Contest, one_sided_tail, tail, widest
-from calib.gap.effects import by_id
+from calib.gap.contest import Contest, fixed_score, noise_score, one_sided_tail, priced, tail, widest
+from calib.gap.effects import by_id, forward_models
 from calib.gap.hypotheses import Frame, Hypothesis
 from calib.gap.likelihood import transform
 from calib.gap.model import refined, setting_of, starting_model
 from calib.gap.noise_fit import starting_noise
 from calib.gap.power import noncentrality
 from calib.gap.problem import Problem, ReferenceInfo, ReferenceKind, Trace
-from calib.gap.projection import Beside
-from calib.gap.selection import with_score
+from calib.gap.projection import Beside, Gain
+from calib.gap.selection import Chosen, fitted, grown, with_score
 from calib.gap.views import views_of
 from calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
@@ -104,3 +104,93 @@ def test_of_two_bands_the_lower_one_stands_for_both_however_loud_the_upper_one_i
     assert [view.first > 0 for view in setting.views] == [False, True]
     for kind in ("step", "tone", "bias", "noise"):
         assert widest(Hypothesis(by_id()[f"gyro_{kind}"], (0,)), model)[1] == 0
+
+
+HANDICAP = 7.0
+
+
+def dearer(made):
+    """A score without and with a handicap: everything but its price is the same."""
+    free, dear = made(0.0), made(HANDICAP)
+    assert (dear.gain, dear.p, dear.df, dear.grid, dear.theta) == pytest.approx(
+        (free.gain, free.p, free.df, free.grid, free.theta), rel=1e-12, nan_ok=True
+    )
+    np.testing.assert_array_equal(dear.beta, free.beta)
+    assert free.gain > 0.0
+    return dear.delta - free.delta
+
+
+@pytest.mark.parametrize("theta", [math.nan, 2.0])
+def test_a_handicap_is_paid_by_effects_on_the_mean(theta):
+    found = Gain(60.0, 3, np.array([0.1, -0.2, 0.3]), 50.0, 0.5)
+    effect = by_id()["gyro_bias"]
+    assert dearer(lambda h: priced(Hypothesis(effect, (1,), 0, h), theta, found, 9)) == pytest.approx(-HANDICAP)
+
+
+def test_a_handicap_is_paid_by_effects_that_are_nothing_but_a_shape():
+    effect = by_id()["gyro_delay"]
+    assert dearer(lambda h: fixed_score(Hypothesis(effect, (1,), 0, h), 0.01, 60.0)) == pytest.approx(-HANDICAP)
+
+
+def test_a_handicap_is_paid_by_effects_on_the_noise():
+    rng = np.random.default_rng(4)
+    loud = problem_of(rng, (Sensor.GYRO,), lambda t: SIGMA[Sensor.GYRO] * rng.normal(size=t.ideal.shape))
+    setting = setting_of(views_of(loud, {}, {}))
+    model = starting_model(setting, starting_noise(setting))
+    (effect,) = forward_models()["gyro_noise"]
+    assert dearer(lambda h: noise_score(Hypothesis(effect, (0,), 0, h), model)) == pytest.approx(-HANDICAP)
+
+
+def test_a_handicap_reaches_the_contest():
+    rng = np.random.default_rng(5)
+    problem = problem_of(rng, (Sensor.ACCEL,), lambda _t: np.array([0.05, 0.0, 0.0]))
+    setting = setting_of(views_of(problem, {}, {}))
+    beside = Beside(starting_model(setting, starting_noise(setting)))
+    bias = by_id()["accel_bias"]
+    assert dearer(lambda h: Contest(()).score(Hypothesis(bias, (0,), 0, h), beside)) == pytest.approx(-HANDICAP)
+
+
+def exchanged(seed, size, kinds=("bias", "scale")):
+    """A chosen model of an accelerometer with an offset and a scale of `size`, as an exchange leaves it."""
+
+    def gap(trace):
+        return np.array([0.015, -0.01, 0.0]) + size * trace.ideal * [1.0, 0.0, -1.0]
+
+    setting = setting_of(views_of(problem_of(np.random.default_rng(seed), (Sensor.ACCEL,), gap), {}, {}))
+    contest = Contest([Hypothesis(by_id()[f"accel_{kind}"], (0,)) for kind in kinds])
+    model, scores = starting_model(setting, starting_noise(setting)), []
+    for hypothesis in contest.hypotheses:
+        scores.append(contest.score(hypothesis, Beside(model)))
+        model = with_score(model, scores[-1])
+    model, joint, noise = fitted(model)
+    return Chosen(model, joint, noise, tuple(scores), len(kinds), ()), contest
+
+
+def members(chosen):
+    """Of the model, which are those that have a score."""
+    inside = [term.hypothesis.effect.id for term in chosen.model.members]
+    assert sorted(s.hypothesis.effect.id for s in chosen.scores) == sorted(inside)
+    return set(inside)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("order", [("bias", "scale"), ("scale", "bias")])
+def test_what_an_exchange_made_superfluous_leaves(seed, order):
+    chosen, contest = exchanged(seed, 0.0, order)
+    assert members(chosen) == {"accel_bias", "accel_scale"}
+    assert members(grown(chosen, contest, 1e-4)) == {"accel_bias"}
+    assert members(grown(chosen, contest, 1e-4, ())) == {"accel_bias"}
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_is_still_needed_after_an_exchange_stays(seed):
+    chosen, contest = exchanged(seed, 0.01)
+    assert members(grown(chosen, contest, 1e-4)) == {"accel_bias", "accel_scale"}
+
+
+def test_the_only_effect_of_a_model_stays_while_something_may_join_it():
+    chosen, contest = exchanged(1, 0.01, ("scale",))
+    assert members(grown(chosen, contest.among(exchanged(1, 0.01)[1].hypotheses), 1e-4)) == {
+        "accel_bias",
+        "accel_scale",
+    }

@@ -7,12 +7,13 @@ import dataclasses
 import numpy as np
 import pytest
 
+from calib.gap.contest import noise_score
 from calib.gap.effects import forward_models
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.louder import Added, line_amplitudes, line_power, stands_out, tone_beside_lines, unsteady_line, whose
 from calib.gap.model import Model, NoiseTerm, setting_of, starting_model
 from calib.gap.noise_fit import refitted, starting_noise, with_term
-from calib.gap.problem import ReferenceInfo, ReferenceKind
+from calib.gap.problem import Problem, ReferenceInfo, ReferenceKind
 from calib.gap.views import views_of
 from calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
@@ -49,6 +50,24 @@ def test_louder_noise_is_that_of_the_instances_that_show_it(seed, louder):
 def test_series_of_one_instance_each_name_themselves():
     model = model_of(0, (0,), reference=ReferenceInfo(ReferenceKind.SIM))
     assert all(whose(noise(named), model) for named in SETS)
+
+
+@pytest.mark.parametrize("louder", SETS)
+@pytest.mark.parametrize("seed", range(3))
+def test_of_a_difference_alone_any_instance_may_be_the_one(seed, louder):
+    rng = np.random.default_rng(seed + 1000)
+    single = problem_of(np.random.default_rng(seed), (Sensor.GYRO,), instances=2).traces
+    size = SIGMA[Sensor.GYRO]
+    noisy = [t.measured + (t.instances[0] in louder) * 2.0 * size * rng.normal(size=t.ideal.shape) for t in single]
+    pair = dataclasses.replace(
+        single[0], measured=noisy[0], ideal=noisy[1], against=1, sigma=np.full(3, np.sqrt(2.0) * size)
+    )
+    setting = setting_of(views_of(Problem((pair,), ESTIMATOR, 40.0), {}, {}))
+    assert [view.weights for view in setting.views] == [{0: 1.0, 1: -1.0}]
+    model = starting_model(setting, starting_noise(setting))
+    assert all(whose(noise(named), model) for named in SETS)
+    chances = [noise_score(noise(named).hypothesis, model).p for named in SETS]
+    assert max(chances) < 1e-6
 
 
 def with_learned(model: Model) -> Model:

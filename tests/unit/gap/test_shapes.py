@@ -181,3 +181,47 @@ def test_a_shape_of_one_axis_touches_that_axis_alone():
     columns = h.effect.columns(trace, math.nan)
     assert not columns[:, :, :2].any()
     assert columns[:, :, 2].sum(axis=0) == pytest.approx(np.ones(len(trace.t)))
+
+
+def taken(trace, rows, by=0.0):
+    """The rows of a trace alone, `by` seconds later."""
+    arrays = {f.name: getattr(trace, f.name) for f in dataclasses.fields(trace)}
+    rowwise = {k: v[rows] for k, v in arrays.items() if isinstance(v, np.ndarray) and len(v) == len(trace.t)}
+    return dataclasses.replace(trace, **{**rowwise, "t": rowwise["t"] + by})
+
+
+@pytest.mark.parametrize("rows", [slice(7, None), slice(None, -5), slice(3, -11), slice(None, None, 2)])
+def test_a_shape_along_a_trace_with_other_rows_has_its_values_there(rows):
+    model = model_of(Sensor.GYRO)
+    trace = model.setting.views[0].traces[0]
+    part = taken(trace, rows)
+    for h in named(model).values():
+        columns = h.effect.columns(part, math.nan)
+        assert columns.shape[1:] == (len(part.t), 3)
+        np.testing.assert_allclose(columns, h.effect.columns(trace, math.nan)[:, rows], rtol=1e-6, atol=1e-9)
+        if h.effect.signals is not None:
+            signals = h.effect.signals(part, math.nan)
+            assert signals.shape == (columns.shape[0] // 3, len(part.t))
+            for c in range(3):
+                np.testing.assert_array_equal(columns[c::3, :, c], signals)
+
+
+def test_between_the_rows_of_its_own_trace_a_shape_goes_straight():
+    model = model_of(Sensor.GYRO)
+    trace = model.setting.views[0].traces[0]
+    half = taken(trace, slice(None, -1), 0.5 / trace.fs)
+    h = named(model)["throttle on gyro.y"]
+    expected = 0.5 * (trace.throttle[1:] + trace.throttle[:-1])
+    np.testing.assert_allclose(h.effect.columns(half, math.nan)[0, :, 1], expected, atol=1e-9)
+
+
+def test_an_instance_with_a_reference_and_a_longer_difference_has_one_shape_for_both():
+    problem = problem_of(np.random.default_rng(3), (Sensor.GYRO,), instances=3)
+    zero, one, two = problem.traces
+    pairs = [dataclasses.replace(t, ideal=two.measured, against=2) for t in (zero, one)]
+    views = views_of(dataclasses.replace(problem, traces=(taken(two, slice(20, -30)), *pairs)), {}, {})
+    assert len({len(t.t) for view in views for t in view.traces.values()}) == 2
+    setting = setting_of(views)
+    model = starting_model(setting, starting_noise(setting))
+    h = next(h for s in shapes_of(setting) for h in s.hypotheses if h.instances == (2,) and "throttle on" in h.key[0])
+    assert Contest((), budget=0).score(h, Beside(model)).df > 0

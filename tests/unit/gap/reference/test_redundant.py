@@ -41,6 +41,21 @@ def test_of_three_the_one_that_most_agree_with_is_the_reference():
     assert odd.residual.mean(axis=0)[0] == pytest.approx(0.4, abs=0.005)
 
 
+@pytest.mark.parametrize("stepped", [0, 1, 2])
+def test_of_three_one_with_a_step_in_a_third_of_its_samples_is_not_the_reference(stepped):
+    real = several([[0.0, 0.0, 0.0]] * 3)
+    quiet = real.channels[0].values  # the one that steps is between both others but for its step
+    beside = dict(zip([i for i in range(3) if i != stepped], (0.05, -0.05), strict=True))
+
+    def read(c, step):
+        late = (c.t > SECONDS * 2.0 / 3.0)[:, None] * np.array([step, 0.0, 0.0])
+        return quiet + late if c.instance == stepped else quiet + beside[c.instance]
+
+    for step, base in ((0.0, True), (3.0, False)):
+        problem = build(real.with_channels(dataclasses.replace(c, values=read(c, step)) for c in real.channels))
+        assert all((t.against == stepped) is base for t in problem.traces)
+
+
 def test_with_another_reference_the_better_of_two_is_the_base():
     single = flown(effects={Sensor.ACCEL: np.array([0.2, 0.0, 0.0])})
     clean = flown(seed=5)

@@ -14,7 +14,7 @@ from calib.gap.effects import catalogue
 from calib.gap.problem import ReferenceKind
 from calib.gap.reference import build
 from calib.gap.reference.signal import Signal
-from calib.gap.reference.smoothed import best_trajectory
+from calib.gap.reference.smoothed import _typical, best_trajectory
 from calib.gap.reference.strapdown import Increments
 from calib.recording import Channel, ParameterTimeline, Recording, Sensor, Stage
 
@@ -194,3 +194,25 @@ def test_gyroscopes_of_a_slow_log_are_compared_with_each_other_only():
     gyros = [t for t in build(thinned(flight(instances=2), 2)).traces if t.sensor == Sensor.GYRO]
     assert gyros
     assert all(t.against is not None for t in gyros)
+
+
+@pytest.mark.parametrize("stepped", [0, 1, 2])
+@pytest.mark.parametrize("first", [True, False])
+def test_of_three_compasses_one_with_a_step_in_a_third_of_its_samples_is_not_typical(stepped, first):
+    # Without the step it would be the best of all: it is between both others.
+    rng = np.random.default_rng(2)
+    t = np.arange(0.0, 60.0, 0.1)
+    field = path(t)[0].inv().apply(EARTH)
+    on = t < 20.0 if first else t >= 40.0
+    beside = np.insert([0.5, -0.5], stepped, 0.0)
+
+    def compasses(step):
+        made = {}
+        for i, offset in enumerate(beside):
+            off = np.outer(on, [step, -step, 0.5 * step]) if i == stepped else 0.0
+            values = field + offset + off + 0.1 * rng.standard_normal(field.shape)
+            made[i] = channel(Sensor.MAG, t, values, i, "MAG")
+        return made
+
+    assert _typical(compasses(0.0)) == stepped
+    assert _typical(compasses(15.0)) != stepped
