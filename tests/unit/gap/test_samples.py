@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from calib.gap.diagnose import diagnose
 from calib.gap.effects import by_id, catalogue
 from calib.gap.effects.base import LatticeEffect
 from calib.gap.problem import Problem, ReferenceInfo, ReferenceKind
@@ -126,6 +127,11 @@ def test_what_the_samples_show_is_not_shown_again_by_the_contest():
     assert not again("gyro_saturation", (1,))
     assert not again("gyro_bias", (1,))
     assert not shown_by(lattice_of(of(*singles()), catalogue()), estimate(lattice, "gyro_dead_band", (1,)))
+
+
+def test_a_dead_band_that_the_contest_sees_in_coarse_levels_is_not_reported_beside_them():
+    report = diagnose(of(rounded(singles()[0], 30.0 * SIGMA[G])), nested=False)
+    assert [(e.id, e.instances) for e in report.effects] == [("gyro_quantisation", (1,))]
 
 
 def test_coarse_levels_are_no_dead_band_beside():
