@@ -134,7 +134,7 @@ def _shape(trace: Trace, group: _Group, instance: int) -> Shape:
 
 def _along(trace: Trace, own: Trace, drawn: Array) -> Array:
     """A signal `drawn` at the times of `own` at those of `trace`: a difference of instances has rows of its own."""
-    return drawn if len(trace.t) == len(own.t) else np.interp(trace.t, own.t, drawn)
+    return drawn if np.array_equal(trace.t, own.t) else np.interp(trace.t, own.t, drawn)
 
 
 def _effect(name: str, own: Trace, text: str, group: _Group, rows: Rows) -> MeanEffect:

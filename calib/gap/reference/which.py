@@ -37,6 +37,8 @@ _MORE = 4.0
 """Standard errors by which a band must have more power than the simulator's."""
 _ONE_RATE = 0.02
 """By which rates may differ, relative."""
+_CLOSE = 0.05
+"""Share of a step by which the times of two instances may differ: beyond, their difference is movement."""
 
 
 def worse_of(real: Sequence[Trace], sim: Sequence[Trace] = ()) -> dict[Sensor, Worse]:
@@ -62,7 +64,14 @@ def worse_of(real: Sequence[Trace], sim: Sequence[Trace] = ()) -> dict[Sensor, W
 
 def _pair(traces: Sequence[Trace], sensor: Sensor) -> tuple[Trace, Trace] | None:
     own = [t for t in traces if t.sensor is sensor and len(t.instances) == 1]
-    return (own[0], own[1]) if len(own) == 2 and len(own[0].t) == len(own[1].t) else None
+    return (own[0], own[1]) if len(own) == 2 and _together(own[0], own[1]) else None
+
+
+def _together(one: Trace, other: Trace) -> bool:
+    """Whether both were sampled at the same moments, row by row, and some rows are known of both."""
+    if len(one.t) != len(other.t) or float(np.abs(one.t - other.t).max(initial=0.0)) > _CLOSE / one.fs:
+        return False
+    return bool(_known(one, other).any())
 
 
 def _slow(one: Trace, other: Trace) -> tuple[int, ...] | None:

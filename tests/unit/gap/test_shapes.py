@@ -215,6 +215,17 @@ def test_between_the_rows_of_its_own_trace_a_shape_goes_straight():
     np.testing.assert_allclose(h.effect.columns(half, math.nan)[0, :, 1], expected, atol=1e-9)
 
 
+def test_as_many_rows_at_other_times_are_other_rows():
+    model = model_of(Sensor.GYRO)
+    (view,) = model.setting.views
+    trace = view.traces[0]
+    early, late = taken(trace, slice(None, -9)), taken(trace, slice(9, None))
+    setting = setting_of((dataclasses.replace(view, traces={0: early}),))
+    h = named(dataclasses.replace(model, setting=setting))["throttle on gyro.y"]
+    columns = h.effect.columns(late, math.nan)[0, :-9, 1]
+    np.testing.assert_allclose(columns, late.throttle[:-9], atol=1e-9)
+
+
 def test_an_instance_with_a_reference_and_a_longer_difference_has_one_shape_for_both():
     problem = problem_of(np.random.default_rng(3), (Sensor.GYRO,), instances=3)
     zero, one, two = problem.traces

@@ -133,3 +133,28 @@ def test_rows_that_either_has_not_are_left_out():
     hole = np.arange(ROWS) // 100 != 10
     real = (dataclasses.replace(one, measured=spoilt), dataclasses.replace(other, observed=hole))
     assert told(real, instances(2)) == Worse(slow=(1,), fast=(0,))
+
+
+def cut(trace, rows):
+    return dataclasses.replace(
+        trace, t=trace.t[rows], measured=trace.measured[rows], ideal=trace.ideal[rows], observed=trace.observed[rows]
+    )
+
+
+@pytest.mark.parametrize(
+    ("early", "late"),
+    [(slice(ROWS // 2), slice(ROWS // 2, ROWS)), (slice(ROWS - 1), slice(1, ROWS)), (slice(ROWS), slice(1, ROWS))],
+    ids=["halves", "shifted", "longer"],
+)
+def test_instances_whose_rows_are_of_different_times_are_not_compared(early, late):
+    one, other = instances(1, added=(3.0 * SIGMA, OFFSET))
+    assert worse_of((cut(one, early), cut(other, late)), instances(2)) == {}
+    assert worse_of((cut(one, early), cut(other, late))) == {}
+
+
+def test_instances_without_a_common_row_are_not_compared():
+    one, other = instances(1, added=(3.0 * SIGMA, OFFSET))
+    first = np.arange(ROWS) < ROWS // 2
+    apart = (dataclasses.replace(one, observed=first), dataclasses.replace(other, observed=~first))
+    assert worse_of(apart, instances(2)) == {}
+    assert told(instances(3, added=(3.0 * SIGMA, 0.0)), apart).fast == (0,)
