@@ -137,8 +137,10 @@ def _handicap(effect: Effect, instances: tuple[int, ...], worse: Mapping[Sensor,
     if effect.shared or told is None:
         return 0.0
     noise = isinstance(effect, NoiseEffect)
-    fast = effect.tonal or (noise and not effect.id.endswith(DRIFTS))
-    at_fault = told.fast if fast or told.slow is None else told.slow
+    if effect.tonal or (noise and not effect.id.endswith(DRIFTS)):
+        at_fault = told.fast
+    else:
+        at_fault = told.fast if noise and told.slow is None else told.slow
     if at_fault is None or instances == at_fault or not (noise or len(instances) == len(at_fault)):
         return 0.0
     return _ELSEWHERE

@@ -29,8 +29,8 @@ _SLOW = 8
 """Bins of a recording up to which the reference is that of position and field, and of no inertial unit."""
 _NEAR = 1.0 / 16.0
 """Part of the power of a difference below which an instance is at the reference."""
-_SIDE = 0.5
-"""Excess from which on it is one instance that has it."""
+_SIDE, _BEYOND = 0.5, 1.5
+"""Excess from which on it is one instance that has it, and beyond which it goes with the movement: a scale error."""
 _SURE = 4.0
 """Standard errors of the excess that it must be away from zero; half of them for both."""
 _MORE = 4.0
@@ -115,6 +115,8 @@ def _fast(real: tuple[Trace, Trace], sim: tuple[Trace, Trace] | None) -> tuple[i
 def _of(real: tuple[Trace, Trace], band: _Band, before: _Band, excess: float) -> tuple[int, ...] | None:
     side = 2.0 * (band.product - before.product) / excess
     error = 2.0 * math.sqrt(band.mean * band.difference / band.count) / excess
+    if abs(side) > _BEYOND + error:
+        return None
     if abs(side) > max(_SIDE, _SURE * error):
         return real[0 if side > 0.0 else 1].instances
     if abs(side) + 0.5 * _SURE * error < _SIDE:

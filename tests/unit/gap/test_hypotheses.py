@@ -55,9 +55,16 @@ def test_where_nothing_says_which_nobody_has_a_handicap(effect_id):
 
 
 @pytest.mark.parametrize(
-    ("effect_id", "elsewhere"), [("gyro_tone", {(0,)}), ("gyro_noise", {(0,), (0, 1)}), ("gyro_bias", {(0,)})]
+    ("effect_id", "elsewhere"),
+    [
+        ("gyro_tone", {(0,)}),
+        ("gyro_noise", {(0,), (0, 1)}),
+        ("gyro_random_walk", {(0,), (0, 1)}),
+        ("gyro_bias", set()),
+        ("gyro_scale", set()),  # it goes with the movement, that of both
+    ],
 )
-def test_fast_bands_speak_for_slow_ones_that_say_nothing(effect_id, elsewhere):
+def test_fast_bands_speak_of_noise_and_tones_alone(effect_id, elsewhere):
     assert handicapped(effect_id, {Sensor.GYRO: Worse(fast=(1,))}) == elsewhere
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from calib import gap, logs
+from calib.blind.real import injected
 from calib.gap.schema import EffectEstimate, GapReport, Verdict
 from service.commands.gap_real import broad_recording
 
@@ -65,3 +66,14 @@ def test_a_magnet_that_is_put_on_and_taken_off_is_a_step_and_its_opposite(shared
     for step, sign in ((on, 1.0), (off, -1.0)):
         vector = sign * np.array([step[f"step.{axis}"] for axis in "xyz"])
         assert vector == pytest.approx([-6.0, -1.0, 58.0], abs=2.0)
+
+
+@pytest.mark.parametrize("kind", ["accel_bias", "accel_scale", "accel_step", "accel_noise", "gyro_noise", "gyro_hold"])
+def test_what_is_put_into_one_of_two_units_is_found_on_that_one(shared_data: Path, kind: str) -> None:
+    """Two flights of a simulator at 25 Hz: too slow for a gyroscope's own reference, so that two are held together."""
+    real, sim = (logs.read(shared_data / "sitl_baseline" / f"{name}.BIN") for name in ("00000010", "00000005"))
+    changed, _ = injected(real, kind, 10)
+    report = gap.run(changed, sim, nested=False)
+    assert [(e.id, list(e.instances)) for e in report.effects] == [(kind, [1])]
+    assert not report.unknown.flag
+    assert report.effects[0].evidence.probability > 0.5

@@ -158,3 +158,11 @@ def test_instances_without_a_common_row_are_not_compared():
     apart = (dataclasses.replace(one, observed=first), dataclasses.replace(other, observed=~first))
     assert worse_of(apart, instances(2)) == {}
     assert told(instances(3, added=(3.0 * SIGMA, 0.0)), apart).fast == (0,)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("error", [0.03, -0.03])
+def test_a_scale_error_goes_with_the_movement_and_says_nothing_of_noise(seed, error):
+    one, other = instances(seed)
+    scaled = dataclasses.replace(one, measured=(1.0 + error) * one.measured)
+    assert told((scaled, other), instances(seed + 100)).fast is None
