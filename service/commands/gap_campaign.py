@@ -19,20 +19,22 @@ from calib.blind.answers import Answer
 from calib.blind.cases import Case, Tier, make_case
 
 TIMEOUT_S = 300.0
+"""Of a case of a minute, with room for a busy machine."""
 
 
 class Worker:
     """One diagnosing process; started again if it dies or hangs."""
 
-    def __init__(self) -> None:
+    def __init__(self, timeout_s: float = TIMEOUT_S) -> None:
         self._process: subprocess.Popen[str] | None = None
+        self._timeout_s = timeout_s
 
     def ask(self, order: dict[str, Any]) -> dict[str, Any]:
-        """The answer to one order; a process that dies or is silent for five minutes is an error, and replaced."""
+        """The answer to one order; a process that dies or is silent for too long is an error, and replaced."""
         process = self._running()
         assert process.stdin is not None
         assert process.stdout is not None
-        timer = threading.Timer(TIMEOUT_S, process.kill)
+        timer = threading.Timer(self._timeout_s, process.kill)
         timer.start()
         try:
             process.stdin.write(json.dumps(order) + "\n")
@@ -44,7 +46,8 @@ class Worker:
             timer.cancel()
         if not line:
             self.close()
-            return {"error": "the diagnosis died or took more than 300 s", "seconds": TIMEOUT_S}
+            said = f"the diagnosis died or took more than {self._timeout_s:.0f} s"
+            return {"error": said, "seconds": self._timeout_s}
         answer: dict[str, Any] = json.loads(line)
         return answer
 

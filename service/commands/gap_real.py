@@ -11,6 +11,8 @@ from typing import Any
 from calib.recording import Recording
 from service.commands.gap_campaign import Worker
 
+TIMEOUT_S = 1800.0
+"""Of a recording of minutes."""
 BROAD = {
     **{f"gyro_{a}": f"imu_gyr_{k}" for k, a in enumerate("xyz")},
     **{f"accel_{a}": f"imu_acc_{k}" for k, a in enumerate("xyz")},
@@ -71,15 +73,11 @@ def cases(data: Path, folder: Path) -> Iterator[RealCase]:
         return path
 
     nominal = dict(_nominal(data))
+    half = {}
     for name, recording in nominal.items():
         first, second = halves(recording)
-        known, half = f"nothing: the second half of {name}", table(first, f"{name}_1")
-        yield RealCase(f"null {name}", table(second, f"{name}_2"), None, (half,), known, {})
-        for k, kind in enumerate(KINDS):
-            changed, label = injected(second, kind, 100 + k)
-            real = table(changed, f"{name}_{kind}")
-            known = f"{kind}, lambda {label['lambda_of_fast_noise']:.0f} of the fast noise"
-            yield RealCase(f"{kind} into {name}", real, None, (half,), known, {kind: [1]})
+        known, half[name] = f"nothing: the second half of {name}", table(first, f"{name}_1")
+        yield RealCase(f"null {name}", table(second, f"{name}_2"), None, (half[name],), known, {})
     if "broad_01" in nominal:
         whole = table(nominal["broad_01"], "broad_01")
         for file, known in LABELLED.items():
@@ -89,6 +87,12 @@ def cases(data: Path, folder: Path) -> Iterator[RealCase]:
         path, null = data / "sitl_flights" / file, data / "sitl_flights" / "null.bin"
         if path.is_file():
             yield RealCase(f"sitl {file}", path, null, (), "injected by SIM_* parameters", effects)
+    for name, recording in nominal.items():
+        for k, kind in enumerate(KINDS):
+            changed, label = injected(halves(recording)[1], kind, 100 + k)
+            known = f"{kind}, lambda {label['lambda_of_fast_noise']:.0f} of the fast noise"
+            real = table(changed, f"{name}_{kind}")
+            yield RealCase(f"{kind} into {name}", real, None, (half[name],), known, {kind: [1]})
 
 
 def broad_recording(path: Path) -> Recording:
@@ -118,7 +122,7 @@ def _vqf_rate(path: Path) -> float:
 
 def run(data: Path, *, nested: bool) -> Iterator[dict[str, Any]]:
     """One row a case: what is known, what was said."""
-    worker = Worker()
+    worker = Worker(TIMEOUT_S)
     try:
         with tempfile.TemporaryDirectory(prefix="mavcal-gap-") as made:
             for case in cases(data, Path(made)):
