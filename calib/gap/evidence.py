@@ -57,7 +57,8 @@ def weighed(gram: Array, right: Array, groups: NDArray[np.intp]) -> tuple[float,
     values, vectors = eigh(gram * np.outer(scale, scale))
     if not len(values) or values[-1] <= 0.0:
         return 0.0, 0.0
-    size, worth = _best_size(np.maximum(values, 0.0), (vectors.T @ (right * scale)) ** 2)
+    values = np.maximum(values, 0.0)
+    size, worth = _best_size(values, (vectors.T @ (right * scale)) ** 2)
     return worth, float((size * values / (1.0 + size * values)).sum())
 
 

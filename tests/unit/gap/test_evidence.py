@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from calib.gap.evidence import evidence, price_of_fixed, price_of_kind, price_of_noise, price_of_search
+from calib.gap.evidence import evidence, price_of_fixed, price_of_kind, price_of_noise, price_of_search, weighed
 
 ONE = np.zeros(3, np.intp)
 
@@ -116,3 +116,9 @@ def test_what_fits_anything_is_believed_after_a_named_cause():
 
 def test_one_signal_of_many_that_were_looked_through_costs_more_than_all_of_them():
     assert price_of_kind("unknown:one product:a_x times a_y on gyro.z") > price_of_kind("unknown:product:a on gyro")
+
+
+def test_a_direction_that_is_hardly_below_nothing_by_rounding_is_none_of_those_told():
+    gram = np.diag([1.0, -3e-8])
+    _, told = weighed(gram, np.array([1e4, 0.0]), np.zeros(2, np.intp))
+    assert 0.0 <= told <= 1.0
