@@ -53,23 +53,30 @@ def evidence(gram: Array, right: Array, groups: NDArray[np.intp]) -> float:
 
 def weighed(gram: Array, right: Array, groups: NDArray[np.intp]) -> tuple[float, float]:
     """The :func:`evidence`, and of how many amplitudes the data tell at that size of the prior: from 0 to p."""
-    scale = _scale(gram, groups)
-    values, vectors = eigh(gram * np.outer(scale, scale))
-    if not len(values) or values[-1] <= 0.0:
-        return 0.0, 0.0
-    values = np.maximum(values, 0.0)
-    size, worth = _best_size(values, (vectors.T @ (right * scale)) ** 2)
+    _, values, size, worth = _prior(gram, right, groups)
     return worth, float((size * values / (1.0 + size * values)).sum())
 
 
 def prior_sd(gram: Array, right: Array, groups: NDArray[np.intp]) -> Array:
     """Standard deviations (p,) of the prior at its best size; zero where the data would rather have no amplitudes."""
+    scale, _, size, worth = _prior(gram, right, groups)
+    return scale * math.sqrt(size) if worth > 0.0 else np.zeros(len(gram))
+
+
+def _prior(gram: Array, right: Array, groups: NDArray[np.intp]) -> tuple[Array, Array, float, float]:
+    """Scale and information (p,) of standardised amplitudes, the variance of them that explains the data best, and
+    twice the log evidence there; both are zero where there is no information.
+    """
     scale = _scale(gram, groups)
     values, vectors = eigh(gram * np.outer(scale, scale))
-    if not len(values) or values[-1] <= 0.0:
-        return np.zeros(len(gram))
-    size, worth = _best_size(np.maximum(values, 0.0), (vectors.T @ (right * scale)) ** 2)
-    return scale * math.sqrt(size) if worth > 0.0 else np.zeros(len(gram))
+    values = np.maximum(values, 0.0)  # below zero only by rounding
+    if not values.any():
+        return scale, values, 0.0, 0.0
+    square = (vectors.T @ (right * scale)) ** 2
+    sizes = _SIZES[:, None] / values[-1]
+    worth = (square * sizes / (1.0 + sizes * values) - np.log1p(sizes * values)).sum(axis=1)
+    best = int(worth.argmax())
+    return scale, values, float(sizes[best, 0]), float(worth[best])
 
 
 def _scale(gram: Array, groups: NDArray[np.intp]) -> Array:
@@ -81,20 +88,6 @@ def _scale(gram: Array, groups: NDArray[np.intp]) -> Array:
         mean = float(information[own].mean())
         scale[own] = 1.0 / math.sqrt(mean) if mean > 0.0 else 0.0
     return scale
-
-
-def _best_size(values: Array, square: Array) -> tuple[float, float]:
-    """The prior variance of standardised amplitudes that explains the data best, and twice the log evidence there.
-
-    Parameters
-    ----------
-    values, square : shape (p,)
-        Eigenvalues of the information, the last one the largest, and squares of the right side along their directions.
-    """
-    sizes = _SIZES[:, None] / values[-1]
-    worth = (square * sizes / (1.0 + sizes * values) - np.log1p(sizes * values)).sum(axis=1)
-    best = int(worth.argmax())
-    return float(sizes[best, 0]), float(worth[best])
 
 
 def price_of_numbers(idle: float) -> float:

@@ -93,10 +93,10 @@ class _Demo:
         for kind in KINDS:
             self._operator.rest()
             before = self._parameters()
-            self._truth = self._vehicle.truth()  # by the next job the biases have wandered
+            truth = self._vehicle.truth()  # of now: by the next job the biases have wandered
             job = self._calibrate(vehicle_id, kind)
             fits = [fit_from_json(fit) for fit in job["results"]]
-            judged = judge(self._truth, fits, before, self._parameters())
+            judged = judge(truth, fits, before, self._parameters())
             self._judged.append(judged)
             self._jobs.append(job)
             self._show(job, judged)
