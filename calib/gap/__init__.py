@@ -12,11 +12,12 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 
 from calib.errors import InvalidInputError
-from calib.gap.baseline import baseline_of, beside
+from calib.gap.baseline import baseline_of, beside, beside_flaws, flaws_of
 from calib.gap.diagnose import diagnose
 from calib.gap.effects import catalogue
 from calib.gap.export import with_patches
-from calib.gap.reference import build, flew_another
+from calib.gap.problem import Problem
+from calib.gap.reference import build, flew_another, posed
 from calib.gap.schema import GapReport, as_json
 from calib.recording import Recording
 
@@ -61,14 +62,20 @@ def run(
     if strangers := sorted(set(without) - {effect.id for effect in effects}):
         raise InvalidInputError(f"no such effect in the catalogue: {', '.join(strangers)}")
     kept = tuple(effect for effect in effects if effect.id not in without)
-    if sim is not None and flew_another(real, sim):
-        baseline = baseline_of(build(sim, sim, nominal), alpha)
-        problem = beside(build(real, sim, nominal, flaws=baseline.in_ideal), baseline)
-    else:
-        problem = build(real, sim, nominal)
-    problem = dataclasses.replace(problem, inputs=dict(inputs or {}))
+    problem = dataclasses.replace(_problem(real, sim, nominal, alpha), inputs=dict(inputs or {}))
     report = diagnose(problem, effects=kept, alpha=alpha, nested=nested)
     return with_patches(report, simulator_of(real, sim))
+
+
+def _problem(real: Recording, sim: Recording | None, nominal: Sequence[Recording], alpha: float) -> Problem:
+    """The sensors of `real` beside their references, less what a companion on another trajectory shows of its own."""
+    if sim is not None and flew_another(real, sim):
+        baseline = baseline_of(build(sim, sim, nominal), alpha)
+        return beside(build(real, sim, nominal, flaws=baseline.in_ideal, flawed=sim), baseline)
+    if sim is None and (other := posed(real, nominal)) is not None:
+        flaws = flaws_of(lambda known: build(other, None, nominal, flaws=known, flawed=other), alpha)
+        return beside_flaws(build(real, None, nominal, flaws=flaws.in_ideal, flawed=other), flaws)
+    return build(real, sim, nominal)
 
 
 def simulator_of(real: Recording, sim: Recording | None) -> Mapping[str, float]:

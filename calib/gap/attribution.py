@@ -90,7 +90,7 @@ def settled(chosen: Chosen, contest: Contest, alpha: float) -> tuple[Chosen, tup
     level = alpha / max(chosen.tests, 1)
     for _ in range(_ROUNDS):
         held = {term.hypothesis.key: _alternatives(chosen, contest, term) for term in chosen.model.members}
-        swap = _better(held, level)
+        swap = _better(held, level, contest)
         if swap is None:
             break
         chosen = grown(_exchanged(chosen, *swap), contest, level)
@@ -136,14 +136,17 @@ def _events_first(start: Model, jumps: Sequence[Hypothesis], contest: Contest, a
     return settled(begun, contest, alpha)[0]
 
 
-def _better(held: Mapping[Key, tuple[list[Alternative], float]], level: float) -> tuple[Key, Score] | None:
+def _better(
+    held: Mapping[Key, tuple[list[Alternative], float]], level: float, contest: Contest
+) -> tuple[Key, Score] | None:
     """The exchange of one effect for another that gains most."""
     best: tuple[float, Key, Score] | None = None
     for key, (others, own) in held.items():
         for other in others:
-            gain = other.score.delta - own
-            if other.score.p < level and gain > _CLEARLY and (best is None or gain > best[0]):
-                best = (gain, key, other.score)
+            score, gain = other.score, other.score.delta - own
+            joins = score.p < level and score.gain >= contest.floors.joining(score.hypothesis)
+            if joins and gain > _CLEARLY and (best is None or gain > best[0]):
+                best = (gain, key, score)
     return None if best is None else best[1:]
 
 

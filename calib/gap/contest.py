@@ -8,7 +8,7 @@ multiplies the tail probability (GAP 3.2).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -22,6 +22,7 @@ from calib.gap.bands import joined
 from calib.gap.effects.base import MeanEffect, NoiseEffect
 from calib.gap.evidence import price_of_fixed, price_of_kind, price_of_noise, price_of_numbers, price_of_search
 from calib.gap.filtered import shaped, told_by_noise
+from calib.gap.floors import Floors
 from calib.gap.hypotheses import Columns, Hypothesis, columns_of
 from calib.gap.kept import Kept
 from calib.gap.louder import Added, stands_out, tone_beside_lines, whose
@@ -105,16 +106,16 @@ class Contest:
         self,
         hypotheses: Sequence[Hypothesis],
         budget: int = 40_000_000,
-        floor: Mapping[Sensor, float] | None = None,
+        floors: Floors | None = None,
         kept: Kept | None = None,
     ) -> None:
         self.hypotheses = tuple(hypotheses)
-        self.floor = dict(floor or {})
+        self.floors = floors or Floors()
         self._kept = Kept(budget) if kept is None else kept
 
     def among(self, hypotheses: Sequence[Hypothesis]) -> Contest:
         """A contest of other hypotheses on the same setting, which shares the columns that were made."""
-        return Contest(hypotheses, floor=self.floor, kept=self._kept)
+        return Contest(hypotheses, floors=self.floors, kept=self._kept)
 
     def columns(self, hypothesis: Hypothesis, theta: float, model: Model) -> Columns:
         """Transformed columns of `hypothesis`, kept."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
@@ -12,8 +13,10 @@ from calib.gap.doubts import nameless, not_following, without_sensors
 from calib.gap.effects import catalogue
 from calib.gap.effects.base import Effect
 from calib.gap.effects.reference_attitude import REFERENCE
+from calib.gap.floors import Floors
 from calib.gap.hypotheses import hypotheses_of
 from calib.gap.inputs import inputs_of
+from calib.gap.left_open import with_flaws
 from calib.gap.locate import located
 from calib.gap.louder import unsteady_line
 from calib.gap.model import Model, setting_of, starting_model
@@ -70,6 +73,18 @@ class _Answer:
     heldout: Heldout | None = None
     gates: Mapping[Key, bool | None] = field(default_factory=dict)
     withdrawn: float = 0.0
+
+    @property
+    def tolerated(self) -> frozenset[Key]:
+        """Effects by which two recordings differ anyway: they are no gap."""
+        floors, gains = self.contest.floors, {a.key: a.gain for a in self.attributions}
+        members = (t.hypothesis for t in self.chosen.model.members)
+        return frozenset(h.key for h in members if gains.get(h.key, math.inf) < floors.telling(h))
+
+    @property
+    def gap(self) -> tuple[Attribution, ...]:
+        """What the others are worth."""
+        return tuple(a for a in self.attributions if a.key not in self.tolerated)
 
 
 def diagnose(
@@ -128,8 +143,10 @@ def _task_of(problem: Problem, effects: tuple[Effect, ...]) -> _Task | None:
         return None
     setting = setting_of(views)
     hypotheses, missing = hypotheses_of(effects, views, problem.worse)
-    bare = refitted(starting_model(setting, starting_noise(setting))).model
-    return _Task(problem, lattice, bare, Contest(hypotheses, floor=problem.floor), missing)
+    start = starting_model(setting, starting_noise(setting))
+    bare = refitted(start).model
+    contest = with_flaws(Contest(hypotheses, floors=Floors(problem.floor)), start, problem.flaws)
+    return _Task(problem, lattice, bare, contest, missing)
 
 
 def _gains(chosen: Chosen) -> dict[Key, float]:
@@ -156,14 +173,14 @@ def _settled(task: _Task, chosen: Chosen, alpha: float, *, with_reference: bool)
 def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
     """The answer without the effects that blocks which were held out deny."""
     chosen, contest = answer.chosen, answer.contest
-    heldout = held_out(chosen, contest, alpha, nested=nested)
+    heldout = held_out(chosen, contest, alpha, answer.tolerated, nested=nested)
     gates = {} if heldout is None else {gate.key: gate.passed for gate in heldout.gates}
     failed = [key for key, passed in gates.items() if passed is False]
     if not failed:
         return replace(answer, heldout=heldout, gates=gates)
     withdrawn = 0.5 * sum(gain for key, gain in _gains(chosen).items() if key in failed)
     chosen = reduced(chosen, failed)
-    heldout = held_out(chosen, contest, alpha, nested=nested)
+    heldout = held_out(chosen, contest, alpha, answer.tolerated, nested=nested)
     chosen, attributions = settled(chosen, contest, 0.0)
     return replace(answer, chosen=chosen, attributions=attributions, heldout=heldout, gates=gates, withdrawn=withdrawn)
 
@@ -171,7 +188,8 @@ def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
 def _report(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> GapReport:
     """Everything that is said of a problem and of the answer to it."""
     chosen, model = answer.chosen, answer.chosen.model
-    strangers = (*strangers_in(model, answer.attributions), *nameless(answer.attributions, answer.withdrawn))
+    seen = (s for s in strangers_in(model, answer.gap) if not answer.tolerated.issuperset(s.keys))
+    strangers = (*seen, *nameless(answer.gap, answer.withdrawn))
     unknown = _unknown(task, answer, strangers)
     effects = _effects(task, answer, strangers)
     return GapReport(
@@ -196,17 +214,17 @@ def _unknown(task: _Task, answer: _Answer, strangers: Iterable[Stranger]) -> Unk
     passed = () if answer.wander is not None else passing(task.left_out, model)
     unexplained = [(answer.withdrawn, NOT_LASTING), *((one.nats, one.text) for one in passed)]
     return unknown_of(
-        model, answer.attributions, tuple(strangers), unexplained, reference.bandwidth_hz, task.problem.floor
+        model, answer.gap, tuple(strangers), unexplained, reference.bandwidth_hz, task.problem.floor.lasting
     )
 
 
 def _effects(task: _Task, answer: _Answer, strangers: Iterable[Stranger]) -> tuple[EffectEstimate, ...]:
     """What has a name: of the samples, of the reference, and of the model all that stands for nothing else."""
     model = answer.chosen.model
-    denied = {key for stranger in strangers for key in stranger.keys}
+    denied = {key for stranger in strangers for key in stranger.keys} | set(answer.tolerated)
     denied |= {t.hypothesis.key for t in model.terms if usual_tone(t, task.problem.nominal)}
     denied |= {t.hypothesis.key for t in model.noise_terms if unsteady_line(t, model)}
-    found = (effect_of(answer.chosen, a, answer.gates.get(a.key)) for a in answer.attributions if a.key not in denied)
+    found = (effect_of(answer.chosen, a, answer.gates.get(a.key)) for a in answer.gap if a.key not in denied)
     wander = () if answer.wander is None else (wandering_reference(answer.wander, answer.attributions),)
     return (*task.lattice.effects, *wander, *(e for e in found if not shown_by(task.lattice, e)))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from calib.gap.contest import Contest
 from calib.gap.effects.noise import DRIFTS
+from calib.gap.floors import Floors
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.model import (
     Model,
@@ -28,7 +29,6 @@ from calib.gap.model import (
 from calib.gap.noise_fit import starting_noise, with_term
 from calib.gap.selection import fitted_about, without
 from calib.gap.views import View, between
-from calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
@@ -175,6 +175,6 @@ def with_weight(model: Model) -> Model:
     return replace(model, weight=weight)
 
 
-def contest_of(hypotheses: Sequence[Hypothesis], floor: Mapping[Sensor, float]) -> Contest:
+def contest_of(hypotheses: Sequence[Hypothesis], floors: Floors) -> Contest:
     """A contest whose columns are not kept: every fold has its own."""
-    return Contest(hypotheses, budget=6_000_000, floor=floor)
+    return Contest(hypotheses, budget=6_000_000, floors=floors)

@@ -7,6 +7,7 @@ References are made by :mod:`calib.gap.reference`; from here on nothing knows wh
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
@@ -14,6 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.gap.schema import EffectEstimate
 from calib.recording import Sensor
 
 Array = NDArray[np.float64]
@@ -159,6 +161,37 @@ class Worse:
     fast: tuple[int, ...] | None = None
 
 
+@dataclass(frozen=True)
+class Floor:
+    """Twice the log-likelihood by sensor below which two recordings differ anyway; zero where none is given.
+
+    What differs may be in the model, so that nothing else takes its place, and yet be no gap.
+
+    Parameters
+    ----------
+    joins, lasting
+        Of effects that go on all the time, such as those of place, time and frame: to be in the model, to be told.
+    level
+        Of shifts of the level, and of what happens once.
+    noise, loud
+        Of noise: to be in the model, to be told.
+    """
+
+    joins: Mapping[Sensor, float] = field(default_factory=dict)
+    lasting: Mapping[Sensor, float] = field(default_factory=dict)
+    level: Mapping[Sensor, float] = field(default_factory=dict)
+    noise: Mapping[Sensor, float] = field(default_factory=dict)
+    loud: Mapping[Sensor, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Flaw:
+    """An effect that another recording shows against its own reference, and which part of it is left open in this."""
+
+    effect: EffectEstimate
+    open: float
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """One diagnosis: traces with one reference each, and what was noticed while they were made."""
@@ -173,7 +206,8 @@ class Problem:
     """Effect id, reason, need: what the recordings do not allow to be tested."""
     nominal: tuple[Trace, ...] = ()
     """Sensors of recordings without an effect: what the samples of both show is no gap."""
-    floor: dict[Sensor, float] = field(default_factory=dict)
-    """Twice the log-likelihood by sensor below which an effect is a flaw of the reference: the simulator has it too."""
+    floor: Floor = field(default_factory=lambda: Floor())
+    flaws: tuple[Flaw, ...] = ()
+    """What another recording shows against its own reference."""
     worse: dict[Sensor, Worse] = field(default_factory=dict)
     """By sensor with two instances, which of them have something."""

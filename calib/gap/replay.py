@@ -56,7 +56,7 @@ def with_effects_in(
 
 def forward(described: MeanEffect, found: EffectEstimate, trace: Trace) -> Array:
     """What an effect with its parameters adds to the ideal reading of `trace` (N, 3)."""
-    theta, amplitudes = _split(described, found)
+    theta, amplitudes = split_of(described, found)
     if described.exact is not None:
         return described.exact(trace, amplitudes)
     columns = described.columns(trace, theta)
@@ -64,7 +64,7 @@ def forward(described: MeanEffect, found: EffectEstimate, trace: Trace) -> Array
     return np.asarray(np.tensordot(weights, columns, axes=1), dtype=np.float64)
 
 
-def _split(described: Effect, found: EffectEstimate) -> tuple[float, Array]:
+def split_of(described: Effect, found: EffectEstimate) -> tuple[float, Array]:
     """The shape (NaN where there is none) and the amplitudes, in the catalogue's order."""
     values: Mapping[str, float] = {p.name: p.value for p in found.params}
     amplitudes = np.array([values.get(p.name, 0.0) for p in described.parameters], dtype=np.float64)
@@ -91,7 +91,7 @@ def _acting(trace: Trace, effects: Iterable[EffectEstimate]) -> Iterable[tuple[E
 
 def _louder(trace: Trace, described: NoiseEffect, found: EffectEstimate) -> Trace:
     """`trace` with the effect's power in the noise that is declared; where none is, it is learned anyway."""
-    theta, values = _split(described, found)
+    theta, values = split_of(described, found)
     squared = np.array([v**2 if p.squared else v for v, p in zip(values, described.parameters, strict=True)])
     hz = np.linspace(0.0, 0.5 * trace.fs, _BINS) if trace.psd_hz is None else trace.psd_hz
     omega = 2.0 * np.pi * np.asarray(hz) / trace.fs

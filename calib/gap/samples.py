@@ -33,6 +33,8 @@ def lattice_of(problem: Problem, effects: Iterable[Effect]) -> Lattice:
             evidence = effect.detect(trace) if effect.sensor is trace.sensor else None
             if evidence is None or usual_samples(effect, evidence, problem.nominal):
                 continue
+            if evidence.two_delta_loglik < problem.floor.lasting.get(trace.sensor, 0.0):
+                continue
             found.append(_from_lattice(effect, trace.instances, evidence))
             if evidence.masked.any():
                 masks[i] = evidence if i not in masks else _both(masks[i], evidence)

@@ -215,7 +215,7 @@ def _best(scores: dict[Key, Score], level: float, gains: Gains, contest: Contest
             if s.p < level
             and s.gain
             >= (0.0 if wandering and not s.hypothesis.periodic else _SEEN) * _least(s.hypothesis, model, gains)
-            and s.gain >= contest.floor.get(s.hypothesis.effect.sensor, 0.0)
+            and s.gain >= contest.floors.joining(s.hypothesis)
         ]
         if not good:
             return None

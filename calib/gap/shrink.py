@@ -9,7 +9,7 @@ the loss of the fit to all data, with the half nat for each of its numbers by wh
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -82,20 +82,27 @@ class Heldout:
     sequence: tuple[SequenceStep, ...]
 
 
-def held_out(chosen: Chosen, contest: Contest, alpha: float, *, nested: bool) -> Heldout | None:
-    """Every block held out in turn; None if the recording is too short for that."""
+def held_out(
+    chosen: Chosen, contest: Contest, alpha: float, tolerated: Collection[Key] = (), *, nested: bool
+) -> Heldout | None:
+    """Every block held out in turn; None if the recording is too short for that, or nothing is a gap.
+
+    Effects of the keys `tolerated` are in every model: by them two recordings differ anyway.
+    """
     setting = chosen.model.setting
-    if not chosen.model.members:
+    given, order = _order(chosen, tolerated)
+    if not order:
         return None
     long = max(view.whole.n for view in setting.views) > _LONG
     folds = folds_of(trusting(chosen.model), _FEW if long else _BLOCKS)
     if not folds:
         return None
-    order = _order(chosen)
     floor_ratio = _excess(chosen.model)
     rows, gains, steps, told = [], [], [], []
     for fold in folds:
         chain = [refitted(fold.train).model]
+        for term in given:
+            chain[0] = joined(chain[0], term) if foretold(term, chosen.model, fold.train.setting) else chain[0]
         known = [foretold(term, chosen.model, fold.train.setting) for term in order]
         for term, seen in zip(order, known, strict=True):
             chain.append(joined(chain[-1], term) if seen else chain[-1])
@@ -144,10 +151,12 @@ def trusting(model: Model) -> Setting:
     return setting_of(tuple(views))
 
 
-def _order(chosen: Chosen) -> list[Term | NoiseTerm]:
-    """Terms in the order in which they joined."""
+def _order(chosen: Chosen, tolerated: Collection[Key]) -> tuple[list[Term | NoiseTerm], list[Term | NoiseTerm]]:
+    """Terms in the order in which they joined: those that are tolerated, and the others."""
     members = {t.hypothesis.key: t for t in chosen.model.members}
-    return [members[s.hypothesis.key] for s in chosen.scores if s.hypothesis.key in members]
+    terms = [members[s.hypothesis.key] for s in chosen.scores if s.hypothesis.key in members]
+    given = [term for term in terms if term.hypothesis.key in tolerated]
+    return given, [term for term in terms if term.hypothesis.key not in tolerated]
 
 
 def _numbers(model: Model) -> int:
@@ -168,7 +177,7 @@ def _nested(fold: Fold, chosen: Chosen, contest: Contest, alpha: float) -> float
     level = alpha * sum(not h.again for h in few) / max(chosen.tests, 1)
     if not few:
         return predictive_loss(refitted(fold.train).model, fold.test)
-    found = select(refitted(fold.train).model, contest_of(few, contest.floor), level)
+    found = select(refitted(fold.train).model, contest_of(few, contest.floors), level)
     return predictive_loss(found.model, fold.test)
 
 

@@ -81,7 +81,7 @@ def wandering(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> W
             bare = without(bare, term.hypothesis.key)
     bare = refitted(refined(bare)[0]).model
     gain, size, time = best_prior(bare)
-    least = max((contest.floor.get(v.sensor, 0.0) for v in setting.views if sees(v)), default=0.0)
+    least = max((contest.floors.lasting(v.sensor) for v in setting.views if sees(v)), default=0.0)
     if gain < max(MATERIAL * largest_gain(chosen, contest), least):
         return None
     if tail(gain, 2, len(_SIZES_DEG) * len(_TIMES_S)) * (chosen.tests + 1) > alpha:
@@ -92,7 +92,7 @@ def wandering(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> W
     told = [
         h for h in contest.hypotheses if h.effect.id != REFERENCE and not (h.effect.id.endswith(DRIFTS) and _seen_by(h))
     ]
-    contest = Contest(told, floor=contest.floor)
+    contest = Contest(told, floors=contest.floors)
     columns = wander_columns(setting, frames)
     ridge = Ridge(columns, 1.0 / _prior(setting, size, time), np.zeros(columns.p), span_of(setting))
     noise = with_tail(setting, start.noise, size, time)

@@ -41,13 +41,17 @@ _SHAKE = "a fast shake or a yaw jerk"
 
 @lru_cache(maxsize=12)
 def splines_of(trace: Trace) -> Array:
-    """Coefficients (3, N + 2 _EDGE) of the splines through the ideal reading, held at both ends; the last are kept."""
-    held = np.pad(trace.ideal, ((_EDGE, _EDGE), (0, 0)), mode="edge")
-    return np.stack([ndimage.spline_filter1d(column, _SPLINE, mode="nearest") for column in held.T])
+    """Coefficients (3, N + 2 _EDGE) of the splines through the ideal reading; the last are kept.
+
+    Beyond either end it goes on as steeply as it came: a recording may begin in the midst of a movement, and what a
+    sudden stop would change of the first sample is more than the noise of all.
+    """
+    longer = np.pad(trace.ideal, ((_EDGE, _EDGE), (0, 0)), mode="reflect", reflect_type="odd")
+    return np.stack([ndimage.spline_filter1d(column, _SPLINE, mode="nearest") for column in longer.T])
 
 
 def shifted(trace: Trace, samples: float) -> Array:
-    """The ideal reading (N, 3), `samples` later; what lies outside is held."""
+    """The ideal reading (N, 3), `samples` later; what lies far outside is held."""
     whole = math.floor(-samples)
     at = -samples - whole + np.arange(2, -4, -1)  # from each of the six knots about a sample
     values = ndimage.correlate1d(splines_of(trace), _KNOT(at), axis=1, mode="nearest", origin=-1)
@@ -97,13 +101,14 @@ def low_pass_gain(trace: Trace, omega: Array, cutoff: float) -> Array:
 def _filtered_less_ideal(trace: Trace, cutoff: float) -> tuple[Array, Array]:
     """Through one pole (a package, an analogue stage) and a Butterworth of two (ArduPilot's, PX4's, most chips').
 
-    ``H = 1/(1 + s)`` and ``1/(1 + sqrt(2) s + s^2)`` at ``s = j f/fc``, by Fourier transform; a lead of eight time
-    constants, over which the end ramps back to the beginning, lets the filter settle.
+    ``H = 1/(1 + s)`` and ``1/(1 + sqrt(2) s + s^2)`` at ``s = j f/fc``, by Fourier transform. A lead of eight time
+    constants lets the filter settle: the end ramps to where the movement may have come from.
     """
     x = trace.ideal
-    lead = min(len(x), max(64, int(8.0 * trace.fs / (2.0 * np.pi * cutoff))))
-    ramp = np.clip(2.0 * np.arange(lead) / lead, 0.0, 1.0)[:, None]
-    padded = np.vstack([x[-1] + ramp * (x[0] - x[-1]), x])
+    lead = min(len(x) - 1, max(64, int(8.0 * trace.fs / (2.0 * np.pi * cutoff)))) // 2
+    before = 2.0 * x[0] - x[lead:0:-1]
+    ramp = (np.arange(lead) / max(lead, 1))[:, None]
+    padded = np.vstack([x[-1] + ramp * (before[:1] - x[-1]), before, x])
     size = fft.next_fast_len(len(padded), real=True)
     padded = np.vstack([np.repeat(x[-1:], size - len(padded), axis=0), padded])
     spectrum = fft.rfft(padded, axis=0)

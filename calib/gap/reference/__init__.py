@@ -6,6 +6,6 @@ instance on the same vehicle (:mod:`redundant`).
 """
 
 from calib.gap.reference.build import build
-from calib.gap.reference.choose import flew_another
+from calib.gap.reference.choose import flew_another, posed
 
-__all__ = ["build", "flew_another"]
+__all__ = ["build", "flew_another", "posed"]

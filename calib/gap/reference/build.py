@@ -18,6 +18,7 @@ from calib.gap.reference.deviation import deviations, simulated_ideal
 from calib.gap.reference.driven_noise import as_driven, driven_by
 from calib.gap.reference.ideal import Ideal, trace_of
 from calib.gap.reference.moments import age_of, louder, settled
+from calib.gap.reference.moving import as_moving, movement_of
 from calib.gap.reference.noise import Noise, learned, pooled, with_noise
 from calib.gap.reference.redundant import differences
 from calib.gap.reference.which import worse_of
@@ -40,6 +41,7 @@ def build(
     nominal: Sequence[Recording] = (),
     *,
     flaws: Callable[[Sequence[Trace]], tuple[Trace, ...]] = tuple,
+    flawed: Recording | None = None,
 ) -> Problem:
     """Every sensor of `real` beside its best reference.
 
@@ -52,15 +54,18 @@ def build(
     nominal
         Recordings without an effect, from which the noise and the Earth's field are learned.
     flaws
-        Puts into the ideal readings of the simulator's traces what is known of them already: it is no noise.
+        Puts into the ideal readings of a companion's traces what is known of them already: it is no noise.
+    flawed
+        Which companion: `sim` or one of `nominal`; None: none.
 
     Raises
     ------
     InvalidInputError
         If the recordings have nothing in common, or `real` has no sensor.
     """
-    check_vehicles(real, (*nominal, *(() if sim is None else (sim,))))
+    companions = (*nominal, *(() if sim is None else (sim,)))
     real, sim = corrected(real), None if sim is None else corrected(sim)
+    check_vehicles(real, companions)
     channels = sensors_of(real)
     if not channels:
         raise InvalidInputError("the recording has no accelerometer, gyroscope or magnetometer: nothing to compare")
@@ -74,7 +79,10 @@ def build(
     if not single and not pairs:
         raise InvalidInputError(_NO_REFERENCE if ideal is None else _NO_OVERLAP)
     judged = [] if chosen is None else [(n, nominal_traces(n, its)) for n, its in chosen.nominal]
-    judged = [(n, replace(f, traces=flaws(f.traces)) if n is sim else f) for n, f in judged]
+    judged = [
+        (n, replace(f, traces=flaws(f.traces)) if flawed is not None and c is flawed else f)
+        for c, (n, f) in zip(companions, judged, strict=bool(judged))
+    ]
     ages = ages_of([t for _, found in judged for t in found.traces])
     clean = [(n, tuple(_settled(t, ages) for t in found.traces)) for n, found in judged]
     steps = steps_of(c for n, _ in clean for c in sensors_of(n))
@@ -88,8 +96,10 @@ def build(
     usual = [trace for _, its in clean for trace in its]
     noisy = [with_noise(_settled(t, ages), total.get(t.sensor), own.get(t.sensor)) for t in rounded]
     driven = driven_by(usual)
-    traces = tuple(simulated_ideal(as_driven(_louder(t, ages, usual), driven), offsets) for t in noisy)
     info = ReferenceInfo(ReferenceKind.REDUNDANT, text=_REDUNDANT) if ideal is None else ideal.info
+    moved = movement_of([t for t in usual if t.against is None]) if info.kind is ReferenceKind.POSE else {}
+    noisy = [as_moving(as_driven(_louder(t, ages, usual), driven), moved) for t in noisy]
+    traces = tuple(simulated_ideal(t, offsets) for t in noisy)
     warnings = (
         *not_undone(channels, real),
         *(() if ideal is None else ideal.warnings),

@@ -111,6 +111,13 @@ def flew_another(real: Recording, sim: Recording) -> bool:
     return not table and recorded(real) is None and of_same_trajectory(real, sim) is None
 
 
+def posed(real: Recording, nominal: Sequence[Recording]) -> Recording | None:
+    """The first of the `nominal` recordings with a pose, where `real` is held against one as well."""
+    if real.identity.autopilot is not None or recorded(real) is not None or true_attitude(real) is None:
+        return None
+    return next((n for n in nominal if recorded(n) is None and true_attitude(n) is not None), None)
+
+
 def earth_of(posed: Sequence[tuple[Recording, Pose]]) -> Array | None:
     """The field that the magnetometers of the first of `posed` saw that has any."""
     for recording, pose in posed:

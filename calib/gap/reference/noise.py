@@ -25,6 +25,7 @@ _FLOOR = 1e-9  # of the mean power
 _SINGLE = 2.0**-24  # relative error of a single-precision number
 _CLEANED = 6  # times that lines are taken out
 _PARTS = 16  # of a recording, in which its noise should be the same
+_CORNERS = 6  # bands between the frequencies below which drifts are level
 _SHRUNK = 12.0  # coefficients that speak for these, against those of such a band
 _FEWEST = 64  # samples of a recording, and coefficients of a band that is divided no further
 _WHOLE = 0.9  # of the samples observed, from which on a recording has few holes
@@ -66,15 +67,17 @@ class Noise:
         return self.steady and bool(chance.min() * chance.size > _COLOURED)
 
     def smoothed(self) -> Noise:
-        """Few coefficients say little about the lowest bands: white noise, a walk and flicker, and what they miss.
+        """Few coefficients say little about the lowest bands: white noise, drifts and flicker, and what they miss.
 
+        Drifts are a walk and ones that return to their mean, which are level below some frequency (Gauss-Markov).
         A band that differs from their sum by more than chance is taken as it is, but for a share of that sum.
         """
         if self.smooth:
             return self
         omega = 2.0 * np.pi * self.hz / self.fs
         gain = filter_gain(self.hz, self.low_pass_hz) ** 2
-        shapes = [gain * shape for shape in (np.ones_like(omega), random_walk(omega), flicker(omega))]
+        level = [1.0 / (1.0 / random_walk(omega) + corner**2) for corner in omega[::_CORNERS]]
+        shapes = [gain * shape for shape in (np.ones_like(omega), random_walk(omega), flicker(omega), *level)]
         made = np.empty_like(self.psd)
         for c, column in enumerate(self.psd.T):
             scale = max(float(self.dof @ column / self.dof.sum()), np.finfo(float).tiny)

@@ -15,6 +15,11 @@ Array = NDArray[np.float64]
 
 _OPEN = 0.9  # cut-offs beyond this share of the Nyquist frequency are none
 _LOWEST_HZ = 1.0  # of a cut-off
+_STEEP = 8
+"""Of the filter's edge: half an octave below its cut-off it takes away 4 %, an octave below 0.3 %.
+
+A Gaussian (2) takes 16 % there, and every sensor would look louder than its reference.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +40,7 @@ class Smoothed:
 def smoothed(signal: Signal, cutoff_hz: float | None = None) -> Smoothed:
     """Low-passed at `cutoff_hz`; None: as it is.
 
-    The filter has no phase and no ringing (Gaussian, half amplitude at the cut-off).
+    The filter has no phase, is flat up to its edge and at half amplitude at the cut-off.
     """
     step = float(np.median(np.diff(signal.t)))
     t = signal.t[0] + step * np.arange(int(np.floor((signal.t[-1] - signal.t[0]) / step + 1e-6)) + 1)
@@ -45,7 +50,7 @@ def smoothed(signal: Signal, cutoff_hz: float | None = None) -> Smoothed:
         line = values[0] + (values[-1] - values[0]) * ((t - t[0]) / max(t[-1] - t[0], step))[:, None]
         spectrum = dct(values - line, axis=0, norm="ortho")
         hz = np.arange(len(t)) / (2.0 * step * len(t))
-        kept = spectrum * np.exp2(-((hz / cutoff_hz) ** 2))[:, None]
+        kept = spectrum * np.exp2(-((hz / cutoff_hz) ** _STEEP))[:, None]
         noise = np.sqrt(((spectrum - kept) ** 2).sum(axis=0) / len(t))
         values = line + idct(kept, axis=0, norm="ortho")
     spline = CubicSpline(t, values, axis=0)

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.gap.baseline import Baseline, baseline_of, beside
 from calib.gap.diagnose import diagnose
+from calib.gap.problem import Floor
 from calib.gap.schema import Verdict
 from calib.recording import Sensor
 from tests.unit.gap.synthetic import problem_of
@@ -53,7 +54,7 @@ def test_what_both_flights_show_is_no_gap(simulated):
 
 
 def test_what_only_the_real_flight_shows_is_found_in_its_own_size(simulated):
-    problem = dataclasses.replace(beside(flight(3, both), simulated), floor={})
+    problem = dataclasses.replace(beside(flight(3, both), simulated), floor=Floor())
     report = diagnose(problem, nested=False)
     assert [e.id for e in report.effects] == ["accel_bias"]
     values, errors = (np.array([getattr(p, k) for p in report.effects[0].params]) for k in ("value", "se"))
@@ -61,11 +62,11 @@ def test_what_only_the_real_flight_shows_is_found_in_its_own_size(simulated):
 
 
 def test_what_the_simulated_flight_shows_less_than_the_real_one_must_be_clear(simulated):
-    floor = beside(flight(2, shared), simulated).floor
+    floor = beside(flight(2, shared), simulated).floor.lasting
     numbers = flight(2).traces[0].ideal.size
     assert np.expm1(floor[Sensor.ACCEL] / numbers) * numbers >= 0.1 * simulated.gains[Sensor.ACCEL]
     clean = beside(flight(2), baseline_of(flight(1), ALPHA))
-    assert clean.floor[Sensor.ACCEL] == pytest.approx(0.03 * 3 * len(clean.traces[0].t))
+    assert clean.floor.lasting[Sensor.ACCEL] == pytest.approx(0.03 * 3 * len(clean.traces[0].t))
 
 
 def turned(trace):
@@ -113,7 +114,10 @@ def test_a_livelier_flight_must_show_more(simulated):
     trace = lively.traces[0]
     fast = dataclasses.replace(trace, ideal=3.0 * trace.ideal, measured=3.0 * trace.measured)
     lively = dataclasses.replace(lively, traces=(fast,))
-    assert beside(lively, simulated).floor[Sensor.ACCEL] > 1.5 * beside(calm, simulated).floor[Sensor.ACCEL]
+    assert (
+        beside(lively, simulated).floor.lasting[Sensor.ACCEL]
+        > 1.5 * beside(calm, simulated).floor.lasting[Sensor.ACCEL]
+    )
 
 
 def test_noise_is_learned_beside_the_flaws(simulated):

@@ -1,0 +1,53 @@
+"""What an effect must gain to be a gap, where two recordings differ anyway."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from calib.gap.effects.base import Effect, NoiseEffect
+from calib.gap.hypotheses import Hypothesis
+from calib.gap.problem import Floor
+from calib.recording import Sensor
+
+Key = tuple[str, tuple[int, ...]]
+
+_LEVELS = ("_bias", "_hard_iron", "_motor_current", "_vibration_rectification", "_thermal_lag")
+"""Ends of the ids of what shifts the level of a reading, as temperature does, and what happens once."""
+
+
+@dataclass(frozen=True)
+class Floors:
+    """Twice the log-likelihoods of a :class:`calib.gap.problem.Floor`, and by hypothesis what flaws leave open there.
+
+    `own`: what a hypothesis would gain if a part of the flaws were still there (:mod:`calib.gap.left_open`).
+    """
+
+    floor: Floor = field(default_factory=Floor)
+    own: Mapping[Key, float] = field(default_factory=dict)
+
+    def joining(self, hypothesis: Hypothesis) -> float:
+        """Gain below which a hypothesis stays out of the model."""
+        effect = hypothesis.effect
+        if isinstance(effect, NoiseEffect):
+            return self.floor.noise.get(effect.sensor, 0.0)
+        if _shifts(effect):
+            return self.floor.level.get(effect.sensor, 0.0) + self.own.get(hypothesis.key, 0.0)
+        return self.floor.joins.get(effect.sensor, 0.0)
+
+    def telling(self, hypothesis: Hypothesis) -> float:
+        """Gain below which a hypothesis in the model is no gap; noise that wanders has taken its part of a shift."""
+        effect = hypothesis.effect
+        if isinstance(effect, NoiseEffect):
+            return self.floor.loud.get(effect.sensor, 0.0)
+        if _shifts(effect):
+            return min(self.floor.level.get(effect.sensor, 0.0), self.floor.joins.get(effect.sensor, 0.0))
+        return self.floor.lasting.get(effect.sensor, 0.0) + self.own.get(hypothesis.key, 0.0)
+
+    def lasting(self, sensor: Sensor) -> float:
+        """Below which what is left over on a sensor is no gap."""
+        return self.floor.lasting.get(sensor, 0.0)
+
+
+def _shifts(effect: Effect) -> bool:
+    return effect.jumps or effect.id.endswith(_LEVELS) or "_temp_" in effect.id

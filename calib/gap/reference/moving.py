@@ -1,0 +1,70 @@
+"""A pose errs by a share of the movement: a livelier recording is expected to be held against a worse reference.
+
+Stamps that jitter, markers that give way on the vehicle and a body that bends leave a residual in proportion to how
+much moves at a frequency, with no fixed phase: 2 ms of jitter are 6 % of a movement at 5 Hz. A nominal recording shows
+that share, together with the sensor's own noise, which has none.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.gap.problem import Trace
+from calib.gap.reference.noise import Noise, learned, on, pooled
+from calib.recording import Sensor
+
+Array = NDArray[np.float64]
+
+
+def movement_of(traces: Sequence[Trace]) -> dict[Sensor, Noise]:
+    """By sensor, the mean spectrum of what ideal sensors read in `traces`, those that are too short left out."""
+    found: dict[Sensor, list[Noise]] = {}
+    for trace in traces:
+        if (spectrum := _movement(trace)) is not None:
+            found.setdefault(trace.sensor, []).append(spectrum)
+    return {sensor: pooled(spectra) for sensor, spectra in found.items()}
+
+
+def _movement(trace: Trace) -> Noise | None:
+    everywhere = np.ones(len(trace.t), dtype=bool)  # no holes: their edges would be movement
+    return learned(dataclasses.replace(trace, measured=trace.ideal, ideal=0.0 * trace.ideal, observed=everywhere))
+
+
+def as_moving(trace: Trace, usual: Mapping[Sensor, Noise]) -> Trace:
+    """`trace` with the noise expected that it has for moving more than the `usual` of the nominal recordings.
+
+    Of movement and noise together the noise was a share, of at most all: more movement has that share of it. A calmer
+    recording is not expected to be quieter.
+    """
+    if trace.against is not None or trace.sensor not in usual or (trace.psd is None and trace.sigma is None):
+        return trace
+    own = _movement(trace)
+    if own is None:
+        return trace
+    before = usual[trace.sensor]
+    hz = np.unique(np.concatenate([own.hz, before.hz[before.hz < 0.5 * trace.fs], _hz_of(trace)]))
+    psd = _psd_of(trace, hz)
+    was, now = (on(spectrum, hz, trace.fs, trace.low_pass_hz) for spectrum in (before, own))
+    louder = psd * (1.0 + np.maximum(now - was, 0.0) / (was + psd))
+    return dataclasses.replace(trace, psd=louder, psd_hz=hz, own_psd=_own_on(trace, hz))
+
+
+def _hz_of(trace: Trace) -> Array:
+    return np.zeros(0) if trace.psd_hz is None else trace.psd_hz
+
+
+def _psd_of(trace: Trace, hz: Array) -> Array:
+    if trace.psd is None:
+        assert trace.sigma is not None
+        return np.tile(trace.sigma**2, (len(hz), 1))
+    return np.column_stack([np.interp(hz, _hz_of(trace), column) for column in trace.psd.T])
+
+
+def _own_on(trace: Trace, hz: Array) -> Array | None:
+    if trace.own_psd is None:
+        return None
+    return np.column_stack([np.interp(hz, _hz_of(trace), column) for column in trace.own_psd.T])
