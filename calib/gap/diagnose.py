@@ -12,6 +12,7 @@ from calib.gap.contest import Contest
 from calib.gap.doubts import nameless, not_following, without_sensors
 from calib.gap.effects import catalogue
 from calib.gap.effects.base import Effect
+from calib.gap.effects.parts import TRIADS
 from calib.gap.effects.reference_attitude import REFERENCE
 from calib.gap.floors import Floors
 from calib.gap.hypotheses import hypotheses_of
@@ -26,7 +27,7 @@ from calib.gap.problem import Problem
 from calib.gap.quieter import quieter
 from calib.gap.reported import effect_of, wandering_reference
 from calib.gap.samples import Lattice, lattice_of, shown_by
-from calib.gap.schema import EffectEstimate, GapReport, MultipleTesting, NotTestable, Unknown, Verdict
+from calib.gap.schema import EffectEstimate, Finding, GapReport, MultipleTesting, NotTestable, Unknown, Verdict
 from calib.gap.selection import Chosen, Key, reduced, select
 from calib.gap.series import series_of
 from calib.gap.shrink import Heldout, held_out, shrink_of
@@ -195,7 +196,7 @@ def _report(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> GapR
     return GapReport(
         inputs_of(task.problem),
         _verdict(effects, unknown),
-        located(task.bare, alpha),
+        _where(task, effects, unknown, alpha),
         effects,
         unknown,
         shrink=None if answer.heldout is None else shrink_of(chosen, answer.heldout, nested=nested),
@@ -205,6 +206,15 @@ def _report(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> GapR
         warnings=(*task.problem.warnings, *quieter(model)),
         series=series_of(model),
     )
+
+
+def _where(task: _Task, effects: Iterable[EffectEstimate], unknown: Unknown, alpha: float) -> tuple[Finding, ...]:
+    """Where the gap lies; beside flaws of the reference, which are everywhere, only on sensors that have one."""
+    found = located(task.bare, alpha)
+    named = {effect.id.partition("_")[0] for effect in effects}
+    if unknown.flag or not task.problem.floor.lasting or not named <= set(TRIADS):
+        return found
+    return tuple(one for one in found if one.channel.partition(".")[0] in named)
 
 
 def _unknown(task: _Task, answer: _Answer, strangers: Iterable[Stranger]) -> Unknown:

@@ -108,7 +108,7 @@ def held_out(
             chain.append(joined(chain[-1], term) if seen else chain[-1])
         losses = [predictive_loss(model, fold.test) for model in chain]
         before, fixed = losses[0], losses[-1]
-        floor = _floor(chosen, chain[-1], fold) - floor_ratio * _numbers(fold.test)
+        floor = _floor(chosen, order, chain[-1], fold) - floor_ratio * _numbers(fold.test)
         after = _nested(fold, chosen, contest, alpha) if nested else fixed
         rows.append((before - floor, after - floor, _numbers(fold.test)))
         less = (parted(chain[-1], t.hypothesis) if seen else chain[-1] for t, seen in zip(order, known, strict=True))
@@ -125,14 +125,15 @@ def held_out(
     return Heldout(table[:, 0], table[:, 1], table[:, 2], gates, _sequence(order, np.array(steps), table[:, 0]))
 
 
-def _floor(chosen: Chosen, fitted: Model, fold: Fold) -> float:
+def _floor(chosen: Chosen, order: Sequence[Term | NoiseTerm], fitted: Model, fold: Fold) -> float:
     """Loss of a held-out block under the effects as all data have them.
 
     How loud a sensor is every model has to learn from the other blocks, and is no part of the gap: unless noise is the
-    effect, the floor has that of the model `fitted` there.
+    effect, the floor has that of the model `fitted` there, as it has everything that is tolerated.
     """
-    noise = fitted if not chosen.model.noise_terms else chosen.model
-    known = replace(noise, terms=chosen.model.terms)
+    noise = chosen.model if any(isinstance(term, NoiseTerm) for term in order) else fitted
+    given = tuple(t for t in fitted.terms if t.hypothesis.key not in {term.hypothesis.key for term in order})
+    known = replace(noise, terms=(*(term for term in order if isinstance(term, Term)), *given))
     followed = len(chosen.joint.covariance) if chosen.model.ridge is None else 0
     share = _numbers(fold.test) / max(_numbers(fold.train) + _numbers(fold.test), 1)
     return log_loss(carried(known, fold.test)) + 0.5 * followed * share

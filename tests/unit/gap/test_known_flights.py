@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from calib import gap, logs
-from calib.blind.real import injected
+from calib.blind.real import halves, injected
 from calib.gap.schema import EffectEstimate, GapReport, Verdict
+from calib.recording import Recording
 from service.commands.gap_real import broad_recording
 
-pytestmark = [pytest.mark.shared, pytest.mark.timeout(400)]
+pytestmark = [pytest.mark.shared, pytest.mark.timeout(600)]
 
 GAUSS = 0.1  # uT in a milligauss
 
@@ -55,17 +56,57 @@ def test_a_flight_against_the_clean_one_shows_what_was_put_in(shared_data: Path,
         agrees(found[effect_id], parameter, known)
 
 
-def test_a_magnet_that_is_put_on_and_taken_off_is_a_step_and_its_opposite(shared_data: Path) -> None:
-    folder = shared_data / "broad"
-    real, nominal = (broad_recording(next(folder.glob(f"{trial}_*.mat"))) for trial in ("32", "01"))
-    report: GapReport = gap.run(real, None, [nominal], nested=False)
-    steps = [{p.name: p.value for p in e.params} for e in report.effects if e.id == "mag_step"]
+def trial(shared_data: Path, number: str) -> Recording:
+    return broad_recording(next((shared_data / "broad").glob(f"{number}_*.mat")))
+
+
+def beside_the_undisturbed(shared_data: Path, number: str) -> GapReport:
+    return gap.run(trial(shared_data, number), None, [trial(shared_data, "01")], nested=False)
+
+
+@pytest.mark.parametrize(
+    ("number", "on_s", "off_s", "size"),
+    [("32", (34.0, 42.0), (92.0, 100.0), [-6.0, -1.0, 58.0]), ("34", (42.0, 48.0), (94.0, 101.0), [-2.0, 0.0, 13.5])],
+)
+def test_a_magnet_that_is_put_on_and_taken_off_is_a_step_and_its_opposite(
+    shared_data: Path, number: str, on_s: tuple[float, float], off_s: tuple[float, float], size: list[float]
+) -> None:
+    """Nothing else: what trial 01 shows against the cameras is no gap of the others."""
+    report = beside_the_undisturbed(shared_data, number)
+    assert [e.id for e in report.effects] == ["mag_step", "mag_step"]
+    assert not report.unknown.flag
+    steps = [{p.name: p.value for p in e.params} for e in report.effects]
     on, off = sorted(steps, key=lambda step: step["time_s"])
-    assert 34.0 < on["time_s"] < 42.0
-    assert 92.0 < off["time_s"] < 100.0
+    assert on_s[0] < on["time_s"] < on_s[1]
+    assert off_s[0] < off["time_s"] < off_s[1]
     for step, sign in ((on, 1.0), (off, -1.0)):
         vector = sign * np.array([step[f"step.{axis}"] for axis in "xyz"])
-        assert vector == pytest.approx([-6.0, -1.0, 58.0], abs=2.0)
+        assert vector == pytest.approx(size, abs=2.0)
+    assert {finding.channel.partition(".")[0] for finding in report.where} == {"mag"}
+
+
+def test_of_a_magnet_in_the_room_nothing_is_on_the_sensor(shared_data: Path) -> None:
+    report = beside_the_undisturbed(shared_data, "28")
+    assert report.effects == ()
+    assert report.verdict is Verdict.UNKNOWN
+    assert "mag" in report.unknown.shape
+
+
+def test_tapping_is_nothing_of_the_catalogue_and_is_seen_where_it_is(shared_data: Path) -> None:
+    report = beside_the_undisturbed(shared_data, "24")
+    assert report.effects == ()
+    assert report.verdict is Verdict.UNKNOWN
+    assert "Hz on accel" in report.unknown.shape
+    assert report.where[0].channel == "accel.z"
+
+
+@pytest.mark.parametrize("second", [False, True])
+def test_half_of_a_nominal_recording_beside_the_other_shows_no_gap(shared_data: Path, *, second: bool) -> None:
+    first, last = halves(trial(shared_data, "01"))
+    real, nominal = (last, first) if second else (first, last)
+    report = gap.run(real, None, [nominal], nested=False)
+    assert report.verdict is Verdict.NO_GAP
+    assert report.where == ()
 
 
 @pytest.mark.parametrize("kind", ["accel_bias", "accel_scale", "accel_step", "accel_noise", "gyro_noise", "gyro_hold"])
