@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 
 _UNSEEN = 1e-9
 """Part of an amplitude's information below which the other blocks do not show it."""
-_GUARD_S = 0.5
+GUARD_S = 0.5
 """Cut off at either end of a block, so that noise with memory does not tell one block of the next."""
 
 
@@ -52,7 +52,7 @@ def folds_of(setting: Setting, count: int) -> tuple[Fold, ...]:
     start = min(float(view.t[0]) for view in setting.views)
     end = max(float(view.t[-1]) for view in setting.views)
     edges = np.linspace(start, end, count + 1)
-    guard = min(_GUARD_S, 0.1 * (end - start) / count)
+    guard = min(GUARD_S, 0.1 * (end - start) / count)
     blocks = [_block(setting.views, lo + guard, hi - guard) for lo, hi in itertools.pairwise(edges)]
     blocks = [block for block in blocks if block]
     if len(blocks) < 3:

@@ -1,0 +1,67 @@
+"""How far: what blocks that were held out show of events, and of what is tolerated."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.gap.contest import Contest
+from calib.gap.diagnose import diagnose
+from calib.gap.effects import catalogue
+from calib.gap.hypotheses import hypotheses_of
+from calib.gap.model import setting_of, starting_model
+from calib.gap.noise_fit import refitted, starting_noise
+from calib.gap.selection import select
+from calib.gap.shrink import held_out
+from calib.gap.views import views_of
+from calib.recording import Sensor
+from tests.unit.gap.synthetic import problem_of
+
+ALPHA = 0.005
+BIAS, SCALE = np.array([0.1, -0.05, 0.08]), np.array([0.03, 0.0, -0.02])
+
+
+def magnet(trace):
+    """Put on and taken off: no other block knows when."""
+    return ((trace.t > 11.3) & (trace.t < 27.7))[:, None] * np.array([3.0, -2.0, 20.0])
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_magnet_that_comes_and_goes_is_closed_on_held_out_blocks_though_no_other_tells_when(seed):
+    report = diagnose(problem_of(np.random.default_rng(seed), (Sensor.MAG,), magnet), nested=True)
+    assert {e.id for e in report.effects} == {"mag_step"}
+    assert report.shrink is not None
+    assert report.shrink.nested
+    assert report.shrink.closed > 0.9
+
+
+def both(trace):
+    return BIAS + trace.ideal * SCALE
+
+
+@pytest.fixture(scope="module")
+def chosen():
+    views = views_of(problem_of(np.random.default_rng(3), (Sensor.ACCEL,), both), {}, {})
+    hypotheses, _ = hypotheses_of(catalogue(), views)
+    setting, contest = setting_of(views), Contest(hypotheses)
+    return select(refitted(starting_model(setting, starting_noise(setting))).model, contest, ALPHA), contest
+
+
+def keys(chosen):
+    return {t.hypothesis.effect.id: t.hypothesis.key for t in chosen.model.members}
+
+
+def test_what_is_tolerated_is_in_every_model_and_has_no_part_in_the_gap(chosen):
+    found, contest = chosen
+    assert set(keys(found)) == {"accel_bias", "accel_scale"}
+    whole = held_out(found, contest, ALPHA, nested=False)
+    beside = held_out(found, contest, ALPHA, [keys(found)["accel_scale"]], nested=False)
+    assert [gate.key[0] for gate in beside.gates] == ["accel_bias"]
+    assert [step.add for step in beside.sequence] == ["accel_bias"]
+    assert beside.after.sum() < whole.after.sum() + 3.0
+    assert beside.before.sum() < 0.8 * whole.before.sum()
+
+
+def test_where_everything_is_tolerated_there_is_nothing_to_shrink(chosen):
+    found, contest = chosen
+    assert held_out(found, contest, ALPHA, list(keys(found).values()), nested=False) is None
