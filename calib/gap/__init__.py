@@ -12,10 +12,11 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 
 from calib.errors import InvalidInputError
-from calib.gap.baseline import baseline_of, beside, beside_flaws, flaws_of
+from calib.gap.baseline import baseline_of, beside
 from calib.gap.diagnose import diagnose
 from calib.gap.effects import catalogue
 from calib.gap.export import with_patches
+from calib.gap.flaws import beside_flaws, flaws_of
 from calib.gap.problem import Problem
 from calib.gap.reference import build, flew_another, posed
 from calib.gap.schema import GapReport, as_json

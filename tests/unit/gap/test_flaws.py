@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from calib import gap
-from calib.gap.baseline import beside_flaws, flaws_of
+from calib.gap.flaws import beside_flaws, flaws_of
 from calib.gap.reference import build, posed
 from calib.gap.reference.signal import linear
 from calib.gap.schema import Verdict

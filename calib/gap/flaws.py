@@ -1,0 +1,96 @@
+"""What a nominal recording shows against a pose of its own is no gap of another recording (decision 0007)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from calib.gap.baseline import SMALL
+from calib.gap.floors import Floors
+from calib.gap.problem import Flaw, Floor, Problem, Trace
+from calib.gap.replay import with_effects, with_effects_in
+from calib.gap.schema import EffectEstimate, Estimate, Evidence
+from calib.gap.shown import indifferent, shown
+from calib.recording import Sensor
+
+_OF_ONE_RECORDING = ("clock_drift", "accel_bias", "gyro_bias")
+"""Two clocks may be set alike anywhere in a recording, and a bias is another one each time that a sensor is switched
+on; a simulator's is always the same.
+"""
+_OPEN, _OPEN_BIAS = 1.0 / 3.0, 1.5
+"""Part of a flaw by which two recordings against poses differ; of a bias all, and its estimate's own error."""
+_SMALL_LEVEL = 0.006
+"""Evidence a number, beside `SMALL`, of shifts of the level: they are a few numbers of a spectrum."""
+_SMALL_JOINS = 0.003
+"""The same of what is in the model, so that nothing else takes its place, and not told of."""
+_LOUD = 0.3
+"""Evidence a number of noise of twice the power: 1 - log 2. It differs by as much from minute to minute."""
+_ROUNDS, _SETTLED = 5, 0.1
+"""Times at most that the noise is learned, first with the flaws, then beside them; and the share by which what they
+gain may still change.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Flaws:
+    """What a nominal recording shows against its own pose: effects that another one has as well, and its biases."""
+
+    effects: tuple[EffectEstimate, ...]
+    biases: tuple[EffectEstimate, ...] = ()
+
+    def in_ideal(self, traces: Sequence[Trace]) -> tuple[Trace, ...]:
+        """Traces of the nominal recording beside what it reads with them: what is left is its noise."""
+        return with_effects_in(traces, self.effects)[0]
+
+
+def flaws_of(learned: Callable[[Callable[[Sequence[Trace]], tuple[Trace, ...]]], Problem], alpha: float) -> Flaws:
+    """What of the mean a nominal recording shows beside a pose of its own.
+
+    Parameters
+    ----------
+    learned
+        Makes the problem of the nominal recording, its noise learned beside the flaws that are put into the ideal.
+    alpha
+        Chance that anything is found where there is nothing.
+    """
+    flaws, before = Flaws(()), 0.0
+    for _ in range(_ROUNDS):
+        problem = learned(flaws.in_ideal)
+        found = shown(problem, alpha, Floors(), _OF_ONE_RECORDING)
+        gain = sum(one.gain for one in found)
+        flaws = Flaws(tuple(one.effect for one in found), tuple(map(_bias_of, _single(problem.traces))))
+        if abs(gain - before) <= _SETTLED * before:
+            break
+        before = gain
+    return flaws
+
+
+def _single(traces: Sequence[Trace]) -> list[Trace]:
+    """Those of sensors that have a bias, against the pose."""
+    return [t for t in traces if t.against is None and t.sensor in (Sensor.ACCEL, Sensor.GYRO)]
+
+
+def _bias_of(trace: Trace) -> EffectEstimate:
+    """The mean residual, whether it is significant or not."""
+    mean = trace.residual[trace.observed].mean(axis=0)
+    values = tuple(
+        Estimate(f"bias.{a}", float(v), 0.0, (float(v), float(v)), trace.unit) for a, v in zip("xyz", mean, strict=True)
+    )
+    instances = tuple(i + 1 for i in trace.instances)
+    return EffectEstimate(f"{trace.sensor}_bias", trace.sensor, instances, values, Evidence(0.0, 3, 1.0, 0.0, 0.0))
+
+
+def beside_flaws(problem: Problem, flaws: Flaws) -> Problem:
+    """`problem` held against a pose that has the flaws which a nominal recording shows against its own.
+
+    A bias is not carried over, but one as large is no gap.
+    """
+    changed, _ = with_effects(problem, flaws.effects, shared=True)
+    floor = Floor(
+        joins=indifferent(problem, _SMALL_JOINS),
+        lasting=indifferent(problem, SMALL),
+        level=indifferent(problem, _SMALL_LEVEL),
+        loud=indifferent(problem, _LOUD),
+    )
+    parts = (*(Flaw(e, _OPEN) for e in flaws.effects), *(Flaw(e, _OPEN_BIAS) for e in flaws.biases))
+    return replace(changed, floor=floor, flaws=parts)

@@ -1,0 +1,66 @@
+"""Steady effects that a recording shows against its own ideal: what a baseline is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from calib.gap.bands import split
+from calib.gap.contest import Contest
+from calib.gap.effects import catalogue
+from calib.gap.effects.base import Effect, MeanEffect
+from calib.gap.estimates import estimates_of
+from calib.gap.floors import Floors
+from calib.gap.hypotheses import hypotheses_of
+from calib.gap.model import setting_of, starting_model
+from calib.gap.noise_fit import refitted, starting_noise
+from calib.gap.problem import Problem
+from calib.gap.schema import EffectEstimate, Evidence
+from calib.gap.selection import last_gains, select
+from calib.gap.views import views_of
+from calib.recording import Sensor
+
+_CARRIED = (
+    *("_bias", "_scale", "_misalignment", "_rotation", "_lever_arm", "_delay", "_low_pass", "clock_drift"),
+    *("_hard_iron", "_soft_iron", "_earth_field", "reference_attitude"),
+)
+"""Ends of the ids of what another flight shows alike; what depends on temperature, current or an event is not."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """An effect, its gain beside all the others, and the sensors on which it is seen."""
+
+    effect: EffectEstimate
+    gain: float
+    sensors: tuple[Sensor, ...]
+
+
+def shown(problem: Problem, alpha: float, floors: Floors, without: Sequence[str] = ()) -> list[Shown]:
+    """Steady effects on the mean that are significant beside each other."""
+    views = split(views_of(problem, {}, {}))
+    hypotheses, _ = hypotheses_of([e for e in catalogue() if _carried(e) and e.id not in without], views)
+    if not views or not hypotheses:
+        return []
+    setting = setting_of(views)
+    contest = Contest(hypotheses, floors=floors)
+    chosen = select(refitted(starting_model(setting, starting_noise(setting))).model, contest, alpha)
+    gains = {key: gain for key, (gain, _, _) in last_gains(chosen.model, contest).items()}
+    found = []
+    for term in chosen.model.terms:
+        effect, gain = term.hypothesis.effect, gains[term.hypothesis.key]
+        instances = tuple(i + 1 for i in term.hypothesis.instances)
+        evidence = Evidence(gain, len(term.values), 0.0, 1.0, 0.0)
+        estimate = EffectEstimate(effect.id, effect.sensor, instances, estimates_of(chosen, term), evidence)
+        seen = dict.fromkeys(v.sensor for v in views if effect.shared or v.sensor is effect.sensor)
+        found.append(Shown(estimate, gain, tuple(seen)))
+    return found
+
+
+def _carried(effect: Effect) -> bool:
+    return isinstance(effect, MeanEffect) and effect.id.endswith(_CARRIED) and "_temp" not in effect.id
+
+
+def indifferent(problem: Problem, each: float) -> dict[Sensor, float]:
+    """Twice the log-likelihood by sensor that two flights differ by anyway, `each` for a number."""
+    return {s: each * sum(3 * len(t.t) for t in problem.traces if t.sensor is s) for s in Sensor}
