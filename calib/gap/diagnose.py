@@ -84,8 +84,10 @@ class _Answer:
 
     @property
     def gap(self) -> tuple[Attribution, ...]:
-        """What the others are worth."""
-        return tuple(a for a in self.attributions if a.key not in self.tolerated)
+        """What the others are worth; of what they gain together each has its share."""
+        told = tuple(a for a in self.attributions if a.key not in self.tolerated)
+        whole = sum(a.share for a in told) if len(told) < len(self.attributions) else 1.0
+        return tuple(replace(a, share=a.share / (whole or 1.0)) for a in told)
 
 
 def diagnose(

@@ -93,4 +93,14 @@ def beside_flaws(problem: Problem, flaws: Flaws) -> Problem:
         loud=indifferent(problem, _LOUD),
     )
     parts = (*(Flaw(e, _OPEN) for e in flaws.effects), *(Flaw(e, _OPEN_BIAS) for e in flaws.biases))
-    return replace(changed, floor=floor, flaws=parts)
+    return replace(changed, floor=floor, flaws=parts, warnings=(*changed.warnings, *_said(flaws)))
+
+
+def _said(flaws: Flaws) -> tuple[str, ...]:
+    """What was taken off, for who reads the report; nothing where nothing was."""
+    if not flaws.effects:
+        return ()
+    named = ", ".join(
+        f"{e.id} ({', '.join(f'{p.name} {p.value:.3g} {p.unit}' for p in e.params)})" for e in flaws.effects
+    )
+    return (f"the nominal recording shows this against its own pose, and it was taken off: {named}",)

@@ -60,7 +60,9 @@ def test_its_delays_are_found_with_their_size(nominal):
 
 
 def test_what_both_have_is_no_gap(nominal):
-    assert gap.run(recording(2), None, [nominal], nested=False).verdict is Verdict.NO_GAP
+    report = gap.run(recording(2), None, [nominal], nested=False)
+    assert report.verdict is Verdict.NO_GAP
+    assert any("taken off" in w and "gyro_delay (delay_s 0.008 s)" in w for w in report.warnings)
 
 
 def test_without_a_nominal_recording_it_is_one():

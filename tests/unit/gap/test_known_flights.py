@@ -75,6 +75,7 @@ def test_a_magnet_that_is_put_on_and_taken_off_is_a_step_and_its_opposite(
     report = beside_the_undisturbed(shared_data, number)
     assert [e.id for e in report.effects] == ["mag_step", "mag_step"]
     assert not report.unknown.flag
+    assert sum(e.evidence.share for e in report.effects) == pytest.approx(1.0)
     steps = [{p.name: p.value for p in e.params} for e in report.effects]
     on, off = sorted(steps, key=lambda step: step["time_s"])
     assert on_s[0] < on["time_s"] < on_s[1]
