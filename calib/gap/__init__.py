@@ -44,7 +44,8 @@ def run(
     sim
         A simulator's recording of the same trajectory, or of another flight of the same kind.
     nominal
-        Recordings without an effect, from which the noise is learned.
+        Recordings without an effect: the noise is learned from them, and what the first shows against a pose is
+        taken off.
     without
         Ids of effects that are left out of the catalogue.
     alpha

@@ -18,14 +18,13 @@ from calib.gap.effects.base import NoiseEffect
 from calib.gap.effects.noise import DRIFTS
 from calib.gap.evidence import price_of_kind
 from calib.gap.filtered import told_by_noise
-from calib.gap.hypotheses import Columns, Hypothesis, columns_of
+from calib.gap.hypotheses import Columns, Hypothesis, Key, columns_of
 from calib.gap.model import Model, NoiseTerm, Term, refined
 from calib.gap.noise_fit import refitted, without_term
 from calib.gap.projection import Beside, existing
 from calib.gap.schema import Rival
 from calib.gap.selection import (
     Chosen,
-    Key,
     fitted,
     grown,
     largest_gain,

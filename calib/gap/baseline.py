@@ -10,17 +10,15 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from calib.gap.floors import Floors
+from calib.gap.floors import SMALL, Floors, indifferent
 from calib.gap.problem import Floor, Problem, Trace
 from calib.gap.replay import with_effects, with_effects_in
 from calib.gap.schema import EffectEstimate
-from calib.gap.shown import indifferent, shown
+from calib.gap.shown import shown
 from calib.recording import Sensor
 
 _DIFFERENT = 0.1
 """Part of the evidence of a simulated flight's own flaws that a real one must have beyond them."""
-SMALL = 0.03
-"""Evidence a number below which two flights differ anyway: a re-estimated ideal sensor is not surer of itself."""
 
 
 @dataclass(frozen=True, eq=False)

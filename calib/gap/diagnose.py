@@ -15,7 +15,7 @@ from calib.gap.effects.base import Effect
 from calib.gap.effects.parts import TRIADS
 from calib.gap.effects.reference_attitude import REFERENCE
 from calib.gap.floors import Floors
-from calib.gap.hypotheses import hypotheses_of
+from calib.gap.hypotheses import Key, hypotheses_of
 from calib.gap.inputs import inputs_of
 from calib.gap.left_open import with_flaws
 from calib.gap.locate import located
@@ -28,7 +28,7 @@ from calib.gap.quieter import quieter
 from calib.gap.reported import effect_of, wandering_reference
 from calib.gap.samples import Lattice, lattice_of, shown_by
 from calib.gap.schema import EffectEstimate, Finding, GapReport, MultipleTesting, NotTestable, Unknown, Verdict
-from calib.gap.selection import Chosen, Key, reduced, select
+from calib.gap.selection import Chosen, reduced, select
 from calib.gap.series import series_of
 from calib.gap.shrink import Heldout, held_out, shrink_of
 from calib.gap.strangers import NOT_LASTING, Stranger, strangers_in, unknown_of
@@ -205,9 +205,16 @@ def _report(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> GapR
         not_testable=_untestable(task),
         power=powers_of(chosen, answer.contest, alpha),
         multiple_testing=MultipleTesting(chosen.tests, alpha),
-        warnings=(*task.problem.warnings, *quieter(model)),
-        series=series_of(model),
+        warnings=(*task.problem.warnings, *_not_told(answer), *quieter(model)),
+        series=series_of(model, answer.tolerated),
     )
+
+
+def _not_told(answer: _Answer) -> tuple[str, ...]:
+    """What is in the model, and no gap, for who wants to look closer."""
+    known = [t.hypothesis for t in answer.chosen.model.members if not t.hypothesis.effect.nameless]
+    small = dict.fromkeys(h.effect.id for h in known if h.key in answer.tolerated)
+    return (f"two recordings differ by as much anyway: {', '.join(small)} are no gap here",) if small else ()
 
 
 def _where(task: _Task, effects: Iterable[EffectEstimate], unknown: Unknown, alpha: float) -> tuple[Finding, ...]:
@@ -233,7 +240,7 @@ def _unknown(task: _Task, answer: _Answer, strangers: Iterable[Stranger]) -> Unk
 def _effects(task: _Task, answer: _Answer, strangers: Iterable[Stranger]) -> tuple[EffectEstimate, ...]:
     """What has a name: of the samples, of the reference, and of the model all that stands for nothing else."""
     model = answer.chosen.model
-    denied = {key for stranger in strangers for key in stranger.keys} | set(answer.tolerated)
+    denied = {key for stranger in strangers for key in stranger.keys}
     denied |= {t.hypothesis.key for t in model.terms if usual_tone(t, task.problem.nominal)}
     denied |= {t.hypothesis.key for t in model.noise_terms if unsteady_line(t, model)}
     found = (effect_of(answer.chosen, a, answer.gates.get(a.key)) for a in answer.gap if a.key not in denied)

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from calib.gap.attribution import Attribution
+from calib.gap.hypotheses import Key
 from calib.gap.model import Model, predicted
 from calib.gap.problem import Problem
 from calib.gap.reference.checks import MOVES
-from calib.gap.selection import Key
 from calib.gap.shape_ids import is_shape
 from calib.gap.strangers import Stranger
 from calib.recording import Sensor

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from calib.gap.baseline import SMALL
-from calib.gap.floors import Floors
+from calib.gap.floors import SMALL, Floors, indifferent
 from calib.gap.problem import Flaw, Floor, Problem, Trace
 from calib.gap.replay import with_effects, with_effects_in
 from calib.gap.schema import EffectEstimate, Estimate, Evidence
-from calib.gap.shown import indifferent, shown
+from calib.gap.shown import shown
 from calib.recording import Sensor
 
 _OF_ONE_RECORDING = ("clock_drift", "accel_bias", "gyro_bias")

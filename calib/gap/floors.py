@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from calib.gap.effects.base import Effect, NoiseEffect
-from calib.gap.hypotheses import Hypothesis
-from calib.gap.problem import Floor
+from calib.gap.hypotheses import Hypothesis, Key
+from calib.gap.problem import Floor, Problem
 from calib.recording import Sensor
-
-Key = tuple[str, tuple[int, ...]]
 
 _LEVELS = ("_bias", "_hard_iron", "_motor_current", "_vibration_rectification", "_thermal_lag")
 """Ends of the ids of what shifts the level of a reading, as temperature does, and what happens once."""
+SMALL = 0.03
+"""Evidence a number below which two flights differ anyway: a re-estimated ideal sensor is not surer of itself."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,11 @@ class Floors:
     def lasting(self, sensor: Sensor) -> float:
         """Below which what is left over on a sensor is no gap."""
         return self.floor.lasting.get(sensor, 0.0)
+
+
+def indifferent(problem: Problem, each: float) -> dict[Sensor, float]:
+    """Twice the log-likelihood by sensor that two recordings differ by anyway, `each` for a number."""
+    return {s: each * sum(3 * len(t.t) for t in problem.traces if t.sensor is s) for s in Sensor}
 
 
 def _shifts(effect: Effect) -> bool:

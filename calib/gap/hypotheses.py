@@ -30,6 +30,10 @@ _WAVE = "~wave"
 """Form of an effect that follows the angle of a rotor."""
 
 
+Key = tuple[str, tuple[int, ...]]
+"""What tells hypotheses apart: the effect, in its form and number, and its instances."""
+
+
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
     """An effect on `instances` of its sensor (of every sensor for effects that all share).

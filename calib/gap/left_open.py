@@ -13,7 +13,8 @@ import numpy as np
 
 from calib.gap.contest import Contest
 from calib.gap.effects.base import MeanEffect
-from calib.gap.floors import Floors, Key
+from calib.gap.floors import Floors
+from calib.gap.hypotheses import Key
 from calib.gap.model import Model, Term, with_residual
 from calib.gap.problem import Flaw
 from calib.gap.projection import Beside

@@ -206,7 +206,7 @@ class Problem:
     """Effect id, reason, need: what the recordings do not allow to be tested."""
     nominal: tuple[Trace, ...] = ()
     """Sensors of recordings without an effect: what the samples of both show is no gap."""
-    floor: Floor = field(default_factory=lambda: Floor())
+    floor: Floor = field(default_factory=Floor)
     flaws: tuple[Flaw, ...] = ()
     """What another recording shows against its own reference."""
     worse: dict[Sensor, Worse] = field(default_factory=dict)

@@ -34,7 +34,7 @@ def lattice_of(problem: Problem, effects: Iterable[Effect]) -> Lattice:
             if evidence is None or usual_samples(effect, evidence, problem.nominal):
                 continue
             if evidence.two_delta_loglik < problem.floor.lasting.get(trace.sensor, 0.0):
-                continue
+                continue  # two recordings differ by as much
             found.append(_from_lattice(effect, trace.instances, evidence))
             if evidence.masked.any():
                 masks[i] = evidence if i not in masks else _both(masks[i], evidence)

@@ -15,7 +15,7 @@ from scipy.special import chdtrc
 from calib.gap.contest import Contest, Score
 from calib.gap.effects.base import NoiseEffect
 from calib.gap.effects.noise import DRIFTS
-from calib.gap.hypotheses import Hypothesis
+from calib.gap.hypotheses import Hypothesis, Key
 from calib.gap.model import (
     Joint,
     Model,
@@ -55,7 +55,6 @@ _FRONT = 3
 _FAR = 3e-5
 """Part of the largest gain of all below which an effect on another sensor is a flaw of the reference."""
 
-Key = tuple[str, tuple[int, ...]]
 Gains = Mapping[Key, tuple[float, int, int]]
 """By effect: gain beside all others, degrees of freedom, size of the grid."""
 

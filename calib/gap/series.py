@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable
+
 import numpy as np
 from numpy.typing import NDArray
 
 from calib.gap.bands import assembled
+from calib.gap.hypotheses import Key
 from calib.gap.model import Model, Term, predicted
 from calib.gap.schema import FIRST, SeriesFit
 from calib.gap.views import View
@@ -13,17 +16,21 @@ from calib.gap.views import View
 Array = NDArray[np.float64]
 
 
-def series_of(model: Model) -> tuple[SeriesFit, ...]:
-    """Every series of a model at its own rate; what its bands have in common is one."""
-    return tuple(_fit(model, v) for v, band in enumerate(model.setting.views) if not band.first)
+def series_of(model: Model, tolerated: Collection[Key] = ()) -> tuple[SeriesFit, ...]:
+    """Every series of a model at its own rate; what its bands have in common is one.
+
+    Effects of the keys `tolerated` are in what is modelled and are not shown by themselves.
+    """
+    return tuple(_fit(model, v, tolerated) for v, band in enumerate(model.setting.views) if not band.first)
 
 
-def _fit(model: Model, v: int) -> SeriesFit:
+def _fit(model: Model, v: int, tolerated: Collection[Key]) -> SeriesFit:
     """The series whose lower band, or whole, has index `v`."""
     band = model.setting.views[v]
     view = band.whole
-    parts = _parts(model, band)
-    modelled = np.add.reduce([np.zeros_like(view.residual), *parts.values()])
+    drawn = {t.hypothesis.key: (t, _drawn(t, band)) for t in model.terms if t.hypothesis.touches(band)}
+    modelled = np.add.reduce([np.zeros_like(view.residual), *(added for _, added in drawn.values())])
+    parts = _parts([found for key, found in drawn.items() if key not in tolerated])
     power = np.column_stack([assembled(model.setting.views, [n.power for n in model.noise], v, c) for c in range(3)])
     trace, keep = view.any_trace, view.keep
     about = {"temperature": trace.temperature, "current": trace.current, "throttle": trace.throttle}
@@ -37,13 +44,12 @@ def _fit(model: Model, v: int) -> SeriesFit:
     )
 
 
-def _parts(model: Model, band: View) -> dict[str, Array]:
+def _parts(drawn: Iterable[tuple[Term, Array]]) -> dict[str, Array]:
     """What each effect adds to a series, by id; what happens more than once is shown as one."""
     parts: dict[str, Array] = {}
-    for term in model.terms:
-        if term.hypothesis.touches(band):
-            name = term.effect.id
-            parts[name] = parts.get(name, 0.0) + _drawn(term, band)
+    for term, added in drawn:
+        name = term.effect.id
+        parts[name] = parts.get(name, 0.0) + added
     return parts
 
 

@@ -59,8 +59,3 @@ def shown(problem: Problem, alpha: float, floors: Floors, without: Sequence[str]
 
 def _carried(effect: Effect) -> bool:
     return isinstance(effect, MeanEffect) and effect.id.endswith(_CARRIED) and "_temp" not in effect.id
-
-
-def indifferent(problem: Problem, each: float) -> dict[Sensor, float]:
-    """Twice the log-likelihood by sensor that two flights differ by anyway, `each` for a number."""
-    return {s: each * sum(3 * len(t.t) for t in problem.traces if t.sensor is s) for s in Sensor}

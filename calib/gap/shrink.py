@@ -33,12 +33,13 @@ from calib.gap.folds import (
     power_ratio,
     with_weight,
 )
+from calib.gap.hypotheses import Key
 from calib.gap.model import Model, NoiseTerm, Setting, Term, jacobian, normal_equations, setting_of
 from calib.gap.noise_fit import is_declared, refitted
 from calib.gap.normal import solved
 from calib.gap.predictive import predictive_loss
 from calib.gap.schema import SequenceStep, Shrink
-from calib.gap.selection import Chosen, Key, select
+from calib.gap.selection import Chosen, select
 
 Array = NDArray[np.float64]
 
@@ -102,9 +103,10 @@ def held_out(
     floor_ratio = _excess(chosen.model)
     rows, gains, steps, told = [], [], [], []
     for fold in folds:
-        chain = [refitted(fold.train).model]
+        base = refitted(fold.train).model
         for term in given:
-            chain[0] = joined(chain[0], term) if foretold(term, chosen.model, fold.train.setting) else chain[0]
+            base = joined(base, term) if foretold(term, chosen.model, fold.train.setting) else base
+        chain = [base]
         known = [foretold(term, chosen.model, fold.train.setting) for term in order]
         for term, seen in zip(order, known, strict=True):
             chain.append(joined(chain[-1], term) if seen else chain[-1])
@@ -135,7 +137,8 @@ def _floor(chosen: Chosen, order: Sequence[Term | NoiseTerm], fitted: Model, fol
     effect, the floor has that of the model `fitted` there, as it has everything that is tolerated.
     """
     noise = chosen.model if any(isinstance(term, NoiseTerm) for term in order) else fitted
-    given = tuple(t for t in fitted.terms if t.hypothesis.key not in {term.hypothesis.key for term in order})
+    told = {term.hypothesis.key for term in order}
+    given = tuple(t for t in fitted.terms if t.hypothesis.key not in told)
     known = replace(noise, terms=(*(term for term in order if isinstance(term, Term)), *given))
     followed = len(chosen.joint.covariance) if chosen.model.ridge is None else 0
     share = _numbers(fold.test) / max(_numbers(fold.train) + _numbers(fold.test), 1)

@@ -15,10 +15,10 @@ import numpy as np
 from scipy.special import chdtrc
 
 from calib.gap.attribution import Attribution
+from calib.gap.hypotheses import Key
 from calib.gap.impostors import impostors, unsteady
 from calib.gap.model import Model
 from calib.gap.schema import HiddenDriver, Unknown
-from calib.gap.selection import Key
 from calib.gap.switching import switching
 from calib.gap.transitions import events_of
 from calib.gap.views import View

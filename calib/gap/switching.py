@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from calib.gap.attribution import Attribution
 from calib.gap.effects.noise import DRIFTS
+from calib.gap.hypotheses import Key
 from calib.gap.impostors import coarse
 from calib.gap.likelihood import Noise
 from calib.gap.model import Model, NoiseTerm, Term, predicted
-from calib.gap.selection import Key
 from calib.gap.views import View
 
 Array = NDArray[np.float64]

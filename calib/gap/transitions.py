@@ -15,14 +15,13 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from calib.gap.effects.events import SLOW_S
+from calib.gap.hypotheses import Key
 from calib.gap.model import Model, Term
 from calib.gap.problem import Problem
 from calib.gap.views import View
 from calib.recording import Sensor
 
 Array = NDArray[np.float64]
-Key = tuple[str, tuple[int, ...]]
-
 ONE_EVENT_S = 2.0
 """Jumps that follow each other within this time are one event."""
 _MARGIN_S = 0.3

@@ -27,7 +27,10 @@ _MOST_UNTESTABLE = 8
     "--sim", default=None, metavar="FILE", help="A simulator's recording: of the same trajectory, or of such a flight."
 )
 @click.option(
-    "--nominal", multiple=True, metavar="FILE", help="A recording without an effect: noise and Earth's field; repeated."
+    "--nominal",
+    multiple=True,
+    metavar="FILE",
+    help="Without an effect: noise, Earth's field, flaws of a pose; repeated.",
 )
 @click.option(
     "--verify",

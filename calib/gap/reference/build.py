@@ -79,10 +79,9 @@ def build(
     if not single and not pairs:
         raise InvalidInputError(_NO_REFERENCE if ideal is None else _NO_OVERLAP)
     judged = [] if chosen is None else [(n, nominal_traces(n, its)) for n, its in chosen.nominal]
-    judged = [
-        (n, replace(f, traces=flaws(f.traces)) if flawed is not None and c is flawed else f)
-        for c, (n, f) in zip(companions, judged, strict=bool(judged))
-    ]
+    if flawed is not None and judged:
+        known = (c is flawed for c in companions)
+        judged = [(n, replace(f, traces=flaws(f.traces)) if k else f) for (n, f), k in zip(judged, known, strict=True)]
     ages = ages_of([t for _, found in judged for t in found.traces])
     clean = [(n, tuple(_settled(t, ages) for t in found.traces)) for n, found in judged]
     steps = steps_of(c for n, _ in clean for c in sensors_of(n))

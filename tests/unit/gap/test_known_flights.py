@@ -84,6 +84,8 @@ def test_a_magnet_that_is_put_on_and_taken_off_is_a_step_and_its_opposite(
         vector = sign * np.array([step[f"step.{axis}"] for axis in "xyz"])
         assert vector == pytest.approx(size, abs=2.0)
     assert {finding.channel.partition(".")[0] for finding in report.where} == {"mag"}
+    assert {name for series in report.series for name in series.parts} == {"mag_step"}
+    assert any(w.startswith("two recordings differ by as much anyway") for w in report.warnings)
 
 
 def test_of_a_magnet_in_the_room_nothing_is_on_the_sensor(shared_data: Path) -> None:

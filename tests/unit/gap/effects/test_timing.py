@@ -98,3 +98,16 @@ def test_a_reference_made_from_the_recording_has_its_clock():
     effect = by_id()["clock_drift"]
     assert effect.missing(trace) is None
     assert effect.missing(dataclasses.replace(trace, followed=False)) is not None
+
+
+@pytest.mark.parametrize(("effect_id", "theta"), [("gyro_delay", 0.008), ("gyro_low_pass", 25.0)])
+def test_a_recording_that_begins_in_the_midst_of_a_movement_has_no_jump_at_its_ends(effect_id, theta):
+    """What an end changes of one sample is spread over all frequencies, where nothing else moves."""
+    trace = trace_of_waves()
+    column = by_id()[effect_id].columns(trace, theta)[0]
+    b, a = butter(1, 2 * np.pi * theta, analog=True)
+    late = waves(trace.t - theta), waves(trace.t, lambda f: freqs(b, a, 2 * np.pi * f)[1])
+    expected = late[effect_id == "gyro_low_pass"] - trace.ideal
+    off = np.abs(column - expected)
+    assert off[:3].max() < 0.1 * np.abs(expected).max()
+    assert off[-3:].max() < 0.1 * np.abs(expected).max()

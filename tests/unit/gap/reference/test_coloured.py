@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from calib.gap.likelihood import flicker, random_walk
 from calib.gap.reference.noise import Noise, chances, learned
@@ -63,6 +64,19 @@ def test_a_walk_keeps_its_slope(seed):
     omega = 2.0 * np.pi * found.hz / found.fs
     truth = SD**2 + 0.002**2 * random_walk(omega)
     assert (np.abs(np.log(found.psd / truth[:, None]))[1:] < np.log(2.0)).all()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_drift_that_returns_to_its_mean_is_not_carried_on_as_a_walk(seed):
+    """Seen about its corner, of its level below that few coefficients tell: a walk would be a hundred times as loud."""
+    rng, pull = np.random.default_rng(seed), 2.0 * np.pi * 1.0 / 100.0
+    steps = 0.01 * rng.standard_normal((20000, 3))
+    drift = lfilter([1.0], [1.0, pull - 1.0], steps, axis=0)
+    found = learned(trace(white(20000, 0.002, seed + 50) + drift)).smoothed()
+    omega = 2.0 * np.pi * found.hz / found.fs
+    truth = 0.002**2 + 0.01**2 / (1.0 / random_walk(omega) + pull**2)
+    slow = found.hz < 0.3
+    assert (np.abs(np.log(found.psd[slow] / truth[slow, None])) < np.log(3.0)).all()
 
 
 def test_flicker_of_the_fit_is_what_the_noise_has():
