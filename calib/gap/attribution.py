@@ -24,12 +24,14 @@ from calib.gap.noise_fit import refitted, without_term
 from calib.gap.projection import Beside, existing
 from calib.gap.schema import Rival
 from calib.gap.selection import (
+    REAL,
     Chosen,
     fitted,
     grown,
     largest_gain,
     last_gains,
     objective,
+    of_flights,
     restored,
     select,
     with_score,
@@ -39,6 +41,10 @@ from calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
+_LESS = 0.1
+"""Part of a second order that an effect of fewer numbers may lose to take another's place: a model is never exact."""
+_SECOND = 8.0
+"""By how much a second order of an effect counts, beside noise learned from flights, in twice a log-probability."""
 TEMPERATURE = 2.0
 """By which differences of penalised evidence are flattened into probabilities."""
 NAMED = 0.95
@@ -89,7 +95,7 @@ def settled(chosen: Chosen, contest: Contest, alpha: float) -> tuple[Chosen, tup
     level = alpha / max(chosen.tests, 1)
     for _ in range(_ROUNDS):
         held = {term.hypothesis.key: _alternatives(chosen, contest, term) for term in chosen.model.members}
-        swap = _better(held, level, contest)
+        swap = _better(chosen, held, level, contest)
         if swap is None:
             break
         chosen = grown(_exchanged(chosen, *swap), contest, level)
@@ -136,17 +142,36 @@ def _events_first(start: Model, jumps: Sequence[Hypothesis], contest: Contest, a
 
 
 def _better(
-    held: Mapping[Key, tuple[list[Alternative], float]], level: float, contest: Contest
+    chosen: Chosen, held: Mapping[Key, tuple[list[Alternative], float]], level: float, contest: Contest
 ) -> tuple[Key, Score] | None:
-    """The exchange of one effect for another that gains most."""
+    """The exchange of one effect for another that gains most.
+
+    Beside noise that was learned from flights a hundredth of an effect is a second order of it: for that much the one
+    with fewer numbers is believed.
+    """
     best: tuple[float, Key, Score] | None = None
     for key, (others, own) in held.items():
         for other in others:
-            score, gain = other.score, other.score.delta - own
+            score, gain = other.score, -_behind(own, other.score, _numbers(chosen, key), second_order(chosen, own))
             joins = score.p < level and score.gain >= contest.floors.joining(score.hypothesis)
             if joins and gain > _CLEARLY and (best is None or gain > best[0]):
                 best = (gain, key, score)
     return None if best is None else best[1:]
+
+
+def second_order(chosen: Chosen, own: float) -> float:
+    """What of an effect's evidence is a second order of it; nothing but beside noise learned from flights."""
+    return REAL * max(own, 0.0) if of_flights(chosen.model) else 0.0
+
+
+def _numbers(chosen: Chosen, key: Key) -> int:
+    return next((score.df for score in chosen.scores if score.hypothesis.key == key), 0)
+
+
+def _behind(own: float, score: Score, df: int, second: float) -> float:
+    """By how much evidence a rival stands behind an effect; of what is a `second` order, more numbers explain more."""
+    more = score.df - df if df else 0
+    return own - score.delta + (second if more > 0 else -_LESS * second if more < 0 else 0.0)
 
 
 def _attributed(
@@ -163,7 +188,9 @@ def _attributed(
     for term in model.members:
         key = term.hypothesis.key
         others, own = held[key]
-        rivals, probability, unknown = _judged(term.hypothesis, own, others)
+        rivals, probability, unknown = _judged(
+            term.hypothesis, own, others, _numbers(chosen, key), second_order(chosen, own)
+        )
         share = worth[key] / total
         gain, df, _ = last[key]
         found.append(Attribution(key, gain, df, share, probability, unknown, rivals, _likeliest_shape(others)))
@@ -254,16 +281,18 @@ def _imitated(
     return float(np.clip((taken @ taken) / max(energy, 1e-300), 0.0, 1.0))
 
 
-def _judged(own: Hypothesis, own_delta: float, others: Sequence[Alternative]) -> tuple[tuple[Rival, ...], float, float]:
+def _judged(
+    own: Hypothesis, own_delta: float, others: Sequence[Alternative], df: int, second: float
+) -> tuple[tuple[Rival, ...], float, float]:
     """Rivals that these data cannot tell apart, and the probabilities of the effect and of the unknown."""
     rivals = []
     same, weights, unknown = [0.0], [-math.inf], [-math.inf]
     for other in others:
         if other.score.p >= 1.0:
             continue  # noise that the instances named do not show is no rival
-        delta = own_delta - other.score.delta
+        delta = _behind(own_delta, other.score, df, second)
         is_unknown = other.score.hypothesis.effect.nameless
-        weight = -delta / (2.0 * TEMPERATURE)
+        weight = -delta / (2.0 * max(TEMPERATURE, second / _SECOND))
         if other.score.hypothesis.effect.id == own.effect.id and other.score.hypothesis.instances == own.instances:
             same.append(weight)  # the same name in another form
         else:

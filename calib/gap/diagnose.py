@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 from calib.gap.attribution import Attribution, settled, steadily
 from calib.gap.bands import split
-from calib.gap.contest import Contest
+from calib.gap.contest import Contest, Score
 from calib.gap.doubts import nameless, not_following, without_sensors
 from calib.gap.effects import catalogue
 from calib.gap.effects.base import Effect
@@ -16,6 +16,7 @@ from calib.gap.effects.parts import TRIADS
 from calib.gap.effects.reference_attitude import REFERENCE
 from calib.gap.floors import Floors
 from calib.gap.hypotheses import Key, hypotheses_of
+from calib.gap.impostors import Unexplained
 from calib.gap.inputs import inputs_of
 from calib.gap.left_open import with_flaws
 from calib.gap.locate import located
@@ -37,6 +38,7 @@ from calib.gap.unknown import explained
 from calib.gap.usual import usual_tone
 from calib.gap.views import views_of
 from calib.gap.wander import Wander, wandering
+from calib.recording import Sensor
 
 _ROUNDS = 3
 """Times that samples during events are left out, after which a selection stands whatever it says."""
@@ -64,7 +66,7 @@ class _Answer:
 
     `wander` is the reference's own error, None where it has none to speak of. `heldout` is None where no block can be
     held out; `gates` say of each effect whether it held there (None: no block tells), and `withdrawn` is what the
-    effects that did not had gained, in nats.
+    effects that did not had gained.
     """
 
     chosen: Chosen
@@ -73,7 +75,7 @@ class _Answer:
     wander: Wander | None
     heldout: Heldout | None = None
     gates: Mapping[Key, bool | None] = field(default_factory=dict)
-    withdrawn: float = 0.0
+    withdrawn: tuple[Unexplained, ...] = ()
 
     @property
     def tolerated(self) -> frozenset[Key]:
@@ -181,11 +183,20 @@ def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
     failed = [key for key, passed in gates.items() if passed is False]
     if not failed:
         return replace(answer, heldout=heldout, gates=gates)
-    withdrawn = 0.5 * sum(gain for key, gain in _gains(chosen).items() if key in failed)
+    withdrawn = _withdrawn(s for s in chosen.scores if s.hypothesis.key in failed)
     chosen = reduced(chosen, failed)
     heldout = held_out(chosen, contest, alpha, answer.tolerated, nested=nested)
     chosen, attributions = settled(chosen, contest, 0.0)
     return replace(answer, chosen=chosen, attributions=attributions, heldout=heldout, gates=gates, withdrawn=withdrawn)
+
+
+def _withdrawn(scores: Iterable[Score]) -> tuple[Unexplained, ...]:
+    """What effects had gained, by sensor."""
+    nats: dict[Sensor, float] = {}
+    for score in scores:
+        sensor = score.hypothesis.effect.sensor
+        nats[sensor] = nats.get(sensor, 0.0) + 0.5 * score.gain
+    return tuple(Unexplained(n, NOT_LASTING, sensor) for sensor, n in nats.items())
 
 
 def _report(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> GapReport:
@@ -231,7 +242,7 @@ def _unknown(task: _Task, answer: _Answer, strangers: Iterable[Stranger]) -> Unk
     model, reference = answer.chosen.model, task.problem.reference
     # A reference that turns looks like events that pass.
     passed = () if answer.wander is not None else passing(task.left_out, model)
-    unexplained = [(answer.withdrawn, NOT_LASTING), *((one.nats, one.text) for one in passed)]
+    unexplained = [*answer.withdrawn, *(Unexplained(one.nats, one.text, one.sensor) for one in passed)]
     return unknown_of(
         model, answer.gap, tuple(strangers), unexplained, reference.bandwidth_hz, task.problem.floor.lasting
     )

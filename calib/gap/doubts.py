@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from calib.gap.attribution import Attribution
 from calib.gap.hypotheses import Key
+from calib.gap.impostors import Unexplained
 from calib.gap.model import Model, predicted
 from calib.gap.problem import Problem
 from calib.gap.reference.checks import MOVES
@@ -60,13 +61,13 @@ def without_sensors(problem: Problem, sensors: Collection[Sensor]) -> Problem:
     )
 
 
-def nameless(attributions: Iterable[Attribution], withdrawn: float) -> Iterable[Stranger]:
+def nameless(attributions: Iterable[Attribution], withdrawn: Sequence[Unexplained]) -> Iterable[Stranger]:
     """Effects whose place something else takes far better, which is no effect or did not last: they stand for that."""
     by_sensor: dict[str, list[Key]] = {}
     for a in attributions:
         if is_shape(a.key[0]):
             continue  # it has no name to begin with
-        if a.probability < _BELIEVED and (withdrawn > 0.0 or a.unknown_probability > a.probability):
+        if a.probability < _BELIEVED and (withdrawn or a.unknown_probability > a.probability):
             by_sensor.setdefault(a.key[0].partition("_")[0], []).append(a.key)
     return [
         Stranger(tuple(keys), f"a difference on {name} that no effect describes") for name, keys in by_sensor.items()

@@ -21,6 +21,7 @@ from calib.gap.model import Model, NoiseTerm
 from calib.gap.noise_fit import noise_rows
 from calib.gap.schema import HiddenDriver
 from calib.gap.views import View
+from calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
@@ -121,13 +122,22 @@ _UNSTEADY = 1e-6
 """Chance, over all that is looked at, below which steady noise does not scatter so."""
 
 
-def unsteady(model: Model) -> tuple[float, str]:
-    """Nats by which noise that swells and fades would fit better than the steady one, and where; 0 if by chance.
+@dataclass(frozen=True)
+class Unexplained:
+    """Nats of what is in no effect of a model, the sensor on which it is, and what is said of it."""
+
+    nats: float
+    text: str
+    sensor: Sensor
+
+
+def unsteady(model: Model) -> list[Unexplained]:
+    """By sensor, nats by which noise that swells and fades would fit better than the steady one, if not by chance.
 
     Only where white noise is declared and nothing in the model varies by itself: what was learned from flights was
     averaged over its own swelling.
     """
-    worst, text = 0.0, ""
+    worst: dict[Sensor, Unexplained] = {}
     for v, view in enumerate(model.setting.views):
         if view.density is not None or view.variance is None or view.first or _varies(model, view) or coarse(view):
             continue
@@ -140,10 +150,10 @@ def unsteady(model: Model) -> tuple[float, str]:
         for axes, name in _TOGETHER:
             for width in _WINDOWS:
                 nats = _swelling(white[axes], width, len(_WINDOWS) * len(_TOGETHER) * len(model.setting.views))
-                if nats > worst:
-                    worst = nats
+                if nats > (worst[view.sensor].nats if view.sensor in worst else 0.0):
                     text = f"noise that comes and goes within {width / view.fs:.2g} s on {view.sensor.value}{name}"
-    return worst, text
+                    worst[view.sensor] = Unexplained(nats, text, view.sensor)
+    return list(worst.values())
 
 
 def coarse(view: View) -> bool:

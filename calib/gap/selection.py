@@ -44,13 +44,16 @@ _IN_ALL = 12
 MATERIAL = 0.005
 """Part of the largest gain below which an effect is a second order of the large ones (GAP, pitfalls)."""
 
-
-_REAL = 0.01
+REAL = 0.01
 """The same where the noise was learned from flights: small true structure is everywhere in them."""
 _SEEN = 0.3
 """Part of that below which it does not join in the first place."""
 _FRONT = 3
 """The best so many on their grids are fitted at their best shapes before one of them joins."""
+_LOUD = 0.1
+"""Gain a number from which on the noise that was fitted before hides what tells effects apart."""
+_RIVALS, _TRIED = 0.5, 6
+"""Part of the best one's worth from which on others are fitted in its place, and how many of them."""
 
 _FAR = 3e-5
 """Part of the largest gain of all below which an effect on another sensor is a flaw of the reference."""
@@ -218,12 +221,39 @@ def _best(scores: dict[Key, Score], level: float, gains: Gains, contest: Contest
         ]
         if not good:
             return None
-        front = sorted(good, key=lambda s: -s.delta)[:_FRONT]
+        ranked = sorted(good, key=lambda s: -s.delta)
+        front = ranked[:_FRONT]
         unsure = next((s for s in front if not s.sure), None)
         if unsure is None:
-            return front[0]
+            return _by_refit(ranked, model)
         beside = beside or Beside(model)
         scores[unsure.hypothesis.key] = contest.score(unsure.hypothesis, beside)
+
+
+def _by_refit(ranked: Sequence[Score], model: Model) -> Score:
+    """The best of scores in their order; of large ones, the one beside which the noise anew says most.
+
+    A large gap is in the noise that is fitted before anything explains it: beside a bias of a hundred standard
+    deviations what else a misalignment explains counts for next to nothing.
+    """
+    best = ranked[0]
+    size = sum(3 * view.count for view in model.setting.views if best.hypothesis.touches(view))
+    if best.gain < _LOUD * size:
+        return best
+    rivals: dict[str, Score] = {}
+    for score in ranked:
+        if score.delta > _RIVALS * best.delta and score.hypothesis.effect.sensor is best.hypothesis.effect.sensor:
+            rivals.setdefault(score.hypothesis.effect.id, score)
+    tried = list(rivals.values())[:_TRIED]
+    touched = {v.sensor for v in model.setting.views if any(s.hypothesis.touches(v) for s in tried)}
+    near = sorted(coupled(model, touched))
+    return min(tried, key=lambda score: _refitted_objective(model, score, near))
+
+
+def _refitted_objective(model: Model, score: Score, sensors: Sequence[Sensor]) -> float:
+    """``-2 log L`` of `sensors` beside a hypothesis, everything about it fitted anew, with its price."""
+    trial = fitted_about(with_score(model, score), score.hypothesis)
+    return sum(refitted(trial, sensors).deviance.values()) + score.price
 
 
 def _least(hypothesis: Hypothesis, model: Model, gains: Gains) -> float:
@@ -234,8 +264,13 @@ def _least(hypothesis: Hypothesis, model: Model, gains: Gains) -> float:
         gains[k][0] for k, e in of.items() if k in gains and (e.sensor is effect.sensor or e.shared or effect.shared)
     ]
     far = max((gain for gain, _, _ in gains.values()), default=0.0)
-    part = _REAL if any(view.density is not None for view in model.setting.views) else MATERIAL
+    part = REAL if of_flights(model) else MATERIAL
     return max(part * max(near, default=0.0), _FAR * far)
+
+
+def of_flights(model: Model) -> bool:
+    """Whether a spectrum was learned from other recordings: small true structure is everywhere in them."""
+    return any(view.density is not None for view in model.setting.views)
 
 
 def pruned(model: Model, contest: Contest, joined: list[Score], level: float) -> tuple[Model, list[Score], Gains]:

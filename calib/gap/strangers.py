@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,7 @@ from scipy.special import chdtrc
 
 from calib.gap.attribution import Attribution
 from calib.gap.hypotheses import Key
-from calib.gap.impostors import impostors, unsteady
+from calib.gap.impostors import Unexplained, impostors, unsteady
 from calib.gap.model import Model
 from calib.gap.schema import HiddenDriver, Unknown
 from calib.gap.switching import switching
@@ -29,6 +29,8 @@ _JUMPS = 3
 NOT_LASTING = "a deviation that no effect describes throughout the recording"
 _MATERIAL = 0.03
 """Share of the gap from which on something unknown is said."""
+_LEFT = 0.1
+"""The same of what is left over on one sensor: of a long recording no model explains the last hundredth."""
 _LEFTOVER = 1e-7
 """Chance, over all bands of all axes, below which noise alone has no such power."""
 _MINUTES_DIFFER = 2.0
@@ -79,63 +81,91 @@ def unknown_of(
     model: Model,
     attributions: Sequence[Attribution],
     strangers: Sequence[Stranger],
-    unexplained: Sequence[tuple[float, str]],
+    unexplained: Sequence[Unexplained],
     bandwidth_hz: float = math.inf,
     floor: Mapping[Sensor, float] | None = None,
 ) -> Unknown:
     """What is not of the catalogue: strangers in the model, bands that are left over, and what did not last.
+
+    Each is held against the gap of its own sensor: a large effect on another one hides nothing.
 
     Parameters
     ----------
     model, attributions, strangers
         The model, what its effects are worth, and which of them have no name.
     unexplained
-        Nats of what is in no effect of the model, and what is said of it.
+        What is in no effect of the model.
     bandwidth_hz
         Up to which the reference knows how the vehicle moves.
     floor
         Twice the nats by sensor that the reference's own flaws make (:mod:`calib.gap.baseline`).
     """
-    worth = {a.key: a.share for a in attributions}
+    worth = _Worth.of(model, attributions)
+    strange = worth.but({key for s in strangers for key in s.keys})
     texts = [s.text for s in strangers]
-    share = sum(worth.get(key, 0.0) for key in {key for s in strangers for key in s.keys})
-    gap = 0.5 * sum(a.gain for a in attributions)
-    rest, band = leftover(model, gap, bandwidth_hz, floor or {})
-    if rest > 0.0:
-        texts.append(band)
-        share += rest * (1.0 - share)
-    swelling, when = unsteady(model)
-    for nats, text in ((swelling, when), *unexplained):
-        part = nats / (gap + nats) if nats > 0.0 else 0.0
-        if part > _MATERIAL:
-            texts.append(text)
-            share += part * (1.0 - share)
+    share, part = worth.shares(strange)
+    for one in (*leftover(model, bandwidth_hz, floor or {}), *unsteady(model), *unexplained):
+        whole, own = (one.nats / (other + one.nats) for other in (worth.whole, worth.on(one.sensor)))
+        if whole > _MATERIAL or own > _LEFT:
+            texts.append(one.text)
+            share += whole * (1.0 - share)
+            part = max(part, own)
     driver = next((s.driver for s in strangers if s.driver is not None), None)
     probability = max((a.unknown_probability for a in attributions), default=0.0)
-    flag = share > _MATERIAL
+    flag = part > _MATERIAL
     return Unknown(flag, share, "; ".join(dict.fromkeys(texts)), driver, max(probability, 0.95 if flag else 0.0))
 
 
+@dataclass(frozen=True)
+class _Worth:
+    """Nats of effects by key, and on which sensors each of them is seen."""
+
+    nats: Mapping[Key, float]
+    seen: Mapping[Key, frozenset[Sensor]]
+
+    @classmethod
+    def of(cls, model: Model, attributions: Sequence[Attribution]) -> _Worth:
+        gap = 0.5 * sum(a.gain for a in attributions)
+        views = model.setting.views
+        seen = {t.hypothesis.key: frozenset(v.sensor for v in views if t.hypothesis.touches(v)) for t in model.members}
+        return cls({a.key: a.share * gap for a in attributions}, seen)
+
+    @property
+    def whole(self) -> float:
+        """Of all effects."""
+        return sum(self.nats.values())
+
+    def on(self, sensor: Sensor) -> float:
+        """Of the effects that are seen on a sensor."""
+        return sum(n for key, n in self.nats.items() if sensor in self.seen[key])
+
+    def but(self, keys: Collection[Key]) -> _Worth:
+        """Of some of them alone."""
+        return _Worth({key: n for key, n in self.nats.items() if key in keys}, self.seen)
+
+    def shares(self, part: _Worth) -> tuple[float, float]:
+        """Which share of the whole a `part` of it is, and the largest that it is of what is seen on one sensor."""
+        each = [part.on(sensor) / max(self.on(sensor), 1e-300) for sensor in Sensor]
+        return part.whole / max(self.whole, 1e-300), max(each)
+
+
 def leftover(
-    model: Model, gap: float, bandwidth_hz: float = math.inf, floor: Mapping[Sensor, float] | None = None
-) -> tuple[float, str]:
-    """Share of the gap (nats) that single bands still show above the noise, and where; 0 if none is significant.
+    model: Model, bandwidth_hz: float = math.inf, floor: Mapping[Sensor, float] | None = None
+) -> list[Unexplained]:
+    """By sensor, nats that single bands still show above the noise, and where; those of chance are not among them.
 
     Above `bandwidth_hz` an accelerometer feels movement of which the reference does not know; a sensor that has less
     than its `floor` left over shows the reference's flaws.
     """
-    nats: dict[Sensor, float] = {}
-    worst: dict[Sensor, _Excess] = {}
+    by_sensor: dict[Sensor, list[_Excess]] = {}
     for one in _excesses(model, bandwidth_hz):
-        nats[one.sensor] = nats.get(one.sensor, 0.0) + one.nats
-        if one.sensor not in worst or one.p < worst[one.sensor].p:
-            worst[one.sensor] = one
-    material = {sensor: n for sensor, n in nats.items() if 2.0 * n > (floor or {}).get(sensor, 0.0)}
-    total = sum(material.values())
-    share = total / max(gap + total, 1e-300)
-    if share > _MATERIAL:
-        return share, min((worst[sensor] for sensor in material), key=lambda one: (one.p, one.text)).text
-    return 0.0, ""
+        by_sensor.setdefault(one.sensor, []).append(one)
+    found = []
+    for sensor, excesses in by_sensor.items():
+        nats = sum(one.nats for one in excesses)
+        if 2.0 * nats > (floor or {}).get(sensor, 0.0):
+            found.append(Unexplained(nats, min(excesses, key=lambda one: (one.p, one.text)).text, sensor))
+    return found
 
 
 @dataclass(frozen=True)

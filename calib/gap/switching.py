@@ -18,7 +18,7 @@ from calib.gap.hypotheses import Key
 from calib.gap.impostors import coarse
 from calib.gap.likelihood import Noise
 from calib.gap.model import Model, NoiseTerm, Term, predicted
-from calib.gap.views import View
+from calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
@@ -51,14 +51,12 @@ class Switching:
 def switching(model: Model, attributions: Sequence[Attribution]) -> tuple[Switching, ...]:
     """Effects of a model, alone or all of a sensor together, that stand for jumps to and fro."""
     found: list[Switching] = []
-    for v, view in enumerate(model.setting.views):
-        if view.first or view.count < _FEWEST or _turned(model, v) or coarse(view):
-            continue
-        places = [(term, a.key) for a in attributions if (term := _slow(model, a.key, view)) is not None]
-        better: list[tuple[Key, ...]] = [(key,) for term, key in places if _better(model, v, [term])]
-        if not better and len(places) > 1 and _better(model, v, [term for term, _ in places]):
+    for sensor in dict.fromkeys(view.sensor for view in model.setting.views):
+        places = [(term, a.key) for a in attributions if (term := _slow(model, a.key, sensor)) is not None]
+        better: list[tuple[Key, ...]] = [(key,) for term, key in places if _better(model, [term])]
+        if not better and len(places) > 1 and _better(model, [term for term, _ in places]):
             better = [tuple(key for _, key in places)]
-        text = f"jumps to and fro between two levels on {view.sensor.value}"
+        text = f"jumps to and fro between two levels on {sensor.value}"
         found += (Switching(keys, text) for keys in better)
     return tuple(found)
 
@@ -68,31 +66,56 @@ def _turned(model: Model, v: int) -> bool:
     return model.ridge is not None and any(3 * v + c in model.ridge.columns.parts for c in range(3))
 
 
-def _slow(model: Model, key: Key, view: View) -> Term | NoiseTerm | None:
-    """The term of a key if it acts on a series and is not noise of every frequency."""
+def _slow(model: Model, key: Key, sensor: Sensor) -> Term | NoiseTerm | None:
+    """The term of a key if it acts on a sensor and is not noise of every frequency."""
     term = next((t for t in model.members if t.hypothesis.key == key), None)
-    if term is None or not term.hypothesis.touches(view):
+    views = [view for view in model.setting.views if view.sensor is sensor]
+    if term is None or not any(term.hypothesis.touches(view) for view in views):
         return None
     return term if isinstance(term, Term) or term.hypothesis.effect.id.endswith(DRIFTS) else None
 
 
-def _better(model: Model, v: int, terms: Sequence[Term | NoiseTerm]) -> bool:
-    """Whether two levels on each axis of series `v` are far likelier than `terms`, the others being as they are."""
+def _better(model: Model, terms: Sequence[Term | NoiseTerm]) -> bool:
+    """Whether two levels on each axis are far likelier than `terms`, the others being as they are.
+
+    Over all series that the terms change: what a few levels take of one of them is no match for an effect that
+    explains them all.
+    """
+    own, chains, jumping = 0.0, 0.0, False
+    for v, view in enumerate(model.setting.views):
+        if not any(term.hypothesis.touches(view) for term in terms):
+            continue
+        series = model.residual[v] + sum(
+            predicted(t, view) for t in terms if isinstance(t, Term) and t.hypothesis.touches(view)
+        )
+        drifts = {t.name(0) for t in terms if isinstance(t, NoiseTerm)}
+        rest = np.array([_without(noise, drifts) for noise in model.noise[3 * v : 3 * v + 3]])
+        own += _worth(model, v, series, rest)
+        if view.first or view.count < _FEWEST or _turned(model, v) or coarse(view):
+            continue
+        gain, jumps = _chains(series, rest)
+        jumping = jumping or bool(((jumps > _JUMPS) & (gain > _BETTER)).any())
+        chains += float(gain.sum())
+    return jumping and chains > own + _BETTER
+
+
+def _worth(model: Model, v: int, series: Array, rest: Array) -> float:
+    """Twice the log-likelihood by which a model is better than a `series` (n, 3) under the noise `rest` (3, n)."""
     view = model.setting.views[v]
-    series = model.residual[v] + sum(predicted(t, view) for t in terms if isinstance(t, Term))
-    drifts = {t.name(0) for t in terms if isinstance(t, NoiseTerm)}
     full = np.array([noise.power for noise in model.noise[3 * v : 3 * v + 3]])
-    rest = np.array([_without(noise, drifts) for noise in model.noise[3 * v : 3 * v + 3]])
     bare = np.log(rest) + view.spectra(series) ** 2 / rest
-    own = float((bare - np.log(full) - view.spectra(model.residual[v]) ** 2 / full).sum())
+    return float((bare - np.log(full) - view.spectra(model.residual[v]) ** 2 / full).sum())
+
+
+def _chains(series: Array, rest: Array) -> tuple[Array, Array]:
+    """:func:`two_levels` of a series (n, 3); nothing where the noise of its averages is not white."""
     width = -(-len(series) // _WINDOWS)
     count = len(series) // width
     slow = rest[:, :count]
     if (slow.max(axis=1) > _FLAT * slow.min(axis=1)).any():
-        return False
+        return np.zeros(3), np.zeros(3)
     means = series[: count * width].reshape(count, width, 3).mean(axis=1)
-    gain, jumps = two_levels(means, slow.max(axis=1) / width)  # no more than the spectrum grants the effects
-    return bool(((jumps > _JUMPS) & (gain > _BETTER)).any()) and float(gain.sum()) > own + _BETTER
+    return two_levels(means, slow.max(axis=1) / width)  # no more than the spectrum grants the effects
 
 
 def _without(noise: Noise, names: Collection[str]) -> Array:

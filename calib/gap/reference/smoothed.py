@@ -24,7 +24,7 @@ from calib.gap.reference.posed import GRAVITY_NED, rotation
 from calib.gap.reference.recorded import continuous, true_attitude
 from calib.gap.reference.signal import Signal, linear, slow
 from calib.gap.reference.strapdown import STEPS, Between, Increments
-from calib.gap.reference.trajectory import ITERATIONS, WALK, Aiding, State, smooth, start_at
+from calib.gap.reference.trajectory import ITERATIONS, LATE_GPS, WALK, Aiding, State, smooth, start_at
 from calib.recording import Channel, Recording, Sensor
 
 Array = NDArray[np.float64]
@@ -43,6 +43,7 @@ _LONGEST_S = 1800.0  # for a trajectory
 _MOVES = 0.5  # standard deviation of the current, A, from which a motor's field can be told from an offset
 _DEFAULT_YEAR = 2025.0  # of the Earth's field, where a recording has no date
 _MODEL_SD, _GUESS_SD = 1.0, 20.0  # of the Earth's field, uT
+_GAIN_SD, _GAIN_DEFINED = 0.1, 1e-3  # of a magnetometer's mean gain, where that field is known and where it is not
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,9 +103,14 @@ def best_trajectory(recording: Recording, *, with_truth: bool = False) -> Smooth
             mag = compass.instance if compass else None
             made.append(Smoothed(state, imu, unit, mag, truth is not None, (late[0], late[1])))
     best = min(made, key=lambda s: s.state.cost, default=None)
-    if best is None or len(units) == 1:
-        return best
-    return dataclasses.replace(best, state=smooth(best.imu, aiding, best.state))
+    return None if best is None else _refined(best, aiding)
+
+
+def _refined(found: Smoothed, aiding: Aiding) -> Smoothed:
+    """With scales and axes that may differ; as it was if they were turned to explain something else, like a crash."""
+    state = smooth(found.imu, aiding, found.state)
+    free = smooth(found.imu, aiding, state, matrices=True)
+    return dataclasses.replace(found, state=free if free.plausible else state)
 
 
 def _span(channels: list[Channel], velocity: Signal) -> tuple[float, float]:
@@ -136,24 +142,26 @@ def _aiding(recording: Recording, velocity: Signal, compass: Channel | None, t: 
     inside = (field.t >= t[0]) & (field.t <= t[-1])
     amperes = slow(recording.find(Sensor.CURRENT), field.t[inside])
     current = np.zeros(int(inside.sum())) if amperes is None or amperes.std() < _MOVES else amperes[:, 0]
-    earth, sd = _earth(recording, field)
-    return Aiding(velocity.t[seen], velocity.values[seen], field.t[inside], field.values[inside], current, earth, sd)
+    earth, sd, gain = _earth(recording, field)
+    return Aiding(
+        velocity.t[seen], velocity.values[seen], field.t[inside], field.values[inside], current, earth, sd, gain
+    )
 
 
-def _earth(recording: Recording, field: Signal) -> tuple[Array, float]:
-    """The field of the World Magnetic Model where the recording was made, and how well it is known, uT.
+def _earth(recording: Recording, field: Signal) -> tuple[Array, float, float]:
+    """The field of the World Magnetic Model where the recording was made, how well it is known, uT, and the gain by it.
 
-    Without a position: one of the right size, north and down as in middle latitudes.
+    Without a position: one of the size that was measured, north and down as in middle latitudes.
     """
     place = next((c for c in recording.find(Sensor.POSITION) if len(c)), None)
     if place is not None:
         latitude, longitude, altitude = np.median(place.values, axis=0)
         try:
             known = earth_field(float(latitude), float(longitude), float(altitude), _year(recording))
-            return known.north_east_down, _MODEL_SD
+            return known.north_east_down, _MODEL_SD, _GAIN_SD
         except InvalidInputError:
             pass
-    return np.array([0.45, 0.0, 0.9]) * float(np.median(np.linalg.norm(field.values, axis=1))), _GUESS_SD
+    return np.array([0.45, 0.0, 0.9]) * float(np.median(np.linalg.norm(field.values, axis=1))), _GUESS_SD, _GAIN_DEFINED
 
 
 def _year(recording: Recording) -> float:
@@ -198,7 +206,7 @@ def _levelled(accel: Channel, aiding: Aiding, start: float) -> Rotation:
 
 def _driven(found: Smoothed) -> Ideal:
     state, imu = found.state, found.imu
-    between = imu.between(state.gyro_bias[:-1], state.accel_bias[:-1])
+    between = state.between(imu)
     slip = (state.attitude[1:].inv() * state.attitude[:-1] * between.turn).inv().as_rotvec()
     steps = []
     for j, within in enumerate(between.within):
@@ -242,7 +250,7 @@ def _info(found: Smoothed) -> ReferenceInfo:
     text = (
         f"A trajectory re-estimated from {sources} with their errors inside (inertial unit {found.instance + 1}"
         + ("" if found.mag_instance is None else f", compass {found.mag_instance + 1}")
-        + f"; GPS {found.state.constants[9]:.2f} s late); the log's own attitude is not used as truth."
+        + f"; GPS {found.state.constants[LATE_GPS]:.2f} s late); the log's own attitude is not used as truth."
     )
     att_sd = float(np.degrees(found.state.att_sd))
     return ReferenceInfo(ReferenceKind.ESTIMATOR, att_sd, 10.0, text, _FOLLOWED_HZ)

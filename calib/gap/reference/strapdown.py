@@ -46,11 +46,19 @@ class Increments:
         change = [np.sqrt(np.mean((a.sum(axis=1) - b)[rows] ** 2)) for a, b in zip(sums, coarse, strict=True)]
         return cls(t, dt, sums[0], sums[1], np.array(change), known)
 
-    def between(self, gyro_bias: Array, accel_bias: Array) -> Between:
-        """With the biases (K, 3) of each interval taken off."""
+    def between(
+        self, gyro_bias: Array, accel_bias: Array, gyro_matrix: Array | None = None, accel_turn: Rotation | None = None
+    ) -> Between:
+        """With the biases (K, 3) of each interval taken off, and what the gyroscope's matrix (3, 3) and the
+        accelerometer's turn do to what they measure.
+        """
         step = self.dt / STEPS
         angle = self.angle - step * gyro_bias[:, None, :]
+        if gyro_matrix is not None:
+            angle = angle @ np.linalg.inv(gyro_matrix).T
         velocity = self.velocity - step * accel_bias[:, None, :]
+        if accel_turn is not None:
+            velocity = velocity @ accel_turn.as_matrix()
         turn = Rotation.identity(len(angle))
         total = np.zeros((len(angle), 3))
         within = [turn]

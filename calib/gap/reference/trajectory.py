@@ -1,10 +1,11 @@
 """A trajectory re-estimated from a recording: a smoother over gyroscope, accelerometer, GPS velocity and magnetometer.
 
-The candidate effects are inside: biases of gyroscope and accelerometer that may wander, the magnetometer's offset, its
-field per ampere and its delay (a compass that averages over its period is late by half of it, and turns otherwise bend
-the field), the delay of the GPS. Gauss-Newton over all nodes at once (multiple shooting): the error state of
-a node is attitude (in the body), velocity, gyroscope and accelerometer bias; neighbours are tied by what the inertial
-unit measured between them, so the normal equations are banded, bordered by the constants.
+The candidate effects are inside: biases of gyroscope and accelerometer that may wander, the gyroscope's scale and axes,
+those of the accelerometer, the magnetometer's offset and soft iron, its field per ampere and its delay (a compass that
+averages over its period is late by half of it, and turns otherwise bend the field), the delay of the GPS. Gauss-Newton
+over all nodes at once (multiple shooting): the error state of a node is attitude (in the body), velocity, gyroscope and
+accelerometer bias; neighbours are tied by what the inertial unit measured between them, so the normal equations are
+banded, bordered by the constants.
 """
 
 from __future__ import annotations
@@ -22,7 +23,13 @@ from calib.gap.reference.strapdown import Between, Increments
 Array = NDArray[np.float64]
 
 NODE = 12  # attitude, velocity, gyroscope bias, accelerometer bias
-CONSTANTS = 11  # magnetometer offset, field per ampere, Earth field, delay of the GPS and of the magnetometer
+OFFSET, PER_AMPERE, EARTH = slice(0, 3), slice(3, 6), slice(6, 9)
+LATE_GPS, LATE_MAG = 9, 10
+SOFT_IRON, GYRO, ACCEL = slice(11, 17), slice(17, 26), slice(26, 29)
+"""Where the constants are: of the magnetometer offset, field per ampere, Earth's field; delays; its symmetric matrix
+(xx, yy, zz, xy, xz, yz) and the gyroscope's by rows, both less the unit matrix; how the accelerometer is turned.
+"""
+CONSTANTS = 29
 ITERATIONS = 8  # at most
 _HUBER = 3.0  # standard deviations beyond which a residual loses weight
 LEAST_VELOCITY_SD = 0.1
@@ -38,8 +45,10 @@ _CAUTION = 3.0
 """By which the errors of the aiding are larger, where the attitude's own is judged: they are not independent."""
 _LOST = np.repeat([1.0, 10.0], 3)
 """What attitude (rad) and velocity (m/s) may do over an interval without samples."""
-CONSTANT = np.concatenate([np.repeat([5.0, 1.0, 1.0], 3), [0.15, 0.05]])
+CONSTANT = np.concatenate([np.repeat([5.0, 1.0, 1.0], 3), [0.15, 0.05], np.full(6, 0.1), np.full(12, 0.03)])
 """Of what does not change, a priori; the Earth's field has the standard deviation that its source has."""
+_NOTHING, _IMPLAUSIBLE = 1e-6, 5.0
+"""A priori of scales and axes that may not differ; standard deviations from which on nobody believes that they do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +65,8 @@ class Aiding:
         The field expected here, uT, north-east-down.
     earth_sd
         How well it is known, uT.
+    gain_sd
+        How far the magnetometer's mean gain may be from one: where the field is not known, it is one by definition.
     truth_t, truth : shape (J,), J rotations
         Attitudes that are known, of a simulator; None: none.
     """
@@ -67,13 +78,14 @@ class Aiding:
     current: Array
     earth: Array
     earth_sd: float = 1.0
+    gain_sd: float = 0.1
     truth_t: Array | None = None
     truth: Rotation | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Of the nodes `t` (K + 1,): attitude, velocity, biases (K + 1, 3), constants (11,), noise of the aiding."""
+    """Of the nodes `t` (K + 1,): attitude, velocity, biases (K + 1, 3), constants (29,), noise of the aiding."""
 
     t: Array
     attitude: Rotation
@@ -89,27 +101,73 @@ class State:
     @property
     def earth(self) -> Array:
         """The Earth's field, uT, north-east-down."""
-        return self.constants[6:9]
+        return self.constants[EARTH]
+
+    @property
+    def soft_iron(self) -> Array:
+        """What the magnetometer makes of a field, (3, 3)."""
+        xx, yy, zz, xy, xz, yz = self.constants[SOFT_IRON]
+        return np.asarray(np.eye(3) + np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+
+    @property
+    def gyro_matrix(self) -> Array:
+        """What the gyroscope makes of a rate, (3, 3)."""
+        return np.asarray(np.eye(3) + self.constants[GYRO].reshape(3, 3))
+
+    @property
+    def plausible(self) -> bool:
+        """Whether scales and axes are those of a sensor: no good one is off by so many standard deviations."""
+        matrices = slice(SOFT_IRON.start, None)
+        return bool((np.abs(self.constants[matrices]) < _IMPLAUSIBLE * CONSTANT[matrices]).all())
+
+    def between(self, imu: Increments) -> Between:
+        """What the inertial unit measured from node to node, without its errors."""
+        turn = Rotation.from_rotvec(self.constants[ACCEL])
+        return imu.between(self.gyro_bias[:-1], self.accel_bias[:-1], self.gyro_matrix, turn)
 
 
 def start_at(t: Array, attitude: Rotation, aiding: Aiding) -> State:
     """Where the search starts: the attitudes of the nodes `t`, the velocity of the GPS, no errors."""
     velocity = np.column_stack([np.interp(t, aiding.velocity_t, v) for v in aiding.velocity.T])
-    constants = np.concatenate([np.zeros(6), aiding.earth, [0.1, 0.0]])
+    constants = _expected(aiding)
     zero = np.zeros((len(t), 3))
     return State(t, attitude, velocity, zero, zero, constants, np.full(3, 0.3), 3.0)
 
 
-def smooth(imu: Increments, aiding: Aiding, state: State, iterations: int = ITERATIONS) -> State:
-    """The trajectory that agrees best with everything, searched from `state`."""
+def _expected(aiding: Aiding) -> Array:
+    """The constants a priori."""
+    constants = np.zeros(CONSTANTS)
+    constants[EARTH] = aiding.earth
+    constants[LATE_GPS] = 0.1
+    return constants
+
+
+def smooth(
+    imu: Increments, aiding: Aiding, state: State, iterations: int = ITERATIONS, *, matrices: bool = False
+) -> State:
+    """The trajectory that agrees best with everything, searched from `state`.
+
+    `matrices`: whether scales and axes may differ from the ideal ones; not where the attitude is known, since they
+    would take what is the sensor's.
+    """
+    prior = _prior(aiding, matrices=matrices and aiding.truth is None)
     for _ in range(iterations):
-        normal = _normal_equations(imu, aiding, state)
+        normal = _normal_equations(imu, aiding, state, prior)
         state, moved = _stepped(state, normal)
         if moved < 5e-5:
             break
     cautious = replace(state, velocity_sd=_CAUTION * state.velocity_sd, mag_sd=_CAUTION * state.mag_sd)
-    att_sd = _attitude_sd(_normal_equations(imu, aiding, cautious))
-    return replace(state, cost=_normal_equations(imu, aiding, state).cost, att_sd=att_sd)
+    att_sd = _attitude_sd(_normal_equations(imu, aiding, cautious, prior))
+    return replace(state, cost=_normal_equations(imu, aiding, state, prior).cost, att_sd=att_sd)
+
+
+def _prior(aiding: Aiding, *, matrices: bool) -> Array:
+    """Standard deviations of the constants a priori, (29,)."""
+    sd = CONSTANT.copy()
+    sd[EARTH] = aiding.earth_sd
+    if not matrices:
+        sd[SOFT_IRON.start :] = _NOTHING
+    return sd
 
 
 class _Normal:
@@ -139,7 +197,7 @@ class _Normal:
         self.cost += float((weight * residual**2).sum() - np.log(np.maximum(weight, 1e-12)).sum())
 
     def solved(self, node_right: Array, constant_right: Array) -> tuple[Array, Array]:
-        """Nodes (n, 12, k) and constants (11, k) for right sides of that shape."""
+        """Nodes (n, 12, k) and constants (29, k) for right sides of that shape."""
         n = len(self.diagonal)
         factor = (cholesky_banded(self._banded(), lower=True), True)
         flat_border = self.border.reshape(n * NODE, CONSTANTS)
@@ -159,9 +217,9 @@ class _Normal:
         return banded
 
 
-def _normal_equations(imu: Increments, aiding: Aiding, state: State) -> _Normal:
+def _normal_equations(imu: Increments, aiding: Aiding, state: State, sd: Array) -> _Normal:
     normal = _Normal(len(state.t))
-    between = imu.between(state.gyro_bias[:-1], state.accel_bias[:-1])
+    between = state.between(imu)
     _tie(normal, imu, between, state)
     _observe_velocity(normal, imu.dt, between, aiding, state)
     if len(aiding.mag_t):
@@ -172,17 +230,19 @@ def _normal_equations(imu: Increments, aiding: Aiding, state: State) -> _Normal:
     normal.diagonal[0, range(6, NODE), range(6, NODE)] += prior
     bias = np.concatenate([state.gyro_bias[0], state.accel_bias[0]])
     normal.right[0, 6:] -= prior * bias
-    expected = np.concatenate([np.zeros(6), aiding.earth, [0.1, 0.0]])
-    sd = np.concatenate([CONSTANT[:6], np.full(3, aiding.earth_sd), CONSTANT[9:]])
-    off = expected - state.constants
+    off = _expected(aiding) - state.constants
     normal.corner[range(CONSTANTS), range(CONSTANTS)] += 1.0 / sd**2
     normal.right_constants += off / sd**2
-    normal.cost += float((prior * bias**2).sum() + ((off / sd) ** 2).sum())
+    gain = slice(SOFT_IRON.start, SOFT_IRON.start + 3)
+    mean = float(state.constants[gain].mean())
+    normal.corner[gain, gain] += 1.0 / (3.0 * aiding.gain_sd) ** 2
+    normal.right_constants[gain] -= mean / (3.0 * aiding.gain_sd**2)
+    normal.cost += float((prior * bias**2).sum() + ((off / sd) ** 2).sum() + (mean / aiding.gain_sd) ** 2)
     return normal
 
 
 def _tie(normal: _Normal, imu: Increments, between: Between, state: State) -> None:
-    """Neighbours: ``x[k+1] = F x[k] + defect + walk``."""
+    """Neighbours: ``x[k+1] = F x[k] + B c + defect + walk``; of the constants c those of the inertial unit."""
     dt = imu.dt
     here, there = state.attitude[:-1], state.attitude[1:]
     matrix = here.as_matrix()
@@ -205,34 +265,47 @@ def _tie(normal: _Normal, imu: Increments, between: Between, state: State) -> No
     normal.beside -= np.swapaxes(weighted, 1, 2)
     normal.right[:-1] -= np.einsum("kij,ki->kj", weighted, defect)
     normal.right[1:] += weight * defect
+    turned = between.turn.as_rotvec()
+    b = np.zeros((len(matrix), NODE, CONSTANTS))
+    for i in range(3):
+        b[:, i, GYRO.start + 3 * i : GYRO.start + 3 * i + 3] = -turned
+    b[:, 3:6, ACCEL] = matrix @ _cross(between.velocity)
+    weighted_b = b * weight[:, :, None]
+    normal.border[:-1] += np.einsum("kij,kil->kjl", f, weighted_b)
+    normal.border[1:] -= weighted_b
+    normal.corner += np.einsum("kij,kil->jl", weighted_b, b)
+    normal.right_constants -= np.einsum("kij,ki->j", weighted_b, defect)
     normal.cost += float((weight * defect**2).sum() - np.log(weight).sum())
 
 
 def _observe_velocity(normal: _Normal, dt: float, between: Between, aiding: Aiding, state: State) -> None:
-    node, since = _nodes(aiding.velocity_t - state.constants[9], state.t)
+    node, since = _nodes(aiding.velocity_t - state.constants[LATE_GPS], state.t)
     here = state.attitude[node]
     acceleration = here.apply(between.velocity[np.minimum(node, len(between.velocity) - 1)]) / dt + GRAVITY_NED
     residual = aiding.velocity - state.velocity[node] - acceleration * since[:, None]
     by_node = np.zeros((len(node), 3, NODE))
     by_node[:, :, 3:6] = np.eye(3)
     by_constant = np.zeros((len(node), 3, CONSTANTS))
-    by_constant[:, :, 9] = -acceleration
+    by_constant[:, :, LATE_GPS] = -acceleration
     normal.observe(node, by_node, by_constant, residual, _weights(residual, state.velocity_sd))
     normal.velocity_residual = residual
 
 
 def _observe_field(normal: _Normal, dt: float, between: Between, aiding: Aiding, state: State) -> None:
-    node, body_from_ned, rate = _attitudes(aiding.mag_t - state.constants[10], dt, between, state)
-    ideal = body_from_ned.apply(state.earth)
-    offset, per_ampere = state.constants[:3], state.constants[3:6]
-    residual = aiding.mag - ideal - offset - aiding.current[:, None] * per_ampere
+    node, body_from_ned, rate = _attitudes(aiding.mag_t - state.constants[LATE_MAG], dt, between, state)
+    ideal, iron = body_from_ned.apply(state.earth), state.soft_iron
+    offset, per_ampere = state.constants[OFFSET], state.constants[PER_AMPERE]
+    residual = aiding.mag - ideal @ iron - offset - aiding.current[:, None] * per_ampere
     by_node = np.zeros((len(node), 3, NODE))
-    by_node[:, :, :3] = _cross(ideal)
+    by_node[:, :, :3] = iron @ _cross(ideal)
     by_constant = np.zeros((len(node), 3, CONSTANTS))
-    by_constant[:, :, :3] = np.eye(3)
-    by_constant[:, :, 3:6] = np.eye(3) * aiding.current[:, None, None]
-    by_constant[:, :, 6:9] = body_from_ned.as_matrix()
-    by_constant[:, :, 10] = np.cross(rate, ideal)
+    by_constant[:, :, OFFSET] = np.eye(3)
+    by_constant[:, :, PER_AMPERE] = np.eye(3) * aiding.current[:, None, None]
+    by_constant[:, :, EARTH] = iron @ body_from_ned.as_matrix()
+    by_constant[:, :, LATE_MAG] = np.cross(rate, ideal) @ iron
+    by_constant[:, range(3), range(SOFT_IRON.start, SOFT_IRON.start + 3)] = ideal
+    for k, (i, j) in enumerate(((0, 1), (0, 2), (1, 2)), SOFT_IRON.start + 3):
+        by_constant[:, i, k], by_constant[:, j, k] = ideal[:, j], ideal[:, i]
     normal.observe(node, by_node, by_constant, residual, _weights(residual, np.full(3, state.mag_sd)))
     normal.mag_residual = residual
 

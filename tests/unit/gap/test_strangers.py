@@ -6,6 +6,7 @@ import numpy as np
 
 from calib.gap.diagnose import diagnose
 from calib.gap.effects import catalogue
+from calib.gap.impostors import Unexplained
 from calib.gap.model import setting_of, starting_model
 from calib.gap.noise_fit import starting_noise
 from calib.gap.strangers import Stranger, leftover, unknown_of
@@ -46,11 +47,11 @@ def test_what_the_references_own_flaws_leave_over_is_not_unknown():
     views = views_of(problem, {}, {})
     setting = setting_of(views)
     model = starting_model(setting, starting_noise(setting))
-    share, text = leftover(model, 0.0)
-    assert share == 1.0
-    assert "Hz on accel" in text
-    assert leftover(model, 0.0, floor={Sensor.ACCEL: 1e6}) == (0.0, "")
-    assert leftover(model, 0.0, floor={Sensor.MAG: 1e6}) == (share, text)
+    (left,) = leftover(model)
+    assert left.sensor is Sensor.ACCEL
+    assert "Hz on accel" in left.text
+    assert leftover(model, floor={Sensor.ACCEL: 1e6}) == []
+    assert leftover(model, floor={Sensor.MAG: 1e6}) == [left]
 
 
 def test_what_stands_for_several_effects_is_said_once():
@@ -58,7 +59,9 @@ def test_what_stands_for_several_effects_is_said_once():
     model = starting_model(setting, starting_noise(setting))
     texts = ("approach with 10 s on accel, or accel_bias", "3 jumps on accel", "a drift on accel")
     strangers = [Stranger((("accel_bias", (i,)),), texts[j]) for i, j in enumerate((0, 1, 0))]
-    found = unknown_of(model, (), strangers, [(50.0, texts[1]), (50.0, texts[2])])
+    found = unknown_of(
+        model, (), strangers, [Unexplained(50.0, texts[1], Sensor.ACCEL), Unexplained(50.0, texts[2], Sensor.ACCEL)]
+    )
     assert found.shape == "; ".join(texts)
 
 
@@ -72,3 +75,16 @@ def test_drift_that_one_driver_moves_is_unknown_and_not_a_walk():
     assert report.unknown.flag
     assert report.unknown.hidden_driver is not None
     assert not any(e.id == "accel_random_walk" for e in report.effects)
+
+
+def test_what_is_unknown_on_one_sensor_is_not_hidden_by_a_large_effect_on_another():
+    def gap(trace):
+        if trace.sensor is Sensor.GYRO:
+            return np.full(3, 0.2)
+        return np.outer(0.004 * (np.abs(trace.ideal[:, 0]) - 2.0) ** 2, [1.0, -0.6, 0.4])
+
+    report = diagnose(problem_of(np.random.default_rng(5), (Sensor.ACCEL, Sensor.GYRO), gap), nested=False)
+    assert [e.id for e in report.effects] == ["gyro_bias"]
+    assert report.unknown.flag
+    assert report.unknown.share < 0.03
+    assert "accel" in report.unknown.shape
