@@ -47,10 +47,8 @@ _SECOND = 8.0
 """By how much a second order of an effect counts, beside noise learned from flights, in twice a log-probability."""
 TEMPERATURE = 2.0
 """By which differences of penalised evidence are flattened into probabilities."""
-NAMED = 0.95
-"""Share of clear names that were right on development cases: there are rivals that nobody wrote down."""
 _STANDS_IN = 0.8
-"""The same of noise that wanders, which takes the place of anything slow, beside that."""
+"""Part of its probability that noise that wanders keeps: it takes the place of anything slow."""
 _NEAR = 12.0
 _SAME = 0.98
 _FAR = 40.0
@@ -305,6 +303,6 @@ def _judged(
         best.setdefault(rival.id, rival)
     stranger = max(unknown)  # the others are parts of it, or it in another guise
     total = float(np.logaddexp.reduce([*same, *weights, stranger]))
-    right = NAMED * math.exp(float(np.logaddexp.reduce(same)) - total)
+    right = math.exp(float(np.logaddexp.reduce(same)) - total)
     wanders = own.effect.id.endswith(DRIFTS)
     return tuple(best.values()), right * (_STANDS_IN if wanders else 1.0), math.exp(stranger - total)

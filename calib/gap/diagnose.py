@@ -205,7 +205,7 @@ def _report(task: _Task, answer: _Answer, alpha: float, *, nested: bool) -> GapR
     seen = (s for s in strangers_in(model, answer.gap) if not answer.tolerated.issuperset(s.keys))
     strangers = (*seen, *nameless(answer.gap, answer.withdrawn))
     unknown = _unknown(task, answer, strangers)
-    effects = _effects(task, answer, strangers)
+    effects = _effects(task, answer, strangers, beside_unknown=unknown.flag)
     return GapReport(
         inputs_of(task.problem),
         _verdict(effects, unknown),
@@ -248,13 +248,19 @@ def _unknown(task: _Task, answer: _Answer, strangers: Iterable[Stranger]) -> Unk
     )
 
 
-def _effects(task: _Task, answer: _Answer, strangers: Iterable[Stranger]) -> tuple[EffectEstimate, ...]:
+def _effects(
+    task: _Task, answer: _Answer, strangers: Iterable[Stranger], *, beside_unknown: bool
+) -> tuple[EffectEstimate, ...]:
     """What has a name: of the samples, of the reference, and of the model all that stands for nothing else."""
     model = answer.chosen.model
     denied = {key for stranger in strangers for key in stranger.keys}
     denied |= {t.hypothesis.key for t in model.terms if usual_tone(t, task.problem.nominal)}
     denied |= {t.hypothesis.key for t in model.noise_terms if unsteady_line(t, model)}
-    found = (effect_of(answer.chosen, a, answer.gates.get(a.key)) for a in answer.gap if a.key not in denied)
+    found = (
+        effect_of(answer.chosen, a, answer.gates.get(a.key), beside_unknown=beside_unknown)
+        for a in answer.gap
+        if a.key not in denied
+    )
     wander = () if answer.wander is None else (wandering_reference(answer.wander, answer.attributions),)
     return (*task.lattice.effects, *wander, *(e for e in found if not shown_by(task.lattice, e)))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.gap.attribution import TEMPERATURE, Attribution
+from calib.gap.believed import believed
 from calib.gap.effects.reference_attitude import REFERENCE
 from calib.gap.estimates import estimates_of
 from calib.gap.model import Model, NoiseTerm, Term
@@ -15,16 +16,19 @@ from calib.gap.wander import Wander, rms_rotation, sees
 from calib.recording import Sensor
 
 
-def effect_of(chosen: Chosen, found: Attribution, passed: bool | None) -> EffectEstimate:
+def effect_of(
+    chosen: Chosen, found: Attribution, passed: bool | None, *, beside_unknown: bool
+) -> EffectEstimate:
     """An effect of the catalogue; `passed`: whether held-out blocks confirm it, None where they say nothing."""
     term, dose = _term(chosen.model, found), dose_of(chosen, found.key)
     p = next((s.p for s in chosen.scores if s.hypothesis.key == found.key), 1.0)
+    probability = believed(found.probability, found.gain, beside_unknown=beside_unknown)
     return EffectEstimate(
         term.hypothesis.effect.id,
         term.hypothesis.effect.sensor,
         tuple(i + FIRST for i in found.key[1]),
         estimates_of(chosen, term, dose.widening),
-        Evidence(found.gain, found.df, min(1.0, p * chosen.tests), found.probability, found.share),
+        Evidence(found.gain, found.df, min(1.0, p * chosen.tests), probability, found.share),
         found.rivals,
         Gates(passed, None, dose.agrees),
     )

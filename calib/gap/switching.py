@@ -119,8 +119,9 @@ def _chains(series: Array, rest: Array) -> tuple[Array, Array]:
 
 
 def _without(noise: Noise, names: Collection[str]) -> Array:
-    """The power of noise without densities."""
-    return noise.power - sum((noise.amplitudes[name] * noise.densities[name] for name in names), 0.0)
+    """The power of noise without those of its densities that have one of `names`."""
+    own = [name for name in names if name in noise.densities]
+    return noise.power - sum((noise.amplitudes[name] * noise.densities[name] for name in own), 0.0)
 
 
 def two_levels(x: Array, variance: Array) -> tuple[Array, Array]:

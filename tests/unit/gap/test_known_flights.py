@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from calib import gap, logs
 from calib.blind.real import halves, injected
 from calib.gap.schema import EffectEstimate, GapReport, Verdict
-from calib.recording import Recording
+from calib.recording import Channel, Recording, Sensor
 from service.commands.gap_real import broad_recording
 
 pytestmark = [pytest.mark.shared, pytest.mark.timeout(600)]
@@ -54,6 +58,45 @@ def test_a_flight_against_the_clean_one_shows_what_was_put_in(shared_data: Path,
         assert list(found[effect_id].instances) == instances
         assert found[effect_id].evidence.probability > 0.5
         agrees(found[effect_id], parameter, known)
+
+
+def late(channel: Channel, by: float) -> NDArray[np.float64]:
+    return np.column_stack([np.interp(channel.t - by, channel.t, v) for v in channel.values.T])
+
+
+MISALIGNED = np.array([[1.0, 0.02, -0.01], [0.0, 1.0, 0.015], [0.0, 0.0, 1.0]])
+TURNED = Rotation.from_rotvec([0.07, 0.035, 0.014]).as_matrix()
+SCALED = np.array([1.04, 0.97, 1.03])
+MAGNET = np.array([3.0, -5.0, 4.0])
+Change = tuple[Sensor, list[int], Callable[[Channel], NDArray[np.float64]]]
+PUT_IN: list[dict[str, Change]] = [
+    {
+        "gyro_scale": (Sensor.GYRO, [1, 2], lambda c: c.values * SCALED),
+        "mag_hard_iron": (Sensor.MAG, [3], lambda c: c.values + MAGNET),
+    },
+    {
+        "accel_misalignment": (Sensor.ACCEL, [2], lambda c: c.values @ MISALIGNED.T),
+        "mag_delay": (Sensor.MAG, [1, 2, 3], lambda c: late(c, 0.15)),
+    },
+    {"accel_rotation": (Sensor.ACCEL, [1, 2], lambda c: c.values @ TURNED.T)},
+]
+
+
+@pytest.mark.parametrize("changes", PUT_IN, ids=[" ".join(c) for c in PUT_IN])
+def test_what_is_put_into_a_flight_is_found_beside_its_own(shared_data: Path, changes: dict[str, Change]) -> None:
+    """Of one unit or of all: then the trajectory that is re-estimated must not take it for its own."""
+    folder = shared_data / "sitl_flights"
+    real = logs.read(folder / "mix.bin")
+    for sensor, instances, change in changes.values():
+        real = real.with_channels(
+            dataclasses.replace(c, values=change(c)) if c.sensor == sensor and c.instance + 1 in instances else c
+            for c in real.channels
+        )
+    report = gap.run(real, logs.read(folder / "null.bin"), nested=False)
+    own = {"gyro_bias": [1], "mag_soft_iron": [1]}
+    put = {name: instances for name, (_, instances, _) in changes.items()}
+    assert {e.id: list(e.instances) for e in report.effects} == own | put
+    assert not report.unknown.flag
 
 
 def trial(shared_data: Path, number: str) -> Recording:

@@ -12,7 +12,7 @@ from calib.gap.attribution import Attribution
 from calib.gap.diagnose import diagnose
 from calib.gap.effects import forward_models
 from calib.gap.hypotheses import Hypothesis
-from calib.gap.model import NoiseTerm, setting_of, starting_model
+from calib.gap.model import NoiseTerm, Term, setting_of, starting_model, with_residual
 from calib.gap.noise_fit import refitted, starting_noise, with_term
 from calib.gap.problem import Problem, ReferenceInfo, ReferenceKind, Trace
 from calib.gap.switching import switching, two_levels
@@ -57,6 +57,23 @@ def test_a_walk_that_is_one_has_more_than_two_levels(size):
     for seed in range(10):
         walk = np.cumsum(size * SD * np.random.default_rng(seed).normal(size=(N, 3)), axis=0)
         assert switching(*drifting(walk, seed)) == ()
+
+
+def test_a_drift_of_one_sensor_is_asked_beside_what_all_of_them_share():
+    def gap(trace):
+        if trace.sensor is not G:
+            return 0.0
+        return np.cumsum(0.3 * SIGMA[G] * np.random.default_rng(8).normal(size=trace.ideal.shape), axis=0)
+
+    problem = problem_of(np.random.default_rng(7), (Sensor.ACCEL, G), gap)
+    setting = setting_of(views_of(problem, {}, {}))
+    start = refitted(starting_model(setting, starting_noise(setting)))
+    walk = NoiseTerm(Hypothesis(forward_models()["gyro_random_walk"][-1], (0,)), np.nan)
+    drift = Hypothesis(forward_models()["clock_drift"][-1], (0,))
+    clock = Term(drift, np.ones(1), 20.0)
+    model = with_residual(dataclasses.replace(refitted(with_term(start.model, walk)).model, terms=(clock,)))
+    attributions = tuple(Attribution(key, 100.0, 3, 0.5, 0.7, 0.0, ()) for key in (WALK, drift.key))
+    assert switching(model, attributions) == ()
 
 
 @pytest.mark.parametrize("end", [1.0, 0.7])

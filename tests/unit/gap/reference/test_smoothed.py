@@ -103,6 +103,45 @@ def test_a_compass_that_is_late_bends_neither_the_field_nor_the_attitude():
     assert np.abs(error_deg(found).mean(axis=0)).max() < 0.2
 
 
+def changed(recording, sensor, matrix):
+    """The same with what every instance of a sensor reads multiplied by a matrix."""
+    return recording.with_channels(
+        dataclasses.replace(c, values=c.values @ np.asarray(matrix).T) if c.sensor == sensor else c
+        for c in recording.channels
+    )
+
+
+@pytest.mark.parametrize(
+    ("sensor", "matrix"),
+    [
+        (Sensor.GYRO, np.diag([1.04, 0.97, 1.0])),  # it turns about z too evenly to tell a scale from a bias
+        (Sensor.GYRO, Rotation.from_rotvec([0.05, 0.03, -0.04]).as_matrix()),
+        (Sensor.ACCEL, Rotation.from_rotvec([0.05, 0.03, -0.04]).as_matrix()),
+        (Sensor.MAG, [[0.95, 0.03, 0.0], [0.03, 1.06, -0.04], [0.0, -0.04, 0.98]]),
+    ],
+)
+def test_scales_and_axes_of_all_units_do_not_bend_the_trajectory(sensor, matrix):
+    real = changed(flight(instances=2), sensor, matrix)
+    assert np.abs(error_deg(best_trajectory(real)).mean(axis=0)).max() < 0.4
+    traces = [t for t in build(real).traces if t.sensor == sensor and t.against is None]
+    for trace in traces:
+        known = trace.observed
+        design = np.column_stack([trace.ideal[known], np.ones(known.sum())])
+        found = np.linalg.lstsq(design, trace.measured[known])[0][:3].T
+        assert found == pytest.approx(np.asarray(matrix), abs=0.012)
+
+
+def test_no_axes_are_turned_to_explain_a_crash():
+    whole = flight(instances=2)
+    crash = [
+        dataclasses.replace(c, values=np.where(((c.t > 30.0) & (c.t < 30.3))[:, None], 80.0, c.values))
+        if c.sensor == Sensor.ACCEL
+        else c
+        for c in whole.channels
+    ]
+    assert best_trajectory(whole.with_channels(crash)).state.constants[11:] == pytest.approx(np.zeros(18), abs=1e-5)
+
+
 def test_the_delay_of_the_firmwares_own_filters_is_no_delay_of_other_sensors():
     late = np.sqrt(2.0) / (2.0 * np.pi * 5.0)
     real = moved(moved(flight(), Sensor.GYRO, late), Sensor.ACCEL, late)
