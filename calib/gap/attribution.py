@@ -43,6 +43,8 @@ Array = NDArray[np.float64]
 
 _LESS = 0.1
 """Part of a second order that an effect of fewer numbers may lose to take another's place: a model is never exact."""
+_WANDERS = 100
+"""Numbers that noise which wanders counts for."""
 _SECOND = 8.0
 """By how much a second order of an effect counts, beside noise learned from flights, in twice a log-probability."""
 TEMPERATURE = 2.0
@@ -150,7 +152,7 @@ def _better(
     best: tuple[float, Key, Score] | None = None
     for key, (others, own) in held.items():
         for other in others:
-            score, gain = other.score, -_behind(own, other.score, _numbers(chosen, key), second_order(chosen, own))
+            score, gain = other.score, -_behind(own, other.score, _freedom_of(chosen, key), second_order(chosen, own))
             joins = score.p < level and score.gain >= contest.floors.joining(score.hypothesis)
             if joins and gain > _CLEARLY and (best is None or gain > best[0]):
                 best = (gain, key, score)
@@ -162,13 +164,18 @@ def second_order(chosen: Chosen, own: float) -> float:
     return REAL * max(own, 0.0) if of_flights(chosen.model) else 0.0
 
 
-def _numbers(chosen: Chosen, key: Key) -> int:
-    return next((score.df for score in chosen.scores if score.hypothesis.key == key), 0)
+def _freedom_of(chosen: Chosen, key: Key) -> int:
+    return next((_freedom(score) for score in chosen.scores if score.hypothesis.key == key), 0)
 
 
-def _behind(own: float, score: Score, df: int, second: float) -> float:
-    """By how much evidence a rival stands behind an effect; of what is a `second` order, more numbers explain more."""
-    more = score.df - df if df else 0
+def _freedom(score: Score) -> int:
+    """Numbers of an effect; noise that wanders takes the place of anything slow, and has more than any other."""
+    return score.df + (_WANDERS if score.hypothesis.effect.id.endswith(DRIFTS) else 0)
+
+
+def _behind(own: float, score: Score, freedom: int, second: float) -> float:
+    """By how much evidence a rival stands behind an effect; of what is a `second` order, more freedom explains more."""
+    more = _freedom(score) - freedom if freedom else 0
     return own - score.delta + (second if more > 0 else -_LESS * second if more < 0 else 0.0)
 
 
@@ -187,7 +194,7 @@ def _attributed(
         key = term.hypothesis.key
         others, own = held[key]
         rivals, probability, unknown = _judged(
-            term.hypothesis, own, others, _numbers(chosen, key), second_order(chosen, own)
+            term.hypothesis, own, others, _freedom_of(chosen, key), second_order(chosen, own)
         )
         share = worth[key] / total
         gain, df, _ = last[key]
@@ -280,7 +287,7 @@ def _imitated(
 
 
 def _judged(
-    own: Hypothesis, own_delta: float, others: Sequence[Alternative], df: int, second: float
+    own: Hypothesis, own_delta: float, others: Sequence[Alternative], freedom: int, second: float
 ) -> tuple[tuple[Rival, ...], float, float]:
     """Rivals that these data cannot tell apart, and the probabilities of the effect and of the unknown."""
     rivals = []
@@ -288,7 +295,7 @@ def _judged(
     for other in others:
         if other.score.p >= 1.0:
             continue  # noise that the instances named do not show is no rival
-        delta = _behind(own_delta, other.score, df, second)
+        delta = _behind(own_delta, other.score, freedom, second)
         is_unknown = other.score.hypothesis.effect.nameless
         weight = -delta / (2.0 * max(TEMPERATURE, second / _SECOND))
         if other.score.hypothesis.effect.id == own.effect.id and other.score.hypothesis.instances == own.instances:

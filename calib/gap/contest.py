@@ -249,7 +249,8 @@ def noise_score(hypothesis: Hypothesis, model: Model) -> Score:
     gain = max(gain - shaped(model, effect.sensor), 0.0)
     df = len(effect.parameters)
     added = Added(hypothesis, thetas[best], values)
-    believed = gain > 0.0 and stands_out(added, model) and whose(added, model)
+    own = whose(added, model) if hypothesis.loud is None else hypothesis.loud
+    believed = gain > 0.0 and stands_out(added, model) and own
     p = one_sided_tail(gain, df, grid) if believed else 1.0
     price += price_of_search(grid, gain) + price_of_kind(effect.id) + hypothesis.handicap
     return Score(hypothesis, thetas[best], gain, df, grid, p, gain - price, values)

@@ -39,13 +39,15 @@ class Hypothesis:
     """An effect on `instances` of its sensor (of every sensor for effects that all share).
 
     `again` counts the times that it is already there, for effects that can happen more than once. `handicap` is its
-    price, in twice the log-likelihood, where it is rather another instance that has something.
+    price, in twice the log-likelihood, where it is rather another instance that has something; `loud` whether its
+    instances are the ones that have such noise, None where only their own residuals say.
     """
 
     effect: Effect
     instances: tuple[int, ...]
     again: int = 0
     handicap: float = 0.0
+    loud: bool | None = None
 
     @property
     def key(self) -> tuple[str, tuple[int, ...]]:
@@ -130,24 +132,36 @@ def hypotheses_of(
             sets.append(common)
         times = _REPEATS if effect.repeatable else 1
         for instances in sets:
-            handicap = _handicap(effect, instances, worse or {})
-            tested += [Hypothesis(effect, instances, again, handicap) for again in range(times)]
+            at_fault = _at_fault(effect, worse or {})
+            handicap, loud = _handicap(effect, instances, at_fault), _loud(effect, instances, at_fault)
+            tested += [Hypothesis(effect, instances, again, handicap, loud) for again in range(times)]
     return tuple(tested), tuple(dict.fromkeys(missing))
 
 
-def _handicap(effect: Effect, instances: tuple[int, ...], worse: Mapping[Sensor, Worse]) -> float:
-    """Noise of both adds up in a difference as that of one does; what both add to the mean is not in it at all."""
+def _at_fault(effect: Effect, worse: Mapping[Sensor, Worse]) -> tuple[int, ...] | None:
+    """Which instances have what an effect describes; None: nothing says."""
     told = worse.get(effect.sensor)
     if effect.shared or told is None:
-        return 0.0
+        return None
     noise = isinstance(effect, NoiseEffect)
     if effect.tonal or (noise and not effect.id.endswith(DRIFTS)):
-        at_fault = told.fast
-    else:
-        at_fault = told.fast if noise and told.slow is None else told.slow
+        return told.fast
+    return told.fast if noise and told.slow is None else told.slow
+
+
+def _handicap(effect: Effect, instances: tuple[int, ...], at_fault: tuple[int, ...] | None) -> float:
+    """Noise of both adds up in a difference as that of one does; what both add to the mean is not in it at all."""
+    noise = isinstance(effect, NoiseEffect)
     if at_fault is None or instances == at_fault or not (noise or len(instances) == len(at_fault)):
         return 0.0
     return _ELSEWHERE
+
+
+def _loud(effect: Effect, instances: tuple[int, ...], at_fault: tuple[int, ...] | None) -> bool | None:
+    """A trajectory that is re-estimated turns with its own gyroscope, which shows none of its noise against it."""
+    if at_fault is None or effect.sensor is not Sensor.GYRO or not effect.id.endswith("_noise"):
+        return None
+    return instances == at_fault
 
 
 def _instances(effect: Effect, views: Sequence[View]) -> list[tuple[tuple[int, ...], list[Trace]]]:

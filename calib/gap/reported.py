@@ -16,9 +16,7 @@ from calib.gap.wander import Wander, rms_rotation, sees
 from calib.recording import Sensor
 
 
-def effect_of(
-    chosen: Chosen, found: Attribution, passed: bool | None, *, beside_unknown: bool
-) -> EffectEstimate:
+def effect_of(chosen: Chosen, found: Attribution, passed: bool | None, *, beside_unknown: bool) -> EffectEstimate:
     """An effect of the catalogue; `passed`: whether held-out blocks confirm it, None where they say nothing."""
     term, dose = _term(chosen.model, found), dose_of(chosen, found.key)
     p = next((s.p for s in chosen.scores if s.hypothesis.key == found.key), 1.0)
