@@ -92,3 +92,21 @@ def test_what_all_sensors_share_is_on_no_instance():
     tested, _ = hypotheses_of(shared, views_of(problem, {}, {}), worse)
     assert len(tested) == len(shared)
     assert not any(h.handicap for h in tested)
+
+
+@pytest.mark.parametrize(
+    ("effect_id", "worse", "loud"),
+    [
+        ("gyro_noise", SLOW_AND_FAST, {(0,): False, (1,): False, (0, 1): True}),
+        ("gyro_rotor_noise", Worse(fast=(1,)), {(0,): False, (1,): True, (0, 1): False}),
+        ("gyro_noise", Worse(slow=(0,)), dict.fromkeys(SETS)),
+        ("gyro_random_walk", SLOW_AND_FAST, dict.fromkeys(SETS)),
+        ("accel_noise", SLOW_AND_FAST, dict.fromkeys(SETS)),
+    ],
+)
+def test_noise_of_the_gyroscope_that_drives_a_trajectory_is_told_by_both_units_alone(effect_id, worse, loud):
+    sensors = (Sensor.ACCEL, Sensor.GYRO)
+    problem = problem_of(np.random.default_rng(1), sensors, instances=2)
+    by_sensor = dict.fromkeys(sensors, worse)
+    tested, _ = hypotheses_of(forward_models()[effect_id], views_of(problem, {}, {}), by_sensor)
+    assert {h.instances: h.loud for h in tested} == loud
