@@ -32,17 +32,14 @@ _SAME = 1e-9  # relative difference of equal numbers
 
 
 def quantisation(trace: Trace) -> LatticeEvidence | None:
-    """Levels coarser than declared and than the ideal reading's. Values: step on x, y, z (0: none).
-
-    Another instance is no ideal: both may be coarse.
-    """
+    """Levels coarser than declared and than the ideal reading's. Values: step on x, y, z (0: none)."""
     steps, two_delta = [0.0] * 3, 0.0
     for axis in range(3):
         values, ideal = trace.measured[trace.observed, axis], trace.ideal[trace.observed, axis]
         found = levels_of(values)
         if found is None or found.step <= max(1.5 * trace.quantum, _FINEST * noise_of(values - ideal)):
             continue
-        simulated = levels_of(ideal) if trace.against is None else None
+        simulated = levels_of(ideal)
         if simulated is not None and simulated.step >= 0.7 * found.step:
             continue
         steps[axis] = found.step
