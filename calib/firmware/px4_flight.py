@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 FIX_3D: Final = 3
 ARMING_STATE_ARMED: Final = 2
 MOST_OUTPUTS: Final = 16
+TRUTH: Final = "_groundtruth"
+"""End of the topics in which a simulator says what is so (``logger/logged_topics.cpp``: SITL, or SYS_HITL)."""
 PWM_LOW, PWM_SPAN = 1000.0, 1000.0
 
 
@@ -27,6 +29,16 @@ def flight_channels(topics: Topics) -> list[Channel]:
         for channel in maker(topics)
         if len(channel)
     ]
+
+
+def truth_channels(topics: Topics) -> list[Channel]:
+    """What a simulator says of the vehicle: attitude, place, velocity and position of the ``*_groundtruth`` topics."""
+    made = (
+        *_attitude(topics, "vehicle_attitude" + TRUTH),
+        *_local(topics, "vehicle_local_position" + TRUTH),
+        *_global(topics, "vehicle_global_position" + TRUTH),
+    )
+    return [channel for channel in made if len(channel)]
 
 
 def arming_events(topics: Topics) -> list[Event]:
@@ -49,15 +61,15 @@ def _finite(sensor: Sensor, instance: int, t: Array, values: Array, unit: str, s
     return Channel(sensor, instance, t[good], values[good], unit, Stage.RAW, source)
 
 
-def _attitude(topics: Topics) -> Iterator[Channel]:
-    topic = topics.get(("vehicle_attitude", 0))
+def _attitude(topics: Topics, name: str = "vehicle_attitude") -> Iterator[Channel]:
+    topic = topics.get((name, 0))
     if topic is None or not has(topic, *(f"q[{k}]" for k in range(4))):
         return
     q = columns(topic, *(f"q[{k}]" for k in range(4)))
     size = np.linalg.norm(q, axis=1)
     good = np.isfinite(size) & (size > 0.5)
     q = q[good] / size[good, None]
-    yield Channel(Sensor.ATTITUDE, 0, sample_time(topic)[good], q, "1", Stage.RAW, "vehicle_attitude")
+    yield Channel(Sensor.ATTITUDE, 0, sample_time(topic)[good], q, "1", Stage.RAW, name)
 
 
 def _gps(topics: Topics) -> Iterator[Channel]:
@@ -77,8 +89,13 @@ def _gps(topics: Topics) -> Iterator[Channel]:
         yield _finite(Sensor.VELOCITY, 0, t, columns(topic, "vel_n_m_s", "vel_e_m_s", "vel_d_m_s"), "m/s", name)
 
 
-def _local(topics: Topics) -> Iterator[Channel]:
-    name = "vehicle_local_position"
+def _global(topics: Topics, name: str) -> Iterator[Channel]:
+    topic = topics.get((name, 0))
+    if topic is not None and has(topic, "lat", "lon", "alt"):
+        yield _finite(Sensor.POSITION, 0, sample_time(topic), columns(topic, "lat", "lon", "alt"), "deg deg m", name)
+
+
+def _local(topics: Topics, name: str = "vehicle_local_position") -> Iterator[Channel]:
     topic = topics.get((name, 0))
     if topic is None:
         return

@@ -53,6 +53,7 @@ WANTED: Final = frozenset(
     | {"vehicle_attitude", "vehicle_gps_position", "sensor_gps", "vehicle_local_position", "battery_status"}
     | {"actuator_outputs", "actuator_motors", "esc_status", "vehicle_thrust_setpoint", "actuator_controls_0"}
     | {"vehicle_status", "actuator_armed"}
+    | {f"vehicle_{what}_groundtruth" for what in ("attitude", "local_position", "global_position")}
 )
 """Topics that are read; see :mod:`calib.firmware.px4_flight` for those beside the inertial ones."""
 

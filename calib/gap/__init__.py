@@ -18,7 +18,7 @@ from calib.gap.effects import catalogue
 from calib.gap.export import with_patches
 from calib.gap.flaws import beside_flaws, flaws_of
 from calib.gap.problem import Problem
-from calib.gap.reference import build, flew_another, posed
+from calib.gap.reference import alike, build, flew_another, posed
 from calib.gap.schema import GapReport, as_json
 from calib.recording import Recording
 
@@ -72,6 +72,7 @@ def run(
 def _problem(real: Recording, sim: Recording | None, nominal: Sequence[Recording], alpha: float) -> Problem:
     """The sensors of `real` beside their references, less what a companion on another trajectory shows of its own."""
     if sim is not None and flew_another(real, sim):
+        real, sim = alike(real, sim)
         baseline = baseline_of(build(sim, sim, nominal), alpha)
         return beside(build(real, sim, nominal, flaws=baseline.in_ideal, flawed=sim), baseline)
     if sim is None and (other := posed(real, nominal)) is not None:

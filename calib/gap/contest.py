@@ -25,7 +25,7 @@ from calib.gap.filtered import shaped, told_by_noise
 from calib.gap.floors import Floors
 from calib.gap.hypotheses import Columns, Hypothesis, columns_of
 from calib.gap.kept import Kept
-from calib.gap.louder import Added, stands_out, tone_beside_lines, whose
+from calib.gap.louder import Added, drift_beside_lines, stands_out, tone_beside_lines, whose
 from calib.gap.model import (
     Model,
     Term,
@@ -250,7 +250,7 @@ def noise_score(hypothesis: Hypothesis, model: Model) -> Score:
     df = len(effect.parameters)
     added = Added(hypothesis, thetas[best], values)
     own = whose(added, model) if hypothesis.loud is None else hypothesis.loud
-    believed = gain > 0.0 and stands_out(added, model) and own
+    believed = gain > 0.0 and stands_out(added, model) and drift_beside_lines(added, model) and own
     p = one_sided_tail(gain, df, grid) if believed else 1.0
     price += price_of_search(grid, gain) + price_of_kind(effect.id) + hypothesis.handicap
     return Score(hypothesis, thetas[best], gain, df, grid, p, gain - price, values)

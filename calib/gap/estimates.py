@@ -13,6 +13,7 @@ from calib.gap.model import NoiseTerm, Term
 from calib.gap.noise_fit import NoiseEstimate
 from calib.gap.schema import Estimate
 from calib.gap.selection import Chosen
+from calib.gap.tilted import variance_of_tilt
 from calib.gap.transitions import levels_apart
 
 Array = NDArray[np.float64]
@@ -28,7 +29,8 @@ _SIGNIFICANT = 3.0
 
 
 def estimates_of(chosen: Chosen, term: Term | NoiseTerm, widening: float = 1.0) -> tuple[Estimate, ...]:
-    """The parameters of one effect, its shape last; errors on the mean are `widening` times those of the noise.
+    """The parameters of one effect, its shape last; errors on the mean are `widening` times those of the noise,
+    and what the reference's attitude leaves open (:mod:`calib.gap.tilted`).
 
     A step between levels that do not fit it is no surer than they differ.
     """
@@ -44,7 +46,7 @@ def estimates_of(chosen: Chosen, term: Term | NoiseTerm, widening: float = 1.0) 
     variance[_unseen(chosen.joint.normal.gram)[rows]] = math.inf
     effect = term.effect
     names = effect.parameters if effect.shape is None else (*effect.parameters, effect.shape.parameter)
-    se = widening * np.sqrt(variance)
+    se = np.hypot(widening * np.sqrt(variance), np.sqrt(variance_of_tilt(chosen.model, chosen.joint)[rows]))
     if effect.jumps:
         apart = levels_apart(chosen.model, term)
         se[:3] = np.where(apart > _SIGNIFICANT * se[:3], np.hypot(se[:3], apart), se[:3])

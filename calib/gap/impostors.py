@@ -17,6 +17,7 @@ from calib.gap.effects.base import NoiseEffect
 from calib.gap.effects.noise import DRIFTS
 from calib.gap.levels import step_of
 from calib.gap.likelihood import fit_amplitudes, flicker, random_walk
+from calib.gap.louder import unsteady_line
 from calib.gap.model import Model, NoiseTerm
 from calib.gap.noise_fit import noise_rows
 from calib.gap.schema import HiddenDriver
@@ -48,7 +49,7 @@ def impostors(model: Model) -> tuple[Impostor, ...]:
     """Random walks and flicker of the model that are not a sensor's own noise."""
     found = []
     for term in model.noise_terms:
-        if not term.hypothesis.effect.id.endswith(DRIFTS):
+        if not term.hypothesis.effect.id.endswith(DRIFTS) or unsteady_line(term, model):
             continue
         sensor = term.hypothesis.effect.sensor
         for v, view in enumerate(model.setting.views):
@@ -116,8 +117,10 @@ def returning(model: Model, v: int, term: NoiseTerm) -> bool:
 
 _TOGETHER = (([0, 1, 2], ""), ([0], ".x"), ([1], ".y"), ([2], ".z"))
 """Axes that may swell together, and their name: one supply feeds all three."""
-_WINDOWS = (8, 32, 128)
+_WINDOWS = (4, 8, 16, 32, 64, 128)
 """Samples over which energies are summed, in turn."""
+_MOST = 0.99
+"""Part of the samples whose energy counts as it is."""
 _UNSTEADY = 1e-6
 """Chance, over all that is looked at, below which steady noise does not scatter so."""
 
@@ -178,18 +181,21 @@ def _varies(model: Model, view: View) -> bool:
 def _swelling(white: Array, width: int, tests: int) -> float:
     """Excess scatter of the energies of windows of `width` samples of axes (p, n), in nats; 0 if chance makes as much.
 
-    Tails that are heavier than normal ones scatter more wherever they lie.
+    Chance is that of the same samples in any other order: the energies' own scatter, whatever their tails (Pearson).
+    The largest count as what most stay below, or two single ones beside each other would do.
     """
     count = white.shape[1] // width
     if count < _LEAST:
         return 0.0
-    freedom = width * len(white)
-    energy = (white[:, : count * width].reshape(len(white), count, width) ** 2).sum(axis=(0, 2))
-    mean = energy / float(energy.mean())
-    scatter = float((freedom * (mean - 1.0 - np.log(np.maximum(mean, 1e-12)))).sum())
-    square = white**2
-    tails = max(float((square.var(axis=1) / (2.0 * square.mean(axis=1) ** 2)).mean()), 1.0)
-    expected = tails * (1.0 + 1.0 / (3.0 * freedom))  # Bartlett's correction of the ratio of one variance
-    if float(chdtrc(count - 1, scatter / expected)) * tests > _UNSTEADY:
+    energy = (white[:, : count * width] ** 2).sum(axis=0)
+    each = np.minimum(energy, np.quantile(energy, _MOST))
+    spread = float(each.var())
+    sums = each.reshape(count, width).sum(axis=1)
+    square = float(sums.var()) * count / max(width * spread, 1e-300)
+    if float(chdtrc(count - 1, square)) * tests > _UNSTEADY:
         return 0.0
-    return float(0.5 * (scatter - expected * (count - 1)))
+    freedom = width * len(white)
+    mean = energy.reshape(count, width).sum(axis=1) / float(energy.mean() * width)
+    scatter = float((freedom * (mean - 1.0 - np.log(np.maximum(mean, 1e-12)))).sum())
+    bartlett = 1.0 + 1.0 / (3.0 * freedom)  # correction of the ratio of one variance
+    return float(0.5 * (scatter - bartlett * (count - 1)))

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.gap.effects.noise import DRIFTS
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.model import Model, NoiseTerm
 from calib.gap.noise_fit import densities_of
@@ -64,6 +65,14 @@ def unsteady_line(term: NoiseTerm, model: Model) -> bool:
     if term.hypothesis.effect.id.endswith(LINES):
         return False
     return _power_of(term, term.hypothesis, model) <= _OF_LINE * line_power(term.hypothesis, model)
+
+
+def drift_beside_lines(added: Added, model: Model) -> bool:
+    """Whether noise that wanders is more than the unsteadiness of the lines of a model, whose skirts reach low bins."""
+    if not added.hypothesis.effect.id.endswith(DRIFTS):
+        return True
+    power = sum(float(added.power(model, v).sum()) for v in _touched(added.hypothesis, model))
+    return power > _OF_LINE * line_power(added.hypothesis, model)
 
 
 def tone_beside_lines(hypothesis: Hypothesis, beta: Array, model: Model) -> bool:

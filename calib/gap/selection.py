@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from calib.gap.contest import Contest, Score
-from calib.gap.effects.base import NoiseEffect
+from calib.gap.effects.base import Effect, MeanEffect, NoiseEffect
 from calib.gap.effects.noise import DRIFTS
 from calib.gap.hypotheses import Hypothesis, Key
+from calib.gap.louder import unsteady_line
 from calib.gap.model import (
     Joint,
     Model,
@@ -121,9 +122,52 @@ def select(start: Model, contest: Contest, alpha: float) -> Chosen:
     chosen = grown(grown(bare, contest, level, steady), contest, level, candidates)
     if not (wanders(chosen) or _drift_leads(first, level)):
         return chosen
-    other = grown(bare, contest, level, candidates)
-    worth = MATERIAL * largest_gain(chosen, contest)
-    return other if objective(other) < objective(chosen) - worth else chosen
+    return _better(chosen, grown(bare, contest, level, candidates), contest)
+
+
+def _better(chosen: Chosen, other: Chosen, contest: Contest) -> Chosen:
+    """`other` where it says materially more: sensor by sensor, unless effects or the reference's error tie them."""
+    gains = last_gains(chosen.model, contest)
+    if any(t.effect.shared for c in (chosen, other) for t in c.model.terms) or chosen.model.ridge is not None:
+        worth = MATERIAL * max((gain for gain, _, _ in gains.values()), default=0.0)
+        return other if objective(other) < objective(chosen) - worth else chosen
+    skirts = {
+        t.hypothesis.effect.sensor for t in other.model.noise_terms if _is_drift(t) and unsteady_line(t, other.model)
+    }
+    taken = set()
+    for sensor in {view.sensor for view in chosen.model.setting.views} - skirts:
+        worth = MATERIAL * max((g for k, (g, _, _) in gains.items() if k[0].startswith(f"{sensor}_")), default=0.0)
+        if _objective_of(other, sensor) < _objective_of(chosen, sensor) - worth:
+            taken.add(sensor)
+    return _joined(chosen, other, taken) if taken else chosen
+
+
+def _objective_of(chosen: Chosen, sensor: Sensor) -> float:
+    """The part of :func:`objective` that is of one sensor."""
+    deviance = sum(level for (own, _), level in chosen.noise.deviance.items() if own is sensor)
+    return deviance + sum(s.price for s in chosen.scores if s.hypothesis.effect.sensor is sensor)
+
+
+def _joined(chosen: Chosen, other: Chosen, taken: Collection[Sensor]) -> Chosen:
+    """The effects of `other` on the sensors `taken`, those of `chosen` on the rest."""
+    kept = [s for s in chosen.scores if s.hypothesis.effect.sensor not in taken]
+    scores = (*kept, *(s for s in other.scores if s.hypothesis.effect.sensor in taken))
+    pair = (chosen.model, other.model)
+    views = chosen.model.setting.views
+    own = [pair[views[a // 3].sensor in taken] for a in range(chosen.model.setting.axes)]
+    mixed = replace(
+        chosen.model,
+        terms=tuple(t for m in pair for t in m.terms if _is_of(t, taken) is (m is other.model)),
+        noise_terms=tuple(t for m in pair for t in m.noise_terms if _is_of(t, taken) is (m is other.model)),
+        noise=tuple(m.noise[a] for a, m in enumerate(own)),
+        weight=tuple(m.weight[a] for a, m in enumerate(own)),
+    )
+    model, joint, fit = fitted(with_residual(mixed))
+    return Chosen(model, joint, fit, scores, chosen.tests, chosen.first)
+
+
+def _is_of(term: Term | NoiseTerm, sensors: Collection[Sensor]) -> bool:
+    return term.hypothesis.effect.sensor in sensors
 
 
 def _drift_leads(first: Sequence[Score], level: float) -> bool:
@@ -208,7 +252,7 @@ def _best(scores: dict[Key, Score], level: float, gains: Gains, contest: Contest
 
     Noise that wanders may have taken the place of a slow mean: what that gains beside it says little.
     """
-    wandering = any(term.hypothesis.effect.id.endswith(DRIFTS) for term in model.noise_terms)
+    wandering = any(map(_is_drift, model.noise_terms))
     beside: Beside | None = None
     while True:
         good = [
@@ -257,15 +301,26 @@ def _refitted_objective(model: Model, score: Score, sensors: Sequence[Sensor]) -
 
 
 def _least(hypothesis: Hypothesis, model: Model, gains: Gains) -> float:
-    """Gain below which an effect is a second order of the largest one on its sensor, or of one far larger elsewhere."""
+    """Gain below which an effect is a second order of the largest one on its sensor, or of one far larger elsewhere.
+
+    What shakes at some frequency has no second order that goes with temperature or turns: a mean is one of means.
+    """
     of = {term.hypothesis.key: term.hypothesis.effect for term in model.members}
     effect = hypothesis.effect
     near = [
-        gains[k][0] for k, e in of.items() if k in gains and (e.sensor is effect.sensor or e.shared or effect.shared)
+        gains[k][0]
+        for k, e in of.items()
+        if k in gains and (e.sensor is effect.sensor or e.shared or effect.shared) and _of_one_order(effect, e)
     ]
     far = max((gain for gain, _, _ in gains.values()), default=0.0)
     part = REAL if of_flights(model) else MATERIAL
     return max(part * max(near, default=0.0), _FAR * far)
+
+
+def _of_one_order(effect: Effect, other: Effect) -> bool:
+    """Whether an effect could be a second order of another: a mean could not of noise that does not wander."""
+    steady = isinstance(other, NoiseEffect) and not other.id.endswith(DRIFTS)
+    return not (steady and isinstance(effect, MeanEffect) and not effect.tonal)
 
 
 def of_flights(model: Model) -> bool:
@@ -376,4 +431,8 @@ def objective(chosen: Chosen) -> float:
 
 def wanders(chosen: Chosen) -> bool:
     """Whether noise that wanders is in the model."""
-    return any(t.hypothesis.effect.id.endswith(DRIFTS) for t in chosen.model.noise_terms)
+    return any(map(_is_drift, chosen.model.noise_terms))
+
+
+def _is_drift(term: NoiseTerm) -> bool:
+    return term.hypothesis.effect.id.endswith(DRIFTS)

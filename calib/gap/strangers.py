@@ -8,20 +8,19 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtrc
 
 from calib.gap.attribution import Attribution
 from calib.gap.hypotheses import Key
 from calib.gap.impostors import Unexplained, impostors, unsteady
-from calib.gap.model import Model
+from calib.gap.leftover import leftover
+from calib.gap.model import Model, Term
 from calib.gap.schema import HiddenDriver, Unknown
 from calib.gap.switching import switching
 from calib.gap.transitions import events_of
-from calib.gap.views import View
 from calib.recording import Sensor
 
 _JUMPS = 3
@@ -31,12 +30,8 @@ _MATERIAL = 0.03
 """Share of the gap from which on something unknown is said."""
 _LEFT = 0.1
 """The same of what is left over on one sensor: of a long recording no model explains the last hundredth."""
-_LEFTOVER = 1e-7
-"""Chance, over all bands of all axes, below which noise alone has no such power."""
-_MINUTES_DIFFER = 2.0
-"""Times a learned spectrum, up to which power may be that of other minutes."""
-_GROUPS = 24
-"""Bands of a series, of a constant ratio of frequencies."""
+_BEATING, _ALIKE = 20.0, 0.8
+"""Periods in a recording by which two waves differ at most, and how alike their directions are, that are one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +57,7 @@ def strangers_in(model: Model, attributions: Sequence[Attribution]) -> tuple[Str
         *drifts,
         *(Stranger((a.key,), f"{a.shape}, or {a.key[0]}") for a in doubted),
         *_swarms(model),
+        *_beats(model),
     )
 
 
@@ -75,6 +71,32 @@ def _swarms(model: Model) -> list[Stranger]:
             when = ", ".join(f"{t.theta:.1f} s" for t in own)
             found.append(Stranger(tuple(t.hypothesis.key for t in own), f"{len(own)} jumps on {sensor.value}: {when}"))
     return found
+
+
+def _beats(model: Model) -> list[Stranger]:
+    """Waves of one sensor so near each other that they are one, which comes and goes."""
+    found = []
+    waves = sorted((t for t in model.terms if t.effect.id.endswith("_tone")), key=lambda t: t.theta)
+    for sensor in dict.fromkeys(t.effect.sensor for t in waves):
+        own = [t for t in waves if t.effect.sensor is sensor]
+        edges = [0, *(k for k, pair in enumerate(itertools.pairwise(own), 1) if not _one_wave(model, *pair)), len(own)]
+        for group in (own[low:high] for low, high in itertools.pairwise(edges)):
+            if len(group) > 1:
+                ends = " to ".join(f"{t.theta:.3g}" for t in (group[0], group[-1]))
+                text = f"a wave of {ends} Hz on {sensor.value} that comes and goes"
+                found.append(Stranger(tuple(t.hypothesis.key for t in group), text))
+    return found
+
+
+def _one_wave(model: Model, one: Term, other: Term) -> bool:
+    """Whether two waves of a sensor are alike, and as near as those of one that lasts a part of the recording."""
+    if one.hypothesis.instances != other.hypothesis.instances:
+        return False
+    seen = [v.t for v in model.setting.views if one.hypothesis.touches(v)]
+    length = max(float(t[-1]) for t in seen) - min(float(t[0]) for t in seen)
+    directions = [np.linalg.svd(t.beta.reshape(2, 3))[2][0] for t in (one, other)]
+    alike = abs(float(directions[0] @ directions[1]))
+    return (other.theta - one.theta) * length < _BEATING and alike > _ALIKE
 
 
 def unknown_of(
@@ -147,67 +169,3 @@ class _Worth:
         """Which share of the whole a `part` of it is, and the largest that it is of what is seen on one sensor."""
         each = [part.on(sensor) / max(self.on(sensor), 1e-300) for sensor in Sensor]
         return part.whole / max(self.whole, 1e-300), max(each)
-
-
-def leftover(
-    model: Model, bandwidth_hz: float = math.inf, floor: Mapping[Sensor, float] | None = None
-) -> list[Unexplained]:
-    """By sensor, nats that single bands still show above the noise, and where; those of chance are not among them.
-
-    Above `bandwidth_hz` an accelerometer feels movement of which the reference does not know; a sensor that has less
-    than its `floor` left over shows the reference's flaws.
-    """
-    by_sensor: dict[Sensor, list[_Excess]] = {}
-    for one in _excesses(model, bandwidth_hz):
-        by_sensor.setdefault(one.sensor, []).append(one)
-    found = []
-    for sensor, excesses in by_sensor.items():
-        nats = sum(one.nats for one in excesses)
-        if 2.0 * nats > (floor or {}).get(sensor, 0.0):
-            found.append(Unexplained(nats, min(excesses, key=lambda one: (one.p, one.text)).text, sensor))
-    return found
-
-
-@dataclass(frozen=True)
-class _Excess:
-    """A band of an axis with more power than its noise: worth `nats`, and `p` that chance makes one, over all bands."""
-
-    sensor: Sensor
-    p: float
-    nats: float
-    text: str
-
-
-def _excesses(model: Model, bandwidth_hz: float) -> Iterator[_Excess]:
-    """Every band that noise alone does not explain."""
-    for a in range(model.setting.axes):
-        if model.ridge is not None and a in model.ridge.columns.parts:
-            continue  # the error of the reference is known only up to the last of its cosines
-        view = model.setting.views[a // 3]
-        ratio = view.spectra(model.residual[a // 3])[a % 3] ** 2 / model.noise[a].power
-        for low, high in _bands(view, bandwidth_hz):
-            count, square = high - low, float(ratio[low:high].sum())
-            p = float(chdtrc(count, square)) * _GROUPS * model.setting.axes
-            # A learned spectrum is that of other minutes: twice as much is none of this recording's.
-            if p < _LEFTOVER and (view.density is None or square > _MINUTES_DIFFER * count):
-                nats = 0.5 * (square - count - count * math.log(square / count))
-                yield _Excess(view.sensor, p, nats, _said(view, low, high, "xyz"[a % 3]))
-
-
-def _bands(view: View, bandwidth_hz: float) -> Iterator[tuple[int, int]]:
-    """First bins of bands of a series, and those behind their last, as far as its reference knows of movement."""
-    known = bandwidth_hz if view.reference_error and view.sensor is Sensor.ACCEL else math.inf
-    edges = np.unique(np.geomspace(4, view.count, _GROUPS + 1).astype(np.intp))
-    for low, high in itertools.pairwise(edges.tolist()):
-        if (high + view.first) * _bin_hz(view) > known:
-            break
-        yield low, high
-
-
-def _bin_hz(view: View) -> float:
-    return 0.5 * view.fs / view.n
-
-
-def _said(view: View, low: int, high: int, axis: str) -> str:
-    start, end = ((k + view.first) * _bin_hz(view) for k in (low, high))
-    return f"power from {start:.3g} to {end:.3g} Hz on {view.sensor.value}.{axis}"

@@ -52,6 +52,8 @@ class View:
         Power at the frequencies of the cosine transform, learned from nominal recordings; in place of `variance`.
     reference_error
         Whether the error of the reference's attitude is in it.
+    att_sd
+        Standard deviation of the reference's attitude about an axis, rad, where it was re-estimated; else 0.
     dof
         Squared numbers that the noise was learned from, an axis; infinite where it is declared.
     label
@@ -77,6 +79,7 @@ class View:
     first: int = 0
     fine: View | None = None
     gain: float = 1.0
+    att_sd: float = 0.0
 
     @property
     def n(self) -> int:
@@ -153,7 +156,9 @@ def views_of(problem: Problem, masked: Mapping[int, NDArray[np.bool_]], extra: M
             _Entry(t, masked.get(i), extra.get(i, 0.0)) for i, t in enumerate(problem.traces) if t.sensor is sensor
         ]
         views += _of_sensor(entries, uncertain=uncertain)
-    return tuple(replace(view, label=str(v)) for v, view in enumerate(views) if view.n >= _SHORTEST)
+    estimated = problem.reference.kind is ReferenceKind.ESTIMATOR
+    sd = math.radians(problem.reference.att_sigma_deg) if estimated else 0.0
+    return tuple(replace(view, label=str(v), att_sd=sd) for v, view in enumerate(views) if view.n >= _SHORTEST)
 
 
 class _Entry:

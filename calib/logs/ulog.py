@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,7 +13,7 @@ from pyulog.core import ULog
 from pyulog.exceptions import ULogException, ULogIncompatibleFlagException
 
 from calib.errors import UnreadableError
-from calib.firmware.px4_flight import arming_events, flight_channels
+from calib.firmware.px4_flight import arming_events, flight_channels, truth_channels
 from calib.firmware.px4_topics import US, WANTED, inertial_channels
 from calib.logs.ordered import in_order
 from calib.recording import Channel, Event, Identity, ParameterEntry, ParameterTimeline, Recording
@@ -63,23 +64,31 @@ def read_ulog(path: Path | str) -> Recording:
     start = log.start_timestamp * US
     timeline = _parameters(log, start)
     inertial, events = inertial_channels(topics, timeline.final())
-    kept: list[Channel] = []
-    for channel in (*inertial, *flight_channels(topics)):
+    kept = _ordered((*inertial, *flight_channels(topics)), start, events)
+    truth = _ordered(truth_channels(topics), start, events)
+    if not kept:
+        raise UnreadableError(f"{file.name} is a ULog without a sensor, attitude or position: nothing to read")
+    return Recording(
+        channels=kept,
+        parameters=timeline,
+        events=tuple(sorted((*events, *_said(log, start), *arming_events(topics)), key=lambda e: e.t)),
+        identity=_identity(log, topics),
+        source=file.name,
+        reference=truth,
+    )
+
+
+def _ordered(channels: Iterable[Channel], start: float, events: list[Event]) -> tuple[Channel, ...]:
+    """Channels in the order of time; `events` are told how many samples carry damaged times."""
+    kept = []
+    for channel in channels:
         ordered, late = in_order(channel, start + LONGEST_S)
         if late:
             text = f"{late} of {len(channel)} samples of {channel.source} carry damaged times and were left out"
             events.append(Event(start, "damage", text))
         if len(ordered):
             kept.append(ordered)
-    if not kept:
-        raise UnreadableError(f"{file.name} is a ULog without a sensor, attitude or position: nothing to read")
-    return Recording(
-        channels=tuple(kept),
-        parameters=timeline,
-        events=tuple(sorted((*events, *_said(log, start), *arming_events(topics)), key=lambda e: e.t)),
-        identity=_identity(log, topics),
-        source=file.name,
-    )
+    return tuple(kept)
 
 
 def _parsed(file: Path) -> ULog:

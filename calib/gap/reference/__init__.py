@@ -7,5 +7,6 @@ instance on the same vehicle (:mod:`redundant`).
 
 from calib.gap.reference.build import build
 from calib.gap.reference.choose import flew_another, posed
+from calib.gap.reference.chosen import alike
 
-__all__ = ["build", "flew_another", "posed"]
+__all__ = ["alike", "build", "flew_another", "posed"]

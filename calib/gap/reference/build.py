@@ -18,7 +18,7 @@ from calib.gap.reference.deviation import deviations, simulated_ideal
 from calib.gap.reference.driven_noise import as_driven, driven_by
 from calib.gap.reference.ideal import Ideal, trace_of
 from calib.gap.reference.moments import age_of, louder, settled
-from calib.gap.reference.moving import as_moving, movement_of
+from calib.gap.reference.moving import as_heaving, as_moving, movement_of
 from calib.gap.reference.noise import Noise, learned, pooled, with_noise
 from calib.gap.reference.redundant import differences
 from calib.gap.reference.which import worse_of
@@ -98,7 +98,7 @@ def build(
     info = ReferenceInfo(ReferenceKind.REDUNDANT, text=_REDUNDANT) if ideal is None else ideal.info
     moved = movement_of([t for t in usual if t.against is None]) if info.kind is ReferenceKind.POSE else {}
     noisy = [as_moving(as_driven(_louder(t, ages, usual), driven), moved) for t in noisy]
-    traces = tuple(simulated_ideal(t, offsets) for t in noisy)
+    traces = tuple(simulated_ideal(as_heaving(t, info.bandwidth_hz), offsets) for t in noisy)
     warnings = (
         *not_undone(channels, real),
         *(() if ideal is None else ideal.warnings),

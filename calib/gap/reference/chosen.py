@@ -32,10 +32,31 @@ def comparable(real: Recording, sensor: Sensor) -> dict[int, Channel]:
     sources: dict[tuple[str, Stage], dict[int, Channel]] = {}
     for channel in real.channels:
         if channel.sensor == sensor and channel.stage != Stage.DEBIASED and len(channel) >= 4:
-            name = channel.source.rstrip("0123456789")  # older logs number their messages: IMU, IMU2, IMU3
-            sources.setdefault((name, channel.stage), {}).setdefault(channel.instance, channel)
+            sources.setdefault(_kind(channel), {}).setdefault(channel.instance, channel)
     found = [{i: c for i, c in group.items() if _same_times(c, group[min(group)])} for group in sources.values()]
     return max(found, key=lambda group: (len(group), sum(len(c) for c in group.values())), default={})
+
+
+def alike(real: Recording, other: Recording) -> tuple[Recording, Recording]:
+    """Both without the channels of a sensor that have no counterpart, where every instance of `real` has one that does.
+
+    What one stage of a sensor shows, before or behind the firmware's filter, says little of another.
+    """
+    dropped: set[tuple[Sensor, tuple[str, Stage]]] = set()
+    for sensor in TRIADS:
+        ours, theirs = ({_kind(c) for c in r.channels if c.sensor == sensor} for r in (real, other))
+        common = ours & theirs
+        covered = {c.instance for c in real.channels if c.sensor == sensor and _kind(c) in common}
+        if covered == set(real.instances(sensor)):
+            dropped |= {(sensor, kind) for kind in (ours | theirs) - common}
+    kept = ([c for c in r.channels if (c.sensor, _kind(c)) not in dropped] for r in (real, other))
+    first, second = (r.with_channels(channels) for r, channels in zip((real, other), kept, strict=True))
+    return first, second
+
+
+def _kind(channel: Channel) -> tuple[str, Stage]:
+    """Where a channel comes from; older logs number their messages: IMU, IMU2, IMU3."""
+    return channel.source.rstrip("0123456789"), channel.stage
 
 
 def _same_times(a: Channel, b: Channel) -> bool:

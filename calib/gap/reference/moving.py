@@ -19,6 +19,9 @@ from calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
+_BODY_HZ = 10.0
+"""Up to which a vehicle moves as a whole: attitude controllers end there, rotors begin beyond."""
+
 
 def movement_of(traces: Sequence[Trace]) -> dict[Sensor, Noise]:
     """By sensor, the mean spectrum of what ideal sensors read in `traces`, those that are too short left out."""
@@ -51,6 +54,24 @@ def as_moving(trace: Trace, usual: Mapping[Sensor, Noise]) -> Trace:
     was, now = (on(spectrum, hz, trace.fs, trace.low_pass_hz) for spectrum in (before, own))
     louder = psd * (1.0 + np.maximum(now - was, 0.0) / (was + psd))
     return dataclasses.replace(trace, psd=louder, psd_hz=hz, own_psd=_own_on(trace, hz))
+
+
+def as_heaving(trace: Trace, bandwidth_hz: float) -> Trace:
+    """An accelerometer's `trace` with as much noise expected as there is, where its reference does not follow a body.
+
+    From `bandwidth_hz` to where bodies are too heavy to follow, what a single unit feels is how its vehicle moves in
+    gusts: no other flight moves the same.
+    """
+    if trace.sensor is not Sensor.ACCEL or trace.against is not None or trace.psd is None or bandwidth_hz > _BODY_HZ:
+        return trace
+    own = learned(trace)
+    if own is None:
+        return trace
+    hz = np.unique(np.concatenate([_hz_of(trace), own.hz]))
+    psd, felt = _psd_of(trace, hz), on(own, hz, trace.fs, trace.low_pass_hz)
+    moves = (hz > bandwidth_hz) & (hz < _BODY_HZ)
+    psd[moves] = np.maximum(psd[moves], felt[moves])
+    return dataclasses.replace(trace, psd=psd, psd_hz=hz, own_psd=_own_on(trace, hz))
 
 
 def _hz_of(trace: Trace) -> Array:

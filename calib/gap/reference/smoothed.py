@@ -43,6 +43,7 @@ _LONGEST_S = 1800.0  # for a trajectory
 _MOVES = 0.5  # standard deviation of the current, A, from which a motor's field can be told from an offset
 _DEFAULT_YEAR = 2025.0  # of the Earth's field, where a recording has no date
 _MODEL_SD, _GUESS_SD = 1.0, 20.0  # of the Earth's field, uT
+_WARMER = 40.0  # twice the log-likelihood by which biases that follow the temperature must fit better
 _GAIN_SD, _GAIN_DEFINED = 0.1, 1e-3  # of a magnetometer's mean gain, where that field is known and where it is not
 
 
@@ -98,7 +99,9 @@ def best_trajectory(recording: Recording, *, with_truth: bool = False) -> Smooth
         gyro, accel = Signal.of(gyros[unit]), Signal.of(accels[unit])
         if gyro is not None and accel is not None:
             late = tuple(filter_delay(filter_in_force(c, recording)) for c in (gyros[unit], accels[unit]))
-            imu = Increments.of(gyro.shifted(-late[0]), accel.shifted(-late[1]), t)
+            warmth = slow(recording.find(Sensor.TEMPERATURE, unit), t)
+            temperature = None if warmth is None else warmth[:, 0]
+            imu = Increments.of(gyro.shifted(-late[0]), accel.shifted(-late[1]), t, temperature)
             state = smooth(imu, aiding, start_at(t, guess, aiding), _TRIALS if len(units) > 1 else ITERATIONS)
             mag = compass.instance if compass else None
             made.append(Smoothed(state, imu, unit, mag, truth is not None, (late[0], late[1])))
@@ -107,10 +110,18 @@ def best_trajectory(recording: Recording, *, with_truth: bool = False) -> Smooth
 
 
 def _refined(found: Smoothed, aiding: Aiding) -> Smoothed:
-    """With scales and axes that may differ; as it was if they were turned to explain something else, like a crash."""
+    """With scales and axes that may differ, and biases that follow the temperature where that says much more.
+
+    As it was if they were turned to explain something else, like a crash.
+    """
     state = smooth(found.imu, aiding, found.state)
     free = smooth(found.imu, aiding, state, matrices=True)
-    return dataclasses.replace(found, state=free if free.plausible else state)
+    best = free if free.plausible else state
+    if found.imu.warm.any():
+        warm = smooth(found.imu, aiding, state, matrices=True, drifts=True)
+        if warm.plausible and warm.cost < best.cost - _WARMER:
+            best = warm
+    return dataclasses.replace(found, state=best)
 
 
 def _span(channels: list[Channel], velocity: Signal) -> tuple[float, float]:

@@ -14,6 +14,10 @@ Array = NDArray[np.float64]
 
 STEPS = 8
 """Steps from node to node; within one the rate counts as constant."""
+WARM = 10.0
+"""Kelvin in which a unit's temperature is counted."""
+_WARMS = 3.0
+"""Kelvin that a temperature has to cover to drive anything."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +26,8 @@ class Increments:
 
     `sampling` (2,) are the standard deviations of angle and velocity over an interval that come of sampling alone: how
     much the sums change when every second sample is left out. It bounds the error, since sampled turns and vibrations
-    alias. `known` (K,) is False for intervals that lie in a hole of the recording.
+    alias. `known` (K,) is False for intervals that lie in a hole of the recording. `warm` (K,) is how much warmer than
+    on average the unit is in each interval, in units of :data:`WARM`; 0 where nobody knows, or it hardly changes.
     """
 
     t: Array
@@ -31,10 +36,11 @@ class Increments:
     velocity: Array
     sampling: Array
     known: NDArray[np.bool_]
+    warm: Array
 
     @classmethod
-    def of(cls, gyro: Signal, accel: Signal, t: Array) -> Increments:
-        """Between the nodes `t` (K + 1,), uniform."""
+    def of(cls, gyro: Signal, accel: Signal, t: Array, temperature: Array | None = None) -> Increments:
+        """Between the nodes `t` (K + 1,), uniform; `temperature` (K + 1,) there, degC."""
         dt = float(t[1] - t[0])
         edges = t[0] + dt / STEPS * np.arange((len(t) - 1) * STEPS + 1)
         shape = (len(t) - 1, STEPS, 3)
@@ -44,7 +50,7 @@ class Increments:
         known = np.logical_and.reduce([s.known(x) for s in (gyro, accel) for x in (t[:-1], middle, t[1:])])
         rows = known if known.any() else ~known
         change = [np.sqrt(np.mean((a.sum(axis=1) - b)[rows] ** 2)) for a, b in zip(sums, coarse, strict=True)]
-        return cls(t, dt, sums[0], sums[1], np.array(change), known)
+        return cls(t, dt, sums[0], sums[1], np.array(change), known, _warm(temperature, len(t) - 1))
 
     def between(
         self, gyro_bias: Array, accel_bias: Array, gyro_matrix: Array | None = None, accel_turn: Rotation | None = None
@@ -78,6 +84,13 @@ class Between:
     velocity: Array
     within: tuple[Rotation, ...]
     rate: Array
+
+
+def _warm(temperature: Array | None, count: int) -> Array:
+    if temperature is None or float(np.ptp(temperature)) < _WARMS:
+        return np.zeros(count)
+    middle = 0.5 * (temperature[1:] + temperature[:-1])
+    return np.asarray((middle - middle.mean()) / WARM)
 
 
 def _integrals(signal: Signal, edges: Array) -> Array:

@@ -1,11 +1,11 @@
 """A trajectory re-estimated from a recording: a smoother over gyroscope, accelerometer, GPS velocity and magnetometer.
 
-The candidate effects are inside: biases of gyroscope and accelerometer that may wander, the gyroscope's scale and axes,
-those of the accelerometer, the magnetometer's offset and soft iron, its field per ampere and its delay (a compass that
-averages over its period is late by half of it, and turns otherwise bend the field), the delay of the GPS. Gauss-Newton
-over all nodes at once (multiple shooting): the error state of a node is attitude (in the body), velocity, gyroscope and
-accelerometer bias; neighbours are tied by what the inertial unit measured between them, so the normal equations are
-banded, bordered by the constants.
+The candidate effects are inside: biases of gyroscope and accelerometer that may wander and follow the unit's
+temperature, the gyroscope's scale and axes, how the accelerometer is turned, the magnetometer's offset and soft iron,
+its field per ampere and its delay (a compass that averages over its period is late by half of it, and turns otherwise
+bend the field), the delay of the GPS. Gauss-Newton over all nodes at once (multiple shooting): the error state of a
+node is attitude (in the body), velocity, gyroscope and accelerometer bias; neighbours are tied by what the unit
+measured between them, so the normal equations are banded, bordered by the constants.
 """
 
 from __future__ import annotations
@@ -29,7 +29,9 @@ SOFT_IRON, GYRO, ACCEL = slice(11, 17), slice(17, 26), slice(26, 29)
 """Where the constants are: of the magnetometer offset, field per ampere, Earth's field; delays; its symmetric matrix
 (xx, yy, zz, xy, xz, yz) and the gyroscope's by rows, both less the unit matrix; how the accelerometer is turned.
 """
-CONSTANTS = 29
+GYRO_DRIFT, ACCEL_DRIFT = slice(29, 35), slice(35, 41)
+"""How biases follow the unit's temperature: with :data:`WARM` kelvin, and with its square, x y z of each."""
+CONSTANTS = 41
 ITERATIONS = 8  # at most
 _HUBER = 3.0  # standard deviations beyond which a residual loses weight
 LEAST_VELOCITY_SD = 0.1
@@ -45,10 +47,11 @@ _CAUTION = 3.0
 """By which the errors of the aiding are larger, where the attitude's own is judged: they are not independent."""
 _LOST = np.repeat([1.0, 10.0], 3)
 """What attitude (rad) and velocity (m/s) may do over an interval without samples."""
-CONSTANT = np.concatenate([np.repeat([5.0, 1.0, 1.0], 3), [0.15, 0.05], np.full(6, 0.1), np.full(12, 0.03)])
+_DRIFT = np.repeat([0.01, 0.003, 0.1, 0.03], 3)
+CONSTANT = np.concatenate([np.repeat([5.0, 1.0, 1.0], 3), [0.15, 0.05], np.full(6, 0.1), np.full(12, 0.03), _DRIFT])
 """Of what does not change, a priori; the Earth's field has the standard deviation that its source has."""
 _NOTHING, _IMPLAUSIBLE = 1e-6, 5.0
-"""A priori of scales and axes that may not differ; standard deviations from which on nobody believes that they do."""
+"""A priori of what may not differ; standard deviations from which on nobody believes that it does."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +88,7 @@ class Aiding:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Of the nodes `t` (K + 1,): attitude, velocity, biases (K + 1, 3), constants (29,), noise of the aiding."""
+    """Of the nodes `t` (K + 1,): attitude, velocity, biases (K + 1, 3), constants (41,), noise of the aiding."""
 
     t: Array
     attitude: Rotation
@@ -123,7 +126,13 @@ class State:
     def between(self, imu: Increments) -> Between:
         """What the inertial unit measured from node to node, without its errors."""
         turn = Rotation.from_rotvec(self.constants[ACCEL])
-        return imu.between(self.gyro_bias[:-1], self.accel_bias[:-1], self.gyro_matrix, turn)
+        gyro, accel = (_powers(imu) @ self.constants[drift].reshape(2, 3) for drift in (GYRO_DRIFT, ACCEL_DRIFT))
+        return imu.between(self.gyro_bias[:-1] + gyro, self.accel_bias[:-1] + accel, self.gyro_matrix, turn)
+
+
+def _powers(imu: Increments) -> Array:
+    """What drifts follow, (K, 2): the unit's temperature and its square."""
+    return np.stack([imu.warm, imu.warm**2], axis=1)
 
 
 def start_at(t: Array, attitude: Rotation, aiding: Aiding) -> State:
@@ -143,14 +152,20 @@ def _expected(aiding: Aiding) -> Array:
 
 
 def smooth(
-    imu: Increments, aiding: Aiding, state: State, iterations: int = ITERATIONS, *, matrices: bool = False
+    imu: Increments,
+    aiding: Aiding,
+    state: State,
+    iterations: int = ITERATIONS,
+    *,
+    matrices: bool = False,
+    drifts: bool = False,
 ) -> State:
     """The trajectory that agrees best with everything, searched from `state`.
 
-    `matrices`: whether scales and axes may differ from the ideal ones; not where the attitude is known, since they
-    would take what is the sensor's.
+    `matrices`: whether scales and axes may differ from the ideal ones, `drifts`: whether biases may follow the
+    temperature; not where the attitude is known, since they would take what is the sensor's.
     """
-    prior = _prior(aiding, matrices=matrices and aiding.truth is None)
+    prior = _prior(aiding, matrices=matrices and aiding.truth is None, drifts=drifts and aiding.truth is None)
     for _ in range(iterations):
         normal = _normal_equations(imu, aiding, state, prior)
         state, moved = _stepped(state, normal)
@@ -161,12 +176,14 @@ def smooth(
     return replace(state, cost=_normal_equations(imu, aiding, state, prior).cost, att_sd=att_sd)
 
 
-def _prior(aiding: Aiding, *, matrices: bool) -> Array:
-    """Standard deviations of the constants a priori, (29,)."""
+def _prior(aiding: Aiding, *, matrices: bool, drifts: bool) -> Array:
+    """Standard deviations of the constants a priori, (41,)."""
     sd = CONSTANT.copy()
     sd[EARTH] = aiding.earth_sd
     if not matrices:
-        sd[SOFT_IRON.start :] = _NOTHING
+        sd[SOFT_IRON.start : GYRO_DRIFT.start] = _NOTHING
+    if not drifts:
+        sd[GYRO_DRIFT.start :] = _NOTHING
     return sd
 
 
@@ -197,7 +214,7 @@ class _Normal:
         self.cost += float((weight * residual**2).sum() - np.log(np.maximum(weight, 1e-12)).sum())
 
     def solved(self, node_right: Array, constant_right: Array) -> tuple[Array, Array]:
-        """Nodes (n, 12, k) and constants (29, k) for right sides of that shape."""
+        """Nodes (n, 12, k) and constants (41, k) for right sides of that shape."""
         n = len(self.diagonal)
         factor = (cholesky_banded(self._banded(), lower=True), True)
         flat_border = self.border.reshape(n * NODE, CONSTANTS)
@@ -270,6 +287,10 @@ def _tie(normal: _Normal, imu: Increments, between: Between, state: State) -> No
     for i in range(3):
         b[:, i, GYRO.start + 3 * i : GYRO.start + 3 * i + 3] = -turned
     b[:, 3:6, ACCEL] = matrix @ _cross(between.velocity)
+    for j, power in enumerate(_powers(imu).T):
+        own = slice(3 * j, 3 * j + 3)
+        b[:, :3, GYRO_DRIFT][:, :, own] = -dt * power[:, None, None] * np.eye(3)
+        b[:, 3:6, ACCEL_DRIFT][:, :, own] = -dt * power[:, None, None] * matrix
     weighted_b = b * weight[:, :, None]
     normal.border[:-1] += np.einsum("kij,kil->kjl", f, weighted_b)
     normal.border[1:] -= weighted_b

@@ -7,9 +7,10 @@ import numpy as np
 from calib.gap.diagnose import diagnose
 from calib.gap.effects import catalogue
 from calib.gap.impostors import Unexplained
+from calib.gap.leftover import leftover
 from calib.gap.model import setting_of, starting_model
 from calib.gap.noise_fit import starting_noise
-from calib.gap.strangers import Stranger, leftover, unknown_of
+from calib.gap.strangers import Stranger, unknown_of
 from calib.gap.views import views_of
 from calib.recording import Sensor
 from tests.unit.gap.synthetic import problem_of
@@ -88,3 +89,28 @@ def test_what_is_unknown_on_one_sensor_is_not_hidden_by_a_large_effect_on_anothe
     assert report.unknown.flag
     assert report.unknown.share < 0.03
     assert "accel" in report.unknown.shape
+
+
+def ringing(trace):
+    hits = (trace.t % 13.0)[:, None]
+    return 0.3 * np.exp(-hits / 2.0) * np.sin(2.0 * np.pi * 0.8 * hits) * [1.0, 0.6, -0.4]
+
+
+def two_fans(trace):
+    one, other = (np.sin(2.0 * np.pi * hz * trace.t)[:, None] for hz in (7.0, 11.0))
+    return 0.1 * one * [1.0, 0.2, 0.0] + 0.1 * other * [0.0, 0.3, 1.0]
+
+
+def test_a_wave_that_comes_and_goes_is_no_steady_tone_however_many_explain_it():
+    few = tuple(e for e in catalogue() if e.id in {"accel_tone", "accel_bias", "accel_noise"})
+    rung = diagnose(problem_of(np.random.default_rng(6), (Sensor.ACCEL,), ringing), effects=few, nested=False)
+    assert rung.unknown.flag
+    assert "that comes and goes" in rung.unknown.shape
+    assert not any(e.id == "accel_tone" for e in rung.effects)
+
+
+def test_two_steady_tones_are_two():
+    few = tuple(e for e in catalogue() if e.id in {"accel_tone", "accel_bias", "accel_noise"})
+    fans = diagnose(problem_of(np.random.default_rng(6), (Sensor.ACCEL,), two_fans), effects=few, nested=False)
+    assert [e.id for e in fans.effects] == ["accel_tone"] * 2
+    assert not fans.unknown.flag

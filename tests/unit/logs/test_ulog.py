@@ -300,3 +300,22 @@ def test_a_compensation_that_follows_what_was_not_recorded_leaves_the_field_as_i
     undone = undo(reading(log))
     assert undone.channel(Sensor.MAG).stage == Stage.CORRECTED
     assert any("follows the thrust" in e.text for e in undone.events)
+
+
+def test_a_simulators_truth_is_the_reference_and_no_channel(reading):
+    log = flight()
+    attitude = log.topic("vehicle_attitude_groundtruth", "uint64_t timestamp_sample;float[4] q")
+    local = log.topic("vehicle_local_position_groundtruth", "float x;float y;float z;float vx;float vy;float vz")
+    place = log.topic("vehicle_global_position_groundtruth", "double lat;double lon;float alt")
+    for k in range(20):
+        t = 2_000_000 + 10_000 * k
+        log.row(attitude, t, t, 2.0, 0.0, 0.0, 0.0)
+        log.row(local, t, 1.0, 2.0, -3.0, 0.1, 0.2, -0.3)
+        log.row(place, t, 47.4, 8.5, 488.0)
+    recording = reading(log)
+    truth = {c.sensor: c for c in recording.reference}
+    np.testing.assert_allclose(truth[Sensor.ATTITUDE].values, np.tile([1.0, 0.0, 0.0, 0.0], (20, 1)))
+    np.testing.assert_allclose(truth[Sensor.PLACE].values[0], [1.0, 2.0, -3.0])
+    np.testing.assert_allclose(truth[Sensor.VELOCITY].values[0], [0.1, 0.2, -0.3], rtol=1e-6)
+    np.testing.assert_allclose(truth[Sensor.POSITION].values[0], [47.4, 8.5, 488.0])
+    assert not any("groundtruth" in c.source for c in recording.channels)

@@ -6,7 +6,7 @@ import struct
 
 MAGIC = b"ULog\x01\x12\x35\x01"
 ACCEL_ID, GYRO_ID, MAG_ID = 3932170, 3932171, 396825
-TYPES = {"uint64_t": "Q", "uint32_t": "I", "int32_t": "i", "uint16_t": "H", "uint8_t": "B", "float": "f"}
+TYPES = {"uint64_t": "Q", "uint32_t": "I", "int32_t": "i", "uint16_t": "H", "uint8_t": "B", "float": "f", "double": "d"}
 
 PARAMETERS: dict[str, float | int] = (
     {"SENS_BOARD_ROT": 0, "SENS_BOARD_X_OFF": 0.0, "SENS_BOARD_Y_OFF": 0.0, "SENS_BOARD_Z_OFF": 0.0}

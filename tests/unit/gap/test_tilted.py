@@ -1,0 +1,48 @@
+"""What the attitude of a re-estimated reference leaves open is in the intervals of what it could be taken for."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from calib.gap.diagnose import diagnose
+from calib.gap.effects import catalogue
+from calib.gap.problem import ReferenceInfo, ReferenceKind
+from calib.recording import Sensor
+from tests.unit.gap.synthetic import SIGMA, problem_of
+
+TILT_DEG = 0.5
+BIAS = np.array([0.3, -0.2, 0.15])
+WHITE = SIGMA[Sensor.ACCEL] / math.sqrt(2000.0)
+
+
+def estimated(kind=ReferenceKind.ESTIMATOR, seed=1):
+    """An accelerometer with an offset, beside a reference that is tilted."""
+    rng = np.random.default_rng(seed)
+    tilt = math.radians(TILT_DEG) * rng.normal(size=3)
+
+    def error(flight, _sensor):
+        return np.cross(flight["force"], tilt)
+
+    problem = problem_of(
+        rng,
+        (Sensor.ACCEL,),
+        lambda _: np.tile(BIAS, (2000, 1)),
+        reference=ReferenceInfo(kind, TILT_DEG),
+        error=error,
+    )
+    few = tuple(e for e in catalogue() if e.id == "accel_bias")
+    (effect,) = diagnose(problem, effects=few, nested=False).effects
+    return effect.params
+
+
+def test_a_bias_beside_a_tilt_is_as_uncertain_as_the_tilt():
+    params = [p for seed in range(8) for p in estimated(seed=seed)]
+    off = np.array([(p.value - BIAS["xyz".index(p.name[-1])]) / p.se for p in params])
+    assert 0.2 < np.sqrt((off**2).mean()) < 1.5
+    assert all(p.se > 1.5 * WHITE for p in params)
+
+
+def test_a_reference_that_is_exact_adds_nothing():
+    assert all(p.se < 1.5 * WHITE for p in estimated(kind=ReferenceKind.SIM))
