@@ -6,12 +6,13 @@ The attitude in a log was built from the sensors under test and hides their erro
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.ndimage import maximum_filter1d
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from calib.earth import earth_field
@@ -43,6 +44,9 @@ _LONGEST_S = 1800.0  # for a trajectory
 _MOVES = 0.5  # standard deviation of the current, A, from which a motor's field can be told from an offset
 _DEFAULT_YEAR = 2025.0  # of the Earth's field, where a recording has no date
 _MODEL_SD, _GUESS_SD = 1.0, 20.0  # of the Earth's field, uT
+_CLOSE = 200.0  # twice the log-likelihood by which one unit may fit worse than another: an offset costs some sixty
+_LATE_S, _MOSTLY = 0.002, 0.5  # a delay between gyroscopes, and the part of their difference that it may leave
+_MEAN_S = 0.1  # over which their readings are averaged before
 _WARMER = 40.0  # twice the log-likelihood by which biases that follow the temperature must fit better
 _GAIN_SD, _GAIN_DEFINED = 0.1, 1e-3  # of a magnetometer's mean gain, where that field is known and where it is not
 
@@ -106,7 +110,27 @@ def best_trajectory(recording: Recording, *, with_truth: bool = False) -> Smooth
             mag = compass.instance if compass else None
             made.append(Smoothed(state, imu, unit, mag, truth is not None, (late[0], late[1])))
     best = min(made, key=lambda s: s.state.cost, default=None)
-    return None if best is None else _refined(best, aiding)
+    if best is None:
+        return None
+    close = [m for m in made if m.state.cost < best.state.cost + _CLOSE]
+    return _refined(_first_to_tell(best, close, gyros), aiding)
+
+
+def _first_to_tell(best: Smoothed, close: Sequence[Smoothed], gyros: Mapping[int, Channel]) -> Smoothed:
+    """Of units that fit about as well the one whose gyroscope is not late: no sensor reads what is still to come."""
+    for other in close:
+        first, second = (Signal.of(gyros[m.instance]) for m in (other, best))
+        if first is None or second is None or other is best:
+            continue
+        width = max(1, round(_MEAN_S / float(np.median(np.diff(second.t)))))
+        ahead, behind = (uniform_filter1d(w, width, axis=0) for w in (first.at(second.t), second.values))
+        apart, slope = behind - ahead, np.gradient(ahead, second.t, axis=0)
+        apart = apart - apart.mean(axis=0)
+        late = -float((apart * slope).sum()) / max(float((slope**2).sum()), 1e-300)
+        left = float(((apart + late * slope) ** 2).sum()) / max(float((apart**2).sum()), 1e-300)
+        if late > _LATE_S and left < _MOSTLY:
+            return other
+    return best
 
 
 def _refined(found: Smoothed, aiding: Aiding) -> Smoothed:

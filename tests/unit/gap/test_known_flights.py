@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy import signal
 from scipy.spatial.transform import Rotation
 
 from calib import gap, logs
@@ -64,6 +65,11 @@ def late(channel: Channel, by: float) -> NDArray[np.float64]:
     return np.column_stack([np.interp(channel.t - by, channel.t, v) for v in channel.values.T])
 
 
+def slowed(channel: Channel, hz: float) -> NDArray[np.float64]:
+    b, a = signal.butter(1, hz, fs=1.0 / float(np.median(np.diff(channel.t))))
+    return np.asarray(signal.lfilter(b, a, channel.values - channel.values[0], axis=0) + channel.values[0])
+
+
 MISALIGNED = np.array([[1.0, 0.02, -0.01], [0.0, 1.0, 0.015], [0.0, 0.0, 1.0]])
 TURNED = Rotation.from_rotvec([0.07, 0.035, 0.014]).as_matrix()
 SCALED = np.array([1.04, 0.97, 1.03])
@@ -79,6 +85,7 @@ PUT_IN: list[dict[str, Change]] = [
         "mag_delay": (Sensor.MAG, [1, 2, 3], lambda c: late(c, 0.15)),
     },
     {"accel_rotation": (Sensor.ACCEL, [1, 2], lambda c: c.values @ TURNED.T)},
+    {"gyro_low_pass": (Sensor.GYRO, [2], lambda c: slowed(c, 12.0))},
 ]
 
 
@@ -96,6 +103,49 @@ def test_what_is_put_into_a_flight_is_found_beside_its_own(shared_data: Path, ch
     own = {"gyro_bias": [1], "mag_soft_iron": [1]}
     put = {name: instances for name, (_, instances, _) in changes.items()}
     assert {e.id: list(e.instances) for e in report.effects} == own | put
+    assert not report.unknown.flag
+
+
+def of_one_unit(recording: Recording) -> Recording:
+    inertial = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG, Sensor.TEMPERATURE)
+    return recording.with_channels(c for c in recording.channels if c.instance == 0 or c.sensor not in inertial)
+
+
+@pytest.mark.parametrize("name", ["mix", "vib_motor_temp"])
+def test_a_vehicle_of_one_unit_shows_it_as_well(shared_data: Path, name: str) -> None:
+    """With nothing to compare it with but its own trajectory, which leaves more open and says so."""
+    folder = shared_data / "sitl_flights"
+    real, sim = (of_one_unit(logs.read(folder / file)) for file in (f"{name}.bin", "null.bin"))
+    report = gap.run(real, sim, nested=False)
+    assert report.verdict is Verdict.EXPLAINED
+    found = {e.id: e for e in report.effects}
+    assert set(found) - BESIDE.get(name, set()) == set(FLIGHTS[name])
+    for effect_id, (_, parameter, known) in FLIGHTS[name].items():
+        if parameter in ("bias", "per_ampere"):
+            agrees(found[effect_id], parameter, known)
+
+
+def test_units_that_drift_alike_are_told_from_a_turn_of_the_vehicle(shared_data: Path) -> None:
+    folder = shared_data / "sitl_flights"
+    real = logs.read(folder / "vib_motor_temp.bin")
+    warmth = real.channel(Sensor.TEMPERATURE, 0)
+    slopes = {Sensor.ACCEL: [8e-3, -5e-3, 12e-3], Sensor.GYRO: [3e-4, -2e-4, 1.5e-4]}
+
+    def warmed(c: Channel) -> Channel:
+        degrees = np.interp(c.t, warmth.t, warmth.values[:, 0])
+        if c.sensor is Sensor.TEMPERATURE:
+            return dataclasses.replace(c, values=degrees[:, None])
+        if c.sensor not in slopes or c.instance != 1:
+            return c
+        square = 150e-6 * (degrees - 35.0) ** 2 if c.sensor is Sensor.ACCEL else 0.0 * degrees
+        drift = np.outer(degrees - 35.0, slopes[c.sensor]) + np.outer(square, [1.0, 0.0, 0.0])
+        return dataclasses.replace(c, values=c.values + drift)
+
+    report = gap.run(real.with_channels(map(warmed, real.channels)), logs.read(folder / "null.bin"), nested=False)
+    found = {e.id: list(e.instances) for e in report.effects}
+    assert found["gyro_temp_linear"] == found["accel_temp_poly"] == [1, 2]
+    assert found["mag_motor_current"] == [1, 2, 3]
+    assert set(found) == {*FLIGHTS["vib_motor_temp"], *BESIDE["vib_motor_temp"]}
     assert not report.unknown.flag
 
 

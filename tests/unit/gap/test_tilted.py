@@ -41,7 +41,7 @@ def test_a_bias_beside_a_tilt_is_as_uncertain_as_the_tilt():
     params = [p for seed in range(8) for p in estimated(seed=seed)]
     off = np.array([(p.value - BIAS["xyz".index(p.name[-1])]) / p.se for p in params])
     assert 0.2 < np.sqrt((off**2).mean()) < 1.5
-    assert all(p.se > 1.5 * WHITE for p in params)
+    assert np.median([p.se for p in params]) > 2.0 * WHITE
 
 
 def test_a_reference_that_is_exact_adds_nothing():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.gap.problem import Trace
-from calib.gap.reference.moving import as_moving, movement_of
+from calib.gap.reference.moving import as_heaving, as_moving, movement_of
 from calib.gap.reference.noise import learned, with_noise
 from calib.recording import Sensor
 
@@ -101,3 +101,22 @@ def test_what_is_held_against_another_instance_or_has_no_noise_stays():
     assert as_moving(lively, usual) is lively
     known = with_noise(lively, learned(calm), None)
     assert as_moving(known, {}) is known
+
+
+def heaving(hz, size):
+    """An accelerometer that feels a gust at `hz` of which its reference knows nothing."""
+    t = np.arange(N) / FS
+    rng = np.random.default_rng(8)
+    felt = size * np.sin(2.0 * np.pi * hz * t)[:, None] * [0.1, 0.1, 1.0]
+    measured = felt + 0.01 * rng.standard_normal((N, 3))
+    return Trace(Sensor.ACCEL, (0,), t, measured, 0.0 * measured, np.ones(N, dtype=bool))
+
+
+@pytest.mark.parametrize(("hz", "excused"), [(5.5, True), (30.0, False), (1.0, False)])
+def test_what_a_reference_cannot_follow_of_a_body_is_expected_and_nothing_else(hz, excused):
+    calm = heaving(hz, 0.0)
+    known = dataclasses.replace(calm, psd=np.full((2, 3), 1e-4), psd_hz=np.array([0.01, 50.0]))
+    lively = dataclasses.replace(known, measured=heaving(hz, 0.2).measured)
+    made = as_heaving(lively, 2.0)
+    assert bool(np.interp(hz, made.psd_hz, made.psd[:, 2]) > 5e-4) is excused
+    assert as_heaving(lively, np.inf) is lively

@@ -15,7 +15,8 @@ from calib.gap.problem import ReferenceKind
 from calib.gap.reference import build
 from calib.gap.reference.signal import Signal
 from calib.gap.reference.smoothed import _typical, best_trajectory
-from calib.gap.reference.strapdown import Increments
+from calib.gap.reference.strapdown import WARM, Increments
+from calib.gap.reference.trajectory import ACCEL_DRIFT, GYRO_DRIFT
 from calib.recording import Channel, ParameterTimeline, Recording, Sensor, Stage
 
 from .test_recorded import by_sensor, channel
@@ -129,6 +130,46 @@ def test_scales_and_axes_of_all_units_do_not_bend_the_trajectory(sensor, matrix)
         design = np.column_stack([trace.ideal[known], np.ones(known.sum())])
         found = np.linalg.lstsq(design, trace.measured[known])[0][:3].T
         assert found == pytest.approx(np.asarray(matrix), abs=0.012)
+
+
+def warmed(recording, instance, gyro, accel, seconds=SECONDS):
+    """The same with a unit that warms from 20 to 50 degrees, and biases that follow it, per degree from 35."""
+    t = np.arange(int(seconds)) * 1.0
+    temperature = channel(Sensor.TEMPERATURE, t, 20.0 + 30.0 * (1.0 - np.exp(-t / 25.0)), instance)
+
+    def drift(c):
+        own = {Sensor.GYRO: gyro, Sensor.ACCEL: accel}.get(c.sensor)
+        if own is None or c.instance != instance:
+            return c
+        degrees = np.interp(c.t, t, temperature.values[:, 0]) - 35.0
+        return dataclasses.replace(c, values=c.values + np.outer(degrees, own))
+
+    return recording.with_channels([*map(drift, recording.channels), temperature])
+
+
+def test_biases_that_follow_the_temperature_do_not_bend_the_trajectory():
+    gyro, accel = [3e-4, -2e-4, 1.5e-4], [8e-3, -5e-3, 12e-3]
+    found = best_trajectory(warmed(flight(), 0, gyro, accel))
+    assert np.abs(error_deg(found).mean(axis=0)).max() < 0.4
+    assert found.state.constants[GYRO_DRIFT][:3] / WARM == pytest.approx(gyro, abs=1e-4)
+    assert found.state.constants[ACCEL_DRIFT][:3] / WARM == pytest.approx(accel, abs=3e-3)
+
+
+def test_a_temperature_that_drives_nothing_frees_nothing():
+    found = best_trajectory(warmed(flight(), 0, np.zeros(3), np.zeros(3)))
+    assert found.imu.warm.any()
+    assert np.abs(found.state.constants[GYRO_DRIFT.start :]).max() < 1e-6
+
+
+def test_of_two_gyroscopes_the_trajectory_turns_with_the_one_that_is_not_late():
+    whole = flight(instances=2)
+    first = best_trajectory(whole).instance
+
+    def delayed(c):
+        late = c.sensor is Sensor.GYRO and c.instance == first
+        return dataclasses.replace(c, values=Signal.of(c).at(c.t - 0.013)) if late else c
+
+    assert best_trajectory(whole.with_channels(map(delayed, whole.channels))).instance != first
 
 
 def test_no_axes_are_turned_to_explain_a_crash():
