@@ -176,18 +176,32 @@ def _settled(task: _Task, chosen: Chosen, alpha: float, *, with_reference: bool)
 
 
 def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
-    """The answer without the effects that blocks which were held out deny."""
+    """The answer without the effects that blocks which were held out deny.
+
+    Of two of one kind the weaker one goes first: either seems to add nothing while the other is there.
+    """
     chosen, contest = answer.chosen, answer.contest
     heldout = held_out(chosen, contest, alpha, answer.tolerated, nested=nested)
-    gates = {} if heldout is None else {gate.key: gate.passed for gate in heldout.gates}
-    failed = [key for key, passed in gates.items() if passed is False]
-    if not failed:
+    gates, gone = _gates_of(heldout), []
+    while failed := [s for s in chosen.scores if gates.get(s.hypothesis.key) is False]:
+        kinds = {s.hypothesis.effect.id for s in failed}
+        weakest = [min((s for s in failed if s.hypothesis.effect.id == k), key=lambda s: s.gain) for k in sorted(kinds)]
+        gone += weakest
+        chosen = reduced(chosen, [s.hypothesis.key for s in weakest])
+        heldout = held_out(chosen, contest, alpha, answer.tolerated, nested=nested)
+        if len(weakest) == len(failed):
+            break
+        gates = _gates_of(heldout)
+    if not gone:
         return replace(answer, heldout=heldout, gates=gates)
-    withdrawn = _withdrawn(s for s in chosen.scores if s.hypothesis.key in failed)
-    chosen = reduced(chosen, failed)
-    heldout = held_out(chosen, contest, alpha, answer.tolerated, nested=nested)
     chosen, attributions = settled(chosen, contest, 0.0)
-    return replace(answer, chosen=chosen, attributions=attributions, heldout=heldout, gates=gates, withdrawn=withdrawn)
+    return replace(
+        answer, chosen=chosen, attributions=attributions, heldout=heldout, gates=gates, withdrawn=_withdrawn(gone)
+    )
+
+
+def _gates_of(heldout: Heldout | None) -> Mapping[Key, bool | None]:
+    return {} if heldout is None else {gate.key: gate.passed for gate in heldout.gates}
 
 
 def _withdrawn(scores: Iterable[Score]) -> tuple[Unexplained, ...]:
