@@ -10,7 +10,16 @@ import pytest
 from calib.gap.contest import noise_score
 from calib.gap.effects import forward_models
 from calib.gap.hypotheses import Hypothesis
-from calib.gap.louder import Added, line_amplitudes, line_power, stands_out, tone_beside_lines, unsteady_line, whose
+from calib.gap.louder import (
+    Added,
+    drift_beside_lines,
+    line_amplitudes,
+    line_power,
+    stands_out,
+    tone_beside_lines,
+    unsteady_line,
+    whose,
+)
 from calib.gap.model import Model, NoiseTerm, setting_of, starting_model
 from calib.gap.noise_fit import refitted, starting_noise, with_term
 from calib.gap.problem import Problem, ReferenceInfo, ReferenceKind
@@ -121,6 +130,16 @@ def test_a_little_broad_noise_beside_a_strong_line_is_its_unsteadiness():
     assert not unsteady_line(line, both)
     alone = refitted(with_term(model_of(2, (0, 1), times=2.0), noise_term((0, 1)))).model
     assert not unsteady_line(noise_term((0, 1)), alone)
+
+
+def test_a_drift_beside_a_strong_line_has_to_be_more_than_its_skirts():
+    model, _ = a_line(10.0)
+    walk = Hypothesis(forward_models()["gyro_random_walk"][-1], (0,))
+    small, large = (Added(walk, np.nan, np.full((1, 3), (size * SIGMA[Sensor.GYRO]) ** 2)) for size in (1e-4, 1.0))
+    assert not drift_beside_lines(small, model)
+    assert drift_beside_lines(large, model)
+    assert drift_beside_lines(small, model_of(3, ()))
+    assert drift_beside_lines(noise((0,)), model)
 
 
 def noise_term(instances: tuple[int, ...]) -> NoiseTerm:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 
 from calib.gap.attribution import _behind
-from calib.gap.contest import Score
-from calib.gap.effects import forward_models
+from calib.gap.contest import Contest, Score
+from calib.gap.diagnose import _task_of
+from calib.gap.effects import catalogue, forward_models
 from calib.gap.hypotheses import Hypothesis
-from calib.gap.selection import REAL
+from calib.gap.model import NoiseTerm
+from calib.gap.selection import REAL, _better, _joined, _least, _objective_of, grown, select
+from calib.recording import Sensor
+from tests.unit.gap.synthetic import SIGMA, problem_of
 
 
 def scored(delta, df):
@@ -26,3 +31,52 @@ def test_of_causes_that_differ_by_a_second_order_the_one_with_fewer_numbers_is_b
     assert _behind(own, scored(own - 0.05 * second, 3), 9, second) < 0.0
     assert _behind(own, scored(own - 0.2 * second, 3), 9, second) > 0.0
     assert _behind(own, scored(own + 1.0, 9), 3, 0.0) == pytest.approx(-1.0)
+
+
+A, G = Sensor.ACCEL, Sensor.GYRO
+FEW = {"accel_bias", "accel_random_walk", "gyro_temp_linear", "gyro_random_walk"}
+
+
+def walking_and_warm(trace):
+    """An accelerometer that walks, a gyroscope that follows its temperature."""
+    if trace.sensor is A:
+        return np.cumsum(0.3 * SIGMA[A] * np.random.default_rng(4).normal(size=trace.ideal.shape), axis=0)
+    return np.outer(trace.temperature - 25.0, 0.3 * SIGMA[G] * np.array([1.0, -0.7, 0.4]))
+
+
+def paths():
+    """The models of steady effects alone, of drifts alone, and what the contest makes of both."""
+    problem = problem_of(np.random.default_rng(3), (A, G), walking_and_warm)
+    task = _task_of(problem, tuple(e for e in catalogue() if e.id in FEW))
+    bare = select(task.bare, Contest(()), 0.005)
+    steady, drifts = (
+        grown(bare, task.contest, 1e-4, [h for h in task.contest.hypotheses if h.effect.id.endswith(ends)])
+        for ends in (("_bias", "_linear"), ("_walk",))
+    )
+    return task, steady, drifts
+
+
+def ids(chosen):
+    return {t.hypothesis.effect.id for t in chosen.model.members}
+
+
+def test_sensor_by_sensor_the_better_of_two_models_is_taken():
+    task, steady, drifts = paths()
+    both = _better(steady, drifts, task.contest)
+    assert ids(both) == {"accel_random_walk", "gyro_temp_linear"}
+    assert _objective_of(both, A) == pytest.approx(_objective_of(drifts, A), abs=1.0)
+    assert _objective_of(both, G) == pytest.approx(_objective_of(steady, G), abs=1.0)
+    assert ids(_joined(steady, drifts, {A, G})) == ids(drifts)
+
+
+def test_a_mean_is_no_second_order_of_what_shakes():
+    task, steady, _ = paths()
+    warm = next(h for h in task.contest.hypotheses if h.effect.id == "gyro_temp_linear")
+    bias = next(h for h in task.contest.hypotheses if h.effect.id == "accel_bias")
+    gains = {t.hypothesis.key: (1e6, 3, 1) for t in steady.model.members}
+    assert _least(warm, steady.model, gains) > 1e3
+    shaken = NoiseTerm(Hypothesis(forward_models()["accel_vibration"][-1], (0,)), 10.0)
+    alone = dataclasses.replace(steady.model, terms=(), noise_terms=(shaken,))
+    assert _least(bias, alone, {shaken.hypothesis.key: (1e6, 3, 1)}) < 1e3
+    noise = Hypothesis(forward_models()["accel_noise"][-1], (0,))
+    assert _least(noise, alone, {shaken.hypothesis.key: (1e6, 3, 1)}) > 1e3
