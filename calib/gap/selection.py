@@ -135,8 +135,9 @@ def _better(chosen: Chosen, other: Chosen, contest: Contest) -> Chosen:
         t.hypothesis.effect.sensor for t in other.model.noise_terms if _is_drift(t) and unsteady_line(t, other.model)
     }
     taken = set()
+    part = REAL if of_flights(chosen.model) else MATERIAL
     for sensor in {view.sensor for view in chosen.model.setting.views} - skirts:
-        worth = MATERIAL * max((g for k, (g, _, _) in gains.items() if k[0].startswith(f"{sensor}_")), default=0.0)
+        worth = part * max((g for k, (g, _, _) in gains.items() if k[0].startswith(f"{sensor}_")), default=0.0)
         if _objective_of(other, sensor) < _objective_of(chosen, sensor) - worth:
             taken.add(sensor)
     return _joined(chosen, other, taken) if taken else chosen
