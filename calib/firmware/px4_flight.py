@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.firmware.px4_topics import US, Topic, Topics, columns, has, instances_of, sample_time, triple
+from calib.firmware.px4_topics import TRUTH, US, Topic, Topics, columns, has, instances_of, sample_time, triple
 from calib.recording import Channel, Event, Sensor, Stage
 
 Array = NDArray[np.float64]
@@ -16,8 +16,6 @@ Array = NDArray[np.float64]
 FIX_3D: Final = 3
 ARMING_STATE_ARMED: Final = 2
 MOST_OUTPUTS: Final = 16
-TRUTH: Final = "_groundtruth"
-"""End of the topics in which a simulator says what is so (``logger/logged_topics.cpp``: SITL, or SYS_HITL)."""
 PWM_LOW, PWM_SPAN = 1000.0, 1000.0
 
 

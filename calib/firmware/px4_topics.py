@@ -47,13 +47,15 @@ DRIVERS: Final = (
 )
 CALIBRATED_BY_DRIVER: Final = ("x_raw", "x_integral", "scaling")
 """Fields of firmwares before 1.11, whose drivers applied the calibration themselves (compasses until 1.12)."""
+TRUTH: Final = "_groundtruth"
+"""End of the topics in which a simulator says what is so (``logger/logged_topics.cpp``: SITL, or SYS_HITL)."""
 WANTED: Final = frozenset(
     {"sensor_accel", "sensor_gyro", "sensor_mag", "sensor_accel_fifo", "sensor_gyro_fifo", "sensor_combined"}
     | {"sensor_selection", "vehicle_imu", "vehicle_imu_status", "vehicle_magnetometer", "magnetometer_bias_estimate"}
     | {"vehicle_attitude", "vehicle_gps_position", "sensor_gps", "vehicle_local_position", "battery_status"}
     | {"actuator_outputs", "actuator_motors", "esc_status", "vehicle_thrust_setpoint", "actuator_controls_0"}
     | {"vehicle_status", "actuator_armed"}
-    | {f"vehicle_{what}_groundtruth" for what in ("attitude", "local_position", "global_position")}
+    | {f"vehicle_{what}{TRUTH}" for what in ("attitude", "local_position", "global_position")}
 )
 """Topics that are read; see :mod:`calib.firmware.px4_flight` for those beside the inertial ones."""
 

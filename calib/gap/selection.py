@@ -127,14 +127,13 @@ def select(start: Model, contest: Contest, alpha: float) -> Chosen:
 
 def _better(chosen: Chosen, other: Chosen, contest: Contest) -> Chosen:
     """`other` where it says materially more: sensor by sensor, unless effects or the reference's error tie them."""
-    gains = last_gains(chosen.model, contest)
     if any(t.effect.shared for c in (chosen, other) for t in c.model.terms) or chosen.model.ridge is not None:
-        worth = MATERIAL * max((gain for gain, _, _ in gains.values()), default=0.0)
+        worth = MATERIAL * largest_gain(chosen, contest)
         return other if objective(other) < objective(chosen) - worth else chosen
     skirts = {
         t.hypothesis.effect.sensor for t in other.model.noise_terms if _is_drift(t) and unsteady_line(t, other.model)
     }
-    taken = set()
+    gains, taken = last_gains(chosen.model, contest), set()
     part = REAL if of_flights(chosen.model) else MATERIAL
     for sensor in {view.sensor for view in chosen.model.setting.views} - skirts:
         worth = part * max((g for k, (g, _, _) in gains.items() if k[0].startswith(f"{sensor}_")), default=0.0)
