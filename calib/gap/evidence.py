@@ -4,11 +4,16 @@ A penalty of ``log N`` an amplitude asks the same of a direction that the moveme
 and more of a long recording than of a short one. Here the amplitudes of one unit share a prior ``N(0, s^2)``, and s is
 the size that explains the data best (empirical Bayes; Clyde & George 2000): an amplitude that is seen well costs about
 the logarithm of its own evidence, one that is not seen costs nothing.
+
+Amplitudes need not be alike in size, and two other priors are tried as well, each for what a choice among them costs:
+that they are alike in what they make of the readings (Zellner 1986), as those of a curve are whose orders take each
+other back; and that there is only one, as of a fault on a single axis.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +39,10 @@ _DOUBT = 8.0
 """Price of blaming the reference for what a sensor may have done."""
 _NUMBER = 0.5
 """Price of an amplitude that the data do not tell."""
+_SEEN = 1e-9
+"""Part of the largest information below which a direction is seen by rounding only."""
+_OTHER_PRIOR = 2.0 * math.log(2.0)
+"""Price of a prior that is not the first one."""
 _COARSE = 4.0
 """What the search over a coarse grid counts as."""
 
@@ -53,30 +62,70 @@ def evidence(gram: Array, right: Array, groups: NDArray[np.intp]) -> float:
 
 def weighed(gram: Array, right: Array, groups: NDArray[np.intp]) -> tuple[float, float]:
     """The :func:`evidence`, and of how many amplitudes the data tell at that size of the prior: from 0 to p."""
-    _, values, size, worth = _prior(gram, right, groups)
-    return worth, float((size * values / (1.0 + size * values)).sum())
+    seen = _Directions.of(gram, right, groups)
+    size, worth = seen.alike_in_size()
+    told = float((size * seen.values / (1.0 + size * seen.values)).sum())
+    return max(worth, seen.alike_in_readings(), _only_one(gram, right)), told
 
 
 def prior_sd(gram: Array, right: Array, groups: NDArray[np.intp]) -> Array:
     """Standard deviations (p,) of the prior at its best size; zero where the data would rather have no amplitudes."""
-    scale, _, size, worth = _prior(gram, right, groups)
-    return scale * math.sqrt(size) if worth > 0.0 else np.zeros(len(gram))
+    seen = _Directions.of(gram, right, groups)
+    size, worth = seen.alike_in_size()
+    return seen.scale * math.sqrt(size) if worth > 0.0 else np.zeros(len(gram))
 
 
-def _prior(gram: Array, right: Array, groups: NDArray[np.intp]) -> tuple[Array, Array, float, float]:
-    """Scale and information (p,) of standardised amplitudes, the variance of them that explains the data best, and
-    twice the log evidence there; both are zero where there is no information.
+@dataclass(frozen=True, eq=False)
+class _Directions:
+    """Amplitudes in units of `scale` (p,): information `values` (p,) along independent directions, in rising order, and
+    the `square` (p,) of the right side there.
     """
-    scale = _scale(gram, groups)
-    values, vectors = eigh(gram * np.outer(scale, scale))
-    values = np.maximum(values, 0.0)  # below zero only by rounding
-    if not values.any():
-        return scale, values, 0.0, 0.0
-    square = (vectors.T @ (right * scale)) ** 2
-    sizes = _SIZES[:, None] / values[-1]
-    worth = (square * sizes / (1.0 + sizes * values) - np.log1p(sizes * values)).sum(axis=1)
-    best = int(worth.argmax())
-    return scale, values, float(sizes[best, 0]), float(worth[best])
+
+    scale: Array
+    values: Array
+    square: Array
+
+    @classmethod
+    def of(cls, gram: Array, right: Array, groups: NDArray[np.intp]) -> _Directions:
+        scale = _scale(gram, groups)
+        values, vectors = eigh(gram * np.outer(scale, scale))
+        return cls(scale, np.maximum(values, 0.0), (vectors.T @ (right * scale)) ** 2)  # below zero by rounding only
+
+    def alike_in_size(self) -> tuple[float, float]:
+        """The variance of the amplitudes that explains the data best, and twice the log evidence there."""
+        if not self.values.any():
+            return 0.0, 0.0
+        sizes = _SIZES[:, None] / self.values[-1]
+        told = sizes * self.values
+        worth = (self.square * sizes / (1.0 + told) - np.log1p(told)).sum(axis=1)
+        best = int(worth.argmax())
+        return float(sizes[best, 0]), float(worth[best])
+
+    def alike_in_readings(self) -> float:
+        """Evidence where every direction that is seen moves the readings by as much."""
+        if not self.values.any():
+            return -math.inf
+        seen = self.values > _SEEN * self.values[-1]
+        return _at_best_size(float((self.square[seen] / self.values[seen]).sum()), int(seen.sum())) - _OTHER_PRIOR
+
+
+def _only_one(gram: Array, right: Array) -> float:
+    """Evidence where one amplitude is all there is: it was sought among all."""
+    information = np.diag(gram)
+    seen = information > 0.0
+    if not seen.any():
+        return -math.inf
+    return _at_best_size(float((right[seen] ** 2 / information[seen]).max()), 1) - _price_of_one(len(right))
+
+
+def _price_of_one(count: int) -> float:
+    """Of the claim that one amplitude of so many is all there is."""
+    return 2.0 * math.log(2.0 * count)
+
+
+def _at_best_size(gain: float, rank: int) -> float:
+    """Twice the log evidence ``g - r - r log(g / r)`` of r directions that gain g together, alike in what they gain."""
+    return gain - rank - rank * math.log(gain / rank) if gain > rank else -math.inf
 
 
 def _scale(gram: Array, groups: NDArray[np.intp]) -> Array:
@@ -117,10 +166,16 @@ def price_of_search(grid: int, gain: float) -> float:
 def price_of_noise(amplitudes: Array, information: Array) -> float:
     """Price of amplitudes (p,) of noise, in twice the log-likelihood, under a prior of their own size.
 
-    `information`: of each beside all others. A sensor's axes are alike: one on which such noise is excluded costs.
+    `information`: of each beside all others. A sensor's axes are alike, and one on which such noise is excluded costs;
+    or it is on one axis alone, and what the others gain is given up.
     """
-    size = float(np.mean(np.maximum(amplitudes, 0.0) ** 2)) if len(amplitudes) else 0.0
-    return float(np.log1p(size * information).sum())
+    square = np.maximum(amplitudes, 0.0) ** 2
+    if not len(square):
+        return 0.0
+    alike = float(np.log1p(square.mean() * information).sum())
+    lost = float((square * information).sum()) - square * information
+    alone = np.log1p(square * information) + lost + _price_of_one(len(square))
+    return min(alike, float(alone.min()))
 
 
 def price_of_kind(effect_id: str) -> float:

@@ -33,6 +33,10 @@ _AROUND = 50
 """Bins about a line that are its surroundings."""
 _WINDOWS = (64, 256, 1024)
 """Samples of which short spectra are taken, in turn."""
+_LENGTHS = (32, 64, 128, 256, 512, 1024)
+"""Samples of which slow deviations are sought, in turn, every half a length."""
+_SLOW = 8
+"""Bins of such a window that are held against its others."""
 _SLOWEST = 4
 """Bins from the lowest on that are not looked at: a mean is fitted there."""
 
@@ -87,6 +91,7 @@ def _excesses(model: Model, v: int, bandwidth_hz: float) -> list[_Excess]:
         (_band(view, ratio, band) for band in (*itertools.pairwise(edges), (edges[0], edges[-1]))),
         (_line(view, ratio[:, : edges[-1]]),),
         _passing(view, view.spectra(model.residual[v])[axes] / np.sqrt(power)),
+        _blips(view, view.spectra(model.residual[v])[axes] / np.sqrt(power)),
     ):
         found = [one for one in looked if one.p * tests < _LEFTOVER]
         if found:
@@ -160,3 +165,28 @@ def _passing(view: View, white: Array) -> Iterator[_Excess]:
         hz, at = (k + _SLOWEST + 0.5) * 0.5 * view.fs / width, float(view.t[c * width])
         text = f"waves that come and go on {view.sensor.value}, at {at:.0f} s of {hz:.3g} Hz"
         yield _Excess(view.sensor, float(ndtr(-beyond)) * len(_WINDOWS), 0.5 * max(beyond, 0.0) ** 2, text)
+
+
+def _blips(view: View, white: Array) -> Iterator[_Excess]:
+    """What deviates slowly for a moment: windows of whitened spectra (p, count), their first bins louder than the rest.
+
+    A window is held against its own noise, as in :func:`_passing`: what is louder at all frequencies is no deviation.
+    """
+    if view.density is not None or view.first or coarse(view):
+        return
+    series = np.stack([view.whitened(axis) for axis in white])
+    for width in _LENGTHS:
+        starts = range(0, series.shape[1] - width + 1, width // 2)
+        if len(starts) < 2:
+            return
+        windows = np.stack([series[:, k : k + width] for k in starts])
+        square = dct(windows, type=2, norm="ortho", axis=2) ** 2
+        slow, rest = square[..., :_SLOW].sum(axis=(1, 2)), square[..., _SLOW:].sum(axis=(1, 2))
+        low, high = len(series) * _SLOW, len(series) * (width - _SLOW)
+        ratio = (slow / low) / np.maximum(rest / high, 1e-300)
+        k = int(np.argmax(ratio))
+        p = float(fdtrc(low, high, ratio[k])) * len(starts) * len(_LENGTHS)
+        own = max(_nats(float(ratio[k]) * low, low) - math.log(len(starts) * len(_LENGTHS)), 0.0)
+        when = f"at {view.t[starts[k]]:.1f} s within {width / view.fs:.2g} s"
+        text = f"something that passes {when} on {view.sensor.value}"
+        yield _Excess(view.sensor, p, own, text)

@@ -39,7 +39,7 @@ from calib.gap.noise_fit import is_declared, refitted
 from calib.gap.normal import solved
 from calib.gap.predictive import predictive_loss
 from calib.gap.schema import SequenceStep, Shrink
-from calib.gap.selection import Chosen, select
+from calib.gap.selection import Chosen, Gains, last_gains, select
 
 Array = NDArray[np.float64]
 
@@ -123,8 +123,9 @@ def held_out(
     table = np.array(rows, dtype=np.float64)
     lower = min(float(table[:, 1].sum()), 0.0) / float(table[:, 2].sum())  # no model is below the floor
     table[:, :2] -= lower * table[:, 2:]
+    beside = last_gains(chosen.model, contest)
     gates = tuple(
-        _gate(term, np.array([g[i] for g in gains]), [k[i] for k in told], folds, chosen)
+        _gate(term, np.array([g[i] for g in gains]), [k[i] for k in told], folds, chosen, beside)
         for i, term in enumerate(order)
     )
     return Heldout(table[:, 0], table[:, 1], table[:, 2], gates, _sequence(order, np.array(steps), table[:, 0]))
@@ -196,7 +197,9 @@ def _nested(fold: Fold, chosen: Chosen, contest: Contest, alpha: float) -> float
     return predictive_loss(found.model, fold.test)
 
 
-def _gate(term: Term | NoiseTerm, gains: Array, told: Sequence[bool], folds: Sequence[Fold], chosen: Chosen) -> Gate:
+def _gate(
+    term: Term | NoiseTerm, gains: Array, told: Sequence[bool], folds: Sequence[Fold], chosen: Chosen, beside: Gains
+) -> Gate:
     """Passed where held-out data are described better; withdrawn where they are not although they should.
 
     An effect of evidence lambda gains ``lambda / 2 +- sqrt(lambda)`` nats: one near the limit of detection may gain
@@ -212,8 +215,8 @@ def _gate(term: Term | NoiseTerm, gains: Array, told: Sequence[bool], folds: Seq
     seen = [e > _FORETOLD and t for e, t in zip(expected, told, strict=True)]
     sizes = [_touched(term, fold.test.setting) for fold in folds]
     due = sum(_at_most(e, n) for e, s, n in zip(expected, seen, sizes, strict=True) if s)
-    gained = next((s.gain for s in chosen.scores if s.hypothesis.key == key), math.inf)
-    due = min(due, 0.5 * gained)  # what undeclared noise takes in its place is no gain
+    joined_with = next((s.gain for s in chosen.scores if s.hypothesis.key == key), math.inf)
+    due = min(due, 0.5 * min(joined_with, beside[key][0]))  # what noise or other effects take in its place is no gain
     total = float(gains[seen].sum())
     if due <= 1.0:
         return Gate(key, gains, passed=None)

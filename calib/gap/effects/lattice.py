@@ -10,6 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
+from scipy.optimize import brentq
 
 from calib.gap.effects.base import Effect, LatticeEffect, LatticeEvidence, Parameter
 from calib.gap.effects.parts import AXES, TRIADS, UNIT
@@ -27,6 +28,7 @@ _STEPS = 5  # rows around one in whose mean an ideal reading must go on too: jit
 _SURROUNDINGS = 51  # rows over which the noise stays the same
 _SAFETY = 1.5  # on the number of repeats by chance, whose noise is an estimate
 _TELLING = 0.2  # chance of a repeat above which a row says nothing: it depends on where in its bin the reading lies
+_RARE = 1e-5  # the least chance of a repeat: a movement that forbids them is known no better
 _STANDS = 0.5  # of the rows in which the sensor moves on while the ideal reading does not: it is at rest
 _SAME = 1e-9  # relative difference of equal numbers
 
@@ -159,10 +161,10 @@ def hold(trace: Trace) -> LatticeEvidence | None:
     telling = both & ~standing & (by_chance < _TELLING)
     repeat = telling & same.all(axis=1)
     count, n = int(repeat.sum()), int(telling.sum())
-    chance = max(_SAFETY * float(by_chance[telling].sum()), 0.1)
-    if count < _FEWEST or count <= chance:
+    chance = np.maximum(_SAFETY * by_chance[telling], max(_RARE, 0.1 / max(n, 1)))
+    if count < _FEWEST:
         return None
-    two_delta = 2.0 * (count * math.log(count / chance) - count + chance)
+    two_delta = _too_many(repeat[telling], chance)
     if two_delta < _EVIDENCE:
         return None
     share = count / n
@@ -171,6 +173,23 @@ def hold(trace: Trace) -> LatticeEvidence | None:
     text = f"{count} of {n} rows repeat the one before: each is held for {1000.0 * held:.3g} ms on average"
     masked = np.concatenate([[False], repeat])
     return _evidence(trace, [held, share], [held * se / max(1.0 - share, 1.0 / n), se], two_delta, text, masked)
+
+
+def _too_many(repeat: Mask, chance: Array) -> float:
+    """Twice the log-likelihood that rows (N,) are held with a chance h beside that of each, against that alone.
+
+    With small chances both are Poisson's: the best h solves ``sum over repeats of 1 / (h + chance) = N``. A repeat
+    where the movement forbids one says more than one of a sensor at rest.
+    """
+    own, n = chance[repeat], len(chance)
+
+    def excess(h: float) -> float:
+        return float((1.0 / (h + own)).sum()) - n
+
+    if excess(0.0) <= 0.0:
+        return 0.0
+    h = float(brentq(excess, 0.0, len(own) / n))
+    return 2.0 * (float(np.log1p(h / own).sum()) - n * h)
 
 
 def _repeats_by_chance(trace: Trace, same: Mask) -> Array:

@@ -122,3 +122,29 @@ def test_a_direction_that_is_hardly_below_nothing_by_rounding_is_none_of_those_t
     gram = np.diag([1.0, -3e-8])
     _, told = weighed(gram, np.array([1e4, 0.0]), np.zeros(2, np.intp))
     assert 0.0 <= told <= 1.0
+
+
+def test_a_fault_on_one_axis_costs_little_more_than_an_effect_that_has_one_amplitude():
+    gram, right = np.diag(np.full(3, 100.0)), np.array([400.0, 0.0, 0.0])
+    one = evidence(gram[:1, :1], right[:1], ONE[:1])
+    assert one - 4.0 < evidence(gram, right, ONE) < one
+    even = np.full(3, 400.0 / math.sqrt(3.0))
+    assert evidence(gram, even, ONE) < evidence(gram, right, ONE) - 2.0
+
+
+def test_orders_of_a_curve_that_take_each_other_back_are_as_dear_as_orthogonal_ones():
+    t = np.linspace(0.5, 1.5, 400)
+    orders = np.stack([t, t**2, t**3])
+    triangle, _ = np.linalg.qr(orders.T)
+    y = 8.0 * triangle @ np.array([1.0, 0.8, -0.9])
+    plain, orthogonal = (evidence(X.T @ X, X.T @ y, np.arange(3)) for X in (orders.T, triangle))
+    assert plain == pytest.approx(orthogonal, abs=1.5)
+
+
+def test_noise_on_one_axis_costs_less_than_as_much_on_three():
+    known = np.full(3, 1e4)
+    alone, together = price_of_noise(np.array([0.3, 0.0, 0.0]), known), price_of_noise(np.full(3, 0.3), known)
+    assert alone < together - 5.0
+    assert alone > price_of_noise(np.array([0.3]), known[:1]) + 3.0
+    almost = price_of_noise(np.array([0.3, 0.02, 0.0]), known)
+    assert alone < almost < together, "what the other axes gain is given up"

@@ -23,6 +23,15 @@ def left_of(change, *, seed=0, **over):
     return leftover(starting_model(setting, starting_noise(setting)))
 
 
+def spike_at(row):
+    def spike(t):
+        change = np.zeros((len(t), 3))
+        change[row] = 40.0 * SD
+        return change
+
+    return spike
+
+
 def test_white_noise_leaves_nothing_over():
     assert not any(left_of(lambda t: np.zeros((len(t), 3)), seed=seed) for seed in range(40))
 
@@ -53,9 +62,26 @@ def test_waves_that_come_and_go_are_found_where_no_band_is_loud():
 
 
 def test_one_spike_is_no_wave():
-    def spike(t):
-        change = np.zeros((len(t), 3))
-        change[6000] = 40.0 * SD
-        return change
+    assert not any("waves" in left.text for left in left_of(spike_at(6000)))
 
-    assert not any("waves" in left.text for left in left_of(spike))
+
+@pytest.mark.parametrize("seconds", [0.2, 0.6, 2.0])
+@pytest.mark.parametrize("at", [13.7, 41.0])
+def test_what_passes_once_is_found_with_its_time(seconds, at):
+    def passing(t):
+        bump = np.exp(-0.5 * ((t - at) / (0.25 * seconds)) ** 2)[:, None] * [1.0, -0.6, 0.8]
+        return SD * np.sqrt(150.0 / (bump**2).sum()) * bump
+
+    (left,) = left_of(passing)
+    assert left.text.startswith("something that passes at")
+    start, within = float(left.text.split()[4]), float(left.text.split()[7])
+    assert start <= at <= start + within
+
+
+def test_noise_that_is_louder_for_a_moment_is_nothing_that_passes():
+    def louder(t):
+        moment = (t > 20.0) & (t < 21.0)
+        return 1.2 * SD * moment[:, None] * np.random.default_rng(7).normal(size=(len(t), 3))
+
+    assert not any("passes" in left.text for left in left_of(louder))
+    assert not any("passes" in left.text for at in (0, 6000, 6017, 11_999) for left in left_of(spike_at(at)))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -65,3 +67,24 @@ def test_what_is_tolerated_is_in_every_model_and_has_no_part_in_the_gap(chosen):
 def test_where_everything_is_tolerated_there_is_nothing_to_shrink(chosen):
     found, contest = chosen
     assert held_out(found, contest, ALPHA, list(keys(found).values()), nested=False) is None
+
+
+def nearly_level(problem):
+    """The same flown so gently that gravity hardly turns: a sensitivity to force is mostly an offset."""
+    down = np.array([0.0, 0.0, -9.80665])
+    return dataclasses.replace(
+        problem, traces=tuple(dataclasses.replace(t, force=down + 0.2 * (t.force - down)) for t in problem.traces)
+    )
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_an_effect_whose_place_another_one_mostly_takes_is_asked_for_no_more_than_it_adds(seed):
+    problem = nearly_level(problem_of(np.random.default_rng(seed), (Sensor.GYRO,)))
+    offset, sensitivity = np.array([0.008, -0.005, 0.008]), np.zeros((3, 3))
+    sensitivity[:, 2] = -offset / 9.80665
+    for trace in problem.traces:
+        trace.measured[:] += offset + trace.force @ sensitivity.T
+    report = diagnose(problem, nested=False)
+    assert {e.id for e in report.effects} == {"gyro_bias", "gyro_g_sensitivity"}
+    assert not report.unknown.flag
+    assert all(e.gates.heldout_blocks for e in report.effects)

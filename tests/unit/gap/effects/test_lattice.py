@@ -135,3 +135,22 @@ def test_a_few_held_rows_show_between_levels_that_repeat_by_chance(seed):
     found = by_id()["gyro_hold"].detect(with_measured(rounded, held))
     assert found is not None
     assert found.masked[rows].all()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_rows_that_are_held_while_the_sensor_turns_show_among_more_repeats_of_a_sensor_at_rest(seed):
+    sensor, q = Sensor.GYRO, 0.9 * SIGMA[Sensor.GYRO]
+    moving = make(sensor, "tumble")
+    rest = np.arange(len(moving.t)) < 5 * len(moving.t) // 6
+    trace = dataclasses.replace(moving, ideal=np.where(rest[:, None], moving.ideal[:1], 8.0 * moving.ideal))
+    plain = noisy(trace, np.zeros(3), SIGMA[sensor], seed)
+    rounded = with_measured(plain, np.round(plain.measured / q) * q)
+    assert by_id()["gyro_hold"].detect(rounded) is None
+    repeats = (np.diff(rounded.measured, axis=0) == 0.0).all(axis=1)
+    held = rounded.measured.copy()
+    rows = np.flatnonzero(~rest)[20::60]
+    assert len(rows) < repeats[rest[1:]].sum()
+    held[rows] = held[rows - 1]
+    found = by_id()["gyro_hold"].detect(with_measured(rounded, held))
+    assert found is not None
+    assert found.masked[rows].all()
