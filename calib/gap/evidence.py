@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from calib.gap.effects.noise import DRIFTS
 from calib.gap.effects.reference_attitude import REFERENCE
+from calib.gap.effects.temperature import THERMAL
 from calib.gap.normal import eigh
 from calib.gap.shape_ids import family_of, is_part, is_shape
 
@@ -31,10 +32,22 @@ _FINE = 100
 """Values of a grid from which on its search is paid value by value: moments, frequencies."""
 _LAST = 16.0
 """Price of what fits anything of its kind: a named cause that fits nearly as well is believed first."""
-_SHAPES = {"driven": 8.0, "own": 12.0, "approach": 16.0, "linear": 14.0, "product": 16.0, "line": 16.0, "time": 32.0}
-"""Price of a shape by its family: the fewer things it could stand for, the less."""
-_ONE_OF_MANY = 4.0
+_SHAPES = {
+    "driven": 8.0,
+    "own": 12.0,
+    "linear": 14.0,
+    "approach": 16.0,
+    "product": 16.0,
+    "line": 16.0,
+    "periodic": 20.0,
+    "time": 32.0,
+}
+"""Price of a shape by its family: the fewer things it could stand for, the less. The frequency of what is periodic was
+sought as well."""
+_ONE_OF_MANY = 3.5
 """Added to it for a part of a shape: the one of many that fits best."""
+_BY_WARMTH = 3.0
+"""Price of blaming temperature: what is there at every temperature that was seen, or began at a moment, is simpler."""
 _DOUBT = 8.0
 """Price of blaming the reference for what a sensor may have done."""
 _NUMBER = 0.5
@@ -179,9 +192,13 @@ def price_of_noise(amplitudes: Array, information: Array) -> float:
 
 
 def price_of_kind(effect_id: str) -> float:
-    """By kind: noise that wanders fits any slow change, and so does a line over time; a shape may fit anything."""
+    """By kind: noise that wanders fits any slow change, and so does a line over time; a shape may fit anything. What
+    seems to go with temperature is often there at every temperature that was seen.
+    """
     if is_shape(effect_id):
         return _SHAPES[family_of(effect_id)] + _ONE_OF_MANY * is_part(effect_id)
     if effect_id == REFERENCE:
         return _DOUBT
+    if effect_id.endswith(THERMAL):
+        return _BY_WARMTH
     return _LAST if effect_id.endswith(DRIFTS) else 0.0

@@ -312,11 +312,11 @@ def _periodic(trace: Trace, tone: Term) -> Iterator[_Group]:
     orders = [k for k in _HARMONICS if k * hz < _HIGHEST * trace.fs]
     if orders:
         signals = np.array([wave(k * phase) for k in orders for wave in (np.cos, np.sin)])
-        yield _Group("own", f"overtones of {hz:.3g} Hz", signals)
+        yield _Group("periodic", f"overtones of {hz:.3g} Hz", signals)
     if 2.0 * hz < _HIGHEST * trace.fs:
         waves, _, _ = np.linalg.svd(tone.beta.reshape(2, 3))
         for end, side in (("high", 1.0), ("low", -1.0)):
             wave = np.cos(phase - math.atan2(side * waves[1, 0], side * waves[0, 0]))  # of the axes together
             for part in _ON:
                 on = np.asarray(wave > math.cos(math.pi * part), dtype=np.float64)
-                yield _Group("own", f"{hz:.3g} Hz, on for {part:.0%} about its {end}", on[None])
+                yield _Group("periodic", f"{hz:.3g} Hz, on for {part:.0%} about its {end}", on[None])

@@ -22,6 +22,8 @@ from calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _LEAST_SPAN = {"temp_linear": 2.0, "temp_poly": 5.0, "temp_scale": 3.0, "thermal_lag": 5.0}  # degC, for any statement
+THERMAL = tuple(f"_{kind}" for kind in _LEAST_SPAN)
+"""Ends of the ids of what goes with temperature."""
 _GOOD_SPAN = 15.0  # degC, for one that tells the rivals apart
 _BEYOND = 20.0  # degC by which the reference temperature may lie outside what was seen
 _REFERENCES = 13  # temperatures of the grid
