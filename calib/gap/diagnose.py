@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 from calib.gap.attribution import Attribution, settled, steadily
@@ -113,7 +113,7 @@ def diagnose(
     if begun is None:
         return _nothing(problem)
     task, chosen = begun
-    answer = _settled(task, chosen, alpha, with_reference=any(e.id == REFERENCE for e in effects))
+    answer = _settled(task, chosen, alpha, frozenset(e.id for e in effects))
     return _report(task, _confirmed(answer, alpha, nested=nested), alpha, nested=nested)
 
 
@@ -158,17 +158,17 @@ def _gains(chosen: Chosen) -> dict[Key, float]:
     return {s.hypothesis.key: s.gain for s in chosen.scores}
 
 
-def _settled(task: _Task, chosen: Chosen, alpha: float, *, with_reference: bool) -> _Answer:
+def _settled(task: _Task, chosen: Chosen, alpha: float, named: Collection[str]) -> _Answer:
     """The model in which nothing has a better one in its place: the reference's own error, other effects, shapes."""
     contest, start = task.contest, task.bare
-    wander = wandering(chosen, contest, start, alpha) if with_reference else None
+    wander = wandering(chosen, contest, start, alpha) if REFERENCE in named else None
     if wander is None:
         chosen = steadily(chosen, start, contest, alpha)
     else:
         chosen, contest = wander.chosen, wander.contest
         start = starting_model(chosen.model.setting, wander.noise, chosen.model.ridge)
     chosen, attributions = settled(chosen, contest, alpha)
-    best = explained(chosen, contest, start, alpha)
+    best = explained(chosen, contest, start, alpha, named)
     if best.contest is not contest:
         contest = best.contest
         chosen, attributions = settled(best.chosen, contest, alpha)

@@ -33,6 +33,7 @@ _FINE = 100
 _LAST = 16.0
 """Price of what fits anything of its kind: a named cause that fits nearly as well is believed first."""
 _SHAPES = {
+    "simplest": 4.0,
     "driven": 8.0,
     "own": 12.0,
     "linear": 14.0,

@@ -52,6 +52,9 @@ _MATRICES = {
     (Sensor.MAG, "m"): {"mag_soft_iron", "mag_rotation"},
 }
 """Effects that are every linear map of a vector to a sensor: one entry of it is theirs as well."""
+_OFFSETS = {Sensor.ACCEL: "accel_bias", Sensor.GYRO: "gyro_bias", Sensor.MAG: "mag_hard_iron"}
+_SCALES = {Sensor.ACCEL: "accel_scale", Sensor.GYRO: "gyro_scale", Sensor.MAG: "mag_soft_iron"}
+"""The simplest effects: where one has no name, it is a shape, or what is nearest would stand for it."""
 _AXES = "xyz"
 
 
@@ -113,6 +116,7 @@ def _groups(trace: Trace, named: Collection[str]) -> Iterator[_Group]:
             names = tuple(group.names[j] for j in swinging) if group.names else ()
             yield replace(group, signals=group.signals[swinging], names=names)
     yield from _own(trace)
+    yield from _simplest(trace, named)
 
 
 def _shape(trace: Trace, group: _Group, instance: int) -> Shape:
@@ -287,6 +291,15 @@ def _own(trace: Trace) -> Iterator[_Group]:
         swings = np.array([_swings(signal[:, c]) for c in range(3)])
         if swings.any():
             yield _Group("own", name, signal * swings, each=True)
+
+
+def _simplest(trace: Trace, named: Collection[str]) -> Iterator[_Group]:
+    """An offset and a factor of each axis, where the catalogue does without."""
+    if _OFFSETS[trace.sensor] not in named:
+        yield _Group("simplest", "an offset", np.ones((1, len(trace.t))))
+    if _SCALES[trace.sensor] not in named:
+        x = trace.ideal
+        yield _Group("simplest", "in proportion to the reading", x / (np.sqrt((x**2).mean(axis=0)) + 1e-300), each=True)
 
 
 def _travels(x: Array) -> Array:

@@ -8,7 +8,7 @@ join the contest. (What is said of them, and of all else that is unknown: :mod:`
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,10 +61,13 @@ class _Place:
         return more and self.own > _CONTAINED * self.score.delta
 
 
-def explained(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> WithShapes:
-    """The catalogue's model, or a better one with shapes, and a contest that has the likeliest shapes as rivals."""
+def explained(chosen: Chosen, contest: Contest, start: Model, alpha: float, named: Collection[str]) -> WithShapes:
+    """The catalogue's model, or a better one with shapes, and a contest that has the likeliest shapes as rivals.
+
+    `named` are the ids of the catalogue, of effects that cannot be tested here as well.
+    """
     periodic = [t for t in chosen.model.terms if t.hypothesis.periodic]
-    shapes = shapes_of(chosen.model.setting, periodic, {h.effect.id for h in contest.hypotheses})
+    shapes = shapes_of(chosen.model.setting, periodic, named)
     scorer = contest.among(())
     tests = chosen.tests + sum(len(s.hypotheses) for s in shapes)
     beside = [_Place(score) for score in _scored(shapes, scorer, Beside(chosen.model))]

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from calib.gap.contest import Contest
+from calib.gap.diagnose import diagnose
 from calib.gap.effects import by_id
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.model import setting_of, starting_model
@@ -74,6 +75,35 @@ def test_one_entry_of_a_matrix_that_has_a_name_is_no_shape(sensor, letter, ids):
     assert linear(by_id()) == set()
     for missing in ids:
         assert linear(set(by_id()) - {missing})
+
+
+@pytest.mark.parametrize(
+    ("sensor", "offset", "factor"),
+    [
+        (Sensor.ACCEL, "accel_bias", "accel_scale"),
+        (Sensor.GYRO, "gyro_bias", "gyro_scale"),
+        (Sensor.MAG, "mag_hard_iron", "mag_soft_iron"),
+    ],
+)
+def test_an_offset_and_a_factor_are_shapes_where_the_catalogue_does_without(sensor, offset, factor):
+    model, names = model_of(sensor), set(by_id())
+    assert {offset, factor} <= names
+
+    def simplest(named):
+        shapes = (h.effect.excited_by for s in shapes_of(model.setting, named=named) for h in s.hypotheses)
+        return {name for name in shapes if name.startswith(("an offset on", "in proportion to"))}
+
+    assert simplest(names) == set()
+    assert f"an offset on {sensor}" in simplest(names - {offset})
+    assert f"in proportion to the reading on {sensor}" in simplest(names - {factor})
+
+
+def test_where_no_effect_is_an_offset_it_is_unknown_and_not_a_temperature():
+    rest = tuple(e for e in by_id().values() if e.id != "gyro_bias")
+    problem = problem_of(np.random.default_rng(4), (Sensor.GYRO,), lambda t: np.array([0.002, -0.001, 0.0015]))
+    report = diagnose(problem, effects=rest, nested=False)
+    assert report.effects == ()
+    assert report.unknown.shape == "an offset on gyro"
 
 
 def test_columns_are_finite_and_none_changes_its_trace():
