@@ -54,12 +54,12 @@ REAL = SensorSuite(
 )
 
 
-def recorded(suite: SensorSuite, seed: int, *, seconds: float = 60.0) -> Recording:
+def recorded(suite: SensorSuite, seed: int, *, seconds: float = 60.0, rate: float = RATE) -> Recording:
     """A flight of `suite`, with what ideal sensors would have read beside it."""
     rng = np.random.default_rng(seed)
     motion = motion_of("tumble", MotionOptions(duration=seconds), rng)
-    path = trajectory(motion.legs, RATE, field=FIELD, start=motion.start, warming=Warming(22.0, 55.0, 25.0))
-    made = simulate(path, suite, rng, mag_rate=RATE)
+    path = trajectory(motion.legs, rate, field=FIELD, start=motion.start, warming=Warming(22.0, 55.0, 25.0))
+    made = simulate(path, suite, rng, mag_rate=min(rate, RATE))
     return dataclasses.replace(made.recording, reference=_ideal(made))
 
 

@@ -12,8 +12,8 @@ from bench.rows import Section, table
 _TEXT = """# Speed and memory
 
 `scripts/bench` measures everything below in one run, prints it, writes this file and exits 1 if a target is missed;
-`scripts/bench ingest` (or `api`, `latency`, `memory`, `logs`) measures one part. Nothing leaves the machine. A figure
-on a busy machine says as much about the machine: the load is stated, and peers are measured in the same run.
+`scripts/bench ingest` (or `api`, `latency`, `memory`, `logs`, `gap`) measures one part. Nothing leaves the machine. A
+figure on a busy machine says as much about the machine: the load is stated, and peers are measured in the same run.
 
 Measured on: {before}; after {minutes:.0f} minutes: {after}.
 
