@@ -29,7 +29,7 @@ from calib.gap.model import (
     refined_on,
     with_residual,
 )
-from calib.gap.noise_fit import NoiseFit, refitted, with_term, without_term
+from calib.gap.noise_fit import NoiseFit, is_declared, refitted, with_term, without_term
 from calib.gap.normal import solved
 from calib.gap.projection import Beside, existing
 from calib.recording import Sensor
@@ -250,17 +250,22 @@ def _scored(
 def _best(scores: dict[Key, Score], level: float, gains: Gains, contest: Contest, model: Model) -> Score | None:
     """The best of `scores` that is significant and no second order of others, the first few at their best shapes.
 
-    Noise that wanders may have taken the place of a slow mean: what that gains beside it says little.
+    Noise that wanders may have taken the place of a slow mean, and so may noise that nobody declared, which was fitted
+    while that was in it: what a mean gains beside them says little.
     """
     wandering = any(map(_is_drift, model.noise_terms))
+    undeclared = {view.sensor for view in model.setting.views if not is_declared(view)}
+
+    def hidden(score: Score) -> bool:
+        return not score.hypothesis.periodic and (wandering or score.hypothesis.effect.sensor in undeclared)
+
     beside: Beside | None = None
     while True:
         good = [
             s
             for s in scores.values()
             if s.p < level
-            and s.gain
-            >= (0.0 if wandering and not s.hypothesis.periodic else _SEEN) * _least(s.hypothesis, model, gains)
+            and s.gain >= (0.0 if hidden(s) else _SEEN) * _least(s.hypothesis, model, gains)
             and s.gain >= contest.floors.joining(s.hypothesis)
         ]
         if not good:
