@@ -19,11 +19,12 @@ from calib.gap.effects.noise import DRIFTS
 from calib.gap.evidence import price_of_kind
 from calib.gap.filtered import told_by_noise
 from calib.gap.hypotheses import Columns, Hypothesis, Key, columns_of
-from calib.gap.model import Model, NoiseTerm, Term, refined
+from calib.gap.model import Model, NoiseTerm, Term, misfit, refined
 from calib.gap.noise_fit import refitted, without_term
 from calib.gap.projection import Beside, existing
 from calib.gap.schema import Rival
 from calib.gap.selection import (
+    MATERIAL,
     REAL,
     Chosen,
     fitted,
@@ -62,6 +63,8 @@ _CLEARLY = 1.0
 """Penalised evidence by which an exchange must be better."""
 _ROUNDS = 3
 """Exchanges at most."""
+_TRIED = 2
+"""The best of them that are tried before all are given up."""
 _TOGETHER = 0.1
 """Part of the largest gain by which events that were tried first must be better: a jump at an end is an offset."""
 
@@ -86,6 +89,18 @@ class Attribution:
         return self.unknown_probability > _EVEN
 
 
+@dataclass(frozen=True, eq=False)
+class Alternative:
+    """Another hypothesis in the place of an effect; `kappa` is 0 where it is too far behind to be listed."""
+
+    score: Score
+    kappa: float
+
+
+_Held = Mapping[Key, tuple[list[Alternative], float]]
+"""By effect: every other hypothesis in its place, and the penalised evidence of its own."""
+
+
 def settled(chosen: Chosen, contest: Contest, alpha: float) -> tuple[Chosen, tuple[Attribution, ...]]:
     """A model in which no effect has a better one in its place, and what its effects are worth.
 
@@ -95,13 +110,25 @@ def settled(chosen: Chosen, contest: Contest, alpha: float) -> tuple[Chosen, tup
     level = alpha / max(chosen.tests, 1)
     for _ in range(_ROUNDS):
         held = {term.hypothesis.key: _alternatives(chosen, contest, term) for term in chosen.model.members}
-        swap = _better(chosen, held, level, contest)
-        if swap is None:
+        other = _improved(chosen, held, level, contest)
+        if other is None:
             break
-        chosen = grown(_exchanged(chosen, *swap), contest, level)
+        chosen = other
     else:
         held = {term.hypothesis.key: _alternatives(chosen, contest, term) for term in chosen.model.members}
     return chosen, _attributed(chosen, contest, held)
+
+
+def _improved(chosen: Chosen, held: _Held, level: float, contest: Contest) -> Chosen | None:
+    """The model after the best exchange that keeps what it promised once everything was fitted anew; None: none does.
+
+    Every exchange is judged beside the others as they are fitted to that moment, and they may have leant on what goes.
+    """
+    for worth, key, score in _exchanges(chosen, held, level, contest)[:_TRIED]:
+        other = grown(_exchanged(chosen, key, score), contest, level)
+        if objective(other) < objective(chosen) + worth:
+            return other
+    return None
 
 
 def _exchanged(chosen: Chosen, old: Key, new: Score) -> Chosen:
@@ -141,22 +168,20 @@ def _events_first(start: Model, jumps: Sequence[Hypothesis], contest: Contest, a
     return settled(begun, contest, alpha)[0]
 
 
-def _better(
-    chosen: Chosen, held: Mapping[Key, tuple[list[Alternative], float]], level: float, contest: Contest
-) -> tuple[Key, Score] | None:
-    """The exchange of one effect for another that gains most.
+def _exchanges(chosen: Chosen, held: _Held, level: float, contest: Contest) -> list[tuple[float, Key, Score]]:
+    """Exchanges of one effect for another that gain, best first, and by how much the model may seem worse after each.
 
     Beside noise that was learned from flights a hundredth of an effect is a second order of it: for that much the one
     with fewer numbers is believed.
     """
-    best: tuple[float, Key, Score] | None = None
+    found = []
     for key, (others, own) in held.items():
-        for other in others:
-            score, gain = other.score, -_behind(own, other.score, _freedom_of(chosen, key), second_order(chosen, own))
-            joins = score.p < level and score.gain >= contest.floors.joining(score.hypothesis)
-            if joins and gain > _CLEARLY and (best is None or gain > best[0]):
-                best = (gain, key, score)
-    return None if best is None else best[1:]
+        second = second_order(chosen, own)
+        for score in (other.score for other in others):
+            gain = -_behind(own, score, _freedom_of(chosen, key), second)
+            if score.p < level and score.gain >= contest.floors.joining(score.hypothesis) and gain > _CLEARLY:
+                found.append((gain, max(second, MATERIAL * own), key, score))
+    return [exchange[1:] for exchange in sorted(found, key=lambda exchange: -exchange[0])]
 
 
 def second_order(chosen: Chosen, own: float) -> float:
@@ -179,9 +204,7 @@ def _behind(own: float, score: Score, freedom: int, second: float) -> float:
     return own - score.delta + (second if more > 0 else -_LESS * second if more < 0 else 0.0)
 
 
-def _attributed(
-    chosen: Chosen, contest: Contest, held: Mapping[Key, tuple[list[Alternative], float]]
-) -> tuple[Attribution, ...]:
+def _attributed(chosen: Chosen, contest: Contest, held: _Held) -> tuple[Attribution, ...]:
     """One attribution for each effect of a model, largest share first."""
     model = chosen.model
     last = last_gains(model, contest)
@@ -207,21 +230,13 @@ def _likeliest_shape(others: Sequence[Alternative]) -> str:
     return max(shapes, key=lambda s: s.delta).hypothesis.effect.excited_by if shapes else ""
 
 
-@dataclass(frozen=True, eq=False)
-class Alternative:
-    """Another hypothesis in the place of an effect; `kappa` is 0 where it is too far behind to be listed."""
-
-    score: Score
-    kappa: float
-
-
 def _alternatives(chosen: Chosen, contest: Contest, term: Term | NoiseTerm) -> tuple[list[Alternative], float]:
     """Every other hypothesis in the place of `term`, and the penalised evidence of `term` itself."""
     model = chosen.model
     key = term.hypothesis.key
     if isinstance(term, NoiseTerm):
         bare = refitted(without_term(model, term), [term.hypothesis.effect.sensor]).model
-        beside, own_columns, energy = Beside(bare), None, 0.0
+        beside, own_columns, energy, stiff = Beside(bare), None, 0.0, 0.0
         own = noise_score(term.hypothesis, bare)
         own_gain, own_delta = own.gain, own.delta
     else:
@@ -233,6 +248,8 @@ def _alternatives(chosen: Chosen, contest: Contest, term: Term | NoiseTerm) -> t
         energy = float(term.beta @ gram @ term.beta)
         own = _own_score(chosen, term, own_columns, beside)
         own_gain, own_delta = own.gain, own.delta
+        # What the others would take over along their tangents, and do not: no noise gains it beside them.
+        stiff = max(misfit(bare) - misfit(model) - own_gain, 0.0)
     taken = {t.hypothesis.key for t in model.members}
     found = []
     rivals = [
@@ -240,7 +257,7 @@ def _alternatives(chosen: Chosen, contest: Contest, term: Term | NoiseTerm) -> t
         for rival in contest.hypotheses
         if not (rival.key in taken or rival.again) and _meets(rival, term.hypothesis, model)
     ]
-    scores = [noise_score(rival, bare) for rival in rivals if isinstance(rival.effect, NoiseEffect)]
+    scores = [_less(noise_score(rival, bare), stiff) for rival in rivals if isinstance(rival.effect, NoiseEffect)]
     coarse = contest.scores([rival for rival in rivals if not isinstance(rival.effect, NoiseEffect)], beside)
     scores += contest.assured(coarse, beside, own_delta - _FAR)
     for score in scores:
@@ -248,6 +265,10 @@ def _alternatives(chosen: Chosen, contest: Contest, term: Term | NoiseTerm) -> t
         kappa = _imitated(beside, own_columns, term, score, energy, own_gain, contest) if near else 0.0
         found.append(Alternative(score, kappa))
     return found, own_delta
+
+
+def _less(score: Score, gain: float) -> Score:
+    return replace(score, gain=score.gain - gain, delta=score.delta - gain)
 
 
 def _own_score(chosen: Chosen, term: Term, columns: Columns, beside: Beside) -> Score:

@@ -20,7 +20,14 @@ from scipy.stats import binom
 
 from calib.gap.bands import joined
 from calib.gap.effects.base import MeanEffect, NoiseEffect
-from calib.gap.evidence import price_of_fixed, price_of_kind, price_of_noise, price_of_numbers, price_of_search
+from calib.gap.evidence import (
+    price_of_fixed,
+    price_of_kind,
+    price_of_noise,
+    price_of_numbers,
+    price_of_repetition,
+    price_of_search,
+)
 from calib.gap.filtered import shaped, told_by_noise
 from calib.gap.floors import Floors
 from calib.gap.hypotheses import Columns, Hypothesis, columns_of
@@ -219,6 +226,7 @@ def priced(hypothesis: Hypothesis, theta: float, found: Gain, grid: int) -> Scor
     hidden = hypothesis.effect.hidden if found.df else 0
     price = price_of_search(grid, found.gain) + hidden * price_of_fixed(found.gain)
     price += price_of_kind(hypothesis.effect.id) + hypothesis.handicap
+    price += price_of_repetition(hypothesis.again) if hypothesis.effect.jumps else 0.0
     price += 0.0 if hypothesis.effect.nameless else price_of_numbers(found.idle)
     p = tail(found.gain, found.df + hidden, grid)
     return Score(hypothesis, theta, found.gain, found.df + hidden, grid, p, found.evidence - price, found.beta)

@@ -255,7 +255,7 @@ def _unknown(task: _Task, answer: _Answer, strangers: Iterable[Stranger]) -> Unk
     """What is not of the catalogue, in the model or in none of its effects."""
     model, reference = answer.chosen.model, task.problem.reference
     # A reference that turns looks like events that pass.
-    passed = () if answer.wander is not None else passing(task.left_out, model)
+    passed = () if answer.wander is not None else passing(task.left_out, model, _gains(answer.chosen))
     unexplained = [*answer.withdrawn, *(Unexplained(one.nats, one.text, one.sensor) for one in passed)]
     return unknown_of(
         model, answer.gap, tuple(strangers), unexplained, reference.bandwidth_hz, task.problem.floor.lasting

@@ -49,6 +49,8 @@ _ONE_OF_MANY = 3.5
 """Added to it for a part of a shape: the one of many that fits best."""
 _BY_WARMTH = 3.0
 """Price of blaming temperature: what is there at every temperature that was seen, or began at a moment, is simpler."""
+_ONE_MORE = 10.0
+"""Price of one more jump on a sensor that jumps already."""
 _DOUBT = 8.0
 """Price of blaming the reference for what a sensor may have done."""
 _NUMBER = 0.5
@@ -190,6 +192,11 @@ def price_of_noise(amplitudes: Array, information: Array) -> float:
     lost = float((square * information).sum()) - square * information
     alone = np.log1p(square * information) + lost + _price_of_one(len(square))
     return min(alike, float(alone.min()))
+
+
+def price_of_repetition(again: int) -> float:
+    """Price of one more event of a kind that is there `again` times already: enough of them make any drift a stair."""
+    return _ONE_MORE if again else 0.0
 
 
 def price_of_kind(effect_id: str) -> float:

@@ -32,7 +32,7 @@ _LEAST = 6
 """Bins in which a drift is most of the noise, or windows of energy, below which nothing is said."""
 _RETURNS, _RETURNS_EACH = 8.0, 14.0
 """Twice the log-likelihood by which noise that comes back must beat a walk: with one corner, with one for each axis."""
-_POLES = np.geomspace(3e-5, 0.3, 10)
+_POLES = np.geomspace(3e-5, 0.3, 20)
 """Corners that are tried, rad per sample."""
 
 

@@ -396,20 +396,23 @@ def _refined(model: Model, members: tuple[int, ...]) -> tuple[Model, Joint]:
         blocks = [jacobian(model.terms[i], model.setting) for i in members]
         normal = normal_equations(blocks, model.y, model.weight, model.ridge)
         joint = Joint(solved(normal.gram, normal.right)[1], normal.slices[: len(blocks)], normal)
-        step = _step_of([model.terms[i] for i in members], joint)
+        terms, rows = [model.terms[i] for i in members], dict(zip(members, joint.slices, strict=True))
+        step = _step_of(terms, joint)
         if float(step @ normal.right) < _WORTH_A_STEP:
             break
-        model, gained = _stepped(model, step, dict(zip(members, joint.slices, strict=True)))
+        model, gained = _stepped(model, step, rows)
+        if gained < _WORTH_A_STEP:  # far from its best shape the tangent leads nowhere, and amplitudes still lead there
+            model, gained = _stepped(model, _step_of(terms, joint, hold=True), rows)
         if gained < _WORTH_A_STEP:
             break
     return model, joint
 
 
-def _step_of(terms: Sequence[Term], joint: Joint) -> Array:
-    """The Gauss-Newton step; shapes that stay where they were found have no part in it."""
+def _step_of(terms: Sequence[Term], joint: Joint, *, hold: bool = False) -> Array:
+    """The Gauss-Newton step; shapes that stay where they were found have no part in it, with `hold` no shape has."""
     normal = joint.normal
     rows = zip(terms, joint.slices, strict=True)
-    still = {s.stop - 1 for term, s in rows if term.effect.shape is not None and term.effect.shape.still}
+    still = {s.stop - 1 for term, s in rows if term.effect.shape is not None and (hold or term.effect.shape.still)}
     if not still:
         return np.asarray(joint.covariance @ normal.right)
     free = np.array([i for i in range(len(normal.right)) if i not in still], np.intp)

@@ -5,7 +5,7 @@ After every step all parameters are fitted together, the noise anew, and what ha
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -51,6 +51,8 @@ _SEEN = 0.3
 """Part of that below which it does not join in the first place."""
 _FRONT = 3
 """The best so many on their grids are fitted at their best shapes before one of them joins."""
+ONE_MORE = 6.0
+"""What each effect costs between models of unlike many, in twice a log-probability: four are less likely than one."""
 _LOUD = 0.1
 """Gain a number from which on the noise that was fitted before hides what tells effects apart."""
 _RIVALS, _TRIED = 0.5, 6
@@ -145,7 +147,7 @@ def _better(chosen: Chosen, other: Chosen, contest: Contest) -> Chosen:
 def _objective_of(chosen: Chosen, sensor: Sensor) -> float:
     """The part of :func:`objective` that is of one sensor."""
     deviance = sum(level for (own, _), level in chosen.noise.deviance.items() if own is sensor)
-    return deviance + sum(s.price for s in chosen.scores if s.hypothesis.effect.sensor is sensor)
+    return deviance + price_of_all(s for s in chosen.scores if s.hypothesis.effect.sensor is sensor)
 
 
 def _joined(chosen: Chosen, other: Chosen, taken: Collection[Sensor]) -> Chosen:
@@ -430,8 +432,13 @@ def _member(model: Model, key: Key) -> Hypothesis:
 
 
 def objective(chosen: Chosen) -> float:
-    """``-2 log L`` with the price of every effect: smaller is better."""
-    return sum(chosen.noise.deviance.values()) + sum(s.price for s in chosen.scores)
+    """``-2 log L`` with the price of every effect, and of there being one more: smaller is better."""
+    return sum(chosen.noise.deviance.values()) + price_of_all(chosen.scores)
+
+
+def price_of_all(scores: Iterable[Score]) -> float:
+    """Of some effects together."""
+    return sum(s.price + ONE_MORE for s in scores)
 
 
 def wanders(chosen: Chosen) -> bool:

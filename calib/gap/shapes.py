@@ -31,7 +31,7 @@ _ENDS = 0.01
 """Part of the samples beyond the last knots: an amplitude that rests on a few of them would explode elsewhere."""
 _TIES = 1e-3
 """Distance of two knots, in parts of all knots' range, below which they are one."""
-_APPROACHES_S = (3.0, 10.0, 30.0)
+_APPROACHES_S = (3.0, 4.5, 7.0, 10.0, 15.0, 22.0, 33.0)
 """Time constants of an approach that begins with the recording."""
 _STILL = 0.1  # of the rms slope: slower changes have no direction
 _TRAVELS = (0.01, 0.03, 0.1, 0.3)
@@ -268,7 +268,7 @@ def _driven(trace: Trace) -> Iterator[_Group]:
             yield _Group("driven", f"square of {name}", (scalar**2)[None])
     elapsed = trace.t - trace.t[0]
     for time in _APPROACHES_S:
-        yield _Group("approach", f"approach with {time:.0f} s", np.exp(-elapsed / time)[None])
+        yield _Group("approach", f"approach with {time:g} s", np.exp(-elapsed / time)[None])
 
 
 def _own(trace: Trace) -> Iterator[_Group]:

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from calib.gap.effects.events import SLOW_S
+from calib.gap.effects.noise import DRIFTS
 from calib.gap.hypotheses import Key
-from calib.gap.model import Model, Term
+from calib.gap.model import Model, NoiseTerm, Term
 from calib.gap.problem import Problem
 from calib.gap.views import View
 from calib.recording import Sensor
@@ -89,14 +90,27 @@ def _ramp_seen(term: Term, view: View) -> bool:
     return int(during.sum()) > _RAMP * SLOW_S * view.fs
 
 
-def passing(left_out: Sequence[Transition], model: Model) -> tuple[Transition, ...]:
-    """Those after which the level is what it was before: what happened there is in no effect of the model."""
+def passing(
+    left_out: Sequence[Transition], model: Model, gains: Mapping[Key, float] | None = None
+) -> tuple[Transition, ...]:
+    """Those after which the level is what it was before: what happened there is in no effect of the model.
+
+    Noise that wanders, and is worth more than the jumps were, is what they stood for.
+    """
     jumps = [(t.effect.sensor, t.theta) for t in model.terms if t.effect.jumps]
+    drifts = {t.hypothesis.effect.sensor: t.hypothesis.key for t in model.noise_terms if _wanders(t)}
 
     def lasts(one: Transition) -> bool:
         return any(s is one.sensor and one.start - ONE_EVENT_S < at < one.end + ONE_EVENT_S for s, at in jumps)
 
-    return tuple(one for one in left_out if one.nats > 0.0 and not lasts(one))
+    def drifted(one: Transition) -> bool:
+        return one.sensor in drifts and one.nats < 0.5 * (gains or {}).get(drifts[one.sensor], 0.0)
+
+    return tuple(one for one in left_out if one.nats > 0.0 and not lasts(one) and not drifted(one))
+
+
+def _wanders(term: NoiseTerm) -> bool:
+    return term.hypothesis.effect.id.endswith(DRIFTS)
 
 
 def unsettled(view: View, residual: Array, start: float, end: float) -> tuple[float, float]:

@@ -20,7 +20,18 @@ from calib.gap.hypotheses import Hypothesis
 from calib.gap.model import Model
 from calib.gap.noise_fit import refitted
 from calib.gap.projection import Beside, Gain, existing
-from calib.gap.selection import MATERIAL, Chosen, fitted_about, grown, largest_gain, objective, select, without
+from calib.gap.selection import (
+    MATERIAL,
+    ONE_MORE,
+    Chosen,
+    fitted_about,
+    grown,
+    largest_gain,
+    objective,
+    price_of_all,
+    select,
+    without,
+)
 from calib.gap.shapes import Shape, flexible, shapes_of
 
 Array = NDArray[np.float64]
@@ -107,7 +118,7 @@ def _instead_of_all(chosen: Chosen, shapes: Sequence[Shape], scorer: Contest, st
     for sensor in {term.hypothesis.effect.sensor for term in chosen.model.members}:
         own = [s for s in chosen.scores if s.hypothesis.effect.sensor is sensor]
         gain = sum(before[key] - chosen.noise.deviance[key] for key in before if key[0] is sensor)
-        worth, df = gain - sum(s.price for s in own), sum(s.df for s in own)
+        worth, df = gain - price_of_all(own) + ONE_MORE, sum(s.df for s in own)  # a shape is one of its own
         touched = [s for s in shapes if s.whole.effect.sensor is sensor]
         found += [_Place(score, worth, df) for score in _scored(touched, scorer, Beside(start))]
     return found
@@ -116,13 +127,13 @@ def _instead_of_all(chosen: Chosen, shapes: Sequence[Shape], scorer: Contest, st
 def _instead_of_each(chosen: Chosen, shapes: Sequence[Shape], scorer: Contest) -> list[_Place]:
     """Shapes in the place of each effect."""
     found = []
-    level = objective(chosen)
+    level = sum(chosen.noise.deviance.values())
     for term in chosen.model.members:
         bare = refitted(fitted_about(without(chosen.model, term.hypothesis.key), term.hypothesis))
         touched = [s for s in shapes if s.whole.effect.sensor is term.hypothesis.effect.sensor]
         score = next((s for s in chosen.scores if s.hypothesis.key == term.hypothesis.key), None)
         price, df = (0.0, 0) if score is None else (score.price, score.df)
-        own = sum(bare.deviance.values()) + sum(s.price for s in chosen.scores) - price - level
+        own = sum(bare.deviance.values()) - level - price
         found += [_Place(score, own, df) for score in _scored(touched, scorer, Beside(bare.model))]
     return found
 

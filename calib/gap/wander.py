@@ -16,8 +16,10 @@ from scipy.linalg import solve_triangular
 
 from calib.gap.contest import Contest, tail
 from calib.gap.effects.affine import rotation_columns
+from calib.gap.effects.base import MeanEffect
 from calib.gap.effects.noise import DRIFTS
 from calib.gap.effects.reference_attitude import REFERENCE
+from calib.gap.evidence import price_of_kind
 from calib.gap.hypotheses import Columns, Frame, Hypothesis, Part, add_block
 from calib.gap.likelihood import Noise
 from calib.gap.model import (
@@ -26,13 +28,14 @@ from calib.gap.model import (
     Setting,
     cosines,
     frame_of,
+    misfit,
     normal_equations,
     refined,
     starting_model,
 )
 from calib.gap.noise_fit import refitted
 from calib.gap.schema import Estimate
-from calib.gap.selection import MATERIAL, Chosen, largest_gain, objective, select, without
+from calib.gap.selection import MATERIAL, ONE_MORE, Chosen, largest_gain, objective, price_of_all, select, without
 from calib.gap.views import View
 from calib.recording import Sensor
 
@@ -42,11 +45,13 @@ _MODES = 100
 """Cosines over the recording that an error of attitude about one axis is made of."""
 _SCREENED = 4000
 """Samples of a series in the search for size and time."""
-_SIZES_DEG = np.geomspace(0.01, 3.0, 9)
+_SIZES_DEG = np.geomspace(0.0025, 3.0, 11)
 _TIMES_S = (2.0, 6.0, 20.0, 60.0)
 """Rms and correlation time of the error that are tried."""
-_MARGIN = 6.0
+_MARGIN = 2.0
 """Penalised evidence by which a model with such an error must beat the one without."""
+_SLACK = 12.0
+"""What other effects may add to that once they are chosen beside it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,12 +80,11 @@ def wandering(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> W
     setting = start.setting
     if not any(map(sees, setting.views)):
         return None
-    bare = chosen.model
-    for term in chosen.model.noise_terms:
-        if term.hypothesis.effect.id.endswith(DRIFTS) and term.hypothesis.effect.sensor is not Sensor.GYRO:
-            bare = without(bare, term.hypothesis.key)
-    bare = refitted(refined(bare)[0]).model
-    gain, size, time = best_prior(bare)
+    process, worth = _instead(chosen)
+    gain, size, time = process.gain, process.size_deg, process.time_s
+    price = 2.0 * math.log(len(_SIZES_DEG) * len(_TIMES_S)) + price_of_kind(REFERENCE) + ONE_MORE
+    if worth < price + _MARGIN - _SLACK:
+        return None
     least = max((contest.floors.lasting(v.sensor) for v in setting.views if sees(v)), default=0.0)
     if gain < max(MATERIAL * largest_gain(chosen, contest), least):
         return None
@@ -97,33 +101,93 @@ def wandering(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> W
     ridge = Ridge(columns, 1.0 / _prior(setting, size, time), np.zeros(columns.p), span_of(setting))
     noise = with_tail(setting, start.noise, size, time)
     found = select(starting_model(setting, noise, ridge), contest, alpha)
-    price = 2.0 * math.log(sum(3 * v.count for v in setting.views if sees(v)))
     better = objective(chosen) - (objective(found) + process_cost(found.model) + price)
     return Wander(found, contest, better, size, time, noise) if better > _MARGIN else None
+
+
+def _instead(chosen: Chosen) -> tuple[Fitted, float]:
+    """The best process, and by how much a model with it is better, its own price apart: at least, infinite if unknown.
+
+    It stands in the place of all drifts that could be its own, and of every effect that it explains better. What drifts
+    have beyond its last cosine is counted only later (:func:`with_tail`).
+    """
+    bare, scores = chosen.model, {s.hypothesis.key: s for s in chosen.scores}
+    drifts = [
+        t.hypothesis.key for t in bare.noise_terms if t.hypothesis.effect.id.endswith(DRIFTS) and _seen_by(t.hypothesis)
+    ]
+    for key in drifts:
+        bare = without(bare, key)
+        scores.pop(key)
+    bare = refitted(refined(bare)[0]).model
+    process = _Process.about(bare)
+    best = process.best(bare)
+    worth = math.inf if drifts else best.gain
+    for score in sorted(scores.values(), key=lambda s: s.gain):
+        if _may_stand_for_it(score.hypothesis, bare.setting):
+            other = refined(without(bare, score.hypothesis.key))[0]
+            found = process.best(other)
+            better = found.gain - best.gain + price_of_all([score]) - (misfit(other) - misfit(bare))
+            if better > 0.0:
+                bare, best, worth = other, found, worth + better
+    return best, worth
+
+
+def _may_stand_for_it(hypothesis: Hypothesis, setting: Setting) -> bool:
+    effect = hypothesis.effect
+    steady = isinstance(effect, MeanEffect) and not effect.tonal
+    return steady and any(hypothesis.touches(view) for view in setting.views if sees(view))
 
 
 def _seen_by(hypothesis: Hypothesis) -> bool:
     return hypothesis.effect.sensor is not Sensor.GYRO
 
 
-def best_prior(model: Model) -> tuple[float, float, float]:
-    """Twice the gain of marginal log-likelihood of the best size (deg) and time (s)."""
-    setting = model.setting
-    frames = tuple(frame_of(view, _SCREENED) for view in setting.views)
-    columns = wander_columns(setting, frames)
-    y = [row for v in range(len(frames)) for row in frames[v].bins(np.ascontiguousarray(model.residual[v].T))]
-    weight = [1.0 / frames[a // 3].power(model.noise[a].power) for a in range(setting.axes)]
-    normal = normal_equations([columns], y, weight)
-    best = (-math.inf, 0.0, 0.0)
-    for size, time in _priors():
-        root = np.sqrt(_prior(setting, size, time))
-        inner = np.eye(columns.p) + root[:, None] * normal.gram * root
-        best = max(best, (marginal(inner, root * normal.right), size, time))
-    return best
+@dataclass(frozen=True, order=True)
+class Fitted:
+    """Twice the gain of marginal log-likelihood of a process, its rms (deg) and its time (s)."""
+
+    gain: float
+    size_deg: float
+    time_s: float
 
 
-def marginal(inner: Array, right: Array) -> float:
-    """``r' A^-1 r - log det A`` of a matrix that is one plus squares.
+@dataclass(frozen=True, eq=False)
+class _Process:
+    """What is the same of all models with one noise: columns, their weights by axis, and what each prior makes of them.
+
+    `priors`: size and time, roots (p,) of the prior variances, and :func:`halved` with them.
+    """
+
+    frames: tuple[Frame, ...]
+    columns: Columns
+    weight: tuple[Array, ...]
+    priors: tuple[tuple[float, float, Array, tuple[Array, float]], ...]
+
+    @classmethod
+    def about(cls, model: Model) -> _Process:
+        setting = model.setting
+        frames = tuple(frame_of(view, _SCREENED) for view in setting.views)
+        columns = wander_columns(setting, frames)
+        weight = tuple(1.0 / frames[a // 3].power(model.noise[a].power) for a in range(setting.axes))
+        normal = normal_equations([columns], [np.zeros_like(w) for w in weight], weight)
+        priors = []
+        for size, time in _priors():
+            root = np.sqrt(_prior(setting, size, time))
+            priors.append((size, time, root, halved(np.eye(columns.p) + root[:, None] * normal.gram * root)))
+        return cls(frames, columns, weight, tuple(priors))
+
+    def best(self, model: Model) -> Fitted:
+        """The best size and time of the process beside a model of that noise."""
+        right = np.zeros(self.columns.p)
+        for axis, part in self.columns.parts.items():
+            v, c = divmod(axis, 3)
+            (y,) = self.frames[v].bins(np.ascontiguousarray(model.residual[v][:, c][None]))
+            right[part.index] += part.X @ (self.weight[axis] * y)
+        return max(Fitted(marginal(half, root * right), size, time) for size, time, root, half in self.priors)
+
+
+def halved(inner: Array) -> tuple[Array, float]:
+    """H (p, p) with ``H' H = A^-1`` and ``log det A`` of a matrix A that is one plus squares.
 
     Beside next to no noise these squares are so large that rounding makes some of them negative.
     """
@@ -132,9 +196,15 @@ def marginal(inner: Array, right: Array) -> float:
     except np.linalg.LinAlgError:
         values, vectors = np.linalg.eigh(inner)
         values = np.maximum(values, 1.0)
-        return float((vectors.T @ right) ** 2 @ (1.0 / values)) - float(np.log(values).sum())
-    scaled = solve_triangular(factor, right, lower=True, check_finite=False)
-    return float(scaled @ scaled) - 2.0 * float(np.log(np.diag(factor)).sum())
+        return vectors.T / np.sqrt(values)[:, None], float(np.log(values).sum())
+    half = solve_triangular(factor, np.eye(len(factor)), lower=True, check_finite=False)
+    return half, 2.0 * float(np.log(np.diag(factor)).sum())
+
+
+def marginal(half: tuple[Array, float], right: Array) -> float:
+    """``r' A^-1 r - log det A``, of a matrix that was :func:`halved`."""
+    scaled = half[0] @ right
+    return float(scaled @ scaled) - half[1]
 
 
 def with_tail(setting: Setting, noise: Sequence[Noise], size_deg: float, time_s: float) -> tuple[Noise, ...]:

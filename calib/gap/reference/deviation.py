@@ -14,7 +14,7 @@ from calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
-_SURE = 4.0  # standard errors from which a mean counts
+_SURE = 5.0  # standard errors from which a mean counts
 
 
 def deviations(single: Sequence[Trace]) -> dict[tuple[Sensor, int], Array]:

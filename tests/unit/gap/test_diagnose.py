@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from calib.gap.bands import split
@@ -184,6 +185,35 @@ def test_a_wandering_reference_is_a_finding_about_the_reference():
     report = diagnose(problem_of(np.random.default_rng(7), (A, M), error=wrong), nested=False)
     assert report.verdict is Verdict.REFERENCE
     assert report.where
+
+
+def test_a_reference_that_wanders_about_a_turn_is_one_finding():
+    """The turn alone would be two sensors', and beside both of them the rest is next to nothing."""
+
+    def wrong(truth, sensor):
+        wave = np.sin(2 * np.pi * truth["t"] / 17.0)[:, None] * np.array([1.0, 0.6, -0.3])
+        return np.cross(
+            np.radians(0.1) * (np.array([1.5, -1.0, 0.5]) + wave), truth["force" if sensor is A else "field"]
+        )
+
+    report = diagnose(problem_of(np.random.default_rng(7), (A, M), error=wrong), nested=False)
+    assert report.verdict is Verdict.REFERENCE
+    assert found(report) == {"reference_attitude": (1,)}
+
+
+def test_a_reference_that_moves_faster_than_its_cosines_is_still_one_finding():
+    """Drifts, which explain it at all frequencies, say more at first than the process does with those that it has."""
+    rng = np.random.default_rng(99)
+
+    def wrong(truth, sensor):
+        error = np.random.default_rng(99).standard_normal((len(truth["t"]) + 2000, 3))
+        for keep in (np.exp(-0.02 / 3.0), np.exp(-0.02 / 1.0)):  # two lags, s, at 50 Hz
+            error = lfilter([1.0 - keep], [1.0, -keep], error, axis=0)
+        turn = np.radians(0.3) * error[2000:] / error[2000:].std()
+        return np.cross(turn, truth["force"] if sensor is A else truth["field"])
+
+    report = diagnose(problem_of(rng, (A, M), error=wrong), nested=False)
+    assert report.verdict is Verdict.REFERENCE
 
 
 def test_what_the_catalogue_does_not_have_is_unknown_with_its_shape():

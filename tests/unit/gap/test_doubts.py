@@ -10,7 +10,7 @@ from calib.gap.attribution import Attribution
 from calib.gap.doubts import nameless
 from calib.gap.problem import Problem
 from calib.gap.schema import Verdict
-from calib.gap.wander import marginal
+from calib.gap.wander import halved, marginal
 from calib.recording import Sensor
 
 from .synthetic import problem_of
@@ -63,6 +63,6 @@ def test_the_marginal_likelihood_stands_squares_that_rounding_makes_negative():
     inner = np.array([[2.0, 1.0], [1.0, 3.0]])
     right = np.array([1.0, 2.0])
     plain = float(right @ np.linalg.solve(inner, right)) - math.log(5.0)
-    assert marginal(inner, right) == pytest.approx(plain)
+    assert marginal(halved(inner), right) == pytest.approx(plain)
     broken = np.array([[1.0 + 1e20, 1e20], [1e20, 1e20 - 1e5]])
-    assert math.isfinite(marginal(broken, right))
+    assert math.isfinite(marginal(halved(broken), right))

@@ -7,7 +7,15 @@ import math
 import numpy as np
 import pytest
 
-from calib.gap.evidence import evidence, price_of_fixed, price_of_kind, price_of_noise, price_of_search, weighed
+from calib.gap.evidence import (
+    evidence,
+    price_of_fixed,
+    price_of_kind,
+    price_of_noise,
+    price_of_repetition,
+    price_of_search,
+    weighed,
+)
 
 ONE = np.zeros(3, np.intp)
 
@@ -151,3 +159,8 @@ def test_noise_on_one_axis_costs_less_than_as_much_on_three():
     assert alone > price_of_noise(np.array([0.3]), known[:1]) + 3.0
     almost = price_of_noise(np.array([0.3, 0.02, 0.0]), known)
     assert alone < almost < together, "what the other axes gain is given up"
+
+
+def test_the_second_event_of_a_sensor_costs_more_than_the_first():
+    assert price_of_repetition(0) == 0.0
+    assert 0.0 < price_of_repetition(1) == price_of_repetition(2) < price_of_kind("gyro_random_walk")

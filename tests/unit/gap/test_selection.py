@@ -8,13 +8,14 @@ import math
 import numpy as np
 import pytest
 
-from calib.gap.attribution import _behind
+from calib.gap.attribution import Alternative, _behind, _improved
 from calib.gap.contest import Contest, Score
 from calib.gap.diagnose import _task_of
 from calib.gap.effects import catalogue, forward_models
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.model import NoiseTerm
-from calib.gap.selection import REAL, _better, _joined, _least, _objective_of, grown, select
+from calib.gap.projection import Beside
+from calib.gap.selection import REAL, _better, _joined, _least, _objective_of, grown, objective, select, without
 from calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
@@ -69,6 +70,15 @@ def test_sensor_by_sensor_the_better_of_two_models_is_taken():
     assert ids(_joined(steady, drifts, {A, G})) == ids(drifts)
 
 
+def test_a_model_is_judged_by_what_its_sensors_are_and_by_how_many_effects_it_has():
+    _, steady, drifts = paths()
+    for chosen in (steady, drifts):
+        assert objective(chosen) == pytest.approx(_objective_of(chosen, A) + _objective_of(chosen, G))
+    halves = [dataclasses.replace(s, gain=s.gain / 2, delta=s.delta / 2) for s in steady.scores for _ in range(2)]
+    assert sum(h.price for h in halves) == pytest.approx(sum(s.price for s in steady.scores))
+    assert objective(dataclasses.replace(steady, scores=tuple(halves))) > objective(steady) + 5.0
+
+
 def test_a_mean_is_no_second_order_of_what_shakes():
     task, steady, _ = paths()
     warm = next(h for h in task.contest.hypotheses if h.effect.id == "gyro_temp_linear")
@@ -80,3 +90,22 @@ def test_a_mean_is_no_second_order_of_what_shakes():
     assert _least(bias, alone, {shaken.hypothesis.key: (1e6, 3, 1)}) < 1e3
     noise = Hypothesis(forward_models()["accel_noise"][-1], (0,))
     assert _least(noise, alone, {shaken.hypothesis.key: (1e6, 3, 1)}) > 1e3
+
+
+@pytest.mark.parametrize("honest", [True, False])
+def test_an_exchange_that_does_not_keep_its_promise_is_taken_back(honest):
+    """A rival is scored beside the others as they are fitted; what it says then must still hold once all are anew."""
+    task, _, drifts = paths()
+    keys = {t.hypothesis.effect.id: t.hypothesis.key for t in drifts.model.members}
+    rivals = {h.effect.id: h for h in task.contest.hypotheses}
+    own, promised = (
+        (keys["gyro_random_walk"], "gyro_temp_linear") if honest else (keys["accel_random_walk"], "accel_bias")
+    )
+    beside = Beside(without(drifts.model, own))
+    kept = task.contest.score(rivals[promised], beside)
+    score = dataclasses.replace(kept, gain=kept.gain + 1e6, delta=kept.delta + 1e6, p=0.0)
+    only = task.contest.among([rivals[promised]])
+    other = _improved(drifts, {own: ([Alternative(score, 0.0)], 10.0)}, 1e-4, only)
+    assert (other is not None) is honest
+    if other is not None:
+        assert promised in ids(other)

@@ -13,6 +13,7 @@ from calib.gap.estimates import estimates_of
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.model import (
     Joint,
+    NoiseTerm,
     Term,
     jacobian,
     normal_equations,
@@ -24,7 +25,7 @@ from calib.gap.noise_fit import NoiseFit, starting_noise
 from calib.gap.normal import solved
 from calib.gap.schema import Verdict
 from calib.gap.selection import Chosen
-from calib.gap.transitions import levels_apart, transitions
+from calib.gap.transitions import Transition, levels_apart, passing, transitions
 from calib.gap.views import views_of
 from calib.recording import Sensor
 from tests.unit.gap.synthetic import problem_of
@@ -120,3 +121,17 @@ def test_what_passes_by_is_not_forgotten_with_its_samples():
     assert "passes on accel" in report.unknown.shape
     assert not any(e.id == "accel_step" for e in report.effects)
     assert report.verdict is Verdict.UNKNOWN
+
+
+@pytest.mark.parametrize(("gain", "says"), [(0.0, 1), (150.0, 1), (250.0, 0)])
+def test_jumps_that_became_a_walk_are_nothing_that_passes(gain, says):
+    """Of two jumps in whose place a walk stands it is the walk that says more than they did; a weaker one does not."""
+    problem = problem_of(np.random.default_rng(4), (Sensor.GYRO,))
+    setting = setting_of(views_of(problem, {}, {}))
+    walk = Hypothesis(next(e for e in catalogue() if e.id == "gyro_random_walk"), (0,))
+    model = starting_model(setting, starting_noise(setting))
+    left_out = (Transition(Sensor.GYRO, 10.0, 12.0, nats=100.0),)
+    assert len(passing(left_out, model)) == 1
+    model = dataclasses.replace(model, noise_terms=(NoiseTerm(walk, np.nan),))
+    assert len(passing(left_out, model, {walk.key: gain})) == says
+    assert len(passing((dataclasses.replace(left_out[0], sensor=Sensor.MAG),), model, {walk.key: gain})) == 1
