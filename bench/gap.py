@@ -47,6 +47,6 @@ def _rows(log: _Log) -> list[Row]:
             took = time.process_time() - began
             said = ", ".join(effect.id for effect in report.effects) or report.verdict.value
             what = f"{log.seconds:.0f} s at {log.rate:.0f} Hz, {name}" + (", nested" if nested else "")
-            measured = f"{took:.1f} s, a {log.seconds / took:.0f}th of the flight: {said}"
+            measured = f"{took:.1f} s, {log.seconds / took:.0f} x as fast as flown: {said}"
             found.append(Row(what, f"<= {limit:.0f} s", measured, took <= limit))
     return found

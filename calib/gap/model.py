@@ -268,7 +268,8 @@ def jacobian(term: Term, setting: Setting) -> Columns:
     """Columns of everything that `term` estimates, at its present values; the last ones asked for are kept."""
     effect = term.effect
     if effect.shape is None and effect.exact is None:
-        return columns_of(term.hypothesis, term.theta, setting.views, setting.frames)
+        found = columns_of(term.hypothesis, term.theta, setting.views, setting.frames)
+        return found if found.p else Columns(len(term.values), {})  # a block in which its sensor has no samples
     count = len(term.values)
     limits = limits_of(term, setting)
     linear = effect.exact is None and not effect.fixed

@@ -10,7 +10,7 @@ import pytest
 from calib.gap.diagnose import _task_of
 from calib.gap.effects import catalogue
 from calib.gap.hypotheses import columns_of
-from calib.gap.model import Term, misfit, refined, with_residual
+from calib.gap.model import Term, jacobian, misfit, refined, setting_of, with_residual
 from calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
@@ -41,3 +41,18 @@ def test_amplitudes_are_fitted_however_far_they_and_their_shape_are(theta, facto
         far[part.index] = factor * found
     begun = with_residual(dataclasses.replace(task.bare, terms=(Term(hypothesis, far, theta),)))
     assert misfit(refined(begun)[0]) < misfit(task.bare) - 0.99 * worth
+
+
+@pytest.mark.parametrize("effect", ["accel_bias", "accel_temp_linear", "accel_scale", "accel_delay"])
+def test_a_block_without_samples_of_a_sensor_knows_nothing_of_its_effects(effect):
+    """A magnetometer may fall silent for an eighth of a flight, and that eighth is held out in its turn."""
+    problem = problem_of(np.random.default_rng(6), (Sensor.ACCEL, Sensor.GYRO))
+    task = _task_of(problem, tuple(e for e in catalogue() if e.id == effect))
+    hypothesis, setting = task.contest.hypotheses[0], task.bare.setting
+    theta = np.nan if hypothesis.effect.shape is None else 20.0
+    own = columns_of(hypothesis, theta, setting.views, setting.frames)
+    term = Term(hypothesis, np.ones(own.p), theta)
+    silent = setting_of(tuple(view for view in setting.views if view.sensor is Sensor.GYRO))
+    whole, nothing = jacobian(term, setting), jacobian(term, silent)
+    assert nothing.p == whole.p == len(term.values)
+    assert not nothing.parts
