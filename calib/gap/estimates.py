@@ -14,7 +14,7 @@ from calib.gap.noise_fit import NoiseEstimate
 from calib.gap.schema import Estimate
 from calib.gap.selection import Chosen
 from calib.gap.tilted import variance_of_tilt
-from calib.gap.transitions import levels_apart
+from calib.gap.transitions import levels_apart, moment_of
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,8 @@ def estimates_of(chosen: Chosen, term: Term | NoiseTerm, widening: float = 1.0) 
     """The parameters of one effect, its shape last; errors on the mean are `widening` times those of the noise,
     and what the reference's attitude leaves open (:mod:`calib.gap.tilted`).
 
-    A step between levels that do not fit it is no surer than they differ.
+    A step between levels that do not fit it is no surer than they differ, and its moment no surer than the samples
+    beside it lie apart.
     """
     if isinstance(term, NoiseTerm):
         found = chosen.noise.estimates[term.hypothesis.key]
@@ -47,11 +48,15 @@ def estimates_of(chosen: Chosen, term: Term | NoiseTerm, widening: float = 1.0) 
     effect = term.effect
     names = effect.parameters if effect.shape is None else (*effect.parameters, effect.shape.parameter)
     se = np.hypot(widening * np.sqrt(variance), np.sqrt(variance_of_tilt(chosen.model, chosen.joint)[rows]))
+    values = term.values.copy()
     if effect.jumps:
         apart = levels_apart(chosen.model, term)
         se[:3] = np.where(apart > _SIGNIFICANT * se[:3], np.hypot(se[:3], apart), se[:3])
+        if effect.shape is not None and effect.shape.still:
+            values[-1], between = moment_of(chosen.model, term)
+            se[-1] = math.hypot(se[-1], between)
     return tuple(
-        _estimate(name, float(value), float(error)) for name, value, error in zip(names, term.values, se, strict=True)
+        _estimate(name, float(value), float(error)) for name, value, error in zip(names, values, se, strict=True)
     )
 
 

@@ -20,7 +20,7 @@ from calib.gap.leftover import leftover
 from calib.gap.model import Model, Term
 from calib.gap.schema import HiddenDriver, Unknown
 from calib.gap.switching import switching
-from calib.gap.transitions import events_of
+from calib.gap.transitions import events_of, moment_of
 from calib.recording import Sensor
 
 _JUMPS = 3
@@ -51,11 +51,12 @@ def strangers_in(model: Model, attributions: Sequence[Attribution]) -> tuple[Str
     drifts = [Stranger((found.key,), found.text, found.driver) for found in impostors(model) if found.key not in taken]
     known = taken | {h.key for h in shapes} | {key for drift in drifts for key in drift.keys}
     doubted = [a for a in attributions if a.doubted and a.key not in known]
+    names = {t.hypothesis.key: t.hypothesis.effect.id for t in model.members}
     return (
         *(Stranger((h.key,), h.effect.excited_by) for h in shapes),
         *levels,
         *drifts,
-        *(Stranger((a.key,), f"{a.shape}, or {a.key[0]}") for a in doubted),
+        *(Stranger((a.key,), f"{a.shape}, or {names[a.key]}") for a in doubted),
         *_swarms(model),
         *_beats(model),
     )
@@ -68,8 +69,9 @@ def _swarms(model: Model) -> list[Stranger]:
         events = events_of(model, sensor)
         own = [term for event in events for term in event]
         if len(events) >= _JUMPS:
-            when = ", ".join(f"{t.theta:.1f} s" for t in own)
-            found.append(Stranger(tuple(t.hypothesis.key for t in own), f"{len(own)} jumps on {sensor.value}: {when}"))
+            moments = tuple(dict.fromkeys(f"{moment_of(model, t)[0]:.1f} s" for t in own))
+            text = f"{len(moments)} jumps on {sensor.value}: {', '.join(moments)}"
+            found.append(Stranger(tuple(t.hypothesis.key for t in own), text))
     return found
 
 

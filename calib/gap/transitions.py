@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from calib.gap.effects.events import SLOW_S
-from calib.gap.effects.noise import DRIFTS
 from calib.gap.hypotheses import Key
-from calib.gap.model import Model, NoiseTerm, Term
+from calib.gap.model import Model, Term
 from calib.gap.problem import Problem
 from calib.gap.views import View
 from calib.recording import Sensor
@@ -25,6 +24,8 @@ from calib.recording import Sensor
 Array = NDArray[np.float64]
 ONE_EVENT_S = 2.0
 """Jumps that follow each other within this time are one event."""
+_ONE_MOMENT = 1.5
+"""Samples within which jumps are one, of a size of its own on each instance."""
 _MARGIN_S = 0.3
 """Before the first and after the last of them."""
 _WINDOW_S = 0.25
@@ -77,7 +78,8 @@ def transitions(model: Model, gains: Mapping[Key, float] | None = None) -> tuple
             reached = [unsettled(model.setting.views[v], model.residual[v], start, end) for v in views]
             early, late = min(r[0] for r in reached), max(r[1] for r in reached)
             slow = bool(event[0].effect.form) and any(_ramp_seen(event[0], model.setting.views[v]) for v in views)
-            if len(event) > 1 or slow or early < start or late > end:
+            apart = end - start > _ONE_MOMENT / max(model.setting.views[v].fs for v in views)
+            if apart or slow or early < start or late > end:
                 early, late = min(early, start - _beside(event[0])), max(late, end + _beside(event[-1]))
                 nats = 0.5 * sum((gains or {}).get(jump.hypothesis.key, 0.0) for jump in event)
                 found.append(Transition(sensor, early, late, nats))
@@ -98,7 +100,7 @@ def passing(
     Noise that wanders, and is worth more than the jumps were, is what they stood for.
     """
     jumps = [(t.effect.sensor, t.theta) for t in model.terms if t.effect.jumps]
-    drifts = {t.hypothesis.effect.sensor: t.hypothesis.key for t in model.noise_terms if _wanders(t)}
+    drifts = {t.hypothesis.effect.sensor: t.hypothesis.key for t in model.noise_terms if t.hypothesis.effect.drifts}
 
     def lasts(one: Transition) -> bool:
         return any(s is one.sensor and one.start - ONE_EVENT_S < at < one.end + ONE_EVENT_S for s, at in jumps)
@@ -107,10 +109,6 @@ def passing(
         return one.sensor in drifts and one.nats < 0.5 * (gains or {}).get(drifts[one.sensor], 0.0)
 
     return tuple(one for one in left_out if one.nats > 0.0 and not lasts(one) and not drifted(one))
-
-
-def _wanders(term: NoiseTerm) -> bool:
-    return term.hypothesis.effect.id.endswith(DRIFTS)
 
 
 def unsettled(view: View, residual: Array, start: float, end: float) -> tuple[float, float]:
@@ -153,7 +151,9 @@ def levels_apart(model: Model, term: Term) -> Array:
     seen = [v for v, view in enumerate(model.setting.views) if term.hypothesis.touches(view) and not view.first]
     weights = [_weight(term, model.setting.views[v]) for v in seen]
     v, weight = max(zip(seen, weights, strict=True), key=lambda pair: abs(pair[1]))
-    moments = [t.theta for event in events_of(model, term.effect.sensor) for t in event if t is not term]
+    near = _ONE_MOMENT / model.setting.views[v].fs
+    others = (t.theta for event in events_of(model, term.effect.sensor) for t in event)
+    moments = [other for other in others if abs(other - term.theta) > near]
     start = max((m for m in moments if m < term.theta), default=-np.inf)
     end = min((m for m in moments if m > term.theta), default=np.inf)
     t, residual = model.setting.views[v].t, model.residual[v]
@@ -165,6 +165,16 @@ def levels_apart(model: Model, term: Term) -> Array:
             step = np.abs(residual[after].mean(axis=0) - residual[before].mean(axis=0))
             apart = np.maximum(apart, step / abs(weight))
     return apart
+
+
+def moment_of(model: Model, term: Term) -> tuple[float, float]:
+    """When a jump was, s, and its standard error: anywhere between the last sample before it and the first after it."""
+    spans = []
+    for view in {id(view.whole): view.whole for view in model.setting.views if term.hypothesis.touches(view)}.values():
+        k = int(np.clip(np.searchsorted(view.t, term.theta - 0.5 / view.fs), 1, len(view.t) - 1))
+        spans.append((float(view.t[k] - view.t[k - 1]), float(view.t[k])))
+    length, end = min(spans)
+    return end - 0.5 * length, length / np.sqrt(12.0)
 
 
 def _weight(term: Term, view: View) -> float:

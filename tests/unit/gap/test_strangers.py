@@ -40,6 +40,21 @@ def test_a_sensor_that_keeps_jumping_is_unknown_and_no_jump_is_named():
     assert not any(e.id == "accel_step" for e in report.effects)
 
 
+def test_each_moment_is_said_once_however_many_instances_jump():
+    def all_jump(truth, _sensor):
+        return (
+            0.5
+            * sum(sign * (truth["t"] > at) for at, sign in zip(MOMENTS, (1.0, -2.0, 2.0, -1.5), strict=True))[:, None]
+        )
+
+    problem = problem_of(
+        np.random.default_rng(1), (Sensor.ACCEL,), jumping(MOMENTS), instances=2, only=1, error=all_jump
+    )
+    report = diagnose(problem, nested=False)
+    assert "4 jumps on accel: 8.0 s, 16.0 s, 24.0 s, 32.0 s" in report.unknown.shape
+    assert "_step" not in report.unknown.shape
+
+
 def test_what_the_references_own_flaws_leave_over_is_not_unknown():
     def humming(trace):
         return 0.1 * np.sin(2.0 * np.pi * 9.0 * trace.t + 2.0 * np.sin(2.0 * np.pi * 0.7 * trace.t))[:, None]
