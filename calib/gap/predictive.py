@@ -77,6 +77,7 @@ def _precision(fitted: Model, known: Array, shown: Array) -> Array:
     """Of the prior of every value: amplitudes have one of their own size, shapes none."""
     ends = np.cumsum([0, *(len(term.values) for term in fitted.terms)])
     error = 1.0 / np.sqrt(np.maximum(np.diag(known + shown), np.finfo(float).tiny))
+    values = np.concatenate([term.values for term in fitted.terms])
     precision = np.zeros(len(known))
     for term, (start, end) in zip(fitted.terms, itertools.pairwise(ends), strict=True):
         if term.effect.fixed:
@@ -86,8 +87,10 @@ def _precision(fitted: Model, known: Array, shown: Array) -> Array:
         cross = known[np.ix_(own, rest)]
         gram = known[np.ix_(own, own)] - cross @ solved(known[np.ix_(rest, rest)], np.zeros(len(rest)))[1] @ cross.T
         units = units_of(term.effect, len(own))
-        sd = np.maximum(_WIDE * prior_sd(gram, gram @ term.beta, units), _NOTHING * error[own])
-        precision[own] = 1.0 / sd**2
+        size = prior_sd(gram, gram @ term.beta, units)
+        if not size.any():  # beside another that does the same there; of both together they may say much
+            size = prior_sd(known[np.ix_(own, own)], known[own] @ values, units)
+        precision[own] = 1.0 / np.maximum(_WIDE * size, _NOTHING * error[own]) ** 2
     return precision
 
 

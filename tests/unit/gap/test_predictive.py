@@ -84,3 +84,20 @@ def test_a_curve_carried_on_beyond_what_was_seen_is_not_taken_for_certain():
             saved.append(log_loss(carried(train, fold.test)) - predictive_loss(train, fold.test))
     assert np.median(saved) > 10.0
     assert min(saved) > -1.0
+
+
+def test_two_effects_of_which_the_other_blocks_know_the_sum_alone_do_not_deny_each_other():
+    """An offset and a drift with temperature, the warm-up held out: neither shows a sign beside the other."""
+    problem = problem_of(np.random.default_rng(5), (Sensor.ACCEL,))
+    (trace,) = problem.traces
+    warm = 22.0 + 33.0 * (1.0 - np.exp(-trace.t / 1.2))
+    drift = np.outer(0.05 + 0.008 * (warm - 35.0), np.ones(3))
+    trace = dataclasses.replace(trace, temperature=warm, measured=trace.measured + drift)
+    fold = folds_of(setting_of(views_of(dataclasses.replace(problem, traces=(trace,)), {}, {})), 4)[0]
+    bias, thermal = (Hypothesis(forward_models()[name][-1], (0,)) for name in ("accel_bias", "accel_temp_linear"))
+    one = joined(refitted(fold.train).model, Term(bias, np.zeros(3), np.nan))
+    both = joined(one, Term(thermal, np.zeros(3), 35.0))
+    true = (Term(bias, np.full(3, 0.05), np.nan), Term(thermal, np.full(3, 0.008), 35.0))
+    known = log_loss(carried(dataclasses.replace(both, terms=true), fold.test))
+    assert predictive_loss(one, fold.test) > known + 300.0
+    assert predictive_loss(both, fold.test) < known + 60.0
