@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from calib.gap.contest import Contest, Score, exactly, fixed_score, noise_score, priced
 from calib.gap.effects.base import NoiseEffect
-from calib.gap.effects.noise import DRIFTS
 from calib.gap.evidence import price_of_kind
 from calib.gap.filtered import told_by_noise
 from calib.gap.hypotheses import Columns, Hypothesis, Key, columns_of
@@ -143,10 +142,10 @@ def steadily(chosen: Chosen, start: Model, contest: Contest, alpha: float) -> Ch
     Forward steps may stop where two of the wrong effects stand; wandering noise then beats them, and not the right two.
     Of a magnet that is put on and taken off neither jump alone says much: events are tried by themselves first as well.
     """
-    drifting = {t.hypothesis.effect.sensor for t in chosen.model.noise_terms if t.hypothesis.effect.id.endswith(DRIFTS)}
+    drifting = {t.hypothesis.effect.sensor for t in chosen.model.noise_terms if t.hypothesis.effect.drifts}
     if not drifting or {Sensor.ACCEL, Sensor.MAG} <= drifting:  # both: it is the reference, which comes next
         return chosen
-    steady = [h for h in contest.hypotheses if not h.effect.id.endswith(DRIFTS)]
+    steady = [h for h in contest.hypotheses if not h.effect.drifts]
     level = alpha * len(steady) / max(len(contest.hypotheses), 1)
     without_drift = contest.among(steady)
     other, _ = settled(select(start, without_drift, level), without_drift, level)
@@ -195,7 +194,7 @@ def _freedom_of(chosen: Chosen, key: Key) -> int:
 
 def _freedom(score: Score) -> int:
     """Numbers of an effect; noise that wanders takes the place of anything slow, and has more than any other."""
-    return score.df + (_WANDERS if score.hypothesis.effect.id.endswith(DRIFTS) else 0)
+    return score.df + (_WANDERS if score.hypothesis.effect.drifts else 0)
 
 
 def _behind(own: float, score: Score, freedom: int, second: float) -> float:
@@ -332,5 +331,5 @@ def _judged(
     stranger = max(unknown)  # the others are parts of it, or it in another guise
     total = float(np.logaddexp.reduce([*same, *weights, stranger]))
     right = math.exp(float(np.logaddexp.reduce(same)) - total)
-    wanders = own.effect.id.endswith(DRIFTS)
+    wanders = own.effect.drifts
     return tuple(best.values()), right * (_STANDS_IN if wanders else 1.0), math.exp(stranger - total)

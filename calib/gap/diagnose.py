@@ -31,7 +31,7 @@ from calib.gap.samples import Lattice, lattice_of, shown_by
 from calib.gap.schema import EffectEstimate, Finding, GapReport, MultipleTesting, NotTestable, Unknown, Verdict
 from calib.gap.selection import Chosen, reduced, select
 from calib.gap.series import series_of
-from calib.gap.shrink import Heldout, held_out, shrink_of
+from calib.gap.shrink import Heldout, held_out, nested_in, shrink_of
 from calib.gap.strangers import NOT_LASTING, Stranger, strangers_in, unknown_of
 from calib.gap.transitions import Transition, passing, transitions, without_transitions
 from calib.gap.unknown import explained
@@ -181,17 +181,19 @@ def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
     Of two of one kind the weaker one goes first: either seems to add nothing while the other is there.
     """
     chosen, contest = answer.chosen, answer.contest
-    heldout = held_out(chosen, contest, alpha, answer.tolerated, nested=nested)
+    heldout = held_out(chosen, contest, answer.tolerated)
     gates, gone = _gates_of(heldout), []
     while failed := [s for s in chosen.scores if gates.get(s.hypothesis.key) is False]:
         kinds = {s.hypothesis.effect.id for s in failed}
         weakest = [min((s for s in failed if s.hypothesis.effect.id == k), key=lambda s: s.gain) for k in sorted(kinds)]
         gone += weakest
         chosen = reduced(chosen, [s.hypothesis.key for s in weakest])
-        heldout = held_out(chosen, contest, alpha, answer.tolerated, nested=nested)
+        heldout = held_out(chosen, contest, answer.tolerated)
         if len(weakest) == len(failed):
             break
         gates = _gates_of(heldout)
+    if nested and heldout is not None:
+        heldout = nested_in(heldout, chosen, contest, alpha)
     if not gone:
         return replace(answer, heldout=heldout, gates=gates)
     chosen, attributions = settled(chosen, contest, 0.0)

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.effects.noise import DRIFTS
+from calib.gap.effects.base import DRIFTS
 from calib.gap.effects.reference_attitude import REFERENCE
 from calib.gap.effects.temperature import THERMAL
 from calib.gap.normal import eigh

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.gap.contest import Contest
-from calib.gap.effects.noise import DRIFTS
 from calib.gap.floors import Floors
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.model import (
@@ -95,7 +94,7 @@ def foretold(term: Term | NoiseTerm, whole: Model, train: Setting) -> bool:
             if not ((seen > first) & (seen < last)).any():
                 return False
     drifts = (t.hypothesis.effect for t in whole.noise_terms)
-    if not any(e.id.endswith(DRIFTS) and e.sensor is effect.sensor for e in drifts):
+    if not any(e.drifts and e.sensor is effect.sensor for e in drifts):
         return True
     own = (view for view in train.views if term.hypothesis.touches(view))
     return any(view.t[0] < term.theta < view.t[-1] for view in own)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from calib.gap.bands import resampled
 from calib.gap.effects.base import Effect, MeanEffect, NoiseEffect
-from calib.gap.effects.noise import DRIFTS
 from calib.gap.likelihood import fast_length, transform
 from calib.gap.problem import Trace, Worse
 from calib.gap.views import View
@@ -144,7 +143,7 @@ def _at_fault(effect: Effect, worse: Mapping[Sensor, Worse]) -> tuple[int, ...] 
     if effect.shared or told is None:
         return None
     noise = isinstance(effect, NoiseEffect)
-    if effect.tonal or (noise and not effect.id.endswith(DRIFTS)):
+    if effect.tonal or (noise and not effect.drifts):
         return told.fast
     return told.fast if noise and told.slow is None else told.slow
 

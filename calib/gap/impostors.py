@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from calib.gap.effects.base import NoiseEffect
-from calib.gap.effects.noise import DRIFTS
 from calib.gap.levels import step_of
 from calib.gap.likelihood import fit_amplitudes, flicker, random_walk
 from calib.gap.louder import unsteady_line
@@ -49,7 +48,7 @@ def impostors(model: Model) -> tuple[Impostor, ...]:
     """Random walks and flicker of the model that are not a sensor's own noise."""
     found = []
     for term in model.noise_terms:
-        if not term.hypothesis.effect.id.endswith(DRIFTS) or unsteady_line(term, model):
+        if not term.hypothesis.effect.drifts or unsteady_line(term, model):
             continue
         sensor = term.hypothesis.effect.sensor
         for v, view in enumerate(model.setting.views):

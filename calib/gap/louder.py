@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.effects.noise import DRIFTS
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.model import Model, NoiseTerm
 from calib.gap.noise_fit import densities_of
@@ -69,7 +68,7 @@ def unsteady_line(term: NoiseTerm, model: Model) -> bool:
 
 def drift_beside_lines(added: Added, model: Model) -> bool:
     """Whether noise that wanders is more than the unsteadiness of the lines of a model, whose skirts reach low bins."""
-    if not added.hypothesis.effect.id.endswith(DRIFTS):
+    if not added.hypothesis.effect.drifts:
         return True
     power = sum(float(added.power(model, v).sum()) for v in _touched(added.hypothesis, model))
     return power > _OF_LINE * line_power(added.hypothesis, model)

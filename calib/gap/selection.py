@@ -14,7 +14,6 @@ from scipy.special import chdtrc
 
 from calib.gap.contest import Contest, Score
 from calib.gap.effects.base import Effect, MeanEffect, NoiseEffect
-from calib.gap.effects.noise import DRIFTS
 from calib.gap.hypotheses import Hypothesis, Key
 from calib.gap.louder import unsteady_line
 from calib.gap.model import (
@@ -115,7 +114,7 @@ def select(start: Model, contest: Contest, alpha: float) -> Chosen:
         Chance that any of the tests fires without a gap.
     """
     candidates = contest.hypotheses
-    steady = [h for h in candidates if not h.effect.id.endswith(DRIFTS)]
+    steady = [h for h in candidates if not h.effect.drifts]
     tests = sum(not h.again for h in candidates)
     level = alpha / max(tests, 1)
     model, joint, noise = fitted(start)
@@ -133,7 +132,9 @@ def _better(chosen: Chosen, other: Chosen, contest: Contest) -> Chosen:
         worth = MATERIAL * largest_gain(chosen, contest)
         return other if objective(other) < objective(chosen) - worth else chosen
     skirts = {
-        t.hypothesis.effect.sensor for t in other.model.noise_terms if _is_drift(t) and unsteady_line(t, other.model)
+        t.hypothesis.effect.sensor
+        for t in other.model.noise_terms
+        if t.hypothesis.effect.drifts and unsteady_line(t, other.model)
     }
     gains, taken = last_gains(chosen.model, contest), set()
     part = REAL if of_flights(chosen.model) else MATERIAL
@@ -179,7 +180,7 @@ def _drift_leads(first: Sequence[Score], level: float) -> bool:
         sensor = score.hypothesis.effect.sensor
         if sensor not in best or score.delta > best[sensor].delta:
             best[sensor] = score
-    return any(score.hypothesis.effect.id.endswith(DRIFTS) for score in best.values())
+    return any(score.hypothesis.effect.drifts for score in best.values())
 
 
 def grown(chosen: Chosen, contest: Contest, level: float, candidates: Sequence[Hypothesis] | None = None) -> Chosen:
@@ -255,7 +256,7 @@ def _best(scores: dict[Key, Score], level: float, gains: Gains, contest: Contest
     Noise that wanders may have taken the place of a slow mean, and so may noise that nobody declared, which was fitted
     while that was in it: what a mean gains beside them says little.
     """
-    wandering = any(map(_is_drift, model.noise_terms))
+    wandering = any(t.hypothesis.effect.drifts for t in model.noise_terms)
     undeclared = {view.sensor for view in model.setting.views if not is_declared(view)}
 
     def hidden(score: Score) -> bool:
@@ -326,7 +327,7 @@ def _least(hypothesis: Hypothesis, model: Model, gains: Gains) -> float:
 
 def _of_one_order(effect: Effect, other: Effect) -> bool:
     """Whether an effect could be a second order of another: a mean could not of noise that does not wander."""
-    steady = isinstance(other, NoiseEffect) and not other.id.endswith(DRIFTS)
+    steady = isinstance(other, NoiseEffect) and not other.drifts
     return not (steady and isinstance(effect, MeanEffect) and not effect.tonal)
 
 
@@ -443,8 +444,4 @@ def price_of_all(scores: Iterable[Score]) -> float:
 
 def wanders(chosen: Chosen) -> bool:
     """Whether noise that wanders is in the model."""
-    return any(map(_is_drift, chosen.model.noise_terms))
-
-
-def _is_drift(term: NoiseTerm) -> bool:
-    return term.hypothesis.effect.id.endswith(DRIFTS)
+    return any(t.hypothesis.effect.drifts for t in chosen.model.noise_terms)

@@ -18,13 +18,11 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from calib.gap.contest import Contest
-from calib.gap.effects.noise import DRIFTS
 from calib.gap.folds import (
     GUARD_S,
     Fold,
     carried,
     contest_of,
-    expected_gain,
     folds_of,
     foretold,
     joined,
@@ -33,13 +31,14 @@ from calib.gap.folds import (
     power_ratio,
     with_weight,
 )
+from calib.gap.gates import Gate, gate_of
 from calib.gap.hypotheses import Key
 from calib.gap.model import Model, NoiseTerm, Setting, Term, jacobian, normal_equations, setting_of
 from calib.gap.noise_fit import is_declared, refitted
 from calib.gap.normal import solved
 from calib.gap.predictive import predictive_loss
 from calib.gap.schema import SequenceStep, Shrink
-from calib.gap.selection import Chosen, Gains, last_gains, select
+from calib.gap.selection import Chosen, last_gains, select
 
 Array = NDArray[np.float64]
 
@@ -56,37 +55,53 @@ _SIGNIFICANT = 3.0
 """Standard errors from which on power above the noise is no chance."""
 _DISAGREE = 1e-3
 """Chance below which blocks do not agree on the size of an effect."""
-_SHORT = 2.5
-"""Standard deviations by which a held-out gain may be less than was due."""
-_ENOUGH = 0.2
-"""Part of what was due that is enough in any case: no model of a real sensor foretells thousands of nats exactly."""
-_FORETOLD = -5.0
-"""Nats below which the other blocks do not know what to expect of one."""
-
-
-@dataclass(frozen=True, eq=False)
-class Gate:
-    """Whether an effect shrinks held-out data: gain by block in nats, and whether it stays; None: not to be told."""
-
-    key: Key
-    gains: Array
-    passed: bool | None
 
 
 @dataclass(frozen=True, eq=False)
 class Heldout:
-    """Losses by block in nats above the floor, and samples; the gates of the effects."""
+    """What B blocks say that were held out, and the gates of the effects.
 
-    before: Array
-    after: Array
+    `losses` (B, 2) are nats without the effects and with them, `floor` (B,) those of whoever has them exactly,
+    `samples` (B,) the numbers in each block, and `steps` (B, K) what it gains by each effect of the ids `order` in
+    turn. `happens` tells blocks in which an event lies, of which the others cannot know when it was.
+    """
+
+    folds: tuple[Fold, ...]
+    losses: Array
+    floor: Array
     samples: Array
+    happens: tuple[bool, ...]
+    order: tuple[str, ...]
+    steps: Array
     gates: tuple[Gate, ...]
-    sequence: tuple[SequenceStep, ...]
+
+    @property
+    def before(self) -> Array:
+        """Nats (B,) above the floor without the effects."""
+        return self.losses[:, 0] - self._lowest
+
+    @property
+    def after(self) -> Array:
+        """Nats (B,) above the floor with them."""
+        return self.losses[:, 1] - self._lowest
+
+    @property
+    def _lowest(self) -> Array:
+        """The floor by block; over all blocks no model is below it."""
+        below = max(float((self.floor - self.losses[:, 1]).sum()), 0.0)
+        return self.floor - below / float(self.samples.sum()) * self.samples
+
+    @property
+    def sequence(self) -> tuple[SequenceStep, ...]:
+        """Which part of the gap each effect closes, added one after the other."""
+        whole = float(self.before.sum())
+        if whole <= 0.0:
+            return ()
+        parts = self.steps.sum(axis=0) / whole
+        return tuple(SequenceStep(name, float(part)) for name, part in zip(self.order, parts, strict=True))
 
 
-def held_out(
-    chosen: Chosen, contest: Contest, alpha: float, tolerated: Collection[Key] = (), *, nested: bool
-) -> Heldout | None:
+def held_out(chosen: Chosen, contest: Contest, tolerated: Collection[Key] = ()) -> Heldout | None:
     """Every block held out in turn; None if the recording is too short for that, or nothing is a gap.
 
     Effects of the keys `tolerated` are in every model: by them two recordings differ anyway.
@@ -95,13 +110,13 @@ def held_out(
     given, order = _order(chosen, tolerated)
     if not order:
         return None
-    happens = any(term.hypothesis.effect.jumps for term in order)  # long blocks do not know what was before or after it
-    long = max(view.whole.n for view in setting.views) > _LONG and not happens
+    jumps = any(term.hypothesis.effect.jumps for term in order)  # long blocks do not know what was before or after it
+    long = max(view.whole.n for view in setting.views) > _LONG and not jumps
     folds = folds_of(trusting(chosen.model), _FEW if long else _BLOCKS)
     if not folds:
         return None
     floor_ratio = _excess(chosen.model)
-    rows, gains, steps, told = [], [], [], []
+    losses, floors, gains, steps, told = [], [], [], [], []
     for fold in folds:
         base = refitted(fold.train).model
         for term in given:
@@ -110,25 +125,37 @@ def held_out(
         known = [foretold(term, chosen.model, fold.train.setting) for term in order]
         for term, seen in zip(order, known, strict=True):
             chain.append(joined(chain[-1], term) if seen else chain[-1])
-        losses = [predictive_loss(model, fold.test) for model in chain]
-        before, fixed = losses[0], losses[-1]
-        floor = _floor(chosen, order, chain[-1], fold) - floor_ratio * _numbers(fold.test)
-        again = nested and not any(_happens_in(term, fold.test) for term in order)
-        after = _nested(fold, chosen, contest, alpha) if again else fixed
-        rows.append((before - floor, after - floor, _numbers(fold.test)))
+        nats = [predictive_loss(model, fold.test) for model in chain]
+        losses.append((nats[0], nats[-1]))
+        floors.append(_floor(chosen, order, chain[-1], fold) - floor_ratio * _numbers(fold.test))
         less = (parted(chain[-1], t.hypothesis) if seen else chain[-1] for t, seen in zip(order, known, strict=True))
         told.append(known)
-        gains.append([predictive_loss(model, fold.test) - fixed for model in less])
-        steps.append([before - loss for loss in losses[1:]])
-    table = np.array(rows, dtype=np.float64)
-    lower = min(float(table[:, 1].sum()), 0.0) / float(table[:, 2].sum())  # no model is below the floor
-    table[:, :2] -= lower * table[:, 2:]
+        gains.append([predictive_loss(model, fold.test) - nats[-1] for model in less])
+        steps.append([nats[0] - loss for loss in nats[1:]])
     beside = last_gains(chosen.model, contest)
     gates = tuple(
-        _gate(term, np.array([g[i] for g in gains]), [k[i] for k in told], folds, chosen, beside)
+        gate_of(term, np.array([g[i] for g in gains]), [k[i] for k in told], folds, chosen, beside)
         for i, term in enumerate(order)
     )
-    return Heldout(table[:, 0], table[:, 1], table[:, 2], gates, _sequence(order, np.array(steps), table[:, 0]))
+    return Heldout(
+        folds,
+        np.array(losses, dtype=np.float64),
+        np.array(floors, dtype=np.float64),
+        np.array([_numbers(fold.test) for fold in folds], dtype=np.float64),
+        tuple(any(_happens_in(term, fold.test) for term in order) for fold in folds),
+        tuple(term.hypothesis.effect.id for term in order),
+        np.array(steps, dtype=np.float64),
+        gates,
+    )
+
+
+def nested_in(found: Heldout, chosen: Chosen, contest: Contest, alpha: float) -> Heldout:
+    """The same with effects that are selected anew for each block, from the others; not where an event lies in it."""
+    again = [
+        fixed if happens else _selected_anew(fold, chosen, contest, alpha)
+        for fold, fixed, happens in zip(found.folds, found.losses[:, 1], found.happens, strict=True)
+    ]
+    return replace(found, losses=np.column_stack([found.losses[:, 0], again]))
 
 
 def _floor(chosen: Chosen, order: Sequence[Term | NoiseTerm], fitted: Model, fold: Fold) -> float:
@@ -186,7 +213,7 @@ def _excess(model: Model) -> float:
     return excess if excess > _SIGNIFICANT / math.sqrt(2.0 * count) else 0.0
 
 
-def _nested(fold: Fold, chosen: Chosen, contest: Contest, alpha: float) -> float:
+def _selected_anew(fold: Fold, chosen: Chosen, contest: Contest, alpha: float) -> float:
     """Loss of the held-out block under what is selected without it."""
     promising = {s.hypothesis.key for s in (*chosen.first, *chosen.scores) if s.p < _PROMISING}
     few = [h for h in contest.hypotheses if h.key in promising or (h.before is not None and h.before in promising)]
@@ -195,50 +222,6 @@ def _nested(fold: Fold, chosen: Chosen, contest: Contest, alpha: float) -> float
         return predictive_loss(refitted(fold.train).model, fold.test)
     found = select(refitted(fold.train).model, contest_of(few, contest.floors), level)
     return predictive_loss(found.model, fold.test)
-
-
-def _gate(
-    term: Term | NoiseTerm, gains: Array, told: Sequence[bool], folds: Sequence[Fold], chosen: Chosen, beside: Gains
-) -> Gate:
-    """Passed where held-out data are described better; withdrawn where they are not although they should.
-
-    An effect of evidence lambda gains ``lambda / 2 +- sqrt(lambda)`` nats: one near the limit of detection may gain
-    nothing although it is true. What happened in one block only cannot be foretold from the others, and a drift of
-    the bias does not tell one block of the next.
-    """
-    total = float(gains.sum())
-    key = term.hypothesis.key
-    if isinstance(term, NoiseTerm):
-        drifts = term.hypothesis.effect.id.endswith(DRIFTS)
-        return Gate(key, gains, passed=True if total > 0.0 else None if drifts else False)
-    expected = [expected_gain(term, fold.train, carried(chosen.model, fold.test)) for fold in folds]
-    seen = [e > _FORETOLD and t for e, t in zip(expected, told, strict=True)]
-    sizes = [_touched(term, fold.test.setting) for fold in folds]
-    due = sum(_at_most(e, n) for e, s, n in zip(expected, seen, sizes, strict=True) if s)
-    joined_with = next((s.gain for s in chosen.scores if s.hypothesis.key == key), math.inf)
-    due = min(due, 0.5 * min(joined_with, beside[key][0]))  # what noise or other effects take in its place is no gain
-    total = float(gains[seen].sum())
-    if due <= 1.0:
-        return Gate(key, gains, passed=None)
-    least = min(due - _SHORT * math.sqrt(2.0 * due), _ENOUGH * due)
-    if total <= 0.0 and least < 0.0:
-        return Gate(key, gains, passed=None)
-    passed = total > max(least, 0.0)
-    return Gate(key, gains, passed=None if not passed and _an_event(term) else passed)
-
-
-def _an_event(term: Term) -> bool:
-    """Whether it happens at a moment: the levels of other blocks are then shared with other events and with drifts."""
-    return term.effect.shape is not None and term.effect.shape.still
-
-
-def _touched(term: Term, setting: Setting) -> int:
-    return sum(3 * view.count for view in setting.views if term.hypothesis.touches(view))
-
-
-def _at_most(nats: float, numbers: int) -> float:
-    """What of a gain is left beside a model whose noise grew in place of the effect: ``n/2 log(1 + 2 nats/n)``."""
-    return 0.5 * numbers * math.log1p(max(2.0 * nats / max(numbers, 1), -0.9))
 
 
 def interval(part: Array, whole: Array) -> tuple[float, float]:
@@ -252,15 +235,6 @@ def interval(part: Array, whole: Array) -> tuple[float, float]:
         return -math.inf, math.inf
     low, high = np.quantile(ratio, [0.025, 0.975])
     return float(low), float(high)
-
-
-def _sequence(order: Sequence[Term | NoiseTerm], steps: Array, gap: Array) -> tuple[SequenceStep, ...]:
-    whole = float(gap.sum())
-    if whole <= 0.0:
-        return ()
-    return tuple(
-        SequenceStep(term.hypothesis.effect.id, float(steps[:, k].sum()) / whole) for k, term in enumerate(order)
-    )
 
 
 def shrink_of(chosen: Chosen, found: Heldout, *, nested: bool) -> Shrink:

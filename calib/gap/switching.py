@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.gap.attribution import Attribution
-from calib.gap.effects.noise import DRIFTS
 from calib.gap.hypotheses import Key
 from calib.gap.impostors import coarse
 from calib.gap.likelihood import Noise
@@ -72,7 +71,7 @@ def _slow(model: Model, key: Key, sensor: Sensor) -> Term | NoiseTerm | None:
     views = [view for view in model.setting.views if view.sensor is sensor]
     if term is None or not any(term.hypothesis.touches(view) for view in views):
         return None
-    return term if isinstance(term, Term) or term.hypothesis.effect.id.endswith(DRIFTS) else None
+    return term if isinstance(term, Term) or term.hypothesis.effect.drifts else None
 
 
 def _better(model: Model, terms: Sequence[Term | NoiseTerm]) -> bool:

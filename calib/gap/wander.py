@@ -17,7 +17,6 @@ from scipy.linalg import solve_triangular
 from calib.gap.contest import Contest, tail
 from calib.gap.effects.affine import rotation_columns
 from calib.gap.effects.base import MeanEffect
-from calib.gap.effects.noise import DRIFTS
 from calib.gap.effects.reference_attitude import REFERENCE
 from calib.gap.evidence import price_of_kind
 from calib.gap.hypotheses import Columns, Frame, Hypothesis, Part, add_block
@@ -93,9 +92,7 @@ def wandering(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> W
     frames = tuple(frame_of(view, _SCREENED) for view in setting.views)
     setting = replace(setting, frames=frames)
     # A bias that wanders cannot be told from a reference that does.
-    told = [
-        h for h in contest.hypotheses if h.effect.id != REFERENCE and not (h.effect.id.endswith(DRIFTS) and _seen_by(h))
-    ]
+    told = [h for h in contest.hypotheses if h.effect.id != REFERENCE and not (h.effect.drifts and _seen_by(h))]
     contest = Contest(told, floors=contest.floors)
     columns = wander_columns(setting, frames)
     ridge = Ridge(columns, 1.0 / _prior(setting, size, time), np.zeros(columns.p), span_of(setting))
@@ -112,9 +109,7 @@ def _instead(chosen: Chosen) -> tuple[Fitted, float]:
     have beyond its last cosine is counted only later (:func:`with_tail`).
     """
     bare, scores = chosen.model, {s.hypothesis.key: s for s in chosen.scores}
-    drifts = [
-        t.hypothesis.key for t in bare.noise_terms if t.hypothesis.effect.id.endswith(DRIFTS) and _seen_by(t.hypothesis)
-    ]
+    drifts = [t.hypothesis.key for t in bare.noise_terms if t.hypothesis.effect.drifts and _seen_by(t.hypothesis)]
     for key in drifts:
         bare = without(bare, key)
         scores.pop(key)

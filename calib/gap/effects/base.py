@@ -15,6 +15,9 @@ from calib.recording import Sensor
 
 Array = NDArray[np.float64]
 
+DRIFTS = ("_random_walk", "_flicker")
+"""Ends of the ids of noise that can stand for any slow change of the mean."""
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -115,6 +118,11 @@ class Effect:
     def tonal(self) -> bool:
         """Whether it is a wave of one frequency, which is its shape."""
         return self.id.endswith("_tone")
+
+    @property
+    def drifts(self) -> bool:
+        """Whether it is noise that wanders."""
+        return self.id.endswith(DRIFTS)
 
 
 @dataclass(frozen=True, kw_only=True)

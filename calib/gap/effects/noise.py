@@ -21,9 +21,6 @@ Array = NDArray[np.float64]
 
 _LONG = 30.0  # s from which on a walk is told from a bias
 
-DRIFTS = ("_random_walk", "_flicker")
-"""Ends of the ids of noise that can stand for any slow change of the mean."""
-
 
 def white(trace: Trace, omega: Array, _theta: float) -> Array:
     """Flat: ``fs`` for a density of one."""

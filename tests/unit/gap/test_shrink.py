@@ -56,8 +56,8 @@ def keys(chosen):
 def test_what_is_tolerated_is_in_every_model_and_has_no_part_in_the_gap(chosen):
     found, contest = chosen
     assert set(keys(found)) == {"accel_bias", "accel_scale"}
-    whole = held_out(found, contest, ALPHA, nested=False)
-    beside = held_out(found, contest, ALPHA, [keys(found)["accel_scale"]], nested=False)
+    whole = held_out(found, contest)
+    beside = held_out(found, contest, [keys(found)["accel_scale"]])
     assert [gate.key[0] for gate in beside.gates] == ["accel_bias"]
     assert [step.add for step in beside.sequence] == ["accel_bias"]
     assert beside.after.sum() < whole.after.sum() + 3.0
@@ -66,7 +66,7 @@ def test_what_is_tolerated_is_in_every_model_and_has_no_part_in_the_gap(chosen):
 
 def test_where_everything_is_tolerated_there_is_nothing_to_shrink(chosen):
     found, contest = chosen
-    assert held_out(found, contest, ALPHA, list(keys(found).values()), nested=False) is None
+    assert held_out(found, contest, list(keys(found).values())) is None
 
 
 def nearly_level(problem):
