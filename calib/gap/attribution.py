@@ -7,7 +7,7 @@ its fitted energy that a rival can imitate; what separates them is ``gain (1 - k
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -96,34 +96,79 @@ class Alternative:
     kappa: float
 
 
-_Held = Mapping[Key, tuple[list[Alternative], float]]
-"""By effect: every other hypothesis in its place, and the penalised evidence of its own."""
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Of one effect every other hypothesis in its place, and the penalised evidence of its `own`."""
+
+    others: tuple[Alternative, ...]
+    own: float
 
 
-def settled(chosen: Chosen, contest: Contest, alpha: float) -> tuple[Chosen, tuple[Attribution, ...]]:
+@dataclass(frozen=True, eq=False)
+class Settled:
+    """A model in which no effect has a better one in its place, and what its effects are worth, by their places."""
+
+    chosen: Chosen
+    attributions: tuple[Attribution, ...]
+    places: Mapping[Key, Place]
+
+
+def settled(chosen: Chosen, contest: Contest, alpha: float, before: Settled | None = None) -> Settled:
     """A model in which no effect has a better one in its place, and what its effects are worth.
 
     Forward steps take the best single effect first: one that stands for two of them, noise for a mean. Each effect is
-    therefore held against all others once the model is complete.
+    therefore held against all others once the model is complete. After an exchange that is those of its sensors; once
+    none is better, all.
+
+    Parameters
+    ----------
+    chosen, contest, alpha
+        A model, what competes for the places in it, and the chance of an effect where there is none.
+    before
+        What was found of another contest; of the same model only hypotheses that were not in it are looked at.
     """
     level = alpha / max(chosen.tests, 1)
-    for _ in range(_ROUNDS):
-        held = {term.hypothesis.key: _alternatives(chosen, contest, term) for term in chosen.model.members}
-        other = _improved(chosen, held, level, contest)
+    places = _places(chosen, contest, before.places if before is not None and before.chosen is chosen else {})
+    fresh, exchanges = True, 0
+    while True:
+        other = _improved(chosen, places, level, contest) if exchanges < _ROUNDS else None
+        if other is None and fresh:
+            return Settled(chosen, _attributed(chosen, contest, places), places)
         if other is None:
-            break
-        chosen = other
-    else:
-        held = {term.hypothesis.key: _alternatives(chosen, contest, term) for term in chosen.model.members}
-    return chosen, _attributed(chosen, contest, held)
+            places, fresh = _places(chosen, contest, {}), True
+            continue
+        elsewhere = _elsewhere(chosen.model, other.model)
+        still = {key: place for key, place in places.items() if key in elsewhere}
+        chosen, exchanges, fresh = other, exchanges + 1, not still
+        places = {**still, **_places(chosen, contest, {}, still)}
 
 
-def _improved(chosen: Chosen, held: _Held, level: float, contest: Contest) -> Chosen | None:
+def _places(
+    chosen: Chosen, contest: Contest, known: Mapping[Key, Place], but: Collection[Key] = ()
+) -> dict[Key, Place]:
+    """The places of the effects of a model, `but` for some; of those that are `known` with what is not yet."""
+    keys = {term.hypothesis.key: term for term in chosen.model.members}
+    return {
+        key: _place(chosen, contest, term, known[key].others if key in known else ())
+        for key, term in keys.items()
+        if key not in but
+    }
+
+
+def _elsewhere(model: Model, other: Model) -> frozenset[Key]:
+    """Effects of both models whose sensor neither has an effect on that the other has not."""
+    own, new = ({t.hypothesis.key: t.hypothesis.effect for t in m.members} for m in (model, other))
+    changed = [(own | new)[key] for key in own.keys() ^ new.keys()]
+    sensors = set(Sensor) if any(e.shared for e in changed) else {e.sensor for e in changed}
+    return frozenset(key for key in own.keys() & new.keys() if not own[key].shared and own[key].sensor not in sensors)
+
+
+def _improved(chosen: Chosen, places: Mapping[Key, Place], level: float, contest: Contest) -> Chosen | None:
     """The model after the best exchange that keeps what it promised once everything was fitted anew; None: none does.
 
     Every exchange is judged beside the others as they are fitted to that moment, and they may have leant on what goes.
     """
-    for worth, key, score in _exchanges(chosen, held, level, contest)[:_TRIED]:
+    for worth, key, score in _exchanges(chosen, places, level, contest)[:_TRIED]:
         other = grown(_exchanged(chosen, key, score), contest, level)
         if objective(other) < objective(chosen) + worth:
             return other
@@ -148,7 +193,7 @@ def steadily(chosen: Chosen, start: Model, contest: Contest, alpha: float) -> Ch
     steady = [h for h in contest.hypotheses if not h.effect.drifts]
     level = alpha * len(steady) / max(len(contest.hypotheses), 1)
     without_drift = contest.among(steady)
-    other, _ = settled(select(start, without_drift, level), without_drift, level)
+    other = settled(select(start, without_drift, level), without_drift, level).chosen
     best = other if objective(other) < objective(chosen) else chosen
     jumps = [h for h in steady if h.effect.jumps and h.effect.sensor in drifting]
     events = _events_first(start, jumps, without_drift, level)
@@ -164,22 +209,24 @@ def _events_first(start: Model, jumps: Sequence[Hypothesis], contest: Contest, a
     if len(events.scores) < 2:
         return None
     begun = grown(replace(events, tests=tests), contest, alpha / max(tests, 1))
-    return settled(begun, contest, alpha)[0]
+    return settled(begun, contest, alpha).chosen
 
 
-def _exchanges(chosen: Chosen, held: _Held, level: float, contest: Contest) -> list[tuple[float, Key, Score]]:
+def _exchanges(
+    chosen: Chosen, places: Mapping[Key, Place], level: float, contest: Contest
+) -> list[tuple[float, Key, Score]]:
     """Exchanges of one effect for another that gain, best first, and by how much the model may seem worse after each.
 
     Beside noise that was learned from flights a hundredth of an effect is a second order of it: for that much the one
     with fewer numbers is believed.
     """
     found = []
-    for key, (others, own) in held.items():
-        second = second_order(chosen, own)
-        for score in (other.score for other in others):
-            gain = -_behind(own, score, _freedom_of(chosen, key), second)
+    for key, place in places.items():
+        second = second_order(chosen, place.own)
+        for score in (other.score for other in place.others):
+            gain = -_behind(place.own, score, _freedom_of(chosen, key), second)
             if score.p < level and score.gain >= contest.floors.joining(score.hypothesis) and gain > _CLEARLY:
-                found.append((gain, max(second, MATERIAL * own), key, score))
+                found.append((gain, max(second, MATERIAL * place.own), key, score))
     return [exchange[1:] for exchange in sorted(found, key=lambda exchange: -exchange[0])]
 
 
@@ -203,7 +250,7 @@ def _behind(own: float, score: Score, freedom: int, second: float) -> float:
     return own - score.delta + (second if more > 0 else -_LESS * second if more < 0 else 0.0)
 
 
-def _attributed(chosen: Chosen, contest: Contest, held: _Held) -> tuple[Attribution, ...]:
+def _attributed(chosen: Chosen, contest: Contest, places: Mapping[Key, Place]) -> tuple[Attribution, ...]:
     """One attribution for each effect of a model, largest share first."""
     model = chosen.model
     last = last_gains(model, contest)
@@ -214,13 +261,12 @@ def _attributed(chosen: Chosen, contest: Contest, held: _Held) -> tuple[Attribut
     found = []
     for term in model.members:
         key = term.hypothesis.key
-        others, own = held[key]
-        rivals, probability, unknown = _judged(
-            term.hypothesis, own, others, _freedom_of(chosen, key), second_order(chosen, own)
-        )
+        place = places[key]
+        second = second_order(chosen, place.own)
+        rivals, probability, unknown = _judged(term.hypothesis, place, _freedom_of(chosen, key), second)
         share = worth[key] / total
         gain, df, _ = last[key]
-        found.append(Attribution(key, gain, df, share, probability, unknown, rivals, _likeliest_shape(others)))
+        found.append(Attribution(key, gain, df, share, probability, unknown, rivals, _likeliest_shape(place.others)))
     return tuple(sorted(found, key=lambda a: -a.share))
 
 
@@ -229,8 +275,8 @@ def _likeliest_shape(others: Sequence[Alternative]) -> str:
     return max(shapes, key=lambda s: s.delta).hypothesis.effect.excited_by if shapes else ""
 
 
-def _alternatives(chosen: Chosen, contest: Contest, term: Term | NoiseTerm) -> tuple[list[Alternative], float]:
-    """Every other hypothesis in the place of `term`, and the penalised evidence of `term` itself."""
+def _place(chosen: Chosen, contest: Contest, term: Term | NoiseTerm, known: Sequence[Alternative]) -> Place:
+    """Every other hypothesis in the place of `term`, of which some are `known`."""
     model = chosen.model
     key = term.hypothesis.key
     if isinstance(term, NoiseTerm):
@@ -249,8 +295,8 @@ def _alternatives(chosen: Chosen, contest: Contest, term: Term | NoiseTerm) -> t
         own_gain, own_delta = own.gain, own.delta
         # What the others would take over along their tangents, and do not: no noise gains it beside them.
         stiff = max(misfit(bare) - misfit(model) - own_gain, 0.0)
-    taken = {t.hypothesis.key for t in model.members}
-    found = []
+    taken = {t.hypothesis.key for t in model.members} | {one.score.hypothesis.key for one in known}
+    found = list(known)
     rivals = [
         rival
         for rival in contest.hypotheses
@@ -263,7 +309,7 @@ def _alternatives(chosen: Chosen, contest: Contest, term: Term | NoiseTerm) -> t
         near = own_delta - score.delta < _FAR + price_of_kind(score.hypothesis.effect.id)
         kappa = _imitated(beside, own_columns, term, score, energy, own_gain, contest) if near else 0.0
         found.append(Alternative(score, kappa))
-    return found, own_delta
+    return Place(tuple(found), own_delta)
 
 
 def _less(score: Score, gain: float) -> Score:
@@ -306,23 +352,21 @@ def _imitated(
     return float(np.clip((taken @ taken) / max(energy, 1e-300), 0.0, 1.0))
 
 
-def _judged(
-    own: Hypothesis, own_delta: float, others: Sequence[Alternative], freedom: int, second: float
-) -> tuple[tuple[Rival, ...], float, float]:
+def _judged(own: Hypothesis, place: Place, freedom: int, second: float) -> tuple[tuple[Rival, ...], float, float]:
     """Rivals that these data cannot tell apart, and the probabilities of the effect and of the unknown."""
     rivals = []
     same, weights, unknown = [0.0], [-math.inf], [-math.inf]
-    for other in others:
+    for other in place.others:
         if other.score.p >= 1.0:
             continue  # noise that the instances named do not show is no rival
-        delta = _behind(own_delta, other.score, freedom, second)
+        delta = _behind(place.own, other.score, freedom, second)
         is_unknown = other.score.hypothesis.effect.nameless
         weight = -delta / (2.0 * max(TEMPERATURE, second / _SECOND))
         if other.score.hypothesis.effect.id == own.effect.id and other.score.hypothesis.instances == own.instances:
             same.append(weight)  # the same name in another form
         else:
             (unknown if is_unknown else weights).append(weight)
-        near = max(_NEAR, min((1.0 - _SAME) * own_delta, _FAR)) + price_of_kind(other.score.hypothesis.effect.id)
+        near = max(_NEAR, min((1.0 - _SAME) * place.own, _FAR)) + price_of_kind(other.score.hypothesis.effect.id)
         if not is_unknown and other.score.hypothesis.effect.id != own.effect.id and delta < near:
             rivals.append(Rival(other.score.hypothesis.effect.id, other.kappa, delta, own.effect.fix))
     best: dict[str, Rival] = {}

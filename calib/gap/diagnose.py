@@ -167,12 +167,10 @@ def _settled(task: _Task, chosen: Chosen, alpha: float, named: Collection[str]) 
     else:
         chosen, contest = wander.chosen, wander.contest
         start = starting_model(chosen.model.setting, wander.noise, chosen.model.ridge)
-    chosen, attributions = settled(chosen, contest, alpha)
-    best = explained(chosen, contest, start, alpha, named)
-    if best.contest is not contest:
-        contest = best.contest
-        chosen, attributions = settled(best.chosen, contest, alpha)
-    return _Answer(chosen, attributions, contest, wander)
+    found = settled(chosen, contest, alpha)
+    best = explained(found.chosen, contest, start, alpha, named)
+    found = settled(best.chosen, best.contest, alpha, found)
+    return _Answer(found.chosen, found.attributions, best.contest, wander)
 
 
 def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
@@ -196,9 +194,14 @@ def _confirmed(answer: _Answer, alpha: float, *, nested: bool) -> _Answer:
         heldout = nested_in(heldout, chosen, contest, alpha)
     if not gone:
         return replace(answer, heldout=heldout, gates=gates)
-    chosen, attributions = settled(chosen, contest, 0.0)
+    found = settled(chosen, contest, 0.0)
     return replace(
-        answer, chosen=chosen, attributions=attributions, heldout=heldout, gates=gates, withdrawn=_withdrawn(gone)
+        answer,
+        chosen=found.chosen,
+        attributions=found.attributions,
+        heldout=heldout,
+        gates=gates,
+        withdrawn=_withdrawn(gone),
     )
 
 

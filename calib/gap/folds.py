@@ -48,18 +48,29 @@ class Fold:
 @lru_cache(maxsize=2)
 def folds_of(setting: Setting, count: int) -> tuple[Fold, ...]:
     """`count` folds of a setting; fewer where a block has no samples. The last ones asked for are kept."""
-    start = min(float(view.t[0]) for view in setting.views)
-    end = max(float(view.t[-1]) for view in setting.views)
-    edges = np.linspace(start, end, count + 1)
-    guard = min(GUARD_S, 0.1 * (end - start) / count)
-    blocks = [_block(setting.views, lo + guard, hi - guard) for lo, hi in itertools.pairwise(edges)]
-    blocks = [block for block in blocks if block]
+    blocks = _blocks(setting, count)
     if len(blocks) < 3:
         return ()
     return tuple(
         Fold(_start([v for j, block in enumerate(blocks) if j != b for v in block]), _start(blocks[b]))
         for b in range(len(blocks))
     )
+
+
+def blocks_of(setting: Setting, count: int) -> tuple[Model, ...]:
+    """The blocks of those folds alone."""
+    blocks = _blocks(setting, count)
+    return tuple(_start(block) for block in blocks) if len(blocks) >= 3 else ()
+
+
+def _blocks(setting: Setting, count: int) -> list[list[View]]:
+    """The series in `count` parts of equal length; fewer where one has no samples."""
+    start = min(float(view.t[0]) for view in setting.views)
+    end = max(float(view.t[-1]) for view in setting.views)
+    edges = np.linspace(start, end, count + 1)
+    guard = min(GUARD_S, 0.1 * (end - start) / count)
+    blocks = [_block(setting.views, lo + guard, hi - guard) for lo, hi in itertools.pairwise(edges)]
+    return [block for block in blocks if block]
 
 
 def _block(views: Sequence[View], start: float, end: float) -> list[View]:

@@ -69,7 +69,7 @@ def starting_noise(setting: Setting) -> tuple[Noise, ...]:
                 continue
             omega = view.omega
             level = max(float(np.diff(view.residual[:, c]).var()) / (2.0 * view.gain), 1e-30)
-            least = max(_DIGITS * float(np.abs(view.any_trace.measured).max()), 1e-15) ** 2
+            least = max(_DIGITS * view.any_trace.largest, 1e-15) ** 2
             parts = {
                 f"{kind}{view.label}.{c}": view.gain * np.asarray(shape(omega)) for kind, shape in _NUISANCE.items()
             }

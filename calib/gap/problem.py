@@ -139,6 +139,11 @@ class Trace:
         """Samples per second."""
         return 1.0 / float(np.median(np.diff(self.t)))
 
+    @cached_property
+    def largest(self) -> float:
+        """The largest reading on any axis."""
+        return float(np.abs(self.measured).max())
+
     @property
     def residual(self) -> Array:
         """Measured minus ideal, shape (N, 3)."""

@@ -21,6 +21,7 @@ from calib.gap.contest import Contest
 from calib.gap.folds import (
     GUARD_S,
     Fold,
+    blocks_of,
     carried,
     contest_of,
     folds_of,
@@ -291,8 +292,8 @@ def dose_of(chosen: Chosen, key: Key) -> Dose:
     if term is None:
         return Dose()
     total, count = 0.0, 0
-    for fold in folds_of(trusting(model), _BLOCKS):
-        block = with_weight(carried(model, fold.test))
+    for part in blocks_of(trusting(model), _BLOCKS):
+        block = with_weight(carried(model, part))
         normal = normal_equations([jacobian(term, block.setting)], block.y, block.weight)
         step, _, rank = solved(normal.gram, normal.right)
         total += float(step @ normal.right)
