@@ -33,6 +33,8 @@ Array = NDArray[np.float64]
 
 _UNSEEN = 1e-9
 """Part of an amplitude's information below which the other blocks do not show it."""
+_LEAST_BLOCKS = 3
+"""With samples: fewer say nothing of each other."""
 GUARD_S = 0.5
 """Cut off at either end of a block, so that noise with memory does not tell one block of the next."""
 
@@ -48,33 +50,34 @@ class Fold:
 @lru_cache(maxsize=2)
 def folds_of(setting: Setting, count: int) -> tuple[Fold, ...]:
     """`count` folds of a setting; fewer where a block has no samples. The last ones asked for are kept."""
-    blocks = _blocks(setting, count)
-    if len(blocks) < 3:
-        return ()
-    return tuple(
-        Fold(_start([v for j, block in enumerate(blocks) if j != b for v in block]), _start(blocks[b]))
-        for b in range(len(blocks))
-    )
+    edges, guard = _edges(setting, count)
+    found = []
+    for low, high in itertools.pairwise(edges):
+        block = _part(setting, low + guard, high - guard)
+        rest = [*_part(setting, -math.inf, low - guard), *_part(setting, high + guard, math.inf)]
+        if block and rest:
+            found.append(Fold(_start(rest), _start(block)))
+    return tuple(found) if len(found) >= _LEAST_BLOCKS else ()
 
 
+@lru_cache(maxsize=1)
 def blocks_of(setting: Setting, count: int) -> tuple[Model, ...]:
     """The blocks of those folds alone."""
-    blocks = _blocks(setting, count)
-    return tuple(_start(block) for block in blocks) if len(blocks) >= 3 else ()
+    edges, guard = _edges(setting, count)
+    parts = (_part(setting, low + guard, high - guard) for low, high in itertools.pairwise(edges))
+    blocks = [part for part in parts if part]
+    return tuple(_start(part) for part in blocks) if len(blocks) >= _LEAST_BLOCKS else ()
 
 
-def _blocks(setting: Setting, count: int) -> list[list[View]]:
-    """The series in `count` parts of equal length; fewer where one has no samples."""
+def _edges(setting: Setting, count: int) -> tuple[Array, float]:
+    """Moments between which `count` blocks of equal length lie, s, and what is cut off at either end of each."""
     start = min(float(view.t[0]) for view in setting.views)
     end = max(float(view.t[-1]) for view in setting.views)
-    edges = np.linspace(start, end, count + 1)
-    guard = min(GUARD_S, 0.1 * (end - start) / count)
-    blocks = [_block(setting.views, lo + guard, hi - guard) for lo, hi in itertools.pairwise(edges)]
-    return [block for block in blocks if block]
+    return np.linspace(start, end, count + 1), min(GUARD_S, 0.1 * (end - start) / count)
 
 
-def _block(views: Sequence[View], start: float, end: float) -> list[View]:
-    return [part for view in views if (part := between(view, start, end)) is not None]
+def _part(setting: Setting, low: float, high: float) -> list[View]:
+    return [part for view in setting.views if (part := between(view, low, high)) is not None]
 
 
 def _start(views: Sequence[View]) -> Model:

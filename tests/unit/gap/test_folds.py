@@ -32,6 +32,19 @@ def folds(seed, gap=None, *, unknown=False, count=4):
     return folds_of(setting_of(views_of(problem, {}, {})), count)
 
 
+def test_the_others_are_whole_on_either_side_of_a_block_and_a_second_away_from_it():
+    count = 5
+    every = folds(3, count=count)
+    assert len(every) == count
+    for k, fold in enumerate(every):
+        (block,) = (view.t for view in fold.test.setting.views)
+        others = [view.t for view in fold.train.setting.views]
+        assert len(others) == (1 if k in {0, count - 1} else 2)
+        for t in others:
+            assert t[0] - block[-1] > 0.99 or block[0] - t[-1] > 0.99
+        assert len(block) + sum(map(len, others)) >= 0.94 * 2000
+
+
 NOISE = NoiseTerm(Hypothesis(forward_models()["gyro_noise"][-1], (0,)), np.nan)
 
 

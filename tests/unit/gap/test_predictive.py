@@ -83,7 +83,7 @@ def test_a_curve_carried_on_beyond_what_was_seen_is_not_taken_for_certain():
             train = joined(refitted(fold.train).model, Term(poly, np.zeros(9), 25.0))
             saved.append(log_loss(carried(train, fold.test)) - predictive_loss(train, fold.test))
     assert np.median(saved) > 10.0
-    assert min(saved) > -1.0
+    assert min(saved) > -0.5 * 9  # a guess that is right by chance would have been cheaper by some half a nat a number
 
 
 def test_two_effects_of_which_the_other_blocks_know_the_sum_alone_do_not_deny_each_other():

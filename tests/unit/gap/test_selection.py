@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from calib.gap.attribution import Alternative, _behind, _improved
+from calib.gap.attribution import Alternative, Place, _behind, _improved, settled
 from calib.gap.contest import Contest, Score
 from calib.gap.diagnose import _task_of
 from calib.gap.effects import catalogue, forward_models
@@ -105,7 +105,22 @@ def test_an_exchange_that_does_not_keep_its_promise_is_taken_back(honest):
     kept = task.contest.score(rivals[promised], beside)
     score = dataclasses.replace(kept, gain=kept.gain + 1e6, delta=kept.delta + 1e6, p=0.0)
     only = task.contest.among([rivals[promised]])
-    other = _improved(drifts, {own: ([Alternative(score, 0.0)], 10.0)}, 1e-4, only)
+    other = _improved(drifts, {own: Place((Alternative(score, 0.0),), 10.0)}, 1e-4, only)
     assert (other is not None) is honest
     if other is not None:
         assert promised in ids(other)
+
+
+def test_what_is_known_of_other_places_says_what_looking_again_would():
+    """An exchange is looked at beside its own sensors, and a contest with more hypotheses at those it did not have."""
+    task, _, drifts = paths()
+    found = settled(drifts, task.contest, 1e-3)
+    assert ids(found.chosen) == {"accel_random_walk", "gyro_temp_linear"}
+    half = task.contest.among([h for h in task.contest.hypotheses if not h.effect.id.endswith("_bias")])
+    more = settled(found.chosen, task.contest, 1e-3, settled(found.chosen, half, 1e-3))
+    anew = settled(found.chosen, task.contest, 1e-3)
+    for one in (found, more):
+        for a, b in zip(one.attributions, anew.attributions, strict=True):
+            assert a.key == b.key
+            assert a.probability == pytest.approx(b.probability, abs=1e-9)
+            assert [r.id for r in a.rivals] == [r.id for r in b.rivals]
