@@ -102,7 +102,7 @@ def wandering(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> W
     return Wander(found, contest, better, size, time, noise) if better > _MARGIN else None
 
 
-def _instead(chosen: Chosen) -> tuple[Fitted, float]:
+def _instead(chosen: Chosen) -> tuple[_ProcessFit, float]:
     """The best process, and by how much a model with it is better, its own price apart: at least, infinite if unknown.
 
     It stands in the place of all drifts that could be its own, and of every effect that it explains better. What drifts
@@ -138,7 +138,7 @@ def _seen_by(hypothesis: Hypothesis) -> bool:
 
 
 @dataclass(frozen=True, order=True)
-class Fitted:
+class _ProcessFit:
     """Twice the gain of marginal log-likelihood of a process, its rms (deg) and its time (s)."""
 
     gain: float
@@ -171,14 +171,14 @@ class _Process:
             priors.append((size, time, root, halved(np.eye(columns.p) + root[:, None] * normal.gram * root)))
         return cls(frames, columns, weight, tuple(priors))
 
-    def best(self, model: Model) -> Fitted:
+    def best(self, model: Model) -> _ProcessFit:
         """The best size and time of the process beside a model of that noise."""
         right = np.zeros(self.columns.p)
         for axis, part in self.columns.parts.items():
             v, c = divmod(axis, 3)
             (y,) = self.frames[v].bins(np.ascontiguousarray(model.residual[v][:, c][None]))
             right[part.index] += part.X @ (self.weight[axis] * y)
-        return max(Fitted(marginal(half, root * right), size, time) for size, time, root, half in self.priors)
+        return max(_ProcessFit(marginal(half, root * right), size, time) for size, time, root, half in self.priors)
 
 
 def halved(inner: Array) -> tuple[Array, float]:
