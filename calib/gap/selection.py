@@ -26,9 +26,10 @@ from calib.gap.model import (
     normal_equations,
     refined,
     refined_on,
+    with_noise,
     with_residual,
 )
-from calib.gap.noise_fit import NoiseFit, is_declared, refitted, with_term, without_term
+from calib.gap.noise_fit import NoiseFit, is_declared, refitted, starting_noise, with_term, without_term
 from calib.gap.normal import solved
 from calib.gap.projection import Beside, existing
 from calib.recording import Sensor
@@ -121,9 +122,26 @@ def select(start: Model, contest: Contest, alpha: float) -> Chosen:
     first = tuple(_scored(model, contest, candidates, {}, None).values())
     bare = Chosen(model, joint, noise, (), tests, first)
     chosen = grown(grown(bare, contest, level, steady), contest, level, candidates)
+    if (quiet := _quiet(model)) is not None:
+        scores = tuple(_scored(quiet, contest, steady, {}, None).values())
+        chosen = _better(chosen, grown(replace(bare, model=quiet, first=scores), contest, level, steady), contest)
     if not (wanders(chosen) or _drift_leads(first, level)):
         return chosen
     return _better(chosen, grown(bare, contest, level, candidates), contest)
+
+
+def _quiet(model: Model) -> Model | None:
+    """The model with noise that nobody declared as if none of it were slow; None: all is declared, or slow by itself.
+
+    An offset lies in one number of its transform, and a slow effect in a few: noise that is fitted while they are in
+    it takes them for its own. Beside a trajectory that was re-estimated it is the errors of that which are slow.
+    """
+    views = model.setting.views
+    if all(is_declared(view) for view in views) or any(view.att_sd > 0.0 for view in views):
+        return None
+    start = starting_noise(model.setting)
+    noise = tuple(n if is_declared(views[a // 3]) else start[a] for a, n in enumerate(model.noise))
+    return with_noise(model, noise)
 
 
 def _better(chosen: Chosen, other: Chosen, contest: Contest) -> Chosen:
