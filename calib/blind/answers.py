@@ -121,7 +121,7 @@ def honest_without(true: str, named: str) -> bool:
 def covered(true: Mapping[str, Any], said: Mapping[str, Any]) -> list[bool]:
     """Which of the true parameters lie in the 95 % intervals of the parameters of the same name.
 
-    A vector under another name is recognised by its three components.
+    A vector under another name is recognised by its three components. An interval without an end says nothing.
     """
     intervals = {str(p["name"]): p.get("ci95") for p in said.get("params") or []}
     by_axis: dict[str, list[Any]] = {}
@@ -131,6 +131,6 @@ def covered(true: Mapping[str, Any], said: Mapping[str, Any]) -> list[bool]:
     for name, value in true["params"].items():
         same_axis = by_axis.get(name.rpartition(".")[2], []) if "." in name else []
         interval = intervals.get(name) or (same_axis[0] if len(same_axis) == 1 else None)
-        if interval is not None:
+        if interval is not None and None not in interval:
             found.append(float(interval[0]) <= float(value) <= float(interval[1]))
     return found

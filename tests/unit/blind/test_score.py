@@ -138,6 +138,11 @@ def test_intervals_are_matched_by_name_or_by_axis():
     assert covered({"params": {"delay_s": 1.0}}, said) == []
 
 
+def test_an_interval_without_an_end_says_nothing():
+    said = {"params": [{"name": "bias.x", "ci95": [None, None]}, {"name": "bias.y", "ci95": [0.0, 1.0]}]}
+    assert covered({"params": {"bias.x": 0.5, "bias.y": 0.5}}, said) == [True]
+
+
 def test_closed_probabilities_and_errors():
     failed = Answer(answer(Tier.SINGLE, ("accel_bias",)).label, {}, "ValueError: x", 1.0)
     good = [answer(Tier.SINGLE, ("accel_bias",), effect("accel_bias", probability=0.97)) for _ in range(30)]
