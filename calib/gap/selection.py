@@ -58,6 +58,8 @@ _LOUD = 0.1
 _RIVALS, _TRIED = 0.5, 6
 """Part of the best one's worth from which on others are fitted in its place, and how many of them."""
 
+_SLOW = 4.0
+"""Power of the lowest bin over that of the highest from which on noise may have taken a slow effect for its own."""
 _FAR = 3e-5
 """Part of the largest gain of all below which an effect on another sensor is a flaw of the reference."""
 
@@ -122,7 +124,8 @@ def select(start: Model, contest: Contest, alpha: float) -> Chosen:
     first = tuple(_scored(model, contest, candidates, {}, None).values())
     bare = Chosen(model, joint, noise, (), tests, first)
     chosen = grown(grown(bare, contest, level, steady), contest, level, candidates)
-    if (quiet := _quiet(model)) is not None:
+    if _slow_is_left(chosen.model):
+        quiet = _quiet(model)
         scores = tuple(_scored(quiet, contest, steady, {}, None).values())
         chosen = _better(chosen, grown(replace(bare, model=quiet, first=scores), contest, level, steady), contest)
     if not (wanders(chosen) or _drift_leads(first, level)):
@@ -130,18 +133,24 @@ def select(start: Model, contest: Contest, alpha: float) -> Chosen:
     return _better(chosen, grown(bare, contest, level, candidates), contest)
 
 
-def _quiet(model: Model) -> Model | None:
-    """The model with noise that nobody declared as if none of it were slow; None: all is declared, or slow by itself.
+def _slow_is_left(model: Model) -> bool:
+    """Whether noise that nobody declared is slow, and not by an error of a trajectory that was re-estimated."""
+    views = model.setting.views
+    if any(view.att_sd > 0.0 for view in views):
+        return False
+    powers = [n.power for a, n in enumerate(model.noise) if not is_declared(views[a // 3]) and not views[a // 3].first]
+    return any(power[0] > _SLOW * power[-1] for power in powers)
+
+
+def _quiet(model: Model) -> Model:
+    """The model with noise that nobody declared as if none of it were slow.
 
     An offset lies in one number of its transform, and a slow effect in a few: noise that is fitted while they are in
-    it takes them for its own. Beside a trajectory that was re-estimated it is the errors of that which are slow.
+    it takes them for its own.
     """
-    views = model.setting.views
-    if all(is_declared(view) for view in views) or any(view.att_sd > 0.0 for view in views):
-        return None
     start = starting_noise(model.setting)
-    noise = tuple(n if is_declared(views[a // 3]) else start[a] for a, n in enumerate(model.noise))
-    return with_noise(model, noise)
+    views = model.setting.views
+    return with_noise(model, tuple(n if is_declared(views[a // 3]) else start[a] for a, n in enumerate(model.noise)))
 
 
 def _better(chosen: Chosen, other: Chosen, contest: Contest) -> Chosen:
