@@ -54,6 +54,8 @@ _PROMISING = 0.01
 """Chance, uncorrected, below which a hypothesis takes part in the folds; the level stays that of all tests."""
 _SIGNIFICANT = 3.0
 """Standard errors from which on power above the noise is no chance."""
+_ROUNDING = 1e-9
+"""Part of a gap below which what is left of it is rounding."""
 _DISAGREE = 1e-3
 """Chance below which blocks do not agree on the size of an effect."""
 
@@ -266,7 +268,8 @@ def shrink_of(chosen: Chosen, found: Heldout, *, nested: bool) -> Shrink:
     source = "declared_noise" if known else "fit_to_all_data"
     if any(view.density is not None or math.isfinite(view.dof) for view in chosen.model.setting.views):
         source = "nominal_log"
-    after = float(found.after.sum()) / samples
+    left = float(found.after.sum())
+    after = left / samples if abs(left) > _ROUNDING * gap else 0.0  # a floor that was lowered is met exactly
     return Shrink(gap / samples, after, 0.0, source, closed, ci, nested, found.sequence, rms_of(chosen.model))
 
 
