@@ -11,12 +11,12 @@ from calib.gap.effects import catalogue
 from calib.gap.effects.base import Effect, MeanEffect
 from calib.gap.estimates import estimates_of
 from calib.gap.floors import Floors
-from calib.gap.hypotheses import hypotheses_of
+from calib.gap.hypotheses import Key, hypotheses_of
 from calib.gap.model import setting_of, starting_model
 from calib.gap.noise_fit import refitted, starting_noise
 from calib.gap.problem import Problem
 from calib.gap.schema import EffectEstimate, Evidence
-from calib.gap.selection import last_gains, select
+from calib.gap.selection import Chosen, last_gains, reduced, select
 from calib.gap.views import views_of
 from calib.recording import Sensor
 
@@ -37,7 +37,7 @@ class Shown:
 
 
 def shown(problem: Problem, alpha: float, floors: Floors, without: Sequence[str] = ()) -> list[Shown]:
-    """Steady effects on the mean that are significant beside each other."""
+    """Steady effects on the mean that are significant beside each other, and above what recordings differ by anyway."""
     views = split(views_of(problem, {}, {}))
     hypotheses, _ = hypotheses_of([e for e in catalogue() if _carried(e) and e.id not in without], views)
     if not views or not hypotheses:
@@ -45,6 +45,7 @@ def shown(problem: Problem, alpha: float, floors: Floors, without: Sequence[str]
     setting = setting_of(views)
     contest = Contest(hypotheses, floors=floors)
     chosen = select(refitted(starting_model(setting, starting_noise(setting))).model, contest, alpha)
+    chosen = reduced(chosen, _indifferent(chosen, contest))
     gains = {key: gain for key, (gain, _, _) in last_gains(chosen.model, contest).items()}
     found = []
     for term in chosen.model.terms:
@@ -55,6 +56,17 @@ def shown(problem: Problem, alpha: float, floors: Floors, without: Sequence[str]
         seen = dict.fromkeys(v.sensor for v in views if effect.shared or v.sensor is effect.sensor)
         found.append(Shown(estimate, gain, tuple(seen)))
     return found
+
+
+def _indifferent(chosen: Chosen, contest: Contest) -> list[Key]:
+    """What joined for more than it gains at last, beside noise that was fitted with it."""
+    gains = last_gains(chosen.model, contest)
+    small = []
+    for term in chosen.model.terms:
+        touched = (v.sensor for v in chosen.model.setting.views if term.hypothesis.touches(v))
+        if gains[term.hypothesis.key][0] < max(map(contest.floors.lasting, touched)):
+            small.append(term.hypothesis.key)
+    return small
 
 
 def _carried(effect: Effect) -> bool:

@@ -6,10 +6,12 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy import signal
 from scipy.spatial.transform import Rotation
 
 from calib.gap.baseline import Baseline, baseline_of, beside
 from calib.gap.diagnose import diagnose
+from calib.gap.floors import SMALL
 from calib.gap.problem import Floor
 from calib.gap.schema import Verdict
 from calib.recording import Sensor
@@ -107,6 +109,23 @@ def test_noise_that_was_learned_from_the_flight_does_not_hide_its_flaws():
     plain = baseline_of(clean, ALPHA)
     assert [e.id for e in found.effects] == ["gyro_delay"]
     assert found.gains[Sensor.GYRO] == pytest.approx(plain.gains[Sensor.GYRO], rel=0.1)
+
+
+@pytest.mark.parametrize("corner", [0.99, 0.9])
+def test_what_is_less_than_two_flights_differ_by_is_no_flaw(corner):
+    """Beside slow noise that nobody declared an effect may join for what that takes from it afterwards."""
+    rng = np.random.default_rng(101)
+
+    def slow(trace):
+        noise = signal.lfilter([1.0], [1.0, -corner], rng.normal(size=trace.ideal.shape), axis=0)
+        return 0.1 * noise / noise.std() + 0.01 * trace.ideal + np.array([0.08, 0.0, 0.0])
+
+    problem = problem_of(np.random.default_rng(1), (Sensor.ACCEL,), slow)
+    undeclared = dataclasses.replace(problem.traces[0], sigma=None, sigma_dof=np.inf, psd=None, psd_hz=None)
+    found = baseline_of(dataclasses.replace(problem, traces=(undeclared,)), ALPHA)
+    least = SMALL * undeclared.ideal.size
+    assert all(e.evidence.two_delta_loglik >= least for e in found.effects)
+    assert (found.effects == ()) is (found.changes[Sensor.ACCEL] == 0.0)
 
 
 def test_a_livelier_flight_must_show_more(simulated):
