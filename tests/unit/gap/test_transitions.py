@@ -109,6 +109,24 @@ def test_a_level_that_is_reached_late_is_a_transition_although_one_jump_was_foun
     assert transitions(stepped(lambda trace: np.outer(trace.t > ON_S, SIZE))) == ()
 
 
+@pytest.mark.parametrize(("apart", "events"), [(0.0, 0), (0.01, 0), (0.029, 0), (0.4, 1)])
+def test_jumps_within_a_sample_and_a_half_are_one_moment(apart, events):
+    """Two instances whose jumps are fitted each by its own samples: at 50 Hz the same one up to 0.03 s."""
+
+    def both(truth, _sensor):
+        return np.outer(truth["t"] > ON_S, SIZE)
+
+    problem = problem_of(np.random.default_rng(8), (Sensor.ACCEL,), instances=2, error=both)
+    setting = setting_of(views_of(problem, {}, {}))
+    step = next(e for e in catalogue() if e.id == "accel_step" and not e.form)
+    terms = tuple(Term(Hypothesis(step, (i,)), SIZE, ON_S + i * apart) for i in (0, 1))
+    bare = starting_model(setting, starting_noise(setting))
+    model = with_residual(dataclasses.replace(bare, terms=terms))
+    assert len(transitions(model)) == events
+    if not events:
+        assert all((levels_apart(model, term) < 0.05).all() for term in terms)
+
+
 def test_a_step_between_levels_that_do_not_fit_it_is_no_surer_than_they_differ():
     def jump(trace):
         return np.outer(trace.t > ON_S, SIZE)
