@@ -130,9 +130,10 @@ def write_exports(
         write(out, made.text)
         for text in made.not_held:
             click.echo(f"{out} cannot hold {text}", err=True)
-        written.append(
-            {"file": out.name, "for": wanted.value, "written": True, "not_held": list(made.not_held)},
-        )
+        for text in made.doubtful:
+            click.echo(f"{out} holds what is doubtful: {text}", err=True)
+        said = {"not_held": list(made.not_held), "doubtful": list(made.doubtful)}
+        written.append({"file": out.name, "for": wanted.value, "written": True, **said})
     return written
 
 

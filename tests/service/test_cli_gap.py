@@ -47,6 +47,7 @@ def test_a_bias_is_named_told_drawn_and_exported(cli: Cli, tmp_path: Path) -> No
     assert [(e["for"], e["written"]) for e in said["exports"]] == [
         ("sitl", True), ("gazebo", True), ("matlab", True), ("mavcal", True)
     ]  # fmt: skip
+    assert all(e["doubtful"] == [] for e in said["exports"])
     for name in ("sim.parm", "sim.json"):  # both are read back as the sensor that was recorded
         errors = stated_in((tmp_path / name).read_text(), Path(name).suffix).suite.accel
         np.testing.assert_allclose(errors.bias, BIAS, atol=0.012)

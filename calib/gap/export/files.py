@@ -12,6 +12,7 @@ from calib.firmware.export import ParameterFormat, number, write_plan
 from calib.gap.export.documents import to_document, to_matlab_text
 from calib.gap.export.gazebo import to_sdf
 from calib.gap.export.sitl import SitlPatch, older_names, patch
+from calib.gap.export.state import doubt_of, doubtful
 from calib.gap.export.vehicle import vehicle_plan
 from calib.gap.schema import GapReport, Verdict
 from calib.recording import Recording
@@ -39,10 +40,11 @@ ENDINGS: Mapping[str, Target] = {
 
 @dataclass(frozen=True)
 class Exported:
-    """One file: its text, and in words what it cannot hold."""
+    """One file: its text, in words what it cannot hold, and which effects in it are less likely than something else."""
 
     text: str
     not_held: tuple[str, ...]
+    doubtful: tuple[str, ...] = ()
 
 
 def target_of(name: str) -> Target:
@@ -94,19 +96,20 @@ def exported(
     """
     if not report.effects:
         raise InvalidInputError(f"nothing to export: {_WHY_NOT.get(report.verdict, 'no effect was found')}")
+    doubts = tuple(doubt_of(e) for e in report.effects if doubtful(e))
     match target:
         case Target.SITL:
             found = patch(report, base)
-            return Exported(sitl_text(found), found.not_held)
+            return Exported(sitl_text(found), found.not_held, doubts)
         case Target.GAZEBO:
             snippet = to_sdf(report, instance=instance)
-            return Exported(snippet.text, snippet.not_held)
+            return Exported(snippet.text, snippet.not_held, doubts)
         case Target.MATLAB:
             script = to_matlab_text(report, instance=instance)
-            return Exported(script.text, script.not_held)
+            return Exported(script.text, script.not_held, doubts)
         case Target.MAVCAL:
             document = to_document(report, instance=instance)
-            return Exported(document.text, document.not_held)
+            return Exported(document.text, document.not_held, doubts)
         case Target.VEHICLE:
             plan, left = vehicle_plan(report, real)
             return Exported(write_plan(plan, form), left)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.errors import InvalidInputError
 from calib.fit import AXES
-from calib.gap.export.state import Sensors, kind_of, named, sensors_with, value, vector
+from calib.gap.export.state import Sensors, doubt_of, doubtful, kind_of, named, sensors_with, value, vector
 from calib.gap.schema import EffectEstimate, GapReport
 from calib.recording import Sensor
 from calib.simulate.recording import SensorSuite
@@ -126,7 +126,7 @@ def patch_of(
             not_held += [f"{named(effect)}: {text}" for text in lost]
         elif effect.id not in _FAMILIES:
             not_held.append(f"{named(effect)}: {_reason(effect)}")
-    return SitlPatch(_renamed(values, known), tuple(dict.fromkeys(not_held)), _notes(values))
+    return SitlPatch(_renamed(values, known), tuple(dict.fromkeys(not_held)), _notes(values, effects))
 
 
 def simulator_parameters(base: Mapping[str, float] | None) -> dict[str, float]:
@@ -280,8 +280,8 @@ def _reason(effect: EffectEstimate) -> str:
     return "SITL has no parameter for it"
 
 
-def _notes(values: Mapping[str, float]) -> tuple[str, ...]:
-    notes = []
+def _notes(values: Mapping[str, float], effects: Sequence[EffectEstimate]) -> tuple[str, ...]:
+    notes = [doubt_of(e) for e in effects if doubtful(e)]
     if any(name.startswith("SIM_GYR") and "_BIAS" in name for name in values):
         notes.append("set INS_GYR_CAL to 0: otherwise the firmware removes a gyroscope's bias at boot")
     if any("_OFS_" in name for name in values):

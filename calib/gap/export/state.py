@@ -24,6 +24,8 @@ from calib.simulate.sensor import SensorErrors
 
 Array = NDArray[np.float64]
 
+_EVEN = 0.5
+"""Probability below which rivals, another instance or something without a name are likelier than an effect."""
 _SYMMETRIC = ("xx", "yy", "zz", "xy", "xz", "yz")
 _SHAPED = frozenset(
     {
@@ -62,6 +64,16 @@ def named(effect: EffectEstimate) -> str:
     """The effect as it is spoken of in a file: ``accel_bias of instance 1``."""
     numbers = ", ".join(map(str, effect.instances))
     return f"{effect.id} of instance{'s' if len(effect.instances) > 1 else ''} {numbers}"
+
+
+def doubtful(effect: EffectEstimate) -> bool:
+    """Whether something else is likelier in its place: a rival, another instance, or what has no name."""
+    return effect.evidence.probability < _EVEN
+
+
+def doubt_of(effect: EffectEstimate) -> str:
+    """The same in words."""
+    return f"{named(effect)}: it has a probability of {effect.evidence.probability:.2f}: something else is likelier"
 
 
 @dataclass(frozen=True, eq=False)

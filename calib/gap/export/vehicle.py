@@ -19,7 +19,7 @@ from calib.firmware.compose import compose
 from calib.firmware.fingerprint import fingerprint
 from calib.firmware.plan import WritePlan
 from calib.fit import FitResult, FitStatus
-from calib.gap.export.state import kind_of, named, sensors_with, value
+from calib.gap.export.state import doubt_of, doubtful, kind_of, named, sensors_with, value
 from calib.gap.schema import EffectEstimate, Estimate, GapReport
 from calib.recording import Recording, Sensor
 from calib.triad import ThermalPolynomial, TriadModel
@@ -40,7 +40,9 @@ _STEP = 1e-3  # of a standard error: for derivatives
 
 
 def vehicle_plan(report: GapReport, real: Recording) -> tuple[WritePlan, tuple[str, ...]]:
-    """The plan that takes the report's calibration effects away, and what no calibration can.
+    """The plan that takes the report's calibration effects away, and what it leaves.
+
+    Nothing is written to a sensor of which one of these effects is doubtful: the others were estimated beside it.
 
     Parameters
     ----------
@@ -52,7 +54,8 @@ def vehicle_plan(report: GapReport, real: Recording) -> tuple[WritePlan, tuple[s
     Raises
     ------
     FirmwareError
-        If the recording is not of an ArduPilot or PX4, or says no parameters, or nothing is a calibration.
+        If the recording is not of an ArduPilot or PX4, or says no parameters, or nothing is a calibration, or all
+        of that is doubtful.
     """
     autopilot, parameters = real.identity.autopilot, real.parameters.final()
     if autopilot is None or not parameters:
@@ -62,10 +65,24 @@ def vehicle_plan(report: GapReport, real: Recording) -> tuple[WritePlan, tuple[s
     chosen = [e for e in report.effects if e.id in _CALIBRATIONS]
     if not chosen:
         raise FirmwareError("no effect of the report is a calibration: there is nothing to write to the vehicle")
-    left = tuple(f"{named(e)}: no calibration takes it away" for e in report.effects if e not in chosen)
-    keys = sorted({(e.sensor, n) for e in chosen for n in e.instances})
+    left = [f"{named(e)}: no calibration takes it away" for e in report.effects if e not in chosen]
+    doubts = [e for e in chosen if doubtful(e)]
+    unsure = {(e.sensor, n) for e in doubts for n in e.instances}
+    keys = sorted({(e.sensor, n) for e in chosen for n in e.instances} - unsure)
+    if not keys:
+        raise FirmwareError(
+            f"{'; '.join(map(doubt_of, doubts))}: nothing is written to a vehicle that is less likely than not"
+        )
+    left += map(doubt_of, doubts)
+    left += [
+        f"{named(e)}: not of {s.value} {n}, beside what is doubtful there"
+        for e in chosen
+        if not doubtful(e)
+        for s, n in sorted(unsure)
+        if e.sensor is s and n in e.instances
+    ]
     fits = [_fit(report, real, [e for e in chosen if e.sensor is s and n in e.instances], s, n) for s, n in keys]
-    return compose(fits, parameters, fingerprint(real.identity, parameters)), left
+    return compose(fits, parameters, fingerprint(real.identity, parameters)), tuple(left)
 
 
 def _fit(

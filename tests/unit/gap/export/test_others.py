@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 from xml.etree import ElementTree
@@ -76,3 +77,13 @@ def test_nothing_is_exported_where_nothing_was_found() -> None:
             exported(bare, Recording(()), target)
     with pytest.raises(ValueError, match="--for"):
         target_of("x.txt")
+
+
+@pytest.mark.parametrize("target", [Target.SITL, Target.GAZEBO, Target.MATLAB, Target.MAVCAL])
+def test_an_effect_that_is_less_likely_than_something_else_is_told_beside_the_file(target: Target) -> None:
+    bias = effect("accel_bias", bias=(0.3, -0.2, 0.15))
+    guess = dataclasses.replace(bias, evidence=dataclasses.replace(bias.evidence, probability=0.21))
+    made = exported(report(guess), Recording(()), target)
+    assert made.doubtful == ("accel_bias of instance 1: it has a probability of 0.21: something else is likelier",)
+    assert ("0.21" in made.text) is (target is Target.SITL)
+    assert exported(report(bias), Recording(()), target).doubtful == ()

@@ -100,6 +100,39 @@ def test_the_file_is_that_of_a_job_and_names_what_no_calibration_takes_away() ->
     assert [text.split(":")[0] for text in made.not_held] == ["accel_vibration of instance 1"]
 
 
+def unlikely(id_: str, instances: tuple[int, ...] = (1,), **groups: object) -> EffectEstimate:
+    found = effect(id_, instances, **groups)
+    return dataclasses.replace(found, evidence=dataclasses.replace(found.evidence, probability=0.49))
+
+
+def test_nothing_is_written_to_a_sensor_of_which_an_effect_is_doubtful() -> None:
+    found = report(
+        effect("accel_bias", bias=(0.3, 0, 0)), unlikely("accel_scale", scale=(0.1, 0, 0)), CASES["gyroscope"][1][0]
+    )
+    plan, left = vehicle_plan(found, flown(parameters()))
+    names = {c.name for c in plan.changes}
+    assert {"INS_GYROFFS_X", "INS_GYROFFS_Y", "INS_GYROFFS_Z"} <= names
+    assert not [name for name in names if name.startswith("INS_ACC")]
+    assert [text.split(":")[0] for text in left] == ["accel_scale of instance 1", "accel_bias of instance 1"]
+    assert "probability of 0.49" in left[0]
+
+
+def test_of_two_sensors_the_one_that_is_sure_is_written() -> None:
+    one = parameters()
+    two = {name.replace("INS_ACC", "INS_ACC2", 1): v for name, v in one.items() if name.startswith("INS_ACC")}
+    found = report(effect("accel_bias", (1, 2), bias=(0.3, 0, 0)), unlikely("accel_scale", (2,), scale=(0.1, 0, 0)))
+    plan, left = vehicle_plan(found, flown(one | two))
+    names = {c.name for c in plan.changes}
+    assert "INS_ACCOFFS_X" in names
+    assert not [name for name in names if name.startswith("INS_ACC2")]
+    assert "not of accel 2" in left[1]
+
+
+def test_of_what_is_less_likely_than_not_there_is_no_plan() -> None:
+    with pytest.raises(FirmwareError, match=r"accel_bias of instance 1: it has a probability of 0\.49"):
+        vehicle_plan(report(unlikely("accel_bias", bias=(0.3, 0, 0))), flown(parameters()))
+
+
 def test_an_offset_without_an_error_of_its_own_is_not_written() -> None:
     bias = effect("accel_bias", bias=(0.3, 0, 0))
     loose = dataclasses.replace(bias.params[0], se=np.inf)
