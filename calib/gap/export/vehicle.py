@@ -81,6 +81,8 @@ def vehicle_plan(report: GapReport, real: Recording) -> tuple[WritePlan, tuple[s
         for s, n in sorted(unsure)
         if e.sensor is s and n in e.instances
     ]
+    if report.unknown.flag:
+        left.append(f"something unknown, beside which all was estimated: {report.unknown.shape}")
     fits = [_fit(report, real, [e for e in chosen if e.sensor is s and n in e.instances], s, n) for s, n in keys]
     return compose(fits, parameters, fingerprint(real.identity, parameters)), tuple(left)
 

@@ -13,7 +13,7 @@ from calib.firmware.export import ParameterFormat, read_parameters
 from calib.firmware.names import ardupilot_compass_names, ardupilot_imu_names
 from calib.gap.export import Target, exported
 from calib.gap.export.vehicle import vehicle_plan
-from calib.gap.schema import EffectEstimate
+from calib.gap.schema import EffectEstimate, Unknown
 from calib.recording import Identity, ParameterEntry, ParameterTimeline, Recording, Sensor
 
 from .making import effect, report
@@ -126,6 +126,14 @@ def test_of_two_sensors_the_one_that_is_sure_is_written() -> None:
     assert "INS_ACCOFFS_X" in names
     assert not [name for name in names if name.startswith("INS_ACC2")]
     assert "not of accel 2" in left[1]
+
+
+def test_what_is_unknown_is_said_beside_a_plan() -> None:
+    found = report(effect("accel_bias", bias=(0.3, 0, 0)))
+    beside = Unknown(flag=True, share=0.3, shape="a line at 3 Hz on accel.z", probability=0.9)
+    plan, left = vehicle_plan(dataclasses.replace(found, unknown=beside), flown(parameters()))
+    assert plan.changes
+    assert left == ("something unknown, beside which all was estimated: a line at 3 Hz on accel.z",)
 
 
 def test_of_what_is_less_likely_than_not_there_is_no_plan() -> None:
