@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from calib.gap.hypotheses import Hypothesis
 from calib.gap.model import Model, NoiseTerm
 from calib.gap.noise_fit import densities_of
+from calib.gap.views import View
 
 Array = NDArray[np.float64]
 
@@ -131,7 +132,7 @@ def _excess(added: Added, model: Model) -> Mapping[int, float]:
         rows = np.array(list(weights.values()))
         if np.abs(rows @ rows.T - np.eye(len(rows))).max() > 1e-6:
             return {}  # not orthonormal: no way back to single instances
-        shape = added.power(model, v)
+        shape = _about(added, model, v)
         spectra = [model.setting.views[u].spectra(model.residual[u]) for u in group]
         power = np.array([[model.noise[3 * u + c].power for c in range(3)] for u in group])
         for i, row in weights.items():
@@ -139,6 +140,23 @@ def _excess(added: Added, model: Model) -> Mapping[int, float]:
             base = np.add.reduce([w * w * p for w, p in zip(row, power, strict=True)])
             found[i] = found.get(i, 0.0) + float((shape / base**2 * (own**2 - base)).sum())
     return found
+
+
+def _about(added: Added, model: Model, v: int) -> Array:
+    """Where added noise is looked for, (3, n): of a line all about it, since units with clocks of their own have it at
+    frequencies of their own.
+    """
+    power = added.power(model, v)
+    if not added.hypothesis.effect.id.endswith(LINES):
+        return power
+    view = model.setting.views[v]
+    near = _near(view, int(np.argmax(power.sum(axis=0))))
+    return np.where(near, power.max(axis=1, keepdims=True), 0.0)
+
+
+def _near(view: View, peak: int) -> NDArray[np.bool_]:
+    """The bins beside the one of a line's largest density."""
+    return np.asarray(np.abs(view.omega - view.omega[peak]) < _NEAR_HZ * 2.0 * np.pi / view.whole.fs)
 
 
 def line_amplitudes(term: NoiseTerm, model: Model) -> tuple[Array, Array]:
@@ -150,7 +168,7 @@ def line_amplitudes(term: NoiseTerm, model: Model) -> tuple[Array, Array]:
     for v in _touched(term.hypothesis, model):
         view = model.setting.views[v]
         density = densities_of(term.hypothesis, view, term.theta)[0]
-        near = np.abs(view.omega - view.omega[int(np.argmax(density))]) < _NEAR_HZ * 2.0 * np.pi / view.whole.fs
+        near = _near(view, int(np.argmax(density)))
         spectra = view.spectra(model.residual[v])
         for c in range(3):
             noise = model.noise[3 * v + c]

@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 Json = dict[str, Any]
 
 SCHEMA = "gap/1"
+_EVEN = 0.5
 FIRST = 1
 """Instances count from 1 in a report."""
 
@@ -85,6 +86,11 @@ class Evidence:
     p_adj: float
     probability: float
     share: float
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether something else is likelier in its place: a rival, another instance, or what has no name."""
+        return self.probability < _EVEN
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,10 @@ def verdict_sentence(report: GapReport, *, listed: bool = True) -> str:
     """The answer in one or two sentences, the effects `listed` or not."""
     said = _VERDICTS[report.verdict]
     if listed and report.verdict in {Verdict.EXPLAINED, Verdict.PARTLY_EXPLAINED} and report.effects:
-        said += f" Found: {'; '.join(effect_phrase(e) for e in report.effects)}."
+        likely = [effect_phrase(e) for e in report.effects if not e.evidence.doubtful]
+        doubtful = [effect_phrase(e) for e in report.effects if e.evidence.doubtful]
+        said += f" Found: {'; '.join(likely)}." if likely else ""
+        said += f" In doubt, since something else is likelier: {'; '.join(doubtful)}." if doubtful else ""
     return said
 
 

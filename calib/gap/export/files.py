@@ -12,7 +12,7 @@ from calib.firmware.export import ParameterFormat, number, write_plan
 from calib.gap.export.documents import to_document, to_matlab_text
 from calib.gap.export.gazebo import to_sdf
 from calib.gap.export.sitl import SitlPatch, older_names, patch
-from calib.gap.export.state import doubt_of, doubtful
+from calib.gap.export.state import doubt_of
 from calib.gap.export.vehicle import vehicle_plan
 from calib.gap.schema import GapReport, Verdict
 from calib.recording import Recording
@@ -96,7 +96,7 @@ def exported(
     """
     if not report.effects:
         raise InvalidInputError(f"nothing to export: {_WHY_NOT.get(report.verdict, 'no effect was found')}")
-    doubts = tuple(doubt_of(e) for e in report.effects if doubtful(e))
+    doubts = tuple(doubt_of(e) for e in report.effects if e.evidence.doubtful)
     match target:
         case Target.SITL:
             found = patch(report, base)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.errors import InvalidInputError
 from calib.fit import AXES
-from calib.gap.export.state import Sensors, doubt_of, doubtful, kind_of, named, sensors_with, value, vector
+from calib.gap.export.state import Sensors, doubt_of, kind_of, named, sensors_with, value, vector
 from calib.gap.schema import EffectEstimate, GapReport
 from calib.recording import Sensor
 from calib.simulate.recording import SensorSuite
@@ -281,7 +281,7 @@ def _reason(effect: EffectEstimate) -> str:
 
 
 def _notes(values: Mapping[str, float], effects: Sequence[EffectEstimate]) -> tuple[str, ...]:
-    notes = [doubt_of(e) for e in effects if doubtful(e)]
+    notes = [doubt_of(e) for e in effects if e.evidence.doubtful]
     if any(name.startswith("SIM_GYR") and "_BIAS" in name for name in values):
         notes.append("set INS_GYR_CAL to 0: otherwise the firmware removes a gyroscope's bias at boot")
     if any("_OFS_" in name for name in values):

@@ -24,8 +24,6 @@ from calib.simulate.sensor import SensorErrors
 
 Array = NDArray[np.float64]
 
-_EVEN = 0.5
-"""Probability below which rivals, another instance or something without a name are likelier than an effect."""
 _SYMMETRIC = ("xx", "yy", "zz", "xy", "xz", "yz")
 _SHAPED = frozenset(
     {
@@ -66,13 +64,8 @@ def named(effect: EffectEstimate) -> str:
     return f"{effect.id} of instance{'s' if len(effect.instances) > 1 else ''} {numbers}"
 
 
-def doubtful(effect: EffectEstimate) -> bool:
-    """Whether something else is likelier in its place: a rival, another instance, or what has no name."""
-    return effect.evidence.probability < _EVEN
-
-
 def doubt_of(effect: EffectEstimate) -> str:
-    """The same in words."""
+    """That something is likelier than a doubtful effect."""
     return f"{named(effect)}: it has a probability of {effect.evidence.probability:.2f}: something else is likelier"
 
 

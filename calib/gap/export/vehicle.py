@@ -19,7 +19,7 @@ from calib.firmware.compose import compose
 from calib.firmware.fingerprint import fingerprint
 from calib.firmware.plan import WritePlan
 from calib.fit import FitResult, FitStatus
-from calib.gap.export.state import doubt_of, doubtful, kind_of, named, sensors_with, value
+from calib.gap.export.state import doubt_of, kind_of, named, sensors_with, value
 from calib.gap.schema import EffectEstimate, Estimate, GapReport
 from calib.recording import Recording, Sensor
 from calib.triad import ThermalPolynomial, TriadModel
@@ -66,7 +66,7 @@ def vehicle_plan(report: GapReport, real: Recording) -> tuple[WritePlan, tuple[s
     if not chosen:
         raise FirmwareError("no effect of the report is a calibration: there is nothing to write to the vehicle")
     left = [f"{named(e)}: no calibration takes it away" for e in report.effects if e not in chosen]
-    doubts = [e for e in chosen if doubtful(e)]
+    doubts = [e for e in chosen if e.evidence.doubtful]
     unsure = {(e.sensor, n) for e in doubts for n in e.instances}
     keys = sorted({(e.sensor, n) for e in chosen for n in e.instances} - unsure)
     if not keys:
@@ -77,7 +77,7 @@ def vehicle_plan(report: GapReport, real: Recording) -> tuple[WritePlan, tuple[s
     left += [
         f"{named(e)}: not of {s.value} {n}, beside what is doubtful there"
         for e in chosen
-        if not doubtful(e)
+        if not e.evidence.doubtful
         for s, n in sorted(unsure)
         if e.sensor is s and n in e.instances
     ]

@@ -56,6 +56,24 @@ def test_louder_noise_is_that_of_the_instances_that_show_it(seed, louder):
     assert [whose(noise(named), model) for named in SETS] == [named == louder for named in SETS]
 
 
+@pytest.mark.parametrize("shaken", SETS)
+@pytest.mark.parametrize("at_hz", [9.5, 10.0, 10.5])
+def test_units_with_clocks_of_their_own_shake_at_frequencies_of_their_own(shaken, at_hz):
+    """87.07 and 87.61 Hz in one flight: a line half a hertz wide at either is of both."""
+
+    def gap(trace):
+        i = trace.instances[0]
+        wave = np.cos(2.0 * np.pi * (9.7 + 0.55 * i) * trace.t + i)
+        return 3.0 * SIGMA[Sensor.GYRO] * wave[:, None] * np.ones(3) if i in shaken else 0.0
+
+    problem = problem_of(np.random.default_rng(9), (Sensor.GYRO,), gap, instances=2, reference=ESTIMATOR)
+    setting = setting_of(views_of(problem, {}, {}))
+    model = starting_model(setting, starting_noise(setting))
+    vibration = forward_models()["gyro_vibration"][-1]
+    lines = [Added(Hypothesis(vibration, named), at_hz, np.full((1, 3), SIGMA[Sensor.GYRO] ** 2)) for named in SETS]
+    assert [whose(line, model) for line in lines] == [named == shaken for named in SETS]
+
+
 def test_series_of_one_instance_each_name_themselves():
     model = model_of(0, (0,), reference=ReferenceInfo(ReferenceKind.SIM))
     assert all(whose(noise(named), model) for named in SETS)

@@ -161,6 +161,16 @@ def test_limits_are_never_empty() -> None:
     ElementTree.fromstring(chart.drawn())
 
 
+def test_what_is_less_likely_than_something_else_is_not_found():
+    sure, guess = effect("accel_bias", bias=(0.3, 0, 0)), effect("mag_delay", delay_s=0.05)
+    guess = dataclasses.replace(guess, evidence=dataclasses.replace(guess.evidence, probability=0.21))
+    found, _, doubted = verdict_sentence(report(sure, guess)).partition("In doubt, since something else is likelier: ")
+    assert "(accel_bias)" in found
+    assert "mag_delay" not in found
+    assert "(mag_delay)" in doubted
+    assert "In doubt" not in verdict_sentence(report(sure))
+
+
 def test_sensors_that_were_not_compared_are_in_the_answer():
     lost = NotTestable("gyro", "gyro of instance 1 is in another frame than its reference", "the same frame")
     page = gap_to_html(dataclasses.replace(report(effect("accel_bias", bias=(0.1, 0.0, 0.0))), not_testable=(lost,)))
