@@ -50,6 +50,16 @@ class Judgement:
         return max(float(np.abs(r.score.standardised).max()) for r in self.reports)
 
     @property
+    def farthest(self) -> tuple[str, ...]:
+        """The five written parameters that are most standard deviations off, in words."""
+        errors = [
+            (float(z), f"{name} of {r.sensor.value} {r.instance}")
+            for r in self.reports
+            for name, z in zip(r.score.names, r.score.standardised, strict=True)
+        ]
+        return tuple(f"{name} {z:+.1f}" for z, name in sorted(errors, key=lambda e: -abs(e[0]))[:5])
+
+    @property
     def joint(self) -> tuple[float, int, float]:
         """Chi-square, degrees of freedom and p-value of every written, representable parameter."""
         return joint_p_value(tuple(r.score for r in self.reports))

@@ -111,7 +111,10 @@ class _Demo:
             if unproved:
                 reasons.append(f"{job['kind']}: not proved on the stream: {', '.join(unproved)}")
         if not whole.honest:
-            reasons.append(f"largest |error|/sd {whole.largest_z:.2f}, p-value {p:.2g}: the stated sd is not true")
+            reasons.append(
+                f"largest |error|/sd {whole.largest_z:.2f}, p-value {p:.2g}: the stated sd is not true; "
+                f"farthest off: {', '.join(whole.farthest)}"
+            )
         self._screen.line()
         self._screen.line(
             f"{freedom} parameters written: largest |error|/sd {whole.largest_z:.2f}, "
