@@ -6,7 +6,7 @@ import shutil
 from collections import Counter
 from collections.abc import AsyncIterator, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 
 import structlog
@@ -14,7 +14,6 @@ from prometheus_client import CollectorRegistry
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from service.errors import ServiceError
 from service.gaps import Gaps
 from service.jobs.engine import JobEngine
 from service.jobs.fleet import Fleet
@@ -71,21 +70,20 @@ async def running_service(settings: Settings) -> AsyncIterator[Service]:
     vehicles = VehicleRegistry()
     links = Links(store, settings.data_dir / "tlogs", settings.mavlink, attach=vehicles.attach, detach=vehicles.detach)
     jobs = JobEngine(store, Fleet(vehicles), executor=executor, read_only=settings.read_only)
-    recordings = Recordings(
-        store, settings.data_dir / "recordings", limit_bytes=settings.limits.upload_bytes, executor=executor
-    )
-    gaps = Gaps(recordings, settings.data_dir / "gaps", limit_s=settings.limits.gap_s)
-    try:
+    async with AsyncExitStack() as started:
+        # Interrupted writes first: nothing that comes later can keep them from being finished or taken back.
+        started.callback(store.close)
+        started.callback(executor.shutdown, wait=False, cancel_futures=True)
+        started.callback(vehicles.close)
+        started.push_async_callback(links.close_all)
+        started.push_async_callback(jobs.stop)
         await jobs.start()
         await _open_links(links, settings, store)
+        folder, limits = settings.data_dir, settings.limits
+        recordings = Recordings(store, folder / "recordings", limit_bytes=limits.upload_bytes, executor=executor)
+        gaps = Gaps(recordings, folder / "gaps", limit_s=limits.gap_s)
+        started.push_async_callback(gaps.stop)
         yield Service(settings, store, links, vehicles, jobs, recordings, gaps)
-    finally:
-        await gaps.stop()
-        await jobs.stop()
-        await links.close_all()
-        vehicles.close()
-        executor.shutdown(wait=False, cancel_futures=True)
-        store.close()
 
 
 async def _open_links(links: Links, settings: Settings, store: Store) -> None:
@@ -95,7 +93,7 @@ async def _open_links(links: Links, settings: Settings, store: Store) -> None:
     for row in store.links():
         try:
             await links.open(row.url)
-        except ServiceError as error:
+        except Exception as error:  # noqa: BLE001 - a row that cannot be used must not stop the start
             log.warning("link not opened again", url=row.url, reason=str(error))
 
 

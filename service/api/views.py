@@ -119,7 +119,7 @@ def recording_model(row: RecordingRow) -> RecordingModel:
         size=row.size,
         sha256=row.sha256,
         uploaded_at=row.at,
-        inspection=plain(row.body["inspection"]),
+        inspection=plain(row.body.get("inspection", {})),
     )
 
 

@@ -6,7 +6,7 @@ import asyncio
 import dataclasses
 import time
 import uuid
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from functools import partial
 from typing import Any
@@ -28,7 +28,6 @@ from service.errors import (
     NotRevertible,
 )
 from service.jobs.admission import request_digest, require_acceptable, require_free, require_ready
-from service.jobs.codec import job_from_row
 from service.jobs.crashpoints import At, CrashPoint, nowhere
 from service.jobs.feed import EventFeed
 from service.jobs.handle import JobHandle
@@ -48,6 +47,7 @@ from service.jobs.planning import (
 )
 from service.jobs.port import JobVehicle, VehicleSource
 from service.jobs.runner import Runner
+from service.jobs.salvage import job_of
 from service.jobs.settings import JobSettings
 from service.jobs.states import CANCELLABLE, CAPTURING, ENDED, WRITING, JobState
 from service.jobs.streams import restore_streams
@@ -106,30 +106,62 @@ class JobEngine:
         self._handles: dict[str, JobHandle] = {}
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._tidying: dict[str, asyncio.Task[None]] = {}
+        self._following: asyncio.Task[None] | None = None
         self._stopping = False
 
     # --- life
 
     async def start(self) -> None:
-        """Take up every job of the store where it was left, however the service ended."""
-        for row in self._store.jobs():
-            handle = self._hold(job_from_row(row))
-            state = handle.job.state
-            if state in WRITING:  # the journal and the vehicle decide
-                self._doubt(handle)
-                self._spawn(handle, self._transaction(handle).resolve)
-            elif state in CAPTURING:  # replay what was recorded and go on, if the vehicle is the same boot still
-                self._spawn(handle, partial(self._captured, handle))
-            elif state == JobState.FITTING:
-                self._spawn(handle, partial(self._runner.fit, handle))
-            else:
-                self._tidy(handle)
+        """Take up every job of the store where it was left, however the service ended.
+
+        Interrupted writes come first and alone; the other jobs follow when these have ended, or after a while.
+        """
+        handles = [self._hold(job_of(row, self._store)) for row in self._store.jobs()]
+        writes = [handle for handle in handles if handle.job.state in WRITING]
+        for handle in writes:
+            self._taken_up(handle, self._recover)
+        others = [handle for handle in handles if handle not in writes]
+        if self._tasks:
+            self._following = asyncio.create_task(self._follow(tuple(self._tasks.values()), others))
+        else:
+            self._take_up(others)
+
+    async def _follow(self, writes: Sequence[asyncio.Task[None]], others: Sequence[JobHandle]) -> None:
+        await asyncio.wait(writes, timeout=self.settings.recovery_alone_s)
+        self._take_up(others)
+
+    def _take_up(self, handles: Iterable[JobHandle]) -> None:
+        for handle in handles:
+            self._taken_up(handle, self._resume)
+
+    def _taken_up(self, handle: JobHandle, how: Callable[[JobHandle], None]) -> None:
+        """Take one job up; what is wrong with it must not keep the others waiting."""
+        try:
+            how(handle)
+        except Exception:
+            log.exception("job not taken up", job=handle.id, state=handle.job.state)
+
+    def _recover(self, handle: JobHandle) -> None:
+        """Finish or take back an interrupted write: the journal and the vehicle decide."""
+        if handle.job.plan is not None:
+            self._doubt(handle)
+            self._spawn(handle, self._transaction(handle).resolve)
+
+    def _resume(self, handle: JobHandle) -> None:
+        state = handle.job.state
+        if state in CAPTURING:  # replay what was recorded and go on, if the vehicle is the same boot still
+            self._spawn(handle, partial(self._captured, handle))
+        elif state == JobState.FITTING:
+            self._spawn(handle, partial(self._runner.fit, handle))
+        else:
+            self._tidy(handle)
 
     async def stop(self) -> None:
         """Stop every task; jobs stay in their states and are taken up at the next start."""
         self._stopping = True
         self._feed.close()
-        tasks = [*self._tasks.values(), *self._tidying.values()]
+        following = [] if self._following is None else [self._following]
+        tasks = [*self._tasks.values(), *self._tidying.values(), *following]
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)

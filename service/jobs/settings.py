@@ -29,6 +29,8 @@ class JobSettings:
     """How long a capture outlives the loss of its vehicle."""
     return_limit_s: float = 60.0
     """How long a job waits after a restart of the service for its vehicle to come back."""
+    recovery_alone_s: float = 5.0
+    """How long other jobs wait at a start while interrupted writes are finished or taken back."""
     reboot_timeout_s: float = 60.0
     """From our restart command until the vehicle answers again."""
     operator_reboot_s: float = 1800.0

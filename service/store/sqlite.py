@@ -54,6 +54,7 @@ class SqliteStore:
         try:
             with _typed_errors():
                 self._db = sqlite3.connect(target, isolation_level=None, check_same_thread=False, timeout=5.0)
+                self._db.text_factory = _text
                 self._db.execute("PRAGMA journal_mode = WAL")
                 self._db.execute("PRAGMA synchronous = FULL")
                 self._db.execute("PRAGMA foreign_keys = ON")
@@ -110,7 +111,7 @@ class SqliteStore:
                 "SELECT * FROM job_events WHERE job_id = ? AND sequence > ? ORDER BY sequence LIMIT ?",
                 (job_id, after, limit),
             )
-        return tuple(EventRow(r[0], r[1], r[2], r[3], r[4], json.loads(r[5])) for r in rows)
+        return tuple(EventRow(r[0], r[1], r[2], r[3], r[4], _object(r[5])) for r in rows)
 
     def last_event_id(self) -> int:
         """The id of the newest event of any job; 0: there is none."""
@@ -293,12 +294,25 @@ def _insert_event(db: sqlite3.Connection, job_id: str, at: float, kind: str, dat
     return EventRow(row[0], job_id, row[1], at, kind, data)
 
 
+def _text(data: bytes) -> str:
+    return data.decode("utf-8", "replace")  # a damaged text is one bad row, not a failed query
+
+
 def _dump(value: Json) -> str:
     return json.dumps(value, allow_nan=False, separators=(",", ":"))
 
 
 def _job(row: tuple[Any, ...]) -> JobRow:
-    return JobRow(row[0], row[1], row[2], row[3], row[4], row[5], json.loads(row[6]))
+    return JobRow(row[0], row[1], row[2], row[3], row[4], row[5], _object(row[6]))
+
+
+def _object(text: str) -> Json:
+    """The JSON object of a damaged row is empty: one row must not hide the others."""
+    try:
+        value = json.loads(text)
+    except ValueError:
+        return {}
+    return value if isinstance(value, dict) else {}
 
 
 def _segment(row: tuple[Any, ...]) -> SegmentRow:
@@ -306,4 +320,4 @@ def _segment(row: tuple[Any, ...]) -> SegmentRow:
 
 
 def _recording(row: tuple[Any, ...]) -> RecordingRow:
-    return RecordingRow(row[0], row[1], row[2], Path(row[3]), row[4], row[5], json.loads(row[6]))
+    return RecordingRow(row[0], row[1], row[2], Path(row[3]), row[4], row[5], _object(row[6]))
