@@ -12,13 +12,14 @@ from typing import Final
 
 from calib.errors import FirmwareError
 from calib.firmware import compose_ardupilot, compose_px4
-from calib.firmware.draft import ComposeOptions, Draft
+from calib.firmware.content import contents
+from calib.firmware.draft import ComposeOptions, Draft, Subject
 from calib.firmware.fitted import Pair, pair_fits, usable_fits
 from calib.firmware.mag_ardupilot import compose_compasses
-from calib.firmware.mag_motor import compose_motors, is_motor
+from calib.firmware.mag_motor import compose_motors
 from calib.firmware.mag_px4 import compose_magnetometers
 from calib.firmware.plan import Fingerprint, Value, WritePlan
-from calib.firmware.trim import adjust_trim, compose_level, is_level
+from calib.firmware.trim import adjust_trim, compose_level
 from calib.fit import FitResult
 from calib.recording import Sensor
 
@@ -68,20 +69,20 @@ def compose(
         If the autopilot is not known.
     """
     draft = Draft(parameters, options)
-    usable = usable_fits(draft, fits)
-    sensors = [fit for fit in usable if not (is_level(fit) or is_motor(fit))]
-    pairs = pair_fits(sensors)
+    usable = contents(usable_fits(draft, fits))
+    pairs = pair_fits(usable.corrections)
     imu = [pair for pair in pairs if pair.about.sensor != Sensor.MAG]
     mags = [pair for pair in pairs if pair.about.sensor == Sensor.MAG]
-    motors = [fit for fit in usable if is_motor(fit)]
+    for fit in usable.others:
+        draft.warn(f"{Subject(fit.sensor, fit.instance)} is left out: {fit.method} finds nothing that can be written")
     if fingerprint.autopilot not in COMPOSERS:
         raise FirmwareError(f"calibrations cannot be written to the autopilot {fingerprint.autopilot}")
     try:
         for composer, group in zip(COMPOSERS[fingerprint.autopilot], (imu, mags), strict=True):
             composer(draft, group)
-        compose_motors(draft, fingerprint.autopilot, motors)
+        compose_motors(draft, fingerprint.autopilot, usable.motors)
     except FirmwareError as error:
         draft.block(str(error))
-    adjust_trim(draft, fingerprint.autopilot, sensors)
-    compose_level(draft, fingerprint.autopilot, [fit for fit in usable if is_level(fit)])
+    adjust_trim(draft, fingerprint.autopilot, usable.corrections)
+    compose_level(draft, fingerprint.autopilot, usable.levels)
     return draft.plan(fingerprint)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.firmware import losses, names
+from calib.firmware.content import Correction
 from calib.firmware.draft import Draft, Subject
 from calib.firmware.names import Role
 from calib.firmware.plan import Value
@@ -83,7 +84,7 @@ def usable_fits(draft: Draft, fits: Sequence[FitResult]) -> tuple[FitResult, ...
     return tuple(kept)
 
 
-def pair_fits(fits: Sequence[FitResult]) -> tuple[Pair, ...]:
+def pair_fits(fits: Sequence[Correction]) -> tuple[Pair, ...]:
     """Fits of one sensor instance put together; the last one wins where there are several of a kind."""
     at_rest: dict[Subject, FitResult] = {}
     drift: dict[Subject, FitResult] = {}

@@ -13,13 +13,14 @@ from collections.abc import Mapping, Sequence
 
 from calib.errors import InvalidInputError
 from calib.firmware.check import StreamCheck, check_stream, strongest
+from calib.firmware.content import contents
 from calib.firmware.draft import Subject
 from calib.firmware.evidence import Evidence, gather
 from calib.firmware.fitted import pair_fits
 from calib.firmware.force import force_of
 from calib.firmware.movement import movement_for
 from calib.firmware.plan import ParameterVerdict, Value, Verdict, Verification, WritePlan
-from calib.fit import FitResult, FitStatus
+from calib.fit import FitResult
 from calib.recording import Recording, Sensor
 
 
@@ -60,7 +61,7 @@ def verify(
     force = force_of(plan.fingerprint.autopilot, known, plan.changes)
     now = gather(after)
     then = gather(before) if before is not None else Evidence({}, {}, frozenset())
-    pairs = {p.about: p for p in pair_fits([f for f in fits if not f.relative and f.status != FitStatus.REFUSED])}
+    pairs = {p.about: p for p in pair_fits([f for f in contents(fits).corrections if not f.relative])}
     acting: dict[Subject, tuple[str, ...]] = {}
     checks: dict[Subject, StreamCheck] = {}
     restarted = plan.needs_reboot or (before is not None and after.span[0] < before.span[1])

@@ -8,10 +8,13 @@ import pytest
 from calib import STANDARD_GRAVITY
 from calib.firmware import ardupilot, px4
 from calib.firmware.compose import ComposeOptions, compose
+from calib.firmware.content import contents
 from calib.firmware.plan import Change, Fingerprint, ParameterKind, Verdict, WritePlan
+from calib.firmware.trim import force_when_level, trim_from_force
 from calib.firmware.verify import verify
+from calib.fit import parameter_names
 from calib.logs.tlog import read_tlog
-from calib.recording import Channel, ParameterTimeline, Recording, Sensor, Stage
+from calib.recording import Channel, ParameterTimeline, Recording, Rounding, Sensor, Stage
 from calib.triad import ThermalPolynomial, TriadModel
 
 LEVEL = np.array([0.0, 0.0, -STANDARD_GRAVITY])
@@ -28,9 +31,9 @@ def channel(rng, sensor, truth, model, vectors, *, start, rate, temperature, sta
     return Channel(sensor, 0, start + np.arange(n) / rate, values, UNIT[sensor], stage, "TEST")
 
 
-def still(rng, truths, models, *, start=0.0, seconds=5.0, temperature=32.0, mag_stage=Stage.FILTERED):
-    """A vehicle that lies level: accelerometer and gyroscope at 50 Hz, compass at 10 Hz."""
-    vectors = {Sensor.ACCEL: LEVEL, Sensor.GYRO: np.zeros(3), Sensor.MAG: FIELD}
+def still(rng, truths, models, *, start=0.0, seconds=5.0, temperature=32.0, mag_stage=Stage.FILTERED, down=LEVEL):
+    """A vehicle that reads `down` at rest: accelerometer and gyroscope at 50 Hz, compass at 10 Hz."""
+    vectors = {Sensor.ACCEL: down, Sensor.GYRO: np.zeros(3), Sensor.MAG: FIELD}
     found = []
     for sensor, truth in truths.items():
         rate = 10.0 if sensor == Sensor.MAG else 50.0
@@ -202,6 +205,72 @@ def test_px4_level_trim_turns_every_stream(px4_parameters, px4_fingerprint, make
     assert result.proved
     _, result = run(px4, plan, [fit], PERFECT, px4_parameters, set())
     assert set(result.contradicted) == every(plan)
+
+
+CALIBRATED = {
+    **dict(zip(("CAL_ACC0_XOFF", "CAL_ACC0_YOFF", "CAL_ACC0_ZOFF"), (0.333, -0.248, 0.192), strict=True)),
+    **dict(zip(("CAL_ACC0_XSCALE", "CAL_ACC0_YSCALE", "CAL_ACC0_ZSCALE"), (0.983, 1.014, 0.988), strict=True)),
+}
+"""An accelerometer calibration that a PX4 has in force when its level is trimmed."""
+
+
+def level_fit(make_fit, roll, pitch, **more):
+    native = {"roll": roll, "pitch": pitch, "roll_sd": 1e-4, "pitch_sd": 1e-4}
+    return make_fit(Sensor.ACCEL, method="level", offset_sd=0.0, native=native, **more)
+
+
+def test_px4_level_trim_is_proved_while_an_accelerometer_calibration_is_in_force(
+    px4_parameters, px4_fingerprint, make_fit
+):
+    parameters = px4_parameters | CALIBRATED
+    truth = px4.calibration_in_force(parameters, Sensor.ACCEL, 0)
+    roll, pitch = np.radians((1.7, -2.3))
+    fit = level_fit(make_fit, roll, pitch)
+    plan = compose([fit], parameters, px4_fingerprint)
+    board = force_when_level(roll, pitch)
+    truths = PERFECT | {Sensor.ACCEL: truth}
+    found, result = run(px4, plan, [fit], truths, parameters, every(plan), down=board)
+    assert set(found) == {"SENS_BOARD_X_OFF", "SENS_BOARD_Y_OFF"}
+    assert set(found.values()) == {Verdict.PROVED}
+    assert result.proved
+    _, result = run(px4, plan, [fit], truths, parameters, set(), down=board)
+    assert set(result.contradicted) == every(plan)
+
+
+@pytest.mark.parametrize("method", ["level", "mag-motor", "allan", "rest-reference", "gyro-g-sensitivity"])
+def test_what_is_no_correction_says_nothing_of_where_a_sensor_should_stand(make_fit, method):
+    undetermined = parameter_names() if method in ("allan", "rest-reference") else ()
+    sensor = {"mag-motor": Sensor.MAG, "gyro-g-sensitivity": Sensor.GYRO}.get(method, Sensor.ACCEL)
+    fit = make_fit(sensor, method=method, undetermined=undetermined)
+    assert contents([fit]).corrections == ()
+
+
+def test_the_level_trim_of_a_real_px4_is_proved(px4_parameters, px4_fingerprint, make_fit):
+    """What SCALED_IMU of PX4 main read in mg, held at roll 1.7 and pitch -2.3 deg, before and after the write."""
+    parameters = px4_parameters | CALIBRATED
+    fit = level_fit(make_fit, *trim_from_force(np.array([-39.5, -29.2, -998.0])), temperature=18.0)
+    plan = compose([fit], parameters, px4_fingerprint)
+    rng = np.random.default_rng(4)
+
+    def scaled_imu(mean, start):
+        t = start + np.arange(200) / 50.0
+        mg = STANDARD_GRAVITY / 1000.0
+        counts = np.trunc(mean + rng.normal(0.0, 2.0, (200, 3)))
+        zero = counts == 0
+        values = (counts + 0.5 * np.sign(counts)) * mg
+        accel = Channel(
+            Sensor.ACCEL, 0, t, values, "m/s2", Stage.CORRECTED, "SCALED_IMU", mg, Rounding.TOWARD_ZERO, zero
+        )
+        gyro = Channel(Sensor.GYRO, 0, t, rng.normal(0.0, 1e-3, (200, 3)), "rad/s", Stage.CORRECTED, "SCALED_IMU")
+        heat = Channel(Sensor.TEMPERATURE, 0, t[::50], np.full(4, 18.0), "degC", Stage.RAW, "SCALED_IMU")
+        return Recording((accel, gyro, heat))
+
+    stored = parameters | {c.name: c.new for c in plan.changes}
+    before, after = scaled_imu([-39.5, -29.2, -998.0], 0.0), scaled_imu([-0.1, 0.2, -999.0], 9.0)
+    result = verify(plan, [fit], before, after, parameters=stored)
+    assert result.proved, result
+    unchanged = scaled_imu([-39.5, -29.2, -998.0], 9.0)
+    assert set(verify(plan, [fit], before, unchanged, parameters=stored).contradicted) == every(plan)
 
 
 def test_ardupilot_level_trim_is_in_no_stream(ardupilot_parameters, ardupilot_fingerprint, make_fit):

@@ -43,7 +43,7 @@ def test_the_shape_leaves_the_offset_right_at_its_own_temperature(
 def test_an_unknown_caltemp_declines_the_accelerometer_and_keeps_the_gyroscope(
     ardupilot_parameters, ardupilot_fingerprint, make_fit
 ):
-    accel = make_fit(Sensor.ACCEL, polynomial=CURVE, undetermined=SHAPE_ONLY)
+    accel = make_fit(Sensor.ACCEL, polynomial=CURVE, polynomial_sd=1e-5, undetermined=SHAPE_ONLY)
     gyro = make_fit(Sensor.GYRO, offset=[0.01, 0.02, 0.03], polynomial=CURVE, polynomial_sd=1e-5)
     plan = compose([accel, gyro], ardupilot_parameters, ardupilot_fingerprint)
     assert not plan.blockers
