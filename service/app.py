@@ -7,8 +7,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 from fastapi import FastAPI
-from fastapi.openapi.docs import get_swagger_ui_html
-from fastapi.responses import FileResponse, HTMLResponse
+from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
 
 import calib
@@ -72,7 +71,8 @@ def _add_panel(app: FastAPI) -> None:
         return FileResponse(folder / "index.html", headers={"Cache-Control": "no-cache"})
 
     @app.get("/docs", include_in_schema=False)
-    async def docs() -> HTMLResponse:
-        return get_swagger_ui_html(openapi_url="openapi.json", title=app.title)
+    async def docs() -> FileResponse:
+        return FileResponse(folder / "docs.html", headers={"Cache-Control": "no-cache"})
 
     app.mount("/panel", StaticFiles(directory=folder), name="panel")
+    app.mount("/swagger", StaticFiles(packages=[("fastapi_swagger", "resources")]), name="swagger")

@@ -96,11 +96,16 @@ class Settings(BaseSettings):
     read_only: bool = Field(default=False, description="never write to a vehicle, whatever is asked")
     log_json: bool = Field(default=False, description="log as JSON lines instead of text")
     api_keys: tuple[ApiKey, ...] = Field(default=(), description="who may use the service")
-    frame_ancestors: tuple[str, ...] = Field(
-        default=("'self'",), description="origins that may show the panel in a frame (Content-Security-Policy)"
+    frame_ancestors: tuple[Annotated[str, Field(pattern=r"^[^\s;,]+$")], ...] = Field(
+        default=("'self'",),
+        description="origins that may show the panel in a frame (Content-Security-Policy); none: nobody may",
     )
     allowed_hosts: tuple[str, ...] = Field(
         default=(), description="further host names under which the service may be addressed"
+    )
+    allowed_origins: tuple[Annotated[str, Field(pattern=r"^https?://[^/\s]+$")], ...] = Field(
+        default=(),
+        description="further origins, as `https://boat.local`, whose pages may change something: of a proxy in front",
     )
     mavlink: MavlinkSettings = Field(default_factory=MavlinkSettings, description="who we are on the wire")
     limits: LimitSettings = Field(default_factory=LimitSettings, description="what one client may cost")

@@ -25,11 +25,13 @@ class Envelope:
     def __init__(self, app: ASGIApp, settings: Settings, guard: Guard) -> None:
         self._app = app
         self._guard = guard
-        ancestors = " ".join(settings.frame_ancestors)
+        shown_by = " ".join(settings.frame_ancestors) or "'none'"
+        ancestors = f"frame-ancestors {shown_by}"
         self._policy = (
-            "default-src 'self'; img-src 'self' data:; style-src 'self' 'unsafe-inline'; "
-            f"object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors {ancestors}"
+            "default-src 'self'; img-src 'self' data:; object-src 'none'; base-uri 'none'; form-action 'self'; "
+            f"{ancestors}"
         )
+        self._reports = f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; sandbox; {ancestors}"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle one connection."""
@@ -46,7 +48,7 @@ class Envelope:
 
         dressed = self._dressed(scope, sending)
         try:
-            self._guard.check_origin(scope["method"], Headers(scope=scope))
+            self._guard.check_origin(scope["method"], Headers(scope=scope), scope["scheme"])
         except Forbidden as error:
             refusal = problem(Request(scope), error.status_code, error.code, error.title, str(error))
             await refusal(scope, receive, dressed)
@@ -65,9 +67,10 @@ class Envelope:
                 headers["X-Request-ID"] = scope["request_id"]
                 headers["X-Content-Type-Options"] = "nosniff"
                 headers["Referrer-Policy"] = "same-origin"
-                docs = scope["path"].endswith(("/docs", "/redoc"))
-                if not docs:  # the interactive documentation brings scripts of its own
-                    headers["Content-Security-Policy"] = self._policy
+                headers["Cross-Origin-Resource-Policy"] = "same-origin"
+                # Reports carry their styles with them and run nothing, whatever a recording has put into them.
+                report = scope["path"].endswith(".html")
+                headers["Content-Security-Policy"] = self._reports if report else self._policy
             await send(message)
 
         return dressed

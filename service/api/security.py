@@ -24,6 +24,7 @@ from service.settings import ApiKey, Settings, is_loopback
 COOKIE = "mavcal_key"
 TICKET_S = 30.0
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
+_PORTS = {"http": 80, "https": 443}
 
 
 class Scope(StrEnum):
@@ -61,6 +62,7 @@ class Guard:
     def __init__(self, settings: Settings, clock: Callable[[], float] = time.monotonic) -> None:
         self._keys: Mapping[str, ApiKey] = {key.sha256: key for key in settings.api_keys}
         self._hosts = {h.lower() for h in settings.allowed_hosts}
+        self._origins = {_origin(o) for o in settings.allowed_origins}
         self._loopback_only = not settings.beyond_loopback
         self._clock = clock
         self._tickets: dict[str, tuple[float, ApiKey]] = {}
@@ -70,17 +72,23 @@ class Guard:
         """Whether no keys are needed."""
         return not self._keys
 
-    def check_origin(self, method: str, headers: Headers) -> None:
-        """Refuse a rebound host name, and a request that another site's page makes."""
-        host = _hostname(f"//{headers.get('host', '')}")
+    def check_origin(self, method: str, headers: Headers, scheme: str = "http") -> None:
+        """Refuse a rebound host name, and a change that the page of another origin asks for.
+
+        One origin is one scheme, host and port. Programs that are no browsers send neither header.
+        """
+        asked = headers.get("host", "")
+        host = _hostname(f"//{asked}")
         if self._loopback_only and not (is_loopback(host) or host in self._hosts):
             raise Forbidden(f"the service is not addressed as {host!r}: add it to allowed_hosts if this name is meant")
         if method in SAFE_METHODS:
             return
         origin = headers.get("origin")
-        foreign = origin is not None and _hostname(origin) != host and _hostname(origin) not in self._hosts
-        if foreign or headers.get("sec-fetch-site") == "cross-site":
-            raise Forbidden(f"a page of {origin} may not change anything here: add its host to allowed_hosts")
+        ours = _origin(f"{scheme}://{asked}")
+        if origin is not None and _origin(origin) not in {ours, *self._origins} - {None}:
+            raise Forbidden(f"a page of {origin} may not change anything here: add its origin to allowed_origins")
+        if headers.get("sec-fetch-site", "none") not in {"same-origin", "none"}:
+            raise Forbidden("a page of another origin may not change anything here: open the panel of this service")
 
     def authenticate(self, request: Request) -> ApiKey | None:
         """The key of a request; None: no keys are set.
@@ -138,6 +146,18 @@ def _actor(request: Request) -> str:
 
 ActorDep = Annotated[str, Depends(_actor)]
 """Who asks, for the audit record; not for addresses that take tickets, which are good once."""
+
+
+def _origin(url: str) -> tuple[str, str, int] | None:
+    """Scheme, host and port; None: not the origin of a page, such as ``null``."""
+    try:
+        parts = urlsplit(url)
+        scheme, host, port = parts.scheme.lower(), (parts.hostname or "").lower(), parts.port
+    except ValueError:
+        return None
+    if scheme not in _PORTS or not host:
+        return None
+    return scheme, host, _PORTS[scheme] if port is None else port
 
 
 def _hostname(url: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import re
 import socket
 from pathlib import Path
 from urllib.parse import urljoin
@@ -73,9 +74,41 @@ async def test_the_page_and_its_files_are_there(tmp_path):
             await a.call("GET", f"/panel/{name}", 200)
         for path in ("/panel/../pyproject.toml", "/panel/%2e%2e/pyproject.toml", "/panel/..%2fpyproject.toml"):
             await a.call("GET", path, 404)
-        headers = (await a.client.get("/")).headers
-        assert "default-src 'self'" in headers["content-security-policy"]
-        assert "frame-ancestors 'self'" in headers["content-security-policy"]
+
+
+async def test_every_answer_carries_a_policy_that_runs_no_script_of_others(tmp_path):
+    async with api(tmp_path) as a:
+        for path in ("/", "/docs", "/panel/main.js", "/problems/not-found", "/nothing", "/api/v1/jobs", "/redoc"):
+            headers = (await a.client.get(path)).headers
+            policy = dict(part.strip().partition(" ")[::2] for part in headers["content-security-policy"].split(";"))
+            assert policy["default-src"] == "'self'", path
+            assert "script-src" not in policy
+            assert policy["frame-ancestors"] == "'self'"
+            assert "unsafe" not in headers["content-security-policy"]
+            assert headers["x-content-type-options"] == "nosniff"
+        await a.call("GET", "/redoc", 404)
+
+
+async def test_nobody_shows_the_panel_in_a_frame_if_the_settings_say_so(tmp_path):
+    for ancestors, said in (((), "'none'"), (("https://gcs.local",), "https://gcs.local")):
+        async with api(tmp_path, frame_ancestors=ancestors) as a:
+            headers = (await a.client.get("/")).headers
+            assert headers["content-security-policy"].endswith(f"frame-ancestors {said}")
+
+
+async def test_the_documentation_comes_from_this_service_alone(tmp_path):
+    async with api(tmp_path) as a:
+        page = await a.call("GET", "/docs", 200)
+        parts = re.findall(r'(?:src|href)="([^"]+)"', page)
+        assert len(parts) == 4
+        for part in parts:
+            if part != "data:,":
+                assert not part.startswith(("/", "http"))
+                response = await a.client.get(f"/{part}")
+                assert response.status_code == 200
+                assert len(response.content) > 100
+        assert "<script>" not in page
+        assert "openapi.json" in await a.call("GET", "/panel/docs.js", 200)
 
 
 # --- problems
@@ -295,13 +328,18 @@ async def test_without_keys_a_ticket_is_empty(tmp_path):
     [
         {"Host": "evil.example"},
         {"Origin": "https://evil.example"},
+        {"Origin": "http://127.0.0.1:8766"},
         {"Origin": "null"},
         {"Sec-Fetch-Site": "cross-site"},
+        {"Sec-Fetch-Site": "same-site"},
     ],
 )
 async def test_a_page_from_elsewhere_changes_nothing(tmp_path, headers):
     async with api(tmp_path) as a:
         await a.call("POST", "/api/v1/links", 403, json={"url": "tcp:127.0.0.1:1"}, headers=headers)
+        upload = {"params": {"name": "a.csv"}, "content": b"mag_x,mag_y,mag_z\n1,2,3\n4,5,7\n"}
+        await a.call("POST", "/api/v1/recordings", 403, headers=headers, **upload)
+        assert await a.get("/recordings") == []
         assert await a.get("/links") == []
 
 

@@ -189,3 +189,12 @@ def test_with_keys_the_page_asks_for_one(window, tmp_path):
         window.type("#link-url", "tcp:127.0.0.1:1")
         window.click("Open link")
         window.until("#links", "down")  # told by the stream that the ticket opened
+
+
+def test_the_documentation_is_drawn_from_local_files_under_the_policy(window, tmp_path):
+    with service(tmp_path) as url:
+        window.open(f"{url}docs")
+        assert "/api/v1/vehicles/{vehicle_id}/jobs" in window.until("#interface", "/healthz").replace("\u200b", "")
+        loaded = window.run("return performance.getEntriesByType('resource').map(e => e.name)")
+        assert all(name.startswith((url, "data:")) for name in loaded), loaded
+        assert window.complaints() == []

@@ -28,19 +28,78 @@ def test_a_rebound_name_is_refused(host):
         Guard(Settings()).check_origin("GET", Headers({"host": host}))
 
 
+LOCAL = "localhost:8765"
+
+
 @pytest.mark.parametrize(
     "extra",
-    [{"origin": "https://evil.example"}, {"sec-fetch-site": "cross-site"}, {"origin": "null"}],
+    [
+        {"origin": "https://evil.example"},
+        {"origin": "null"},
+        {"origin": ""},
+        {"origin": "http://localhost:8766"},  # another program on this machine
+        {"origin": "http://localhost"},
+        {"origin": "https://localhost:8765"},
+        {"origin": "http://127.0.0.1:8765"},
+        {"origin": "http://localhost:8765.evil.example"},
+        {"origin": "http://localhost:x"},
+        {"sec-fetch-site": "cross-site"},
+        {"sec-fetch-site": "same-site"},  # another port of this host is the same site
+        {"sec-fetch-site": ""},
+        {"sec-fetch-site": "Same-Origin "},
+        {"origin": "http://localhost:8765", "sec-fetch-site": "same-site"},
+    ],
 )
-def test_another_sites_page_changes_nothing(extra):
+def test_a_page_of_another_origin_changes_nothing(extra):
     guard = Guard(Settings())
+    for method in ("POST", "DELETE", "PUT", "PATCH", "TRACE"):
+        with pytest.raises(Forbidden):
+            guard.check_origin(method, Headers({"host": LOCAL, **extra}))
+    guard.check_origin("GET", Headers({"host": LOCAL, **extra}))
+
+
+@pytest.mark.parametrize(
+    ("scheme", "host", "origin"),
+    [
+        ("http", LOCAL, "http://localhost:8765"),
+        ("http", LOCAL, "HTTP://LocalHost:8765"),
+        ("http", "127.0.0.1", "http://127.0.0.1:80"),
+        ("https", "localhost:443", "https://localhost"),
+        ("http", "[::1]:8765", "http://[::1]:8765"),
+    ],
+)
+def test_our_own_page_may_post(scheme, host, origin):
+    headers = Headers({"host": host, "origin": origin, "sec-fetch-site": "same-origin"})
+    Guard(Settings()).check_origin("POST", headers, scheme)
+
+
+def test_a_program_that_is_no_browser_may_post():
+    Guard(Settings()).check_origin("POST", Headers({"host": LOCAL}))
+    Guard(Settings()).check_origin("POST", Headers({"host": LOCAL, "sec-fetch-site": "none"}))
+
+
+def test_the_origin_of_a_proxy_is_let_in_once_it_is_named():
+    headers = Headers({"host": LOCAL, "origin": "https://boat.local", "sec-fetch-site": "same-origin"})
+    with pytest.raises(Forbidden, match="allowed_origins"):
+        Guard(Settings()).check_origin("POST", headers)
+    guard = Guard(Settings(allowed_origins=("https://boat.local",)))
+    guard.check_origin("POST", headers)
     with pytest.raises(Forbidden):
-        guard.check_origin("POST", Headers({"host": "localhost:8765", **extra}))
+        guard.check_origin("POST", Headers({"host": LOCAL, "origin": "http://boat.local"}))
 
 
-def test_our_own_page_may_post():
-    headers = Headers({"host": "localhost:8765", "origin": "http://localhost:8765", "sec-fetch-site": "same-origin"})
-    Guard(Settings()).check_origin("POST", headers)
+@pytest.mark.parametrize(
+    "setting",
+    [
+        {"allowed_origins": ("boat.local",)},
+        {"allowed_origins": ("https://boat.local/path",)},
+        {"frame_ancestors": ("'self'; script-src *",)},
+        {"frame_ancestors": ("a\nb",)},
+    ],
+)
+def test_what_would_weaken_the_policy_is_no_setting(setting):
+    with pytest.raises(ValueError, match="pattern"):
+        Settings(**setting)
 
 
 def test_a_ticket_works_once_and_not_for_long():
