@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2, ncx2
 
+Array = NDArray[np.float64]
+
 Z95 = 1.959963984540054
+_DRAWS = 1000
+"""Of as many rows as there are: the ends of a 95 % interval are the 25th of either side."""
 
 
 def wilson(hits: int, n: int) -> tuple[float, float]:
@@ -21,7 +26,21 @@ def wilson(hits: int, n: int) -> tuple[float, float]:
     return max(0.0, middle - half), min(1.0, middle + half)
 
 
-def calibration_error(probabilities: Sequence[float], hits: Sequence[bool], bins: int = 10) -> float:
+def resampled(statistic: Callable[[Array], float | None], rows: Array) -> tuple[float, float]:
+    """95 % interval of a statistic: that of rows drawn again with replacement (Efron 1979), always the same draws.
+
+    Draws in which it is not defined do not count; (-inf, inf) where there is none in which it is.
+    """
+    rng = np.random.default_rng(len(rows))
+    drawn = (statistic(rows[rng.integers(0, len(rows), len(rows))]) for _ in range(_DRAWS))
+    found = [value for value in drawn if value is not None]
+    if not found:
+        return -math.inf, math.inf
+    low, high = np.quantile(found, [0.025, 0.975])
+    return float(low), float(high)
+
+
+def calibration_error(probabilities: ArrayLike, hits: ArrayLike, bins: int = 10) -> float:
     """Expected calibration error over bins of equal width; NaN of nothing is never returned: 0."""
     p, h = np.asarray(probabilities, dtype=np.float64), np.asarray(hits, dtype=np.float64)
     if len(p) == 0:
@@ -34,7 +53,7 @@ def calibration_error(probabilities: Sequence[float], hits: Sequence[bool], bins
     return error
 
 
-def brier_skill(probabilities: Sequence[float], hits: Sequence[bool]) -> float:
+def brier_skill(probabilities: ArrayLike, hits: ArrayLike) -> float:
     """1 - Brier score over that of the constant base rate; 0 where the base rate is certain."""
     p, h = np.asarray(probabilities, dtype=np.float64), np.asarray(hits, dtype=np.float64)
     if len(p) == 0 or h.std() == 0.0:

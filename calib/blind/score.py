@@ -5,24 +5,42 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
+from enum import StrEnum
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.blind.answers import Answer, covered, honest_without
 from calib.blind.cases import LADDER, Tier
-from calib.blind.intervals import brier_skill, calibration_error, detection_limit, wilson
+from calib.blind.intervals import brier_skill, calibration_error, detection_limit, resampled, wilson
 from calib.blind.nuisance import EXPECTED
+
+Array = NDArray[np.float64]
 
 BINS = ((20.0, 50.0), (50.0, 100.0), (100.0, 300.0), (300.0, 1000.0), (1000.0, 2000.0))
 STRONG = 100.0
 """Where top-1 is asked for; also where a gap of lambda/2 nats exceeds five of its standard errors sqrt(lambda)."""
+HELD = 0.02
+"""Two standard deviations of the share of intervals that hold, up to which it says that they do: 475 of them."""
+SHORT_OF_LIMIT = 0.03
+"""By which a diagnosis may find less often than the test that knows what it looks for."""
+NOTEWORTHY = 0.05
+"""Share of a ladder's step below which it has no target: one that is never missed says nothing."""
 RANDOM = ("random_walk", "flicker", "noise")
+
+
+class Verdict(StrEnum):
+    """What a figure's 95 % interval says of its target: all of it meets it, none of it does, or a part."""
+
+    REACHED = "reached"
+    MISSED = "missed"
+    UNDECIDED = "undecided"
 
 
 @dataclass(frozen=True)
 class Figure:
-    """One line of the table. `passed` is None where no target is set or no case was run."""
+    """One line of the table. `verdict` is None where no target is set or no case was run."""
 
     name: str
     value: float | None
@@ -30,7 +48,7 @@ class Figure:
     low: float | None = None
     high: float | None = None
     target: str = ""
-    passed: bool | None = None
+    verdict: Verdict | None = None
 
 
 def score(answers: Sequence[Answer]) -> dict[str, Any]:
@@ -51,7 +69,7 @@ def score(answers: Sequence[Answer]) -> dict[str, Any]:
         *_ladder(by_tier[Tier.LADDER]),
         *_nuisances(by_tier[Tier.NUISANCE]),
         *_times(answers),
-        _share("failed with an error", [a.failed is not None for a in answers], "<= 0.0"),
+        *_errors(answers),
     ]
     return {
         "figures": [asdict(f) for f in figures],
@@ -75,18 +93,29 @@ def _share(name: str, hits: Iterable[bool], target: str = "") -> Figure:
         return Figure(name, None, 0, target=target)
     low, high = wilson(sum(each), len(each))
     value = sum(each) / len(each)
-    return Figure(name, value, len(each), low, high, target, _meets(value, target))
+    return Figure(name, value, len(each), low, high, target, _judged(low, high, target))
 
 
-def _meets(value: float, target: str) -> bool | None:
+def _judged(low: float, high: float, target: str) -> Verdict | None:
+    """A target is reached where the worse end of the interval meets it, and missed where the better end does not."""
     if not target:
         return None
-    relation, _, bound = target.partition(" ")
-    return value >= float(bound) if relation == ">=" else value <= float(bound)
+    relation, _, text = target.partition(" ")
+    bound = float(text)
+    worse, better = (low - bound, high - bound) if relation == ">=" else (bound - high, bound - low)
+    if worse >= 0.0:
+        return Verdict.REACHED
+    return Verdict.UNDECIDED if better >= 0.0 else Verdict.MISSED
 
 
-def _plain(name: str, value: float | None, n: int, target: str = "") -> Figure:
-    return Figure(name, value, n, target=target, passed=None if value is None else _meets(value, target))
+def _of_rows(name: str, statistic: Callable[[Array], float | None], each: Sequence[Any], target: str = "") -> Figure:
+    """A figure of rows of numbers that is no proportion, with the interval of rows drawn again."""
+    rows = np.asarray(each, dtype=np.float64)
+    value = statistic(rows) if len(rows) else None
+    if value is None:
+        return Figure(name, None, len(rows), target=target)
+    low, high = resampled(statistic, rows)
+    return Figure(name, value, len(rows), low, high, target, _judged(low, high, target))
 
 
 def _nulls(plain: Sequence[Answer], tilted: Sequence[Answer]) -> list[Figure]:
@@ -118,7 +147,7 @@ def _singles(answers: Sequence[Answer]) -> list[Figure]:
         _share("single: top-1, detected", map(_single_right, detected)),
         _share("single: exact set, lambda >= 100", map(_exact, strong)),
         _share("single: truth in the reported set, detected", [bool(a.true & a.reach) for a in detected], ">= 0.99"),
-        _plain("single: mean size of the set", float(np.mean(sizes)) if sizes else None, len(sizes), "<= 2.5"),
+        _of_rows("single: mean size of the set", _mean, sizes, "<= 2.5"),
         _share("single: where names the sensor", [w for a in detected if (w := _where(a)) is not None]),
     ]
 
@@ -134,15 +163,24 @@ def _where(answer: Answer) -> bool | None:
 
 
 def _mixtures(answers: Sequence[Answer]) -> list[Figure]:
-    right = sum(len(a.true & set(a.named)) for a in answers)
-    surplus, missed = sum(len(a.surplus) for a in answers), sum(len(a.true - set(a.named)) for a in answers)
-    total = 2 * right + surplus + missed
+    counts = [(len(a.true & set(a.named)), len(a.surplus), len(a.true - set(a.named))) for a in answers]
     return [
-        _plain("mixed: strict F1", 2 * right / total if total else None, len(answers), ">= 0.93"),
-        _plain("mixed: precision", right / (right + surplus) if right + surplus else None, len(answers)),
-        _plain("mixed: recall", right / (right + missed) if right + missed else None, len(answers)),
+        _of_rows("mixed: strict F1", lambda rows: _ratio(rows, (2, 0, 0), (2, 1, 1)), counts, ">= 0.93"),
+        _of_rows("mixed: precision", lambda rows: _ratio(rows, (1, 0, 0), (1, 1, 0)), counts),
+        _of_rows("mixed: recall", lambda rows: _ratio(rows, (1, 0, 0), (1, 0, 1)), counts),
         _share("mixed: exact set", map(_exact, answers)),
     ]
+
+
+def _ratio(rows: Array, above: Sequence[int], below: Sequence[int]) -> float | None:
+    """Of sums over rows of (right, surplus, missed) names with these weights; None without any name."""
+    sums = rows.sum(axis=0)
+    total = float(sums @ np.asarray(below))
+    return float(sums @ np.asarray(above)) / total if total else None
+
+
+def _mean(values: Array) -> float:
+    return float(values.mean())
 
 
 def _rejected(answer: Answer) -> bool:
@@ -188,8 +226,10 @@ def _intervals(answers: Iterable[Answer]) -> list[Figure]:
     value = sum(hits) / len(hits)
     slack = 2.0 * (0.95 * 0.05 / len(hits)) ** 0.5
     low, high = wilson(sum(hits), len(hits))
-    passed = abs(value - 0.95) <= slack
-    return [Figure("95 % intervals hold", value, len(hits), low, high, f"0.95 +- {slack:.3f}", passed)]
+    verdict = Verdict.REACHED if abs(value - 0.95) <= slack else Verdict.MISSED
+    if verdict is Verdict.REACHED and slack > HELD:
+        verdict = Verdict.UNDECIDED  # so few would look right whatever the intervals are
+    return [Figure("95 % intervals hold", value, len(hits), low, high, f"0.95 +- {slack:.3f}", verdict)]
 
 
 def _probabilities(answers: Iterable[Answer]) -> list[Figure]:
@@ -203,12 +243,12 @@ def _probabilities(answers: Iterable[Answer]) -> list[Figure]:
                 hit.append(str(effect["id"]) in answer.true)
     if not p:
         return [Figure("probabilities: ECE", None, 0, target="<= 0.05")]
-    skill = brier_skill(p, hit)
+    pairs = list(zip(p, hit, strict=True))
     return [
-        _plain("probabilities: ECE", calibration_error(p, hit), len(p), "<= 0.05"),
-        Figure("probabilities: Brier skill", skill, len(p), target="> 0", passed=skill > 0.0),
-        _plain("probabilities: mean", float(np.mean(p)), len(p)),
-        _plain("probabilities: share that is right", float(np.mean(hit)), len(p)),
+        _of_rows("probabilities: ECE", lambda rows: calibration_error(*rows.T), pairs, "<= 0.05"),
+        _of_rows("probabilities: Brier skill", lambda rows: brier_skill(*rows.T), pairs, ">= 0"),
+        _of_rows("probabilities: mean", _mean, p),
+        _share("probabilities: share that is right", hit),
     ]
 
 
@@ -224,17 +264,18 @@ def _closed(answers: Iterable[Answer]) -> list[Figure]:
                 # Each fitted parameter costs half a nat on new data; the gap is lambda/2 nats.
                 limits.append(1.0 - sum(e["df"] for e in answer.label["effects"]) / answer.severity)
 
-    def quantile(values: Sequence[float], q: float) -> float | None:
-        return float(np.quantile(values, q)) if values else None
-
     steady, random = found[False], found[True]
     return [
-        _plain("held-out gap closed: median", quantile(steady, 0.5), len(steady), ">= 0.99"),
-        _plain("held-out gap closed: p10", quantile(steady, 0.1), len(steady), ">= 0.98"),
-        _plain("… of a fit that knows the effect (1 - p/lambda): median", quantile(limits, 0.5), len(limits)),
-        _plain("… of a fit that knows the effect (1 - p/lambda): p10", quantile(limits, 0.1), len(limits)),
-        _plain("held-out gap closed, noise, flicker and random walk: median", quantile(random, 0.5), len(random)),
+        _of_rows("held-out gap closed: median", _quantile(0.5), steady, ">= 0.99"),
+        _of_rows("held-out gap closed: p10", _quantile(0.1), steady, ">= 0.98"),
+        _of_rows("… of a fit that knows the effect (1 - p/lambda): median", _quantile(0.5), limits),
+        _of_rows("… of a fit that knows the effect (1 - p/lambda): p10", _quantile(0.1), limits),
+        _of_rows("held-out gap closed, noise, flicker and random walk: median", _quantile(0.5), random),
     ]
+
+
+def _quantile(q: float) -> Callable[[Array], float]:
+    return lambda values: float(np.quantile(values, q))
 
 
 def _ladder(answers: Sequence[Answer]) -> list[Figure]:
@@ -249,11 +290,9 @@ def _ladder(answers: Sequence[Answer]) -> list[Figure]:
             testing = a.report.get("multiple_testing") or {}
             alpha = float(testing.get("alpha_family") or 0.005) / float(testing.get("m") or 60)
             limits.append(detection_limit(step, int(a.label["effects"][0]["df"]), alpha))
-        share = sum(a.detected for a in rows) / len(rows)
-        low, high = wilson(sum(a.detected for a in rows), len(rows))
         limit = float(np.mean(limits))
-        name = f"detected at lambda {step:g} (limit {limit:.2f})"
-        figures.append(Figure(name, share, len(rows), low, high, f">= {limit - 0.03:.3f}", share >= limit - 0.03))
+        target = f">= {limit - SHORT_OF_LIMIT:.3f}" if limit - SHORT_OF_LIMIT >= NOTEWORTHY else ""
+        figures.append(_share(f"detected at lambda {step:g} (limit {limit:.2f})", [a.detected for a in rows], target))
     return figures
 
 
@@ -280,9 +319,19 @@ def _times(answers: Sequence[Answer]) -> list[Figure]:
     if not seconds:
         return []
     return [
-        _plain("seconds a case: median", float(np.median(seconds)), len(seconds)),
-        _plain("seconds a case: p95", float(np.quantile(seconds, 0.95)), len(seconds), "<= 15"),
+        _of_rows("seconds a case: median", _quantile(0.5), seconds),
+        _of_rows("seconds a case: p95", _quantile(0.95), seconds, "<= 15"),
     ]
+
+
+def _errors(answers: Sequence[Answer]) -> list[Figure]:
+    """A promise of every case, not of a share: one error is a miss, and no number of cases without one is a doubt."""
+    name, failed = "failed with an error", [a.failed is not None for a in answers]
+    if not failed:
+        return [Figure(name, None, 0, target="none")]
+    low, high = wilson(sum(failed), len(failed))
+    verdict = Verdict.MISSED if any(failed) else Verdict.REACHED
+    return [Figure(name, sum(failed) / len(failed), len(failed), low, high, "none", verdict)]
 
 
 def _by_severity(singles: Sequence[Answer], unknown: Sequence[Answer]) -> list[dict[str, Any]]:

@@ -59,7 +59,7 @@ def gate_of(
     least = min(due - _SHORT * math.sqrt(2.0 * due), _ENOUGH * due)
     if total <= 0.0 and least < 0.0:
         return Gate(key, gains, passed=None)
-    passed = total > max(least, 0.0)
+    passed = bool(total > max(least, 0.0))  # numpy's False `is` not False
     return Gate(key, gains, passed=None if not passed and _an_event(term) else passed)
 
 

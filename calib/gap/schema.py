@@ -147,7 +147,6 @@ class Unknown:
     share: float = 0.0
     shape: str = ""
     hidden_driver: HiddenDriver | None = None
-    probability: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -135,9 +135,7 @@ def unknown_of(
             share += whole * (1.0 - share)
             part = max(part, own)
     driver = next((s.driver for s in strangers if s.driver is not None), None)
-    probability = max((a.unknown_probability for a in attributions), default=0.0)
-    flag = part > _MATERIAL
-    return Unknown(flag, share, "; ".join(dict.fromkeys(texts)), driver, max(probability, 0.95 if flag else 0.0))
+    return Unknown(part > _MATERIAL, share, "; ".join(dict.fromkeys(texts)), driver)
 
 
 @dataclass(frozen=True)

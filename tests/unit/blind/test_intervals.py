@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.blind.intervals import brier_skill, calibration_error, detection_limit, wilson
+from calib.blind.intervals import brier_skill, calibration_error, detection_limit, resampled, wilson
 
 
 def test_wilson_interval_by_hand():
@@ -11,6 +11,15 @@ def test_wilson_interval_by_hand():
     assert (low, high) == (pytest.approx(0.5958, abs=1e-4), pytest.approx(0.9821, abs=1e-4))
     assert wilson(0, 0) == (0.0, 1.0)
     assert wilson(5, 5)[1] == 1.0
+
+
+def test_an_interval_of_rows_drawn_again_is_that_of_the_mean():
+    rows = np.random.default_rng(4).normal(3.0, 2.0, 400)
+    low, high = resampled(lambda values: float(np.mean(values)), rows)
+    assert high - low == pytest.approx(2 * 1.96 * np.std(rows) / 20.0, rel=0.1)
+    assert low < np.mean(rows) < high
+    assert resampled(lambda values: float(np.mean(values)), rows) == (low, high)
+    assert resampled(lambda values: None, rows) == (-np.inf, np.inf)
 
 
 def test_calibrated_probabilities_have_no_error_and_skill():

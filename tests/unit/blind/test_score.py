@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 
 from calib.blind.answers import Answer, covered, honest_without
-from calib.blind.cases import KNOWN, Tier
-from calib.blind.score import score
+from calib.blind.cases import KNOWN, LADDER, Tier
+from calib.blind.score import Verdict, score
 
 
 def effect(
@@ -72,7 +72,7 @@ def test_singles_are_ranked_by_evidence_and_the_set_is_the_named_and_their_rival
         ]
     )
     top = figure(scores, "single: top-1, lambda >= 100")
-    assert (top["value"], top["n"], top["passed"]) == (0.5, 2, False)
+    assert (top["value"], top["n"], top["verdict"]) == (0.5, 2, Verdict.MISSED)
     assert figure(scores, "single: truth in the reported set")["value"] == 1.0
     assert figure(scores, "single: mean size")["value"] == 2.5
     assert figure(scores, "single: detected")["value"] == pytest.approx(2 / 3)
@@ -152,6 +152,74 @@ def test_closed_probabilities_and_errors():
     assert figure(scores, "probabilities: ECE")["value"] == pytest.approx(0.03)
     assert figure(scores, "failed with an error")["value"] == pytest.approx(1 / 31)
     assert scores["errors"] == [("ValueError: x", 1)]
+
+
+def singles(right: int, wrong: int) -> list[Answer]:
+    good = [answer(Tier.SINGLE, ("accel_bias",), effect("accel_bias"))] * right
+    return good + [answer(Tier.SINGLE, ("accel_bias",), effect("gyro_noise"))] * wrong
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "verdict"),
+    [
+        (20, 0, Verdict.UNDECIDED),  # all of twenty: 0.84 to 1
+        (400, 2, Verdict.REACHED),
+        (390, 8, Verdict.UNDECIDED),  # the point 0.98 is above 0.97, the interval's lower end 0.961 is not
+        (380, 30, Verdict.MISSED),
+    ],
+)
+def test_a_target_is_judged_by_the_ends_of_the_interval(right, wrong, verdict):
+    assert figure(score(singles(right, wrong)), "single: top-1, lambda >= 100")["verdict"] == verdict
+
+
+def nulls(quiet: int, loud: int) -> list[Answer]:
+    return [answer(Tier.NULL, ())] * quiet + [answer(Tier.NULL, (), unknown=True)] * loud
+
+
+@pytest.mark.parametrize(
+    ("quiet", "loud", "verdict"),
+    [(40, 0, "undecided"), (400, 0, "reached"), (994, 6, "undecided"), (960, 40, "missed")],
+)
+def test_a_target_from_above_is_judged_by_the_upper_end(quiet, loud, verdict):
+    assert figure(score(nulls(quiet, loud)), "null: something reported")["verdict"] == verdict
+
+
+def test_what_is_no_proportion_has_an_interval_too():
+    mixed = [answer(Tier.MIXED, ("accel_bias", "mag_delay"), effect("accel_bias"), effect("mag_delay"))] * 30
+    half = [answer(Tier.MIXED, ("accel_bias", "mag_delay"), effect("accel_bias"))] * 8
+    f1 = figure(score([*mixed, *half]), "mixed: strict F1")
+    assert f1["value"] == pytest.approx(2 * 68 / (2 * 68 + 8))
+    assert f1["low"] < f1["value"] < f1["high"]
+    assert f1["verdict"] == Verdict.UNDECIDED
+    slow = [Answer(a.label, a.report, None, 2.0 if k % 10 else 14.9 + k / 10) for k, a in enumerate(mixed)]
+    assert figure(score(slow), "seconds a case: p95")["verdict"] == Verdict.UNDECIDED
+
+
+def ladder(step: float, found: int, missed: int) -> list[Answer]:
+    return [answer(Tier.LADDER, ("accel_bias",), effect("accel_bias"), size=step)] * found + [
+        answer(Tier.LADDER, ("accel_bias",), size=step)
+    ] * missed
+
+
+def test_a_step_of_the_ladder_that_nothing_could_miss_has_no_target():
+    lowest = figure(score(ladder(5.0, 0, 60)), "detected at lambda 5 ")
+    assert (lowest["value"], lowest["target"], lowest["verdict"]) == (0.0, "", None)
+
+
+@pytest.mark.parametrize("step", LADDER)
+def test_every_target_of_the_ladder_is_missed_by_a_diagnosis_that_finds_nothing(step):
+    blind = figure(score(ladder(step, 0, 400)), f"detected at lambda {step:g} ")
+    sighted = figure(score(ladder(step, 400, 0)), f"detected at lambda {step:g} ")
+    assert (blind["verdict"], sighted["verdict"]) == (("missed", "reached") if blind["target"] else (None, None))
+    assert bool(blind["target"]) == (step > 5.0)
+
+
+def test_few_intervals_say_nothing_and_one_error_is_a_miss():
+    few = [answer(Tier.SINGLE, ("accel_bias",), effect("accel_bias")) for _ in range(20)]
+    assert figure(score(few), "95 % intervals hold")["verdict"] == Verdict.UNDECIDED
+    assert figure(score(few), "failed with an error")["verdict"] == Verdict.REACHED
+    failed = Answer(few[0].label, {}, "ValueError: x", 1.0)
+    assert figure(score([*few, failed]), "failed with an error")["verdict"] == Verdict.MISSED
 
 
 def test_no_name_is_its_own_synonym():

@@ -69,6 +69,9 @@ def test_kept_answers_are_scored_again(tmp_path):
     document = json.loads(done.stdout)
     assert document["schema"] == "gap-selftest/1"
     assert next(f for f in document["figures"] if f["name"].startswith("null:"))["value"] == 0.0
+    file.write_text(json.dumps(row) + "\n")
+    done = CliRunner().invoke(command, ["--score-only", "--answers", str(file), "--json"], standalone_mode=False)
+    assert done.return_value == 1  # none failed, and one null is no proof that at most one of a hundred is named
 
 
 def test_a_process_that_dies_is_an_answer_and_the_next_order_gets_a_new_one():

@@ -130,7 +130,7 @@ def test_of_two_sensors_the_one_that_is_sure_is_written() -> None:
 
 def test_what_is_unknown_is_said_beside_a_plan() -> None:
     found = report(effect("accel_bias", bias=(0.3, 0, 0)))
-    beside = Unknown(flag=True, share=0.3, shape="a line at 3 Hz on accel.z", probability=0.9)
+    beside = Unknown(flag=True, share=0.3, shape="a line at 3 Hz on accel.z")
     plan, left = vehicle_plan(dataclasses.replace(found, unknown=beside), flown(parameters()))
     assert plan.changes
     assert left == ("something unknown, beside which all was estimated: a line at 3 Hz on accel.z",)
