@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from service.client import ServiceClient
+from service.lifetime import ending_with_us
 
 _START_S = 60.0
 _FOUND_S = 60.0
@@ -82,7 +83,7 @@ def service(connect: str, data_dir: Path) -> Iterator[RunningService]:
     root = Path(__file__).resolve().parents[1]
     log_path = data_dir.with_suffix(".log")
     with log_path.open("wb") as log:
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, cwd=root)
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, cwd=root, env=ending_with_us())
         assert process.stdout is not None
         try:
             readable, _, _ = select.select([process.stdout], [], [], _START_S)

@@ -12,6 +12,7 @@ import calib
 from calib.errors import CalibError
 from service.commands.output import EXIT_NO, EXIT_USAGE, wants_json, write_json
 from service.errors import JobError, LinkDown, ServiceError, VehicleError
+from service.lifetime import follow
 
 COMMANDS = {
     "demo": "Calibrate a simulated vehicle end to end and compare with its truth.",
@@ -64,6 +65,7 @@ def cli() -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; every expected error is one sentence on stderr and an exit code."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
+    follow()
     try:
         code = cli.main(args=list(arguments), prog_name="mavcal", standalone_mode=False)
     except click.exceptions.NoArgsIsHelpError as error:

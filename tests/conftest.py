@@ -1,15 +1,20 @@
 from __future__ import annotations
 
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
 import service  # noqa: F401  before numpy is loaded: it keeps numpy to one thread
+from tests import processes
+from tests.patience import scaled
 
 # Wall-clock deadlines judge the machine, not the code; failures print the seed that repeats them.
 settings.register_profile("mavcal", deadline=None, print_blob=True)
 settings.load_profile("mavcal")
+
+processes.mark()
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -20,3 +25,21 @@ def shared_data() -> Path:
     if not SHARED.is_dir():
         pytest.skip("the recordings of ../shared/data are not here")
     return SHARED
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    """A test has its time-out in seconds of an idle machine."""
+    marker = item.get_closest_marker("timeout")
+    seconds = float(marker.args[0] if marker and marker.args else item.config.getini("timeout") or 0.0)
+    if seconds > 0.0:
+        item.add_marker(pytest.mark.timeout(scaled(seconds)), append=False)
+    return (yield)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_process_stays() -> Iterator[None]:
+    """What the tests of this process started has ended when they have."""
+    yield
+    left = processes.ended()
+    assert not left, "left running, and killed now: " + "; ".join(map(str, left))

@@ -14,6 +14,7 @@ from contextlib import closing
 from pathlib import Path
 
 from service.client import ServiceClient
+from service.lifetime import ending_with_us
 
 START_S = 40.0
 POLL_S = 0.0001
@@ -35,7 +36,11 @@ class ServiceProcess:
         data_dir.mkdir(parents=True, exist_ok=True)
         self._log = (data_dir / "service.log").open("ab")
         self._process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=self._log, cwd=Path(__file__).resolve().parents[2]
+            command,
+            stdout=subprocess.PIPE,
+            stderr=self._log,
+            cwd=Path(__file__).resolve().parents[2],
+            env=ending_with_us(),
         )
         assert self._process.stdout is not None
         readable, _, _ = select.select([self._process.stdout], [], [], START_S)

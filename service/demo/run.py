@@ -17,6 +17,7 @@ from calib.report import fit_from_json, plain
 from service.client import ApiError, ServiceClient
 from service.commands.screen import Screen
 from service.demo.judge import Judgement, SensorReport, judge
+from service.lifetime import ending_with_us
 from service.simvehicle.client import SimulatedVehicle
 from service.simvehicle.operator import Operator
 
@@ -245,7 +246,7 @@ def _service(connect: str, data_dir: Path) -> Iterator[str]:
     command = [sys.executable, "-m", "service", "serve", "--json", "--port", "0"]
     command += ["--connect", connect, "--data-dir", str(data_dir)]
     log = (data_dir / "service.log").open("wb")
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, cwd=data_dir)  # noqa: S603 - our own module
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, cwd=data_dir, env=ending_with_us())  # noqa: S603 - ours
     try:
         assert process.stdout is not None
         line = process.stdout.readline()

@@ -16,6 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from calib import wire
 from service.errors import EndpointError, LinkDown, PortBusy
 from service.link import Batch, Link, LinkEvent, LinkEventKind, LinkState, OwnIdentity, SigningConfig
+from tests.patience import scaled
 
 KEY = bytes(range(32))
 
@@ -51,7 +52,7 @@ class Collector:
         return [frame for batch in self.batches for frame in batch.frames]
 
     async def until(self, condition: Callable[[], bool], seconds: float = 8.0) -> None:
-        async with asyncio.timeout(seconds):
+        async with asyncio.timeout(scaled(seconds)):
             while not condition():
                 self._changed.clear()
                 with suppress(TimeoutError):
@@ -273,7 +274,7 @@ async def test_a_tcp_server_link_serves_who_connects(opened: Opener) -> None:
     await collector.until(lambda: len(collector.frames) == 1)
     link.send(dialect.MAVLink_param_request_list_message(1, 1), (1, 1))
     parser = wire.FrameParser()
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(scaled(5)):
         while not any(f.message_id == 21 for f in parser.feed(await reader.read(100))):
             pass
     writer.close()
@@ -405,7 +406,7 @@ async def test_a_serial_line_both_ways_and_its_unplugging(opened: Opener, wire_t
     assert link.statistics(1, 1).lost == 0
     parser, heard = wire.FrameParser(), list[wire.Frame]()
     link.send(dialect.MAVLink_param_request_list_message(1, 1), (1, 1))
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(scaled(5)):
         while not any(frame.message_id == 21 for frame in heard):
             await asyncio.sleep(0.01)
             with suppress(BlockingIOError):

@@ -18,6 +18,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from service.simvehicle.client import SimulatedVehicle, free_udp_port
 from service.simvehicle.errors import ControlError, StartError
 from service.simvehicle.wire import Packer, Received, Splitter, split_datagram
+from tests.patience import scaled
 
 ROOT = Path(__file__).resolve().parents[2]
 PATIENCE_S = 5.0
@@ -68,7 +69,7 @@ class Station:
 
     def expect(self, name: str, patience: float = PATIENCE_S, **fields: Any) -> Any:
         """The next message of this name with these field values."""
-        deadline = time.monotonic() + patience
+        deadline = time.monotonic() + scaled(patience)
         while time.monotonic() < deadline:
             self._inbox += self.poll()
             while self._inbox:
@@ -235,7 +236,7 @@ def test_px4_answers_the_first_address_for_ever() -> None:
 def test_a_script_moves_the_vehicle_without_an_operator() -> None:
     with SimulatedVehicle(script="faces", speed=50) as vehicle:
         seen = set()
-        deadline = time.monotonic() + PATIENCE_S
+        deadline = time.monotonic() + scaled(PATIENCE_S)
         while len(seen) < 6 and time.monotonic() < deadline:
             seen.add(vehicle.state()["motion"])
             time.sleep(0.02)
@@ -247,7 +248,7 @@ def test_it_ends_with_its_parent() -> None:
     try:
         assert vehicle.process.stdin is not None
         vehicle.process.stdin.close()
-        assert vehicle.process.wait(3.0) == 0
+        assert vehicle.process.wait(scaled(3.0)) == 0
     finally:
         vehicle.stop()
 
@@ -282,7 +283,7 @@ def test_the_command_line_prints_where_it_can_be_reached() -> None:
         assert ready["url"] == f"udpin:127.0.0.1:{port}"
         assert ready["seed"] == 5
         process.terminate()
-        assert process.wait(3.0) == 0
+        assert process.wait(scaled(3.0)) == 0
     finally:
         process.kill()
         process.wait()

@@ -26,6 +26,7 @@ from service.vehicle import (
     VehicleRegistry,
     request_streams,
 )
+from tests.patience import scaled
 
 Finder = Callable[..., Awaitable[Vehicle]]
 
@@ -49,11 +50,11 @@ class Ground:
 
     async def vehicle(self, url: str) -> Vehicle:
         link = await self.link(url)
-        async with asyncio.timeout(15):
+        async with asyncio.timeout(scaled(15)):
             return await self.registry.wait_for_vehicle(link)
 
     async def until(self, condition: Callable[[], Any], seconds: float = 10.0) -> None:
-        async with asyncio.timeout(seconds):
+        async with asyncio.timeout(scaled(seconds)):
             while not condition():  # noqa: ASYNC110 - any condition, on a vehicle in another process
                 await asyncio.sleep(0.02)
 

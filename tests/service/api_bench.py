@@ -17,6 +17,7 @@ from starlette.types import ASGIApp
 from service.app import create_app
 from service.core import Service
 from service.settings import Settings
+from tests.patience import scaled
 
 Json = dict[str, Any]
 ORIGIN = "http://127.0.0.1:8765"
@@ -59,7 +60,7 @@ class Api:
 
     async def until(self, job_id: str, *states: str, seconds: float = 30.0) -> Json:
         """The job as soon as it is in one of these states."""
-        async with asyncio.timeout(seconds):
+        async with asyncio.timeout(scaled(seconds)):
             while (job := await self.get(f"/jobs/{job_id}"))["state"] not in states:
                 assert job["state"] not in ENDED, job["outcome"]
                 await asyncio.sleep(0.05)
@@ -67,7 +68,7 @@ class Api:
 
     async def vehicle(self, seconds: float = 20.0) -> Json:
         """The first vehicle that is identified and may be written to."""
-        async with asyncio.timeout(seconds):
+        async with asyncio.timeout(scaled(seconds)):
             while not (found := [v for v in await self.get("/vehicles") if v["uid"] and v["writable"]]):  # noqa: ASYNC110
                 await asyncio.sleep(0.05)
         return dict(found[0])
@@ -80,7 +81,7 @@ class Api:
         found: list[tuple[int | None, str, Json]] = []
         block: dict[str, str] = {}
         async with (
-            asyncio.timeout(15),
+            asyncio.timeout(scaled(15)),
             self.client.stream("GET", f"/api/v1{path}", headers=headers, **request) as response,
         ):
             assert response.status_code == 200, await response.aread()
@@ -153,12 +154,12 @@ async def served(folder: Path, *, prefix: str = "", **settings: Any) -> AsyncIte
     server = uvicorn.Server(config)
     running = asyncio.create_task(server._serve())
     try:
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(scaled(20)):
             while not server.started:
                 assert not running.done(), running
                 await asyncio.sleep(0.01)
         port = server.servers[0].sockets[0].getsockname()[1]
-        async with httpx2.AsyncClient(base_url=f"http://127.0.0.1:{port}{prefix}", timeout=20) as client:
+        async with httpx2.AsyncClient(base_url=f"http://127.0.0.1:{port}{prefix}", timeout=scaled(20)) as client:
             yield Api(client, app.state.service)
     finally:
         server.should_exit = True

@@ -19,6 +19,7 @@ from service.link import Link
 from service.simvehicle.client import SimulatedVehicle
 from service.store import SqliteStore
 from service.vehicle import Vehicle, VehicleRegistry
+from tests.patience import scaled
 
 SPEED = 10.0
 GYRO = tuple(f"INS_GYR{n}OFFS_{axis}" for n in ("O", "2", "3") for axis in "XYZ")
@@ -40,7 +41,7 @@ class Session:
 
     async def until(self, job_id: str, *states: JobState, seconds: float = 60.0) -> Job:
         """Wait for one of the states."""
-        async with asyncio.timeout(seconds):
+        async with asyncio.timeout(scaled(seconds)):
             while (job := self.engine.get(job_id)).state not in states:  # noqa: ASYNC110 - the store wakes nobody here
                 await asyncio.sleep(0.02)
         return job
@@ -55,7 +56,7 @@ class Session:
 
 
 async def eventually(condition: Callable[[], bool], seconds: float = 20.0) -> None:
-    async with asyncio.timeout(seconds):
+    async with asyncio.timeout(scaled(seconds)):
         while not condition():  # noqa: ASYNC110 - the condition is about another process
             await asyncio.sleep(0.02)
 
@@ -73,7 +74,7 @@ async def session(
     try:
         await link.open()
         await engine.start()
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(scaled(20)):
             vehicle = await registry.wait_for_vehicle(link)
         yield Session(store, registry, link, engine, vehicle)
     finally:

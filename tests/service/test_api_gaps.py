@@ -11,6 +11,7 @@ from urllib.parse import urljoin
 import pytest
 
 from service.gaps import MOST_WAITING, Gaps, GapState
+from tests.patience import scaled
 from tests.service.gap_tables import write_table
 
 from .api_bench import Api, api
@@ -23,7 +24,7 @@ async def upload(a: Api, path: Path) -> str:
 
 
 async def ended(a: Api, gap_id: str) -> Any:
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(scaled(60)):
         while (found := await a.get(f"/gaps/{gap_id}"))["state"] not in {"done", "failed"}:  # noqa: ASYNC110 - over HTTP
             await asyncio.sleep(0.1)
     return found
@@ -109,7 +110,7 @@ async def test_a_diagnosis_that_takes_too_long_is_ended(tmp_path):
         real = await upload(a, table)
         gaps = Gaps(a.service.recordings, tmp_path / "own", limit_s=0.05)
         row = gaps.start(real, None, ())
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(scaled(20)):
             while gaps.get(row.id).state in {GapState.QUEUED, GapState.RUNNING}:  # noqa: ASYNC110 - as a client would
                 await asyncio.sleep(0.05)
         assert "longer than 0.05 s" in (gaps.get(row.id).error or "")

@@ -18,6 +18,7 @@ from service.api.security import digest
 from service.logs import configure_logging
 from service.settings import ApiKey
 from service.simvehicle.client import SimulatedVehicle
+from tests.patience import scaled
 
 from .api_bench import Api, Json, served
 from .jobs_bench import GYRO_OFFSETS, SPEED, stored, zero_gyro_offsets
@@ -63,7 +64,7 @@ async def test_a_vehicle_its_parameters_and_its_stream(tmp_path, sim):
         by_place = await a.get(f"/vehicles/{vehicle['link']}-1-1")  # the name before it was identified
         assert by_place["id"] == vehicle["id"]
         sim.call("fault", kind="foreign_write", name="INS_GYROFFS_Y", value=0.25)
-        async with asyncio.timeout(10):  # one is heard without having been asked for: it is not the whole list
+        async with asyncio.timeout(scaled(10)):  # one is heard without having been asked for: it is not the whole list
             while not (await a.get("/vehicles"))[0]["parameters_known"]:  # noqa: ASYNC110
                 await asyncio.sleep(0.05)
         listed = {p["name"]: p["value"] for p in await a.get(f"/vehicles/{vehicle['id']}/parameters")}
@@ -192,7 +193,7 @@ async def test_one_physical_job_a_vehicle_and_a_cancel_within_a_second(tmp_path,
         problem = await a.post(path, GYRO, 409)
         assert job["id"] in problem["detail"]
         assert problem["type"].endswith("physical-job-running")
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(scaled(20)):
             while not (prompt := (await a.get(f"/jobs/{job['id']}"))["prompt"]):  # noqa: ASYNC110
                 await asyncio.sleep(0.05)
         assert prompt["remaining"]
@@ -202,7 +203,7 @@ async def test_one_physical_job_a_vehicle_and_a_cancel_within_a_second(tmp_path,
         await a.get(f"/jobs/{job['id']}/plan", 404)
         await a.get(f"/jobs/{job['id']}/export.param", 404)
         await a.post(f"/jobs/{job['id']}/plan", {}, 409)
-        async with asyncio.timeout(1.0):
+        async with asyncio.timeout(scaled(1.0)):
             await a.delete(f"/jobs/{job['id']}", 200)
         assert (await a.get(f"/jobs/{job['id']}"))["state"] == "cancelled"
         await a.delete(f"/jobs/{job['id']}", 409)
@@ -238,7 +239,7 @@ async def test_a_job_that_makes_no_sense_is_422_and_an_answer_reaches_the_proced
 
         sim.call("warm_up", start=30.0, end=50.0, tau_s=60.0)
         job = await a.post(f"/vehicles/{vehicle['id']}/jobs", {"kind": "thermal"}, 202)
-        async with asyncio.timeout(30):
+        async with asyncio.timeout(scaled(30)):
             while not ((await a.get(f"/jobs/{job['id']}"))["prompt"] or {"answers": ()})["answers"]:  # noqa: ASYNC110
                 await asyncio.sleep(0.05)
         answered = await a.post(f"/jobs/{job['id']}/answers", {"value": "finish"}, 200)
@@ -268,7 +269,7 @@ async def test_an_armed_vehicle_is_409_and_a_read_only_service_403(tmp_path, sim
         problem = await a.post(f"/jobs/{job['id']}/apply", {"plan_sha256": job["plan"]["sha256"]}, 403)
         assert "--read-only" in problem["detail"]
         sim.call("arm")
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(scaled(10)):
             while not (await a.get(f"/vehicles/{vehicle['id']}"))["armed"]:  # noqa: ASYNC110
                 await asyncio.sleep(0.05)
         problem = await a.post(f"/vehicles/{vehicle['id']}/jobs", GYRO, 409)

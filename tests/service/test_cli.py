@@ -20,6 +20,7 @@ import structlog
 
 from calib.methods import METHODS
 from service.cli import COMMANDS, main
+from tests.patience import scaled
 
 from .test_api_recordings import rest_tlog, sphere_csv
 
@@ -59,7 +60,7 @@ def only_object(out: str) -> dict[str, Any]:
 def run(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
     """The command in a process of its own."""
     command = [sys.executable, "-m", "service", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=100, check=False, **options)
+    return subprocess.run(command, capture_output=True, text=True, timeout=scaled(100), check=False, **options)
 
 
 # --- help and versions
@@ -429,7 +430,7 @@ def test_a_service_starts_answers_and_ends(tmp_path):
             assert only_object(code.stdout)["error"]["code"] == "data-dir-locked"
         finally:
             process.terminate()
-            _, err = process.communicate(timeout=15)
+            _, err = process.communicate(timeout=scaled(15))
     assert "Traceback" not in err
 
 

@@ -8,13 +8,15 @@ import sys
 
 import pytest
 
+from tests.patience import scaled
+
 
 @pytest.mark.campaign
 @pytest.mark.timeout(400)
 @pytest.mark.parametrize(("autopilot", "seed"), [("ardupilot", 11), ("px4", 12)])
 def test_every_parameter_is_proved_and_every_uncertainty_is_true(autopilot, seed):
     command = [sys.executable, "-m", "service", "demo", "--autopilot", autopilot, "--seed", str(seed), "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=380, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=scaled(380), check=False)
     found = json.loads(done.stdout)
     assert found["ok"], (found["reasons"], done.stderr[-500:])
     assert done.returncode == 0

@@ -10,13 +10,14 @@ from calib.report import step_to_json
 from service.jobs.states import ENDED, JobState
 from service.simvehicle.client import SimulatedVehicle
 from service.simvehicle.operator import Operator
+from tests.patience import scaled
 
 from .jobs_bench import SPEED, Session, session
 
 
 async def followed(bench: Session, job_id: str, operator: Operator, *states: JobState) -> None:
     """An operator who does what the prompts say until the job is in one of the states."""
-    async with asyncio.timeout(90):
+    async with asyncio.timeout(scaled(90)):
         while bench.engine.get(job_id).state not in states:
             prompt = bench.engine.get(job_id).prompt
             if prompt is not None:

@@ -21,6 +21,7 @@ from service.jobs.model import Job
 from service.jobs.states import ENDED, JobState
 from service.simvehicle.client import SimulatedVehicle
 from service.simvehicle.operator import Operator
+from tests.patience import scaled
 
 from .jobs_bench import Session, session
 
@@ -43,7 +44,7 @@ async def captured(bench: Session, kind: str, operator: Operator, **options: Any
     operator.rest()  # a test before this one may have left it turning
     job = await bench.engine.submit(bench.vehicle.id, kind, options)
     answered = None
-    async with asyncio.timeout(90):
+    async with asyncio.timeout(scaled(90)):
         while (job := bench.engine.get(job.id)).state not in {JobState.REVIEW, *ENDED}:
             if job.prompt is not None:
                 asked = step_to_json(job.prompt)

@@ -13,6 +13,7 @@ from service.jobs.crashpoints import At
 from service.jobs.journal import Step
 from service.jobs.states import ENDED, JobState
 from service.simvehicle.client import SimulatedVehicle
+from tests.patience import scaled
 
 from .jobs_bench import GYRO_OFFSETS, SPEED, session, stored, zero_gyro_offsets
 
@@ -30,7 +31,7 @@ def killed(folder: Path, url: str, action: str, point: At, occurrence: int = 1) 
     """Run the service until it is killed there."""
     arguments = [str(folder), url, action, point.value, str(occurrence)]
     command = [sys.executable, "-W", "error", "-m", "tests.service.jobs_process", *arguments]
-    done = subprocess.run(command, cwd=ROOT, timeout=90, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, cwd=ROOT, timeout=scaled(90), capture_output=True, text=True, check=False)
     assert done.returncode == -9, f"it was not killed at {point}: {done.stderr[-2000:]}"
 
 

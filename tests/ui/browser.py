@@ -14,6 +14,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from tests.patience import scaled
+
 CHROMIUM = next((p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None)
 DRIVER = shutil.which("chromedriver")
 FLAGS = (
@@ -35,7 +37,7 @@ class Browser:
         self._session = f"/session/{made['sessionId']}"
 
     def _ask(self, method: str, path: str, body: Any = None) -> Any:
-        connection = http.client.HTTPConnection("127.0.0.1", self._port, timeout=60)
+        connection = http.client.HTTPConnection("127.0.0.1", self._port, timeout=scaled(60))
         try:
             payload = None if body is None else json.dumps(body)
             connection.request(method, self._session + path, payload, {"Content-Type": "application/json"})
@@ -58,7 +60,7 @@ class Browser:
 
     def until(self, selector: str, text: str, seconds: float = 30.0) -> str:
         """Wait until the text of the element has `text`."""
-        end = time.monotonic() + seconds
+        end = time.monotonic() + scaled(seconds)
         while text not in (found := self.text(selector)):
             assert time.monotonic() < end, f"no {text!r} in {selector} but {found!r}"
             time.sleep(0.1)
@@ -66,7 +68,7 @@ class Browser:
 
     def until_other(self, selector: str, seconds: float = 30.0) -> str:
         """Wait until the text of the element is another one."""
-        end, first = time.monotonic() + seconds, self.text(selector)
+        end, first = time.monotonic() + scaled(seconds), self.text(selector)
         while (found := self.text(selector)) == first:
             assert time.monotonic() < end, f"{selector} stays {first!r}"
             time.sleep(0.1)
@@ -120,12 +122,12 @@ def browser() -> Iterator[Browser]:
                 window.close()
         finally:
             process.terminate()
-            process.wait(10)
+            process.wait(scaled(10))
             log.close()
 
 
 def _port(process: subprocess.Popen[bytes], log: Path) -> int:
-    end = time.monotonic() + 20
+    end = time.monotonic() + scaled(20)
     while time.monotonic() < end and process.poll() is None:
         for line in log.read_text().splitlines():
             if "started successfully on port" in line:

@@ -31,6 +31,7 @@ from service.jobs.write import Writing
 from service.store import SqliteStore
 from service.store.rows import SnapshotPurpose
 from service.testing import FakeVehicle
+from tests.patience import scaled
 
 QUICK = JobSettings(
     settle_s={"ardupilot": 0.0, "px4": 0.0},
@@ -129,7 +130,7 @@ class Bench:
 
 async def until(condition: Callable[[], bool], seconds: float = 5.0) -> None:
     """Let the loop run until `condition` holds."""
-    async with asyncio.timeout(seconds):
+    async with asyncio.timeout(scaled(seconds)):
         while not condition():  # noqa: ASYNC110 - the condition is about the whole world, not about one event
             await asyncio.sleep(0.001)
 
