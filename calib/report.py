@@ -20,6 +20,7 @@ import numpy as np
 from calib.errors import InvalidInputError
 from calib.firmware.plan import (
     AfterWrite,
+    Agreement,
     Change,
     Fingerprint,
     Loss,
@@ -154,6 +155,7 @@ def plan_from_json(data: Mapping[str, Any]) -> WritePlan:
             after=tuple(_after_from(after) for after in data["after"]),
             warnings=tuple(data["warnings"]),
             blockers=tuple(data["blockers"]),
+            agreements=tuple(Agreement(**{**a, "sensor": Sensor(a["sensor"])}) for a in data.get("agreements", ())),
         )
         digest = data.get("sha256", plan.sha256)
     if digest != plan.sha256:

@@ -256,6 +256,7 @@ def fit_drift_data(
             "hysteresis": None if two_ways is None else two_ways[0].tolist(),
             "hysteresis_sd": None if two_ways is None else two_ways[1].tolist(),
             "cross_validation": judged,
+            "below_resolution": bool(((data.constant & data.quantised) | too_coarse).all()),
         },
         native={"residual_sd": or_none(residual, estimated), "degree": degree},
     )

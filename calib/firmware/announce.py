@@ -30,7 +30,7 @@ def offsets_usable(draft: Draft, about: Subject, fit: FitResult, *, thermal: boo
         return True
     which = f"{about}: the offset of {', '.join(missing)} is not determined"
     if about.sensor == Sensor.ACCEL or thermal:
-        draft.block(f"{which}, and the others do not hold without it. {fit.message}")
+        draft.block(f"{which}, and the others do not hold without it. {fit.message}", about)
         return False
     draft.warn(f"{which} and stays as it is. {fit.message}")
     return True
@@ -42,12 +42,13 @@ def scale_usable(draft: Draft, about: Subject, fit: FitResult, in_force: Array) 
         if not np.allclose(fit.model.matrix, np.diag(in_force), rtol=0, atol=1e-6):
             draft.block(
                 f"{about}: this fit assumes scales of {np.diag(fit.model.matrix).tolist()}, but those in force are "
-                f"{in_force.tolist()}; an offset taken that way does not fit to them. Calibrate with six poses"
+                f"{in_force.tolist()}; an offset taken that way does not fit to them. Calibrate with six poses",
+                about,
             )
         return False
     undetermined = [n for n in ("matrix_xx", "matrix_yy", "matrix_zz") if not fit.determined(n)]
     if undetermined:
-        draft.block(f"{about}: {', '.join(undetermined)} are not determined. {fit.message}")
+        draft.block(f"{about}: {', '.join(undetermined)} are not determined. {fit.message}", about)
         return False
     return True
 
@@ -113,4 +114,6 @@ def lose_drift(draft: Draft, about: Subject, fit: FitResult, why: str) -> None:
     over = polynomial(np.linspace(polynomial.t_min, polynomial.t_max, 101))
     cost = float(np.linalg.norm(np.ptp(over, axis=0)))
     unit = "m/s2" if about.sensor == Sensor.ACCEL else "rad/s"
-    draft.lose(about, "temperature drift", cost, unit, f"{about}: its drift is not written, because {why}")
+    text = f"{about}: its drift is not written, because {why}"
+    draft.lose(about, "temperature drift", cost, unit, text)
+    draft.drop(about, text)

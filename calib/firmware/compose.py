@@ -11,19 +11,21 @@ from types import MappingProxyType
 from typing import Final
 
 from calib.errors import FirmwareError
-from calib.firmware import compose_ardupilot, compose_px4
+from calib.firmware import ardupilot, compose_ardupilot, compose_px4, px4
+from calib.firmware.agreement import agreement
 from calib.firmware.content import contents
-from calib.firmware.draft import ComposeOptions, Draft, Subject
+from calib.firmware.draft import Draft, Subject
 from calib.firmware.fitted import Pair, pair_fits, usable_fits
 from calib.firmware.mag_ardupilot import compose_compasses
 from calib.firmware.mag_motor import compose_motors
 from calib.firmware.mag_px4 import compose_magnetometers
-from calib.firmware.plan import Fingerprint, Value, WritePlan
+from calib.firmware.options import ComposeOptions, how, unknown_keys
+from calib.firmware.plan import Agreement, Fingerprint, Loss, Value, WritePlan
 from calib.firmware.trim import adjust_trim, compose_level
 from calib.fit import FitResult
 from calib.recording import Sensor
 
-__all__ = ["ComposeOptions", "compose"]
+__all__ = ["ComposeOptions", "compose", "unwritable"]
 
 Composer = Callable[[Draft, Sequence[Pair]], None]
 
@@ -35,6 +37,7 @@ COMPOSERS: Final[Mapping[str, tuple[Composer, Composer]]] = MappingProxyType(
     }
 )
 """By autopilot: for inertial sensors, for magnetometers."""
+NAMES: Final = MappingProxyType({"ardupilot": ardupilot.calibration_names, "px4": px4.calibration_names})
 
 
 def compose(
@@ -60,29 +63,145 @@ def compose(
     Returns
     -------
     WritePlan
-        With `blockers` where nothing may be written: values outside the limits or not finite, relative fits,
-        parameters that the vehicle does not have or did not send.
+        A sensor that cannot be written (values outside the limits or not finite, a relative fit, parameters that the
+        vehicle does not have) is left out with a warning; with `blockers` where nothing remains. A sensor whose change
+        is smaller than its uncertainty is left as it is (`agreements`).
 
     Raises
     ------
     FirmwareError
         If the autopilot is not known.
     """
-    draft = Draft(parameters, options)
-    usable = contents(usable_fits(draft, fits))
-    pairs = pair_fits(usable.corrections)
-    imu = [pair for pair in pairs if pair.about.sensor != Sensor.MAG]
-    mags = [pair for pair in pairs if pair.about.sensor == Sensor.MAG]
-    for fit in usable.others:
-        draft.warn(f"{Subject(fit.sensor, fit.instance)} is left out: {fit.method} finds nothing that can be written")
     if fingerprint.autopilot not in COMPOSERS:
         raise FirmwareError(f"calibrations cannot be written to the autopilot {fingerprint.autopilot}")
-    try:
-        for composer, group in zip(COMPOSERS[fingerprint.autopilot], (imu, mags), strict=True):
-            composer(draft, group)
-        compose_motors(draft, fingerprint.autopilot, usable.motors)
-    except FirmwareError as error:
-        draft.block(str(error))
-    adjust_trim(draft, fingerprint.autopilot, usable.corrections)
-    compose_level(draft, fingerprint.autopilot, usable.levels)
-    return draft.plan(fingerprint)
+    return _Composition(fits, parameters, fingerprint, options).plan()
+
+
+def unwritable(
+    fits: Sequence[FitResult],
+    parameters: Mapping[str, Value],
+    fingerprint: Fingerprint,
+    *,
+    options: ComposeOptions = DEFAULT_OPTIONS,
+) -> tuple[str, ...]:
+    """Why some of `fits` could not be written, one sentence a reason; arguments as for :func:`compose`."""
+    composition = _Composition(fits, parameters, fingerprint, options)
+    composition.plan()
+    return composition.unwritable
+
+
+class _Composition:
+    """Drafts again without the sensors that cannot be written, and without those that agree with what is in force."""
+
+    def __init__(
+        self,
+        fits: Sequence[FitResult],
+        parameters: Mapping[str, Value],
+        fingerprint: Fingerprint,
+        options: ComposeOptions,
+    ) -> None:
+        self._fits, self._parameters = fits, parameters
+        self._fingerprint, self._options = fingerprint, options
+        self._left: dict[Subject, tuple[str, ...]] = {}
+        self._losses: list[Loss] = []
+        self._agreed: dict[Subject, Agreement] = {}
+        self._level: Agreement | None = None
+        self.unwritable: tuple[str, ...] = ()
+        """Why sensors are left out, wholly or in part, once the plan was made."""
+
+    def plan(self) -> WritePlan:
+        while True:
+            draft, pairs = self._draft()
+            refused = {about: texts for about, texts in draft.refused.items() if about not in self._left}
+            if refused:
+                self._left |= refused
+                self._keep_losses(draft, refused)
+                continue
+            agreed = {pair.about: agreement(draft, self._fingerprint.autopilot, pair) for pair in pairs}
+            found = {about: agrees for about, agrees in agreed.items() if agrees is not None}
+            if not found:
+                return self._finished(draft)
+            self._keep_losses(draft, found)
+            self._agreed |= found
+
+    def _keep_losses(self, draft: Draft, of: Mapping[Subject, object]) -> None:
+        self._losses += [loss for loss in draft.losses if Subject(loss.sensor, loss.instance) in of]
+
+    def _draft(self) -> tuple[Draft, tuple[Pair, ...]]:
+        """Everything that is still to be written, and the sensors in it that could agree."""
+        draft, autopilot = Draft(self._parameters, self._options), self._fingerprint.autopilot
+        usable = contents(usable_fits(draft, self._chosen(draft)))
+        pairs = tuple(pair for pair in pair_fits(usable.corrections) if self._named(draft, pair))
+        imu = [pair for pair in pairs if pair.about.sensor != Sensor.MAG]
+        mags = [pair for pair in pairs if pair.about.sensor == Sensor.MAG]
+        try:
+            for composer, group in zip(COMPOSERS[autopilot], (imu, mags), strict=True):
+                composer(draft, group)
+            compose_motors(draft, autopilot, usable.motors)
+        except FirmwareError as error:
+            draft.block(str(error))
+        if autopilot == "ardupilot":
+            self._boot(draft, imu)
+        adjust_trim(draft, autopilot, usable.corrections)
+        self._level = compose_level(draft, autopilot, usable.levels)
+        for fit in usable.others:
+            about = Subject(fit.sensor, fit.instance)
+            draft.warn(f"{about} is left out: {fit.method} finds nothing that can be written")
+        return draft, tuple(p for p in pairs if p.about not in draft.dropped)
+
+    def _chosen(self, draft: Draft) -> list[FitResult]:
+        """The fits that the operator asked for, without those that are left out already."""
+        there = [Subject(fit.sensor, fit.instance) for fit in self._fits]
+        wrong = unknown_keys(self._options.only, [(a.sensor, a.instance) for a in there])
+        if wrong:
+            draft.block(wrong)
+        asked = self._options.only or [(a.sensor, a.instance) for a in there]
+        out = {*self._left, *self._agreed}
+        return [
+            fit
+            for fit, about in zip(self._fits, there, strict=True)
+            if (about.sensor, about.instance) in asked and about not in out
+        ]
+
+    def _named(self, draft: Draft, pair: Pair) -> bool:
+        """Whether the autopilot has parameters for that sensor."""
+        try:
+            NAMES[self._fingerprint.autopilot](self._parameters, pair.about.sensor, pair.about.instance)
+        except FirmwareError as error:
+            draft.block(str(error), pair.about)
+            return False
+        return True
+
+    def _boot(self, draft: Draft, pairs: Sequence[Pair]) -> None:
+        planned = any(p.about.sensor == Sensor.GYRO and p.absolute is not None for p in pairs)
+        if planned or any(about.sensor == Sensor.GYRO for about in self._agreed):
+            compose_ardupilot.boot_calibration(draft, planned=planned)
+
+    def _finished(self, draft: Draft) -> WritePlan:
+        """The plan with what was left out said in it; where nothing remains, that is what stands against it."""
+        left = [text for texts in self._left.values() for text in texts]
+        self.unwritable = tuple(dict.fromkeys((*left, *draft.dropped.values())))
+        agreements = [*self._agreed.values(), *([self._level] if self._level is not None else [])]
+        if self._options.unproved_origin:
+            self._ask_for_origin(draft)
+        for agrees in agreements:
+            draft.warn(agrees.text)
+        draft.losses_of(self._losses)
+        for about, texts in self._left.items():
+            for text in texts:
+                if draft.changes:
+                    draft.warn(f"{about} is left out: {text.removeprefix(f'{about}: ')}")
+                else:
+                    draft.block(text)
+        if not (draft.changes or agreements or self._left):
+            why = "; ".join(draft.dropped.values()) or "; ".join(loss.text for loss in draft.losses)
+            draft.block(f"there is nothing to write: {why or 'no sensor has a usable fit'}")
+        return draft.plan(self._fingerprint, agreements)
+
+    def _ask_for_origin(self, draft: Draft) -> None:
+        if self._options.confirm_other_unit:
+            draft.warn(
+                f"{self._options.unproved_origin}; the operator has confirmed that it is of this vehicle", first=True
+            )
+        else:
+            draft.block(f"{self._options.unproved_origin}. Confirm it with {how('confirm_other_unit')}")

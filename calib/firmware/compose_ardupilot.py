@@ -22,6 +22,7 @@ from calib.firmware.announce import lose_accel, lose_gyro_matrix, offsets_usable
 from calib.firmware.draft import Draft, Rank, Subject
 from calib.firmware.fitted import Pair, offset_at
 from calib.firmware.names import OFFSET, SCALE, Role
+from calib.firmware.options import how
 from calib.firmware.plan import ParameterKind
 from calib.firmware.thermal_ardupilot import set_thermal, thermal_in_force
 from calib.fit import AXES, FitResult
@@ -56,8 +57,6 @@ def compose_imu(draft: Draft, pairs: Sequence[Pair]) -> None:
             _set_scale(draft, pair.about, names, absolute)
         else:
             lose_gyro_matrix(draft, pair.about, absolute)
-    if any(p.about.sensor == Sensor.GYRO and p.absolute is not None for p in pairs):
-        _boot_calibration(draft)
     _check_other_instances(draft, pairs)
 
 
@@ -118,7 +117,8 @@ def _set_temperature(draft: Draft, about: Subject, names: Names, temperature: fl
     if temperature is None and thermal_in_force(draft, names):
         draft.block(
             f"{about}: temperature compensation is in force, but the temperature during the calibration is not known, "
-            f"so {name} cannot be written with the offset. Repeat with a stream that carries the IMU's temperature"
+            f"so {name} cannot be written with the offset. Repeat with a stream that carries the IMU's temperature",
+            about,
         )
         return
     if name not in draft.parameters:
@@ -152,7 +152,8 @@ def _set_scale(draft: Draft, about: Subject, names: Names, fit: FitResult) -> No
     lose_accel(draft, about, parts, parts.diagonal, ardupilot.board_rotation(draft.parameters))
 
 
-def _boot_calibration(draft: Draft) -> None:
+def boot_calibration(draft: Draft, *, planned: bool) -> None:
+    """What becomes of the gyro offsets at the next boot; `planned`: some are written, they do not just agree."""
     if int(draft.parameters.get("INS_GYR_CAL", 1)) == 0:
         return
     if draft.options.keep_gyro_at_boot:
@@ -163,10 +164,11 @@ def _boot_calibration(draft: Draft) -> None:
             "keep the gyro offsets: no new estimate at boot",
             kind=ParameterKind.INT8,
         )
-    else:
+    elif planned:
         draft.warn(
-            "INS_GYR_CAL = 1: the vehicle estimates its gyro offsets anew at every boot and overwrites these. "
-            "To keep them, plan with keep_gyro_at_boot (it sets INS_GYR_CAL to 0)"
+            "the next boot discards these gyro offsets: INS_GYR_CAL = 1 makes the vehicle estimate its own at every "
+            f"boot. Keep them with {how('keep_gyro_at_boot')}, which sets INS_GYR_CAL to 0",
+            first=True,
         )
 
 

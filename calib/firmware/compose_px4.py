@@ -16,6 +16,7 @@ from calib.firmware.announce import lose_accel, lose_gyro_matrix, offsets_usable
 from calib.firmware.draft import Draft, Rank, Subject
 from calib.firmware.fitted import Pair, offset_at
 from calib.firmware.names import Role
+from calib.firmware.options import how
 from calib.firmware.plan import ParameterKind
 from calib.firmware.px4_memory import (
     Vector,
@@ -68,7 +69,8 @@ def set_row(draft: Draft, about: Subject) -> bool:
     if device is None:
         draft.block(
             f"{roles[Role.ID]} is 0: the vehicle has never calibrated {about}, and a stream does not tell its device "
-            "id. Run PX4's own quick calibration once, or give the device id, then repeat"
+            f"id. Run PX4's own quick calibration once, or give it with {how('device_ids')}",
+            about,
         )
         return False
     draft.set_integer(
@@ -87,7 +89,8 @@ def _set_offset(draft: Draft, about: Subject, fit: FitResult) -> None:
     if thermal is None:
         draft.block(
             f"{about}: temperature compensation is in force, but the temperature during the calibration is not known. "
-            "Repeat with a stream that carries it"
+            "Repeat with a stream that carries it",
+            about,
         )
         return
     offset, covariance = offset_at(fit, temperature if temperature is not None else 0.0)

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
-from types import MappingProxyType
 
 import numpy as np
 
 from calib.firmware.fingerprint import calibration_snapshot
 from calib.firmware.limits import limit_of
+from calib.firmware.options import ComposeOptions
 from calib.firmware.plan import (
     AfterWrite,
+    Agreement,
     Change,
     Fingerprint,
     Loss,
@@ -49,22 +50,6 @@ class Rank(IntEnum):
 
 
 @dataclass(frozen=True)
-class ComposeOptions:
-    """What the operator decided beside the fits."""
-
-    keep_gyro_at_boot: bool = False
-    """ArduPilot: write INS_GYR_CAL = 0, so that the next boot does not estimate the gyro offsets anew."""
-    mark_calibrated: bool = True
-    """ArduPilot: send code 76 where every used instance is calibrated."""
-    adjust_level: bool = True
-    """Carry the old level trim over to the new accelerometer calibration."""
-    device_ids: Mapping[tuple[Sensor, int], int] = field(default_factory=lambda: MappingProxyType({}))
-    """PX4: device id of a streamed instance where the vehicle's parameters do not say it."""
-    accel_temperature: Mapping[int, float] = field(default_factory=lambda: MappingProxyType({}))
-    """PX4: temperature (degC) at which CAL_ACC of an instance was taken; PX4 does not store it."""
-
-
-@dataclass(frozen=True)
 class Subject:
     """Which sensor a part of a plan is about."""
 
@@ -86,6 +71,8 @@ class Draft:
         self._after: list[AfterWrite] = []
         self._warnings: list[str] = []
         self._blockers: list[str] = []
+        self._refused: dict[Subject, list[str]] = {}
+        self._dropped: dict[Subject, str] = {}
 
     def get(self, name: str, default: float) -> float:
         """The value that will be in the vehicle once the draft is written."""
@@ -116,18 +103,18 @@ class Draft:
         `hidden`: the firmware does not list the name but takes it (members of a group that is switched off).
         """
         if not abs(value) <= LARGEST:
-            self.block(f"{name} would be {value}: not a finite number. Repeat the calibration; nothing is written")
+            self.block(f"{name} would be {value}: not a finite number. Repeat the calibration", about)
             return
-        if not self._known(name, hidden=hidden):
+        if not self._known(name, about, hidden=hidden):
             return
         new = float(np.float32(value))
         limit = limit_of(name)
         if limit is not None and not limit.low <= new <= limit.high:
-            self.block(limit.refusal(name, new))
+            self.block(limit.refusal(name, new), about)
             return
         old = self.parameters.get(name)
         if old is not None and not math.isfinite(old):
-            self.block(f"{name} is {old}, which could not be put back: write a number there first")
+            self.block(f"{name} is {old}, which could not be put back: write a number there first", about)
             return
         if old is not None and np.float32(old) == np.float32(new):
             self._changes.pop(name, None)
@@ -161,7 +148,7 @@ class Draft:
         hidden: bool = False,
     ) -> None:
         """Plan a flag, a number of a rotation or an id."""
-        if not self._known(name, hidden=hidden):
+        if not self._known(name, about, hidden=hidden):
             return
         old = self.parameters.get(name)
         if old is not None and int(old) == value:
@@ -188,6 +175,14 @@ class Draft:
             rank, _, change = self._changes[name]
             self._changes[name] = (rank, place, change)
 
+    def ranks(self, about: Subject) -> set[int]:
+        """Of the changes about one sensor."""
+        return {
+            rank
+            for rank, _, change in self._changes.values()
+            if (change.sensor, change.instance) == (about.sensor, about.instance)
+        }
+
     def planned(self, names: Sequence[str]) -> tuple[Change, ...]:
         """The changes among `names`."""
         return tuple(self._changes[n][2] for n in names if n in self._changes)
@@ -200,36 +195,65 @@ class Draft:
         """Send a command when everything has been read back."""
         self._after.append(AfterWrite(command, params, why))
 
-    def warn(self, text: str) -> None:
-        """Say something that does not stop the write."""
+    def drop(self, about: Subject, text: str) -> None:
+        """Note that what was fitted of `about` is not written, which :meth:`lose` has announced with its cost."""
+        self._dropped.setdefault(about, text)
+
+    def warn(self, text: str, *, first: bool = False) -> None:
+        """Say something that does not stop the write; `first`: before everything else."""
         if text not in self._warnings:
-            self._warnings.append(text)
+            self._warnings.insert(0 if first else len(self._warnings), text)
 
-    def block(self, text: str) -> None:
-        """Forbid the write."""
-        if text not in self._blockers:
-            self._blockers.append(text)
+    def block(self, text: str, about: Subject | None = None) -> None:
+        """Forbid the write of one sensor, or of everything (None)."""
+        told = self._blockers if about is None else self._refused.setdefault(about, [])
+        if text not in told:
+            told.append(text)
 
-    def plan(self, fingerprint: Fingerprint) -> WritePlan:
-        """The finished plan, in the order of writing."""
+    @property
+    def refused(self) -> dict[Subject, tuple[str, ...]]:
+        """The sensors that cannot be written, and why."""
+        return {about: tuple(texts) for about, texts in self._refused.items()}
+
+    @property
+    def dropped(self) -> dict[Subject, str]:
+        """The sensors of which a part is not written although the rest is, and why."""
+        return dict(self._dropped)
+
+    @property
+    def losses(self) -> tuple[Loss, ...]:
+        """What was announced so far."""
+        return tuple(self._losses)
+
+    def losses_of(self, losses: Sequence[Loss]) -> None:
+        """Take over what was announced of sensors that are left out."""
+        self._losses += [loss for loss in losses if loss not in self._losses]
+
+    @property
+    def changes(self) -> tuple[Change, ...]:
+        """The changes in the order of writing; none if there are only settings of the session to protect them."""
         ordered = [change for _, _, change in sorted(self._changes.values(), key=lambda item: item[:2])]
-        if all(change.session for change in ordered):  # nothing to protect from the firmware's own writers
-            ordered = []
+        return () if all(change.session for change in ordered) else tuple(ordered)
+
+    def plan(self, fingerprint: Fingerprint, agreements: Sequence[Agreement] = ()) -> WritePlan:
+        """The finished plan, in the order of writing. A sensor that is still refused forbids everything."""
         return WritePlan(
             fingerprint,
             snapshot_sha256(calibration_snapshot(self.parameters)),
-            tuple(ordered),
+            self.changes,
             tuple(self._losses),
             tuple(self._after),
             tuple(self._warnings),
-            tuple(self._blockers),
+            (*self._blockers, *(text for texts in self._refused.values() for text in texts)),
+            tuple(agreements),
         )
 
-    def _known(self, name: str, *, hidden: bool) -> bool:
+    def _known(self, name: str, about: Subject | None, *, hidden: bool) -> bool:
         if hidden or name in self.parameters:
             return True
         self.block(
             f"the vehicle does not list {name}, so it would not take it: this firmware or board does not have it. "
-            "Read the parameters again, or leave this sensor out"
+            "Read the parameters again, or leave this sensor out",
+            about,
         )
         return False

@@ -71,17 +71,23 @@ def usable_fits(draft: Draft, fits: Sequence[FitResult]) -> tuple[FitResult, ...
         if fit.status == FitStatus.REFUSED:
             draft.warn(f"{about} is left out: {fit.message}")
         elif not drift_axes(fit):
-            draft.warn(f"{about} is left out: its drift with temperature is not determined on any axis. {fit.message}")
+            draft.warn(f"{about} is left out: {_why_no_drift(fit)}")
         elif fit.relative:
             draft.block(
                 f"{about}: the calibration in force during the capture is not known, so this fit is relative and "
-                "cannot be written as absolute values. Capture again with the vehicle's parameters in the recording"
+                "cannot be written as absolute values. Capture again with the vehicle's parameters in the recording",
+                about,
             )
         else:
             kept.append(fit)
-    if not kept:
-        draft.block("there is nothing to write: no sensor has a usable fit")
     return tuple(kept)
+
+
+def _why_no_drift(fit: FitResult) -> str:
+    """What kept every axis of a thermal fit from being determined."""
+    if fit.quality.get("below_resolution"):
+        return "its drift with temperature is below what the stream resolves, on every axis"
+    return f"its drift with temperature is not determined on any axis. {'; '.join(fit.warnings) or fit.message}"
 
 
 def pair_fits(fits: Sequence[Correction]) -> tuple[Pair, ...]:

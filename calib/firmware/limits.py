@@ -25,7 +25,7 @@ class Limit:
         """One sentence for the operator."""
         return (
             f"{name} would be {value:.6g} {self.unit}".rstrip()
-            + f", outside {self.low:g} ... {self.high:g} ({self.source}): {self.remedy}. Nothing is written"
+            + f", outside {self.low:g} ... {self.high:g} ({self.source}): {self.remedy}"
         )
 
 

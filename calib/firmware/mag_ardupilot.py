@@ -23,7 +23,7 @@ from calib.firmware.ardupilot import UT_PER_MGAUSS
 from calib.firmware.draft import Draft, Rank, Subject
 from calib.firmware.fitted import Pair, body_from_raw, keeps_matrix
 from calib.firmware.limits import COMPASS_OFFS_MAX, COMPASS_SCALE_WINDOW
-from calib.firmware.mounting import Turn, mounting_turn
+from calib.firmware.mounting import Turn, ask_for_mounting, mounting_turn
 from calib.firmware.names import Role
 from calib.firmware.plan import ParameterKind
 from calib.firmware.rotations import nearest_rotation
@@ -77,15 +77,15 @@ def _compose_one(draft: Draft, about: Subject, fit: FitResult) -> None:
         "the matrix holds the true strength of the field" if absolute else "the strength of the field is not known",
         about=about,
     )
-    _carry_motors(draft, about, roles, parts.symmetric, new @ old.T)
+    _carry_motors(draft, about, roles, fit, parts.symmetric, new @ old.T)
 
 
 def _is_whole(draft: Draft, about: Subject, fit: FitResult) -> bool:
     if fit.unit != "uT":
-        draft.block(f"{about}: the fit is in {fit.unit}; ArduPilot's offsets are in mGauss")
+        draft.block(f"{about}: the fit is in {fit.unit}; ArduPilot's offsets are in mGauss", about)
         return False
     if fit.undetermined and not keeps_matrix(fit):
-        draft.block(f"{about}: {', '.join(fit.undetermined)} are not determined. {fit.message}")
+        draft.block(f"{about}: {', '.join(fit.undetermined)} are not determined. {fit.message}", about)
         return False
     return True
 
@@ -95,15 +95,18 @@ def _set_rotation(draft: Draft, about: Subject, roles: Mapping[Role, str], turn:
         draft.block(
             f"{about} is internal and follows AHRS_ORIENTATION, but its field is turned by {turn.name} against the "
             "accelerometer: it is external (set "
-            f"{roles[Role.EXTERNAL]} to 1 and repeat) or the board's orientation is wrong"
+            f"{roles[Role.EXTERNAL]} to 1 and repeat) or the board's orientation is wrong",
+            about,
         )
         return False
     number, angle = nearest_rotation("ardupilot", body_from_sensor)
     if angle > EXACT:
-        draft.block(f"{about} is turned by {turn.name}, and ArduPilot has no number for the resulting mounting")
+        draft.block(f"{about} is turned by {turn.name}, and ArduPilot has no number for the resulting mounting", about)
         return False
+    name = roles[Role.ROTATION]
+    ask_for_mounting(draft, "ardupilot", about, turn, (name, int(draft.parameters.get(name, 0)), number))
     draft.set_integer(
-        roles[Role.ROTATION],
+        name,
         number,
         Rank.ROTATION,
         f"{about} is mounted turned by {turn.name}; offsets and matrix are for this mounting",
@@ -119,7 +122,8 @@ def _field_plausible(draft: Draft, about: Subject, fit: FitResult, parts: losses
     if fit.quality.get("field_ratio") is not None and not low <= factor <= high:
         draft.block(
             f"{about} measures {1.0 / factor:.2f} times the Earth's field; ArduPilot accepts a factor of {high:g} at "
-            "most: steel, a magnet or a current is near, or the sensor is damaged. Move away and repeat"
+            "most: steel, a magnet or a current is near, or the sensor is damaged. Move away and repeat",
+            about,
         )
         return False
     length = float(np.linalg.norm(parts.offset)) / UT_PER_MGAUSS
@@ -127,7 +131,8 @@ def _field_plausible(draft: Draft, about: Subject, fit: FitResult, parts: losses
     if length > limit:
         draft.block(
             f"{about}: the offset is {length:.0f} mGauss long, more than COMPASS_OFFS_MAX = {limit:.0f}; the vehicle "
-            "would refuse to arm. Move the compass away from iron and magnets and repeat"
+            "would refuse to arm. Move the compass away from iron and magnets and repeat",
+            about,
         )
         return False
     return True
@@ -157,7 +162,9 @@ def _set_values(draft: Draft, about: Subject, roles: Mapping[Role, str], parts: 
         )
 
 
-def _carry_motors(draft: Draft, about: Subject, roles: Mapping[Role, str], matrix: Array, turn: Array) -> None:
+def _carry_motors(
+    draft: Draft, about: Subject, roles: Mapping[Role, str], fit: FitResult, matrix: Array, turn: Array
+) -> None:
     """The motor term is added behind the matrix, so it is carried into the new one: ``M' X M^-1 MOT``."""
     kind = int(draft.parameters.get(roles[Role.MOTOR_TYPE], 0))
     old = np.array([float(draft.parameters.get(roles[role], 0.0)) for role in names.MOTOR])
@@ -175,7 +182,7 @@ def _carry_motors(draft: Draft, about: Subject, roles: Mapping[Role, str], matri
             about=about,
             unit="mGauss" if kind == 1 else "mGauss/A",
         )
-    if kind == 2:
+    if kind == 2 and not fit.native.get("without_motors", False):
         draft.warn(
             f"{about}: the field of the idle current ({np.linalg.norm(new):.2g} mGauss per A) is part of the new "
             "offset and is compensated a second time; calibrate without load"

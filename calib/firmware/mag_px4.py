@@ -17,7 +17,7 @@ from calib.firmware.compose_px4 import set_row
 from calib.firmware.draft import Draft, Rank, Subject
 from calib.firmware.fitted import Pair, keeps_matrix
 from calib.firmware.limits import COMPASS_SCALE_WINDOW
-from calib.firmware.mounting import Turn, mounting_turn
+from calib.firmware.mounting import Turn, ask_for_mounting, mounting_turn
 from calib.firmware.names import Role
 from calib.firmware.plan import ParameterKind
 from calib.firmware.px4 import UT_PER_GAUSS
@@ -50,10 +50,10 @@ def compose_magnetometers(draft: Draft, pairs: Sequence[Pair]) -> None:
 
 def _compose_one(draft: Draft, about: Subject, fit: FitResult) -> None:
     if fit.unit != "uT":
-        draft.block(f"{about}: the fit is in {fit.unit}; PX4's offsets are in Gauss")
+        draft.block(f"{about}: the fit is in {fit.unit}; PX4's offsets are in Gauss", about)
         return
     if fit.undetermined and not keeps_matrix(fit):
-        draft.block(f"{about}: {', '.join(fit.undetermined)} are not determined. {fit.message}")
+        draft.block(f"{about}: {', '.join(fit.undetermined)} are not determined. {fit.message}", about)
         return
     roles = px4.calibration_names(draft.parameters, about.sensor, about.instance)
     turn = mounting_turn(draft, about, fit)
@@ -64,7 +64,8 @@ def _compose_one(draft: Draft, about: Subject, fit: FitResult) -> None:
     if fit.quality.get("field_ratio") is not None and not COMPASS_SCALE_WINDOW[0] <= factor <= COMPASS_SCALE_WINDOW[1]:
         draft.block(
             f"{about} measures {1.0 / factor:.2f} times the Earth's field: steel, a magnet or a current is near, or "
-            "the sensor is damaged. Move away and repeat"
+            "the sensor is damaged. Move away and repeat",
+            about,
         )
         return
     wanted = {
@@ -127,19 +128,22 @@ def _set_rotation(draft: Draft, about: Subject, roles: Mapping[Role, str], turn:
     if number < 0:
         draft.block(
             f"{about} is internal and follows SENS_BOARD_ROT, but its field is turned by {turn.name} against the "
-            "accelerometer: the board's orientation is wrong, or the sensor is external and not known as such"
+            "accelerometer: the board's orientation is wrong, or the sensor is external and not known as such",
+            about,
         )
         return False
     if number >= px4.ROTATION_CUSTOM:
         draft.block(
-            f"{about} has a rotation of its own (custom angles), and is turned by {turn.name} beside: set it right"
+            f"{about} has a rotation of its own (custom angles), and is turned by {turn.name} beside: set it right",
+            about,
         )
         return False
     # the found rotation is by right angles, so the level adjustment, a degree or two, does not matter to it
     new, angle = nearest_rotation("px4", turn.matrix @ rotation_matrix("px4", number))
     if angle > EXACT:
-        draft.block(f"{about} is turned by {turn.name}, and PX4 has no number for the resulting mounting")
+        draft.block(f"{about} is turned by {turn.name}, and PX4 has no number for the resulting mounting", about)
         return False
+    ask_for_mounting(draft, "px4", about, turn, (roles[Role.ROTATION], number, new))
     draft.set_integer(
         roles[Role.ROTATION],
         new,

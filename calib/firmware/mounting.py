@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.firmware.draft import Draft, Subject
+from calib.firmware.options import how
+from calib.firmware.rotations import rotation_words
 from calib.fit import FitResult
 from calib.mag.orientation import Verdict
 
@@ -27,6 +29,20 @@ class Turn:
     matrix: Array
 
 
+def ask_for_mounting(draft: Draft, autopilot: str, about: Subject, turn: Turn, change: tuple[str, int, int]) -> None:
+    """Say in words that a rotation parameter changes (name, old, new); nothing is written before that is confirmed."""
+    name, old, new = change
+    stated = rotation_words(autopilot, old)
+    found = f"compass {about.instance + 1} is mounted turned by {turn.name}"
+    if stated != "none":
+        found += f" against what {name} says ({stated})"
+    step = f"{name} changes from {old} ({stated}) to {new} ({rotation_words(autopilot, new)})"
+    if draft.options.confirm_mounting:
+        draft.warn(f"{found}, as confirmed: {step}", first=True)
+    else:
+        draft.block(f"{found}: {step}. Look at it, then confirm it with {how('confirm_mounting')}")
+
+
 def mounting_turn(draft: Draft, about: Subject, fit: FitResult) -> Turn | None:
     """The rotation to put right; None: the mounting is as stated, or nothing was found out about it."""
     found = fit.quality.get("orientation")
@@ -36,7 +52,8 @@ def mounting_turn(draft: Draft, about: Subject, fit: FitResult) -> Turn | None:
     if verdict == Verdict.UNEXPLAINED:
         draft.block(
             f"{about}: no right-angle mounting makes its field agree with the accelerometer. Calibrate the "
-            "accelerometer first; if it stays, the compass is mounted at an odd angle: set its rotation"
+            "accelerometer first; if it stays, the compass is mounted at an odd angle: set its rotation",
+            about,
         )
     elif verdict == Verdict.AMBIGUOUS:
         draft.warn(f"{about}: whether it is mounted as stated could not be told; tilt further to all sides")

@@ -85,6 +85,17 @@ def differences(origin: Origin, identity: Identity, parameters: Mapping[str, Val
     return tuple(found)
 
 
+def unproved(origin: Origin, identity: Identity) -> str:
+    """Why nothing shows that a recording is of this very vehicle, as a sentence; empty: the boards' ids do."""
+    if not origin.uid:
+        said = "the recording does not say which board it is of (no AUTOPILOT_VERSION in it)"
+    elif not identity.uid:
+        said = "this vehicle does not say which board it is (no AUTOPILOT_VERSION)"
+    else:
+        return ""
+    return f"{said}, and equal builds share the device ids of their sensors"
+
+
 def _bare(uid: str) -> str:
     """Digits without the zero bytes that fill the end."""
     uid = uid.lower()

@@ -64,6 +64,17 @@ class Loss:
 
 
 @dataclass(frozen=True)
+class Agreement:
+    """A sensor that is left as it is: what was fitted differs from what is in force by less than its uncertainty."""
+
+    sensor: Sensor
+    instance: int
+    deviation: float
+    """Root mean square of the change over its independent parts, each in its standard deviation."""
+    text: str
+
+
+@dataclass(frozen=True)
 class AfterWrite:
     """A MAVLink command to be sent when every parameter has been read back."""
 
@@ -96,6 +107,12 @@ class WritePlan:
     after: tuple[AfterWrite, ...] = ()
     warnings: tuple[str, ...] = ()
     blockers: tuple[str, ...] = ()
+    agreements: tuple[Agreement, ...] = ()
+
+    @property
+    def nothing_to_write(self) -> bool:
+        """Whether the vehicle holds already what was fitted, and nothing stands against that."""
+        return not self.changes and not self.blockers
 
     @property
     def needs_reboot(self) -> bool:
@@ -105,7 +122,10 @@ class WritePlan:
     @property
     def sha256(self) -> str:
         """Digest over everything in the plan; ``apply`` quotes it."""
-        text = json.dumps(dataclasses.asdict(self), sort_keys=True, allow_nan=False)
+        content = dataclasses.asdict(self)
+        if not self.agreements:
+            del content["agreements"]  # plans of before there were any keep their digest
+        text = json.dumps(content, sort_keys=True, allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()
 
 

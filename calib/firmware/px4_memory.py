@@ -27,6 +27,8 @@ from calib.triad import TriadModel
 Array = NDArray[np.float64]
 
 NEUTRAL: Mapping[Triple, float] = {names.OFFSET: 0.0, names.SCALE: 1.0, names.CROSS: 0.0}
+NOISE = 7.815
+"""95 % quantile of chi-squared with three degrees of freedom: below it a vector's change is within its uncertainty."""
 RANK: Mapping[Triple, Rank] = {names.OFFSET: Rank.OFFSET, names.SCALE: Rank.SCALE, names.CROSS: Rank.CROSS}
 
 
@@ -85,6 +87,8 @@ def set_vector(draft: Draft, vector: Vector, values: Array) -> None:
     """Plan `values` (what :func:`representable` leaves of the wanted ones) in an order that works at once, if any."""
     roles = px4.calibration_names(draft.parameters, vector.about.sensor, vector.about.instance)
     order = acts_at_once(draft, vector, values)
+    if order is None and _is_noise(draft, roles, vector, values):
+        return  # beside other changes of this sensor: a restart for it would be for nothing
     estimated = np.array_equal(values, _single(vector.values))
     for axis in range(3):
         why = f"{vector.why}, {AXES[axis]} axis" if vector.triple != names.CROSS else vector.why
@@ -100,6 +104,14 @@ def set_vector(draft: Draft, vector: Vector, values: Array) -> None:
         )
     if order is not None:
         draft.reorder([roles[vector.triple[axis]] for axis in order])
+
+
+def _is_noise(draft: Draft, roles: Mapping[Role, str], vector: Vector, values: Array) -> bool:
+    """Whether the vector in force lies within the 95 % region of the wanted one, its axes taken as independent."""
+    held = np.array([float(draft.parameters.get(roles[role], np.nan)) for role in vector.triple])
+    if not (np.isfinite(held).all() and (vector.sd > 0.0).all()):
+        return False
+    return float((((values - held) / vector.sd) ** 2).sum()) <= NOISE
 
 
 def _single(values: Array) -> Array:

@@ -82,6 +82,19 @@ def euler_matrix(roll_deg: float, pitch_deg: float, yaw_deg: float) -> Array:
     return np.asarray(rz @ ry @ rx, dtype=np.float64)
 
 
+def rotation_words(autopilot: str, number: int) -> str:
+    """A rotation of the table in words.
+
+    >>> rotation_words("ardupilot", 6), rotation_words("px4", 10), rotation_words("px4", 0)
+    ('yaw 270', 'roll 180, yaw 90', 'none')
+    """
+    table = ROTATIONS[autopilot]
+    if not 0 <= number < len(table):
+        return "not in the table"
+    parts = [f"{word} {angle:g}" for word, angle in zip(("roll", "pitch", "yaw"), table[number], strict=True) if angle]
+    return ", ".join(parts) or "none"
+
+
 def rotation_matrix(autopilot: str, number: int) -> Array:
     """``R_body_from_sensor`` of rotation `number`, shape (3, 3).
 

@@ -56,15 +56,16 @@ def set_thermal(draft: Draft, instance: int, pairs: Sequence[Pair]) -> None:
     sensors = (Sensor.ACCEL, Sensor.GYRO)
     names = {s: ardupilot.calibration_names(draft.parameters, s, instance) for s in sensors}
     enable = names[Sensor.GYRO][Role.THERMAL_ENABLE]
-    if not _may_enable(draft, enable):
+    abouts = [p.about for p in pairs if p.drift is not None]
+    if not _may_enable(draft, enable, abouts):
         return
     running = int(draft.parameters[enable]) == ENABLED
     drifts = {p.about.sensor: p.drift for p in pairs if p.drift is not None and _reference_known(draft, p, names)}
     if not drifts:
-        draft.block(f"nothing of the temperature drift of inertial unit {instance + 1} can be written")
         return
     kept = [s for s in sensors if s not in drifts and running and _has_coefficients(draft, names[s])]
-    limits = _common_range(draft, names[Sensor.GYRO], list(drifts.values()), running=running and bool(kept))
+    fits = [drift for drift in drifts.values() if drift is not None]
+    limits = _common_range(draft, names[Sensor.GYRO], fits, abouts, running=running and bool(kept))
     if limits is None:
         return
     about = Subject(next(iter(drifts)), instance)
@@ -93,17 +94,23 @@ def set_thermal(draft: Draft, instance: int, pairs: Sequence[Pair]) -> None:
     )
 
 
-def _may_enable(draft: Draft, enable: str) -> bool:
+def _may_enable(draft: Draft, enable: str, abouts: Sequence[Subject]) -> bool:
     if enable not in draft.parameters:
-        draft.block(
+        why = (
             f"the vehicle does not list {enable}: this board has no temperature compensation (it needs more than 1 MB "
             "of flash). The fit can be exported, not written"
         )
-        return False
-    if int(draft.parameters[enable]) == LEARNING:
-        draft.block(f"{enable} = 2: the vehicle is learning its own compensation. Set it to 0, restart, then repeat")
-        return False
-    return True
+    elif int(draft.parameters[enable]) == LEARNING:
+        why = f"{enable} = 2: the vehicle is learning its own compensation. Set it to 0, restart, then repeat"
+    else:
+        return True
+    _refuse(draft, abouts, why)
+    return False
+
+
+def _refuse(draft: Draft, abouts: Sequence[Subject], why: str) -> None:
+    for about in abouts:
+        draft.block(why, about)
 
 
 def _reference_known(draft: Draft, pair: Pair, names: Mapping[Sensor, Names]) -> bool:
@@ -125,7 +132,7 @@ def _reference_known(draft: Draft, pair: Pair, names: Mapping[Sensor, Names]) ->
 
 
 def _common_range(
-    draft: Draft, names: Names, drifts: Sequence[FitResult], *, running: bool
+    draft: Draft, names: Names, drifts: Sequence[FitResult], abouts: Sequence[Subject], *, running: bool
 ) -> tuple[float, float] | None:
     """The range that every polynomial covers: beyond its own data none of them may be evaluated."""
     polynomials = [fit.model.polynomial for fit in drifts if fit.model.polynomial is not None]
@@ -135,9 +142,11 @@ def _common_range(
         low = max(low, draft.get(names[Role.THERMAL_MIN], 0.0))
         high = min(high, draft.get(names[Role.THERMAL_MAX], 70.0))
     if high - low < THERMAL_SPAN_MIN:
-        draft.block(
+        _refuse(
+            draft,
+            abouts,
             f"the drift is known from {low:.1f} to {high:.1f} degC only; at least {THERMAL_SPAN_MIN:g} degC are "
-            "needed. Start colder or warm up further"
+            "needed. Start colder or warm up further",
         )
         return None
     return low, high
@@ -154,7 +163,7 @@ def _set_coefficients(draft: Draft, about: Subject, names: Names, fit: FitResult
     assert polynomial is not None
     degree = fit.degree
     if degree > len(ORDERS):
-        draft.block(f"{about}: a polynomial of degree {degree} cannot be stored; fit again with degree 3")
+        draft.block(f"{about}: a polynomial of degree {degree} cannot be stored; fit again with degree 3", about)
         return
     values = ardupilot_coefficients(polynomial)
     shift = recentre(degree, T_REF - polynomial.t_ref) / THERMAL_SCALE

@@ -19,6 +19,7 @@ from calib.firmware.draft import Draft, Rank, Subject
 from calib.firmware.fitted import Pair
 from calib.firmware.limits import THERMAL_SPAN_MIN
 from calib.firmware.names import THERMAL, Role
+from calib.firmware.options import how
 from calib.firmware.plan import ParameterKind
 from calib.firmware.px4_memory import neutral_model
 from calib.fit import AXES, FitResult
@@ -98,24 +99,28 @@ def set_thermal(draft: Draft, pair: Pair) -> None:
 
 def _may_store(draft: Draft, about: Subject, roles: Names, fit: FitResult) -> bool:
     if Role.THERMAL_ENABLE not in roles:
-        draft.block(f"{about}: PX4 has no free row of temperature compensation for it")
+        draft.block(f"{about}: PX4 has no free row of temperature compensation for it", about)
         return False
     enable = roles[Role.THERMAL_ENABLE]
     if enable not in draft.parameters:
         draft.block(
             f"the vehicle does not list {enable}: its start script does not run the temperature compensation, so the "
-            "coefficients would have no effect. The fit can be exported, not written"
+            "coefficients would have no effect. The fit can be exported, not written",
+            about,
         )
         return False
     polynomial = fit.model.polynomial
     assert polynomial is not None
     if fit.degree > DEGREE:
-        draft.block(f"{about}: a polynomial of degree {fit.degree} cannot be stored; fit again with degree {DEGREE}")
+        draft.block(
+            f"{about}: a polynomial of degree {fit.degree} cannot be stored; fit again with degree {DEGREE}", about
+        )
         return False
     if polynomial.t_max - polynomial.t_min < THERMAL_SPAN_MIN:
         draft.block(
             f"the drift is known from {polynomial.t_min:.1f} to {polynomial.t_max:.1f} degC only; at least "
-            f"{THERMAL_SPAN_MIN:g} degC are needed. Start colder or warm up further"
+            f"{THERMAL_SPAN_MIN:g} degC are needed. Start colder or warm up further",
+            about,
         )
         return False
     return True
@@ -136,7 +141,7 @@ def _constant(draft: Draft, pair: Pair, fit: FitResult) -> tuple[Array | None, A
             about,
             fit,
             "PX4 does not store at which temperature the accelerometer was calibrated. Run the accel job after this "
-            "one, or in one plan with it, or give that temperature",
+            f"one, or give that temperature with {how('accel_temperature')}",
         )
         return None, np.zeros(3)
     if taken is None:

@@ -23,9 +23,11 @@ from calib import STANDARD_GRAVITY
 from calib.errors import FirmwareError
 from calib.firmware import ardupilot, names, px4
 from calib.firmware.draft import Draft, Rank, Subject
+from calib.firmware.fingerprint import SENSOR_IDS
 from calib.firmware.limits import TRIM_MAX_RAD
-from calib.firmware.plan import Change, Value
+from calib.firmware.plan import Agreement, Change, Value
 from calib.firmware.rotations import euler_matrix
+from calib.firmware.significance import level_agreement
 from calib.fit import FitResult, FitStatus
 from calib.recording import Sensor
 from calib.triad import TriadModel
@@ -68,9 +70,11 @@ def adjust_trim(draft: Draft, autopilot: str, fits: Sequence[FitResult]) -> None
     The firmware levels by the first accelerometer. A trim of zero was never measured: there is no level to
     carry over, and the level job is recommended.
     """
-    instances = sorted(f.instance for f in fits if f.sensor == Sensor.ACCEL and f.model.polynomial is None)
-    changes = [c for c in _accel_changes(draft) if c.instance == (instances[0] if instances else -1)]
-    if not instances or not changes or not draft.options.adjust_level:
+    fitted = [f.instance for f in fits if f.sensor == Sensor.ACCEL and f.model.polynomial is None]
+    known = [i for (sensor, i) in SENSOR_IDS[autopilot](draft.parameters) if sensor == Sensor.ACCEL]
+    first = min(known or fitted, default=-1)
+    changes = [c for c in _accel_changes(draft) if c.instance == first]
+    if first not in fitted or not changes or not draft.options.adjust_level:
         return
     name_x, name_y, _, per_rad = _trim_parameters(autopilot)
     if name_x not in draft.parameters or name_y not in draft.parameters:
@@ -79,7 +83,7 @@ def adjust_trim(draft: Draft, autopilot: str, fits: Sequence[FitResult]) -> None
     if np.abs(old).max() < UNMEASURED:
         draft.warn("the vehicle's level was never measured; run the level job after this calibration")
         return
-    about = Subject(Sensor.ACCEL, instances[0])
+    about = Subject(Sensor.ACCEL, first)
     fit = next(f for f in fits if f.sensor == Sensor.ACCEL and f.instance == about.instance)
     try:
         before, after = (_board_model(autopilot, p, about) for p in (draft.parameters, draft.predicted))
@@ -101,21 +105,30 @@ def adjust_trim(draft: Draft, autopilot: str, fits: Sequence[FitResult]) -> None
     _set_trim(draft, autopilot, new, np.array([sd, sd]), why)
 
 
-def compose_level(draft: Draft, autopilot: str, fits: Sequence[FitResult]) -> None:
+def compose_level(draft: Draft, autopilot: str, fits: Sequence[FitResult]) -> Agreement | None:
     """Plan the trim that makes the attitude of a level job level.
 
     `fits` are results of the level procedure: roll, pitch and their sd in ``native`` (rad), read in the streams' body
-    frame. The firmware levels by the first accelerometer, so the first result counts.
+    frame. The firmware levels by the first accelerometer, so the first result counts. A trim that differs from the
+    one in force by less than its uncertainty is not planned but returned.
     """
     usable = sorted((f for f in fits if f.status != FitStatus.REFUSED), key=lambda f: f.instance)
     if not usable:
-        return
+        return None
     native = usable[0].native
     force = force_when_level(float(native["roll"]), float(native["pitch"]))
     if autopilot == "px4":  # the stream was turned by the present trim already
         force = _level_matrix(draft.parameters).T @ force
     sd = np.array([float(native["roll_sd"]), float(native["pitch_sd"])])
-    _set_trim(draft, autopilot, np.array(trim_from_force(force)), sd, "the attitude that was measured is level")
+    trim = np.array(trim_from_force(force))
+    name_x, name_y, _, per_rad = _trim_parameters(autopilot)
+    held = np.array([float(draft.parameters.get(n, np.nan)) / per_rad for n in (name_x, name_y)])
+    if np.abs(held).max() >= UNMEASURED:
+        agrees = level_agreement(trim - held, sd)
+        if agrees is not None:
+            return agrees
+    _set_trim(draft, autopilot, trim, sd, "the attitude that was measured is level")
+    return None
 
 
 def is_level(fit: FitResult) -> bool:

@@ -287,7 +287,8 @@ def _warnings(found: Estimate, context: MagContext, quality: Mapping[str, Any], 
         peak = np.abs(found.flight.drives[:, 0]).max() * np.linalg.norm(found.x[found.layout.motor][:3])
         if peak > 0.01 * strength:
             warnings.append(
-                f"the motors add up to {peak:.2g} {context.unit}: the offset is that without them; write mag-motor too"
+                f"the motors add up to {peak:.2g} {context.unit}: the offset is that without them, and mag-motor finds "
+                "what compensates them"
             )
     return tuple(warnings)
 
@@ -309,6 +310,7 @@ def _native(found: Estimate, data: Given, context: MagContext, strength: float) 
         "delay": float(found.x[layout.delay][0]) + 0.5 * data.samples.window,
         "attitude_error_deg": math.degrees(float(np.sqrt((found.solved.knots[:, :3] ** 2).sum(axis=1).mean()))),
         "directions": directions(found, strength),
+        "without_motors": bool(layout.drives),
     }
 
 

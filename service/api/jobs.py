@@ -13,7 +13,15 @@ from calib.report import plan_to_json
 from service.api.addresses import relative
 from service.api.dependencies import ServiceDep
 from service.api.follow import everything
-from service.api.models import AnswerRequest, ApplyRequest, JobModel, JobRequest, JobSummary, ProcedureModel
+from service.api.models import (
+    AnswerRequest,
+    ApplyRequest,
+    JobModel,
+    JobRequest,
+    JobSummary,
+    PlanRequest,
+    ProcedureModel,
+)
 from service.api.security import ActorDep, Scope, require
 from service.api.views import event_model, job_model, job_summary, procedure_model
 from service.errors import PlanMissing
@@ -47,7 +55,7 @@ async def start(
     vehicle_id: str, body: JobRequest, request: Request, response: Response, service: ServiceDep
 ) -> JobModel:
     """Start a calibration; 409 if that vehicle has one running."""
-    job = await service.jobs.submit(vehicle_id, body.kind, body.options)
+    job = await service.jobs.submit(vehicle_id, body.kind, body.options, body.plan_options.given())
     model = job_model(job)
     response.headers["Location"] = relative(request, model.href)
     return model
@@ -86,9 +94,13 @@ async def plan(found: JobDep) -> dict[str, Any]:
 
 
 @router.post("/jobs/{job_id}/plan", dependencies=[OPERATE])
-async def plan_again(job_id: str, service: ServiceDep) -> JobModel:
-    """Plan again on the vehicle's present parameters: what `apply` asks for when something has changed."""
-    return job_model(await service.jobs.plan_again(job_id))
+async def plan_again(job_id: str, service: ServiceDep, body: PlanRequest | None = None) -> JobModel:
+    """Plan again on the vehicle's present parameters: what `apply` asks for when something has changed.
+
+    A body decides about the plan in place of what was decided before; without one it stays so.
+    """
+    options = None if body is None else body.plan_options.given()
+    return job_model(await service.jobs.plan_again(job_id, options))
 
 
 @router.post("/jobs/{job_id}/refit", status_code=202, dependencies=[OPERATE])

@@ -19,11 +19,39 @@ class LinkRequest(_Request):
     url: str = Field(description="an endpoint such as udpin:0.0.0.0:14550", examples=["udpin:0.0.0.0:14550"])
 
 
+class PlanOptions(_Request):
+    """What the operator decides about a plan; sensors are named gyro0 (the first gyro), accel1, mag0."""
+
+    only: list[str] = Field(default=[], description="plan for these sensors alone; empty: for all that were fitted")
+    keep_gyro_at_boot: bool = Field(default=False, description="ArduPilot: keep the gyro offsets (INS_GYR_CAL = 0)")
+    mark_calibrated: bool = Field(default=True, description="ArduPilot: mark the sensors as calibrated")
+    adjust_level: bool = Field(default=True, description="carry the level trim over to a new accelerometer calibration")
+    confirm_mounting: bool = Field(default=False, description="a compass really is mounted as the job found it")
+    confirm_other_unit: bool = Field(
+        default=False, description="a recording without a board id is of this vehicle; the audit keeps it"
+    )
+    device_ids: dict[str, int] = Field(default={}, description="PX4: device id of a sensor without a row, by sensor")
+    accel_temperature: dict[str, float] = Field(
+        default={}, description="PX4: degC at which CAL_ACC in force was taken, by sensor"
+    )
+
+    def given(self) -> Json:
+        """What was said, and nothing else."""
+        return self.model_dump(exclude_unset=True)
+
+
+class PlanRequest(_Request):
+    """Plan again."""
+
+    plan_options: PlanOptions = Field(default_factory=PlanOptions, description="in place of those of before")
+
+
 class JobRequest(_Request):
     """Start a calibration."""
 
     kind: str = Field(description="a kind of `/procedures`, such as gyro, accel or mag-rings", examples=["gyro"])
     options: dict[str, float | bool] = Field(default_factory=dict, description="options of that procedure")
+    plan_options: PlanOptions = Field(default_factory=PlanOptions, description="options of the plan")
 
 
 class AnswerRequest(_Request):
@@ -53,6 +81,7 @@ class RecordingJobRequest(FitRequest):
     """Plan the fits of an uploaded recording for a connected vehicle."""
 
     vehicle_id: str = Field(description="the vehicle that the recording is of")
+    plan_options: PlanOptions = Field(default_factory=PlanOptions, description="options of the plan")
 
 
 def _column(value: object) -> object:
@@ -150,6 +179,7 @@ class JobModel(JobSummary):
     """A job with its results."""
 
     options: Json
+    plan_options: Json = Field(description="what the operator decided about the plan")
     warnings: list[str]
     results: list[Json] = Field(description="one fit a sensor instance, as in `mavcal fit --json`")
     plan: Json | None

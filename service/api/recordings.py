@@ -75,7 +75,8 @@ async def plan(
     """
     fits, origin = await service.recordings.fit_of_vehicle(recording_id, body.method, body.options)
     options = {"recording": recording_id, "method": body.method, "options": body.options}
-    model = job_model(await service.jobs.adopt(body.vehicle_id, fits, origin, options))
+    job = await service.jobs.adopt(body.vehicle_id, fits, origin, options, body.plan_options.given())
+    model = job_model(job)
     response.headers["Location"] = relative(request, model.href)
     return model
 

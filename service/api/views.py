@@ -40,6 +40,7 @@ def job_model(job: Job) -> JobModel:
     return JobModel(
         **_summary(job),
         options=dict(job.options),
+        plan_options=plain(job.context.get("plan_options", {})),
         warnings=list(job.warnings),
         results=[fit_to_json(fit) for fit in job.results],
         plan=None if job.plan is None else plan_to_json(job.plan),

@@ -13,6 +13,7 @@ import click
 
 from service.commands.config import load_settings
 from service.commands.output import EXIT_NO, json_option, write_json
+from service.commands.plan_options import given, plan_options
 
 if TYPE_CHECKING:
     from calib.firmware.plan import WritePlan
@@ -40,6 +41,7 @@ KINDS = (
 @click.option("--apply", "write", is_flag=True, help="Write the result to the vehicle and prove it.")
 @click.option("--reboot", is_flag=True, help="With --apply: restart the vehicle if the plan needs it.")
 @click.option("--option", "options", multiple=True, metavar="NAME=VALUE", help="Option of the procedure.")
+@plan_options
 @click.option("--data-dir", type=click.Path(path_type=Path), default=None, help="Where everything is kept.")
 @click.option("--wait", type=float, default=30.0, show_default=True, help="How long to wait for a vehicle, s.")
 @json_option
@@ -52,6 +54,7 @@ def command(
     data_dir: Path | None,
     wait: float,
     as_json: bool,
+    **more: Any,
 ) -> int:
     """Calibrate one sensor of a vehicle, headless; nothing is written without --apply.
 
@@ -64,13 +67,14 @@ def command(
     settings = load_settings(data_dir=data_dir, connect=(connect,))
     configure_logging(as_json=settings.log_json)
     screen = Screen()
-    return asyncio.run(_calibrate(settings, kind, _parsed(options), screen, wait, write, reboot, as_json))
+    return asyncio.run(_calibrate(settings, kind, _parsed(options), given(more), screen, wait, write, reboot, as_json))
 
 
 async def _calibrate(
     settings: Any,
     kind: str,
     options: dict[str, Any],
+    decided: dict[str, Any],
     screen: Screen,
     wait: float,
     write: bool,
@@ -85,7 +89,7 @@ async def _calibrate(
     async with running_service(settings) as service:
         vehicle = await _heard(service, settings.connect[0], wait)
         screen.line(f"{vehicle.identity.autopilot} {vehicle.identity.version_text} as {vehicle.id}")
-        job = await service.jobs.submit(vehicle.id, kind, options)
+        job = await service.jobs.submit(vehicle.id, kind, options, decided)
         typing = asyncio.create_task(_answer_typed_lines(service, job.id))
         try:
             job = await _follow(service, job.id, screen)
@@ -102,7 +106,7 @@ async def _calibrate(
                 await typing
         if as_json:
             write_json(job_model(job).model_dump())
-        good = {JobState.SUCCEEDED} if write else {JobState.REVIEW}
+        good = {JobState.SUCCEEDED} if write else {JobState.REVIEW, JobState.SUCCEEDED}
         _show_end(job, screen, written=write)
         return 0 if job.state in good else EXIT_NO
 

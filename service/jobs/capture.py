@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from calib.errors import ProcedureError
@@ -46,6 +46,8 @@ class Capture:
     reach: CrashPoint = nowhere
     clock: Callable[[], float] = time.monotonic
     wall: Callable[[], float] = time.time
+    foresee: Callable[[Identity, Mapping[str, Value]], Sequence[str]] = lambda _identity, _parameters: ()
+    """What the parameters alone say of the result; said before anything is asked of the operator."""
     parameters: dict[str, Value] = field(default_factory=dict)
     """Every listed parameter; the calibration is the same before and after the capture."""
     _frames: list[Frame] = field(default_factory=list)
@@ -86,6 +88,8 @@ class Capture:
         identity = await self.vehicle.identify()
         listed = await self.vehicle.list_parameters()
         self.parameters = {name: reading.value for name, reading in listed.items()}
+        for text in await asyncio.to_thread(self.foresee, identity, self.parameters):
+            self.handle.warn(text)
         digest, watch = await self._begin(identity, earlier)
         done = await self._until_done(digest, watch)
         await self._read_again(identity, watch)

@@ -16,6 +16,7 @@ from typing import Any
 from calib.earth import EarthField, earth_field
 from calib.errors import InvalidInputError
 from calib.firmware import sensor_ids
+from calib.firmware.foresee import STREAMED_INSTANCES
 from calib.firmware.names import CALIBRATION_PREFIXES
 from calib.firmware.plan import Value
 from calib.firmware.streams import Assembler
@@ -29,9 +30,6 @@ from calib.recording import Channel, Identity, ParameterEntry, Recording, Sensor
 from calib.wire import Frame
 from service.errors import CaptureEnded
 from service.jobs.model import Span
-
-STREAMED_INSTANCES = 3
-"""MAVLink carries RAW_IMU or SCALED_IMU, SCALED_IMU2 and SCALED_IMU3."""
 
 POSITION_WAIT_S = 3.0
 """A compass job waits so long for the vehicle's position, in seconds of its clock: the Earth's field depends on it."""

@@ -13,7 +13,7 @@ from typing import Any
 
 import structlog
 
-from calib.firmware.origin import Origin
+from calib.firmware.origin import Origin, unproved
 from calib.firmware.streams import requested_streams
 from calib.fit import FitResult, FitStatus
 from calib.procedures.registry import specification, validate_options
@@ -28,6 +28,7 @@ from service.errors import (
     NotRevertible,
 )
 from service.jobs.admission import request_digest, require_acceptable, require_free, require_ready
+from service.jobs.codec import outcome_to_json
 from service.jobs.crashpoints import At, CrashPoint, nowhere
 from service.jobs.feed import EventFeed
 from service.jobs.handle import JobHandle
@@ -38,12 +39,15 @@ from service.jobs.planning import (
     Planned,
     accel_temperatures,
     checked_plan_options,
+    confirmed,
     identity_to_json,
     keep_plan,
     make_plan,
+    nothing_to_write,
     origin_from_json,
     origin_to_json,
     require_origin,
+    require_sensors_of,
 )
 from service.jobs.port import JobVehicle, VehicleSource
 from service.jobs.runner import Runner
@@ -191,7 +195,7 @@ class JobEngine:
         vehicle_id: str,
         kind: str,
         options: Mapping[str, Any] | None = None,
-        plan_options: Mapping[str, bool] | None = None,
+        plan_options: Mapping[str, Any] | None = None,
     ) -> Job:
         """Start a calibration; `options` are the procedure's, `plan_options` those of composing its plan.
 
@@ -208,6 +212,7 @@ class JobEngine:
         spec = specification(kind)
         chosen = validate_options(kind, options or {})
         context = {"plan_options": checked_plan_options(plan_options or {})}
+        require_sensors_of(spec, plan_options or {})
         vehicle = self._vehicles.vehicle(vehicle_id)
         require_free(vehicle.id, self.list())
         require_ready(vehicle)
@@ -234,7 +239,7 @@ class JobEngine:
         results: Sequence[FitResult],
         origin: Origin,
         options: Mapping[str, Any],
-        plan_options: Mapping[str, bool] | None = None,
+        plan_options: Mapping[str, Any] | None = None,
     ) -> Job:
         """A job in review, of fits of an uploaded recording; `options` say which recording and method.
 
@@ -246,7 +251,7 @@ class JobEngine:
         InvalidInputError, FirmwareError
             As for :meth:`submit`.
         """
-        chosen = checked_plan_options(plan_options or {})
+        chosen = checked_plan_options(plan_options or {}, results)
         vehicle = self._vehicles.vehicle(vehicle_id)
         require_free(vehicle.id, self.list())
         require_ready(vehicle)
@@ -255,14 +260,16 @@ class JobEngine:
         now = self._wall()
         told = [fit.message for fit in results if fit.status == FitStatus.REFUSED]
         told += [warning for fit in results for warning in fit.warnings]
+        done = planned.plan.nothing_to_write
         job = Job(
             uuid.uuid4().hex[:12],
             vehicle.id,
             FROM_RECORDING,
             dict(options),
-            JobState.REVIEW,
+            JobState.SUCCEEDED if done else JobState.REVIEW,
             now,
             now,
+            outcome=nothing_to_write(planned.plan) if done else None,
             fingerprint=planned.plan.fingerprint,
             results=tuple(results),
             plan=planned.plan,
@@ -271,7 +278,7 @@ class JobEngine:
         )
         handle = self._hold(job)
         try:
-            handle.change("state", {"state": job.state.value, "outcome": None})
+            handle.change("state", {"state": job.state.value, "outcome": outcome_to_json(job.outcome)})
             keep_plan(handle, planned)
         except BaseException:
             del self._handles[job.id]
@@ -309,10 +316,10 @@ class JobEngine:
 
     # --- writing
 
-    async def plan_again(self, job_id: str, options: Mapping[str, bool] | None = None) -> Job:
+    async def plan_again(self, job_id: str, options: Mapping[str, Any] | None = None) -> Job:
         """Compose the plan of a job in review anew, on the vehicle's present parameters.
 
-        `options` are those of :class:`calib.firmware.compose.ComposeOptions`; None: as before.
+        `options` are those of :data:`calib.firmware.options.PLAN_OPTIONS`; None: as before.
 
         Raises
         ------
@@ -322,7 +329,7 @@ class JobEngine:
         job = handle.job
         if job.state != JobState.REVIEW:
             raise IllegalTransition(f"job {job_id} is {job.state}: only a job in review can be planned again")
-        chosen = checked_plan_options(job.context.get("plan_options", {}) if options is None else options)
+        chosen = checked_plan_options(job.context.get("plan_options", {}) if options is None else options, job.results)
         vehicle = self._vehicles.vehicle(job.vehicle_id)
         require_ready(vehicle)
         identity, planned = await self._composed(vehicle, job.results, chosen, job.context.get("origin"))
@@ -362,7 +369,8 @@ class JobEngine:
         require_free(handle.job.vehicle_id, self.list(), besides=job_id)
         if idempotency_key is not None:
             self._store.claim_idempotency_key(idempotency_key, digest, job_id, self._wall())
-        self._store.add_audit(self._wall(), accept.actor, "apply", job_id, {"plan_sha256": accept.plan_sha256})
+        said = {"plan_sha256": accept.plan_sha256, "confirmed": confirmed(handle.job.context.get("plan_options", {}))}
+        self._store.add_audit(self._wall(), accept.actor, "apply", job_id, said)
         handle.move(JobState.APPLYING, accept=accept, outcome=None, verification=None, standing=())
         await handle.record(Step.ACCEPTED, plan_sha256=accept.plan_sha256, actor=accept.actor, reboot=accept.reboot)
         self._reach(At.ACCEPTED)
@@ -382,6 +390,8 @@ class JobEngine:
         if handle.job.state != JobState.SUCCEEDED:
             raise NotRevertible(f"job {job_id} is {handle.job.state}: only a write that succeeded can be taken back")
         self._require_writing()
+        if handle.job.accept is None:
+            raise NotRevertible(f"job {job_id} found nothing to write: there is nothing to take back")
         require_free(handle.job.vehicle_id, self.list(), besides=job_id)
         require_ready(self._vehicles.vehicle(handle.job.vehicle_id))
         self._store.add_audit(self._wall(), actor, "revert", job_id, {})
@@ -399,17 +409,19 @@ class JobEngine:
         self,
         vehicle: JobVehicle,
         results: Sequence[FitResult],
-        options: Mapping[str, bool],
+        options: Mapping[str, Any],
         origin: Mapping[str, Any] | None,
     ) -> tuple[Identity, Planned]:
         """Who the vehicle is, and a plan on its present parameters. `origin` of a recording must be this vehicle."""
         identity = await vehicle.identify()
         listed = await vehicle.list_parameters()
         parameters = {name: reading.value for name, reading in listed.items()}
+        doubt = ""
         if origin is not None:
             require_origin(origin_from_json(origin), identity, parameters)
+            doubt = unproved(origin_from_json(origin), identity)
         known = accel_temperatures(self.list(), vehicle.id, parameters)
-        return identity, await asyncio.to_thread(make_plan, results, parameters, identity, options, known)
+        return identity, await asyncio.to_thread(make_plan, results, parameters, identity, options, known, doubt)
 
     def _handle(self, job_id: str) -> JobHandle:
         handle = self._handles.get(job_id)

@@ -7,17 +7,21 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from calib.errors import InvalidInputError
-from calib.firmware.compose import ComposeOptions, compose
+from calib.firmware.compose import compose
 from calib.firmware.fingerprint import calibration_snapshot, fingerprint
+from calib.firmware.foresee import foreseen, unknown_sensors
+from calib.firmware.options import PLAN_OPTIONS, compose_options, key_text, unknown_keys
 from calib.firmware.origin import Origin, differences
 from calib.firmware.plan import Value, WritePlan, snapshot_sha256
+from calib.firmware.slots import CALIBRATED
 from calib.fit import FitResult
+from calib.procedures.spec import ProcedureSpec
 from calib.recording import Identity, Sensor
 from calib.report import plan_to_json
-from service.errors import OtherVehicle
+from service.errors import CaptureEnded, OtherVehicle
 from service.jobs.handle import JobHandle
 from service.jobs.journal import same
-from service.jobs.model import Job
+from service.jobs.model import Job, Result
 from service.jobs.states import JobState
 from service.store.rows import SnapshotPurpose
 
@@ -35,18 +39,62 @@ class Planned:
     composed_on: dict[str, Value]
 
 
-PLAN_OPTIONS = tuple(f.name for f in dataclasses.fields(ComposeOptions) if f.type == "bool")
-"""What the operator may decide about a plan, each true or false."""
+CONFIRMATIONS = tuple(name for name in PLAN_OPTIONS if name.startswith("confirm_"))
+"""What only the operator can know; the audit keeps who said it."""
 
 
-def checked_plan_options(options: Mapping[str, Any]) -> dict[str, bool]:
-    """`options` if every one is known and a switch. Raises InvalidInputError."""
-    for name, value in options.items():
-        if name not in PLAN_OPTIONS:
-            raise InvalidInputError(f"a plan has no option {name}; its options are: {', '.join(PLAN_OPTIONS)}")
-        if not isinstance(value, bool):
-            raise InvalidInputError(f"option {name} of a plan is a switch: give true or false, not {value!r}")
+def checked_plan_options(options: Mapping[str, Any], results: Sequence[FitResult] | None = None) -> dict[str, Any]:
+    """`options` if every one is known, of its kind, and names sensors among `results` (None: there are none yet).
+
+    Raises InvalidInputError.
+    """
+    only = compose_options(options).only
+    if results is not None:
+        wrong = unknown_keys(only, [(fit.sensor, fit.instance) for fit in results])
+        if wrong:
+            raise InvalidInputError(wrong)
     return dict(options)
+
+
+def require_sensors_of(spec: ProcedureSpec, options: Mapping[str, Any]) -> None:
+    """Raise InvalidInputError if a plan is asked for sensors that this kind of job does not calibrate."""
+    wrong = [key_text(*key) for key in compose_options(options).only if key[0] not in spec.sensors]
+    if wrong:
+        kinds = ", ".join(f"{sensor}0" for sensor in CALIBRATED if sensor in spec.sensors)
+        raise InvalidInputError(
+            f"{spec.kind} does not calibrate {', '.join(wrong)}; it could plan for {kinds} and so on"
+        )
+
+
+def confirmed(options: Mapping[str, Any]) -> list[str]:
+    """The names of what the operator has confirmed in a field of its own."""
+    return [name for name in CONFIRMATIONS if options.get(name)]
+
+
+def foresee(
+    kind: str,
+    identity: Identity,
+    parameters: Mapping[str, Value],
+    options: Mapping[str, Any],
+    temperatures: Mapping[int, float],
+) -> tuple[str, ...]:
+    """What the vehicle's parameters alone say about the plan of a job that has just begun.
+
+    Raises
+    ------
+    CaptureEnded
+        If the plan is asked for a sensor that the vehicle does not have.
+    """
+    chosen = compose_options(options, accel_temperature=dict(temperatures))
+    wrong = unknown_sensors(identity, parameters, chosen)
+    if wrong:
+        raise CaptureEnded(wrong, remedy="Start the job again with sensors of this vehicle.")
+    return foreseen(identity, parameters, chosen) if kind == "thermal" else ()
+
+
+def nothing_to_write(plan: WritePlan) -> Result:
+    """The outcome of a job whose every sensor agrees with what is in force."""
+    return Result(f"Nothing to write: {'; '.join(a.text for a in plan.agreements)}.")
 
 
 def accel_temperatures(jobs: Iterable[Job], vehicle_id: str, parameters: Mapping[str, Value]) -> dict[int, float]:
@@ -64,7 +112,9 @@ def accel_temperatures(jobs: Iterable[Job], vehicle_id: str, parameters: Mapping
         counts = change.sensor == Sensor.ACCEL and not change.session
         if counts and not (change.name in parameters and same(parameters[change.name], change.new, change.kind)):
             return {}
-    results = [fit for fit in newest.results if fit.sensor == Sensor.ACCEL]
+    held = {(c.sensor, c.instance) for c in newest.plan.changes}
+    held |= {(a.sensor, a.instance) for a in newest.plan.agreements}
+    results = [fit for fit in newest.results if fit.sensor == Sensor.ACCEL and (fit.sensor, fit.instance) in held]
     return {fit.instance: fit.temperature for fit in results if fit.temperature is not None}
 
 
@@ -97,16 +147,17 @@ def make_plan(
     results: Sequence[FitResult],
     parameters: Mapping[str, Value],
     identity: Identity,
-    switches: Mapping[str, bool],
+    options: Mapping[str, Any],
     temperatures: Mapping[int, float],
+    unproved_origin: str = "",
 ) -> Planned:
     """Compose what to write. Raises FirmwareError if the firmware cannot take it at all.
 
-    `switches` are plan options, `temperatures` those of :func:`accel_temperatures`.
+    `options` are those of the plan as plain data, `temperatures` those of :func:`accel_temperatures`,
+    `unproved_origin` what :func:`calib.firmware.origin.unproved` says.
     """
-    chosen: dict[str, Any] = dict(switches)
-    options = ComposeOptions(accel_temperature=dict(temperatures), **chosen)
-    plan = compose(results, parameters, fingerprint(identity, parameters), options=options)
+    chosen = compose_options(options, accel_temperature=dict(temperatures), unproved_origin=unproved_origin)
+    plan = compose(results, parameters, fingerprint(identity, parameters), options=chosen)
     return Planned(plan, calibration_snapshot(parameters))
 
 

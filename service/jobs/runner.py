@@ -4,20 +4,31 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
 
 from calib.errors import CalibError
+from calib.firmware.plan import Value
 from calib.fit import FitStatus
 from calib.procedures.protocol import GaveUp
+from calib.recording import Identity
 from service.errors import CaptureEnded, CaptureLost, ServiceError, VehicleUnknown
 from service.jobs.capture import Capture
 from service.jobs.crashpoints import At, CrashPoint, nowhere
 from service.jobs.digest import FitRequest, Fitted, fit_segments
 from service.jobs.handle import JobHandle
 from service.jobs.model import Failure, Job, Span
-from service.jobs.planning import accel_temperatures, identity_from_json, identity_to_json, keep_plan, make_plan
+from service.jobs.planning import (
+    accel_temperatures,
+    foresee,
+    identity_from_json,
+    identity_to_json,
+    keep_plan,
+    make_plan,
+    nothing_to_write,
+)
 from service.jobs.port import JobVehicle, VehicleSource
 from service.jobs.settings import JobSettings
 from service.jobs.spans import span_of
@@ -48,6 +59,7 @@ class Runner:
                 context = {**handle.job.context, "identity": identity_to_json(vehicle.identity)}
                 handle.move(JobState.RUNNING, context=context)
             capture = Capture(handle, vehicle, self.settings, self.reach, self.clock, self.wall)
+            capture.foresee = partial(self._foresee, handle.job)
             await capture.run()
         except asyncio.CancelledError:
             if handle.job.state == JobState.CANCELLED:
@@ -62,6 +74,10 @@ class Runner:
         else:
             handle.move(JobState.FITTING, segments=_spans(handle), prompt=None)
             await self.fit(handle)
+
+    def _foresee(self, job: Job, identity: Identity, parameters: Mapping[str, Value]) -> tuple[str, ...]:
+        known = accel_temperatures(self.jobs(), job.vehicle_id, parameters)
+        return foresee(job.kind, identity, parameters, job.context.get("plan_options", {}), known)
 
     async def fit(self, handle: JobHandle) -> None:
         """Fit the closed segments and plan. The job is fitting; it ends in review or failed."""
@@ -88,8 +104,10 @@ class Runner:
         told = [fit.message for fit in results if fit.status == FitStatus.REFUSED]
         told += [warning for fit in results for warning in fit.warnings]  # a sensor that was left out, above all
         warnings = tuple(dict.fromkeys((*job.warnings, *told)))
+        done = planned.plan.nothing_to_write
         handle.move(
-            JobState.REVIEW,
+            JobState.SUCCEEDED if done else JobState.REVIEW,
+            outcome=nothing_to_write(planned.plan) if done else None,
             results=results,
             plan=planned.plan,
             fingerprint=planned.plan.fingerprint,

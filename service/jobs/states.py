@@ -36,7 +36,7 @@ TRANSITIONS: Mapping[JobState, frozenset[JobState]] = MappingProxyType(
         S.QUEUED: frozenset({S.RUNNING} | _ENDS),
         S.RUNNING: frozenset({S.WAITING_FOR_OPERATOR, S.FITTING} | _ENDS),
         S.WAITING_FOR_OPERATOR: frozenset({S.RUNNING, S.FITTING} | _ENDS),
-        S.FITTING: frozenset({S.REVIEW} | _ENDS),
+        S.FITTING: frozenset({S.REVIEW, S.SUCCEEDED} | _ENDS),  # succeeded: the vehicle holds the result already
         S.REVIEW: frozenset({S.APPLYING, S.CANCELLED}),
         # Back to review only while nothing was sent; from the first PARAM_SET on the way out leads through the vehicle.
         S.APPLYING: frozenset({S.REVIEW, S.WAITING_FOR_REBOOT, S.VERIFYING, S.ROLLING_BACK, S.IN_DOUBT}),

@@ -134,7 +134,6 @@ def test_values_beyond_the_limits_block_the_plan(
     fit = make_fit(Sensor.ACCEL, offset=offset, matrix=matrix, matrix_sd=1e-4)
     (text,) = compose([fit], ardupilot_parameters, ardupilot_fingerprint).blockers
     assert text.startswith(f"{name} would be ")
-    assert "Nothing is written" in text
 
 
 def test_relative_and_refused_fits_are_not_written(ardupilot_parameters, ardupilot_fingerprint, make_fit):
@@ -193,3 +192,64 @@ def test_values_that_are_already_there_are_not_written_again(ardupilot_parameter
     again = compose([fit], written(first, ardupilot_parameters), ardupilot_fingerprint)
     assert again.changes == ()
     assert again.snapshot_sha256 != first.snapshot_sha256
+
+
+def test_a_gyro_result_that_dies_at_the_next_boot_is_said_first_with_the_way_to_keep_it(
+    ardupilot_parameters, ardupilot_fingerprint, make_fit
+):
+    refused = make_fit(Sensor.GYRO, 1, status=FitStatus.REFUSED, message="it moved")
+    plan = compose([refused, make_fit(Sensor.GYRO, offset=[0.01] * 3)], ardupilot_parameters, ardupilot_fingerprint)
+    assert plan.warnings[0].startswith("the next boot discards these gyro offsets")
+    assert "keep_gyro_at_boot (--keep-gyro-at-boot)" in plan.warnings[0]
+
+
+def test_a_sensor_that_cannot_be_written_does_not_keep_the_others_from_it(
+    ardupilot_parameters, ardupilot_fingerprint, make_fit
+):
+    broken = make_fit(Sensor.ACCEL, 1, offset=[9.0, 0.0, 0.0], matrix_sd=1e-4)
+    good = make_fit(Sensor.ACCEL, 0, offset=[0.1, 0.0, 0.0], matrix_sd=1e-4)
+    plan = compose([good, broken], ardupilot_parameters, ardupilot_fingerprint)
+    assert not plan.blockers
+    assert {c.instance for c in plan.changes} == {0}
+    (text,) = [w for w in plan.warnings if "left out" in w]
+    assert text.startswith("accel 2 is left out: INS_ACC2OFFS_X would be 9 m/s2")
+    assert not plan.after  # code 76 would mark the second one as calibrated
+    assert any("accelerometer 2 is in use but was never calibrated" in w for w in plan.warnings)
+    assert compose([broken], ardupilot_parameters, ardupilot_fingerprint).blockers
+
+
+def test_only_the_sensors_that_were_asked_for_are_planned(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    fits = [make_fit(Sensor.GYRO, i, offset=[0.01, 0.02, 0.03]) for i in (0, 1)]
+    one = ComposeOptions(only=((Sensor.GYRO, 1),))
+    plan = compose(fits, ardupilot_parameters, ardupilot_fingerprint, options=one)
+    assert {(c.sensor, c.instance) for c in plan.changes} == {(Sensor.GYRO, 1)}
+    unknown = ComposeOptions(only=((Sensor.GYRO, 1), (Sensor.ACCEL, 0)))
+    plan = compose(fits, ardupilot_parameters, ardupilot_fingerprint, options=unknown)
+    assert "there is no accel0 to plan for; there are: gyro0, gyro1" in plan.blockers[0]
+
+
+def test_the_level_is_that_of_the_first_accelerometer_whichever_is_planned(
+    ardupilot_parameters, ardupilot_fingerprint, make_fit
+):
+    parameters = ardupilot_parameters | {"AHRS_TRIM_X": 0.02, "AHRS_TRIM_Y": -0.01}
+    fits = [make_fit(Sensor.ACCEL, i, offset=[0.3, 0.2, 0.1], matrix_sd=1e-4) for i in (0, 1)]
+    names = [
+        {c.name for c in compose(fits, parameters, ardupilot_fingerprint, options=ComposeOptions(only=only)).changes}
+        for only in ((), ((Sensor.ACCEL, 0),), ((Sensor.ACCEL, 1),))
+    ]
+    assert ["AHRS_TRIM_X" in found for found in names] == [True, True, False]
+
+
+def test_a_recording_without_a_board_id_is_written_only_as_confirmed(
+    ardupilot_parameters, ardupilot_fingerprint, make_fit
+):
+    fit = make_fit(Sensor.GYRO, offset=[0.01] * 3)
+    said = "the recording does not say which board it is of"
+    options = ComposeOptions(unproved_origin=said)
+    (blocker,) = compose([fit], ardupilot_parameters, ardupilot_fingerprint, options=options).blockers
+    assert blocker.startswith(said)
+    assert blocker.endswith("Confirm it with the plan option confirm_other_unit")
+    options = ComposeOptions(unproved_origin=said, confirm_other_unit=True)
+    plan = compose([fit], ardupilot_parameters, ardupilot_fingerprint, options=options)
+    assert not plan.blockers
+    assert plan.warnings[0] == f"{said}; the operator has confirmed that it is of this vehicle"

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.firmware import ardupilot, px4
-from calib.firmware.compose import compose
+from calib.firmware.compose import ComposeOptions, compose
 from calib.firmware.rotations import rotation_matrix
 from calib.recording import Sensor
 
@@ -167,9 +167,47 @@ def test_what_no_parameter_holds_of_the_mounting_is_lost_with_its_angle(request,
     turn = Rotation.from_euler("Z", 90.0, degrees=True).as_matrix().round() if quarter else np.eye(3)
     found = {"verdict": "rotated" if quarter else "as_stated", "name": "yaw_90", "matrix": turn.tolist()}
     fit = mag_fit(make_fit, matrix=askew @ turn @ SOFT, quality=KNOWN | {"orientation": found})
-    plan = compose([fit], parameters, request.getfixturevalue(f"{autopilot}_fingerprint"))
+    options = ComposeOptions(confirm_mounting=True)
+    plan = compose([fit], parameters, request.getfixturevalue(f"{autopilot}_fingerprint"), options=options)
     assert not plan.blockers
     (loss,) = (x for x in plan.losses if x.what == "mounting")
     assert (loss.cost, loss.unit) == (pytest.approx(2.0, abs=1e-6), "deg")
     rotation = {c.name for c in plan.changes} & {"COMPASS_ORIENT", "CAL_MAG0_ROT"}
     assert bool(rotation) == quarter
+
+
+@pytest.mark.parametrize(("autopilot", "name"), [("ardupilot", "COMPASS_ORIENT"), ("px4", "CAL_MAG0_ROT")])
+def test_another_mounting_is_said_in_words_and_confirmed_in_a_field_of_its_own(request, make_fit, autopilot, name):
+    parameters = {**request.getfixturevalue(f"{autopilot}_parameters")}
+    parameters |= {"COMPASS_ORIENT": 0, "COMPASS_EXTERNAL": 1} if autopilot == "ardupilot" else {"CAL_MAG0_ROT": 0}
+    fingerprint = request.getfixturevalue(f"{autopilot}_fingerprint")
+    found = {"verdict": "rotated", "name": "yaw_270", "matrix": rotation_matrix(autopilot, 6).tolist()}
+    fit = mag_fit(make_fit, quality=KNOWN | {"orientation": found})
+    (blocker,) = compose([fit], parameters, fingerprint).blockers
+    assert blocker.startswith(f"compass 1 is mounted turned by yaw 270: {name} changes from 0 (none) to 6 (yaw 270).")
+    assert "confirm_mounting (--confirm-mounting)" in blocker
+    plan = compose([fit], parameters, fingerprint, options=ComposeOptions(confirm_mounting=True))
+    assert not plan.blockers
+    assert plan.warnings[0].startswith("compass 1 is mounted turned by yaw 270, as confirmed:")
+    assert {c.name: c.new for c in plan.changes}[name] == 6
+
+
+def test_a_rotation_that_is_stated_already_is_named_beside_the_one_that_was_found(
+    ardupilot_parameters, ardupilot_fingerprint, make_fit
+):
+    found = {"verdict": "rotated", "name": "yaw_90", "matrix": rotation_matrix("ardupilot", 2).tolist()}
+    fit = mag_fit(make_fit, quality=KNOWN | {"orientation": found})
+    parameters = ardupilot_parameters | {"COMPASS_ORIENT": 4, "COMPASS_EXTERNAL": 1}
+    (blocker,) = compose([fit], parameters, ardupilot_fingerprint).blockers
+    assert "turned by yaw 90 against what COMPASS_ORIENT says (yaw 180): " in blocker
+    assert "changes from 4 (yaw 180) to 6 (yaw 270)" in blocker
+
+
+@pytest.mark.parametrize("separated", [False, True])
+def test_the_idle_current_is_compensated_twice_only_if_the_offset_holds_it(
+    ardupilot_parameters, ardupilot_fingerprint, make_fit, separated
+):
+    parameters = ardupilot_parameters | {"COMPASS_MOTCT": 2, "COMPASS_MOT_X": 3.0}
+    fit = mag_fit(make_fit, native={"without_motors": separated})
+    warnings = compose([fit], parameters, ardupilot_fingerprint).warnings
+    assert any("idle current" in text for text in warnings) != separated

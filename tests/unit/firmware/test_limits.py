@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from calib.firmware.draft import ComposeOptions, Draft, Rank
+from calib.firmware.draft import Draft, Rank
 from calib.firmware.limits import limit_of
 from calib.firmware.names import (
     OFFSET,
@@ -16,6 +16,7 @@ from calib.firmware.names import (
     px4_names,
     px4_thermal_names,
 )
+from calib.firmware.options import ComposeOptions
 from calib.firmware.plan import Fingerprint
 from calib.recording import Sensor
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from calib.firmware import ardupilot
-from calib.firmware.draft import ComposeOptions, Draft
+from calib.firmware.draft import Draft
 from calib.firmware.mag_motor import compose_motors, corrupt_compensation
+from calib.firmware.options import ComposeOptions
 from calib.fit import FitResult, FitStatus, parameter_names
 from calib.mag.motor import METHOD
 from calib.recording import ParameterEntry, ParameterTimeline, Sensor

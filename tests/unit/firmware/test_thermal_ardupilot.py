@@ -64,7 +64,7 @@ def test_an_unknown_caltemp_declines_the_accelerometer_and_keeps_the_gyroscope(
     assert {c.name: c.old for c in plan.changes}["INS_TCAL1_GYR1_X"] is None
 
     alone = compose([accel], ardupilot_parameters, ardupilot_fingerprint)
-    assert "nothing of the temperature drift" in alone.blockers[0]
+    assert "nothing to write: accel 1: its drift is not written" in alone.blockers[0]
 
 
 def test_both_sensors_share_the_range_that_both_know(ardupilot_parameters, ardupilot_fingerprint, make_fit):

@@ -1,0 +1,72 @@
+"""Whether a change is larger than the uncertainty of what asks for it.
+
+The whole change is judged at once: with ``d`` the change and ``C`` the covariance of the estimate, ``d^T C^+ d`` lies
+below the 95 % quantile of chi-squared with as many degrees of freedom as `C` has independent parts. A change that the
+estimate calls certain (zero variance) always counts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from calib.firmware.plan import Agreement
+from calib.recording import Sensor
+
+Array = NDArray[np.float64]
+Judged = tuple[Array, Array]
+"""A change (n,) and the covariance of the estimate over it (n, n)."""
+
+CONFIDENCE: Final = 0.95
+"""A change inside this region of confidence is no change."""
+SAME: Final = 1e-6
+"""Of an element that the fit holds fixed: rounding to single precision."""
+
+
+def level_agreement(change: Array, sd: Array) -> Agreement | None:
+    """The same of a level trim: `change` and `sd` of roll and pitch (2,)."""
+    return agreed(Sensor.ACCEL, 0, "level", [(change, np.diag(sd**2))])
+
+
+def agreed(sensor: Sensor, instance: int, name: str, judged: Sequence[Judged | None]) -> Agreement | None:
+    """That `name` agrees with what is in force; None: something of it does not, or cannot be judged (None)."""
+    deviation = within(judged)
+    if deviation is None:
+        return None
+    text = f"{name} agrees with what is in force: differs by {deviation:.1f} sd, not written"
+    return Agreement(sensor, instance, deviation, text)
+
+
+def within(judged: Sequence[Judged | None]) -> float | None:
+    """Root mean square of the whole change in standard deviations; None: it is larger than its uncertainty."""
+    squares, parts = 0.0, 0
+    for item in judged:
+        found = None if item is None else _distance(*item)
+        if found is None:
+            return None
+        squares, parts = squares + found[0], parts + found[1]
+    if parts == 0 or squares > float(chdtri(parts, 1.0 - CONFIDENCE)):
+        return None
+    return math.sqrt(squares / parts)
+
+
+def _distance(change: Array, covariance: Array) -> tuple[float, int] | None:
+    """``d^T C^+ d`` and the rank of C; None: something changes that the fit holds for certain."""
+    free = np.diag(covariance) > 0.0
+    if np.abs(change[~free]).max(initial=0.0) > SAME:
+        return None
+    if not free.any():
+        return None
+    sd = np.sqrt(np.diag(covariance)[free])
+    scaled = change[free] / sd
+    values, vectors = np.linalg.eigh(covariance[np.ix_(free, free)] / np.outer(sd, sd))
+    told = values > 1e-10 * values[-1]
+    along = vectors.T @ scaled
+    if np.linalg.norm(along[~told]) > 1e-3 * max(1.0, float(np.linalg.norm(along))):
+        return None
+    return float((along[told] ** 2 / values[told]).sum()), int(told.sum())

@@ -1,0 +1,66 @@
+"""The options of a plan on the command line, stated here so that help does without numpy (a test compares them)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import click
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+_OPTIONS = (
+    click.option("--only", metavar="SENSORS", help="Plan for these sensors alone, as gyro0,accel0 (from 0)."),
+    click.option("--keep-gyro-at-boot", is_flag=True, help="ArduPilot: keep the gyro offsets (INS_GYR_CAL = 0)."),
+    click.option(
+        "--mark-calibrated/--no-mark-calibrated", default=None, help="ArduPilot: mark the sensors as calibrated."
+    ),
+    click.option(
+        "--adjust-level/--no-adjust-level",
+        default=None,
+        help="Carry the level over to a new accelerometer calibration.",
+    ),
+    click.option("--confirm-mounting", is_flag=True, help="Confirm that a compass is mounted as the job finds it."),
+    click.option("--device-ids", metavar="SENSOR=ID,...", help="PX4: device id of a sensor without a row."),
+    click.option(
+        "--accel-temperature", metavar="SENSOR=DEGC,...", help="PX4: temperature at which CAL_ACC in force was taken."
+    ),
+)
+NAMES = (
+    *("only", "keep_gyro_at_boot", "mark_calibrated", "adjust_level"),
+    *("confirm_mounting", "device_ids", "accel_temperature"),
+)
+_TWO_WAYS = frozenset({"mark_calibrated", "adjust_level"})
+"""Switches that can be given either way; the others are only ever switched on."""
+
+
+def plan_options(command: Command) -> Command:
+    """Add every option of a plan that a live job can have."""
+    for option in reversed(_OPTIONS):
+        command = option(command)
+    return command
+
+
+def given(options: dict[str, Any]) -> dict[str, Any]:
+    """Those that were given, as plain data. Takes them out of `options`."""
+    said = {name: options.pop(name) for name in NAMES}
+    found = {n: v for n, v in said.items() if v is not None and (v is not False or n in _TWO_WAYS)}
+    if "only" in found:
+        found["only"] = [part for part in found["only"].split(",") if part]
+    for name in ("device_ids", "accel_temperature"):
+        if name in found:
+            found[name] = _pairs(name, found[name])
+    return found
+
+
+def _pairs(name: str, text: str) -> dict[str, float]:
+    found = {}
+    for item in text.split(","):
+        key, equals, value = item.partition("=")
+        try:
+            found[key.strip()] = float(value)
+        except ValueError:
+            equals = ""
+        if not equals:
+            raise click.UsageError(f"--{name.replace('_', '-')}: {item!r} is not SENSOR=NUMBER, as accel0=31.5")
+    return found
