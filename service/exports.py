@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 
 from calib.firmware.export import to_param, to_params, to_parm
 from calib.firmware.plan import WritePlan
+from calib.firmware.values import shown
 from calib.report import fit_to_json, plan_to_json, verification_to_json
 from service.errors import ExportUnknown, PlanMissing
 from service.jobs.model import Job
@@ -100,4 +101,4 @@ def _table(head: list[str], rows: list[list[str]]) -> str:
 
 
 def _number(value: float | None) -> str:
-    return "–" if value is None else f"{value:.7g}"
+    return "–" if value is None else shown(value, 7)

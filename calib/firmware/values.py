@@ -16,6 +16,15 @@ if TYPE_CHECKING:
     from calib.firmware.plan import Value
 
 
+def shown(value: Value, digits: int = 9) -> str:
+    """A parameter's value as a person reads it; an integer stays one, however many digits it has.
+
+    >>> shown(2147483647), shown(0.1), shown(1310988, 6), shown(float(np.float32(0.1)), 6)
+    ('2147483647', '0.1', '1310988', '0.1')
+    """
+    return str(value) if isinstance(value, int) else f"{value:.{digits}g}"
+
+
 def need(parameters: Mapping[str, Value], name: str) -> float:
     """The finite value of `name`.
 

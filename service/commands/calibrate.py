@@ -95,7 +95,7 @@ async def _calibrate(
             job = await _follow(service, job.id, screen)
             if job.state is JobState.REVIEW and job.plan is not None:
                 _show_plan(job.plan, screen)
-                if write:
+                if write and not job.plan.blockers:
                     await _writable(vehicle, wait)
                     after = service.store.last_event_id()
                     await service.jobs.apply(job.id, Accept(job.plan.sha256, reboot=reboot), None)
@@ -178,14 +178,16 @@ async def _answer_typed_lines(service: Service, job_id: str) -> None:
 
 
 def _show_plan(plan: WritePlan, screen: Screen) -> None:
-    for change in plan.changes:
-        old = "-" if change.old is None else f"{change.old:.6g}"
-        sd = "" if change.sd is None else f" +- {change.sd:.2g}"
-        screen.line(f"    {change.name:18} {old:>12} -> {change.new:.6g}{sd} {change.unit}")
-    for loss in plan.losses:
-        screen.line(f"    cannot be held: {loss.text} ({loss.cost:.3g} {loss.unit})")
+    from calib.firmware.values import shown
+
     for text in (*plan.warnings, *(f"will not be written: {b}" for b in plan.blockers)):
         screen.line(f"    note: {text}")
+    for change in plan.changes:
+        old = "-" if change.old is None else shown(change.old, 6)
+        sd = "" if change.sd is None else f" +- {change.sd:.2g}"
+        screen.line(f"    {change.name:18} {old:>12} -> {shown(change.new, 6)}{sd} {change.unit}".rstrip())
+    for loss in plan.losses:
+        screen.line(f"    cannot be held: {loss.text} ({loss.cost:.3g} {loss.unit})")
 
 
 def _show_end(job: Job, screen: Screen, *, written: bool) -> None:

@@ -9,10 +9,15 @@ from typing import Any
 import click
 
 from calib.converted import Convention, Converted, c_header, converted
+from calib.errors import CalibError
 from calib.fit import FitResult, FitStatus
 from calib.methods import METHODS, Method
+from calib.recording import Recording
 from service.commands.output import EXIT_NO, json_option, write_json
 from service.commands.reading import face_option, read_recording, reading_options, split_reading
+
+HEADER = ".h"
+"""Ending of an export that is no parameter file but C."""
 
 
 @click.group()
@@ -49,13 +54,22 @@ def _subcommand(method: Method) -> click.Command:
             raise click.UsageError(f"{method.name} takes one FILE, not {len(files)}")
         if len(files) > 1 and faces:
             raise click.UsageError("give either FILEs, or --face LABEL=FILE for every face")
+        if export is not None:
+            require_place(export)
         recordings = [read_recording(file, faces, reading) for file in (files or (None,))]
         recording = recordings[-1]  # whose parameters are the newest: export starts from them
-        fits = method.run_pooled(recordings, {k: v for k, v in chosen.items() if v is not None})
         if export is not None:
-            _export(recording, fits, export)
-        _tell(fits, as_form, as_json=as_json)
-        return EXIT_NO if any(fit.status == FitStatus.REFUSED for fit in fits) else 0
+            require_vehicle(export, recording)
+        fits = method.run_pooled(recordings, {k: v for k, v in chosen.items() if v is not None})
+        failed = ""
+        try:
+            if export is not None:
+                _export(recording, fits, export)
+        except (click.ClickException, CalibError) as error:
+            failed = str(error)
+        finally:  # whatever became of the export, the fit is told
+            _tell(fits, as_form, failed, as_json=as_json)
+        return EXIT_NO if failed or any(fit.status == FitStatus.REFUSED for fit in fits) else 0
 
     made = click.command(method.name, help=f"{method.summary}\n\nNeeds: {method.needs}")(run)
     made.params += [
@@ -74,10 +88,14 @@ def _parameter_type(kind: Any) -> Any:
     return click.Choice(list(kind)) if isinstance(kind, tuple) else kind
 
 
-def _tell(fits: tuple[FitResult, ...], convention: str | None, *, as_json: bool) -> None:
+def _tell(fits: tuple[FitResult, ...], convention: str | None, failed: str, *, as_json: bool) -> None:
+    """Show the fits; `failed` says why they were not exported."""
+    if failed:
+        click.echo(f"mavcal: {failed}", err=True)
     forms = [None if convention is None else _converted(fit, convention) for fit in fits]
     if as_json:
-        write_json(_document(fits, forms))
+        document = _document(fits, forms)
+        write_json({**document, "export": {"error": failed}} if failed else document)
         return
     for fit, form in zip(fits, forms, strict=True):
         _show(fit)
@@ -101,8 +119,34 @@ def _document(fits: tuple[FitResult, ...], forms: Sequence[Converted | None]) ->
     return documents[0] if len(documents) == 1 else {**documents[0], "fits": documents}
 
 
-def _export(recording: Any, fits: tuple[FitResult, ...], out: Path) -> None:
-    if out.suffix == ".h":
+def require_place(out: Path) -> None:
+    """Refuse what cannot be written whatever the fit says: an unknown ending, a folder that is not there."""
+    from calib.firmware.export import ParameterFormat
+
+    endings = [*(f".{form}" for form in ParameterFormat), HEADER]
+    if out.suffix not in endings:
+        raise click.UsageError(f"--export {out.name}: a file ends in {', '.join(endings)}")
+    if not out.parent.is_dir():
+        raise click.UsageError(f"--export {out}: there is no folder {out.parent}")
+
+
+def require_vehicle(out: Path, recording: Recording) -> None:
+    """Refuse parameters for a recording that does not say whose they would be, before the fit is made."""
+    from calib.firmware.fingerprint import SENSOR_IDS
+
+    if out.suffix == HEADER:
+        return
+    if recording.identity.autopilot not in SENSOR_IDS:
+        why = "the recording does not say which autopilot it is of (a table never does)"
+    elif not recording.parameters:
+        why = "the recording holds no parameters, so the fit is relative to a calibration that is not known"
+    else:
+        return
+    raise click.UsageError(f"--export {out.name}: {why}. Export to {HEADER}, or leave --export out")
+
+
+def _export(recording: Recording, fits: tuple[FitResult, ...], out: Path) -> None:
+    if out.suffix == HEADER:
         _write(out, c_header(fits))
         return
     from calib.firmware.compose import compose

@@ -19,6 +19,7 @@ class Screen:
         self._terminal = sys.stderr.isatty()
         self._open = False
         self._told: tuple[object, ...] = ()
+        self._asked = ""
 
     def line(self, text: str = "", *, bold: bool = False) -> None:
         """A line that stays."""
@@ -28,7 +29,10 @@ class Screen:
         click.secho(text, err=True, bold=bold)
 
     def prompt(self, text: str) -> None:
-        """What the operator is asked to do."""
+        """What the operator is asked to do; said once, although its details may change."""
+        if text == self._asked:
+            return
+        self._asked = text
         self.line(f"  > {text}", bold=True)
 
     def progress(self, progress: Mapping[str, Any]) -> None:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from calib.firmware.values import shown
 from calib.report import fit_from_json, plain
 from service.client import ApiError, ServiceClient
 from service.commands.screen import Screen
@@ -213,9 +214,9 @@ class _Demo:
 
     def _show_plan(self, plan: Json) -> None:
         for change in plan["changes"]:
-            old = "-" if change["old"] is None else f"{change['old']:.6g}"
+            old = "-" if change["old"] is None else f"{shown(change['old'], 6)}"
             sd = "" if change["sd"] is None else f" +- {change['sd']:.2g}"
-            self._screen.line(f"    {change['name']:18} {old:>12} -> {change['new']:.6g}{sd} {change['unit']}")
+            self._screen.line(f"    {change['name']:18} {old:>12} -> {shown(change['new'], 6)}{sd} {change['unit']}")
         for loss in plan["losses"]:
             self._screen.line(f"    cannot be held: {loss['text']} ({loss['cost']:.3g} {loss['unit']})")
         for warning in plan["warnings"]:

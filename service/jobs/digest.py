@@ -21,6 +21,7 @@ from calib.firmware.names import CALIBRATION_PREFIXES
 from calib.firmware.plan import Value
 from calib.firmware.streams import Assembler
 from calib.firmware.undo import Undo, calibration_changes, undo
+from calib.firmware.values import shown
 from calib.logs.tlog import read_tlog
 from calib.procedures.context import Answer, ProcedureContext
 from calib.procedures.protocol import Done, GaveUp, Step
@@ -175,7 +176,7 @@ def changed(name: str, before: Value, after: Value) -> CaptureEnded:
     if name.startswith("CAL_GYRO"):
         who += " (PX4's gyro_calibration, while IMU_GYRO_CAL_EN is 1)"
     return CaptureEnded(
-        f"{name} changed from {before:.9g} to {after:.9g} during the capture, set by {who}",
+        f"{name} changed from {shown(before)} to {shown(after)} during the capture, set by {who}",
         remedy="Leave the vehicle's calibration alone while a job runs, and start the job again.",
     )
 

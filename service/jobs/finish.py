@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
+from calib.firmware.values import shown
 from service.jobs.crashpoints import At
 from service.jobs.journal import Sent, Step, same
 from service.jobs.write import Writing, check_in_place, current_values
@@ -38,5 +39,5 @@ async def _restore(w: Writing, sent: Sent) -> None:
         w.reach(At.BEFORE_RESTORE)
         value = await w.set(sent.name, sent.old, sent.kind, instead_of=sent.new)
     if not same(value, sent.old, sent.kind):
-        w.handle.warn(f"{sent.name} was set to {value:g} by somebody else meanwhile and is left so")
+        w.handle.warn(f"{sent.name} was set to {shown(value)} by somebody else meanwhile and is left so")
     await w.handle.record(Step.RESTORED, name=sent.name, value=value)

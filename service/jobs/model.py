@@ -31,6 +31,22 @@ class Failure:
     cause: str
     remedy: str
 
+    def __post_init__(self) -> None:
+        for name in ("cause", "remedy"):
+            object.__setattr__(self, name, sentence(getattr(self, name)))
+
+
+def sentence(text: str) -> str:
+    """`text` from a capital to a full stop, so that another sentence can follow.
+
+    >>> sentence("the vehicle restarted"), sentence("Nothing was written."), sentence("INS_ACC_ID is 0"), sentence("")
+    ('The vehicle restarted.', 'Nothing was written.', 'INS_ACC_ID is 0.', '')
+    """
+    text = text.strip()
+    if not text:
+        return ""
+    return text[0].upper() + text[1:] + ("" if text[-1] in ".!?" else ".")
+
 
 Outcome = Result | Failure
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from calib.firmware.values import shown
 from service.errors import WriteFailed
 from service.jobs.crashpoints import At
 from service.jobs.journal import Sent, Step, holds, same
@@ -59,7 +60,7 @@ async def _verified(w: Writing, sent: tuple[Sent, ...]) -> tuple[Standing, ...]:
         old, value = w.old_value(change), values[change.name]
         if not same(value, old, change.kind):
             await w.handle.record_anyway(Step.LEFT, name=change.name, value=value)
-            note = f"{change.name} held {old:.9g} before and holds {value:.9g} now, not set by us: it is left so"
+            note = f"{change.name} held {shown(old)} before and holds {shown(value)} now, not set by us: it is left so"
             w.handle.warn(note)
             left.append(Standing(change.name, old, change.new, value, certain=True, note=note))
     return tuple(left)

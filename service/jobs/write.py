@@ -14,6 +14,7 @@ from typing import Any, Protocol
 
 from calib.firmware.fingerprint import fingerprint
 from calib.firmware.plan import Change, ParameterKind, Value, Verification, WritePlan, snapshot_sha256
+from calib.firmware.values import shown
 from service.errors import ParameterMissing, PlanBlocked, PlanChanged, WriteFailed
 from service.jobs.crashpoints import At, CrashPoint, nowhere
 from service.jobs.guard import Guard
@@ -88,7 +89,7 @@ class Writing:
             if foreign.done():
                 setting.cancel()
                 await self.ask_who()
-                raise WriteFailed(f"somebody else set {name} to {foreign.result():.9g} meanwhile")
+                raise WriteFailed(f"somebody else set {name} to {shown(foreign.result())} meanwhile")
             return setting.result().value
         finally:
             forget()
@@ -176,7 +177,7 @@ async def check_plan(w: Writing) -> dict[str, Reading]:
     except ParameterMissing as error:
         raise PlanChanged(f"the vehicle no longer has {error.name}: plan again") from error
     now = {name: fresh[name].value for name in composed_on}
-    differing = [f"{n} was {composed_on[n]:.9g} and is {v:.9g}" for n, v in now.items() if v != composed_on[n]]
+    differing = [f"{n} was {shown(composed_on[n])} and is {shown(v)}" for n, v in now.items() if v != composed_on[n]]
     if differing:
         raise PlanChanged(f"parameters changed since the plan was made: {', '.join(differing)}. Plan again")
     if snapshot_sha256(now) != w.plan.snapshot_sha256 or fingerprint(identity, now) != w.plan.fingerprint:
@@ -252,7 +253,7 @@ async def current_values(w: Writing) -> dict[str, Value]:
 def check_in_place(changes: Iterable[Change], values: Mapping[str, Value]) -> None:
     """Raise WriteFailed naming every change whose new value is not among `values`."""
     wrong = [
-        f"{c.name} holds {values[c.name]:.9g} instead of {c.new:.9g}"
+        f"{c.name} holds {shown(values[c.name])} instead of {shown(c.new)}"
         for c in changes
         if not same(values[c.name], c.new, c.kind)
     ]

@@ -129,6 +129,49 @@ def test_an_array_of_c_holds_the_correction(cli: Cli, faces: list[str], tmp_path
 
 def test_what_is_not_whole_is_no_array(cli: Cli, faces: list[str], tmp_path: Path) -> None:
     code, _, err = cli("fit", "rest-reference", "x-up.csv", "--samples", "10", "--export", "rest.h")
-    assert code == 2
+    assert code == 1  # the fit is told, but cannot be exported
     assert "not exported as an array" in err
     assert not (tmp_path / "rest.h").exists()
+
+
+def sphere(path: Path) -> None:
+    """A compass turned through all directions, as a table."""
+    directions = np.random.default_rng(3).normal(size=(400, 3))
+    field = 48.0 * directions / np.linalg.norm(directions, axis=1, keepdims=True) + [12.0, -7.0, 30.0]
+    rows = "".join(f"{k / 50},{x},{y},{z}\n" for k, (x, y, z) in enumerate(field))
+    path.write_text("t,mag_x,mag_y,mag_z\n" + rows)
+
+
+@pytest.mark.parametrize(
+    ("out", "told"),
+    [
+        ("out.param", "does not say which autopilot"),
+        ("out.txt", "a file ends in .param, .parm, .params, .h"),
+        ("there/out.param", "there is no folder"),
+    ],
+)
+def test_an_export_that_cannot_work_is_refused_before_the_fit_is_made(
+    cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, out: str, told: str
+) -> None:
+    from calib.methods import Method
+
+    sphere(tmp_path / "x.csv")
+    worked: list[str] = []
+    monkeypatch.setattr(Method, "run_pooled", lambda method, *_: worked.append(method.name))
+    code, said, error = cli("fit", "mag-ellipsoid", "x.csv", "--export", out)
+    assert (code, said, worked) == (2, "", [])
+    assert told in error
+
+
+def test_a_fit_is_told_although_its_export_fails(cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sphere(tmp_path / "x.csv")
+    monkeypatch.setattr("service.commands.fit.require_place", lambda _: None)
+    out = tmp_path / "sub" / "out.h"
+    code, document, error = cli("fit", "mag-ellipsoid", "x.csv", "--export", str(out), "--json")
+    assert code == 1
+    assert document["model"]["offset"] == pytest.approx([12.0, -7.0, 30.0], abs=1e-6)
+    assert "cannot be written" in error
+    assert "cannot be written" in document["export"]["error"]
+    code, text, _ = cli("fit", "mag-ellipsoid", "x.csv", "--export", str(out))
+    assert code == 1
+    assert "offset_x" in text

@@ -1,0 +1,34 @@
+"""What the command line shows of a job: integers as integers, every prompt once, cause and remedy as sentences."""
+
+from __future__ import annotations
+
+import pytest
+
+from calib.firmware.plan import Change, Fingerprint, ParameterKind, WritePlan
+from service.commands.calibrate import _show_plan
+from service.commands.screen import Screen
+from service.jobs.model import Failure
+
+
+def test_an_id_is_shown_with_all_its_digits(capsys: pytest.CaptureFixture[str]) -> None:
+    change = Change("CAL_GYRO0_ID", 0, 2147483647, ParameterKind.INT32, "")
+    plan = WritePlan(Fingerprint("px4", "u", "1", ()), "0" * 64, (change,), warnings=("said first",))
+    _show_plan(plan, Screen())
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "    note: said first"
+    assert lines[1].split() == ["CAL_GYRO0_ID", "0", "->", "2147483647"]
+
+
+def test_a_prompt_is_printed_once(capsys: pytest.CaptureFixture[str]) -> None:
+    screen = Screen()
+    for text in ("turn it", "turn it", "hold it", "turn it"):
+        screen.prompt(text)
+    assert capsys.readouterr().err.split("\n") == ["  > turn it", "  > hold it", "  > turn it", ""]
+
+
+def test_cause_and_remedy_are_two_sentences() -> None:
+    failure = Failure("x", "the vehicle streams no gyro samples", "check that the sensor is there")
+    assert f"{failure.cause} {failure.remedy}" == (
+        "The vehicle streams no gyro samples. Check that the sensor is there."
+    )
+    assert Failure("x", "It stopped.", "").cause == "It stopped."
