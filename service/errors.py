@@ -43,6 +43,7 @@
     |   +-- DataDirLocked         409
     +-- AuthError                 401
     |   +-- Forbidden             403
+    |   +-- TooManyAttempts       429   carries how long to wait
     +-- UploadError               422
     |   +-- UploadTooLarge        413
     +-- RecordingUnknown          404
@@ -394,6 +395,19 @@ class Forbidden(AuthError):
     status_code = 403
     title = "Not allowed"
     code = "not-allowed"
+
+
+class TooManyAttempts(AuthError):
+    """Too many wrong keys came from this address. Wait for the stated time, then use a valid key."""
+
+    status_code = 429
+    title = "Too many attempts"
+    code = "too-many-attempts"
+
+    def __init__(self, message: str | None = None, *, wait_s: float = 0.0) -> None:
+        super().__init__(message)
+        self.wait_s = wait_s
+        """After which a key is looked at again."""
 
 
 class UploadError(ServiceError):

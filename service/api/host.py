@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import asyncio
 import sys
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.responses import JSONResponse, PlainTextResponse
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 
 import calib
 from service.api.dependencies import ServiceDep
-from service.api.models import TicketModel
+from service.api.models import AuditCheck, AuditModel, AuditPage, TicketModel
 from service.api.problems import explanations
 from service.api.security import TICKET_S, Guard, Scope, require
 
 router = APIRouter(tags=["host"])
 READ = Depends(require(Scope.READ))
+ADMIN = Depends(require(Scope.ADMIN))
 
 DESCRIPTION = "Calibrates the sensors of MAVLink vehicles from the ground, and proves that the result took effect."
 
@@ -81,3 +83,22 @@ async def ticket(request: Request) -> TicketModel:
     guard: Guard = request.app.state.guard
     key = guard.authenticate(request)
     return TicketModel(ticket=guard.ticket(key) if key else "", valid_s=TICKET_S)
+
+
+@router.get("/api/v1/audit", dependencies=[ADMIN])
+async def audit(
+    service: ServiceDep,
+    after: Annotated[int, Query(ge=0, le=2**62)] = 0,
+    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+) -> AuditPage:
+    """Who asked for what, oldest first, a page at a time."""
+    rows = await service.store.do(lambda: service.store.audit(after=after, limit=limit + 1))
+    page = [AuditModel(**vars(row)) for row in rows[:limit]]
+    return AuditPage(rows=page, next=page[-1].id if len(rows) > limit else None)
+
+
+@router.get("/api/v1/audit/check", dependencies=[ADMIN])
+async def check_audit(service: ServiceDep) -> AuditCheck:
+    """Check the hash chain of the audit trail."""
+    found = await asyncio.to_thread(service.store.check_audit)
+    return AuditCheck(intact=found.intact, **vars(found))

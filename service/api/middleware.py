@@ -9,9 +9,9 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.api.problems import internal_problem, problem
-from service.api.security import Guard
-from service.errors import Forbidden
+from service.api.problems import internal_problem, refusal
+from service.api.security import SAFE_METHODS, Guard
+from service.errors import AuthError
 from service.settings import Settings
 
 LARGEST_REQUEST_BYTES = 2**20
@@ -49,9 +49,10 @@ class Envelope:
         dressed = self._dressed(scope, sending)
         try:
             self._guard.check_origin(scope["method"], Headers(scope=scope), scope["scheme"])
-        except Forbidden as error:
-            refusal = problem(Request(scope), error.status_code, error.code, error.title, str(error))
-            await refusal(scope, receive, dressed)
+            if scope["method"] not in SAFE_METHODS:  # before anything of the body is read
+                self._guard.authenticate(Request(scope))
+        except AuthError as error:
+            await refusal(Request(scope), error)(scope, receive, dressed)
             return
         try:
             await self._app(scope, _limited(scope, receive), dressed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from http import HTTPStatus
 from typing import Any
 
@@ -14,7 +15,7 @@ from starlette.exceptions import HTTPException
 
 from calib.errors import CalibError
 from service.api.addresses import relative
-from service.errors import ServiceError
+from service.errors import AuthError, ServiceError, TooManyAttempts
 
 log = structlog.get_logger(__name__)
 
@@ -40,6 +41,18 @@ def problem(request: Request, status: int, code: str, title: str, detail: str, *
         **more,
     }
     return ProblemResponse(body, status_code=status)
+
+
+def refusal(request: Request, error: AuthError) -> ProblemResponse:
+    """What a request without the right to it is answered with. A body that was not read ends the connection."""
+    answer = problem(request, error.status_code, error.code, error.title, str(error))
+    if error.status_code == 401:
+        answer.headers["WWW-Authenticate"] = "Bearer"
+    if isinstance(error, TooManyAttempts):
+        answer.headers["Retry-After"] = str(math.ceil(error.wait_s))
+    if request.headers.get("content-length", "0") != "0" or "transfer-encoding" in request.headers:
+        answer.headers["Connection"] = "close"
+    return answer
 
 
 def internal_problem(request: Request, error: Exception) -> ProblemResponse:
@@ -69,6 +82,8 @@ def install_problem_handlers(app: FastAPI) -> None:
 
     async def service_error(request: Request, error: Exception) -> ProblemResponse:
         assert isinstance(error, ServiceError)
+        if isinstance(error, AuthError):
+            return refusal(request, error)
         return problem(request, error.status_code, error.code, error.title, _without_paths(request, str(error)))
 
     async def calib_error(request: Request, error: Exception) -> ProblemResponse:

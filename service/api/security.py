@@ -8,22 +8,30 @@ from __future__ import annotations
 
 import hashlib
 import hmac
+import math
 import secrets
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from enum import StrEnum
 from typing import Annotated
 from urllib.parse import urlsplit
 
+import structlog
 from fastapi import Depends, Request
 from starlette.datastructures import Headers
 
-from service.errors import AuthError, Forbidden
+from service.api.audit import note
+from service.api.throttle import Throttle
+from service.errors import AuthError, Forbidden, TooManyAttempts
 from service.settings import ApiKey, Settings, is_loopback
+
+log = structlog.get_logger(__name__)
 
 COOKIE = "mavcal_key"
 TICKET_S = 30.0
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
+_KEY = "mavcal.key"
+"""Where a request carries the key that it was found to have."""
 _PORTS = {"http": 80, "https": 443}
 
 
@@ -66,6 +74,7 @@ class Guard:
         self._loopback_only = not settings.beyond_loopback
         self._clock = clock
         self._tickets: dict[str, tuple[float, ApiKey]] = {}
+        self._throttle = Throttle(clock)
 
     @property
     def open(self) -> bool:
@@ -91,25 +100,50 @@ class Guard:
             raise Forbidden("a page of another origin may not change anything here: open the panel of this service")
 
     def authenticate(self, request: Request) -> ApiKey | None:
-        """The key of a request; None: no keys are set.
+        """The key of a request, which is looked at once; None: no keys are set.
 
         Raises
         ------
         AuthError
             If there is none, or an unknown one.
+        TooManyAttempts
+            If this peer has given too many unknown ones.
         """
         if self.open:
             return None
-        ticket = request.query_params.get("ticket")
-        if ticket is not None and request.method in SAFE_METHODS:
-            return self._redeem(ticket)
+        if _KEY not in request.scope:
+            request.scope[_KEY] = self._authenticated(request)
+        key: ApiKey = request.scope[_KEY]
+        return key
+
+    def _authenticated(self, request: Request) -> ApiKey:
+        ticket = request.query_params.get("ticket") if request.method in SAFE_METHODS else None
         scheme, _, bearer = request.headers.get("authorization", "").partition(" ")
         key = bearer if scheme.lower() == "bearer" else request.cookies.get(COOKIE, "")
+        if ticket is None and not key:
+            raise AuthError("an API key is needed: send it as `Authorization: Bearer <key>`")
+        peer = request.client.host if request.client else "unknown"
+        wait_s = self._throttle.wait_s(peer)
+        if wait_s > 0.0:
+            raise TooManyAttempts(
+                f"too many wrong keys came from {peer}: wait {math.ceil(wait_s)} s, then use a valid key",
+                wait_s=wait_s,
+            )
+        try:
+            return self._redeem(ticket) if ticket is not None else self._owner(key)
+        except AuthError:
+            self._throttle.failed(peer)
+            log.warning("login failed", peer=peer, path=request.scope["path"][:200], ticket=ticket is not None)
+            if self._throttle.wait_s(peer) > 0.0:
+                log.warning("logins throttled", peer=peer)
+            raise
+
+    def _owner(self, key: str) -> ApiKey:
         given = digest(key)
         for known, owner in self._keys.items():
             if hmac.compare_digest(known, given):
                 return owner
-        raise AuthError("an API key is needed: send it as `Authorization: Bearer <key>`")
+        raise AuthError("this API key is not known: send a valid one as `Authorization: Bearer <key>`")
 
     def ticket(self, key: ApiKey) -> str:
         """A ticket for one event stream, for browsers, whose EventSource cannot send headers."""
@@ -126,14 +160,16 @@ class Guard:
         return key
 
 
-def require(scope: Scope) -> Callable[[Request], None]:
-    """A dependency that lets a request pass only with `scope`."""
+def require(scope: Scope) -> Callable[[Request], Awaitable[None]]:
+    """A dependency that lets a request pass only with `scope`; what asks for a change goes to the audit trail first."""
 
-    def check(request: Request) -> None:
+    async def check(request: Request) -> None:
         guard: Guard = request.app.state.guard
         key = guard.authenticate(request)
         if key is not None and scope not in key.scopes and Scope.ADMIN not in key.scopes:
             raise Forbidden(f"the key of {key.name!r} lacks the scope {scope.value!r}")
+        if request.method not in SAFE_METHODS and scope is not Scope.READ:
+            await note(request, _actor(request))
 
     return check
 

@@ -1,15 +1,18 @@
 """What the service asks of durable state.
 
 Every method that changes something returns only when the change would survive a loss of power, except
-:meth:`Store.add_event`, whose rows are lost first. Methods may be called from any thread.
+:meth:`Store.add_event`, whose rows are lost first. Methods may be called from any thread;
+from an event loop those that write go through :meth:`JobStore.do` or :meth:`JobStore.soon`, which keep their order.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
+from concurrent.futures import Future
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeVar
 
+from service.store.chain import ChainCheck
 from service.store.rows import (
     AuditRow,
     EventRow,
@@ -24,9 +27,19 @@ from service.store.rows import (
     SnapshotRow,
 )
 
+T = TypeVar("T")
+
 
 class JobStore(Protocol):
     """Jobs, what happened to them, and what was done to vehicles on their behalf."""
+
+    def soon(self, work: Callable[[], T]) -> Future[T]:
+        """Have `work` done in the store's own thread, after everything that was asked of it before."""
+        ...
+
+    async def do(self, work: Callable[[], T]) -> T:
+        """The same, and wait for it without holding up the event loop."""
+        ...
 
     def save_job(self, row: JobRow, *, event: tuple[str, Json] | None = None) -> EventRow | None:
         """Insert or replace a job; with `event` (kind, data) the change and its event are one transaction."""
@@ -136,8 +149,12 @@ class Store(JobStore, Protocol):
         """Use a key for a request; raises StoreError if it was used before."""
         ...
 
-    def add_audit(self, at: float, actor: str, action: str, subject: str, detail: Json) -> None:
-        """Append to the audit trail."""
+    def add_audit(self, at: float, actor: str, action: str, subject: str, detail: Json) -> AuditRow:
+        """Append to the audit trail; the row's digest covers all rows before it."""
+        ...
+
+    def check_audit(self) -> ChainCheck:
+        """Whether the audit trail is as it was written."""
         ...
 
     def audit(self, *, after: int = 0, limit: int = 1000) -> tuple[AuditRow, ...]:

@@ -119,3 +119,5 @@ class AuditRow:
     action: str
     subject: str
     detail: Json
+    sha256: str | None = None
+    """Covers this row and all before it (:mod:`service.store.chain`); None: from before there was a chain."""

@@ -280,12 +280,12 @@ async def test_the_operator_is_asked_to_restart(make_bench: MakeBench) -> None:
 
 async def test_a_full_disk_before_a_send_takes_back_what_was_sent(make_bench: MakeBench) -> None:
     bench = make_bench()
-    page_limit = bench.store._read("PRAGMA max_page_count")[0][0]
+    page_limit = bench.store._db.execute("PRAGMA max_page_count").fetchone()[0]
 
     def full(n: int) -> None:
         if n == 1:
-            pages = bench.store._read("PRAGMA page_count")[0][0]
-            bench.store._read(f"PRAGMA max_page_count = {pages}")
+            pages = bench.store._db.execute("PRAGMA page_count").fetchone()[0]
+            bench.store._db.execute(f"PRAGMA max_page_count = {pages}")
             while True:  # use up what is left of the last page
                 try:
                     bench.store.add_event("j1", 0.0, "filler", {"x": "y" * 50})
@@ -296,7 +296,7 @@ async def test_a_full_disk_before_a_send_takes_back_what_was_sent(make_bench: Ma
     await bench.apply()
     assert bench.held() == BEFORE
     assert bench.state == JobState.REVERTED
-    bench.store._read(f"PRAGMA max_page_count = {page_limit}")
+    bench.store._db.execute(f"PRAGMA max_page_count = {page_limit}")
 
 
 CRASHES = [

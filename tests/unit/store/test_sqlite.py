@@ -179,13 +179,13 @@ def test_one_process_owns_a_data_directory(tmp_path: Path) -> None:
 def test_a_full_disk_is_said_and_leaves_nothing_behind(tmp_path: Path) -> None:
     store = SqliteStore(tmp_path)
     store.save_job(row())
-    pages = store._read("PRAGMA page_count")[0][0]
-    store._read(f"PRAGMA max_page_count = {pages}")
+    pages = store._db.execute("PRAGMA page_count").fetchone()[0]
+    store._db.execute(f"PRAGMA max_page_count = {pages}")
     with pytest.raises(DiskFull, match="Free some space"):
         store.save_job(JobRow("big", "v", "gyro", "queued", 0.0, 0.0, {"x": "y" * 1_000_000}))
     assert store.job("big") is None
     assert store.job("j1") == row()
-    store._read("PRAGMA max_page_count = 1000000")
+    store._db.execute("PRAGMA max_page_count = 1000000")
     store.save_job(row("j2"))  # goes on once there is space
     store.close()
 
