@@ -27,6 +27,8 @@ from calib.firmware.plan import (
     Movement,
     ParameterKind,
     ParameterVerdict,
+    SensorCheck,
+    SensorVerdict,
     Verdict,
     Verification,
     WritePlan,
@@ -165,7 +167,12 @@ def plan_from_json(data: Mapping[str, Any]) -> WritePlan:
 
 def verification_to_json(verification: Verification) -> Json:
     """The JSON of a physical check, with its summary."""
-    return {**plain(verification), "proved": verification.proved, "contradicted": list(verification.contradicted)}
+    return {
+        **plain(verification),
+        "proved": verification.proved,
+        "contradicted": list(verification.contradicted),
+        "refuted": [f"{check.id} of {check.sensor} {check.instance + 1}" for check in verification.refuted],
+    }
 
 
 def verification_from_json(data: Mapping[str, Any]) -> Verification:
@@ -182,6 +189,7 @@ def verification_from_json(data: Mapping[str, Any]) -> Verification:
                 ParameterVerdict(**{**item, "verdict": Verdict(item["verdict"])}) for item in data["parameters"]
             ),
             movement=_movement_from(data["movement"]),
+            sensors=tuple(_sensor_check_from(item) for item in data.get("sensors", ())),
         )
 
 
@@ -251,6 +259,10 @@ def _number(value: float | None) -> float:
 
 def _movement_from(data: Mapping[str, Any] | None) -> Movement | None:
     return None if data is None else Movement(**{**data, "faces": tuple(data["faces"])})
+
+
+def _sensor_check_from(data: Mapping[str, Any]) -> SensorCheck:
+    return SensorCheck(**{**data, "sensor": Sensor(data["sensor"]), "verdict": SensorVerdict(data["verdict"])})
 
 
 def _change_from(data: Mapping[str, Any]) -> Change:

@@ -167,12 +167,44 @@ class Movement:
     """Bring the sensors to about this temperature, degC. None: any."""
 
 
+class SensorVerdict(StrEnum):
+    """Whether a sensor reads, after a write, what it should."""
+
+    RIGHT = "right"  # within the limit
+    WRONG = "wrong"  # beyond the limit in every reading of it
+    NOT_OBSERVABLE = "not_observable"  # it was never at rest, or nothing says what it should read
+
+
+@dataclass(frozen=True)
+class SensorCheck:
+    """What one sensor reads after the write beside what it should: zero, gravity, another unit's direction, level."""
+
+    id: str
+    """``gyro_zero``, ``accel_gravity``, ``accel_direction`` or ``level``."""
+    sensor: Sensor
+    instance: int
+    value: float | None
+    """How far it is off, in `unit`; None: not observed."""
+    limit: float | None
+    """The most that noise, drift and the fit's own uncertainty explain, in `unit`."""
+    unit: str
+    sd: float | None
+    """Standard deviation of `value`, the uncertainty of the fit included."""
+    verdict: SensorVerdict
+    text: str
+
+
 @dataclass(frozen=True)
 class Verification:
-    """The physical check of a plan, and the movement that would prove what is still open (None: none would)."""
+    """The physical check of a plan, and the movement that would prove what is still open (None: none would).
+
+    Two questions: do the written parameters act (`parameters`), and do the sensors read right with them (`sensors`)?
+    A calibration of another vehicle acts, and leaves the sensors wrong.
+    """
 
     parameters: tuple[ParameterVerdict, ...]
     movement: Movement | None = None
+    sensors: tuple[SensorCheck, ...] = ()
 
     @property
     def contradicted(self) -> tuple[str, ...]:
@@ -180,10 +212,24 @@ class Verification:
         return tuple(p.name for p in self.parameters if p.verdict == Verdict.CONTRADICTED)
 
     @property
+    def refuted(self) -> tuple[SensorCheck, ...]:
+        """The sensors that read wrong although their parameters act."""
+        return tuple(check for check in self.sensors if check.verdict == SensorVerdict.WRONG)
+
+    @property
+    def must_go(self) -> str:
+        """Why the write has to be taken back, in a sentence; empty if it may stay."""
+        said = []
+        if self.contradicted:
+            said.append(f"accepted but without effect on the stream: {', '.join(self.contradicted)}")
+        said += [check.text for check in self.refuted]
+        return "; ".join(said)
+
+    @property
     def proved(self) -> bool:
-        """Whether every parameter that acts on a stream is proved, and there is one."""
+        """Whether every parameter that acts on a stream is proved, there is one, and no sensor reads wrong."""
         acting = [p.verdict for p in self.parameters if p.acts_on_stream]
-        return bool(acting) and all(verdict == Verdict.PROVED for verdict in acting)
+        return bool(acting) and not self.refuted and all(verdict == Verdict.PROVED for verdict in acting)
 
 
 def snapshot_sha256(values: Mapping[str, Value]) -> str:

@@ -20,6 +20,7 @@ from calib.firmware.fitted import pair_fits
 from calib.firmware.force import force_of
 from calib.firmware.movement import movement_for
 from calib.firmware.plan import ParameterVerdict, Value, Verdict, Verification, WritePlan
+from calib.firmware.sensor_check import sensor_checks
 from calib.fit import FitResult
 from calib.recording import Recording, Sensor
 
@@ -74,7 +75,8 @@ def verify(
         if check is not None:
             checks[about] = check
     verdicts = tuple(_verdict(change.name, checks, acting, now) for change in plan.changes)
-    return Verification(verdicts, movement_for(verdicts, checks))
+    sensors = sensor_checks(plan, pairs, now, force)
+    return Verification(verdicts, movement_for(verdicts, checks), sensors)
 
 
 def _parameters(before: Recording | None, after: Recording) -> dict[str, Value]:

@@ -152,9 +152,8 @@ async def _onward(w: Writing, following: Next, values: dict[str, Value]) -> None
     if following != Next.FINISH:
         verification = await w.check.after(w.guard, values)
         w.handle.change("verification", {"proved": verification.proved}, verification=verification, prompt=None)
-        if verification.contradicted:
-            names = ", ".join(verification.contradicted)
-            raise WriteFailed(f"accepted but without effect on the stream: {names}")
+        if verification.must_go:
+            raise WriteFailed(verification.must_go)
         await w.handle.record(Step.VERIFIED)
         w.reach(At.VERIFIED)
     await finish(w)

@@ -17,6 +17,8 @@ from calib.firmware.plan import (
     Movement,
     ParameterKind,
     ParameterVerdict,
+    SensorCheck,
+    SensorVerdict,
     Verdict,
     Verification,
     WritePlan,
@@ -155,9 +157,17 @@ def test_an_altered_plan_is_not_read():
 
 def test_a_verification_survives_text():
     movement = Movement("turn it", faces=("left",), turn=True, temperature=20.0)
-    check = Verification((ParameterVerdict("A", Verdict.CONTRADICTED, 0.1, 0.01, "m/s2", "t"),), movement)
+    sensors = (
+        SensorCheck("gyro_zero", Sensor.GYRO, 1, 0.01, 0.002, "rad/s", 1e-4, SensorVerdict.WRONG, "gyro 2 turns"),
+        SensorCheck("accel_gravity", Sensor.ACCEL, 0, None, None, "m/s2", None, SensorVerdict.NOT_OBSERVABLE, "moved"),
+    )
+    verdict = ParameterVerdict("A", Verdict.CONTRADICTED, 0.1, 0.01, "m/s2", "t")
+    check = Verification((verdict,), movement, sensors)
     data = through_text(verification_to_json(check))
     assert data["contradicted"] == ["A"]
+    assert data["refuted"] == ["gyro_zero of gyro 2"]
+    assert data["sensors"][0]["value"] == 0.01
+    assert check.must_go == "accepted but without effect on the stream: A; gyro 2 turns"
     assert data["proved"] is False
     assert verification_from_json(data) == check
 
