@@ -32,20 +32,13 @@ class Failure:
     remedy: str
 
     def __post_init__(self) -> None:
-        for name in ("cause", "remedy"):
-            object.__setattr__(self, name, sentence(getattr(self, name)))
+        object.__setattr__(self, "cause", _stopped(self.cause))  # it mostly follows a colon and may begin small
+        object.__setattr__(self, "remedy", _stopped(self.remedy[:1].upper() + self.remedy[1:]))
 
 
-def sentence(text: str) -> str:
-    """`text` from a capital to a full stop, so that another sentence can follow.
-
-    >>> sentence("the vehicle restarted"), sentence("Nothing was written."), sentence("INS_ACC_ID is 0"), sentence("")
-    ('The vehicle restarted.', 'Nothing was written.', 'INS_ACC_ID is 0.', '')
-    """
-    text = text.strip()
-    if not text:
-        return ""
-    return text[0].upper() + text[1:] + ("" if text[-1] in ".!?" else ".")
+def _stopped(text: str) -> str:
+    """`text` with a full stop, so that another sentence can follow."""
+    return text if not text or text[-1] in ".!?" else f"{text}."
 
 
 Outcome = Result | Failure

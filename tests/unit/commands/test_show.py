@@ -29,6 +29,6 @@ def test_a_prompt_is_printed_once(capsys: pytest.CaptureFixture[str]) -> None:
 def test_cause_and_remedy_are_two_sentences() -> None:
     failure = Failure("x", "the vehicle streams no gyro samples", "check that the sensor is there")
     assert f"{failure.cause} {failure.remedy}" == (
-        "The vehicle streams no gyro samples. Check that the sensor is there."
+        "the vehicle streams no gyro samples. Check that the sensor is there."
     )
     assert Failure("x", "It stopped.", "").cause == "It stopped."
