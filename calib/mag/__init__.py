@@ -31,7 +31,8 @@ Every fit takes samples (N, 3) in order of time and the keywords of :class:`cali
 from __future__ import annotations
 
 from calib.mag.accumulator import EllipsoidAccumulator
-from calib.mag.blur import deblurred, fit_ellipsoid_deblurred, rates_during
+from calib.mag.blur import deblurred, rates_during
+from calib.mag.blur_fit import fit_ellipsoid_deblurred
 from calib.mag.coverage import Advice, Coverage
 from calib.mag.ellipsoid import fit_ellipsoid
 from calib.mag.ellipsoid_axis import fit_ellipsoid_axis

@@ -78,7 +78,7 @@ def averaged_shape(samples: NDArray[np.generic], asked: Asked) -> ShapeFit:
     InvalidInputError, UndeterminedError
         As :func:`calib.mag.shape_fit.shape_of`.
     """
-    cloud, moments = cloud_of(samples, MagModel.SYMMETRIC)
+    cloud, moments = cloud_of(samples, MagModel.SYMMETRIC, asked.precision)
     largest = asked.prior_sd or SOFT_IRON_SD
     asked = dataclasses.replace(asked, model=MagModel.SYMMETRIC, prior_sd=largest, cross_sd=largest)
     scales = [(largest * one, largest * two) for one, two in itertools.product(_SCALES, repeat=2)]

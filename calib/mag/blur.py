@@ -1,37 +1,35 @@
 """Motion blur of a compass whose output is the mean over a time window (ArduPilot: 100 ms at 10 Hz).
 
-While the body turns at w the field turns in it at -w, and its mean over a window tau is shorter: the part that is
-perpendicular to w shrinks by ``sinc(|w| tau/2) = 1 - (w tau)^2/24 + ...``. With ``W = w w^T - |w|^2 I``,
-``mean = (I + g W) field`` and ``g = (1 - sinc(|w| tau/2))/|w|^2``. The offset of the sensor does not turn.
+While the body turns, the field turns in it the other way, and its mean over the window is shorter than the field. With
+``phi(t)`` the angle turned, up to terms of the fourth order only the scatter of that angle within the window counts:
+
+    mean = (I + (C - tr(C) I)/2) field,    C = mean of (phi - mean phi)(phi - mean phi)^T over the window
+
+so a turn that stops half-way blurs less than its mean square rate says. A steady turn at w has ``C = w w^T tau^2/12``,
+and exactly ``mean = field sinc(|w| tau/2)`` across the axis; this also scales the rest. The offset does not turn.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import math
 from dataclasses import dataclass
-from typing import Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicHermiteSpline
 
 from calib.errors import InvalidInputError
-from calib.fit import FitResult, FitStatus
-from calib.mag.ellipsoid import fit_ellipsoid
-from calib.mag.result import MagFacts
-from calib.mag.shape import MagModel
+from calib.mag.samples import CHUNK
 from calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 
 CORRECTABLE = 0.02
-"""Shrinkage up to which blur is computed back; beyond (7 rad/s at 100 ms) the rate within the window is not known well
+"""Shrinkage up to which blur is computed back; beyond (7 rad/s at 100 ms) the angle within the window is not known well
 enough."""
 
-_KNOWN_TO = 0.03
-"""Error of the blur that is computed back, relative: window and gyro are known to some milliseconds."""
-
-_ROUNDS = 2  # the model that the correction needs is itself better after one
+_INSTANTS = 16  # of the window whose angles are looked at: the scatter is short of the integral by 1/16^2, added below
+_STEP = 0.005  # s by which the window is moved to see what a time lag does
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,22 +38,33 @@ class Rates:
 
     Parameters
     ----------
-    squares : shape (N, 3, 3)
-        Mean of ``w w^T`` over the window, (rad/s)^2; 0 where not known.
+    ends : shape (N,)
+        When each window ends, s.
+    turn : shape (N, 3)
+        Angle that was turned during the window, rad.
+    scatter : shape (N, 3, 3)
+        C of the module's equation, rad^2; 0 where not known.
+    drift : shape (N, 3, 3)
+        By how much C is larger if the compass's time stamps are late, rad^2 per second.
     known : shape (N,)
         Whether the gyro covers the window.
     window
         Length of the window, s.
+    interval
+        Between samples of the gyro, s: the messages that carry them carry the compass as well.
     """
 
-    squares: Array
+    ends: Array
+    turn: Array
+    scatter: Array
+    drift: Array
     known: NDArray[np.bool_]
     window: float
+    interval: float = 0.0
 
     def shrinkage(self) -> Array:
         """How much shorter a field perpendicular to the axis of rotation reads, (N,): 0.01 is one percent."""
-        speed = np.sqrt(np.trace(self.squares, axis1=1, axis2=2))
-        return np.asarray(1.0 - np.sinc(speed * self.window / (2.0 * np.pi)))
+        return _shrinkage(self.scatter)
 
     def sharp(self, limit: float = CORRECTABLE) -> NDArray[np.bool_]:
         """The samples (N,) whose blur is known and at most `limit`."""
@@ -63,11 +72,49 @@ class Rates:
 
     def take(self, rows: NDArray[np.bool_] | slice) -> Rates:
         """The rates of the samples `rows`."""
-        return Rates(self.squares[rows], self.known[rows], self.window)
+        return Rates(
+            self.ends[rows],
+            self.turn[rows],
+            self.scatter[rows],
+            self.drift[rows],
+            self.known[rows],
+            self.window,
+            self.interval,
+        )
+
+    def turned(self, rotation: Array) -> Rates:
+        """The same in axes that `rotation` (3, 3) leads to."""
+        return dataclasses.replace(
+            self,
+            turn=self.turn @ rotation.T,
+            scatter=rotation @ self.scatter @ rotation.T,
+            drift=rotation @ self.drift @ rotation.T,
+        )
+
+    def adjusted(self, gain: float, lag: float, axes: Array) -> Rates:
+        """With a blur that is stronger by the fraction `gain`, time stamps that are late by `lag`, s, and another gyro.
+
+        What it calls phi is then `axes` (3, 3) times that.
+        """
+        late = dataclasses.replace(self, scatter=(1.0 + gain) * (self.scatter + lag * self.drift))
+        return late.turned(axes)
+
+    def followed_by(self, *others: Rates) -> Rates:
+        """These and the `others`, in this order."""
+        parts = (self, *others)
+        return Rates(
+            np.concatenate([p.ends for p in parts]),
+            np.concatenate([p.turn for p in parts]),
+            np.concatenate([p.scatter for p in parts]),
+            np.concatenate([p.drift for p in parts]),
+            np.concatenate([p.known for p in parts]),
+            self.window,
+            self.interval,
+        )
 
 
 def rates_during(t: ArrayLike, gyro_t: ArrayLike, gyro: ArrayLike, window: float) -> Rates:
-    """Rates of rotation over the window that ends at each magnetometer sample.
+    """How the body turned in the window that ends at each magnetometer sample.
 
     Parameters
     ----------
@@ -76,7 +123,7 @@ def rates_during(t: ArrayLike, gyro_t: ArrayLike, gyro: ArrayLike, window: float
     gyro_t : shape (M,)
         Times of the gyro's samples on the same clock, increasing.
     gyro : shape (M, 3)
-        rad/s. A bias of 0.1 rad/s is no matter here.
+        rad/s. A bias of 0.01 rad/s is no matter here.
     window
         What the compass averages over, s; 0: it does not.
 
@@ -93,76 +140,68 @@ def rates_during(t: ArrayLike, gyro_t: ArrayLike, gyro: ArrayLike, window: float
         raise InvalidInputError("the gyro must be finite and its time stamps increasing")
     if not window >= 0.0:
         raise InvalidInputError(f"a compass cannot average over {window} s")
-    squares = (rates[:, :, None] * rates[:, None, :]).reshape(-1, 9)
-    known = (ends >= times[0]) & (ends <= times[-1] + window) & _without_gap(ends, times, window)
+    interval = float(np.median(np.diff(times)))
+    known = _known(ends, times, window, interval)
     if window == 0.0:
-        return Rates(np.zeros((len(ends), 3, 3)), known, 0.0)
-    steps = 0.5 * (squares[1:] + squares[:-1]) * np.diff(times)[:, None]
-    integral = np.vstack([np.zeros(9), np.cumsum(steps, axis=0)])
-    late, early = np.clip(ends, times[0], times[-1]), np.clip(ends - window, times[0], times[-1])
-    mean = np.empty((len(ends), 9))
-    for k in range(9):
-        mean[:, k] = np.interp(late, times, integral[:, k]) - np.interp(early, times, integral[:, k])
-    mean /= np.maximum(late - early, 1e-9)[:, None]
-    mean[~known] = 0.0
-    return Rates(mean.reshape(-1, 3, 3), known, window)
+        nothing = np.zeros((len(ends), 3, 3))
+        return Rates(ends, np.zeros((len(ends), 3)), nothing, nothing, known, 0.0, interval)
+    steps = 0.5 * (rates[1:] + rates[:-1]) * np.diff(times)[:, None]
+    angle = CubicHermiteSpline(times, np.vstack([np.zeros(3), np.cumsum(steps, axis=0)]), rates)
+
+    ahead, here, behind = _scatters(angle, ends, window, (times[0], times[-1]))
+    turn = angle(np.clip(ends, times[0], times[-1])) - angle(np.clip(ends - window, times[0], times[-1]))
+    drift = (ahead - behind) / (2.0 * _STEP)
+    for array in (turn, here, drift):
+        array[~known] = 0.0
+    return Rates(ends, turn, here, drift, known, window, interval)
 
 
-def _without_gap(ends: Array, times: Array, window: float) -> NDArray[np.bool_]:
-    """Whether a gyro sample lies within twice the window around every one of `ends`."""
-    after = np.searchsorted(times, ends)
-    before = np.clip(after - 1, 0, len(times) - 1)
-    nearest = np.minimum(np.abs(times[before] - ends), np.abs(times[np.clip(after, 0, len(times) - 1)] - ends))
-    return np.asarray(nearest <= max(2.0 * window, 0.2))
+def _scatters(
+    angle: CubicHermiteSpline, ends: Array, window: float, span: tuple[float, float]
+) -> tuple[Array, Array, Array]:
+    """C (N, 3, 3) over the windows that end at `ends`, if they are late by _STEP, by nothing, and early by it.
+
+    Beyond the gyro's samples the body is taken to rest.
+    """
+    instants = (np.arange(_INSTANTS) + 0.5) / _INSTANTS * window
+    found = np.empty((3, len(ends), 3, 3))
+    for k, late in enumerate((_STEP, 0.0, -_STEP)):
+        for start in range(0, len(ends), CHUNK):
+            rows = slice(start, start + CHUNK)
+            phi = angle(np.clip(ends[rows, None] - late - instants, *span))
+            phi -= phi.mean(axis=1, keepdims=True)
+            found[k, rows] = np.transpose(phi, (0, 2, 1)) @ phi
+    found /= _INSTANTS * (1.0 - _INSTANTS**-2.0)
+    return found[0], found[1], found[2]
+
+
+def _known(ends: Array, times: Array, window: float, interval: float) -> NDArray[np.bool_]:
+    """Whether the gyro covers the window before every one of `ends` without a gap."""
+    slack = 1.5 * interval
+    inside = (ends - window >= times[0] - slack) & (ends <= times[-1] + slack)
+    longest = max(2.0 * window, 0.2, 3.0 * interval) if window == 0.0 else max(1.5 * window, 3.0 * interval)
+    gaps = np.flatnonzero(np.diff(times) > longest)
+    # The gaps are apart: a window touches one if one begins before its end and that one ends after its start.
+    if not len(gaps):
+        return np.asarray(inside)
+    before = np.searchsorted(times[gaps], ends) - 1
+    return np.asarray(inside & ~((before >= 0) & (times[gaps[before] + 1] > ends - window)))
+
+
+def _shrinkage(scatter: Array) -> Array:
+    angle = np.sqrt(12.0 * np.clip(np.trace(scatter, axis1=1, axis2=2), 0.0, None))
+    return np.asarray(1.0 - np.sinc(angle / (2.0 * np.pi)))
 
 
 def deblurred(samples: ArrayLike, rates: Rates, model: TriadModel) -> Array:
     """`samples` (N, 3) as they would read without motion, given a `model` of the sensor up to a common scale.
 
-    ``y = b + S u`` with u the field, hence ``S^-1 (mean - b) = (I + g W) u``.
+    ``y = b + S u`` with u the field, hence ``S^-1 (mean - b) = (I + g (C - tr(C) I)) u``. The rates are in the axes
+    that the model leads to.
     """
     array = np.asarray(samples, dtype=np.float64)
-    speed2 = np.trace(rates.squares, axis1=1, axis2=2)
-    g = rates.shrinkage() / np.maximum(speed2, 1e-12)
-    shrink = np.eye(3) + g[:, None, None] * (rates.squares - speed2[:, None, None] * np.eye(3))
+    total = np.trace(rates.scatter, axis1=1, axis2=2)
+    g = _shrinkage(rates.scatter) / np.where(total > 1e-12, total, 1.0)
+    shrink = np.eye(3) + g[:, None, None] * (rates.scatter - total[:, None, None] * np.eye(3))
     blurred = model.apply(array)
     return model.invert(np.linalg.solve(shrink, blurred[:, :, None])[:, :, 0])
-
-
-def fit_ellipsoid_deblurred(
-    samples: ArrayLike,
-    rates: Rates,
-    *,
-    model: str = MagModel.SYMMETRIC,
-    robust: bool | None = None,
-    prior_sd: float | None = None,
-    **facts: Unpack[MagFacts],
-) -> FitResult:
-    """Fit the ellipsoid to samples whose motion blur is computed back; too fast ones are left out.
-
-    Parameters
-    ----------
-    samples : shape (N, 3)
-        In order of time.
-    rates
-        Of the same N samples.
-    model, robust, prior_sd, **facts
-        As for :func:`calib.mag.ellipsoid.fit_ellipsoid`. Three percent of the mean shrinkage is added to the error of
-        the field strength.
-    """
-    array = np.asarray(samples, dtype=np.float64)
-    if len(array) != len(rates.known):
-        raise InvalidInputError(f"{len(array)} magnetometer samples, but rates of {len(rates.known)}")
-    sharp = rates.sharp()
-    kept, slow = array[sharp], rates.take(sharp)
-    field = facts.get("field")
-    if field is not None and len(kept):
-        doubt = _KNOWN_TO * float(slow.shrinkage().mean()) * field.norm
-        facts["field"] = dataclasses.replace(field, norm_sd=math.hypot(field.norm_sd, doubt))
-    fit = fit_ellipsoid(kept, model=model, robust=robust, prior_sd=prior_sd, **facts)
-    for _ in range(_ROUNDS):
-        if fit.status == FitStatus.REFUSED:
-            break
-        sharp_samples = deblurred(kept, slow, fit.model)
-        fit = fit_ellipsoid(sharp_samples, model=model, robust=robust, prior_sd=prior_sd, **facts)
-    return fit

@@ -45,7 +45,7 @@ class Pass:
     cost: float
     """Sum of the losses of the residuals, in the unit of the samples squared."""
     residuals: Array
-    """Debiased distances, (N,), positive outside."""
+    """Debiased distances, (N,), positive outside; over their relative noise, where the samples are not alike."""
 
 
 def foot_points(points: Array, axes: Array, accuracy: float = 1e-7) -> tuple[Array, Array]:
@@ -107,6 +107,7 @@ class Distances:
             points -= (frame.T @ ellipsoid.offset)[:, None]
             block = rows[:, : points.shape[1]]
             _fill_rows(block, points, axes, noise_variance, accuracy)
+            self._weigh(block, start)
             residuals[start : start + CHUNK] = block[9]
             if tukey_scale is None:
                 total += block @ block.T
@@ -120,7 +121,7 @@ class Distances:
         return Pass(to_frame.T @ total[:9, :9] @ to_frame, to_frame.T @ total[:9, 9], cost, residuals)
 
     def scores(self, ellipsoid: Ellipsoid, count: int) -> Array:
-        """Derivatives (9, n) of the distances of the first `count` samples by the nine parameters."""
+        """Derivatives (9, n) of the residuals of the first `count` samples by the nine parameters."""
         axes, frame = np.linalg.eigh(ellipsoid.shape)
         found = np.empty((N_PARAMETERS, min(count, len(self))))
         back = _parameters_in_frame(frame).T
@@ -130,8 +131,14 @@ class Distances:
             points -= (frame.T @ ellipsoid.offset)[:, None]
             block = rows[:, : points.shape[1]]
             _fill_rows(block, points, axes, 0.0, _ROUGHLY)
+            self._weigh(block, start)
             np.matmul(back, block[:N_PARAMETERS], out=found[:, start : start + block.shape[1]])
         return found
+
+    def _weigh(self, block: Array, start: int) -> None:
+        """Divide derivatives and distances by the relative noise of their samples."""
+        if self.cloud.precision is not None:
+            block *= self.cloud.precision[start : start + block.shape[1]]
 
 
 def _fill_rows(block: Array, points: Array, axes: Array, noise_variance: float, accuracy: float) -> None:

@@ -6,14 +6,16 @@ down by Tukey's bisquare, and a prior on the soft iron can stand in for movement
 
 from __future__ import annotations
 
-from typing import Unpack
+import dataclasses
+from typing import Any, Unpack
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from calib.errors import InvalidInputError, UndeterminedError
 from calib.fit import FitResult
 from calib.mag.auto import averaged_shape
-from calib.mag.result import MagContext, MagFacts, magnetometer_result, refusal
+from calib.mag.result import MagContext, MagFacts, ShapeFit, magnetometer_result, refusal
 from calib.mag.samples import real_array
 from calib.mag.shape import N_PARAMETERS, MagModel
 from calib.mag.shape_fit import METHOD, Asked, shape_of
@@ -66,17 +68,41 @@ def fit_ellipsoid(
         If the samples have another shape or are not finite, or `prior_sd` is not positive.
     """
     context = MagContext(**facts)
-    if prior_sd is not None and not prior_sd > 0.0:
-        raise InvalidInputError(f"the prior on soft iron must have a positive standard deviation, not {prior_sd}")
     array = real_array(samples)
     try:
-        if model == AUTO:
-            fit = averaged_shape(array, Asked(context, robust, prior_sd))
-        else:
-            fit = shape_of(array, Asked(context, robust, prior_sd, model=_model_named(model)))
+        fit = ellipsoid_shape(array, context, model=model, robust=robust, prior_sd=prior_sd)
     except UndeterminedError as error:
         return refusal(METHOD, error, len(array), context)
     return magnetometer_result(fit, array, context)
+
+
+def ellipsoid_shape(
+    samples: NDArray[Any],
+    context: MagContext,
+    *,
+    model: str = MagModel.SYMMETRIC,
+    robust: bool | None = None,
+    prior_sd: float | None = None,
+    precision: NDArray[np.float64] | None = None,
+    least_variance: float = 0.0,
+) -> ShapeFit:
+    """The ellipsoid alone, before the verdict; parameters as for :func:`fit_ellipsoid`.
+
+    `precision` and `least_variance` are those of :class:`calib.mag.shape_fit.Asked`.
+
+    Raises
+    ------
+    InvalidInputError
+        As :func:`fit_ellipsoid`.
+    UndeterminedError
+        If the samples leave a parameter open.
+    """
+    if prior_sd is not None and not prior_sd > 0.0:
+        raise InvalidInputError(f"the prior on soft iron must have a positive standard deviation, not {prior_sd}")
+    asked = Asked(context, robust, prior_sd, precision=precision, least_variance=least_variance)
+    if model == AUTO:
+        return averaged_shape(samples, asked)
+    return shape_of(samples, dataclasses.replace(asked, model=_model_named(model)))
 
 
 def _model_named(name: str) -> MagModel:

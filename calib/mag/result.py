@@ -35,6 +35,7 @@ FIELD_TOLERANCE = 0.2
 """Departure of the fitted from the modelled field strength, relative, that is reported."""
 
 _ROUGHEST = 0.15  # residual relative to the radius from which on the samples are no ellipsoid
+_VISIBLE = 1e-4  # of the field: a residual below that moves no heading by a hundredth of a degree, whatever its cause
 _MISFIT = 1.3  # residuals larger than the noise by this factor are reported as misfit
 _MANY = 20_000  # samples that are enough to draw a coverage mask
 
@@ -291,7 +292,8 @@ def _warnings(fit: ShapeFit, context: MagContext, quality: Mapping[str, Any]) ->
     chi2 = quality["chi2"]
     if chi2 is not None and fit.dof > 0:
         excess = math.sqrt(chi2 / fit.dof)
-        if excess > max(_MISFIT, 1.0 + 3.0 / math.sqrt(2.0 * fit.dof)):
+        visible = quality["residual_rms"] > _VISIBLE * quality["radius"]
+        if visible and excess > max(_MISFIT, 1.0 + 3.0 / math.sqrt(2.0 * fit.dof)):
             found.append(
                 f"residuals are {excess:.1f} times the noise: the samples are not quite an ellipsoid (blur, currents, "
                 f"steel nearby); the stated uncertainty includes it (variance x {quality['variance_inflation']:.1f})"

@@ -41,16 +41,18 @@ class Cloud:
     samples: NDArray[Any]
     centre: Array
     scale: float
+    precision: Array | None = None
+    """One over the noise of every sample (N,), relative to a sample that only has the sensor's; None: all are alike."""
 
     @classmethod
-    def of(cls, samples: NDArray[Any]) -> Cloud:
+    def of(cls, samples: NDArray[Any], precision: Array | None = None) -> Cloud:
         """The cloud of checked `samples`."""
         seen = samples[:: max(1, len(samples) // _LOOKED_AT)].astype(np.float64)
         centre = seen.mean(axis=0)
         scale = float(np.sqrt(np.mean(np.sum((seen - centre) ** 2, axis=1))))
         if not scale > 0.0:  # the few that were looked at are one and the same
             scale = max(float(np.linalg.norm(np.abs(samples - centre).max(axis=0))), 1e-300)
-        return cls(samples, centre, scale)
+        return cls(samples, centre, scale, precision)
 
     def __len__(self) -> int:
         return len(self.samples)
@@ -63,11 +65,24 @@ class Cloud:
 
     def take(self, rows: NDArray[Any] | slice) -> Cloud:
         """The samples `rows` (indices, a mask or a slice), with the same centre and scale."""
-        return Cloud(self.samples[rows], self.centre, self.scale)
+        precision = None if self.precision is None else self.precision[rows]
+        return Cloud(self.samples[rows], self.centre, self.scale, precision)
 
     def scaled(self) -> Array:
         """All samples in units of `scale`, (N, 3): for few only."""
         return np.asarray((self.samples - self.centre) * (1.0 / self.scale))
+
+
+def not_repeated(samples: NDArray[Any]) -> NDArray[np.bool_]:
+    """Which of `samples` (N, 3) differ from the one before.
+
+    A reading that repeats the last one to its last digit brings nothing new: it was sent twice, or the sensor was held
+    still and its steps are coarser than its noise. Taken for samples with noise of their own they would make the
+    error of one step look like the mean of many.
+    """
+    fresh = np.ones(len(samples), dtype=np.bool_)
+    fresh[1:] = (samples[1:] != samples[:-1]).any(axis=1)
+    return fresh
 
 
 def check_samples(samples: ArrayLike, minimum: int, *, may_repeat: bool = False) -> Array:

@@ -35,6 +35,10 @@ class Asked:
     cross_sd: float | None = None
     """Of the three cross terms; None: as `prior_sd`."""
     model: MagModel = MagModel.SYMMETRIC
+    precision: Array | None = None
+    """Of the samples, as :class:`calib.mag.samples.Cloud` has it."""
+    least_variance: float = 0.0
+    """Of the residuals, in the unit of the samples squared: how well they fit does not make them better than that."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +54,7 @@ class Found:
         return None if self.tukey_scale is None else bisquare(self.solution.last.residuals, self.tukey_scale)[0]
 
 
-def cloud_of(samples: NDArray[np.generic], model: MagModel) -> tuple[Cloud, Moments]:
+def cloud_of(samples: NDArray[np.generic], model: MagModel, precision: Array | None = None) -> tuple[Cloud, Moments]:
     """The cloud of `samples` (N, 3) and its moments, checked.
 
     Raises
@@ -61,7 +65,7 @@ def cloud_of(samples: NDArray[np.generic], model: MagModel) -> tuple[Cloud, Mome
         Too few samples for `model`, or flat ones.
     """
     check_real_samples(samples, model.size + 1)
-    cloud = Cloud.of(samples)
+    cloud = Cloud.of(samples, precision)
     moments = Moments.of(cloud)
     check_not_flat(moments.scatter())
     return cloud, moments
@@ -77,7 +81,7 @@ def shape_of(samples: NDArray[np.generic], asked: Asked) -> ShapeFit:
     UndeterminedError
         If the samples are too few or flat, lie on no ellipsoid, or hold too many outliers.
     """
-    cloud, moments = cloud_of(samples, asked.model)
+    cloud, moments = cloud_of(samples, asked.model, asked.precision)
     try:
         found = minimum(cloud, moments, asked)
     except UndeterminedError:
@@ -88,9 +92,10 @@ def shape_of(samples: NDArray[np.generic], asked: Asked) -> ShapeFit:
 
 def minimum(cloud: Cloud, moments: Moments, asked: Asked) -> Found:
     """The minimum, from a start of its own."""
-    start = find_start(cloud, moments, asked.context.quantum / cloud.scale / np.sqrt(12.0), asked.model)
+    smallest = max(asked.context.quantum / np.sqrt(12.0), np.sqrt(asked.least_variance)) / cloud.scale
+    start = find_start(cloud, moments, smallest, asked.model)
     if start.outliers if asked.robust is None else asked.robust:
-        return _robust_minimum(Distances(cloud), start, asked)
+        return _robust_minimum(Distances(cloud), start, asked, np.sqrt(asked.least_variance) / cloud.scale)
     plain = gauss_newton(
         Distances(cloud),
         start.ellipsoid,
@@ -103,7 +108,7 @@ def minimum(cloud: Cloud, moments: Moments, asked: Asked) -> Found:
     return Found(plain, None)
 
 
-def _robust_minimum(distances: Distances, start: Start, asked: Asked) -> Found:
+def _robust_minimum(distances: Distances, start: Start, asked: Asked, smallest: float) -> Found:
     """Gauss-Newton with bisquare weights, the noise re-estimated from the inliers until it stays within 1 %."""
     ellipsoid, sd = start.ellipsoid, start.noise_sd
     for _ in range(_SCALE_ROUNDS):
@@ -117,7 +122,7 @@ def _robust_minimum(distances: Distances, start: Start, asked: Asked) -> Found:
             model=asked.model,
         )
         ellipsoid, previous = solution.ellipsoid, sd
-        sd = robust_sd(solution.last.residuals, 0.01 * sd)
+        sd = robust_sd(solution.last.residuals, max(0.01 * sd, smallest))
         if abs(sd - previous) <= 0.01 * sd:
             break
     return Found(solution, previous)
@@ -141,6 +146,7 @@ def with_uncertainty(found: Found, cloud: Cloud, asked: Asked) -> ShapeFit:
         variance = max(variance, known / cloud.scale**2)
     else:
         variance *= student_variance(dof)
+    variance = max(variance, asked.least_variance / cloud.scale**2)
     free = model.basis
     information, inflation = weakened_information(
         free.T @ solution.last.information @ free / max(variance, LEAST_VARIANCE),

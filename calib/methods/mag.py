@@ -14,7 +14,8 @@ from calib.errors import InvalidInputError
 from calib.faces import down_of
 from calib.fit import FitResult, FitStatus
 from calib.mag.align import Vertical, fit_alignment
-from calib.mag.blur import deblurred, fit_ellipsoid_deblurred, rates_during
+from calib.mag.blur import deblurred, rates_during
+from calib.mag.blur_fit import fit_ellipsoid_deblurred
 from calib.mag.ellipsoid import fit_ellipsoid
 from calib.mag.ellipsoid_axis import fit_ellipsoid_axis
 from calib.mag.gyro_aided import fit_gyro_aided

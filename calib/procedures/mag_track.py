@@ -13,7 +13,8 @@ from calib.earth import EarthField
 from calib.errors import CalibError, UndeterminedError
 from calib.fit import FitResult, FitStatus, parameter_names, refused
 from calib.mag.accumulator import EllipsoidAccumulator
-from calib.mag.blur import Rates, fit_ellipsoid_deblurred
+from calib.mag.blur import Rates
+from calib.mag.blur_fit import fit_ellipsoid_deblurred
 from calib.mag.coverage import Coverage
 from calib.mag.heading import DEFAULT_INCLINATION
 from calib.mag.orientation import OrientationResult, Verdict, find_orientation
@@ -192,9 +193,7 @@ class MagTrack:
 
     def _joined_rates(self) -> Rates:
         if len(self._rates) > 1:
-            squares = np.concatenate([r.squares for r in self._rates])
-            known = np.concatenate([r.known for r in self._rates])
-            self._rates = [Rates(squares, known, self._rates[0].window)]
+            self._rates = [self._rates[0].followed_by(*self._rates[1:])]
         return self._rates[0]
 
 

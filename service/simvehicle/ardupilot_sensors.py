@@ -23,6 +23,7 @@ from service.simvehicle.world import State, World
 MGAUSS_PER_UT = 10.0
 COMPASS_PERIOD_S = 0.1  # Copter's battery and compass task
 COMPASS_SUBSAMPLES = 10
+LOOP_S = 0.0025  # tasks run at a main loop of 400 Hz
 MOTOR_COMPENSATION_THROTTLE, MOTOR_COMPENSATION_CURRENT = 1, 2
 
 
@@ -48,12 +49,18 @@ class ImuReading:
     temperature: Array
 
 
+def compass_reader(world: World) -> MagReader:
+    """ArduPilot's compass task; its phase is drawn from the vehicle's seed."""
+    phase = float(np.random.default_rng([world.config.seed, 4]).uniform(0.0, COMPASS_PERIOD_S))
+    return MagReader(world, COMPASS_PERIOD_S, COMPASS_SUBSAMPLES, phase=phase, late=LOOP_S)
+
+
 class ArduPilotSensors:
     """Corrected readings of every instance; which chip an instance is was settled at boot."""
 
     def __init__(self, world: World, table: ParameterTable, faults: SensorFaults) -> None:
         self._world, self._table, self._faults = world, table, faults
-        self.reader = MagReader(world, COMPASS_PERIOD_S, COMPASS_SUBSAMPLES)
+        self.reader = compass_reader(world)
         self.accel_calibrating = False
         self._cache: dict[int, ImuCalibration] = {}
         self._cached_version = -1

@@ -13,19 +13,29 @@ KEEP = 64  # readings kept: more than any tick asks for at the highest speed
 class MagReader:
     """Raw magnetometer readings (µT, chip frame) of all instances, new once a period.
 
+    A driver's timer takes samples, and a task of the main loop reads their mean since it was last there. The task has
+    no phase in common with the timer or the streams, and comes a loop late at times: one reading averages a sample more
+    than the next, and a message carries a reading that is as old as the two are apart.
+
     Args:
         world: what is measured.
         period: seconds between fresh readings.
-        subsamples: how many instants of the period are averaged; 1 is the field at its end.
+        subsamples: how many samples the timer takes in a period; 1 is the field at its end.
+        phase: when the first period begins, s.
+        late: by how much a reading comes late at most, s.
     """
 
-    def __init__(self, world: World, period: float, subsamples: int) -> None:
-        self._world, self._period, self._subsamples = world, period, subsamples
+    def __init__(self, world: World, period: float, subsamples: int, *, phase: float = 0.0, late: float = 0.0) -> None:
+        self._world, self._period, self._phase, self._late = world, period, phase, late
+        self._step = period / subsamples
         self.restart()
 
     def restart(self) -> None:
         """Begin at vehicle time zero."""
-        self._next = 1  # index of the next reading: it is fresh at _next · period
+        self._rng = np.random.default_rng([self._world.config.seed, 5])
+        self._index = 1  # of the next reading: due at phase + index · period, or a little later
+        self._due = self._next_due()
+        self._taken = 0
         self._pending = np.empty((0, 3))
         self._times = np.zeros(1)
         count = len(self._world.truth.mags)
@@ -33,23 +43,28 @@ class MagReader:
         field = body_from_ned(first.q, self._world.field)
         self._values = [self._world.mag(k, field, np.zeros(1)) for k in range(count)]
 
+    def _next_due(self) -> float:
+        late = self._rng.uniform(0.0, self._late) if self._late > 0.0 else 0.0
+        return self._phase + self._index * self._period + late
+
     def advance(self, until: float) -> None:
         """Take all samples up to `until`: the motion must still be the one that was in force."""
-        step = self._period / self._subsamples
-        done = (self._next - 1) * self._subsamples + len(self._pending)
-        last = int(np.floor(until / step + 1e-9))
-        if last <= done:
-            return
-        t = np.arange(done + 1, last + 1) * step
-        q, _ = self._world.motion.evaluate(t)
-        field = np.concatenate([self._pending, body_from_ned(q, self._world.field)])
-        whole = len(field) // self._subsamples
-        self._pending = field[whole * self._subsamples :]
-        if whole:
-            mean = field[: whole * self._subsamples].reshape(whole, self._subsamples, 3).mean(axis=1)
-            fresh = np.arange(self._next, self._next + whole) * self._period
-            self._next += whole
-            self._append(fresh, mean)
+        last = int(np.floor(until / self._step + 1e-9))
+        if last > self._taken:
+            q, _ = self._world.motion.evaluate(np.arange(self._taken + 1, last + 1) * self._step)
+            self._pending = np.concatenate([self._pending, body_from_ned(q, self._world.field)])
+            self._taken = last
+        fresh, means = [], []
+        while self._due <= until + 1e-9:
+            count = len(self._pending) - max(last - int(np.floor(self._due / self._step + 1e-9)), 0)
+            if count > 0:
+                fresh.append(self._due)
+                means.append(self._pending[:count].mean(axis=0))
+                self._pending = self._pending[count:]
+            self._index += 1
+            self._due = self._next_due()
+        if fresh:
+            self._append(np.array(fresh), np.array(means))
 
     def _append(self, fresh: Array, field_body: Array) -> None:
         self._times = np.concatenate([self._times, fresh])[-KEEP:]

@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from calib.errors import InvalidInputError
 from calib.fit import FitStatus
-from calib.mag.blur import deblurred, fit_ellipsoid_deblurred, rates_during
+from calib.mag.blur import deblurred, rates_during
+from calib.mag.blur_fit import fit_ellipsoid_deblurred
 from calib.mag.ellipsoid import fit_ellipsoid
 from calib.mag.shape import correction
 
@@ -45,7 +46,24 @@ def test_a_steady_turn_shrinks_by_the_sinc() -> None:
     rates = rates_during([1.0], t, np.tile([0.0, 0.0, 3.0], (100, 1)), WINDOW)
     assert rates.shrinkage()[0] == pytest.approx(0.3**2 / 24, rel=0.01)
     assert rates.shrinkage()[0] == pytest.approx(1.0 - math.sin(0.15) / 0.15, rel=1e-9)
-    np.testing.assert_allclose(rates.squares[0], np.diag([0.0, 0.0, 9.0]), atol=1e-9)
+    np.testing.assert_allclose(rates.scatter[0], np.diag([0.0, 0.0, 9.0]) * WINDOW**2 / 12, atol=1e-12)
+    np.testing.assert_allclose(rates.turn[0], [0.0, 0.0, 0.3], atol=1e-12)
+
+
+def test_a_turn_that_swells_and_fades_blurs_by_the_scatter_of_its_angle() -> None:
+    """Means by quadrature: a rate of 2 + 2 sin(2 pi 0.7 t) rad/s about an axis across the field."""
+    omega = 2 * math.pi * 0.7
+    t = np.arange(0.0, 4.0, 0.02)
+    gyro = np.outer(2.0 + 2.0 * np.sin(omega * t), [0.0, 0.0, 1.0])
+    ends = np.arange(0.5, 3.5, 0.1)
+    rates = rates_during(ends, t, gyro, WINDOW)
+    fine = ends[:, None] - WINDOW * (np.arange(2000) + 0.5) / 2000
+    angle = 2.0 * fine - 2.0 / omega * np.cos(omega * fine)
+    length = np.hypot(np.cos(angle).mean(axis=1), np.sin(angle).mean(axis=1))
+    np.testing.assert_allclose(rates.shrinkage(), 1.0 - length, atol=5e-6)
+    assert (1.0 - length).max() > 6e-3
+    late = rates_during(ends + 0.004, t, gyro, WINDOW)
+    np.testing.assert_allclose(late.adjusted(0.0, 0.004, np.eye(3)).scatter, rates.scatter, atol=2e-5)
 
 
 def test_deblurring_is_exact_for_a_steady_turn(compass: Any) -> None:
@@ -89,7 +107,8 @@ def test_too_fast_and_unknown_samples_are_left_out() -> None:
 
 def test_a_gap_of_the_gyro_is_not_known() -> None:
     t = np.concatenate([np.arange(0.0, 1.0, 0.02), np.arange(4.0, 5.0, 0.02)])
-    assert rates_during([0.5, 2.5, 4.5], t, np.zeros((100, 3)), WINDOW).known.tolist() == [True, False, True]
+    ends = [0.5, 2.5, 4.01, 4.5]  # the third window begins before the gap ends
+    assert rates_during(ends, t, np.zeros((100, 3)), WINDOW).known.tolist() == [True, False, False, True]
 
 
 def test_a_compass_that_does_not_average_is_not_blurred() -> None:

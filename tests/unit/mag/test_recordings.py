@@ -11,7 +11,8 @@ from calib.earth import EarthField
 from calib.firmware import undo
 from calib.fit import FitResult, FitStatus
 from calib.logs.tlog import read_tlog
-from calib.mag.blur import fit_ellipsoid_deblurred, rates_during
+from calib.mag.blur import rates_during
+from calib.mag.blur_fit import fit_ellipsoid_deblurred
 from calib.mag.ellipsoid import fit_ellipsoid
 from calib.recording import Sensor
 

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from service.simvehicle.magreader import MagReader
+
 CLEAN = {"offset": [0, 0, 0], "matrix": np.eye(3).tolist(), "polynomial": np.zeros((3, 3)).tolist()}
 QUIET = {"accel_noise": 0.0, "gyro_noise": 0.0, "mag_noise": 0.0}
 RAW_IMU, HIGHRES, SCALED_2, SCALED_3 = 27, 105, 116, 129
@@ -111,7 +113,24 @@ def test_the_compass_is_fresh_ten_times_a_second_and_repeated_between(bench: Any
     fields = [(m.time_usec, (m.xmag, m.ymag, m.zmag)) for m in b.take("RAW_IMU")]
     changes = [t for (t, a), (_, c) in zip(fields[1:], fields, strict=False) if a != c]
     assert len(changes) == pytest.approx(30, abs=2)
-    assert {t % 100_000 for t in changes} == {0}
+    steps = np.diff(changes)
+    assert set(steps[(steps > 80_000) & (steps < 120_000)]) >= {100_000}
+    read_at = b.vehicle.sensors.reader.read_at(np.array(changes) * 1e-6)
+    age = np.array(changes) * 1e-6 - read_at
+    assert 0.0 <= age.min() <= age.max() <= 0.01  # stamped when it was sent
+    assert np.ptp(read_at % 0.1) > 1e-4  # the task comes late by part of a loop
+
+
+def test_the_phase_of_the_compass_is_the_vehicles_own(bench: Any) -> None:
+    phases = [b.vehicle.sensors.reader.read_at(np.array([1.0]))[0] % 0.1 for b in _run_for(bench, 1.0)]
+    assert np.ptp(phases) > 0.02
+
+
+def _run_for(bench: Any, seconds: float) -> list[Any]:
+    vehicles = [bench("ardupilot", seed=seed) for seed in range(1, 5)]
+    for b in vehicles:
+        b.run(seconds)
+    return vehicles
 
 
 def test_the_compass_averages_the_field_over_its_period(bench: Any) -> None:
@@ -120,7 +139,7 @@ def test_the_compass_averages_the_field_over_its_period(bench: Any) -> None:
     b = bench("ardupilot", **QUIET, truth={"mags": clean}, field_ned_ut=[40.0, 0.0, 0.0])
     rate = np.radians(240.0)
     b.vehicle.world.motion.turn(0.0, [0, 0, 1], 240.0)
-    b.vehicle.sensors.reader.restart()
+    b.vehicle.sensors.reader = MagReader(b.vehicle.world, 0.1, 10)
     b.run(3.0)
     body = b.vehicle.sensors.compass_body(0, np.array([3.0]))[0]
     length = 400.0 * np.sin(rate * 0.05) / (rate * 0.05)

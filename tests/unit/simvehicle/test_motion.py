@@ -95,7 +95,8 @@ def test_tumbling_keeps_its_pace_and_covers_the_sphere() -> None:
     motion.tumble(0.0, 45.0)
     q, rate = motion.evaluate(np.arange(0.6, 60, 0.1))
     speed = np.degrees(np.linalg.norm(rate, axis=1))
-    assert 30 < speed.min() < speed.max() < 60
+    assert 24 < speed.min() < 30  # +-17 % of 45 that swells and fades by 35 %
+    assert 60 < speed.max() < 72
     down = body_from_ned(q, np.array([0.0, 0.0, 1.0]))
     directions = np.random.default_rng(0).normal(size=(200, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)

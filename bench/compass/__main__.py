@@ -1,0 +1,43 @@
+"""``python -m bench.compass [--runs 100] [--first 1] [--rates 0,15,55,90] [--noise 0.01,0.05,0.5]``.
+
+Prints, for every rate of turn and every noise, the share in per cent of the 95 % intervals of offset, DIA and ODI that
+hold the truth. Exit code 1: a share of all intervals lies outside 93 to 97 % by more than two standard deviations.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+
+from bench.compass.campaign import Cell, Tally, run_cell, table
+
+LOW, HIGH = 0.93, 0.97
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="bench.compass", description=__doc__)
+    parser.add_argument("--runs", type=int, default=100, help="vehicles of each cell; each has three compasses")
+    parser.add_argument("--first", type=int, default=1, help="first seed")
+    parser.add_argument("--rates", default="0,15,55,90", help="deg/s; 0: held in one attitude after the other")
+    parser.add_argument("--noise", default="0.01,0.05,0.5", help="of a reading, uT")
+    args = parser.parse_args()
+    seeds = range(args.first, args.first + args.runs)
+    tallies: list[Tally] = []
+    began = time.process_time()
+    for rate in map(float, args.rates.split(",")):
+        for noise in map(float, args.noise.split(",")):
+            tallies += run_cell(Cell(rate, noise), seeds)
+            print(table(tallies[-2:]).splitlines()[2:], file=sys.stderr, flush=True)
+    print(table(tallies))
+    print(f"\nseeds {seeds.start} to {seeds.stop - 1}, {time.process_time() - began:.0f} s of processor time")
+    wrong = [t for t in tallies if t.deviations and not _true(t)]
+    return 1 if wrong else 0
+
+
+def _true(tally: Tally) -> bool:
+    return LOW - 2.0 * tally.share_sd <= tally.share <= HIGH + 2.0 * tally.share_sd
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,230 @@
+"""The ellipsoid of a compass that averages while it turns, with what is not known of the averaging in its uncertainty.
+
+The blur of a window is computed back from the gyro (:mod:`calib.mag.blur`). Some of it is not known, and for a nearly
+noise-free compass that is all that limits it:
+
+* how strong it is (the window is only about as long as stated, and the mean of n readings blurs by ``1 - 1/n^2`` of
+  what the mean of all would), one factor for all samples;
+* how late the compass's time stamps are against the gyro's (a message is stamped when it is sent, and the gyro is
+  filtered), one lag for all samples;
+* how long and how square the gyro's axes are in those of the compass, one matrix for all samples;
+* strength and lag once more for every sample: a reading is up to one message older than its stamp says, and the
+  window holds one of its readings more or less.
+
+The first three are estimated along with the ellipsoid, about what is believed of them, and what is left open of them is
+part of the covariance. The last makes samples of uneven turns worse than others: by how much, the residuals say.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Unpack
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import minimize_scalar
+
+from calib.errors import InvalidInputError, UndeterminedError
+from calib.fit import FitResult
+from calib.mag.auto import SOFT_IRON_SD
+from calib.mag.blur import Rates, deblurred
+from calib.mag.blur_axes import axes_of_gyro
+from calib.mag.distance import Distances, bisquare, score_rows, shape_prior
+from calib.mag.ellipsoid import AUTO, ellipsoid_shape, fit_ellipsoid
+from calib.mag.result import MagContext, MagFacts, ShapeFit, magnetometer_result, refusal
+from calib.mag.robust import MAD_TO_SD, OUTLIER, robust_sd
+from calib.mag.samples import Cloud, not_repeated
+from calib.mag.shape import MagModel, correction
+from calib.mag.shape_fit import METHOD
+
+Array = NDArray[np.float64]
+
+GAIN_SD = 0.03
+"""Relative, of the strength of the blur: 1 % for the mean of ten readings, and a window that is known to 1.5 %, whose
+square counts."""
+
+LAG_SD = 0.01
+"""Of the lag, s: a 20 Hz low-pass of second order delays the gyro by sqrt(2)/(2 pi 20 Hz) = 11 ms, a message interval
+of 20 ms the compass by 10 ms on average, in opposite senses."""
+
+SCALE_SD, ASKEW_SD = 0.01, 0.02
+"""Of a gyro's scale factor, relative (MEMS data sheets say 1 to 3 %), and of the angles between its axes and the
+compass's, rad: a sensor is soldered or stuck square to a degree."""
+
+_WINDOW_SD = 2.0 / (10.0 * math.sqrt(12.0))
+"""Relative, of the blur of one sample: one of about ten readings more or less, evenly, makes the window that much
+longer or shorter, and blur goes with its square."""
+
+_ROUNDS = 2  # the model that the correction needs is itself better after one, and so is what is known of the blur
+_STEPS = np.array([0.1, 0.005, *[0.03] * 9])  # of gain, lag and the nine numbers of the axes, for derivatives
+_PRIOR = np.diag(np.array([GAIN_SD, LAG_SD, *np.where(np.eye(3) > 0.0, SCALE_SD, ASKEW_SD).ravel()]) ** -2.0)
+_CLIP = 4.0  # standard deviations beyond which a residual does not say how noise depends on the turn
+_NOISES = (math.log(1e-4), math.log(1e8))  # variance of the noise over the mean square of the doubt
+_DOUBTS = tuple(math.log(c * c) for c in (2.0, 4.0, 8.0))  # what the doubt may be more than it is believed to be
+_BETTER = 4.0  # twice the gain of log-likelihood from which on it is
+_ALIKE = 0.99  # least precision at which samples count as alike
+
+
+@dataclass(frozen=True, eq=False)
+class _Timing:
+    """What is known of the blur, and what that means for the ellipsoid."""
+
+    state: Array
+    """Gain, lag, and what the axes of the gyro are more than those of the compass, row by row, (11,)."""
+    left_open: Array
+    """Covariance (9, 9) of the ellipsoid's numbers that comes from what is not known of them."""
+    precision: Array | None = None
+    """Of the samples; None: they are alike."""
+    least_variance: float = 0.0
+    """Of the residual of a sample with precision one; only where they are not alike."""
+
+
+def fit_ellipsoid_deblurred(
+    samples: ArrayLike,
+    rates: Rates,
+    *,
+    model: str = MagModel.SYMMETRIC,
+    robust: bool | None = None,
+    prior_sd: float | None = None,
+    **facts: Unpack[MagFacts],
+) -> FitResult:
+    """Fit the ellipsoid to samples whose motion blur is computed back; too fast ones and repeats are left out.
+
+    Parameters
+    ----------
+    samples : shape (N, 3)
+        In order of time.
+    rates
+        Of the same N samples, in any axes: how the gyro's lie to the compass's is found from the turning itself.
+    model, robust, prior_sd, **facts
+        As for :func:`calib.mag.ellipsoid.fit_ellipsoid`.
+    """
+    array = np.asarray(samples, dtype=np.float64)
+    if len(array) != len(rates.known):
+        raise InvalidInputError(f"{len(array)} magnetometer samples, but rates of {len(rates.known)}")
+    rows = rates.sharp()
+    rows[rows] = not_repeated(array[rows])
+    kept, slow = array[rows], rates.take(rows)
+    if slow.window == 0.0 or not len(kept):
+        return fit_ellipsoid(kept, model=model, robust=robust, prior_sd=prior_sd, **facts)
+    context = MagContext(**facts)
+    believed = SOFT_IRON_SD if model == AUTO and prior_sd is None else prior_sd
+    free = np.eye(9) if model == AUTO else MagModel(model).basis
+    sharp, timing = kept, _Timing(np.zeros(len(_STEPS)), np.zeros((9, 9)))
+
+    def fitted(*, robust: bool | None) -> ShapeFit:
+        return ellipsoid_shape(
+            sharp,
+            context,
+            model=model,
+            robust=robust,
+            prior_sd=prior_sd,
+            precision=timing.precision,
+            least_variance=timing.least_variance,
+        )
+
+    def on_the_way() -> ShapeFit:
+        # Without any noise the blur that is not computed back yet looks like outliers, and may look like too many.
+        try:
+            return fitted(robust=robust)
+        except UndeterminedError:
+            return fitted(robust=False)
+
+    try:
+        shape = on_the_way()
+        slow = slow.turned(axes_of_gyro(correction(shape.ellipsoid, 1.0).apply(kept), slow))
+        for _ in range(_ROUNDS):
+            sharp = deblurred(kept, _adjusted(slow, timing.state), correction(shape.ellipsoid, None))
+            shape = on_the_way()
+            timing = _timing(kept, slow, shape, timing, free, believed)
+        sharp = deblurred(kept, _adjusted(slow, timing.state), correction(shape.ellipsoid, None))
+        shape = fitted(robust=robust)
+    except UndeterminedError as error:
+        return refusal(METHOD, error, len(kept), context)
+    shape = dataclasses.replace(shape, covariance=shape.covariance + timing.left_open)
+    return magnetometer_result(shape, sharp, context)
+
+
+def _timing(kept: Array, slow: Rates, shape: ShapeFit, before: _Timing, free: Array, prior_sd: float | None) -> _Timing:
+    """What is known of the blur, improved by one step from those of `before`, of which `shape` is the fit."""
+    model = correction(shape.ellipsoid, None)
+
+    samples = deblurred(kept, _adjusted(slow, before.state), model)
+    by_shape = score_rows(samples, shape.ellipsoid).T  # what a step of the ellipsoid takes from the distances
+    normal = by_shape[:, :3]
+
+    by_timing = np.empty((len(kept), len(_STEPS)))
+    for k, step in enumerate(np.diag(_STEPS)):
+        change = deblurred(kept, _adjusted(slow, before.state + step), model) - samples
+        by_timing[:, k] = np.einsum("ij,ij->i", normal, change) / _STEPS[k]
+    distances = Distances(Cloud(samples, np.zeros(3), 1.0)).at(shape.ellipsoid, 0.0, None).residuals
+    distances = distances - np.average(distances)
+    doubt = np.hypot(_WINDOW_SD * by_timing[:, 0], slow.interval / math.sqrt(12.0) * by_timing[:, 1])
+    precision, least = _precision(distances, doubt)
+    weight, variance = _weights(distances * precision, precision, len(free.T))
+    variance = max(variance, least) * shape.variance_inflation
+    by_free = by_shape @ free
+    weighed = by_free * weight[:, None] / variance
+    own = weighed.T @ by_free + free.T @ shape_prior(shape.ellipsoid, prior_sd) @ free
+    both, lone = weighed.T @ by_timing, (by_timing * weight[:, None]).T @ by_timing / variance
+    share = np.linalg.solve(own, both)
+    covariance = np.linalg.inv(lone - both.T @ share + _PRIOR)
+    pull = by_timing.T @ (weight * distances) / variance - share.T @ (weighed.T @ distances)
+    state = before.state - covariance @ (pull + _PRIOR @ before.state)
+    spread = free @ share
+    left_open = spread @ covariance @ spread.T
+    return _Timing(state, left_open) if least == 0.0 else _Timing(state, left_open, precision, least)
+
+
+def _adjusted(rates: Rates, state: Array) -> Rates:
+    return rates.adjusted(float(state[0]), float(state[1]), np.eye(3) + state[2:].reshape(3, 3))
+
+
+def _precision(distances: Array, doubt: Array) -> tuple[Array, float]:
+    """One over the relative noise of every sample, and the variance at precision one (0: all samples are alike).
+
+    The variance of a sample is ``v + c^2 doubt^2`` with the likeliest v, and the likeliest c, which is one at least:
+    that some residuals are small does not make their blur better known than it can be.
+    """
+    squares = doubt**2
+    typical = float(np.mean(squares))
+    if not typical > 0.0:
+        return np.ones(len(distances)), 0.0
+    # Far off is only what neither the noise of all nor the doubt of its own explains.
+    clipped = np.maximum(_clipped(distances), np.minimum(distances**2, _CLIP**2 * squares))
+
+    def deviance(log_noise: float, log_doubt: float) -> float:
+        variances = math.exp(log_noise) * typical + math.exp(log_doubt) * squares
+        return float(np.log(variances).sum() + (clipped / variances).sum())
+
+    def likeliest(log_doubt: float) -> tuple[float, float]:
+        found = minimize_scalar(lambda x: deviance(x, log_doubt), bounds=_NOISES, method="bounded")
+        return float(found.fun), float(found.x)
+
+    least, log_noise = likeliest(0.0)
+    factor = 1.0
+    for log_doubt in _DOUBTS:
+        worse, other = likeliest(log_doubt)
+        if worse < least - _BETTER:
+            least, log_noise, factor = worse + _BETTER, other, math.exp(log_doubt)
+    noise = math.exp(log_noise) * typical
+    precision = np.sqrt(noise / (noise + factor * squares))
+    return (np.ones(len(distances)), 0.0) if float(precision.min()) > _ALIKE else (precision, noise)
+
+
+def _clipped(distances: Array) -> Array:
+    """Squares of `distances`, those of outliers of four standard deviations at most."""
+    limit = _CLIP * MAD_TO_SD * float(np.median(np.abs(distances)))
+    return np.asarray(np.minimum(distances**2, limit**2))
+
+
+def _weights(whitened: Array, precision: Array, size: int) -> tuple[Array, float]:
+    """Weight of every squared distance (N,), less for outliers, and the variance of one at precision one."""
+    sd = robust_sd(whitened, 1e-12)
+    weight = np.ones(len(whitened))
+    if float(np.abs(whitened).max()) > OUTLIER * sd:
+        weight = bisquare(whitened, sd)[0]
+    variance = float(weight @ whitened**2) / max(float(weight.sum()) - size, 1.0)
+    return weight * precision**2, max(variance, 1e-24)
