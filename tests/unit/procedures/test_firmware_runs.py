@@ -1,4 +1,4 @@
-"""Compass jobs that were run against a real ArduCopter: every parameter within three of its stated standard deviations."""
+"""Compass jobs recorded against a real ArduCopter: every parameter within three of its stated standard deviations."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from calib.firmware import undo
 from calib.logs import read
 from calib.methods import METHODS
 from calib.procedures.protocol import Done
+from calib.procedures.registry import create
 from calib.procedures.replay import replay
 from calib.recording import ParameterTimeline, Recording, Sensor
 from service.jobs.digest import context_of, field_of
@@ -63,6 +64,21 @@ def test_every_parameter_of_every_compass_of_the_job_is_within_three_stated_sd(r
     first = done.results[0]  # streamed with all its digits by HIGHRES_IMU
     assert np.abs(first.model.offset - truth[0][:3]).max() < 0.004
     assert done.results[0].n_samples <= 125
+
+
+def test_the_job_gives_the_same_digits_in_pieces_as_they_came_and_replayed(run):
+    captured, _ = run
+    context = context_of("mag", captured.identity, captured.parameters.final(), field_of(captured, AT))
+    raw = undo(captured)
+    live = create("mag", {}, context)
+    start, end = raw.span
+    for k in np.arange(start, end + 0.3, 0.3):
+        live.feed(raw.between(k, k + 0.3))
+    live.end()
+    again = replay("mag", {}, context, raw)
+    for one, other in zip(live.outcome.results, again.results, strict=True):
+        np.testing.assert_array_equal(one.values, other.values)
+        np.testing.assert_array_equal(one.sd, other.sd)
 
 
 def test_the_whole_capture_fitted_by_the_method_is_within_three_stated_sd(run):
