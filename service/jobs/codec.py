@@ -19,7 +19,19 @@ from calib.report import (
     verification_from_json,
     verification_to_json,
 )
-from service.jobs.model import Accept, Failure, Job, Outcome, Result, Span, Standing
+from service.jobs.model import (
+    Accept,
+    Attempt,
+    Failure,
+    Holds,
+    Job,
+    Outcome,
+    Result,
+    Span,
+    Standing,
+    WriteResult,
+)
+from service.jobs.proof import ProofLevel, Unproved
 from service.jobs.states import JobState
 from service.store.rows import JobRow
 
@@ -40,6 +52,7 @@ def row_from_job(job: Job) -> JobRow:
         "verification": None if job.verification is None else verification_to_json(job.verification),
         "segments": [{**dataclasses.asdict(s), "path": str(s.path)} for s in job.segments],
         "standing": [dataclasses.asdict(s) for s in job.standing],
+        "last_write": attempt_to_json(job.last_write),
         "warnings": list(job.warnings),
         "context": dict(job.context),
     }
@@ -67,7 +80,8 @@ def job_from_row(row: JobRow) -> Job:
         accept=None if body["accept"] is None else Accept(**body["accept"]),
         verification=None if body["verification"] is None else verification_from_json(body["verification"]),
         segments=tuple(Span(**{**s, "path": Path(s["path"])}) for s in body["segments"]),
-        standing=tuple(Standing(**s) for s in body["standing"]),
+        standing=tuple(Standing(**{**s, "holds": Holds(s.get("holds", "unknown"))}) for s in body["standing"]),
+        last_write=_attempt(body.get("last_write")),
         warnings=tuple(body["warnings"]),
         context=body["context"],
     )
@@ -84,7 +98,20 @@ def _outcome(data: Mapping[str, Any] | None) -> Outcome | None:
     if data is None:
         return None
     fields = {k: v for k, v in data.items() if k != "kind"}
-    return Result(**fields) if data["kind"] == "result" else Failure(**fields)
+    if data["kind"] == "failure":
+        return Failure(**fields)
+    unproved = tuple(Unproved(**u) for u in fields.pop("unproved", ()))
+    proof = ProofLevel(fields.pop("proof", "none"))
+    return Result(**fields, proof=proof, unproved=unproved)
+
+
+def attempt_to_json(attempt: Attempt | None) -> Json | None:
+    """As plain data; None: nothing was written yet."""
+    return None if attempt is None else dataclasses.asdict(attempt)
+
+
+def _attempt(data: Mapping[str, Any] | None) -> Attempt | None:
+    return None if data is None else Attempt(**{**data, "result": WriteResult(data["result"])})
 
 
 def fingerprint_from_json(data: Mapping[str, Any]) -> Fingerprint:

@@ -27,13 +27,15 @@ from service.errors import (
     NotCancellable,
     NotRevertible,
 )
+from service.jobs.account import nothing_sent
 from service.jobs.admission import request_digest, require_acceptable, require_free, require_ready
 from service.jobs.codec import outcome_to_json
 from service.jobs.crashpoints import At, CrashPoint, nowhere
+from service.jobs.ending import INTERRUPTED, end, record_of, stop
 from service.jobs.feed import EventFeed
 from service.jobs.handle import JobHandle
-from service.jobs.journal import Step
-from service.jobs.model import Accept, Failure, Job
+from service.jobs.journal import BY_OPERATOR, Step
+from service.jobs.model import Accept, Attempt, Failure, Job, WriteResult
 from service.jobs.planning import (
     FROM_RECORDING,
     Planned,
@@ -148,8 +150,11 @@ class JobEngine:
     def _recover(self, handle: JobHandle) -> None:
         """Finish or take back an interrupted write: the journal and the vehicle decide."""
         if handle.job.plan is not None:
-            self._doubt(handle)
-            self._spawn(handle, self._transaction(handle).resolve)
+            self._spawn(handle, partial(self._recovered, handle))
+
+    async def _recovered(self, handle: JobHandle) -> None:
+        await self._doubt(handle, INTERRUPTED)
+        await self._transaction(handle).resolve()
 
     def _resume(self, handle: JobHandle) -> None:
         state = handle.job.state
@@ -371,10 +376,12 @@ class JobEngine:
             self._store.claim_idempotency_key(idempotency_key, digest, job_id, self._wall())
         said = {"plan_sha256": accept.plan_sha256, "confirmed": confirmed(handle.job.context.get("plan_options", {}))}
         self._store.add_audit(self._wall(), accept.actor, "apply", job_id, said)
-        handle.move(JobState.APPLYING, accept=accept, outcome=None, verification=None, standing=())
+        # First the journal: from the new state on the job has a task, whatever the store does.
         await handle.record(Step.ACCEPTED, plan_sha256=accept.plan_sha256, actor=accept.actor, reboot=accept.reboot)
-        self._reach(At.ACCEPTED)
+        attempt = Attempt(WriteResult.RUNNING, self._wall())
+        handle.move(JobState.APPLYING, accept=accept, outcome=None, verification=None, standing=(), last_write=attempt)
         self._spawn(handle, self._transaction(handle).apply)
+        self._reach(At.ACCEPTED)
         return handle.job
 
     async def revert(self, job_id: str, actor: str = "operator") -> Job:
@@ -395,6 +402,7 @@ class JobEngine:
         require_free(handle.job.vehicle_id, self.list(), besides=job_id)
         require_ready(self._vehicles.vehicle(handle.job.vehicle_id))
         self._store.add_audit(self._wall(), actor, "revert", job_id, {})
+        await handle.record(Step.ROLL_BACK, because=BY_OPERATOR)
         handle.move(JobState.ROLLING_BACK, prompt=None)
         self._spawn(handle, self._transaction(handle).revert)
         return handle.job
@@ -452,12 +460,14 @@ class JobEngine:
         check = StreamCheck(handle, vehicle, job.plan, accept.prove_s, self.settings, self._clock)
         return Writing(handle, vehicle, job.plan, accept, check, self.settings, self._reach)
 
-    def _doubt(self, handle: JobHandle) -> None:
-        """A job that the end of the service interrupted while it wrote."""
-        if handle.job.state != JobState.IN_DOUBT:
-            remedy = "Keep the vehicle disarmed, on the ground and in reach: this is finished or taken back by itself."
-            outcome = Failure("in-doubt", "The service was interrupted while it wrote.", remedy)
-            handle.move(JobState.IN_DOUBT, outcome=outcome, prompt=None)
+    async def _doubt(self, handle: JobHandle, reason: str) -> None:
+        """A job whose write lost its task; one that has sent nothing goes back to review."""
+        record = record_of(handle)
+        unsent = handle.job.state == JobState.APPLYING and record is not None and not record.sent
+        if unsent:
+            end(handle, nothing_sent("interrupted", reason, "Nothing was written. Apply the plan again."))
+        else:
+            await stop(handle, reason, {}, None)
 
     async def _captured(self, handle: JobHandle) -> None:
         """A capture, after message rates of an earlier job of this vehicle are back, and with its own put back."""
@@ -472,13 +482,32 @@ class JobEngine:
         task.add_done_callback(lambda done: self._ended(handle, done))
 
     async def _supervised(self, handle: JobHandle, work: Callable[[], Awaitable[None]]) -> None:
-        try:
-            await work()
-        except Exception as error:
-            log.exception("job broke", job=handle.id, state=handle.job.state)
-            if handle.job.state in CAPTURING | {JobState.FITTING}:
-                remedy = "This is a defect of the program; its log says more. What was recorded is kept."
-                handle.move(JobState.FAILED, outcome=Failure("internal-error", str(error), remedy), prompt=None)
+        """Run a job's work; whatever breaks, a job that is not at an end is never left without a task."""
+        while True:
+            reason = "the write lost its task, by a defect of the program; its log says more"
+            try:
+                await work()
+            except asyncio.CancelledError as error:
+                task = asyncio.current_task()
+                if self._stopping or (task is not None and task.cancelling()):
+                    raise  # a stop of the service is a crash: the journal decides at the next start
+                self._broke(handle, error)
+            except Exception as error:  # noqa: BLE001 - every kind of defect
+                self._broke(handle, error)
+            if handle.job.state not in WRITING:
+                return
+            await self._doubt(handle, reason)
+            if handle.job.state not in WRITING:
+                return
+            await asyncio.sleep(self.settings.retry_s)
+            work = self._transaction(handle).resolve
+
+    def _broke(self, handle: JobHandle, error: BaseException) -> None:
+        log.error("job broke", job=handle.id, state=handle.job.state, exc_info=error)
+        if handle.job.state in CAPTURING | {JobState.FITTING}:
+            cause = f"a defect of the program ended the job ({type(error).__name__})"
+            remedy = "Its log says more. What was recorded is kept."
+            handle.move_anyway(JobState.FAILED, outcome=Failure("internal-error", cause, remedy), prompt=None)
 
     def _ended(self, handle: JobHandle, task: asyncio.Task[None]) -> None:
         if self._tasks.get(handle.id) is task:

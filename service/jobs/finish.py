@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from functools import partial
 
-from calib.firmware.values import shown
+from calib.firmware.plan import Value
 from service.jobs.crashpoints import At
 from service.jobs.journal import Sent, Step, same
 from service.jobs.write import Writing, check_in_place, current_values
 
 
-async def finish(w: Writing) -> None:
-    """Do what is left of a verified write; may be called again after a crash.
+async def finish(w: Writing) -> dict[str, Value]:
+    """Do what is left of a verified write; may be called again after a crash. Returns every parameter as last read.
 
     Raises
     ------
@@ -30,6 +30,7 @@ async def finish(w: Writing) -> None:
             await _restore(w, sent)
     values = await current_values(w)
     check_in_place((change for change in w.plan.changes if not change.session), values)
+    return values
 
 
 async def _restore(w: Writing, sent: Sent) -> None:
@@ -38,6 +39,4 @@ async def _restore(w: Writing, sent: Sent) -> None:
         await w.handle.record(Step.RESTORE, name=sent.name)
         w.reach(At.BEFORE_RESTORE)
         value = await w.set(sent.name, sent.old, sent.kind, instead_of=sent.new)
-    if not same(value, sent.old, sent.kind):
-        w.handle.warn(f"{sent.name} was set to {shown(value)} by somebody else meanwhile and is left so")
     await w.handle.record(Step.RESTORED, name=sent.name, value=value)

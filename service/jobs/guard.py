@@ -28,6 +28,9 @@ STOPPING = (WriteStopped, VehicleArmed, VehicleBusy, VehicleConflict, VehicleSil
 """Errors after which nothing more may be sent, be it to take something back."""
 
 
+RESTARTED = "the vehicle restarted by itself"
+
+
 class Guard:
     """Stops whatever runs under it as soon as the vehicle may not be written to.
 
@@ -44,21 +47,33 @@ class Guard:
     def reason(self) -> str | None:
         """Why nothing may be written now; None: it may."""
         now = self._vehicle.condition()
+        # The cause comes before its consequences: a vehicle that restarted is silent for a while, calibrates, is not
+        # known to be on the ground, and may speak from another port.
+        if now.conflict is not None:
+            return now.conflict
+        if self._vehicle.identity.uid != self._uid:
+            return "another vehicle answers under this one's address"
+        if now.reboots != self._reboots:
+            return RESTARTED
         if now.silent:
             return "the vehicle fell silent"
         if now.armed:
             return "the vehicle is armed"
-        if now.conflict is not None:
-            return now.conflict
         if now.peer != self._peer:
             return f"the vehicle speaks from another address ({self._peer}, now {now.peer})"
-        if now.reboots != self._reboots:
-            return "the vehicle restarted by itself"
-        if self._vehicle.identity.uid != self._uid:
-            return "another vehicle answers under this one's address"
         if now.calibrating:
             return "the vehicle runs a calibration of its own"
         return "; ".join(now.obstacles) or None
+
+    @property
+    def restarted(self) -> bool:
+        """Whether the vehicle has restarted, not by us."""
+        return self._vehicle.condition().reboots != self._reboots
+
+    @property
+    def silent(self) -> bool:
+        """Whether nothing is heard of the vehicle now."""
+        return self._vehicle.condition().silent
 
     def doubt(self) -> str | None:
         """Why even confirmed values may be others by now; None: nothing speaks for that."""
@@ -73,7 +88,7 @@ class Guard:
         """Raise WriteStopped if nothing may be written now."""
         reason = self.reason()
         if reason is not None:
-            raise WriteStopped(f"{reason}: nothing more is written")
+            raise WriteStopped(reason)
 
     def expect_restart(self) -> None:
         """From now on the present number of restarts, and the present address, are the right ones."""

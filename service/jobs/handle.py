@@ -6,6 +6,7 @@ import asyncio
 import dataclasses
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from calib.procedures.protocol import Progress, Prompt
@@ -59,25 +60,27 @@ class JobHandle:
         self._keep(changed, "state", data)
 
     def move_anyway(self, to: JobState, **changes: Any) -> None:
-        """Go to another state even if the disk is full: the vehicle comes first, and recovery reads the vehicle."""
+        """Go to another state even if the store fails: the vehicle comes first, and recovery reads the vehicle."""
+        changed = advance(self.job, to, self._wall(), **changes)
         try:
-            self.move(to, **changes)
-        except DiskFull:
-            self.job = advance(self.job, to, self._wall(), **changes)
-            self.warn("the disk is full: the last steps of this job are not recorded")
+            self._keep(changed, "state", {"state": to.value, "outcome": outcome_to_json(changed.outcome)})
+        except Exception as error:  # noqa: BLE001 - a job without a true state is worse than one that is not recorded
+            self.job = changed
+            why = "the disk is full" if isinstance(error, DiskFull) else "the store does not work"
+            self.warn(f"{why}: the last steps of this job are not recorded")
 
     def change(self, kind: str, data: Json, **changes: Any) -> None:
         """Change something other than the state, with an event that says so."""
         self._keep(dataclasses.replace(self.job, updated_at=self._wall(), **changes), kind, data)
 
     def warn(self, text: str) -> None:
-        """Add a warning, once; on a full disk it is only in memory."""
+        """Add a warning, once; where the store fails it is only in memory."""
         if text in self.job.warnings:
             return
         warnings = (*self.job.warnings, text)
         try:
             self.change("warning", {"text": text}, warnings=warnings)
-        except DiskFull:
+        except Exception:  # noqa: BLE001 - a warning never ends what it warns of
             self.job = dataclasses.replace(self.job, warnings=warnings)
 
     def prompt(self, prompt: Prompt | None) -> None:
@@ -99,11 +102,14 @@ class JobHandle:
         await asyncio.to_thread(self.store.add_journal, self.id, self._wall(), step.value, data)
 
     async def record_anyway(self, step: Step, **data: Any) -> None:
-        """Append to the journal if there is room: for steps that recovery would find out by reading the vehicle."""
-        try:
+        """Append to the journal if the store works: for steps that recovery would find out by reading the vehicle."""
+        with suppress(Exception):
             await self.record(step, **data)
-        except DiskFull:
-            return
+
+    def announce(self, kind: str, data: Json) -> None:
+        """An event that says again what the job's state says already; lost if the store fails."""
+        with suppress(Exception):
+            self._tell(kind, data)
 
     def written(self) -> WriteRecord:
         """What the journal says."""

@@ -14,8 +14,10 @@ from typing import Any
 import numpy as np
 
 from calib.firmware.plan import Change, ParameterKind, Value, WritePlan
-from service.jobs.model import Standing
 from service.store.rows import JournalRow
+
+BY_OPERATOR = "the operator asked for it"
+"""Why a finished write is taken back, if nothing went wrong."""
 
 
 class Step(StrEnum):
@@ -39,7 +41,7 @@ class Step(StrEnum):
     UNDO = "undo"  # announces that an old value is put back
     UNDONE = "undone"
     LEFT = "left"  # somebody else's value is left alone
-    STOPPED = "stopped"  # armed, silent or in conflict: nothing more is written
+    STOPPED = "stopped"  # armed, silent, restarted, in conflict or interrupted: nothing more is written
     CLOSED = "closed"
 
 
@@ -72,6 +74,14 @@ class WriteRecord:
     undone: frozenset[str] = frozenset()
     left: Mapping[str, Value] = dataclasses.field(default_factory=dict)
     closed: bool = False
+    stopped: str | None = None
+    """Why the write stopped first; what came of that later does not replace it."""
+    silent: bool = False
+    """All that was known then is that the vehicle was silent, as it is while it restarts."""
+    restarted: bool = False
+    """The vehicle was seen to restart in the middle, not by us."""
+    interrupted: bool = False
+    """The service itself ended in the middle, and nobody listened for a while."""
     intervals: Mapping[int, int] = dataclasses.field(default_factory=dict)
     """Message intervals to be restored, microseconds by message id."""
 
@@ -130,26 +140,6 @@ def same(a: Value, b: Value, kind: ParameterKind) -> bool:
     return bool(np.float32(a) == np.float32(b)) if kind == ParameterKind.REAL32 else a == b
 
 
-def standing(record: WriteRecord, heard: Mapping[str, Value], doubt: str | None = None) -> tuple[Standing, ...]:
-    """What is known of every parameter that may have been touched.
-
-    `heard` are values heard since the last PARAM_SET of each name. One that was not also confirmed as the answer to
-    that PARAM_SET is no proof: it may be a late echo from before. With a `doubt` nothing is certain, and once a session
-    setting was put back the vehicle may calibrate by itself again.
-    """
-    found = []
-    freed = [s.name for s in record.sent if s.session and s.name in record.undone | record.restored]
-    for sent in record.sent:
-        value = heard.get(sent.name, sent.confirmed)
-        confirmed = sent.confirmed is not None and value is not None and same(value, sent.confirmed, sent.kind)
-        note = "set by somebody else" if sent.name in record.left else doubt or ""
-        if freed and not sent.session and sent.name not in record.left:
-            note = "; ".join(filter(None, (note, f"the vehicle may change it since {freed[0]} was put back")))
-        certain = confirmed and doubt is None and (sent.session or not freed)
-        found.append(Standing(sent.name, sent.old, sent.new, value, certain, note))
-    return tuple(found)
-
-
 def _replace_sent(record: WriteRecord, name: str, confirmed: Value | None) -> tuple[Sent, ...]:
     return tuple(dataclasses.replace(s, confirmed=confirmed) if s.name == name else s for s in record.sent)
 
@@ -198,6 +188,18 @@ def _roll_back(record: WriteRecord, data: Mapping[str, Any]) -> WriteRecord:
     return dataclasses.replace(record, rolling_back=record.rolling_back or str(data["because"]), closed=False)
 
 
+def _stopped(record: WriteRecord, data: Mapping[str, Any]) -> WriteRecord:
+    restarted = bool(data.get("restarted"))
+    first = record.stopped is None or (record.silent and restarted)
+    return dataclasses.replace(
+        record,
+        stopped=str(data["reason"]) if first else record.stopped,
+        silent=bool(data.get("silent")) if first else record.silent,
+        restarted=record.restarted or restarted,
+        interrupted=record.interrupted or bool(data.get("interrupted")),
+    )
+
+
 def _commanded(record: WriteRecord, data: Mapping[str, Any]) -> WriteRecord:
     return dataclasses.replace(record, commanded=record.commanded | {int(data["index"])})
 
@@ -225,6 +227,6 @@ _FOLDS: Mapping[Step, Any] = {
     Step.UNDO: _unconfirmed,
     Step.UNDONE: _undone,
     Step.LEFT: _left,
-    Step.STOPPED: _flag(),
+    Step.STOPPED: _stopped,
     Step.CLOSED: _flag(closed=True),
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -13,14 +14,19 @@ from calib.firmware.plan import Fingerprint, Value, Verification, WritePlan
 from calib.fit import FitResult
 from calib.procedures.protocol import Progress, Prompt
 from service.errors import IllegalTransition
+from service.jobs.proof import ProofLevel, Unproved
 from service.jobs.states import JobState, may_follow
 
 
 @dataclass(frozen=True)
 class Result:
-    """The job reached its goal; `text` says what was reached."""
+    """The job reached its goal; `text` says what was reached, `proof` how far the stream shows it."""
 
     text: str
+    proof: ProofLevel = ProofLevel.NONE
+    proof_reason: str = ""
+    unproved: tuple[Unproved, ...] = ()
+    """Parameters that were written and read back, and that no stream has proved."""
 
 
 @dataclass(frozen=True)
@@ -54,18 +60,51 @@ class Span:
     sha256: str
 
 
+class Holds(StrEnum):
+    """Which value a parameter holds."""
+
+    OLD = "old"
+    NEW = "new"
+    OTHER = "other"  # neither: somebody else's, or the vehicle's own
+    UNKNOWN = "unknown"
+
+
 @dataclass(frozen=True)
 class Standing:
     """What is known of one parameter that a job has written, or may have."""
 
     name: str
-    old: Value
+    old: Value | None
+    """None: not known; the parameter is hidden, and no snapshot of it can be read."""
     new: Value
     value: Value | None
     """The last value heard; None: none since the last PARAM_SET left."""
     certain: bool
     """False: it may have changed since; `note` says why. Without a note it holds `old` or `new`."""
     note: str = ""
+    holds: Holds = Holds.UNKNOWN
+    """Which value that is, as far as it is certain."""
+
+
+class WriteResult(StrEnum):
+    """What the last attempt to write has come to."""
+
+    RUNNING = "running"
+    FAILED = "failed"  # before anything was sent: the job is in review again
+    IN_DOUBT = "in_doubt"
+    REVERTED = "reverted"
+    SUCCEEDED = "succeeded"
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """The last attempt to write a job's plan; `sent` counts the parameters for which a PARAM_SET may have left."""
+
+    result: WriteResult
+    at: float
+    cause: str = ""
+    remedy: str = ""
+    sent: int = 0
 
 
 @dataclass(frozen=True)
@@ -85,7 +124,8 @@ class Job:
     """One calibration of one vehicle. Times are wall-clock seconds since 1970.
 
     `results` and `plan` exist from ``review`` on; `verification` from the end of ``verifying`` on; `standing` lists
-    parameters whose state is in doubt or was left to a third party.
+    parameters whose state is in doubt or was left to a third party; `last_write` is the last attempt to write, also of
+    a job that is in review again because nothing could be sent.
     """
 
     id: str
@@ -105,6 +145,7 @@ class Job:
     verification: Verification | None = None
     segments: tuple[Span, ...] = ()
     standing: tuple[Standing, ...] = ()
+    last_write: Attempt | None = None
     warnings: tuple[str, ...] = ()
     context: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     """What a re-fit needs besides the segment: instances, answers with their times (JSON-able)."""

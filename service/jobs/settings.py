@@ -35,6 +35,10 @@ class JobSettings:
     """From our restart command until the vehicle answers again."""
     operator_reboot_s: float = 1800.0
     """How long the operator has to restart the vehicle."""
+    same_boot_s: float = 3.0
+    """How long the vehicle's clock is waited for before a failure is held to be none of a restart."""
+    busy_s: float = 60.0
+    """How long a job or a write waits for a calibration that the vehicle runs by itself, say after its start."""
     stall_s: float = 30.0
     """How long a capture waits for inertial data while the vehicle's heartbeat is there."""
     watch_s: float = 0.1

@@ -13,35 +13,38 @@ A running write and the recovery after a crash share everything behind ``prepare
 from __future__ import annotations
 
 import asyncio
-import dataclasses
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from functools import partial
 
-from calib.errors import CalibError
-from calib.firmware.plan import Value, Verdict, Verification
+import structlog
+
+from calib.firmware.plan import Value
 from service.errors import ServiceError, WriteFailed, WriteStopped
+from service.jobs.account import Account, as_read, nothing_sent, reverted, succeeded, who_else
 from service.jobs.crashpoints import At
+from service.jobs.ending import INTERRUPTED, cause_of, end, look_back, record_of, stop
 from service.jobs.finish import finish
 from service.jobs.guard import STOPPING, Guard
 from service.jobs.handle import JobHandle
-from service.jobs.journal import Next, Step, decide, standing
-from service.jobs.model import Failure, Outcome, Result
+from service.jobs.journal import BY_OPERATOR, Next, Step, decide
+from service.jobs.proof import proof_of
 from service.jobs.restart import restart
 from service.jobs.rollback import roll_back
 from service.jobs.states import JobState
 from service.jobs.streams import restore_streams
 from service.jobs.write import Writing, prepare, read_back, read_values, send_all
 
-BY_OPERATOR = "the operator asked for it"
+log = structlog.get_logger(__name__)
 
 
 @dataclass
 class Transaction:
     """The write of one job. `attempt` makes the context of a new attempt with the vehicle as it is known now.
 
-    `attempt` raises VehicleError while the vehicle is not there. Cancelling a running method is a crash: the journal
-    decides at the next start.
+    `attempt` raises VehicleError while the vehicle is not there. No exception leaves a method, whatever its type; the
+    job is then in doubt and tried again, or at an end. Cancelling a running method is a crash: the journal decides at
+    the next start.
     """
 
     handle: JobHandle
@@ -52,34 +55,40 @@ class Transaction:
 
     async def apply(self) -> None:
         """Write the plan. The job is applying; it ends succeeded or reverted, or in review if nothing was sent."""
-        w = self.attempt()
         try:
+            w = self.attempt()
             w.guard.check()
             await w.check.before(w.guard)
             await prepare(w)
-        except (ServiceError, CalibError) as error:
-            failure = Failure(getattr(error, "code", "write-failed"), str(error), "Nothing was written.")
-            self.handle.move(JobState.REVIEW, accept=None, prompt=None, outcome=failure)
+        except Exception as error:  # noqa: BLE001 - nothing was sent yet, whatever it was
+            end(self.handle, _nothing_sent(error))
             return
         await self._carried(w, partial(_write, w))
         await self.resolve()
 
     async def revert(self) -> None:
-        """Take a finished write back. The job is rolling_back."""
-        w = self.attempt()
-        await self._carried(w, partial(_take_back, w, BY_OPERATOR))
+        """Take a finished write back. The job is rolling_back, and its journal says so."""
+        try:
+            w = self.attempt()
+        except Exception as error:  # noqa: BLE001 - the vehicle has gone: look again later
+            await stop(self.handle, cause_of(error), {}, None)
+        else:
+            await self._carried(w, partial(_take_back, w, BY_OPERATOR))
         await self.resolve()
 
     async def resolve(self) -> None:
         """Bring the job to its end if it is in doubt: as soon as its vehicle may be written to, and tries for ever."""
         while self.handle.job.state == JobState.IN_DOUBT:
-            self._look_back()
             try:
+                if self._guard is not None:
+                    await look_back(self.handle, self._guard)
                 w = self.attempt()
                 w.guard.check()
                 await self._carried(w, partial(_resume, w))
             except ServiceError:
                 pass  # the vehicle is not there, or not as it has to be: look again later
+            except Exception:
+                log.exception("a write in doubt cannot be taken up", job=self.handle.id)
             if self.handle.job.state == JobState.IN_DOUBT:
                 await asyncio.sleep(self.retry_s)
 
@@ -88,30 +97,36 @@ class Transaction:
         forget = w.vehicle.on_parameter(w.hear)
         try:
             await stage()
-        except STOPPING as stop:
-            await _doubt(w, str(stop))
+        except STOPPING as stopped:
+            await self._stopped(w, stopped)
         except Exception as error:  # noqa: BLE001 - whatever it was, the vehicle must not stay half-written
             await self._failed(w, error)
         finally:
             forget()
             self._guard = w.guard
 
-    def _look_back(self) -> None:
-        """What was certain when the write stopped need not be so any more, say after a restart of the vehicle."""
-        doubt = None if self._guard is None else self._guard.doubt()
-        known = self.handle.job.standing
-        if doubt is not None and any(s.certain for s in known):
-            changed = tuple(dataclasses.replace(s, certain=False, note=s.note or doubt) for s in known)
-            self.handle.change("standing", {"note": doubt}, standing=changed)
+    async def _stopped(self, w: Writing, error: Exception) -> None:
+        record = record_of(self.handle)
+        if self.handle.job.state == JobState.APPLYING and record is not None and not record.sent:
+            end(self.handle, _nothing_sent(error))
+        else:
+            await stop(self.handle, cause_of(error), w.heard, w.guard)
 
     async def _failed(self, w: Writing, error: Exception) -> None:
-        if self.handle.job.state in (JobState.ROLLING_BACK, JobState.IN_DOUBT):
-            await _doubt(w, str(error))
+        record, state = record_of(self.handle), self.handle.job.state
+        unsent = state == JobState.APPLYING and record is not None and not record.sent
+        if unsent or state in (JobState.ROLLING_BACK, JobState.IN_DOUBT):
+            await self._stopped(w, error)
             return
         try:
-            await _take_back(w, str(error))
-        except ServiceError as worse:
-            await _doubt(w, str(worse))
+            await w.same_boot()
+            await _take_back(w, cause_of(error))
+        except Exception as worse:  # noqa: BLE001 - also what was not foreseen must not strand the job
+            await self._stopped(w, worse)
+
+
+def _nothing_sent(error: Exception) -> Account:
+    return nothing_sent(getattr(error, "code", "write-failed"), cause_of(error))
 
 
 async def _write(w: Writing) -> None:
@@ -129,13 +144,13 @@ async def _resume(w: Writing) -> None:
     readings = await w.guard.run(partial(read_values, w.vehicle, [s.name for s in record.sent]))
     values = {name: reading.value for name, reading in readings.items()}
     following = decide(record, w.plan, values)
+    cause = record.rolling_back or record.stopped or INTERRUPTED
     if following == Next.NOTHING_SENT:
         await restore_streams(w.handle, w.vehicle)
-        await w.handle.record(Step.CLOSED)
-        text = "The write was interrupted before the first parameter: the vehicle is as it was."
-        w.handle.move(JobState.REVIEW, accept=None, standing=(), outcome=Failure("interrupted", text, "Apply again."))
+        await w.handle.record_anyway(Step.CLOSED)
+        end(w.handle, nothing_sent("interrupted", cause, "Nothing was written. Apply the plan again."))
     elif following == Next.ROLL_BACK:
-        await _take_back(w, record.rolling_back or "the write was interrupted in the middle")
+        await _take_back(w, cause)
     else:
         if following == Next.REBOOT:
             values = await read_back(w)  # what is to survive the restart must be saved
@@ -151,56 +166,31 @@ async def _onward(w: Writing, following: Next, values: dict[str, Value]) -> None
     w.handle.move(JobState.VERIFYING, standing=(), outcome=None)
     if following != Next.FINISH:
         verification = await w.check.after(w.guard, values)
-        w.handle.change("verification", {"proved": verification.proved}, verification=verification, prompt=None)
+        seen = {"proved": verification.proved, "proof": proof_of(verification).level.value}
+        w.handle.change("verification", seen, verification=verification, prompt=None)
         if verification.must_go:
             raise WriteFailed(verification.must_go)
         await w.handle.record(Step.VERIFIED)
         w.reach(At.VERIFIED)
-    await finish(w)
+    values = await finish(w)
+    who = who_else(w.handle.written())
+    told = succeeded(as_read(w.plan, w.old_values(), values, who), w.plan, w.handle.job.verification, who)
     await restore_streams(w.handle, w.vehicle)
     await w.handle.record(Step.CLOSED)
     w.reach(At.CLOSED)
-    w.handle.move(JobState.SUCCEEDED, outcome=Result(_summary(w.handle.job.verification)), standing=(), prompt=None)
+    end(w.handle, told)
 
 
 async def _take_back(w: Writing, because: str) -> None:
     if w.handle.job.state != JobState.ROLLING_BACK:
         w.handle.move_anyway(JobState.ROLLING_BACK, standing=(), outcome=None, prompt=None)
     await w.handle.record_anyway(Step.ROLL_BACK, because=because)
-    left = await roll_back(w)
+    values = await roll_back(w)
+    record = w.handle.written()
+    who = who_else(record)
+    read = as_read(w.plan, w.old_values(), values, who)
+    told = reverted(read, None if because == BY_OPERATOR else because, who, len(record.sent))
     await restore_streams(w.handle, w.vehicle)
     await w.handle.record_anyway(Step.CLOSED)
     w.reach(At.CLOSED)
-    w.handle.move_anyway(JobState.REVERTED, outcome=_taken_back(because), standing=left, prompt=None)
-
-
-def _taken_back(because: str) -> Outcome:
-    if because == BY_OPERATOR:
-        return Result("The old values are back, read and verified.")
-    return Failure("reverted", because, "The old values are back, read and verified. Plan again, or start a new job.")
-
-
-async def _doubt(w: Writing, reason: str) -> None:
-    """Nothing more is sent; say what is known of every parameter."""
-    if w.handle.job.state == JobState.IN_DOUBT:
-        return
-    known = standing(w.handle.written(), w.heard, w.guard.doubt())
-    await w.handle.record_anyway(Step.STOPPED, reason=reason)
-    remedy = "Disarm the vehicle and keep it on the ground and in reach: this is then finished or taken back by itself."
-    w.handle.move_anyway(JobState.IN_DOUBT, outcome=Failure("in-doubt", reason, remedy), standing=known, prompt=None)
-
-
-def _summary(verification: Verification | None) -> str:
-    """One sentence on what was proved."""
-    if verification is None:
-        return "Every parameter was written and read back."
-    acting = [parameter.verdict for parameter in verification.parameters if parameter.acts_on_stream]
-    if not acting:
-        return "Every parameter was written and read back; none of them shows on a stream."
-    count = {verdict: acting.count(verdict) for verdict in Verdict}
-    text = (
-        f"Every parameter was written and read back; of {len(acting)} that show on the stream, "
-        f"{count[Verdict.PROVED]} are proved by it"
-    )
-    rest = [f"{count[v]} {v.value.replace('_', ' ')}" for v in (Verdict.CONSISTENT, Verdict.NOT_OBSERVABLE) if count[v]]
-    return text + (f" ({', '.join(rest)})." if rest else ".")
+    end(w.handle, told)

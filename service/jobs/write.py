@@ -101,7 +101,8 @@ class Writing:
                 setting.exception()  # said already, or overtaken by a stronger reason
 
     async def ask_who(self) -> None:
-        """Ask who answers: a value that is neither ours nor the old one may be another vehicle's at the same address.
+        """Ask who answers: a value that is neither ours nor the old one may be another vehicle's at the same address,
+        or this one's after a restart that its clock has not shown yet.
 
         Raises
         ------
@@ -111,19 +112,35 @@ class Writing:
             If nobody says.
         """
         await self.guard.run(self.vehicle.identify)
+        await self.same_boot()
+
+    async def same_boot(self) -> None:
+        """Wait until the vehicle's clock was heard again: what fails while it restarts is no cause, the restart is.
+
+        Raises
+        ------
+        WriteStopped
+            If it restarted, or may not be written to for another reason.
+        """
+        await self.guard.run(self._clock_heard)
         self.guard.check()
+
+    async def _clock_heard(self) -> None:
+        loop = asyncio.get_running_loop()
+        deadline, before = loop.time() + self.settings.same_boot_s, self.vehicle.condition().boot_time
+        while self.vehicle.condition().boot_time == before is not None and loop.time() < deadline:  # noqa: ASYNC110
+            await asyncio.sleep(self.settings.watch_s)
 
     async def get(self, name: str) -> Value:
         """Read one parameter under the guard."""
         return (await self.guard.run(partial(self.vehicle.read_parameter, name))).value
 
-    def old_value(self, change: Change) -> Value:
-        """What the parameter held before the write; raises WriteFailed if that was not kept."""
+    def old_values(self) -> dict[str, Value]:
+        """What every parameter of the plan held before the write; raises WriteFailed if that was not kept."""
         kept = self.handle.store.snapshot(self.handle.id, SnapshotPurpose.BEFORE_WRITE)
         if kept is None:
             raise WriteFailed("there is no snapshot of the old values: nothing is written")
-        value: Value = kept.body[change.name]["value"]
-        return value
+        return {change.name: kept.body[change.name]["value"] for change in self.plan.changes}
 
     async def settle(self) -> None:
         """Wait under the guard until the vehicle has saved what was written, by its clock or by ours."""
@@ -214,9 +231,10 @@ async def _keep_snapshot(w: Writing, old: Mapping[str, Reading]) -> None:
 
 async def send_all(w: Writing) -> None:
     """Write every parameter of the plan in its order. Raises WriteStopped, ParameterError."""
+    before = w.old_values()
     for change in w.plan.changes:
         w.guard.check()
-        old = w.old_value(change)
+        old = before[change.name]
         await w.handle.record(
             Step.SEND, name=change.name, old=old, new=change.new, kind=change.kind.value, session=change.session
         )

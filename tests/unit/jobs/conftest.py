@@ -24,6 +24,7 @@ from service.jobs.guard import Guard
 from service.jobs.handle import JobHandle
 from service.jobs.journal import Step
 from service.jobs.model import Accept, Job
+from service.jobs.port import Reading
 from service.jobs.settings import JobSettings
 from service.jobs.states import JobState
 from service.jobs.transaction import Transaction
@@ -40,6 +41,8 @@ QUICK = JobSettings(
     retry_s=0.001,
     reboot_timeout_s=0.2,
     operator_reboot_s=0.2,
+    same_boot_s=0.5,
+    busy_s=0.2,
 )
 
 OLD = {"INS_GYROFFS_X": 0.0, "INS_GYROFFS_Y": 0.001, "INS_GYROFFS_Z": 0.0, "INS_GYR_ID": 1000.0, "FLAG": 1.0}
@@ -99,6 +102,10 @@ class Bench:
     accept: Accept
     check: FakeCheck
     reach: Callable[[At], None] = nowhere
+    before: dict[str, Reading] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.before = dict(self.vehicle.parameters)
 
     def attempt(self) -> Writing:
         return Writing(self.handle, self.vehicle, self.plan, self.accept, self.check, QUICK, self.reach)

@@ -31,7 +31,7 @@ from service.errors import (
 from service.jobs.codec import job_from_row, row_from_job
 from service.jobs.engine import JobEngine
 from service.jobs.journal import Step
-from service.jobs.model import Accept, Job
+from service.jobs.model import Accept, Failure, Job
 from service.jobs.states import JobState
 from service.store import SqliteStore
 from service.store.rows import SnapshotPurpose
@@ -63,6 +63,20 @@ def reviewed(vehicle: FakeVehicle, **changes: Any) -> Job:
     plan = make_plan(vehicle)
     job = Job("j1", vehicle.id, "gyro", {}, JobState.REVIEW, 1.0, 1.0, fingerprint=plan.fingerprint, plan=plan)
     return replace(job, **changes)
+
+
+def sent_one(store: SqliteStore, vehicle: FakeVehicle, job: Job) -> None:
+    """The journal of a service that ended behind the first parameter."""
+    assert job.plan is not None
+    first = job.plan.changes[0]
+    body = {name: {"value": value, "kind": "real32"} for name, value in vehicle.values().items()}
+    store.save_job(row_from_job(job))
+    store.add_snapshot(job.id, 0.0, SnapshotPurpose.BEFORE_WRITE, "0" * 64, body)
+    sent = {"name": first.name, "old": first.old, "new": first.new, "kind": "real32", "session": False}
+    store.add_journal(job.id, 0.0, Step.ACCEPTED, {})
+    store.add_journal(job.id, 0.0, Step.SEND, sent)
+    store.add_journal(job.id, 0.0, Step.ECHO, {"name": first.name, "value": first.new})
+    vehicle.store(first.name, first.new)
 
 
 @pytest.fixture
@@ -131,15 +145,34 @@ async def test_one_physical_job_a_vehicle_and_any_number_of_vehicles(vehicle: Fa
 
 async def test_a_vehicle_in_doubt_is_closed(vehicle: FakeVehicle) -> None:
     vehicle.change_state(armed=True)  # nothing can be resolved while it is
-    async with running(vehicle, reviewed(vehicle, state=JobState.APPLYING)) as engine:
+    store = SqliteStore(None)
+    job = reviewed(vehicle, state=JobState.APPLYING)
+    sent_one(store, vehicle, job)
+    async with running(vehicle, job, store=store) as engine:
         assert engine.get("j1").state == JobState.IN_DOUBT
+        known = engine.get("j1").standing
+        assert [(s.name, s.old, s.new, s.value, s.certain) for s in known] == [
+            ("INS_GYROFFS_X", 0.0, known[0].new, known[0].new, False)  # the last value heard, and not certain
+        ]
+        assert "before the service was interrupted" in known[0].note
         vehicle.state = replace(vehicle.state, armed=False, obstacles=("not known to be on the ground",))
         with pytest.raises(PhysicalJobRunning, match="closed for new jobs"):
             await engine.submit(vehicle.id, "gyro")
         with pytest.raises(NotCancellable):
             await engine.cancel("j1")
         vehicle.state = replace(vehicle.state, obstacles=())
-        await until(lambda: engine.get("j1").state == JobState.REVIEW)  # nothing had been sent
+        await until(lambda: engine.get("j1").state == JobState.REVERTED)
+        outcome = engine.get("j1").outcome
+        assert isinstance(outcome, Failure)
+        assert outcome.cause == "the service was interrupted while it wrote"
+
+
+async def test_a_crash_before_the_first_parameter_leaves_no_doubt(vehicle: FakeVehicle) -> None:
+    async with running(vehicle, reviewed(vehicle, state=JobState.APPLYING)) as engine:
+        job = engine.get("j1")
+        assert job.state == JobState.REVIEW
+        assert job.last_write is not None
+        assert (job.last_write.result, job.last_write.sent) == ("failed", 0)
 
 
 async def test_cancel_and_answer_and_unknown_jobs(vehicle: FakeVehicle) -> None:

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from calib.firmware.plan import Change, Fingerprint, ParameterKind, Value, WritePlan
-from service.jobs.journal import Next, Step, decide, fold, same, standing
+from service.jobs.journal import Next, Step, decide, fold, same
 from service.store.rows import JournalRow
 
 REAL = ParameterKind.REAL32
@@ -87,23 +87,15 @@ def test_the_first_rates_are_the_ones_to_restore() -> None:
     assert fold(rows((Step.STREAMS, {"intervals": {"26": 0}}), (Step.STREAMS_RESTORED, {}))).intervals == {}
 
 
-def test_standing_is_certain_only_where_the_vehicle_confirmed_and_nothing_else_was_heard() -> None:
-    record = fold(rows(ACCEPTED, send("A"), echo("A"), send("B", 0.25)))
-    by_name = {s.name: s for s in standing(record, {})}
-    assert (by_name["A"].value, by_name["A"].certain) == (0.5, True)
-    assert (by_name["B"].value, by_name["B"].certain) == (None, False)
-    late = {s.name: s for s in standing(record, {"A": 0.9, "B": 0.0})}
-    assert (late["A"].value, late["A"].certain) == (0.9, False)
-    assert (late["B"].value, late["B"].certain) == (0.0, False)  # may be an echo from before the PARAM_SET
-
-
-def test_nothing_is_certain_once_the_vehicle_may_calibrate_by_itself_again() -> None:
-    steps = (ACCEPTED, send("S", 0, 1, session=True), echo("S", 0), send("A"), echo("A"))
-    assert {s.name: s.certain for s in standing(fold(rows(*steps)), {})} == {"S": True, "A": True}
-    back = fold(rows(*steps, (Step.UNDONE, {"name": "S", "value": 1})))
-    by_name = {s.name: s for s in standing(back, {})}
-    assert (by_name["S"].certain, by_name["A"].certain) == (True, False)
-    assert "since S was put back" in by_name["A"].note
+def test_the_first_reason_of_a_stop_stays_but_silence_was_a_restart() -> None:
+    silent = (Step.STOPPED, {"reason": "silent", "silent": True})
+    restarted = (Step.STOPPED, {"reason": "restarted", "restarted": True})
+    armed = (Step.STOPPED, {"reason": "armed", "restarted": False})
+    assert fold(rows(*ALL, silent, restarted, armed)).stopped == "restarted"
+    assert fold(rows(*ALL, armed, restarted)).stopped == "armed"
+    assert fold(rows(*ALL, armed, restarted)).restarted
+    assert fold(rows(*ALL, restarted, silent)).stopped == "restarted"
+    assert fold(rows(*ALL, restarted, ACCEPTED)).stopped is None
 
 
 def test_values_are_compared_as_they_are_on_the_wire() -> None:

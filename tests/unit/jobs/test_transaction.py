@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from calib.recording import Identity
 from service.errors import DiskFull
 from service.jobs.crashpoints import At
-from service.jobs.journal import Step
+from service.jobs.journal import BY_OPERATOR, Step
 from service.jobs.model import Failure, Result
 from service.jobs.states import JobState
 
@@ -168,7 +168,12 @@ async def test_a_third_partys_value_is_left_and_named(make_bench: MakeBench) -> 
     assert bench.state == JobState.REVERTED
     assert bench.held() == {**BEFORE, "INS_GYROFFS_X": 0.125}
     assert [(s.name, s.value) for s in bench.handle.job.standing] == [("INS_GYROFFS_X", 0.125)]
-    assert any("INS_GYROFFS_X" in text for text in bench.handle.job.warnings)
+    outcome = bench.handle.job.outcome
+    assert isinstance(outcome, Failure)
+    said = (
+        "The old values are back, read and verified, except INS_GYROFFS_X, which somebody else set to 0.125 (0 before)."
+    )
+    assert said in outcome.remedy
 
 
 async def test_a_value_that_another_vehicle_said_is_neither_left_nor_certain(make_bench: MakeBench) -> None:
@@ -241,9 +246,115 @@ async def test_after_a_restart_nothing_is_certain(make_bench: MakeBench) -> None
     assert bench.held() == BEFORE
 
 
+def _calibrates_at_boot(bench: Bench, *, silent_first: bool) -> None:
+    """The vehicle restarts in mid-write, and its boot calibration rewrites every parameter of the plan."""
+    vehicle, values = bench.vehicle, iter((0.2, 0.3, 0.4))
+
+    def boot() -> None:
+        vehicle.change_state(reboots=1, silent=False, boot_time=1.0)
+        for name in NEW:
+            vehicle.store(name, float32(next(values)))
+
+    def strike(n: int) -> None:
+        if n == 2:
+            if silent_first:
+                vehicle.change_state(silent=True)
+                asyncio.get_running_loop().call_later(0.05, boot)
+            else:  # its new values are heard before its clock shows the restart
+                vehicle.store("INS_GYROFFS_Y", float32(0.3))
+                asyncio.get_running_loop().call_later(0.02, boot)
+
+    vehicle.change_state(boot_time=100.0)
+    vehicle.after_set = strike
+
+
+@pytest.mark.parametrize("silent_first", [True, False])
+async def test_a_restart_stays_the_cause_and_its_boot_calibration_is_not_called_the_old_values(
+    make_bench: MakeBench, silent_first: bool
+) -> None:
+    bench = make_bench()
+    _calibrates_at_boot(bench, silent_first=silent_first)
+    await bench.apply()
+    job = bench.handle.job
+    assert job.state == JobState.REVERTED
+    assert isinstance(job.outcome, Failure)
+    assert job.outcome.cause == "the vehicle restarted by itself"
+    assert job.outcome.remedy.startswith("No old value is back: INS_GYROFFS_X (now 0.2")
+    assert "which the vehicle itself or somebody else set" in job.outcome.remedy
+    assert {s.name: s.value for s in job.standing} == bench.held()
+
+
+async def test_a_value_lost_in_a_restart_is_no_cause_of_its_own(make_bench: MakeBench) -> None:
+    """The read-back differs because the vehicle restarted; that shows on its clock only afterwards."""
+    bench = make_bench()
+    bench.vehicle.change_state(boot_time=100.0)
+
+    def strike(n: int) -> None:
+        if n == 3:
+            bench.vehicle.parameters["INS_GYROFFS_X"] = bench.before["INS_GYROFFS_X"]
+            loop = asyncio.get_running_loop()
+            loop.call_later(0.05, lambda: bench.vehicle.change_state(reboots=1, boot_time=1.0))
+
+    bench.vehicle.after_set = strike
+    await bench.apply()
+    assert isinstance(bench.handle.job.outcome, Failure)
+    assert bench.handle.job.outcome.cause == "the vehicle restarted by itself"
+    assert bench.held() == BEFORE
+
+
+async def test_a_write_that_could_not_begin_says_so_in_a_field_and_an_event(make_bench: MakeBench) -> None:
+    bench = make_bench()
+    bench.vehicle.change_state(armed=True)
+    await bench.apply()
+    last = bench.handle.job.last_write
+    assert last is not None
+    assert (last.result, last.sent) == ("failed", 0)
+    assert (last.cause, last.remedy) == ("the vehicle is armed", "Nothing was written.")
+    told = [event.data for event in bench.store.events("j1") if event.kind == "write"]
+    assert [(data["result"], data["sent"]) for data in told] == [("failed", 0)]
+    row = bench.store.job("j1")
+    assert row is not None
+    assert row.body["last_write"]["cause"] == "the vehicle is armed"
+
+
+async def test_armed_between_snapshot_and_first_parameter_is_no_doubt(make_bench: MakeBench) -> None:
+    """The journal says that nothing was sent: there is nothing to be in doubt of."""
+    bench = make_bench()
+    bench.reach = lambda at: bench.vehicle.change_state(armed=True) if at == At.SNAPSHOT_KEPT else None
+    await bench.apply()
+    assert bench.state == JobState.REVIEW
+    assert bench.handle.job.last_write is not None
+    assert bench.handle.job.last_write.sent == 0
+    assert bench.vehicle.sets == []
+
+
+async def test_every_end_of_a_write_is_its_last_attempt(make_bench: MakeBench) -> None:
+    bench = make_bench()
+    await bench.apply()
+    assert bench.handle.job.last_write is not None
+    assert (bench.handle.job.last_write.result, bench.handle.job.last_write.sent) == ("succeeded", 3)
+    deaf = make_bench()
+    deaf.check.deaf.add("INS_GYROFFS_Y")
+    await deaf.apply()
+    assert deaf.handle.job.last_write is not None
+    assert (deaf.handle.job.last_write.result, deaf.handle.job.last_write.sent) == ("reverted", 3)
+
+
+async def test_a_session_setting_that_somebody_else_set_is_named_in_a_success(make_bench: MakeBench) -> None:
+    bench = make_bench(session=True)
+    bench.reach = lambda at: bench.vehicle.store("FLAG", 7.0) if at == At.VERIFIED else None
+    await bench.apply()
+    job = bench.handle.job
+    assert job.state == JobState.SUCCEEDED
+    assert isinstance(job.outcome, Result)
+    assert "are back, except FLAG, which the vehicle itself or somebody else set to 7 (1 before)." in job.outcome.text
+    assert [(s.name, s.value) for s in job.standing] == [("FLAG", 7.0)]
+
+
 async def test_revert_of_a_finished_write(make_bench: MakeBench) -> None:
     bench = make_bench()
     await bench.apply()
+    await bench.handle.record(Step.ROLL_BACK, because=BY_OPERATOR)
     bench.handle.move(JobState.ROLLING_BACK)
     await bench.transaction.revert()
     assert bench.state == JobState.REVERTED

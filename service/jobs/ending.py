@@ -1,0 +1,113 @@
+"""Where a write ends, or stops: the only place that tells a job's outcome and standing. None of it may fail."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import structlog
+
+from calib.errors import CalibError
+from calib.firmware.plan import Value
+from service.errors import ServiceError
+from service.jobs.account import Account, as_heard, in_doubt
+from service.jobs.codec import attempt_to_json
+from service.jobs.guard import RESTARTED, Guard
+from service.jobs.handle import JobHandle
+from service.jobs.journal import Step, WriteRecord
+from service.jobs.model import Attempt, Failure, Holds, Standing, WriteResult
+from service.jobs.states import JobState
+
+log = structlog.get_logger(__name__)
+
+RESULTS: Mapping[JobState, WriteResult] = {
+    JobState.REVIEW: WriteResult.FAILED,
+    JobState.IN_DOUBT: WriteResult.IN_DOUBT,
+    JobState.REVERTED: WriteResult.REVERTED,
+    JobState.SUCCEEDED: WriteResult.SUCCEEDED,
+}
+INTERRUPTED = "the service was interrupted while it wrote"
+
+
+def end(handle: JobHandle, told: Account) -> None:
+    """Bring the job to the state of `told`, with the last attempt as a field and as the event ``write``."""
+    cause, remedy = _said(told)
+    attempt = Attempt(RESULTS[told.state], handle.now(), cause, remedy, told.sent)
+    changes: dict[str, Any] = {"accept": None} if told.state == JobState.REVIEW else {}
+    handle.move_anyway(
+        told.state, outcome=told.outcome, standing=told.standing, last_write=attempt, prompt=None, **changes
+    )
+    handle.announce("write", attempt_to_json(attempt) or {})
+
+
+def _said(told: Account) -> tuple[str, str]:
+    if isinstance(told.outcome, Failure):
+        return told.outcome.cause, told.outcome.remedy
+    return told.outcome.text, ""
+
+
+async def stop(handle: JobHandle, reason: str, heard: Mapping[str, Value], guard: Guard | None) -> None:
+    """Put the job in doubt: nothing more is sent, and every parameter that may have been is listed.
+
+    `guard` is that of the attempt that stopped; None: the service itself was interrupted.
+    """
+    if handle.job.state == JobState.IN_DOUBT:
+        return
+    restarted, silent = guard is not None and guard.restarted, guard is not None and guard.silent
+    await handle.record_anyway(
+        Step.STOPPED, reason=reason, restarted=restarted, silent=silent, interrupted=guard is None
+    )
+    doubt = "before the service was interrupted" if guard is None else guard.doubt()
+    record = record_of(handle)
+    end(handle, in_doubt(_known(handle, record, heard, doubt), _cause(record, reason)))
+
+
+async def look_back(handle: JobHandle, guard: Guard) -> None:
+    """What was certain when the write stopped need not be so any more, say after a restart of the vehicle."""
+    doubt, record = guard.doubt(), record_of(handle)
+    if doubt is None:
+        return
+    if guard.restarted and record is not None and not record.restarted:
+        await handle.record_anyway(Step.STOPPED, reason=RESTARTED, restarted=True)
+        record = record_of(handle)
+    before = handle.job
+    lost: dict[str, Any] = {"certain": False, "holds": Holds.UNKNOWN}
+    known = tuple(dataclasses.replace(s, note=s.note or doubt, **lost) if s.certain else s for s in before.standing)
+    told = in_doubt(known, _cause(record, getattr(before.outcome, "cause", doubt)))
+    if (told.standing, told.outcome) != (before.standing, before.outcome):
+        handle.change("standing", {"note": doubt}, standing=told.standing, outcome=told.outcome)
+
+
+def record_of(handle: JobHandle) -> WriteRecord | None:
+    """What the journal says; None: it cannot be read."""
+    try:
+        return handle.written()
+    except Exception:
+        log.exception("journal unreadable", job=handle.id)
+        return None
+
+
+def cause_of(error: Exception) -> str:
+    """One sentence on what went wrong; what was not foreseen is named, and its details are in the program's log."""
+    if isinstance(error, ServiceError | CalibError):
+        return str(error)
+    log.error("a write broke", exc_info=error)
+    return f"a defect of the program stopped the write ({type(error).__name__}); its log says more"
+
+
+def _cause(record: WriteRecord | None, reason: str) -> str:
+    """The first reason why it stopped stays: what was found later are its consequences."""
+    return reason if record is None or record.stopped is None else record.stopped
+
+
+def _known(
+    handle: JobHandle, record: WriteRecord | None, heard: Mapping[str, Value], doubt: str | None
+) -> tuple[Standing, ...]:
+    """Every parameter that may have been sent; without a journal, all of the plan."""
+    known = () if record is None else as_heard(record, heard, doubt)
+    if known or handle.job.plan is None:
+        return known
+    note = "the journal cannot be read: whether it was sent is not known"
+    changes = handle.job.plan.changes
+    return tuple(Standing(c.name, c.old, c.new, None, certain=False, note=note) for c in changes)

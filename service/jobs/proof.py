@@ -1,0 +1,51 @@
+"""How far a write is proved: the one reading of a :class:`Verification` that outcome, REST and command line share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from calib.firmware.plan import Verdict, Verification
+
+
+class ProofLevel(StrEnum):
+    """How much of what acts on a stream the stream has proved."""
+
+    FULL = "full"
+    PARTIAL = "partial"
+    NONE = "none"
+
+
+@dataclass(frozen=True)
+class Unproved:
+    """A parameter that was written and read back, and that no stream has proved."""
+
+    name: str
+    verdict: str
+    why: str
+
+
+@dataclass(frozen=True)
+class Proof:
+    """How far a write is proved, why not further, and what is open."""
+
+    level: ProofLevel
+    reason: str
+    unproved: tuple[Unproved, ...] = ()
+
+
+def proof_of(verification: Verification | None) -> Proof:
+    """What the physical check has proved; None: there was none."""
+    if verification is None:
+        return Proof(ProofLevel.NONE, "No stream was checked after the write.")
+    acting = [p for p in verification.parameters if p.acts_on_stream]
+    if not acting:
+        return Proof(ProofLevel.NONE, "None of the written parameters shows on a stream; all were read back.")
+    unproved = tuple(Unproved(p.name, p.verdict.value, p.text) for p in acting if p.verdict != Verdict.PROVED)
+    proved = len(acting) - len(unproved)
+    if not unproved:
+        return Proof(ProofLevel.FULL, f"The stream proves all {proved} parameters that show on it.")
+    level = ProofLevel.PARTIAL if proved else ProofLevel.NONE
+    counted = [(sum(u.verdict == v for u in unproved), v) for v in Verdict]
+    rest = ", ".join(f"{count} {verdict.value.replace('_', ' ')}" for count, verdict in counted if count)
+    return Proof(level, f"The stream proves {proved} of {len(acting)} parameters that show on it; {rest}.", unproved)
