@@ -160,6 +160,65 @@ class ProcedureModel(BaseModel):
     duration_s: float
 
 
+class UnprovedModel(BaseModel):
+    """A parameter that was written and read back, and that no stream has proved."""
+
+    name: str
+    verdict: str = Field(description="consistent, not_observable or contradicted")
+    why: str
+
+
+class _Proof(BaseModel):
+    proof: Literal["full", "partial", "none"] = Field(
+        description="how much of what shows on a stream the stream has proved after the write"
+    )
+    proof_reason: str
+    unproved: list[UnprovedModel]
+
+
+class ResultModel(_Proof):
+    """The job reached its goal."""
+
+    kind: Literal["result"]
+    text: str
+
+
+class FailureModel(_Proof):
+    """The job did not reach its goal."""
+
+    kind: Literal["failure"]
+    code: str
+    cause: str
+    remedy: str
+
+
+OutcomeModel = Annotated[ResultModel | FailureModel, Field(discriminator="kind")]
+
+
+class StandingModel(BaseModel):
+    """What is known of one parameter that a job has written, or may have."""
+
+    name: str
+    old: float | int | None
+    new: float | int | None
+    value: float | int | None = Field(description="the last value heard; null: none since the last PARAM_SET left")
+    certain: bool = Field(description="false: it may have changed since")
+    note: str
+    holds: Literal["old", "new", "other", "unknown"]
+
+
+class WriteModel(BaseModel):
+    """The last attempt to write a job's plan; the event `write` carries the same when it ends."""
+
+    result: Literal["running", "failed", "in_doubt", "reverted", "succeeded"] = Field(
+        description="failed: nothing was sent, and the job is in review again"
+    )
+    at: float
+    cause: str
+    remedy: str
+    sent: int = Field(description="parameters for which a PARAM_SET may have left")
+
+
 class JobSummary(BaseModel):
     """A job in a list."""
 
@@ -172,7 +231,8 @@ class JobSummary(BaseModel):
     updated_at: float
     progress: Json | None
     prompt: Json | None
-    outcome: Json | None
+    outcome: OutcomeModel | None
+    last_write: WriteModel | None
 
 
 class JobModel(JobSummary):
@@ -184,7 +244,9 @@ class JobModel(JobSummary):
     results: list[Json] = Field(description="one fit a sensor instance, as in `mavcal fit --json`")
     plan: Json | None
     verification: Json | None
-    standing: list[Json] = Field(description="parameters in doubt, or left to a third party")
+    standing: list[StandingModel] = Field(
+        description="parameters in doubt (all that were sent, or may have been), or left to a third party"
+    )
     segments: list[Json] = Field(description="what the fit was made of: name, byte range and digest of the recording")
 
 

@@ -19,7 +19,7 @@ from service.api.models import (
     VehicleModel,
 )
 from service.gaps import GapRow
-from service.jobs.codec import outcome_to_json
+from service.jobs.codec import attempt_to_json, outcome_to_json
 from service.jobs.model import Job
 from service.link import Link
 from service.store.rows import EventRow, RecordingRow
@@ -151,5 +151,6 @@ def _summary(job: Job) -> Json:
         "updated_at": job.updated_at,
         "progress": None if job.progress is None else step_to_json(job.progress),
         "prompt": None if job.prompt is None else step_to_json(job.prompt),
-        "outcome": outcome_to_json(job.outcome),
+        "outcome": plain(outcome_to_json(job.outcome)),
+        "last_write": plain(attempt_to_json(job.last_write)),
     }

@@ -39,6 +39,7 @@ KINDS = (
 @click.argument("kind", type=click.Choice(KINDS))
 @click.option("--connect", required=True, metavar="URL", help="Endpoint of the vehicle, as udpin:0.0.0.0:14550.")
 @click.option("--apply", "write", is_flag=True, help="Write the result to the vehicle and prove it.")
+@click.option("--require-proof", is_flag=True, help="With --apply: exit code 1 unless the streams prove all of it.")
 @click.option("--reboot", is_flag=True, help="With --apply: restart the vehicle if the plan needs it.")
 @click.option("--option", "options", multiple=True, metavar="NAME=VALUE", help="Option of the procedure.")
 @plan_options
@@ -49,6 +50,7 @@ def command(
     kind: str,
     connect: str,
     write: bool,
+    require_proof: bool,
     reboot: bool,
     options: tuple[str, ...],
     data_dir: Path | None,

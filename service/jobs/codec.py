@@ -88,21 +88,22 @@ def job_from_row(row: JobRow) -> Job:
 
 
 def outcome_to_json(outcome: Outcome | None) -> Json | None:
-    """``{"kind": "result" | "failure", ...}``; None while the job goes on."""
+    """``{"kind": "result" | "failure", "proof": …}``; None while the job goes on."""
     if outcome is None:
         return None
-    return {"kind": "result" if isinstance(outcome, Result) else "failure", **dataclasses.asdict(outcome)}
+    if isinstance(outcome, Result):
+        return {"kind": "result", **dataclasses.asdict(outcome)}
+    nothing = {"proof": ProofLevel.NONE, "proof_reason": outcome.cause, "unproved": ()}
+    return {"kind": "failure", **dataclasses.asdict(outcome), **nothing}
 
 
 def _outcome(data: Mapping[str, Any] | None) -> Outcome | None:
     if data is None:
         return None
-    fields = {k: v for k, v in data.items() if k != "kind"}
     if data["kind"] == "failure":
-        return Failure(**fields)
-    unproved = tuple(Unproved(**u) for u in fields.pop("unproved", ()))
-    proof = ProofLevel(fields.pop("proof", "none"))
-    return Result(**fields, proof=proof, unproved=unproved)
+        return Failure(data["code"], data["cause"], data["remedy"])
+    unproved = tuple(Unproved(**u) for u in data.get("unproved", ()))
+    return Result(data["text"], ProofLevel(data.get("proof", "none")), data.get("proof_reason", ""), unproved)
 
 
 def attempt_to_json(attempt: Attempt | None) -> Json | None:
