@@ -61,15 +61,18 @@ def command(
     """Calibrate one sensor of a vehicle, headless; nothing is written without --apply.
 
     A line typed while it runs answers the present prompt (`finish`, or the number that it asks for). Exit code 1 if
-    the calibration did not succeed.
+    the calibration did not succeed; with --require-proof also if the streams do not prove everything that shows there.
     """
     from service.commands.screen import Screen
     from service.logs import configure_logging
 
+    if require_proof and not write:
+        raise click.UsageError("--require-proof asks for a proof of what was written: give --apply too")
     settings = load_settings(data_dir=data_dir, connect=(connect,))
     configure_logging(as_json=settings.log_json)
     screen = Screen()
-    return asyncio.run(_calibrate(settings, kind, _parsed(options), given(more), screen, wait, write, reboot, as_json))
+    job = asyncio.run(_calibrate(settings, kind, _parsed(options), given(more), screen, wait, write, reboot, as_json))
+    return 0 if _good(job, write, require_proof) else EXIT_NO
 
 
 async def _calibrate(
@@ -82,7 +85,7 @@ async def _calibrate(
     write: bool,
     reboot: bool,
     as_json: bool,
-) -> int:
+) -> Job:
     from service.api.views import job_model
     from service.core import running_service
     from service.jobs.model import Accept
@@ -108,9 +111,20 @@ async def _calibrate(
                 await typing
         if as_json:
             write_json(job_model(job).model_dump())
-        good = {JobState.SUCCEEDED} if write else {JobState.REVIEW, JobState.SUCCEEDED}
         _show_end(job, screen, written=write)
-        return 0 if job.state in good else EXIT_NO
+        return job
+
+
+def _good(job: Job, write: bool, require_proof: bool) -> bool:
+    """Whether the job has reached what was asked for."""
+    from service.jobs.model import Result
+    from service.jobs.proof import ProofLevel
+    from service.jobs.states import JobState
+
+    if not write:
+        return job.state in {JobState.REVIEW, JobState.SUCCEEDED}  # it succeeds at once where nothing is to be changed
+    proved = isinstance(job.outcome, Result) and job.outcome.proof is ProofLevel.FULL
+    return job.state is JobState.SUCCEEDED and (proved or not require_proof)
 
 
 async def _heard(service: Service, url: str, wait: float) -> Vehicle:
@@ -199,6 +213,10 @@ def _show_end(job: Job, screen: Screen, *, written: bool) -> None:
         screen.line(f"{job.state.value}: {job.outcome.cause} {job.outcome.remedy}", bold=True)
     elif job.outcome is not None:
         screen.line(f"{job.state.value}: {job.outcome.text}", bold=True)
+        if written:
+            screen.line(f"proof: {job.outcome.proof.value}")
+        for open_still in job.outcome.unproved:
+            screen.line(f"    {open_still.name} is not proved: {open_still.why}")
     elif not written:
         screen.line("nothing was written; --apply writes it", bold=True)
 

@@ -65,6 +65,8 @@ from service.store.rows import EventRow
 
 log = structlog.get_logger(__name__)
 
+LOST = "the write lost its task, by a defect of the program; its log says more"
+
 
 class JobEngine:
     """Runs calibrations; every method is called from the event loop.
@@ -150,10 +152,10 @@ class JobEngine:
     def _recover(self, handle: JobHandle) -> None:
         """Finish or take back an interrupted write: the journal and the vehicle decide."""
         if handle.job.plan is not None:
-            self._spawn(handle, partial(self._recovered, handle))
+            self._spawn(handle, partial(self._recovered, handle, INTERRUPTED))
 
-    async def _recovered(self, handle: JobHandle) -> None:
-        await self._doubt(handle, INTERRUPTED)
+    async def _recovered(self, handle: JobHandle, reason: str) -> None:
+        await self._doubt(handle, reason)
         await self._transaction(handle).resolve()
 
     def _resume(self, handle: JobHandle) -> None:
@@ -483,8 +485,8 @@ class JobEngine:
 
     async def _supervised(self, handle: JobHandle, work: Callable[[], Awaitable[None]]) -> None:
         """Run a job's work; whatever breaks, a job that is not at an end is never left without a task."""
+        pause = 0.0
         while True:
-            reason = "the write lost its task, by a defect of the program; its log says more"
             try:
                 await work()
             except asyncio.CancelledError as error:
@@ -496,11 +498,9 @@ class JobEngine:
                 self._broke(handle, error)
             if handle.job.state not in WRITING:
                 return
-            await self._doubt(handle, reason)
-            if handle.job.state not in WRITING:
-                return
-            await asyncio.sleep(self.settings.retry_s)
-            work = self._transaction(handle).resolve
+            await asyncio.sleep(pause)
+            pause = self.settings.retry_s
+            work = partial(self._recovered, handle, LOST)
 
     def _broke(self, handle: JobHandle, error: BaseException) -> None:
         log.error("job broke", job=handle.id, state=handle.job.state, exc_info=error)

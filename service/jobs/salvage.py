@@ -8,9 +8,10 @@ import structlog
 
 from calib.firmware.plan import WritePlan
 from calib.report import plan_from_json
+from service.jobs.account import as_heard
 from service.jobs.codec import job_from_row
-from service.jobs.journal import Step
-from service.jobs.model import Failure, Job
+from service.jobs.journal import Step, fold
+from service.jobs.model import Failure, Job, Standing
 from service.jobs.states import ENDED, WRITING, JobState
 from service.store.protocol import JobStore
 from service.store.rows import JobRow
@@ -40,7 +41,17 @@ def job_of(row: JobRow, store: JobStore) -> Job:
         return _bare(row, state, plan=plan, fingerprint=plan.fingerprint)
     text = "The record of this job is damaged, and it was writing: nobody knows what the vehicle holds."
     remedy = "Compare the vehicle's calibration parameters with a backup. Then use another data directory."
-    return _bare(row, JobState.IN_DOUBT, outcome=Failure(CODE, text, remedy))
+    known = _sent(row.id, store)
+    return _bare(row, JobState.IN_DOUBT, outcome=Failure(CODE, text, remedy), standing=known)
+
+
+def _sent(job_id: str, store: JobStore) -> tuple[Standing, ...]:
+    """Every parameter that the journal says was sent, or may have been, if the store can still read it."""
+    try:
+        return as_heard(fold(store.journal(job_id)), {}, "before the service was interrupted")
+    except Exception as error:
+        log.error("the journal of a damaged job cannot be read", job=job_id, exc_info=error)
+        return ()
 
 
 def _bare(row: JobRow, state: JobState, **known: Any) -> Job:

@@ -148,6 +148,7 @@ WRONG: Sequence[tuple[str, ...]] = (
     ("config", "key"),
     ("config", "key", "--name", "me", "--scope", "everything"),
     ("calibrate", "gyro"),
+    ("calibrate", "gyro", "--connect", "sim:ardupilot", "--require-proof"),
     ("calibrate", "nose", "--connect", "sim:ardupilot"),
     ("calibrate", "gyro", "--connect", "bogus", "--data-dir", "data"),
     ("calibrate", "gyro", "--connect", "udpin:127.0.0.1:0", "--option", "uncertainty", "--data-dir", "data"),
@@ -444,4 +445,7 @@ def test_a_calibration_headless_from_end_to_end(tmp_path):
     assert {c["name"] for c in job["plan"]["changes"]} >= {"INS_GYROFFS_X", "INS_GYR2OFFS_X", "INS_GYR3OFFS_X"}
     assert all(v["verdict"] in {"proved", "consistent", "not_observable"} for v in job["verification"]["parameters"])
     assert "succeeded" in done.stderr
+    assert job["last_write"]["result"] == "succeeded"
+    assert f"proof: {job['outcome']['proof']}" in done.stderr
+    assert all(f"{u['name']} is not proved" in done.stderr for u in job["outcome"]["unproved"])
     assert len(list((data / "tlogs").glob("*.tlog"))) == 1

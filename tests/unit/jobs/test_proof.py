@@ -1,0 +1,80 @@
+from __future__ import annotations
+
+import pytest
+
+from calib.firmware.plan import ParameterVerdict, Verdict, Verification
+from service.api.views import job_model
+from service.commands.calibrate import _good
+from service.jobs.codec import job_from_row, row_from_job
+from service.jobs.model import Attempt, Failure, Job, Outcome, Result, WriteResult
+from service.jobs.proof import ProofLevel, Unproved, proof_of
+from service.jobs.states import JobState
+
+P, C, N = Verdict.PROVED, Verdict.CONSISTENT, Verdict.NOT_OBSERVABLE
+
+
+def checked(*verdicts: Verdict, silent: int = 0) -> Verification:
+    acting = [ParameterVerdict(f"A{i}", v, 1.0, 0.1, "", f"because {v}") for i, v in enumerate(verdicts)]
+    flags = [ParameterVerdict(f"F{i}", N, 0.0, 0.0, "", "a flag", acts_on_stream=False) for i in range(silent)]
+    return Verification((*acting, *flags))
+
+
+@pytest.mark.parametrize(
+    ("verification", "level", "reason", "unproved"),
+    [
+        (None, "none", "No stream was checked after the write.", ""),
+        (checked(silent=2), "none", "None of the written parameters shows on a stream; all were read back.", ""),
+        (checked(P, P, silent=2), "full", "The stream proves all 2 parameters that show on it.", ""),
+        (
+            checked(P, C, N, N),
+            "partial",
+            "The stream proves 1 of 4 parameters that show on it; 1 consistent, 2 not observable.",
+            "A1 A2 A3",
+        ),
+        (checked(N, N), "none", "The stream proves 0 of 2 parameters that show on it; 2 not observable.", "A0 A1"),
+    ],
+)
+def test_how_far_a_write_is_proved(verification: Verification | None, level: str, reason: str, unproved: str) -> None:
+    proof = proof_of(verification)
+    assert (proof.level, proof.reason) == (level, reason)
+    assert " ".join(u.name for u in proof.unproved) == unproved
+    assert all(u.why.startswith("because") for u in proof.unproved)
+
+
+def job(state: JobState, outcome: Outcome | None) -> Job:
+    attempt = Attempt(WriteResult.SUCCEEDED, 2.0, "why", "what helps", 3)
+    return Job("j1", "v1", "gyro", {}, state, 1.0, 2.0, outcome=outcome, last_write=attempt)
+
+
+FULL = Result("Written.", ProofLevel.FULL, "All of it.")
+PART = Result("Written.", ProofLevel.PARTIAL, "1 of 2.", (Unproved("A", "consistent", "both agree"),))
+
+
+@pytest.mark.parametrize("outcome", [FULL, PART, Failure("reverted", "no effect", "Plan again."), None])
+def test_the_proof_survives_the_store_and_goes_over_http(outcome: Outcome | None) -> None:
+    before = job(JobState.SUCCEEDED, outcome)
+    assert job_from_row(row_from_job(before)) == before
+    told = job_model(before).model_dump(mode="json")
+    assert told["last_write"] == {"result": "succeeded", "at": 2.0, "cause": "why", "remedy": "what helps", "sent": 3}
+    if outcome is None:
+        assert told["outcome"] is None
+    else:
+        assert told["outcome"]["proof"] == (outcome.proof if isinstance(outcome, Result) else "none")
+        assert told["outcome"]["unproved"] == [vars(u) for u in getattr(outcome, "unproved", ())]
+
+
+@pytest.mark.parametrize(
+    ("state", "outcome", "write", "require", "good"),
+    [
+        (JobState.SUCCEEDED, FULL, True, True, True),
+        (JobState.SUCCEEDED, PART, True, True, False),
+        (JobState.SUCCEEDED, PART, True, False, True),
+        (JobState.REVERTED, Result("Back.", ProofLevel.FULL), True, True, False),
+        (JobState.REVIEW, None, False, False, True),
+        (JobState.REVIEW, None, True, False, False),
+    ],
+)
+def test_what_the_command_line_calls_good(
+    state: JobState, outcome: Outcome | None, write: bool, require: bool, good: bool
+) -> None:
+    assert _good(job(state, outcome), write, require) == good
