@@ -50,7 +50,7 @@ FULL = Result("Written.", ProofLevel.FULL, "All of it.")
 PART = Result("Written.", ProofLevel.PARTIAL, "1 of 2.", (Unproved("A", "consistent", "both agree"),))
 
 
-@pytest.mark.parametrize("outcome", [FULL, PART, Failure("reverted", "no effect", "Plan again."), None])
+@pytest.mark.parametrize("outcome", [FULL, PART, Failure("reverted", "No effect.", "Plan again."), None])
 def test_the_proof_survives_the_store_and_goes_over_http(outcome: Outcome | None) -> None:
     before = job(JobState.SUCCEEDED, outcome)
     assert job_from_row(row_from_job(before)) == before
