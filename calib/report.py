@@ -190,6 +190,7 @@ def verification_from_json(data: Mapping[str, Any]) -> Verification:
             ),
             movement=_movement_from(data["movement"]),
             sensors=tuple(_sensor_check_from(item) for item in data.get("sensors", ())),
+            unseen=tuple(data.get("unseen", ())),
         )
 
 

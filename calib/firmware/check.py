@@ -188,6 +188,24 @@ def within(polynomial: ThermalPolynomial | None, readings: tuple[Reading, ...]) 
     return tuple(r for r in readings if r.temperature is None or low <= r.temperature <= high)
 
 
+def out_of_range(about: Subject, force: Force, pair: Pair | None, now: Evidence) -> str:
+    """In words, that every reading of `about` was taken where its drift is not known; empty if not.
+
+    Waiting there proves nothing, so the range is said in which it will be provable.
+    """
+    in_force = Corrections(force, about).model(ALL_APPLIED).polynomial
+    known = known_drift(about.sensor, None if pair is None else pair.drift, in_force).polynomial
+    taken = [r for r in now.readings.get(about, ()) if r.temperature is not None]
+    if known is None or not taken or within(known, tuple(taken)):
+        return ""
+    heat = float(taken[-1].temperature or 0.0)
+    side = f"below {known.t_max:.0f}" if heat > known.t_max else f"above {known.t_min:.0f}"
+    return (
+        f"{about} is at {heat:.1f} degC and its drift is known from {known.t_min:.0f} to {known.t_max:.0f} degC: "
+        f"it will be provable {side} degC"
+    )
+
+
 def _magnitude(sensor: Sensor, fit: FitResult | None) -> float | None:
     """Length of the true vector; a magnetometer's is in the quality of its fit, if the field was known."""
     if sensor != Sensor.MAG or fit is None:

@@ -205,6 +205,13 @@ class Verification:
     parameters: tuple[ParameterVerdict, ...]
     movement: Movement | None = None
     sensors: tuple[SensorCheck, ...] = ()
+    unseen: tuple[str, ...] = ()
+    """Parameters whose sensor was not streamed or never at rest: another look may tell."""
+
+    @property
+    def settled(self) -> bool:
+        """Whether another look at a resting vehicle would change nothing: all was seen, and no sensor is in doubt."""
+        return not self.unseen and not self.refuted
 
     @property
     def contradicted(self) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from calib.errors import InvalidInputError
-from calib.firmware.check import StreamCheck, check_stream, strongest
+from calib.firmware.check import StreamCheck, check_stream, out_of_range, strongest
 from calib.firmware.content import contents
 from calib.firmware.draft import Subject
 from calib.firmware.evidence import Evidence, gather
@@ -65,6 +65,7 @@ def verify(
     pairs = {p.about: p for p in pair_fits([f for f in contents(fits).corrections if not f.relative])}
     acting: dict[Subject, tuple[str, ...]] = {}
     checks: dict[Subject, StreamCheck] = {}
+    outside: dict[Subject, str] = {}
     restarted = plan.needs_reboot or (before is not None and after.span[0] < before.span[1])
     for about in dict.fromkeys((*pairs, *_subjects(plan), *now.readings)):
         names = () if about in now.raw else force.acting(about)
@@ -74,9 +75,15 @@ def verify(
         check = check_stream(about, names, force, pairs.get(about), then, now, restarted=restarted)
         if check is not None:
             checks[about] = check
-    verdicts = tuple(_verdict(change.name, checks, acting, now) for change in plan.changes)
+        elif beyond := out_of_range(about, force, pairs.get(about), now):
+            outside[about] = beyond
+    verdicts = tuple(_verdict(change.name, checks, acting, now, outside) for change in plan.changes)
+    blind = [about for about in acting if not (now.readings.get(about) or now.moving.get(about))]
+    unseen = tuple(c.name for c in plan.changes if any(c.name in acting[about] for about in blind))
+    late = {name for about in outside for name in acting[about]}
+    waited_for = tuple(v for v in verdicts if v.name not in late or v.name in unseen)
     sensors = sensor_checks(plan, pairs, now, force)
-    return Verification(verdicts, movement_for(verdicts, checks), sensors)
+    return Verification(verdicts, movement_for(waited_for, checks), sensors, unseen)
 
 
 def _parameters(before: Recording | None, after: Recording) -> dict[str, Value]:
@@ -92,7 +99,11 @@ def _subjects(plan: WritePlan) -> tuple[Subject, ...]:
 
 
 def _verdict(
-    name: str, checks: Mapping[Subject, StreamCheck], acting: Mapping[Subject, tuple[str, ...]], now: Evidence
+    name: str,
+    checks: Mapping[Subject, StreamCheck],
+    acting: Mapping[Subject, tuple[str, ...]],
+    now: Evidence,
+    outside: Mapping[Subject, str],
 ) -> ParameterVerdict:
     check = strongest(checks, name)
     if check is not None:
@@ -101,7 +112,7 @@ def _verdict(
         return ParameterVerdict(name, verdict, check.effect(name), check.sd(name), check.unit, text)
     waiting = [about for about, names in acting.items() if name in names]
     if waiting:
-        text = _why_nothing(waiting, now)
+        text = next((outside[about] for about in waiting if about in outside), "") or _why_nothing(waiting, now)
     elif now.raw:
         text = "the stream of this sensor is raw and does not depend on it; it was read back"
     else:
@@ -129,7 +140,4 @@ def _why_nothing(waiting: Sequence[Subject], now: Evidence) -> str:
         return f"{which} was not streamed after the write"
     if not any(now.readings[about] or now.moving.get(about) for about in streamed):
         return f"the vehicle was not still long enough to read {which}"
-    return (
-        f"{which} was moved between the captures, or its temperature was not streamed or lies outside the range that "
-        "was calibrated: there is nothing to compare"
-    )
+    return f"{which} was moved between the captures, or its temperature was not streamed: there is nothing to compare"

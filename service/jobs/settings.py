@@ -21,6 +21,8 @@ class JobSettings:
     """But never less than this on our clock: a PARAM_SET may still be under way."""
     check_s: float = 3.0
     """Length of the stream windows before and after a write, seconds of the vehicle's clock."""
+    observe_s: float = 20.0
+    """How long a check that saw no sensor at rest, or finds one wrong, goes on looking; the vehicle's clock."""
     window_timeout_s: float = 20.0
     """How long such a window may take."""
     measure_s: float = 1.0

@@ -29,6 +29,7 @@ FINISH = "finish"
 STEP_S = 2.0
 """A movement is judged anew after so much more of the vehicle's time."""
 POLL_S = 0.02
+HOLD_STILL = Prompt("hold_still", "Leave the vehicle alone: its sensors are read at rest.", answers=(FINISH,))
 
 
 @dataclass
@@ -131,6 +132,11 @@ class StreamCheck:
             after = await guard.run(partial(window.extend, self.settings.check_s))
             verification = await self._verify(before, after, values)
             begun = _end(after)
+            while not verification.settled and not verification.contradicted and self._patient(_end(after) - begun):
+                self._look_again(verification, _end(after) - begun)
+                after = await guard.run(partial(window.extend, STEP_S))
+                verification = await self._verify(before, after, values)
+            begun = _end(after)
             while self._worth_waiting(verification, _end(after) - begun):
                 self._ask(verification, _end(after) - begun)
                 after = await guard.run(partial(window.extend, STEP_S))
@@ -138,12 +144,27 @@ class StreamCheck:
         self.handle.prompt(None)
         return verification
 
+    def _patient(self, waited: float) -> bool:
+        return waited < self.settings.observe_s and not self._finished()
+
+    def _look_again(self, verification: Verification, waited: float) -> None:
+        """A vehicle that was touched for a second is no reason to give up, nor to take a write back."""
+        self.handle.prompt(HOLD_STILL)
+        names = ", ".join(verification.unseen)
+        cause = f"no sensor at rest shows {names}" if names else verification.refuted[0].text
+        left = self.settings.observe_s - waited
+        text = f"{cause}; looking again for up to {left:.0f} s"
+        self.handle.progress(Progress(waited, self.settings.observe_s, "s", text, eta=left))
+
     def _worth_waiting(self, verification: Verification, waited: float) -> bool:
+        open_still = verification.movement is not None and not verification.must_go
+        return open_still and not self._finished() and waited < self.prove_s
+
+    def _finished(self) -> bool:
         finished = False
         while not self.handle.answers.empty():
             finished |= self.handle.answers.get_nowait() == FINISH
-        open_still = verification.movement is not None and not verification.contradicted
-        return open_still and not finished and waited < self.prove_s
+        return finished
 
     def _ask(self, verification: Verification, waited: float) -> None:
         assert verification.movement is not None

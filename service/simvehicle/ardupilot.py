@@ -12,7 +12,7 @@ from service.simvehicle.ardupilot_commands import GIT_HASH, ArduPilotCommands
 from service.simvehicle.ardupilot_protocol import ArduPilotParameters
 from service.simvehicle.ardupilot_readings import Readings
 from service.simvehicle.ardupilot_sensors import ArduPilotSensors
-from service.simvehicle.config import VehicleConfig
+from service.simvehicle.config import Calibration, VehicleConfig
 from service.simvehicle.parameters import Parameter, ParameterTable
 from service.simvehicle.streams import ardupilot_interval_ms, ardupilot_stream
 from service.simvehicle.telemetry import (
@@ -67,6 +67,8 @@ class ArduPilotVehicle(Vehicle):
         self.sensors = ArduPilotSensors(self.world, self.table, self.faults)
         self.telemetry = Telemetry(self)
         self.commands = ArduPilotCommands(self)
+        if config.calibration is Calibration.EARLIER:
+            self.commands.accel_ids_stored = set(range(config.imu_count))
         self._builders: dict[int, Callable[[Readings, int], Any]] = {
             dialect.MAVLINK_MSG_ID_RAW_IMU: self._raw_imu,
             dialect.MAVLINK_MSG_ID_SCALED_IMU: self._scaled_imu(dialect.MAVLink_scaled_imu_message, 0),

@@ -22,6 +22,13 @@ class Autopilot(StrEnum):
     PX4 = "px4"
 
 
+class Calibration(StrEnum):
+    """What the parameters say of the sensors when the vehicle is started for the first time."""
+
+    EARLIER = "earlier"  # near the truth, as of a calibration some time ago
+    NONE = "none"  # a new board: neutral everywhere
+
+
 @dataclass(frozen=True)
 class VehicleConfig:
     """Everything that is fixed for the life of the process. Units as in the package docstring."""
@@ -53,6 +60,7 @@ class VehicleConfig:
     board_orientation: int = 0
     highres_mag_defect: bool = True  # ArduPilot 4.7-dev before 2026-02 multiplies by 1000 instead of dividing
     sitl: bool = False  # PX4: the simulator build refuses to reboot and knows no TC_* module
+    calibration: Calibration = Calibration.EARLIER
     gps: bool = True
     boot_s: float = 3.0
     unix_time_s: float = 0.0  # 0: the wall clock's
@@ -94,6 +102,8 @@ def _converted(name: str, value: Any, present: Any) -> Any:
     try:
         if name == "autopilot":
             return Autopilot(value)
+        if name == "calibration":
+            return Calibration(value)
         if name == "mag_orientation_parameters":
             return None if value is None else tuple(int(v) for v in value)
         if isinstance(present, Mapping):

@@ -11,8 +11,9 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 
-from service.simvehicle.config import Autopilot, VehicleConfig
+from service.simvehicle.config import Autopilot, Calibration, VehicleConfig
 from service.simvehicle.control import ControlServer
+from service.simvehicle.earlier import earlier_calibration
 from service.simvehicle.errors import ControlError
 from service.simvehicle.faults import Injector
 from service.simvehicle.impairment import FaultyLink
@@ -33,6 +34,13 @@ Ready = set[socket.socket | int]
 
 def make_vehicle(config: VehicleConfig) -> Vehicle:
     """A vehicle of the configured personality, not yet booted."""
+    vehicle = _personality(config)
+    if config.calibration is Calibration.EARLIER:
+        vehicle.preset_parameters(earlier_calibration(config, vehicle.world.truth))
+    return vehicle
+
+
+def _personality(config: VehicleConfig) -> Vehicle:
     # Imported here: each personality only pays for itself.
     if config.autopilot is Autopilot.ARDUPILOT:
         from service.simvehicle.ardupilot import ArduPilotVehicle

@@ -43,7 +43,7 @@ def streamed(vehicle: Vehicle, message_id: int, euler_deg: list[float], seconds:
 
 
 def started(config: dict[str, object], parameters: dict[str, float], message_id: int) -> Vehicle:
-    vehicle = make_vehicle(load_config(config))
+    vehicle = make_vehicle(load_config({"calibration": "none"} | config))
     vehicle.preset_parameters(parameters)
     vehicle.channels.append(Channel(Packer(1), lambda _: None))
     vehicle.start()

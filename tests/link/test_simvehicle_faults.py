@@ -54,7 +54,7 @@ class Rig:
     """A vehicle, its server, and a ground station's hands."""
 
     def __init__(self, autopilot: str, **config: Any) -> None:
-        self.vehicle = make_vehicle(load_config({"autopilot": autopilot} | config))
+        self.vehicle = make_vehicle(load_config({"autopilot": autopilot, "calibration": "none"} | config))
         self.link = ListLink()
         self.server = Server(self.vehicle, [self.link], 0, 1.0)
         self._packer = Packer(250, 190)

@@ -318,3 +318,18 @@ def test_writes_that_a_real_px4_ignored_are_told_from_those_it_applied(shared_da
         before, after = recording.between(t - 4.0, t - 0.2), recording.between(t + 0.5, t + 4.0)
         result = verify(plan, [], before, after, parameters=old | {name: change.new})
         assert result.parameters[0].verdict == verdict, (name, value)
+
+
+def test_beyond_the_calibrated_temperatures_nothing_is_waited_for(
+    ardupilot_parameters, ardupilot_fingerprint, make_fit
+):
+    truth = TriadModel([0.01, -0.02, 0.005], polynomial=CURVE)
+    fit = make_fit(Sensor.GYRO, offset=truth.offset, polynomial=CURVE, polynomial_sd=1e-6, offset_sd=2e-5)
+    plan = compose([fit], ardupilot_parameters, ardupilot_fingerprint)
+    truths = {Sensor.ACCEL: TriadModel(), Sensor.GYRO: truth}
+    _, result = run(ardupilot, plan, [fit], truths, ardupilot_parameters, every(plan), temperature=66.0)
+    acting = [p for p in result.parameters if p.acts_on_stream]
+    assert {p.verdict for p in acting} == {Verdict.NOT_OBSERVABLE}
+    assert all("it will be provable below 60 degC" in p.text for p in acting)
+    assert result.movement is None
+    assert result.settled

@@ -75,7 +75,7 @@ def bench() -> Callable[..., Bench]:
     """A started vehicle: bench("ardupilot", **configuration)."""
 
     def build(autopilot: str, links: int = 1, **config: Any) -> Bench:
-        loaded = load_config({"autopilot": autopilot} | config)
+        loaded = load_config({"autopilot": autopilot, "calibration": "none"} | config)
         vehicle = make_vehicle(loaded)
         vehicle.preset_parameters(loaded.parameters)
         return Bench(vehicle, links)

@@ -1,0 +1,171 @@
+"""``python -m bench.sequence``: every calibration in a row, as a person makes them, on both simulated autopilots.
+
+Each vehicle has two inertial units and two compasses, its board turned by yaw 90 deg, its external compass mounted
+otherwise than its parameters say, and an older calibration in force in every sensor. Each job builds on what the one
+before has written. Exit code 1: an outcome is neither proved nor tells its reason, or a job did not succeed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final
+
+from bench.campaign.session import Session, session
+from calib.firmware.plan import SensorVerdict, Verdict, Verification
+from service.jobs.model import Failure, Job
+from service.jobs.states import ENDED, JobState
+from service.simvehicle.client import SimulatedVehicle
+from service.simvehicle.operator import Operator
+
+Json = dict[str, Any]
+
+AUTOPILOTS: Final = ("ardupilot", "px4")
+KINDS: Final = ("gyro", "accel", "level", "mag", "thermal")
+SPEED: Final = 20.0
+WRITING_SPEED: Final = 4.0
+"""Vehicle seconds per wall second: while parameters are written, the wall's delays must not look like hours."""
+START_C, END_C, SPAN_C, PROOF_C = 22.0, 75.0, 48.0, 60.0
+OPTIONS: Final[Mapping[str, Json]] = MappingProxyType({"thermal": {"span": SPAN_C}})
+STATED: Final[Mapping[str, Json]] = MappingProxyType({"ardupilot": {"INS_GYR_CAL": 0}, "px4": {"IMU_GYRO_CAL_EN": 0}})
+"""Settings under which a vehicle keeps what is written."""
+YAW_90, YAW_270 = 2, 6
+CONFIG: Final[Json] = {
+    "imu_count": 2,
+    "mag_count": 2,
+    "temperature": START_C,
+    "board_orientation": YAW_90,
+    "mag_orientations": [YAW_90, YAW_270],
+    "mag_orientation_parameters": [YAW_90, 0],
+}
+
+
+@dataclass(frozen=True)
+class Row:
+    """How one calibration ended."""
+
+    autopilot: str
+    kind: str
+    state: JobState
+    acting: int
+    """Written parameters that act on a stream."""
+    proved: int
+    right: int
+    """Sensors that were judged and read right."""
+    judged: int
+    seconds: float
+    reason: str
+    """Why not everything is proved; empty if it is."""
+
+    @property
+    def good(self) -> bool:
+        """Whether it succeeded, and everything is proved or there is a reason."""
+        whole = 0 < self.acting == self.proved
+        return self.state == JobState.SUCCEEDED and (whole or bool(self.reason))
+
+
+async def sequence(autopilot: str, seed: int, kinds: Sequence[str] = KINDS) -> list[Row]:
+    """Calibrate one vehicle, sensor after sensor; ends with the first job that does not succeed."""
+    config = {**CONFIG, "parameters": STATED[autopilot]}
+    rows: list[Row] = []
+    with (
+        tempfile.TemporaryDirectory(prefix="mavcal-sequence-") as folder,
+        SimulatedVehicle(autopilot, seed=seed, speed=SPEED, config=config) as sim,
+    ):
+        async with session(Path(folder), sim) as service:
+            service.operator = Operator(sim, warm_from=START_C, warm_to=END_C)
+            for kind in kinds:
+                began = time.monotonic()
+                job = await _calibrated(service, sim, kind)
+                rows.append(row_of(autopilot, job, time.monotonic() - began))
+                if not rows[-1].good:
+                    break
+    return rows
+
+
+async def _calibrated(service: Session, sim: SimulatedVehicle, kind: str) -> Job:
+    """One job from its start to its end, by an operator who does what the prompts say."""
+    job = await service.reviewed(sim, kind, dict(OPTIONS.get(kind, {})))
+    if job.state != JobState.REVIEW or job.plan is None or job.plan.blockers or not job.plan.changes:
+        return job
+    if kind == "thermal":
+        await sim.acall("temperature", value=PROOF_C)
+    await sim.acall("speed", value=WRITING_SPEED)
+    job = await service.applied(job)
+    while (job := service.engine.get(job.id)).state not in ENDED:
+        await service.obeyed(job)
+        await asyncio.sleep(0.05)
+    await sim.acall("speed", value=SPEED)
+    await asyncio.to_thread(service.operator.rest)
+    return job
+
+
+def row_of(autopilot: str, job: Job, seconds: float) -> Row:
+    """What to show of a job."""
+    check = job.verification or Verification(())
+    acting = [p for p in check.parameters if p.acts_on_stream]
+    judged = [c for c in check.sensors if c.verdict != SensorVerdict.NOT_OBSERVABLE]
+    return Row(
+        autopilot,
+        job.kind,
+        job.state,
+        len(acting),
+        sum(p.verdict == Verdict.PROVED for p in acting),
+        sum(c.verdict == SensorVerdict.RIGHT for c in judged),
+        len(judged),
+        seconds,
+        reason_of(job, check),
+    )
+
+
+def reason_of(job: Job, check: Verification) -> str:
+    """Why not everything is proved."""
+    if isinstance(job.outcome, Failure):
+        return job.outcome.cause
+    if job.plan is not None and (job.plan.blockers or not job.plan.changes):
+        return "; ".join(job.plan.blockers) or "nothing to write: what is in force agrees with the fit"
+    texts: dict[str, list[str]] = {}
+    for p in check.parameters:
+        if p.acts_on_stream and p.verdict != Verdict.PROVED:
+            texts.setdefault(p.text, []).append(p.name)
+    if texts:
+        return "; ".join(f"{', '.join(names)}: {text}" for text, names in texts.items())
+    if not any(p.acts_on_stream for p in check.parameters):
+        return next((p.text for p in check.parameters), "nothing was checked")
+    return ""
+
+
+def table(rows: Sequence[Row]) -> str:
+    """The rows as a table in Markdown."""
+    lines = ["| autopilot | job | ended | proved | sensors right | s | reason |", "|---|---|---|---|---|---|---|"]
+    lines += [
+        f"| {r.autopilot} | {r.kind} | {r.state.value} | {r.proved} of {r.acting} | {r.right} of {r.judged} "
+        f"| {r.seconds:.0f} | {r.reason or 'every parameter that shows is proved'} |"
+        for r in rows
+    ]
+    return "\n".join(lines)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run both autopilots and print the table."""
+    parser = argparse.ArgumentParser(prog="python -m bench.sequence", description=__doc__)
+    parser.add_argument("--autopilot", choices=AUTOPILOTS, action="append")
+    parser.add_argument("--seed", type=int, default=61)
+    parser.add_argument("--kind", choices=KINDS, action="append")
+    args = parser.parse_args(argv)
+    kinds = args.kind or KINDS
+    rows = [row for a in args.autopilot or AUTOPILOTS for row in asyncio.run(sequence(a, args.seed, kinds))]
+    print(table(rows))
+    expected = len(args.autopilot or AUTOPILOTS) * len(kinds)
+    return 0 if len(rows) == expected and all(row.good for row in rows) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,87 @@
+"""The calibration that a vehicle starts with: made some time ago, near the truth, and identity nowhere.
+
+A vehicle whose parameters are all neutral hides every fault in undoing what is in force and in judging a change of it,
+so a new one is the exception (``"calibration": "none"``).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from service.simvehicle import ardupilot_parameters as ardupilot
+from service.simvehicle import px4_parameters as px4
+from service.simvehicle.config import Autopilot, VehicleConfig
+from service.simvehicle.parameters import AXES
+from service.simvehicle.rotation import Array, mounting_matrix
+from service.simvehicle.truth import T_REF, SensorTruth, VehicleTruth
+
+ACCEL_OFFSET_AGED = 0.05  # m/s², sd an axis
+ACCEL_SCALE_AGED = 0.002
+GYRO_OFFSET_AGED = 4e-3  # rad/s
+MAG_OFFSET_AGED = 3.0  # µT
+MAG_MATRIX_AGED = 0.015
+TRIM_DEG = (1.1, -0.8)  # roll, pitch of the board in the vehicle
+COMPASS_SCALE = 1.02
+MGAUSS_PER_UT, UT_PER_GAUSS = 10.0, 100.0
+
+
+def earlier_calibration(config: VehicleConfig, truth: VehicleTruth) -> dict[str, float]:
+    """Parameters by name: offsets, scales, cross terms and trim of every sensor."""
+    rng = np.random.default_rng([config.seed, 4])
+    if config.autopilot is Autopilot.ARDUPILOT:
+        return _ardupilot(config, truth, rng)
+    return _px4(truth, rng)
+
+
+def _ardupilot(config: VehicleConfig, truth: VehicleTruth, rng: np.random.Generator) -> dict[str, float]:
+    values = {"AHRS_TRIM_X": float(np.radians(TRIM_DEG[0])), "AHRS_TRIM_Y": float(np.radians(TRIM_DEG[1]))}
+    for k, (accel, gyro) in enumerate(zip(truth.accels, truth.gyros, strict=True)):
+        values |= _named(ardupilot.accel_offset_name(k), _aged(rng, accel.offset, ACCEL_OFFSET_AGED))
+        values |= _named(ardupilot.accel_scale_name(k), _scale(rng, accel))
+        values |= _named(ardupilot.gyro_offset_name(k), _aged(rng, gyro.offset, GYRO_OFFSET_AGED))
+        values |= {ardupilot.caltemp_name(sensor, k): T_REF for sensor in ("ACC", "GYR")}
+    for k, mag in enumerate(truth.mags):
+        offset, matrix = _soft_iron(rng, mag)
+        body = mounting_matrix(config.mag_orientations[k])
+        matrix = body @ matrix @ body.T
+        values |= _named(ardupilot.compass_name("OFS", k), -MGAUSS_PER_UT * body @ offset)
+        values |= _named(ardupilot.compass_name("DIA", k), np.diag(matrix))
+        values |= _named(ardupilot.compass_name("ODI", k), matrix[[0, 0, 1], [1, 2, 2]])
+        values[ardupilot.compass_name("SCALE", k)] = COMPASS_SCALE
+    return values
+
+
+def _px4(truth: VehicleTruth, rng: np.random.Generator) -> dict[str, float]:
+    values = {"SENS_BOARD_X_OFF": TRIM_DEG[0], "SENS_BOARD_Y_OFF": TRIM_DEG[1]}
+    for k, (accel, gyro) in enumerate(zip(truth.accels, truth.gyros, strict=True)):
+        values |= _slot(f"CAL_ACC{k}", "OFF", _aged(rng, accel.offset, ACCEL_OFFSET_AGED))
+        values |= _slot(f"CAL_ACC{k}", "SCALE", _scale(rng, accel))
+        values |= _slot(f"CAL_GYRO{k}", "OFF", _aged(rng, gyro.offset, GYRO_OFFSET_AGED))
+    for k, mag in enumerate(truth.mags):
+        offset, matrix = _soft_iron(rng, mag)
+        values |= _slot(f"CAL_MAG{k}", "OFF", offset / UT_PER_GAUSS)
+        values |= _slot(f"CAL_MAG{k}", "SCALE", np.diag(matrix))
+        values |= _slot(f"CAL_MAG{k}", "ODIAG", matrix[[0, 0, 1], [1, 2, 2]])
+    return values
+
+
+def _aged(rng: np.random.Generator, value: Array, sd: float) -> Array:
+    return np.asarray(value + rng.normal(0.0, sd, value.shape))
+
+
+def _scale(rng: np.random.Generator, accel: SensorTruth) -> Array:
+    return _aged(rng, 1.0 / np.diag(accel.matrix), ACCEL_SCALE_AGED)
+
+
+def _soft_iron(rng: np.random.Generator, mag: SensorTruth) -> tuple[Array, Array]:
+    """Offset in µT and the symmetric matrix that corrects, in the chip's frame."""
+    error = rng.normal(0.0, MAG_MATRIX_AGED, (3, 3))
+    return _aged(rng, mag.offset, MAG_OFFSET_AGED), np.asarray(np.linalg.inv(mag.matrix) + 0.5 * (error + error.T))
+
+
+def _named(base: str, vector: Array) -> dict[str, float]:
+    return {f"{base}_{axis}": float(value) for axis, value in zip(AXES, vector, strict=True)}
+
+
+def _slot(slot: str, quantity: str, vector: Array) -> dict[str, float]:
+    return {n: float(v) for n, v in zip(px4.vector_names(slot, quantity), vector, strict=True)}
