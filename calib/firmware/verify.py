@@ -18,6 +18,7 @@ from calib.firmware.draft import Subject
 from calib.firmware.evidence import Evidence, gather
 from calib.firmware.fitted import pair_fits
 from calib.firmware.force import force_of
+from calib.firmware.level_check import level_checks
 from calib.firmware.movement import movement_for
 from calib.firmware.plan import ParameterVerdict, Value, Verdict, Verification, WritePlan
 from calib.firmware.sensor_check import sensor_checks
@@ -62,7 +63,8 @@ def verify(
     force = force_of(plan.fingerprint.autopilot, known, plan.changes)
     now = gather(after)
     then = gather(before) if before is not None else Evidence({}, {}, frozenset())
-    pairs = {p.about: p for p in pair_fits([f for f in contents(fits).corrections if not f.relative])}
+    told = contents([f for f in fits if not f.relative])
+    pairs = {p.about: p for p in pair_fits(told.corrections)}
     acting: dict[Subject, tuple[str, ...]] = {}
     checks: dict[Subject, StreamCheck] = {}
     outside: dict[Subject, str] = {}
@@ -77,12 +79,15 @@ def verify(
             checks[about] = check
         elif beyond := out_of_range(about, force, pairs.get(about), now):
             outside[about] = beyond
-    verdicts = tuple(_verdict(change.name, checks, acting, now, outside) for change in plan.changes)
+    trims, level = level_checks(plan, told.levels, before, after, then, now, force)
+    verdicts = tuple(
+        trims.get(change.name) or _verdict(change.name, checks, acting, now, outside) for change in plan.changes
+    )
     blind = [about for about in acting if not (now.readings.get(about) or now.moving.get(about))]
     unseen = tuple(c.name for c in plan.changes if any(c.name in acting[about] for about in blind))
     late = {name for about in outside for name in acting[about]}
     waited_for = tuple(v for v in verdicts if v.name not in late or v.name in unseen)
-    sensors = sensor_checks(plan, pairs, now, force)
+    sensors = (*sensor_checks(plan, pairs, now, force), *level)
     return Verification(verdicts, movement_for(waited_for, checks), sensors, unseen)
 
 

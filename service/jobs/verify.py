@@ -9,8 +9,10 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Self
 
+from calib.firmware.auxiliary import ATTITUDE
 from calib.firmware.plan import Movement, Value, Verification, WritePlan
 from calib.firmware.streams import Assembler, requested_streams
+from calib.firmware.trim import AHRS_TRIM
 from calib.firmware.verify import verify
 from calib.procedures.protocol import Pose, Progress, Prompt
 from calib.recording import Recording, Sensor, join
@@ -29,6 +31,7 @@ FINISH = "finish"
 STEP_S = 2.0
 """A movement is judged anew after so much more of the vehicle's time."""
 POLL_S = 0.02
+ATTITUDE_HZ = 10.0
 HOLD_STILL = Prompt("hold_still", "Leave the vehicle alone: its sensors are read at rest.", answers=(FINISH,))
 
 
@@ -181,6 +184,8 @@ class StreamCheck:
     async def _streams(self) -> None:
         sensors = {change.sensor for change in self.plan.changes if change.sensor is not None}
         rates = requested_streams(self.plan.fingerprint.autopilot, sensors | {Sensor.ACCEL, Sensor.GYRO})
+        if any(change.name in AHRS_TRIM for change in self.plan.changes):
+            rates[ATTITUDE] = ATTITUDE_HZ  # the only stream that shows ArduPilot's trim
         await ask_for_streams(self.handle, self.vehicle, rates)
 
     def _recorded(self) -> Recording | None:

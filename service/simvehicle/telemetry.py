@@ -13,6 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from service.simvehicle.corrections import as_float32
 from service.simvehicle.rotation import (
     Array,
+    conjugate,
     euler_from_quaternions,
     multiply,
     quaternion_from_euler,
@@ -64,7 +65,7 @@ def estimated_attitude(state: State, corrected_force: Array, trim: Array) -> Arr
     usable = np.isfinite(corrected_force).all(axis=1) & (np.linalg.norm(corrected_force, axis=1) > 1.0)
     seen = np.where(usable[:, None], corrected_force, state.force)
     tilt = shortest_rotation(seen, state.force)
-    untrim = quaternion_from_euler(-float(trim[0]), -float(trim[1]), 0.0)
+    untrim = conjugate(quaternion_from_euler(float(trim[0]), float(trim[1]), 0.0))
     return multiply(multiply(state.q, tilt), untrim)
 
 
