@@ -15,11 +15,12 @@ from service.simvehicle.parameters import AXES
 from service.simvehicle.rotation import Array, mounting_matrix
 from service.simvehicle.truth import T_REF, SensorTruth, VehicleTruth
 
-ACCEL_OFFSET_AGED = 0.05  # m/s², sd an axis
-ACCEL_SCALE_AGED = 0.002
-GYRO_OFFSET_AGED = 4e-3  # rad/s
-MAG_OFFSET_AGED = 3.0  # µT
-MAG_MATRIX_AGED = 0.015
+# By how much it is off by now: as much as a new calibration can prove, and not so much that the sensors look broken.
+ACCEL_OFFSET_AGED = (0.04, 0.1)  # m/s² an axis, either way
+ACCEL_SCALE_AGED = (4e-3, 9e-3)
+GYRO_OFFSET_AGED = (3e-3, 8e-3)  # rad/s
+MAG_OFFSET_AGED = (2.0, 5.0)  # µT
+MAG_MATRIX_AGED = (0.02, 0.04)
 TRIM_DEG = (1.1, -0.8)  # roll, pitch of the board in the vehicle
 COMPASS_SCALE = 1.02
 MGAUSS_PER_UT, UT_PER_GAUSS = 10.0, 100.0
@@ -65,8 +66,8 @@ def _px4(truth: VehicleTruth, rng: np.random.Generator) -> dict[str, float]:
     return values
 
 
-def _aged(rng: np.random.Generator, value: Array, sd: float) -> Array:
-    return np.asarray(value + rng.normal(0.0, sd, value.shape))
+def _aged(rng: np.random.Generator, value: Array, bounds: tuple[float, float]) -> Array:
+    return np.asarray(value + rng.uniform(*bounds, value.shape) * rng.choice([-1.0, 1.0], value.shape))
 
 
 def _scale(rng: np.random.Generator, accel: SensorTruth) -> Array:
@@ -75,8 +76,8 @@ def _scale(rng: np.random.Generator, accel: SensorTruth) -> Array:
 
 def _soft_iron(rng: np.random.Generator, mag: SensorTruth) -> tuple[Array, Array]:
     """Offset in µT and the symmetric matrix that corrects, in the chip's frame."""
-    error = rng.normal(0.0, MAG_MATRIX_AGED, (3, 3))
-    return _aged(rng, mag.offset, MAG_OFFSET_AGED), np.asarray(np.linalg.inv(mag.matrix) + 0.5 * (error + error.T))
+    aged = np.triu(_aged(rng, np.linalg.inv(mag.matrix), MAG_MATRIX_AGED))
+    return _aged(rng, mag.offset, MAG_OFFSET_AGED), aged + aged.T - np.diag(np.diag(aged))
 
 
 def _named(base: str, vector: Array) -> dict[str, float]:

@@ -56,7 +56,7 @@ THR_MDL_FAC f 0|WV_EN i 0|WV_GAIN f 1|WV_ROLL_MIN f 1|WV_YRATE_MAX f 90"""
 
 def px4_table(config: VehicleConfig) -> list[Parameter]:
     """Every parameter of a board whose sensors have slots but no calibration, sorted by name."""
-    entries = [*_ordinary(), *_inertial(config), *_magnetic(config), *_thermal(), *_baro()]
+    entries = [*_ordinary(config), *_inertial(config), *_magnetic(config), *_thermal(), *_baro()]
     for parameter in entries:
         parameter.listed = _listed_from_the_start(parameter.name, thermal_runs=not config.sitl)
     return sorted(entries, key=lambda p: p.name)
@@ -78,9 +78,11 @@ def _int(name: str, value: int) -> Parameter:
     return Parameter(name, ParameterType.INT32, value, value)
 
 
-def _ordinary() -> Iterator[Parameter]:
+def _ordinary(config: VehicleConfig) -> Iterator[Parameter]:
     for entry in _ORDINARY.replace("\n", "|").split("|"):
         name, kind, value = entry.split()
+        if name == "SENS_BOARD_ROT":
+            value = str(config.board_orientation)
         yield _float(name, float(value)) if kind == "f" else _int(name, int(value))
 
 
