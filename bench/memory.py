@@ -114,7 +114,7 @@ def _streaming(frames: int) -> tuple[list[Reading], list[str]]:
 
 def begin_capture(client: ServiceClient, vehicle_id: str) -> str:
     """A job that captures until it is ended, because the temperature never reaches the span; its id."""
-    body = {"kind": "thermal", "options": {"span": SPAN_C}}
+    body = {"kind": "thermal", "options": {"span": SPAN_C, "extend": False}}
     job = str(client.post(f"/vehicles/{vehicle_id}/jobs", body)["id"])
     until = time.monotonic() + CAPTURES_WITHIN_S
     while client.get(f"/jobs/{job}")["progress"] is None:

@@ -29,6 +29,9 @@ SPEC = ProcedureSpec(
     helpful=(),
     options=(
         Option("span", 25.0, "range of temperature to cover, every unit", "degC", 10.0, 100.0),
+        Option(
+            "extend", default=True, help="goes on past the span until the temperature settles, or the operator ends it"
+        ),
         Option("settled", 0.2, "rate below which the temperature counts as settled", "degC/min", 0.01, 5.0),
         Option(
             "accel_residual", 0.02, "standard deviation of the accelerometers' drift curve to reach", "m/s2", 1e-3, 0.2
@@ -37,8 +40,8 @@ SPEC = ProcedureSpec(
         Option("patience", 600.0, "gives up after this time without a change of temperature", "s", 30.0, 7200.0),
     ),
     needs="a cold vehicle lying still while it warms up by its own heat (or a warm one that cools down)",
-    ends_on="the asked-for span (25 degC), a settled temperature or the operator's word, with drift curves known to "
-    "0.02 m/s2 and 0.05 deg/s",
+    ends_on="a settled temperature, or the operator's word once the range is wide enough (at the asked-for span of "
+    "25 degC if it need not extend), with drift curves known to 0.02 m/s2 and 0.05 deg/s",
     autopilots={
         "ardupilot": Holds(
             writes=(
@@ -139,10 +142,11 @@ class ThermalProcedure(TickedProcedure):
 
     def _judge(self) -> None:
         span, settled = self._warmth.span, self._warmth.settled(self.options["settled"])
-        if span >= self.options["span"] or (settled and span >= NARROWEST):
+        covered = span >= self.options["span"] and (settled or not self.options["extend"])
+        if covered or (settled and span >= NARROWEST):
             if self.time >= self._next_fit:
                 self._next_fit = self.time + max(5.0, FIT_AGAIN * self.elapsed)
-                why = "the asked-for span is covered" if span >= self.options["span"] else "the temperature has settled"
+                why = "the temperature has settled" if settled else "the asked-for span is covered"
                 self._try(why, last=settled)
         elif settled and self._warmth.moved >= NARROWEST:
             self._give_up(
@@ -217,6 +221,11 @@ class ThermalProcedure(TickedProcedure):
             self._warn(f"ended by the operator; {missed}")
         self._end(fits, f"the operator ended it after {self._warmth.span:.1f} degC")
 
+    def _at_end(self) -> None:
+        """Data that end while it still warms up are enough if the asked-for span is covered."""
+        if self._warmth.span >= self.options["span"]:
+            self._try("the recording ends with the asked-for span covered", last=False)
+
     def _missing(self) -> tuple[str, str]:
         span = self._warmth.span
         if self._warmth.moved - span > 2.0:
@@ -237,6 +246,11 @@ class ThermalProcedure(TickedProcedure):
     def _ask(self, *, still: bool) -> None:
         answers = ("finish",) if self._warmth.span >= NARROWEST else ()
         text = "Leave the vehicle alone while its temperature changes."
+        if self._warmth.span >= self.options["span"]:
+            text = (
+                f"The asked-for {self.options['span']:.0f} degC are covered, and the temperature still changes. Leave "
+                "the vehicle alone to widen the range, or finish now."
+            )
         if not still:
             text = f"Do not touch it: {self._what}. {text}"
         self._say(Prompt("warm_up", text, stable=still, answers=answers))
@@ -244,6 +258,14 @@ class ThermalProcedure(TickedProcedure):
     def _tell(self, verdict: Verdict) -> None:
         span, target, rate = self._warmth.span, float(self.options["span"]), self._warmth.rate
         eta = (target - span) / abs(rate) if abs(rate) > 1e-4 and span < target else None
+        text = f"{span:.1f} of {target:.0f} degC"
+        settles = self._warmth.settles(self.options["settled"])
+        if self.options["extend"] and settles is not None:
+            eta, at = settles
+            text += f", {60.0 * rate:+.1f} degC/min, to settle near {at:.0f} degC"
+        elif self.options["extend"]:
+            eta = None if span >= target else eta
+            text += f", {60.0 * rate:+.1f} degC/min"
         detail = {
             "temperature": {str(i): t for i, t in self._warmth.now.items()},
             "rate_degc_per_min": 60.0 * rate,
@@ -252,7 +274,6 @@ class ThermalProcedure(TickedProcedure):
             "missed": self._missed,
             "warnings": self.warnings[:],
         }
-        text = (
-            f"{span:.1f} of {target:.0f} degC" if verdict.still else f"{span:.1f} of {target:.0f} degC; {verdict.why}"
-        )
+        if not verdict.still:
+            text += f"; {verdict.why}"
         self._report(Progress(min(span, target), target, "degC", text, eta, detail))

@@ -74,6 +74,8 @@ class TickedProcedure(ABC):
             if self._roster is None:
                 self._settle_roster()
             if self.outcome is None:
+                self._at_end()
+            if self.outcome is None:
                 cause, remedy = self._missing()
                 self._give_up(f"the recording ends before the goal is reached: {cause}", remedy)
         return self._told()
@@ -110,6 +112,9 @@ class TickedProcedure(ABC):
     @abstractmethod
     def _missing(self) -> tuple[str, str]:
         """What is missing for the goal, and how to get it."""
+
+    def _at_end(self) -> None:  # noqa: B027 - most have nothing to do then
+        """The data end: finish with what there is, where that is enough."""
 
     def _on_answer(self, value: str) -> None:
         raise ProcedureError(f"the {self.spec.kind} procedure takes no answers")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Iterable
 
@@ -55,6 +56,27 @@ class Warmth:
             return 0.0
         (t0, first), (t1, last) = self._history[0], self._history[-1]
         return (last - first) / (t1 - t0) if t1 > t0 else 0.0
+
+    def settles(self, bound: float) -> tuple[float, float] | None:
+        """Seconds until the rate falls below `bound` (degC per minute), and where the first unit's temperature ends.
+
+        From how the rate fell within the last minute, as of a body that comes to the temperature around it; None as
+        long as it does not fall.
+        """
+        if len(self._history) < 3 or self._history[-1][0] - self._history[0][0] < 0.5 * self._over:
+            return None
+        middle = 0.5 * (self._history[0][0] + self._history[-1][0])
+        (t0, first), (t2, last) = self._history[0], self._history[-1]
+        t1, between = min(self._history, key=lambda point: abs(point[0] - middle))
+        if not t0 < t1 < t2:
+            return None
+        early, late = (between - first) / (t1 - t0), (last - between) / (t2 - t1)
+        if early * late <= 0.0 or abs(late) >= 0.98 * abs(early):
+            return None
+        constant = 0.5 * (t2 - t0) / math.log(early / late)
+        now = late * math.exp(-0.5 * (t2 - t1) / constant)
+        left = constant * math.log(max(abs(self.rate) * 60.0 / bound, 1.0))
+        return left, last + now * constant
 
     def settled(self, bound: float) -> bool:
         """Whether the rate over a whole minute lies below `bound` (degC per minute)."""

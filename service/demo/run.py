@@ -34,7 +34,7 @@ PROOF_C = 68.0
 """Where the warmed vehicle is held for the proof: inside the calibrated range, and away from its reference."""
 PROVE_S = 240.0
 """How long the vehicle may take for the movements that prove the rest, seconds of its clock."""
-OPTIONS: Mapping[str, Json] = {"thermal": {"span": SPAN_C}}
+OPTIONS: Mapping[str, Json] = {"thermal": {"span": SPAN_C, "extend": False}}
 BARE: Mapping[str, Json] = {"ardupilot": {"INS_GYR_CAL": 0}, "px4": {"IMU_GYRO_CAL_EN": 0}}
 """Settings under which a vehicle keeps what is written: ArduPilot calibrates its gyros at every boot, PX4 always."""
 ENDED = frozenset({"succeeded", "reverted", "failed", "cancelled", "interrupted", "in_doubt"})

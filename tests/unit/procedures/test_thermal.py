@@ -59,13 +59,13 @@ def test_the_drift_of_every_unit_is_found_within_its_uncertainty(warm):
     ]
     for fit in procedure.outcome.results:
         assert (deviations(fit, ACCEL_DRIFT if fit.sensor == Sensor.ACCEL else GYRO_DRIFT) < 4.5).all()
-    assert "span is covered" in procedure.outcome.because
+    assert "span covered" in procedure.outcome.because
 
 
-def test_it_ends_at_the_asked_for_span(warm):
+def test_it_ends_at_the_asked_for_span_if_it_need_not_extend(warm):
     recording = warm().record()
-    narrow, _ = run(recording, span=12.0)
-    wide, _ = run(recording, span=30.0)
+    narrow, _ = run(recording, span=12.0, extend=False)
+    wide, _ = run(recording, span=30.0, extend=False)
     assert narrow.time < wide.time
     poly = narrow.outcome.results[0].model.polynomial
     assert 12.0 <= poly.t_max - poly.t_min < 16.0
@@ -74,6 +74,36 @@ def test_it_ends_at_the_asked_for_span(warm):
 def test_a_temperature_that_settles_ends_it_too(warm):
     procedure, _ = run(warm(200.0, warming(20.0, 38.0, 12.0)).record(), span=40.0)
     assert "settled" in procedure.outcome.because
+
+
+def test_a_warm_up_that_goes_on_extends_the_range_until_it_settles_and_says_when(warm):
+    """From 20 to 58 degC with a time constant of 30 s; 0.2 degC/min is reached after 30 ln(38 * 2 / 0.2) = 178 s."""
+    made = warm(300.0, warming(20.0, 58.0, 30.0))
+    procedure, steps = run(made.record(), span=25.0)
+    assert "has settled" in procedure.outcome.because
+    poly = procedure.outcome.results[0].model.polynomial
+    assert poly.t_max > 57.0
+    told = [s for s in steps if isinstance(s, Progress) and s.eta is not None]
+    began = procedure.time - procedure.elapsed
+    halfway = next(s for s in told if "to settle near" in s.text and s.current >= 25.0)
+    assert "to settle near 58 degC" in halfway.text
+    times = [s.detail["still_s"] for s in told]
+    at = told.index(halfway)
+    assert halfway.eta == pytest.approx(times[-1] - times[at], rel=0.25), (began, times[at])
+    prompts = [s for s in steps if isinstance(s, Prompt)]
+    assert "are covered, and the temperature still changes" in prompts[-1].text
+    assert prompts[-1].answers == ("finish",)
+
+
+def test_the_person_decides_when_a_warm_up_is_long_enough(warm):
+    recording = warm(300.0, warming(20.0, 58.0, 60.0)).record()
+    procedure = ThermalProcedure(SPEC.validated({"span": 12.0}), CONTEXT)
+    began = recording.span[0]
+    procedure.feed(recording.between(began, began + 90.0))
+    assert procedure.outcome is None
+    procedure.answer("finish")
+    poly = procedure.outcome.results[0].model.polynomial
+    assert poly.t_max - poly.t_min > 20.0
 
 
 def test_a_narrow_range_is_refused_with_the_remedy(warm):
