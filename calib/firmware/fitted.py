@@ -69,9 +69,9 @@ def usable_fits(draft: Draft, fits: Sequence[FitResult]) -> tuple[FitResult, ...
     for fit in fits:
         about = Subject(fit.sensor, fit.instance)
         if fit.status == FitStatus.REFUSED:
-            draft.warn(f"{about} is left out: {fit.message}")
+            _leave_out(draft, about, fit.message)
         elif not drift_axes(fit):
-            draft.warn(f"{about} is left out: {_why_no_drift(fit)}")
+            _leave_out(draft, about, _why_no_drift(fit))
         elif fit.relative:
             draft.block(
                 f"{about}: the calibration in force during the capture is not known, so this fit is relative and "
@@ -81,6 +81,12 @@ def usable_fits(draft: Draft, fits: Sequence[FitResult]) -> tuple[FitResult, ...
         else:
             kept.append(fit)
     return tuple(kept)
+
+
+def _leave_out(draft: Draft, about: Subject, why: str) -> None:
+    text = f"{about} is left out: {why}"
+    draft.warn(text)
+    draft.drop(about, text)
 
 
 def _why_no_drift(fit: FitResult) -> str:

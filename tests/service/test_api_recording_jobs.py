@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -9,12 +10,14 @@ from typing import Any
 import pytest
 import structlog
 
+from calib.wire import iter_tlog
 from service.logs import configure_logging
 from service.simvehicle.client import SimulatedVehicle
 
 from .api_bench import Api, Json, served
 from .jobs_bench import GYRO_OFFSETS, SPEED, stored, zero_gyro_offsets
 
+AUTOPILOT_VERSION = 148
 GYRO = {"kind": "gyro", "options": {"uncertainty": 0.02}}
 
 
@@ -75,6 +78,16 @@ async def test_a_log_is_fitted_planned_written_proved_and_taken_back(tmp_path, s
         await a.until(job["id"], "succeeded")
         after = stored(sim)
         assert {name: after[name] for name in planned} == planned
+
+        # The same log once more: every gyro agrees with what is in force, which is a success and nothing to take back.
+        done = await a.post(where, body, 202)
+        assert done["state"] == "succeeded"
+        assert done["plan"]["changes"] == []
+        assert done["outcome"]["text"].startswith(
+            "Nothing to write: gyro 1 agrees with what is in force: differs by 0.0"
+        )
+        assert len(done["plan"]["agreements"]) == 3
+        await a.post(f"/jobs/{done['id']}/revert", {}, 409)
         await a.post(f"/jobs/{job['id']}/revert", {}, 202)
         await a.until(job["id"], "reverted")
         assert stored(sim) == before
@@ -110,3 +123,63 @@ async def test_what_is_of_no_vehicle_is_never_planned(tmp_path, sim):
         await a.post(f"/recordings/{recording}/jobs", body | {"method": "nothing"}, 422)
         await a.post(f"/recordings/{recording}/jobs", {"method": "gyro-rest"}, 422)
         assert await a.get("/jobs") == []
+
+
+async def test_a_log_without_a_board_id_is_written_only_as_confirmed_and_the_audit_says_so(tmp_path, sim):
+    async with served(tmp_path, connect=(sim.url,)) as a:
+        vehicle = await a.vehicle()
+        _, content = await logged(a, vehicle)
+        where = f"/recordings/{await upload(a, without_version(content))}/jobs"
+        body = {"vehicle_id": vehicle["id"], "method": "gyro-rest"}
+        job = await a.post(where, body, 202)
+        (blocker,) = job["plan"]["blockers"]
+        assert "does not say which board it is of" in blocker
+        assert "confirm_other_unit" in blocker
+        problem = await a.post(f"/jobs/{job['id']}/apply", {"plan_sha256": job["plan"]["sha256"]}, 409)
+        assert problem["type"].endswith("plan-blocked")
+
+        again = await a.post(f"/jobs/{job['id']}/plan", {"plan_options": {"confirm_other_unit": True}}, 200)
+        assert again["plan"]["blockers"] == []
+        assert again["plan_options"] == {"confirm_other_unit": True}
+        assert "the operator has confirmed" in again["plan"]["warnings"][0]
+        await a.post(f"/jobs/{job['id']}/apply", {"plan_sha256": again["plan"]["sha256"], "prove_s": 0}, 202)
+        await a.until(job["id"], "succeeded")
+        (row,) = [row for row in a.service.store.audit() if row.action == "apply"]
+        assert row.detail["confirmed"] == ["confirm_other_unit"]
+
+
+async def test_a_plan_is_decided_over_http_from_the_start_and_again(tmp_path, sim):
+    async with served(tmp_path, connect=(sim.url,)) as a:
+        vehicle = await a.vehicle()
+        where = f"/vehicles/{vehicle['id']}/jobs"
+        problem = await a.post(where, GYRO | {"plan_options": {"only": ["mag0"]}}, 422)
+        assert "gyro does not calibrate mag0" in problem["detail"]
+        decided = {"only": ["gyro1"], "keep_gyro_at_boot": True}
+        job = await a.post(where, GYRO | {"plan_options": decided}, 202)
+        job = await a.until(job["id"], "review")
+        assert job["plan_options"] == decided
+        names = {c["name"] for c in job["plan"]["changes"]}
+        assert "INS_GYR_CAL" in names
+        assert names & set(GYRO_OFFSETS) == {f"INS_GYR2OFFS_{axis}" for axis in "XYZ"}
+
+        again = await a.post(f"/jobs/{job['id']}/plan", {"plan_options": {}}, 200)
+        assert {c["name"] for c in again["plan"]["changes"]} >= set(GYRO_OFFSETS)
+        assert again["plan"]["warnings"][0].startswith("the next boot discards these gyro offsets")
+        problem = await a.post(f"/jobs/{job['id']}/plan", {"plan_options": {"only": ["gyro7"]}}, 422)
+        assert "there is no gyro7 to plan for; there are: gyro0, gyro1, gyro2" in problem["detail"]
+        await a.post(f"/jobs/{job['id']}/plan", {"plan_options": {"keep_gyros": True}}, 422)
+
+
+async def test_a_sensor_that_the_vehicle_does_not_have_ends_the_job_at_once_with_the_list(tmp_path, sim):
+    async with served(tmp_path, connect=(sim.url,)) as a:
+        vehicle = await a.vehicle()
+        body = GYRO | {"plan_options": {"only": ["gyro7"]}}
+        job = await a.post(f"/vehicles/{vehicle['id']}/jobs", body, 202)
+        job = await a.until(job["id"], "failed")
+        assert "there is no gyro7 to plan for; there are: accel0, accel1, accel2, gyro0" in job["outcome"]["cause"]
+
+
+def without_version(content: bytes) -> bytes:
+    """The telemetry log without AUTOPILOT_VERSION, as many are."""
+    kept = [(at, frame) for at, frame in iter_tlog(content) if frame.message_id != AUTOPILOT_VERSION]
+    return b"".join(struct.pack(">Q", at) + frame.raw for at, frame in kept)

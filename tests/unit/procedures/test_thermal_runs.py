@@ -1,0 +1,66 @@
+"""Jobs that were recorded against real firmwares, beside the truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.firmware import ardupilot
+from calib.firmware.compose import ComposeOptions, compose
+from calib.firmware.fingerprint import fingerprint
+from calib.firmware.undo import undo
+from calib.logs.tlog import read_tlog
+from calib.procedures.context import ProcedureContext
+from calib.procedures.protocol import Done
+from calib.procedures.replay import replay
+from calib.recording import Sensor
+
+TRUTH = 1e-6 * np.array([[357, -263, 149], [2.1, -3.3, 1.7], [0.0, 0.0, 0.0]]).T
+"""Of the first gyro about 35 degC, rad/s per degC, degC^2, degC^3; the second one does not drift."""
+
+
+@pytest.fixture(scope="module")
+def one_unit_drifts(shared_data: Path):
+    """The recording, its parameters, and what the thermal job makes of it."""
+    path = shared_data / "firmware_runs" / "ardupilot_thermal_one_unit_drifts.tlog"
+    if not path.exists():
+        pytest.skip(f"needs {path.name} beside the repository")
+    recording = read_tlog(path.read_bytes())
+    parameters = recording.parameters.final()
+    units = {Sensor.ACCEL: (0, 1), Sensor.GYRO: (0, 1)}
+    context = ProcedureContext(recording.identity, units, None, parameters)
+    outcome = replay("thermal", {}, context, undo(recording), [])
+    assert isinstance(outcome, Done), outcome
+    return recording, parameters, outcome.results
+
+
+@pytest.mark.shared
+def test_the_unit_that_drifts_is_written_although_the_other_one_cannot_be(one_unit_drifts):
+    recording, parameters, results = one_unit_drifts
+    plan = compose(results, parameters, fingerprint(recording.identity, parameters))
+    assert not plan.blockers
+    after = {**parameters, **{c.name: c.new for c in plan.changes}}
+    assert after["INS_TCAL1_ENABLE"] == 1
+    assert "INS_TCAL2_ENABLE" not in {c.name for c in plan.changes}
+    drift = ardupilot.calibration_in_force(after, Sensor.GYRO, 0).polynomial
+    assert drift is not None
+    sd = {c.name: c.sd for c in plan.changes}
+    for axis, letter in enumerate("XYZ"):
+        for order in range(3):
+            error = abs(drift.coefficients[axis, order] - TRUTH[axis, order])
+            assert error < 4.5e-6 * sd[f"INS_TCAL1_GYR{order + 1}_{letter}"]
+    (second,) = [text for text in plan.warnings if text.startswith("gyro 2 ")]
+    assert second == ("gyro 2 is left out: its drift with temperature is below what the stream resolves, on every axis")
+    assert {(loss.sensor, loss.instance) for loss in plan.losses} == {(Sensor.ACCEL, 0), (Sensor.ACCEL, 1)}
+    assert all("CALTEMP does not say" in loss.text for loss in plan.losses)
+
+
+@pytest.mark.shared
+def test_the_second_unit_alone_is_refused_with_its_reason(one_unit_drifts):
+    recording, parameters, results = one_unit_drifts
+    only = ComposeOptions(only=((Sensor.GYRO, 1),))
+    plan = compose(results, parameters, fingerprint(recording.identity, parameters), options=only)
+    assert not plan.changes
+    assert "below what the stream resolves" in plan.blockers[0]
