@@ -45,7 +45,8 @@ class Session:
         """Run a job up to its plan, with an operator who does what it asks for."""
         await self._ready()
         job = await self.engine.submit(self.vehicle.id, kind, options)
-        while (job := self.engine.get(job.id)).state not in (JobState.REVIEW, JobState.FAILED, JobState.INTERRUPTED):
+        ended = (JobState.REVIEW, JobState.SUCCEEDED, JobState.FAILED, JobState.INTERRUPTED)
+        while (job := self.engine.get(job.id)).state not in ended:
             await self.obeyed(job)
             await asyncio.sleep(POLL_S)
         await asyncio.to_thread(self.operator.rest)

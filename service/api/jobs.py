@@ -97,9 +97,9 @@ async def plan(found: JobDep) -> dict[str, Any]:
 async def plan_again(job_id: str, service: ServiceDep, body: PlanRequest | None = None) -> JobModel:
     """Plan again on the vehicle's present parameters: what `apply` asks for when something has changed.
 
-    A body decides about the plan in place of what was decided before; without one it stays so.
+    `plan_options` decide about the plan in place of what was decided before; without them it stays so.
     """
-    options = None if body is None else body.plan_options.given()
+    options = None if body is None or body.plan_options is None else body.plan_options.given()
     return job_model(await service.jobs.plan_again(job_id, options))
 
 

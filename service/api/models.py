@@ -43,7 +43,7 @@ class PlanOptions(_Request):
 class PlanRequest(_Request):
     """Plan again."""
 
-    plan_options: PlanOptions = Field(default_factory=PlanOptions, description="in place of those of before")
+    plan_options: PlanOptions | None = Field(default=None, description="in place of those of before; null: as before")
 
 
 class JobRequest(_Request):

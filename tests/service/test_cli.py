@@ -442,8 +442,11 @@ def test_a_calibration_headless_from_end_to_end(tmp_path):
     assert done.returncode == 0, done.stderr[-2000:]
     job = only_object(done.stdout)
     assert (job["state"], job["kind"]) == ("succeeded", "gyro")
-    assert {c["name"] for c in job["plan"]["changes"]} >= {"INS_GYROFFS_X", "INS_GYR2OFFS_X", "INS_GYR3OFFS_X"}
-    assert all(v["verdict"] in {"proved", "consistent", "not_observable"} for v in job["verification"]["parameters"])
+    # What the vehicle estimated at its boot may be as good as the job's result: such a gyro is left as it is.
+    settled = {c["instance"] for c in job["plan"]["changes"] if c["sensor"] == "gyro"}
+    assert settled | {a["instance"] for a in job["plan"]["agreements"]} == {0, 1, 2}
+    checked = [] if job["verification"] is None else job["verification"]["parameters"]
+    assert all(v["verdict"] in {"proved", "consistent", "not_observable"} for v in checked)
     assert "succeeded" in done.stderr
     assert job["last_write"]["result"] == "succeeded"
     assert f"proof: {job['outcome']['proof']}" in done.stderr
