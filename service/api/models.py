@@ -161,7 +161,7 @@ class ProcedureModel(BaseModel):
 
 
 class UnprovedModel(BaseModel):
-    """A parameter that was written and read back, and that no stream has proved."""
+    """A parameter that no stream has proved, or a sensor that could not be seen to read right with the new values."""
 
     name: str
     verdict: str = Field(description="consistent, not_observable or contradicted")

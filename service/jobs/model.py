@@ -26,7 +26,7 @@ class Result:
     proof: ProofLevel = ProofLevel.NONE
     proof_reason: str = ""
     unproved: tuple[Unproved, ...] = ()
-    """Parameters that were written and read back, and that no stream has proved."""
+    """Parameters that no stream has proved, and sensors that could not be seen to read right."""
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from calib.firmware.plan import Verdict, Verification
+from calib.firmware.plan import SensorVerdict, Verdict, Verification
 
 
 class ProofLevel(StrEnum):
@@ -18,7 +18,7 @@ class ProofLevel(StrEnum):
 
 @dataclass(frozen=True)
 class Unproved:
-    """A parameter that was written and read back, and that no stream has proved."""
+    """A parameter that no stream has proved, or a sensor that could not be seen to read right with the new values."""
 
     name: str
     verdict: str
@@ -41,11 +41,17 @@ def proof_of(verification: Verification | None) -> Proof:
     acting = [p for p in verification.parameters if p.acts_on_stream]
     if not acting:
         return Proof(ProofLevel.NONE, "None of the written parameters shows on a stream; all were read back.")
-    unproved = tuple(Unproved(p.name, p.verdict.value, p.text) for p in acting if p.verdict != Verdict.PROVED)
+    unproved = [Unproved(p.name, p.verdict.value, p.text) for p in acting if p.verdict != Verdict.PROVED]
     proved = len(acting) - len(unproved)
+    counted = [(sum(u.verdict == v for u in unproved), v) for v in Verdict]
+    rest = [f"{count} {verdict.value.replace('_', ' ')}" for count, verdict in counted if count]
+    open_sensors = [c for c in verification.sensors if c.verdict != SensorVerdict.RIGHT]
+    if open_sensors:
+        plural = "" if len(open_sensors) == 1 else "s"
+        rest.append(f"{len(open_sensors)} sensor reading{plural} could not be checked")
+    unproved += [Unproved(f"{c.id} {c.instance + 1}", c.verdict.value, c.text) for c in open_sensors]
     if not unproved:
         return Proof(ProofLevel.FULL, f"The stream proves all {proved} parameters that show on it.")
     level = ProofLevel.PARTIAL if proved else ProofLevel.NONE
-    counted = [(sum(u.verdict == v for u in unproved), v) for v in Verdict]
-    rest = ", ".join(f"{count} {verdict.value.replace('_', ' ')}" for count, verdict in counted if count)
-    return Proof(level, f"The stream proves {proved} of {len(acting)} parameters that show on it; {rest}.", unproved)
+    reason = f"The stream proves {proved} of {len(acting)} parameters that show on it; {', '.join(rest)}."
+    return Proof(level, reason, tuple(unproved))

@@ -73,7 +73,7 @@ def test_what_is_said_of_a_rollback_and_its_list_never_contradict(kinds: list[st
     check_named(told)
     if cause is not None:
         assert isinstance(told.outcome, Failure)
-        assert told.outcome.cause == "Accepted but without effect on the stream."
+        assert told.outcome.cause == "accepted but without effect on the stream."
 
 
 @given(kinds=READINGS, who=st.sampled_from([SOMEBODY, EITHER]), verdict=st.sampled_from([*Verdict, None]))

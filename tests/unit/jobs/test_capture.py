@@ -1,10 +1,12 @@
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from calib.procedures.protocol import Done
 from calib.procedures.registry import validate_options
 from calib.recording import Identity
 from service.errors import CaptureEnded
@@ -13,6 +15,7 @@ from service.jobs.digest import LiveDigest
 from service.jobs.handle import JobHandle
 from service.jobs.model import Job
 from service.jobs.states import JobState
+from service.jobs.watch import CaptureWatch
 from service.store import SqliteStore
 from service.store.rows import SegmentPurpose
 from service.testing import FakeVehicle
@@ -58,4 +61,41 @@ async def test_the_segment_begins_when_every_stream_was_asked_for(tmp_path: Path
         await Capture(handle, vehicle, QUICK).run()
     (segment,) = store.segments(job.id, SegmentPurpose.CAPTURE)
     assert segment.start_byte == 1000
+    store.close()
+
+
+class DoneAtOnce(Capture):
+    """A capture whose procedure is done as soon as it begins; what happens meanwhile is up to the test."""
+
+    meanwhile: Callable[[], None]
+
+    async def _until_done(self, digest: LiveDigest, watch: CaptureWatch) -> Done:
+        self.meanwhile()
+        return Done((), "enough")
+
+
+@pytest.mark.parametrize("name", ["INS_GYROFFS_X", "INS_GYR_ID", None])
+async def test_a_calibration_that_changed_unheard_is_found_by_reading_it_again(
+    tmp_path: Path, name: str | None
+) -> None:
+    """Its PARAM_VALUE was lost: only the reading at the end tells that the samples rest on two calibrations."""
+    vehicle = FakeVehicle.with_floats({"INS_GYROFFS_X": 0.5, "INS_GYR_ID": 7.0, "SCHED": 1.0}, tlog=tmp_path / "a.tlog")
+    vehicle.tlog.touch()
+    store = SqliteStore(None)
+    job = Job("one", vehicle.id, "gyro", validate_options("gyro", {}), JobState.RUNNING, 0.0, 0.0)
+    handle = JobHandle(job, store, lambda _: None)
+    handle.change("state", {})
+    capture = DoneAtOnce(handle, vehicle, QUICK)
+
+    def change() -> None:
+        vehicle.parameters["SCHED"] = replace(vehicle.parameters["SCHED"], value=2.0)  # no calibration
+        if name is not None:
+            vehicle.parameters[name] = replace(vehicle.parameters[name], value=0.25)
+
+    capture.meanwhile = change
+    if name is None:
+        await capture.run()
+    else:
+        with pytest.raises(CaptureEnded, match=f"{name} changed from .* to 0.25 during the capture"):
+            await capture.run()
     store.close()

@@ -164,7 +164,7 @@ async def test_a_vehicle_in_doubt_is_closed(vehicle: FakeVehicle) -> None:
         await until(lambda: engine.get("j1").state == JobState.REVERTED)
         outcome = engine.get("j1").outcome
         assert isinstance(outcome, Failure)
-        assert outcome.cause == "The service was interrupted while it wrote."
+        assert outcome.cause == "the service was interrupted while it wrote."
 
 
 async def test_a_crash_before_the_first_parameter_leaves_no_doubt(vehicle: FakeVehicle) -> None:

@@ -2,7 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from calib.firmware.plan import ParameterVerdict, Verdict, Verification
+from calib.firmware.plan import ParameterVerdict, SensorCheck, SensorVerdict, Verdict, Verification
+from calib.recording import Sensor
 from service.api.views import job_model
 from service.commands.calibrate import _good
 from service.jobs.codec import job_from_row, row_from_job
@@ -39,6 +40,18 @@ def test_how_far_a_write_is_proved(verification: Verification | None, level: str
     assert (proof.level, proof.reason) == (level, reason)
     assert " ".join(u.name for u in proof.unproved) == unproved
     assert all(u.why.startswith("because") for u in proof.unproved)
+
+
+def test_a_sensor_that_was_not_seen_to_read_right_leaves_the_proof_open() -> None:
+    def gyro(verdict: SensorVerdict) -> SensorCheck:
+        return SensorCheck("gyro_zero", Sensor.GYRO, 1, None, None, "rad/s", None, verdict, "it was never at rest")
+
+    right = Verification(checked(P).parameters, sensors=(gyro(SensorVerdict.RIGHT),))
+    assert proof_of(right).level == ProofLevel.FULL
+    unseen = proof_of(Verification(checked(P).parameters, sensors=(gyro(SensorVerdict.NOT_OBSERVABLE),)))
+    assert unseen.level == ProofLevel.PARTIAL
+    assert "1 sensor reading could not be checked" in unseen.reason
+    assert unseen.unproved == (Unproved("gyro_zero 2", "not_observable", "it was never at rest"),)
 
 
 def job(state: JobState, outcome: Outcome | None) -> Job:

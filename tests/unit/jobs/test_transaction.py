@@ -278,7 +278,7 @@ async def test_a_restart_stays_the_cause_and_its_boot_calibration_is_not_called_
     job = bench.handle.job
     assert job.state == JobState.REVERTED
     assert isinstance(job.outcome, Failure)
-    assert job.outcome.cause == "The vehicle restarted by itself."
+    assert job.outcome.cause == "the vehicle restarted by itself."
     assert job.outcome.remedy.startswith("No old value is back: INS_GYROFFS_X (now 0.2")
     assert "which the vehicle itself or somebody else set" in job.outcome.remedy
     assert {s.name: s.value for s in job.standing} == bench.held()
@@ -298,7 +298,7 @@ async def test_a_value_lost_in_a_restart_is_no_cause_of_its_own(make_bench: Make
     bench.vehicle.after_set = strike
     await bench.apply()
     assert isinstance(bench.handle.job.outcome, Failure)
-    assert bench.handle.job.outcome.cause == "The vehicle restarted by itself."
+    assert bench.handle.job.outcome.cause == "the vehicle restarted by itself."
     assert bench.held() == BEFORE
 
 
@@ -309,12 +309,12 @@ async def test_a_write_that_could_not_begin_says_so_in_a_field_and_an_event(make
     last = bench.handle.job.last_write
     assert last is not None
     assert (last.result, last.sent) == ("failed", 0)
-    assert (last.cause, last.remedy) == ("The vehicle is armed.", "Nothing was written.")
+    assert (last.cause, last.remedy) == ("the vehicle is armed.", "Nothing was written.")
     told = [event.data for event in bench.store.events("j1") if event.kind == "write"]
     assert [(data["result"], data["sent"]) for data in told] == [("failed", 0)]
     row = bench.store.job("j1")
     assert row is not None
-    assert row.body["last_write"]["cause"] == "The vehicle is armed."
+    assert row.body["last_write"]["cause"] == "the vehicle is armed."
 
 
 async def test_armed_between_snapshot_and_first_parameter_is_no_doubt(make_bench: MakeBench) -> None:
