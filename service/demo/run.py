@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from calib.firmware.values import shown
+from calib.logs.tlog import read_tlog
+from calib.recording import Sensor
 from calib.report import fit_from_json, plain
 from service.client import ApiError, ServiceClient
 from service.commands.screen import Screen
@@ -70,7 +72,7 @@ def run(autopilot: str, *, seed: int, screen: Screen, keep_open: bool = False, s
     ):
         screen.line(f"simulated {autopilot}, seed {seed}, {speed:g} times faster than the clock", bold=True)
         screen.line(f"the panel shows it live at {url}")
-        demo = _Demo(vehicle, ServiceClient(url), screen, speed)
+        demo = _Demo(vehicle, ServiceClient(url), screen, speed, Path(folder) / "tlogs")
         demo.calibrate_all()
         result = demo.result(time.monotonic() - began)
         if keep_open:
@@ -80,8 +82,11 @@ def run(autopilot: str, *, seed: int, screen: Screen, keep_open: bool = False, s
 
 
 class _Demo:
-    def __init__(self, vehicle: SimulatedVehicle, client: ServiceClient, screen: Screen, speed: float) -> None:
+    def __init__(
+        self, vehicle: SimulatedVehicle, client: ServiceClient, screen: Screen, speed: float, tlogs: Path
+    ) -> None:
         self._speed = speed
+        self._tlogs = tlogs
         self._vehicle = vehicle
         self._client = client
         self._screen = screen
@@ -95,8 +100,7 @@ class _Demo:
         for kind in KINDS:
             self._operator.rest()
             before = self._parameters()
-            truth = self._vehicle.truth()  # of now: by the next job the biases have wandered
-            job = self._calibrate(vehicle_id, kind)
+            job, truth = self._calibrate(vehicle_id, kind)
             fits = [fit_from_json(fit) for fit in job["results"]]
             judged = judge(truth, fits, before, self._parameters())
             self._judged.append(judged)
@@ -155,7 +159,8 @@ class _Demo:
         stored: dict[str, float] = self._vehicle.call("parameters")["stored"]
         return stored
 
-    def _calibrate(self, vehicle_id: str, kind: str) -> Json:
+    def _calibrate(self, vehicle_id: str, kind: str) -> tuple[Json, Json]:
+        """The job as it ended, and the truth of the time in which its samples were taken."""
         self._screen.line()
         self._screen.line(kind, bold=True)
         body = {"kind": kind, "options": OPTIONS.get(kind, {})}
@@ -169,6 +174,7 @@ class _Demo:
             raise DemoError(_why(self._client.get(f"/jobs/{job['id']}")))
         job = self._client.get(f"/jobs/{job['id']}")
         self._show_plan(job["plan"])
+        truth = self._vehicle.truth(*sampled(self._tlogs, job))  # before a reboot begins the vehicle's time again
         self._operator.rest()
         if kind == "thermal":
             self._vehicle.call("temperature", value=PROOF_C)
@@ -179,7 +185,7 @@ class _Demo:
         job = self._client.get(f"/jobs/{job['id']}")
         if state != "succeeded":
             raise DemoError(_why(job))
-        return dict(job)
+        return dict(job), truth
 
     def _apply(self, job: Json) -> None:
         digest = job["plan"]["sha256"]
@@ -234,6 +240,24 @@ class _Demo:
                 f"{report.unit}{cross}; largest |error|/sd {abs(report.score.standardised).max():.2f}"
             )
         self._screen.line(f"    {job['outcome']['text']}")
+
+
+def sampled(tlogs: Path, job: Mapping[str, Any]) -> tuple[float, float]:
+    """From when to when, in vehicle seconds, the inertial samples of a job were taken.
+
+    A bias wanders, and on a busy machine minutes of a fast vehicle pass before a capture begins and after it has ended.
+    """
+    parts = []
+    for span in job["segments"]:
+        with (tlogs / span["path"]).open("rb") as file:
+            file.seek(span["start_byte"])
+            parts.append(file.read(span["end_byte"] - span["start_byte"]))
+    inertial = [c for c in read_tlog(b"".join(parts)).channels if c.sensor in {Sensor.ACCEL, Sensor.GYRO} and len(c)]
+    first, last = min(float(c.t[0]) for c in inertial), max(float(c.t[-1]) for c in inertial)
+    lasted = [fit["quality"].get("duration") for fit in job["results"]]
+    if lasted and None not in lasted:
+        last = min(last, first + max(lasted))
+    return first, last
 
 
 def _report_document(report: SensorReport) -> Json:

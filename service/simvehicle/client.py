@@ -140,9 +140,13 @@ class SimulatedVehicle:
         line, _, self._buffer = self._buffer.partition(b"\n")
         return line
 
-    def truth(self) -> dict[str, Any]:
-        """The whole truth of the sensors at this moment, as `truthreport.truth_report` gives it."""
-        return dict(self.call("truth")["truth"])
+    def truth(self, since: float | None = None, until: float | None = None) -> dict[str, Any]:
+        """The whole truth of the sensors at this moment, or in the mean of a span of vehicle seconds of this boot.
+
+        As `truthreport.truth_report` gives it.
+        """
+        span = {name: t for name, t in (("since", since), ("until", until)) if t is not None}
+        return dict(self.call("truth", **span)["truth"])
 
     def parameters(self) -> tuple[dict[str, Any], dict[str, Any]]:
         """What the corrections really use, and what a read would give: in force, stored."""

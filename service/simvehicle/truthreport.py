@@ -12,15 +12,19 @@ from service.simvehicle.vehicle import Vehicle
 from service.simvehicle.world import World
 
 
-def truth_report(vehicle: Vehicle) -> dict[str, Any]:
+def truth_report(vehicle: Vehicle, since: float | None = None, until: float | None = None) -> dict[str, Any]:
     """Sensor truth by instance: raw = matrix · true + offset + polynomial(T − t_ref) + noise.
 
-    A bias wanders: the inertial sensors' `offset` is that of this moment, so ask when the samples are taken.
+    A bias wanders: the inertial sensors' `offset` is that of this moment, or its mean from `since` to `until` (vehicle
+    seconds of this boot), which is what samples taken then have in them.
     Accelerometer m/s², gyroscope rad/s, magnetometer µT, each in its sensor's frame. Magnetometers also carry
     `body_offset` and `body_matrix`, the same truth for the field in the body frame: raw_body = R · raw.
     """
     world, config = vehicle.world, vehicle.config
     ids = vehicle.device_ids()
+    last = vehicle.time if until is None else until
+    first = last if since is None else since
+    t = np.linspace(first, last, 2 + int(max(last - first, 0.0)))
     return {
         "autopilot": str(config.autopilot),
         "seed": config.seed,
@@ -32,15 +36,15 @@ def truth_report(vehicle: Vehicle) -> dict[str, Any]:
         "altitude_m": config.altitude_m,
         "board_orientation": config.board_orientation,
         "temperature_offsets": list(config.imu_temperature_offsets[: config.imu_count]),
-        "accels": [_inertial_entry(vehicle, "accels", k, ids["accel"][k]) for k in range(config.imu_count)],
-        "gyros": [_inertial_entry(vehicle, "gyros", k, ids["gyro"][k]) for k in range(config.imu_count)],
+        "accels": [_inertial_entry(vehicle, "accels", k, ids["accel"][k], t) for k in range(config.imu_count)],
+        "gyros": [_inertial_entry(vehicle, "gyros", k, ids["gyro"][k], t) for k in range(config.imu_count)],
         "mags": [_mag_entry(world, k, ids["mag"][k]) for k in range(len(world.truth.mags))],
     }
 
 
-def _inertial_entry(vehicle: Vehicle, kind: str, k: int, device_id: int) -> dict[str, Any]:
+def _inertial_entry(vehicle: Vehicle, kind: str, k: int, device_id: int, t: np.ndarray[Any, Any]) -> dict[str, Any]:
     sensor: SensorTruth = getattr(vehicle.world.truth, kind)[k]
-    (offset,) = vehicle.world.bias(kind, k, np.array([vehicle.time]))
+    offset = vehicle.world.bias(kind, k, t).mean(axis=0)
     return {"id": device_id, **sensor.as_dict(), "offset": offset.tolist()}
 
 

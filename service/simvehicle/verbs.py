@@ -43,7 +43,7 @@ class Verbs:
             "fault": self._fault,
             "clear_faults": self._clear_faults,
             "script": self._script,
-            "truth": lambda _: {"truth": truth_report(self._vehicle)},
+            "truth": self._truth,
             "parameters": self._parameters,
             "state": self._state,
             "speed": self._speed,
@@ -145,6 +145,10 @@ class Verbs:
         vehicle = self._vehicle
         stored = {p.name: _json_value(p.value) for p in vehicle.table}
         return {"in_force": {k: _json_value(v) for k, v in vehicle.in_force().items()}, "stored": stored}
+
+    def _truth(self, r: Request) -> Reply:
+        until = _number(r, "until", self._vehicle.time)
+        return {"truth": truth_report(self._vehicle, _number(r, "since", until), until)}
 
     def _state(self, _r: Request) -> Reply:
         vehicle = self._vehicle

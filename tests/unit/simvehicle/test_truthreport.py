@@ -36,3 +36,17 @@ def test_a_bias_wanders_from_the_one_drawn_and_a_reboot_does_not_bring_it_back(b
     assert (np.abs(before - drawn) > 1e-6).all()
     b.vehicle.reboot(away_s=0.1)
     assert truth_report(b.vehicle)["gyros"][0]["offset"] == pytest.approx(before, abs=1e-9)
+
+
+def test_the_truth_of_a_span_is_what_samples_of_that_span_have_in_them(bench: Any) -> None:
+    b = bench("ardupilot", thermal=False)
+    b.run(400.0)
+    world, t = b.vehicle.world, np.linspace(100.0, 300.0, 4001)
+    told = truth_report(b.vehicle, 100.0, 300.0)
+    for kind in ("accels", "gyros"):
+        for k, entry in enumerate(told[kind]):
+            wandered = world.bias(kind, k, t)
+            assert entry["offset"] == pytest.approx(wandered.mean(axis=0), abs=0.02 * float(wandered.std()))
+    now = truth_report(b.vehicle)["gyros"][0]["offset"]
+    assert now == pytest.approx(world.bias("gyros", 0, np.array([b.vehicle.time]))[0], abs=1e-12)
+    assert now != pytest.approx(told["gyros"][0]["offset"], rel=1e-6)

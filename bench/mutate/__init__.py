@@ -1,0 +1,1 @@
+"""Mutations of the code, one at a time, and whether its tests notice."""
