@@ -166,15 +166,13 @@ class _Demo:
         body = {"kind": kind, "options": OPTIONS.get(kind, {})}
         job = self._client.post(f"/vehicles/{vehicle_id}/jobs", body)
         state = self._follow(job["id"], until={"review"} | ENDED)
-        if state == "succeeded":  # what the vehicle found out by itself is as good: nothing to write
-            job = self._client.get(f"/jobs/{job['id']}")
-            self._show_plan(job["plan"])
-            return dict(job)
-        if state != "review":
-            raise DemoError(_why(self._client.get(f"/jobs/{job['id']}")))
         job = self._client.get(f"/jobs/{job['id']}")
+        if state not in {"review", "succeeded"}:
+            raise DemoError(_why(job))
         self._show_plan(job["plan"])
         truth = self._vehicle.truth(*sampled(self._tlogs, job))  # before a reboot begins the vehicle's time again
+        if state == "succeeded":  # what the vehicle found out by itself is as good: nothing to write
+            return dict(job), truth
         self._operator.rest()
         if kind == "thermal":
             self._vehicle.call("temperature", value=PROOF_C)
