@@ -22,8 +22,8 @@ from service.jobs.port import JobVehicle
 from service.jobs.states import PHYSICAL, JobState
 
 
-def require_ready(vehicle: JobVehicle) -> None:
-    """Raise the VehicleError that stands in the way of a job."""
+def require_ready(vehicle: JobVehicle, *, busy: bool = False) -> None:
+    """Raise the VehicleError that stands in the way of a job; with `busy` a calibration of its own does not."""
     now = vehicle.condition()
     if now.silent:
         raise VehicleSilent
@@ -31,7 +31,7 @@ def require_ready(vehicle: JobVehicle) -> None:
         raise VehicleArmed
     if now.conflict is not None:
         raise VehicleConflict(now.conflict)
-    if now.calibrating:
+    if now.calibrating and not busy:
         raise VehicleBusy("The vehicle runs a calibration of its own. Let it finish, or cancel it there.")
 
 

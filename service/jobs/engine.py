@@ -208,7 +208,7 @@ class JobEngine:
 
         Raises
         ------
-        VehicleUnknown, VehicleSilent, VehicleArmed, VehicleBusy, VehicleConflict
+        VehicleUnknown, VehicleSilent, VehicleArmed, VehicleConflict
         PhysicalJobRunning
             If that vehicle has a job that claims it, or one whose write is in doubt.
         InvalidInputError
@@ -222,7 +222,7 @@ class JobEngine:
         require_sensors_of(spec, plan_options or {})
         vehicle = self._vehicles.vehicle(vehicle_id)
         require_free(vehicle.id, self.list())
-        require_ready(vehicle)
+        require_ready(vehicle, busy=True)  # which is waited for
         requested_streams(vehicle.identity.autopilot or "", spec.sensors)
         if vehicle.identity.firmware is None:
             await vehicle.identify()
@@ -370,7 +370,7 @@ class JobEngine:
         self._require_writing()
         require_acceptable(handle.job, accept)
         require_free(handle.job.vehicle_id, self.list(), besides=job_id)
-        require_ready(self._vehicles.vehicle(handle.job.vehicle_id))
+        require_ready(self._vehicles.vehicle(handle.job.vehicle_id), busy=True)
         await check_plan(self._attempt(dataclasses.replace(handle.job, accept=accept), handle))
         require_acceptable(handle.job, accept)  # it may have been accepted, or planned again, meanwhile
         require_free(handle.job.vehicle_id, self.list(), besides=job_id)

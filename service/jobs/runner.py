@@ -20,6 +20,7 @@ from service.jobs.crashpoints import At, CrashPoint, nowhere
 from service.jobs.digest import FitRequest, Fitted, fit_segments
 from service.jobs.handle import JobHandle
 from service.jobs.model import Failure, Job, Span
+from service.jobs.patience import until_idle
 from service.jobs.planning import (
     accel_temperatures,
     foresee,
@@ -58,6 +59,7 @@ class Runner:
             if handle.job.state == JobState.QUEUED:
                 context = {**handle.job.context, "identity": identity_to_json(vehicle.identity)}
                 handle.move(JobState.RUNNING, context=context)
+            await until_idle(handle, vehicle, self.settings)
             capture = Capture(handle, vehicle, self.settings, self.reach, self.clock, self.wall)
             capture.foresee = partial(self._foresee, handle.job)
             await capture.run()

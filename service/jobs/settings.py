@@ -41,6 +41,9 @@ class JobSettings:
     """How long the vehicle's clock is waited for before a failure is held to be none of a restart."""
     busy_s: float = 60.0
     """How long a job or a write waits for a calibration that the vehicle runs by itself, say after its start."""
+    started_s: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({"px4": 10.0}))
+    """So long after its start, by its own clock, a vehicle is not calibrated: PX4 calibrates its gyros by itself in its
+    first seconds and says nothing of it (FLIGHT_CONTROLLERS 10)."""
     stall_s: float = 30.0
     """How long a capture waits for inertial data while the vehicle's heartbeat is there."""
     watch_s: float = 0.1

@@ -28,6 +28,7 @@ from service.jobs.finish import finish
 from service.jobs.guard import STOPPING, Guard
 from service.jobs.handle import JobHandle
 from service.jobs.journal import BY_OPERATOR, Next, Step, decide
+from service.jobs.patience import until_idle
 from service.jobs.proof import proof_of
 from service.jobs.restart import restart
 from service.jobs.rollback import roll_back
@@ -56,6 +57,8 @@ class Transaction:
     async def apply(self) -> None:
         """Write the plan. The job is applying; it ends succeeded or reverted, or in review if nothing was sent."""
         try:
+            w = self.attempt()
+            await until_idle(self.handle, w.vehicle, w.settings)
             w = self.attempt()
             w.guard.check()
             await w.check.before(w.guard)

@@ -23,7 +23,6 @@ from service.errors import (
     PlanChanged,
     ServiceError,
     VehicleArmed,
-    VehicleBusy,
     VehicleConflict,
     VehicleSilent,
     VehicleUnknown,
@@ -90,7 +89,6 @@ def vehicle() -> FakeVehicle:
         ({"silent": True}, VehicleSilent),
         ({"armed": True}, VehicleArmed),
         ({"conflict": "two of them"}, VehicleConflict),
-        ({"calibrating": True}, VehicleBusy),
     ],
 )
 async def test_no_job_on_a_vehicle_that_is_not_ready(

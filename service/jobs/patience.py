@@ -1,0 +1,47 @@
+"""Waiting for a vehicle that calibrates by itself, say just after its start: bounded, and shown."""
+
+from __future__ import annotations
+
+import asyncio
+
+from calib.procedures.protocol import Progress, Prompt
+from service.errors import VehicleBusy
+from service.jobs.handle import JobHandle
+from service.jobs.port import JobVehicle
+from service.jobs.settings import JobSettings
+
+
+async def until_idle(handle: JobHandle, vehicle: JobVehicle, settings: JobSettings) -> None:
+    """Wait until the vehicle runs no calibration of its own; what else stands in the way is the caller's.
+
+    Raises
+    ------
+    VehicleBusy
+        If it still does after `settings.busy_s`.
+    """
+    loop = asyncio.get_running_loop()
+    begun = loop.time()
+    shown = False
+    while (reason := _busy(vehicle, settings)) is not None:
+        waited = loop.time() - begun
+        if waited > settings.busy_s:
+            raise VehicleBusy(f"{reason}, and has not ended within {settings.busy_s:.0f} s")
+        text = f"Waiting: {reason}. Keep the vehicle still; this waits for at most {settings.busy_s:.0f} s."
+        handle.prompt(Prompt("busy", text))
+        handle.progress(Progress(waited, settings.busy_s, "s", reason, eta=None))
+        shown = True
+        await asyncio.sleep(settings.watch_s)
+    if shown:
+        handle.prompt(None)
+
+
+def _busy(vehicle: JobVehicle, settings: JobSettings) -> str | None:
+    now = vehicle.condition()
+    if now.silent or now.armed or now.conflict is not None:
+        return None
+    if now.calibrating:
+        return "the vehicle runs a calibration of its own"
+    needed = settings.started_s.get(vehicle.identity.autopilot or "", 0.0)
+    if now.boot_time is not None and now.boot_time < needed:
+        return f"the vehicle started less than {needed:.0f} s ago and may calibrate its gyros by itself"
+    return None
