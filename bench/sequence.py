@@ -34,7 +34,9 @@ WRITING_SPEED: Final = 4.0
 """Vehicle seconds per wall second: while parameters are written, the wall's delays must not look like hours."""
 START_C, END_C, SPAN_C, PROOF_C = 22.0, 75.0, 48.0, 60.0
 OPTIONS: Final[Mapping[str, Json]] = MappingProxyType({"thermal": {"span": SPAN_C}})
-STATED: Final[Mapping[str, Json]] = MappingProxyType({"ardupilot": {"INS_GYR_CAL": 0}, "px4": {"IMU_GYRO_CAL_EN": 0}})
+DECISIONS: Final[Mapping[str, Json]] = MappingProxyType({"mag": {"confirm_mounting": True}})
+"""What the operator has looked at: the external compass is mounted otherwise than stated."""
+SETTINGS: Final[Mapping[str, Json]] = MappingProxyType({"ardupilot": {"INS_GYR_CAL": 0}, "px4": {"IMU_GYRO_CAL_EN": 0}})
 """Settings under which a vehicle keeps what is written."""
 YAW_90, YAW_270 = 2, 6
 CONFIG: Final[Json] = {
@@ -73,7 +75,7 @@ class Row:
 
 async def sequence(autopilot: str, seed: int, kinds: Sequence[str] = KINDS) -> list[Row]:
     """Calibrate one vehicle, sensor after sensor; ends with the first job that does not succeed."""
-    config = {**CONFIG, "parameters": STATED[autopilot]}
+    config = {**CONFIG, "parameters": SETTINGS[autopilot]}
     rows: list[Row] = []
     with (
         tempfile.TemporaryDirectory(prefix="mavcal-sequence-") as folder,
@@ -92,7 +94,7 @@ async def sequence(autopilot: str, seed: int, kinds: Sequence[str] = KINDS) -> l
 
 async def _calibrated(service: Session, sim: SimulatedVehicle, kind: str) -> Job:
     """One job from its start to its end, by an operator who does what the prompts say."""
-    job = await service.reviewed(sim, kind, dict(OPTIONS.get(kind, {})))
+    job = await service.reviewed(sim, kind, dict(OPTIONS.get(kind, {})), dict(DECISIONS.get(kind, {})))
     if job.state != JobState.REVIEW or job.plan is None or job.plan.blockers or not job.plan.changes:
         return job
     if kind == "thermal":

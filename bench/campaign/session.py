@@ -41,10 +41,12 @@ class Session:
     operator: Operator
     _asked: Prompt | None = None
 
-    async def reviewed(self, sim: SimulatedVehicle, kind: str, options: dict[str, Any]) -> Job:
+    async def reviewed(
+        self, sim: SimulatedVehicle, kind: str, options: dict[str, Any], plan_options: dict[str, Any] | None = None
+    ) -> Job:
         """Run a job up to its plan, with an operator who does what it asks for."""
         await self._ready()
-        job = await self.engine.submit(self.vehicle.id, kind, options)
+        job = await self.engine.submit(self.vehicle.id, kind, options, plan_options)
         ended = (JobState.REVIEW, JobState.SUCCEEDED, JobState.FAILED, JobState.INTERRUPTED)
         while (job := self.engine.get(job.id)).state not in ended:
             await self.obeyed(job)
