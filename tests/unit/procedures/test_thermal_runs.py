@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from calib.logs.tlog import read_tlog
 from calib.procedures.context import ProcedureContext
 from calib.procedures.protocol import Done
 from calib.procedures.replay import replay
-from calib.recording import Sensor
+from calib.recording import Identity, Sensor
 
 TRUTH = 1e-6 * np.array([[357, -263, 149], [2.1, -3.3, 1.7], [0.0, 0.0, 0.0]]).T
 """Of the first gyro about 35 degC, rad/s per degC, degC^2, degC^3; the second one does not drift."""
@@ -64,3 +65,34 @@ def test_the_second_unit_alone_is_refused_with_its_reason(one_unit_drifts):
     plan = compose(results, parameters, fingerprint(recording.identity, parameters), options=only)
     assert not plan.changes
     assert "below what the stream resolves" in plan.blockers[0]
+
+
+def test_a_simulated_unit_below_the_resolution_does_not_keep_the_other_one_from_being_written(bench):
+    """The same in simulation: the second unit stands still within one step of a stream of 1 mrad/s."""
+    moves = replace(bench().gyros[0], thermal=TRUTH)
+    still = replace(moves, offset=(0.0004, -0.0003, 0.0002), thermal=np.zeros((3, 1)), noise=1e-6, quantum=1e-3)
+    warm = bench(
+        temperature=lambda t: 58.0 - 40.0 * np.exp(-(t - t[0]) / 40.0),
+        accels=(replace(bench().accels[0], thermal=10.0 * TRUTH),) * 2,
+        gyros=(replace(moves, noise=1e-4), still),
+        rate=25.0,
+    ).hold(150.0)
+    parameters = {
+        **{f"INS_{kind}{n}_CALTEMP": -300.0 for kind in ("ACC", "GYR") for n in (1, 2)},
+        **{f"INS_{kind}{n}OFFS_{a}": 0.001 for kind in ("ACC", "GYR") for n in ("", 2) for a in "XYZ"},
+        **{f"INS_ACC{n}SCAL_{a}": 1.0 for n in ("", 2) for a in "XYZ"},
+        **{f"INS_{kind}{n}_ID": 77 for kind in ("ACC", "GYR") for n in ("", 2)},
+        "INS_TCAL1_ENABLE": 0,
+        "INS_TCAL2_ENABLE": 0,
+        "AHRS_ORIENTATION": 0,
+        "INS_GYR_CAL": 1,
+    }
+    identity = Identity("ardupilot", 2, (4, 7, 0), "0123", 1, 1)
+    outcome = replay("thermal", {}, ProcedureContext(identity, parameters=parameters), warm.record(), [])
+    assert isinstance(outcome, Done), outcome
+    plan = compose(outcome.results, parameters, fingerprint(identity, parameters))
+    assert not plan.blockers
+    names = {c.name for c in plan.changes}
+    assert "INS_TCAL1_GYR1_X" in names
+    assert "INS_TCAL2_ENABLE" not in names
+    assert any(text.startswith("gyro 2 is left out: its drift") and "resolves" in text for text in plan.warnings)
