@@ -121,10 +121,13 @@ def _good(job: Job, write: bool, require_proof: bool) -> bool:
     from service.jobs.proof import ProofLevel
     from service.jobs.states import JobState
 
+    if job.plan is not None and job.plan.blockers:
+        return False
     if not write:
         return job.state in {JobState.REVIEW, JobState.SUCCEEDED}  # it succeeds at once where nothing is to be changed
     proved = isinstance(job.outcome, Result) and job.outcome.proof is ProofLevel.FULL
-    return job.state is JobState.SUCCEEDED and (proved or not require_proof)
+    unneeded = job.plan is not None and job.plan.nothing_to_write
+    return job.state is JobState.SUCCEEDED and (proved or unneeded or not require_proof)
 
 
 async def _heard(service: Service, url: str, wait: float) -> Vehicle:
@@ -217,6 +220,8 @@ def _show_end(job: Job, screen: Screen, *, written: bool) -> None:
             screen.line(f"proof: {job.outcome.proof.value}")
         for open_still in job.outcome.unproved:
             screen.line(f"    {open_still.name} is not proved: {open_still.why}")
+    elif job.plan is not None and job.plan.blockers:
+        screen.line("blocked: nothing was written, and this plan cannot be", bold=True)
     elif not written:
         screen.line("nothing was written; --apply writes it", bold=True)
 

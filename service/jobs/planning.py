@@ -94,7 +94,8 @@ def foresee(
 
 def nothing_to_write(plan: WritePlan) -> Result:
     """The outcome of a job whose every sensor agrees with what is in force."""
-    return Result(f"Nothing to write: {'; '.join(a.text for a in plan.agreements)}.")
+    text = f"Nothing to write: {'; '.join(a.text for a in plan.agreements)}."
+    return Result(text, proof_reason="Nothing was written, so there is nothing to prove.")
 
 
 def accel_temperatures(jobs: Iterable[Job], vehicle_id: str, parameters: Mapping[str, Value]) -> dict[int, float]:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 
 from calib.firmware.plan import Change, Fingerprint, ParameterKind, WritePlan
-from service.commands.calibrate import _show_plan
+from service.commands.calibrate import _show_end, _show_plan
 from service.commands.screen import Screen
-from service.jobs.model import Failure
+from service.jobs.model import Failure, Job
+from service.jobs.states import JobState
 
 
 def test_an_id_is_shown_with_all_its_digits(capsys: pytest.CaptureFixture[str]) -> None:
@@ -32,3 +33,14 @@ def test_cause_and_remedy_are_two_sentences() -> None:
         "the vehicle streams no gyro samples. Check that the sensor is there."
     )
     assert Failure("x", "It stopped.", "").cause == "It stopped."
+
+
+@pytest.mark.parametrize(
+    ("blockers", "said"), [(("too far",), "blocked: nothing was written"), ((), "--apply writes it")]
+)
+def test_nobody_is_told_to_apply_a_plan_that_is_blocked(
+    capsys: pytest.CaptureFixture[str], blockers: tuple[str, ...], said: str
+) -> None:
+    plan = WritePlan(Fingerprint("px4", "u", "1", ()), "0" * 64, (), blockers=blockers)
+    _show_end(Job("j", "v", "gyro", {}, JobState.REVIEW, 0.0, 0.0, plan=plan), Screen(), written=False)
+    assert said in capsys.readouterr().err
