@@ -71,7 +71,7 @@ class Links:
             tlog_dir=self._tlog_dir,
             ids=OwnIdentity(system=self._settings.system, component=self._settings.component),
             signing=self._signing(link_id),
-            store_timestamp=lambda timestamp: self._store.save_signing_timestamp(link_id, timestamp),
+            store_timestamp=lambda timestamp: self._keep_timestamp(link_id, timestamp),
         )
         self._links[link_id] = link
         self._attach(link)
@@ -82,13 +82,14 @@ class Links:
             self._detach(link)
             raise
         if remember:
-            self._store.save_link(LinkRow(link_id, str(endpoint), time.time()))
+            row = LinkRow(link_id, str(endpoint), time.time())
+            await self._store.do(lambda: self._store.save_link(row))
         return link
 
     async def close(self, link_id: str) -> None:
         """Close a link for good. Raises LinkUnknown if there is none of that id."""
         link = self.get(link_id)
-        self._store.delete_link(link_id)
+        await self._store.do(lambda: self._store.delete_link(link_id))
         await self._end(link)
 
     async def close_all(self) -> None:
@@ -100,6 +101,9 @@ class Links:
         del self._links[link.id]
         await link.close()
         self._detach(link)
+
+    def _keep_timestamp(self, link_id: str, timestamp: int) -> None:
+        self._store.soon(lambda: self._store.save_signing_timestamp(link_id, timestamp))
 
     def _signing(self, link_id: str) -> SigningConfig | None:
         key = self._settings.signing_key

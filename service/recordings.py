@@ -77,7 +77,7 @@ class Recordings:
             raise
         body = {"reading": dict(reading), "inspection": {**document, "source": shown}}
         row = RecordingRow(recording_id, time.time(), shown, path, size, sha256, body)
-        self._store.add_recording(row)
+        await self._store.do(lambda: self._store.add_recording(row))
         return row
 
     async def fit(self, recording_id: str, method: str, options: Mapping[str, Any]) -> list[Json]:

@@ -153,6 +153,6 @@ async def events(service: ServiceDep, last_event_id: LastEventId = None) -> Asyn
 
     Events named `job` have ids and are replayed; `vehicle` and `link` carry the present state as soon as it changes.
     """
-    after = service.store.last_event_id() if last_event_id is None else last_event_id
+    after = await service.store.do(service.store.last_event_id) if last_event_id is None else last_event_id
     async for event in everything(service, after):
         yield event

@@ -74,7 +74,7 @@ class Capture:
         # for the others. The segment and the frames begin at the same place, so that live and replay see the same.
         position, forget = await self.vehicle.record(LiveDigest.wanted(self.vehicle.identity), self._take)
         try:
-            row = open_span(self.handle.store, self.handle.id, SegmentPurpose.CAPTURE, position)
+            row = await open_span(self.handle.store, self.handle.id, SegmentPurpose.CAPTURE, position)
             try:
                 return await self._captured(earlier)
             finally:

@@ -6,8 +6,9 @@ import asyncio
 import dataclasses
 import time
 import uuid
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
@@ -114,6 +115,7 @@ class JobEngine:
         self._handles: dict[str, JobHandle] = {}
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._tidying: dict[str, asyncio.Task[None]] = {}
+        self._claims: set[str] = set()
         self._following: asyncio.Task[None] | None = None
         self._stopping = False
 
@@ -234,6 +236,7 @@ class JobEngine:
         handle = self._hold(job)
         try:
             handle.change("state", {"state": job.state.value, "outcome": None})
+            await handle.kept()
         except BaseException:
             del self._handles[job.id]
             raise
@@ -286,7 +289,8 @@ class JobEngine:
         handle = self._hold(job)
         try:
             handle.change("state", {"state": job.state.value, "outcome": outcome_to_json(job.outcome)})
-            keep_plan(handle, planned)
+            await handle.kept()
+            await keep_plan(handle, planned)
         except BaseException:
             del self._handles[job.id]
             raise
@@ -340,7 +344,9 @@ class JobEngine:
         vehicle = self._vehicles.vehicle(job.vehicle_id)
         require_ready(vehicle)
         identity, planned = await self._composed(vehicle, job.results, chosen, job.context.get("origin"))
-        keep_plan(handle, planned)
+        await keep_plan(handle, planned)
+        if handle.job.state != JobState.REVIEW:
+            raise IllegalTransition(f"job {job_id} is {handle.job.state}: only a job in review can be planned again")
         context = {**handle.job.context, "identity": identity_to_json(identity), "plan_options": chosen}
         data = {"sha256": planned.plan.sha256}
         fingerprint = planned.plan.fingerprint
@@ -362,7 +368,9 @@ class JobEngine:
         """
         handle = self._handle(job_id)
         digest = request_digest(job_id, accept)
-        used = None if idempotency_key is None else self._store.idempotency_key(idempotency_key)
+        used = None
+        if idempotency_key is not None:
+            used = await self._store.do(partial(self._store.idempotency_key, idempotency_key))
         if used is not None:
             if used != (digest, job_id):
                 raise IdempotencyConflict
@@ -374,12 +382,16 @@ class JobEngine:
         await check_plan(self._attempt(dataclasses.replace(handle.job, accept=accept), handle))
         require_acceptable(handle.job, accept)  # it may have been accepted, or planned again, meanwhile
         require_free(handle.job.vehicle_id, self.list(), besides=job_id)
-        if idempotency_key is not None:
-            self._store.claim_idempotency_key(idempotency_key, digest, job_id, self._wall())
         said = {"plan_sha256": accept.plan_sha256, "confirmed": confirmed(handle.job.context.get("plan_options", {}))}
-        self._store.add_audit(self._wall(), accept.actor, "apply", job_id, said)
-        # First the journal: from the new state on the job has a task, whatever the store does.
-        await handle.record(Step.ACCEPTED, plan_sha256=accept.plan_sha256, actor=accept.actor, reboot=accept.reboot)
+        with self._claimed(job_id):
+            await self._audit(accept.actor, "apply", job_id, said)
+            # First the journal: from the new state on the job has a task, whatever the store does.
+            await handle.record(Step.ACCEPTED, plan_sha256=accept.plan_sha256, actor=accept.actor, reboot=accept.reboot)
+            if idempotency_key is not None:
+                claim = partial(self._store.claim_idempotency_key, idempotency_key, digest, job_id, self._wall())
+                await self._store.do(claim)
+            require_acceptable(handle.job, accept)
+            require_free(handle.job.vehicle_id, self.list(), besides=job_id)
         attempt = Attempt(WriteResult.RUNNING, self._wall())
         handle.move(JobState.APPLYING, accept=accept, outcome=None, verification=None, standing=(), last_write=attempt)
         self._spawn(handle, self._transaction(handle).apply)
@@ -403,13 +415,30 @@ class JobEngine:
             raise NotRevertible(f"job {job_id} found nothing to write: there is nothing to take back")
         require_free(handle.job.vehicle_id, self.list(), besides=job_id)
         require_ready(self._vehicles.vehicle(handle.job.vehicle_id))
-        self._store.add_audit(self._wall(), actor, "revert", job_id, {})
-        await handle.record(Step.ROLL_BACK, because=BY_OPERATOR)
+        with self._claimed(job_id):
+            await self._audit(actor, "revert", job_id, {})
+            await handle.record(Step.ROLL_BACK, because=BY_OPERATOR)
+            require_free(handle.job.vehicle_id, self.list(), besides=job_id)
         handle.move(JobState.ROLLING_BACK, prompt=None)
         self._spawn(handle, self._transaction(handle).revert)
         return handle.job
 
     # --- inside
+
+    @contextmanager
+    def _claimed(self, job_id: str) -> Iterator[None]:
+        """Nobody else may begin a write of the same job while its accept is on the way to the disk."""
+        if job_id in self._claims:
+            raise IllegalTransition(f"job {job_id} is being accepted or taken back already")
+        self._claims.add(job_id)
+        try:
+            yield
+        finally:
+            self._claims.discard(job_id)
+
+    async def _audit(self, actor: str, action: str, job_id: str, detail: Mapping[str, Any]) -> None:
+        """Keep who asked for a write before it is done. Raises DiskFull."""
+        await self._store.do(partial(self._store.add_audit, self._wall(), actor, action, job_id, detail))
 
     def _require_writing(self) -> None:
         if self._read_only:
@@ -514,7 +543,7 @@ class JobEngine:
             del self._tasks[handle.id]
         if handle.job.state in ENDED | {JobState.REVIEW}:
             self._tidy(handle)
-            self._store.drop_events(handle.id, "progress", keep=1)
+            self._store.soon(partial(self._store.drop_events, handle.id, "progress", keep=1))
 
     def _tidy(self, handle: JobHandle) -> None:
         """Put message rates back that a job has left changed; a stopping service leaves that to its next start."""

@@ -9,6 +9,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
+import structlog
+
 from calib.procedures.protocol import Progress, Prompt
 from calib.report import step_to_json
 from service.errors import DiskFull
@@ -19,11 +21,17 @@ from service.jobs.states import JobState
 from service.store.protocol import JobStore
 from service.store.rows import EventRow, Json
 
+log = structlog.get_logger(__name__)
+
 Publish = Callable[[EventRow], None]
 
 
 class JobHandle:
-    """Holds a job while it runs. Every change of it is durable and announced before the call returns."""
+    """Holds a job while it runs. A change of it is on its way to the disk when the call returns, and announced there.
+
+    The store keeps the order: what was changed before a step of the journal is on the disk before that step, and a step
+    is there before :meth:`record` returns. Nothing waits for the disk on the event loop.
+    """
 
     def __init__(
         self,
@@ -43,6 +51,8 @@ class JobHandle:
         self._clock = clock
         self._progress_s = progress_s
         self._progress_due = 0.0
+        self._owed: list[tuple[Job, str, Json]] = []
+        """Changes that are not on the disk yet; belongs to the store's thread."""
 
     @property
     def id(self) -> str:
@@ -54,34 +64,27 @@ class JobHandle:
         return self._wall()
 
     def move(self, to: JobState, **changes: Any) -> None:
-        """Go to another state. Raises IllegalTransition, DiskFull; the job is then as it was."""
+        """Go to another state. Raises IllegalTransition; the job is then as it was."""
         changed = advance(self.job, to, self._wall(), **changes)
         data = {"state": to.value, "outcome": outcome_to_json(changed.outcome)}
         self._keep(changed, "state", data)
 
     def move_anyway(self, to: JobState, **changes: Any) -> None:
         """Go to another state even if the store fails: the vehicle comes first, and recovery reads the vehicle."""
-        changed = advance(self.job, to, self._wall(), **changes)
-        try:
-            self._keep(changed, "state", {"state": to.value, "outcome": outcome_to_json(changed.outcome)})
-        except Exception as error:  # noqa: BLE001 - a job without a true state is worse than one that is not recorded
-            self.job = changed
-            why = "the disk is full" if isinstance(error, DiskFull) else "the store does not work"
-            self.warn(f"{why}: the last steps of this job are not recorded")
+        self.move(to, **changes)
+
+    async def kept(self) -> None:
+        """Return when every change of the job is on the disk. Raises DiskFull."""
+        await self.store.do(self._save_owed)
 
     def change(self, kind: str, data: Json, **changes: Any) -> None:
         """Change something other than the state, with an event that says so."""
         self._keep(dataclasses.replace(self.job, updated_at=self._wall(), **changes), kind, data)
 
     def warn(self, text: str) -> None:
-        """Add a warning, once; where the store fails it is only in memory."""
-        if text in self.job.warnings:
-            return
-        warnings = (*self.job.warnings, text)
-        try:
-            self.change("warning", {"text": text}, warnings=warnings)
-        except Exception:  # noqa: BLE001 - a warning never ends what it warns of
-            self.job = dataclasses.replace(self.job, warnings=warnings)
+        """Add a warning, once."""
+        if text not in self.job.warnings:
+            self.change("warning", {"text": text}, warnings=(*self.job.warnings, text))
 
     def prompt(self, prompt: Prompt | None) -> None:
         """Ask the operator something else, or nothing more; not durable, a restarted job asks anew."""
@@ -98,13 +101,22 @@ class JobHandle:
             self._tell("progress", step_to_json(progress))
 
     async def record(self, step: Step, **data: Any) -> None:
-        """Append to the journal; it is on the disk when this returns. Raises DiskFull."""
-        await asyncio.to_thread(self.store.add_journal, self.id, self._wall(), step.value, data)
+        """Append to the journal; it and every change before it are on the disk when this returns. Raises DiskFull."""
+        at = self._wall()
+
+        def append() -> None:
+            self._save_owed()
+            self.store.add_journal(self.id, at, step.value, data)
+
+        await self.store.do(append)
 
     async def record_anyway(self, step: Step, **data: Any) -> None:
         """Append to the journal if the store works: for steps that recovery would find out by reading the vehicle."""
-        with suppress(Exception):
+        try:
             await self.record(step, **data)
+        except Exception as error:  # noqa: BLE001 - the vehicle comes first
+            why = "the disk is full" if isinstance(error, DiskFull) else "the store does not work"
+            self.warn(f"{why}: the last steps of this job are not recorded")
 
     def announce(self, kind: str, data: Json) -> None:
         """An event that says again what the job's state says already; lost if the store fails."""
@@ -116,10 +128,31 @@ class JobHandle:
         return fold(self.store.journal(self.id))
 
     def _tell(self, kind: str, data: Json) -> None:
-        self._publish(self.store.add_event(self.id, self._wall(), kind, data))
+        at = self._wall()
+
+        def tell() -> None:
+            with suppress(Exception):  # not durable: who watches sees the next one
+                self._publish(self.store.add_event(self.id, at, kind, data))
+
+        self.store.soon(tell)
 
     def _keep(self, job: Job, kind: str, data: Json) -> None:
-        event = self.store.save_job(row_from_job(job), event=(kind, data))
         self.job = job
-        if event is not None:
-            self._publish(event)
+
+        def save() -> None:
+            self._owed.append((job, kind, data))
+            try:
+                self._save_owed()
+            except Exception as error:  # noqa: BLE001 - tried again with the next one
+                log.error("a change of a job is not on the disk yet", job=self.id, kind=kind, reason=str(error))
+
+        self.store.soon(save)
+
+    def _save_owed(self) -> None:
+        """In the store's thread: what could not be saved is tried again with every later change and step."""
+        while self._owed:
+            job, kind, data = self._owed[0]
+            event = self.store.save_job(row_from_job(job), event=(kind, data))
+            del self._owed[0]
+            if event is not None:
+                self._publish(event)

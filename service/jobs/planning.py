@@ -162,17 +162,16 @@ def make_plan(
     return Planned(plan, calibration_snapshot(parameters))
 
 
-def keep_plan(handle: JobHandle, planned: Planned) -> None:
+async def keep_plan(handle: JobHandle, planned: Planned) -> None:
     """Bring plan and snapshot onto the disk. Raises DiskFull."""
-    plan = planned.plan
-    handle.store.add_snapshot(
-        handle.id,
-        handle.now(),
-        SnapshotPurpose.COMPOSED_ON,
-        snapshot_sha256(planned.composed_on),
-        planned.composed_on,
-    )
-    handle.store.add_plan(handle.id, plan.sha256, handle.now(), plan_to_json(plan))
+    plan, at, store = planned.plan, handle.now(), handle.store
+    body, digest = plan_to_json(plan), snapshot_sha256(planned.composed_on)
+
+    def keep() -> None:
+        store.add_snapshot(handle.id, at, SnapshotPurpose.COMPOSED_ON, digest, planned.composed_on)
+        store.add_plan(handle.id, plan.sha256, at, body)
+
+    await store.do(keep)
 
 
 def identity_to_json(identity: Identity) -> dict[str, Any]:

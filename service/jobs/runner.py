@@ -96,7 +96,7 @@ class Runner:
             results = fitted.outcome.results
             known = accel_temperatures(self.jobs(), job.vehicle_id, fitted.parameters)
             planned = await asyncio.to_thread(make_plan, results, fitted.parameters, identity, plan_options, known)
-            keep_plan(handle, planned)
+            await keep_plan(handle, planned)
         except CaptureEnded as ended:
             self._end(handle, JobState.FAILED, ended.code, str(ended), ended.remedy)
             return

@@ -12,9 +12,9 @@ from service.store.protocol import JobStore
 from service.store.rows import SegmentPurpose, SegmentRow
 
 
-def open_span(store: JobStore, job_id: str, purpose: SegmentPurpose, position: TlogPosition) -> SegmentRow:
+async def open_span(store: JobStore, job_id: str, purpose: SegmentPurpose, position: TlogPosition) -> SegmentRow:
     """Begin a segment at a place of the vehicle's log."""
-    return store.open_segment(job_id, purpose, position.path, position.byte)
+    return await store.do(lambda: store.open_segment(job_id, purpose, position.path, position.byte))
 
 
 async def close_span(store: JobStore, row: SegmentRow, vehicle: JobVehicle | None) -> Span:
@@ -29,8 +29,8 @@ async def close_span(store: JobStore, row: SegmentRow, vehicle: JobVehicle | Non
             await vehicle.sync_tlog()
             end = position.byte
     data = await asyncio.to_thread(read_range, row.path, row.start_byte, end)
-    closed = store.close_segment(row.id, row.start_byte + len(data), hashlib.sha256(data).hexdigest())
-    return span_of(closed)
+    digest = await asyncio.to_thread(lambda: hashlib.sha256(data).hexdigest())
+    return span_of(await store.do(lambda: store.close_segment(row.id, row.start_byte + len(data), digest)))
 
 
 def span_of(row: SegmentRow) -> Span:

@@ -104,7 +104,7 @@ class StreamCheck:
     async def before(self, guard: Guard) -> None:
         """Keep a window of the stream under the old parameters, in memory and as a segment."""
         await self._streams()
-        row = open_span(self.handle.store, self.handle.id, SegmentPurpose.BEFORE, self.vehicle.tlog_position())
+        row = await open_span(self.handle.store, self.handle.id, SegmentPurpose.BEFORE, self.vehicle.tlog_position())
         try:
             with Window(self.vehicle, self.settings, self.clock) as window:
                 self._before = await guard.run(partial(window.extend, self.settings.check_s))
@@ -122,7 +122,7 @@ class StreamCheck:
         """
         await self._streams()
         before = self._before or await asyncio.to_thread(self._recorded)
-        row = open_span(self.handle.store, self.handle.id, SegmentPurpose.AFTER, self.vehicle.tlog_position())
+        row = await open_span(self.handle.store, self.handle.id, SegmentPurpose.AFTER, self.vehicle.tlog_position())
         try:
             return await self._judged(guard, before, values)
         except CaptureEnded as error:

@@ -224,7 +224,8 @@ async def _keep_snapshot(w: Writing, old: Mapping[str, Reading]) -> None:
     body = {name: {"value": reading.value, "kind": reading.kind.value} for name, reading in old.items()}
     digest = snapshot_sha256({name: reading.value for name, reading in old.items()})
     store = w.handle.store
-    await asyncio.to_thread(store.add_snapshot, w.handle.id, w.handle.now(), SnapshotPurpose.BEFORE_WRITE, digest, body)
+    at = w.handle.now()
+    await store.do(lambda: store.add_snapshot(w.handle.id, at, SnapshotPurpose.BEFORE_WRITE, digest, body))
     await w.handle.record(Step.SNAPSHOT, sha256=digest)
     w.reach(At.SNAPSHOT_KEPT)
 

@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 
 from service.errors import DiskFull, StoreError
 from service.store import chain
-from service.store.datadir import DataDirLock
+from service.store.datadir import DataDirLock, require_database
 from service.store.line import WriteLine
 from service.store.migrate import migrate, migrations
 from service.store.rows import (
@@ -62,6 +62,8 @@ class SqliteStore:
         try:
             with _typed_errors():
                 self._db = _connection(target)
+                if data_dir is not None:
+                    require_database(data_dir, empty=_is_empty(self._db))
                 self._db.execute("PRAGMA journal_mode = WAL")
                 self._db.execute("PRAGMA synchronous = FULL")
                 self._db.execute("PRAGMA foreign_keys = ON")
@@ -106,11 +108,13 @@ class SqliteStore:
 
     def job(self, job_id: str) -> JobRow | None:
         """The job, or None if there is none of that id."""
+        self._line.caught_up()
         rows = self._read("SELECT * FROM jobs WHERE id = ?", (job_id,))
         return _job(rows[0]) if rows else None
 
     def jobs(self, *, vehicle_id: str | None = None, states: Collection[str] | None = None) -> tuple[JobRow, ...]:
         """Jobs in the order of their creation; None: of every vehicle, in every state."""
+        self._line.caught_up()
         rows = self._read(
             "SELECT * FROM jobs WHERE (?1 IS NULL OR vehicle_id = ?1) AND "
             "(?2 IS NULL OR state IN (SELECT value FROM json_each(?2))) ORDER BY created_at, rowid",
@@ -125,6 +129,7 @@ class SqliteStore:
 
     def events(self, job_id: str | None = None, *, after: int = 0, limit: int = 1000) -> tuple[EventRow, ...]:
         """Events after `after`: a sequence number of that job, or an id over all jobs if `job_id` is None."""
+        self._line.caught_up()
         if job_id is None:
             rows = self._read("SELECT * FROM job_events WHERE id > ? ORDER BY id LIMIT ?", (after, limit))
         else:
@@ -136,6 +141,7 @@ class SqliteStore:
 
     def last_event_id(self) -> int:
         """The id of the newest event of any job; 0: there is none."""
+        self._line.caught_up()
         return int(self._read("SELECT coalesce(max(id), 0) FROM job_events")[0][0])
 
     def drop_events(self, job_id: str, kind: str, *, keep: int) -> None:
@@ -279,14 +285,12 @@ class SqliteStore:
 
     def check_audit(self) -> chain.ChainCheck:
         """Whether the audit trail is as it was written."""
-        self._line.caught_up()
         with self._reading, _typed_errors():
             return _checked(self._reader)
 
     # --- plumbing
 
     def _read(self, sql: str, values: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-        self._line.caught_up()
         with self._reading, _typed_errors():
             return self._reader.execute(sql, values).fetchall()
 
@@ -339,6 +343,10 @@ def _checked(db: sqlite3.Connection) -> chain.ChainCheck:
     given_out = db.execute("SELECT coalesce(max(seq), 0) FROM sqlite_sequence WHERE name = 'audit'").fetchone()[0]
     rows = db.execute("SELECT * FROM audit WHERE id <= ? ORDER BY id", (given_out,))
     return chain.check(map(_audit, rows), given_out)
+
+
+def _is_empty(db: sqlite3.Connection) -> bool:
+    return int(db.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]) == 0
 
 
 def _connection(target: str) -> sqlite3.Connection:

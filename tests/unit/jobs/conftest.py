@@ -149,9 +149,16 @@ MakeBench = Callable[..., Bench]
 def make_bench() -> Iterator[MakeBench]:
     stores: list[SqliteStore] = []
 
-    def make(*, session: bool = False, reboot: bool = False, command: bool = True, accept_reboot: bool = True) -> Bench:
+    def make(
+        *,
+        session: bool = False,
+        reboot: bool = False,
+        command: bool = True,
+        accept_reboot: bool = True,
+        store: SqliteStore | None = None,
+    ) -> Bench:
         vehicle = FakeVehicle.with_floats(OLD)
-        store = SqliteStore(None)
+        store = store or SqliteStore(None)
         stores.append(store)
         plan = make_plan(vehicle, session=session, reboot=reboot, command=command)
         job = Job("j1", vehicle.id, "gyro", {}, JobState.APPLYING, 0.0, 0.0, fingerprint=plan.fingerprint, plan=plan)
