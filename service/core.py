@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import shutil
 from collections import Counter
 from collections.abc import AsyncIterator, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 import structlog
 from prometheus_client import CollectorRegistry
@@ -17,8 +19,11 @@ from prometheus_client.registry import Collector
 from service.gaps import Gaps
 from service.jobs.engine import JobEngine
 from service.jobs.fleet import Fleet
+from service.jobs.model import Failure
+from service.jobs.salvage import CODE as UNREADABLE
 from service.links import Links
 from service.recordings import Recordings
+from service.retention import Retention
 from service.settings import Settings
 from service.store import SqliteStore, Store
 from service.vehicle import VehicleRegistry
@@ -83,7 +88,29 @@ async def running_service(settings: Settings) -> AsyncIterator[Service]:
         recordings = Recordings(store, folder / "recordings", limit_bytes=limits.upload_bytes, executor=executor)
         gaps = Gaps(recordings, folder / "gaps", limit_s=limits.gap_s)
         started.push_async_callback(gaps.stop)
+        started.push_async_callback(
+            _cancelled, asyncio.create_task(_retention(store, settings, jobs, gaps, links).run())
+        )
         yield Service(settings, store, links, vehicles, jobs, recordings, gaps)
+
+
+def _retention(store: Store, settings: Settings, jobs: JobEngine, gaps: Gaps, links: Links) -> Retention:
+    def needed() -> set[str]:
+        """Uploads that a job or a diagnosis rests on."""
+        if any(isinstance(job.outcome, Failure) and job.outcome.code == UNREADABLE for job in jobs.list()):
+            return {row.id for row in store.recordings()}  # nobody knows what a damaged job rests on
+        of_jobs = {str(job.options["recording"]) for job in jobs.list() if "recording" in job.options}
+        return of_jobs.union(*({row.real, row.sim or "", *row.nominal} for row in gaps.all()))
+
+    def open_files() -> set[Path]:
+        return {link.tlog.path for link in links.all()}
+
+    return Retention(store, settings.retention, settings.data_dir / "tlogs", needed, open_files)
+
+
+async def _cancelled(task: asyncio.Task[None]) -> None:
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
 
 
 async def _open_links(links: Links, settings: Settings, store: Store) -> None:

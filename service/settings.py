@@ -76,6 +76,23 @@ class LimitSettings(_Part):
     gap_s: float = Field(default=1800.0, gt=0.0, description="longest time that a gap diagnosis may take, s")
 
 
+class RetentionSettings(_Part):
+    """What is forgotten in time; never the evidence of a job."""
+
+    recordings_days: float | None = Field(
+        default=None,
+        gt=0.0,
+        description="oldest recording on which no job or diagnosis rests, days; none: kept",
+    )
+    recordings_bytes: int | None = Field(
+        default=None, ge=0, description="such recordings together, bytes; the oldest go first; none: no limit"
+    )
+    events_days: float = Field(default=90.0, gt=0.0, description="oldest events of jobs that have ended, days")
+    events: int = Field(default=200_000, gt=0, description="most events of jobs that have ended")
+    keys_days: float = Field(default=30.0, gt=0.0, description="oldest Idempotency-Key, days")
+    keys: int = Field(default=100_000, gt=0, description="most Idempotency-Keys")
+
+
 def _absolute(path: Path) -> Path:
     return path.expanduser().absolute()
 
@@ -109,6 +126,9 @@ class Settings(BaseSettings):
     )
     mavlink: MavlinkSettings = Field(default_factory=MavlinkSettings, description="who we are on the wire")
     limits: LimitSettings = Field(default_factory=LimitSettings, description="what one client may cost")
+    retention: RetentionSettings = Field(
+        default_factory=RetentionSettings, description="what is forgotten in time; never the evidence of a job"
+    )
 
     @classmethod
     def settings_customise_sources(

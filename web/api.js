@@ -49,7 +49,7 @@ export const api = {
   closeLink: (link) => call("DELETE", `/links/${id(link)}`),
   vehicles: () => call("GET", "/vehicles"),
   procedures: () => call("GET", "/procedures"),
-  jobs: () => call("GET", "/jobs"),
+  jobs: (count) => call("GET", `/jobs?order=newest&limit=${count}`),
   job: (job) => call("GET", `/jobs/${id(job)}`),
   start: (vehicle, kind) => call("POST", `/vehicles/${id(vehicle)}/jobs`, { kind }),
   answer: (job, value) => call("POST", `/jobs/${id(job)}/answers`, { value }),

@@ -107,7 +107,7 @@ const byId = (items) => new Map(items.map((item) => [item.id, item]));
 async function refresh() {
   try {
     if (!procedures.length) procedures = await api.procedures();
-    const newest = (await api.jobs()).slice(-SHOWN_JOBS);
+    const newest = await api.jobs(SHOWN_JOBS);
     const changed = newest.filter((job) => jobs.get(job.id)?.updated_at !== job.updated_at);
     await Promise.all(changed.map(async (job) => jobs.set(job.id, await api.job(job.id))));
     await look();

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
+from urllib.parse import urlencode
 
-from fastapi import APIRouter, Depends, Header, Request, Response
+from fastapi import APIRouter, Depends, Header, Query, Request, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from calib.procedures.registry import PROCEDURES
@@ -22,6 +23,7 @@ from service.api.models import (
     PlanRequest,
     ProcedureModel,
 )
+from service.api.paging import page_of
 from service.api.security import ActorDep, Scope, require
 from service.api.views import event_model, job_model, job_summary, procedure_model
 from service.errors import PlanMissing
@@ -62,9 +64,22 @@ async def start(
 
 
 @router.get("/jobs", dependencies=[READ])
-async def jobs(service: ServiceDep, vehicle_id: str | None = None) -> list[JobSummary]:
-    """Every job, oldest first."""
-    return [job_summary(j) for j in service.jobs.list() if vehicle_id in {None, j.vehicle_id}]
+async def jobs(
+    response: Response,
+    service: ServiceDep,
+    vehicle_id: str | None = None,
+    order: Literal["oldest", "newest"] = "oldest",
+    limit: Annotated[int, Query(ge=1, le=1000)] = 1000,
+    after: Annotated[str | None, Query(max_length=100, description="id of the last job of the page before")] = None,
+) -> list[JobSummary]:
+    """Jobs, a page at a time. A header `Link` with `rel="next"` leads to the next page if there is one."""
+    found = [job for job in service.jobs.list() if vehicle_id in {None, job.vehicle_id}]
+    page, more = page_of(found if order == "oldest" else found[::-1], after, limit)
+    if more:
+        asked = {"vehicle_id": vehicle_id, "order": order, "limit": limit, "after": page[-1].id}
+        query = urlencode({name: value for name, value in asked.items() if value is not None}, errors="replace")
+        response.headers["Link"] = f'<jobs?{query}>; rel="next"'
+    return [job_summary(job) for job in page]
 
 
 @router.get("/jobs/{job_id}", dependencies=[READ])

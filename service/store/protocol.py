@@ -121,6 +121,22 @@ class Store(JobStore, Protocol):
         """Uploaded logs, oldest first."""
         ...
 
+    def delete_recording(self, recording_id: str) -> None:
+        """Forget an uploaded log; one that is not there is no error."""
+        ...
+
+    def segment_paths(self) -> tuple[Path, ...]:
+        """Every telemetry log that has a segment of a job."""
+        ...
+
+    def drop_old_events(self, before: float, *, most: int) -> None:
+        """Forget events of jobs that have ended: those before a time, and all but the newest `most`."""
+        ...
+
+    def drop_old_keys(self, before: float, *, most: int) -> None:
+        """Forget request keys used before a time, and all but the newest `most`."""
+        ...
+
     def save_link(self, row: LinkRow) -> None:
         """Insert or replace a link."""
         ...

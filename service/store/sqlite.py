@@ -38,6 +38,8 @@ from service.store.rows import (
 T = TypeVar("T")
 
 DATABASE = "mavcal.sqlite3"
+ENDED = ("succeeded", "reverted", "failed", "cancelled", "interrupted")
+"""States of jobs in which nothing goes on by itself; as in :mod:`service.jobs.states`, which a test compares."""
 
 _DISK_TROUBLE = {sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN}
 
@@ -228,6 +230,33 @@ class SqliteStore:
     def recordings(self) -> tuple[RecordingRow, ...]:
         """Uploaded logs, oldest first."""
         return tuple(_recording(r) for r in self._read("SELECT * FROM recordings ORDER BY at, rowid"))
+
+    def delete_recording(self, recording_id: str) -> None:
+        """Forget an uploaded log; one that is not there is no error."""
+        self._insert("DELETE FROM recordings WHERE id = ?", (recording_id,))
+
+    def segment_paths(self) -> tuple[Path, ...]:
+        """Every telemetry log that has a segment of a job."""
+        return tuple(Path(r[0]) for r in self._read("SELECT DISTINCT path FROM segments"))
+
+    def drop_old_events(self, before: float, *, most: int) -> None:
+        """Forget events of jobs that have ended: those before a time, and all but the newest `most`."""
+        with self._write(durable=False) as db:  # the newest event of a job keeps its sequence going
+            db.execute(
+                "DELETE FROM job_events WHERE id NOT IN (SELECT max(id) FROM job_events GROUP BY job_id) "
+                "AND job_id IN (SELECT id FROM jobs WHERE state IN (SELECT value FROM json_each(?1))) "
+                "AND (at < ?2 OR id <= (SELECT id FROM job_events ORDER BY id DESC LIMIT 1 OFFSET ?3))",
+                (json.dumps(ENDED), before, most),
+            )
+
+    def drop_old_keys(self, before: float, *, most: int) -> None:
+        """Forget request keys used before a time, and all but the newest `most`."""
+        with self._write(durable=False) as db:
+            db.execute(
+                "DELETE FROM idempotency_keys WHERE at < ?1 OR rowid IN "
+                "(SELECT rowid FROM idempotency_keys ORDER BY at DESC, rowid DESC LIMIT -1 OFFSET ?2)",
+                (before, most),
+            )
 
     def save_link(self, row: LinkRow) -> None:
         """Insert or replace a link."""

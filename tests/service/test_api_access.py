@@ -15,6 +15,9 @@ import structlog
 
 from service.api.throttle import AT_ONCE
 from service.app import create_app
+from service.jobs.codec import row_from_job
+from service.jobs.model import Job
+from service.jobs.states import JobState
 from service.store import SqliteStore
 
 from .api_bench import api, served, settings_in
@@ -182,3 +185,22 @@ async def test_guessed_tickets_are_throttled_too(tmp_path: Path, ticket: str) ->
         for _ in range(AT_ONCE):
             await a.get("/jobs", 401, params={"ticket": ticket})
         await a.get("/jobs", 429, params={"ticket": ticket})
+
+
+async def test_jobs_are_listed_a_page_at_a_time(tmp_path: Path) -> None:
+    store = SqliteStore(tmp_path)
+    for i in range(5):
+        job = Job(f"j{i}", "v 1" if i else "other", "gyro", {}, JobState.FAILED, float(i), float(i))
+        store.save_job(row_from_job(job))
+    store.close()
+    async with api(tmp_path) as a:
+        assert [j["id"] for j in await a.get("/jobs")] == [f"j{i}" for i in range(5)]
+        for order, expected in (("oldest", ["j1", "j2", "j3", "j4"]), ("newest", ["j4", "j3", "j2", "j1"])):
+            url, seen = f"/api/v1/jobs?vehicle_id=v%201&limit=3&order={order}", []
+            while url:
+                response = await a.client.get(url)
+                seen += [j["id"] for j in response.json()]
+                url = str(response.url.join(response.links["next"]["url"])) if "next" in response.links else ""
+            assert seen == expected
+        await a.get("/jobs", 404, params={"after": "nothing"})
+        await a.get("/jobs", 422, params={"limit": 0})

@@ -1,0 +1,105 @@
+"""What is forgotten in time: recordings, events and request keys, by age and size; never what a job rests on."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import structlog
+
+from service.settings import RetentionSettings
+from service.store.protocol import Store
+from service.store.rows import RecordingRow
+
+log = structlog.get_logger(__name__)
+
+PERIOD_S = 3600.0
+DAY_S = 86400.0
+
+
+@dataclass(frozen=True)
+class Item:
+    """A recording that may go: an upload, or the telemetry log of a link that was closed."""
+
+    path: Path
+    at: float
+    size: int
+    upload: str | None
+
+
+@dataclass
+class Retention:
+    """Forgets what the settings say. `needed` names uploads, `open_files` telemetry logs, that must stay for now."""
+
+    store: Store
+    settings: RetentionSettings
+    tlog_dir: Path
+    needed: Callable[[], Collection[str]]
+    open_files: Callable[[], Collection[Path]]
+    wall: Callable[[], float] = time.time
+
+    async def run(self) -> None:
+        """Sweep now and then, for ever."""
+        while True:
+            try:
+                await self.sweep()
+            except Exception:
+                log.exception("nothing was forgotten this time")
+            await asyncio.sleep(PERIOD_S)
+
+    async def sweep(self) -> None:
+        """Forget what is due."""
+        needed, held = set(self.needed()), set(self.open_files())
+        await self.store.do(lambda: self._forget_rows())
+        items = await asyncio.to_thread(self._items, needed, held)
+        for item in due(items, self.wall(), self.settings):
+            await self.store.do(lambda: self._forget(item))  # noqa: B023 - done before the next one
+            log.info("recording forgotten", upload=item.upload, bytes=item.size)
+
+    def _forget_rows(self) -> None:
+        now, kept = self.wall(), self.settings
+        self.store.drop_old_events(now - kept.events_days * DAY_S, most=kept.events)
+        self.store.drop_old_keys(now - kept.keys_days * DAY_S, most=kept.keys)
+
+    def _items(self, needed: set[str], held: set[Path]) -> list[Item]:
+        """Everything that may go: no upload of a job or diagnosis, no log with a segment of any job."""
+        uploads = [_upload(row) for row in self.store.recordings() if row.id not in needed]
+        evidence = {path.resolve() for path in (*self.store.segment_paths(), *held)}
+        logs = (path for path in self.tlog_dir.glob("*.tlog") if path.resolve() not in evidence)
+        return [*uploads, *filter(None, map(_log, logs))]
+
+    def _forget(self, item: Item) -> None:
+        """The row first: a file without a row is waste, a row without its file is a lie."""
+        if item.upload is not None:
+            self.store.delete_recording(item.upload)
+        elif item.path.resolve() in {path.resolve() for path in self.store.segment_paths()}:
+            return  # a job has begun to rest on it meanwhile
+        item.path.unlink(missing_ok=True)
+
+
+def due(items: Iterable[Item], now: float, settings: RetentionSettings) -> list[Item]:
+    """What is too old, and the oldest of the rest as long as all together is too large."""
+    oldest_first = sorted(items, key=lambda item: item.at)
+    total, going = sum(item.size for item in oldest_first), []
+    for item in oldest_first:
+        old = settings.recordings_days is not None and item.at < now - settings.recordings_days * DAY_S
+        large = settings.recordings_bytes is not None and total > settings.recordings_bytes
+        if old or large:
+            going.append(item)
+            total -= item.size
+    return going
+
+
+def _upload(row: RecordingRow) -> Item:
+    return Item(row.path, row.at, row.size, row.id)
+
+
+def _log(path: Path) -> Item | None:
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return Item(path, found.st_mtime, found.st_size, None)
