@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import cache, partial
 from pathlib import Path
 
 from fastapi import FastAPI
@@ -12,6 +13,7 @@ from fastapi.staticfiles import StaticFiles
 
 import calib
 from service.api import gaps, host, jobs, links, recordings, vehicles
+from service.api.document import document
 from service.api.middleware import Envelope
 from service.api.problems import install_problem_handlers
 from service.api.security import Guard, check_exposure
@@ -53,6 +55,7 @@ def create_app(settings: Settings) -> FastAPI:
         app.include_router(module.router, prefix="/api/v1")
     app.include_router(host.router)
     _add_panel(app)
+    app.openapi = cache(partial(document, app))  # type: ignore[method-assign]
     return app
 
 

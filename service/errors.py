@@ -44,6 +44,7 @@
     +-- AuthError                 401
     |   +-- Forbidden             403
     |   +-- TooManyAttempts       429   carries how long to wait
+    +-- TooManyStreams            503
     +-- UploadError               422
     |   +-- UploadTooLarge        413
     +-- RecordingUnknown          404
@@ -408,6 +409,14 @@ class TooManyAttempts(AuthError):
         super().__init__(message)
         self.wait_s = wait_s
         """After which a key is looked at again."""
+
+
+class TooManyStreams(ServiceError):
+    """As many event streams are open as the service allows. Close one, or raise `limits.streams` in the settings."""
+
+    status_code = 503
+    title = "Too many event streams"
+    code = "too-many-streams"
 
 
 class UploadError(ServiceError):

@@ -73,6 +73,10 @@ class LimitSettings(_Part):
     """What one client may cost."""
 
     upload_bytes: int = Field(default=2 * 1024**3, gt=0, description="largest recording that may be uploaded")
+    streams: int = Field(default=64, gt=0, description="most event streams that are open at a time")
+    body_window_s: float = Field(
+        default=20.0, gt=0.0, description="a request's body brings at least 1 kB/s on average over so long, s"
+    )
     gap_s: float = Field(default=1800.0, gt=0.0, description="longest time that a gap diagnosis may take, s")
 
 

@@ -29,7 +29,10 @@ async def healthz() -> dict[str, str]:
     return {"status": "ok"}
 
 
-@router.get("/readyz")
+@router.get(
+    "/readyz",
+    responses={503: {"description": "Not ready, with the reason", "content": {"application/json": {"schema": {}}}}},
+)
 async def readyz(service: ServiceDep) -> Response:
     """Whether jobs can be run: the store takes writes and nothing stands in the way."""
     obstacle = service.obstacle()
@@ -38,7 +41,7 @@ async def readyz(service: ServiceDep) -> Response:
     return JSONResponse({"status": "not ready", "reason": obstacle}, status_code=503)
 
 
-@router.get("/metrics", dependencies=[READ])
+@router.get("/metrics", dependencies=[READ], response_class=PlainTextResponse)
 async def metrics(service: ServiceDep) -> Response:
     """Counters in the format of Prometheus."""
     return Response(generate_latest(service.metrics()), media_type=CONTENT_TYPE_LATEST)
@@ -66,7 +69,11 @@ async def register_service() -> dict[str, Any]:
     }
 
 
-@router.get("/problems/{code}")
+@router.get(
+    "/problems/{code}",
+    response_class=PlainTextResponse,
+    responses={404: {"description": "There is no such problem", "content": {"text/plain": {}}}},
+)
 async def explain(code: str) -> Response:
     """What a problem code means; the `type` of a problem document leads here."""
     text = explanations().get(code)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import secrets
+import time
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
@@ -11,12 +13,17 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.api.problems import internal_problem, refusal
 from service.api.security import SAFE_METHODS, Guard
-from service.errors import AuthError
+from service.errors import AuthError, TooManyStreams
 from service.settings import Settings
 
 LARGEST_REQUEST_BYTES = 2**20
 """Of a request other than an upload, which has a limit of its own."""
 UPLOADS = "/recordings"
+LEAST_BYTES_PER_S = 1000
+CLOSE = {"Connection": "close"}
+"""What is left of the body is not read."""
+STREAMS = ("/events", "/stream")
+"""Event streams end so."""
 
 
 class Envelope:
@@ -25,6 +32,9 @@ class Envelope:
     def __init__(self, app: ASGIApp, settings: Settings, guard: Guard) -> None:
         self._app = app
         self._guard = guard
+        self._window_s = settings.limits.body_window_s
+        self._streams = 0
+        self._most_streams = settings.limits.streams
         shown_by = " ".join(settings.frame_ancestors) or "'none'"
         ancestors = f"frame-ancestors {shown_by}"
         self._policy = (
@@ -54,12 +64,19 @@ class Envelope:
         except AuthError as error:
             await refusal(Request(scope), error)(scope, receive, dressed)
             return
+        stream = scope["method"] == "GET" and scope["path"].endswith(STREAMS)
+        if stream and self._streams >= self._most_streams:
+            await refusal(Request(scope), TooManyStreams())(scope, receive, dressed)
+            return
+        self._streams += stream
         try:
-            await self._app(scope, _limited(scope, receive), dressed)
+            await self._app(scope, _limited(scope, _steady(receive, self._window_s)), dressed)
         except Exception as error:
             if started:
                 raise
             await internal_problem(Request(scope), error)(scope, receive, dressed)
+        finally:
+            self._streams -= stream
 
     def _dressed(self, scope: Scope, send: Send) -> Send:
         async def dressed(message: Message) -> None:
@@ -77,6 +94,30 @@ class Envelope:
         return dressed
 
 
+def _steady(receive: Receive, window_s: float) -> Receive:
+    """A body that trickles does not hold a place for ever."""
+    complete, received, began = False, 0, time.monotonic()
+
+    async def steady() -> Message:
+        nonlocal complete, received, began
+        if complete:  # from here on only the end of the connection is waited for
+            return await receive()
+        try:
+            async with asyncio.timeout(max(0.0, began + window_s - time.monotonic())):
+                message = await receive()
+        except TimeoutError:
+            if received < LEAST_BYTES_PER_S * window_s:
+                text = f"the body brought less than {LEAST_BYTES_PER_S} bytes/s over {window_s:g} s: send it again"
+                raise HTTPException(408, text, headers=CLOSE) from None
+            received, began = 0, time.monotonic()
+            return await steady()
+        received += len(message.get("body", b""))
+        complete = not message.get("more_body", False)
+        return message
+
+    return steady
+
+
 def _limited(scope: Scope, receive: Receive) -> Receive:
     if scope["path"].endswith(UPLOADS):
         return receive
@@ -87,7 +128,7 @@ def _limited(scope: Scope, receive: Receive) -> Receive:
         message = await receive()
         received += len(message.get("body", b""))
         if received > LARGEST_REQUEST_BYTES:
-            raise HTTPException(413, f"the request is larger than {LARGEST_REQUEST_BYTES} bytes")
+            raise HTTPException(413, f"the request is larger than {LARGEST_REQUEST_BYTES} bytes", headers=CLOSE)
         return message
 
     return limited

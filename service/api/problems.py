@@ -15,7 +15,7 @@ from starlette.exceptions import HTTPException
 
 from calib.errors import CalibError
 from service.api.addresses import relative
-from service.errors import AuthError, ServiceError, TooManyAttempts
+from service.errors import AuthError, ServiceError, TooManyAttempts, TooManyStreams
 
 log = structlog.get_logger(__name__)
 
@@ -43,13 +43,15 @@ def problem(request: Request, status: int, code: str, title: str, detail: str, *
     return ProblemResponse(body, status_code=status)
 
 
-def refusal(request: Request, error: AuthError) -> ProblemResponse:
-    """What a request without the right to it is answered with. A body that was not read ends the connection."""
+def refusal(request: Request, error: ServiceError) -> ProblemResponse:
+    """What a request is answered with whose body is not read: that ends the connection."""
     answer = problem(request, error.status_code, error.code, error.title, str(error))
     if error.status_code == 401:
         answer.headers["WWW-Authenticate"] = "Bearer"
     if isinstance(error, TooManyAttempts):
         answer.headers["Retry-After"] = str(math.ceil(error.wait_s))
+    if isinstance(error, TooManyStreams):
+        answer.headers["Retry-After"] = "5"
     if request.headers.get("content-length", "0") != "0" or "transfer-encoding" in request.headers:
         answer.headers["Connection"] = "close"
     return answer

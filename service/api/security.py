@@ -44,6 +44,10 @@ class Scope(StrEnum):
     ADMIN = "admin"
 
 
+_NOTED = frozenset({Scope.OPERATE, Scope.ADMIN})
+"""Scopes whose requests are noted here; the job engine itself notes what changes a vehicle, whoever asks for it."""
+
+
 def digest(key: str) -> str:
     """How a key is kept in the settings."""
     return hashlib.sha256(key.encode()).hexdigest()
@@ -168,7 +172,7 @@ def require(scope: Scope) -> Callable[[Request], Awaitable[None]]:
         key = guard.authenticate(request)
         if key is not None and scope not in key.scopes and Scope.ADMIN not in key.scopes:
             raise Forbidden(f"the key of {key.name!r} lacks the scope {scope.value!r}")
-        if request.method not in SAFE_METHODS and scope is not Scope.READ:
+        if scope in _NOTED and request.method not in SAFE_METHODS:
             await note(request, _actor(request))
 
     return check

@@ -31,11 +31,13 @@ class PeerTable:
 
     def see(self, system: int, component: int, address: Address, now: float) -> LinkEvent | None:
         """Note who spoke; return what is worth an event, at most one every few seconds for one sender."""
+        self._heard.pop(address, None)
         self._heard[address] = now
+        if len(self._heard) > _MAX_ADDRESSES:
+            del self._heard[next(iter(self._heard))]  # the one not heard for longest
         key = (system, component)
         sender = self._senders.get(key)
         if sender is None:
-            self._forget_old(now)
             self._senders[key] = _Sender(address)
             return None
         if sender.address == address:
@@ -82,10 +84,6 @@ class PeerTable:
     def snapshot(self) -> dict[tuple[int, int], Address]:
         """The whole table."""
         return {key: sender.address for key, sender in list(self._senders.items())}
-
-    def _forget_old(self, now: float) -> None:
-        if len(self._heard) > _MAX_ADDRESSES:
-            self._heard = {address: at for address, at in self._heard.items() if now - at < RECENT_S}
 
 
 def _named(address: Address) -> str:

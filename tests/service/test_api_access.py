@@ -72,20 +72,19 @@ async def test_a_key_that_may_not_upload_is_refused_before_its_body_is_read(tmp_
 
 
 def changes(tmp_path: Path) -> list[tuple[str, str]]:
-    """Every operation that may change something, from the document."""
+    """Every operation that may change something, from the document; test_api_jobs looks at writes to a vehicle."""
     paths = create_app(settings_in(tmp_path)).openapi()["paths"]
     return sorted(
         (method.upper(), path)
         for path, methods in paths.items()
         for method in methods
-        if method != "get" and path != "/api/v1/tickets"
+        if method != "get" and not path.endswith(("/tickets", "/apply", "/revert"))
     )
 
 
 BODIES: dict[str, Any] = {
     "/api/v1/links": {"url": "tcp:127.0.0.1:1"},
     "/answers": {"value": "finish"},
-    "/apply": {"plan_sha256": "0" * 64},
     "/fits": {"method": "mag-sphere"},
     "/gaps": {"real": "r1"},
     "/recordings/{recording_id}/jobs": {"method": "mag-sphere", "vehicle_id": "v"},
@@ -96,7 +95,7 @@ BODIES: dict[str, Any] = {
 async def test_every_request_for_a_change_is_in_the_trail_with_who_asked(tmp_path: Path) -> None:
     async with api(tmp_path, api_keys=keys(), headers=bearer("admin")) as a:
         asked = changes(tmp_path)
-        assert len(asked) >= 12
+        assert len(asked) >= 10
         for number, (method, path) in enumerate(asked, 1):
             filled = path.replace("{", "").replace("}", "")
             body = next((b for end, b in BODIES.items() if path.endswith(end)), {})

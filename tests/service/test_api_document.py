@@ -1,0 +1,117 @@
+"""The document is true: schemathesis asks every operation with and without keys, with valid and with invalid data."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import schemathesis
+import uvicorn
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import seed as seeded
+from schemathesis.generation import GenerationMode
+from schemathesis.specs.openapi.checks import positive_data_acceptance
+
+from service.api.document import OPEN
+from service.app import create_app
+
+from .api_bench import settings_in
+from .test_api import keys
+
+ENDLESS = "/api/v1/events"
+"""A stream without an end; its other answers are in test_api."""
+
+
+@pytest.fixture(scope="module")
+def addresses(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
+    """The service on two loopback ports: open, and with keys."""
+    servers, threads, found = [], [], {}
+    for name, chosen in (("open", ()), ("keyed", keys())):
+        app = create_app(settings_in(tmp_path_factory.mktemp(name), api_keys=chosen))
+        listener = socket.socket()
+        listener.bind(("127.0.0.1", 0))
+        config = uvicorn.Config(app, log_config=None, access_log=False, timeout_graceful_shutdown=1)
+        server = uvicorn.Server(config)
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
+        thread.start()
+        servers.append(server)
+        threads.append(thread)
+        found[name] = f"http://127.0.0.1:{listener.getsockname()[1]}"
+    while not all(server.started for server in servers):
+        time.sleep(0.02)
+    yield found
+    for server, thread in zip(servers, threads, strict=True):
+        server.should_exit = True
+        thread.join(20)
+
+
+def operations() -> list[Any]:
+    app = create_app(settings_in(Path("/nonexistent")))
+    schema = schemathesis.openapi.from_dict(app.openapi())
+    found = [result.ok() for result in schema.get_all_operations()]
+    return [operation for operation in found if operation.path != ENDLESS]
+
+
+OPERATIONS = operations()
+KEY = {"Authorization": "Bearer admin"}
+NOT_CHECKED = [positive_data_acceptance]
+"""A request of the right form may still name what does not exist."""
+
+
+def ask(operation: Any, address: str, headers: dict[str, str], mode: GenerationMode, times: int) -> set[int]:
+    """Ask some generated requests; the statuses of the answers, each of which is as documented."""
+    statuses: set[int] = set()
+
+    @seeded(20_260_000)
+    @settings(
+        max_examples=times,
+        deadline=None,
+        database=None,
+        phases=[Phase.generate],
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(case=operation.as_strategy(generation_mode=mode))
+    def asked(case: Any) -> None:
+        response = case.call(base_url=address, headers=headers, timeout=60)
+        statuses.add(response.status_code)
+        case.validate_response(response, excluded_checks=NOT_CHECKED)
+
+    asked()
+    return statuses
+
+
+def may_be_wrong(operation: Any) -> bool:
+    """Whether there is a request of that operation which is not valid."""
+    raw = operation.definition.raw
+    return "requestBody" in raw or any(p["in"] != "path" for p in raw.get("parameters", ()))
+
+
+@pytest.mark.parametrize("operation", OPERATIONS, ids=[f"{o.method} {o.path}" for o in OPERATIONS])
+def test_every_answer_is_as_documented(addresses: dict[str, str], operation: Any) -> None:
+    assert ask(operation, addresses["open"], {}, GenerationMode.POSITIVE, 4)
+    if may_be_wrong(operation):
+        assert ask(operation, addresses["open"], {}, GenerationMode.NEGATIVE, 4)
+    assert 401 not in ask(operation, addresses["keyed"], KEY, GenerationMode.POSITIVE, 2)
+    without = ask(operation, addresses["keyed"], {}, GenerationMode.POSITIVE, 1)
+    assert (without == {401}) == (operation.path not in OPEN)
+
+
+def test_every_operation_names_its_problems() -> None:
+    paths = create_app(settings_in(Path("/nonexistent"))).openapi()["paths"]
+    for path, methods in paths.items():
+        for method, operation in methods.items():
+            answers = operation["responses"]
+            if path not in OPEN:
+                assert {"401", "403", "429"} <= answers.keys(), (method, path)
+            if "{" in path:
+                assert "404" in answers, (method, path)
+            if "requestBody" in operation:
+                assert {"413", "422"} <= answers.keys(), (method, path)
+            for status, answer in answers.items():
+                if int(status) >= 400 and path not in {"/readyz", "/problems/{code}"}:
+                    assert list(answer["content"]) == ["application/problem+json"], (method, path, status)

@@ -1,0 +1,87 @@
+"""Clients that cost much: slow bodies, and event streams by the thousand."""
+
+from __future__ import annotations
+
+import asyncio
+import resource
+import time
+from pathlib import Path
+
+from .api_bench import Api, served
+
+STREAMS = 1000
+ALLOWED = 16
+
+
+def memory_mib() -> float:
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith("VmRSS"):
+            return int(line.split()[1]) / 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+async def raw(a: Api, head: str) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+    port = a.client.base_url.port
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    writer.write(head.replace("HOST", f"Host: 127.0.0.1:{port}").encode())
+    return reader, writer
+
+
+async def test_a_body_that_trickles_is_given_up(tmp_path: Path) -> None:
+    async with served(tmp_path, limits={"body_window_s": 0.5}) as a:
+        for path in ("/api/v1/recordings?name=a.csv", "/api/v1/links"):
+            reader, writer = await raw(a, f"POST {path} HTTP/1.1\r\nHOST\r\nContent-Length: 1000000\r\n\r\n")
+
+            async def trickle(to: asyncio.StreamWriter = writer) -> None:
+                while True:
+                    to.write(b"1")
+                    await asyncio.sleep(0.05)
+
+            dripping = asyncio.create_task(trickle())
+            async with asyncio.timeout(30):
+                answer = await reader.read()
+            dripping.cancel()
+            assert answer.startswith(b"HTTP/1.1 408"), answer
+            assert b"less than 1000 bytes/s" in answer
+            writer.close()
+        assert list((tmp_path / "recordings").iterdir()) == []
+
+
+async def test_a_slow_upload_that_goes_on_is_taken(tmp_path: Path) -> None:
+    body = b"mag_x,mag_y,mag_z\n" + b"1,2,3\n4,5,7\n" * 400
+    async with served(tmp_path, limits={"body_window_s": 0.2}) as a:
+        head = f"POST /api/v1/recordings?name=a.csv HTTP/1.1\r\nHOST\r\nContent-Length: {len(body)}\r\n\r\n"
+        reader, writer = await raw(a, head)
+        for i in range(0, len(body), 300):
+            writer.write(body[i : i + 300])
+            await asyncio.sleep(0.04)
+        async with asyncio.timeout(30):
+            assert (await reader.readline()).startswith(b"HTTP/1.1 201")
+        writer.close()
+
+
+async def test_a_thousand_event_streams_leave_room_for_everybody_else(tmp_path: Path) -> None:
+    async with served(tmp_path, limits={"streams": ALLOWED}) as a:
+        await a.get("/links")
+        before, opened = memory_mib(), []
+        statuses = []
+        for _ in range(STREAMS):
+            reader, writer = await raw(a, "GET /api/v1/events HTTP/1.1\r\nHOST\r\n\r\n")
+            opened.append(writer)
+            async with asyncio.timeout(30):
+                statuses.append(int((await reader.readline()).split()[1]))
+        assert statuses == [200] * ALLOWED + [503] * (STREAMS - ALLOWED)
+        used = time.process_time()
+        for _ in range(50):
+            await a.get("/links")
+        assert (time.process_time() - used) / 50 < 0.1  # of a processor, both ends together
+        assert memory_mib() - before < 100
+        for writer in opened:
+            writer.close()
+        async with asyncio.timeout(30):
+            status = 503
+            while status != 200:  # a place is free again
+                await asyncio.sleep(0.1)
+                reader, writer = await raw(a, "GET /api/v1/events HTTP/1.1\r\nHOST\r\n\r\n")
+                status = int((await reader.readline()).split()[1])
+                writer.close()
