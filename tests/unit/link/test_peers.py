@@ -69,3 +69,12 @@ def test_our_own_ids_are_told_at_most_every_few_seconds() -> None:
     peers = table()
     events = [peers.own_ids(A, 0.1 * k) for k in range(60)]
     assert sum(event is not None for event in events) == 2
+
+
+def test_addresses_are_bounded_and_the_newest_are_kept() -> None:
+    peers = table()
+    for i in range(5000):
+        peers.see(1 + i % 200, 1, (f"10.0.{i >> 8}.{i & 255}", 14550), i * 1e-3)
+    kept = peers.recent(5.0)
+    assert len(kept) == 64
+    assert kept[-1] == (f"10.0.{4999 >> 8}.{4999 & 255}", 14550)
