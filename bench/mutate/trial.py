@@ -21,6 +21,8 @@ from bench.mutate.operators import Mutant, mutated
 
 ROOT = Path(__file__).resolve().parents[2]
 _NO_TESTS = 5
+IGNORED = ("-W", "ignore::pytest.PytestAssertRewriteWarning")
+"""What is imported before pytest is not rewritten, and needs not be: it is none of ours."""
 
 
 class Verdict(StrEnum):
@@ -43,14 +45,7 @@ def warm_up() -> None:
     """Import what no mutant changes and every test needs."""
     for name in ("numpy", "scipy.linalg", "scipy.optimize", "scipy.stats", "scipy.spatial", "scipy.signal"):
         __import__(name)
-    for name in (
-        "hypothesis",
-        "pytest_timeout",
-        "pytest_asyncio",
-        "pydantic",
-        "structlog",
-        "pymavlink.dialects.v20.all",
-    ):
+    for name in ("pydantic", "structlog", "pymavlink.dialects.v20.all"):
         __import__(name)
 
 
@@ -88,7 +83,9 @@ def _child(mutant: Mutant | None, tests: Sequence[str], limits: Limits) -> None:
         os.chdir(ROOT)
         if mutant is not None:
             sys.meta_path.insert(0, _Changed(mutant))
-        code = int(pytest.main(["-x", "-q", "-p", "no:randomly", "-p", "no:cacheprovider", "-p", "no:xdist", *tests]))
+        code = int(
+            pytest.main(["-x", "-q", "-p", "no:randomly", "-p", "no:cacheprovider", "-p", "no:xdist", *IGNORED, *tests])
+        )
     finally:
         os._exit(code)
 
