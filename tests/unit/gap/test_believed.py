@@ -47,7 +47,7 @@ def test_evidence_counts_as_far_as_the_cases_went_and_no_farther():
 
 
 SEALED = {(20, 50): (90, 128), (50, 100): (126, 152), (100, 300): (236, 256), (300, 1000): (247, 252)}
-"""Sealed single effects, seeds from 9 500 000 on: right at the top and detected, by severity (docs/gap-selftest.md)."""
+"""Sealed single effects from 9 500 000 on: right at the top and detected, by severity (docs/gap-selftest.md)."""
 
 
 @pytest.mark.parametrize(("severity", "counted"), SEALED.items(), ids=str)
@@ -66,7 +66,7 @@ def test_a_strong_name_without_a_rival_is_nearly_sure_and_a_weak_one_is_not():
 
 
 def test_beside_something_unknown_the_middle_name_is_no_more_than_likely():
-    # What the fit to 446 names says: a weak name is a coin beside something unknown, a strong one is still mostly right.
+    # The fit to 446 names: a weak name is a coin beside something unknown, a strong one is still mostly right.
     middle = math.sqrt(WEAKEST * STRONGEST)
     assert 0.7 < believed(1.0, middle, beside_unknown=True) < 0.83
     assert 0.4 < believed(1.0, WEAKEST, beside_unknown=True) < 0.6
