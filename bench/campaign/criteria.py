@@ -54,6 +54,11 @@ def of_faults(reports: Sequence[FaultReport]) -> list[Criterion]:
         Criterion(
             "every run ends verified, as before, or in doubt with a list that is true", f"{failed} do not", not failed
         ),
+        Criterion(
+            "a stopping fault in mid-write puts the job in doubt, and no PARAM_SET follows it",
+            f"{sum(report.stops for report in reports)} such faults, {_unheeded(reports)} not heeded",
+            any(report.stops for report in reports) and not _unheeded(reports),
+        ),
         Criterion("at least half end verified", f"{verified} of {runs}", 2 * verified >= runs),
         Criterion(
             f"every fault strikes at least {LEAST_STRIKES} times after the first PARAM_SET",
@@ -66,6 +71,12 @@ def of_faults(reports: Sequence[FaultReport]) -> list[Criterion]:
             share >= CAUGHT,
         ),
     ]
+
+
+def _unheeded(reports: Sequence[FaultReport]) -> int:
+    """Runs in which something was sent after a stopping fault, or nobody doubted."""
+    said = ("never in doubt", "PARAM_SETs arrived", "PARAM_SETs reached")
+    return sum(any(text in c for c in report.complaints for text in said) for report in reports)
 
 
 def of_kills(reports: Sequence[KillReport]) -> list[Criterion]:

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bench.campaign.judge import Ending, Evidence, doubt_complaints, judge
+from bench.campaign.judge import Ending, Evidence, Stop, doubt_complaints, judge, stop_complaints
 from bench.campaign.report import FaultReport, Pinned
-from bench.campaign.scenario import OPTIONS, WIRE, Phase, Scenario, Strike
+from bench.campaign.scenario import OPTIONS, STOPPING, WIRE, Phase, Scenario, Strike
 from bench.campaign.session import POLL_S, Session, session
 from bench.campaign.truth import Holding, holding, residuals
 from service.api.views import job_model
@@ -28,6 +28,10 @@ RUN_S = 170.0
 """No run takes longer: a job that never ends is a failure."""
 TRACKED_S = 0.5
 """Wall time after arming in which a PARAM_SET may still arrive that had left before."""
+VISIBLE_S = {"arm": 0.5, "reboot": 2.0, "silence": 3.5, "onboard_calibration": 1.5, "move": 1.0, "twin": 5.0}
+"""Wall time after which the service has to know of a stopping fault, over what its link takes."""
+BOOT = 1e6
+"""Added to a vehicle's time for each of its restarts."""
 ENDED = (JobState.SUCCEEDED, JobState.REVERTED, JobState.REVIEW)
 
 
@@ -54,6 +58,7 @@ def run_fault(scenario: Scenario) -> FaultReport:
         tuple(run.pinned),
         run.says,
         time.monotonic() - began,
+        run.stops,
     )
 
 
@@ -69,6 +74,9 @@ class _FaultRun:
     _loose: set[Phase] = field(default_factory=set)
     _doubted: object = None
     _armed_at: float | None = None
+    stops: int = 0
+    """Stopping faults after which nothing more could be sent."""
+    _states: list[tuple[float, str]] = field(default_factory=list)
 
     async def outcome(self) -> tuple[Ending, tuple[str, ...]]:
         s = self.scenario
@@ -90,6 +98,7 @@ class _FaultRun:
             return Ending.FAILURE, (f"no plan came of the capture: {job.outcome}",)
         before = await asyncio.to_thread(holding, vehicle)
         await self._let_loose(vehicle, self._of(Phase.WRITE), job)
+        noting = asyncio.create_task(self._note_states(bench, vehicle, job.id))
         try:
             await bench.applied(job)
             job = await self._followed(bench, vehicle, job.id, before)
@@ -97,6 +106,8 @@ class _FaultRun:
             self.says = str(bench.engine.get(job.id).outcome)
             return Ending.FAILURE, (f"the job is {bench.engine.get(job.id).state} for ever",)
         finally:
+            await asyncio.sleep(POLL_S)  # the last state is noted too
+            noting.cancel()
             await self._count(vehicle, bench.engine.get(job.id))
         self.says = _sentence(job)
         if job.state == JobState.IN_DOUBT:
@@ -201,6 +212,24 @@ class _FaultRun:
         if late:
             self.complaints.append(f"{len(late)} PARAM_SETs reached the vehicle long after it was armed")
 
+    async def _note_states(self, bench: Session, vehicle: SimulatedVehicle, job_id: str) -> None:
+        """When, by the vehicle's clock, the job enters which state."""
+        async for event in bench.engine.subscribe(job_id):
+            if event.kind == "state":
+                now = await vehicle.acall("state")
+                self._states.append((now["time"] + BOOT * now["boots"], event.data["state"]))
+
+    def _check_stops(self, state: Json, faults: list[Json]) -> None:
+        """After a stopping fault nothing more is sent, and the job is in doubt."""
+        stops = [
+            Stop(f["kind"], t, t + VISIBLE_S[f["kind"]] * self.scenario.speed, tuple(self._states))
+            for f in faults
+            if f["kind"] in STOPPING and f.get("duration_s", 1e9) > VISIBLE_S[f["kind"]] * self.scenario.speed
+            for t in f["struck"]
+        ]
+        self.stops = sum(stop.demanded for stop in stops)
+        self.complaints += stop_complaints(stops, _in_order(state["param_set_list"]))
+
     # --- afterwards
 
     async def _evidence(self, vehicle: SimulatedVehicle, job: Job, before: Holding) -> Evidence:
@@ -213,6 +242,7 @@ class _FaultRun:
         faults = state["faults"][len(self.scenario.ambient) :]
         if not state["param_sets"]:
             return
+        self._check_stops(state, faults)
         for fault in faults:
             struck = bool(fault["struck"]) and (fault["kind"] not in WIRE or fault["hits"] > 0)
             self.strikes[fault["kind"]] += struck
@@ -223,6 +253,17 @@ class _FaultRun:
         """Names whose first PARAM_SET was at the time at which a not_applied struck."""
         times = {t for fault in faults if fault["kind"] == "not_applied" for t in fault["struck"]}
         return [name for when, name, _ in state["param_set_list"] if when in times]
+
+
+def _in_order(sets: list[Any]) -> list[tuple[float, str, float]]:
+    """PARAM_SETs with times that go on through a restart, at which the vehicle's clock begins again."""
+    found: list[tuple[float, str, float]] = []
+    boots, before = 0, 0.0
+    for when, name, value in sets:
+        boots += when < before
+        before = when
+        found.append((when + BOOT * boots, name, value))
+    return found
 
 
 def _pin(name: str, job: Job) -> Pinned | None:

@@ -51,6 +51,47 @@ class Evidence:
         return changes
 
 
+@dataclass(frozen=True)
+class Stop:
+    """A stopping fault that struck while the job wrote; times are the vehicle's."""
+
+    kind: str
+    struck: float
+    visible: float
+    """From here on the service has to know of it."""
+    states: Sequence[tuple[float, str]]
+    """When the job was seen to enter which state, oldest first."""
+
+    @property
+    def doubted(self) -> float | None:
+        """When the job was first seen in doubt after the stroke; None: never."""
+        return next((t for t, state in self.states if state == "in_doubt" and t >= self.struck), None)
+
+    @property
+    def demanded(self) -> bool:
+        """Whether the job had to stop: it wrote, had not ended when the fault was visible, and awaited no restart."""
+        if self.doubted is not None:
+            return True
+        before = [state for t, state in self.states if t <= self.struck]
+        passed = {*before[-1:], *(state for t, state in self.states if self.struck < t <= self.visible)}
+        return bool(passed) and not passed & {*ENDINGS, "waiting_for_reboot", "in_doubt"}
+
+
+def stop_complaints(stops: Iterable[Stop], sets: Sequence[tuple[float, str, float]]) -> tuple[str, ...]:
+    """What is wrong after stopping faults: a PARAM_SET between its being visible and the doubt, or no doubt at all."""
+    complaints = []
+    for stop in stops:
+        if not stop.demanded:
+            continue
+        doubted = stop.doubted
+        if doubted is None:
+            complaints.append(f"{stop.kind} at {stop.struck:.1f} s in mid-write, and the job was never in doubt")
+        late = [name for t, name, _ in sets if stop.visible < t and (doubted is None or t < doubted)]
+        if late:
+            complaints.append(f"{len(late)} PARAM_SETs arrived long after {stop.kind}: {', '.join(late[:3])}")
+    return tuple(complaints)
+
+
 def judge(evidence: Evidence, residuals: Iterable[Residual]) -> tuple[Ending, tuple[str, ...]]:
     """The ending that the vehicle bears out, with what is wrong if none is."""
     state = evidence.job["state"]

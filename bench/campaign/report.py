@@ -42,6 +42,8 @@ class FaultReport:
     says: str = ""
     """The job's own last sentence."""
     seconds: float = 0.0
+    stops: int = 0
+    """Stopping faults in mid-write: each was followed by a doubt and by no PARAM_SET, or the run is a failure."""
 
     @property
     def reproduce(self) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.campaign.judge import Ending, Evidence, doubt_complaints, judge
+from bench.campaign.judge import Ending, Evidence, Stop, doubt_complaints, judge, stop_complaints
 from bench.campaign.scenario import KINDS, scenarios
 from bench.campaign.truth import Holding, Residual, residuals
 from service.simvehicle.client import SimulatedVehicle
@@ -82,6 +82,35 @@ class TestDoubt:
     def test_a_list_that_is_not_true(self, now: dict[str, float]) -> None:
         told = [known("A", 0.0, 0.1, 0.1, certain=True), known("B", 1.0, 1.5, None, certain=False)]
         assert doubt_complaints(evidence("in_doubt", now, standing=told))
+
+
+class TestStop:
+    """Strikes at 10 s, visible from 12 s on."""
+
+    @staticmethod
+    def complaints(*states: tuple[float, str], sets: tuple[float, ...] = ()) -> tuple[str, ...]:
+        stop = Stop("arm", 10.0, 12.0, ((5.0, "applying"), *states))
+        return stop_complaints((stop,), [(9.0, "A", 0.1), *((t, "B", 1.5) for t in sets)])
+
+    def test_a_doubt_and_nothing_more_sent_is_good(self) -> None:
+        assert self.complaints((11.0, "in_doubt")) == ()
+        assert self.complaints((11.0, "in_doubt"), sets=(10.5,)) == ()  # it had left before
+        assert self.complaints((11.0, "in_doubt"), (14.0, "rolling_back"), sets=(15.0,)) == ()
+
+    def test_going_on_without_a_doubt_is_not(self) -> None:
+        assert "never in doubt" in self.complaints((20.0, "verifying"), (30.0, "succeeded"))[0]
+        said = self.complaints((20.0, "verifying"), sets=(13.0, 14.0))
+        assert any("2 PARAM_SETs" in complaint for complaint in said)
+
+    def test_a_doubt_that_comes_after_more_was_sent_is_not(self) -> None:
+        assert self.complaints((16.0, "in_doubt"), sets=(13.0,)) == ("1 PARAM_SETs arrived long after arm: B",)
+
+    def test_a_doubt_from_before_does_not_count(self) -> None:
+        assert self.complaints((8.0, "in_doubt"), (9.0, "rolling_back"))
+
+    @pytest.mark.parametrize("state", ["succeeded", "reverted", "waiting_for_reboot"])
+    def test_what_had_ended_or_awaits_a_restart_need_not_doubt(self, state: str) -> None:
+        assert self.complaints((11.0, state)) == ()
 
 
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
