@@ -72,7 +72,7 @@ async def running_service(settings: Settings) -> AsyncIterator[Service]:
     """
     store = SqliteStore(settings.data_dir)
     executor = ThreadPoolExecutor(max_workers=2, thread_name_prefix="fit")
-    vehicles = VehicleRegistry()
+    vehicles = VehicleRegistry(yield_s=settings.mavlink.yield_s)
     links = Links(store, settings.data_dir / "tlogs", settings.mavlink, attach=vehicles.attach, detach=vehicles.detach)
     jobs = JobEngine(store, Fleet(vehicles), executor=executor, read_only=settings.read_only)
     async with AsyncExitStack() as started:

@@ -67,6 +67,11 @@ class MavlinkSettings(_Part):
     signing_key: Annotated[SecretStr, AfterValidator(_signing_key)] | None = Field(
         default=None, description="32 bytes as 64 hexadecimal digits; none: frames are not signed"
     )
+    yield_s: float = Field(
+        default=30.0,
+        ge=10.0,
+        description="a unit that was not heard for so long gives way to another one with its system id, s",
+    )
 
 
 class LimitSettings(_Part):

@@ -25,6 +25,7 @@ class VehicleEventKind(StrEnum):
     TEXT = "text"
     CONFLICT = "conflict"
     PEER_CHANGED = "peer_changed"
+    REPLACED = "replaced"
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,11 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib.wire import Frame, decode
+from calib.wire import Frame, Message, decode
 from service.errors import LinkDown, VehicleError, VehicleUnknown
 from service.link import Batch, Link, LinkEvent
 from service.vehicle.events import VehicleEvent, VehicleEventKind
-from service.vehicle.vehicle import CORE_IDS, Vehicle
+from service.vehicle.vehicle import CORE_IDS, YIELD_S, Vehicle
 
 TICK_S = 0.05
 _AUTOPILOT_COMPONENT = 1
@@ -31,10 +31,13 @@ class VehicleRegistry:
     ----------
     clock
         Monotonic time in seconds.
+    yield_s
+        A unit that was not heard for so long gives way to another one with its system id; at least 10 s.
     """
 
-    def __init__(self, *, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, *, clock: Callable[[], float] = time.monotonic, yield_s: float = YIELD_S) -> None:
         self._clock = clock
+        self._yield_s = yield_s
         self._vehicles: dict[tuple[str, int, int], Vehicle] = {}
         self._detachers: dict[str, list[Callable[[], None]]] = {}
         self._subscribers: dict[object, VehicleCallback] = {}
@@ -137,20 +140,31 @@ class VehicleRegistry:
                 vehicle = self._find(link, frames)
             if vehicle is not None:
                 vehicle.feed(frames, batch)
+                if vehicle.successor is not None:
+                    self._replace(vehicle).feed(frames, batch)
 
     def _find(self, link: Link, frames: list[Frame]) -> Vehicle | None:
         for frame in frames:
             if frame.message_id == dialect.MAVLINK_MSG_ID_HEARTBEAT:
                 heartbeat = decode(frame)
                 if is_vehicle(heartbeat):
-                    vehicle = Vehicle(
-                        link, frame.system, frame.component, heartbeat, clock=self._clock, announce=self._announce
-                    )
-                    self._vehicles[link.id, frame.system, frame.component] = vehicle
-                    self._announce(VehicleEvent(VehicleEventKind.FOUND, vehicle, f"Heard {vehicle.id}."))
-                    self._identify(vehicle)
-                    return vehicle
+                    return self._add(link, frame.system, frame.component, heartbeat)
         return None
+
+    def _add(self, link: Link, system: int, component: int, heartbeat: Message) -> Vehicle:
+        vehicle = Vehicle(
+            link, system, component, heartbeat, clock=self._clock, announce=self._announce, yield_s=self._yield_s
+        )
+        self._vehicles[link.id, system, component] = vehicle
+        self._announce(VehicleEvent(VehicleEventKind.FOUND, vehicle, f"Heard {vehicle.id}."))
+        self._identify(vehicle)
+        return vehicle
+
+    def _replace(self, gone: Vehicle) -> Vehicle:
+        """Another unit has the address of one that is gone: it gets its own state, parameters and jobs."""
+        self._stop_identifying(gone)
+        self._announce(VehicleEvent(VehicleEventKind.REPLACED, gone, gone.give_way()))
+        return self._add(gone.link, gone.system, gone.component, gone.heartbeat)
 
     def _link_event(self, link: Link, event: LinkEvent) -> None:
         for vehicle in self._vehicles.values():

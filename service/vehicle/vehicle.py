@@ -59,6 +59,10 @@ CORE_IDS = (
 
 CONFLICT_S = 30.0
 """A doubt about who is being talked to holds for so long after its last sign."""
+YIELD_S = 30.0
+"""A unit that has not said who it is for so long gives way to another one that answers to its system id.
+
+It is asked every 5 s: as long as both are there, both answer, and that stays a conflict."""
 _POLL_S = 2.0
 _WHO_S = 5.0
 _MARK_S = 5.0
@@ -84,6 +88,7 @@ class Vehicle:
         *,
         clock: Callable[[], float],
         announce: Callable[[VehicleEvent], None],
+        yield_s: float = YIELD_S,
     ) -> None:
         self.link = link
         self.system = system
@@ -105,6 +110,13 @@ class Vehicle:
         self._silent = False
         self._clock_heard = False
         self._polled_at = self._asked_who_at = -1e9
+        self._yield_s = yield_s
+        self._stated_at = clock()
+        self._replaced = ""
+        self.heartbeat = heartbeat
+        """The last one heard at this address, be it of another unit."""
+        self.successor: str | None = None
+        """Unique id of another unit that answers here now, while this one has been gone for long enough."""
 
     # --- talking ----------------------------------------------------------------------------------------------------
 
@@ -207,6 +219,7 @@ class Vehicle:
             clock = boot_time(frame) if message_id in BOOT_TIME_IDS else clock
             if message_id == dialect.MAVLINK_MSG_ID_HEARTBEAT:
                 self._ask_clock()
+                self.heartbeat = decode(frame)
             if message_id in STATE_IDS:
                 self._change(reduce(self.state, decode(frame), now))
             elif message_id == dialect.MAVLINK_MSG_ID_PARAM_VALUE:
@@ -237,10 +250,14 @@ class Vehicle:
         before = self.identity
         identity = identity_from_version(before, message)
         if before.uid2 is not None and identity.uid2 is not None and identity.uid2 != before.uid2:
+            if self.clock() - self._stated_at >= self._yield_s:
+                self.successor = identity.uid2
+                return
             self._conflict(
                 "uid2", f"Two vehicles answer to system id {self.system}: {before.uid2} and {identity.uid2}.", now
             )
             return
+        self._stated_at = self.clock()
         self.identity = identity
         if identity != before:
             said = f"{identity.autopilot} {identity.version_text}, unique id {identity.uid2 or 'unknown'}"
@@ -266,7 +283,8 @@ class Vehicle:
     def conflicts(self) -> tuple[str, ...]:
         """Doubts about who is being talked to, in sentences."""
         now = self.clock()
-        return tuple(text for text, at in self._conflicts.values() if now - at < CONFLICT_S)
+        doubts = [text for text, at in self._conflicts.values() if now - at < CONFLICT_S]
+        return tuple([self._replaced, *doubts] if self._replaced else doubts)
 
     def writable(self) -> Writable:
         """Whether a parameter may be written at this moment, and why not."""
@@ -325,6 +343,15 @@ class Vehicle:
                 self._send_command(commands.REQUEST_MESSAGE, message_id)
         except LinkDown:
             return
+
+    def give_way(self) -> str:
+        """Another unit has taken this address: nothing is sent on behalf of this one any more. Says so."""
+        self._replaced = (
+            f"Another unit ({self.successor}) answers to system id {self.system} now; "
+            f"{self.identity.uid2} was not heard for {self._yield_s:g} s."
+        )
+        self.close(VehicleConflict(self._replaced))
+        return self._replaced
 
     def close(self, error: ServiceError) -> None:
         """End everything that waits for this vehicle, with an error."""

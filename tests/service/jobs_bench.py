@@ -63,11 +63,11 @@ async def eventually(condition: Callable[[], bool], seconds: float = 20.0) -> No
 
 @asynccontextmanager
 async def session(
-    folder: Path, url: str, *, reach: CrashPoint = nowhere, settings: JobSettings = QUICK
+    folder: Path, url: str, *, reach: CrashPoint = nowhere, settings: JobSettings = QUICK, yield_s: float = 30.0
 ) -> AsyncIterator[Session]:
     """The service on a data directory, until its vehicle is known; stopped in an orderly way at the end."""
     store = SqliteStore(folder)
-    registry = VehicleRegistry()
+    registry = VehicleRegistry(yield_s=yield_s)
     link = Link("bench", url, tlog_dir=folder / "tlogs")
     registry.attach(link)
     engine = JobEngine(store, Fleet(registry), reach=reach, settings=settings)

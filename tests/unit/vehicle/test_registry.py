@@ -11,7 +11,7 @@ from calib import wire
 from service.errors import LinkDown, VehicleConflict, VehicleUnknown
 from service.link import Batch, Link, LinkEvent, LinkEventKind
 from service.vehicle import VehicleEventKind, VehicleRegistry
-from tests.unit.vehicle.fake import FakeLink, ManualClock, ack, heartbeat, version
+from tests.unit.vehicle.fake import FakeLink, ManualClock, ack, heartbeat, param_value, real, version
 
 
 class Air(FakeLink):
@@ -102,6 +102,60 @@ async def test_two_unique_ids_behind_one_system_id_forbid_writing(registry: Vehi
         _only_conflict(vehicle)
     await asyncio.sleep(0)
     assert events.count(VehicleEventKind.CONFLICT) == 1
+
+
+async def test_a_unit_that_is_gone_gives_way_to_another_of_the_same_system_id(registry: VehicleRegistry) -> None:
+    events: list[tuple[VehicleEventKind, str]] = []
+    registry.subscribe(lambda event: events.append((event.kind, event.text)))
+    air = attached(registry)
+    air.say(heartbeat())
+    air.say(version(uid2=b"\x01"))
+    (first,) = registry.all()
+    air.say(param_value("ONLY_OF_THE_FIRST", real(1.0)))
+    asking = asyncio.ensure_future(first.parameters.read("X"))
+    await asyncio.sleep(0)
+    clock = cast(ManualClock, first.clock)
+    clock.now += 20.0
+    air.say(heartbeat(), at=clock.now)
+    air.say(version(uid2=b"\x02"), at=clock.now)  # it may still be there, and have missed the question
+    assert registry.all() == (first,)
+    assert "01 and 02" in first.conflicts[0]
+    clock.now += 11.0
+    air.say(version(uid2=b"\x02"), at=clock.now)
+    (second,) = registry.all()
+    assert (second.id, second.identity.uid2, second.conflicts) == ("uid-02", "02", ())
+    assert len(second.parameters) == 0
+    with pytest.raises(VehicleUnknown):
+        registry.get("uid-01")
+    with pytest.raises(VehicleConflict, match="02"):
+        await asking
+    air.sent.clear()
+    with pytest.raises(VehicleConflict):
+        await first.parameters.read("X")
+    with pytest.raises(VehicleConflict):
+        await first.command(511, (27, 20000))
+    assert air.sent == []
+    assert not first.writable().ok
+    await asyncio.sleep(0)
+    (said,) = [text for kind, text in events if kind is VehicleEventKind.REPLACED]
+    assert said == "Another unit (02) answers to system id 1 now; 01 was not heard for 30 s."
+    clock.now += 40.0
+    air.say(version(uid2=b"\x01"), at=clock.now)  # the first one is plugged in again
+    assert [v.id for v in registry.all()] == ["uid-01"]
+
+
+async def test_two_units_that_are_both_there_stay_a_conflict(registry: VehicleRegistry) -> None:
+    air = attached(registry)
+    air.say(heartbeat())
+    air.say(version(uid2=b"\x01"))
+    (first,) = registry.all()
+    clock = cast(ManualClock, first.clock)
+    for _ in range(20):
+        clock.now += 5.0
+        air.say(version(uid2=b"\x01"), at=clock.now)
+        air.say(version(uid2=b"\x02"), at=clock.now)
+    assert registry.all() == (first,)
+    assert "01 and 02" in first.conflicts[0]
 
 
 def _only_conflict(vehicle: Any) -> None:
