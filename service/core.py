@@ -16,6 +16,7 @@ from prometheus_client import CollectorRegistry
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from service.children import Children, Limits
 from service.gaps import Gaps
 from service.jobs.engine import JobEngine
 from service.jobs.fleet import Fleet
@@ -44,6 +45,7 @@ class Service:
     jobs: JobEngine
     recordings: Recordings
     gaps: Gaps
+    children: Children
 
     def obstacle(self) -> str | None:
         """Why no job could be run now; None: nothing stands in the way."""
@@ -71,7 +73,7 @@ async def running_service(settings: Settings) -> AsyncIterator[Service]:
         If an endpoint of the settings can never work as it is.
     """
     store = SqliteStore(settings.data_dir)
-    executor = ThreadPoolExecutor(max_workers=2, thread_name_prefix="fit")
+    executor = ThreadPoolExecutor(max_workers=2, thread_name_prefix="fit")  # of live jobs alone
     vehicles = VehicleRegistry(yield_s=settings.mavlink.yield_s)
     links = Links(store, settings.data_dir / "tlogs", settings.mavlink, attach=vehicles.attach, detach=vehicles.detach)
     jobs = JobEngine(store, Fleet(vehicles), executor=executor, read_only=settings.read_only)
@@ -85,13 +87,20 @@ async def running_service(settings: Settings) -> AsyncIterator[Service]:
         await jobs.start()
         await _open_links(links, settings, store)
         folder, limits = settings.data_dir, settings.limits
-        recordings = Recordings(store, folder / "recordings", limit_bytes=limits.upload_bytes, executor=executor)
-        gaps = Gaps(recordings, folder / "gaps", limit_s=limits.gap_s)
+        children = Children(folder / "children", most=limits.file_processes)
+        started.push_async_callback(children.stop)
+        of_files = Limits(limits.file_memory_bytes, limits.file_cpu_s, limits.file_wall_s)
+        recordings = Recordings(
+            store, folder / "recordings", limit_bytes=limits.upload_bytes, children=children, limits=of_files
+        )
+        started.callback(recordings.close)
+        of_gaps = Limits(limits.file_memory_bytes, limits.gap_s, limits.gap_s)
+        gaps = Gaps(recordings, folder / "gaps", children=children, limits=of_gaps)
         started.push_async_callback(gaps.stop)
         started.push_async_callback(
             _cancelled, asyncio.create_task(_retention(store, settings, jobs, gaps, links).run())
         )
-        yield Service(settings, store, links, vehicles, jobs, recordings, gaps)
+        yield Service(settings, store, links, vehicles, jobs, recordings, gaps, children)
 
 
 def _retention(store: Store, settings: Settings, jobs: JobEngine, gaps: Gaps, links: Links) -> Retention:

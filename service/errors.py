@@ -47,6 +47,8 @@
     +-- TooManyStreams            503
     +-- UploadError               422
     |   +-- UploadTooLarge        413
+    +-- ChildEnded                422
+    +-- ChildrenBusy              429
     +-- RecordingUnknown          404
     +-- GapError                  409
         +-- GapUnknown            404
@@ -433,6 +435,27 @@ class UploadTooLarge(UploadError):
     status_code = 413
     title = "Upload too large"
     code = "upload-too-large"
+
+
+class ChildEnded(ServiceError):
+    """The file could not be processed: the process that read it ended without a result."""
+
+    status_code = 422
+    title = "File not processed"
+    code = "file-not-processed"
+
+    def __init__(self, cause: str = "the process that read it ended without a result") -> None:
+        super().__init__(f"the file could not be processed: {cause}")
+        self.cause = cause
+        """Why, to follow a colon."""
+
+
+class ChildrenBusy(ServiceError):
+    """Too many files are waiting to be read; try again when one is done."""
+
+    status_code = 429
+    title = "Too many files"
+    code = "files-busy"
 
 
 class RecordingUnknown(ServiceError):

@@ -1,4 +1,4 @@
-"""Gap diagnoses of uploaded recordings: one process each, one after the other, results kept as files."""
+"""Gap diagnoses of uploaded recordings: a child process each, one after the other, results kept as files."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import asyncio
 import json
 import re
 import secrets
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -16,7 +15,9 @@ from typing import Any
 
 import structlog
 
-from service.errors import GapsBusy, GapUnfinished, GapUnknown
+from calib.errors import CalibError
+from service.children import DIAGNOSE, Children, Limits
+from service.errors import ChildEnded, GapsBusy, GapUnfinished, GapUnknown
 from service.recordings import Recordings
 from service.store.rows import RecordingRow
 
@@ -55,10 +56,11 @@ class GapRow:
 class Gaps:
     """The diagnoses of one data directory."""
 
-    def __init__(self, recordings: Recordings, folder: Path, *, limit_s: float) -> None:
+    def __init__(self, recordings: Recordings, folder: Path, *, children: Children, limits: Limits) -> None:
         self._recordings = recordings
         self._folder = folder
-        self._limit_s = limit_s
+        self._children = children
+        self._limits = limits
         self._turn = asyncio.Semaphore(1)
         self._tasks: dict[str, asyncio.Task[None]] = {}
         folder.mkdir(parents=True, exist_ok=True)
@@ -145,7 +147,7 @@ class Gaps:
             self._keep(replace(row, state=GapState.DONE if error is None else GapState.FAILED, error=error))
 
     async def _diagnose(self, row: GapRow, uploads: Sequence[RecordingRow]) -> str | None:
-        """Run the process; what is wrong, None if nothing is."""
+        """Have it diagnosed; what is wrong, None if nothing is."""
         parts = [{"path": str(u.path), "reading": u.body["reading"], "sha256": u.sha256} for u in uploads]
         order = {
             "real": parts[0],
@@ -154,27 +156,13 @@ class Gaps:
             "title": f"Sim-to-real gap of {uploads[0].name}",
             "out": str(self._folder / row.id),
         }
-        process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", "service.gap_process"),
-            stdin=asyncio.subprocess.PIPE,
-            stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.PIPE,
-        )
         try:
-            async with asyncio.timeout(self._limit_s):
-                out, err = await process.communicate(json.dumps(order).encode())
-        except TimeoutError:
-            return f"the diagnosis took longer than {self._limit_s:g} s: cut the recordings"
-        finally:
-            if process.returncode is None:
-                process.kill()
-                await process.wait()
-        if process.returncode == 0:
-            return None
-        if process.returncode == 1 and out:
-            return _without_paths(str(json.loads(out)["error"]), uploads)
-        log.error("gap process failed", id=row.id, returncode=process.returncode, stderr=err.decode(errors="replace"))
-        return "an unexpected error; the log of the service has it under this id"
+            await self._children.run(DIAGNOSE, order, self._limits)
+        except CalibError as error:
+            return _without_paths(str(error), uploads)
+        except ChildEnded as ended:
+            return f"the diagnosis ended without a report: {ended.cause}"
+        return None
 
     def _keep(self, row: GapRow) -> None:
         path = self._folder / f"{row.id}.json"

@@ -1,4 +1,4 @@
-"""Uploaded recordings: kept as files with their digest, read and fitted on request."""
+"""Uploaded recordings: kept as files with their digest; child processes read and fit them on request."""
 
 from __future__ import annotations
 
@@ -8,35 +8,44 @@ import hashlib
 import os
 import secrets
 import time
-from collections.abc import AsyncIterator, Callable, Mapping
-from concurrent.futures import Executor
+from collections.abc import AsyncIterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path, PurePath
 from typing import Any
 
-from calib import logs
-from calib.errors import CalibError, InvalidInputError
-from calib.firmware.origin import Origin, origin_of
+from calib.errors import CalibError, FirmwareError, InvalidInputError
+from calib.firmware.origin import Origin
 from calib.fit import FitResult
-from calib.flight.report import overview
 from calib.methods import METHODS
-from calib.report import fit_to_json
+from calib.report import fit_from_json, fit_to_json
+from service.children import FIT, INSPECT, Children, Limits
 from service.errors import DiskFull, RecordingUnknown, UploadError, UploadTooLarge
+from service.jobs.planning import origin_from_json
 from service.store.protocol import Store
 from service.store.rows import RecordingRow
 
 Json = dict[str, Any]
-_Fitter = Callable[[Path, Json, str, Json], tuple[tuple[FitResult, ...], Origin | None]]
 
 
 class Recordings:
-    """The uploads of one data directory; everything slow runs in `executor`."""
+    """The uploads of one data directory.
 
-    def __init__(self, store: Store, folder: Path, *, limit_bytes: int, executor: Executor | None = None) -> None:
+    Nothing of a file is read in this process: `children` do it within `limits`. Bytes are written by threads that
+    do nothing else, so a slow disk holds up uploads alone.
+    """
+
+    def __init__(self, store: Store, folder: Path, *, limit_bytes: int, children: Children, limits: Limits) -> None:
         self._store = store
         self._folder = folder
         self._limit_bytes = limit_bytes
-        self._executor = executor
+        self._children = children
+        self._limits = limits
+        self._writers = ThreadPoolExecutor(2, thread_name_prefix="upload")
         folder.mkdir(parents=True, exist_ok=True)
+
+    def close(self) -> None:
+        """Give the threads back."""
+        self._writers.shutdown(wait=False, cancel_futures=True)
 
     def all(self) -> tuple[RecordingRow, ...]:
         """Every upload, oldest first."""
@@ -62,16 +71,19 @@ class Recordings:
         ------
         UploadTooLarge, UploadError, DiskFull
             The upload is too large, not readable with these options, or does not fit on the disk.
+        ChildEnded, ChildrenBusy
+            Reading it took more than it may, or too many files are waiting.
         """
         shown = PurePath(name).name or "upload"
         recording_id = secrets.token_hex(8)
         path = self._folder / f"{recording_id}{_suffix(name)}"
         try:
             size, sha256 = await self._receive(path, chunks)
-            document = await self._run(_inspected, path, dict(reading))
+            order = {"path": str(path), "reading": dict(reading)}
+            document = await self._children.run(INSPECT, order, self._limits)
         except CalibError as error:
             path.unlink(missing_ok=True)
-            raise UploadError(str(error).replace(str(path), shown).replace(path.name, shown)) from error
+            raise UploadError(_renamed(str(error), path, shown)) from error
         except BaseException:
             path.unlink(missing_ok=True)
             raise
@@ -89,9 +101,10 @@ class Recordings:
             If there is no such upload.
         InvalidInputError
             If the method is unknown or its options are not valid.
+        ChildEnded, ChildrenBusy
+            As for :meth:`add`.
         """
-        fits, _ = await self._fit(_fitted, recording_id, method, options)
-        return [fit_to_json(fit) for fit in fits]
+        return [fit_to_json(fit) for fit in (await self._fit(recording_id, method, options, origin=False))[0]]
 
     async def fit_of_vehicle(
         self, recording_id: str, method: str, options: Mapping[str, Any]
@@ -100,25 +113,35 @@ class Recordings:
 
         Raises
         ------
-        RecordingUnknown, InvalidInputError
+        RecordingUnknown, InvalidInputError, ChildEnded, ChildrenBusy
             As for :meth:`fit`.
         FirmwareError
             If the recording does not say whose sensors it is of.
         """
-        fits, origin = await self._fit(_fitted_of_vehicle, recording_id, method, options)
-        assert origin is not None
+        fits, origin = await self._fit(recording_id, method, options, origin=True)
+        if origin is None:
+            raise FirmwareError("the recording does not say whose sensors it is of")
         return fits, origin
 
-    async def _fit(
-        self, how: _Fitter, recording_id: str, method: str, options: Mapping[str, Any]
-    ) -> tuple[tuple[FitResult, ...], Origin | None]:
+    def check(self, recording_id: str, method: str) -> RecordingRow:
+        """The upload, if it is there and the method is one. Raises RecordingUnknown, InvalidInputError."""
         row = self.get(recording_id)
         if method not in METHODS:
             raise InvalidInputError(f"there is no method {method!r}; there are {', '.join(METHODS)}")
-        fitted: tuple[tuple[FitResult, ...], Origin | None] = await self._run(
-            how, row.path, dict(row.body["reading"]), method, dict(options)
-        )
-        return fitted
+        return row
+
+    async def _fit(
+        self, recording_id: str, method: str, options: Mapping[str, Any], *, origin: bool
+    ) -> tuple[tuple[FitResult, ...], Origin | None]:
+        row = self.check(recording_id, method)
+        order: Json = {"path": str(row.path), "reading": dict(row.body["reading"]), "method": method}
+        order |= {"options": dict(options), "origin": origin}
+        try:
+            done = await self._children.run(FIT, order, self._limits)
+        except CalibError as error:
+            raise type(error)(_renamed(str(error), row.path, row.name)) from error
+        whose = done["origin"]
+        return tuple(fit_from_json(fit) for fit in done["fits"]), None if whose is None else origin_from_json(whose)
 
     async def _receive(self, path: Path, chunks: AsyncIterator[bytes]) -> tuple[int, str]:
         size, digest = 0, hashlib.sha256()
@@ -129,8 +152,8 @@ class Recordings:
                     if size > self._limit_bytes:
                         raise UploadTooLarge(f"the upload is larger than {self._limit_bytes} bytes: cut the recording")
                     digest.update(chunk)
-                    await self._run(file.write, chunk)
-                await self._run(os.fsync, file.fileno())
+                    await self._write(file.write, chunk)
+                await self._write(os.fsync, file.fileno())
         except OSError as error:
             if error.errno in {errno.ENOSPC, errno.EDQUOT}:
                 raise DiskFull from error
@@ -139,8 +162,8 @@ class Recordings:
             raise UploadError("the upload is empty")
         return size, digest.hexdigest()
 
-    async def _run(self, function: Any, *arguments: Any) -> Any:
-        return await asyncio.get_running_loop().run_in_executor(self._executor, function, *arguments)
+    async def _write(self, function: Any, *arguments: Any) -> Any:
+        return await asyncio.get_running_loop().run_in_executor(self._writers, function, *arguments)
 
 
 def _suffix(name: str) -> str:
@@ -148,15 +171,6 @@ def _suffix(name: str) -> str:
     return suffix if suffix[1:].isalnum() and len(suffix) <= 8 else ""
 
 
-def _inspected(path: Path, reading: Json) -> Json:
-    return overview(logs.read(path, **reading))
-
-
-def _fitted(path: Path, reading: Json, method: str, options: Json) -> tuple[tuple[FitResult, ...], None]:
-    return METHODS[method].run(logs.read(path, **reading), options), None
-
-
-def _fitted_of_vehicle(path: Path, reading: Json, method: str, options: Json) -> tuple[tuple[FitResult, ...], Origin]:
-    recording = logs.read(path, **reading)
-    fits = METHODS[method].run(recording, options)
-    return fits, origin_of(recording, fits)
+def _renamed(text: str, path: Path, shown: str) -> str:
+    """`text` with the uploader's name of the file instead of ours."""
+    return text.replace(str(path), shown).replace(path.name, shown)

@@ -83,6 +83,16 @@ class LimitSettings(_Part):
         default=20.0, gt=0.0, description="a request's body brings at least 1 kB/s on average over so long, s"
     )
     gap_s: float = Field(default=1800.0, gt=0.0, description="longest time that a gap diagnosis may take, s")
+    file_memory_bytes: int = Field(
+        default=2 * 1024**3, ge=2**28, description="most memory that reading, fitting or diagnosing a file may take"
+    )
+    file_cpu_s: float = Field(
+        default=300.0, ge=1.0, description="most processor time that reading or fitting a file may take, s"
+    )
+    file_wall_s: float = Field(
+        default=600.0, gt=0.0, description="longest time that reading or fitting a file may take, s"
+    )
+    file_processes: int = Field(default=2, ge=1, le=64, description="files that are processed at a time")
 
 
 class RetentionSettings(_Part):

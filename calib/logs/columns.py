@@ -1,18 +1,11 @@
-"""Columns of numbers out of text, .npz and .mat files, whatever they are called there."""
+"""Columns of numbers, whatever they are called, and how they are found in a text."""
 
 from __future__ import annotations
 
-import io
-import math
-import struct
-import warnings
-import zipfile
-import zlib
 from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.io
 from numpy.typing import NDArray
 
 from calib.errors import UnreadableError
@@ -21,11 +14,9 @@ Array = NDArray[np.float64]
 
 SEPARATORS = (",", ";", "\t", None)  # None: any run of blanks
 COMMENTS = ("#", "%", "//")
-_MAT_COMPRESSED = 15  # miCOMPRESSED
 _MISSING = frozenset({"na", "n/a", "null", "none", "-", "--", "missing"})
 _SAMPLE = 400  # lines from which separator and number of columns are found
 _MOST_TEXT = 1 << 28  # bytes of text: rows of text cost many times their size while they are read
-_MOST_UNFOLDED = 1 << 26, 200  # bytes that a packed file may unfold to, plus this many times its own size
 _MOST_BAD = 0.1  # share of damaged rows beyond which a file is not a table
 
 
@@ -108,129 +99,6 @@ def text_columns(data: bytes) -> Columns:
         raise UnreadableError(f"{bad} of {len(rows)} rows do not have {width} columns: the table is damaged")
     damage = f"{bad} of {len(rows)} rows do not have {width} columns and were left out" if bad else ""
     return _columns(names, good, damage)
-
-
-def npz_columns(data: bytes) -> Columns:
-    """The arrays of an .npz; one of shape (N, k) called a becomes a_0, a_1 ... (accel, gyro, mag: a_x, a_y, a_z).
-
-    Raises
-    ------
-    UnreadableError
-        If the file is damaged, or its arrays are not of numbers.
-    """
-    try:
-        _check_members(data)
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-    except UnreadableError:
-        raise
-    except Exception as error:  # zipfile and numpy meet damage with a dozen kinds of them
-        raise UnreadableError(
-            f"the .npz cannot be read ({error}): write it with numpy.savez and arrays of numbers"
-        ) from error
-    return _from_arrays(arrays)
-
-
-def mat_columns(data: bytes) -> Columns:
-    """The arrays of a MATLAB file, in the same manner as :func:`npz_columns`.
-
-    Raises
-    ------
-    UnreadableError
-        If the file is damaged, or of MATLAB's 7.3 format (HDF5).
-    """
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of scipy, about variables that no table needs
-            _check_elements(data)
-            content = scipy.io.loadmat(io.BytesIO(data))
-    except NotImplementedError as error:  # what scipy raises for the HDF5 of version 7.3
-        raise UnreadableError("the .mat is of MATLAB's 7.3 format: save it with -v7, or as .csv") from error
-    except UnreadableError:
-        raise
-    except Exception as error:  # a damaged file makes scipy raise anything
-        raise UnreadableError(f"the .mat cannot be read ({error}): save it with -v7, or as .csv") from error
-    return _from_arrays({name: value for name, value in content.items() if not name.startswith("__")})
-
-
-def _check_members(data: bytes) -> None:
-    """Refuse archives whose members unfold beyond reason, and arrays that claim more than their member holds."""
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        members = archive.infolist()
-        _check_unfolded(sum(member.file_size for member in members), len(data))
-        for member in members:
-            if not member.filename.endswith(".npy"):
-                continue
-            with archive.open(member) as opened:
-                version = np.lib.format.read_magic(opened)
-                read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-                shape, _, dtype = read(opened)
-            if math.prod(shape) * dtype.itemsize > member.file_size:
-                raise UnreadableError(f"the .npz is damaged: {member.filename} claims {shape} of {dtype}")
-
-
-def _check_elements(data: bytes) -> None:
-    """Refuse a MATLAB 5 file whose compressed elements unfold beyond reason."""
-    order = "<" if data[126:128] == b"IM" else ">"
-    place, total = 128, 0
-    while place + 8 <= len(data):
-        kind, size = struct.unpack_from(f"{order}II", data, place)
-        if kind == _MAT_COMPRESSED:
-            unpacker, packed = zlib.decompressobj(), data[place + 8 : place + 8 + size]
-            while packed and not unpacker.eof:
-                total += len(unpacker.decompress(packed, 1 << 20))
-                _check_unfolded(total, len(data))
-                packed = unpacker.unconsumed_tail
-        place += 8 + size
-
-
-def _check_unfolded(total: int, size: int) -> None:
-    least, times = _MOST_UNFOLDED
-    if total > least + times * size:
-        raise UnreadableError(f"the file of {size} bytes unfolds to {total >> 20} MB or more: that is no recording")
-
-
-def _from_arrays(arrays: dict[str, NDArray[np.generic]]) -> Columns:
-    flat = {
-        name: np.asarray(a) for name, a in arrays.items() if np.asarray(a).ndim in (1, 2) and np.asarray(a).size > 1
-    }
-    if not flat:
-        raise UnreadableError("the file holds no arrays")
-    lengths = Counter(max(a.shape) for a in flat.values())
-    rows = lengths.most_common(1)[0][0]
-    names: list[str] = []
-    values: list[Array] = []
-    texts: dict[int, tuple[str, ...]] = {}
-    for name, given in flat.items():
-        array = given.reshape(rows, -1) if given.size == rows else given
-        if array.shape[0] != rows and array.ndim == 2 and array.shape[1] == rows:
-            array = array.T
-        if array.shape[0] != rows:
-            continue
-        array = array.reshape(rows, -1)
-        for k in range(array.shape[1]):
-            column = array[:, k]
-            if column.dtype.kind in "US":
-                texts[len(values)] = tuple(str(cell) for cell in column)
-                values.append(np.full(rows, np.nan))
-            elif column.dtype.kind in "biuf":
-                values.append(column.astype(np.float64))
-            else:
-                continue
-            names.append(_array_name(name, k, array.shape[1]))
-    if not values:
-        raise UnreadableError("the file holds no arrays of numbers")
-    return Columns(tuple(names), tuple(values), texts)
-
-
-def _array_name(name: str, column: int, width: int) -> str:
-    if width == 1:
-        return name
-    if width == 3 and name.rstrip("0123456789") in {"accel", "gyro", "mag"}:
-        return f"{name}_{'xyz'[column]}"
-    if width == 4 and name == "q":
-        return f"q_{'wxyz'[column]}"
-    return f"{name}_{column}"
 
 
 def _sampled(filled: list[int]) -> list[int]:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import InvalidInputError, UnreadableError
+from calib.logs.arrays import mat_columns, npz_columns
 from calib.logs.canonical import (
     CANONICAL,
     FRD_FROM_FLU,
@@ -34,7 +35,7 @@ from calib.logs.canonical import (
     reference_names,
     reference_sensor,
 )
-from calib.logs.columns import Columns, mat_columns, npz_columns, text_columns
+from calib.logs.columns import Columns, text_columns
 from calib.recording import Channel, Event, Recording, Rounding, Segment, Sensor, Stage
 
 Array = NDArray[np.float64]
@@ -124,14 +125,15 @@ def read_columns(path: Path) -> Columns:
         size = path.stat().st_size
         if size > MOST_BYTES:
             raise UnreadableError(f"{path.name} has {size >> 20} MB: a table has at most {MOST_BYTES >> 20}; cut it")
-        data = path.read_bytes()
+        with path.open("rb") as opened:
+            head = opened.read(8)
+        if head[:4] == b"PK\x03\x04":
+            return npz_columns(path)
+        if head[:6] == b"MATLAB" or head[1:4] == b"HDF":
+            return mat_columns(path)
+        return text_columns(path.read_bytes())
     except OSError as error:
         raise UnreadableError(f"{path.name} cannot be opened: {error.strerror or error}") from error
-    if data[:4] == b"PK\x03\x04":
-        return npz_columns(data)
-    if data[:6] == b"MATLAB" or data[1:4] == b"HDF":
-        return mat_columns(data)
-    return text_columns(data)
 
 
 def write_table(recording: Recording, path: Path | str) -> None:

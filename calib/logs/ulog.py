@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 import numpy as np
 import pyulog.core
@@ -28,6 +28,11 @@ LONGEST_S: Final = 30 * 86400.0
 RELEASE_SHIFTS: Final = (24, 16, 8)
 """Major, minor and patch in ``ver_sw_release``; the lowest byte is the kind of release."""
 
+READS_A_BYTE: Final = 2, 10_000
+TAKEN_A_BYTE: Final = 256, 1 << 32
+"""Reads, and bytes read, that the parser may need for each byte of a file, and for any file. It reads twice a message;
+what it cannot make out it passes byte by byte, each time with the length that it finds there."""
+
 pyulog.core.print = lambda *_args, **_more: None  # it reports damage on stdout, which is the answer's
 
 
@@ -42,6 +47,30 @@ class _Bounded(ULog):  # type: ignore[misc]
             if len(self.field_data) + count > MOST_FIELDS:
                 raise ValueError(f"format {type_name} has more than {MOST_FIELDS} fields")
             super()._parse_nested_type(prefix_str, type_name, message_formats)
+
+
+class _Metered:
+    """A file whose reader is stopped once it goes round in circles.
+
+    The length of a damaged message can lead pyulog back to where it was, for ever.
+    """
+
+    def __init__(self, opened: BinaryIO, size: int) -> None:
+        self._opened = opened
+        self._reads = READS_A_BYTE[0] * size + READS_A_BYTE[1]
+        self._taken = TAKEN_A_BYTE[0] * size + TAKEN_A_BYTE[1]
+        self.tell, self.close = opened.tell, opened.close
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        return self._opened.seek(offset, whence)
+
+    def read(self, size: int = -1) -> bytes:
+        self._reads -= 1
+        data = self._opened.read(size)
+        self._taken -= len(data)
+        if self._reads < 0 or self._taken < 0:
+            raise ULogException("the lengths of its messages lead in circles")
+        return data
 
 
 def read_ulog(path: Path | str) -> Recording:
@@ -99,8 +128,9 @@ def _parsed(file: Path) -> ULog:
                 raise UnreadableError(f"{file.name} is an encrypted ULog: decrypt it with PX4's decrypt_ulog.py first")
             if len(head) < 16 or not head.startswith(MAGIC):
                 raise UnreadableError(f"{file.name} is no ULog: its header is {head[:8]!r}")
+            size = opened.seek(0, 2)
             opened.seek(0)
-            return _Bounded(opened, sorted(WANTED))
+            return _Bounded(_Metered(opened, size), sorted(WANTED))
     except OSError as error:
         raise UnreadableError(f"{file.name} cannot be read: {error.strerror or error}") from error
     except ULogIncompatibleFlagException as error:

@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from calib.errors import InvalidInputError
 from service.api.addresses import relative
 from service.api.dependencies import ServiceDep
+from service.api.disconnect import Body, while_connected
 from service.api.models import (
     FitRequest,
     FitsModel,
@@ -40,7 +41,9 @@ async def upload(
     reading: Annotated[str, Query(description="JSON of reading options: mapping, world, body, rate, units")] = "{}",
 ) -> RecordingModel:
     """Upload a recording as the body of the request."""
-    row = await service.recordings.add(name, request.stream(), _reading(reading))
+    body = Body(request)
+    adding = service.recordings.add(name, body.chunks(), _reading(reading))
+    row = await while_connected(request, adding, body)
     model = recording_model(row)
     response.headers["Location"] = relative(request, model.href)
     return model
@@ -59,9 +62,9 @@ async def recording(recording_id: str, service: ServiceDep) -> RecordingModel:
 
 
 @router.post("/recordings/{recording_id}/fits", dependencies=[OPERATE])
-async def fit(recording_id: str, body: FitRequest, service: ServiceDep) -> FitsModel:
+async def fit(recording_id: str, body: FitRequest, request: Request, service: ServiceDep) -> FitsModel:
     """Run one method on an uploaded recording."""
-    fits = await service.recordings.fit(recording_id, body.method, body.options)
+    fits = await while_connected(request, service.recordings.fit(recording_id, body.method, body.options))
     return FitsModel(method=body.method, fits=fits)
 
 

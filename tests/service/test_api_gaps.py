@@ -10,6 +10,7 @@ from urllib.parse import urljoin
 
 import pytest
 
+from service.children import Limits
 from service.gaps import MOST_WAITING, Gaps, GapState
 from tests.patience import scaled
 from tests.service.gap_tables import write_table
@@ -21,6 +22,10 @@ async def upload(a: Api, path: Path) -> str:
     content = await asyncio.to_thread(path.read_bytes)
     made = await a.call("POST", "/api/v1/recordings", 201, params={"name": path.name}, content=content)
     return str(made["id"])
+
+
+def own_gaps(a: Api, folder: Path, limits: Limits) -> Gaps:
+    return Gaps(a.service.recordings, folder, children=a.service.children, limits=limits)
 
 
 async def ended(a: Api, gap_id: str) -> Any:
@@ -108,7 +113,7 @@ async def test_a_diagnosis_that_takes_too_long_is_ended(tmp_path):
     table = write_table(tmp_path / "real.csv")
     async with api(tmp_path / "data") as a:
         real = await upload(a, table)
-        gaps = Gaps(a.service.recordings, tmp_path / "own", limit_s=0.05)
+        gaps = own_gaps(a, tmp_path / "own", Limits(2**30, 60.0, 0.05))
         row = gaps.start(real, None, ())
         async with asyncio.timeout(scaled(20)):
             while gaps.get(row.id).state in {GapState.QUEUED, GapState.RUNNING}:  # noqa: ASYNC110 - as a client would
@@ -122,4 +127,4 @@ async def test_what_a_crash_left_running_is_failed(tmp_path):
         folder.mkdir()
         left = {"id": "a" * 16, "created_at": 1.0, "real": "r", "sim": None, "nominal": [], "state": "running"}
         (folder / f"{'a' * 16}.json").write_text(json.dumps({**left, "error": None}))
-        assert Gaps(a.service.recordings, folder, limit_s=1.0).get("a" * 16).state is GapState.FAILED
+        assert own_gaps(a, folder, Limits(2**30, 1.0, 1.0)).get("a" * 16).state is GapState.FAILED

@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import io
+import zipfile
+
 import numpy as np
 import pytest
 import scipy.io
@@ -411,6 +414,24 @@ def test_archives_that_unfold_beyond_reason_are_refused(tmp_path):
     scipy.io.savemat(tmp_path / "bomb.mat", {"t": np.zeros(20_000_000)}, do_compression=True)
     with pytest.raises(UnreadableError, match="unfolds to"):
         read_table(tmp_path / "bomb.mat")
+
+
+@pytest.mark.parametrize("kind", ["f8", "i1", "?", "U1"])
+def test_what_columns_will_take_counts_whatever_the_archive_holds(tmp_path, kind):
+    """A byte becomes eight, a character a text of its own."""
+    np.savez_compressed(tmp_path / "bomb.npz", **{f"a{k}": np.zeros(2_000_000, kind) for k in range(8)})
+    with pytest.raises(UnreadableError, match="unfolds to"):
+        read_table(tmp_path / "bomb.npz", mapping={"mag_x": "a0"})
+
+
+def test_a_member_that_is_packed_otherwise_is_refused(tmp_path):
+    """A step of bzip2 unfolds a thousandfold and more, whatever is asked of it."""
+    array = io.BytesIO()
+    np.save(array, np.arange(50.0))
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_BZIP2) as archive:
+        archive.writestr("t.npy", array.getvalue())
+    with pytest.raises(UnreadableError, match="packed in a way"):
+        read_table(tmp_path / "a.npz")
 
 
 def test_an_array_that_claims_more_than_it_holds_is_refused(tmp_path):

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import struct
+import time
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from calib.fit import FitStatus
 from calib.logs.ulog import read_ulog
 from calib.methods import METHODS
 from calib.recording import Sensor, Stage
-from tests.unit.logs.ulog_file import ACCEL_ID, GYRO_ID, MAG_ID, PARAMETERS, UlogFile, driver, message, sample
+from tests.unit.logs.ulog_file import ACCEL_ID, GYRO_ID, MAG_ID, MAGIC, PARAMETERS, UlogFile, driver, message, sample
 
 COMBINED = (
     "float[3] gyro_rad;uint32_t gyro_integral_dt;int32_t accelerometer_timestamp_relative;"
@@ -319,3 +320,14 @@ def test_a_simulators_truth_is_the_reference_and_no_channel(reading):
     np.testing.assert_allclose(truth[Sensor.VELOCITY].values[0], [0.1, 0.2, -0.3], rtol=1e-6)
     np.testing.assert_allclose(truth[Sensor.POSITION].values[0], [47.4, 8.5, 488.0])
     assert not any("groundtruth" in c.source for c in recording.channels)
+
+
+@pytest.mark.parametrize("size", [0x2000, 0x0FFF])
+def test_a_length_that_leads_back_to_itself_is_refused_soon(tmp_path, size):
+    """In the definitions pyulog steps back by the length that a message claims, whether it was there or not."""
+    content = MAGIC + bytes(8) + message("B", bytes(40)) + bytes(70_000)
+    (tmp_path / "a.ulg").write_bytes(content + struct.pack("<HB", size, 0) + bytes(100))
+    began = time.process_time()
+    with pytest.raises(UnreadableError):
+        read_ulog(tmp_path / "a.ulg")
+    assert time.process_time() - began < 20.0  # of a machine that is slow; here it took 0.3 s, and before for ever

@@ -1,0 +1,71 @@
+"""What children do: a task takes its order and a way to tell its progress, and returns what JSON can carry.
+
+A task is named ``module:function``; only names in the service's own code are ever run.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+Json = dict[str, Any]
+Tell = Callable[[str], None]
+
+INSPECT = "service.children.tasks:inspect"
+FIT = "service.children.tasks:fit"
+DIAGNOSE = "service.children.tasks:diagnose"
+
+FIRST = ("calib.logs", "calib.flight.report", "calib.report")
+LATER = ("calib.methods", "calib.gap", "calib.gap.schema", "calib.gap_report")
+"""What the nursery imports for its children, before it serves and while it is idle."""
+
+
+def inspect(order: Mapping[str, Any], tell: Tell) -> Json:
+    """What is in the recording ``{path, reading}``."""
+    from calib import logs
+    from calib.flight.report import overview
+    from calib.report import plain
+
+    tell("reading")
+    found: Json = plain(overview(logs.read(Path(order["path"]), **order["reading"])))
+    return found
+
+
+def fit(order: Mapping[str, Any], tell: Tell) -> Json:
+    """Fits by a method, ``{path, reading, method, options, origin}``; with `origin` also whose sensors they are."""
+    from calib import logs
+    from calib.firmware.origin import origin_of
+    from calib.methods import METHODS
+    from calib.report import fit_to_json, plain
+
+    tell("reading")
+    recording = logs.read(Path(order["path"]), **order["reading"])
+    tell("fitting")
+    fits = METHODS[order["method"]].run(recording, order["options"])
+    origin = plain(dataclasses.asdict(origin_of(recording, fits))) if order["origin"] else None
+    return {"fits": [fit_to_json(one) for one in fits], "origin": origin}
+
+
+def diagnose(order: Mapping[str, Any], tell: Tell) -> Json:
+    """The gap of ``{real: {path, reading, sha256}, sim, nominal, title, out}``, as files beside `out`."""
+    from calib import gap, logs
+    from calib.gap.schema import as_json
+    from calib.gap_report import gap_to_html
+
+    def read(part: Mapping[str, Any]) -> Any:
+        return logs.read(Path(part["path"]), **part["reading"])
+
+    tell("reading")
+    real = read(order["real"])
+    sim = None if order["sim"] is None else read(order["sim"])
+    nominal = tuple(read(part) for part in order["nominal"])
+    hashes = {role: order[role]["sha256"] for role in ("real", "sim") if order[role] is not None}
+    tell("diagnosing")
+    report = gap.run(real, sim, nominal, inputs=hashes)
+    out = Path(order["out"])
+    out.with_suffix(".html").write_text(gap_to_html(report, title=order["title"]), encoding="utf-8")
+    out.with_suffix(".report").write_text(json.dumps(as_json(report), allow_nan=False), encoding="utf-8")
+    return {}
