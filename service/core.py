@@ -22,6 +22,7 @@ from service.jobs.engine import JobEngine
 from service.jobs.fleet import Fleet
 from service.jobs.model import Failure
 from service.jobs.salvage import CODE as UNREADABLE
+from service.link.allowed import Allowed
 from service.links import Links
 from service.recordings import Recordings
 from service.retention import Retention
@@ -75,7 +76,9 @@ async def running_service(settings: Settings) -> AsyncIterator[Service]:
     store = SqliteStore(settings.data_dir)
     executor = ThreadPoolExecutor(max_workers=2, thread_name_prefix="fit")  # of live jobs alone
     vehicles = VehicleRegistry(yield_s=settings.mavlink.yield_s)
-    links = Links(store, settings.data_dir / "tlogs", settings.mavlink, attach=vehicles.attach, detach=vehicles.detach)
+    tlogs = settings.data_dir / "tlogs"
+    allowed = Allowed(settings.links.allowed, (tlogs, *settings.links.folders))
+    links = Links(store, tlogs, settings.mavlink, allowed=allowed, attach=vehicles.attach, detach=vehicles.detach)
     jobs = JobEngine(store, Fleet(vehicles), executor=executor, read_only=settings.read_only)
     async with AsyncExitStack() as started:
         # Interrupted writes first: nothing that comes later can keep them from being finished or taken back.
@@ -125,7 +128,7 @@ async def _cancelled(task: asyncio.Task[None]) -> None:
 async def _open_links(links: Links, settings: Settings, store: Store) -> None:
     """Open what the settings name, which must work, and what was open before, which may have gone."""
     for url in settings.connect:
-        await links.open(url, remember=False)
+        await links.open(url, remember=False, trusted=True)
     for row in store.links():
         try:
             await links.open(row.url)

@@ -6,6 +6,7 @@
     +-- LinkError                 503
     |   +-- LinkDown              503
     |   +-- EndpointError         422
+    |   |   +-- EndpointRefused   403
     |   +-- LinkUnknown           404
     |   +-- PortBusy              409
     +-- VehicleError              503
@@ -98,6 +99,14 @@ class EndpointError(LinkError):
     status_code = 422
     title = "Unknown endpoint"
     code = "endpoint-unknown"
+
+
+class EndpointRefused(EndpointError):
+    """Not an endpoint that may be opened over the network: `links` in the settings says which may."""
+
+    status_code = 403
+    title = "Endpoint not allowed"
+    code = "endpoint-refused"
 
 
 class LinkUnknown(LinkError):

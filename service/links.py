@@ -10,6 +10,7 @@ from pathlib import Path
 
 from service.errors import EndpointError, LinkUnknown
 from service.link import Link, OwnIdentity, SigningConfig, parse_endpoint
+from service.link.allowed import Allowed
 from service.settings import MavlinkSettings
 from service.store.protocol import Store
 from service.store.rows import LinkRow
@@ -25,11 +26,19 @@ class Links:
     """Opens and closes links; `attach` is told of each before it is opened, `detach` after it was closed."""
 
     def __init__(
-        self, store: Store, tlog_dir: Path, settings: MavlinkSettings, *, attach: Attach, detach: Attach
+        self,
+        store: Store,
+        tlog_dir: Path,
+        settings: MavlinkSettings,
+        *,
+        allowed: Allowed,
+        attach: Attach,
+        detach: Attach,
     ) -> None:
         self._store = store
         self._tlog_dir = tlog_dir
         self._settings = settings
+        self._allowed = allowed
         self._attach = attach
         self._detach = detach
         self._links: dict[str, Link] = {}
@@ -51,17 +60,21 @@ class Links:
             raise LinkUnknown(f"there is no link {link_id}; GET /api/v1/links lists them")
         return link
 
-    async def open(self, url: str, *, remember: bool = True) -> Link:
-        """Open a link; one that is open already is returned as it is.
+    async def open(self, url: str, *, remember: bool = True, trusted: bool = False) -> Link:
+        """Open a link; one that is open already is returned as it is. `trusted`: named by who runs the service.
 
         Raises
         ------
+        EndpointRefused
+            If it is not trusted, and not allowed.
         EndpointError, PortBusy
             If this endpoint can never work as it is.
         """
         if len(url) > LONGEST_URL or not url.isprintable():
             raise EndpointError(f"an endpoint has at most {LONGEST_URL} printable characters")
         endpoint = parse_endpoint(url)
+        if not trusted:
+            endpoint = self._allowed.endpoint(endpoint)
         link_id = _slug(str(endpoint))
         if link_id in self._links:
             return self._links[link_id]

@@ -17,6 +17,8 @@ from pydantic_settings import (
     TomlConfigSettingsSource,
 )
 
+from service.reach import DEFAULT, checked_entry
+
 
 def default_data_dir() -> Path:
     """The platform's place for a program's state (XDG on Linux)."""
@@ -51,6 +53,10 @@ class ApiKey(_Part):
     )
 
 
+def _absolute(path: Path) -> Path:
+    return path.expanduser().absolute()
+
+
 def _signing_key(key: SecretStr) -> SecretStr:
     if not re.fullmatch("[0-9a-fA-F]{64}", key.get_secret_value()):
         raise ValueError("a signing key has 64 hexadecimal digits")
@@ -71,6 +77,17 @@ class MavlinkSettings(_Part):
         default=30.0,
         ge=10.0,
         description="a unit that was not heard for so long gives way to another one with its system id, s",
+    )
+
+
+class LinkSettings(_Part):
+    """Which endpoints may be opened over HTTP; those of `connect` and of the command line may be any."""
+
+    allowed: tuple[Annotated[str, AfterValidator(checked_entry)], ...] = Field(
+        default=DEFAULT, description="of `serial`, `sim`, `loopback`, `private`, `any`, networks, hosts, devices"
+    )
+    folders: tuple[Annotated[Path, AfterValidator(_absolute)], ...] = Field(
+        default=(), description="folders whose recordings `file:` may replay, beside the service's telemetry logs"
     )
 
 
@@ -112,10 +129,6 @@ class RetentionSettings(_Part):
     keys: int = Field(default=100_000, gt=0, description="most Idempotency-Keys")
 
 
-def _absolute(path: Path) -> Path:
-    return path.expanduser().absolute()
-
-
 class Settings(BaseSettings):
     """Everything that can be set."""
 
@@ -144,6 +157,7 @@ class Settings(BaseSettings):
         description="further origins, as `https://boat.local`, whose pages may change something: of a proxy in front",
     )
     mavlink: MavlinkSettings = Field(default_factory=MavlinkSettings, description="who we are on the wire")
+    links: LinkSettings = Field(default_factory=LinkSettings, description="which endpoints may be opened over HTTP")
     limits: LimitSettings = Field(default_factory=LimitSettings, description="what one client may cost")
     retention: RetentionSettings = Field(
         default_factory=RetentionSettings, description="what is forgotten in time; never the evidence of a job"

@@ -6,7 +6,9 @@ import contextlib
 import errno
 import json
 import math
+import os
 import selectors
+import stat
 import subprocess
 import sys
 import tempfile
@@ -110,7 +112,7 @@ class FileTransport(Transport):
         if not 0 <= self._speed < math.inf:
             raise EndpointError(f"{self._endpoint}: the speed is a number from 0 on; 0 is as fast as possible.")
         try:
-            data = Path(self._endpoint.path).expanduser().read_bytes()
+            data = _regular(Path(self._endpoint.path).expanduser())
         except OSError as exc:
             raise EndpointError(f"{self._endpoint}: the file cannot be read: {exc.strerror}.") from exc
         self._records = iter_tlog(data)
@@ -149,6 +151,14 @@ class FileTransport(Transport):
     def close(self) -> None:
         """Forget the records."""
         self._records = None
+
+
+def _regular(path: Path) -> bytes:
+    """The content of a regular file; a device or a pipe might have no end. Raises OSError."""
+    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as opened:
+        if not stat.S_ISREG(os.fstat(opened.fileno()).st_mode):
+            raise OSError(errno.EINVAL, "it is no regular file")
+        return opened.read()
 
 
 class SimTransport(UdpTransport):

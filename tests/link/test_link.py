@@ -306,6 +306,15 @@ async def test_a_file_that_is_no_recording_is_refused(
         await opened(f"file:{path}")
 
 
+@pytest.mark.parametrize("kind", ["device", "pipe", "folder"])
+async def test_what_might_have_no_end_is_refused(opened: Opener, tmp_path: Path, kind: str) -> None:
+    path = {"device": Path("/dev/zero"), "pipe": tmp_path / "pipe", "folder": tmp_path}[kind]
+    if kind == "pipe":
+        os.mkfifo(path)
+    with pytest.raises(EndpointError, match=r"no regular file|directory"):
+        await opened(f"file:{path}")
+
+
 async def test_a_full_disk_is_told_and_recording_goes_on_afterwards(opened: Opener, peer: socket.socket) -> None:
     link = await opened("udpin:127.0.0.1:0")
     collector = Collector(link)

@@ -216,7 +216,7 @@ async def test_links_are_open_again_after_a_restart_unless_they_were_closed(tmp_
 
 
 async def test_two_endpoints_never_share_a_name(tmp_path):
-    async with api(tmp_path) as a:
+    async with api(tmp_path, links={"allowed": ["loopback", "/dev/not/here", "/dev/not-here"]}) as a:
         urls = ["serial:/dev/not/here:57600", "serial:/dev/not-here:57600", "tcp:127.0.0.1:1", "tcp:[::1]:1"]
         opened = [await a.post("/links", {"url": url}, 201) for url in urls]
         assert len({x["id"] for x in opened}) == len(urls)
@@ -229,18 +229,48 @@ HOPELESS = (
     "ftp:127.0.0.1:1",
     "udpin",
     "tcp:127.0.0.1:99999",
-    "udpin:no.such.host.invalid:5000",
     "udpout:127.0.0.1:99?local_port=nan",
     "udpout:127.0.0.1:99?local_port=1e9",
-    "file:/no/such/file.tlog",
-    f"file:{os.path.relpath(__file__)}",  # relative: no answer may name a place that the request did not
-    "file:x?speed=nan",
     "file:x\0y",
     "file:" + "x" * 5000,
-    "tcp:" + "a" * 300 + ":80",
     "sim:betaflight",
     "sim:ardupilot?colour=red",
 )
+
+
+REFUSED = (
+    "udpin:no.such.host.invalid:5000",
+    "tcp:" + "a" * 300 + ":80",
+    "tcp:8.8.8.8:80",
+    "serial:/dev/zero:57600",
+    "sim:ardupilot?params=/etc/passwd",
+    "file:/dev/zero",
+    "file:/etc/passwd",
+    "file:/no/such/file.tlog",
+    f"file:{os.path.relpath(__file__)}",  # relative: no answer may name a place that the request did not
+    "file:x?speed=nan",
+)
+
+
+async def test_an_endpoint_that_may_not_be_opened_is_403_and_tells_of_no_file(tmp_path):
+    async with api(tmp_path) as a:
+        told = set()
+        for url in REFUSED:
+            problem = await a.post_text("/links", {"url": url}, 403)
+            assert problem["type"].endswith("endpoint-refused"), problem
+            if url.startswith("file:"):
+                told.add(problem["detail"])
+        assert len(told) == 1
+        assert await a.get("/links") == []
+
+
+async def test_a_recording_of_this_service_may_be_replayed(tmp_path):
+    async with api(tmp_path) as a:
+        folder = a.service.settings.data_dir / "tlogs"
+        folder.mkdir(exist_ok=True)
+        (folder / "a.tlog").write_bytes(b"none")
+        problem = await a.post("/links", {"url": f"file:{folder / 'a.tlog'}"}, 422)
+        assert "no MAVLink frame" in problem["detail"]
 
 
 async def test_an_endpoint_that_cannot_work_is_422(tmp_path):
