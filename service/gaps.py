@@ -28,6 +28,8 @@ Json = dict[str, Any]
 MOST_WAITING = 8
 """Diagnoses that may be queued or running at a time."""
 
+DAMAGED = "its record or report on the disk is damaged: ask for the diagnosis again"
+
 _ID = re.compile(r"[0-9a-f]{16}")
 
 
@@ -87,11 +89,16 @@ class Gaps:
         return row
 
     def report(self, gap_id: str) -> Json | None:
-        """The report's JSON; None while there is none."""
+        """The report's JSON; None while there is none. One that cannot be read makes a diagnosis that failed."""
         row = self.get(gap_id)
         if row.state is not GapState.DONE:
             return None
-        loaded: Json = json.loads((self._folder / f"{gap_id}.report").read_text(encoding="utf-8"))
+        try:
+            loaded: Json = json.loads((self._folder / f"{gap_id}.report").read_text(encoding="utf-8"))
+        except (OSError, ValueError, RecursionError) as error:
+            log.error("a gap report cannot be read", id=gap_id, reason=str(error))
+            self._keep(replace(row, state=GapState.FAILED, error=DAMAGED))
+            return None
         return loaded
 
     def page(self, gap_id: str) -> Path:
@@ -172,11 +179,15 @@ class Gaps:
 
 
 def _row_of(path: Path) -> GapRow | None:
+    """The row in a file; one that cannot be read is a diagnosis that failed."""
     try:
         fields = json.loads(path.read_text(encoding="utf-8"))
+        return GapRow(**{**fields, "nominal": tuple(fields["nominal"]), "state": GapState(fields["state"])})
     except FileNotFoundError:
         return None
-    return GapRow(**{**fields, "nominal": tuple(fields["nominal"]), "state": GapState(fields["state"])})
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        log.error("the record of a gap diagnosis cannot be read", id=path.stem, reason=str(error))
+        return GapRow(path.stem, 0.0, "", None, (), GapState.FAILED, DAMAGED)
 
 
 def _without_paths(text: str, uploads: Sequence[RecordingRow]) -> str:

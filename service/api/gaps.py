@@ -33,7 +33,8 @@ async def gaps(service: ServiceDep) -> list[GapSummary]:
 @router.get("/gaps/{gap_id}", dependencies=[READ])
 async def gap(gap_id: str, service: ServiceDep) -> GapModel:
     """Where a diagnosis stands, and its report once it is done."""
-    return gap_model(service.gaps.get(gap_id), service.gaps.report(gap_id))
+    report = service.gaps.report(gap_id)  # which may find that the diagnosis failed
+    return gap_model(service.gaps.get(gap_id), report)
 
 
 @router.get(

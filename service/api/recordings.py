@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request, Response
@@ -72,13 +73,14 @@ async def fit(recording_id: str, body: FitRequest, request: Request, service: Se
 async def plan(
     recording_id: str, body: RecordingJobRequest, request: Request, response: Response, service: ServiceDep
 ) -> JobModel:
-    """A job in review with the fits of an uploaded recording; 409 if it is not of this vehicle's sensors.
+    """A job that fits an uploaded recording; then it is in review, or failed if it is not of this vehicle's sensors.
 
     What it plans is accepted, written, proved and taken back as every other job's.
     """
-    fits, origin = await service.recordings.fit_of_vehicle(recording_id, body.method, body.options)
+    service.recordings.check(recording_id, body.method)
+    fitting = partial(service.recordings.fit_of_vehicle, recording_id, body.method, body.options)
     options = {"recording": recording_id, "method": body.method, "options": body.options}
-    job = await service.jobs.adopt(body.vehicle_id, fits, origin, options, body.plan_options.given())
+    job = await service.jobs.adopt(body.vehicle_id, fitting, options, body.plan_options.given())
     model = job_model(job)
     response.headers["Location"] = relative(request, model.href)
     return model

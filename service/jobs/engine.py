@@ -14,6 +14,7 @@ from typing import Any
 
 import structlog
 
+from calib.errors import CalibError
 from calib.firmware.origin import Origin, unproved
 from calib.firmware.streams import requested_streams
 from calib.fit import FitResult, FitStatus
@@ -27,10 +28,10 @@ from service.errors import (
     JobUnknown,
     NotCancellable,
     NotRevertible,
+    ServiceError,
 )
 from service.jobs.account import nothing_sent
 from service.jobs.admission import request_digest, require_acceptable, require_free, require_ready
-from service.jobs.codec import outcome_to_json
 from service.jobs.crashpoints import At, CrashPoint, nowhere
 from service.jobs.ending import INTERRUPTED, end, record_of, stop
 from service.jobs.feed import EventFeed
@@ -164,6 +165,10 @@ class JobEngine:
         state = handle.job.state
         if state in CAPTURING:  # replay what was recorded and go on, if the vehicle is the same boot still
             self._spawn(handle, partial(self._captured, handle))
+        elif state == JobState.FITTING and handle.job.kind == FROM_RECORDING:
+            cause = "The service was stopped while it fitted the recording."
+            outcome = Failure("fit-interrupted", cause, "Ask for the job again; the recording is kept.")
+            handle.move(JobState.FAILED, outcome=outcome)
         elif state == JobState.FITTING:
             self._spawn(handle, partial(self._runner.fit, handle))
         else:
@@ -246,39 +251,60 @@ class JobEngine:
     async def adopt(
         self,
         vehicle_id: str,
-        results: Sequence[FitResult],
-        origin: Origin,
+        fitting: Callable[[], Awaitable[tuple[Sequence[FitResult], Origin]]],
         options: Mapping[str, Any],
         plan_options: Mapping[str, Any] | None = None,
     ) -> Job:
-        """A job in review, of fits of an uploaded recording; `options` say which recording and method.
+        """A job that is fitting an uploaded recording, and then in review or failed.
+
+        `fitting` makes the fits; `options` say which recording and method.
 
         Raises
         ------
-        OtherVehicle
-            If the vehicle does not carry the sensors that the fits are of.
         VehicleUnknown, VehicleSilent, VehicleArmed, VehicleBusy, VehicleConflict, PhysicalJobRunning
-        InvalidInputError, FirmwareError
             As for :meth:`submit`.
         """
-        chosen = checked_plan_options(plan_options or {}, results)
+        checked_plan_options(plan_options or {})
         vehicle = self._vehicles.vehicle(vehicle_id)
         require_free(vehicle.id, self.list())
         require_ready(vehicle)
-        kept = origin_to_json(origin)
-        identity, planned = await self._composed(vehicle, results, chosen, kept)
         now = self._wall()
+        job = Job(uuid.uuid4().hex[:12], vehicle.id, FROM_RECORDING, dict(options), JobState.FITTING, now, now)
+        handle = self._hold(job)
+        try:
+            handle.change("state", {"state": job.state.value, "outcome": None})
+            await handle.kept()
+        except BaseException:
+            del self._handles[job.id]
+            raise
+        self._spawn(handle, partial(self._adopted, handle, fitting, plan_options or {}))
+        return handle.job
+
+    async def _adopted(
+        self,
+        handle: JobHandle,
+        fitting: Callable[[], Awaitable[tuple[Sequence[FitResult], Origin]]],
+        plan_options: Mapping[str, Any],
+    ) -> None:
+        """Fit and plan; the job ends in review, succeeded with nothing to write, or failed."""
+        try:
+            results, origin = await fitting()
+            chosen = checked_plan_options(plan_options, results)
+            kept = origin_to_json(origin)
+            vehicle = self._vehicles.vehicle(handle.job.vehicle_id)
+            require_ready(vehicle)
+            identity, planned = await self._composed(vehicle, results, chosen, kept)
+            await keep_plan(handle, planned)
+        except (ServiceError, CalibError) as error:
+            code = str(getattr(error, "code", "calibration-error"))
+            remedy = "Remove the cause and ask for the job again; the recording is kept."
+            handle.move(JobState.FAILED, outcome=Failure(code, str(error), remedy))
+            return
         told = [fit.message for fit in results if fit.status == FitStatus.REFUSED]
         told += [warning for fit in results for warning in fit.warnings]
         done = planned.plan.nothing_to_write
-        job = Job(
-            uuid.uuid4().hex[:12],
-            vehicle.id,
-            FROM_RECORDING,
-            dict(options),
+        handle.move(
             JobState.SUCCEEDED if done else JobState.REVIEW,
-            now,
-            now,
             outcome=nothing_to_write(planned.plan) if done else None,
             fingerprint=planned.plan.fingerprint,
             results=tuple(results),
@@ -286,15 +312,6 @@ class JobEngine:
             warnings=tuple(dict.fromkeys(told)),
             context={"identity": identity_to_json(identity), "plan_options": chosen, "origin": kept},
         )
-        handle = self._hold(job)
-        try:
-            handle.change("state", {"state": job.state.value, "outcome": outcome_to_json(job.outcome)})
-            await handle.kept()
-            await keep_plan(handle, planned)
-        except BaseException:
-            del self._handles[job.id]
-            raise
-        return handle.job
 
     async def cancel(self, job_id: str) -> Job:
         """Cancel a job that has written nothing; what it recorded is kept. Raises NotCancellable."""

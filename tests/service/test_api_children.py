@@ -6,6 +6,7 @@ import asyncio
 import os
 from pathlib import Path
 
+import httpx2
 import pytest
 
 from .api_bench import api, served
@@ -96,6 +97,7 @@ async def test_two_slow_uploads_do_not_starve_a_live_calibration(hanging):
 
     with SimulatedVehicle("ardupilot", speed=20.0, seed=33, config={"thermal": False}) as sim:
         async with served(hanging, connect=(sim.url,)) as a:
+            a.client.timeout = httpx2.Timeout(None)
             slow = [asyncio.create_task(upload(a, sphere_csv(20), name=f"{i}.csv")) for i in range(2)]
             await reading(hanging, 2)
             vehicle = await a.vehicle()

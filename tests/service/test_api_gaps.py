@@ -128,3 +128,20 @@ async def test_what_a_crash_left_running_is_failed(tmp_path):
         left = {"id": "a" * 16, "created_at": 1.0, "real": "r", "sim": None, "nominal": [], "state": "running"}
         (folder / f"{'a' * 16}.json").write_text(json.dumps({**left, "error": None}))
         assert own_gaps(a, folder, Limits(2**30, 1.0, 1.0)).get("a" * 16).state is GapState.FAILED
+
+
+@pytest.mark.parametrize("content", [b"", b"[", b"{}", b"null", b"[]", b"\xff", b'{"id": 1}', b"[" * 100_000])
+async def test_a_damaged_record_stops_nothing_and_is_shown_as_failed(tmp_path, content):
+    async with api(tmp_path) as a:
+        folder = a.service.settings.data_dir / "gaps"
+    (folder / f"{'a' * 16}.json").write_bytes(content)
+    done = {"id": "b" * 16, "created_at": 1.0, "real": "r", "sim": None, "nominal": [], "state": "done", "error": None}
+    (folder / f"{'b' * 16}.json").write_text(json.dumps(done))
+    (folder / f"{'b' * 16}.report").write_bytes(content[:1])
+    async with api(tmp_path) as a:
+        states = {g["id"]: g["state"] for g in await a.get("/gaps")}
+        assert states["a" * 16] == "failed"
+        assert "damaged" in (await a.get(f"/gaps/{'a' * 16}"))["error"]
+        found = await a.get(f"/gaps/{'b' * 16}")
+        assert (found["state"], found["report"]) == ("failed", None)
+        await a.get(f"/gaps/{'b' * 16}/report.html", 409)

@@ -65,7 +65,8 @@ async def test_a_log_is_fitted_planned_written_proved_and_taken_back(tmp_path, s
         where = f"/recordings/{await upload(a, content)}/jobs"
         body = {"vehicle_id": vehicle["id"], "method": "gyro-rest"}
         job = await a.post(where, body, 202)
-        assert (job["kind"], job["state"], job["options"]["method"]) == ("recording", "review", "gyro-rest")
+        assert (job["kind"], job["state"], job["options"]["method"]) == ("recording", "fitting", "gyro-rest")
+        job = await a.until(job["id"], "review")
         assert stored(sim) == before
         planned = {c["name"]: c["new"] for c in job["plan"]["changes"]}
         same = {c["name"]: c["new"] for c in live["plan"]["changes"] if c["name"] in GYRO_OFFSETS}
@@ -100,12 +101,13 @@ async def test_a_log_of_other_sensors_is_refused_with_the_reason(tmp_path, sim):
         recording = await upload(a, content)
         body = {"vehicle_id": vehicle["id"], "method": "gyro-rest"}
         job = await a.post(f"/recordings/{recording}/jobs", body, 202)
+        await a.until(job["id"], "review")
         held = stored(sim)["INS_GYR2_ID"]
         sim.call("fault", kind="foreign_write", name="INS_GYR2_ID", value=1234)
-        problem = await a.post(f"/recordings/{recording}/jobs", body, 409)
-        assert problem["type"].endswith("other-vehicle")
-        assert "gyro 2 had the device id" in problem["detail"]
-        assert "1234" in problem["detail"]
+        outcome = await failed(a, recording, body)
+        assert outcome["code"] == "other-vehicle"
+        assert "gyro 2 had the device id" in outcome["cause"]
+        assert "1234" in outcome["cause"]
         problem = await a.post(f"/jobs/{job['id']}/plan", None, 409)
         assert problem["type"].endswith("other-vehicle")
         sim.call("fault", kind="foreign_write", name="INS_GYR2_ID", value=held)
@@ -117,12 +119,12 @@ async def test_what_is_of_no_vehicle_is_never_planned(tmp_path, sim):
         rows = "".join(f"{k / 50},0.01,0.02,0.0{k % 10}\n" for k in range(400))
         recording = await upload(a, f"t,gyro_x,gyro_y,gyro_z\n{rows}".encode(), "rest.csv")
         body = {"vehicle_id": vehicle["id"], "method": "gyro-rest"}
-        problem = await a.post(f"/recordings/{recording}/jobs", body)
-        assert problem["status"] in {409, 422}
-        assert "does not say which vehicle" in problem["detail"]
+        outcome = await failed(a, recording, body)
+        assert "does not say which vehicle" in outcome["cause"]
         await a.post(f"/recordings/{recording}/jobs", body | {"method": "nothing"}, 422)
         await a.post(f"/recordings/{recording}/jobs", {"method": "gyro-rest"}, 422)
-        assert await a.get("/jobs") == []
+        await a.post("/recordings/none/jobs", body, 404)
+        assert len(await a.get("/jobs")) == 1
 
 
 async def test_a_log_without_a_board_id_is_written_only_as_confirmed_and_the_audit_says_so(tmp_path, sim):
@@ -132,6 +134,7 @@ async def test_a_log_without_a_board_id_is_written_only_as_confirmed_and_the_aud
         where = f"/recordings/{await upload(a, without_version(content))}/jobs"
         body = {"vehicle_id": vehicle["id"], "method": "gyro-rest"}
         job = await a.post(where, body, 202)
+        job = await a.until(job["id"], "review")
         (blocker,) = job["plan"]["blockers"]
         assert "does not say which board it is of" in blocker
         assert "confirm_other_unit" in blocker
@@ -183,3 +186,24 @@ def without_version(content: bytes) -> bytes:
     """The telemetry log without AUTOPILOT_VERSION, as many are."""
     kept = [(at, frame) for at, frame in iter_tlog(content) if frame.message_id != AUTOPILOT_VERSION]
     return b"".join(struct.pack(">Q", at) + frame.raw for at, frame in kept)
+
+
+async def test_a_job_of_a_recording_is_answered_at_once_and_can_be_cancelled(tmp_path, sim, monkeypatch):
+    monkeypatch.setattr("service.recordings.FIT", "tests.service.child_tasks:hang_on_path")
+    async with served(tmp_path, connect=(sim.url,)) as a:
+        vehicle = await a.vehicle()
+        recording = await upload(a, b"t,gyro_x,gyro_y,gyro_z\n0,0,0,0\n1,0,0,0\n", "rest.csv")
+        body = {"vehicle_id": vehicle["id"], "method": "gyro-rest"}
+        job = await a.post(f"/recordings/{recording}/jobs", body, 202)
+        assert job["state"] == "fitting"
+        assert (await a.delete(f"/jobs/{job['id']}", 200))["state"] == "cancelled"
+        left = await a.post(f"/recordings/{recording}/jobs", body, 202)
+    async with served(tmp_path) as a:  # the service was stopped meanwhile
+        found = await a.get(f"/jobs/{left['id']}")
+        assert (found["state"], found["outcome"]["code"]) == ("failed", "fit-interrupted")
+
+
+async def failed(a: Api, recording: str, body: Json) -> Json:
+    """The outcome of a job that is accepted and then fails."""
+    job = await a.post(f"/recordings/{recording}/jobs", body, 202)
+    return dict((await a.until(job["id"], "failed"))["outcome"])
