@@ -115,7 +115,7 @@ def dataflash() -> Mutate:
     """A copter's log, short."""
     from bench.dataflash import flight
 
-    return _plain(flight(0.1, 1)[:9000], flight(0.2, 2)[:14000])
+    return _plain(flight(0.1, 1)[:6000], flight(0.1, 2)[:9000])
 
 
 def dataflash_text() -> Mutate:
@@ -129,8 +129,8 @@ def dataflash_text() -> Mutate:
         "PARM, 1000, INS_ACCOFFS_X, 0.1",
         "MSG, 1000, ArduCopter V3.2",
     ]
-    rows = [f"IMU, {20 * k}, 0.01, -0.0{k % 9}, 0.0, 0.1, 0.{k % 7}, -9.8" for k in range(60)]
-    rows += [f"MAG, {20 * k}, {100 + k % 3}, {-50 - k % 5}, 400" for k in range(60)]
+    rows = [f"IMU, {20 * k}, 0.01, -0.0{k % 9}, 0.0, 0.1, 0.{k % 7}, -9.8" for k in range(24)]
+    rows += [f"MAG, {20 * k}, {100 + k % 3}, {-50 - k % 5}, 400" for k in range(24)]
     return _plain("\n".join(head + rows).encode())
 
 
@@ -143,7 +143,7 @@ def ulog() -> Mutate:
     topics = [driver(log, f"sensor_{n}", i) for n, i in (("accel", ACCEL_ID), ("gyro", GYRO_ID), ("mag", MAG_ID))]
     log.said(1_000_100, "armed")
     log.dropout(20)
-    for k in range(40):
+    for k in range(20):
         for topic in topics:
             sample(log, topic, 1_000_000 + 20_000 * k, 0.1, 0.01 * (k % 5), -9.8)
     sync = struct.pack("<HB", 8, ord("S")) + bytes((0x2F, 0x73, 0x13, 0x20, 0x25, 0x0C, 0xBB, 0x12))
@@ -157,7 +157,7 @@ def tlog() -> Mutate:
 
     mav = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
     records = []
-    for k in range(40):
+    for k in range(20):
         said: list[Any] = [mav.raw_imu_encode(1_000_000 + 20_000 * k, 0, 0, -1000, 1, 2, 3, 200, 0, 400)]
         if k % 10 == 0:
             said += [mav.heartbeat_encode(2, 3, 0, 0, 3), mav.param_value_encode(b"INS_ACCOFFS_X", 0.1, 9, 3, k)]
@@ -188,7 +188,7 @@ def tlog() -> Mutate:
 
 def csv() -> Mutate:
     """A table as text, in two dialects."""
-    rows = [f"{k / 50},{k % 3},0.{k % 7},-9.8,{20 + k}.5,1,face{k // 20}" for k in range(60)]
+    rows = [f"{k / 50},{k % 3},0.{k % 7},-9.8,{20 + k}.5,1,face{k // 10}" for k in range(30)]
     one = "t,accel_x,accel_y,accel_z,current,temperature,segment\n" + "\n".join(rows)
     return _plain(one.encode(), ("# made\n" + one.replace(",", ";").replace(".", ",")).encode())
 

@@ -104,6 +104,15 @@ class PoseMean:
     estimate: QuantisedMean | None = None
 
 
+BLOCK = 1 << 13
+"""Windows that are judged at once; more would need memory without being faster."""
+FAR_S = 1e6
+"""So far from the first sample the sums over a window are made about its own time, for the sake of their digits."""
+YEAR_S = 365.25 * 86400.0
+LONGEST_S = 100.0 * YEAR_S
+"""No recording lasts longer."""
+
+
 class StillnessDetector:
     """Finds still spans in a stream of samples.
 
@@ -163,19 +172,44 @@ class StillnessDetector:
         if self._origin is None:
             self._origin = max(float(t[0]) for t in self._t.values())
         last = min(float(t[-1]) for t in self._t.values())
+        if last - self._origin > LONGEST_S:
+            raise InvalidInputError(
+                f"the samples span {(last - self._origin) / YEAR_S:.0f} years: give t in seconds; else it is damaged"
+            )
         ready = int(np.floor((last - self._origin - self.limits.window) / self._hop)) + 1
-        if ready <= self._next:
-            return ()
-        numbers = np.arange(self._next, ready)
-        starts = np.asarray(self._origin + numbers * self._hop, dtype=np.float64)
-        statistics = {
-            s: window_statistics(self._t[s], self._x[s], self._origin, starts, self.limits.window)
-            for s in self._watched
-        }
-        ended = self._judge(starts, statistics)
-        self._next = ready
-        self._forget(self._origin + ready * self._hop)
-        return ended
+        ended: list[Still] = []
+        while self._next < ready:
+            until = min(self._next + BLOCK, ready)
+            ended += self._windows(self._next, until)
+            self._next = self._occupied(until, ready)
+        self._forget(self._origin + self._next * self._hop)
+        return tuple(ended)
+
+    def _windows(self, begin: int, end: int) -> tuple[Still, ...]:
+        """Judge the windows of these numbers, from the samples in and next to them alone."""
+        assert self._origin is not None
+        starts = np.asarray(self._origin + np.arange(begin, end) * self._hop, dtype=np.float64)
+        statistics = {}
+        for sensor in self._watched:
+            first, last = np.searchsorted(self._t[sensor], (starts[0], starts[-1] + self.limits.window))
+            rows = slice(max(int(first) - 1, 0), int(last) + 1)
+            t, x = self._t[sensor][rows], self._x[sensor][rows]
+            near = self._origin if starts[0] - self._origin < FAR_S else float(starts[0])
+            statistics[sensor] = window_statistics(t, x, near, starts, self.limits.window)
+        return self._judge(starts, statistics)
+
+    def _occupied(self, number: int, ready: int) -> int:
+        """The window from which on there are samples again: in a hole of years not every window is looked at.
+
+        It begins with an empty one, which ends the span before the hole.
+        """
+        assert self._origin is not None
+        start = self._origin + number * self._hop
+        following = [t[i] for t in self._t.values() if (i := int(np.searchsorted(t, start))) < len(t)]
+        if not following:
+            return number
+        ahead = int(np.floor((min(following) - self._origin - self.limits.window) / self._hop))
+        return min(max(number, ahead), ready)
 
     def finish(self) -> tuple[Still, ...]:
         """End of the recording: close the span that is still open."""

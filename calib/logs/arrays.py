@@ -66,7 +66,7 @@ def npz_columns(path: Path) -> Columns:
         raise
     except Exception as error:  # zipfile and numpy meet damage with a dozen kinds of them
         raise UnreadableError(
-            f"the .npz cannot be read ({error}): write it with numpy.savez and arrays of numbers"
+            f"the .npz cannot be read ({str(error)[:200]}): write it with numpy.savez and arrays of numbers"
         ) from error
 
 

@@ -112,7 +112,9 @@ def _vehicle(frames: list[Frame], system: int | None, name: str) -> Identity:
 def _end_observed(recording: Recording) -> bool:
     autopilot = recording.identity.autopilot
     inertial = [c for c in recording.channels if c.unit in ("m/s2", "rad/s", "uT") and len(c)]
-    if autopilot is None or not inertial:
+    if (
+        autopilot is None or autopilot not in CALIBRATION_PREFIXES or not inertial
+    ):  # it may have said later that it is another one
         return False
     last_sample = max(float(c.t[-1]) for c in inertial)
     seen: dict[str, float] = {}

@@ -226,3 +226,29 @@ def test_spans_with_hardly_a_sample_make_no_pose():
 
 def test_the_example_of_the_detector():
     assert doctest.testmod(calib.stillness).failed == 0
+
+
+def test_a_hole_of_years_costs_no_more_than_its_samples():
+    """A damaged stamp once asked for an array of 866 TiB."""
+    t = np.concatenate([np.arange(0.0, 20.0, 0.02), 2e9 + np.arange(0.0, 20.0, 0.02)])
+    channel = Channel(Sensor.ACCEL, 0, t, np.tile([0.0, 0.0, -9.8], (len(t), 1)), "m/s2", Stage.RAW, "made")
+    found = find_still(Recording((channel,)))
+    near = [find_still(Recording((channel.between(a, a + 100.0),))) for a in (0.0, 2e9)]
+    assert len(found) == 2
+    for one, (alone,) in zip(found, near, strict=True):
+        assert (one.start, one.end) == pytest.approx((alone.start, alone.end), abs=0.6)
+    with pytest.raises(InvalidInputError, match="years"):
+        find_still(Recording((dataclasses.replace(channel, t=t * 1000.0),)))
+
+
+def test_judging_in_blocks_changes_no_digit(monkeypatch):
+    rng = np.random.default_rng(3)
+    t = np.cumsum(rng.choice((0.01, 0.02, 0.5, 3.0), p=(0.5, 0.45, 0.04, 0.01), size=6000))
+    x = np.repeat(rng.normal(scale=5.0, size=(30, 3)), 200, axis=0) + rng.normal(scale=0.02, size=(6000, 3))
+    recording = Recording((Channel(Sensor.ACCEL, 0, t, x, "m/s2", Stage.RAW, "made"),))
+    whole = find_still(recording)
+    assert whole
+    monkeypatch.setattr("calib.stillness.BLOCK", 7)
+    for one, other in zip(find_still(recording), whole, strict=True):
+        assert (one.start, one.end) == (other.start, other.end)
+        assert repr(one) == repr(other)
