@@ -19,5 +19,6 @@ async def test_every_calibration_in_a_row_is_proved_or_tells_its_reason(autopilo
         assert row.right == row.judged, table(rows)
     by_kind = {row.kind: row for row in rows}
     assert 0 < by_kind["level"].acting == by_kind["level"].proved, table(rows)  # with an accelerometer's in force
-    assert all(2 * row.proved > row.acting > 0 for row in rows), table(rows)
+    shown = [row for row in rows if row.acting]  # PX4 streams its compasses raw
+    assert all(2 * row.proved > row.acting for row in shown), table(rows)
     assert {kind for kind, row in by_kind.items() if row.judged} >= {"gyro", "accel", "level", "thermal"}
