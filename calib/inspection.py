@@ -6,8 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.recording import Channel, Recording, Sensor, Stage
+
+Array = NDArray[np.float64]
 
 GAP_PERIODS = 5.0
 """A pause this many median periods long counts as a gap."""
@@ -66,11 +69,10 @@ class ChannelSummary:
 def summarise(channel: Channel) -> ChannelSummary:
     """Numbers of one channel that has at least one sample."""
     t, values = channel.t, channel.values
-    steps = np.diff(t)
-    forward = steps[steps > 0]
-    period = float(np.median(forward)) if len(forward) else None
-    wide = np.flatnonzero(steps > GAP_PERIODS * period) if period else np.empty(0, dtype=np.intp)
+    period, backward = _period(t)
+    wide = np.flatnonzero(np.diff(t) > GAP_PERIODS * period) if period else np.empty(0, dtype=np.intp)
     finite = np.isfinite(values)
+    same = _same(values)
     return ChannelSummary(
         sensor=channel.sensor.value,
         instance=channel.instance,
@@ -82,12 +84,12 @@ def summarise(channel: Channel) -> ChannelSummary:
         end=float(t[-1]),
         rate=1.0 / period if period else None,
         quantum=channel.quantum,
-        gaps=tuple(Gap(float(t[i]), float(steps[i])) for i in wide[:MOST_GAPS_LISTED]),
+        gaps=tuple(Gap(float(t[i]), float(t[i + 1] - t[i])) for i in wide[:MOST_GAPS_LISTED]),
         n_gaps=len(wide),
-        backward_steps=int((steps < 0).sum()),
+        backward_steps=backward,
         not_finite=int((~finite.all(axis=1)).sum()),
-        longest_constant=_longest_constant(channel),
-        repeated=int((np.diff(values, axis=0) == 0).all(axis=1).sum()),
+        longest_constant=_longest_constant(t, same),
+        repeated=int(same.sum()),
         norm=_norm(channel),
         least=_columns(values, finite, np.min),
         mean=_columns(values, finite, np.mean),
@@ -162,22 +164,54 @@ def _missing(recording: Recording) -> list[str]:
 def _norm(channel: Channel) -> tuple[float, float] | None:
     if channel.sensor not in TRIADS:
         return None
-    length = np.linalg.norm(channel.values, axis=1)
-    length = length[np.isfinite(length)]
-    return (float(length.mean()), float(length.std())) if len(length) else None
+    with np.errstate(over="ignore", invalid="ignore"):
+        length = np.einsum("ij,ij->i", channel.values, channel.values)
+        np.sqrt(length, out=length)
+    if not np.isfinite(length).all():
+        length = length[np.isfinite(length)]
+    if not len(length):
+        return None
+    mean = float(length.mean())
+    length -= mean
+    return mean, float(np.sqrt(length @ length / len(length)))
 
 
-def _longest_constant(channel: Channel) -> float:
-    if len(channel) < 2:
+def _period(t: Array) -> tuple[float | None, int]:
+    """Median step forward, s (None: time never goes on), and how often time goes back."""
+    steps = np.diff(t)
+    backward = int((steps < 0).sum())
+    if not (steps > 0).all():
+        steps = steps[steps > 0]
+    return (float(np.median(steps, overwrite_input=True)) if len(steps) else None), backward
+
+
+def _same(values: Array) -> NDArray[np.bool_]:
+    """Which samples from the second on equal the one before in every column."""
+    same = np.ones(max(len(values) - 1, 0), dtype=np.bool_)
+    for column in values.T:
+        same &= column[1:] == column[:-1]
+    return same
+
+
+def _longest_constant(t: Array, same: NDArray[np.bool_]) -> float:
+    if len(t) < 2:
         return 0.0
-    changed = np.flatnonzero((np.diff(channel.values, axis=0) != 0).any(axis=1))
-    edges = np.concatenate([[0], changed + 1, [len(channel) - 1]])
-    return float(np.max(channel.t[edges[1:]] - channel.t[edges[:-1]]))
+    held = np.flatnonzero(np.diff(same, prepend=False, append=False))  # begins and ends of runs, in turn
+    longest = float(np.max(np.diff(t)))
+    if not len(held):
+        return longest
+    following = np.minimum(held[1::2] + 1, len(t) - 1)
+    return max(longest, float(np.max(t[following] - t[held[::2]])))
 
 
 def _columns(values: Any, finite: Any, reduce: Any) -> tuple[float | None, ...]:
-    columns = range(values.shape[1])
-    return tuple(float(reduce(values[finite[:, k], k])) if finite[:, k].any() else None for k in columns)
+    found: list[float | None] = []
+    for column, good in zip(values.T, finite.T, strict=True):
+        if good.all():
+            found.append(float(reduce(column)))
+        else:
+            found.append(float(reduce(column[good])) if good.any() else None)
+    return tuple(found)
 
 
 def _warnings(channel: ChannelSummary) -> list[str]:

@@ -12,7 +12,9 @@ for still here; :func:`calib.gyro.steady_turn` tells it from a bias.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,6 +108,8 @@ class PoseMean:
 
 BLOCK = 1 << 13
 """Windows that are judged at once; more would need memory without being faster."""
+PIECE = 1 << 14
+"""Samples of a recording that are judged at once."""
 FAR_S = 1e6
 """So far from the first sample the sums over a window are made about its own time, for the sake of their digits."""
 YEAR_S = 365.25 * 86400.0
@@ -283,7 +287,22 @@ def find_still(recording: Recording, *, instance: int = 0, limits: StillnessLimi
     if accel is not None and accel.unit != "m/s2":
         accel = _centred_counts(limits, accel)
     detector = StillnessDetector(limits, accel=accel is not None, gyro=gyro is not None)
-    return detector.feed(accel, gyro) + detector.finish()
+    found = [still for piece in _pieces(accel, gyro) for still in detector.feed(*piece)]
+    return (*found, *detector.finish())
+
+
+def _pieces(accel: Channel | None, gyro: Channel | None) -> Iterator[tuple[Channel | None, Channel | None]]:
+    """Both channels in pieces of the same times, so that no copy of a whole recording is made."""
+    given = [c for c in (accel, gyro) if c is not None and len(c)]
+    if not given or not all(bool((c.t[1:] >= c.t[:-1]).all()) for c in given):
+        yield accel, gyro  # the detector says what is wrong
+        return
+    edges = [-np.inf, *max(given, key=len).t[PIECE::PIECE].tolist(), np.inf]
+    for begin, end in pairwise(edges):
+        yield (
+            None if accel is None else accel.between(begin, end),
+            None if gyro is None else gyro.between(begin, end),
+        )
 
 
 def pose_means(

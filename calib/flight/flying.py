@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -28,6 +28,7 @@ FULL_SCALE: Final = 156.9
 
 _HIGH = 5.0  # Hz: what is faster is no manoeuvre (the filter of ArduPilot's VIBE)
 _WINDOW = 1.0  # s of a spectrum
+_AT_ONCE = 64  # windows of it
 _LEAST_FLIGHT = 5.0  # s
 _TONES = 3
 _PAUSE = 5.0  # periods
@@ -82,12 +83,12 @@ def _spectrum(channel: Channel, flown: Sequence[Span]) -> tuple[Array, Array] | 
     """Frequencies (F,) and power density (F, 3) over the flown spans, pauses left out; None: too short or too slow."""
     runs = []
     for span in flown:
-        part = channel.between(span.start, span.end)
-        part = part.take(finite_rows(part.values) & (np.diff(part.t, prepend=-np.inf) > 0.0))
+        part = _usable(channel.between(span.start, span.end))
         if len(part) > 1:
             period = float(np.median(np.diff(part.t)))
             cuts = np.flatnonzero(np.diff(part.t) > _PAUSE * period) + 1
-            runs += [part.take(rows) for rows in np.split(np.arange(len(part)), cuts)]
+            edges = [0, *cuts.tolist(), len(part)]
+            runs += [part.take(slice(first, last)) for first, last in pairwise(edges)]
     duration = sum(float(run.t[-1] - run.t[0]) for run in runs)
     rate = sum(len(run) - 1 for run in runs) / duration if duration > 0.0 else 0.0
     window = int(_WINDOW * rate)
@@ -97,10 +98,32 @@ def _spectrum(channel: Channel, flown: Sequence[Span]) -> tuple[Array, Array] | 
     for run in runs:
         at = np.arange(run.t[0], run.t[-1], 1.0 / rate)  # loggers drop samples and stamp in batches
         if len(at) >= window:
-            even = np.column_stack([np.interp(at, run.t, column) for column in run.values.T])
-            frequency, density = welch(even, fs=rate, nperseg=window, axis=0)
+            frequency, density = _welch(run, at, rate, window)
             total, weight = total + density * len(at), weight + len(at)
     return (frequency, total / weight) if weight else None
+
+
+def _usable(part: Channel) -> Channel:
+    """The finite samples whose time goes on; `part` itself if all are."""
+    good = finite_rows(part.values)
+    good[1:] &= part.t[1:] > part.t[:-1]
+    return part if good.all() else part.take(good)
+
+
+def _welch(run: Channel, at: Array, rate: float, window: int) -> tuple[Array, Array]:
+    """Mean power density of the half-overlapping windows of `run` at the even times `at`, some windows at a time."""
+    hop = window - window // 2
+    windows = (len(at) - window) // hop + 1
+    total, frequency = np.zeros((window // 2 + 1, 3)), np.zeros(0)
+    for first in range(0, windows, _AT_ONCE):
+        count = min(_AT_ONCE, windows - first)
+        here = at[first * hop : (first + count - 1) * hop + window]
+        begin, end = np.searchsorted(run.t, (here[0], here[-1]))
+        rows = slice(max(int(begin) - 1, 0), int(end) + 1)
+        even = np.column_stack([np.interp(here, run.t[rows], column) for column in run.values[rows].T])
+        frequency, density = welch(even, fs=rate, nperseg=window, axis=0)
+        total += density * count
+    return frequency, total / windows
 
 
 def _tones(frequency: Array, density: Array) -> list[dict[str, float]]:
@@ -126,15 +149,21 @@ def _clipping(recording: Recording, instance: int) -> Item:
     if counts:
         return judged("clipping", subject, float(sum(counts)), CLIPPED, f"clipped {sum(counts)} times")
     channel = _fastest(recording, Sensor.ACCEL, instance)
-    values = None if channel is None else np.abs(channel.values[finite_rows(channel.values)])
+    values = None if channel is None else _usable_rows(channel.values)
     if channel is None or values is None or not len(values):
         return not_testable("clipping", subject, "no sample in m/s2")
-    at_end = int((values >= 0.999 * FULL_SCALE).any(axis=1).sum())
-    most = float(values.max())
+    end = 0.999 * FULL_SCALE
+    at_end = int(((values >= end) | (values <= -end)).any(axis=1).sum())
+    most = max(float(values.max()), -float(values.min()))
     text = f"{at_end} samples at 16 g, the largest is {most:.1f} m/s2"
     if not at_end and channel.stage == Stage.FILTERED and most > 0.5 * FULL_SCALE:
         return not_testable("clipping", subject, f"{text}, low-passed: what it was before is not known", largest=most)
     return judged("clipping", subject, float(at_end), CLIPPED, text, largest=most)
+
+
+def _usable_rows(values: Array) -> Array:
+    good = finite_rows(values)
+    return values if good.all() else values[good]
 
 
 def _scale(recording: Recording, sensor: Sensor, pair: tuple[int, int], flown: Sequence[Span]) -> Item:
@@ -180,7 +209,8 @@ def _cells(recording: Recording, sensor: Sensor, pair: tuple[int, int], flown: S
         means = []
         for channel in channels:
             part = channel.between(edges[0], edges[-1])
-            part = part.take(finite_rows(part.values))
+            good = finite_rows(part.values)
+            part = part if good.all() else part.take(good)
             number = np.searchsorted(edges, part.t, side="right") - 1
             count = np.bincount(number, minlength=len(edges))[: len(edges)]
             sums = [np.bincount(number, weights=c, minlength=len(edges))[: len(edges)] for c in part.values.T]

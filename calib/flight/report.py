@@ -83,8 +83,9 @@ def _spans(recording: Recording, found: tuple[Rest, ...]) -> list[dict[str, Any]
     for sensor in (Sensor.TEMPERATURE, Sensor.CURRENT, Sensor.THROTTLE):
         for instance in recording.instances(sensor):
             channel = recording.channel(sensor, instance)
-            values = channel.values[np.isfinite(channel.values)]
-            if not len(values):
+            finite = np.isfinite(channel.values)
+            values = channel.values if finite.all() else channel.values[finite]
+            if not values.size:
                 continue
             still = np.concatenate([channel.between(r.start, r.end).values for r in found] or [np.zeros((0, 1))])
             still = still[np.isfinite(still)]

@@ -92,9 +92,10 @@ def read_ulog(path: Path | str) -> Recording:
     topics = {(d.name, int(d.multi_id)): d.data for d in log.data_list if len(d.data.get("timestamp", ()))}
     start = log.start_timestamp * US
     timeline = _parameters(log, start)
-    inertial, events = inertial_channels(topics, timeline.final())
-    kept = _ordered((*inertial, *flight_channels(topics)), start, events)
-    truth = _ordered(truth_channels(topics), start, events)
+    with np.errstate(invalid="ignore"):  # damaged bytes may be a signalling NaN
+        inertial, events = inertial_channels(topics, timeline.final())
+        kept = _ordered((*inertial, *flight_channels(topics)), start, events)
+        truth = _ordered(truth_channels(topics), start, events)
     if not kept:
         raise UnreadableError(f"{file.name} is a ULog without a sensor, attitude or position: nothing to read")
     return Recording(

@@ -82,7 +82,7 @@ async def test_a_log_is_fitted_planned_written_proved_and_taken_back(tmp_path, s
 
         # The same log once more: every gyro agrees with what is in force, which is a success and nothing to take back.
         done = await a.post(where, body, 202)
-        assert done["state"] == "succeeded"
+        done = await a.until(done["id"], "succeeded")
         assert done["plan"]["changes"] == []
         assert done["outcome"]["text"].startswith(
             "Nothing to write: gyro 1 agrees with what is in force: differs by 0.0"

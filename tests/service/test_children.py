@@ -198,4 +198,4 @@ async def test_starting_a_child_costs_a_fork_and_not_its_imports(tmp_path):
         began = time.monotonic()
         for _ in range(10):
             await c.run(f"{TASKS}:echo", {}, PLENTY)
-        assert (time.monotonic() - began) / 10 < 2.0  # measured: 0.03 s on an idle machine; imports take seconds
+        assert (time.monotonic() - began) / 10 < 2.0  # the imports alone take seconds

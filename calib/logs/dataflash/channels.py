@@ -46,14 +46,16 @@ class SensorChannels:
 
     def _of_table(self, table: Table, number: int, readings: list[LogReading]) -> Iterator[Channel]:
         present = [(reading, columns) for reading in readings if (columns := _columns_of(table, reading))]
-        health = [(reading.healthy,) for reading, _ in present if reading.healthy in table]
+        health = [reading.healthy for reading, _ in present if reading.healthy in table]
         for instance, rows in instances(table, number):
             t = self._clock.sample_times(rows)
             keep = ordered(t)
-            data = rows.arrays(*(columns for _, columns in present), *health)
-            healthy = {name: column[:, 0] != 0 for (name,), column in zip(health, data[len(present) :], strict=True)}
-            for (reading, _), values in zip(present, data, strict=False):
-                good = self._good(rows, reading, instance, t, values, healthy.get(reading.healthy)) & keep
+            healthy = {name: column != 0 for name, column in zip(health, rows.columns(*health), strict=True)}
+            data = rows.arrays(*(columns for _, columns in present))
+            for reading, _ in present:
+                values = data.pop(0)  # what becomes of it is the only copy
+                good = self._good(rows, reading, instance, t, values, healthy.get(reading.healthy))
+                good &= keep
                 channel = _channel(rows, reading, instance, t, values, good)
                 if channel is not None:
                     yield channel

@@ -7,6 +7,7 @@ the middle (a restart within one file) goes on where it stopped.
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -38,6 +39,8 @@ LONGEST_JUMP_S: Final = 60.0
 LONGEST_S: Final = 3600.0
 """Other messages may go on so long after the last one of the densest."""
 ROUNDS: Final = 8
+ROWS: Final = 1 << 15
+"""Messages whose times are worked on at once."""
 
 
 class Clock:
@@ -45,23 +48,45 @@ class Clock:
 
     def __init__(self, log: Log) -> None:
         self.doubted = 0
-        self._where, self._times = np.empty(0, dtype=np.int64), np.empty(0)
+        self._densest: Table | None = None
+        self._span: tuple[float, float] | None = None
         self._restarts: list[tuple[int, float, float]] = []
         stamped = [name for name in log if name not in ("FMT", "PARM", "UNIT", "MULT") and _stamp(log[name])]
         if not stamped:
             return
-        densest = log[max(stamped, key=lambda name: len(log[name]))]
-        where, times = densest.offsets, _stamps(densest)
-        added = np.zeros(len(times))
+        self._densest = log[max(stamped, key=lambda name: len(log[name]))]
+        times = _stamps(self._densest)
+        added = 0.0
         for row in _restarts(times):
-            step = times[row - 1] + added[row - 1] + RESTART_GAP_S - times[row]
-            self._restarts.append((int(where[row]), float(step), float(times[row] + step)))
-            added[row:] = step
-        times = times + added
-        keep = ordered(times)
-        if keep.any() and len(times) > 2 and times[-1] - times[-2] > LONGEST_JUMP_S:
-            keep[-1] = False
-        self._where, self._times = where[keep], times[keep]
+            step = float(times[row - 1]) + added + RESTART_GAP_S - float(times[row])
+            self._restarts.append((int(self._densest.offsets[row]), step, float(times[row]) + step))
+            added = step
+        times = self._moved(times, self._densest)
+        believed = np.flatnonzero(_believed(times))
+        if len(believed):
+            self._span = float(times[believed[0]]), float(times[believed[-1]])
+
+    @cached_property
+    def _grid(self) -> tuple[NDArray[np.int64], Array]:
+        """Where the densest messages lie whose times are believed, and those times.
+
+        A quarter of what a recording of it needs, so it is only made for a log with damage or messages without stamp.
+        """
+        if self._densest is None:
+            return np.empty(0, dtype=np.int64), np.empty(0)
+        times = self._moved(_stamps(self._densest), self._densest)
+        keep = _believed(times)
+        return self._densest.offsets[keep], times[keep]
+
+    def _moved(self, t: Array, table: Table) -> Array:
+        """`t` as it goes on over restarts."""
+        if self._restarts:
+            t = t.copy()
+            places = [place for place, *_ in self._restarts]
+            edges = [*np.searchsorted(table.offsets, places).tolist(), len(t)]
+            for (_, step, _), first, last in zip(self._restarts, edges, edges[1:], strict=False):
+                t[first:last] += step
+        return t
 
     @property
     def events(self) -> list[Event]:
@@ -70,16 +95,15 @@ class Clock:
 
     def times(self, table: Table) -> Array:
         """When the messages of `table` were written, s; nan where the stamp cannot be believed."""
-        if _stamp(table) is None or not len(self._where):
+        if _stamp(table) is None or self._span is None:
             return self._by_place(table)
-        t = _stamps(table)
-        for place, step, _ in self._restarts:
-            t[table.offsets >= place] = _stamps(table)[table.offsets >= place] + step
-        first, last = self._times[0] - BACKWARD_S, self._times[-1] + BACKWARD_S
+        t = self._moved(_stamps(table), table)
+        first, last = self._span[0] - BACKWARD_S, self._span[1] + BACKWARD_S
         if len(t) and not (t[0] >= first and t[-1] <= last and (np.diff(t) >= -BACKWARD_S).all()):
-            i = np.searchsorted(self._where, table.offsets)
-            earliest = np.concatenate([[0.0], self._times - BACKWARD_S])[i]
-            latest = np.concatenate([self._times + BACKWARD_S, [self._times[-1] + LONGEST_S]])[i]
+            where, times = self._grid
+            i = np.searchsorted(where, table.offsets)
+            earliest = np.where(i > 0, times[np.maximum(i - 1, 0)] - BACKWARD_S, 0.0)
+            latest = np.where(i < len(times), times[np.minimum(i, len(times) - 1)] + BACKWARD_S, times[-1] + LONGEST_S)
             wrong = (t < earliest) | (t > latest)
             self.doubted += int(wrong.sum())
             t[wrong] = np.nan
@@ -88,7 +112,10 @@ class Clock:
     def moments(self, table: Table) -> list[float]:
         """The same for events: a stamp that cannot be believed is replaced by the one of the messages around."""
         t = self.times(table)
-        return [float(time) for time in np.where(np.isfinite(t), t, self._by_place(table))]
+        lost = ~np.isfinite(t)
+        if lost.any():
+            t[lost] = self._by_place(table)[lost]
+        return [float(time) for time in t]
 
     def sample_times(self, table: Table) -> Array:
         """When the sensor was read, s; where no column says it, when the message was written."""
@@ -96,17 +123,22 @@ class Clock:
         column = next((name for name in SAMPLE_TIME_COLUMNS if table.format.letter(name) in WHOLE), None)
         if column is None or table.format.letter("TimeUS") not in WHOLE:
             return t
-        written, read = table["TimeUS"].astype(np.int64), table[column].astype(np.int64)
-        # a column of 32 bits wraps every 71 minutes; the compass may be read while its message is being written
-        late = (written - read + WRAP_US // 2) % WRAP_US - WRAP_US // 2
-        moved = t - 1e-6 * written  # over a restart; nan where the time is not believed
-        return np.where(np.abs(late) < LATEST_US, 1e-6 * (written - late) + moved, t)
+        all_written, all_read = table.columns("TimeUS", column)
+        for row in range(0, len(t), ROWS):
+            part = slice(row, row + ROWS)
+            written, read = all_written[part].astype(np.int64), all_read[part].astype(np.int64)
+            # a column of 32 bits wraps every 71 minutes; the compass may be read while its message is being written
+            late = (written - read + WRAP_US // 2) % WRAP_US - WRAP_US // 2
+            moved = t[part] - 1e-6 * written  # over a restart; nan where the time is not believed
+            t[part] = np.where(np.abs(late) < LATEST_US, 1e-6 * (written - late) + moved, t[part])
+        return t
 
     def _by_place(self, table: Table) -> Array:
-        if not len(self._where):
+        where, times = self._grid
+        if not len(where):
             return np.zeros(len(table))
-        before = np.searchsorted(self._where, table.offsets) - 1
-        return np.asarray(self._times[np.maximum(before, 0)])
+        before = np.searchsorted(where, table.offsets) - 1
+        return np.asarray(times[np.maximum(before, 0)])
 
 
 def ordered(t: Array) -> Mask:
@@ -128,6 +160,14 @@ def ordered(t: Array) -> Mask:
     return keep
 
 
+def _believed(times: Array) -> Mask:
+    """Which times of the densest messages contradict no other."""
+    keep = ordered(times)
+    if keep.any() and len(times) > 2 and times[-1] - times[-2] > LONGEST_JUMP_S:
+        keep[-1] = False
+    return keep
+
+
 def _restarts(t: Array) -> list[int]:
     """Rows at which the clock begins anew: many in a row are earlier than the one before, and go on in order."""
     found = []
@@ -143,7 +183,9 @@ def _restarts(t: Array) -> list[int]:
 def _stamps(table: Table) -> Array:
     stamp = _stamp(table)
     assert stamp is not None
-    return np.asarray(table[stamp[0]].astype(np.float64) * stamp[1])
+    t = table[stamp[0]].astype(np.float64)
+    t *= stamp[1]
+    return np.asarray(t)
 
 
 def _stamp(table: Table) -> tuple[str, float] | None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
-from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -111,11 +110,14 @@ class BinaryTable(Table):
     def __len__(self) -> int:
         return sum(len(part) for _, part in self._parts)
 
-    @cached_property
+    @property
     def offsets(self) -> NDArray[np.int64]:
         """Where the messages lie in the file, bytes, ascending."""
-        found = [base + part.astype(np.int64) for base, part in self._parts]
-        return np.concatenate(found) if found else np.empty(0, dtype=np.int64)
+        found, done = np.empty(len(self), dtype=np.int64), 0
+        for base, part in self._parts:
+            np.add(part, base, out=found[done : done + len(part)], dtype=np.int64)
+            done += len(part)
+        return found
 
     def _columns(self, names: tuple[str, ...]) -> list[Column]:
         out = [self._empty(name) for name in names]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import lzma
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,13 @@ CASES: tuple[tuple[str, dict[str, Any], dict[str, int], float, int], ...] = (
     ("px4_pyulog/sample_log_small.ulg", {}, {"accel": 3, "gyro": 3, "mag": 2, "temperature": 3}, 6.5, 1290),
     ("px4_roboto/test.ulg", {}, {"accel": 2, "gyro": 2, "mag": 2, "position": 1}, 9.0, 1300),
     ("df_log171_triple_imu_mag/log171.bin", {}, {"accel": 3, "gyro": 3, "mag": 3, "current": 1}, 242.0, 11900),
+    ("df_erle_bench/51.BIN", {}, {"accel": 1, "gyro": 1, "current": 1}, 1306.1, 43400),
+    ("df_erlebrain_22/22.BIN", {}, {"accel": 1, "gyro": 1, "mag": 1, "current": 1}, 226.2, 4740),
+    ("df_forum_0036/log_0036_mechanical_failure.bin", {}, {"accel": 2, "gyro": 2, "mag": 2}, 150.7, 3750),
+    ("airframe_flights/d01.bin.xz", {}, {"accel": 2, "gyro": 2, "mag": 3, "temperature": 2}, 137.5, 54900),
+    ("airframe_flights/p01.ulg.xz", {}, {"accel": 1, "gyro": 1, "mag": 1, "temperature": 1}, 154.7, 154),
+    ("px4_flights/null.ulg.xz", {}, {"accel": 1, "gyro": 1, "mag": 1, "temperature": 1}, 153.2, 38200),
+    ("firmware_runs/ardupilot_gyro_57600.tlog", {}, {"accel": 2, "gyro": 2, "mag": 3}, 285.8, 8000),
     ("df_loganalyzer_examples/nan.log", {}, {"accel": 2, "mag": 2}, 29.0, 700),
     ("sitl_baseline/00000005.BIN", {}, {"accel": 2, "gyro": 2, "mag": 3}, 75.0, 1600),
     ("sitl_flights/null.bin", {}, {"accel": 2, "gyro": 2, "mag": 3, "temperature": 2}, 129.6, 51000),
@@ -117,8 +125,13 @@ def read(folder: Path, name: str, options: dict[str, Any] | None = None) -> Reco
 
 
 @pytest.mark.parametrize(("name", "options", "sensors", "seconds", "least"), CASES, ids=[c[0] for c in CASES])
-def test_what_a_file_holds(shared_data, name, options, sensors, seconds, least):
-    recording = read(shared_data, name, options)
+def test_what_a_file_holds(shared_data, tmp_path, name, options, sensors, seconds, least):
+    folder = shared_data
+    if name.endswith(".xz"):
+        name, packed = Path(name).stem, (folder / name).read_bytes()
+        folder = tmp_path
+        (folder / name).write_bytes(lzma.decompress(packed))
+    recording = read(folder, name, options)
     document = inspect(recording)
     for sensor, count in sensors.items():
         assert len(recording.instances(Sensor(sensor))) == count, sensor
