@@ -18,6 +18,7 @@ COMMANDS = {
     "demo": "Calibrate a simulated vehicle end to end and compare with its truth.",
     "serve": "Run the service and its panel.",
     "calibrate": "Calibrate one sensor of a vehicle, headless.",
+    "recover": "Finish or take back a write that was interrupted.",
     "fit": "Run one method on a recording.",
     "inspect": "Tell what is in a recording.",
     "convert": "Turn a recording into a table.",

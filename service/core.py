@@ -18,6 +18,7 @@ from prometheus_client.registry import Collector
 
 from service.children import Children, Limits
 from service.gaps import Gaps
+from service.jobs.crashpoints import CrashPoint, nowhere
 from service.jobs.engine import JobEngine
 from service.jobs.fleet import Fleet
 from service.jobs.model import Failure
@@ -63,8 +64,8 @@ class Service:
 
 
 @asynccontextmanager
-async def running_service(settings: Settings) -> AsyncIterator[Service]:
-    """A service from its data directory to its last closed link.
+async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) -> AsyncIterator[Service]:
+    """A service from its data directory to its last closed link; `reach` is the engine's (tests).
 
     Raises
     ------
@@ -79,7 +80,7 @@ async def running_service(settings: Settings) -> AsyncIterator[Service]:
     tlogs = settings.data_dir / "tlogs"
     allowed = Allowed(settings.links.allowed, (tlogs, *settings.links.folders))
     links = Links(store, tlogs, settings.mavlink, allowed=allowed, attach=vehicles.attach, detach=vehicles.detach)
-    jobs = JobEngine(store, Fleet(vehicles), executor=executor, read_only=settings.read_only)
+    jobs = JobEngine(store, Fleet(vehicles), executor=executor, read_only=settings.read_only, reach=reach)
     async with AsyncExitStack() as started:
         # Interrupted writes first: nothing that comes later can keep them from being finished or taken back.
         started.callback(store.close)

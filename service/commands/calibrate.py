@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import sys
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,16 +18,15 @@ from service.commands.plan_options import given, plan_options
 
 if TYPE_CHECKING:
     from calib.firmware.plan import WritePlan
+    from service.commands.headless import Earlier
     from service.commands.screen import Screen
     from service.core import Service
     from service.jobs.model import Job
-    from service.store.rows import EventRow
+    from service.jobs.recovery import Unfinished
     from service.vehicle import Vehicle
 
 PATIENCE_S = 10.0
 """How long a write waits for the vehicle to be writable."""
-DOUBT_S = 120.0
-"""How long a job in doubt is waited for; the next run on this data directory goes on with it."""
 
 KINDS = (
     *("gyro", "accel", "mag", "thermal", "level"),
@@ -60,8 +60,9 @@ def command(
 ) -> int:
     """Calibrate one sensor of a vehicle, headless; nothing is written without --apply.
 
-    A line typed while it runs answers the present prompt (`finish`, or the number that it asks for). Exit code 1 if
-    the calibration did not succeed; with --require-proof also if the streams do not prove everything that shows there.
+    What an interrupted run left on this vehicle is finished or taken back first. A line typed while it runs answers
+    the present prompt (`finish`, or the number that it asks for). Exit code 1 if the calibration did not succeed; with
+    --require-proof also if the streams do not prove everything that shows there.
     """
     from service.commands.screen import Screen
     from service.logs import configure_logging
@@ -72,6 +73,8 @@ def command(
     configure_logging(as_json=settings.log_json)
     screen = Screen()
     job = asyncio.run(_calibrate(settings, kind, _parsed(options), given(more), screen, wait, write, reboot, as_json))
+    if isinstance(job, int):
+        return job
     return 0 if _good(job, write, require_proof) else EXIT_NO
 
 
@@ -85,34 +88,91 @@ async def _calibrate(
     write: bool,
     reboot: bool,
     as_json: bool,
-) -> Job:
-    from service.api.views import job_model
+) -> Job | int:
+    """The job as it ended, or the exit code of a run that was told to stop."""
+    from service.commands.headless import earlier, heard, stoppable
     from service.core import running_service
+
+    with stoppable() as caught:
+        try:
+            async with running_service(settings) as service:
+                left = earlier(service)
+                vehicle = await heard(service, settings.connect[0], wait)
+                screen.line(f"{vehicle.identity.autopilot} {vehicle.identity.version_text} as {vehicle.id}")
+                return await _calibrated(
+                    service, vehicle, left, kind, options, decided, screen, wait, write, reboot, as_json
+                )
+        except asyncio.CancelledError:
+            if not caught:
+                raise
+            return 128 + caught[0]
+
+
+async def _calibrated(
+    service: Service,
+    vehicle: Vehicle,
+    left: Earlier,
+    kind: str,
+    options: dict[str, Any],
+    decided: dict[str, Any],
+    screen: Screen,
+    wait: float,
+    write: bool,
+    reboot: bool,
+    as_json: bool,
+) -> Job:
+    """Recover what an earlier run left, then one job from its start to its end."""
+    from service.api.views import job_model
+    from service.commands.headless import put_down, recovered, tidied, told_of
+
+    resolved = await recovered(service, vehicle, left, screen)
+    _require_resolved(resolved)
+    job = await service.jobs.submit(vehicle.id, kind, options, decided)
+    typing = asyncio.create_task(_answer_typed_lines(service, job.id))
+    try:
+        job = await _carried(service, vehicle, job.id, screen, wait, write, reboot)
+    except asyncio.CancelledError:
+        await put_down(service, job.id, service.settings.connect[0], screen)
+        raise
+    finally:
+        typing.cancel()
+        with suppress(asyncio.CancelledError):
+            await typing
+    await tidied(service)
+    if as_json:
+        write_json({**job_model(job).model_dump(), "recovered": [told_of(found) for found in resolved]})
+    _show_end(job, screen, written=write)
+    return job
+
+
+async def _carried(
+    service: Service, vehicle: Vehicle, job_id: str, screen: Screen, wait: float, write: bool, reboot: bool
+) -> Job:
+    """The job, once nothing goes on with it by itself."""
+    from service.commands.headless import follow
     from service.jobs.model import Accept
     from service.jobs.states import JobState
 
-    async with running_service(settings) as service:
-        vehicle = await _heard(service, settings.connect[0], wait)
-        screen.line(f"{vehicle.identity.autopilot} {vehicle.identity.version_text} as {vehicle.id}")
-        job = await service.jobs.submit(vehicle.id, kind, options, decided)
-        typing = asyncio.create_task(_answer_typed_lines(service, job.id))
-        try:
-            job = await _follow(service, job.id, screen)
-            if job.state is JobState.REVIEW and job.plan is not None:
-                _show_plan(job.plan, screen)
-                if write and not job.plan.blockers:
-                    await _writable(vehicle, wait)
-                    after = service.store.last_event_id()
-                    await service.jobs.apply(job.id, Accept(job.plan.sha256, reboot=reboot), None)
-                    job = await _follow(service, job.id, screen, after)
-        finally:
-            typing.cancel()
-            with suppress(asyncio.CancelledError):
-                await typing
-        if as_json:
-            write_json(job_model(job).model_dump())
-        _show_end(job, screen, written=write)
+    job = await follow(service, job_id, screen)
+    if job.state is not JobState.REVIEW or job.plan is None:
         return job
+    _show_plan(job.plan, screen)
+    if not write or job.plan.blockers:
+        return job
+    await _writable(vehicle, wait)
+    after = service.store.last_event_id()
+    await service.jobs.apply(job_id, Accept(job.plan.sha256, reboot=reboot), None)
+    return await follow(service, job_id, screen, after)
+
+
+def _require_resolved(resolved: Sequence[Unfinished]) -> None:
+    """Raise PhysicalJobRunning, with every parameter, if an earlier job is still in doubt."""
+    from service.errors import PhysicalJobRunning
+    from service.jobs.recovery import ending
+
+    for found in resolved:
+        if not found.ended:
+            raise PhysicalJobRunning("; ".join(ending(found)) + ". Nothing new is begun until that is resolved.")
 
 
 def _good(job: Job, write: bool, require_proof: bool) -> bool:
@@ -130,55 +190,12 @@ def _good(job: Job, write: bool, require_proof: bool) -> bool:
     return job.state is JobState.SUCCEEDED and (proved or unneeded or not require_proof)
 
 
-async def _heard(service: Service, url: str, wait: float) -> Vehicle:
-    """The vehicle at the other end of this link, and of no other that the data directory remembers."""
-    from service.errors import VehicleSilent
-
-    link = await service.links.open(url, remember=False, trusted=True)
-    try:
-        async with asyncio.timeout(wait):
-            return await service.vehicles.wait_for_vehicle(link)
-    except TimeoutError:
-        said = f" ({link.reason})" if link.reason else ""
-        raise VehicleSilent(
-            f"no vehicle was heard on {url} within {wait:g} s{said}: check its power and the link"
-        ) from None
-
-
 async def _writable(vehicle: Vehicle, wait: float) -> None:
     """Give the vehicle time to have been disarmed for long enough; what else stands in the way is said by apply."""
     with suppress(TimeoutError):
         async with asyncio.timeout(min(wait, PATIENCE_S)):
             while not vehicle.writable().ok:  # noqa: ASYNC110 - time alone changes it
                 await asyncio.sleep(0.1)
-
-
-async def _follow(service: Service, job_id: str, screen: Screen, after: int = 0) -> Job:
-    """Show what happens after that event until the job ends, waits for acceptance, or stays in doubt."""
-    from service.jobs.states import ENDED, JobState
-
-    with suppress(TimeoutError):
-        async with asyncio.timeout(None) as limit:
-            async for event in service.jobs.subscribe(None, after):
-                if event.job_id != job_id:
-                    continue
-                _show_event(event, screen)
-                job = service.jobs.get(job_id)
-                if job.state in ENDED | {JobState.REVIEW}:
-                    return job
-                if job.state is JobState.IN_DOUBT and limit.when() is None:
-                    screen.line("in doubt: waiting for the vehicle, to finish or to take it back", bold=True)
-                    limit.reschedule(asyncio.get_running_loop().time() + DOUBT_S)
-    return service.jobs.get(job_id)
-
-
-def _show_event(event: EventRow, screen: Screen) -> None:
-    if event.kind == "prompt" and event.data:
-        screen.prompt(event.data["text"])
-    elif event.kind == "progress":
-        screen.progress(event.data)
-    elif event.kind == "warning":
-        screen.line(f"    note: {event.data['text']}")
 
 
 async def _answer_typed_lines(service: Service, job_id: str) -> None:

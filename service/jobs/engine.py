@@ -186,6 +186,15 @@ class JobEngine:
         if self._own_executor is not None:
             self._own_executor.shutdown(wait=False, cancel_futures=True)
 
+    async def tidied(self) -> None:
+        """Wait until jobs that are over have put the vehicle's message rates back."""
+        over = ENDED | {JobState.REVIEW}
+        while waited := {
+            *(task for job_id, task in self._tasks.items() if self.get(job_id).state in over),
+            *self._tidying.values(),
+        }:
+            await asyncio.wait(waited)
+
     # --- asking
 
     def list(self) -> tuple[Job, ...]:

@@ -14,13 +14,15 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 
 import structlog
 
 from calib.firmware.plan import Value
-from service.errors import ServiceError, WriteFailed, WriteStopped
+from calib.procedures.protocol import Prompt
+from service.errors import DiskFull, ServiceError, WriteFailed, WriteStopped
 from service.jobs.account import Account, as_read, nothing_sent, reverted, succeeded, who_else
 from service.jobs.crashpoints import At
 from service.jobs.ending import INTERRUPTED, cause_of, end, look_back, record_of, stop
@@ -86,10 +88,13 @@ class Transaction:
                 if self._guard is not None:
                     await look_back(self.handle, self._guard)
                 w = self.attempt()
-                w.guard.check()
-                await self._carried(w, partial(_resume, w))
-            except ServiceError:
-                pass  # the vehicle is not there, or not as it has to be: look again later
+                reason = w.guard.reason()
+                if reason is None:
+                    await self._carried(w, partial(_resume, w))
+                else:
+                    self._waits(reason)
+            except ServiceError as error:  # the vehicle is not there: look again later
+                self._waits(str(error))
             except Exception:
                 log.exception("a write in doubt cannot be taken up", job=self.handle.id)
             if self.handle.job.state == JobState.IN_DOUBT:
@@ -107,6 +112,12 @@ class Transaction:
         finally:
             forget()
             self._guard = w.guard
+
+    def _waits(self, reason: str) -> None:
+        """Say what keeps this write from being finished or taken back."""
+        text = f"Waiting to finish this write or to take it back: {reason}"
+        with suppress(DiskFull):  # the vehicle comes first
+            self.handle.prompt(Prompt("wait", text if text.endswith(".") else f"{text}."))
 
     async def _stopped(self, w: Writing, error: Exception) -> None:
         record = record_of(self.handle)
