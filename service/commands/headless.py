@@ -42,6 +42,7 @@ async def heard(service: Service, url: str, wait: float) -> Vehicle:
 
 async def follow(service: Service, job_id: str, screen: Screen, after: int = 0, *, doubt_s: float = DOUBT_S) -> Job:
     """Show what happens after that event until the job ends, waits for acceptance, or stays in doubt for too long."""
+    from service.jobs.recovery import ending, unfinished
     from service.jobs.states import ENDED, JobState
 
     loop = asyncio.get_running_loop()
@@ -59,7 +60,8 @@ async def follow(service: Service, job_id: str, screen: Screen, after: int = 0, 
                 if job.state is not JobState.IN_DOUBT:
                     limit.reschedule(None)
                 elif limit.when() is None:
-                    screen.line("in doubt: waiting for the vehicle, to finish or to take it back", bold=True)
+                    for sentence in ending(unfinished(service.store, job)):
+                        screen.line(sentence, bold=True)
                     limit.reschedule(loop.time() + doubt_s)
     return service.jobs.get(job_id)
 

@@ -28,7 +28,7 @@ from service.jobs.settings import JobSettings
 from service.jobs.spans import close_span, open_span
 from service.jobs.states import JobState
 from service.jobs.streams import ask_for_streams
-from service.jobs.watch import CaptureWatch
+from service.jobs.watch import CaptureWatch, LinkWatch
 from service.jobs.write import read_values
 from service.store.rows import SegmentPurpose, SegmentRow
 
@@ -64,6 +64,14 @@ class Capture:
             If the vehicle was away for too long, or is another boot than before a restart of the service.
         DiskFull, VehicleError, LinkError
         """
+        link = asyncio.create_task(LinkWatch(self.handle, self.vehicle, self.settings, self.clock).run())
+        try:
+            return await self._recorded()
+        finally:
+            link.cancel()
+            await asyncio.gather(link, return_exceptions=True)
+
+    async def _recorded(self) -> Done:
         earlier = self.handle.store.segments(self.handle.id, SegmentPurpose.CAPTURE)
         for row in earlier:
             if row.end_byte is None:

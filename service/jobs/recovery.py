@@ -66,8 +66,10 @@ def ending(found: Unfinished) -> tuple[str, ...]:
     """How it ended, or what is in doubt, a sentence each."""
     job = found.job
     if not found.ended:
-        reason = f": {job.prompt.text}" if job.prompt is not None else ""
-        return (f"job {job.id} ({job.kind}) is still {job.state.value}{reason}", *map(_doubt, found.standing))
+        why = job.prompt.text if job.prompt is not None else ""
+        why = f"{job.outcome.cause}; {job.outcome.remedy}" if not why and isinstance(job.outcome, Failure) else why
+        state = job.state.value.replace("_", " ")
+        return (f"job {job.id} ({job.kind}) is {state}{f': {why}' if why else ''}", *map(_doubt, found.standing))
     if isinstance(job.outcome, Failure):
         said = " ".join(_sentence(text) for text in (job.outcome.cause, job.outcome.remedy) if text)
     else:

@@ -2,17 +2,57 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from calib.procedures.protocol import Prompt
 from service.errors import CaptureEnded, CaptureLost
 from service.jobs.digest import LiveDigest
+from service.jobs.handle import JobHandle
 from service.jobs.port import Condition, JobVehicle
 from service.jobs.settings import JobSettings
 
+HEARTBEATS_S = 3.0
+"""Without a heartbeat for so long a vehicle counts as silent."""
 SLACK_S = 5.0
 """Error of the comparison between the vehicle's clock and ours: frames wait in buffers, the segment's end is not a
 sample's time."""
+
+
+class LinkWatch:
+    """Tells the operator that the vehicle has fallen silent, whatever the capture does then, and that it is back."""
+
+    def __init__(
+        self, handle: JobHandle, vehicle: JobVehicle, settings: JobSettings, clock: Callable[[], float]
+    ) -> None:
+        self._handle, self._vehicle, self._settings, self._clock = handle, vehicle, settings, clock
+        self._since: float | None = None
+        self._before: Prompt | None = None
+
+    def look(self) -> None:
+        """Compare with the last look."""
+        silent = self._vehicle.condition().silent
+        if silent and self._since is None:
+            self._since, self._before = self._clock(), self._handle.job.prompt
+            self._handle.prompt(Prompt("silent", self._text()))
+        elif not silent and self._since is not None:
+            away, self._since = self._clock() - self._since, None
+            self._handle.warn(f"the vehicle was silent for about {away + HEARTBEATS_S:.0f} s and is heard again")
+            if self._handle.job.prompt is not None and self._handle.job.prompt.step == "silent":
+                self._handle.prompt(self._before)
+
+    def _text(self) -> str:
+        return (
+            f"The vehicle has been silent for {HEARTBEATS_S:.0f} s: check its power and the link. "
+            f"The job gives up after {self._settings.gap_limit_s:.0f} s."
+        )
+
+    async def run(self) -> None:
+        """Look again and again, until cancelled."""
+        while True:
+            self.look()
+            await asyncio.sleep(self._settings.watch_s)
 
 
 @dataclass

@@ -5,9 +5,14 @@ from typing import Any
 
 import pytest
 
+from calib.procedures.protocol import Prompt
 from service.errors import CaptureEnded, CaptureLost
+from service.jobs.handle import JobHandle
+from service.jobs.model import Job
 from service.jobs.settings import JobSettings
-from service.jobs.watch import CaptureWatch
+from service.jobs.states import JobState
+from service.jobs.watch import CaptureWatch, LinkWatch
+from service.store import SqliteStore
 from service.testing import FakeVehicle, ManualClock
 
 
@@ -99,3 +104,32 @@ def test_after_a_restart_of_the_service_only_the_same_boot_goes_on(
     else:
         with pytest.raises(CaptureLost, match="while the service was away"):
             bench.look()
+
+
+def test_a_silent_vehicle_is_said_in_the_prompt_and_its_return_too() -> None:
+    store, vehicle, clock = SqliteStore(None), FakeVehicle({}), ManualClock()
+    handle = JobHandle(Job("one", vehicle.id, "gyro", {}, JobState.RUNNING, 0.0, 0.0), store, lambda _: None)
+    handle.change("state", {})
+    asked = Prompt("hold_still", "Do not touch it.")
+    handle.prompt(asked)
+    watch = LinkWatch(handle, vehicle, JobSettings(gap_limit_s=60.0), clock)
+    watch.look()
+    assert handle.job.prompt == asked
+    vehicle.change_state(silent=True)
+    watch.look()
+    watch.look()
+    assert handle.job.prompt is not None
+    assert handle.job.prompt.text == (
+        "The vehicle has been silent for 3 s: check its power and the link. The job gives up after 60 s."
+    )
+    clock.advance(20.0)
+    vehicle.change_state(silent=False)
+    watch.look()
+    assert handle.job.prompt == asked
+    assert handle.job.warnings == ("the vehicle was silent for about 23 s and is heard again",)
+    assert [e.data.get("step") for e in store.events("one") if e.kind == "prompt"] == [
+        "hold_still",
+        "silent",
+        "hold_still",
+    ]
+    store.close()
