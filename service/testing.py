@@ -90,11 +90,6 @@ class FakeVehicle:
         await asyncio.sleep(0)
         return self.identity
 
-    async def list_parameters(self) -> dict[str, Reading]:
-        """See JobVehicle."""
-        await asyncio.sleep(0)
-        return dict(self.parameters)
-
     async def read_parameter(self, name: str) -> Reading:
         """See JobVehicle."""
         await asyncio.sleep(0)
@@ -135,7 +130,9 @@ class FakeVehicle:
         await asyncio.sleep(0)
         return {message: self.message_intervals.get(message, 0) for message in message_ids}
 
-    async def request_streams(self, rates: Mapping[int, float], *, measure_s: float) -> tuple[str, ...]:
+    async def request_streams(
+        self, rates: Mapping[int, float], *, measure_s: float, before: Mapping[int, int]
+    ) -> tuple[str, ...]:
         """See JobVehicle."""
         await asyncio.sleep(0)
         self.message_intervals |= {message: round(1e6 / rate) for message, rate in rates.items()}

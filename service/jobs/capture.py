@@ -22,7 +22,8 @@ from calib.wire import Frame, iter_tlog
 from service.errors import CaptureEnded, DiskFull, LinkDown, ParameterTimeout, VehicleSilent
 from service.jobs.crashpoints import At, CrashPoint, nowhere
 from service.jobs.digest import LiveDigest, changed, read_range
-from service.jobs.handle import JobHandle
+from service.jobs.handle import JobHandle, counting
+from service.jobs.needs import DRIFT_KINDS, read_needed
 from service.jobs.port import JobVehicle
 from service.jobs.settings import JobSettings
 from service.jobs.spans import close_span, open_span
@@ -49,7 +50,7 @@ class Capture:
     foresee: Callable[[Identity, Mapping[str, Value]], Sequence[str]] = lambda _identity, _parameters: ()
     """What the parameters alone say of the result; said before anything is asked of the operator."""
     parameters: dict[str, Value] = field(default_factory=dict)
-    """Every listed parameter; the calibration is the same before and after the capture."""
+    """What the job rests on; the calibration is the same before and after the capture."""
     _frames: list[Frame] = field(default_factory=list)
     _disk: DiskFull | None = None
 
@@ -94,8 +95,11 @@ class Capture:
     async def _captured(self, earlier: Sequence[SegmentRow]) -> Done:
         self.reach(At.CAPTURE_STARTED)
         identity = await self.vehicle.identify()
-        listed = await self.vehicle.list_parameters()
-        self.parameters = {name: reading.value for name, reading in listed.items()}
+        kind = self.handle.job.kind
+        told = counting(self.handle, "reading the calibration in force")
+        sensors = specification(kind).sensors
+        read = await read_needed(self.vehicle, sensors, drift=kind in DRIFT_KINDS, told=told)
+        self.parameters = {name: reading.value for name, reading in read.items()}
         for text in await asyncio.to_thread(self.foresee, identity, self.parameters):
             self.handle.warn(text)
         digest, watch = await self._begin(identity, earlier)
@@ -174,9 +178,10 @@ class Capture:
         """Read the calibration again: a change that was not heard would make the capture useless."""
         prefixes = CALIBRATION_PREFIXES[identity.autopilot or ""]
         names = [name for name in self.parameters if name.startswith(prefixes)]
+        told = counting(self.handle, "reading the calibration again")
         while True:
             try:
-                readings = await read_values(self.vehicle, names)
+                readings = await read_values(self.vehicle, names, told=lambda done: told(done, len(names)))
                 break
             except (VehicleSilent, ParameterTimeout, LinkDown):
                 watch.look(None)

@@ -8,7 +8,7 @@ import time
 import uuid
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Any
 
@@ -38,6 +38,7 @@ from service.jobs.feed import EventFeed
 from service.jobs.handle import JobHandle
 from service.jobs.journal import BY_OPERATOR, Step
 from service.jobs.model import Accept, Attempt, Failure, Job, WriteResult
+from service.jobs.needs import read_needed, sensors_of
 from service.jobs.planning import (
     FROM_RECORDING,
     Planned,
@@ -117,6 +118,8 @@ class JobEngine:
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._tidying: dict[str, asyncio.Task[None]] = {}
         self._claims: set[str] = set()
+        self._tidied: dict[str, str] = {}
+        self._hurry = asyncio.Event()
         self._following: asyncio.Task[None] | None = None
         self._stopping = False
 
@@ -188,12 +191,14 @@ class JobEngine:
 
     async def tidied(self) -> None:
         """Wait until jobs that are over have put the vehicle's message rates back."""
+        self._hurry.set()
         over = ENDED | {JobState.REVIEW}
         while waited := {
             *(task for job_id, task in self._tasks.items() if self.get(job_id).state in over),
             *self._tidying.values(),
         }:
             await asyncio.wait(waited)
+        self._hurry.clear()
 
     # --- asking
 
@@ -420,7 +425,7 @@ class JobEngine:
             require_free(handle.job.vehicle_id, self.list(), besides=job_id)
         attempt = Attempt(WriteResult.RUNNING, self._wall())
         handle.move(JobState.APPLYING, accept=accept, outcome=None, verification=None, standing=(), last_write=attempt)
-        self._spawn(handle, self._transaction(handle).apply)
+        self._spawn(handle, partial(self._applied, handle))
         self._reach(At.ACCEPTED)
         return handle.job
 
@@ -479,8 +484,9 @@ class JobEngine:
     ) -> tuple[Identity, Planned]:
         """Who the vehicle is, and a plan on its present parameters. `origin` of a recording must be this vehicle."""
         identity = await vehicle.identify()
-        listed = await vehicle.list_parameters()
-        parameters = {name: reading.value for name, reading in listed.items()}
+        drift = any(fit.model.polynomial is not None for fit in results)
+        read = await read_needed(vehicle, sensors_of(results), drift=drift)
+        parameters = {name: reading.value for name, reading in read.items()}
         doubt = ""
         if origin is not None:
             require_origin(origin_from_json(origin), identity, parameters)
@@ -525,6 +531,15 @@ class JobEngine:
             end(handle, nothing_sent("interrupted", reason, "Nothing was written. Apply the plan again."))
         else:
             await stop(handle, reason, {}, None)
+
+    async def _applied(self, handle: JobHandle) -> None:
+        """The write, once nobody puts message rates back any more: it needs the same ones as the capture."""
+        tidying = self._tidying.get(handle.job.vehicle_id)
+        if tidying is not None:
+            if self._tidied.get(handle.job.vehicle_id) == handle.id:
+                tidying.cancel()
+            await asyncio.wait({tidying})
+        await self._transaction(handle).apply()
 
     async def _captured(self, handle: JobHandle) -> None:
         """A capture, after message rates of an earlier job of this vehicle are back, and with its own put back."""
@@ -577,7 +592,7 @@ class JobEngine:
             return
         vehicle_id = handle.job.vehicle_id
         task = asyncio.create_task(self._put_back(handle), name=f"rates of {handle.id}")
-        self._tidying[vehicle_id] = task
+        self._tidying[vehicle_id], self._tidied[vehicle_id] = task, handle.id
 
         def done(ended: asyncio.Task[None]) -> None:
             if self._tidying.get(vehicle_id) is ended:
@@ -588,5 +603,8 @@ class JobEngine:
         task.add_done_callback(done)
 
     async def _put_back(self, handle: JobHandle) -> None:
+        if handle.job.state == JobState.REVIEW:  # an accept that follows at once needs the same rates
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._hurry.wait(), self.settings.review_s)
         vehicle = await self._runner.vehicle(handle)
         await restore_streams(handle, vehicle)

@@ -66,11 +66,6 @@ class FleetVehicle:
         await self._vehicle.identify()
         return self.identity
 
-    async def list_parameters(self) -> dict[str, Reading]:
-        """See JobVehicle."""
-        listed = await self._vehicle.list_parameters()
-        return {name: _reading(parameter) for name, parameter in listed.parameters.items()}
-
     async def read_parameter(self, name: str) -> Reading:
         """See JobVehicle."""
         return _reading(await self._vehicle.parameters.read(name))
@@ -88,9 +83,11 @@ class FleetVehicle:
         """See JobVehicle."""
         return {i: await get_interval(self._vehicle, i) or DEFAULT_INTERVAL for i in message_ids}
 
-    async def request_streams(self, rates: Mapping[int, float], *, measure_s: float) -> tuple[str, ...]:
+    async def request_streams(
+        self, rates: Mapping[int, float], *, measure_s: float, before: Mapping[int, int]
+    ) -> tuple[str, ...]:
         """See JobVehicle."""
-        report = await request_streams(self._vehicle, rates, measure_s=measure_s)
+        report = await request_streams(self._vehicle, rates, measure_s=measure_s, before=before)
         if report.slowdown <= SLOW:
             return ()
         return (f"the link is slow: collecting the samples takes {report.slowdown:.1f} times as long",)

@@ -156,3 +156,15 @@ class JobHandle:
             del self._owed[0]
             if event is not None:
                 self._publish(event)
+
+
+def counting(handle: JobHandle, what: str) -> Callable[[int, int], None]:
+    """How far something is that is counted, with an estimate of what remains: called with done and total."""
+    began = time.monotonic()
+
+    def told(done: int, total: int) -> None:
+        spent = time.monotonic() - began
+        eta = spent * (total - done) / done if done else None
+        handle.progress(Progress(float(done), float(total), "", f"{what}: {done} of {total}", eta))
+
+    return told

@@ -75,10 +75,6 @@ class JobVehicle(Protocol):
         """Ask who it is. Raises VehicleError if it does not say."""
         ...
 
-    async def list_parameters(self) -> dict[str, Reading]:
-        """Every listed parameter."""
-        ...
-
     async def read_parameter(self, name: str) -> Reading:
         """Ask for one parameter. Raises ParameterMissing or ParameterTimeout."""
         ...
@@ -95,9 +91,12 @@ class JobVehicle(Protocol):
         """Message intervals as they are, us: -1 off, 0 the vehicle's default (also where it does not say)."""
         ...
 
-    async def request_streams(self, rates: Mapping[int, float], *, measure_s: float) -> tuple[str, ...]:
+    async def request_streams(
+        self, rates: Mapping[int, float], *, measure_s: float, before: Mapping[int, int]
+    ) -> tuple[str, ...]:
         """Ask for messages at rates in Hz, or what the link carries of them, and measure what comes.
 
+        `before` are the intervals (us) as they were, by message.
         Returns sentences about what comes slower or not at all, and what that means for the job's length.
         """
         ...

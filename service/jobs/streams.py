@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from calib.procedures.protocol import Progress
 from service.errors import ServiceError
 from service.jobs.handle import JobHandle
 from service.jobs.journal import Step
@@ -18,10 +19,11 @@ async def ask_for_streams(
     What was before is in the journal before anything is changed. Raises VehicleError, LinkError.
     """
     known = handle.written().intervals
+    handle.progress(Progress(0.0, 1.0, "", f"asking for {len(rates)} messages, and measuring what the link carries"))
     before = await vehicle.intervals([message for message in rates if message not in known])
     if before:
         await handle.record(Step.STREAMS, intervals={str(k): v for k, v in before.items()})
-    for warning in await vehicle.request_streams(rates, measure_s=measure_s):
+    for warning in await vehicle.request_streams(rates, measure_s=measure_s, before={**known, **before}):
         handle.warn(warning)
 
 

@@ -30,6 +30,7 @@ from service.jobs.finish import finish
 from service.jobs.guard import STOPPING, Guard
 from service.jobs.handle import JobHandle
 from service.jobs.journal import BY_OPERATOR, Next, Step, decide
+from service.jobs.needs import require_absent
 from service.jobs.patience import until_idle
 from service.jobs.proof import proof_of
 from service.jobs.restart import restart
@@ -64,6 +65,7 @@ class Transaction:
             w = self.attempt()
             w.guard.check()
             await w.check.before(w.guard)
+            await w.guard.run(partial(require_absent, w.vehicle, self.handle.job, w.composed_on()))
             await prepare(w)
         except Exception as error:  # noqa: BLE001 - nothing was sent yet, whatever it was
             end(self.handle, _nothing_sent(error))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -11,6 +12,7 @@ from typing import Self
 
 from calib.firmware.auxiliary import ATTITUDE
 from calib.firmware.plan import Movement, Value, Verification, WritePlan
+from calib.firmware.slots import CALIBRATED
 from calib.firmware.streams import Assembler, requested_streams
 from calib.firmware.trim import AHRS_TRIM
 from calib.firmware.verify import verify
@@ -28,6 +30,7 @@ from service.jobs.streams import ask_for_streams
 from service.store.rows import SegmentPurpose, SnapshotPurpose
 
 FINISH = "finish"
+INERTIAL = (Sensor.ACCEL, Sensor.GYRO)
 STEP_S = 2.0
 """A movement is judged anew after so much more of the vehicle's time."""
 POLL_S = 0.02
@@ -179,11 +182,22 @@ class StreamCheck:
     async def _verify(self, before: Recording | None, after: Recording, values: Mapping[str, Value]) -> Verification:
         kept = self.handle.store.snapshot(self.handle.id, SnapshotPurpose.COMPOSED_ON)
         known = {**({} if kept is None else kept.body), **values}
-        return await asyncio.to_thread(verify, self.plan, self.handle.job.results, before, after, parameters=known)
+        then = None if before is None else self._of_plan(before)
+        fits = self.handle.job.results
+        return await asyncio.to_thread(verify, self.plan, fits, then, self._of_plan(after), parameters=known)
+
+    @property
+    def _sensors(self) -> set[Sensor]:
+        """The plan's, and the inertial ones: the parameters of the others were not read."""
+        return {change.sensor for change in self.plan.changes if change.sensor is not None} | set(INERTIAL)
+
+    def _of_plan(self, recording: Recording) -> Recording:
+        """Without the calibrated sensors that the plan does not rest on, though their samples come along."""
+        beside = set(CALIBRATED) - self._sensors
+        return dataclasses.replace(recording, channels=tuple(c for c in recording.channels if c.sensor not in beside))
 
     async def _streams(self) -> None:
-        sensors = {change.sensor for change in self.plan.changes if change.sensor is not None}
-        rates = requested_streams(self.plan.fingerprint.autopilot, sensors | {Sensor.ACCEL, Sensor.GYRO})
+        rates = requested_streams(self.plan.fingerprint.autopilot, self._sensors)
         if any(change.name in AHRS_TRIM for change in self.plan.changes):
             rates[ATTITUDE] = ATTITUDE_HZ  # the only stream that shows ArduPilot's trim
         await ask_for_streams(self.handle, self.vehicle, rates)

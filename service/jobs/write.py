@@ -7,7 +7,7 @@ enough to finish or to take back (:mod:`service.jobs.transaction`).
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Protocol
@@ -18,14 +18,14 @@ from calib.firmware.values import shown
 from service.errors import ParameterMissing, PlanBlocked, PlanChanged, WriteFailed
 from service.jobs.crashpoints import At, CrashPoint, nowhere
 from service.jobs.guard import Guard
-from service.jobs.handle import JobHandle
+from service.jobs.handle import JobHandle, counting
 from service.jobs.journal import Step, same
 from service.jobs.model import Accept
 from service.jobs.port import JobVehicle, Reading
 from service.jobs.settings import JobSettings
 from service.store.rows import SnapshotPurpose
 
-READS_IN_FLIGHT = 5
+READS_IN_FLIGHT = 10
 """ArduPilot queues 20 reads and answers 5 at a time; what exceeds that is dropped (FLIGHT_CONTROLLERS 3.1)."""
 
 
@@ -142,6 +142,11 @@ class Writing:
             raise WriteFailed("there is no snapshot of the old values: nothing is written")
         return {change.name: kept.body[change.name]["value"] for change in self.plan.changes}
 
+    def composed_on(self) -> Mapping[str, Value]:
+        """The parameters that the plan rests on, as they were when it was made."""
+        kept = self.handle.store.snapshot(self.handle.id, SnapshotPurpose.COMPOSED_ON)
+        return {} if kept is None else kept.body
+
     async def settle(self) -> None:
         """Wait under the guard until the vehicle has saved what was written, by its clock or by ours."""
         await self.guard.run(self._settled)
@@ -159,21 +164,50 @@ class Writing:
             await asyncio.sleep(settings.watch_s)
 
 
-async def read_values(vehicle: JobVehicle, names: Iterable[str]) -> dict[str, Reading]:
-    """Fresh values of `names`, a few requests at a time. Raises ParameterMissing or ParameterTimeout."""
-    gate = asyncio.Semaphore(READS_IN_FLIGHT)
+async def read_values(
+    vehicle: JobVehicle,
+    names: Iterable[str],
+    *,
+    absent: bool = False,
+    told: Callable[[int], None] | None = None,
+) -> dict[str, Reading]:
+    """Fresh values of `names`, a few requests at a time.
 
-    async def one(name: str) -> Reading:
+    Parameters
+    ----------
+    vehicle, names
+        Whom to ask for what.
+    absent
+        Whether a name that the vehicle does not have is left out; otherwise it is an error.
+    told
+        Called with how many were answered so far.
+
+    Raises
+    ------
+    ParameterMissing, ParameterTimeout
+    """
+    gate = asyncio.Semaphore(READS_IN_FLIGHT)
+    found: dict[str, Reading | None] = {}
+
+    async def one(name: str) -> None:
         async with gate:
-            return await vehicle.read_parameter(name)
+            try:
+                found[name] = await vehicle.read_parameter(name)
+            except ParameterMissing:
+                if not absent:
+                    raise
+                found[name] = None
+        if told is not None:
+            told(len(found))
 
     wanted = tuple(dict.fromkeys(names))
     try:
         async with asyncio.TaskGroup() as group:
-            tasks = [group.create_task(one(name)) for name in wanted]
+            for name in wanted:
+                group.create_task(one(name))
     except ExceptionGroup as errors:
         raise errors.exceptions[0] from None
-    return {name: task.result() for name, task in zip(wanted, tasks, strict=True)}
+    return {name: reading for name in wanted if (reading := found[name]) is not None}
 
 
 async def check_plan(w: Writing) -> dict[str, Reading]:
@@ -186,11 +220,12 @@ async def check_plan(w: Writing) -> dict[str, Reading]:
     """
     if w.plan.blockers:
         raise PlanBlocked("the plan may not be written: " + "; ".join(w.plan.blockers))
-    kept = w.handle.store.snapshot(w.handle.id, SnapshotPurpose.COMPOSED_ON)
-    composed_on: Mapping[str, Value] = {} if kept is None else kept.body
+    composed_on = w.composed_on()
     identity = await w.vehicle.identify()
     try:
-        fresh = await read_values(w.vehicle, [*composed_on, *(change.name for change in w.plan.changes)])
+        names = list(dict.fromkeys([*composed_on, *(change.name for change in w.plan.changes)]))
+        told = counting(w.handle, "reading what the plan rests on")
+        fresh = await read_values(w.vehicle, names, told=lambda done: told(done, len(names)))
     except ParameterMissing as error:
         raise PlanChanged(f"the vehicle no longer has {error.name}: plan again") from error
     now = {name: fresh[name].value for name in composed_on}
@@ -233,8 +268,10 @@ async def _keep_snapshot(w: Writing, old: Mapping[str, Reading]) -> None:
 async def send_all(w: Writing) -> None:
     """Write every parameter of the plan in its order. Raises WriteStopped, ParameterError."""
     before = w.old_values()
-    for change in w.plan.changes:
+    told = counting(w.handle, "writing")
+    for number, change in enumerate(w.plan.changes):
         w.guard.check()
+        told(number, len(w.plan.changes))
         old = before[change.name]
         await w.handle.record(
             Step.SEND, name=change.name, old=old, new=change.new, kind=change.kind.value, session=change.session
@@ -265,7 +302,8 @@ async def read_back(w: Writing) -> dict[str, Value]:
 async def current_values(w: Writing) -> dict[str, Value]:
     """Fresh values of the plan's parameters, under the guard."""
     names = [change.name for change in w.plan.changes]
-    readings = await w.guard.run(partial(read_values, w.vehicle, names))
+    told = counting(w.handle, "reading back")
+    readings = await w.guard.run(partial(read_values, w.vehicle, names, told=lambda done: told(done, len(names))))
     return {name: reading.value for name, reading in readings.items()}
 
 

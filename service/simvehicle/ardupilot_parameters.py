@@ -60,7 +60,13 @@ def ardupilot_table(config: VehicleConfig) -> list[Parameter]:
         *_ins(config),
         *_ahrs(config),
         *_ordinary(_AFTER),
+        *further(config),
     ]
+
+
+def further(config: VehicleConfig) -> Iterator[Parameter]:
+    """Parameters that act on nothing."""
+    return (_make(f"XTRA_{number:04}", _F, 0.0) for number in range(config.further_parameters))
 
 
 def hidden_by_group(name: str, value_of: dict[str, Parameter]) -> bool:

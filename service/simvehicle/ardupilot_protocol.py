@@ -9,7 +9,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from service.simvehicle.parameters import Parameter, ParameterType, Value
-from service.simvehicle.vehicle import Channel, Vehicle
+from service.simvehicle.vehicle import ANSWER_ROOM, Channel, Vehicle
 from service.simvehicle.wire import Received
 
 NO_INDEX = 65535
@@ -74,12 +74,14 @@ class ArduPilotParameters:
             return
         channel, done = self._lists[key]
         listing = self._vehicle.table.listing()
-        for index in range(done, min(done + LIST_PER_TICK, len(listing))):
-            self._vehicle.send(channel, self.value_message(listing[index], index))
-        if done + LIST_PER_TICK >= len(listing):
+        end = min(done + LIST_PER_TICK, len(listing))
+        while done < end and channel.room() >= ANSWER_ROOM:
+            self._vehicle.send(channel, self.value_message(listing[done], done))
+            done += 1
+        if done >= len(listing):
             del self._lists[key]
             return
-        self._lists[key] = (channel, done + LIST_PER_TICK)
+        self._lists[key] = (channel, done)
         self._vehicle.at(LIST_TICK_S, lambda: self._continue_list(key))
 
     def _queue_read(self, channel: Channel, name: str, index: int) -> None:
@@ -95,6 +97,8 @@ class ArduPilotParameters:
     def _answer_reads(self) -> None:
         table = self._vehicle.table
         for _ in range(min(READ_REPLIES, len(self._reads))):
+            if self._reads[0][0].room() < ANSWER_ROOM:
+                break
             channel, name, index = self._reads.popleft()
             listing = table.listing()
             if index >= 0:

@@ -66,6 +66,7 @@ class VehicleConfig:
     unix_time_s: float = 0.0  # 0: the wall clock's
     truth: Mapping[str, Any] = field(default_factory=dict)  # overrides of the drawn truth, merged deeply
     parameters: Mapping[str, float] = field(default_factory=dict)  # initial values by name
+    further_parameters: int = 0  # so many more that act on nothing: a real list is long
 
 
 def load_config(source: str | Mapping[str, Any] | None, base: VehicleConfig | None = None) -> VehicleConfig:

@@ -5,6 +5,7 @@ delays of the wire, which are the wall's):
 
     loss, duplication, reordering, bit_errors, truncation   p, direction; last until `clear_faults`
     delay                delay_s, jitter_s, direction
+    throttle             bytes_per_s (5760: a port of 57600 baud), buffer_bytes of the vehicle's port, direction
     reboot               flush (false: what is not saved is lost)
     silence              duration_s
     lost_echo, late_echo name (any), count, delay_s
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 
 DEFAULT_SILENCE_S = 5.0
 DEFAULT_ECHO_DELAY_S = 1.5
-PERSISTENT = ("loss", "duplication", "reordering", "delay", "bit_errors", "truncation")
+PERSISTENT = ("loss", "duplication", "reordering", "delay", "bit_errors", "truncation", "throttle")
 
 
 @dataclass
@@ -245,6 +246,11 @@ def _impairment_values(fault: Fault) -> dict[str, float]:
             "delay_s": _finite("delay_s", fault.options.get("delay_s", 0.2)),
             "jitter_s": _finite("jitter_s", fault.options.get("jitter_s", 0.0)),
         }
+    if fault.kind == "throttle":
+        carried = _finite("bytes_per_s", fault.options.get("bytes_per_s", 5760.0))
+        if carried <= 0:
+            raise ControlError(f"bytes_per_s must be above 0, got {carried}")
+        return {"bytes_per_s": carried, "buffer_bytes": _finite("buffer_bytes", fault.options.get("buffer_bytes", 512))}
     probability = _finite("p", fault.options.get("p", 0.1))
     if not 0 <= probability <= 1:
         raise ControlError(f"p must be a probability, got {probability}")

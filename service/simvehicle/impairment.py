@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 import itertools
+import math
 import random
 import socket
 import time
@@ -15,12 +16,14 @@ from service.simvehicle.links import Link
 from service.simvehicle.vehicle import Channel
 from service.simvehicle.wire import Received
 
+PORT_BUFFER = 512.0  # bytes that wait in the vehicle's port: streams and parameter lists are held back at its brim
+MOST_BEYOND = 4096  # bytes over that; then even a heartbeat is lost
 REORDER_DELAY_S = 0.05  # how long a swapped frame is held back, wall time
 
 
 @dataclass(frozen=True)
 class Impairment:
-    """Chances per frame, 0..1, and delays in wall seconds."""
+    """Chances per frame, 0..1, delays in wall seconds, and what the wire carries in bytes per wall second (0: all)."""
 
     loss: float = 0.0
     duplication: float = 0.0
@@ -29,6 +32,8 @@ class Impairment:
     truncation: float = 0.0
     delay_s: float = 0.0
     jitter_s: float = 0.0
+    bytes_per_s: float = 0.0
+    buffer_bytes: float = PORT_BUFFER
 
     @property
     def clean(self) -> bool:
@@ -52,6 +57,7 @@ class FaultyLink:
         self.incoming, self.outgoing = CLEAN, CLEAN
         self.channel: Channel | None = None
         self.url = link.url
+        self._free_out = self._free_in = 0.0  # when the wire has carried what it was given, monotonic
 
     def set_impairments(self, incoming: Impairment, outgoing: Impairment) -> None:
         """Spoil what passes from now on."""
@@ -66,11 +72,27 @@ class FaultyLink:
         if self.outgoing.clean and not self._held_out:
             self._link.send(frame)
             return
-        for delay, piece in self._spoilt(self.outgoing, frame):
+        carried = self.outgoing.bytes_per_s
+        if carried and self.room() < -MOST_BEYOND:
+            self.spoilt["throttle"] += 1
+            return
+        wait = 0.0
+        if carried:
+            now = time.monotonic()
+            self._free_out = max(self._free_out, now) + len(frame) / carried
+            wait = self._free_out - now
+        for late, piece in self._spoilt(self.outgoing, frame):
+            delay = late + wait
             if delay <= 0:
                 self._link.send(piece)
             else:
                 heapq.heappush(self._held_out, (time.monotonic() + delay, next(self._tickets), piece))
+
+    def room(self) -> float:
+        """Bytes that the port takes now."""
+        carried = self.outgoing.bytes_per_s
+        waiting = max(self._free_out - time.monotonic(), 0.0) * carried
+        return self.outgoing.buffer_bytes - waiting if carried else math.inf
 
     @property
     def holding(self) -> bool:
@@ -83,7 +105,13 @@ class FaultyLink:
             if self.incoming.clean:
                 yield from self._link.messages(data)
                 continue
-            for delay, piece in self._spoilt(self.incoming, data):
+            wait = 0.0
+            if carried := self.incoming.bytes_per_s:
+                now = time.monotonic()
+                self._free_in = max(self._free_in, now) + len(data) / carried
+                wait = self._free_in - now
+            for late, piece in self._spoilt(self.incoming, data):
+                delay = late + wait
                 heapq.heappush(self._held_in, (time.monotonic() + delay, next(self._tickets), piece))
         now = time.monotonic()
         while self._held_in and self._held_in[0][0] <= now:

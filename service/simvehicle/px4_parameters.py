@@ -56,10 +56,16 @@ THR_MDL_FAC f 0|WV_EN i 0|WV_GAIN f 1|WV_ROLL_MIN f 1|WV_YRATE_MAX f 90"""
 
 def px4_table(config: VehicleConfig) -> list[Parameter]:
     """Every parameter of a board whose sensors have slots but no calibration, sorted by name."""
-    entries = [*_ordinary(config), *_inertial(config), *_magnetic(config), *_thermal(), *_baro()]
+    entries = [*_ordinary(config), *_inertial(config), *_magnetic(config), *_thermal(), *_baro(), *_further(config)]
     for parameter in entries:
         parameter.listed = _listed_from_the_start(parameter.name, thermal_runs=not config.sitl)
     return sorted(entries, key=lambda p: p.name)
+
+
+def _further(config: VehicleConfig) -> Iterator[Parameter]:
+    """Parameters that act on nothing."""
+    for number in range(config.further_parameters):
+        yield Parameter(f"XTRA_{number:04}", ParameterType.REAL32, 0.0, 0.0)
 
 
 def _listed_from_the_start(name: str, *, thermal_runs: bool) -> bool:

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from service.simvehicle.parameters import Parameter, ParameterTable, ParameterType, Value, int32_bytes
 from service.simvehicle.px4_parameters import PRIORITIES, UNINITIALISED, is_volatile
-from service.simvehicle.vehicle import Channel, Vehicle
+from service.simvehicle.vehicle import ANSWER_ROOM, Channel, Vehicle
 from service.simvehicle.wire import Received
 
 NO_INDEX = 65535
@@ -93,9 +93,10 @@ class Px4Parameters:
             self._send_hash(channel)
             done = 0
         listing = self._table.listing()
-        for parameter in listing[done : done + LIST_PER_TICK]:
-            self._send(channel, parameter)
-        done += LIST_PER_TICK
+        end = min(done + LIST_PER_TICK, len(listing))
+        while done < end and channel.room() >= ANSWER_ROOM:
+            self._send(channel, listing[done])
+            done += 1
         if done >= len(listing):
             del self._lists[key]
             return

@@ -72,7 +72,7 @@ class Server:
 
     def _joined(self, link: Link) -> FaultyLink:
         faulty = FaultyLink(link, self.vehicle.config.seed)
-        channel = Channel(Packer(self.vehicle.config.system_id), faulty.send)
+        channel = Channel(Packer(self.vehicle.config.system_id), faulty.send, faulty.room)
         self.vehicle.channels.append(channel)
         faulty.channel = channel
         return faulty

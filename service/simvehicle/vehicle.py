@@ -24,15 +24,20 @@ from service.simvehicle.wire import Packer, Received
 from service.simvehicle.world import World
 
 MAX_SETS_KEPT = 10_000
+STREAM_ROOM = 192  # bytes that a port must take before the streams of an instant are sent: all of them, or none
+ANSWER_ROOM = 128  # and before a parameter is
 SLICE_S = 0.5  # the longest piece of vehicle time computed in one block
 
 
 class Channel:
     """One link of the vehicle: where frames go, and what was asked for on it."""
 
-    def __init__(self, packer: Packer, transmit: Callable[[bytes], None]) -> None:
+    def __init__(
+        self, packer: Packer, transmit: Callable[[bytes], None], room: Callable[[], float] = lambda: math.inf
+    ) -> None:
         self.packer = packer
         self.transmit = transmit
+        self.room = room
         self.streams: dict[int, Stream] = {}
 
     def send(self, message: Any) -> None:
@@ -175,6 +180,7 @@ class Vehicle(ABC):
                 for order, (message_id, stream) in enumerate(channel.streams.items())
                 for moment in stream.due(until)
             ]
+            due = [entry for entry in due if entry[2].room() >= STREAM_ROOM]
             if due and not self.mute:
                 due.sort(key=lambda entry: entry[:2])
                 self.emit(due, sorted({entry[0] for entry in due}))

@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from service.vehicle.vehicle import Vehicle
 
 _INTERVAL = dialect.MAVLINK_MSG_ID_MESSAGE_INTERVAL
+LATE_S, LATER = 0.4, 3.0
+"""Answers that take so long, and so many times as long as before the streams, have a full link before them."""
+REMEMBERED_S = 600.0
+"""A link that was too slow is not asked for more within this time."""
 DEFAULT_INTERVAL = 0
 """Interval that means: as the firmware would without us."""
 
@@ -129,7 +133,11 @@ async def get_interval(vehicle: Vehicle, message_id: int) -> int | None:
 
 
 async def request_streams(
-    vehicle: Vehicle, requested_hz: Mapping[int, float], *, measure_s: float = 2.0
+    vehicle: Vehicle,
+    requested_hz: Mapping[int, float],
+    *,
+    measure_s: float = 2.0,
+    before: Mapping[int, int] | None = None,
 ) -> StreamReport:
     """Ask for streams, then measure what comes. Where the link is too slow for them, ask for less.
 
@@ -144,19 +152,31 @@ async def request_streams(
         Rate for each message id; 0 switches it off.
     measure_s
         How long to watch (twice as long on a slow link). 0 leaves every rate at 0.
+    before
+        Intervals in us as they were, where that is known already; the vehicle is not asked for these.
     """
-    request = _Request(vehicle, dict(requested_hz))
+    request = _Request(vehicle, dict(requested_hz), dict(before or {}))
     try:
-        capacity = nominal_capacity(vehicle.link.endpoint)
+        capacity = _smaller(nominal_capacity(vehicle.link.endpoint), _remembered(vehicle))
         planned = plan_rates(requested_hz, capacity)
+        idle_s = await _answer_s(vehicle, tuple(requested_hz)) if measure_s > 0 else 0.0
         await request.ask(planned)
         seen = await _watch(vehicle, tuple(requested_hz), measure_s)
-        carried = seen_capacity(planned, seen.own, seen.loss, seen.bytes_per_s / seen.speed)
+        # A port that buffers a second of data sends old samples at their own rate, and fewer of them than are made.
+        coming = {key: min(rate, seen.wall[key]) for key, rate in seen.own.items()}
+        carried = seen_capacity(planned, coming, seen.loss, seen.bytes_per_s / seen.speed)
+        if carried is None and measure_s > 0:
+            busy_s = await _answer_s(vehicle, tuple(requested_hz))
+            if busy_s > max(LATE_S, LATER * idle_s):  # all of it comes, and nothing else gets through
+                carried = seen.bytes_per_s / seen.speed
         lowered = plan_rates(planned, carried)
         if lowered != planned and measure_s > 0:
+            vehicle.carried = None if carried is None else (carried, vehicle.clock())
+            request.hurry(lowered)
             await request.ask(lowered)
             relieved = await _watch(vehicle, tuple(requested_hz), measure_s)
             if _loses_anyway(seen, relieved):
+                vehicle.carried = None
                 await request.ask(planned)
                 seen = await _watch(vehicle, tuple(requested_hz), measure_s)
             else:
@@ -172,25 +192,52 @@ def _loses_anyway(before: _Seen, relieved: _Seen) -> bool:
     return before.loss > LOSSY and relieved.loss > before.loss / 2
 
 
+async def _answer_s(vehicle: Vehicle, message_ids: Sequence[int]) -> float:
+    """How long the vehicle takes to answer a small question, s."""
+    began = vehicle.clock()
+    await get_interval(vehicle, message_ids[0])
+    return vehicle.clock() - began
+
+
+def _remembered(vehicle: Vehicle) -> float | None:
+    """What the link was seen to carry a short while ago."""
+    if vehicle.carried is None or vehicle.clock() - vehicle.carried[1] > REMEMBERED_S:
+        return None
+    return vehicle.carried[0]
+
+
+def _smaller(one: float | None, other: float | None) -> float | None:
+    known = [value for value in (one, other) if value is not None]
+    return min(known, default=None)
+
+
 class _Request:
     """What was asked of a vehicle so far, and how it was before."""
 
-    def __init__(self, vehicle: Vehicle, requested_hz: dict[int, float]) -> None:
+    def __init__(self, vehicle: Vehicle, requested_hz: dict[int, float], before: dict[int, int]) -> None:
         self._vehicle = vehicle
         self._requested = requested_hz
-        self._previous: dict[int, int] = {}
+        self._previous = before
         self._results: dict[int, int | None] = {}
 
-    async def ask(self, rates_hz: Mapping[int, float]) -> None:
-        """Ask for these rates; remember what was before the first time."""
+    def hurry(self, rates_hz: Mapping[int, float]) -> None:
+        """Ask without waiting for answers: they stand in the queue that is to be relieved."""
         for message_id, rate in rates_hz.items():
-            if message_id not in self._results:
+            self._vehicle.demand(commands.SET_MESSAGE_INTERVAL, message_id, _interval_us(rate))
+
+    async def ask(self, rates_hz: Mapping[int, float]) -> None:
+        """Ask for these rates; remember what was before the first time.
+
+        The slow ones first: the link is busy only when the last ones are on, and answers then wait.
+        """
+        for message_id, rate in sorted(rates_hz.items(), key=lambda item: item[1]):
+            if message_id not in self._previous:
                 self._previous[message_id] = await get_interval(self._vehicle, message_id) or DEFAULT_INTERVAL
             self._results[message_id] = await self._set(message_id, rate)
 
     async def _set(self, message_id: int, rate: float) -> int | None:
         try:
-            await set_interval(self._vehicle, message_id, 1e6 / rate if rate > 0 else -1)
+            await set_interval(self._vehicle, message_id, _interval_us(rate))
         except CommandRefused as exc:
             return exc.result
         except CommandTimeout:
@@ -204,8 +251,13 @@ class _Request:
             for key, rate in self._requested.items()
         }
         untouched = {key for key, result in self._results.items() if result not in (commands.ACCEPTED, None)}
-        previous = {key: interval for key, interval in self._previous.items() if key not in untouched}
+        asked = {key: interval for key, interval in self._previous.items() if key in self._results}
+        previous = {key: interval for key, interval in asked.items() if key not in untouched}
         return StreamReport(self._vehicle, rates, previous, capacity)
+
+
+def _interval_us(rate: float) -> float:
+    return 1e6 / rate if rate > 0 else -1
 
 
 @dataclass(frozen=True)

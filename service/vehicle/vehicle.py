@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import NoReturn
 
@@ -102,6 +103,8 @@ class Vehicle:
         self.parameters = Parameters(self)
         self.listed = False
         """Whether every parameter was listed since the vehicle started: some are heard without being asked for."""
+        self.carried: tuple[float, float] | None = None
+        """Bytes per second that the link was seen to carry when more was asked of it, and when; None: never seen."""
         self.listing_lock = asyncio.Lock()
         self._announce = announce
         self._command_locks: dict[int, asyncio.Lock] = {}
@@ -144,6 +147,11 @@ class Vehicle:
         listed = await list_all(self, progress)
         self.listed = True
         return listed
+
+    def demand(self, command_id: int, *params: float) -> None:
+        """Send a command whose acknowledgement is not waited for; where the link is down it is lost."""
+        with suppress(LinkDown):
+            self._send_command(command_id, *params)
 
     def _send_command(self, command_id: int, *params: float) -> None:
         """Send a command whose acknowledgement does not matter, since its effect is seen."""

@@ -144,7 +144,7 @@ async def test_cancel_is_quick_and_puts_the_streams_back(tmp_path: Path, sim: Si
         job = await bench.engine.submit(bench.vehicle.id, "gyro", {"uncertainty": 0.001})
         with pytest.raises(PhysicalJobRunning):
             await bench.engine.submit(bench.vehicle.id, "gyro")
-        await eventually(lambda: bench.engine.get(job.id).progress is not None)
+        await eventually(lambda: bench.engine.get(job.id).prompt is not None)
         changed = set(bench.engine._handles[job.id].written().intervals)
         assert changed
         loop_time = bench.vehicle.clock()

@@ -26,9 +26,11 @@ from .conftest import QUICK
 class SlowToStart(FakeVehicle):
     """Its streams come one after the other while they are asked for; then it does not answer any more."""
 
-    async def request_streams(self, rates: Mapping[int, float], *, measure_s: float) -> tuple[str, ...]:
+    async def request_streams(
+        self, rates: Mapping[int, float], *, measure_s: float, before: Mapping[int, int]
+    ) -> tuple[str, ...]:
         self.tlog.write_bytes(bytes(1000))
-        return await super().request_streams(rates, measure_s=measure_s)
+        return await super().request_streams(rates, measure_s=measure_s, before=before)
 
     async def identify(self) -> Identity:
         raise CaptureEnded("that is enough", remedy="")

@@ -8,11 +8,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from calib.firmware.plan import ParameterKind
 from calib.recording import Identity
 from service.errors import DiskFull
 from service.jobs.crashpoints import At
 from service.jobs.journal import BY_OPERATOR, Step
 from service.jobs.model import Failure, Result
+from service.jobs.port import Reading
 from service.jobs.states import JobState
 
 from .conftest import NEW, OLD, QUICK, Bench, Killed, MakeBench, float32, until
@@ -67,6 +69,17 @@ async def test_nothing_is_sent_to_a_vehicle_that_is_not_ready(make_bench: MakeBe
     assert bench.vehicle.sets == []
     assert isinstance(bench.handle.job.outcome, Failure)
     assert bench.handle.job.outcome.code == ("vehicle-busy" if "calibrating" in trouble else "write-stopped")
+
+
+async def test_a_parameter_that_counted_as_absent_but_is_there_stops_the_write(make_bench: MakeBench) -> None:
+    bench = make_bench()
+    bench.vehicle.parameters["INS_TCAL1_ENABLE"] = Reading("INS_TCAL1_ENABLE", 1.0, ParameterKind.REAL32)
+    await bench.apply()
+    assert bench.state == JobState.REVIEW
+    assert bench.vehicle.sets == []
+    assert isinstance(bench.handle.job.outcome, Failure)
+    assert bench.handle.job.outcome.code == "plan-changed"
+    assert bench.handle.job.outcome.cause.startswith("INS_TCAL1_ENABLE did not answer when")
 
 
 @pytest.mark.parametrize("case", ["value", "identity", "missing"])

@@ -109,6 +109,38 @@ async def test_a_link_that_holds_everything_up_is_asked_for_less(ardupilot: Fake
     assert streamer.intervals == {IMU: -1, IMU2: 40_000}
 
 
+async def test_a_link_that_is_just_full_is_relieved_so_that_answers_come(ardupilot: FakeVehicle) -> None:
+    """Every sample arrives, and each answer waits behind them: reading a parameter takes seconds then."""
+    streamer = Streamer(ardupilot)
+    ardupilot.link.bytes_per_s = 4000.0
+    answering = ardupilot.link.respond
+    waiting: list[tuple[float, Any]] = []
+
+    def late(message: Any) -> Iterable[Any]:
+        delay = 1.2 if any(0 < interval <= 20_000 for interval in streamer.intervals.values()) else 0.0
+        waiting.extend((ardupilot.clock.now + delay, reply) for reply in answering(message))
+        return ()
+
+    advance = ardupilot.advance
+
+    def passing(seconds: float) -> None:
+        advance(seconds)
+        due = [reply for at, reply in waiting if at <= ardupilot.clock.now]
+        waiting[:] = [(at, reply) for at, reply in waiting if at > ardupilot.clock.now]
+        if due:
+            ardupilot.hear(*due)
+
+    ardupilot.link.respond = late
+    ardupilot.advance = passing  # type: ignore[method-assign]
+    report = await ardupilot.run(request_streams(ardupilot.vehicle, {IMU: 50.0, IMU2: 50.0}))
+    assert report.capacity_bytes_per_s == 4000.0
+    assert all(interval > 20_000 for interval in streamer.intervals.values())
+    # and what was seen is remembered for the next request
+    ardupilot.link.sent.clear()
+    await ardupilot.run(request_streams(ardupilot.vehicle, {IMU: 50.0, IMU2: 50.0}))
+    assert all(interval > 20_000 for _, interval in requests(ardupilot))
+
+
 async def test_a_link_that_loses_as_much_whatever_it_carries_is_bad_and_not_slow(ardupilot: FakeVehicle) -> None:
     streamer = Streamer(ardupilot)
     ardupilot.link.bytes_per_s = 1500.0
@@ -121,7 +153,8 @@ async def test_a_link_that_loses_as_much_whatever_it_carries_is_bad_and_not_slow
 
     ardupilot.advance = losing  # type: ignore[method-assign]
     report = await ardupilot.run(request_streams(ardupilot.vehicle, {IMU: 50.0, IMU2: 50.0}))
-    assert [interval > 20_000 for _, interval in requests(ardupilot)] == [False] * 2 + [True] * 2 + [False] * 2
+    # what relieves the link is sent at once, and then again until it is confirmed
+    assert [interval > 20_000 for _, interval in requests(ardupilot)] == [False] * 2 + [True] * 4 + [False] * 2
     assert streamer.intervals == {IMU: 20_000, IMU2: 20_000}
     assert (report.capacity_bytes_per_s, report.slowdown) == (None, 1.0)
 
