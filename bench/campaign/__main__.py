@@ -1,4 +1,4 @@
-"""``python -m bench.campaign [faults|kills|all]``: run, print the tables, exit 1 if a criterion is not met."""
+"""``python -m bench.campaign [faults|kills|cli|all]``: run, print the tables, exit 1 if a criterion is not met."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from bench.campaign import criteria, tables
+from bench.campaign.cli_run import cli_kills, run_cli_kill
 from bench.campaign.criteria import Criterion
 from bench.campaign.document import write_document
 from bench.campaign.fault_run import run_fault
@@ -33,7 +34,7 @@ Report = TypeVar("Report", FaultReport, KillReport)
 def main(argv: Sequence[str] | None = None) -> int:
     """Run what is asked for. Exit code 1: a criterion is not met, or the single run asked for has failed."""
     parser = argparse.ArgumentParser(prog="scripts/campaign", description=__doc__)
-    parser.add_argument("part", nargs="?", choices=("faults", "kills", "all"), default="all")
+    parser.add_argument("part", nargs="?", choices=("faults", "kills", "cli", "all"), default="all")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--runs", type=int, default=RUNS, help="number of fault runs")
     parser.add_argument("--run", type=int, default=None, help="only this run, with all it has to say")
@@ -44,28 +45,38 @@ def main(argv: Sequence[str] | None = None) -> int:
     began = time.monotonic()
     faults: list[FaultReport] = []
     killed: list[KillReport] = []
+    commands: list[KillReport] = []
     found: list[Criterion] = []
     texts: list[str] = []
     with ProcessPoolExecutor(args.workers, mp_context=multiprocessing.get_context("spawn")) as pool:
-        if args.part != "kills":
+        if args.part in ("faults", "all"):
             faults = _all(pool, run_fault, scenarios(args.runs, args.seed))
             texts.append(tables.fault_tables(faults))
             found += criteria.of_faults(faults)
-        if args.part != "faults":
+        if args.part in ("kills", "all"):
             killed = _kills(pool, args.seed)
             texts.append(tables.kill_table(killed))
             found += criteria.of_kills(killed)
+        if args.part in ("cli", "all"):
+            commands = _all(pool, run_cli_kill, cli_kills(args.seed))
+            texts.append(tables.cli_table(commands))
+            found += criteria.of_cli_kills(commands)
     print("\n\n".join(["", *texts, tables.criteria_table(found)]))
-    _show_failures([*faults, *killed])
-    print(f"\nseed {args.seed}, {len(faults)} fault runs and {len(killed)} SIGKILL runs, {_minutes(began)}")
+    _show_failures([*faults, *killed, *commands])
+    print(
+        f"\nseed {args.seed}, {len(faults)} fault runs, {len(killed)} SIGKILL runs of the service and {len(commands)} "
+        f"of the command line, {_minutes(began)}"
+    )
     if args.part == "all":
-        write_document(DOCUMENT, args.seed, faults, killed, found)
+        write_document(DOCUMENT, args.seed, faults, killed, commands, found)
     return 0 if all(criterion.met for criterion in found) else 1
 
 
 def _single(args: argparse.Namespace) -> int:
     report: FaultReport | KillReport
-    if args.part == "kills":
+    if args.part == "cli":
+        report = run_cli_kill(cli_kills(args.seed)[args.run])
+    elif args.part == "kills":
         report = run_kill(kill_of(args.seed, args.run))
     else:
         scenario = scenarios(max(args.runs, args.run + 1), args.seed)[args.run]

@@ -94,3 +94,10 @@ def of_kills(reports: Sequence[KillReport]) -> list[Criterion]:
         ),
         Criterion("every run ends verified or as before", f"{failed} do not", not failed),
     ]
+
+
+def of_cli_kills(reports: Sequence[KillReport]) -> list[Criterion]:
+    """What the SIGKILL runs of the command line have to show."""
+    failed = sum(report.ending == Ending.FAILURE for report in reports)
+    text = "every command line that was killed is put right by the next run, verified or as before"
+    return [Criterion(text, f"{failed} of {len(reports)} are not", bool(reports) and not failed)]

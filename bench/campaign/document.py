@@ -7,7 +7,7 @@ from pathlib import Path
 
 from bench.campaign.criteria import Criterion
 from bench.campaign.report import FaultReport, KillReport
-from bench.campaign.tables import criteria_table, fault_tables, kill_table
+from bench.campaign.tables import cli_table, criteria_table, fault_tables, kill_table
 
 TEXT = """# Fault campaign
 
@@ -47,6 +47,13 @@ directory; the step that counts is the last one that lay in the journal when the
 ## SIGKILL
 
 {kills}
+
+## SIGKILL of the command line
+
+`mavcal calibrate gyro --apply --reboot` kills itself at a named instant of the job engine; `mavcal recover`, or the
+same command again, has to put the vehicle right and to end with exit code 0.
+
+{commands}
 """
 
 
@@ -55,10 +62,15 @@ def write_document(
     seed: int,
     faults: Sequence[FaultReport],
     killed: Sequence[KillReport],
+    commands: Sequence[KillReport],
     criteria: Sequence[Criterion],
 ) -> None:
     """Write the document of a whole campaign."""
     text = TEXT.format(
-        seed=seed, criteria=criteria_table(criteria), faults=fault_tables(faults), kills=kill_table(killed)
+        seed=seed,
+        criteria=criteria_table(criteria),
+        faults=fault_tables(faults),
+        kills=kill_table(killed),
+        commands=cli_table(commands),
     )
     path.write_text(text, encoding="utf-8")

@@ -26,6 +26,7 @@ ENDINGS = {
     "reverted": Ending.AS_BEFORE,
     "review": Ending.AS_BEFORE,
     "interrupted": Ending.AS_BEFORE,
+    "cancelled": Ending.AS_BEFORE,
 }
 """What a job in this state claims of its vehicle."""
 

@@ -66,8 +66,10 @@ class KillReport:
     says: str = ""
     seconds: float = 0.0
     journal: tuple[str, ...] = field(default=())
+    part: str = "kills"
+    """Whose process was killed: the service's (``kills``) or the command line's (``cli``)."""
 
     @property
     def reproduce(self) -> str:
         """The command that repeats this run."""
-        return f"scripts/campaign kills --seed {self.seed} --run {self.index}"
+        return f"scripts/campaign {self.part} --seed {self.seed} --run {self.index}"

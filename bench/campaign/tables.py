@@ -84,6 +84,13 @@ def kill_table(reports: Sequence[KillReport]) -> str:
     return _table(("last step before SIGKILL", "kills", *shown), rows)
 
 
+def cli_table(reports: Sequence[KillReport]) -> str:
+    """By the instant at which the command line died, and what came next."""
+    shown = (Ending.VERIFIED, Ending.AS_BEFORE, Ending.FAILURE)
+    rows = [(r.scene, r.aimed, *("x" if r.ending == ending else "" for ending in shown)) for r in reports]
+    return _table(("scene", "killed at (which time), then", *shown), rows)
+
+
 def criteria_table(criteria: Sequence[Criterion]) -> str:
     """Every criterion with what was measured."""
     rows = [(c.text, c.measured, "yes" if c.met else "**no**") for c in criteria]

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import pytest
 
+from bench.campaign.cli_run import cli_kills, run_cli_kill
 from bench.campaign.criteria import CLEAR_SD
 from bench.campaign.fault_run import run_fault
 from bench.campaign.judge import Ending
@@ -25,6 +26,9 @@ RUNS = (1, 5, 6, 10, 36, 42, 53, 70, 72, 73, 79, 139)
 """Short ones that have every kind of fault among them."""
 KILLS = (16,)
 """While an old value is on its way back."""
+CLI_KILLS = (9, 30)
+"""The command line dies between an echo and its journal row, then ``recover``; and before a parameter leaves, then the
+next calibration."""
 WORKERS = 4
 
 
@@ -34,6 +38,7 @@ class Slice:
 
     faults: dict[int, Future[FaultReport]]
     kills: dict[int, Future[KillReport]]
+    commands: dict[int, Future[KillReport]]
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +46,8 @@ def runs() -> Iterator[Slice]:
     chosen = scenarios(max(RUNS) + 1, SEED)
     with ProcessPoolExecutor(WORKERS, mp_context=multiprocessing.get_context("spawn")) as pool:
         kills = {index: pool.submit(run_kill, kill_of(SEED, index)) for index in KILLS}
-        yield Slice({index: pool.submit(run_fault, chosen[index]) for index in RUNS}, kills)
+        commands = {index: pool.submit(run_cli_kill, cli_kills(SEED)[index]) for index in CLI_KILLS}
+        yield Slice({index: pool.submit(run_fault, chosen[index]) for index in RUNS}, kills, commands)
 
 
 def test_every_run_ends_as_it_may(runs: Slice) -> None:
@@ -69,3 +75,9 @@ def test_a_killed_service_takes_up_its_write(runs: Slice) -> None:
         report = future.result()
         assert report.ending != Ending.FAILURE, f"{report.reproduce}: {report.complaints}"
         assert report.struck, f"{report.reproduce}: not killed, {report.journal}"
+
+
+def test_a_killed_command_line_is_put_right_by_the_next_run(runs: Slice) -> None:
+    for future in runs.commands.values():
+        report = future.result()
+        assert report.ending != Ending.FAILURE, f"{report.reproduce}: {report.complaints}; {report.says}"
