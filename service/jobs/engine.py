@@ -8,7 +8,7 @@ import time
 import uuid
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
@@ -59,7 +59,7 @@ from service.jobs.runner import Runner
 from service.jobs.salvage import job_of
 from service.jobs.settings import JobSettings
 from service.jobs.states import CANCELLABLE, CAPTURING, ENDED, WRITING, JobState
-from service.jobs.streams import restore_streams
+from service.jobs.tidying import Tidying
 from service.jobs.transaction import Transaction
 from service.jobs.verify import StreamCheck
 from service.jobs.write import Writing, check_plan
@@ -113,13 +113,11 @@ class JobEngine:
         pool = executor or self._own_executor
         assert pool is not None
         self._runner = Runner(vehicles, self.settings, pool, self.list, reach, clock, wall)
+        self._tidying = Tidying(self._runner.vehicle, self.settings.review_s)
         self._feed = EventFeed(store)
         self._handles: dict[str, JobHandle] = {}
         self._tasks: dict[str, asyncio.Task[None]] = {}
-        self._tidying: dict[str, asyncio.Task[None]] = {}
         self._claims: set[str] = set()
-        self._tidied: dict[str, str] = {}
-        self._hurry = asyncio.Event()
         self._following: asyncio.Task[None] | None = None
         self._stopping = False
 
@@ -182,7 +180,7 @@ class JobEngine:
         self._stopping = True
         self._feed.close()
         following = [] if self._following is None else [self._following]
-        tasks = [*self._tasks.values(), *self._tidying.values(), *following]
+        tasks = [*self._tasks.values(), *self._tidying.tasks, *following]
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
@@ -191,14 +189,13 @@ class JobEngine:
 
     async def tidied(self) -> None:
         """Wait until jobs that are over have put the vehicle's message rates back."""
-        self._hurry.set()
         over = ENDED | {JobState.REVIEW}
-        while waited := {
-            *(task for job_id, task in self._tasks.items() if self.get(job_id).state in over),
-            *self._tidying.values(),
-        }:
-            await asyncio.wait(waited)
-        self._hurry.clear()
+        with self._tidying.hurrying():
+            while waited := {
+                *(task for job_id, task in self._tasks.items() if self.get(job_id).state in over),
+                *self._tidying.tasks,
+            }:
+                await asyncio.wait(waited)
 
     # --- asking
 
@@ -534,18 +531,12 @@ class JobEngine:
 
     async def _applied(self, handle: JobHandle) -> None:
         """The write, once nobody puts message rates back any more: it needs the same ones as the capture."""
-        tidying = self._tidying.get(handle.job.vehicle_id)
-        if tidying is not None:
-            if self._tidied.get(handle.job.vehicle_id) == handle.id:
-                tidying.cancel()
-            await asyncio.wait({tidying})
+        await self._tidying.before_write(handle)
         await self._transaction(handle).apply()
 
     async def _captured(self, handle: JobHandle) -> None:
         """A capture, after message rates of an earlier job of this vehicle are back, and with its own put back."""
-        earlier = self._tidying.get(handle.job.vehicle_id)
-        if earlier is not None:
-            await asyncio.wait({earlier})
+        await self._tidying.before_capture(handle)
         await self._runner.calibrate(handle)
 
     def _spawn(self, handle: JobHandle, work: Callable[[], Awaitable[None]]) -> None:
@@ -588,23 +579,5 @@ class JobEngine:
 
     def _tidy(self, handle: JobHandle) -> None:
         """Put message rates back that a job has left changed; a stopping service leaves that to its next start."""
-        if self._stopping or not handle.written().intervals:
-            return
-        vehicle_id = handle.job.vehicle_id
-        task = asyncio.create_task(self._put_back(handle), name=f"rates of {handle.id}")
-        self._tidying[vehicle_id], self._tidied[vehicle_id] = task, handle.id
-
-        def done(ended: asyncio.Task[None]) -> None:
-            if self._tidying.get(vehicle_id) is ended:
-                del self._tidying[vehicle_id]
-            if not ended.cancelled() and ended.exception() is not None:
-                log.warning("message rates not put back", job=handle.id, reason=str(ended.exception()))
-
-        task.add_done_callback(done)
-
-    async def _put_back(self, handle: JobHandle) -> None:
-        if handle.job.state == JobState.REVIEW:  # an accept that follows at once needs the same rates
-            with suppress(TimeoutError):
-                await asyncio.wait_for(self._hurry.wait(), self.settings.review_s)
-        vehicle = await self._runner.vehicle(handle)
-        await restore_streams(handle, vehicle)
+        if not self._stopping:
+            self._tidying.begin(handle)

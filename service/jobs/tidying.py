@@ -1,0 +1,82 @@
+"""Message rates that jobs have left changed are put back, one vehicle at a time."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager, suppress
+
+import structlog
+
+from service.jobs.handle import JobHandle
+from service.jobs.port import JobVehicle
+from service.jobs.states import JobState
+from service.jobs.streams import restore_streams
+
+log = structlog.get_logger(__name__)
+
+
+class Tidying:
+    """The tasks that put rates back; `vehicle` waits for the vehicle of a job.
+
+    A job in review keeps its rates for `review_s`: an accept that follows at once needs the same ones.
+    """
+
+    def __init__(self, vehicle: Callable[[JobHandle], Awaitable[JobVehicle]], review_s: float) -> None:
+        self._vehicle = vehicle
+        self._review_s = review_s
+        self._of: dict[str, tuple[str, asyncio.Task[None]]] = {}
+        """Job and task by vehicle."""
+        self._hurry = asyncio.Event()
+
+    @property
+    def tasks(self) -> set[asyncio.Task[None]]:
+        """Those that are under way."""
+        return {task for _, task in self._of.values()}
+
+    def begin(self, handle: JobHandle) -> None:
+        """Put back what this job has left changed, if anything."""
+        if not handle.written().intervals:
+            return
+        vehicle_id = handle.job.vehicle_id
+        task = asyncio.create_task(self._put_back(handle), name=f"rates of {handle.id}")
+        mine = self._of[vehicle_id] = (handle.id, task)
+
+        def done(ended: asyncio.Task[None]) -> None:
+            if self._of.get(vehicle_id) is mine:
+                del self._of[vehicle_id]
+            if not ended.cancelled() and ended.exception() is not None:
+                log.warning("message rates not put back", job=handle.id, reason=str(ended.exception()))
+
+        task.add_done_callback(done)
+
+    async def before_capture(self, handle: JobHandle) -> None:
+        """Wait until an earlier job of this vehicle has its rates put back, and do not let that wait for an accept."""
+        _, task = self._of.get(handle.job.vehicle_id, ("", None))
+        if task is not None:
+            with self.hurrying():
+                await asyncio.wait({task})
+
+    async def before_write(self, handle: JobHandle) -> None:
+        """Keep the rates of this job's capture, which the write needs too; those of another job are put back first."""
+        job_id, task = self._of.get(handle.job.vehicle_id, ("", None))
+        if task is not None and job_id == handle.id:
+            task.cancel()
+            await asyncio.wait({task})
+        else:
+            await self.before_capture(handle)
+
+    @contextmanager
+    def hurrying(self) -> Iterator[None]:
+        """Meanwhile no rates are kept for an accept."""
+        self._hurry.set()
+        try:
+            yield
+        finally:
+            self._hurry.clear()
+
+    async def _put_back(self, handle: JobHandle) -> None:
+        if handle.job.state == JobState.REVIEW:
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._hurry.wait(), self._review_s)
+        await restore_streams(handle, await self._vehicle(handle))
