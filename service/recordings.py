@@ -134,7 +134,10 @@ class Recordings:
         self, recording_id: str, method: str, options: Mapping[str, Any], *, origin: bool
     ) -> tuple[tuple[FitResult, ...], Origin | None]:
         row = self.check(recording_id, method)
-        order: Json = {"path": str(row.path), "reading": dict(row.body["reading"]), "method": method}
+        reading = row.body.get("reading")
+        if not isinstance(reading, dict):
+            raise UploadError(f"the record of {row.name} on the disk is damaged: upload the file again")
+        order: Json = {"path": str(row.path), "reading": reading, "method": method}
         order |= {"options": dict(options), "origin": origin}
         try:
             done = await self._children.run(FIT, order, self._limits)

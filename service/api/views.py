@@ -112,7 +112,8 @@ def procedure_model(spec: ProcedureSpec) -> ProcedureModel:
 
 
 def recording_model(row: RecordingRow) -> RecordingModel:
-    """An uploaded recording."""
+    """An uploaded recording; one whose record on the disk is damaged shows nothing of what is in it."""
+    inspection = row.body.get("inspection")
     return RecordingModel(
         id=row.id,
         href=f"api/v1/recordings/{row.id}",
@@ -120,7 +121,7 @@ def recording_model(row: RecordingRow) -> RecordingModel:
         size=row.size,
         sha256=row.sha256,
         uploaded_at=row.at,
-        inspection=plain(row.body.get("inspection", {})),
+        inspection=plain(inspection) if isinstance(inspection, dict) else {},
     )
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
+import sqlite3
 from pathlib import Path
 from typing import Any
 from urllib.parse import urljoin
@@ -15,6 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from calib.wire import tlog_record
 from service.api.models import ReadingOptions
 from service.errors import DiskFull
+from service.store.sqlite import DATABASE
 
 from .api_bench import Api, api
 
@@ -239,3 +242,22 @@ def test_the_options_of_reading_are_those_of_the_command_line():
 
     options = {p.name for p in command.commands["mag-sphere"].params}  # type: ignore[attr-defined]
     assert set(ReadingOptions.model_fields) - {"system"} <= options
+
+
+async def test_a_damaged_row_is_listed_and_hides_no_other(tmp_path):
+    async with api(tmp_path) as a:
+        bad, good = await upload(a, sphere_csv()), await upload(a, sphere_csv())
+        for body in ("{broken", '{"reading": 3, "inspection": [1]}'):
+            with contextlib.closing(sqlite3.connect(a.service.settings.data_dir / DATABASE)) as database:
+                database.execute("PRAGMA ignore_check_constraints = ON")  # as a damaged page would
+                database.execute("UPDATE recordings SET body = ? WHERE id = ?", (body, bad["id"]))
+                database.commit()
+            listed = {row["id"]: row["inspection"] for row in await a.get("/recordings")}
+            assert listed == {bad["id"]: {}, good["id"]: good["inspection"]}
+            assert (await a.get(f"/recordings/{bad['id']}"))["name"] == "sphere.csv"
+            fit = {"method": "mag-sphere", "options": {}}
+            refused = await a.post(f"/recordings/{bad['id']}/fits", fit, 422)
+            assert "sphere.csv" in refused["detail"]
+            assert "upload the file again" in refused["detail"]
+        (fitted,) = (await a.post(f"/recordings/{good['id']}/fits", fit, 200))["fits"]
+        assert fitted["status"] == "ok"
