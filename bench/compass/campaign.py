@@ -9,14 +9,22 @@ import numpy as np
 
 from bench.compass.scene import QUANTA, turned
 from calib.fit import FitResult, FitStatus
+from calib.mag.blur import rates_during
+from calib.mag.blur_fit import fit_ellipsoid_deblurred
 from calib.procedures.context import ProcedureContext
+from calib.procedures.mag import COMPASS_WINDOW
 from calib.procedures.protocol import Done
 from calib.procedures.replay import replay
+from calib.recording import Sensor
 from service.simvehicle.rotation import Array
 
+WINDOW = COMPASS_WINDOW["ardupilot"]
 KINDS = ("offset", "DIA", "ODI")
 SECONDS = {0.0: 120.0, 15.0: 150.0}
 """Of turning at most, by the rate in deg/s; other rates: 60 s."""
+
+FITTED = {0.0: 60.0, 15.0: 60.0}
+"""Of turning where no job decides, by the rate in deg/s; other rates: 30 s."""
 
 _NINE = ((0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2))
 
@@ -42,21 +50,34 @@ class Tally:
     seconds: list[float] = field(default_factory=list)
     unfinished: int = 0
 
-    def held(self, kind: str) -> float:
-        """Share of the 95 % intervals of a kind of parameter that hold the truth."""
-        rows = np.array(self.deviations).reshape(-1, 3, 3)[:, KINDS.index(kind)]
-        return float(np.mean(np.abs(rows) < 1.96))
+    def add(self, fit: FitResult | None, truth: Array) -> None:
+        """Take a `fit` of a compass whose numbers are `truth`; None: it did not come to one."""
+        if fit is None or fit.status == FitStatus.REFUSED:
+            self.unfinished += 1
+            return
+        self.deviations.append(deviations(fit, truth))
+        self.offset_errors.append(float(np.linalg.norm(fit.model.offset - truth[:3])))
+        self.seconds.append(fit.n_samples / 10.0)
 
-    @property
-    def share(self) -> float:
-        """Of all intervals."""
-        return float(np.mean(np.abs(np.array(self.deviations)) < 1.96))
+    def held(self, kind: str | None = None) -> float:
+        """Share of the 95 % intervals of a kind of parameter that hold the truth; None: of all."""
+        return float(np.mean(self._by_fit(kind)))
 
-    @property
-    def share_sd(self) -> float:
-        """Standard deviation of that by chance; the nine intervals of a compass are not independent."""
-        by_fit = np.mean(np.abs(np.array(self.deviations)) < 1.96, axis=1)
-        return float(np.std(by_fit)) / max(len(by_fit) - 1, 1) ** 0.5
+    def held_sd(self, kind: str | None = None) -> float:
+        """Standard deviation of that by chance.
+
+        The intervals of a compass are not independent: the three of DIA, whose product is one, hold two numbers.
+        """
+        by_fit = self._by_fit(kind)
+        seen = float(np.std(by_fit)) / max(len(by_fit) - 1, 1) ** 0.5
+        least = 0.05 * 0.95 / ((9.0 if kind is None else 3.0) * len(by_fit))  # of independent intervals, 95 % of them
+        return max(seen, float(least) ** 0.5)
+
+    def _by_fit(self, kind: str | None) -> Array:
+        rows = np.array(self.deviations).reshape(-1, 3, 3)
+        if kind is not None:
+            rows = rows[:, [KINDS.index(kind)]]
+        return np.asarray(np.mean(np.abs(rows) < 1.96, axis=(1, 2)))
 
     @property
     def rms(self) -> float:
@@ -89,30 +110,38 @@ def run_cell(cell: Cell, seeds: Sequence[int], uncertainty: float = 0.3) -> tupl
         done = replay("mag", {"uncertainty": uncertainty}, context, made.recording)
         fits = {f.instance: f for f in done.results} if isinstance(done, Done) else {}
         for k, truth in enumerate(made.truth):
-            tally = tallies[int(QUANTA[k] > 0.0)]
-            if k not in fits or fits[k].status == FitStatus.REFUSED:
-                tally.unfinished += 1
-                continue
-            tally.deviations.append(deviations(fits[k], truth))
-            tally.offset_errors.append(float(np.linalg.norm(fits[k].model.offset - truth[:3])))
-            tally.seconds.append(fits[k].n_samples / 10.0)
+            tallies[int(QUANTA[k] > 0.0)].add(fits.get(k), truth)
+    return tallies
+
+
+def fit_cell(cell: Cell, seeds: Sequence[int]) -> tuple[Tally, Tally]:
+    """As :func:`run_cell`, but fits of :data:`FITTED` seconds: a job chooses when it ends, and takes longer to run."""
+    tallies = Tally(cell, whole=False), Tally(cell, whole=True)
+    for seed in seeds:
+        made = turned(seed, cell.rate, cell.noise, FITTED.get(cell.rate, 30.0))
+        (gyro,) = made.recording.find(Sensor.GYRO)
+        for k, truth in enumerate(made.truth):
+            mag = made.recording.channel(Sensor.MAG, k)
+            rates = rates_during(mag.t, gyro.t, gyro.values, WINDOW)
+            fit = fit_ellipsoid_deblurred(mag.values, rates, quantum=mag.quantum, field=made.field)
+            tallies[int(QUANTA[k] > 0.0)].add(fit, truth)
     return tallies
 
 
 def table(tallies: Sequence[Tally]) -> str:
-    """Markdown."""
-    names = ("deg/s", "noise, mG", "stream", "fits", *KINDS, "all", "rms of error/sd", "offset off by, mG", "turned, s")
+    """Markdown; behind each share of intervals two of its standard deviations."""
+    names = ("deg/s", "noise, mG", "stream", "fits", *KINDS, "all", "error/sd, rms", "offset off by, mG", "samples, s")
     lines = ["| " + " | ".join(names) + " |", "|" + "---|" * len(names)]
     for t in tallies:
         if not t.deviations:
             lines.append(f"| {t.cell.rate:g} | {10 * t.cell.noise:g} | - | 0 of {t.unfinished} | | | | | | | |")
             continue
-        kinds = " | ".join(f"{100 * t.held(kind):.1f}" for kind in KINDS)
+        held = " | ".join(f"{100 * t.held(k):.1f} ± {200 * t.held_sd(k):.1f}" for k in (*KINDS, None))
         error = 10.0 * float(np.sqrt(np.mean(np.square(t.offset_errors))))
-        left = f" ({t.unfinished} not in time)" if t.unfinished else ""
+        left = f" ({t.unfinished} without)" if t.unfinished else ""
         lines.append(
             f"| {t.cell.rate:g} | {10 * t.cell.noise:g} | {'whole mG' if t.whole else 'all digits'} | "
-            f"{len(t.deviations)}{left} | {kinds} | {100 * t.share:.1f} ± {100 * t.share_sd:.1f} | {t.rms:.2f} | "
+            f"{len(t.deviations)}{left} | {held} | {t.rms:.2f} | "
             f"{error:.3g} | {float(np.mean(t.seconds)):.0f} |"
         )
     return "\n".join(lines)

@@ -70,7 +70,7 @@ class Rates:
         """The samples (N,) whose blur is known and at most `limit`."""
         return self.known & (self.shrinkage() <= limit)
 
-    def take(self, rows: NDArray[np.bool_] | slice) -> Rates:
+    def take(self, rows: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Rates:
         """The rates of the samples `rows`."""
         return Rates(
             self.ends[rows],

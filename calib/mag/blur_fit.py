@@ -38,6 +38,7 @@ from calib.mag.robust import MAD_TO_SD, OUTLIER, robust_sd
 from calib.mag.samples import Cloud, not_repeated
 from calib.mag.shape import MagModel, correction
 from calib.mag.shape_fit import METHOD
+from calib.mag.still import counted_as, still_stretches
 
 Array = NDArray[np.float64]
 
@@ -107,12 +108,14 @@ def fit_ellipsoid_deblurred(
     rows = rates.sharp()
     rows[rows] = not_repeated(array[rows])
     kept, slow = array[rows], rates.take(rows)
-    if slow.window == 0.0 or not len(kept):
-        return fit_ellipsoid(kept, model=model, robust=robust, prior_sd=prior_sd, **facts)
     context = MagContext(**facts)
+    kept, slow, worth = _moved_on(kept, slow, context.quantum)
+    if not len(kept) or (slow.window == 0.0 and worth is None):
+        return fit_ellipsoid(kept, model=model, robust=robust, prior_sd=prior_sd, **facts)
     believed = SOFT_IRON_SD if model == AUTO and prior_sd is None else prior_sd
     free = np.eye(9) if model == AUTO else MagModel(model).basis
-    sharp, timing = kept, _Timing(np.zeros(len(_STEPS)), np.zeros((9, 9)))
+    alone = None if worth is None else np.sqrt(worth)
+    sharp, timing = kept, _Timing(np.zeros(len(_STEPS)), np.zeros((9, 9)), alone)
 
     def fitted(*, robust: bool | None) -> ShapeFit:
         return ellipsoid_shape(
@@ -133,12 +136,14 @@ def fit_ellipsoid_deblurred(
             return fitted(robust=False)
 
     try:
+        if slow.window == 0.0:
+            return magnetometer_result(fitted(robust=robust), sharp, context)
         shape = on_the_way()
         slow = slow.turned(axes_of_gyro(correction(shape.ellipsoid, 1.0).apply(kept), slow))
         for _ in range(_ROUNDS):
             sharp = deblurred(kept, _adjusted(slow, timing.state), correction(shape.ellipsoid, None))
             shape = on_the_way()
-            timing = _timing(kept, slow, shape, timing, free, believed)
+            timing = _timing(kept, slow, shape, timing, free, believed, worth)
         sharp = deblurred(kept, _adjusted(slow, timing.state), correction(shape.ellipsoid, None))
         shape = fitted(robust=robust)
     except UndeterminedError as error:
@@ -147,7 +152,30 @@ def fit_ellipsoid_deblurred(
     return magnetometer_result(shape, sharp, context)
 
 
-def _timing(kept: Array, slow: Rates, shape: ShapeFit, before: _Timing, free: Array, prior_sd: float | None) -> _Timing:
+def _moved_on(kept: Array, slow: Rates, step: float) -> tuple[Array, Rates, Array | None]:
+    """Means of the readings between which the field did not leave its `step`, and how many each is worth.
+
+    The samples as they are, and None, where it always did.
+    """
+    if step == 0.0 or len(kept) < 2:
+        return kept, slow, None
+    starts = still_stretches(kept, step)
+    if len(starts) == len(kept):
+        return kept, slow, None
+    lengths = np.diff(starts, append=len(kept))
+    means = np.add.reduceat(kept, starts) / lengths[:, None]
+    return means, slow.take(starts + lengths // 2), counted_as(kept, starts, step)
+
+
+def _timing(
+    kept: Array,
+    slow: Rates,
+    shape: ShapeFit,
+    before: _Timing,
+    free: Array,
+    prior_sd: float | None,
+    worth: Array | None,
+) -> _Timing:
     """What is known of the blur, improved by one step from those of `before`, of which `shape` is the fit."""
     model = correction(shape.ellipsoid, None)
 
@@ -162,7 +190,7 @@ def _timing(kept: Array, slow: Rates, shape: ShapeFit, before: _Timing, free: Ar
     distances = Distances(Cloud(samples, np.zeros(3), 1.0)).at(shape.ellipsoid, 0.0, None).residuals
     distances = distances - np.average(distances)
     doubt = np.hypot(_WINDOW_SD * by_timing[:, 0], slow.interval / math.sqrt(12.0) * by_timing[:, 1])
-    precision, least = _precision(distances, doubt)
+    precision, least = _precision(distances, doubt, np.ones(len(kept)) if worth is None else worth)
     weight, variance = _weights(distances * precision, precision, len(free.T))
     variance = max(variance, least) * shape.variance_inflation
     by_free = by_shape @ free
@@ -175,28 +203,29 @@ def _timing(kept: Array, slow: Rates, shape: ShapeFit, before: _Timing, free: Ar
     state = before.state - covariance @ (pull + _PRIOR @ before.state)
     spread = free @ share
     left_open = spread @ covariance @ spread.T
-    return _Timing(state, left_open) if least == 0.0 else _Timing(state, left_open, precision, least)
+    alike = least == 0.0 and worth is None
+    return _Timing(state, left_open) if alike else _Timing(state, left_open, precision, least)
 
 
 def _adjusted(rates: Rates, state: Array) -> Rates:
     return rates.adjusted(float(state[0]), float(state[1]), np.eye(3) + state[2:].reshape(3, 3))
 
 
-def _precision(distances: Array, doubt: Array) -> tuple[Array, float]:
-    """One over the relative noise of every sample, and the variance at precision one (0: all samples are alike).
+def _precision(distances: Array, doubt: Array, worth: Array) -> tuple[Array, float]:
+    """One over the relative noise of every sample, and the variance at precision one (0: blur makes no difference).
 
-    The variance of a sample is ``v + c^2 doubt^2`` with the likeliest v, and the likeliest c, which is one at least:
-    that some residuals are small does not make their blur better known than it can be.
+    The variance of a sample that is worth n readings is ``v/n + c^2 doubt^2`` with the likeliest v, and the likeliest
+    c, which is one at least: that some residuals are small does not make their blur better known than it can be.
     """
     squares = doubt**2
     typical = float(np.mean(squares))
     if not typical > 0.0:
-        return np.ones(len(distances)), 0.0
+        return np.sqrt(worth), 0.0
     # Far off is only what neither the noise of all nor the doubt of its own explains.
     clipped = np.maximum(_clipped(distances), np.minimum(distances**2, _CLIP**2 * squares))
 
     def deviance(log_noise: float, log_doubt: float) -> float:
-        variances = math.exp(log_noise) * typical + math.exp(log_doubt) * squares
+        variances = math.exp(log_noise) * typical / worth + math.exp(log_doubt) * squares
         return float(np.log(variances).sum() + (clipped / variances).sum())
 
     def likeliest(log_doubt: float) -> tuple[float, float]:
@@ -210,8 +239,9 @@ def _precision(distances: Array, doubt: Array) -> tuple[Array, float]:
         if worse < least - _BETTER:
             least, log_noise, factor = worse + _BETTER, other, math.exp(log_doubt)
     noise = math.exp(log_noise) * typical
-    precision = np.sqrt(noise / (noise + factor * squares))
-    return (np.ones(len(distances)), 0.0) if float(precision.min()) > _ALIKE else (precision, noise)
+    precision = np.sqrt(noise / (noise / worth + factor * squares))
+    alike = bool((precision > _ALIKE * np.sqrt(worth)).all())
+    return (np.sqrt(worth), 0.0) if alike else (precision, noise)
 
 
 def _clipped(distances: Array) -> Array:

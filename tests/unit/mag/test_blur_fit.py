@@ -49,6 +49,13 @@ def test_the_stated_uncertainty_of_a_compass_in_whole_milligauss_is_true_and_no_
     assert 0.91 < np.mean(np.abs(found) < 1.96) < 0.99
 
 
+def test_the_stated_uncertainty_of_a_noisy_compass_is_true() -> None:
+    """Noise of 5 mG at 55 deg/s, where nothing but that noise counts."""
+    found = np.array([deviations(fit, truth) for seed in SEEDS for fit, truth in fits(seed, 55.0, 0.5, 30.0)])
+    assert 0.85 < np.sqrt(np.mean(found**2)) < 1.15
+    assert 0.91 < np.mean(np.abs(found) < 1.96) < 0.985
+
+
 def test_a_compass_without_noise_is_not_taken_for_one_full_of_outliers() -> None:
     """Before the blur is computed back, a third of its samples are many of its standard deviations off."""
     (fit, truth), *_ = fits(111, 70.0, 0.0002)
