@@ -119,7 +119,7 @@ async def _carried(service: Service) -> Job:
             return job
         while not vehicle.writable().ok:  # noqa: ASYNC110 - time alone changes it
             await asyncio.sleep(0.05)
-        await service.jobs.apply(job.id, Accept(job.plan.sha256, prove_s=0.0))
+        await service.jobs.apply(job.id, Accept(job.plan.sha256, reboot=True, prove_s=0.0))
         return await _until(service, job.id)
 
 

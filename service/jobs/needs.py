@@ -54,7 +54,9 @@ def sensors_of(results: Iterable[FitResult]) -> set[Sensor]:
     return {fit.sensor for fit in results if fit.sensor in CALIBRATED} | {Sensor.ACCEL, Sensor.GYRO}
 
 
-async def require_absent(vehicle: JobVehicle, job: Job, composed_on: Mapping[str, Value]) -> None:
+async def require_absent(
+    vehicle: JobVehicle, job: Job, composed_on: Mapping[str, Value], told: Callable[[int, int], None] | None = None
+) -> None:
     """Ask again for what the vehicle did not have when `composed_on` was read: on a bad link silence may deceive.
 
     Raises
@@ -66,7 +68,15 @@ async def require_absent(vehicle: JobVehicle, job: Job, composed_on: Mapping[str
     drift = job.kind in DRIFT_KINDS and any(fit.model.polynomial is not None for fit in job.results)
     autopilot = vehicle.identity.autopilot or ""
     absent = needed(autopilot, sensors_of(job.results), composed_on, drift=drift) - composed_on.keys()
-    there = await read_values(vehicle, sorted(absent), absent=True)
+    if not absent:
+        return
+
+    def counted(answered: int) -> None:
+        if told is not None:
+            told(answered, len(absent))
+
+    counted(0)
+    there = await read_values(vehicle, sorted(absent), absent=True, told=counted)
     if there:
         names = ", ".join(there)
         raise PlanChanged(f"{names} did not answer when the calibration was read, but does now: start the job again")

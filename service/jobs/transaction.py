@@ -28,7 +28,7 @@ from service.jobs.crashpoints import At
 from service.jobs.ending import INTERRUPTED, cause_of, end, look_back, record_of, stop
 from service.jobs.finish import finish
 from service.jobs.guard import STOPPING, Guard
-from service.jobs.handle import JobHandle
+from service.jobs.handle import JobHandle, counting
 from service.jobs.journal import BY_OPERATOR, Next, Step, decide
 from service.jobs.needs import require_absent
 from service.jobs.patience import until_idle
@@ -65,7 +65,8 @@ class Transaction:
             w = self.attempt()
             w.guard.check()
             await w.check.before(w.guard)
-            await w.guard.run(partial(require_absent, w.vehicle, self.handle.job, w.composed_on()))
+            told = counting(self.handle, "asking again for what was not there")
+            await w.guard.run(partial(require_absent, w.vehicle, self.handle.job, w.composed_on(), told))
             await prepare(w)
         except Exception as error:  # noqa: BLE001 - nothing was sent yet, whatever it was
             end(self.handle, _nothing_sent(error))
