@@ -4,6 +4,7 @@
 
     engine ── admission     who may begin what
       │ └──── feed, handle  events, the durable value of a job
+      ├ adoption            a plan of fits, and a job of an uploaded recording
       ├ runner: capture (watch, digest, spans, streams) ─> fit of the closed segments ─> planning
       └ transaction: write, verify, restart, finish ─ rollback;  journal decides after any interruption
     port: what is needed of a vehicle;  fleet: the real ones

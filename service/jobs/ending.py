@@ -11,13 +11,13 @@ import structlog
 from calib.errors import CalibError
 from calib.firmware.plan import Value
 from service.errors import ServiceError
-from service.jobs.account import Account, as_heard, in_doubt
+from service.jobs.account import Account, as_heard, in_doubt, nothing_sent
 from service.jobs.codec import attempt_to_json
 from service.jobs.guard import RESTARTED, Guard
 from service.jobs.handle import JobHandle
 from service.jobs.journal import Step, WriteRecord
 from service.jobs.model import Attempt, Failure, Holds, Standing, WriteResult
-from service.jobs.states import JobState
+from service.jobs.states import CAPTURING, JobState
 
 log = structlog.get_logger(__name__)
 
@@ -28,6 +28,7 @@ RESULTS: Mapping[JobState, WriteResult] = {
     JobState.SUCCEEDED: WriteResult.SUCCEEDED,
 }
 INTERRUPTED = "the service was interrupted while it wrote"
+LOST = "the write lost its task, by a defect of the program; its log says more"
 
 
 def end(handle: JobHandle, told: Account) -> None:
@@ -111,3 +112,21 @@ def _known(
     note = "the journal cannot be read: whether it was sent is not known"
     changes = handle.job.plan.changes
     return tuple(Standing(c.name, c.old, c.new, None, certain=False, note=note) for c in changes)
+
+
+async def doubt(handle: JobHandle, reason: str) -> None:
+    """Put a job whose write lost its task in doubt; one that has sent nothing goes back to review."""
+    record = record_of(handle)
+    if handle.job.state == JobState.APPLYING and record is not None and not record.sent:
+        end(handle, nothing_sent("interrupted", reason, "Nothing was written. Apply the plan again."))
+    else:
+        await stop(handle, reason, {}, None)
+
+
+def broke(handle: JobHandle, error: BaseException) -> None:
+    """Note a defect in a job's work; a job that has written nothing ends with it."""
+    log.error("job broke", job=handle.id, state=handle.job.state, exc_info=error)
+    if handle.job.state in CAPTURING | {JobState.FITTING}:
+        cause = f"a defect of the program ended the job ({type(error).__name__})"
+        remedy = "Its log says more. What was recorded is kept."
+        handle.move_anyway(JobState.FAILED, outcome=Failure("internal-error", cause, remedy), prompt=None)

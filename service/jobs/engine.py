@@ -14,12 +14,8 @@ from typing import Any
 
 import structlog
 
-from calib.errors import CalibError
-from calib.firmware.origin import Origin, unproved
 from calib.firmware.streams import requested_streams
-from calib.fit import FitResult, FitStatus
 from calib.procedures.registry import specification, validate_options
-from calib.recording import Identity
 from service.errors import (
     AnswerRefused,
     Forbidden,
@@ -28,33 +24,24 @@ from service.errors import (
     JobUnknown,
     NotCancellable,
     NotRevertible,
-    ServiceError,
 )
-from service.jobs.account import nothing_sent
 from service.jobs.admission import request_digest, require_acceptable, require_free, require_ready
+from service.jobs.adoption import Fitting, adopted, composed
 from service.jobs.crashpoints import At, CrashPoint, nowhere
-from service.jobs.ending import INTERRUPTED, end, record_of, stop
+from service.jobs.ending import INTERRUPTED, LOST, broke, doubt
 from service.jobs.feed import EventFeed
 from service.jobs.handle import JobHandle
 from service.jobs.journal import BY_OPERATOR, Step
 from service.jobs.model import Accept, Attempt, Failure, Job, WriteResult
-from service.jobs.needs import read_needed, sensors_of
 from service.jobs.planning import (
     FROM_RECORDING,
-    Planned,
-    accel_temperatures,
     checked_plan_options,
     confirmed,
     identity_to_json,
     keep_plan,
-    make_plan,
-    nothing_to_write,
-    origin_from_json,
-    origin_to_json,
-    require_origin,
     require_sensors_of,
 )
-from service.jobs.port import JobVehicle, VehicleSource
+from service.jobs.port import VehicleSource
 from service.jobs.runner import Runner
 from service.jobs.salvage import job_of
 from service.jobs.settings import JobSettings
@@ -67,8 +54,6 @@ from service.store.protocol import Store
 from service.store.rows import EventRow
 
 log = structlog.get_logger(__name__)
-
-LOST = "the write lost its task, by a defect of the program; its log says more"
 
 
 class JobEngine:
@@ -159,7 +144,7 @@ class JobEngine:
             self._spawn(handle, partial(self._recovered, handle, INTERRUPTED))
 
     async def _recovered(self, handle: JobHandle, reason: str) -> None:
-        await self._doubt(handle, reason)
+        await doubt(handle, reason)
         await self._transaction(handle).resolve()
 
     def _resume(self, handle: JobHandle) -> None:
@@ -262,7 +247,7 @@ class JobEngine:
     async def adopt(
         self,
         vehicle_id: str,
-        fitting: Callable[[], Awaitable[tuple[Sequence[FitResult], Origin]]],
+        fitting: Fitting,
         options: Mapping[str, Any],
         plan_options: Mapping[str, Any] | None = None,
     ) -> Job:
@@ -288,41 +273,8 @@ class JobEngine:
         except BaseException:
             del self._handles[job.id]
             raise
-        self._spawn(handle, partial(self._adopted, handle, fitting, plan_options or {}))
+        self._spawn(handle, partial(adopted, handle, self._vehicles, fitting, plan_options or {}, self.list))
         return handle.job
-
-    async def _adopted(
-        self,
-        handle: JobHandle,
-        fitting: Callable[[], Awaitable[tuple[Sequence[FitResult], Origin]]],
-        plan_options: Mapping[str, Any],
-    ) -> None:
-        """Fit and plan; the job ends in review, succeeded with nothing to write, or failed."""
-        try:
-            results, origin = await fitting()
-            chosen = checked_plan_options(plan_options, results)
-            kept = origin_to_json(origin)
-            vehicle = self._vehicles.vehicle(handle.job.vehicle_id)
-            require_ready(vehicle)
-            identity, planned = await self._composed(vehicle, results, chosen, kept)
-            await keep_plan(handle, planned)
-        except (ServiceError, CalibError) as error:
-            code = str(getattr(error, "code", "calibration-error"))
-            remedy = "Remove the cause and ask for the job again; the recording is kept."
-            handle.move(JobState.FAILED, outcome=Failure(code, str(error), remedy))
-            return
-        told = [fit.message for fit in results if fit.status == FitStatus.REFUSED]
-        told += [warning for fit in results for warning in fit.warnings]
-        done = planned.plan.nothing_to_write
-        handle.move(
-            JobState.SUCCEEDED if done else JobState.REVIEW,
-            outcome=nothing_to_write(planned.plan) if done else None,
-            fingerprint=planned.plan.fingerprint,
-            results=tuple(results),
-            plan=planned.plan,
-            warnings=tuple(dict.fromkeys(told)),
-            context={"identity": identity_to_json(identity), "plan_options": chosen, "origin": kept},
-        )
 
     async def cancel(self, job_id: str) -> Job:
         """Cancel a job that has written nothing; what it recorded is kept. Raises NotCancellable."""
@@ -371,7 +323,7 @@ class JobEngine:
         chosen = checked_plan_options(job.context.get("plan_options", {}) if options is None else options, job.results)
         vehicle = self._vehicles.vehicle(job.vehicle_id)
         require_ready(vehicle)
-        identity, planned = await self._composed(vehicle, job.results, chosen, job.context.get("origin"))
+        identity, planned = await composed(vehicle, job.results, chosen, job.context.get("origin"), self.list())
         await keep_plan(handle, planned)
         if handle.job.state != JobState.REVIEW:
             raise IllegalTransition(f"job {job_id} is {handle.job.state}: only a job in review can be planned again")
@@ -472,25 +424,6 @@ class JobEngine:
         if self._read_only:
             raise Forbidden("this service runs with --read-only and never writes: export the plan instead")
 
-    async def _composed(
-        self,
-        vehicle: JobVehicle,
-        results: Sequence[FitResult],
-        options: Mapping[str, Any],
-        origin: Mapping[str, Any] | None,
-    ) -> tuple[Identity, Planned]:
-        """Who the vehicle is, and a plan on its present parameters. `origin` of a recording must be this vehicle."""
-        identity = await vehicle.identify()
-        drift = any(fit.model.polynomial is not None for fit in results)
-        read = await read_needed(vehicle, sensors_of(results), drift=drift)
-        parameters = {name: reading.value for name, reading in read.items()}
-        doubt = ""
-        if origin is not None:
-            require_origin(origin_from_json(origin), identity, parameters)
-            doubt = unproved(origin_from_json(origin), identity)
-        known = accel_temperatures(self.list(), vehicle.id, parameters)
-        return identity, await asyncio.to_thread(make_plan, results, parameters, identity, options, known, doubt)
-
     def _handle(self, job_id: str) -> JobHandle:
         handle = self._handles.get(job_id)
         if handle is None:
@@ -520,15 +453,6 @@ class JobEngine:
         check = StreamCheck(handle, vehicle, job.plan, accept.prove_s, self.settings, self._clock)
         return Writing(handle, vehicle, job.plan, accept, check, self.settings, self._reach)
 
-    async def _doubt(self, handle: JobHandle, reason: str) -> None:
-        """A job whose write lost its task; one that has sent nothing goes back to review."""
-        record = record_of(handle)
-        unsent = handle.job.state == JobState.APPLYING and record is not None and not record.sent
-        if unsent:
-            end(handle, nothing_sent("interrupted", reason, "Nothing was written. Apply the plan again."))
-        else:
-            await stop(handle, reason, {}, None)
-
     async def _applied(self, handle: JobHandle) -> None:
         """The write, once nobody puts message rates back any more: it needs the same ones as the capture."""
         await self._tidying.before_write(handle)
@@ -554,21 +478,14 @@ class JobEngine:
                 task = asyncio.current_task()
                 if self._stopping or (task is not None and task.cancelling()):
                     raise  # a stop of the service is a crash: the journal decides at the next start
-                self._broke(handle, error)
+                broke(handle, error)
             except Exception as error:  # noqa: BLE001 - every kind of defect
-                self._broke(handle, error)
+                broke(handle, error)
             if handle.job.state not in WRITING:
                 return
             await asyncio.sleep(pause)
             pause = self.settings.retry_s
             work = partial(self._recovered, handle, LOST)
-
-    def _broke(self, handle: JobHandle, error: BaseException) -> None:
-        log.error("job broke", job=handle.id, state=handle.job.state, exc_info=error)
-        if handle.job.state in CAPTURING | {JobState.FITTING}:
-            cause = f"a defect of the program ended the job ({type(error).__name__})"
-            remedy = "Its log says more. What was recorded is kept."
-            handle.move_anyway(JobState.FAILED, outcome=Failure("internal-error", cause, remedy), prompt=None)
 
     def _ended(self, handle: JobHandle, task: asyncio.Task[None]) -> None:
         if self._tasks.get(handle.id) is task:

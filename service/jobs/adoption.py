@@ -1,0 +1,98 @@
+"""From fits to a plan on the vehicle's present parameters; and a whole job from the fits of an uploaded recording."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+from calib.errors import CalibError
+from calib.firmware.origin import Origin, unproved
+from calib.fit import FitResult, FitStatus
+from calib.recording import Identity
+from service.errors import ServiceError
+from service.jobs.admission import require_ready
+from service.jobs.handle import JobHandle
+from service.jobs.model import Failure, Job
+from service.jobs.needs import read_needed, sensors_of
+from service.jobs.planning import (
+    Planned,
+    accel_temperatures,
+    checked_plan_options,
+    identity_to_json,
+    keep_plan,
+    make_plan,
+    nothing_to_write,
+    origin_from_json,
+    origin_to_json,
+    require_origin,
+)
+from service.jobs.port import JobVehicle, VehicleSource
+from service.jobs.states import JobState
+
+Fitting = Callable[[], Awaitable[tuple[Sequence[FitResult], Origin]]]
+"""Makes the fits of a recording, and says whose sensors they are of."""
+
+
+async def composed(
+    vehicle: JobVehicle,
+    results: Sequence[FitResult],
+    options: Mapping[str, Any],
+    origin: Mapping[str, Any] | None,
+    jobs: Iterable[Job],
+) -> tuple[Identity, Planned]:
+    """Who the vehicle is, and a plan on its present parameters. `origin` of a recording must be this vehicle.
+
+    `jobs` are all jobs: earlier ones know at which temperature an accelerometer was calibrated.
+
+    Raises
+    ------
+    OtherVehicle
+        If the recording is of other sensors.
+    VehicleError, FirmwareError, InvalidInputError
+    """
+    identity = await vehicle.identify()
+    drift = any(fit.model.polynomial is not None for fit in results)
+    read = await read_needed(vehicle, sensors_of(results), drift=drift)
+    parameters = {name: reading.value for name, reading in read.items()}
+    doubt = ""
+    if origin is not None:
+        require_origin(origin_from_json(origin), identity, parameters)
+        doubt = unproved(origin_from_json(origin), identity)
+    known = accel_temperatures(jobs, vehicle.id, parameters)
+    return identity, await asyncio.to_thread(make_plan, results, parameters, identity, options, known, doubt)
+
+
+async def adopted(
+    handle: JobHandle,
+    vehicles: VehicleSource,
+    fitting: Fitting,
+    plan_options: Mapping[str, Any],
+    jobs: Callable[[], Iterable[Job]],
+) -> None:
+    """Fit and plan; the job ends in review, succeeded with nothing to write, or failed."""
+    try:
+        results, origin = await fitting()
+        chosen = checked_plan_options(plan_options, results)
+        kept = origin_to_json(origin)
+        vehicle = vehicles.vehicle(handle.job.vehicle_id)
+        require_ready(vehicle)
+        identity, planned = await composed(vehicle, results, chosen, kept, jobs())
+        await keep_plan(handle, planned)
+    except (ServiceError, CalibError) as error:
+        code = str(getattr(error, "code", "calibration-error"))
+        remedy = "Remove the cause and ask for the job again; the recording is kept."
+        handle.move(JobState.FAILED, outcome=Failure(code, str(error), remedy))
+        return
+    told = [fit.message for fit in results if fit.status == FitStatus.REFUSED]
+    told += [warning for fit in results for warning in fit.warnings]
+    done = planned.plan.nothing_to_write
+    handle.move(
+        JobState.SUCCEEDED if done else JobState.REVIEW,
+        outcome=nothing_to_write(planned.plan) if done else None,
+        fingerprint=planned.plan.fingerprint,
+        results=tuple(results),
+        plan=planned.plan,
+        warnings=tuple(dict.fromkeys(told)),
+        context={"identity": identity_to_json(identity), "plan_options": chosen, "origin": kept},
+    )
