@@ -58,7 +58,7 @@ export function jobCard(job, title, vehicle, actions) {
       new Date(1000 * job.created_at).toLocaleString()].join(" · ")),
     ENDED.has(job.state) ? null : promptPart(job, actions),
     SHOWS_PROGRESS.has(job.state) ? el("div", { class: "progress" }) : null,
-    outcomePart(job.outcome),
+    outcomePart(job.outcome, job.verification !== null),
     standingPart(job.standing ?? []),
     planPart(job, actions),
     verificationPart(job.verification),
@@ -105,9 +105,12 @@ function progressPart(progress) {
     el("p", { class: "quiet small" }, `${progress.text}${eta}`)];
 }
 
-function outcomePart(outcome) {
+function outcomePart(outcome, checked) {
   if (!outcome) return null;
-  if (outcome.kind === "result") return el("p", { class: "good" }, outcome.text);
+  if (outcome.kind === "result") {
+    const text = checked ? `Proof: ${outcome.proof}. ${outcome.text}` : outcome.text;
+    return el("p", { class: checked && outcome.proof !== "full" ? "warn" : "good" }, text);
+  }
   return el("p", { class: "bad" }, `${outcome.cause} ${outcome.remedy}`);
 }
 

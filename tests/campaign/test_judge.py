@@ -149,7 +149,7 @@ def _true_compass(mag: dict[str, Any], k: int, *, px4: bool) -> dict[str, float]
     matrix = _symmetric(np.linalg.inv(mag["matrix" if px4 else "body_matrix"]))
     off = [matrix[0, 1], matrix[0, 2], matrix[1, 2]]
     offset = np.array(mag["offset"]) / 100.0 if px4 else -np.array(mag["body_offset"]) / 0.1
-    found = {}
+    found = {} if px4 else {f"COMPASS_SCALE{n}": 1.0}
     for i, axis in enumerate("XYZ"):
         if px4:
             found |= {f"CAL_MAG{k}_{axis}OFF": offset[i], f"CAL_MAG{k}_{axis}SCALE": matrix[i, i]}

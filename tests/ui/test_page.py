@@ -82,7 +82,8 @@ def test_a_gyro_is_calibrated_written_and_taken_back(window, tmp_path):
         window.until(NEWEST, "succeeded")
         assert v.parameters()[1]["INS_GYR2OFFS_X"] != before["INS_GYR2OFFS_X"]
         window.until(NEWEST, "Written: ")
-        assert "proved" in window.text(NEWEST)
+        assert "Proof: " in window.text(NEWEST)
+        assert "The stream proves " in window.text(NEWEST)
         for width, height in ((1280, 900), (390, 844), (320, 640)):
             window.resize(width, height)
             assert window.run("return document.documentElement.scrollWidth") <= width
