@@ -30,7 +30,6 @@ TRACKED_S = 0.5
 """Wall time after arming in which a PARAM_SET may still arrive that had left before."""
 VISIBLE_S = {"arm": 0.5, "reboot": 2.0, "silence": 3.5, "onboard_calibration": 1.5, "move": 1.0, "twin": 5.0}
 """Wall time after which the service has to know of a stopping fault, over what its link takes."""
-BOOT = 1e6
 """Added to a vehicle's time for each of its restarts."""
 ENDED = (JobState.SUCCEEDED, JobState.REVERTED, JobState.REVIEW)
 
@@ -206,18 +205,18 @@ class _FaultRun:
         """Nothing is sent to an armed vehicle."""
         state = await vehicle.acall("state")
         arming = [t for fault in state["faults"] if fault["kind"] == "arm" for t in fault["struck"]]
-        if not arming or state["boots"]:
+        if not arming:
             return
         late = [s for s in state["param_set_list"] if s[0] > max(arming) + TRACKED_S * self.scenario.speed]
         if late:
             self.complaints.append(f"{len(late)} PARAM_SETs reached the vehicle long after it was armed")
 
     async def _note_states(self, bench: Session, vehicle: SimulatedVehicle, job_id: str) -> None:
-        """When, by the vehicle's clock, the job enters which state."""
+        """When, by the vehicle's clock that goes on through restarts, the job enters which state."""
         async for event in bench.engine.subscribe(job_id):
             if event.kind == "state":
                 now = await vehicle.acall("state")
-                self._states.append((now["time"] + BOOT * now["boots"], event.data["state"]))
+                self._states.append((now["elapsed"], event.data["state"]))
 
     def _check_stops(self, state: Json, faults: list[Json]) -> None:
         """After a stopping fault nothing more is sent, and the job is in doubt."""
@@ -228,7 +227,7 @@ class _FaultRun:
             for t in f["struck"]
         ]
         self.stops = sum(stop.demanded for stop in stops)
-        self.complaints += stop_complaints(stops, _in_order(state["param_set_list"]))
+        self.complaints += stop_complaints(stops, state["param_set_list"])
 
     # --- afterwards
 
@@ -253,17 +252,6 @@ class _FaultRun:
         """Names whose first PARAM_SET was at the time at which a not_applied struck."""
         times = {t for fault in faults if fault["kind"] == "not_applied" for t in fault["struck"]}
         return [name for when, name, _ in state["param_set_list"] if when in times]
-
-
-def _in_order(sets: list[Any]) -> list[tuple[float, str, float]]:
-    """PARAM_SETs with times that go on through a restart, at which the vehicle's clock begins again."""
-    found: list[tuple[float, str, float]] = []
-    boots, before = 0, 0.0
-    for when, name, value in sets:
-        boots += when < before
-        before = when
-        found.append((when + BOOT * boots, name, value))
-    return found
 
 
 def _pin(name: str, job: Job) -> Pinned | None:

@@ -48,7 +48,7 @@ class Fault:
         options: its own entries, as given.
         at_time: vehicle time of the stroke; None: not by time.
         nth_set: strikes with the n-th PARAM_SET received from now on; None: not by count.
-        struck: vehicle times at which it struck.
+        struck: when it struck, by the clock that goes on through restarts.
     """
 
     kind: str
@@ -142,7 +142,7 @@ class Injector:
     def _strike(self, fault: Fault, name: str | None) -> None:
         fault.done = True
         if fault.kind not in ("lost_echo", "late_echo"):  # these strike with the echo
-            fault.struck.append(self._vehicle.time)
+            fault.struck.append(self._vehicle.elapsed)
         self._kinds[fault.kind](fault, name)
 
     def clear(self) -> None:
@@ -190,7 +190,7 @@ class Injector:
         for i, (fault, left) in enumerate(self._echoes):
             if fault.options.get("name", name) != name:
                 continue
-            fault.struck.append(self._vehicle.time)
+            fault.struck.append(self._vehicle.elapsed)
             self._echoes[i : i + 1] = [(fault, left - 1)] if left > 1 else []
             if fault.kind == "late_echo":
                 self._vehicle.at(_finite("delay_s", fault.options.get("delay_s", DEFAULT_ECHO_DELAY_S)), echo)

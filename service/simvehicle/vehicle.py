@@ -60,6 +60,7 @@ class Vehicle(ABC):
         self.alive = False  # False while rebooting
         self.silent_until = -math.inf
         self.sets: list[tuple[float, str, float]] = []
+        """When by :attr:`elapsed`, name and value."""
         self.set_count = 0
         self.on_set: Callable[[int, str], None] = lambda _count, _name: None
         self.on_reboot: Callable[[], None] = lambda: None
@@ -227,7 +228,7 @@ class Vehicle(ABC):
 
     def note_set(self, name: str, value: float) -> None:
         """Remember that a PARAM_SET arrived, and let faults strike that wait for it."""
-        self.sets.append((self.time, name, value))
+        self.sets.append((self.elapsed, name, value))
         del self.sets[:-MAX_SETS_KEPT]
         self.set_count += 1
         self.on_set(self.set_count, name)

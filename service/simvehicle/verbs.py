@@ -157,6 +157,7 @@ class Verbs:
         count = len(vehicle.world.truth.accels)
         return {
             "time": vehicle.time,
+            "elapsed": vehicle.elapsed,
             "alive": vehicle.alive,
             "boots": vehicle.boots,
             "armed": vehicle.armed,

@@ -137,7 +137,8 @@ def test_a_reference_is_never_written(autopilot):
     parameters |= {"CAL_ACC0_ID": 1, "CAL_ACC0_ROT": -1, "SENS_BOARD_ROT": 0, "AHRS_ORIENTATION": 0}
     parameters |= {f"SENS_BOARD_{a}_OFF": 0.0 for a in "XYZ"}
     plan = compose([dataclasses.replace(fit, relative=False)], parameters, Fingerprint(autopilot, "0", "4.6.0", ()))
-    assert any("offset of x, y, z is not determined" in text for text in plan.blockers)
+    assert plan.blockers == ("there is nothing to write: no sensor has a usable fit",)
+    assert any("rest-reference finds nothing that can be written" in text for text in plan.warnings)
     assert not plan.changes
 
 

@@ -162,7 +162,7 @@ def make_bench() -> Iterator[MakeBench]:
         stores.append(store)
         plan = make_plan(vehicle, session=session, reboot=reboot, command=command)
         job = Job("j1", vehicle.id, "gyro", {}, JobState.APPLYING, 0.0, 0.0, fingerprint=plan.fingerprint, plan=plan)
-        handle = JobHandle(job, store, lambda _: None)
+        handle = JobHandle(job, store, lambda _: None, progress_s=0.0)
         handle.change("state", {})
         store.add_snapshot("j1", 0.0, SnapshotPurpose.COMPOSED_ON, plan.snapshot_sha256, vehicle.values())
         accept = Accept(plan.sha256, reboot=accept_reboot)
