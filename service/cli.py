@@ -18,6 +18,8 @@ COMMANDS = {
     "demo": "Calibrate a simulated vehicle end to end and compare with its truth.",
     "serve": "Run the service and its panel.",
     "calibrate": "Calibrate one sensor of a vehicle, headless.",
+    "plan": "Plan the fit of a recording for a connected vehicle, and write it.",
+    "accept": "Write the plan of a job that waits in review.",
     "recover": "Finish or take back a write that was interrupted.",
     "fit": "Run one method on a recording.",
     "inspect": "Tell what is in a recording.",

@@ -19,7 +19,7 @@ from calib.firmware.fitted import Pair, pair_fits, usable_fits
 from calib.firmware.mag_ardupilot import compose_compasses
 from calib.firmware.mag_motor import compose_motors
 from calib.firmware.mag_px4 import compose_magnetometers
-from calib.firmware.options import ComposeOptions, how, unknown_keys
+from calib.firmware.options import ComposeOptions, to_confirm, unknown_keys
 from calib.firmware.plan import Agreement, Fingerprint, Loss, Value, WritePlan
 from calib.firmware.trim import adjust_trim, compose_level
 from calib.fit import FitResult
@@ -204,4 +204,4 @@ class _Composition:
                 f"{self._options.unproved_origin}; the operator has confirmed that it is of this vehicle", first=True
             )
         else:
-            draft.block(f"{self._options.unproved_origin}. Confirm it with {how('confirm_other_unit')}")
+            draft.block(f"{self._options.unproved_origin}. {to_confirm('confirm_other_unit')}")

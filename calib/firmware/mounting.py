@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.firmware.draft import Draft, Subject
-from calib.firmware.options import how
+from calib.firmware.options import to_confirm
 from calib.firmware.rotations import rotation_words
 from calib.fit import FitResult
 from calib.mag.orientation import Verdict
@@ -40,7 +40,7 @@ def ask_for_mounting(draft: Draft, autopilot: str, about: Subject, turn: Turn, c
     if draft.options.confirm_mounting:
         draft.warn(f"{found}, as confirmed: {step}", first=True)
     else:
-        draft.block(f"{found}: {step}. Look at it, then confirm it with {how('confirm_mounting')}")
+        draft.block(f"{found}: {step}. Look at it. {to_confirm('confirm_mounting')}")
 
 
 def mounting_turn(draft: Draft, about: Subject, fit: FitResult) -> Turn | None:

@@ -81,8 +81,29 @@ def how(name: str) -> str:
     >>> how("keep_gyro_at_boot")
     'the plan option keep_gyro_at_boot (--keep-gyro-at-boot)'
     """
-    option = PLAN_OPTIONS[name]
-    return f"the plan option {name} (--{option.flag})" if option.live else f"the plan option {name}"
+    return f"the plan option {name} (--{PLAN_OPTIONS[name].flag})"
+
+
+def to_confirm(name: str) -> str:
+    """What the operator is told to do about a blocker that a confirmation removes; the blocker ends with it."""
+    return f"Confirm it with {how(name)}"
+
+
+def confirmations(blockers: Iterable[str]) -> tuple[str, ...]:
+    """The confirmations that remove all of `blockers`; empty if there are none, or if one stays whatever is confirmed.
+
+    >>> confirmations([f"A log without a board id. {to_confirm('confirm_other_unit')}"])
+    ('confirm_other_unit',)
+    >>> confirmations(["the offset is too large"])
+    ()
+    """
+    found: dict[str, None] = {}
+    for text in blockers:
+        name = next((n for n in CONFIRMATIONS if text.endswith(to_confirm(n))), None)
+        if name is None:
+            return ()
+        found[name] = None
+    return tuple(found)
 
 
 @dataclass(frozen=True)
@@ -93,7 +114,7 @@ class PlanOption:
     read: Callable[[str, Any], Any]
     help: str
     live: bool = True
-    """Whether a job that listens to the vehicle can have it, and so the command line."""
+    """Whether a job that listens to the vehicle can have it; others are of jobs of a recording."""
 
     @property
     def flag(self) -> str:
@@ -160,6 +181,9 @@ PLAN_OPTIONS: Final[Mapping[str, PlanOption]] = MappingProxyType(
     }
 )
 """By name. :attr:`ComposeOptions.unproved_origin` is a fact, not a decision, and no option."""
+
+CONFIRMATIONS: Final = tuple(name for name in PLAN_OPTIONS if name.startswith("confirm_"))
+"""What only the operator can know; the audit keeps who said it."""
 
 
 def compose_options(data: Mapping[str, Any], **facts: Any) -> ComposeOptions:

@@ -100,7 +100,7 @@ async def recovered(
 
     told = []
     for found in left.found:
-        if not _of(service, found.job, vehicle):
+        if not is_of(service, found.job, vehicle):
             continue
         screen.line(beginning(found), bold=True)
         if found.writing:
@@ -114,7 +114,8 @@ async def recovered(
     return tuple(told)
 
 
-def _of(service: Service, job: Job, vehicle: Vehicle) -> bool:
+def is_of(service: Service, job: Job, vehicle: Vehicle) -> bool:
+    """Whether the job is of this vehicle."""
     from service.errors import VehicleUnknown
 
     with suppress(VehicleUnknown):

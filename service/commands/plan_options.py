@@ -30,6 +30,12 @@ NAMES = (
     *("only", "keep_gyro_at_boot", "mark_calibrated", "adjust_level"),
     *("confirm_mounting", "device_ids", "accel_temperature"),
 )
+"""Those that a live job can have."""
+OF_RECORDINGS = ("confirm_other_unit",)
+"""Those that only a job of a recording can have."""
+_other_unit = click.option(
+    "--confirm-other-unit", is_flag=True, help="Confirm that a recording without board id is of this vehicle."
+)
 _TWO_WAYS = frozenset({"mark_calibrated", "adjust_level"})
 """Switches that can be given either way; the others are only ever switched on."""
 
@@ -41,9 +47,14 @@ def plan_options(command: Command) -> Command:
     return command
 
 
+def all_plan_options(command: Command) -> Command:
+    """Add every option of a plan, those of recordings included."""
+    return plan_options(_other_unit(command))
+
+
 def given(options: dict[str, Any]) -> dict[str, Any]:
     """Those that were given, as plain data. Takes them out of `options`."""
-    said = {name: options.pop(name) for name in NAMES}
+    said = {name: options.pop(name) for name in (*NAMES, *OF_RECORDINGS) if name in options}
     found = {n: v for n, v in said.items() if v is not None and (v is not False or n in _TWO_WAYS)}
     if "only" in found:
         found["only"] = [part for part in found["only"].split(",") if part]

@@ -10,7 +10,7 @@ from calib.errors import InvalidInputError
 from calib.firmware.compose import compose
 from calib.firmware.fingerprint import calibration_snapshot, fingerprint
 from calib.firmware.foresee import foreseen, unknown_sensors
-from calib.firmware.options import PLAN_OPTIONS, compose_options, key_text, unknown_keys
+from calib.firmware.options import CONFIRMATIONS, compose_options, key_text, unknown_keys
 from calib.firmware.origin import Origin, differences
 from calib.firmware.plan import Value, WritePlan, snapshot_sha256
 from calib.firmware.slots import CALIBRATED
@@ -37,10 +37,6 @@ class Planned:
 
     plan: WritePlan
     composed_on: dict[str, Value]
-
-
-CONFIRMATIONS = tuple(name for name in PLAN_OPTIONS if name.startswith("confirm_"))
-"""What only the operator can know; the audit keeps who said it."""
 
 
 def checked_plan_options(options: Mapping[str, Any], results: Sequence[FitResult] | None = None) -> dict[str, Any]:

@@ -70,16 +70,16 @@ class Command:
         assert "Traceback" not in done.stderr, done.stderr
         return done.returncode, json.loads(done.stdout), done.stderr
 
-    def begun(self, *arguments: str) -> Running:
+    def begun(self, *arguments: str, stdin: int | None = None) -> Running:
         command = [sys.executable, "-u", "-m", "service", *arguments, *self._place]
-        return Running(command)
+        return Running(command, stdin)
 
 
 class Running:
     """A command that is still running."""
 
-    def __init__(self, command: list[str]) -> None:
-        self._process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    def __init__(self, command: list[str], stdin: int | None) -> None:
+        self._process = subprocess.Popen(command, cwd=ROOT, stdin=stdin, stderr=subprocess.PIPE, text=True)
         self._limit = threading.Timer(LIMIT_S, self._process.kill)
         self._limit.start()
         self.said = ""

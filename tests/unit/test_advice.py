@@ -86,9 +86,11 @@ def test_both_faces_take_every_option_of_a_plan() -> None:
         assert model.model_fields["plan_options"].annotation in (PlanOptions, PlanOptions | None)
     live = {name for name, option in PLAN_OPTIONS.items() if option.live}
     assert set(command_line.NAMES) == live
-    calibrate = cli.get_command(click.Context(cli), "calibrate")
-    assert calibrate is not None
-    assert set(flags(calibrate)) >= {PLAN_OPTIONS[name].flag for name in live}
+    assert {*command_line.NAMES, *command_line.OF_RECORDINGS} == set(PLAN_OPTIONS)
+    for name, taken in (("calibrate", live), ("plan", PLAN_OPTIONS), ("accept", PLAN_OPTIONS)):
+        command = cli.get_command(click.Context(cli), name)
+        assert command is not None
+        assert set(flags(command)) >= {PLAN_OPTIONS[option].flag for option in taken}
 
 
 def test_what_the_command_line_is_given_is_what_a_plan_takes() -> None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from calib.firmware.options import to_confirm
 from calib.firmware.plan import Change, Fingerprint, ParameterKind, WritePlan
-from service.commands.calibrate import _show_end, _show_plan
+from service.commands.review import show_end, show_plan
 from service.commands.screen import Screen
 from service.jobs.model import Failure, Job
 from service.jobs.states import JobState
@@ -14,7 +15,7 @@ from service.jobs.states import JobState
 def test_an_id_is_shown_with_all_its_digits(capsys: pytest.CaptureFixture[str]) -> None:
     change = Change("CAL_GYRO0_ID", 0, 2147483647, ParameterKind.INT32, "")
     plan = WritePlan(Fingerprint("px4", "u", "1", ()), "0" * 64, (change,), warnings=("said first",))
-    _show_plan(plan, Screen())
+    show_plan(plan, Screen())
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == "    note: said first"
     assert lines[1].split() == ["CAL_GYRO0_ID", "0", "->", "2147483647"]
@@ -35,12 +36,21 @@ def test_cause_and_remedy_are_two_sentences() -> None:
     assert Failure("x", "It stopped.", "").cause == "It stopped."
 
 
+MOUNTED = f"compass 1 is mounted turned by yaw 270. {to_confirm('confirm_mounting')}"
+
+
 @pytest.mark.parametrize(
-    ("blockers", "said"), [(("too far",), "blocked: nothing was written"), ((), "--apply writes it")]
+    ("blockers", "said"),
+    [
+        (("too far",), "blocked: nothing was written"),
+        ((MOUNTED, "too far"), "blocked: nothing was written"),
+        ((MOUNTED,), "`mavcal accept j --connect tcp:v:1 --confirm-mounting` writes it"),
+        ((), "`mavcal accept j --connect tcp:v:1` writes it"),
+    ],
 )
 def test_nobody_is_told_to_apply_a_plan_that_is_blocked(
     capsys: pytest.CaptureFixture[str], blockers: tuple[str, ...], said: str
 ) -> None:
     plan = WritePlan(Fingerprint("px4", "u", "1", ()), "0" * 64, (), blockers=blockers)
-    _show_end(Job("j", "v", "gyro", {}, JobState.REVIEW, 0.0, 0.0, plan=plan), Screen(), written=False)
+    show_end(Job("j", "v", "gyro", {}, JobState.REVIEW, 0.0, 0.0, plan=plan), Screen(), "tcp:v:1", written=False)
     assert said in capsys.readouterr().err

@@ -248,7 +248,7 @@ def test_a_recording_without_a_board_id_is_written_only_as_confirmed(
     options = ComposeOptions(unproved_origin=said)
     (blocker,) = compose([fit], ardupilot_parameters, ardupilot_fingerprint, options=options).blockers
     assert blocker.startswith(said)
-    assert blocker.endswith("Confirm it with the plan option confirm_other_unit")
+    assert blocker.endswith("Confirm it with the plan option confirm_other_unit (--confirm-other-unit)")
     options = ComposeOptions(unproved_origin=said, confirm_other_unit=True)
     plan = compose([fit], ardupilot_parameters, ardupilot_fingerprint, options=options)
     assert not plan.blockers

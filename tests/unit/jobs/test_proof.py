@@ -5,7 +5,7 @@ import pytest
 from calib.firmware.plan import ParameterVerdict, SensorCheck, SensorVerdict, Verdict, Verification
 from calib.recording import Sensor
 from service.api.views import job_model
-from service.commands.calibrate import _good
+from service.commands.review import good as is_good
 from service.jobs.codec import job_from_row, row_from_job
 from service.jobs.model import Attempt, Failure, Job, Outcome, Result, WriteResult
 from service.jobs.proof import ProofLevel, Unproved, proof_of
@@ -90,4 +90,4 @@ def test_the_proof_survives_the_store_and_goes_over_http(outcome: Outcome | None
 def test_what_the_command_line_calls_good(
     state: JobState, outcome: Outcome | None, write: bool, require: bool, good: bool
 ) -> None:
-    assert _good(job(state, outcome), write, require) == good
+    assert is_good(job(state, outcome), write, require) == good

@@ -1,0 +1,79 @@
+"""``mavcal plan METHOD FILE``: the fit of a recording as a plan for the vehicle that it is of."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from calib.methods import METHODS
+from service.commands.calibrate import parsed
+from service.commands.config import load_settings
+from service.commands.output import json_option
+from service.commands.plan_options import all_plan_options, given
+from service.commands.reading import readable_file, reading_options, split_reading
+from service.commands.review import Wish, run_job
+
+if TYPE_CHECKING:
+    from service.core import Service
+    from service.jobs.model import Job
+    from service.vehicle import Vehicle
+
+CHUNK = 1 << 20
+
+
+@click.command()
+@click.argument("method", type=click.Choice(list(METHODS)))
+@click.argument("file")
+@click.option("--connect", required=True, metavar="URL", help="Endpoint of the vehicle, as udpin:0.0.0.0:14550.")
+@click.option("--apply", "write", is_flag=True, help="Write the result to the vehicle and prove it.")
+@click.option("--require-proof", is_flag=True, help="With --apply: exit code 1 unless the streams prove all of it.")
+@click.option("--reboot", is_flag=True, help="With --apply: restart the vehicle if the plan needs it.")
+@click.option("--option", "options", multiple=True, metavar="NAME=VALUE", help="Option of the method.")
+@all_plan_options
+@reading_options
+@click.option("--data-dir", type=click.Path(path_type=Path), default=None, help="Where everything is kept.")
+@click.option("--wait", type=float, default=30.0, show_default=True, help="How long to wait for a vehicle, s.")
+@json_option
+def command(
+    method: str,
+    file: str,
+    connect: str,
+    write: bool,
+    require_proof: bool,
+    reboot: bool,
+    options: tuple[str, ...],
+    data_dir: Path | None,
+    wait: float,
+    as_json: bool,
+    **more: Any,
+) -> int:
+    """Fit FILE and plan what it means for the vehicle; nothing is written without --apply.
+
+    The log must be of this vehicle: the same sensors and the same board id. With --apply on a terminal the run asks
+    about a log without a board id; a script gives --confirm-other-unit. The audit trail keeps who confirmed it. FILE
+    is copied into the data directory. Exit code 1 if there is no plan, or if its write did not succeed.
+    """
+    if require_proof and not write:
+        raise click.UsageError("--require-proof asks for a proof of what was written: give --apply too")
+    path, chosen, decided = readable_file(file), parsed(options, words=True), given(more)
+    reading, _ = split_reading(more)
+    settings = load_settings(data_dir=data_dir, connect=(connect,))
+
+    async def begin(service: Service, vehicle: Vehicle) -> Job:
+        kept = await service.recordings.add(path.name, _chunks(path), reading)
+        fitting = partial(service.recordings.fit_of_vehicle, kept.id, method, chosen)
+        about = {"recording": kept.id, "method": method, "options": chosen}
+        return await service.jobs.adopt(vehicle.id, fitting, about, decided)
+
+    return run_job(settings, begin, Wish(write, require_proof, reboot, wait, as_json))
+
+
+async def _chunks(path: Path) -> AsyncIterator[bytes]:
+    with path.open("rb") as file:
+        while chunk := await asyncio.to_thread(file.read, CHUNK):
+            yield chunk
