@@ -100,6 +100,7 @@ def fit_gyro_rest(
             "n_effective": estimate.n_effective,
             "noise_sd": [float(sd) if np.isfinite(sd) else None for sd in estimate.sd],
             "one_bin": [AXES[i] for i in range(3) if estimate.constant[i]],
+            "began": float(gyro.t[0]),
             "duration": float(gyro.t[-1] - gyro.t[0]),
             **residual_statistics(residual, 3 * (len(gyro) - 1), None),
             "attitude_sd_deg_per_min": drift_sd_deg_per_min(model, covariance) if gyro.unit == "rad/s" else None,

@@ -39,7 +39,12 @@ PROVE_S = 240.0
 SHOWS = 5.0
 """Standard deviations of the check: a parameter whose change shows that much must be proved. The vehicle starts with an
 older calibration, and some of its values have hardly changed."""
-OPTIONS: Mapping[str, Json] = {"thermal": {"span": SPAN_C, "extend": False}}
+PATIENCE_S = 60.0 * SPEED
+"""How long a job waits for the next movement, seconds of the vehicle: a minute of ours, however busy the machine is."""
+OPTIONS: Mapping[str, Json] = {
+    **{kind: {"patience": PATIENCE_S} for kind in KINDS},
+    "thermal": {"patience": PATIENCE_S, "span": SPAN_C, "extend": False},
+}
 BARE: Mapping[str, Json] = {"ardupilot": {"INS_GYR_CAL": 0}, "px4": {"IMU_GYRO_CAL_EN": 0}}
 """Settings under which a vehicle keeps what is written: ArduPilot calibrates its gyros at every boot, PX4 always."""
 ENDED = frozenset({"succeeded", "reverted", "failed", "cancelled", "interrupted", "in_doubt"})
@@ -259,9 +264,9 @@ def sampled(tlogs: Path, job: Mapping[str, Any]) -> tuple[float, float]:
             parts.append(file.read(span["end_byte"] - span["start_byte"]))
     inertial = [c for c in read_tlog(b"".join(parts)).channels if c.sensor in {Sensor.ACCEL, Sensor.GYRO} and len(c)]
     first, last = min(float(c.t[0]) for c in inertial), max(float(c.t[-1]) for c in inertial)
-    lasted = [fit["quality"].get("duration") for fit in job["results"]]
-    if lasted and None not in lasted:
-        last = min(last, first + max(lasted))
+    rests = [(q["began"], q["began"] + q["duration"]) for fit in job["results"] if "began" in (q := fit["quality"])]
+    if rests and len(rests) == len(job["results"]):
+        first, last = max(first, min(began for began, _ in rests)), min(last, max(ended for _, ended in rests))
     return first, last
 
 

@@ -38,5 +38,10 @@ def test_it_is_from_the_first_to_the_last_sample_of_the_segment(logged):
     assert logged({}) == (pytest.approx(900.0), pytest.approx(960.0))
 
 
-def test_a_rest_ends_when_its_fit_says_so_and_not_when_the_parameters_were_read_again(logged):
-    assert logged({"duration": 20.0}, {"duration": 21.0}) == (pytest.approx(900.0), pytest.approx(921.0))
+def test_a_rest_begins_and_ends_when_its_fit_says_so_and_not_when_the_parameters_were_read(logged):
+    rests = {"began": 910.0, "duration": 20.0}, {"began": 911.0, "duration": 20.0}
+    assert logged(*rests) == (pytest.approx(910.0), pytest.approx(931.0))
+
+
+def test_a_rest_ends_with_its_segment(logged):
+    assert logged({"began": 910.0, "duration": 900.0}) == (pytest.approx(910.0), pytest.approx(960.0))

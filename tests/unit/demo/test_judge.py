@@ -1,0 +1,30 @@
+"""A stated uncertainty is true if it is neither smaller than the errors nor more than twice as large."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.recording import Sensor
+from calib.scoring import Score
+from service.demo.judge import Judgement, SensorReport
+
+
+def judged(errors_over_sd: np.ndarray) -> Judgement:
+    names = tuple(f"offset_{k}" for k in range(len(errors_over_sd)))
+    told = Score(names, errors_over_sd, np.eye(len(names)))
+    return Judgement((SensorReport(Sensor.GYRO, 0, 0.0, 0.0, 0.0, "rad/s", told),))
+
+
+@pytest.mark.parametrize(("ratio", "honest"), [(0.3, False), (0.6, True), (1.0, True), (1.5, False)])
+def test_the_ratio_of_errors_to_sd_decides(ratio, honest):
+    errors = np.tile([1.0, -1.0, 0.5, -1.3], 25)
+    errors *= ratio / np.sqrt((errors**2).mean())
+    assert judged(errors).honest is honest
+
+
+def test_one_error_far_beyond_its_sd_is_enough():
+    errors = np.tile([0.8, -0.8], 50)
+    assert judged(errors).honest
+    errors[7] = 4.6
+    assert not judged(errors).honest
