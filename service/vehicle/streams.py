@@ -27,6 +27,12 @@ if TYPE_CHECKING:
 _INTERVAL = dialect.MAVLINK_MSG_ID_MESSAGE_INTERVAL
 LATE_S, LATER = 0.4, 3.0
 """Answers that take so long, and so many times as long as before the streams, have a full link before them."""
+GROWTH, GROWN_S = 0.03, 0.05
+"""A port that is asked for this share more than it carries makes answers later by as many seconds each second; less
+than so many seconds may be chance."""
+_ASKS, _ASKS_IDLE = 3, 2
+"""An answer may be late once by chance; if the quickest of so many is late, something stands before it."""
+_HARDLY = 0.7
 REMEMBERED_S = 600.0
 """A link that was too slow is not asked for more within this time."""
 DEFAULT_INTERVAL = 0
@@ -156,30 +162,32 @@ async def request_streams(
         Intervals in us as they were, where that is known already; the vehicle is not asked for these.
     """
     request = _Request(vehicle, dict(requested_hz), dict(before or {}))
+    ids = tuple(requested_hz)
     try:
         capacity = _smaller(nominal_capacity(vehicle.link.endpoint), _remembered(vehicle))
         planned = plan_rates(requested_hz, capacity)
-        idle_s = await _answer_s(vehicle, tuple(requested_hz)) if measure_s > 0 else 0.0
+        idle_s = await _answer_s(vehicle, ids, _ASKS_IDLE) if measure_s > 0 else 0.0
         await request.ask(planned)
-        seen = await _watch(vehicle, tuple(requested_hz), measure_s)
+        asked_at = vehicle.clock()
+        seen = await _watch(vehicle, ids, measure_s)
         # A port that buffers a second of data sends old samples at their own rate, and fewer of them than are made.
         coming = {key: min(rate, seen.wall[key]) for key, rate in seen.own.items()}
         carried = seen_capacity(planned, coming, seen.loss, seen.bytes_per_s / seen.speed)
+        late_s = 0.0
         if carried is None and measure_s > 0:
-            busy_s = await _answer_s(vehicle, tuple(requested_hz))
-            if busy_s > max(LATE_S, LATER * idle_s):  # all of it comes, and nothing else gets through
+            late_s = await _late_s(vehicle, ids, idle_s, asked_at)
+            if late_s > 0:  # all of it comes, and nothing else gets through
                 carried = seen.bytes_per_s / seen.speed
         lowered = plan_rates(planned, carried)
         if lowered != planned and measure_s > 0:
-            vehicle.carried = None if carried is None else (carried, vehicle.clock())
             request.hurry(lowered)
             await request.ask(lowered)
-            relieved = await _watch(vehicle, tuple(requested_hz), measure_s)
-            if _loses_anyway(seen, relieved):
-                vehicle.carried = None
+            relieved = await _watch(vehicle, ids, measure_s)
+            if _loses_anyway(seen, relieved) or await _late_anyway(vehicle, ids, idle_s, late_s):
                 await request.ask(planned)
-                seen = await _watch(vehicle, tuple(requested_hz), measure_s)
+                seen = await _watch(vehicle, ids, measure_s)
             else:
+                vehicle.carried = None if carried is None else (carried, vehicle.clock())
                 capacity, planned, seen = carried, lowered, relieved
     except BaseException:
         await asyncio.shield(request.report({}, {}, None).restore())
@@ -192,11 +200,40 @@ def _loses_anyway(before: _Seen, relieved: _Seen) -> bool:
     return before.loss > LOSSY and relieved.loss > before.loss / 2
 
 
-async def _answer_s(vehicle: Vehicle, message_ids: Sequence[int]) -> float:
-    """How long the vehicle takes to answer a small question, s."""
-    began = vehicle.clock()
-    await get_interval(vehicle, message_ids[0])
-    return vehicle.clock() - began
+async def _answer_s(vehicle: Vehicle, message_ids: Sequence[int], asks: int = 1) -> float:
+    """How long the vehicle takes to answer a small question, s: the quickest of `asks` answers."""
+    took = []
+    for _ in range(asks):
+        began = vehicle.clock()
+        await get_interval(vehicle, message_ids[0])
+        took.append(vehicle.clock() - began)
+    return min(took)
+
+
+async def _late_s(vehicle: Vehicle, message_ids: Sequence[int], idle_s: float, asked_at: float) -> float:
+    """How long answers wait behind the streams that were asked for at `asked_at`; 0: no longer than may be chance.
+
+    A large buffer takes half a minute to fill with the little that is asked for too much, and is never empty again:
+    every answer takes more than a second then. The growing delay shows it within a second.
+    """
+    late: list[float] = []
+    while len(late) < _ASKS:
+        since = vehicle.clock() - asked_at
+        busy_s = await _answer_s(vehicle, message_ids)
+        late.append(busy_s - idle_s)
+        if busy_s <= max(LATE_S, LATER * idle_s) and late[-1] <= max(GROWN_S, GROWTH * since):
+            return 0.0
+    return min(late)
+
+
+async def _late_anyway(vehicle: Vehicle, message_ids: Sequence[int], idle_s: float, late_s: float) -> bool:
+    """True if answers that were a little late are as late with fewer samples: it is not the streams that delay them.
+
+    After a long delay that is no sign: a full buffer takes longer to empty than is waited for.
+    """
+    if not 0 < late_s <= LATE_S:
+        return False
+    return await _answer_s(vehicle, message_ids) - idle_s > _HARDLY * late_s
 
 
 def _remembered(vehicle: Vehicle) -> float | None:

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import pytest
@@ -109,29 +109,33 @@ async def test_a_link_that_holds_everything_up_is_asked_for_less(ardupilot: Fake
     assert streamer.intervals == {IMU: -1, IMU2: 40_000}
 
 
+def delay_answers(fake: FakeVehicle, delay: Callable[[], float]) -> None:
+    """Have every answer come so late as `delay` says when it is asked for."""
+    answering, advance = fake.link.respond, fake.advance
+    waiting: list[tuple[float, Any]] = []
+
+    def late(message: Any) -> Iterable[Any]:
+        due = fake.clock.now + delay()
+        waiting.extend((due, reply) for reply in answering(message))
+        return ()
+
+    def passing(seconds: float) -> None:
+        advance(seconds)
+        due = [reply for at, reply in waiting if at <= fake.clock.now]
+        waiting[:] = [(at, reply) for at, reply in waiting if at > fake.clock.now]
+        if due:
+            fake.hear(*due)
+
+    fake.link.respond = late
+    fake.advance = passing  # type: ignore[method-assign]
+
+
 async def test_a_link_that_is_just_full_is_relieved_so_that_answers_come(ardupilot: FakeVehicle) -> None:
     """Every sample arrives, and each answer waits behind them: reading a parameter takes seconds then."""
     streamer = Streamer(ardupilot)
     ardupilot.link.bytes_per_s = 4000.0
-    answering = ardupilot.link.respond
-    waiting: list[tuple[float, Any]] = []
-
-    def late(message: Any) -> Iterable[Any]:
-        delay = 1.2 if any(0 < interval <= 20_000 for interval in streamer.intervals.values()) else 0.0
-        waiting.extend((ardupilot.clock.now + delay, reply) for reply in answering(message))
-        return ()
-
-    advance = ardupilot.advance
-
-    def passing(seconds: float) -> None:
-        advance(seconds)
-        due = [reply for at, reply in waiting if at <= ardupilot.clock.now]
-        waiting[:] = [(at, reply) for at, reply in waiting if at > ardupilot.clock.now]
-        if due:
-            ardupilot.hear(*due)
-
-    ardupilot.link.respond = late
-    ardupilot.advance = passing  # type: ignore[method-assign]
+    busy = lambda: any(0 < interval <= 20_000 for interval in streamer.intervals.values())  # noqa: E731
+    delay_answers(ardupilot, lambda: 1.2 if busy() else 0.0)
     report = await ardupilot.run(request_streams(ardupilot.vehicle, {IMU: 50.0, IMU2: 50.0}))
     assert report.capacity_bytes_per_s == 4000.0
     assert all(interval > 20_000 for interval in streamer.intervals.values())
@@ -139,6 +143,42 @@ async def test_a_link_that_is_just_full_is_relieved_so_that_answers_come(ardupil
     ardupilot.link.sent.clear()
     await ardupilot.run(request_streams(ardupilot.vehicle, {IMU: 50.0, IMU2: 50.0}))
     assert all(interval > 20_000 for _, interval in requests(ardupilot))
+
+
+async def test_a_port_that_fills_slowly_is_relieved_before_it_is_full(ardupilot: FakeVehicle) -> None:
+    """An eighth more than it carries: a buffer of 8 kB then delays every answer by 1.4 s, half a minute later."""
+    streamer = Streamer(ardupilot)
+    ardupilot.link.bytes_per_s = 4000.0
+    waiting_s, at = 0.0, ardupilot.clock.now
+
+    def queue() -> float:
+        nonlocal waiting_s, at
+        passed, at = ardupilot.clock.now - at, ardupilot.clock.now
+        both = all(0 < interval <= 20_000 for interval in streamer.intervals.values())
+        waiting_s = max(waiting_s + (0.125 if both else -0.125) * passed, 0.0)
+        return waiting_s
+
+    delay_answers(ardupilot, queue)
+    report = await ardupilot.run(request_streams(ardupilot.vehicle, {IMU: 50.0, IMU2: 50.0}))
+    assert report.capacity_bytes_per_s == 4000.0
+    assert all(interval > 20_000 for interval in streamer.intervals.values())
+
+
+async def test_answers_that_are_as_late_with_fewer_samples_slow_nothing_down(ardupilot: FakeVehicle) -> None:
+    """Another program keeps the link busy from now on: fewer samples would not help."""
+    streamer = Streamer(ardupilot)
+    ardupilot.link.bytes_per_s = 4000.0
+    busy = False
+
+    def delay() -> float:
+        nonlocal busy
+        busy = busy or all(interval == 20_000 for interval in streamer.intervals.values())
+        return 0.2 if busy else 0.0
+
+    delay_answers(ardupilot, delay)
+    report = await ardupilot.run(request_streams(ardupilot.vehicle, {IMU: 50.0, IMU2: 50.0}))
+    assert streamer.intervals == {IMU: 20_000, IMU2: 20_000}
+    assert (report.capacity_bytes_per_s, report.slowdown) == (None, 1.0)
 
 
 async def test_a_link_that_loses_as_much_whatever_it_carries_is_bad_and_not_slow(ardupilot: FakeVehicle) -> None:
