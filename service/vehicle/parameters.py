@@ -7,6 +7,7 @@ the neighbours of a vector, or repeat older values (FLIGHT_CONTROLLERS 3.1, 9, 1
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -40,6 +41,8 @@ HASH_NAME = "_HASH_CHECK"
 """PX4 sends this as if it were a parameter; it is none, and does not change when calibrations do."""
 NO_INDEX = 65535
 ANSWER_S = 1.0
+READ_LEAST_S = 0.5
+"""A vehicle whose answers come at once is asked again after so long: on a bad link it is loss, and asking is cheap."""
 TRIES = 3
 _MOST_TRIES = 16
 _SILENCES = 5
@@ -84,6 +87,8 @@ class Parameters(Mapping[str, Parameter]):
         self._known: dict[str, Parameter] = {}
         self._listeners: dict[object, ParameterListener] = {}
         self._jitter = 0.0
+        self._asked: Counter[str] = Counter()
+        """What is being asked for, and by how many."""
         self.count: int | None = None
         """Length of the vehicle's list, as last said."""
         self.hash: bytes | None = None
@@ -159,8 +164,22 @@ class Parameters(Mapping[str, Parameter]):
         VehicleSilent
             If the heartbeat has ceased.
         """
+        other = self._beside(name)
+        busy = {name} if other is None else {name, other}
+        self._asked.update(busy)
+        try:
+            return await self._read(name, other)
+        finally:
+            self._asked.subtract(busy)
+            self._asked += Counter()
+
+    def _beside(self, name: str) -> str | None:
+        """A parameter that exists and that nobody else is asking for now: its answer is to this question alone."""
+        others = [known for known in self._known if known != name]
+        return next((known for known in others if known not in self._asked), next(iter(others), None))
+
+    async def _read(self, name: str, other: str | None) -> Parameter:
         vehicle = self._vehicle
-        other = next((known for known in self._known if known != name), None)
 
         def match(frame: Frame) -> Parameter | ParameterError | _Other | None:
             if frame.message_id == _ERROR:
@@ -178,14 +197,19 @@ class Parameters(Mapping[str, Parameter]):
                 self._request(name)
                 if attempt:
                     self._request(other)
-                got = await answer.within(self._patience())
-                others = 0
-                while isinstance(got, _Other):
-                    others += attempt > 0
-                    got = await answer.within(_GRACE_S if attempt else self._patience())
+                asked = vehicle.clock()
+                until, others = asked + self._patience(READ_LEAST_S, attempt), 0
+                got: Parameter | ParameterError | _Other | None = _Other()
+                while isinstance(got, _Other) and vehicle.clock() < until:
+                    got = await answer.within(until - vehicle.clock())
+                    if isinstance(got, _Other) and attempt:
+                        others += 1
+                        until = min(until, vehicle.clock() + _GRACE_S)
                 if isinstance(got, ParameterError):
                     raise got
-                if got is not None:
+                if isinstance(got, Parameter):
+                    if not attempt:
+                        vehicle.pace.answered(vehicle.clock() - asked)
                     return self._known.get(name, got)
                 silences += others > 0
                 if silences >= _SILENCES:
@@ -286,10 +310,14 @@ class Parameters(Mapping[str, Parameter]):
         encoded, index = (b"", 0) if name is None else (name.encode("ascii", "replace"), -1)
         vehicle.send(dialect.MAVLink_param_request_read_message(vehicle.system, vehicle.component, encoded, index))
 
-    def _patience(self) -> float:
-        """Time to wait for an answer, never quite the same: two programs that ask at once get out of step."""
+    def _patience(self, least: float = ANSWER_S, attempt: int = 0) -> float:
+        """Time to wait for an answer, longer with every attempt up to what is usual.
+
+        It is never quite the same: two programs that ask at once get out of step.
+        """
         self._jitter = (self._jitter + 0.618) % 1.0
-        return ANSWER_S + 0.3 * self._jitter
+        known = self._vehicle.pace.patience(ANSWER_S, least)
+        return max(known, min(known * 2.0**attempt, ANSWER_S)) + 0.3 * self._jitter * min(known, ANSWER_S)
 
 
 def _refusal(vehicle: Vehicle, frame: Frame, name: str) -> ParameterError | None:

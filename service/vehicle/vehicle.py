@@ -27,6 +27,7 @@ from service.vehicle.boot_time import BOOT_TIME_IDS, boot_time
 from service.vehicle.events import VehicleEvent, VehicleEventKind
 from service.vehicle.identity import VehicleIdentity, identity_from_heartbeat, identity_from_version
 from service.vehicle.listing import ParameterSet, Progress, list_all
+from service.vehicle.pace import Pace
 from service.vehicle.parameters import Parameters
 from service.vehicle.state import Refusal, VehicleState, Writable, expire, note_boot_time, reduce, writable
 from service.vehicle.waits import Waits
@@ -100,6 +101,8 @@ class Vehicle:
         self.identity: VehicleIdentity = identity_from_heartbeat(heartbeat)
         self.state = VehicleState()
         self.waits = Waits(clock)
+        self.pace = Pace()
+        """How fast it answers."""
         self.parameters = Parameters(self)
         self.listed = False
         """Whether every parameter was listed since the vehicle started: some are heard without being asked for."""

@@ -145,3 +145,24 @@ class FakeVehicle:
                 assert self.clock.now < until, "it never ends"
                 self.advance(step)
         return task.result()
+
+
+def delay_answers(fake: FakeVehicle, delay: Callable[[], float]) -> None:
+    """Have every answer come so late as `delay` says when it is asked for."""
+    answering, advance = fake.link.respond, fake.advance
+    waiting: list[tuple[float, Any]] = []
+
+    def late(message: Any) -> Iterable[Any]:
+        due = fake.clock.now + delay()
+        waiting.extend((due, reply) for reply in answering(message))
+        return ()
+
+    def passing(seconds: float) -> None:
+        advance(seconds)
+        due = [reply for at, reply in waiting if at <= fake.clock.now]
+        waiting[:] = [(at, reply) for at, reply in waiting if at > fake.clock.now]
+        if due:
+            fake.hear(*due)
+
+    fake.link.respond = late
+    fake.advance = passing  # type: ignore[method-assign]

@@ -19,7 +19,7 @@ from service.errors import (
 )
 from service.link import LinkEvent, LinkEventKind
 from service.vehicle import ParameterKind
-from tests.unit.vehicle.fake import FakeVehicle, heartbeat, param_value, real
+from tests.unit.vehicle.fake import FakeVehicle, delay_answers, heartbeat, param_value, real
 
 NAME = "INS_ACCOFFS_Y"
 
@@ -150,6 +150,56 @@ async def test_silence_counts_even_if_nothing_was_heard_before(ardupilot: FakeVe
     ardupilot.link.respond = lambda _message: ()
     with pytest.raises(ParameterTimeout):
         await ardupilot.run(ardupilot.vehicle.parameters.read("NOPE"))
+
+
+async def test_names_that_are_not_there_are_proved_absent_side_by_side(ardupilot: FakeVehicle) -> None:
+    """Each reader's proof is its own: the answers that another one asked for neither prolong nor shorten it."""
+    three(ardupilot)
+    read = ardupilot.vehicle.parameters.read
+    for axis in "XYZ":
+        await ardupilot.run(read(f"INS_ACCOFFS_{axis}"))
+    ardupilot.link.sent.clear()
+    began = ardupilot.clock.now
+    both = asyncio.gather(read("NOPE"), read("NEITHER"), return_exceptions=True)
+    assert [type(e) for e in await ardupilot.run(finished(both))] == [ParameterMissing, ParameterMissing]
+    assert ardupilot.clock.now - began < 3.5
+    asked = [m.param_id for m in ardupilot.link.sent_of("PARAM_REQUEST_READ")]
+    assert min(asked.count("NOPE"), asked.count("NEITHER")) >= 6
+    beside = {m for m in asked if m not in ("NOPE", "NEITHER")}
+    assert len(beside) == 2
+
+
+async def test_nothing_is_asked_again_while_its_answer_is_under_way(ardupilot: FakeVehicle) -> None:
+    """On a link whose answers take 1.6 s, asking again each second would only fill it."""
+    three(ardupilot)
+    delay = 0.9
+    delay_answers(ardupilot, lambda: delay)
+    for axis in "XYZ":
+        await ardupilot.run(ardupilot.vehicle.parameters.read(f"INS_ACCOFFS_{axis}"))
+    delay = 1.6
+    ardupilot.link.sent.clear()
+    await ardupilot.run(ardupilot.vehicle.parameters.read("INS_ACCOFFS_X"))
+    await ardupilot.run(ardupilot.vehicle.parameters.set("INS_ACCOFFS_X", 0.25))
+    assert len(ardupilot.link.sent_of("PARAM_REQUEST_READ")) == 1
+    assert len(ardupilot.link.sent_of("PARAM_SET")) == 1
+
+
+async def test_a_read_that_was_lost_is_repeated_soon_where_answers_come_at_once(ardupilot: FakeVehicle) -> None:
+    firmware = three(ardupilot)
+    for axis in "XYZ":
+        await ardupilot.run(ardupilot.vehicle.parameters.read(f"INS_ACCOFFS_{axis}"))
+    lost = ["INS_ACCOFFS_X"]
+
+    def respond(message: Any) -> Iterable[Any]:
+        if message.get_type() == "PARAM_REQUEST_READ" and message.param_id in lost:
+            lost.remove(message.param_id)
+            return ()
+        return firmware.respond(message)
+
+    ardupilot.link.respond = respond
+    began = ardupilot.clock.now
+    await ardupilot.run(ardupilot.vehicle.parameters.read("INS_ACCOFFS_X"))
+    assert ardupilot.clock.now - began <= 0.75
 
 
 async def test_a_stream_of_other_values_does_not_end_a_read(ardupilot: FakeVehicle) -> None:
@@ -336,3 +386,7 @@ async def test_a_restart_forgets_what_was_known(ardupilot: FakeVehicle) -> None:
         ardupilot.hear(dialect.MAVLink_system_time_message(0, stamp))
     assert ardupilot.vehicle.state.rebooted == 1
     assert NAME not in ardupilot.vehicle.parameters
+
+
+async def finished(work: asyncio.Future[Any]) -> Any:
+    return await work

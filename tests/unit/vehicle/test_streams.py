@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any
 
 import pytest
@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from service.link import parse_endpoint
 from service.vehicle import request_streams
-from tests.unit.vehicle.fake import FakeVehicle, ack
+from tests.unit.vehicle.fake import FakeVehicle, ack, delay_answers
 
 IMU, IMU2 = 26, 116
 
@@ -107,27 +107,6 @@ async def test_a_link_that_holds_everything_up_is_asked_for_less(ardupilot: Fake
     assert report.slowdown > 3
     await ardupilot.run(report.restore())
     assert streamer.intervals == {IMU: -1, IMU2: 40_000}
-
-
-def delay_answers(fake: FakeVehicle, delay: Callable[[], float]) -> None:
-    """Have every answer come so late as `delay` says when it is asked for."""
-    answering, advance = fake.link.respond, fake.advance
-    waiting: list[tuple[float, Any]] = []
-
-    def late(message: Any) -> Iterable[Any]:
-        due = fake.clock.now + delay()
-        waiting.extend((due, reply) for reply in answering(message))
-        return ()
-
-    def passing(seconds: float) -> None:
-        advance(seconds)
-        due = [reply for at, reply in waiting if at <= fake.clock.now]
-        waiting[:] = [(at, reply) for at, reply in waiting if at > fake.clock.now]
-        if due:
-            fake.hear(*due)
-
-    fake.link.respond = late
-    fake.advance = passing  # type: ignore[method-assign]
 
 
 async def test_a_link_that_is_just_full_is_relieved_so_that_answers_come(ardupilot: FakeVehicle) -> None:
