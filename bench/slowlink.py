@@ -142,12 +142,15 @@ def _measured(
         last[row.step] = row.at
     marks = [
         ("finding the vehicle", job.created_at),
-        ("to the first prompt", next((e.at for e in events if e.kind == "prompt" and e.data), None)),
+        ("waiting for its start", _up_at(events)),
+        ("to the first prompt", next((e.at for e in events if e.kind == "prompt" and _asks(e)), None)),
         ("capture, read again, fit", states.get("review")),
         ("accept: plan against vehicle", first.get("accepted")),
         ("before the first parameter", first.get("send")),
         ("writing", last.get("echo")),
         ("read-back", first.get("read_back")),
+        ("restart", first.get("rebooted")),
+        ("read-back after the restart", last.get("read_back") if "rebooted" in first else None),
         ("proof", last.get("verified")),
         ("message rates back", ended),
     ]
@@ -170,6 +173,19 @@ def _measured(
         0 if kept is None else len(kept.body),
         tuple(e.data["text"] for e in events if e.kind == "progress"),
     )
+
+
+def _asks(event: EventRow) -> bool:
+    """Whether a prompt is the procedure's: one that waits for the vehicle's own start asks nothing."""
+    return bool(event.data) and event.data["step"] != "busy"
+
+
+def _up_at(events: Sequence[EventRow]) -> float | None:
+    """When the vehicle had been up for long enough, where that was waited for."""
+    prompts = [e for e in events if e.kind == "prompt"]
+    if not prompts or _asks(prompts[0]):
+        return None
+    return next((e.at for e in prompts if not e.data), None)
 
 
 def table(runs: Sequence[Timed]) -> str:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 import dataclasses
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
 from typing import Any
 
 import structlog
@@ -49,7 +49,8 @@ class JobHandle:
         self._publish = publish
         self._wall = wall
         self._clock = clock
-        self._progress_s = progress_s
+        self.progress_s = progress_s
+        """Progress is announced at most so often."""
         self._progress_due = 0.0
         self._owed: list[tuple[Job, str, Json]] = []
         """Changes that are not on the disk yet; belongs to the store's thread."""
@@ -97,7 +98,7 @@ class JobHandle:
         self.job = dataclasses.replace(self.job, progress=progress)
         now = self._clock()
         if now >= self._progress_due:
-            self._progress_due = now + self._progress_s
+            self._progress_due = now + self.progress_s
             self._tell("progress", step_to_json(progress))
 
     async def record(self, step: Step, **data: Any) -> None:
@@ -156,6 +157,28 @@ class JobHandle:
             del self._owed[0]
             if event is not None:
                 self._publish(event)
+
+
+@asynccontextmanager
+async def waiting(
+    handle: JobHandle, what: str, expected_s: float | None = None, *, limit_s: float = 0.0
+) -> AsyncIterator[None]:
+    """Meanwhile tell what is waited for, how long it has taken, and how long it will, or at most may."""
+    began = time.monotonic()
+
+    async def tell() -> None:
+        while True:
+            spent = time.monotonic() - began
+            left = None if expected_s is None or spent > expected_s else expected_s - spent
+            handle.progress(Progress(spent, max(spent, expected_s or limit_s), "s", what, left))
+            await asyncio.sleep(handle.progress_s)
+
+    telling = asyncio.create_task(tell(), name=f"progress of {handle.id}")
+    try:
+        yield
+    finally:
+        telling.cancel()
+        await asyncio.gather(telling, return_exceptions=True)
 
 
 def counting(handle: JobHandle, what: str) -> Callable[[int, int], None]:

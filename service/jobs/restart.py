@@ -10,6 +10,7 @@ from calib.procedures.protocol import Prompt
 from service.errors import CommandRefused, CommandTimeout, WriteFailed, WriteStopped
 from service.jobs.crashpoints import At
 from service.jobs.guard import STOPPING
+from service.jobs.handle import waiting
 from service.jobs.journal import Step
 from service.jobs.write import Writing
 
@@ -38,10 +39,11 @@ async def restart(w: Writing) -> None:
     else:
         w.handle.prompt(ASK)
         limit = w.settings.operator_reboot_s
-    await _back_again(w, before, limit)
-    w.handle.prompt(None)
-    w.guard.expect_restart()
-    identity = await w.guard.run(w.vehicle.identify)
+    async with waiting(w.handle, f"waiting for the vehicle to restart, for at most {limit:.0f} s", limit_s=limit):
+        await _back_again(w, before, limit)
+        w.handle.prompt(None)
+        w.guard.expect_restart()
+        identity = await w.guard.run(w.vehicle.identify)
     if identity.uid is not None and identity.uid != (w.plan.fingerprint.uid or None):
         raise WriteFailed("another vehicle came back after the restart")
     await w.handle.record(Step.REBOOTED)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from calib.procedures.protocol import Progress
 from service.errors import ServiceError
-from service.jobs.handle import JobHandle
+from service.jobs.handle import JobHandle, waiting
 from service.jobs.journal import Step
 from service.jobs.port import JobVehicle
+
+ASKING_S = 1.0
+"""About how long it takes to ask for messages and to hear that they are granted."""
 
 
 async def ask_for_streams(
@@ -19,11 +21,13 @@ async def ask_for_streams(
     What was before is in the journal before anything is changed. Raises VehicleError, LinkError.
     """
     known = handle.written().intervals
-    handle.progress(Progress(0.0, 1.0, "", f"asking for {len(rates)} messages, and measuring what the link carries"))
-    before = await vehicle.intervals([message for message in rates if message not in known])
-    if before:
-        await handle.record(Step.STREAMS, intervals={str(k): v for k, v in before.items()})
-    for warning in await vehicle.request_streams(rates, measure_s=measure_s, before={**known, **before}):
+    measured = ", and measuring what the link carries" if measure_s > 0 else ""
+    async with waiting(handle, f"asking for {len(rates)} messages{measured}", measure_s + ASKING_S):
+        before = await vehicle.intervals([message for message in rates if message not in known])
+        if before:
+            await handle.record(Step.STREAMS, intervals={str(k): v for k, v in before.items()})
+        warnings = await vehicle.request_streams(rates, measure_s=measure_s, before={**known, **before})
+    for warning in warnings:
         handle.warn(warning)
 
 

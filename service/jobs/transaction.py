@@ -28,7 +28,7 @@ from service.jobs.crashpoints import At
 from service.jobs.ending import INTERRUPTED, cause_of, end, look_back, record_of, stop
 from service.jobs.finish import finish
 from service.jobs.guard import STOPPING, Guard
-from service.jobs.handle import JobHandle, counting
+from service.jobs.handle import JobHandle, counting, waiting
 from service.jobs.journal import BY_OPERATOR, Next, Step, decide
 from service.jobs.needs import require_absent
 from service.jobs.patience import until_idle
@@ -36,7 +36,7 @@ from service.jobs.proof import proof_of
 from service.jobs.restart import restart
 from service.jobs.rollback import roll_back
 from service.jobs.states import JobState
-from service.jobs.streams import restore_streams
+from service.jobs.streams import ASKING_S, restore_streams
 from service.jobs.write import Writing, prepare, read_back, read_values, send_all
 
 log = structlog.get_logger(__name__)
@@ -163,7 +163,7 @@ async def _resume(w: Writing) -> None:
     following = decide(record, w.plan, values)
     cause = record.rolling_back or record.stopped or INTERRUPTED
     if following == Next.NOTHING_SENT:
-        await restore_streams(w.handle, w.vehicle)
+        await _rates_back(w)
         await w.handle.record_anyway(Step.CLOSED)
         end(w.handle, nothing_sent("interrupted", cause, "Nothing was written. Apply the plan again."))
     elif following == Next.ROLL_BACK:
@@ -179,7 +179,7 @@ async def _onward(w: Writing, following: Next, values: dict[str, Value]) -> None
     if following == Next.REBOOT:
         w.handle.move(JobState.WAITING_FOR_REBOOT, standing=(), outcome=None)
         await restart(w)
-        values = await read_back(w)
+        values = await read_back(w, restarted=True)
     w.handle.move(JobState.VERIFYING, standing=(), outcome=None)
     if following != Next.FINISH:
         verification = await w.check.after(w.guard, values)
@@ -192,10 +192,15 @@ async def _onward(w: Writing, following: Next, values: dict[str, Value]) -> None
     values = await finish(w)
     who = who_else(w.handle.written())
     told = succeeded(as_read(w.plan, w.old_values(), values, who), w.plan, w.handle.job.verification, who)
-    await restore_streams(w.handle, w.vehicle)
+    await _rates_back(w)
     await w.handle.record(Step.CLOSED)
     w.reach(At.CLOSED)
     end(w.handle, told)
+
+
+async def _rates_back(w: Writing) -> None:
+    async with waiting(w.handle, "putting the message rates back", ASKING_S):
+        await restore_streams(w.handle, w.vehicle)
 
 
 async def _take_back(w: Writing, because: str) -> None:
@@ -207,7 +212,7 @@ async def _take_back(w: Writing, because: str) -> None:
     who = who_else(record)
     read = as_read(w.plan, w.old_values(), values, who)
     told = reverted(read, None if because == BY_OPERATOR else because, who, len(record.sent))
-    await restore_streams(w.handle, w.vehicle)
+    await _rates_back(w)
     await w.handle.record_anyway(Step.CLOSED)
     w.reach(At.CLOSED)
     end(w.handle, told)

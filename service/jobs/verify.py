@@ -22,7 +22,7 @@ from calib.wire import Frame, iter_tlog
 from service.errors import CaptureEnded, WriteFailed
 from service.jobs.digest import content_of
 from service.jobs.guard import Guard
-from service.jobs.handle import JobHandle
+from service.jobs.handle import JobHandle, waiting
 from service.jobs.port import JobVehicle
 from service.jobs.settings import JobSettings
 from service.jobs.spans import close_span, open_span, span_of
@@ -110,7 +110,8 @@ class StreamCheck:
         row = await open_span(self.handle.store, self.handle.id, SegmentPurpose.BEFORE, self.vehicle.tlog_position())
         try:
             with Window(self.vehicle, self.settings, self.clock) as window:
-                self._before = await guard.run(partial(window.extend, self.settings.check_s))
+                async with waiting(self.handle, "reading the sensors before the write", self.settings.check_s):
+                    self._before = await guard.run(partial(window.extend, self.settings.check_s))
         finally:
             await asyncio.shield(close_span(self.handle.store, row, self.vehicle))
 
@@ -135,7 +136,8 @@ class StreamCheck:
 
     async def _judged(self, guard: Guard, before: Recording | None, values: Mapping[str, Value]) -> Verification:
         with Window(self.vehicle, self.settings, self.clock) as window:
-            after = await guard.run(partial(window.extend, self.settings.check_s))
+            async with waiting(self.handle, "reading the sensors after the write", self.settings.check_s):
+                after = await guard.run(partial(window.extend, self.settings.check_s))
             verification = await self._verify(before, after, values)
             begun = _end(after)
             while not verification.settled and not verification.contradicted and self._patient(_end(after) - begun):

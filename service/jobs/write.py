@@ -18,7 +18,7 @@ from calib.firmware.values import shown
 from service.errors import ParameterMissing, PlanBlocked, PlanChanged, WriteFailed
 from service.jobs.crashpoints import At, CrashPoint, nowhere
 from service.jobs.guard import Guard
-from service.jobs.handle import JobHandle, counting
+from service.jobs.handle import JobHandle, counting, waiting
 from service.jobs.journal import Step, same
 from service.jobs.model import Accept
 from service.jobs.port import JobVehicle, Reading
@@ -147,15 +147,24 @@ class Writing:
         kept = self.handle.store.snapshot(self.handle.id, SnapshotPurpose.COMPOSED_ON)
         return {} if kept is None else kept.body
 
-    async def settle(self) -> None:
-        """Wait under the guard until the vehicle has saved what was written, by its clock or by ours."""
-        await self.guard.run(self._settled)
+    async def settle(self, *, restarted: bool = False) -> None:
+        """Wait under the guard until the vehicle has saved what was written, by its clock or by ours.
 
-    async def _settled(self) -> None:
+        After a restart nothing waits to be saved; what rewrites a value then does so as long after its start.
+        """
         settings = self.settings
         needed = settings.settle_s.get(self.plan.fingerprint.autopilot, max(settings.settle_s.values()))
+        now = self.vehicle.condition().boot_time
+        since = 0.0 if restarted else now
+        what = "waiting until the vehicle has started" if restarted else "waiting until the vehicle has saved"
+        passed = now - since if now is not None and since is not None else 0.0
+        async with waiting(self.handle, what, max(needed - passed, 0.0)):
+            await self.guard.run(partial(self._settled, needed, since))
+
+    async def _settled(self, needed: float, boot_time: float | None) -> None:
+        settings = self.settings
         loop = asyncio.get_running_loop()
-        begun, boot_time = loop.time(), self.vehicle.condition().boot_time
+        begun = loop.time()
         while (waited := loop.time() - begun) < needed:
             now = self.vehicle.condition().boot_time
             passed = now - boot_time if now is not None and boot_time is not None else waited
@@ -283,15 +292,15 @@ async def send_all(w: Writing) -> None:
         w.reach(At.ECHO_KEPT)
 
 
-async def read_back(w: Writing) -> dict[str, Value]:
-    """Wait until the vehicle has saved, then read everything again.
+async def read_back(w: Writing, *, restarted: bool = False) -> dict[str, Value]:
+    """Wait until the vehicle has saved, or has long enough been `restarted`, then read everything again.
 
     Raises
     ------
     WriteFailed
         Naming every parameter that does not hold its new value.
     """
-    await w.settle()
+    await w.settle(restarted=restarted)
     values = await current_values(w)
     check_in_place(w.plan.changes, values)
     await w.handle.record(Step.READ_BACK)

@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 _INTERVAL = dialect.MAVLINK_MSG_ID_MESSAGE_INTERVAL
 LATE_S, LATER = 0.4, 3.0
 """Answers that take so long, and so many times as long as before the streams, have a full link before them."""
-GROWTH, GROWN_S = 0.03, 0.05
+GROWTH, GROWN_S = 0.03, 0.06
 """A port that is asked for this share more than it carries makes answers later by as many seconds each second; less
 than so many seconds may be chance."""
-_ASKS, _ASKS_IDLE = 3, 2
+_ASKS, _ASKS_IDLE = 4, 2
 """An answer may be late once by chance; if the quickest of so many is late, something stands before it."""
 _HARDLY = 0.7
 REMEMBERED_S = 600.0

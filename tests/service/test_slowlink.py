@@ -6,8 +6,10 @@ import pytest
 
 from bench.slowlink import LIMIT_S, WIRES, timed
 from service.jobs.states import JobState
+from tests.patience import scaled
 
 pytestmark = pytest.mark.timeout(240)
+SILENCE_S = 5.0
 
 
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
@@ -18,6 +20,18 @@ async def test_a_gyro_job_on_a_slow_wire_is_done_in_time_and_says_what_it_does(a
     assert 10 < run.parameters < 100
     assert any(text.startswith("reading the calibration in force: ") for text in run.told)
     assert any(text.startswith("writing: ") for text in run.told)
+    assert run.longest_silence_s < scaled(SILENCE_S)
+
+
+async def test_the_start_and_the_restart_of_a_vehicle_have_phases_of_their_own() -> None:
+    run = await timed(WIRES[0], "px4", speed=4.0)
+    phases = dict(run.phases)
+    assert run.state == JobState.SUCCEEDED, run.outcome
+    assert phases["waiting for its start"] > 1.0  # 10 s of its own clock
+    assert phases["restart"] > 0.5
+    assert phases["writing"] < phases["restart"]
+    assert any(text.startswith("waiting for the vehicle to restart") for text in run.told)
+    assert any(text.startswith("waiting until the vehicle has saved") for text in run.told)
 
 
 async def test_a_gyro_job_on_a_slow_and_lossy_wire_succeeds() -> None:
