@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -211,3 +213,92 @@ def test_the_idle_current_is_compensated_twice_only_if_the_offset_holds_it(
     fit = mag_fit(make_fit, native={"without_motors": separated})
     warnings = compose([fit], parameters, ardupilot_fingerprint).warnings
     assert any("idle current" in text for text in warnings) != separated
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "text"), [("ardupilot", "ArduPilot's offsets are in mGauss"), ("px4", "PX4's offsets are in Gauss")]
+)
+def test_counts_are_no_field_and_are_refused(request, make_fit, autopilot, text):
+    parameters = request.getfixturevalue(f"{autopilot}_parameters")
+    fit = dataclasses.replace(mag_fit(make_fit), unit="counts")
+    plan = compose([fit], parameters, request.getfixturevalue(f"{autopilot}_fingerprint"))
+    assert f"the fit is in counts; {text}" in plan.blockers[0]
+    assert plan.changes == ()
+
+
+@pytest.mark.parametrize(
+    ("more", "text"),
+    [
+        ({"matrix": 1.6 * np.eye(3)}, "measures 0.62 times the Earth's field"),
+        ({"matrix": 0.5 * np.eye(3)}, "measures 2.00 times the Earth's field"),
+        ({"undetermined": ("offset_z",)}, "offset_z are not determined"),
+    ],
+)
+def test_implausible_compasses_block_on_px4_too(px4_parameters, px4_fingerprint, make_fit, more, text):
+    plan = compose([mag_fit(make_fit, **more)], px4_parameters, px4_fingerprint)
+    assert text in plan.blockers[0]
+    assert plan.changes == ()
+    relative = mag_fit(make_fit, **more, quality={"radius": 48.0, "field_ratio": None})
+    assert ("undetermined" in more) == bool(compose([relative], px4_parameters, px4_fingerprint).blockers)
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.3])
+def test_a_strength_just_inside_the_window_is_written(px4_parameters, px4_fingerprint, make_fit, factor):
+    plan = compose([mag_fit(make_fit, matrix=factor * np.eye(3))], px4_parameters, px4_fingerprint)
+    assert not plan.blockers
+    assert {c.name: c.new for c in plan.changes}["CAL_MAG0_XSCALE"] == pytest.approx(factor)
+
+
+def turned(make_fit, matrix, name="yaw_90"):
+    orientation = {"verdict": "rotated", "name": name, "matrix": matrix.tolist()}
+    return mag_fit(make_fit, quality=KNOWN | {"orientation": orientation})
+
+
+def test_px4_puts_an_external_compass_right_only_where_it_has_a_number(px4_parameters, px4_fingerprint, make_fit):
+    fit = turned(make_fit, rotation_matrix("px4", 2))
+    confirmed = ComposeOptions(confirm_mounting=True)
+
+    def composed(rotation, found=fit):
+        parameters = px4_parameters | {"CAL_MAG0_ROT": rotation}
+        return compose([found], parameters, px4_fingerprint, options=confirmed)
+
+    assert {c.name: c.new for c in composed(0).changes}["CAL_MAG0_ROT"] == 2
+    assert {c.name: c.new for c in composed(2).changes}["CAL_MAG0_ROT"] == 4
+    for rotation, text in ((-1, "internal and follows SENS_BOARD_ROT"), (100, "a rotation of its own (custom angles)")):
+        plan = composed(rotation)
+        assert text in plan.blockers[0]
+        assert plan.changes == ()
+    askew = turned(make_fit, Rotation.from_euler("zyx", [20.0, 10.0, 5.0], degrees=True).as_matrix(), "odd")
+    assert "PX4 has no number for the resulting mounting" in composed(0, askew).blockers[0]
+    assert composed(0, askew).changes == ()
+
+
+def test_ardupilot_has_no_number_for_an_odd_angle(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    askew = turned(make_fit, Rotation.from_euler("zyx", [20.0, 10.0, 5.0], degrees=True).as_matrix(), "odd")
+    options = ComposeOptions(confirm_mounting=True)
+    plan = compose([askew], ardupilot_parameters, ardupilot_fingerprint, options=options)
+    assert "ArduPilot has no number for the resulting mounting" in plan.blockers[0]
+    assert plan.changes == ()
+
+
+def test_a_mounting_that_could_not_be_told_is_a_warning_and_changes_nothing(
+    ardupilot_parameters, ardupilot_fingerprint, make_fit
+):
+    orientation = {"verdict": "ambiguous", "name": "none", "matrix": np.eye(3).tolist()}
+    plan = compose(
+        [mag_fit(make_fit, quality=KNOWN | {"orientation": orientation})], ardupilot_parameters, ardupilot_fingerprint
+    )
+    assert any("whether it is mounted as stated could not be told" in text for text in plan.warnings)
+    assert not [c for c in plan.changes if "ORIENT" in c.name]
+    assert not plan.blockers
+
+
+def test_motor_compensation_turns_with_the_compass(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    turn = rotation_matrix("ardupilot", 2)
+    motors = {"COMPASS_MOTCT": 2, "COMPASS_MOT_X": 3.0, "COMPASS_MOT_Y": -2.0, "COMPASS_MOT_Z": 1.0}
+    parameters = ardupilot_parameters | motors
+    options = ComposeOptions(confirm_mounting=True)
+    plan = compose([turned(make_fit, turn)], parameters, ardupilot_fingerprint, options=options)
+    values = after(plan, parameters)
+    expected = turn @ SOFT @ np.array([3.0, -2.0, 1.0])
+    np.testing.assert_allclose([values[f"COMPASS_MOT_{a}"] for a in "XYZ"], expected, rtol=1e-5)

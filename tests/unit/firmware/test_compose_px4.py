@@ -193,3 +193,177 @@ def test_compensation_that_does_not_run_blocks(px4_parameters, px4_fingerprint, 
     del px4_parameters["TC_G_ENABLE"]
     fit = make_fit(Sensor.GYRO, offset=[0.0132, -0.0284, 0.0057], polynomial=cubic())
     assert "does not list TC_G_ENABLE" in compose([fit], px4_parameters, px4_fingerprint).blockers[0]
+
+
+def compensated(px4_parameters, slope=0.001, **more):
+    """The accelerometer's temperature compensation runs, with a constant of its own."""
+    parameters = px4_parameters | {"TC_A_ENABLE": 1, "TC_A0_ID": 1310988, "TC_A0_TREF": 25.0}
+    parameters |= {"TC_A0_TMIN": 0.0, "TC_A0_TMAX": 60.0}
+    parameters |= {f"TC_A0_X{k}_{a}": slope if k == 1 else 0.0 for k in range(4) for a in range(3)}
+    return parameters | more
+
+
+def test_a_fine_change_of_a_large_offset_goes_into_the_running_thermal_term(px4_parameters, px4_fingerprint, make_fit):
+    offset = {"CAL_ACC0_XOFF": 0.2, "CAL_ACC0_YOFF": -0.1, "CAL_ACC0_ZOFF": 0.3, "TC_A0_X0_1": 0.02}
+    parameters = compensated(px4_parameters, slope=0.0, TC_A0_X1_0=0.001, **offset)
+    fit = make_fit(Sensor.ACCEL, offset=[0.212, -0.085, 0.305], matrix=np.diag([1.03, 1.0, 1.0]), matrix_sd=1e-4)
+    plan = compose([fit], parameters, px4_fingerprint)
+    changes = {c.name: c for c in plan.changes}
+    assert changes["TC_A0_X0_0"].new == pytest.approx(0.212 - 0.2 - 7.0 * 0.001, rel=1e-5)
+    assert changes["TC_A0_X0_1"].new == pytest.approx(0.02 + (-0.085 - 0.02) + 0.1, rel=1e-5)
+    assert changes["TC_A0_X0_2"].new == pytest.approx(0.305 - 0.3, rel=1e-5)
+    assert (changes["TC_A0_X0_0"].unit, changes["TC_A0_X0_0"].sd) == ("m/s2", pytest.approx(1e-3))
+    assert not any(name.endswith("OFF") for name in changes)
+    assert not plan.needs_reboot
+    model = live(plan, parameters, Sensor.ACCEL)
+    raw = fit.model.invert([[0, 0, -9.8]])
+    np.testing.assert_allclose(model.apply(raw, np.array([32.0])), [[0, 0, -9.8]], atol=1e-6)
+
+
+def test_a_fine_offset_before_a_compensation_that_a_restart_starts_is_held_by_it(
+    px4_parameters, px4_fingerprint, make_fit
+):
+    rest = make_fit(Sensor.ACCEL, offset=[0.004, -0.003, 0.005], matrix=np.diag([1.03, 1.0, 1.0]), matrix_sd=1e-4)
+    plan = compose([rest, shape(make_fit)], px4_parameters, px4_fingerprint)
+    assert not [loss for loss in plan.losses if loss.what == "offset"]
+    model = rebooted(plan, px4_parameters, Sensor.ACCEL)
+    raw = rest.model.invert([[0, 0, -9.8]])
+    np.testing.assert_allclose(model.apply(raw, np.array([rest.temperature])), [[0, 0, -9.8]], atol=1e-6)
+
+
+def test_an_offset_of_unknown_temperature_is_refused_while_the_compensation_runs(
+    px4_parameters, px4_fingerprint, make_fit
+):
+    fit = make_fit(Sensor.ACCEL, offset=[0.3, -0.2, 0.1], matrix_sd=1e-4, temperature=None)
+    (blocker,) = compose([fit], compensated(px4_parameters), px4_fingerprint).blockers
+    assert "the temperature during the calibration is not known" in blocker
+    assert compose([fit], px4_parameters, px4_fingerprint).blockers == ()
+
+
+def test_an_offset_is_not_written_without_the_axis_that_its_fit_leaves_open(px4_parameters, px4_fingerprint, make_fit):
+    known = {"offset": [0.3, -0.2, 0.1], "matrix": np.diag([1.03, 1.0, 1.0]), "undetermined": ("offset_y",)}
+    plan = compose([make_fit(Sensor.ACCEL, matrix_sd=1e-4, **known)], px4_parameters, px4_fingerprint)
+    assert "the offset of y is not determined, and the others do not hold without it" in plan.blockers[0]
+    assert not [c for c in plan.changes if c.name.startswith("CAL_ACC0")]
+
+
+def test_a_gyroscopes_open_axis_keeps_its_value_and_its_own_uncertainty(px4_parameters, px4_fingerprint, make_fit):
+    parameters = px4_parameters | {"CAL_GYRO0_YOFF": 0.04}
+    fit = make_fit(Sensor.GYRO, offset=[0.0132, -0.0284, 0.0057], undetermined=("offset_y",))
+    plan = compose([fit], parameters, px4_fingerprint)
+    assert not plan.blockers
+    assert any("the offset of y is not determined and stays as it is" in text for text in plan.warnings)
+    model = rebooted(plan, parameters, Sensor.GYRO)
+    np.testing.assert_allclose(model.offset, [0.0132, 0.04, 0.0057], rtol=1e-6)
+    assert {c.name: c.sd for c in plan.changes if "CAL_GYRO0" in c.name} == {
+        "CAL_GYRO0_XOFF": pytest.approx(1e-3),
+        "CAL_GYRO0_ZOFF": pytest.approx(1e-3),
+    }
+
+
+def test_a_scale_that_the_fit_leaves_open_is_refused(px4_parameters, px4_fingerprint, make_fit):
+    known = {"offset": [0.3, -0.2, 0.1], "matrix": np.diag([1.03, 1.0, 0.97]), "undetermined": ("matrix_zz",)}
+    plan = compose([make_fit(Sensor.ACCEL, matrix_sd=1e-4, **known)], px4_parameters, px4_fingerprint)
+    assert "matrix_zz are not determined" in plan.blockers[0]
+    assert not [c for c in plan.changes if "SCALE" in c.name]
+
+
+def test_a_disabled_sensor_is_said_to_be(px4_parameters, px4_fingerprint, make_fit):
+    fit = make_fit(Sensor.GYRO, offset=[0.0132, -0.0284, 0.0057])
+
+    def told(priority):
+        return [
+            text
+            for text in compose([fit], px4_parameters | {"CAL_GYRO0_PRIO": priority}, px4_fingerprint).warnings
+            if "disabled" in text
+        ]
+
+    assert told(0) == ["gyro 1 is disabled (CAL_GYRO0_PRIO = 0); it stays so"]
+    assert told(-1) == told(50) == []
+
+
+@pytest.mark.parametrize(("rows", "guessed"), [({}, False), ({"CAL_GYRO1_ID": 7}, True)])
+def test_the_one_filled_row_is_no_guess(px4_parameters, px4_fingerprint, make_fit, rows, guessed):
+    fit = make_fit(Sensor.GYRO, offset=[0.0132, -0.0284, 0.0057])
+    plan = compose([fit], px4_parameters | rows, px4_fingerprint)
+    assert any("do not say which device" in text for text in plan.warnings) == guessed
+
+
+def test_what_writes_the_same_parameters_is_named_only_where_it_does(px4_parameters, px4_fingerprint, make_fit):
+    gyro = make_fit(Sensor.GYRO, offset=[0.0132, -0.0284, 0.0057])
+    accel = make_fit(Sensor.ACCEL, offset=[0.3, -0.2, 0.1], matrix_sd=1e-4)
+
+    def warned(fit, enabled):
+        plan = compose([fit], px4_parameters | {"IMU_GYRO_CAL_EN": enabled}, px4_fingerprint)
+        return any("IMU_GYRO_CAL_EN" in text for text in plan.warnings)
+
+    assert warned(gyro, 1)
+    assert not warned(gyro, 0)
+    assert not warned(accel, 1)
+    off = compose([gyro], px4_parameters | {"SENS_IMU_AUTOCAL": 0}, px4_fingerprint)
+    assert not [c for c in off.changes if c.session]
+
+
+def test_a_drift_that_px4_cannot_hold_is_refused_before_anything_of_it_is_planned(
+    px4_parameters, px4_fingerprint, make_fit
+):
+    steep = ThermalPolynomial(35.0, 15.0, 60.0, [[7e-3, 6e-5, 1e-7, 1e-9]] * 3)
+    short = ThermalPolynomial(35.0, 30.0, 38.0, [[7e-3]] * 3)
+    for polynomial, text in (
+        (steep, "a polynomial of degree 4 cannot be stored; fit again with degree 3"),
+        (short, "the drift is known from 30.0 to 38.0 degC only; at least 10 degC are needed"),
+    ):
+        fit = make_fit(Sensor.GYRO, offset=[0.0132, -0.0284, 0.0057], polynomial=polynomial, polynomial_sd=1e-5)
+        plan = compose([fit], px4_parameters, px4_fingerprint)
+        assert text in plan.blockers[0]
+        assert not [c for c in plan.changes if c.name.startswith("TC_")]
+
+
+def test_an_axis_without_a_determined_drift_is_not_compensated_and_named(px4_parameters, px4_fingerprint, make_fit):
+    open_axis = ("poly1_y", "poly2_y", "poly3_y")
+    fit = make_fit(
+        Sensor.GYRO,
+        offset=[0.0132, -0.0284, 0.0057],
+        polynomial=cubic(),
+        polynomial_sd=1e-5,
+        undetermined=open_axis,
+    )
+    plan = compose([fit], px4_parameters, px4_fingerprint)
+    values = {c.name: c.new for c in plan.changes}
+    assert any("the drift of the y axis is not determined and is not compensated" in text for text in plan.warnings)
+    assert [values.get(f"TC_G0_X{k}_1", 0.0) for k in range(4)] == [0.0] * 4
+    assert values["TC_G0_X1_0"] == pytest.approx(7e-3)
+    assert values["TC_G0_X1_2"] == pytest.approx(9e-3)
+
+
+def test_a_drift_of_a_lower_degree_clears_the_powers_above_it(px4_parameters, px4_fingerprint, make_fit):
+    held = {f"TC_G0_X{k}_{a}": 0.5 for k in range(4) for a in range(3)}
+    line = ThermalPolynomial(35.0, 15.0, 60.0, [[7e-3], [-4e-3], [9e-3]])
+    fit = make_fit(Sensor.GYRO, offset=[0.0132, -0.0284, 0.0057], polynomial=line, polynomial_sd=1e-5)
+    values = after(compose([fit], px4_parameters | held, px4_fingerprint), px4_parameters | held)
+    assert [values[f"TC_G0_X{k}_0"] for k in range(4)] == pytest.approx([0.0, 7e-3, 0.0, 0.0])
+    assert (values["TC_G0_TREF"], values["TC_G0_TMIN"], values["TC_G0_TMAX"]) == (35.0, 15.0, 60.0)
+    assert (values["TC_G0_ID"], values["TC_G_ENABLE"]) == (1310988, 1)
+
+
+def test_a_drift_of_an_accelerometer_that_was_never_calibrated_says_what_comes_next(
+    px4_parameters, px4_fingerprint, make_fit
+):
+    plan = compose([shape(make_fit)], px4_parameters, px4_fingerprint)
+    assert "accel 1 was never calibrated: calibrate it after this, with the compensation running" in plan.warnings
+    values = {c.name: c.new for c in plan.changes}
+    assert [values.get(f"TC_A0_X0_{a}", 0.0) for a in range(3)] == [0.0] * 3
+    assert values["TC_A0_X1_0"] == pytest.approx(7e-3)
+
+
+def test_the_constant_of_a_drift_carries_the_uncertainty_of_the_curve_down_to_its_temperature(
+    px4_parameters, px4_fingerprint, make_fit
+):
+    parameters = px4_parameters | {"CAL_ACC0_XOFF": 0.2, "CAL_ACC0_YOFF": -0.1}
+    options = ComposeOptions(accel_temperature={0: 22.0})
+    plan = compose([shape(make_fit)], parameters, px4_fingerprint, options=options)
+    (constant,) = [c for c in plan.changes if c.name == "TC_A0_X0_0"]
+    distance = 22.0 - 35.0
+    sds = 1e-5 * np.array([1.0, 0.1, 0.01])
+    assert constant.sd == pytest.approx(np.sqrt(((sds * distance ** np.arange(1, 4)) ** 2).sum()))
+    assert constant.new == pytest.approx(-cubic()(22.0)[0], rel=1e-5)

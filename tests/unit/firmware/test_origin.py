@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 
 from calib.errors import FirmwareError
-from calib.firmware.origin import differences, origin_of
+from calib.firmware.origin import differences, origin_of, unproved
 from calib.fit import FitStatus, refused
 from calib.recording import Identity, ParameterTimeline, Recording, Sensor
 from tests.unit.logs.ulog_file import PARAMETERS
@@ -61,3 +61,21 @@ def test_fits_of_nothing_and_of_unnamed_sensors_are_for_no_vehicle():
 def test_a_recording_of_no_vehicle_has_no_origin(identity, parameters):
     with pytest.raises(FirmwareError, match="recording"):
         origin(Sensor.GYRO, parameters=parameters, identity=identity)
+
+
+@pytest.mark.parametrize(
+    ("recorded", "here", "says"),
+    [
+        ("0002aa00", "0002aa00", ""),
+        (None, "0002aa00", "the recording does not say which board it is of"),
+        ("0002aa00", None, "this vehicle does not say which board it is"),
+        (None, None, "the recording does not say which board it is of"),
+    ],
+)
+def test_without_both_boards_ids_nothing_shows_that_it_is_this_vehicle(recorded, here, says):
+    told = unproved(
+        origin(Sensor.GYRO, identity=dataclasses.replace(BOARD, uid=recorded)), dataclasses.replace(BOARD, uid=here)
+    )
+    assert told.startswith(says)
+    assert bool(told) == bool(says)
+    assert not told or told.endswith("equal builds share the device ids of their sensors")

@@ -6,8 +6,13 @@ import pytest
 from calib import STANDARD_GRAVITY
 from calib.firmware import ardupilot, px4
 from calib.firmware.compose import compose
+from calib.firmware.compose_px4 import compose_imu
+from calib.firmware.draft import Draft, Rank, Subject
+from calib.firmware.fitted import Pair
+from calib.firmware.options import ComposeOptions
+from calib.firmware.plan import ParameterKind
 from calib.firmware.rotations import euler_matrix
-from calib.firmware.trim import carried_over, force_when_level, trim_from_force
+from calib.firmware.trim import adjust_trim, carried_over, force_when_level, trim_from_force
 from calib.fit import FitStatus
 from calib.recording import Sensor
 from calib.triad import TriadModel
@@ -96,3 +101,74 @@ def test_more_than_ten_degrees_is_refused(ardupilot_parameters, ardupilot_finger
     assert "more than 10 deg" in plan.blockers[0]
     refused = level_fit(make_fit, 0.0, 0.0, status=FitStatus.REFUSED, message="not at rest")
     assert compose([refused], ardupilot_parameters, ardupilot_fingerprint).changes == ()
+
+
+def levelled(make_fit, offset, **more):
+    return make_fit(Sensor.ACCEL, offset=offset, matrix=np.diag([1.03, 1.0, 1.0]), matrix_sd=1e-4, **more)
+
+
+def trim_changes(plan):
+    return [c.name for c in plan.changes if "TRIM" in c.name or "SENS_BOARD" in c.name]
+
+
+def test_a_trim_that_the_new_calibration_would_push_beyond_ten_degrees_is_left_alone(
+    ardupilot_parameters, ardupilot_fingerprint, make_fit
+):
+    parameters = ardupilot_parameters | {"AHRS_TRIM_X": np.radians(9.0), "AHRS_TRIM_Y": 0.0}
+    plan = compose([levelled(make_fit, [0.0, 0.4, 0.0])], parameters, ardupilot_fingerprint)
+    assert any("would exceed 10 deg" in text for text in plan.warnings)
+    assert not plan.blockers
+    assert trim_changes(plan) == []
+    inside = compose([levelled(make_fit, [0.0, -0.4, 0.0])], parameters, ardupilot_fingerprint)
+    assert trim_changes(inside) == ["AHRS_TRIM_X"]
+    assert not any("exceed" in text for text in inside.warnings)
+
+
+def test_a_trim_is_not_rewritten_for_less_than_is_noticed(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    parameters = ardupilot_parameters | {"AHRS_TRIM_X": 0.02, "AHRS_TRIM_Y": 0.01}
+    fits = {y: make_fit(Sensor.ACCEL, offset=[0.0, y, 0.03], offset_sd=1e-5, matrix_sd=1e-4) for y in (0.0, 0.01)}
+    plans = {y: compose([fit], parameters, ardupilot_fingerprint) for y, fit in fits.items()}
+    assert plans[0.0].changes
+    assert trim_changes(plans[0.0]) == []
+    assert trim_changes(plans[0.01]) == ["AHRS_TRIM_X", "AHRS_TRIM_Y"]
+
+
+def test_a_trim_that_hangs_on_an_unknown_temperature_is_not_carried_over(px4_parameters, px4_fingerprint, make_fit):
+    parameters = px4_parameters | {"SENS_BOARD_X_OFF": 1.5, "SENS_BOARD_Y_OFF": -0.8, "TC_A0_ID": 1310988}
+    parameters |= {"TC_A0_TREF": 25.0, "TC_A0_TMIN": 0.0, "TC_A0_TMAX": 60.0}
+    parameters |= {f"TC_A0_X{k}_{a}": 0.001 for k in range(4) for a in range(3)}
+    fit = levelled(make_fit, [0.3, -0.2, 0.15], temperature=None)
+    assert trim_changes(compose([fit], parameters, px4_fingerprint)) == ["SENS_BOARD_X_OFF", "SENS_BOARD_Y_OFF"]
+    draft = Draft(parameters, ComposeOptions())
+    compose_imu(draft, [Pair(Subject(Sensor.ACCEL, 0), fit, None)])
+    draft.set_integer("TC_A_ENABLE", 1, Rank.THERMAL_ENABLE, "", kind=ParameterKind.INT32)
+    adjust_trim(draft, "px4", [fit])
+    plan = draft.plan(px4_fingerprint)
+    assert any("cannot be carried over without a temperature" in text for text in plan.warnings)
+    assert trim_changes(plan) == []
+
+
+def test_a_vehicle_that_lists_no_trim_gets_none(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    del ardupilot_parameters["AHRS_TRIM_Y"]
+    plan = compose([levelled(make_fit, [0.3, -0.2, 0.15])], ardupilot_parameters, ardupilot_fingerprint)
+    assert plan.changes
+    assert trim_changes(plan) == []
+    assert not any("level" in text for text in plan.warnings)
+
+
+def test_a_calibration_of_scale_zero_has_no_level_to_carry_over(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    parameters = ardupilot_parameters | {"AHRS_TRIM_X": 0.02, "INS_ACCSCAL_X": 0.0}
+    plan = compose([levelled(make_fit, [0.3, -0.2, 0.15])], parameters, ardupilot_fingerprint)
+    assert any("the level trim cannot be carried over" in text for text in plan.warnings)
+    assert trim_changes(plan) == []
+
+
+def test_a_level_within_its_uncertainty_agrees(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    parameters = ardupilot_parameters | {"AHRS_TRIM_X": 0.03, "AHRS_TRIM_Y": -0.015}
+    plan = compose([level_fit(make_fit, 0.0301, -0.0151)], parameters, ardupilot_fingerprint)
+    assert plan.nothing_to_write
+    assert plan.agreements
+    assert trim_changes(compose([level_fit(make_fit, 0.0306, -0.0151)], parameters, ardupilot_fingerprint)) == [
+        "AHRS_TRIM_X",
+        "AHRS_TRIM_Y",
+    ]
