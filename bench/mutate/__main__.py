@@ -1,7 +1,8 @@
-"""``python -m bench.mutate``: a sample of the mutants of some rooms, and how many of them the tests kill.
+"""``python -m bench.mutate``: a sample of the mutants of three rooms, and how many of them the tests kill.
 
-A mutant meets its module's own tests first and those of its whole room then; the first that fails ends it. Tests that
-start processes of their own do not see the change in those. Answers are kept line by line: an interrupted run goes on.
+A mutant meets the tests that reach its lines: cheap unit tests first, the other unit tests then, and link and service
+tests if none of those noticed. Tests that start processes of their own do not see the change in those. Answers are kept
+line by line: an interrupted run goes on, and `--again` asks those that survived once more.
 """
 
 from __future__ import annotations
@@ -9,94 +10,133 @@ from __future__ import annotations
 import argparse
 import json
 import random
+import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
-from bench.mutate.document import written
+from bench.mutate.document import Drawn, written
 from bench.mutate.operators import Mutant, mutants
-from bench.mutate.trial import ROOT, Limits, Verdict, verdict_of, warm_up
+from bench.mutate.reach import Reach
+from bench.mutate.trial import ROOT, Answer, Limits, Verdict, answer_of, warm_up
 
-ROOMS: Mapping[str, tuple[str, ...]] = {
-    "service/jobs": ("tests/unit/jobs",),
-    "service/vehicle": ("tests/unit/vehicle", "tests/unit/jobs"),
-    "calib/firmware": ("tests/unit/firmware", "tests/unit/jobs/test_verify.py", "tests/unit/jobs/test_planning.py"),
-}
+ROOMS = ("calib/firmware", "service/jobs", "service/vehicle")
+MEASURED = ROOT / ".measured" / "coverage"
+"""What `scripts/coverage` leaves behind."""
 SLOWER = 4.0
 """Times the processor time of the tests of the code as it is, beyond which a mutant counts as noticed."""
 WALL = 15.0
 """Times the same by the clock: the machine may be busy."""
 
 
-def sample(rooms: Sequence[str], count: int, seed: int) -> list[tuple[str, Mutant]]:
-    """`count` mutants of all rooms together, each with the same chance."""
-    everything = [
+def everything() -> Mapping[str, list[Mutant]]:
+    """All mutants by room."""
+    return {
+        room: [
+            mutant
+            for path in sorted((ROOT / room).rglob("*.py"))
+            for mutant in mutants(path.read_text(encoding="utf-8"), path.relative_to(ROOT).as_posix())
+        ]
+        for room in ROOMS
+    }
+
+
+def sample(found: Mapping[str, list[Mutant]], each: int, seed: int) -> list[tuple[str, Mutant]]:
+    """`each` mutants of every room, each of a room with the same chance."""
+    return [
         (room, mutant)
-        for room in rooms
-        for path in sorted((ROOT / room).rglob("*.py"))
-        for mutant in mutants(path.read_text(encoding="utf-8"), path.relative_to(ROOT).as_posix())
+        for room, mine in found.items()
+        for mutant in random.Random(f"{seed} {room}").sample(mine, min(each, len(mine)))
     ]
-    print(f"{len(everything)} mutants in {', '.join(rooms)}; a sample of {count} with seed {seed}", file=sys.stderr)
-    return random.Random(seed).sample(everything, min(count, len(everything)))
-
-
-def stages(room: str, path: str) -> list[list[str]]:
-    """Tests of the module alone, if there are any, and those of the room."""
-    own = ROOT / "tests" / "unit" / Path(room).name / f"test_{Path(path).stem}.py"
-    first = [[own.relative_to(ROOT).as_posix()]] if own.exists() else []
-    return [*first, list(ROOMS[room])]
 
 
 def main() -> int:
     """Exit code 1 if fewer are killed than asked for."""
     parser = argparse.ArgumentParser(prog="scripts/mutate", description=__doc__.splitlines()[0])
-    parser.add_argument("--room", action="append", choices=tuple(ROOMS), help="only this one; repeated")
-    parser.add_argument("--count", type=int, default=150)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--answers", type=Path, default=Path("mutation.jsonl"), help="kept here, and gone on from")
+    parser.add_argument("--each", type=int, default=50, help="mutants of each room")
+    parser.add_argument("--seed", type=int, action="append", help="of a sample; repeated. The last is the one judged")
+    parser.add_argument(
+        "--answers", type=Path, default=ROOT / ".measured" / "mutants.jsonl", help="kept, and gone on from"
+    )
+    parser.add_argument("--again", action="store_true", help="ask once more those that survived")
     parser.add_argument("--least", type=float, default=0.9, help="share that must be killed")
     parser.add_argument("--write", action="store_true", help="write docs/mutation.md")
     args = parser.parse_args()
-    rooms = args.room or list(ROOMS)
     warm_up()
-    known = {}
-    if args.answers.exists():
-        known = {row["key"]: row for row in map(json.loads, args.answers.read_text().splitlines())}
-    limits: dict[tuple[str, ...], Limits] = {}
-    rows = []
-    for room, mutant in sample(rooms, args.count, args.seed):
-        key = f"{mutant.path}:{mutant.line}:{mutant.node}:{mutant.choice}:{mutant.text}"
-        if key not in known:
-            known[key] = {"key": key, "room": room, **asdict(mutant), "verdict": _verdict(room, mutant, limits)}
-            with args.answers.open("a") as file:
-                file.write(json.dumps(known[key]) + "\n")
-        rows.append(known[key])
-        print(f"{len(rows)}: {known[key]['verdict']:9} {mutant.path}:{mutant.line} {mutant.text}", file=sys.stderr)
-    killed = sum(row["verdict"] != Verdict.SURVIVED for row in rows)
-    text = written(rows, args.seed)
+    reach = Reach.read(MEASURED, ROOT)
+    found = everything()
+    answers = _Answers(args.answers, again=args.again)
+    drawn = []
+    for seed in args.seed or [1]:
+        rows = []
+        for room, mutant in sample(found, args.each, seed):
+            rows.append(answers.of(room, mutant, reach))
+            print(
+                f"seed {seed}, {len(rows)}: {rows[-1]['verdict']:9} {mutant.path}:{mutant.line} {mutant.text}",
+                file=sys.stderr,
+            )
+        drawn.append(Drawn(seed, tuple(rows)))
+    text = written(drawn, {room: len(mine) for room, mine in found.items()}, _commit())
     print(text)
     if args.write:
         (ROOT / "docs" / "mutation.md").write_text(text, encoding="utf-8")
-    return 0 if killed >= args.least * len(rows) else 1
+    return 0 if drawn[-1].share >= args.least else 1
 
 
-def _verdict(room: str, mutant: Mutant, limits: dict[tuple[str, ...], Limits]) -> str:
-    for tests in stages(room, mutant.path):
-        if tuple(tests) not in limits:
-            limits[tuple(tests)] = _limits(tests)
-        verdict, _ = verdict_of(mutant, tests, limits[tuple(tests)])
-        if verdict is not Verdict.SURVIVED:
-            return verdict.value
-    return Verdict.SURVIVED.value
+class _Answers:
+    """Rows by mutant, and the file that keeps them."""
+
+    def __init__(self, path: Path, *, again: bool) -> None:
+        self._path = path
+        self._again = again
+        lines = path.read_text().splitlines() if path.exists() else []
+        self._rows: dict[str, Mapping[str, Any]] = {row["key"]: row for row in map(json.loads, lines)}
+
+    def of(self, room: str, mutant: Mutant, reach: Reach) -> Mapping[str, Any]:
+        key = f"{mutant.path}:{mutant.line}:{mutant.node}:{mutant.choice}:{mutant.text}"
+        known = self._rows.get(key)
+        if known is None or (self._again and known["verdict"] == Verdict.SURVIVED):
+            answer, asked = _asked(mutant, reach)
+            known = {"key": key, "room": room, **asdict(mutant), **asdict(answer), "asked": asked}
+            self._rows[key] = known
+            with self._path.open("a") as file:
+                file.write(json.dumps(known) + "\n")
+        return known
 
 
-def _limits(tests: Sequence[str]) -> Limits:
-    """From what the tests take without any change, which they must pass."""
-    verdict, spent = verdict_of(None, tests, Limits(1200.0, 3600.0))
-    if verdict is not Verdict.SURVIVED:
-        raise SystemExit(f"{', '.join(tests)}: fails on the code as it is")
-    return Limits(SLOWER * spent + 5.0, WALL * spent + 60.0)
+def _asked(mutant: Mutant, reach: Reach) -> tuple[Answer, int]:
+    """The answer, and the number of tests that were asked."""
+    asked = 0
+    for tests in reach.stages(mutant.path, range(mutant.first, mutant.last + 1)):
+        left = list(tests)
+        while left:
+            answer = answer_of(mutant, left, _limits(left, reach))
+            if answer.verdict is Verdict.SURVIVED:
+                break
+            if not answer.by or answer_of(mutant, [answer.by], _limits([answer.by], reach)).verdict != Verdict.SURVIVED:
+                return answer, asked + len(left)
+            left = left[left.index(answer.by) + 1 :]  # it failed once, and by itself not: the machine was busy
+        asked += len(tests)
+    return Answer(Verdict.SURVIVED), asked
+
+
+def _limits(tests: Sequence[str], reach: Reach) -> Limits:
+    """From what the tests take without any change."""
+    spent = sum(reach.seconds[test] for test in tests)
+    longest = max(reach.seconds[test] for test in tests)
+    return Limits(SLOWER * spent + 20.0, WALL * spent + 60.0, WALL * longest + 20.0)
+
+
+def _commit() -> str:
+    return subprocess.run(
+        ["git", "rev-parse", "--short", "HEAD"],
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
+        text=True,
+    ).stdout.strip()
 
 
 if __name__ == "__main__":

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import tomllib
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,32 +15,73 @@ EQUIVALENT = Path(__file__).with_name("equivalent.toml")
 """Survivors that change nothing anybody could see, with the reason; the key is `path: text`."""
 
 
-def written(rows: Sequence[Mapping[str, Any]], seed: int) -> str:
-    """Killed by room and by module, and every survivor."""
+@dataclass(frozen=True)
+class Drawn:
+    """A sample and what became of it."""
+
+    seed: int
+    rows: tuple[Mapping[str, Any], ...]
+
+    @property
+    def survivors(self) -> list[Mapping[str, Any]]:
+        """In the order of the code."""
+        return sorted((r for r in self.rows if r["verdict"] == Verdict.SURVIVED), key=lambda r: (r["path"], r["line"]))
+
+    @property
+    def killed(self) -> int:
+        """What is equivalent counts as a survivor."""
+        return len(self.rows) - len(self.survivors)
+
+    @property
+    def share(self) -> float:
+        """Of the whole sample."""
+        return self.killed / max(len(self.rows), 1)
+
+
+def written(drawn: Sequence[Drawn], there: Mapping[str, int], commit: str) -> str:
+    """Killed by room and sample, and every survivor; `there` has the number of all mutants of each room."""
     reasons: Mapping[str, str] = tomllib.loads(EQUIVALENT.read_text(encoding="utf-8")) if EQUIVALENT.exists() else {}
-    killed = sum(row["verdict"] != Verdict.SURVIVED for row in rows)
+    seeds = " ".join(f"--seed {one.seed}" for one in drawn)
+    each = max(len([r for r in one.rows if r["room"] == room]) for one in drawn for room in there)
     lines = [
         "# Mutations of the code",
         "",
-        "One operator, constant, condition or statement is changed at a time. The tests of the module and of its room",
-        f"run. `scripts/mutate --seed {seed} --count {len(rows)} --write` writes this page; the sample of all mutants",
-        "is drawn with that seed. A mutant that takes four times the processor time of its tests is noticed.",
-        "Only unit tests are asked: what `tests/link` and `tests/service` would notice does not count.",
+        "One operator, constant, condition or statement is changed at a time, and the tests that reach its lines run:",
+        "cheap unit tests first, the other unit tests then, and link and service tests if none of those noticed.",
+        f"`scripts/mutate --each {each} {seeds} --write` draws the same number of mutants in each room and writes this",
+        f"page; this one is of commit {commit}. A mutant that takes four times the processor time of its tests is",
+        "noticed. A failing test must fail twice on the mutant. Equivalent mutants count as survivors.",
         "",
-        f"{killed} of {len(rows)} were killed ({100 * killed / max(len(rows), 1):.0f} %; the target is 90 %).",
+        "Tests were written for survivors of the earlier seeds; the last seed was drawn afterwards and is the figure",
+        "that nobody worked on. The target is 90 %.",
         "",
-        "| room | mutants | killed | of these by time | survived |",
-        "|---|---|---|---|---|",
+        "| seed | room | mutants there | sampled | killed | killed by time | survived | equivalent |",
+        "|---|---|---|---|---|---|---|---|",
     ]
-    for room in sorted({row["room"] for row in rows}):
-        count = Counter(row["verdict"] for row in rows if row["room"] == room)
-        late = count[Verdict.TIMED_OUT]
-        lines.append(
-            f"| {room} | {count.total()} | {count[Verdict.KILLED] + late} | {late} | {count[Verdict.SURVIVED]} |"
-        )
-    lines += ["", "## Survivors", "", "| where | change | why it lives |", "|---|---|---|"]
-    for row in sorted((r for r in rows if r["verdict"] == Verdict.SURVIVED), key=lambda r: (r["path"], r["line"])):
-        why = reasons.get(f"{row['path']}: {row['text']}", "no test notices it yet")
-        text = row["text"].replace("|", "\\|")
-        lines.append(f"| {row['path']}:{row['line']} | `{text}` | {why} |")
+    for one in drawn:
+        for room, number in there.items():
+            lines.append(_row(f"{one.seed} | {room} | {number}", [r for r in one.rows if r["room"] == room], reasons))
+        lines.append(_row(f"{one.seed} | **all** | {sum(there.values())}", one.rows, reasons))
+    for one in drawn:
+        lines += ["", f"## Survivors of seed {one.seed}", "", "| where | change | why it lives |", "|---|---|---|"]
+        lines += _survivors(one, reasons)
     return "\n".join(lines) + "\n"
+
+
+def _row(begin: str, rows: Sequence[Mapping[str, Any]], reasons: Mapping[str, str]) -> str:
+    count = Counter(row["verdict"] for row in rows)
+    late, alive = count[Verdict.TIMED_OUT], count[Verdict.SURVIVED]
+    same = sum(row["verdict"] == Verdict.SURVIVED and _key(row) in reasons for row in rows)
+    share = f"{100 * (len(rows) - alive) / max(len(rows), 1):.0f} %"
+    return f"| {begin} | {len(rows)} | {len(rows) - alive} ({share}) | {late} | {alive} | {same} |"
+
+
+def _survivors(one: Drawn, reasons: Mapping[str, str]) -> Iterator[str]:
+    for row in one.survivors:
+        why = reasons.get(_key(row)) or ("no test notices it yet" if row["asked"] else "no test reaches it")
+        text = row["text"].replace("|", "\\|")
+        yield f"| {row['path']}:{row['line']} | `{text}` | {why} |"
+
+
+def _key(row: Mapping[str, Any]) -> str:
+    return f"{row['path']}: {row['text']}"

@@ -7,6 +7,8 @@ import copy
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from bench.mutate.reach import spans
+
 COMPARED: dict[type[ast.cmpop], type[ast.cmpop]] = {
     ast.Lt: ast.LtE,
     ast.LtE: ast.Lt,
@@ -34,13 +36,18 @@ _SAYS_ONLY = ("log", "logger")
 
 @dataclass(frozen=True)
 class Mutant:
-    """One change: the number of the syntax node in the order of a walk, and what is done to it."""
+    """One change: the number of the syntax node in the order of a walk, and what is done to it.
+
+    A test that runs none of the lines from `first` to `last` cannot notice.
+    """
 
     path: str
     node: int
     choice: int
     line: int
     text: str
+    first: int
+    last: int
 
 
 def mutants(source: str, path: str) -> list[Mutant]:
@@ -48,10 +55,13 @@ def mutants(source: str, path: str) -> list[Mutant]:
     tree = ast.parse(source)
     lines = source.splitlines()
     found = []
+    reached = spans(tree)
     for number, node in _mutable(tree):
         line = getattr(node, "lineno", 1)
+        span = reached[id(node)]
         for choice, (what, _) in enumerate(_changes(node)):
-            found.append(Mutant(path, number, choice, line, f"{what}: {lines[line - 1].strip()}"))
+            text = f"{what}: {lines[line - 1].strip()}"
+            found.append(Mutant(path, number, choice, line, text, span.start, span.stop - 1))
     return sorted(found, key=lambda m: (m.line, m.node, m.choice))
 
 

@@ -8,6 +8,7 @@ import os
 import resource
 import signal
 import sys
+import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,7 +21,6 @@ import pytest
 from bench.mutate.operators import Mutant, mutated
 
 ROOT = Path(__file__).resolve().parents[2]
-_NO_TESTS = 5
 IGNORED = ("-W", "ignore::pytest.PytestAssertRewriteWarning")
 """What is imported before pytest is not rewritten, and needs not be: it is none of ours."""
 
@@ -35,42 +35,63 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class Limits:
-    """Seconds of processor time and of the clock for one child."""
+    """Seconds of processor time and of the clock for one child, and of the clock for one test."""
 
     cpu_s: float
     wall_s: float
+    test_s: float
 
 
 def warm_up() -> None:
-    """Import what no mutant changes and every test needs."""
-    for name in ("numpy", "scipy.linalg", "scipy.optimize", "scipy.stats", "scipy.spatial", "scipy.signal"):
+    """Import what no mutant changes and every test needs: a child that did so itself would take three seconds more."""
+    for name in ("numpy.testing", "scipy.linalg", "scipy.optimize", "scipy.stats", "scipy.spatial", "scipy.signal"):
         __import__(name)
-    for name in ("pydantic", "structlog", "pymavlink.dialects.v20.all"):
+    for name in ("pydantic", "structlog", "fastapi.testclient", "uvicorn", "pymavlink.dialects.v20.all", "pyulog"):
+        __import__(name)
+    for name in ("hypothesis", "_hypothesis_pytestplugin", "pytest_asyncio.plugin", "pytest_timeout"):
+        __import__(name)
+    for name in ("schemathesis.pytest.plugin", "anyio.pytest_plugin", "coverage"):
         __import__(name)
 
 
-def verdict_of(mutant: Mutant | None, tests: Sequence[str], limits: Limits) -> tuple[Verdict, float]:
-    """What `tests` (paths) say of a mutant, and the processor time that took; None: of the code as it is."""
-    began = time.monotonic()
-    pid = os.fork()
-    if pid == 0:
-        _child(mutant, tests, limits)
-    while True:
-        done, status, usage = os.wait4(pid, os.WNOHANG)
-        if done:
-            break
-        if time.monotonic() - began > limits.wall_s:
-            os.killpg(pid, signal.SIGKILL)
-            _, status, usage = os.wait4(pid, 0)
-            return Verdict.TIMED_OUT, usage.ru_utime + usage.ru_stime
-        time.sleep(0.02)
-    spent = usage.ru_utime + usage.ru_stime
+@dataclass(frozen=True)
+class Answer:
+    """What some tests made of a mutant, and the test that failed; empty where loading the code failed or time ended."""
+
+    verdict: Verdict
+    by: str = ""
+
+
+def answer_of(mutant: Mutant | None, tests: Sequence[str], limits: Limits) -> Answer:
+    """`tests` are ids, met in this order until one fails; no mutant: the code as it is."""
+    with tempfile.TemporaryFile() as told:
+        pid = os.fork()
+        if pid == 0:
+            _child(mutant, tests, limits, told.fileno())
+        status = _ended(pid, limits.wall_s)
+        told.seek(0)
+        by = told.read().decode()
     if os.WIFSIGNALED(status):
-        return Verdict.TIMED_OUT if os.WTERMSIG(status) in {signal.SIGXCPU, signal.SIGKILL} else Verdict.KILLED, spent
-    return Verdict.SURVIVED if os.WEXITSTATUS(status) in {0, _NO_TESTS} else Verdict.KILLED, spent
+        late = os.WTERMSIG(status) in {signal.SIGXCPU, signal.SIGKILL}
+        return Answer(Verdict.TIMED_OUT if late else Verdict.KILLED, by)
+    survived = os.WEXITSTATUS(status) in {pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED}
+    return Answer(Verdict.SURVIVED if survived else Verdict.KILLED, by)
 
 
-def _child(mutant: Mutant | None, tests: Sequence[str], limits: Limits) -> None:
+def _ended(pid: int, wall_s: float) -> int:
+    """How a child ended; beyond its time it is killed with all that it started."""
+    began = time.monotonic()
+    while True:
+        done, status = os.waitpid(pid, os.WNOHANG)
+        if done:
+            return status
+        if time.monotonic() - began > wall_s:
+            os.killpg(pid, signal.SIGKILL)
+            return os.waitpid(pid, 0)[1]
+        time.sleep(0.02)
+
+
+def _child(mutant: Mutant | None, tests: Sequence[str], limits: Limits, told: int) -> None:
     """Never returns."""
     os.setpgid(0, 0)
     code = 70
@@ -83,11 +104,30 @@ def _child(mutant: Mutant | None, tests: Sequence[str], limits: Limits) -> None:
         os.chdir(ROOT)
         if mutant is not None:
             sys.meta_path.insert(0, _Changed(mutant))
-        code = int(
-            pytest.main(["-x", "-q", "-p", "no:randomly", "-p", "no:cacheprovider", "-p", "no:xdist", *IGNORED, *tests])
-        )
+        files = list(dict.fromkeys(test.partition("::")[0] for test in tests))
+        without = ("-p", "no:randomly", "-p", "no:cacheprovider", "-p", "no:xdist")
+        patient = ("-o", f"timeout={limits.test_s:.0f}")
+        code = int(pytest.main(["-x", "-q", *without, *patient, *IGNORED, *files], plugins=[_Chosen(tests, told)]))
     finally:
         os._exit(code)
+
+
+class _Chosen:
+    """Lets some tests run, in their order, and tells which fails first."""
+
+    def __init__(self, tests: Sequence[str], told: int) -> None:
+        self._place = {test: place for place, test in enumerate(tests)}
+        self._told = told
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        items[:] = sorted(
+            (item for item in items if item.nodeid in self._place), key=lambda item: self._place[item.nodeid]
+        )
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.failed:
+            os.write(self._told, report.nodeid.encode())
 
 
 class _Changed(importlib.abc.MetaPathFinder, importlib.abc.Loader):

@@ -1,12 +1,24 @@
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.errors import FirmwareError, UnreadableError
-from calib.firmware.export import ParameterFormat, number, read_export, read_parameters, write_export, write_plan
+from calib.firmware.export import (
+    ParameterFormat,
+    number,
+    read_export,
+    read_parameters,
+    to_param,
+    to_params,
+    to_parm,
+    write_export,
+    write_plan,
+)
 from calib.firmware.plan import Change, Fingerprint, ParameterKind, WritePlan
 
 FINE = float(np.float32(1.2345678e-7))
@@ -91,3 +103,24 @@ def test_the_ending_chooses_the_format(tmp_path, form):
     assert read_export(path) == read_parameters(write_plan(PLAN, form), form)
     with pytest.raises(FirmwareError, match=r"\.param, \.parm, \.params"):
         write_export(PLAN, tmp_path / "plan.txt")
+
+
+def test_each_format_has_a_function_of_its_own():
+    assert to_param(PLAN) == write_plan(PLAN, ParameterFormat.PARAM)
+    assert to_parm(PLAN) == write_plan(PLAN, ParameterFormat.PARM)
+    assert to_params(PLAN) == write_plan(PLAN, ParameterFormat.PARAMS)
+
+
+def test_the_head_names_the_plan_its_board_and_what_to_mind():
+    fingerprint = Fingerprint("px4", "ab", "1.17.0", (("gyro0", 1310988),))
+    head = write_plan(dataclasses.replace(PLAN, fingerprint=fingerprint), ParameterFormat.PARAM).splitlines()[:5]
+    assert head[0] == "# mavcal: px4 1.17.0"
+    assert head[1].startswith("# plan ")
+    assert head[2:] == ["# board ab", "# gyro0 has the device id 1310988", "# a warning in two lines"]
+    nameless = dataclasses.replace(PLAN, fingerprint=Fingerprint("px4", "", "", ()))
+    assert write_plan(nameless, ParameterFormat.PARAM).splitlines()[:3:2] == ["# mavcal: px4", "# board not known"]
+
+
+def test_a_station_of_another_system_gets_its_own_ids():
+    lines = write_plan(PLAN, ParameterFormat.PARAMS, system=7, component=3).splitlines()
+    assert "7\t3\tCAL_ACC0_XOFF\t0.31\t9" in lines

@@ -7,7 +7,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from calib.errors import FirmwareError
-from calib.firmware.rotations import ROTATIONS, euler_matrix, nearest_rotation, rotation_matrix
+from calib.firmware.rotations import ROTATIONS, euler_matrix, nearest_rotation, rotation_matrix, rotation_words
 
 
 @pytest.mark.parametrize(
@@ -46,13 +46,37 @@ def test_the_table_is_mavlinks(autopilot: str) -> None:
         assert ROTATIONS[autopilot][number] == expected, entry.name
 
 
-def test_the_firmwares_part_beyond_forty() -> None:
-    assert ROTATIONS["ardupilot"][42] == (45.0, 0.0, 0.0)
-    assert ROTATIONS["px4"][42] == (270.0, 0.0, 270.0)
-    with pytest.raises(FirmwareError, match="44"):
-        rotation_matrix("ardupilot", 44)
-    with pytest.raises(FirmwareError, match="-1"):
-        rotation_matrix("px4", -1)
+BEYOND_FORTY = {
+    "ardupilot": {41: (0.0, 7.0, 0.0), 42: (45.0, 0.0, 0.0), 43: (315.0, 0.0, 0.0)},
+    "px4": {
+        41: (270.0, 0.0, 180.0),
+        42: (270.0, 0.0, 270.0),
+        43: (0.0, 90.0, 180.0),
+        44: (0.0, 9.0, 180.0),
+        45: (0.0, 45.0, 0.0),
+        46: (270.0, 0.0, 225.0),
+        47: (270.0, 0.0, 315.0),
+    },
+}
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_the_firmwares_part_beyond_forty(autopilot: str) -> None:
+    table = ROTATIONS[autopilot]
+    assert {number: table[number] for number in range(41, len(table))} == BEYOND_FORTY[autopilot]
+    assert ROTATIONS["px4"][38] == (90.0, 68.0, 293.0)
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_a_number_outside_the_table_is_refused_and_named(autopilot: str) -> None:
+    last = max(BEYOND_FORTY[autopilot])
+    for number in (last + 1, -1):
+        with pytest.raises(FirmwareError, match=f"mounting rotation {number} is none of {autopilot}'s 0 to {last}"):
+            rotation_matrix(autopilot, number)
+        assert rotation_words(autopilot, number) == "not in the table"
+    assert rotation_words(autopilot, last) != "not in the table"
+    assert rotation_words(autopilot, 0) == "none"
+    assert rotation_words(autopilot, 36) == "roll 90, pitch 180, yaw 90"
 
 
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])

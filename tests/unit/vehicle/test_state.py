@@ -6,7 +6,17 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from service.vehicle.calibration import CalibrationSign
-from service.vehicle.state import Landed, Refusal, VehicleState, note_boot_time, reduce, writable
+from service.vehicle.state import (
+    KEPT_TEXTS,
+    Landed,
+    Refusal,
+    VehicleState,
+    expire,
+    note_boot_time,
+    reduce,
+    restarted,
+    writable,
+)
 from tests.unit.vehicle.fake import heartbeat, landed
 
 
@@ -158,3 +168,86 @@ def test_the_evidence_is_in_sentences() -> None:
     lines = told(throttle(0), state=READY, at=104).evidence(104.5)
     assert any("HEARTBEAT 1.5 s ago: disarmed" in line for line in lines)
     assert any("on_ground" in line for line in lines)
+
+
+def test_every_limit_is_where_it_is_said_to_be() -> None:
+    """Silence after 3 s, disarmed for 2 s, a landed state of at most 10 s ago: the limit itself still counts."""
+    assert writable(READY, 106.0).ok
+    assert writable(READY, 106.01).refusals[0] is Refusal.SILENT
+    young = told(heartbeat(), landed())
+    assert writable(young, 102.0).ok
+    assert writable(young, 101.99).refusals == (Refusal.ARMED,)
+    lately = told(*[heartbeat()] * 10, state=READY, at=105.0, step=1.0)  # landed was said at 104
+    assert writable(lately, 114.0).ok
+    assert writable(lately, 114.01).refusals == (Refusal.NOT_LANDED,)
+
+
+def test_zero_throttle_counts_only_while_it_is_fresh_and_the_landed_state_is_unknown() -> None:
+    idle = told(landed(0), throttle(0), state=READY, at=104)
+    beating = told(*[heartbeat()] * 10, state=idle, at=106.0, step=1.0)  # the throttle was said at 104
+    assert writable(beating, 114.0).ok
+    assert writable(beating, 114.01).refusals == (Refusal.NOT_LANDED,)
+    flying = told(landed(2), throttle(0), state=READY, at=104)
+    assert writable(flying, 104.1).reasons == ("the vehicle is not on the ground (in_air)",)
+    spinning = told(landed(0), throttle(5), state=READY, at=104)
+    assert writable(spinning, 104.1).reasons == ("its landed state is unknown and the throttle is 5%",)
+
+
+def test_each_reason_is_a_sentence_of_its_own() -> None:
+    assert writable(VehicleState(), 100.0).reasons[:2] == (
+        "no heartbeat was heard yet",
+        "it is not known to be disarmed",
+    )
+    assert "the vehicle is armed" in writable(told(heartbeat(armed=True), state=READY, at=104), 104.1).reasons
+    assert writable(READY, 110.0).reasons[0] == "no heartbeat for 7.0 s"
+    answers = told(landed(), state=READY, at=109.0)
+    assert writable(answers, 110.0).reasons[0].startswith("no heartbeat for 7.0 s, although it still answers")
+
+
+def test_evidence_says_only_what_was_heard() -> None:
+    assert VehicleState().evidence(100.0) == ("no HEARTBEAT heard yet",)
+    state = told(heartbeat(armed=True), throttle(40))
+    assert state.evidence(101.0) == ("HEARTBEAT 1.0 s ago: armed, status 3", "VFR_HUD 1.0 s ago: throttle 40%")
+    calm = told(heartbeat(), landed(), throttle(0))
+    assert calm.evidence(101.0) == (
+        "HEARTBEAT 1.0 s ago: disarmed, status 3",
+        "disarmed for 1.0 s",
+        "EXTENDED_SYS_STATE 1.0 s ago: on_ground",
+        "VFR_HUD 1.0 s ago: throttle 0%",
+    )
+    again = restarted(restarted(calm, 1.0), 1.0)
+    assert again.evidence(101.0)[-1] == "restarted 2 times since it was found"
+    assert not any("restarted" in line for line in calm.evidence(101.0))
+
+
+def test_a_restart_keeps_what_the_vehicle_does_not_take_back() -> None:
+    state = restarted(told(text("hello"), state=told(heartbeat(), landed(), throttle(3)), at=101.0), 2.5)
+    assert (state.rebooted, state.boot_time, state.armed) == (1, 2.5, False)
+    assert (state.last_heartbeat, state.last_heard, state.system_status) == (100.0, 101.0, 3)
+    assert [one.text for one in state.texts] == ["hello"]
+    assert (state.landed_at, state.throttle_at, state.disarmed_since) == (None, None, None)
+
+
+def test_a_clock_that_goes_on_after_a_late_message_is_no_restart() -> None:
+    state = note_boot_time(VehicleState(), 100.0)
+    late = note_boot_time(state, 90.0)
+    assert late.boot_time == 100.0
+    on = note_boot_time(late, 100.5)
+    assert (on.boot_time, on.rebooted) == (100.5, 0)
+    for _ in range(10):  # one late message at a time never adds up
+        on = note_boot_time(note_boot_time(on, 90.0), 100.5)
+    assert on.rebooted == 0
+    assert note_boot_time(on, 100.5) is on
+
+
+def test_only_the_newest_texts_are_kept() -> None:
+    state = told(*(text(f"line {k}") for k in range(KEPT_TEXTS + 3)))
+    assert [one.text for one in state.texts] == [f"line {k}" for k in range(3, KEPT_TEXTS + 3)]
+
+
+def test_a_calibration_that_was_not_heard_of_for_long_is_forgotten_and_nothing_else() -> None:
+    assert expire(READY, 1e6) is READY
+    state = told(heartbeat(status=2), state=READY, at=104)
+    assert state.onboard_calibration is not None
+    assert expire(state, 104.1) is state
+    assert expire(state, 1e6).onboard_calibration is None

@@ -1,0 +1,108 @@
+"""Which tests reach a line: what `scripts/coverage` measured, each test as a context."""
+
+from __future__ import annotations
+
+import ast
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import coverage
+
+from bench.mutate.contexts import SECONDS_SUFFIX
+
+UNIT = "tests/unit/"
+FIRST = 40
+"""Tests that a mutant meets first: those that it is likeliest to fail, and cheap ones."""
+FIRST_S = 10.0
+"""Seconds of them together."""
+SLOW_S = 90.0
+"""Seconds of link and service tests together that a mutant meets if no unit test noticed it."""
+
+
+@dataclass(frozen=True)
+class Reach:
+    """For each file its lines with the tests that ran them, and the processor time of each test."""
+
+    lines: Mapping[str, Mapping[int, frozenset[str]]]
+    seconds: Mapping[str, float]
+
+    @classmethod
+    def read(cls, measured: Path, root: Path) -> Reach:
+        """Raises FileNotFoundError where nothing was measured."""
+        seconds = json.loads(Path(str(measured) + SECONDS_SUFFIX).read_text())
+        data = coverage.CoverageData(str(measured))
+        data.read()
+        lines = {
+            Path(name).relative_to(root).as_posix(): {
+                line: frozenset(tests) - {""} for line, tests in data.contexts_by_lineno(name).items()
+            }
+            for name in data.measured_files()
+        }
+        return cls(lines, seconds)
+
+    def stages(self, path: str, span: Sequence[int]) -> list[list[str]]:
+        """Tests that reach lines of a file, in the order in which a mutant there meets them; none if none does."""
+        found = self._tests(path, span)
+        own = f"test_{Path(path).stem}.py"
+        unit = sorted(
+            (test for test in found if test.startswith(UNIT)),
+            key=lambda t: (own not in t or self.seconds[t] > 1.0, self.seconds[t], t),
+        )
+        slow = sorted(found.difference(unit), key=lambda t: (self.seconds[t], t))
+        first = self._within(unit[:FIRST], FIRST_S)
+        return [stage for stage in (first, unit[len(first) :], self._within(slow, SLOW_S)) if stage]
+
+    def _tests(self, path: str, span: Sequence[int]) -> frozenset[str]:
+        lines = self.lines.get(path, {})
+        return frozenset().union(*(lines.get(line, frozenset()) for line in span)).intersection(self.seconds)
+
+    def _within(self, tests: Sequence[str], limit_s: float) -> list[str]:
+        chosen: list[str] = []
+        spent = 0.0
+        for test in tests:
+            spent += self.seconds[test]
+            if chosen and spent > limit_s:
+                break
+            chosen.append(test)
+        return chosen
+
+
+def spans(tree: ast.Module) -> Mapping[int, range]:
+    """For each node, by its identity, the lines by which it is known that it was run.
+
+    Inside a function these are the lines of the statement, without the statements that it contains. What runs while
+    the module is loaded may matter to every test of the module; defaults of a function, to those of the function.
+    """
+    found: dict[int, range] = {}
+    whole = range(1, 1 + max((getattr(n, "end_lineno", 0) or 0 for n in ast.walk(tree)), default=0))
+    _fill(tree, whole, whole, found, inside=False)
+    return found
+
+
+def _fill(node: ast.AST, span: range, outside: range, found: dict[int, range], *, inside: bool) -> None:
+    found[id(node)] = span
+    for child in ast.iter_child_nodes(node):
+        lines, deeper = span, inside
+        if isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef):
+            lines = range(child.body[0].lineno, (child.end_lineno or child.lineno) + 1)
+            for part in child.body:
+                _fill(part, _own_lines(part), outside, found, inside=True)
+            for part in (child.args, *child.decorator_list):
+                _fill(part, lines, outside, found, inside=False)
+            found[id(child)] = lines
+            continue
+        if isinstance(child, ast.stmt):
+            lines = _own_lines(child) if inside else outside
+        _fill(child, lines, outside, found, inside=deeper)
+
+
+def _own_lines(statement: ast.stmt) -> range:
+    """Of a compound statement only its head."""
+    body = getattr(statement, "body", None) or getattr(statement, "cases", None)
+    last = statement.end_lineno or statement.lineno
+    if body:
+        first = body[0].pattern.lineno if isinstance(body[0], ast.match_case) else body[0].lineno
+        last = max(statement.lineno, first - 1)
+    return range(statement.lineno, last + 1)
