@@ -99,6 +99,10 @@ class LimitSettings(_Part):
     body_window_s: float = Field(
         default=20.0, gt=0.0, description="a request's body brings at least 1 kB/s on average over so long, s"
     )
+    head_s: float = Field(
+        default=10.0, gt=0.0, description="a connection sends the whole head of a request in so long, s"
+    )
+    heads: int = Field(default=256, gt=0, description="most connections without a whole head; the oldest one goes")
     gap_s: float = Field(default=1800.0, gt=0.0, description="longest time that a gap diagnosis may take, s")
     file_memory_bytes: int = Field(
         default=2 * 1024**3, ge=2**28, description="most memory that reading, fitting or diagnosing a file may take"

@@ -58,6 +58,7 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
 
     from service.app import create_app
     from service.core import running_service
+    from service.http import server_config
     from service.logs import configure_logging
 
     configure_logging(as_json=settings.log_json)
@@ -81,7 +82,7 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
             if self.started:
                 announce(url)
 
-    config = uvicorn.Config(app, log_config=None, access_log=False, timeout_graceful_shutdown=1, lifespan="off")
+    config = server_config(app, settings.limits, lifespan="off")
     with listener:
         Server(config).run(sockets=[listener])
 

@@ -16,6 +16,7 @@ from starlette.types import ASGIApp
 
 from service.app import create_app
 from service.core import Service
+from service.http import server_config
 from service.settings import Settings
 from tests.patience import scaled
 
@@ -147,10 +148,9 @@ def behind_prefix(app: ASGIApp, prefix: str) -> ASGIApp:
 @asynccontextmanager
 async def served(folder: Path, *, prefix: str = "", **settings: Any) -> AsyncIterator[Api]:
     """The application on a loopback port: for event streams, which need a socket."""
-    app = create_app(settings_in(folder, **settings))
-    config = uvicorn.Config(
-        behind_prefix(app, prefix), port=0, log_config=None, access_log=False, timeout_graceful_shutdown=1
-    )
+    chosen = settings_in(folder, **settings)
+    app = create_app(chosen)
+    config = server_config(behind_prefix(app, prefix), chosen.limits, port=0)
     server = uvicorn.Server(config)
     running = asyncio.create_task(server._serve())
     try:

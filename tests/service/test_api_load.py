@@ -7,9 +7,14 @@ import resource
 import time
 from pathlib import Path
 
+import pytest
+
+from tests.patience import scaled
+
 from .api_bench import Api, served
 
 STREAMS = 1000
+HALF_OPEN = 200
 ALLOWED = 16
 
 
@@ -45,6 +50,58 @@ async def test_a_body_that_trickles_is_given_up(tmp_path: Path) -> None:
             assert b"less than 1000 bytes/s" in answer
             writer.close()
         assert list((tmp_path / "recordings").iterdir()) == []
+
+
+@pytest.mark.parametrize("head", ["", "GET /api/v1/li", "GET /api/v1/links HTTP/1.1\r\nHOST\r\nX: "])
+async def test_connections_that_never_finish_asking_are_cut_off(tmp_path: Path, head: str) -> None:
+    async with served(tmp_path, limits={"head_s": 1.0}) as a:
+        opened = [await raw(a, head) for _ in range(HALF_OPEN)]
+
+        async def trickle() -> None:
+            while True:
+                for _, writer in opened:
+                    writer.write(b"x" if head else b"")
+                await asyncio.sleep(0.1)
+
+        dripping = asyncio.create_task(trickle())
+        async with asyncio.timeout(scaled(5)):
+            await a.get("/links")
+        async with asyncio.timeout(scaled(20)):
+            assert [await _rest(reader) for reader, _ in opened] == [b""] * HALF_OPEN
+        dripping.cancel()
+        for _, writer in opened:
+            writer.close()
+
+
+async def test_only_so_many_may_be_half_open_and_who_asks_at_once_is_answered(tmp_path: Path) -> None:
+    async with served(tmp_path, limits={"head_s": 600.0, "heads": 20}) as a:
+        opened = [await raw(a, "GET / HTTP/1.1\r\nX: ") for _ in range(HALF_OPEN)]
+        async with asyncio.timeout(scaled(5)):
+            for _ in range(30):
+                await a.get("/links")
+        async with asyncio.timeout(scaled(20)):
+            assert [await _rest(reader) for reader, _ in opened[:-20]] == [b""] * (HALF_OPEN - 20)
+        assert not opened[-1][0].at_eof()
+        for _, writer in opened:
+            writer.close()
+
+
+async def test_the_next_request_of_a_connection_must_be_finished_too(tmp_path: Path) -> None:
+    async with served(tmp_path, limits={"head_s": 1.0}) as a:
+        reader, writer = await raw(a, "GET /healthz HTTP/1.1\r\nHOST\r\n\r\n")
+        async with asyncio.timeout(scaled(20)):
+            assert b"200" in await reader.readline()
+            writer.write(b"GET /healthz HTTP/1.1\r\nX: ")
+            await _rest(reader)
+        writer.close()
+
+
+async def _rest(reader: asyncio.StreamReader) -> bytes:
+    """What comes until the server closes the connection."""
+    try:
+        return await reader.read()
+    except ConnectionResetError:
+        return b""
 
 
 async def test_a_slow_upload_that_goes_on_is_taken(tmp_path: Path) -> None:

@@ -1,0 +1,79 @@
+"""The HTTP server of the service: uvicorn, with connections that never finish asking cut off.
+
+uvicorn waits without end for the head of a request. Here it has a time limit, and only so many connections may be
+without a whole head at a time; when one more comes, the one that has waited longest goes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import uvicorn
+from starlette.types import ASGIApp
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+
+from service.settings import LimitSettings
+
+
+class Waiting:
+    """The connections of one server that have no whole request head yet, the oldest first."""
+
+    def __init__(self, limits: LimitSettings) -> None:
+        self._seconds = limits.head_s
+        self._most = limits.heads
+        self._timers: dict[asyncio.Transport, asyncio.TimerHandle] = {}
+
+    def begins(self, transport: asyncio.Transport) -> None:
+        """Wait for a head on this connection, if that is not so already."""
+        if transport in self._timers:
+            return
+        if len(self._timers) >= self._most:
+            self._give_up(next(iter(self._timers)))
+        self._timers[transport] = asyncio.get_running_loop().call_later(self._seconds, self._give_up, transport)
+
+    def ends(self, transport: asyncio.Transport) -> None:
+        """The head is there, or the connection has gone."""
+        timer = self._timers.pop(transport, None)
+        if timer is not None:
+            timer.cancel()
+
+    def _give_up(self, transport: asyncio.Transport) -> None:
+        self.ends(transport)
+        transport.abort()
+
+
+def _protocol(waiting: Waiting) -> type[HttpToolsProtocol]:
+    class Protocol(HttpToolsProtocol):
+        def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+            super().connection_made(transport)
+            waiting.begins(transport)
+
+        def data_received(self, data: bytes) -> None:
+            super().data_received(data)
+            between = self.cycle is None or self.cycle.response_complete
+            if between and not self.transport.is_closing():  # from here on uvicorn's limit for idle connections is off
+                waiting.begins(self.transport)
+
+        def on_headers_complete(self) -> None:
+            waiting.ends(self.transport)
+            super().on_headers_complete()
+
+        def connection_lost(self, exc: Exception | None) -> None:
+            waiting.ends(self.transport)
+            super().connection_lost(exc)
+
+    return Protocol
+
+
+def server_config(app: ASGIApp, limits: LimitSettings, **options: Any) -> uvicorn.Config:
+    """How the application is served; `options` are uvicorn's."""
+    return uvicorn.Config(
+        app,
+        http=_protocol(Waiting(limits)),
+        ws="none",
+        log_config=None,
+        access_log=False,
+        timeout_graceful_shutdown=1,
+        **options,
+    )
