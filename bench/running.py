@@ -28,6 +28,7 @@ class RunningService:
     client: ServiceClient
     pid: int
     data_dir: Path
+    url: str
 
     def resident_bytes(self) -> int:
         """Memory that the process holds now (VmRSS of Linux)."""
@@ -92,7 +93,7 @@ def service(connect: str, data_dir: Path) -> Iterator[RunningService]:
                 said = log_path.read_text(errors="replace").strip().splitlines()[-3:]
                 raise RuntimeError(f"the service did not come up: {said}")
             answer: dict[str, Any] = json.loads(line)
-            yield RunningService(ServiceClient(answer["url"]), process.pid, data_dir)
+            yield RunningService(ServiceClient(answer["url"]), process.pid, data_dir, answer["url"])
         finally:
             process.terminate()
             try:

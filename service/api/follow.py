@@ -3,54 +3,123 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import aclosing
+from typing import Annotated, cast
 
+import structlog
+from fastapi import Depends, Request
 from fastapi.sse import ServerSentEvent
 
 from service.api.models import LinkModel, VehicleModel
 from service.api.views import event_model, link_model, vehicle_model
 from service.core import Service
-from service.store.rows import EventRow
+
+log = structlog.get_logger(__name__)
 
 LOOK_S = 0.5
 """How often vehicles and links are looked at."""
 STEADY = {"received", "lost", "loss", "bytes_per_s", "evidence", "crc_errors"}
 """What moves all the time and is told only along with something else."""
 
+Name = tuple[str, str]
+"""`vehicle` or `link`, and its id."""
+State = VehicleModel | LinkModel
 
-async def everything(service: Service, after: int) -> AsyncIterator[ServerSentEvent]:
-    """Events of jobs after the id `after`; vehicles and links whenever their state has changed."""
-    queue: asyncio.Queue[EventRow | None] = asyncio.Queue(maxsize=1)
-    reading = asyncio.create_task(_read(service, after, queue))
-    told: dict[tuple[str, str], str] = {}
-    try:
+
+class Watch:
+    """Looks at vehicles and links once for all streams, as long as there are any, and wakes them if one has changed."""
+
+    def __init__(self, look: Callable[[], list[tuple[str, State]]]) -> None:
+        self._ask = look
+        self._states: dict[Name, tuple[str, State]] = {}
+        self._news = asyncio.Event()
+        self._streams = 0
+        self._looking: asyncio.Task[None] | None = None
+
+    async def changes(self) -> AsyncIterator[tuple[str, State]]:
+        """Every state now, and then each one that has changed, for ever."""
+        told: dict[Name, str] = {}
+        self._streams += 1
+        self._look()
+        if self._looking is None:
+            self._looking = asyncio.create_task(self._run())
+        try:
+            while True:
+                news = self._news
+                for name, (text, state) in self._states.items():
+                    if told.get(name) != text:
+                        told[name] = text
+                        yield name[0], state
+                if news is self._news:  # else a look came in between
+                    await news.wait()
+        finally:
+            self._streams -= 1
+            if self._streams == 0:
+                self._looking.cancel()
+                self._looking = None
+
+    async def _run(self) -> None:
         while True:
-            for name, state in _states(service):
-                text = state.model_dump_json(exclude=STEADY)
-                if told.get((name, state.id)) != text:
-                    told[name, state.id] = text
-                    yield ServerSentEvent(data=state, event=name)
+            await asyncio.sleep(LOOK_S)
             try:
-                async with asyncio.timeout(LOOK_S):
-                    event = await queue.get()
-            except TimeoutError:
-                continue
-            if event is None:
-                return
-            yield ServerSentEvent(data=event_model(event), event="job", id=str(event.id))
+                self._look()
+            except Exception:  # a state that cannot be told once must not silence every stream; logged with its trace
+                log.exception("vehicles and links could not be looked at")
+
+    def _look(self) -> None:
+        found = {(name, s.id): (s.model_dump_json(exclude=STEADY), s) for name, s in self._ask()}
+        if {name: text for name, (text, _) in found.items()} == {
+            name: text for name, (text, _) in self._states.items()
+        }:
+            return
+        self._states = found
+        news, self._news = self._news, asyncio.Event()
+        news.set()
+
+
+def watch_of(service: Service) -> Watch:
+    """A watch over the vehicles and links of a service."""
+
+    def states() -> list[tuple[str, State]]:
+        vehicles = [("vehicle", vehicle_model(v)) for v in service.vehicles.all()]
+        links = [("link", link_model(link, service.vehicles)) for link in service.links.all()]
+        return [*vehicles, *links]
+
+    return Watch(states)
+
+
+def _watch(request: Request) -> Watch:
+    state = request.app.state
+    if getattr(state, "watch", None) is None:
+        state.watch = watch_of(state.service)
+    return cast(Watch, state.watch)
+
+
+WatchDep = Annotated[Watch, Depends(_watch)]
+
+
+async def everything(service: Service, watch: Watch, after: int) -> AsyncIterator[ServerSentEvent]:
+    """Events of jobs after the id `after`; vehicles and links whenever their state has changed."""
+    queue: asyncio.Queue[ServerSentEvent | None] = asyncio.Queue(maxsize=1)
+    reading = [asyncio.create_task(_states(watch, queue)), asyncio.create_task(_events(service, after, queue))]
+    try:
+        while (event := await queue.get()) is not None:
+            yield event
     finally:
-        reading.cancel()
+        for task in reading:
+            task.cancel()
+        await asyncio.gather(*reading, return_exceptions=True)
 
 
-async def _read(service: Service, after: int, queue: asyncio.Queue[EventRow | None]) -> None:
+async def _states(watch: Watch, queue: asyncio.Queue[ServerSentEvent | None]) -> None:
+    async with aclosing(watch.changes()) as states:  # type: ignore[type-var]
+        async for name, state in states:
+            await queue.put(ServerSentEvent(data=state, event=name))
+
+
+async def _events(service: Service, after: int, queue: asyncio.Queue[ServerSentEvent | None]) -> None:
     async with aclosing(service.jobs.subscribe(None, after)) as events:  # type: ignore[type-var]
         async for event in events:
-            await queue.put(event)
+            await queue.put(ServerSentEvent(data=event_model(event), event="job", id=str(event.id)))
     await queue.put(None)
-
-
-def _states(service: Service) -> list[tuple[str, VehicleModel | LinkModel]]:
-    vehicles = [("vehicle", vehicle_model(v)) for v in service.vehicles.all()]
-    links = [("link", link_model(link, service.vehicles)) for link in service.links.all()]
-    return [*vehicles, *links]

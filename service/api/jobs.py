@@ -13,7 +13,7 @@ from calib.procedures.registry import PROCEDURES
 from calib.report import plan_to_json
 from service.api.addresses import relative
 from service.api.dependencies import ServiceDep
-from service.api.follow import everything
+from service.api.follow import WatchDep, everything
 from service.api.models import (
     AnswerRequest,
     ApplyRequest,
@@ -163,11 +163,13 @@ async def job_events(
 
 
 @router.get("/events", response_class=EventSourceResponse, dependencies=[READ])
-async def events(service: ServiceDep, last_event_id: LastEventId = None) -> AsyncIterator[ServerSentEvent]:
+async def events(
+    service: ServiceDep, watch: WatchDep, last_event_id: LastEventId = None
+) -> AsyncIterator[ServerSentEvent]:
     """Everything that happens: to any job, from now or from Last-Event-ID on, and to vehicles and links.
 
     Events named `job` have ids and are replayed; `vehicle` and `link` carry the present state as soon as it changes.
     """
     after = await service.store.do(service.store.last_event_id) if last_event_id is None else last_event_id
-    async for event in everything(service, after):
+    async for event in everything(service, watch, after):
         yield event

@@ -19,7 +19,8 @@ class EventFeed:
 
     def __init__(self, store: JobStore) -> None:
         self._store = store
-        self._news = asyncio.Event()
+        self._news: dict[str | None, asyncio.Event] = {}
+        """One for the readers of each job, and one for those of all jobs (None): who waits is woken by its own."""
         self._recent: list[EventRow] = []
         self._loop: asyncio.AbstractEventLoop | None = None
         self._closed = False
@@ -33,7 +34,8 @@ class EventFeed:
     def close(self) -> None:
         """End every subscription."""
         self._closed = True
-        self._news.set()
+        for key in tuple(self._news):
+            self._wake(key)
 
     async def subscribe(self, job_id: str | None, after: int) -> AsyncIterator[EventRow]:
         """Events after `after`: a sequence number of that job, or an id over all jobs if `job_id` is None."""
@@ -45,7 +47,7 @@ class EventFeed:
                 after = _place(event, job_id)
                 yield event
             while not from_store and not self._closed and self._goes_on_from(known):
-                news = self._news
+                news = self._news.setdefault(job_id, asyncio.Event())
                 fresh = self._recent[known + 1 - self._recent[0].id :] if self._recent else []
                 for event in fresh:
                     known = event.id
@@ -65,8 +67,13 @@ class EventFeed:
         self._recent.append(event)
         if len(self._recent) >= 2 * RECENT:
             self._recent = self._recent[-RECENT:]
-        news, self._news = self._news, asyncio.Event()
-        news.set()
+        for key in (event.job_id, None):
+            self._wake(key)
+
+    def _wake(self, key: str | None) -> None:
+        news = self._news.pop(key, None)
+        if news is not None:
+            news.set()
 
 
 def _place(event: EventRow, job_id: str | None) -> int:
