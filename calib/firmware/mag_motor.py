@@ -46,6 +46,17 @@ def is_motor(fit: FitResult) -> bool:
     return fit.method == METHOD
 
 
+def compensated(autopilot: str, parameters: Mapping[str, Value], instance: int) -> bool:
+    """Whether the motors' field at compass `instance` is compensated by what is in force."""
+    module = ardupilot if autopilot == "ardupilot" else px4
+    try:
+        roles = module.calibration_names(parameters, Sensor.MAG, instance)
+    except FirmwareError:
+        return False
+    kind = float(parameters.get(roles.get(Role.MOTOR_TYPE, ""), 0.0))
+    return kind != 0.0 and any(float(parameters.get(roles.get(role, ""), 0.0)) != 0.0 for role in names.MOTOR)
+
+
 def corrupt_compensation(autopilot: str | None, timeline: ParameterTimeline, instance: int) -> str:
     """What is corrupt among the parameters that correct compass `instance`, in a sentence; empty if nothing is.
 

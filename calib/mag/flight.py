@@ -286,10 +286,8 @@ def _warnings(found: Estimate, context: MagContext, quality: Mapping[str, Any], 
     if found.layout.drives:
         peak = np.abs(found.flight.drives[:, 0]).max() * np.linalg.norm(found.x[found.layout.motor][:3])
         if peak > 0.01 * strength:
-            warnings.append(
-                f"the motors add up to {peak:.2g} {context.unit}: the offset is that without them, and mag-motor finds "
-                "what compensates them"
-            )
+            helps = "" if context.compensated else ". The method mag-motor finds what compensates them"
+            warnings.append(f"the motors add up to {peak:.2g} {context.unit}; the offset is that without them{helps}")
     return tuple(warnings)
 
 

@@ -56,6 +56,8 @@ class MagContext:
         The true field: its strength ties the scale, its dip the heading error. None: scale and dip are unknown.
     body_from_sensor
         Mounting rotation (3, 3), for the heading error only; None: the sensor's axes are the vehicle's.
+    compensated
+        Whether the vehicle has a compensation of the motors' field in force.
     """
 
     instance: int = 0
@@ -66,6 +68,7 @@ class MagContext:
     body_from_sensor: Array | None = None
     relative: bool = False
     temperature: float | None = None
+    compensated: bool = False
 
     def __post_init__(self) -> None:
         if self.noise_sd is not None and not (math.isfinite(self.noise_sd) and self.noise_sd > 0.0):
@@ -100,6 +103,7 @@ class MagFacts(TypedDict, total=False):
     body_from_sensor: Array | None
     relative: bool
     temperature: float | None
+    compensated: bool
 
 
 @dataclass(frozen=True, eq=False)

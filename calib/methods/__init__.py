@@ -10,11 +10,11 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from calib.methods import accel, gyro, imu, mag, mag_flight, noise, thermal
-from calib.methods.method import Method, Option, Options
+from calib.methods.method import Finding, Method, Option, Options
 
 _TABLES = (accel, gyro, mag, mag_flight, thermal, imu, noise)
 
 METHODS: Mapping[str, Method] = MappingProxyType({method.name: method for t in _TABLES for method in t.METHODS})
 """Every method by its name."""
 
-__all__ = ["METHODS", "Method", "Option", "Options"]
+__all__ = ["METHODS", "Finding", "Method", "Option", "Options"]

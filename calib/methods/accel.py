@@ -14,7 +14,18 @@ from calib.coarse_means import means_together
 from calib.errors import InvalidInputError
 from calib.faces import CONVENTIONS, Face, down_of
 from calib.fit import FitResult
-from calib.methods.method import FIXTURE, GRAVITY, INSTANCE, PLACE, Method, Option, Options, gravity_of, mean_or_none
+from calib.methods.method import (
+    FIXTURE,
+    GRAVITY,
+    INSTANCE,
+    PLACE,
+    Finding,
+    Method,
+    Option,
+    Options,
+    gravity_of,
+    mean_or_none,
+)
 from calib.methods.source import Source
 from calib.recording import Channel, Sensor
 from calib.six_face import FORMS, fit_six_face
@@ -193,6 +204,7 @@ METHODS = (
             Option("cross_sd", float, 0.01, "prior standard deviation of the cross terms; 0 holds them at zero"),
         ),
         accel_thermal,
+        finds=Finding.DRIFT,
     ),
 )
 """In the order of the command line."""

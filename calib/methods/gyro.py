@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from calib.errors import InvalidInputError
 from calib.fit import FitResult, parameter_names, refused
 from calib.gyro import fit_g_sensitivity, fit_gyro_rest, fit_thread, fit_turntable
-from calib.methods.method import GRAVITY, INSTANCE, Method, Option, Options, gravity_of, mean_or_none
+from calib.methods.method import GRAVITY, INSTANCE, Finding, Method, Option, Options, gravity_of, mean_or_none
 from calib.methods.source import Source
 from calib.recording import Channel, Sensor
 
@@ -180,6 +180,7 @@ METHODS = (
             Option("drift", ("no", "yes"), "no", "also fit an offset that moves steadily over time"),
         ),
         gyro_g_sensitivity,
+        finds=Finding.FIGURES,
     ),
 )
 """In the order of the command line."""

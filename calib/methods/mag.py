@@ -25,7 +25,7 @@ from calib.mag.ring_centres import CENTRES
 from calib.mag.rings import fit_rings
 from calib.mag.rings_faces import LABELS
 from calib.mag.sphere import fit_sphere
-from calib.methods.method import FIXTURE, GRAVITY, INSTANCE, Method, Option, Options, gravity_of
+from calib.methods.method import FIXTURE, GRAVITY, INSTANCE, Finding, Method, Option, Options, gravity_of
 from calib.methods.source import Source
 from calib.procedures.mag import COMPASS_WINDOW
 from calib.recording import Channel, Recording, Sensor
@@ -260,6 +260,7 @@ METHODS = (
             _FIELD[0],
         ),
         rest_reference,
+        finds=Finding.FIGURES,
     ),
     Method(
         "mag-sphere",

@@ -11,7 +11,7 @@ import numpy as np
 from calib.earth import EarthField, earth_field
 from calib.errors import CalibError, InvalidInputError
 from calib.firmware import body_from_sensor, calibration_in_force
-from calib.firmware.mag_motor import corrupt_compensation
+from calib.firmware.mag_motor import compensated, corrupt_compensation
 from calib.fit import FitResult, parameter_names, refused
 from calib.mag.flight import METHOD as FLIGHT
 from calib.mag.flight import SOFT_IRON, fit_flight
@@ -20,7 +20,7 @@ from calib.mag.flight_path import Turning
 from calib.mag.motor import METHOD as MOTOR
 from calib.mag.motor import fit_motor
 from calib.mag.motor_drives import Drive, DriveKind
-from calib.methods.method import INSTANCE, Method, Option, Options
+from calib.methods.method import INSTANCE, Finding, Method, Option, Options
 from calib.methods.source import Source
 from calib.procedures.mag import COMPASS_WINDOW
 from calib.recording import Channel, Sensor, Stage
@@ -123,12 +123,13 @@ def _gyroscope(source: Source, asked: int | None) -> Channel | None:
 
 def _facts(source: Source, mag: Channel, turning: Turning, options: Options) -> dict[str, Any]:
     autopilot = source.recording.identity.autopilot
-    in_force, mounting, relative = None, None, source.relative(mag)
+    in_force, mounting, relative, motors = None, None, source.relative(mag), False
     if mag.stage == Stage.RAW and source.recording.parameters and autopilot in {"ardupilot", "px4"}:
         try:
             parameters = source.recording.parameters.at(float(mag.t[0]))
             in_force = calibration_in_force(autopilot, parameters, Sensor.MAG, mag.instance)
             mounting = body_from_sensor(autopilot, parameters, Sensor.MAG, mag.instance)
+            motors = compensated(autopilot, parameters, mag.instance)
         except CalibError:
             in_force, mounting, relative = None, None, True
     return {
@@ -140,6 +141,7 @@ def _facts(source: Source, mag: Channel, turning: Turning, options: Options) -> 
         "field": _field(source, mag, turning, options),
         "body_from_sensor": mounting,
         "relative": relative,
+        "compensated": motors,
     }
 
 
@@ -209,6 +211,7 @@ METHODS = (
         "a compass with a gyroscope or an attitude, and current, throttle or motor outputs that change",
         (*_FROM, Option("drive", _DRIVE, "auto", "what drives it; auto: what predicts unseen data best")),
         mag_motor,
+        finds=Finding.MOTORS,
     ),
 )
 """In the order of the command line."""

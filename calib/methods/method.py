@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from types import MappingProxyType
 from typing import Any
 
@@ -19,6 +20,15 @@ from calib.recording import Channel, Recording
 
 Array = NDArray[np.float64]
 Options = Mapping[str, Any]
+
+
+class Finding(StrEnum):
+    """What a method finds, in words for a sentence: it decides what a fit can be exported as."""
+
+    CORRECTION = "a constant correction"
+    DRIFT = "a correction that moves with temperature"
+    MOTORS = "the field of the motors"
+    FIGURES = "figures that belong to no correction"
 
 
 @dataclass(frozen=True)
@@ -42,6 +52,7 @@ class Method:
     fit: Callable[[Source, Options], Sequence[FitResult]]
     pool: Callable[[Sequence[Source], Options], Sequence[FitResult]] | None = None
     """Several logs of one vehicle together; None: the method takes one recording."""
+    finds: Finding = Finding.CORRECTION
 
     def run(self, recording: Recording, options: Options = MappingProxyType({})) -> tuple[FitResult, ...]:
         """The fits of every instance (or of the option ``instance``) that the recording has.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from calib.allan_fit import fit_allan
 from calib.errors import InvalidInputError
 from calib.fit import FitResult
-from calib.methods.method import INSTANCE, Method, Option, Options
+from calib.methods.method import INSTANCE, Finding, Method, Option, Options
 from calib.methods.source import Source
 from calib.recording import Sensor
 
@@ -34,6 +34,7 @@ METHODS = (
         "hours at rest at an even rate; minutes tell the white noise only",
         (INSTANCE, Option("sensor", ("all", *(s.value for s in _SENSORS)), "all", "only this sensor")),
         allan,
+        finds=Finding.FIGURES,
     ),
 )
 """In the order of the command line."""

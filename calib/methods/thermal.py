@@ -12,7 +12,7 @@ from calib.errors import InvalidInputError
 from calib.fit import FitResult
 from calib.flight.thermal import Wish, fit_rests
 from calib.flight.warm import logs_of
-from calib.methods.method import INSTANCE, Method, Option, Options
+from calib.methods.method import INSTANCE, Finding, Method, Option, Options
 from calib.methods.source import Source
 from calib.procedures.drift_fit import fit_posed
 from calib.recording import Channel, Sensor
@@ -178,6 +178,7 @@ METHODS = (
         ),
         thermal_linear,
         linear_pooled,
+        finds=Finding.DRIFT,
     ),
     Method(
         "thermal-poly",
@@ -194,6 +195,7 @@ METHODS = (
         ),
         thermal_poly,
         poly_pooled,
+        finds=Finding.DRIFT,
     ),
 )
 """In the order of the command line."""

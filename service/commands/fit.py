@@ -11,7 +11,7 @@ import click
 from calib.converted import Convention, Converted, c_header, converted
 from calib.errors import CalibError
 from calib.fit import FitResult, FitStatus
-from calib.methods import METHODS, Method
+from calib.methods import METHODS, Finding, Method
 from calib.recording import Recording
 from service.commands.output import EXIT_NO, json_option, write_json
 from service.commands.reading import face_option, read_recording, reading_options, split_reading
@@ -54,8 +54,11 @@ def _subcommand(method: Method) -> click.Command:
             raise click.UsageError(f"{method.name} takes one FILE, not {len(files)}")
         if len(files) > 1 and faces:
             raise click.UsageError("give either FILEs, or --face LABEL=FILE for every face")
+        if as_form is not None:
+            require_correction(method)
         if export is not None:
             require_place(export)
+            require_exportable(method, export)
         recordings = [read_recording(file, faces, reading) for file in (files or (None,))]
         recording = recordings[-1]  # whose parameters are the newest: export starts from them
         if export is not None:
@@ -128,6 +131,23 @@ def require_place(out: Path) -> None:
         raise click.UsageError(f"--export {out.name}: a file ends in {', '.join(endings)}")
     if not out.parent.is_dir():
         raise click.UsageError(f"--export {out}: there is no folder {out.parent}")
+
+
+def require_exportable(method: Method, out: Path) -> None:
+    """Refuse an export that cannot hold what the method finds, whatever the recording says."""
+    if method.finds is Finding.FIGURES:
+        raise click.UsageError(f"--export {out.name}: {method.name} finds {method.finds}. --json tells them")
+    if out.suffix == HEADER and method.finds is not Finding.CORRECTION:
+        raise click.UsageError(
+            f"--export {out.name}: {method.name} finds {method.finds}, which a constant array does not hold. "
+            "Export parameters (.param), or take --json"
+        )
+
+
+def require_correction(method: Method) -> None:
+    """Refuse another's form of what is no correction."""
+    if method.finds in {Finding.FIGURES, Finding.MOTORS}:
+        raise click.UsageError(f"--as: {method.name} finds {method.finds}, which has no other form. --json tells it")
 
 
 def require_vehicle(out: Path, recording: Recording) -> None:

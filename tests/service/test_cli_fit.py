@@ -11,6 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from calib import logs
+from calib.converted import c_header
+from calib.errors import InvalidInputError
+from calib.methods import METHODS
+from calib.recording import Recording
 from service.cli import main
 
 ACCELCAL = {
@@ -127,11 +132,44 @@ def test_an_array_of_c_holds_the_correction(cli: Cli, faces: list[str], tmp_path
     np.testing.assert_allclose((rows @ np.append(reading, 1.0))[:3], expected, atol=1e-12)
 
 
-def test_what_is_not_whole_is_no_array(cli: Cli, faces: list[str], tmp_path: Path) -> None:
-    code, _, err = cli("fit", "rest-reference", "x-up.csv", "--samples", "10", "--export", "rest.h")
-    assert code == 1  # the fit is told, but cannot be exported
-    assert "not exported as an array" in err
-    assert not (tmp_path / "rest.h").exists()
+@pytest.mark.usefixtures("faces")
+def test_what_is_not_whole_is_no_array(tmp_path: Path) -> None:
+    fits = METHODS["rest-reference"].run(logs.read(tmp_path / "x-up.csv"), {"samples": 10})
+    with pytest.raises(InvalidInputError, match="not exported as an array"):
+        c_header(fits)
+
+
+EXPORTED = {
+    "mag-motor": {"param": True, "h": False},
+    **{name: {"param": True, "h": False} for name in ("accel-thermal", "thermal-linear", "thermal-poly")},
+    **{name: {"param": False, "h": False} for name in ("allan", "rest-reference", "gyro-g-sensitivity")},
+}
+"""What a file of that kind can hold; both kinds hold what the other methods find."""
+
+
+@pytest.mark.parametrize("ending", ["param", "parm", "params", "h"])
+@pytest.mark.parametrize("name", METHODS)
+def test_every_export_that_cannot_hold_the_finding_is_refused_before_anything_is_read(
+    cli: Cli, monkeypatch: pytest.MonkeyPatch, name: str, ending: str
+) -> None:
+    begun: list[str] = []
+
+    def read(*_: object) -> Recording:
+        begun.append(name)
+        raise InvalidInputError("read")
+
+    monkeypatch.setattr("service.commands.fit.read_recording", read)
+    code, said, error = cli("fit", name, "x.csv", "--export", f"out.{ending}")
+    possible = EXPORTED.get(name, {}).get("h" if ending == "h" else "param", True)
+    assert (code, said, begun) == (2, "", [name] if possible else [])
+    assert possible or f"--export out.{ending}: {name} finds " in error
+
+
+@pytest.mark.parametrize("name", ["allan", "rest-reference", "gyro-g-sensitivity", "mag-motor"])
+def test_what_is_no_correction_has_no_other_form(cli: Cli, name: str) -> None:
+    code, _, error = cli("fit", name, "x.csv", "--as", "px4")
+    assert code == 2
+    assert "has no other form" in error
 
 
 def sphere(path: Path) -> None:

@@ -115,3 +115,25 @@ def test_an_offset_that_no_block_confirms_is_taken_out_of_the_answer_and_told_of
     assert {t.hypothesis.effect.id for t in answer.chosen.model.terms} == {"accel_scale"}
     assert [(one.text, one.sensor) for one in answer.withdrawn] == [(NOT_LASTING, Sensor.ACCEL)]
     assert all(answer.gates[t.hypothesis.key] is True for t in answer.chosen.model.terms)
+
+
+def test_what_the_other_blocks_know_nothing_of_is_not_counted_against_an_effect(offset, monkeypatch):
+    """One block is due a loss of 500 nats and loses 1000; the other seven gain what they are due."""
+    chosen, contest, folds = offset
+    (term,) = chosen.model.terms
+    due = iter([-500.0, *[10.0] * (len(folds) - 1)])
+    monkeypatch.setattr("calib.gap.gates.expected_gain", lambda *_: next(due))
+    gains = np.array([-1000.0, *[10.0] * (len(folds) - 1)])
+    gate = gate_of(term, gains, [True] * len(folds), folds, chosen, last_gains(chosen.model, contest))
+    assert gate.passed is True
+
+
+def test_a_block_that_is_due_next_to_nothing_still_counts(offset, monkeypatch):
+    """The limit is 5 nats: a loss of 4 was foretold, and what it loses beyond that denies the effect."""
+    chosen, contest, folds = offset
+    (term,) = chosen.model.terms
+    due = iter([-4.0, *[10.0] * (len(folds) - 1)])
+    monkeypatch.setattr("calib.gap.gates.expected_gain", lambda *_: next(due))
+    gains = np.array([-1000.0, *[10.0] * (len(folds) - 1)])
+    gate = gate_of(term, gains, [True] * len(folds), folds, chosen, last_gains(chosen.model, contest))
+    assert gate.passed is False

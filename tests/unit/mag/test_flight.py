@@ -174,3 +174,11 @@ def test_a_crash_ends_the_flight():
     assert 45.0 < flown(60.0, f, q) < 50.0
     level = dataclasses.replace(q, values=np.tile([1.0, 0.0, 0.0, 0.0], (len(t), 1)))
     assert flown(60.0, f, level) == 60.0  # a hard landing is none
+
+
+@pytest.mark.parametrize("compensated", [False, True])
+def test_a_compensation_is_advised_only_where_none_is_in_force(compensated):
+    made = fly(Truth(motor=np.array([0.3, -0.2, 0.4])), rng(21))
+    fit = fit_flight(made.mag, made.turning, field=FIELD, drive=made.drives[0], compensated=compensated)
+    (warning,) = [text for text in fit.warnings if "the motors add up to" in text]
+    assert ("mag-motor" in warning) is not compensated

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from calib import logs
 from calib.fit import FitStatus
 from calib.methods import METHODS
+from calib.recording import ParameterTimeline
 
 pytestmark = pytest.mark.shared
 
@@ -48,3 +51,14 @@ def test_a_corrupt_compensation_is_the_cause(shared_data):
     fit = one(shared_data, "df_loganalyzer_examples/nan.log", "mag-motor")
     assert fit.status == FitStatus.REFUSED
     assert "COMPASS_MOT_X = nan" in fit.message
+
+
+@pytest.mark.parametrize("kind", [0, 2])
+def test_a_flight_with_its_motors_compensated_is_not_sent_to_compensate_them(shared_data, kind):
+    recording = logs.read(str(shared_data / "sitl_flights/vib_motor_temp.bin"))
+    in_force = {"COMPASS_MOTCT": kind, "COMPASS_MOT2_X": -3.0, "COMPASS_MOT2_Y": 2.0, "COMPASS_MOT2_Z": -4.0}
+    timeline = ParameterTimeline.constant({**recording.parameters.final(), **in_force})
+    (fit,) = METHODS["mag-flight"].run(dataclasses.replace(recording, parameters=timeline), {"instance": 1})
+    told = [text for text in fit.warnings if "the motors add up to" in text]
+    assert told
+    assert any("mag-motor" in text for text in told) is (kind == 0)
