@@ -46,7 +46,7 @@ class Retention:
         while True:
             try:
                 await self.sweep()
-            except Exception:
+            except Exception:  # of any kind: one bad row must not end all sweeps until a restart; logged with its trace
                 log.exception("nothing was forgotten this time")
             await asyncio.sleep(PERIOD_S)
 

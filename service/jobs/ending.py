@@ -84,7 +84,7 @@ def record_of(handle: JobHandle) -> WriteRecord | None:
     """What the journal says; None: it cannot be read."""
     try:
         return handle.written()
-    except Exception:
+    except Exception:  # of any kind: a damaged journal must not keep a job from its ending; logged with its trace
         log.exception("journal unreadable", job=handle.id)
         return None
 

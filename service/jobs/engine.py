@@ -6,7 +6,7 @@ import asyncio
 import dataclasses
 import time
 import uuid
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
@@ -28,7 +28,7 @@ from service.errors import (
 from service.jobs.admission import request_digest, require_acceptable, require_free, require_ready
 from service.jobs.adoption import Fitting, adopted, composed
 from service.jobs.crashpoints import At, CrashPoint, nowhere
-from service.jobs.ending import INTERRUPTED, LOST, broke, doubt
+from service.jobs.ending import INTERRUPTED, doubt
 from service.jobs.feed import EventFeed
 from service.jobs.handle import JobHandle
 from service.jobs.journal import BY_OPERATOR, Step
@@ -46,6 +46,7 @@ from service.jobs.runner import Runner
 from service.jobs.salvage import job_of
 from service.jobs.settings import JobSettings
 from service.jobs.states import CANCELLABLE, CAPTURING, ENDED, WRITING, JobState
+from service.jobs.tasks import JobTasks
 from service.jobs.tidying import Tidying
 from service.jobs.transaction import Transaction
 from service.jobs.verify import StreamCheck
@@ -101,10 +102,9 @@ class JobEngine:
         self._tidying = Tidying(self._runner.vehicle, self.settings.review_s)
         self._feed = EventFeed(store)
         self._handles: dict[str, JobHandle] = {}
-        self._tasks: dict[str, asyncio.Task[None]] = {}
+        self._tasks = JobTasks(self.settings.retry_s, self._recovered, self._ended)
         self._claims: set[str] = set()
         self._following: asyncio.Task[None] | None = None
-        self._stopping = False
 
     # --- life
 
@@ -118,8 +118,8 @@ class JobEngine:
         for handle in writes:
             self._taken_up(handle, self._recover)
         others = [handle for handle in handles if handle not in writes]
-        if self._tasks:
-            self._following = asyncio.create_task(self._follow(tuple(self._tasks.values()), others))
+        if self._tasks.running:
+            self._following = asyncio.create_task(self._follow(tuple(self._tasks.running.values()), others))
         else:
             self._take_up(others)
 
@@ -135,13 +135,13 @@ class JobEngine:
         """Take one job up; what is wrong with it must not keep the others waiting."""
         try:
             how(handle)
-        except Exception:
+        except Exception:  # of any kind: one job must not strand the writes after it; logged with its trace
             log.exception("job not taken up", job=handle.id, state=handle.job.state)
 
     def _recover(self, handle: JobHandle) -> None:
         """Finish or take back an interrupted write: the journal and the vehicle decide."""
         if handle.job.plan is not None:
-            self._spawn(handle, partial(self._recovered, handle, INTERRUPTED))
+            self._tasks.spawn(handle, partial(self._recovered, handle, INTERRUPTED))
 
     async def _recovered(self, handle: JobHandle, reason: str) -> None:
         await doubt(handle, reason)
@@ -150,22 +150,22 @@ class JobEngine:
     def _resume(self, handle: JobHandle) -> None:
         state = handle.job.state
         if state in CAPTURING:  # replay what was recorded and go on, if the vehicle is the same boot still
-            self._spawn(handle, partial(self._captured, handle))
+            self._tasks.spawn(handle, partial(self._captured, handle))
         elif state == JobState.FITTING and handle.job.kind == FROM_RECORDING:
             cause = "The service was stopped while it fitted the recording."
             outcome = Failure("fit-interrupted", cause, "Ask for the job again; the recording is kept.")
             handle.move(JobState.FAILED, outcome=outcome)
         elif state == JobState.FITTING:
-            self._spawn(handle, partial(self._runner.fit, handle))
+            self._tasks.spawn(handle, partial(self._runner.fit, handle))
         else:
             self._tidy(handle)
 
     async def stop(self) -> None:
         """Stop every task; jobs stay in their states and are taken up at the next start."""
-        self._stopping = True
+        self._tasks.stopping = True
         self._feed.close()
         following = [] if self._following is None else [self._following]
-        tasks = [*self._tasks.values(), *self._tidying.tasks, *following]
+        tasks = [*self._tasks.running.values(), *self._tidying.tasks, *following]
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
@@ -177,7 +177,7 @@ class JobEngine:
         over = ENDED | {JobState.REVIEW}
         with self._tidying.hurrying():
             while waited := {
-                *(task for job_id, task in self._tasks.items() if self.get(job_id).state in over),
+                *(task for job_id, task in self._tasks.running.items() if self.get(job_id).state in over),
                 *self._tidying.tasks,
             }:
                 await asyncio.wait(waited)
@@ -234,14 +234,8 @@ class JobEngine:
         job = Job(
             uuid.uuid4().hex[:12], vehicle.id, spec.kind, dict(chosen), JobState.QUEUED, now, now, context=context
         )
-        handle = self._hold(job)
-        try:
-            handle.change("state", {"state": job.state.value, "outcome": None})
-            await handle.kept()
-        except BaseException:
-            del self._handles[job.id]
-            raise
-        self._spawn(handle, partial(self._captured, handle))
+        handle = await self._new(job)
+        self._tasks.spawn(handle, partial(self._captured, handle))
         return handle.job
 
     async def adopt(
@@ -266,14 +260,8 @@ class JobEngine:
         require_ready(vehicle)
         now = self._wall()
         job = Job(uuid.uuid4().hex[:12], vehicle.id, FROM_RECORDING, dict(options), JobState.FITTING, now, now)
-        handle = self._hold(job)
-        try:
-            handle.change("state", {"state": job.state.value, "outcome": None})
-            await handle.kept()
-        except BaseException:
-            del self._handles[job.id]
-            raise
-        self._spawn(handle, partial(adopted, handle, self._vehicles, fitting, plan_options or {}, self.list))
+        handle = await self._new(job)
+        self._tasks.spawn(handle, partial(adopted, handle, self._vehicles, fitting, plan_options or {}, self.list))
         return handle.job
 
     async def cancel(self, job_id: str) -> Job:
@@ -283,9 +271,7 @@ class JobEngine:
         if state not in CANCELLABLE:
             raise NotCancellable(f"job {job_id} is {state}: it cannot be cancelled now")
         handle.move(JobState.CANCELLED, prompt=None, outcome=Failure("cancelled", "The operator cancelled it.", ""))
-        task = self._tasks.get(job_id)
-        if task is not None:
-            task.cancel()
+        self._tasks.cancel(job_id)
         return handle.job
 
     async def answer(self, job_id: str, value: str) -> Job:
@@ -302,7 +288,7 @@ class JobEngine:
         """Fit what an interrupted job has recorded. Raises IllegalTransition."""
         handle = self._handle(job_id)
         handle.move(JobState.FITTING, outcome=None)
-        self._spawn(handle, partial(self._runner.fit, handle))
+        self._tasks.spawn(handle, partial(self._runner.fit, handle))
         return handle.job
 
     # --- writing
@@ -374,7 +360,7 @@ class JobEngine:
             require_free(handle.job.vehicle_id, self.list(), besides=job_id)
         attempt = Attempt(WriteResult.RUNNING, self._wall())
         handle.move(JobState.APPLYING, accept=accept, outcome=None, verification=None, standing=(), last_write=attempt)
-        self._spawn(handle, partial(self._applied, handle))
+        self._tasks.spawn(handle, partial(self._applied, handle))
         self._reach(At.ACCEPTED)
         return handle.job
 
@@ -400,7 +386,7 @@ class JobEngine:
             await handle.record(Step.ROLL_BACK, because=BY_OPERATOR)
             require_free(handle.job.vehicle_id, self.list(), besides=job_id)
         handle.move(JobState.ROLLING_BACK, prompt=None)
-        self._spawn(handle, self._transaction(handle).revert)
+        self._tasks.spawn(handle, self._transaction(handle).revert)
         return handle.job
 
     # --- inside
@@ -428,6 +414,17 @@ class JobEngine:
         handle = self._handles.get(job_id)
         if handle is None:
             raise JobUnknown(f"there is no job {job_id}")
+        return handle
+
+    async def _new(self, job: Job) -> JobHandle:
+        """A job that is in the store, or not there at all. Raises DiskFull."""
+        handle = self._hold(job)
+        try:
+            handle.change("state", {"state": job.state.value, "outcome": None})
+            await handle.kept()
+        except BaseException:
+            del self._handles[job.id]
+            raise
         return handle
 
     def _hold(self, job: Job) -> JobHandle:
@@ -463,38 +460,13 @@ class JobEngine:
         await self._tidying.before_capture(handle)
         await self._runner.calibrate(handle)
 
-    def _spawn(self, handle: JobHandle, work: Callable[[], Awaitable[None]]) -> None:
-        task = asyncio.create_task(self._supervised(handle, work), name=f"job {handle.id}")
-        self._tasks[handle.id] = task
-        task.add_done_callback(lambda done: self._ended(handle, done))
-
-    async def _supervised(self, handle: JobHandle, work: Callable[[], Awaitable[None]]) -> None:
-        """Run a job's work; whatever breaks, a job that is not at an end is never left without a task."""
-        pause = 0.0
-        while True:
-            try:
-                await work()
-            except asyncio.CancelledError as error:
-                task = asyncio.current_task()
-                if self._stopping or (task is not None and task.cancelling()):
-                    raise  # a stop of the service is a crash: the journal decides at the next start
-                broke(handle, error)
-            except Exception as error:  # noqa: BLE001 - every kind of defect
-                broke(handle, error)
-            if handle.job.state not in WRITING:
-                return
-            await asyncio.sleep(pause)
-            pause = self.settings.retry_s
-            work = partial(self._recovered, handle, LOST)
-
-    def _ended(self, handle: JobHandle, task: asyncio.Task[None]) -> None:
-        if self._tasks.get(handle.id) is task:
-            del self._tasks[handle.id]
+    def _ended(self, handle: JobHandle) -> None:
+        """A job's task is over."""
         if handle.job.state in ENDED | {JobState.REVIEW}:
             self._tidy(handle)
             self._store.soon(partial(self._store.drop_events, handle.id, "progress", keep=1))
 
     def _tidy(self, handle: JobHandle) -> None:
         """Put message rates back that a job has left changed; a stopping service leaves that to its next start."""
-        if not self._stopping:
+        if not self._tasks.stopping:
             self._tidying.begin(handle)

@@ -98,7 +98,7 @@ class Transaction:
                     self._waits(reason)
             except ServiceError as error:  # the vehicle is not there: look again later
                 self._waits(str(error))
-            except Exception:
+            except Exception:  # of any kind: a job in doubt must not be stranded; logged with its trace
                 log.exception("a write in doubt cannot be taken up", job=self.handle.id)
             if self.handle.job.state == JobState.IN_DOUBT:
                 await asyncio.sleep(self.retry_s)

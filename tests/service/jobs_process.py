@@ -8,29 +8,16 @@ of :class:`service.jobs.crashpoints.At`; at its OCCURRENCE the process gets SIGK
 from __future__ import annotations
 
 import asyncio
-import os
-import signal
 import sys
 from pathlib import Path
 
+from bench.campaign.cli_process import killer
 from service.jobs.crashpoints import At
 from service.jobs.states import ENDED, JobState
 
 from .jobs_bench import Session, session
 
 LIMIT_S = 60.0
-
-
-def killer(point: At, occurrence: int) -> object:
-    count = 0
-
-    def reach(at: At) -> None:
-        nonlocal count
-        count += at == point
-        if at == point and count == occurrence:
-            os.kill(os.getpid(), signal.SIGKILL)
-
-    return reach
 
 
 async def live(bench: Session, action: str) -> None:

@@ -105,7 +105,7 @@ class Engine(JobEngine):
     def stranded(self) -> list[str]:
         """Jobs that are not at an end and have no task."""
         busy = {job.id for job in self.list() if job.state not in ENDED | {JobState.REVIEW}}
-        return [i for i in busy if i not in self._tasks or self._tasks[i].done()]
+        return [i for i in busy if i not in self._tasks.running or self._tasks.running[i].done()]
 
 
 @settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

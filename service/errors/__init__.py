@@ -1,0 +1,181 @@
+"""Everything that ``service`` raises on purpose.
+
+.. code-block:: text
+
+    ServiceError                  500
+    +-- LinkError                 503
+    |   +-- LinkDown              503
+    |   +-- EndpointError         422
+    |   |   +-- EndpointRefused   403
+    |   +-- LinkUnknown           404
+    |   +-- PortBusy              409
+    +-- VehicleError              503
+    |   +-- VehicleSilent         503
+    |   +-- VehicleUnknown        404
+    |   +-- VehicleArmed          409
+    |   +-- VehicleBusy           409
+    |   +-- VehicleConflict       409
+    |   +-- CommandRefused        409   carries the MAV_RESULT
+    |   +-- CommandTimeout        503
+    |   +-- ForbiddenCommand      409
+    |   +-- ParameterError        409
+    |       +-- ParameterMissing  404
+    |       +-- ParameterTimeout  503
+    |       +-- ParameterRejected 409
+    +-- JobError                  409
+    |   +-- JobUnknown            404
+    |   +-- IllegalTransition     409
+    |   +-- PlanChanged           409
+    |   +-- PhysicalJobRunning    409
+    |   +-- NotCancellable        409
+    |   +-- NotRevertible         409
+    |   +-- PlanBlocked           409
+    |   +-- PlanMissing           404
+    |   +-- OtherVehicle          409
+    |   +-- ExportUnknown         404
+    |   +-- IdempotencyConflict   409
+    |   +-- AnswerRefused         409
+    |   +-- CaptureEnded          409
+    |   |   +-- CaptureLost       409
+    |   +-- WriteFailed           409
+    |   +-- WriteStopped          409
+    +-- StoreError                500
+    |   +-- DiskFull              507
+    |   +-- DataDirLocked         409
+    +-- AuthError                 401
+    |   +-- Forbidden             403
+    |   +-- TooManyAttempts       429   carries how long to wait
+    +-- TooManyStreams            503
+    +-- UploadError               422
+    |   +-- UploadTooLarge        413
+    +-- ChildEnded                422
+    +-- ChildrenBusy              429
+    +-- RecordingUnknown          404
+    +-- GapError                  409
+        +-- GapUnknown            404
+        +-- GapUnfinished         409
+        +-- GapsBusy              429
+
+The docstring of a class is its default message; ``status_code``, ``title`` and ``code`` are what the HTTP
+interface answers with.
+"""
+
+from __future__ import annotations
+
+from service.errors.base import (
+    ServiceError,
+)
+from service.errors.host import (
+    AuthError,
+    ChildEnded,
+    ChildrenBusy,
+    DataDirLocked,
+    DiskFull,
+    Forbidden,
+    GapError,
+    GapsBusy,
+    GapUnfinished,
+    GapUnknown,
+    RecordingUnknown,
+    StoreError,
+    TooManyAttempts,
+    TooManyStreams,
+    UploadError,
+    UploadTooLarge,
+)
+from service.errors.jobs import (
+    AnswerRefused,
+    CaptureEnded,
+    CaptureLost,
+    ExportUnknown,
+    IdempotencyConflict,
+    IllegalTransition,
+    JobError,
+    JobUnknown,
+    NotCancellable,
+    NotRevertible,
+    OtherVehicle,
+    PhysicalJobRunning,
+    PlanBlocked,
+    PlanChanged,
+    PlanMissing,
+    WriteFailed,
+    WriteStopped,
+)
+from service.errors.vehicles import (
+    CommandRefused,
+    CommandTimeout,
+    EndpointError,
+    EndpointRefused,
+    ForbiddenCommand,
+    LinkDown,
+    LinkError,
+    LinkUnknown,
+    ParameterError,
+    ParameterMissing,
+    ParameterRejected,
+    ParameterTimeout,
+    PortBusy,
+    VehicleArmed,
+    VehicleBusy,
+    VehicleConflict,
+    VehicleError,
+    VehicleSilent,
+    VehicleUnknown,
+)
+
+__all__ = [
+    "AnswerRefused",
+    "AuthError",
+    "CaptureEnded",
+    "CaptureLost",
+    "ChildEnded",
+    "ChildrenBusy",
+    "CommandRefused",
+    "CommandTimeout",
+    "DataDirLocked",
+    "DiskFull",
+    "EndpointError",
+    "EndpointRefused",
+    "ExportUnknown",
+    "Forbidden",
+    "ForbiddenCommand",
+    "GapError",
+    "GapUnfinished",
+    "GapUnknown",
+    "GapsBusy",
+    "IdempotencyConflict",
+    "IllegalTransition",
+    "JobError",
+    "JobUnknown",
+    "LinkDown",
+    "LinkError",
+    "LinkUnknown",
+    "NotCancellable",
+    "NotRevertible",
+    "OtherVehicle",
+    "ParameterError",
+    "ParameterMissing",
+    "ParameterRejected",
+    "ParameterTimeout",
+    "PhysicalJobRunning",
+    "PlanBlocked",
+    "PlanChanged",
+    "PlanMissing",
+    "PortBusy",
+    "RecordingUnknown",
+    "ServiceError",
+    "StoreError",
+    "TooManyAttempts",
+    "TooManyStreams",
+    "UploadError",
+    "UploadTooLarge",
+    "VehicleArmed",
+    "VehicleBusy",
+    "VehicleConflict",
+    "VehicleError",
+    "VehicleSilent",
+    "VehicleUnknown",
+    "WriteFailed",
+    "WriteStopped",
+]
