@@ -30,7 +30,8 @@ TRACKED_S = 0.5
 """Wall time after arming in which a PARAM_SET may still arrive that had left before."""
 VISIBLE_S = {"arm": 0.5, "reboot": 2.0, "silence": 3.5, "onboard_calibration": 1.5, "move": 1.0, "twin": 5.0}
 """Wall time after which the service has to know of a stopping fault, over what its link takes."""
-"""Added to a vehicle's time for each of its restarts."""
+NOTED_S = 10.0
+"""Wall time within which a run has heard of its job's last state."""
 ENDED = (JobState.SUCCEEDED, JobState.REVERTED, JobState.REVIEW)
 
 
@@ -105,7 +106,7 @@ class _FaultRun:
             self.says = str(bench.engine.get(job.id).outcome)
             return Ending.FAILURE, (f"the job is {bench.engine.get(job.id).state} for ever",)
         finally:
-            await asyncio.sleep(POLL_S)  # the last state is noted too
+            await self._all_noted(bench.engine.get(job.id))
             noting.cancel()
             await self._count(vehicle, bench.engine.get(job.id))
         self.says = _sentence(job)
@@ -217,6 +218,13 @@ class _FaultRun:
             if event.kind == "state":
                 now = await vehicle.acall("state")
                 self._states.append((now["elapsed"], event.data["state"]))
+
+    async def _all_noted(self, job: Job) -> None:
+        """Wait until the last state is noted too: every note asks the vehicle, which takes its time when it is busy."""
+        with suppress(TimeoutError):
+            async with asyncio.timeout(NOTED_S):
+                while not self._states or self._states[-1][1] != job.state:  # noqa: ASYNC110 - time alone changes it
+                    await asyncio.sleep(POLL_S)
 
     def _check_stops(self, state: Json, faults: list[Json]) -> None:
         """After a stopping fault nothing more is sent, and the job is in doubt."""

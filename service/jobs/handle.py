@@ -132,8 +132,10 @@ class JobHandle:
         at = self._wall()
 
         def tell() -> None:
-            with suppress(Exception):  # not durable: who watches sees the next one
+            try:
                 self._publish(self.store.add_event(self.id, at, kind, data))
+            except Exception as error:  # noqa: BLE001 - not durable: who watches sees the next one
+                log.warning("an event of a job is lost", job=self.id, kind=kind, reason=str(error))
 
         self.store.soon(tell)
 
