@@ -36,6 +36,7 @@
     |   +-- IdempotencyConflict   409
     |   +-- AnswerRefused         409
     |   +-- CaptureEnded          409
+    |   |   +-- CaptureDisturbed  409
     |   |   +-- CaptureLost       409
     |   +-- WriteFailed           409
     |   +-- WriteStopped          409
@@ -85,6 +86,7 @@ from service.errors.host import (
 )
 from service.errors.jobs import (
     AnswerRefused,
+    CaptureDisturbed,
     CaptureEnded,
     CaptureLost,
     ExportUnknown,
@@ -127,6 +129,7 @@ from service.errors.vehicles import (
 __all__ = [
     "AnswerRefused",
     "AuthError",
+    "CaptureDisturbed",
     "CaptureEnded",
     "CaptureLost",
     "ChildEnded",

@@ -114,6 +114,13 @@ class CaptureEnded(JobError):
         """What helps."""
 
 
+class CaptureDisturbed(CaptureEnded):
+    """The vehicle changed its own calibration while the capture ran."""
+
+    title = "Capture disturbed"
+    code = "capture-disturbed"
+
+
 class CaptureLost(CaptureEnded):
     """The vehicle was away for too long; what was recorded is kept."""
 

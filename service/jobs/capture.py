@@ -26,7 +26,7 @@ from service.jobs.handle import JobHandle, counting
 from service.jobs.needs import DRIFT_KINDS, read_needed
 from service.jobs.port import JobVehicle
 from service.jobs.settings import JobSettings
-from service.jobs.spans import close_span, open_span
+from service.jobs.spans import captured, close_span, open_span
 from service.jobs.states import JobState
 from service.jobs.streams import ask_for_streams
 from service.jobs.watch import CaptureWatch, LinkWatch
@@ -73,7 +73,7 @@ class Capture:
             await asyncio.gather(link, return_exceptions=True)
 
     async def _recorded(self) -> Done:
-        earlier = self.handle.store.segments(self.handle.id, SegmentPurpose.CAPTURE)
+        earlier = captured(self.handle.job, self.handle.store)
         for row in earlier:
             if row.end_byte is None:
                 await close_span(self.handle.store, row, None)

@@ -14,7 +14,7 @@ from calib.firmware.plan import Value
 from calib.fit import FitStatus
 from calib.procedures.protocol import GaveUp
 from calib.recording import Identity
-from service.errors import CaptureEnded, CaptureLost, ServiceError, VehicleUnknown
+from service.errors import CaptureDisturbed, CaptureEnded, CaptureLost, ServiceError, VehicleUnknown
 from service.jobs.capture import Capture
 from service.jobs.crashpoints import At, CrashPoint, nowhere
 from service.jobs.digest import FitRequest, Fitted, fit_segments
@@ -32,10 +32,13 @@ from service.jobs.planning import (
 )
 from service.jobs.port import JobVehicle, VehicleSource
 from service.jobs.settings import JobSettings
-from service.jobs.spans import span_of
+from service.jobs.spans import SET_ASIDE, captured, span_of
 from service.jobs.states import JobState
-from service.store.rows import SegmentPurpose
 
+REPEATED = frozenset({"gyro", "level", "accel-one-axis"})
+"""Kinds that need one rest and no poses: they begin again by themselves."""
+REPEATS = 3
+"""So many times; a vehicle that goes on calibrating is a reason to look at it."""
 KEPT = "What was recorded is kept and can be fitted later; start the job again."
 
 
@@ -59,10 +62,7 @@ class Runner:
             if handle.job.state == JobState.QUEUED:
                 context = {**handle.job.context, "identity": identity_to_json(vehicle.identity)}
                 handle.move(JobState.RUNNING, context=context)
-            await until_idle(handle, vehicle, self.settings)
-            capture = Capture(handle, vehicle, self.settings, self.reach, self.clock, self.wall)
-            capture.foresee = partial(self._foresee, handle.job)
-            await capture.run()
+            await self._capture(handle, vehicle)
         except asyncio.CancelledError:
             if handle.job.state == JobState.CANCELLED:
                 handle.change("segments", {}, segments=_spans(handle))
@@ -76,6 +76,23 @@ class Runner:
         else:
             handle.move(JobState.FITTING, segments=_spans(handle), prompt=None)
             await self.fit(handle)
+
+    async def _capture(self, handle: JobHandle, vehicle: JobVehicle) -> None:
+        """Capture, and once more after a calibration of the vehicle's own where that costs nobody a pose."""
+        left = REPEATS if handle.job.kind in REPEATED else 0
+        while True:
+            await until_idle(handle, vehicle, self.settings)
+            capture = Capture(handle, vehicle, self.settings, self.reach, self.clock, self.wall)
+            capture.foresee = partial(self._foresee, handle.job)
+            try:
+                await capture.run()
+            except CaptureDisturbed:
+                if left == 0:
+                    raise
+                left -= 1
+                _set_aside(handle)
+            else:
+                return
 
     def _foresee(self, job: Job, identity: Identity, parameters: Mapping[str, Value]) -> tuple[str, ...]:
         known = accel_temperatures(self.jobs(), job.vehicle_id, parameters)
@@ -138,8 +155,18 @@ class Runner:
         handle.move(state, outcome=Failure(code, cause, remedy), segments=_spans(handle), prompt=None)
 
 
+def _set_aside(handle: JobHandle) -> None:
+    """Leave what was recorded so far out of the fit; it stays on the disk."""
+    rows = captured(handle.job, handle.store)
+    context = {key: value for key, value in handle.job.context.items() if key != "answers"}
+    if rows:
+        context[SET_ASIDE] = rows[-1].id
+    handle.warn("the vehicle began a calibration of its own: the capture begins again when that has ended")
+    handle.change("set_aside", {"segments": len(rows)}, context=context, progress=None)
+
+
 def _spans(handle: JobHandle) -> tuple[Span, ...]:
-    rows = handle.store.segments(handle.id, SegmentPurpose.CAPTURE)
+    rows = captured(handle.job, handle.store)
     return tuple(span_of(row) for row in rows if row.end_byte is not None)
 
 

@@ -6,10 +6,19 @@ import asyncio
 import hashlib
 
 from service.jobs.digest import read_range
-from service.jobs.model import Span
+from service.jobs.model import Job, Span
 from service.jobs.port import JobVehicle, TlogPosition
 from service.store.protocol import JobStore
 from service.store.rows import SegmentPurpose, SegmentRow
+
+SET_ASIDE = "set_aside"
+"""In a job's context: the id of the newest segment that its fit does not use."""
+
+
+def captured(job: Job, store: JobStore) -> tuple[SegmentRow, ...]:
+    """The segments that the job's fit is made of, oldest first; without those that were set aside."""
+    rows = store.segments(job.id, SegmentPurpose.CAPTURE)
+    return tuple(row for row in rows if row.id > int(job.context.get(SET_ASIDE, 0)))
 
 
 async def open_span(store: JobStore, job_id: str, purpose: SegmentPurpose, position: TlogPosition) -> SegmentRow:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from calib.procedures.protocol import Prompt
-from service.errors import CaptureEnded, CaptureLost
+from service.errors import CaptureDisturbed, CaptureEnded, CaptureLost
 from service.jobs.digest import LiveDigest
 from service.jobs.handle import JobHandle
 from service.jobs.port import Condition, JobVehicle
@@ -94,7 +94,10 @@ class CaptureWatch:
         if now.reboots != self._reboots:
             raise CaptureEnded("the vehicle restarted", remedy=f"Wait until it is up again and {again}.")
         if now.calibrating:
-            raise CaptureEnded("the vehicle runs a calibration of its own", remedy=f"Let it finish and {again}.")
+            raise CaptureDisturbed(
+                "the vehicle began a calibration of its own, which may change what the samples so far rest on",
+                remedy=f"Nothing was written. Let it finish, then {again} from its first step.",
+            )
         if now.conflict is not None:
             raise CaptureEnded(now.conflict, remedy=f"Give every vehicle its own system id and {again}.")
 
