@@ -34,7 +34,7 @@ from calib.inspection import inspect
 from calib.report import plain
 
 CPU_S = 5.0
-"""Of one file."""
+"""Most processor time for one file."""
 MEMORY = 1 << 30
 BATCH = 1000
 OVERVIEW_EACH = 50

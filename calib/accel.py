@@ -1,6 +1,6 @@
 """The accelerometer from gravity: poses in any direction, and one axis vertical.
 
-Of a still accelerometer only the length of gravity is known, ``|C (m - b)| = g``: nine numbers, with C symmetric
+A still accelerometer tells the length of gravity alone, ``|C (m - b)| = g``: nine numbers, with C symmetric
 (METHODS 0, 3.3). Nobody holds a vehicle square by hand, so no direction is assumed anywhere here; six faces on a
 fixture are :mod:`calib.six_face`.
 """

@@ -130,7 +130,7 @@ def refused(
     movement: str = "",
     quality: Mapping[str, Any] = MappingProxyType({}),
 ) -> FitResult:
-    """A fit of which nothing may be used: `message` has reason and remedy, `movement` what would determine it."""
+    """A fit that may not be used: `message` has reason and remedy, `movement` what would determine it."""
     size = len(parameter_names())
     return FitResult(
         method=method,

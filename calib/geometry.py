@@ -23,7 +23,7 @@ def sphere_of(points: Array) -> tuple[Array, float]:
 
 
 def frame_along(direction: Array) -> Array:
-    """Orthonormal columns (3, 3) of which the first lies along `direction` (3,)."""
+    """Orthonormal columns (3, 3), the first along `direction` (3,)."""
     size = np.linalg.norm(direction)
     if size == 0.0:
         return np.eye(3)

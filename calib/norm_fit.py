@@ -24,7 +24,7 @@ PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 NEUTRAL = np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
 """The parameters of a sensor without error."""
 UNDETERMINED = 0.02
-"""Of a radius, or of one: an offset, scale or cross term with a larger sd is not an estimate."""
+"""Share of a radius, or of one: an offset, scale or cross term with a larger sd is not an estimate."""
 _CROSS_LEARNT = 0.5  # of the prior's sd: a cross term that the data do not halve stays unknown
 
 

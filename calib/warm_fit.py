@@ -62,7 +62,7 @@ class WarmProblem:
 
     @property
     def degree(self) -> int:
-        """Of the drift."""
+        """Degree of the drift."""
         return int(self.powers.shape[1])
 
 

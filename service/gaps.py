@@ -44,7 +44,7 @@ class GapState(StrEnum):
 
 @dataclass(frozen=True)
 class GapRow:
-    """One diagnosis: of which uploads, and where it stands; `error` says why it failed."""
+    """One diagnosis: its uploads and its state; `error` says why it failed."""
 
     id: str
     created_at: float

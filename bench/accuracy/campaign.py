@@ -135,7 +135,7 @@ class Tally:
 
     @property
     def allowance(self) -> float:
-        """Of the ratio, two standard deviations of chance: ``2 / sqrt(2 R p)``."""
+        """Chance of the ratio, two standard deviations: ``2 / sqrt(2 R p)``."""
         return 2.0 / math.sqrt(2.0 * max(len(self.squares), 1) * self.independent) if self.independent else math.nan
 
     @property

@@ -22,7 +22,7 @@ _TEXT = """# Accuracy
 in one run, writes this file and exits 1 if a target is missed. `scripts/accuracy mag` measures one row,
 `scripts/accuracy --quick` a slice.
 
-The error of an estimate is held against the Cramer-Rao bound: `sqrt(mean of e^T F e / p)` over the runs, with e the
+The error of an estimate is compared with the Cramer-Rao bound: `sqrt(mean of e^T F e / p)` over the runs, with e the
 error of the p parameters and F their Fisher information, computed in `bench/accuracy/bounds.py` by code that shares
 nothing with the estimators. 1.00 is the bound; in brackets the standard error of the figure, from the scatter of its
 runs. A promised ratio is kept if it is at most the target + 2/sqrt(2 R p) over R runs, and the 95 % intervals hold 95 %

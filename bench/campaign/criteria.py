@@ -80,7 +80,7 @@ def _unheeded(reports: Sequence[FaultReport]) -> int:
 
 
 def of_kills(reports: Sequence[KillReport]) -> list[Criterion]:
-    """What the SIGKILL runs have to show."""
+    """The criteria that the SIGKILL runs of the service must meet."""
     count = sum(len(report.struck) for report in reports)
     failed = sum(report.ending == Ending.FAILURE for report in reports)
     steps = struck_steps(reports)
@@ -97,7 +97,7 @@ def of_kills(reports: Sequence[KillReport]) -> list[Criterion]:
 
 
 def of_cli_kills(reports: Sequence[KillReport]) -> list[Criterion]:
-    """What the SIGKILL runs of the command line have to show."""
+    """The criteria that the SIGKILL runs of the command line must meet."""
     failed = sum(report.ending == Ending.FAILURE for report in reports)
     text = "every command line that was killed is put right by the next run, verified or as before"
     return [Criterion(text, f"{failed} of {len(reports)} are not", bool(reports) and not failed)]

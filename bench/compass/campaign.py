@@ -21,10 +21,10 @@ from service.simvehicle.rotation import Array
 WINDOW = COMPASS_WINDOW["ardupilot"]
 KINDS = ("offset", "DIA", "ODI")
 SECONDS = {0.0: 120.0, 15.0: 150.0}
-"""Of turning at most, by the rate in deg/s; other rates: 60 s."""
+"""Longest turning, by the rate in deg/s; other rates: 60 s."""
 
 FITTED = {0.0: 60.0, 15.0: 60.0}
-"""Of turning where no job decides, by the rate in deg/s; other rates: 30 s."""
+"""Turning where no job decides, by the rate in deg/s; other rates: 30 s."""
 
 _NINE = ((0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2))
 

@@ -24,10 +24,10 @@ from service.simvehicle.world import World
 
 MESSAGES_HZ = 50.0
 LONGEST_LAG_S = 0.012
-"""Of the gyroscope: ArduPilot's low-pass of 20 Hz delays by sqrt(2)/(2 pi 20 Hz) = 11 ms."""
+"""Delay of the gyroscope: ArduPilot's low-pass of 20 Hz delays by sqrt(2)/(2 pi 20 Hz) = 11 ms."""
 MGAUSS_PER_UT = 10.0
 QUANTA = (0.0, 0.1, 0.1)
-"""Of the three compasses, uT."""
+"""Steps of the three compasses, uT."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,7 +34,7 @@ class Drawn:
 
     @property
     def share(self) -> float:
-        """Of the whole sample."""
+        """Share of the whole sample that was killed."""
         return self.killed / max(len(self.rows), 1)
 
 

@@ -8,7 +8,7 @@ from bench.realdata.finding import Finding, table
 
 _TEXT = """# Real recordings with a known answer
 
-`scripts/realdata` fits every recording below anew and writes this page; it exits 1 if an answer differs. The recordings
+`scripts/realdata` fits every recording below and writes this page; it exits 1 if an answer differs. The recordings
 were made by others and are not part of this repository: they lie in `../shared/data`, whose README says where each
 comes from, how its answer is known and how sure it is. "Known" answers there are certificates, published values, or
 least-squares fits made independently of this project: none is an exact truth. Ours stands with its own standard

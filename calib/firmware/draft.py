@@ -176,7 +176,7 @@ class Draft:
             self._changes[name] = (rank, place, change)
 
     def ranks(self, about: Subject) -> set[int]:
-        """Of the changes about one sensor."""
+        """Ranks of the changes about one sensor."""
         return {
             rank
             for rank, _, change in self._changes.values()

@@ -55,7 +55,7 @@ class InertialMessage:
 
     message_id: int
     instance: int
-    """Of the inertial unit and of the compass; ``by_id``: of the compass only."""
+    """Instance of the inertial unit and of the compass; ``by_id``: of the compass only."""
     readings: tuple[Reading, ...]
     read_s: float
     """Period at which the firmware reads the compass, in s; in between the message repeats it."""

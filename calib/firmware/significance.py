@@ -25,7 +25,7 @@ Judged = tuple[Array, Array]
 CONFIDENCE: Final = 0.95
 """A change inside this region of confidence is no change."""
 SAME: Final = 1e-6
-"""Of an element that the fit holds fixed: rounding to single precision."""
+"""Error of an element that the fit holds fixed: rounding to single precision."""
 
 
 def level_agreement(change: Array, sd: Array) -> Agreement | None:

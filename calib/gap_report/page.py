@@ -88,7 +88,7 @@ def _head(report: GapReport, title: str) -> str:
     warnings = "".join(f"<li>{escape(w)}</li>" for w in report.warnings)
     body = "<br>".join(lines)
     return (
-        f'<h1>{escape(title)}</h1><p class="soft">What the real sensors read, held against what simulated ones would '
+        f'<h1>{escape(title)}</h1><p class="soft">What the real sensors read, compared with what simulated ones would '
         f'have read: verdict <code>{report.verdict.value}</code>.</p><div class="verdict">{body}</div>'
         + (f"<ul>{warnings}</ul>" if warnings else "")
     )

@@ -31,7 +31,7 @@ _SHORTEST = 2.0  # s
 _HOLE = 5.0  # usual steps of a sensor: in a longer one turns are lost
 _DISAGREE = 0.25  # turns between what was stated and what a compass or the gyroscope counts
 _REST_PHASE = 0.03  # turns next to a rest that are not used: a running maximum of noise there is no phase
-_PHASES = 400  # starting points of which whole turns are averaged
+_PHASES = 400  # starting points from which whole turns are averaged
 
 
 def thread_scale(turns: float, plus: float, plus_time: float, minus: float, minus_time: float) -> tuple[float, float]:

@@ -119,7 +119,7 @@ class ShapeFit:
     dof: float
     condition_number: float
     form: str = "ellipsoid"
-    """What the samples were held against."""
+    """What the samples were compared with."""
     n_outliers: int = 0
     native: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     warnings: tuple[str, ...] = ()

@@ -146,7 +146,7 @@ def _facts(source: Source, mag: Channel, turning: Turning, options: Options) -> 
 
 
 def _field(source: Source, mag: Channel, turning: Turning, options: Options) -> EarthField | None:
-    """Of the magnetic model where and when it flew; None: not known."""
+    """Field of the magnetic model where and when it flew; None: not known."""
     strength = options["field"]
     if mag.unit != "uT":
         return None

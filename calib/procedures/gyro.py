@@ -208,7 +208,7 @@ class Spread:
 
     @property
     def error(self) -> float:
-        """Of the worst axis."""
+        """Standard error of the worst axis."""
         variance = self._squares / self._n - (self._sum / self._n) ** 2
         return math.sqrt(max(float(variance.max()), 0.0) / self._n)
 

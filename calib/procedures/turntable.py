@@ -243,7 +243,7 @@ class GyroTurntableProcedure(TickedProcedure):
             )
 
     def _scale_sd(self, fit: FitResult) -> float:
-        """Of the worst axis that was turned; `fit` is in the body."""
+        """Uncertainty of the scale of the worst axis that was turned; `fit` is in the body."""
         return max(float(fit.sd[3 + 4 * j]) for j in self._axes)
 
     def _fit(self, instance: int, rate_sd: float) -> FitResult:

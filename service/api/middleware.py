@@ -17,7 +17,7 @@ from service.errors import AuthError, TooManyStreams
 from service.settings import Settings
 
 LARGEST_REQUEST_BYTES = 2**20
-"""Of a request other than an upload, which has a limit of its own."""
+"""Limit for a request; uploads have a limit of their own."""
 UPLOADS = "/recordings"
 LEAST_BYTES_PER_S = 1000
 CLOSE = {"Connection": "close"}

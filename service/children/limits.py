@@ -25,7 +25,7 @@ _LIBC = ctypes.CDLL(None, use_errno=True) if sys.platform == "linux" else None
 
 @dataclass(frozen=True)
 class Limits:
-    """Of one child: bytes of memory, seconds of processor time, seconds by the clock."""
+    """Limits of one child: bytes of memory, seconds of processor time, seconds by the clock."""
 
     memory_bytes: int
     cpu_s: float

@@ -86,7 +86,7 @@ def command(
     """Diagnose the sim-to-real gap of a recording or a log.
 
     The reference is found in the files: ref_* columns, a simulator's log of the same trajectory, a pose, other
-    instances of the vehicle, or a trajectory that is estimated anew. The reading options are of --real, and of the
+    instances of the vehicle, or a trajectory that is estimated again. The reading options are of --real, and of the
     other files as far as they are tables. Exit code 1 if nothing could be tested.
     """
     if ctx.invoked_subcommand is not None:

@@ -19,7 +19,7 @@ from calib.blind.answers import Answer
 from calib.blind.cases import Case, Tier, make_case
 
 TIMEOUT_S = 300.0
-"""Of a case of a minute, with room for a busy machine."""
+"""Limit for a case of one minute, with room for a busy machine."""
 
 
 class Worker:

@@ -12,7 +12,7 @@ from calib.recording import Recording
 from service.commands.gap_campaign import Worker
 
 TIMEOUT_S = 1800.0
-"""Of a recording of minutes."""
+"""Limit for a recording of minutes."""
 BROAD = {
     **{f"gyro_{a}": f"imu_gyr_{k}" for k, a in enumerate("xyz")},
     **{f"accel_{a}": f"imu_acc_{k}" for k, a in enumerate("xyz")},

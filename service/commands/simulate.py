@@ -61,18 +61,24 @@ def _numbers(count: int) -> Callable[[click.Context, click.Parameter, str | None
 @click.option("--truth", type=click.Path(path_type=Path, dir_okay=False), help="Write what made it, as JSON.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The same makes the same file.")
 @click.option("--params", help="Sensor errors: .json (ours, or MATLAB's accelparams ...), or .param with SIM_*.")
-@click.option("--instance", type=click.IntRange(0, 4), default=0, show_default=True, help="Of SIM_*, from 0.")
+@click.option(
+    "--instance",
+    type=click.IntRange(0, 4),
+    default=0,
+    show_default=True,
+    help="Instance of the SIM_* parameters, from 0.",
+)
 @click.option("--ideal", is_flag=True, help="No errors at all, where --params says nothing else.")
 @click.option(
     "--frame",
     type=click.Choice(["ned", "enu"]),
     default="ned",
     show_default=True,
-    help="Of the table and of .json parameters; read enu with --world enu --body flu.",
+    help="Frames of the table and of .json parameters; read enu with --world enu --body flu.",
 )
 @click.option("--rate", type=float, default=100.0, show_default=True, help="Samples a second.")
-@click.option("--mag-rate", type=float, help="Of the magnetometer, where it is slower.")
-@click.option("--duration", type=float, metavar="S", help="Of the whole, or of each pose, ring or turn.")
+@click.option("--mag-rate", type=float, help="Rate of the magnetometer, where it is slower.")
+@click.option("--duration", type=float, metavar="S", help="Length of the whole, or of each pose, ring or turn.")
 @click.option("--poses", type=click.IntRange(0, 1000), default=10, show_default=True, help="Oblique ones.")
 @click.option("--back", is_flag=True, help="Visit six faces or poses again in opposite order.")
 @click.option("--fixture-sd", type=float, default=0.0, show_default=True, help="Tilt of each held face, degrees.")

@@ -85,7 +85,7 @@ class LiveDigest:
         self.last_time = float("-inf")
         """Newest time stamp of an inertial sample, s on the vehicle's clock."""
         self.restarted = False
-        """Whether the vehicle's clock started anew among the frames."""
+        """Whether the vehicle's clock restarted among the frames."""
 
     @staticmethod
     def wanted(identity: Identity) -> frozenset[int]:

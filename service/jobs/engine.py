@@ -294,7 +294,7 @@ class JobEngine:
     # --- writing
 
     async def plan_again(self, job_id: str, options: Mapping[str, Any] | None = None) -> Job:
-        """Compose the plan of a job in review anew, on the vehicle's present parameters.
+        """Compose the plan of a job in review again, on the vehicle's present parameters.
 
         `options` are those of :data:`calib.firmware.options.PLAN_OPTIONS`; None: as before.
 

@@ -88,7 +88,7 @@ class JobHandle:
             self.change("warning", {"text": text}, warnings=(*self.job.warnings, text))
 
     def prompt(self, prompt: Prompt | None) -> None:
-        """Ask the operator something else, or nothing more; not durable, a restarted job asks anew."""
+        """Ask the operator something else, or nothing more; not durable, a restarted job asks again."""
         if prompt != self.job.prompt:
             self.job = dataclasses.replace(self.job, prompt=prompt)
             self._tell("prompt", {} if prompt is None else step_to_json(prompt))

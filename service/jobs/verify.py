@@ -32,7 +32,7 @@ from service.store.rows import SegmentPurpose, SnapshotPurpose
 FINISH = "finish"
 INERTIAL = (Sensor.ACCEL, Sensor.GYRO)
 STEP_S = 2.0
-"""A movement is judged anew after so much more of the vehicle's time."""
+"""A movement is judged again after so much more of the vehicle's time."""
 POLL_S = 0.02
 ATTITUDE_HZ = 10.0
 HOLD_STILL = Prompt("hold_still", "Leave the vehicle alone: its sensors are read at rest.", answers=(FINISH,))

@@ -54,7 +54,7 @@ def gyro_offsets(vehicle: ArduPilotVehicle) -> tuple[list[Array], float]:
 
 
 def gyro_values(vehicle: ArduPilotVehicle, offsets: list[Array]) -> dict[str, Value]:
-    """What a gyro calibration stores: three slots, of which absent ones become zero."""
+    """What a gyro calibration stores: three slots; absent ones become zero."""
     values: dict[str, Value] = {}
     for slot in range(SLOTS):
         present = slot < len(offsets)

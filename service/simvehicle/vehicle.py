@@ -121,7 +121,7 @@ class Vehicle(ABC):
         return []
 
     def reload_calibration(self) -> None:  # noqa: B027 - ArduPilot reads its parameters at every sample
-        """Take the calibration anew from the parameters in force."""
+        """Take the calibration again from the parameters in force."""
 
     @abstractmethod
     def stop_onboard_calibration(self) -> None:

@@ -97,7 +97,7 @@ async def command(
     command_id: int,
     params: Sequence[float] = (),
     *,
-    timeout: float = 1.5,  # noqa: ASYNC109 - on the vehicle's clock, and begun anew by IN_PROGRESS
+    timeout: float = 1.5,  # noqa: ASYNC109 - on the vehicle's clock, and restarted by IN_PROGRESS
     retries: int = 2,
 ) -> None:
     """Send a COMMAND_LONG and wait until it is accepted.
@@ -109,7 +109,7 @@ async def command(
     params
         Up to seven; missing ones are 0.
     timeout
-        Seconds to wait for an answer; every IN_PROGRESS starts them anew.
+        Seconds to wait for an answer; every IN_PROGRESS restarts them.
     retries
         How often an unanswered command is sent again. Use 0 for one that must not be executed twice.
 

@@ -16,7 +16,7 @@ class Pace:
         self._spread = 0.0
 
     def answered(self, seconds: float) -> None:
-        """An answer took so long. Of a question that was asked twice nobody knows which one was answered: leave it."""
+        """An answer took so long. Leave out a question that was asked twice: nobody knows which was answered."""
         if self._mean is None:
             self._mean, self._spread = seconds, seconds / 2
             return

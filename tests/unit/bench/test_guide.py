@@ -23,7 +23,7 @@ def test_every_method_has_a_note():
 
 
 def test_the_page_is_what_the_methods_say():
-    assert (DOCS / "methods.md").read_text() == markdown(), "write it anew: python -m bench.guide --page"
+    assert (DOCS / "methods.md").read_text() == markdown(), "write it again: python -m bench.guide --page"
 
 
 def test_the_page_names_methods_and_motions_that_there_are():

@@ -51,7 +51,7 @@ def test_wrong_options_are_refused_in_one_sentence(kind, options, part):
 
 def test_the_document_is_the_one_that_the_specifications_make():
     path = Path(__file__).resolve().parents[3] / "docs" / "procedures.md"
-    assert path.read_text() == markdown(), "write docs/procedures.md anew: table.markdown()"
+    assert path.read_text() == markdown(), "write docs/procedures.md again: table.markdown()"
 
 
 def test_every_specification_speaks_of_both_autopilots():
