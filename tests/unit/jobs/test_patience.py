@@ -56,6 +56,9 @@ async def test_a_px4_that_has_just_started_is_left_alone(handle: JobHandle) -> N
     waiting = asyncio.create_task(until_idle(handle, vehicle, JobSettings(watch_s=0.001)))
     await until(lambda: handle.job.prompt is not None)
     assert "started less than 10 s ago" in handle.job.prompt.text  # type: ignore[union-attr]
+    assert handle.job.progress is not None
+    assert handle.job.progress.eta == 7.0  # the clock of this vehicle stands
+    assert handle.job.progress.target == handle.job.progress.current + 7.0
     vehicle.change_state(boot_time=10.5)
     await waiting
 
