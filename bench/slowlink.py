@@ -30,6 +30,22 @@ FURTHER = 700
 """With these the simulated vehicle lists more than 900 parameters."""
 
 
+PHASES = (
+    "finding the vehicle",
+    "waiting for its start",
+    "to the first prompt",
+    "capture, read again, fit",
+    "accept: plan against vehicle",
+    "before the first parameter",
+    "writing",
+    "read-back",
+    "restart",
+    "read-back after the restart",
+    "proof",
+    "message rates back",
+)
+
+
 @dataclass(frozen=True)
 class Wire:
     """A link: what it carries, what it loses, and how long a gyro job may take on it."""
@@ -140,22 +156,22 @@ def _measured(
     for row in service.store.journal(job.id):
         first.setdefault(row.step, row.at)
         last[row.step] = row.at
-    marks = [
-        ("finding the vehicle", job.created_at),
-        ("waiting for its start", _up_at(events)),
-        ("to the first prompt", next((e.at for e in events if e.kind == "prompt" and _asks(e)), None)),
-        ("capture, read again, fit", states.get("review")),
-        ("accept: plan against vehicle", first.get("accepted")),
-        ("before the first parameter", first.get("send")),
-        ("writing", last.get("echo")),
-        ("read-back", first.get("read_back")),
-        ("restart", first.get("rebooted")),
-        ("read-back after the restart", last.get("read_back") if "rebooted" in first else None),
-        ("proof", last.get("verified")),
-        ("message rates back", ended),
-    ]
+    marks = (
+        job.created_at,
+        _up_at(events),
+        next((e.at for e in events if e.kind == "prompt" and _asks(e)), None),
+        states.get("review"),
+        first.get("accepted"),
+        first.get("send"),
+        last.get("echo"),
+        first.get("read_back"),
+        first.get("rebooted"),
+        last.get("read_back") if "rebooted" in first else None,
+        last.get("verified"),
+        ended,
+    )
     phases, at = [], began
-    for name, mark in marks:
+    for name, mark in zip(PHASES, marks, strict=True):
         if mark is not None and mark >= at:
             phases.append((name, mark - at))
             at = mark
@@ -190,14 +206,19 @@ def _up_at(events: Sequence[EventRow]) -> float | None:
 
 def table(runs: Sequence[Timed]) -> str:
     """Seconds by phase, one column a run, as Markdown."""
-    names = list(dict.fromkeys(name for run in runs for name, _ in run.phases))
+    come = {name for run in runs for name, _ in run.phases}
+    names = [name for name in PHASES if name in come]
     rows = [["seconds", *(f"{run.autopilot}, {run.wire.name}" for run in runs)]]
-    rows += [[name, *(f"{dict(run.phases).get(name, 0.0):.1f}" for run in runs)] for name in names]
+    rows += [[name, *(_shown(dict(run.phases).get(name)) for run in runs)] for name in names]
     rows += [["**total**", *(f"**{run.total_s:.1f}**" for run in runs)]]
     rows += [["longest silence", *(f"{run.longest_silence_s:.1f}" for run in runs)]]
     rows += [["ended", *(run.state for run in runs)]]
     lines = ["| " + " | ".join(row) + " |" for row in rows]
     return "\n".join([lines[0], "|---" * len(rows[0]) + "|", *lines[1:]])
+
+
+def _shown(seconds: float | None) -> str:
+    return "–" if seconds is None else f"{seconds:.1f}"
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -17,6 +17,8 @@ class JobSettings:
     ArduPilot saves in an I/O thread within 1 s; PX4 saves after 0.3 to 2 s, and its ``gyro_calibration`` rewrites
     CAL_GYRO0 5 s after the last change (FLIGHT_CONTROLLERS 3.1, 10).
     """
+    save_s: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({"ardupilot": 1.2, "px4": 3.0}))
+    """The same before a restart: what was written must be saved then, and what rewrites it is looked for afterwards."""
     settle_least_s: float = 0.3
     """But never less than this on our clock: a PARAM_SET may still be under way."""
     check_s: float = 3.0

@@ -37,7 +37,7 @@ from service.jobs.restart import restart
 from service.jobs.rollback import roll_back
 from service.jobs.states import JobState
 from service.jobs.streams import ASKING_S, restore_streams
-from service.jobs.write import Writing, prepare, read_back, read_values, send_all
+from service.jobs.write import Settled, Writing, prepare, read_back, read_values, send_all
 
 log = structlog.get_logger(__name__)
 
@@ -148,8 +148,9 @@ def _nothing_sent(error: Exception) -> Account:
 
 async def _write(w: Writing) -> None:
     await send_all(w)
-    values = await read_back(w)
-    await _onward(w, Next.REBOOT if w.plan.needs_reboot else Next.VERIFY, values)
+    following = Next.REBOOT if w.plan.needs_reboot else Next.VERIFY
+    values = await read_back(w, Settled.SAVED if following == Next.REBOOT else Settled.KEPT)
+    await _onward(w, following, values)
 
 
 async def _resume(w: Writing) -> None:
@@ -170,7 +171,7 @@ async def _resume(w: Writing) -> None:
         await _take_back(w, cause)
     else:
         if following == Next.REBOOT:
-            values = await read_back(w)  # what is to survive the restart must be saved
+            values = await read_back(w, Settled.SAVED)  # what is to survive the restart must be saved
         await _onward(w, following, values)
 
 
@@ -179,7 +180,7 @@ async def _onward(w: Writing, following: Next, values: dict[str, Value]) -> None
     if following == Next.REBOOT:
         w.handle.move(JobState.WAITING_FOR_REBOOT, standing=(), outcome=None)
         await restart(w)
-        values = await read_back(w, restarted=True)
+        values = await read_back(w, Settled.RESTARTED)
     w.handle.move(JobState.VERIFYING, standing=(), outcome=None)
     if following != Next.FINISH:
         verification = await w.check.after(w.guard, values)

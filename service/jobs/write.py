@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from functools import partial
 from typing import Any, Protocol
 
@@ -39,6 +40,16 @@ class PhysicalCheck(Protocol):
     async def after(self, guard: Guard, values: Mapping[str, Value]) -> Verification:
         """Judge the stream under the new parameters, `values`; may ask the operator for movements."""
         ...
+
+
+class Settled(StrEnum):
+    """What is waited for before values are read back, in words."""
+
+    SAVED = "waiting until the vehicle has saved"
+    """Before a restart, which also ends whatever could rewrite a value later."""
+    KEPT = "waiting until the vehicle has saved and nothing rewrites the values"
+    RESTARTED = "waiting until the vehicle has started and nothing rewrites the values"
+    """Nothing waits to be saved; what rewrites a value does so as long after the start as after a write."""
 
 
 @dataclass
@@ -147,18 +158,14 @@ class Writing:
         kept = self.handle.store.snapshot(self.handle.id, SnapshotPurpose.COMPOSED_ON)
         return {} if kept is None else kept.body
 
-    async def settle(self, *, restarted: bool = False) -> None:
-        """Wait under the guard until the vehicle has saved what was written, by its clock or by ours.
-
-        After a restart nothing waits to be saved; what rewrites a value then does so as long after its start.
-        """
-        settings = self.settings
-        needed = settings.settle_s.get(self.plan.fingerprint.autopilot, max(settings.settle_s.values()))
+    async def settle(self, until: Settled = Settled.KEPT) -> None:
+        """Wait under the guard until the vehicle has come so far, by its clock or by ours."""
+        per_autopilot = self.settings.save_s if until == Settled.SAVED else self.settings.settle_s
+        needed = per_autopilot.get(self.plan.fingerprint.autopilot, max(per_autopilot.values()))
         now = self.vehicle.condition().boot_time
-        since = 0.0 if restarted else now
-        what = "waiting until the vehicle has started" if restarted else "waiting until the vehicle has saved"
+        since = 0.0 if until == Settled.RESTARTED else now
         passed = now - since if now is not None and since is not None else 0.0
-        async with waiting(self.handle, what, max(needed - passed, 0.0)):
+        async with waiting(self.handle, until.value, max(needed - passed, 0.0)):
             await self.guard.run(partial(self._settled, needed, since))
 
     async def _settled(self, needed: float, boot_time: float | None) -> None:
@@ -292,15 +299,15 @@ async def send_all(w: Writing) -> None:
         w.reach(At.ECHO_KEPT)
 
 
-async def read_back(w: Writing, *, restarted: bool = False) -> dict[str, Value]:
-    """Wait until the vehicle has saved, or has long enough been `restarted`, then read everything again.
+async def read_back(w: Writing, until: Settled = Settled.KEPT) -> dict[str, Value]:
+    """Wait until the vehicle has come so far, then read everything again.
 
     Raises
     ------
     WriteFailed
         Naming every parameter that does not hold its new value.
     """
-    await w.settle(restarted=restarted)
+    await w.settle(until)
     values = await current_values(w)
     check_in_place(w.plan.changes, values)
     await w.handle.record(Step.READ_BACK)

@@ -36,6 +36,7 @@ from tests.patience import scaled
 
 QUICK = JobSettings(
     settle_s={"ardupilot": 0.0, "px4": 0.0},
+    save_s={"ardupilot": 0.0, "px4": 0.0},
     settle_least_s=0.0,
     watch_s=0.001,
     retry_s=0.001,

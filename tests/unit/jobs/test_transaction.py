@@ -519,6 +519,8 @@ def test_settings_give_each_autopilot_time_to_save() -> None:
     patient = JobSettings()
     assert patient.settle_s["ardupilot"] >= 1.0  # its I/O thread
     assert patient.settle_s["px4"] > 5.0  # gyro_calibration rewrites 5 s after the last change
+    assert patient.save_s["ardupilot"] >= 1.0
+    assert patient.save_s["px4"] > 2.3  # the pause between two savings, and the delay before one
     assert QUICK.settle_s["px4"] == 0.0
 
 
