@@ -8,10 +8,11 @@ line by line: an interrupted run goes on, and `--again` asks those that survived
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
-import random
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -44,17 +45,23 @@ def everything() -> Mapping[str, list[Mutant]]:
 
 
 def sample(found: Mapping[str, list[Mutant]], each: int, seed: int) -> list[tuple[str, Mutant]]:
-    """`each` mutants of every room, each of a room with the same chance."""
-    return [
-        (room, mutant)
-        for room, mine in found.items()
-        for mutant in random.Random(f"{seed} {room}").sample(mine, min(each, len(mine)))
-    ]
+    """`each` mutants of every room, each of a room with the same chance; a change of the code elsewhere moves few."""
+    drawn = []
+    for room, mine in found.items():
+        times: Counter[str] = Counter()
+        ranked = []
+        for mutant in mine:
+            what = f"{mutant.path} {mutant.text} {mutant.choice}"
+            times[what] += 1
+            ranked.append((hashlib.sha256(f"{seed} {what} {times[what]}".encode()).hexdigest(), mutant))
+        drawn += [(room, mutant) for _, mutant in sorted(ranked, key=lambda item: item[0])[:each]]
+    return drawn
 
 
 def main() -> int:
     """Exit code 1 if fewer are killed than asked for."""
     parser = argparse.ArgumentParser(prog="scripts/mutate", description=__doc__.splitlines()[0])
+    parser.add_argument("--room", action="append", choices=ROOMS, help="only this one; repeated")
     parser.add_argument("--each", type=int, default=50, help="mutants of each room")
     parser.add_argument("--seed", type=int, action="append", help="of a sample; repeated. The last is the one judged")
     parser.add_argument(
@@ -66,7 +73,7 @@ def main() -> int:
     args = parser.parse_args()
     warm_up()
     reach = Reach.read(MEASURED, ROOT)
-    found = everything()
+    found = {room: mine for room, mine in everything().items() if room in (args.room or ROOMS)}
     answers = _Answers(args.answers, again=args.again)
     drawn = []
     for seed in args.seed or [1]:

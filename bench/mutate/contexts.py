@@ -14,7 +14,7 @@ from pathlib import Path
 import coverage
 import pytest
 
-SECONDS_SUFFIX = ".seconds"
+SECONDS_SUFFIX = "-seconds"
 _SECONDS: dict[str, float] = {}
 _FAILED: set[str] = set()
 

@@ -17,7 +17,7 @@ FIRST = 40
 """Tests that a mutant meets first: those that it is likeliest to fail, and cheap ones."""
 FIRST_S = 10.0
 """Seconds of them together."""
-SLOW_S = 90.0
+SLOW_S = 30.0
 """Seconds of link and service tests together that a mutant meets if no unit test noticed it."""
 
 

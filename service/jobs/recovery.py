@@ -67,16 +67,20 @@ def ending(found: Unfinished) -> tuple[str, ...]:
     job = found.job
     if not found.ended:
         why = job.prompt.text if job.prompt is not None else ""
-        why = f"{job.outcome.cause}; {job.outcome.remedy}" if not why and isinstance(job.outcome, Failure) else why
+        why = _both(job.outcome) if not why and isinstance(job.outcome, Failure) else why
         state = job.state.value.replace("_", " ")
         return (f"job {job.id} ({job.kind}) is {state}{f': {why}' if why else ''}", *map(_doubt, found.standing))
     if isinstance(job.outcome, Failure):
-        said = " ".join(_sentence(text) for text in (job.outcome.cause, job.outcome.remedy) if text)
+        said = _both(job.outcome)
     else:
         said = "" if job.outcome is None else job.outcome.text
     state = job.state.value if job.state in ENDED else f"in {job.state.value}"
     restored = (_restored(sent) for sent in found.sent if sent.session and sent.confirmed is not None)
     return (f"job {job.id} ({job.kind}) is {state}{f'. {said}' if said else ''}", *restored)
+
+
+def _both(failure: Failure) -> str:
+    return " ".join(_sentence(text) for text in (failure.cause, failure.remedy) if text)
 
 
 def _sentence(text: str) -> str:

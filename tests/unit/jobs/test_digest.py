@@ -2,11 +2,17 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from calib import wire
+from calib.procedures.registry import validate_options
+from calib.recording import Channel, Identity, Recording, Sensor, Stage
 from service.errors import CaptureEnded
-from service.jobs.digest import FitRequest, content_of, fit_segments
+from service.jobs.digest import FitRequest, LiveDigest, changed, content_of, context_of, field_of, fit_segments
 from service.jobs.model import Span
 
 CONTENT = bytes(range(256)) * 8
@@ -40,3 +46,93 @@ def test_a_segment_that_was_cut_off_or_has_gone_is_not_fitted(span: Span) -> Non
     span.path.unlink()
     with pytest.raises(CaptureEnded, match="cannot be read"):
         content_of(span)
+
+
+def position(*rows: tuple[float, float, float]) -> Recording:
+    values = np.array(rows, dtype=float).reshape(-1, 3)
+    t = np.arange(len(values), dtype=float)
+    return Recording((Channel(Sensor.POSITION, 0, t, values, "deg deg m", Stage.RAW, "TEST"),))
+
+
+NOON = 1.7e9
+
+
+def test_the_field_is_that_of_the_first_fix() -> None:
+    berlin, sydney = (52.5, 13.4, 40.0), (-33.9, 151.2, 20.0)
+    there = field_of(position(berlin), NOON)
+    assert there is not None
+    later, south = field_of(position((0.0, 0.0, 0.0), berlin, sydney), NOON), field_of(position(sydney, berlin), NOON)
+    assert later is not None
+    assert south is not None
+    assert later.declination == there.declination != south.declination
+    assert field_of(position((0.0, 13.4, 40.0)), NOON) is not None  # on the equator is no missing fix
+    assert field_of(position((52.5, 0.0, 40.0)), NOON) is not None
+
+
+def test_without_a_usable_position_there_is_no_field() -> None:
+    assert field_of(Recording(()), NOON) is None
+    assert field_of(position(), NOON) is None
+    assert field_of(position((0.0, 0.0, 0.0)), NOON) is None
+    assert field_of(position((95.0, 13.4, 40.0)), NOON) is None
+
+
+def test_the_field_is_that_of_the_day() -> None:
+    year = 365.25 * 86400.0
+    first, later = (field_of(position((52.5, 13.4, 40.0)), NOON + k * year) for k in (0.0, 0.9))
+    assert first is not None
+    assert later is not None
+    assert 0.0 < abs(first.declination - later.declination) < 0.01
+
+
+def test_a_parameter_that_changed_is_named_with_both_values_and_who_may_have_done_it() -> None:
+    text = str(changed("INS_GYROFFS_X", 0.5, 0.25))
+    assert (
+        text == "INS_GYROFFS_X changed from 0.5 to 0.25 during the capture, set by another ground station, or the "
+        "vehicle itself"
+    )
+    assert "IMU_GYRO_CAL_EN" in str(changed("CAL_GYRO0_XOFF", 0.0, 1.0))
+    assert "IMU_GYRO_CAL_EN" not in str(changed("CAL_ACC0_XOFF", 0.0, 1.0))
+
+
+def param_value(name: str, value: float) -> Any:
+    return dialect.MAVLink_param_value_message(name.encode(), value, 9, 10, 1)
+
+
+def heard(*messages: Any) -> list[wire.Frame]:
+    parser = wire.FrameParser()
+    return [f for m in messages for f in parser.feed(wire.encode(wire.raw_message(m), 1, 1, 0))]
+
+
+ARDUPILOT = Identity("ardupilot", 2, (4, 7, 0), "00112233", 1, 1)
+
+
+def test_a_capture_in_which_a_calibration_changes_is_refused_at_once() -> None:
+    digest = LiveDigest("gyro", validate_options("gyro", {}), ARDUPILOT, {"INS_GYROFFS_X": 0.5}, 0.0)
+    assert digest.feed(heard(param_value("INS_GYROFFS_X", 0.5), param_value("SR0_RAW_SENS", 7.0))) is not None
+    digest.feed(heard(param_value("SR0_RAW_SENS", 8.0)))
+    digest.feed(heard(param_value("INS_GYROFFS_Y", 0.125)))  # not known before: it held all along
+    with pytest.raises(CaptureEnded, match=r"INS_GYROFFS_Y changed from 0\.125 to 0\.25"):
+        digest.feed(heard(param_value("INS_GYROFFS_Y", 0.25)))
+
+
+def test_a_segment_in_which_a_calibration_changed_is_not_fitted(tmp_path: Path) -> None:
+    beat = dialect.MAVLink_heartbeat_message(2, 3, 81, 0, 3, 3)
+    messages = [beat, param_value("INS_GYROFFS_X", 0.5), param_value("INS_GYROFFS_X", 0.25)]
+    data = b"".join(
+        (10**15 + k).to_bytes(8, "big") + wire.encode(wire.raw_message(m), 1, 1, k) for k, m in enumerate(messages)
+    )
+    path = tmp_path / "b.tlog"
+    path.write_bytes(data)
+    span = Span(path, 0, len(data), hashlib.sha256(data).hexdigest())
+    with pytest.raises(CaptureEnded, match=r"INS_GYROFFS_X changed from 0\.5 to 0\.25"):
+        fit_segments(FitRequest("gyro", {}, (span,), 1, 0.0))
+
+
+def test_a_procedure_expects_the_sensors_that_stream_and_no_others() -> None:
+    ids = {f"INS_GYR{'' if k == 0 else k + 1}_ID": 100 + k for k in range(3)}
+    ids |= {f"INS_ACC{'' if k == 0 else k + 1}_ID": 200 + k for k in range(3)}
+    found = context_of("gyro", ARDUPILOT, ids, None)
+    assert found.instances == {Sensor.ACCEL: (0, 1, 2), Sensor.GYRO: (0, 1, 2)}
+    ids |= {f"COMPASS_DEV_ID{k}": 300 + int(k or 1) for k in ("", "2", "3")}
+    ids |= {f"COMPASS_PRIO{k}_ID": 300 + k for k in (1, 2, 3)}
+    assert context_of("gyro", ARDUPILOT, ids, None).instances == found.instances
