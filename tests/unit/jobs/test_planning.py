@@ -1,19 +1,33 @@
 from __future__ import annotations
 
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from calib.errors import InvalidInputError
-from calib.firmware.plan import Change, Fingerprint, ParameterKind, WritePlan
+from calib.firmware.origin import Origin
+from calib.firmware.plan import Agreement, Change, Fingerprint, ParameterKind, WritePlan
 from calib.fit import FitResult, FitStatus
+from calib.procedures.registry import specification
 from calib.recording import Identity, Sensor
 from calib.triad import TriadModel
+from service.errors import CaptureEnded, OtherVehicle
 from service.jobs.model import Job
 from service.jobs.planning import (
+    FROM_RECORDING,
     accel_temperatures,
     checked_plan_options,
+    confirmed,
+    foresee,
     identity_from_json,
     identity_to_json,
+    nothing_to_write,
+    origin_from_json,
+    origin_to_json,
+    require_origin,
+    require_sensors_of,
 )
 from service.jobs.states import JobState
 
@@ -59,3 +73,72 @@ def test_without_proof_that_it_is_still_in_force_nothing_is_known() -> None:
     assert accel_temperatures([job], "v", {}) == {}
     assert accel_temperatures([job], "other", {"CAL_ACC1_XOFF": 0.5}) == {}
     assert accel_temperatures([accel_job(JobState.REVERTED)], "v", {"CAL_ACC1_XOFF": 0.5}) == {}
+
+
+def test_sensors_that_were_not_fitted_cannot_be_planned_for() -> None:
+    job = accel_job(JobState.REVIEW)
+    assert checked_plan_options({"only": ["accel1"]}, job.results) == {"only": ["accel1"]}
+    assert checked_plan_options({"only": ["accel0"]}) == {"only": ["accel0"]}  # none was fitted yet
+    with pytest.raises(InvalidInputError, match="accel0"):
+        checked_plan_options({"only": ["accel0"]}, job.results)
+
+
+def test_a_kind_of_job_plans_only_for_what_it_calibrates() -> None:
+    require_sensors_of(specification("gyro"), {"only": ["gyro0", "gyro2"]})
+    require_sensors_of(specification("gyro"), {})
+    with pytest.raises(InvalidInputError, match=r"does not calibrate mag0, mag1"):
+        require_sensors_of(specification("gyro"), {"only": ["gyro0", "mag0", "mag1"]})
+
+
+def test_what_was_confirmed_is_listed_by_name() -> None:
+    assert confirmed({}) == []
+    assert confirmed({"confirm_mounting": False, "only": ["mag0"]}) == []
+    assert confirmed({"confirm_mounting": True, "adjust_level": True}) == ["confirm_mounting"]
+
+
+PX4 = Identity("px4", 2, (1, 17, 0), "0002aa", 1, 1)
+
+
+def test_a_sensor_that_the_vehicle_does_not_have_ends_the_job_before_it_begins() -> None:
+    parameters = {"CAL_GYRO0_ID": 7}
+    assert foresee("gyro", PX4, parameters, {"only": ["gyro0"]}, {}) == ()
+    with pytest.raises(CaptureEnded, match="gyro") as ended:
+        foresee("gyro", PX4, parameters, {"only": ["gyro3"]}, {})
+    assert ended.value.remedy == "Start the job again with sensors of this vehicle."
+
+
+def test_an_agreement_is_told_as_the_outcome() -> None:
+    agrees = (Agreement(Sensor.GYRO, 0, 0.4, "gyro 1 agrees"), Agreement(Sensor.GYRO, 1, 0.2, "gyro 2 agrees"))
+    outcome = nothing_to_write(WritePlan(Fingerprint("px4", "u", "1", ()), "0" * 64, (), agreements=agrees))
+    assert outcome.text == "Nothing to write: gyro 1 agrees; gyro 2 agrees."
+    assert outcome.proof_reason == "Nothing was written, so there is nothing to prove."
+
+
+def test_a_temperature_that_was_not_measured_or_not_written_is_not_known() -> None:
+    in_force = {"CAL_ACC1_XOFF": 0.5}
+    job = accel_job(JobState.SUCCEEDED)
+    unmeasured = replace(job, results=(replace(job.results[0], temperature=None),))
+    assert accel_temperatures([unmeasured], "v", in_force) == {}
+    another = replace(job, results=(*job.results, replace(job.results[0], instance=2, temperature=50.0)))
+    assert accel_temperatures([another], "v", in_force) == {1: 31.0}
+    assert another.plan is not None
+    agreed = replace(another.plan, agreements=(Agreement(Sensor.ACCEL, 2, 0.1, ""),))
+    assert accel_temperatures([replace(another, plan=agreed)], "v", in_force) == {1: 31.0, 2: 50.0}
+
+
+def test_a_job_of_another_sensor_says_nothing_of_accelerometers_and_a_log_may() -> None:
+    in_force = {"CAL_ACC1_XOFF": 0.5}
+    job = accel_job(JobState.SUCCEEDED)
+    assert accel_temperatures([replace(job, kind="gyro")], "v", in_force) == {}
+    assert accel_temperatures([replace(job, kind=FROM_RECORDING)], "v", in_force) == {1: 31.0}
+    of_gyro = replace(job.results[0], sensor=Sensor.GYRO)
+    assert accel_temperatures([replace(job, kind=FROM_RECORDING, results=(of_gyro,))], "v", in_force) == {}
+
+
+def test_where_a_recording_comes_from_survives_and_is_held_to() -> None:
+    origin = Origin("px4", "0002aa", (("gyro", 0, 7),), {"SENS_BOARD_ROT": 0})
+    again = origin_from_json(json.loads(json.dumps(origin_to_json(origin))))
+    assert again == origin
+    require_origin(origin, PX4, {"CAL_GYRO0_ID": 7, "SENS_BOARD_ROT": 0})
+    with pytest.raises(OtherVehicle, match="not for this vehicle: gyro 1 had the device id 7"):
+        require_origin(origin, PX4, {"CAL_GYRO0_ID": 8, "SENS_BOARD_ROT": 0})
