@@ -17,6 +17,8 @@ FIRST = 40
 """Tests that a mutant meets first: those that it is likeliest to fail, and cheap ones."""
 FIRST_S = 10.0
 """Seconds of them together."""
+REST_S = 25.0
+"""Seconds of the other unit tests together, the cheapest first."""
 SLOW_S = 30.0
 """Seconds of link and service tests together that a mutant meets if no unit test noticed it."""
 
@@ -52,7 +54,8 @@ class Reach:
         )
         slow = sorted(found.difference(unit), key=lambda t: (self.seconds[t], t))
         first = self._within(unit[:FIRST], FIRST_S)
-        return [stage for stage in (first, unit[len(first) :], self._within(slow, SLOW_S)) if stage]
+        rest = self._within(sorted(unit[len(first) :], key=lambda t: (self.seconds[t], t)), REST_S)
+        return [stage for stage in (first, rest, self._within(slow, SLOW_S)) if stage]
 
     def _tests(self, path: str, span: Sequence[int]) -> frozenset[str]:
         lines = self.lines.get(path, {})

@@ -9,7 +9,7 @@ from calib.firmware.plan import Value
 from calib.firmware.values import shown
 from service.jobs.account import as_heard
 from service.jobs.journal import Sent, fold
-from service.jobs.model import Failure, Job, Standing
+from service.jobs.model import Failure, Job, Outcome, Standing
 from service.jobs.states import ENDED, PHYSICAL, WRITING
 from service.store.protocol import JobStore
 
@@ -67,20 +67,19 @@ def ending(found: Unfinished) -> tuple[str, ...]:
     job = found.job
     if not found.ended:
         why = job.prompt.text if job.prompt is not None else ""
-        why = _both(job.outcome) if not why and isinstance(job.outcome, Failure) else why
+        why = why or (_said(job.outcome) if isinstance(job.outcome, Failure) else "")
         state = job.state.value.replace("_", " ")
         return (f"job {job.id} ({job.kind}) is {state}{f': {why}' if why else ''}", *map(_doubt, found.standing))
-    if isinstance(job.outcome, Failure):
-        said = _both(job.outcome)
-    else:
-        said = "" if job.outcome is None else job.outcome.text
+    said = _said(job.outcome)
     state = job.state.value if job.state in ENDED else f"in {job.state.value}"
     restored = (_restored(sent) for sent in found.sent if sent.session and sent.confirmed is not None)
     return (f"job {job.id} ({job.kind}) is {state}{f'. {said}' if said else ''}", *restored)
 
 
-def _both(failure: Failure) -> str:
-    return " ".join(_sentence(text) for text in (failure.cause, failure.remedy) if text)
+def _said(outcome: Outcome | None) -> str:
+    if isinstance(outcome, Failure):
+        return " ".join(_sentence(text) for text in (outcome.cause, outcome.remedy) if text)
+    return "" if outcome is None else outcome.text
 
 
 def _sentence(text: str) -> str:
