@@ -1,8 +1,8 @@
 """``python -m bench.mutate``: a sample of the mutants of three rooms, and how many of them the tests kill.
 
-A mutant meets the tests that reach its lines: cheap unit tests first, the other unit tests then, and link and service
-tests if none of those noticed. Tests that start processes of their own do not see the change in those. Answers are kept
-line by line: an interrupted run goes on, and `--again` asks those that survived once more.
+A mutant meets the unit tests that reach its lines, cheap ones first. Which those are, `scripts/coverage` has measured.
+Tests that start processes of their own do not see the change in those. Answers are kept line by line: an interrupted
+run goes on, and `--again` asks those that survived once more.
 """
 
 from __future__ import annotations
@@ -10,16 +10,19 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import os
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from bench.mutate.document import Drawn, written
 from bench.mutate.operators import Mutant, mutants
+from bench.mutate.patch import Ask, UnpatchableError, session
 from bench.mutate.reach import Reach
 from bench.mutate.trial import ROOT, Answer, Limits, Verdict, answer_of, warm_up
 
@@ -75,16 +78,21 @@ def main() -> int:
     reach = Reach.read(MEASURED, ROOT)
     found = {room: mine for room, mine in everything().items() if room in (args.room or ROOMS)}
     answers = _Answers(args.answers, again=args.again)
-    drawn = []
-    for seed in args.seed or [1]:
-        rows = []
-        for room, mutant in sample(found, args.each, seed):
-            rows.append(answers.of(room, mutant, reach))
-            print(
-                f"seed {seed}, {len(rows)}: {rows[-1]['verdict']:9} {mutant.path}:{mutant.line} {mutant.text}",
-                file=sys.stderr,
-            )
-        drawn.append(Drawn(seed, tuple(rows)))
+    samples = {seed: sample(found, args.each, seed) for seed in args.seed or [1]}
+    everyone = [pair for drawn in samples.values() for pair in drawn]
+    quick = [(room, mutant) for room, mutant in everyone if _patchable(mutant, reach)]
+
+    def work(ask: Ask) -> None:
+        for room, mutant in quick:
+            with suppress(UnpatchableError):
+                answers.of(room, mutant, reach, ask)
+
+    _in_a_process(lambda: session(_files(quick, reach), work))
+    answers.read()
+    drawn = [
+        Drawn(seed, tuple(answers.of(room, mutant, reach, answer_of) for room, mutant in pairs))
+        for seed, pairs in samples.items()
+    ]
     text = written(drawn, {room: len(mine) for room, mine in found.items()}, _commit())
     print(text)
     if args.write:
@@ -97,32 +105,64 @@ class _Answers:
 
     def __init__(self, path: Path, *, again: bool) -> None:
         self._path = path
-        self._again = again
-        lines = path.read_text().splitlines() if path.exists() else []
-        self._rows: dict[str, Mapping[str, Any]] = {row["key"]: row for row in map(json.loads, lines)}
+        self._rows: dict[str, Mapping[str, Any]] = {}
+        self.read()
+        if again:
+            self._rows = {key: row for key, row in self._rows.items() if row["verdict"] != Verdict.SURVIVED}
 
-    def of(self, room: str, mutant: Mutant, reach: Reach) -> Mapping[str, Any]:
+    def read(self) -> None:
+        """Take what the file holds; a later line replaces an earlier one."""
+        lines = self._path.read_text().splitlines() if self._path.exists() else []
+        self._rows |= {row["key"]: row for row in map(json.loads, lines)}
+
+    def of(self, room: str, mutant: Mutant, reach: Reach, ask: Ask) -> Mapping[str, Any]:
+        """What is known of a mutant, or what the tests say now."""
         key = f"{mutant.path}:{mutant.line}:{mutant.node}:{mutant.choice}:{mutant.text}"
         known = self._rows.get(key)
-        if known is None or (self._again and known["verdict"] == Verdict.SURVIVED):
-            answer, asked = _asked(mutant, reach)
+        if known is None:
+            answer, asked = _asked(mutant, reach, ask)
             known = {"key": key, "room": room, **asdict(mutant), **asdict(answer), "asked": asked}
             self._rows[key] = known
             with self._path.open("a") as file:
                 file.write(json.dumps(known) + "\n")
+            told = f"{len(self._rows)}: {known['verdict']:9} {mutant.path}:{mutant.line} {mutant.text}"
+            print(told, file=sys.__stderr__, flush=True)
         return known
 
 
-def _asked(mutant: Mutant, reach: Reach) -> tuple[Answer, int]:
+def _patchable(mutant: Mutant, reach: Reach) -> bool:
+    lines = range(mutant.first, mutant.last + 1)
+    return mutant.inside and reach.loading.get(mutant.path, frozenset()).isdisjoint(lines)
+
+
+def _files(pairs: Sequence[tuple[str, Mutant]], reach: Reach) -> list[str]:
+    """Where the tests are that these mutants meet."""
+    stages = (stage for _, m in pairs for stage in reach.stages(m.path, range(m.first, m.last + 1)))
+    return sorted({test.partition("::")[0] for stage in stages for test in stage})
+
+
+def _in_a_process(work: Callable[[], None]) -> None:
+    """This process loads nothing that a mutant changes."""
+    pid = os.fork()
+    if pid == 0:
+        try:
+            os.chdir(ROOT)
+            work()
+        finally:
+            os._exit(0)
+    os.waitpid(pid, 0)
+
+
+def _asked(mutant: Mutant, reach: Reach, ask: Ask) -> tuple[Answer, int]:
     """The answer, and the number of tests that were asked."""
     asked = 0
     for tests in reach.stages(mutant.path, range(mutant.first, mutant.last + 1)):
         left = list(tests)
         while left:
-            answer = answer_of(mutant, left, _limits(left, reach))
+            answer = ask(mutant, left, _limits(left, reach))
             if answer.verdict is Verdict.SURVIVED:
                 break
-            if not answer.by or answer_of(mutant, [answer.by], _limits([answer.by], reach)).verdict != Verdict.SURVIVED:
+            if not answer.by or ask(mutant, [answer.by], _limits([answer.by], reach)).verdict != Verdict.SURVIVED:
                 return answer, asked + len(left)
             left = left[left.index(answer.by) + 1 :]  # it failed once, and by itself not: the machine was busy
         asked += len(tests)

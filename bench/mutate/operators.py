@@ -7,7 +7,7 @@ import copy
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from bench.mutate.reach import spans
+from bench.mutate.reach import places
 
 COMPARED: dict[type[ast.cmpop], type[ast.cmpop]] = {
     ast.Lt: ast.LtE,
@@ -38,7 +38,7 @@ _SAYS_ONLY = ("log", "logger")
 class Mutant:
     """One change: the number of the syntax node in the order of a walk, and what is done to it.
 
-    A test that runs none of the lines from `first` to `last` cannot notice.
+    A test that runs none of the lines from `first` to `last` cannot notice. `inside`: it is in the body of a function.
     """
 
     path: str
@@ -48,6 +48,7 @@ class Mutant:
     text: str
     first: int
     last: int
+    inside: bool
 
 
 def mutants(source: str, path: str) -> list[Mutant]:
@@ -55,22 +56,25 @@ def mutants(source: str, path: str) -> list[Mutant]:
     tree = ast.parse(source)
     lines = source.splitlines()
     found = []
-    reached = spans(tree)
+    place = places(tree)
     for number, node in _mutable(tree):
         line = getattr(node, "lineno", 1)
-        span = reached[id(node)]
+        there = place[id(node)]
         for choice, (what, _) in enumerate(_changes(node)):
             text = f"{what}: {lines[line - 1].strip()}"
-            found.append(Mutant(path, number, choice, line, text, span.start, span.stop - 1))
+            found.append(
+                Mutant(path, number, choice, line, text, there.lines.start, there.lines.stop - 1, there.inside)
+            )
     return sorted(found, key=lambda m: (m.line, m.node, m.choice))
 
 
-def mutated(source: str, mutant: Mutant) -> str:
-    """The module with that change."""
+def mutated(source: str, mutant: Mutant) -> ast.Module:
+    """The module with that change, every other thing at its line."""
     tree = ast.parse(source)
     target = next(node for number, node in _mutable(tree) if number == mutant.node)
     _, changed = _changes(target)[mutant.choice]
-    return ast.unparse(ast.fix_missing_locations(_Replace(target, changed).visit(tree)))
+    whole: ast.Module = ast.fix_missing_locations(_Replace(target, changed).visit(tree))
+    return whole
 
 
 def _mutable(tree: ast.Module) -> Iterator[tuple[int, ast.AST]]:

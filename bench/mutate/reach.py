@@ -19,8 +19,6 @@ FIRST_S = 10.0
 """Seconds of them together."""
 REST_S = 25.0
 """Seconds of the other unit tests together, the cheapest first."""
-SLOW_S = 30.0
-"""Seconds of link and service tests together that a mutant meets if no unit test noticed it."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +27,8 @@ class Reach:
 
     lines: Mapping[str, Mapping[int, frozenset[str]]]
     seconds: Mapping[str, float]
+    loading: Mapping[str, frozenset[int]]
+    """For each file the lines that also run while modules are loaded, before any test."""
 
     @classmethod
     def read(cls, measured: Path, root: Path) -> Reach:
@@ -36,26 +36,26 @@ class Reach:
         seconds = json.loads(Path(str(measured) + SECONDS_SUFFIX).read_text())
         data = coverage.CoverageData(str(measured))
         data.read()
-        lines = {
+        found = {
             Path(name).relative_to(root).as_posix(): {
-                line: frozenset(tests) - {""} for line, tests in data.contexts_by_lineno(name).items()
+                line: frozenset(tests) for line, tests in data.contexts_by_lineno(name).items()
             }
             for name in data.measured_files()
         }
-        return cls(lines, seconds)
+        loading = {name: frozenset(n for n, tests in lines.items() if "" in tests) for name, lines in found.items()}
+        lines = {name: {n: tests - {""} for n, tests in lines.items()} for name, lines in found.items()}
+        return cls(lines, seconds, loading)
 
     def stages(self, path: str, span: Sequence[int]) -> list[list[str]]:
-        """Tests that reach lines of a file, in the order in which a mutant there meets them; none if none does."""
-        found = self._tests(path, span)
+        """Unit tests that reach lines of a file, in the order in which a mutant there meets them."""
         own = f"test_{Path(path).stem}.py"
         unit = sorted(
-            (test for test in found if test.startswith(UNIT)),
+            (test for test in self._tests(path, span) if test.startswith(UNIT)),
             key=lambda t: (own not in t or self.seconds[t] > 1.0, self.seconds[t], t),
         )
-        slow = sorted(found.difference(unit), key=lambda t: (self.seconds[t], t))
         first = self._within(unit[:FIRST], FIRST_S)
         rest = self._within(sorted(unit[len(first) :], key=lambda t: (self.seconds[t], t)), REST_S)
-        return [stage for stage in (first, rest, self._within(slow, SLOW_S)) if stage]
+        return [stage for stage in (first, rest) if stage]
 
     def _tests(self, path: str, span: Sequence[int]) -> frozenset[str]:
         lines = self.lines.get(path, {})
@@ -72,20 +72,28 @@ class Reach:
         return chosen
 
 
-def spans(tree: ast.Module) -> Mapping[int, range]:
-    """For each node, by its identity, the lines by which it is known that it was run.
+@dataclass(frozen=True)
+class Place:
+    """The lines by which it is known that a node was run, and whether it is in the body of a function.
 
     Inside a function these are the lines of the statement, without the statements that it contains. What runs while
     the module is loaded may matter to every test of the module; defaults of a function, to those of the function.
     """
-    found: dict[int, range] = {}
+
+    lines: range
+    inside: bool
+
+
+def places(tree: ast.Module) -> Mapping[int, Place]:
+    """For each node, by its identity."""
+    found: dict[int, Place] = {}
     whole = range(1, 1 + max((getattr(n, "end_lineno", 0) or 0 for n in ast.walk(tree)), default=0))
     _fill(tree, whole, whole, found, inside=False)
     return found
 
 
-def _fill(node: ast.AST, span: range, outside: range, found: dict[int, range], *, inside: bool) -> None:
-    found[id(node)] = span
+def _fill(node: ast.AST, span: range, outside: range, found: dict[int, Place], *, inside: bool) -> None:
+    found[id(node)] = Place(span, inside)
     for child in ast.iter_child_nodes(node):
         lines, deeper = span, inside
         if isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef):
@@ -94,7 +102,7 @@ def _fill(node: ast.AST, span: range, outside: range, found: dict[int, range], *
                 _fill(part, _own_lines(part), outside, found, inside=True)
             for part in (child.args, *child.decorator_list):
                 _fill(part, lines, outside, found, inside=False)
-            found[id(child)] = lines
+            found[id(child)] = Place(lines, inside=False)
             continue
         if isinstance(child, ast.stmt):
             lines = _own_lines(child) if inside else outside

@@ -1,4 +1,4 @@
-"""One mutant against its tests: a child of a warm process imports the changed module in the place of the real one."""
+"""One mutant against its tests: a child of a warm process loads the changed module in the place of the real one."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import signal
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -21,8 +21,10 @@ import pytest
 from bench.mutate.operators import Mutant, mutated
 
 ROOT = Path(__file__).resolve().parents[2]
-IGNORED = ("-W", "ignore::pytest.PytestAssertRewriteWarning")
-"""What is imported before pytest is not rewritten, and needs not be: it is none of ours."""
+QUIETLY = (
+    *("-q", "-p", "no:randomly", "-p", "no:cacheprovider", "-p", "no:xdist"),
+    *("-W", "ignore::pytest.PytestAssertRewriteWarning"),  # of what is imported before pytest, and is none of ours
+)
 
 
 class Verdict(StrEnum):
@@ -62,12 +64,35 @@ class Answer:
     by: str = ""
 
 
-def answer_of(mutant: Mutant | None, tests: Sequence[str], limits: Limits) -> Answer:
-    """`tests` are ids, met in this order until one fails; no mutant: the code as it is."""
+def answer_of(mutant: Mutant, tests: Sequence[str], limits: Limits) -> Answer:
+    """`tests` are ids, met in this order until one fails, in a child that loads the changed module."""
+    files = list(dict.fromkeys(test.partition("::")[0] for test in tests))
+
+    def run(told: int) -> int:
+        with open(os.devnull, "r+b") as nothing:
+            for stream in (0, 1, 2):
+                os.dup2(nothing.fileno(), stream)
+        sys.meta_path.insert(0, _Changed(mutant))
+        patient = ("-o", f"timeout={limits.test_s:.0f}")
+        return int(pytest.main(["-x", *QUIETLY, *patient, *files], plugins=[_Chosen(tests, told)]))
+
+    return in_child(run, limits)
+
+
+def in_child(run: Callable[[int], int], limits: Limits) -> Answer:
+    """What `run` says as an exit code of pytest; it writes the test that failed into the file that it is given."""
     with tempfile.TemporaryFile() as told:
         pid = os.fork()
         if pid == 0:
-            _child(mutant, tests, limits, told.fileno())
+            code = 70
+            try:
+                os.setpgid(0, 0)
+                seconds = int(limits.cpu_s) + 1
+                resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
+                os.chdir(ROOT)
+                code = run(told.fileno())
+            finally:
+                os._exit(code)
         status = _ended(pid, limits.wall_s)
         told.seek(0)
         by = told.read().decode()
@@ -88,28 +113,7 @@ def _ended(pid: int, wall_s: float) -> int:
         if time.monotonic() - began > wall_s:
             os.killpg(pid, signal.SIGKILL)
             return os.waitpid(pid, 0)[1]
-        time.sleep(0.02)
-
-
-def _child(mutant: Mutant | None, tests: Sequence[str], limits: Limits, told: int) -> None:
-    """Never returns."""
-    os.setpgid(0, 0)
-    code = 70
-    try:
-        with open(os.devnull, "r+b") as nothing:
-            for stream in (0, 1, 2):
-                os.dup2(nothing.fileno(), stream)
-        seconds = int(limits.cpu_s) + 1
-        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 5))
-        os.chdir(ROOT)
-        if mutant is not None:
-            sys.meta_path.insert(0, _Changed(mutant))
-        files = list(dict.fromkeys(test.partition("::")[0] for test in tests))
-        without = ("-p", "no:randomly", "-p", "no:cacheprovider", "-p", "no:xdist")
-        patient = ("-o", f"timeout={limits.test_s:.0f}")
-        code = int(pytest.main(["-x", "-q", *without, *patient, *IGNORED, *files], plugins=[_Chosen(tests, told)]))
-    finally:
-        os._exit(code)
+        time.sleep(0.01)
 
 
 class _Chosen:
@@ -138,7 +142,7 @@ class _Changed(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         parts = Path(mutant.path).with_suffix("").parts
         self._package = parts[-1] == "__init__"
         self._name = ".".join(parts[:-1] if self._package else parts)
-        self._source = mutated(self._path.read_text(encoding="utf-8"), mutant)
+        self._tree = mutated(self._path.read_text(encoding="utf-8"), mutant)
 
     def find_spec(
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
@@ -152,4 +156,4 @@ class _Changed(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         return spec
 
     def exec_module(self, module: ModuleType) -> None:
-        exec(compile(self._source, str(self._path), "exec"), module.__dict__)
+        exec(compile(self._tree, str(self._path), "exec"), module.__dict__)
