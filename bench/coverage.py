@@ -25,8 +25,10 @@ def page(measured: Mapping[str, Any], reasons: Mapping[str, str], read: Mapping[
     lines = [
         "# Branches that the tests take",
         "",
-        "`scripts/coverage` measures this and writes the page: branches of the three rooms that unit, link and service",
-        "tests take in their own process. What runs in a child process is not counted.",
+        "`scripts/coverage` measures this and writes the page: branches of the three rooms that the unit tests of these",
+        "rooms, of logs, of the command line and of the HTTP face take in their own process.",
+        "Link and service tests take a quarter of an hour more and are not counted; the last table names them where they",
+        "were seen to take a branch.",
         "",
         "| room | branches | taken | |",
         "|---|---|---|---|",
@@ -53,7 +55,7 @@ def _rows(
     for begin, end in sorted(map(tuple, missing)):
         text = source[begin - 1].strip()
         goes = "leaves the function" if end < 0 else f"goes to line {end}"
-        why = reasons.get(f"{name}: {text}", "to be tested")
+        why = reasons.get(f"{name}: {text}", "no test takes it yet")
         yield f"| {name}:{begin} | `{text.replace('|', chr(92) + '|')}` {goes} | {why} |"
 
 

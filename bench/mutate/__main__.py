@@ -52,13 +52,13 @@ def sample(found: Mapping[str, list[Mutant]], each: int, seed: int) -> list[tupl
     drawn = []
     for room, mine in found.items():
         times: Counter[str] = Counter()
-        ranked = []
+        ranked: dict[str, Mutant] = {}
         for mutant in mine:
             what = f"{mutant.path} {mutant.text} {mutant.choice}"
             times[what] += 1
-            ranked.append((hashlib.sha256(f"{seed} {what} {times[what]}".encode()).hexdigest(), mutant))
-        drawn += [(room, mutant) for _, mutant in sorted(ranked, key=lambda item: item[0])[:each]]
-    return drawn
+            ranked[hashlib.sha256(f"{seed} {what} {times[what]}".encode()).hexdigest()] = mutant
+        drawn += [(place, room, ranked[key]) for place, key in enumerate(sorted(ranked)[:each])]
+    return [(room, mutant) for _, room, mutant in sorted(drawn, key=lambda item: item[0])]
 
 
 def main() -> int:

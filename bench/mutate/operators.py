@@ -130,7 +130,7 @@ def _changes(node: ast.AST) -> list[tuple[str, ast.AST]]:
         return _other_constants(node)
     if isinstance(node, ast.If):
         return [(f"if {truth}", _with_test(node, truth=truth)) for truth in (True, False)]
-    if isinstance(node, ast.Return) and node.value is not None and not _is_none(node.value):
+    if isinstance(node, ast.Return) and node.value is not None and not _is_nothing(node.value):
         return [("return None", ast.Return(ast.Constant(None)))]
     if isinstance(node, ast.Raise) or (isinstance(node, ast.Expr) and isinstance(node.value, ast.Call | ast.Await)):
         return [("left out", ast.Pass())]
@@ -161,8 +161,9 @@ def _is_logging(node: ast.AST) -> bool:
     return isinstance(owner, ast.Name) and owner.id in _SAYS_ONLY
 
 
-def _is_none(node: ast.AST) -> bool:
-    return isinstance(node, ast.Constant) and node.value is None
+def _is_nothing(node: ast.AST) -> bool:
+    """None, or False, which is as good to whoever asks for a truth."""
+    return isinstance(node, ast.Constant) and (node.value is None or node.value is False)
 
 
 def _is_text(node: ast.BinOp) -> bool:

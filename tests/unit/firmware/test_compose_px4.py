@@ -367,3 +367,34 @@ def test_the_constant_of_a_drift_carries_the_uncertainty_of_the_curve_down_to_it
     sds = 1e-5 * np.array([1.0, 0.1, 0.01])
     assert constant.sd == pytest.approx(np.sqrt(((sds * distance ** np.arange(1, 4)) ** 2).sum()))
     assert constant.new == pytest.approx(-cubic()(22.0)[0], rel=1e-5)
+
+
+def test_a_fine_change_counts_by_the_axes_that_were_measured(px4_parameters, px4_fingerprint, make_fit):
+    """2.6 sd of one axis are more than chance for two axes, and would not be for three."""
+    held = px4_parameters | {"CAL_GYRO0_XOFF": 0.05, "CAL_GYRO0_YOFF": 0.04}
+    fit = make_fit(Sensor.GYRO, offset=[0.0526, 0.0, 0.0], undetermined=("offset_y",))
+    plan = compose([fit], held, px4_fingerprint)
+    assert not plan.agreements
+    assert [(c.name, c.needs_reboot) for c in plan.changes if not c.session] == [("CAL_GYRO0_XOFF", True)]
+
+
+def test_a_drift_beside_a_calibration_leaves_no_constant(px4_parameters, px4_fingerprint, make_fit):
+    rest = make_fit(Sensor.ACCEL, offset=[0.31, -0.22, 0.17], matrix=np.diag([1.02, 0.98, 1.01]), matrix_sd=1e-4)
+    held = px4_parameters | {"CAL_ACC0_XOFF": 0.2}
+    options = ComposeOptions(accel_temperature={0: 22.0})
+    values = after(compose([rest, shape(make_fit)], held, px4_fingerprint, options=options), held)
+    assert [values[f"TC_A0_X0_{a}"] for a in range(3)] == [0.0] * 3
+
+
+def test_an_open_axis_of_a_running_compensation_stands_in_the_way(px4_parameters, px4_fingerprint, make_fit):
+    """The offset that stays behind would refer to another temperature than the two that are written."""
+    running = px4_parameters | {"TC_G_ENABLE": 1, "TC_G0_ID": 1310988, "TC_G0_TREF": 25.0}
+    running |= {"TC_G0_TMIN": 0.0, "TC_G0_TMAX": 60.0}
+    running |= {f"TC_G0_X{k}_{a}": 0.001 if k == 1 else 0.0 for k in range(4) for a in range(3)}
+    fit = make_fit(Sensor.GYRO, offset=[0.0132, 0.0, 0.0057], undetermined=("offset_y",))
+    assert "the others do not hold without it" in compose([fit], running, px4_fingerprint).blockers[0]
+    assert not compose([fit], px4_parameters, px4_fingerprint).blockers
+    thermal = make_fit(
+        Sensor.GYRO, offset=[0.0132, 0.0, 0.0057], undetermined=("offset_y",), polynomial=cubic(), polynomial_sd=1e-5
+    )
+    assert not compose([thermal], px4_parameters, px4_fingerprint).blockers

@@ -212,3 +212,10 @@ def test_a_parameter_that_was_corrupt_at_any_end_of_the_recording_is_named():
     mended = ParameterTimeline((*entries, ParameterEntry(5.0, "COMPASS_OFS_Z", 1.0)), end_observed=True)
     assert "COMPASS_OFS_Z = inf" in corrupt_compensation("ardupilot", mended, 0)
     assert corrupt_compensation("ardupilot", timeline({"COMPASS_OFS_X": 0.0}), 3) == ""
+
+
+def test_nothing_to_take_off_changes_no_kind():
+    assert composed([motor_fit(proposed=False)], px4_parameters(), "px4").changes == ()
+    taken = composed([motor_fit(proposed=False)], px4_parameters(CAL_MAG_COMP_TYP=1), "px4")
+    assert [(c.name, c.new, c.why) for c in taken.changes] == [("CAL_MAG_COMP_TYP", 0, "no compass needs compensation")]
+    assert composed([], px4_parameters(CAL_MAG_COMP_TYP=1), "px4").changes == ()

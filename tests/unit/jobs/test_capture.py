@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from calib.procedures.protocol import Done
+from calib.procedures.protocol import Done, Pose, Prompt
 from calib.procedures.registry import validate_options
 from calib.recording import Identity
 from service.errors import CaptureEnded
-from service.jobs.capture import Capture
+from service.jobs.capture import Capture, _asks
 from service.jobs.digest import LiveDigest
 from service.jobs.handle import JobHandle
 from service.jobs.model import Job
@@ -101,3 +101,19 @@ async def test_a_calibration_that_changed_unheard_is_found_by_reading_it_again(
         with pytest.raises(CaptureEnded, match=f"{name} changed from .* to 0.25 during the capture"):
             await capture.run()
     store.close()
+
+
+@pytest.mark.parametrize(
+    ("prompt", "asks"),
+    [
+        (Prompt("rest", "Leave it alone."), False),
+        (Prompt("turn", "Turn it.", rotate=True), True),
+        (Prompt("turn", "Turn it.", rotate=True, stable=True), True),
+        (Prompt("pose", "Put it.", remaining=(Pose.LEFT,)), True),
+        (Prompt("pose", "Put it.", pose=Pose.LEFT), True),
+        (Prompt("pose", "Hold it.", pose=Pose.LEFT, stable=True), False),
+        (Prompt("pose", "Hold it.", remaining=(Pose.LEFT,), stable=True), False),
+    ],
+)
+def test_an_operator_is_waited_for_only_where_there_is_something_to_do(prompt: Prompt, asks: bool) -> None:
+    assert _asks(prompt) == asks

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from calib.errors import CalibError, FirmwareError, InvalidInputError
+from calib.procedures.protocol import Prompt
 from calib.recording import Identity
 from service.errors import (
     AnswerRefused,
@@ -259,3 +260,31 @@ def test_a_job_survives_the_store_exactly(vehicle: FakeVehicle) -> None:
         vehicle, accept=Accept("0" * 64, reboot=True), warnings=("a", "b"), context={"answers": [[1.5, "x"]]}
     )
     assert job_from_row(row_from_job(job)) == job
+
+
+async def test_an_accept_that_cannot_be_is_refused_before_the_vehicle_is_asked(vehicle: FakeVehicle) -> None:
+    asked: list[str] = []
+    read = vehicle.read_parameter
+
+    async def counted(name: str) -> Any:
+        asked.append(name)
+        return await read(name)
+
+    vehicle.read_parameter = counted  # type: ignore[method-assign]
+    async with running(vehicle, reviewed(vehicle)) as engine:
+        with pytest.raises(PlanChanged):
+            await engine.apply("j1", Accept("0" * 64))
+        assert asked == []
+
+
+async def test_an_answer_that_the_prompt_takes_reaches_the_job_and_another_does_not(vehicle: FakeVehicle) -> None:
+    async with running(vehicle, reviewed(vehicle)) as engine:
+        handle = engine._handle("j1")
+        with pytest.raises(AnswerRefused, match="it asks for no answer now"):
+            await engine.answer("j1", "finish")
+        handle.prompt(Prompt("prove", "Hold it.", answers=("finish",)))
+        with pytest.raises(AnswerRefused, match="does not take 'begin': it accepts"):
+            await engine.answer("j1", "begin")
+        assert handle.answers.empty()
+        await engine.answer("j1", "finish")
+        assert handle.answers.get_nowait() == "finish"
