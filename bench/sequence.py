@@ -101,7 +101,7 @@ async def _calibrated(service: Session, sim: SimulatedVehicle, kind: str) -> Job
         await sim.acall("temperature", value=PROOF_C)
     await sim.acall("speed", value=WRITING_SPEED)
     job = await service.applied(job)
-    while (job := service.engine.get(job.id)).state not in ENDED:
+    while (job := service.engine.get(job.id)).state not in ENDED | {JobState.REVIEW}:
         await service.obeyed(job)
         await asyncio.sleep(0.05)
     await sim.acall("speed", value=SPEED)

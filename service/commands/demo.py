@@ -14,9 +14,16 @@ from service.commands.output import EXIT_NO, json_option, write_json
     "--autopilot", type=click.Choice(["ardupilot", "px4"]), default="ardupilot", show_default=True, help="Personality."
 )
 @click.option("--seed", type=int, default=None, help="Draws the truth of the sensors; printed, random by default.")
+@click.option(
+    "--speed",
+    type=click.FloatRange(1.0, 100.0),
+    default=30.0,
+    show_default=True,
+    help="Vehicle seconds in a second; less on a busy machine.",
+)
 @click.option("--keep-open", is_flag=True, help="Keep the service and its panel running afterwards.")
 @json_option
-def command(autopilot: str, seed: int | None, keep_open: bool, as_json: bool) -> int:
+def command(autopilot: str, seed: int | None, speed: float, keep_open: bool, as_json: bool) -> int:
     """Calibrate a simulated vehicle end to end and compare with its truth.
 
     Exit code 0 only if every parameter is proved on the vehicle and the stated uncertainties are true.
@@ -26,7 +33,7 @@ def command(autopilot: str, seed: int | None, keep_open: bool, as_json: bool) ->
 
     drawn = secrets.randbelow(1_000_000) if seed is None else seed
     try:
-        result = run(autopilot, seed=drawn, screen=Screen(quiet=as_json), keep_open=keep_open)
+        result = run(autopilot, seed=drawn, screen=Screen(quiet=as_json), keep_open=keep_open, speed=speed)
     except DemoError as error:
         click.echo(f"mavcal: {error} (seed {drawn})", err=True)
         if as_json:

@@ -40,7 +40,7 @@ SHOWS = 5.0
 """Standard deviations of the check: a parameter whose change shows that much must be proved. The vehicle starts with an
 older calibration, and some of its values have hardly changed."""
 PATIENCE_S = 60.0 * SPEED
-"""How long a job waits for the next movement, seconds of the vehicle: a minute of ours, however busy the machine is."""
+"""How long a job waits for the next movement, seconds of the vehicle: a minute of ours at this speed."""
 OPTIONS: Mapping[str, Json] = {
     **{kind: {"patience": PATIENCE_S} for kind in KINDS},
     "thermal": {"patience": PATIENCE_S, "span": SPAN_C, "extend": False},
