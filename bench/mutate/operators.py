@@ -102,7 +102,7 @@ def _untouched(node: ast.AST) -> Iterator[ast.AST]:
         yield node
     if isinstance(node, ast.Import | ast.ImportFrom | ast.JoinedStr | ast.Assert):
         yield node  # messages are wording; asserts are for the type checker
-    if _is_logging(node):
+    if _is_logging(node.value if isinstance(node, ast.Expr) else node):
         yield node
     if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
         yield node

@@ -59,6 +59,8 @@ class Reach:
 
     def _tests(self, path: str, span: Sequence[int]) -> frozenset[str]:
         lines = self.lines.get(path, {})
+        if not self.loading.get(path, frozenset()).isdisjoint(span):
+            span = tuple(lines)  # what came of it while the module was loaded may matter anywhere
         return frozenset().union(*(lines.get(line, frozenset()) for line in span)).intersection(self.seconds)
 
     def _within(self, tests: Sequence[str], limit_s: float) -> list[str]:

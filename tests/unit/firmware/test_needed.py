@@ -85,3 +85,14 @@ def test_a_fourth_unit_is_asked_for_only_behind_a_third() -> None:
 def test_another_autopilot_is_refused() -> None:
     with pytest.raises(FirmwareError, match="betaflight"):
         needed("betaflight", [Sensor.GYRO], {}, drift=False)
+
+
+def test_compasses_are_asked_for_by_the_slots_that_hold_one() -> None:
+    held = {"COMPASS_DEV_ID": 11, "COMPASS_DEV_ID2": 0, "COMPASS_DEV_ID3": 13, "COMPASS_PRIO1_ID": 11}
+    found = needed("ardupilot", {Sensor.MAG}, held, drift=False)
+    assert {"COMPASS_OFS_X", "COMPASS_OFS3_X"} <= found
+    assert "COMPASS_OFS2_X" not in found
+    assert "COMPASS_OFS_X" in needed("ardupilot", {Sensor.MAG}, {}, drift=False)
+    assert not {"COMPASS_PMOT_EN", "COMPASS_DEV_ID4"} & found
+    assert "COMPASS_PMOT1_X" in needed("ardupilot", {Sensor.MAG}, held | {"COMPASS_MOTCT": 3}, drift=False)
+    assert "COMPASS_DEV_ID4" in needed("ardupilot", {Sensor.MAG}, held | {"COMPASS_PRIO2_ID": 99}, drift=False)

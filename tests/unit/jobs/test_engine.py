@@ -30,14 +30,17 @@ from service.errors import (
 )
 from service.jobs.codec import job_from_row, row_from_job
 from service.jobs.engine import JobEngine
-from service.jobs.journal import Step
+from service.jobs.journal import BY_OPERATOR, Step
 from service.jobs.model import Accept, Failure, Job
+from service.jobs.planning import identity_to_json
 from service.jobs.states import JobState
 from service.store import SqliteStore
 from service.store.rows import SnapshotPurpose
 from service.testing import FakeFleet, FakeVehicle
 
 from .conftest import OLD, QUICK, make_plan, until
+
+CONTEXT = {"identity": identity_to_json(Identity("ardupilot", 2, (4, 7, 0), "00112233", 1, 1))}
 
 
 @asynccontextmanager
@@ -288,3 +291,21 @@ async def test_an_answer_that_the_prompt_takes_reaches_the_job_and_another_does_
         assert handle.answers.empty()
         await engine.answer("j1", "finish")
         assert handle.answers.get_nowait() == "finish"
+
+
+async def test_who_takes_a_write_back_is_on_the_disk_before_it_begins(vehicle: FakeVehicle) -> None:
+    done = reviewed(vehicle, state=JobState.SUCCEEDED, accept=Accept(make_plan(vehicle).sha256))
+    store = SqliteStore(None)
+    async with running(vehicle, done, store=store) as engine:
+        sent_one(store, vehicle, done)
+        assert (await engine.revert("j1", "a person")).state == JobState.ROLLING_BACK
+        (row,) = [row for row in store.journal("j1") if row.step == Step.ROLL_BACK]
+        assert row.data["because"] == BY_OPERATOR
+        await until(lambda: engine.get("j1").state == JobState.REVERTED)
+
+
+async def test_what_an_interrupted_job_recorded_can_be_fitted(vehicle: FakeVehicle) -> None:
+    async with running(vehicle, reviewed(vehicle, state=JobState.INTERRUPTED, context=CONTEXT)) as engine:
+        assert (await engine.refit("j1")).state == JobState.FITTING
+        with pytest.raises(JobUnknown):
+            await engine.refit("j2")

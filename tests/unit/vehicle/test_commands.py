@@ -34,6 +34,27 @@ async def test_an_accepted_command_is_sent_once(ardupilot: FakeVehicle) -> None:
     assert (message.target_system, message.target_component, message.param1, message.param7) == (1, 1, 1, 0)
 
 
+@pytest.mark.parametrize(
+    ("result", "words"),
+    [
+        (1, "temporarily rejected"),
+        (2, "denied"),
+        (3, "this firmware does not know it"),
+        (4, "failed"),
+        (6, "cancelled"),
+        (7, "only accepted as COMMAND_LONG"),
+        (8, "only accepted as COMMAND_INT"),
+        (9, "unsupported frame"),
+        (10, "not in control of this vehicle"),
+        (99, "99"),
+    ],
+)
+async def test_a_refusal_is_told_in_words(ardupilot: FakeVehicle, result: int, words: str) -> None:
+    answering(ardupilot, result)
+    with pytest.raises(CommandRefused, match=words):
+        await ardupilot.run(command(ardupilot.vehicle, 241, (1,)))
+
+
 @pytest.mark.parametrize("result", [1, 2, 3, 4, 6, 7, 8, 9, 10, 99])
 async def test_every_other_result_is_an_error_that_carries_it(ardupilot: FakeVehicle, result: int) -> None:
     answering(ardupilot, result)
@@ -152,3 +173,10 @@ async def test_closing_the_vehicle_ends_what_waits_for_it(ardupilot: FakeVehicle
         await task
     with pytest.raises(LinkDown, match="closed"):
         await command(ardupilot.vehicle, 401)
+
+
+async def test_a_command_that_began_and_never_ended_says_so(ardupilot: FakeVehicle) -> None:
+    answering(ardupilot, 5)
+    with pytest.raises(CommandTimeout, match="it began, but its end was not heard"):
+        await ardupilot.run(command(ardupilot.vehicle, 241, (1,), timeout=2.0))
+    assert len(sent(ardupilot, 241)) == 1

@@ -61,3 +61,14 @@ def test_real_firmwares_are_recognised(shared_data: Path, name: str, autopilot: 
     assert identity.version_text == text
     assert identity.uid2 == uid2
     assert identity.encoding is (ParameterEncoding.CAST if autopilot == 3 else ParameterEncoding.BYTEWISE)
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"), [(0, "-dev"), (64, "-alpha"), (128, "-beta"), (192, "-rc"), (255, ""), (7, "-7")]
+)
+def test_the_kind_of_release_is_part_of_the_version(kind: int, words: str) -> None:
+    message = version()
+    message.flight_sw_version = 4 << 24 | 6 << 16 | 3 << 8 | kind
+    identity = identity_from_version(identity_from_heartbeat(heartbeat()), message)
+    assert identity.version == (4, 6, 3)
+    assert identity.version_text.split(" ")[0] == f"4.6.3{words}"

@@ -390,3 +390,33 @@ async def test_a_restart_forgets_what_was_known(ardupilot: FakeVehicle) -> None:
 
 async def finished(work: asyncio.Future[Any]) -> Any:
     return await work
+
+
+@pytest.mark.parametrize(("target", "taken"), [(0, True), (253, True), (1, False), (252, False)])
+async def test_a_refusal_for_another_station_is_not_ours(ardupilot: FakeVehicle, target: int, taken: bool) -> None:
+    def respond(message: Any) -> Iterable[Any]:
+        if message.get_type() == "PARAM_SET":
+            return [dialect.MAVLink_param_error_message(target, 190, NAME.encode(), -1, 5)]
+        return [param_value(NAME, real(0.5))] if message.get_type() == "PARAM_REQUEST_READ" else []
+
+    ardupilot.link.respond = respond
+    with pytest.raises(ParameterRejected, match="read only" if taken else "the vehicle holds 0.5"):
+        await ardupilot.run(ardupilot.vehicle.parameters.set(NAME, 1.0, ParameterKind.REAL32))
+    assert (len(ardupilot.link.sent_of("PARAM_SET")) == 1) == taken
+
+
+async def test_a_refusal_of_another_parameter_is_not_this_ones(ardupilot: FakeVehicle) -> None:
+    def respond(message: Any) -> Iterable[Any]:
+        if message.get_type() != "PARAM_REQUEST_READ":
+            return []
+        refusal = dialect.MAVLink_param_error_message(253, 190, b"OTHER", -1, 1)
+        return [refusal, param_value(NAME, real(0.5))]
+
+    ardupilot.link.respond = respond
+    assert (await ardupilot.run(ardupilot.vehicle.parameters.read(NAME))).value == 0.5
+
+
+async def test_the_type_of_a_parameter_is_asked_for_where_it_is_not_known(px4: FakeVehicle) -> None:
+    Firmware(px4, {"CAL_GYRO0_ID": (struct.pack("<i", 7), 6)})
+    echo = await px4.run(px4.vehicle.parameters.set("CAL_GYRO0_ID", 1310988))
+    assert (echo.parameter.value, echo.parameter.kind) == (1310988, ParameterKind.INT32)

@@ -236,3 +236,20 @@ async def test_jobs_get_only_the_frames_that_they_asked_for(registry: VehicleReg
     air.say(attitude)
     await asyncio.sleep(0)
     assert heard == [30]
+
+
+async def test_a_vehicle_that_restarts_is_asked_who_it_is(registry: VehicleRegistry) -> None:
+    air = attached(registry)
+    air.say(heartbeat())
+    await asyncio.sleep(0)
+    air.say(version(uid2=b"\xab\xcd"))
+    for _ in range(20):
+        await asyncio.sleep(0)
+    air.say(dialect.MAVLink_system_time_message(0, 100_000))
+    air.sent.clear()
+    for k in range(3):
+        air.say(dialect.MAVLink_system_time_message(0, 2000 + 1000 * k))
+    for _ in range(5):
+        await asyncio.sleep(0)
+    asked = [message.param1 for message in air.sent if message.get_type() == "COMMAND_LONG"]
+    assert dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION in asked

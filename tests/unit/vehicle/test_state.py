@@ -251,3 +251,26 @@ def test_a_calibration_that_was_not_heard_of_for_long_is_forgotten_and_nothing_e
     assert state.onboard_calibration is not None
     assert expire(state, 104.1) is state
     assert expire(state, 1e6).onboard_calibration is None
+
+
+@pytest.mark.parametrize("words", ["[cal] pending: back front", "[cal] hold still", "EKF3 IMU0 started"])
+def test_other_words_neither_begin_nor_end_a_calibration(words: str) -> None:
+    assert told(text(words), state=READY, at=103.5).onboard_calibration is None
+    running = told(text("[cal] calibration started: 2 accel"), state=READY, at=103.5)
+    assert told(text(words), state=running, at=104.0).onboard_calibration == running.onboard_calibration
+
+
+@pytest.mark.parametrize(
+    "words", ["[cal] orientation detected: back", "[cal] back side done, rotate to a different side"]
+)
+def test_every_sign_of_a_calibration_counts(words: str) -> None:
+    state = told(text(words), state=READY, at=103.5)
+    assert state.onboard_calibration is not None
+    assert state.onboard_calibration.text == f"it said '{words}'"
+
+
+def test_the_end_of_a_compass_calibration_is_its_status_too() -> None:
+    running = told(mag_progress(2), state=READY, at=103.5)
+    assert told(mag_progress(4), state=running, at=104.0).onboard_calibration is None
+    other = told(pose(1), state=READY, at=103.5)
+    assert told(mag_progress(4), state=other, at=104.0).onboard_calibration == other.onboard_calibration

@@ -253,3 +253,15 @@ async def test_a_demand_on_a_link_that_is_down_is_lost(ardupilot: FakeVehicle) -
     ardupilot.vehicle.tick()
     with pytest.raises(LinkDown):
         ardupilot.vehicle.send(heartbeat())
+
+
+async def test_who_it_is_is_asked_every_five_seconds_of_a_vehicle_that_has_said_so(ardupilot: FakeVehicle) -> None:
+    who = dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION
+    ardupilot.vehicle.tick()
+    ardupilot.link.sent.clear()
+    counts = []
+    for _ in range(12):
+        ardupilot.advance(1.0)
+        counts.append(asked(ardupilot, who))
+    assert counts[-1] == 2
+    assert counts[3] == 0
