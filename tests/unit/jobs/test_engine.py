@@ -309,3 +309,13 @@ async def test_what_an_interrupted_job_recorded_can_be_fitted(vehicle: FakeVehic
         assert (await engine.refit("j1")).state == JobState.FITTING
         with pytest.raises(JobUnknown):
             await engine.refit("j2")
+
+
+async def test_a_plan_is_not_made_again_on_a_vehicle_that_is_not_ready(vehicle: FakeVehicle) -> None:
+    async with running(vehicle, reviewed(vehicle)) as engine:
+        vehicle.change_state(armed=True)
+        with pytest.raises(VehicleArmed):
+            await engine.plan_again("j1")
+        vehicle.change_state(armed=False)
+        with pytest.raises(JobUnknown):
+            await engine.plan_again("j2")

@@ -253,3 +253,12 @@ async def test_a_vehicle_that_restarts_is_asked_who_it_is(registry: VehicleRegis
         await asyncio.sleep(0)
     asked = [message.param1 for message in air.sent if message.get_type() == "COMMAND_LONG"]
     assert dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION in asked
+
+
+async def test_a_vehicle_that_has_no_unique_id_keeps_the_name_of_its_place(registry: VehicleRegistry) -> None:
+    air = attached(registry)
+    air.say(heartbeat())
+    air.say(version(uid2=b""))
+    (vehicle,) = registry.all()
+    assert vehicle.identity.known
+    assert vehicle.id == "air-1-1"
