@@ -25,8 +25,8 @@ def page(measured: Mapping[str, Any], reasons: Mapping[str, str], read: Mapping[
     lines = [
         "# Branches that the tests take",
         "",
-        "`scripts/coverage` measures this and writes the page: branches of the three rooms that the unit tests of these",
-        "rooms, of logs, of the command line and of the HTTP face take in their own process.",
+        "`scripts/coverage` measures this and writes the page: branches of the three rooms that the unit tests of",
+        "these rooms, of logs, of the command line and of the HTTP face take in their own process.",
         "Link and service tests take a quarter of an hour more and are not counted; the last table names them where",
         "they were seen to take a branch.",
         "",
