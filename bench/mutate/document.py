@@ -52,7 +52,7 @@ def written(drawn: Sequence[Drawn], there: Mapping[str, int], commit: str) -> st
         f"`scripts/mutate --each {each} {seeds} --write` draws the same number of mutants in each room and writes this",
         f"page; this one is of {commit}. Equivalent mutants count as survivors.",
         "",
-        "Tests were written for survivors of the first seed. Nobody has worked on those of the last: believe its figure.",
+        "Tests were written for survivors of the first seed. Nobody worked on those of the last: its figure counts.",
         "The target is 90 %.",
         "",
         "| seed | room | mutants there | sampled | killed | killed by time | survived | equivalent |",
