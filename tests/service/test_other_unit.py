@@ -10,6 +10,7 @@ import pytest
 from service.jobs.journal import Step
 from service.jobs.states import JobState
 from service.simvehicle.client import SimulatedVehicle, free_udp_port
+from tests.patience import scaled
 
 from .jobs_bench import eventually, session, stored
 
@@ -56,10 +57,11 @@ async def test_the_write_of_a_unit_that_was_swapped_is_never_finished_on_the_oth
 
 async def test_two_units_at_once_are_a_conflict_for_as_long_as_both_are_there(tmp_path: Path) -> None:
     port = free_udp_port()
+    yield_s = scaled(YIELD_S)  # two answers lost in a row look like silence
     with unit(port, 33) as first:
-        async with session(tmp_path, first.url, yield_s=YIELD_S) as bench:
+        async with session(tmp_path, first.url, yield_s=yield_s) as bench:
             with await asyncio.to_thread(unit, port, 34):
                 await eventually(lambda: bool(bench.vehicle.conflicts), 60.0)
-                await asyncio.sleep(1.5 * YIELD_S)
+                await asyncio.sleep(1.5 * yield_s)
                 assert bench.registry.all() == (bench.vehicle,)
                 assert bench.vehicle.conflicts

@@ -26,4 +26,4 @@ def test_rooms_and_files_are_counted_and_others_left_out():
 def test_a_branch_that_is_not_taken_is_listed_with_its_reason():
     text = page(MEASURED, {"service/jobs/a.py: while z:": "z is a promise of the caller"}, READ)
     assert "| service/jobs/a.py:2 | `while z:` goes to line 5 | z is a promise of the caller |" in text
-    assert "| service/jobs/a.py:1 | `if x \\| y:` leaves the function | to be tested |" in text
+    assert "| service/jobs/a.py:1 | `if x \\| y:` leaves the function | no test takes it yet |" in text

@@ -22,12 +22,12 @@ def inside(x: float, *, strict: bool = True) -> bool:
 
 
 def changed():
-    return {m.text.partition(":")[0]: mutated(SOURCE, m) for m in mutants(SOURCE, "a.py")}
+    return {m.text.partition(":")[0]: ast.unparse(mutated(SOURCE, m)) for m in mutants(SOURCE, "a.py")}
 
 
 def test_every_mutant_is_another_program_that_can_be_compiled():
     original = ast.unparse(ast.parse(SOURCE))
-    made = [mutated(SOURCE, m) for m in mutants(SOURCE, "a.py")]
+    made = [ast.unparse(mutated(SOURCE, m)) for m in mutants(SOURCE, "a.py")]
     assert len(set(made)) == len(made)
     for source in made:
         compile(source, "a.py", "exec")
