@@ -253,13 +253,16 @@ class _FaultRun:
         for fault in faults:
             struck = bool(fault["struck"]) and (fault["kind"] not in WIRE or fault["hits"] > 0)
             self.strikes[fault["kind"]] += struck
-        names = dict.fromkeys(self._pinned_names(state, faults))
+        names = self._pinned_names(state, faults)
         self.pinned += [pin for name in names if (pin := _pin(name, job)) is not None]
 
     def _pinned_names(self, state: Json, faults: list[Json]) -> list[str]:
-        """Names whose first PARAM_SET was at the time at which a not_applied struck."""
+        """Names whose first PARAM_SET was at the time at which a not_applied struck: a repeated one changes nothing."""
         times = {t for fault in faults if fault["kind"] == "not_applied" for t in fault["struck"]}
-        return [name for when, name, _ in state["param_set_list"] if when in times]
+        first: dict[str, float] = {}
+        for when, name, _ in state["param_set_list"]:
+            first.setdefault(name, when)
+        return [name for name, when in first.items() if when in times]
 
 
 def _pin(name: str, job: Job) -> Pinned | None:

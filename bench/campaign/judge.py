@@ -140,17 +140,24 @@ def _beside(e: Evidence, planned: Iterable[str]) -> list[str]:
     return [
         f"{name} changed from {old:.9g} to {new:.9g}, which was not in the plan"
         for name, (old, new) in e.before.differing(e.now).items()
-        if name not in excused
+        if name not in excused and not _by_itself(e, name)
     ]
+
+
+def _by_itself(e: Evidence, name: str) -> bool:
+    """Whether the vehicle may have rewritten this gyro offset: PX4 at rest, ArduPilot when it starts."""
+    stored = e.now.stored
+    px4 = stored.get("IMU_GYRO_CAL_EN") == 1 and name.startswith("CAL_GYRO") and name.endswith("OFF")
+    ardupilot = stored.get("INS_GYR_CAL") == 1 and name.startswith("INS_GYR") and ("OFFS_" in name or "CALTEMP" in name)
+    return px4 or ardupilot
 
 
 def doubt_complaints(e: Evidence) -> tuple[str, ...]:
     """What is wrong with the list of a job in doubt: certain values are the vehicle's, the others old, new or as heard.
 
-    A PX4 that calibrates its gyros by itself may have changed what is not certain since.
+    A vehicle that calibrates its gyros by itself may have changed what is not certain since.
     """
     complaints = []
-    by_itself = e.now.stored.get("IMU_GYRO_CAL_EN") == 1
     listed = {s["name"]: s for s in e.job["standing"]}
     for name, s in listed.items():
         held = e.now.stored[name]
@@ -158,9 +165,7 @@ def doubt_complaints(e: Evidence) -> tuple[str, ...]:
             continue
         if s["certain"] and not equal(held, s["value"]):
             complaints.append(f"in doubt, but {name} is certainly {s['value']:.9g}, and the vehicle holds {held:.9g}")
-        moves = by_itself and name.startswith("CAL_GYRO")
         heard = s["value"] is not None and equal(held, s["value"])
-        if not (s["certain"] or moves or heard or equal(held, s["old"]) or equal(held, s["new"])):
+        if not (s["certain"] or _by_itself(e, name) or heard or equal(held, s["old"]) or equal(held, s["new"])):
             complaints.append(f"in doubt: {name} is neither old nor new, the vehicle holds {held:.9g}")
-    complaints += [c for c in _beside(e, listed) if c]
-    return tuple(complaints)
+    return (*complaints, *_beside(e, listed))

@@ -9,7 +9,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from calib.firmware.fingerprint import calibration_snapshot
+from calib.firmware.fingerprint import rests_on
 from calib.firmware.limits import limit_of
 from calib.firmware.options import ComposeOptions
 from calib.firmware.plan import (
@@ -21,6 +21,7 @@ from calib.firmware.plan import (
     ParameterKind,
     Value,
     WritePlan,
+    sensors_of,
     snapshot_sha256,
 )
 from calib.recording import Sensor
@@ -239,7 +240,7 @@ class Draft:
         """The finished plan, in the order of writing. A sensor that is still refused forbids everything."""
         return WritePlan(
             fingerprint,
-            snapshot_sha256(calibration_snapshot(self.parameters)),
+            snapshot_sha256(rests_on(self.parameters, sensors_of(self.changes, agreements))),
             self.changes,
             tuple(self._losses),
             tuple(self._after),

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from types import MappingProxyType
 from typing import Final
 
 from calib.errors import FirmwareError
 from calib.firmware import ardupilot, px4
-from calib.firmware.names import CALIBRATION_PREFIXES
+from calib.firmware.names import (
+    ARDUPILOT_IMU_SLOTS,
+    CALIBRATION_PREFIXES,
+    OFFSET,
+    PX4_SLOTS,
+    Role,
+    ardupilot_imu_names,
+    px4_names,
+)
 from calib.firmware.plan import Fingerprint, Value
 from calib.recording import Identity, Sensor
 
@@ -50,7 +58,31 @@ def fingerprint(identity: Identity, parameters: Mapping[str, Value]) -> Fingerpr
     )
 
 
+def _rewritten() -> frozenset[str]:
+    slots = [ardupilot_imu_names(Sensor.GYRO, slot) for slot in range(ARDUPILOT_IMU_SLOTS)]
+    slots += [px4_names(Sensor.GYRO, slot) for slot in range(PX4_SLOTS)]
+    return frozenset(row[role] for row in slots for role in (*OFFSET, Role.TEMPERATURE) if role in row)
+
+
+REWRITTEN: Final = _rewritten()
+"""What a vehicle at rest rewrites by itself: ArduPilot's boot calibration (INS_GYR_CAL = 1) and PX4's module
+gyro_calibration (IMU_GYRO_CAL_EN = 1) both set the gyro offsets (FLIGHT_CONTROLLERS 1.3, 1.4)."""
+
+
+def matters(name: str, sensors: Collection[Sensor]) -> bool:
+    """Whether a result for `sensors` depends on this calibration parameter keeping its value.
+
+    The gyro only tells rest from motion where it is not calibrated itself, so its offsets may change meanwhile.
+    """
+    return Sensor.GYRO in sensors or name not in REWRITTEN
+
+
 def calibration_snapshot(parameters: Mapping[str, Value]) -> dict[str, Value]:
-    """The parameters that a plan rests on: everything that decides what a streamed number means, and the settings."""
+    """Everything that decides what a streamed number means, and the settings."""
     prefixes = tuple(p for group in CALIBRATION_PREFIXES.values() for p in group)
     return {name: value for name, value in parameters.items() if name.startswith(prefixes) or name in SETTINGS}
+
+
+def rests_on(parameters: Mapping[str, Value], sensors: Collection[Sensor]) -> dict[str, Value]:
+    """The parameters that a plan for `sensors` rests on: if one of them changes, the plan is void."""
+    return {name: v for name, v in calibration_snapshot(parameters).items() if matters(name, sensors)}

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -93,6 +93,12 @@ class Fingerprint:
     device_ids: tuple[tuple[str, int], ...]
 
 
+def sensors_of(changes: Iterable[Change], agreements: Iterable[Agreement]) -> frozenset[Sensor]:
+    """The sensors that a plan of these is about."""
+    about = [*(change.sensor for change in changes), *(agreement.sensor for agreement in agreements)]
+    return frozenset(sensor for sensor in about if sensor is not None)
+
+
 @dataclass(frozen=True)
 class WritePlan:
     """Parameters to be written in this order, and everything that must be said before.
@@ -108,6 +114,11 @@ class WritePlan:
     warnings: tuple[str, ...] = ()
     blockers: tuple[str, ...] = ()
     agreements: tuple[Agreement, ...] = ()
+
+    @property
+    def sensors(self) -> frozenset[Sensor]:
+        """The sensors that it is about."""
+        return sensors_of(self.changes, self.agreements)
 
     @property
     def nothing_to_write(self) -> bool:

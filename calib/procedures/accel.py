@@ -29,6 +29,7 @@ SPEC = ProcedureSpec(
     kind="accel",
     title="Accelerometer offsets, scales and cross terms from poses",
     sensors=(Sensor.ACCEL, Sensor.GYRO),
+    still_only=(Sensor.GYRO,),
     helpful=(Sensor.TEMPERATURE,),
     options=(
         Option("uncertainty", 0.005, "standard deviation to reach on every axis of every offset", "m/s2", 5e-4, 0.1),

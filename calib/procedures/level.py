@@ -26,6 +26,7 @@ SPEC = ProcedureSpec(
     kind="level",
     title="Level trim",
     sensors=(Sensor.ACCEL, Sensor.GYRO),
+    still_only=(Sensor.GYRO,),
     helpful=(Sensor.TEMPERATURE,),
     options=(
         Option("uncertainty", 0.05, "standard deviation of roll and pitch to reach", "deg", 0.005, 1.0),

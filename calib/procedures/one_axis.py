@@ -32,6 +32,7 @@ SPEC = ProcedureSpec(
     kind="accel-one-axis",
     title="Accelerometer offsets with one axis vertical",
     sensors=(Sensor.ACCEL, Sensor.GYRO),
+    still_only=(Sensor.GYRO,),
     helpful=(Sensor.TEMPERATURE,),
     options=(
         Option("uncertainty", 0.005, "standard deviation of the mean to reach on every axis", "m/s2", 5e-4, 0.1),

@@ -34,6 +34,7 @@ SPEC = ProcedureSpec(
     kind="accel-six-face",
     title="Accelerometer offsets and full matrix from six faces of a fixture",
     sensors=(Sensor.ACCEL, Sensor.GYRO),
+    still_only=(Sensor.GYRO,),
     helpful=(Sensor.TEMPERATURE,),
     options=(
         Option("uncertainty", 0.01, "standard deviation to reach on every axis of every offset", "m/s2", 5e-4, 0.2),

@@ -67,8 +67,9 @@ class Holds:
 class ProcedureSpec:
     """A procedure as a row of the table that operators and programs read.
 
-    `sensors` must stream, `helpful` are used where they stream. `duration_s` is the typical length with the default
-    options, in seconds of the vehicle's clock.
+    `sensors` must stream, `helpful` are used where they stream. `still_only` of them tell rest from motion and nothing
+    else, so their calibration may change meanwhile. `duration_s` is the typical length with the default options, in
+    seconds of the vehicle's clock.
     """
 
     kind: str
@@ -81,6 +82,12 @@ class ProcedureSpec:
     autopilots: Mapping[str, Holds]
     duration_s: float
     aliases: tuple[str, ...] = dataclasses.field(default=())
+    still_only: tuple[Sensor, ...] = ()
+
+    @property
+    def measured(self) -> frozenset[Sensor]:
+        """The sensors whose readings are in the result."""
+        return frozenset(self.sensors) - frozenset(self.still_only)
 
     def validated(self, options: Mapping[str, Any]) -> Options:
         """Every option of this procedure, defaults filled in.

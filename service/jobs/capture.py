@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from calib.errors import ProcedureError
+from calib.firmware.fingerprint import matters
 from calib.firmware.names import CALIBRATION_PREFIXES
 from calib.firmware.plan import Value
 from calib.firmware.streams import requested_streams
@@ -187,7 +188,7 @@ class Capture:
                 watch.look(None)
                 await asyncio.sleep(self.settings.watch_s)
         for name, reading in readings.items():
-            if reading.value != self.parameters[name]:
+            if reading.value != self.parameters[name] and matters(name, specification(self.handle.job.kind).measured):
                 raise changed(name, self.parameters[name], reading.value)
 
 

@@ -16,6 +16,7 @@ from typing import Any
 from calib.earth import EarthField, earth_field
 from calib.errors import InvalidInputError
 from calib.firmware import sensor_ids
+from calib.firmware.fingerprint import REWRITTEN, matters
 from calib.firmware.foresee import STREAMED_INSTANCES
 from calib.firmware.names import CALIBRATION_PREFIXES
 from calib.firmware.plan import Value
@@ -29,7 +30,7 @@ from calib.procedures.registry import create, specification
 from calib.procedures.replay import replay
 from calib.recording import Channel, Identity, ParameterEntry, Recording, Sensor
 from calib.wire import Frame
-from service.errors import CaptureEnded
+from service.errors import CaptureDisturbed, CaptureEnded
 from service.jobs.model import Span
 
 POSITION_WAIT_S = 3.0
@@ -154,7 +155,7 @@ class LiveDigest:
             if not entry.name.startswith(self._prefixes):
                 continue
             before = self._parameters.setdefault(entry.name, entry.value)
-            if before != entry.value:
+            if before != entry.value and matters(entry.name, specification(self._kind).measured):
                 raise changed(entry.name, before, entry.value)
 
 
@@ -171,13 +172,15 @@ def context_of(
 
 
 def changed(name: str, before: Value, after: Value) -> CaptureEnded:
-    """The refusal of a capture in which a calibration parameter changed."""
+    """The refusal of a capture in which a calibration parameter changed; disturbed, if the vehicle may have done it."""
     who = "another ground station, or the vehicle itself"
+    remedy = "Leave the vehicle's calibration alone while a job runs, and start the job again."
     if name.startswith("CAL_GYRO"):
         who += " (PX4's gyro_calibration, while IMU_GYRO_CAL_EN is 1)"
-    return CaptureEnded(
-        f"{name} changed from {shown(before)} to {shown(after)} during the capture, set by {who}",
-        remedy="Leave the vehicle's calibration alone while a job runs, and start the job again.",
+        remedy += " If it happens again, set IMU_GYRO_CAL_EN to 0 and restart the vehicle first."
+    kind = CaptureDisturbed if name in REWRITTEN else CaptureEnded
+    return kind(
+        f"{name} changed from {shown(before)} to {shown(after)} during the capture, set by {who}", remedy=remedy
     )
 
 
@@ -210,6 +213,8 @@ def fit_segments(request: FitRequest) -> Fitted:
     """
     recording = recording_of(request.spans, request.system)
     for entry in calibration_changes(recording):
+        if not matters(entry.name, specification(request.kind).measured):
+            continue
         before = next(e.value for e in recording.parameters.entries if e.name == entry.name)
         raise changed(entry.name, before, entry.value)
     parameters = recording.parameters.final()

@@ -13,7 +13,7 @@ from enum import StrEnum
 from functools import partial
 from typing import Any, Protocol
 
-from calib.firmware.fingerprint import fingerprint
+from calib.firmware.fingerprint import fingerprint, matters
 from calib.firmware.plan import Change, ParameterKind, Value, Verification, WritePlan, snapshot_sha256
 from calib.firmware.values import shown
 from service.errors import ParameterMissing, PlanBlocked, PlanChanged, WriteFailed
@@ -244,7 +244,7 @@ async def check_plan(w: Writing) -> dict[str, Reading]:
         fresh = await read_values(w.vehicle, names, told=lambda done: told(done, len(names)))
     except ParameterMissing as error:
         raise PlanChanged(f"the vehicle no longer has {error.name}: plan again") from error
-    now = {name: fresh[name].value for name in composed_on}
+    now = {name: fresh[name].value for name in composed_on if matters(name, w.plan.sensors)}
     differing = [f"{n} was {shown(composed_on[n])} and is {shown(v)}" for n, v in now.items() if v != composed_on[n]]
     if differing:
         raise PlanChanged(f"parameters changed since the plan was made: {', '.join(differing)}. Plan again")

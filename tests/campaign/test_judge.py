@@ -55,6 +55,21 @@ class TestEnd:
         assert ending == Ending.FAILURE
         assert "gyro 1 is off" in complaints[0]
 
+    @pytest.mark.parametrize(
+        ("switch", "name"), [("IMU_GYRO_CAL_EN", "CAL_GYRO1_XOFF"), ("INS_GYR_CAL", "INS_GYR2OFFS_Z")]
+    )
+    @pytest.mark.parametrize("by_itself", [True, False])
+    def test_a_gyro_offset_may_move_only_where_the_vehicle_calibrates_by_itself(
+        self, switch: str, name: str, by_itself: bool
+    ) -> None:
+        old = {**OLD, switch: float(by_itself), name: 0.01, name.replace("OFF", "ID"): 3.0}
+        job = {"state": "succeeded", "plan": {"changes": CHANGES}, "standing": [], "outcome": None}
+        now = {**old, **DONE, name: 0.03}
+        ending, complaints = judge(Evidence(job, Holding(old, old), Holding(now, old), {}), ())
+        assert (ending == Ending.VERIFIED) == by_itself, complaints
+        worse = {**now, name.replace("OFF", "ID"): 4.0}
+        assert judge(Evidence(job, Holding(old, old), Holding(worse, old), {}), ())[0] == Ending.FAILURE
+
     @pytest.mark.parametrize("state", ["reverted", "review", "interrupted"])
     def test_as_before(self, state: str) -> None:
         assert judge(evidence(state, {}), ())[0] == Ending.AS_BEFORE

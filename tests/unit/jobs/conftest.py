@@ -19,6 +19,7 @@ from calib.firmware.plan import (
     WritePlan,
     snapshot_sha256,
 )
+from calib.recording import Sensor
 from service.jobs.crashpoints import At, nowhere
 from service.jobs.guard import Guard
 from service.jobs.handle import JobHandle
@@ -79,7 +80,7 @@ def float32(value: float) -> float:
 def make_plan(vehicle: FakeVehicle, *, session: bool = False, reboot: bool = False, command: bool = True) -> WritePlan:
     old = vehicle.values()
     changes = [
-        Change(n, old[n], float32(v), ParameterKind.REAL32, "offset", sd=1e-4, needs_reboot=reboot)
+        Change(n, old[n], float32(v), ParameterKind.REAL32, "offset", sd=1e-4, needs_reboot=reboot, sensor=Sensor.GYRO)
         for n, v in NEW.items()
     ]
     if session:

@@ -9,9 +9,10 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from calib import wire
+from calib.procedures.protocol import GaveUp
 from calib.procedures.registry import validate_options
 from calib.recording import Channel, Identity, Recording, Sensor, Stage
-from service.errors import CaptureEnded
+from service.errors import CaptureDisturbed, CaptureEnded
 from service.jobs.digest import FitRequest, LiveDigest, changed, content_of, context_of, field_of, fit_segments
 from service.jobs.model import Span
 
@@ -136,3 +137,37 @@ def test_a_procedure_expects_the_sensors_that_stream_and_no_others() -> None:
     ids |= {f"COMPASS_DEV_ID{k}": 300 + int(k or 1) for k in ("", "2", "3")}
     ids |= {f"COMPASS_PRIO{k}_ID": 300 + k for k in (1, 2, 3)}
     assert context_of("gyro", ARDUPILOT, ids, None).instances == found.instances
+
+
+def test_a_gyro_that_recalibrates_itself_does_not_end_the_capture_of_an_accelerometer(tmp_path: Path) -> None:
+    """It tells rest from motion there and nothing else; the offset of the accelerometer still counts."""
+    known = {"INS_GYROFFS_X": 0.5, "INS_ACCOFFS_X": 0.125}
+    digest = LiveDigest("accel", validate_options("accel", {}), ARDUPILOT, known, 0.0)
+    digest.feed(heard(param_value("INS_GYROFFS_X", 0.5), param_value("INS_GYROFFS_X", 0.25)))
+    with pytest.raises(CaptureEnded, match="INS_ACCOFFS_X changed"):
+        digest.feed(heard(param_value("INS_ACCOFFS_X", 0.25)))
+
+
+@pytest.mark.parametrize(("kind", "refused"), [("accel", False), ("level", False), ("gyro", True), ("mag", True)])
+def test_a_segment_is_refused_for_a_changed_gyro_offset_only_where_the_gyro_is_measured(
+    tmp_path: Path, kind: str, refused: bool
+) -> None:
+    path = tmp_path / "a.tlog"
+    beat = dialect.MAVLink_heartbeat_message(2, 3, 81, 0, 3, 3)
+    frames = heard(beat, param_value("INS_GYROFFS_X", 0.5), param_value("INS_GYROFFS_X", 0.25))
+    data = b"".join(int(1e6 * k).to_bytes(8, "big") + frame.raw for k, frame in enumerate(frames))
+    path.write_bytes(data)
+    request = FitRequest(kind, {}, (Span(path, 0, len(data), hashlib.sha256(data).hexdigest()),), 1, 0.0)
+    if refused:
+        with pytest.raises(CaptureEnded, match="INS_GYROFFS_X changed"):
+            fit_segments(request)
+    else:
+        assert isinstance(fit_segments(request).outcome, GaveUp)
+
+
+def test_a_change_that_the_vehicle_may_have_made_itself_is_a_disturbance() -> None:
+    """A job that costs nobody a pose then begins again by itself."""
+    assert isinstance(changed("CAL_GYRO0_XOFF", 0.0, 1.0), CaptureDisturbed)
+    assert isinstance(changed("INS_GYR1_CALTEMP", 30.0, 31.0), CaptureDisturbed)
+    assert not isinstance(changed("CAL_ACC0_XOFF", 0.0, 1.0), CaptureDisturbed)
+    assert "set IMU_GYRO_CAL_EN to 0" in changed("CAL_GYRO0_XOFF", 0.0, 1.0).remedy
