@@ -19,7 +19,7 @@ from bench.campaign.kill_scene import kill_of
 from bench.campaign.report import FaultReport, KillReport
 from bench.campaign.scenario import KINDS, scenarios
 
-pytestmark = [pytest.mark.campaign, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.campaign, pytest.mark.long, pytest.mark.timeout(300)]
 
 SEED = 1
 RUNS = (1, 5, 6, 10, 36, 42, 53, 70, 72, 73, 79, 139)

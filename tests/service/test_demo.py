@@ -19,7 +19,7 @@ def demonstrated(autopilot: str, seed: int) -> dict[str, Any]:
     return found
 
 
-@pytest.mark.campaign
+@pytest.mark.long
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize(("autopilot", "seed"), [("ardupilot", 11), ("px4", 12)])
 def test_every_parameter_is_proved_and_every_uncertainty_is_true(autopilot, seed):

@@ -8,6 +8,7 @@ from bench.sequence import KINDS, sequence, table
 from service.jobs.states import JobState
 
 
+@pytest.mark.long
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
 async def test_every_calibration_in_a_row_is_proved_or_tells_its_reason(autopilot: str) -> None:

@@ -12,7 +12,7 @@ pytestmark = pytest.mark.timeout(240)
 SILENCE_S = 5.0
 
 
-@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+@pytest.mark.parametrize("autopilot", [pytest.param("ardupilot", marks=pytest.mark.long), "px4"])
 async def test_a_gyro_job_on_a_slow_wire_is_done_in_time_and_says_what_it_does(autopilot: str) -> None:
     run = await timed(WIRES[0], autopilot, speed=4.0)
     assert run.state == JobState.SUCCEEDED, run.outcome
@@ -23,6 +23,7 @@ async def test_a_gyro_job_on_a_slow_wire_is_done_in_time_and_says_what_it_does(a
     assert run.longest_silence_s < scaled(SILENCE_S)
 
 
+@pytest.mark.long
 async def test_the_start_and_the_restart_of_a_vehicle_have_phases_of_their_own() -> None:
     run = await timed(WIRES[0], "px4", speed=4.0)
     phases = dict(run.phases)

@@ -18,7 +18,7 @@ from calib.gap.schema import EffectEstimate, GapReport, Verdict
 from calib.recording import Channel, Recording, Sensor
 from service.commands.gap_real import broad_recording
 
-pytestmark = [pytest.mark.shared, pytest.mark.flights, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.shared, pytest.mark.long, pytest.mark.timeout(600)]
 
 GAUSS = 0.1  # uT in a milligauss
 

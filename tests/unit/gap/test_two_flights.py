@@ -7,7 +7,7 @@ import pytest
 from calib import gap, logs
 from calib.gap.schema import Verdict
 
-pytestmark = [pytest.mark.shared, pytest.mark.flights]
+pytestmark = [pytest.mark.shared, pytest.mark.long]
 
 FLIGHTS = ("00000005.BIN", "00000010.BIN")
 
