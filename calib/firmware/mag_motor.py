@@ -196,8 +196,8 @@ def _set_kind(draft: Draft, module: object, kind: str | None, kinds: Mapping[str
     if others and old not in (0, new):
         listed = ", ".join(str(i + 1) for i in others)
         draft.block(
-            f"{name} would change from {old} to {new} for every compass, and compass {listed}, which is not part of "
-            "this plan, has a compensation in the old unit: fit it too, or set its compensation to 0"
+            f"{name} would change from {old} to {new} for every compass. Compass {listed} is not part of this plan and "
+            "keeps a compensation in the old unit. Fit it too, or set its compensation to 0"
         )
         return
     if kind is None and others:

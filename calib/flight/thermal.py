@@ -206,9 +206,8 @@ def _against(fit: FitResult, other: int, slopes: Array) -> FitResult:
         if covariance[k, k] > 0.0:
             covariance[k, k] += slopes[axis] ** 2
     text = (
-        f"the reference is {fit.sensor} {other + 1}: the drift is that of the difference of the two, on the "
-        f"statement that the reference drifts by no more than the {1e6 * slopes.max():.3g}e-6 {fit.unit}/degC of its "
-        "own rests where those did not reach"
+        f"the reference is {fit.sensor} {other + 1}: the drift is that of the difference of the two. Where the "
+        f"reference had no rest, it is taken to drift by at most {1e6 * slopes.max():.3g}e-6 {fit.unit}/degC"
     )
     quality = {**fit.quality, "reference": "difference", "reference_instance": other}
     return dataclasses.replace(fit, covariance=covariance, warnings=(*fit.warnings, text), quality=quality)

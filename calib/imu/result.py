@@ -23,8 +23,8 @@ Form = Literal["symmetric", "upper"]
 
 METHOD = "imu-multi"
 MOVEMENT = (
-    "hold the unit still for two seconds in twelve or more different poses, each side down once and the others "
-    "oblique, and turn it about another axis each time"
+    "hold the unit still for two seconds in at least twelve poses: each side down once, the others oblique. "
+    "Turn it about another axis each time"
 )
 EARTH_RATE = 7.292115e-5
 """Turn of the Earth against the stars, rad/s (WGS 84)."""

@@ -40,8 +40,8 @@ SPEC = ProcedureSpec(
         Option("patience", 600.0, "gives up after this time without a change of temperature", "s", 30.0, 7200.0),
     ),
     needs="a cold vehicle lying still while it warms up by its own heat (or a warm one that cools down)",
-    ends_on="a settled temperature, or the operator's word once the range is wide enough (at the asked-for span of "
-    "25 degC if it need not extend), with drift curves known to 0.02 m/s2 and 0.05 deg/s",
+    ends_on="a settled temperature, or `finish` once the range is wide enough (25 degC). "
+    "The drift curves are then known to 0.02 m/s2 and 0.05 deg/s",
     autopilots={
         "ardupilot": Holds(
             writes=(
