@@ -104,7 +104,7 @@ def test_nothing_proposed_writes_nothing_and_takes_off_what_does_not_help():
 def test_a_compass_outside_the_plan_blocks_a_change_of_kind():
     held = ardupilot_parameters(COMPASS_MOTCT=1, COMPASS_MOT2_X=40.0)
     plan_blockers = composed([motor_fit()], held)._blockers
-    assert any("compass 2" in text for text in plan_blockers)
+    assert any("Compass 2" in text for text in plan_blockers)
 
 
 def timeline(parameters):
@@ -182,7 +182,7 @@ def test_the_kind_stays_for_a_compass_outside_the_plan_that_uses_it():
     assert draft.predicted["COMPASS_MOT2_Y"] == 7.0
     changed = composed([motor_fit()], px4_parameters(CAL_MAG_COMP_TYP=1, CAL_MAG1_YCOMP=0.5), "px4")
     (blocker,) = changed._blockers
-    assert "CAL_MAG_COMP_TYP would change from 1 to 2 for every compass, and compass 2" in blocker
+    assert "CAL_MAG_COMP_TYP would change from 1 to 2 for every compass. Compass 2" in blocker
 
 
 def test_the_cost_of_the_one_kind_is_that_of_the_hidden_data():
