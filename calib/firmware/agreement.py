@@ -79,8 +79,8 @@ def _is_news(draft: Draft, autopilot: str, pair: Pair) -> bool:
     if about.sensor != Sensor.GYRO and not any(offsets):  # the firmware takes it as never calibrated
         return True
     name = roles.get(Role.TEMPERATURE, "")
-    known = float(draft.parameters.get(name, 0.0)) > UNKNOWN_TEMPERATURE
-    return name in draft.parameters and not known and pair.absolute.temperature is not None
+    unknown = name in draft.parameters and not float(draft.parameters[name]) > UNKNOWN_TEMPERATURE
+    return unknown and pair.absolute.temperature is not None
 
 
 def _at_rest(fit: FitResult, old: TriadModel, new: TriadModel) -> Judged | None:

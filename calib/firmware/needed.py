@@ -102,10 +102,10 @@ def _custom_rotations(known: Mapping[str, Value]) -> Iterator[str]:
 def _px4_rows(sensor: Sensor, known: Mapping[str, Value], *, drift: bool) -> Iterator[str]:
     rows = [names.px4_names(sensor, slot) for slot in range(names.PX4_SLOTS)]
     yield from (row[Role.ID] for row in rows)
-    filled = [row for row in rows if known.get(row[Role.ID], 0)]
-    free = [row for row in rows if not known.get(row[Role.ID], 0)]
     if not all(row[Role.ID] in known for row in rows):
         return  # which rows are whose is not known yet
+    filled = [row for row in rows if known[row[Role.ID]]]
+    free = [row for row in rows if not known[row[Role.ID]]]
     for row in [*filled, *free][: max(STREAMED, len(filled))]:
         yield from row.values()
     thermal = [names.px4_thermal_names(sensor, slot) for slot in range(names.PX4_SLOTS)]

@@ -131,6 +131,21 @@ class TestArdupilot:
         out = undo(recording(row, current, parameters=parameters)).channel(Sensor.MAG)
         assert out.values == pytest.approx(RAW, abs=1e-12)
 
+    def test_the_throttle_drives_it_where_that_is_chosen(self) -> None:
+        parameters = AP_BASE | {"COMPASS_MOTCT": 1}
+        share = 0.5 + 0.4 * np.sin(T)
+        row = channel(corrected(AP_BASE, RAW, Sensor.MAG) + 0.1 * share[:, None] * [3.0, -2.0, 1.0], Sensor.MAG)
+        throttle = Channel(Sensor.THROTTLE, 0, T, share, "1", Stage.RAW, "VFR_HUD")
+        other = Channel(Sensor.THROTTLE, 1, T, np.zeros(len(T)), "1", Stage.RAW, "VFR_HUD")
+        out = undo(recording(row, throttle, other, parameters=parameters)).channel(Sensor.MAG)
+        assert out.values == pytest.approx(RAW, abs=1e-12)
+
+    def test_motors_leave_the_other_sensors_alone(self) -> None:
+        current = Channel(Sensor.CURRENT, 0, T, np.full(len(T), 9.0), "A", Stage.RAW, "BATTERY_STATUS")
+        row = channel(corrected(AP_BASE, RAW))
+        out = undo(recording(row, current, parameters=AP_BASE | {"COMPASS_MOTCT": 2})).channel(Sensor.ACCEL)
+        assert out.values == pytest.approx(RAW, abs=1e-12)
+
 
 class TestMarks:
     def test_quantum_and_zero_bins_are_kept(self) -> None:
@@ -205,6 +220,13 @@ class TestChanges:
         assert out.values == pytest.approx(RAW[np.isin(T, out.t)], abs=1e-12)
         gap = out.t[np.argmax(np.diff(out.t))], out.t[np.argmax(np.diff(out.t)) + 1]
         assert gap == pytest.approx((4.48, 5.10), abs=0.03)  # what lies near the change is left out
+
+    @pytest.mark.parametrize(("apart", "kept"), [(-0.51, True), (-0.49, False), (0.09, False), (0.10, True)])
+    def test_what_lies_near_a_change_is_left_out(self, apart: float, kept: bool) -> None:
+        near = dataclasses.replace(channel(RAW).take(slice(1)), t=np.array([5.0 + apart]))
+        out = undo(recording(near, parameters=AP_BASE, later=(self.CHANGE,)))
+        assert bool(out.find(Sensor.ACCEL)) == kept
+        assert not out.events
 
     def test_a_change_elsewhere_leaves_a_sensor_alone(self) -> None:
         out = undo(recording(channel(RAW, Sensor.GYRO), parameters=AP_BASE, later=(self.CHANGE,)))
