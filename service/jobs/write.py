@@ -104,8 +104,7 @@ class Writing:
             return setting.result().value
         finally:
             forget()
-            foreign.cancel()
-            if not setting.done():
+            if not setting.cancelling():  # a second time would cut short how it gives up
                 setting.cancel()
             await asyncio.wait({setting})
             if not setting.cancelled():

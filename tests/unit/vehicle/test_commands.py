@@ -131,6 +131,18 @@ async def both(fake: FakeVehicle) -> list[BaseException | None]:
         (245, (1, 2, 0, 0, 0, 0, 0)),
         (246, (3, 0, 0, 0, 0, 0, 0)),
         (246, (1, 0, 0, 0, 0, 20190226, 0)),
+        (246, (1, 1, 0, 0, 0, 0, 0)),
+        (245, (1, 1, 0, 0, 0, 0, 0)),
+        (400, (0, 1, 0, 0, 0, 0, 0)),
+        (241, (0, 0, 0, 1, 0, 0, 0)),
+        (241, (0, 0, 0, 0, 0, 0, 1)),
+        (241, (0, 1, 0, 0, 2, 0, 0)),
+        (241, (0, 2, 0, 0, 0, 0, 0)),
+        (241, (0, 0, 0, 0, 3, 0, 0)),
+        (241, (2, 0, 0, 0, 0, 0, 0)),
+        (241, (0, 77, 0, 0, 0, 0, 0)),
+        (241, (0, 0, 0, 0, 5, 0, 0)),
+        (241, (0, 0, 0, 0, 77, 0, 0)),
         (400, (1, 0, 0, 0, 0, 0, 0)),
         (400, (0, 21196, 0, 0, 0, 0, 0)),
         (209, (1, 0, 50, 1, 0, 0, 0)),  # motor test
@@ -155,6 +167,12 @@ async def test_the_dangerous_ones_are_never_sent(
         (241, (0, 76, 0, 0, 0, 0, 0)),
         (241, (0, 0, 0, 0, 76, 0, 0)),
         (241, (0, 0, 0, 0, 2, 0, 0)),
+        (241, (0, 0, 0, 0, 0, 0, 0)),
+        (241, (0, 1, 0, 0, 0, 0, 0)),
+        (241, (0, 0, 0, 0, 1, 0, 0)),
+        (241, (0, 0, 0, 0, 4, 0, 0)),
+        *((harmless, (3, 3, 3, 3, 3, 3, 3)) for harmless in (401, 510, 511, 512, 519, 520, 2510, 2511)),
+        *((harmless, (3, 3, 3, 3, 3, 3, 3)) for harmless in (42424, 42425, 42426)),
         (245, (1, 0, 0, 0, 0, 0, 0)),
         (246, (1, 0, 0, 0, 0, 0, 0)),
         (400, (0, 0, 0, 0, 0, 0, 0)),
@@ -180,3 +198,20 @@ async def test_a_command_that_began_and_never_ended_says_so(ardupilot: FakeVehic
     with pytest.raises(CommandTimeout, match="it began, but its end was not heard"):
         await ardupilot.run(command(ardupilot.vehicle, 241, (1,), timeout=2.0))
     assert len(sent(ardupilot, 241)) == 1
+
+
+@pytest.mark.parametrize(
+    ("system", "component", "ours"),
+    [(0, 0, True), (253, 0, True), (0, 190, True), (253, 190, True), (1, 190, False), (253, 1, False)],
+)
+async def test_an_acknowledgement_is_ours_by_its_ids_or_for_everybody(
+    ardupilot: FakeVehicle, system: int, component: int, *, ours: bool
+) -> None:
+    said = ack(401, 0)
+    said.target_system, said.target_component = system, component
+    ardupilot.link.respond = lambda m: [said] if m.get_type() == "COMMAND_LONG" and m.command == 401 else []
+    if ours:
+        await ardupilot.run(command(ardupilot.vehicle, 401))
+    else:
+        with pytest.raises(CommandTimeout):
+            await ardupilot.run(command(ardupilot.vehicle, 401))
