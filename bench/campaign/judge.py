@@ -123,9 +123,10 @@ def _as_before(e: Evidence) -> list[str]:
     """Every value is the old one; a third party's stays, and is named if it lies on a parameter of the plan."""
     complaints = _beside(e, [c["name"] for c in e.changes])
     named = {s["name"] for s in e.job["standing"]}
+    untouched = e.job["state"] == "review" and not (e.job["last_write"] or {}).get("sent")
     for change in e.changes:
         name, held = change["name"], e.now.stored[change["name"]]
-        if equal(held, e.before.stored[name]):
+        if equal(held, e.before.stored[name]) or (untouched and _by_itself(e, name)):
             continue
         if name not in e.foreign or not equal(held, e.foreign[name]):
             complaints.append(f"{e.job['state']}, but {name} holds {held:.9g} instead of {e.before.stored[name]:.9g}")

@@ -21,7 +21,13 @@ CHANGES = [
 
 
 def evidence(state: str, now: dict[str, float], *, standing: Any = (), foreign: Any = None) -> Evidence:
-    job = {"state": state, "plan": {"changes": CHANGES}, "standing": list(standing), "outcome": None}
+    job = {
+        "state": state,
+        "plan": {"changes": CHANGES},
+        "standing": list(standing),
+        "outcome": None,
+        "last_write": None,
+    }
     return Evidence(job, Holding(OLD, OLD), Holding({**OLD, **now}, OLD), foreign or {})
 
 
@@ -63,12 +69,28 @@ class TestEnd:
         self, switch: str, name: str, by_itself: bool
     ) -> None:
         old = {**OLD, switch: float(by_itself), name: 0.01, name.replace("OFF", "ID"): 3.0}
-        job = {"state": "succeeded", "plan": {"changes": CHANGES}, "standing": [], "outcome": None}
+        job = {"state": "succeeded", "plan": {"changes": CHANGES}, "standing": [], "outcome": None, "last_write": None}
         now = {**old, **DONE, name: 0.03}
         ending, complaints = judge(Evidence(job, Holding(old, old), Holding(now, old), {}), ())
         assert (ending == Ending.VERIFIED) == by_itself, complaints
         worse = {**now, name.replace("OFF", "ID"): 4.0}
         assert judge(Evidence(job, Holding(old, old), Holding(worse, old), {}), ())[0] == Ending.FAILURE
+
+    @pytest.mark.parametrize(("sent", "state"), [(0, "review"), (1, "review"), (0, "reverted")])
+    def test_a_planned_gyro_offset_may_move_by_itself_while_nothing_is_sent(self, sent: int, state: str) -> None:
+        name = "CAL_GYRO1_XOFF"
+        old = {**OLD, "IMU_GYRO_CAL_EN": 1.0, name: 0.01}
+        changes = [{"name": name, "old": 0.01, "new": 0.02, "session": False}]
+        job = {
+            "state": state,
+            "plan": {"changes": changes},
+            "standing": [],
+            "outcome": None,
+            "last_write": {"sent": sent},
+        }
+        now = Holding({**old, name: 0.03}, old)
+        ending, _ = judge(Evidence(job, Holding(old, old), now, {}), ())
+        assert (ending == Ending.AS_BEFORE) == (not sent and state == "review")
 
     @pytest.mark.parametrize("state", ["reverted", "review", "interrupted"])
     def test_as_before(self, state: str) -> None:
