@@ -28,6 +28,7 @@ SPEC = ProcedureSpec(
     kind="gyro",
     title="Gyro offset at rest",
     sensors=(Sensor.GYRO, Sensor.ACCEL),
+    aiding=(Sensor.ACCEL,),
     helpful=(Sensor.TEMPERATURE, Sensor.MAG),
     options=(
         Option("uncertainty", 0.01, "standard deviation to reach on every axis of every gyro", "deg/s", 0.001, 1.0),

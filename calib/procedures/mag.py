@@ -31,6 +31,7 @@ SPEC = ProcedureSpec(
     kind="mag",
     title="Compass hard and soft iron by turning the vehicle",
     sensors=(Sensor.MAG, Sensor.GYRO, Sensor.ACCEL),
+    aiding=(Sensor.GYRO, Sensor.ACCEL),
     helpful=(),
     options=(
         Option("uncertainty", 0.3, "standard deviation of the heading to reach with every compass", "deg", 0.02, 5.0),

@@ -38,6 +38,7 @@ SPEC = ProcedureSpec(
     kind="mag-rings",
     title="Compass hard and soft iron and mounting from six turns about the vertical",
     sensors=(Sensor.MAG, Sensor.GYRO, Sensor.ACCEL),
+    aiding=(Sensor.GYRO, Sensor.ACCEL),
     helpful=(),
     options=(
         Option("uncertainty", 0.5, "standard deviation of the heading to reach with every compass", "deg", 0.05, 10.0),

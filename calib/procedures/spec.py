@@ -68,7 +68,8 @@ class ProcedureSpec:
     """A procedure as a row of the table that operators and programs read.
 
     `sensors` must stream, `helpful` are used where they stream. `still_only` of them tell rest from motion and nothing
-    else, so their calibration may change meanwhile. `duration_s` is the typical length with the default options, in
+    else, so their calibration may change meanwhile. `aiding` of them are in the result and are not calibrated
+    themselves. `duration_s` is the typical length with the default options, in
     seconds of the vehicle's clock.
     """
 
@@ -83,11 +84,17 @@ class ProcedureSpec:
     duration_s: float
     aliases: tuple[str, ...] = dataclasses.field(default=())
     still_only: tuple[Sensor, ...] = ()
+    aiding: tuple[Sensor, ...] = ()
 
     @property
     def measured(self) -> frozenset[Sensor]:
         """The sensors whose readings are in the result."""
         return frozenset(self.sensors) - frozenset(self.still_only)
+
+    @property
+    def calibrated(self) -> frozenset[Sensor]:
+        """The sensors that the result is about."""
+        return self.measured - frozenset(self.aiding)
 
     def validated(self, options: Mapping[str, Any]) -> Options:
         """Every option of this procedure, defaults filled in.

@@ -37,6 +37,7 @@ SPEC = ProcedureSpec(
     kind="gyro-thread",
     title="Gyro scale and offset from whole turns on a thread",
     sensors=(Sensor.GYRO, Sensor.ACCEL),
+    aiding=(Sensor.ACCEL,),
     helpful=(Sensor.MAG, Sensor.TEMPERATURE),
     options=(
         Option("turns", 10.0, "whole turns to make each way, from rest to rest", "", 1.0, 200.0),

@@ -33,6 +33,7 @@ SPEC = ProcedureSpec(
     kind="gyro-turntable",
     title="Gyro scale, cross axes and offset on a turntable",
     sensors=(Sensor.GYRO, Sensor.ACCEL),
+    aiding=(Sensor.ACCEL,),
     helpful=(Sensor.TEMPERATURE,),
     options=(
         Option("rate", 0.0, "true rate of the turntable; 0: the operator is asked", "deg/s", 0.0, 1000.0),

@@ -14,9 +14,12 @@ if TYPE_CHECKING:
     from service.core import Service
     from service.jobs.model import Job
     from service.jobs.recovery import Unfinished
+    from service.link import Link
     from service.store.rows import EventRow
     from service.vehicle import Vehicle
 
+QUIET_S = 3.0
+"""A vehicle that is not heard by then is said to be waited for."""
 DOUBT_S = 120.0
 """How long a job in doubt is waited for; the next run on this data directory goes on with it."""
 TIDY_S = 30.0
@@ -25,11 +28,15 @@ HURRY_S = 5.0
 """The same for a run that was told to stop."""
 
 
-async def heard(service: Service, url: str, wait: float) -> Vehicle:
-    """The vehicle at the other end of this link, and of no other that the data directory remembers."""
+async def heard(service: Service, url: str, wait: float, screen: Screen) -> Vehicle:
+    """The vehicle at the other end of this link, and of no other that the data directory remembers.
+
+    Raises VehicleSilent if none is heard within `wait` seconds; meanwhile `screen` says what is waited for.
+    """
     from service.errors import VehicleSilent
 
     link = await service.links.open(url, remember=False, trusted=True)
+    telling = asyncio.create_task(_tell_wait(link, url, wait, screen))
     try:
         async with asyncio.timeout(wait):
             return await service.vehicles.wait_for_vehicle(link)
@@ -38,6 +45,19 @@ async def heard(service: Service, url: str, wait: float) -> Vehicle:
         raise VehicleSilent(
             f"no vehicle was heard on {url} within {wait:g} s{said}: check its power and the link"
         ) from None
+    finally:
+        telling.cancel()
+
+
+async def _tell_wait(link: Link, url: str, wait: float, screen: Screen) -> None:
+    """Say that a vehicle is waited for, once for every reason."""
+    told: set[str] = set()
+    while True:
+        await asyncio.sleep(QUIET_S)
+        if link.reason not in told:
+            told.add(link.reason)
+            why = f" ({link.reason})" if link.reason else ""
+            screen.line(f"waiting up to {wait:g} s for a vehicle on {url}{why}")
 
 
 async def follow(service: Service, job_id: str, screen: Screen, after: int = 0, *, doubt_s: float = DOUBT_S) -> Job:

@@ -61,7 +61,7 @@ async def _recovered(settings: Any, wait: float, screen: Screen, as_json: bool) 
     async with running_service(settings) as service:
         left = earlier(service)
         try:
-            vehicle = await heard(service, settings.connect[0], wait)
+            vehicle = await heard(service, settings.connect[0], wait, screen)
         except VehicleSilent:
             for found in left.found:
                 for sentence in ending(found):

@@ -60,7 +60,7 @@ async def _job(settings: Settings, begin: Begin, wish: Wish, screen: Screen) -> 
         try:
             async with running_service(settings) as service:
                 left = earlier(service)
-                vehicle = await heard(service, settings.connect[0], wish.wait_s)
+                vehicle = await heard(service, settings.connect[0], wish.wait_s, screen)
                 screen.line(f"{vehicle.identity.autopilot} {vehicle.identity.version_text} as {vehicle.id}")
                 resolved = await recovered(service, vehicle, left, screen)
                 _require_resolved(resolved)

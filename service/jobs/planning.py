@@ -54,12 +54,10 @@ def checked_plan_options(options: Mapping[str, Any], results: Sequence[FitResult
 
 def require_sensors_of(spec: ProcedureSpec, options: Mapping[str, Any]) -> None:
     """Raise InvalidInputError if a plan is asked for sensors that this kind of job does not calibrate."""
-    wrong = [key_text(*key) for key in compose_options(options).only if key[0] not in spec.sensors]
+    wrong = [key_text(*key) for key in compose_options(options).only if key[0] not in spec.calibrated]
     if wrong:
-        kinds = ", ".join(f"{sensor}0" for sensor in CALIBRATED if sensor in spec.sensors)
-        raise InvalidInputError(
-            f"{spec.kind} does not calibrate {', '.join(wrong)}; it could plan for {kinds} and so on"
-        )
+        kinds = ", ".join(f"{sensor}0, {sensor}1 ..." for sensor in CALIBRATED if sensor in spec.calibrated)
+        raise InvalidInputError(f"{spec.kind} does not calibrate {', '.join(wrong)}, but {kinds}")
 
 
 def confirmed(options: Mapping[str, Any]) -> list[str]:

@@ -246,6 +246,20 @@ def test_a_vehicle_that_is_not_there_is_1(cli):
 # --- fits
 
 
+@pytest.mark.parametrize("command", ["recover", "calibrate gyro"])
+def test_a_vehicle_that_is_waited_for_is_said_with_the_reason(cli, command, monkeypatch):
+    """A person who looks at a silent terminal cannot tell a wrong port from a slow radio."""
+    monkeypatch.setattr("service.commands.headless.QUIET_S", 0.05)
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))  # nobody listens there
+        url = f"tcp:127.0.0.1:{listener.getsockname()[1]}"
+        code, _, err = cli(*command.split(), "--connect", url, "--wait", "1.5", "--data-dir", "data")
+    assert code == 1
+    waiting = [line for line in err.splitlines() if line.startswith(f"waiting up to 1.5 s for a vehicle on {url} (")]
+    assert any("refused" in line for line in waiting), err
+    assert len(waiting) == len(set(waiting))
+
+
 def test_a_fit_tells_its_model_its_uncertainty_and_its_doubts(cli, files):
     code, document, _ = cli("fit", "mag-ellipsoid", "good.csv", "--json")
     assert code == 0

@@ -9,8 +9,9 @@ import pytest
 from calib.errors import InvalidInputError
 from calib.firmware.origin import Origin
 from calib.firmware.plan import Agreement, Change, Fingerprint, ParameterKind, WritePlan
+from calib.firmware.slots import CALIBRATED
 from calib.fit import FitResult, FitStatus
-from calib.procedures.registry import specification
+from calib.procedures.registry import PROCEDURES, specification
 from calib.recording import Identity, Sensor
 from calib.triad import TriadModel
 from service.errors import CaptureEnded, OtherVehicle
@@ -88,6 +89,18 @@ def test_a_kind_of_job_plans_only_for_what_it_calibrates() -> None:
     require_sensors_of(specification("gyro"), {})
     with pytest.raises(InvalidInputError, match=r"does not calibrate mag0, mag1"):
         require_sensors_of(specification("gyro"), {"only": ["gyro0", "mag0", "mag1"]})
+    with pytest.raises(InvalidInputError, match=r"^mag-rings does not calibrate accel0, but mag0, mag1 \.\.\.$"):
+        require_sensors_of(specification("mag-rings"), {"only": ["accel0"]})
+
+
+@pytest.mark.parametrize("kind", PROCEDURES)
+def test_what_a_job_calibrates_is_what_its_fits_are_of(kind: str) -> None:
+    mag = {"mag", "mag-rings"}
+    gyro = {"gyro", "gyro-thread", "gyro-turntable", "thermal", "imu-multi"}
+    accel = {"accel", "accel-one-axis", "accel-six-face", "level", "thermal", "imu-multi"}
+    expected = {Sensor.MAG: mag, Sensor.GYRO: gyro, Sensor.ACCEL: accel}
+    calibrated = specification(kind).calibrated & set(CALIBRATED)
+    assert calibrated == {sensor for sensor, kinds in expected.items() if kind in kinds}
 
 
 def test_what_was_confirmed_is_listed_by_name() -> None:
