@@ -1,3 +1,3 @@
 """What mavcal costs and reaches, measured: every figure beside its target or its peer, in one run."""
 
-import service  # noqa: F401  # sets how many threads BLAS has, before numpy is loaded
+import mavcal.service  # noqa: F401  # sets how many threads BLAS has, before numpy is loaded

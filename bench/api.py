@@ -15,8 +15,8 @@ from bench.memory import begin_capture
 from bench.rows import Row, Section, milliseconds, percentile
 from bench.running import RunningService, service
 from bench.sender import MARKER, Spec, started
-from service.client import ServiceClient
-from service.simvehicle.client import SimulatedVehicle, free_udp_port
+from mavcal.service.client import ServiceClient
+from mavcal.service.simvehicle.client import SimulatedVehicle, free_udp_port
 
 RATE = 20_000.0
 SECONDS = 20.0

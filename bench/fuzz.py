@@ -27,11 +27,11 @@ from typing import Any
 
 import numpy as np
 
-from calib import logs
-from calib.errors import CalibError
-from calib.flight.report import overview
-from calib.inspection import inspect
-from calib.report import plain
+from mavcal.calib import logs
+from mavcal.calib.errors import CalibError
+from mavcal.calib.flight.report import overview
+from mavcal.calib.inspection import inspect
+from mavcal.calib.report import plain
 
 CPU_S = 5.0
 """Most processor time for one file."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from bench.gap_picture import CLEAN, REAL, recorded
 from bench.rows import Row, Section
-from calib import gap
+from mavcal.calib import gap
 
 SEED = 20261122
 

@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
-from calib import gap
-from calib.gap.schema import GapReport
-from calib.gap_report import gap_to_html
-from calib.recording import Channel, Recording, Sensor, Stage
-from calib.simulate import (
+from mavcal.calib import gap
+from mavcal.calib.gap.schema import GapReport
+from mavcal.calib.gap_report import gap_to_html
+from mavcal.calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib.simulate import (
     MotionOptions,
     SensorErrors,
     SensorSuite,

@@ -17,7 +17,7 @@ from pathlib import Path
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from bench.running import service
-from calib import wire
+from mavcal.calib import wire
 
 COUNT = 1_000_000
 KINDS = 4000

@@ -13,11 +13,11 @@ from pathlib import Path
 
 from bench.rows import Row, Section, milliseconds
 from bench.running import RunningService, service
-from calib.wire import RawMessage, encode
-from service.client import ApiError
-from service.link import Batch, Link
-from service.simvehicle.client import SimulatedVehicle
-from service.simvehicle.operator import Operator
+from mavcal.calib.wire import RawMessage, encode
+from mavcal.service.client import ApiError
+from mavcal.service.link import Batch, Link
+from mavcal.service.simvehicle.client import SimulatedVehicle
+from mavcal.service.simvehicle.operator import Operator
 
 SPEEDS = (1.0, 30.0)
 WRITING_SPEED = 4.0

@@ -16,9 +16,9 @@ from pymavlink import DFReader
 
 from bench import dataflash as made
 from bench.rows import Row, Section
-from calib.logs import read
-from calib.logs.dataflash import DataFlash, TextLog
-from calib.recording import Recording
+from mavcal.calib.logs import read
+from mavcal.calib.logs.dataflash import DataFlash, TextLog
+from mavcal.calib.recording import Recording
 
 SIZE = 250_000_000
 DAMAGED_S = 500.0

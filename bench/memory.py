@@ -13,8 +13,8 @@ import numpy as np
 from bench.rows import Row, Section
 from bench.running import RunningService, service
 from bench.sender import MARKER, Spec, started
-from service.client import ServiceClient
-from service.simvehicle.client import SimulatedVehicle, free_udp_port
+from mavcal.service.client import ServiceClient
+from mavcal.service.simvehicle.client import SimulatedVehicle, free_udp_port
 
 SPEED = 30.0
 HOUR_S = 3600.0

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.sender import COMPONENT, MARKER, RAW_IMU, SYSTEM, Spec, numbers_of, started
-from service.link import Batch, Link
+from mavcal.service.link import Batch, Link
 
 _PATIENCE_S = 4.0
 """Without a new frame for so long after the sender has ended, the rest is lost."""

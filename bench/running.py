@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from service.client import ServiceClient
-from service.lifetime import ending_with_us
+from mavcal.service.client import ServiceClient
+from mavcal.service.lifetime import ending_with_us
 
 _START_S = 60.0
 _FOUND_S = 60.0
@@ -79,7 +79,7 @@ def service(connect: str, data_dir: Path) -> Iterator[RunningService]:
     RuntimeError
         If it does not come up.
     """
-    command = [sys.executable, "-m", "service", "serve", "--json", "--port", "0"]
+    command = [sys.executable, "-m", "mavcal", "serve", "--json", "--port", "0"]
     command += ["--connect", connect, "--data-dir", str(data_dir)]
     root = Path(__file__).resolve().parents[1]
     log_path = data_dir.with_suffix(".log")

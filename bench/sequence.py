@@ -19,11 +19,11 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from bench.campaign.session import Session, session
-from calib.firmware.plan import SensorVerdict, Verdict, Verification
-from service.jobs.model import Failure, Job
-from service.jobs.states import ENDED, JobState
-from service.simvehicle.client import SimulatedVehicle
-from service.simvehicle.operator import Operator
+from mavcal.calib.firmware.plan import SensorVerdict, Verdict, Verification
+from mavcal.service.jobs.model import Failure, Job
+from mavcal.service.jobs.states import ENDED, JobState
+from mavcal.service.simvehicle.client import SimulatedVehicle
+from mavcal.service.simvehicle.operator import Operator
 
 Json = dict[str, Any]
 

@@ -17,12 +17,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from service.core import Service, running_service
-from service.jobs.model import Accept, Job
-from service.jobs.states import ENDED, JobState
-from service.settings import Settings
-from service.simvehicle.client import SimulatedVehicle
-from service.store.rows import EventRow, SnapshotPurpose
+from mavcal.service.core import Service, running_service
+from mavcal.service.jobs.model import Accept, Job
+from mavcal.service.jobs.states import ENDED, JobState
+from mavcal.service.settings import Settings
+from mavcal.service.simvehicle.client import SimulatedVehicle
+from mavcal.service.store.rows import EventRow, SnapshotPurpose
 
 LIMIT_S = 60.0
 GIVE_UP_S = 900.0

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
-from calib import STANDARD_GRAVITY
-from calib.attitude import tilt_sd_deg
-from calib.errors import InvalidInputError
-from calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
-from calib.norm_fit import (
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.attitude import tilt_sd_deg
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
+from mavcal.calib.norm_fit import (
     NEUTRAL,
     PAIRS,
     UNDETERMINED,
@@ -31,12 +31,12 @@ from calib.norm_fit import (
     with_neutral,
     without_crosses,
 )
-from calib.quantisation import mean_of
-from calib.recording import Channel, Sensor
-from calib.residuals import residual_statistics
-from calib.stillness import PoseMean
-from calib.triad import TriadModel
-from calib.windows import finite_rows
+from mavcal.calib.quantisation import mean_of
+from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.residuals import residual_statistics
+from mavcal.calib.stillness import PoseMean
+from mavcal.calib.triad import TriadModel
+from mavcal.calib.windows import finite_rows
 
 Array = NDArray[np.float64]
 

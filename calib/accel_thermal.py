@@ -24,17 +24,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from calib import STANDARD_GRAVITY
-from calib.attitude import tilt_sd_deg
-from calib.drift import powers_about
-from calib.errors import InvalidInputError
-from calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
-from calib.norm_fit import PAIRS
-from calib.recording import Channel, Sensor
-from calib.residuals import residual_statistics
-from calib.stillness import Still, pose_means
-from calib.triad import ThermalPolynomial, TriadModel
-from calib.warm_fit import (
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.attitude import tilt_sd_deg
+from mavcal.calib.drift import powers_about
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
+from mavcal.calib.norm_fit import PAIRS
+from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.residuals import residual_statistics
+from mavcal.calib.stillness import Still, pose_means
+from mavcal.calib.triad import ThermalPolynomial, TriadModel
+from mavcal.calib.warm_fit import (
     Solved,
     WarmPose,
     WarmProblem,
@@ -46,7 +46,7 @@ from calib.warm_fit import (
     within_information,
     within_poses,
 )
-from calib.windows import finite_rows
+from mavcal.calib.windows import finite_rows
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from calib.errors import InvalidInputError
+from mavcal.calib.errors import InvalidInputError
 
 Array = NDArray[np.float64]
 

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import STANDARD_GRAVITY
-from calib.allan import FLICKER, MISFIT, TERMS, AllanTable, NoiseFit, fit_noise, octaves, overlapping_deviation
-from calib.errors import InvalidInputError
-from calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
-from calib.recording import Channel, Sensor
-from calib.residuals import residual_statistics
-from calib.triad import TriadModel
-from calib.windows import finite_rows
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.allan import FLICKER, MISFIT, TERMS, AllanTable, NoiseFit, fit_noise, octaves, overlapping_deviation
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
+from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.residuals import residual_statistics
+from mavcal.calib.triad import TriadModel
+from mavcal.calib.windows import finite_rows
 
 Array = NDArray[np.float64]
 

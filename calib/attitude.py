@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.triad import TriadModel
+from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import re
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.errors import InvalidInputError
+from mavcal.calib.errors import InvalidInputError
 
 Array = NDArray[np.float64]
 

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from calib.quantisation import COARSE, QuantisedMean, half_widths, mean_of
-from calib.recording import Channel
+from mavcal.calib.quantisation import COARSE, QuantisedMean, half_widths, mean_of
+from mavcal.calib.recording import Channel
 
 Array = NDArray[np.float64]
 

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.errors import InvalidInputError
-from calib.triad import TriadModel
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 

@@ -20,15 +20,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.c_array import c_array, homogeneous
-from calib.conventions import accelcal_from_model, imu_tk_from_model, kalibr_from_model, magcal_from_model
-from calib.errors import InvalidInputError
-from calib.firmware import ardupilot, names, px4
-from calib.firmware.losses import rotation_angle
-from calib.firmware.names import Role
-from calib.fit import FitResult, FitStatus
-from calib.recording import Sensor
-from calib.triad import TriadModel
+from mavcal.calib.c_array import c_array, homogeneous
+from mavcal.calib.conventions import accelcal_from_model, imu_tk_from_model, kalibr_from_model, magcal_from_model
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.firmware import ardupilot, names, px4
+from mavcal.calib.firmware.losses import rotation_angle
+from mavcal.calib.firmware.names import Role
+from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 

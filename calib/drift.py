@@ -14,12 +14,12 @@ import numpy as np
 from numpy.polynomial import polynomial as power
 from numpy.typing import NDArray
 
-from calib.errors import InvalidInputError
-from calib.fit import AXES
-from calib.noise import ColouredCovariance, coloured_covariance
-from calib.quantisation import half_widths
-from calib.recording import Channel
-from calib.triad import ThermalPolynomial, TriadModel
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import AXES
+from mavcal.calib.noise import ColouredCovariance, coloured_covariance
+from mavcal.calib.quantisation import half_widths
+from mavcal.calib.recording import Channel
+from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
 Array = NDArray[np.float64]
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.drift import Bins, DriftData
-from calib.errors import InvalidInputError
-from calib.quantisation import COARSE, half_widths
-from calib.recording import Channel
+from mavcal.calib.drift import Bins, DriftData
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.quantisation import COARSE, half_widths
+from mavcal.calib.recording import Channel
 
 Array = NDArray[np.float64]
 

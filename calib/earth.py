@@ -17,7 +17,7 @@ from pygeomag.wmm.wmm_2015v2 import WMM_2015v2
 from pygeomag.wmm.wmm_2020 import WMM_2020
 from pygeomag.wmm.wmm_2025 import WMM_2025
 
-from calib.errors import InvalidInputError
+from mavcal.calib.errors import InvalidInputError
 
 Array = NDArray[np.float64]
 

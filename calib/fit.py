@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import InvalidInputError
-from calib.recording import Sensor
-from calib.triad import TriadModel
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 
 Array = NDArray[np.float64]
 

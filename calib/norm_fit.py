@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.geometry import sphere_of
-from calib.stillness import PoseMean
-from calib.triad import TriadModel
+from mavcal.calib.geometry import sphere_of
+from mavcal.calib.stillness import PoseMean
+from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 

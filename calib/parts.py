@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.errors import InvalidInputError
-from calib.recording import Recording, Segment, join
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.recording import Recording, Segment, join
 
 PAUSE = 1.0
 """Seconds between two parts: what was recorded apart does not follow on."""

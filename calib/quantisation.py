@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr, ndtr, ndtri
 
-from calib.errors import InvalidInputError
-from calib.noise import long_run_variance
-from calib.recording import Channel, Rounding
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.noise import long_run_variance
+from mavcal.calib.recording import Channel, Rounding
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import InvalidInputError
+from mavcal.calib.errors import InvalidInputError
 
 Array = NDArray[np.float64]
 

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from calib.errors import InvalidInputError
-from calib.firmware.plan import (
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.firmware.plan import (
     AfterWrite,
     Agreement,
     Change,
@@ -33,10 +33,10 @@ from calib.firmware.plan import (
     Verification,
     WritePlan,
 )
-from calib.fit import FitResult, FitStatus
-from calib.procedures.protocol import Done, GaveUp, Number, Pose, Progress, Prompt, Step
-from calib.recording import Sensor
-from calib.triad import ThermalPolynomial, TriadModel
+from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.procedures.protocol import Done, GaveUp, Number, Pose, Progress, Prompt, Step
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
 Json = dict[str, Any]
 

@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.earth import EarthField
-from calib.errors import InvalidInputError
-from calib.fit import FitResult, FitStatus, parameter_names, refused
-from calib.quantisation import QuantisedMean, mean_of
-from calib.recording import Channel, Sensor
-from calib.residuals import residual_statistics
-from calib.triad import TriadModel
-from calib.windows import finite_rows
+from mavcal.calib.earth import EarthField
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitResult, FitStatus, parameter_names, refused
+from mavcal.calib.quantisation import QuantisedMean, mean_of
+from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.residuals import residual_statistics
+from mavcal.calib.triad import TriadModel
+from mavcal.calib.windows import finite_rows
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
-from calib.errors import InvalidInputError
-from calib.fit import FitResult, parameter_names
-from calib.triad import ThermalPolynomial, TriadModel
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitResult, parameter_names
+from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
 Array = NDArray[np.float64]
 

@@ -16,15 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2 as chi2_distribution
 
-from calib.attitude import tilt_sd_deg
-from calib.c_array import homogeneous
-from calib.conventions import accelcal_from_model
-from calib.errors import InvalidInputError
-from calib.faces import CONVENTIONS, Convention, Face, directions_of, recognised_gravity
-from calib.fit import FitResult, FitStatus, refused
-from calib.recording import Sensor
-from calib.residuals import residual_statistics
-from calib.triad import TriadModel
+from mavcal.calib.attitude import tilt_sd_deg
+from mavcal.calib.c_array import homogeneous
+from mavcal.calib.conventions import accelcal_from_model
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.faces import CONVENTIONS, Convention, Face, directions_of, recognised_gravity
+from mavcal.calib.fit import FitResult, FitStatus, refused
+from mavcal.calib.recording import Sensor
+from mavcal.calib.residuals import residual_statistics
+from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 

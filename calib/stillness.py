@@ -19,11 +19,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import InvalidInputError
-from calib.geometry import frame_along, sphere_of
-from calib.quantisation import QuantisedMean, mean_of
-from calib.recording import Channel, Recording, Sensor
-from calib.windows import Windows, finite_rows, row_of, window_statistics
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.geometry import frame_along, sphere_of
+from mavcal.calib.quantisation import QuantisedMean, mean_of
+from mavcal.calib.recording import Channel, Recording, Sensor
+from mavcal.calib.windows import Windows, finite_rows, row_of, window_statistics
 
 Array = NDArray[np.float64]
 
@@ -129,7 +129,7 @@ class StillnessDetector:
 
     Examples
     --------
-    >>> from calib.recording import Stage
+    >>> from mavcal.calib.recording import Stage
     >>> t = np.arange(0.0, 3.0, 0.02)
     >>> level = Channel(Sensor.ACCEL, 0, t, np.tile([0.0, 0.0, -9.8], (150, 1)), "m/s2", Stage.RAW, "example")
     >>> detector = StillnessDetector(HELD, gyro=False)

@@ -14,12 +14,12 @@ from numpy.polynomial import polynomial as power
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from calib.drift import DriftBlocks
-from calib.errors import InvalidInputError
-from calib.fit import FitResult, FitStatus
-from calib.noise import coloured_covariance
-from calib.recording import Channel
-from calib.windows import finite_rows
+from mavcal.calib.drift import DriftBlocks
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.noise import coloured_covariance
+from mavcal.calib.recording import Channel
+from mavcal.calib.windows import finite_rows
 
 Array = NDArray[np.float64]
 

@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.drift import Bins, DriftBlocks, DriftCurve, DriftData, powers_about, repeated_rows
-from calib.errors import InvalidInputError
-from calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
-from calib.noise import ColouredCovariance
-from calib.quantisation import COARSE, impute, interval_regression
-from calib.recording import Channel, Sensor
-from calib.sweeps import Die, Judgement, Lag, both_ways, cross_validated, hysteresis, rates, sweeps, thermal_lag
-from calib.thermal_report import (
+from mavcal.calib.drift import Bins, DriftBlocks, DriftCurve, DriftData, powers_about, repeated_rows
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
+from mavcal.calib.noise import ColouredCovariance
+from mavcal.calib.quantisation import COARSE, impute, interval_regression
+from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.sweeps import Die, Judgement, Lag, both_ways, cross_validated, hysteresis, rates, sweeps, thermal_lag
+from mavcal.calib.thermal_report import (
     attitude_quality,
     block_statistics,
     common_warnings,
@@ -31,7 +31,7 @@ from calib.thermal_report import (
     said_of,
     two_way_warnings,
 )
-from calib.triad import ThermalPolynomial, TriadModel
+from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
 Array = NDArray[np.float64]
 

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import STANDARD_GRAVITY
-from calib.drift import DriftBlocks, DriftCurve, DriftData
-from calib.fit import AXES
-from calib.noise import ColouredCovariance
-from calib.recording import Channel, Sensor
-from calib.residuals import residual_statistics
-from calib.sweeps import Lag
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.drift import DriftBlocks, DriftCurve, DriftData
+from mavcal.calib.fit import AXES
+from mavcal.calib.noise import ColouredCovariance
+from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.residuals import residual_statistics
+from mavcal.calib.sweeps import Lag
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.errors import InvalidInputError
+from mavcal.calib.errors import InvalidInputError
 
 Array = NDArray[np.float64]
 

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.geometry import sphere_of
-from calib.noise import long_run_variance
-from calib.norm_fit import PAIRS
-from calib.recording import Channel
-from calib.stillness import PoseMean, Still
+from mavcal.calib.geometry import sphere_of
+from mavcal.calib.noise import long_run_variance
+from mavcal.calib.norm_fit import PAIRS
+from mavcal.calib.recording import Channel
+from mavcal.calib.stillness import PoseMean, Still
 
 Array = NDArray[np.float64]
 

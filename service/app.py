@@ -11,14 +11,14 @@ from fastapi import FastAPI
 from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
 
-import calib
-from service.api import gaps, host, jobs, links, recordings, vehicles
-from service.api.document import document
-from service.api.middleware import Envelope
-from service.api.problems import install_problem_handlers
-from service.api.security import Guard, check_exposure
-from service.core import running_service
-from service.settings import Settings
+from mavcal import calib
+from mavcal.service.api import gaps, host, jobs, links, recordings, vehicles
+from mavcal.service.api.document import document
+from mavcal.service.api.middleware import Envelope
+from mavcal.service.api.problems import install_problem_handlers
+from mavcal.service.api.security import Guard, check_exposure
+from mavcal.service.core import running_service
+from mavcal.service.settings import Settings
 
 
 def create_app(settings: Settings) -> FastAPI:

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 
 import click
 
-import calib
-from calib.errors import CalibError
-from service.commands.output import EXIT_NO, EXIT_USAGE, wants_json, write_json
-from service.errors import JobError, LinkDown, ServiceError, VehicleError
-from service.lifetime import follow
+from mavcal import calib
+from mavcal.calib.errors import CalibError
+from mavcal.service.commands.output import EXIT_NO, EXIT_USAGE, wants_json, write_json
+from mavcal.service.errors import JobError, LinkDown, ServiceError, VehicleError
+from mavcal.service.lifetime import follow
 
 COMMANDS = {
     "demo": "Calibrate a simulated vehicle end to end and compare with its truth.",
@@ -47,7 +47,7 @@ class LazyGroup(click.Group):
         """The command of that name; None: there is none."""
         if cmd_name not in COMMANDS:
             return None
-        command = importlib.import_module(f"service.commands.{cmd_name}").command
+        command = importlib.import_module(f"mavcal.service.commands.{cmd_name}").command
         assert isinstance(command, click.Command)
         return command
 

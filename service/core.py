@@ -16,20 +16,20 @@ from prometheus_client import CollectorRegistry
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from service.children import Children, Limits
-from service.gaps import Gaps
-from service.jobs.crashpoints import CrashPoint, nowhere
-from service.jobs.engine import JobEngine
-from service.jobs.fleet import Fleet
-from service.jobs.model import Failure
-from service.jobs.salvage import CODE as UNREADABLE
-from service.link.allowed import Allowed
-from service.links import Links
-from service.recordings import Recordings
-from service.retention import Retention
-from service.settings import Settings
-from service.store import SqliteStore, Store
-from service.vehicle import VehicleRegistry
+from mavcal.service.children import Children, Limits
+from mavcal.service.gaps import Gaps
+from mavcal.service.jobs.crashpoints import CrashPoint, nowhere
+from mavcal.service.jobs.engine import JobEngine
+from mavcal.service.jobs.fleet import Fleet
+from mavcal.service.jobs.model import Failure
+from mavcal.service.jobs.salvage import CODE as UNREADABLE
+from mavcal.service.link.allowed import Allowed
+from mavcal.service.links import Links
+from mavcal.service.recordings import Recordings
+from mavcal.service.retention import Retention
+from mavcal.service.settings import Settings
+from mavcal.service.store import SqliteStore, Store
+from mavcal.service.vehicle import VehicleRegistry
 
 log = structlog.get_logger(__name__)
 

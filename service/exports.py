@@ -8,12 +8,12 @@ import io
 import json
 from collections.abc import Callable, Mapping
 
-from calib.firmware.export import to_param, to_params, to_parm
-from calib.firmware.plan import WritePlan
-from calib.firmware.values import shown
-from calib.report import fit_to_json, plan_to_json, verification_to_json
-from service.errors import ExportUnknown, PlanMissing
-from service.jobs.model import Job
+from mavcal.calib.firmware.export import to_param, to_params, to_parm
+from mavcal.calib.firmware.plan import WritePlan
+from mavcal.calib.firmware.values import shown
+from mavcal.calib.report import fit_to_json, plan_to_json, verification_to_json
+from mavcal.service.errors import ExportUnknown, PlanMissing
+from mavcal.service.jobs.model import Job
 
 MEDIA_TYPES: Mapping[str, str] = {
     "param": "text/plain",

@@ -15,11 +15,11 @@ from typing import Any
 
 import structlog
 
-from calib.errors import CalibError
-from service.children import DIAGNOSE, Children, Limits
-from service.errors import ChildEnded, GapsBusy, GapUnfinished, GapUnknown
-from service.recordings import Recordings
-from service.store.rows import RecordingRow
+from mavcal.calib.errors import CalibError
+from mavcal.service.children import DIAGNOSE, Children, Limits
+from mavcal.service.errors import ChildEnded, GapsBusy, GapUnfinished, GapUnknown
+from mavcal.service.recordings import Recordings
+from mavcal.service.store.rows import RecordingRow
 
 log = structlog.get_logger(__name__)
 

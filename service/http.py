@@ -13,7 +13,7 @@ import uvicorn
 from starlette.types import ASGIApp
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
-from service.settings import LimitSettings
+from mavcal.service.settings import LimitSettings
 
 
 class Waiting:

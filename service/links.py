@@ -8,12 +8,12 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from service.errors import EndpointError, LinkUnknown
-from service.link import Link, OwnIdentity, SigningConfig, parse_endpoint
-from service.link.allowed import Allowed
-from service.settings import MavlinkSettings
-from service.store.protocol import Store
-from service.store.rows import LinkRow
+from mavcal.service.errors import EndpointError, LinkUnknown
+from mavcal.service.link import Link, OwnIdentity, SigningConfig, parse_endpoint
+from mavcal.service.link.allowed import Allowed
+from mavcal.service.settings import MavlinkSettings
+from mavcal.service.store.protocol import Store
+from mavcal.service.store.rows import LinkRow
 
 LONGEST_URL = 1000
 LONGEST_PLAIN = 64

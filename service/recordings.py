@@ -13,16 +13,16 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path, PurePath
 from typing import Any
 
-from calib.errors import CalibError, FirmwareError, InvalidInputError
-from calib.firmware.origin import Origin
-from calib.fit import FitResult
-from calib.methods import METHODS
-from calib.report import fit_from_json, fit_to_json
-from service.children import FIT, INSPECT, Children, Limits
-from service.errors import DiskFull, RecordingUnknown, UploadError, UploadTooLarge
-from service.jobs.planning import origin_from_json
-from service.store.protocol import Store
-from service.store.rows import RecordingRow
+from mavcal.calib.errors import CalibError, FirmwareError, InvalidInputError
+from mavcal.calib.firmware.origin import Origin
+from mavcal.calib.fit import FitResult
+from mavcal.calib.methods import METHODS
+from mavcal.calib.report import fit_from_json, fit_to_json
+from mavcal.service.children import FIT, INSPECT, Children, Limits
+from mavcal.service.errors import DiskFull, RecordingUnknown, UploadError, UploadTooLarge
+from mavcal.service.jobs.planning import origin_from_json
+from mavcal.service.store.protocol import Store
+from mavcal.service.store.rows import RecordingRow
 
 Json = dict[str, Any]
 

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import structlog
 
-from service.settings import RetentionSettings
-from service.store.protocol import Store
-from service.store.rows import RecordingRow
+from mavcal.service.settings import RetentionSettings
+from mavcal.service.store.protocol import Store
+from mavcal.service.store.rows import RecordingRow
 
 log = structlog.get_logger(__name__)
 

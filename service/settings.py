@@ -17,7 +17,7 @@ from pydantic_settings import (
     TomlConfigSettingsSource,
 )
 
-from service.reach import DEFAULT, checked_entry
+from mavcal.service.reach import DEFAULT, checked_entry
 
 
 def default_data_dir() -> Path:

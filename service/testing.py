@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.firmware.plan import ParameterKind, Value
-from calib.recording import Identity
-from calib.wire import Frame
-from service.errors import CommandRefused, ParameterMissing, ParameterRejected, ParameterTimeout, VehicleUnknown
-from service.jobs.port import Condition, FramesCallback, JobVehicle, Reading, TlogPosition
+from mavcal.calib.firmware.plan import ParameterKind, Value
+from mavcal.calib.recording import Identity
+from mavcal.calib.wire import Frame
+from mavcal.service.errors import CommandRefused, ParameterMissing, ParameterRejected, ParameterTimeout, VehicleUnknown
+from mavcal.service.jobs.port import Condition, FramesCallback, JobVehicle, Reading, TlogPosition
 
 FINE = Condition(armed=False, silent=False, reboots=0, calibrating=False, obstacles=(), conflict=None)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-import service  # noqa: F401  before numpy is loaded: it keeps numpy to one thread
+import mavcal.service  # noqa: F401  before numpy is loaded: it keeps numpy to one thread
 from tests import processes
 from tests.patience import scaled
 

@@ -9,7 +9,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from service.lifetime import ENDS_WITH
+from mavcal.service.lifetime import ENDS_WITH
 from tests.patience import patience
 
 PROC = Path("/proc")

@@ -14,8 +14,8 @@ from bench.accuracy.campaign import Answer, Case, Contender, Drawn, best_of, run
 from bench.accuracy.settings import Settings
 from bench.accuracy.tables import Part, accuracy_part
 from bench.rows import Row, Section
-from calib.fit import FitStatus
-from calib.mag.align import Vertical, fit_alignment
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.mag.align import Vertical, fit_alignment
 
 Array = NDArray[np.float64]
 

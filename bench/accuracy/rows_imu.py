@@ -14,10 +14,10 @@ from bench.accuracy.campaign import Answer, Case, Contender, Drawn, best_of, run
 from bench.accuracy.settings import Settings
 from bench.accuracy.tables import Part, accuracy_part
 from bench.rows import Row, Section
-from calib import STANDARD_GRAVITY
-from calib.fit import FitResult, FitStatus
-from calib.imu import fit_imu
-from calib.recording import Channel, Rounding, Sensor, Stage
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.imu import fit_imu
+from mavcal.calib.recording import Channel, Rounding, Sensor, Stage
 
 Array = NDArray[np.float64]
 

@@ -13,8 +13,8 @@ from bench.accuracy.campaign import Answer, Case, Contender, Drawn, Tally, best_
 from bench.accuracy.settings import Settings
 from bench.accuracy.tables import Part, accuracy_part
 from bench.rows import Row, Section
-from calib.fit import FitResult, FitStatus
-from calib.mag import (
+from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.mag import (
     RunningEllipsoid,
     adjusted_least_squares,
     fit_ellipsoid,

@@ -13,11 +13,11 @@ from bench.accuracy.campaign import Answer, Case, Contender, Drawn, best_of, run
 from bench.accuracy.settings import Settings
 from bench.accuracy.tables import Part, accuracy_part
 from bench.rows import Row, Section
-from calib import STANDARD_GRAVITY
-from calib.drift import DriftBlocks
-from calib.fit import FitStatus
-from calib.recording import Channel, Rounding, Sensor, Stage
-from calib.thermal import fit_polynomial
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.drift import DriftBlocks
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.recording import Channel, Rounding, Sensor, Stage
+from mavcal.calib.thermal import fit_polynomial
 
 Array = NDArray[np.float64]
 

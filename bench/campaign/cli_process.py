@@ -12,9 +12,9 @@ import sys
 from collections.abc import Sequence
 from functools import partial
 
-import service.core
-from service.cli import main
-from service.jobs.crashpoints import At, CrashPoint
+import mavcal.service.core
+from mavcal.service.cli import main
+from mavcal.service.jobs.crashpoints import At, CrashPoint
 
 
 def killer(point: At, occurrence: int) -> CrashPoint:
@@ -33,8 +33,8 @@ def killer(point: At, occurrence: int) -> CrashPoint:
 def run(arguments: Sequence[str]) -> None:
     """Run the command line under a killer."""
     point, occurrence, *rest = arguments
-    running = partial(service.core.running_service, reach=killer(At(point), int(occurrence)))
-    service.core.running_service = running  # type: ignore[assignment]
+    running = partial(mavcal.service.core.running_service, reach=killer(At(point), int(occurrence)))
+    mavcal.service.core.running_service = running  # type: ignore[assignment]
     main(rest)
 
 

@@ -21,11 +21,11 @@ from bench.campaign.kill_scene import SCENES
 from bench.campaign.report import KillReport
 from bench.campaign.scenario import OPTIONS, SPEED
 from bench.campaign.truth import Holding, holding, residuals
-from service.api.views import job_model
-from service.jobs.crashpoints import At
-from service.jobs.salvage import job_of
-from service.simvehicle.client import SimulatedVehicle
-from service.store import SqliteStore
+from mavcal.service.api.views import job_model
+from mavcal.service.jobs.crashpoints import At
+from mavcal.service.jobs.salvage import job_of
+from mavcal.service.simvehicle.client import SimulatedVehicle
+from mavcal.service.store import SqliteStore
 
 ROOT = Path(__file__).resolve().parents[2]
 LIMIT_S = 240.0
@@ -109,7 +109,7 @@ def _outcome(kill: CliKill) -> tuple[Ending, tuple[str, ...], str]:
         if died.returncode != -signal.SIGKILL:
             return Ending.FAILURE, (f"it was not killed: exit code {died.returncode}",), died.stderr[-500:]
         sim.call("clear_faults")
-        after = _ran(["-m", "service", *(["recover", *place] if kill.then == RECOVER else job)])
+        after = _ran(["-m", "mavcal", *(["recover", *place] if kill.then == RECOVER else job)])
         jobs = _jobs(Path(folder))
         complaints = [] if after.returncode == 0 else [f"{kill.then} ended with exit code {after.returncode}"]
         if "Traceback" in after.stderr:

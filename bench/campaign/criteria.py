@@ -10,7 +10,7 @@ from bench.campaign.judge import Ending
 from bench.campaign.kill_scene import REPEATS
 from bench.campaign.report import FaultReport, KillReport
 from bench.campaign.scenario import KINDS
-from service.jobs.journal import Step
+from mavcal.service.jobs.journal import Step
 
 LEAST_RUNS = 200
 LEAST_STRIKES = 15

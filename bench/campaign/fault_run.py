@@ -16,11 +16,11 @@ from bench.campaign.report import FaultReport, Pinned
 from bench.campaign.scenario import OPTIONS, STOPPING, WIRE, Phase, Scenario, Strike
 from bench.campaign.session import POLL_S, Session, session
 from bench.campaign.truth import Holding, holding, residuals
-from service.api.views import job_model
-from service.errors import ServiceError
-from service.jobs.model import Job
-from service.jobs.states import JobState
-from service.simvehicle.client import SimulatedVehicle
+from mavcal.service.api.views import job_model
+from mavcal.service.errors import ServiceError
+from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.states import JobState
+from mavcal.service.simvehicle.client import SimulatedVehicle
 
 Json = dict[str, Any]
 

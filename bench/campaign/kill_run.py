@@ -17,10 +17,10 @@ from bench.campaign.report import KillReport
 from bench.campaign.scenario import OPTIONS, SPEED
 from bench.campaign.service_process import ServiceProcess, journal, wait_for_step
 from bench.campaign.truth import Holding, holding, residuals
-from service.client import ApiError, ServiceClient
-from service.jobs.journal import Step
-from service.simvehicle.client import SimulatedVehicle
-from service.simvehicle.operator import Operator
+from mavcal.service.client import ApiError, ServiceClient
+from mavcal.service.jobs.journal import Step
+from mavcal.service.simvehicle.client import SimulatedVehicle
+from mavcal.service.simvehicle.operator import Operator
 
 Json = dict[str, Any]
 

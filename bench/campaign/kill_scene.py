@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from service.jobs.journal import Step
+from mavcal.service.jobs.journal import Step
 
 REPEATS = 3
 """Every step of the journal is struck at least so often."""

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
-from service.client import ServiceClient
-from service.lifetime import ending_with_us
+from mavcal.service.client import ServiceClient
+from mavcal.service.lifetime import ending_with_us
 
 START_S = 40.0
 POLL_S = 0.0001
@@ -31,7 +31,7 @@ class ServiceProcess:
     """
 
     def __init__(self, data_dir: Path, connect: str) -> None:
-        command = [sys.executable, "-m", "service", "serve", "--json", "--port", "0"]
+        command = [sys.executable, "-m", "mavcal", "serve", "--json", "--port", "0"]
         command += ["--connect", connect, "--data-dir", str(data_dir)]
         data_dir.mkdir(parents=True, exist_ok=True)
         self._log = (data_dir / "service.log").open("ab")

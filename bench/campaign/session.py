@@ -9,19 +9,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from calib.procedures.protocol import Prompt
-from calib.report import step_to_json
-from service.errors import ServiceError
-from service.jobs.engine import JobEngine
-from service.jobs.fleet import Fleet
-from service.jobs.model import Accept, Job
-from service.jobs.settings import JobSettings
-from service.jobs.states import JobState
-from service.link import Link
-from service.simvehicle.client import SimulatedVehicle
-from service.simvehicle.operator import Operator
-from service.store import SqliteStore
-from service.vehicle import Vehicle, VehicleRegistry
+from mavcal.calib.procedures.protocol import Prompt
+from mavcal.calib.report import step_to_json
+from mavcal.service.errors import ServiceError
+from mavcal.service.jobs.engine import JobEngine
+from mavcal.service.jobs.fleet import Fleet
+from mavcal.service.jobs.model import Accept, Job
+from mavcal.service.jobs.settings import JobSettings
+from mavcal.service.jobs.states import JobState
+from mavcal.service.link import Link
+from mavcal.service.simvehicle.client import SimulatedVehicle
+from mavcal.service.simvehicle.operator import Operator
+from mavcal.service.store import SqliteStore
+from mavcal.service.vehicle import Vehicle, VehicleRegistry
 
 POLL_S = 0.01
 FOUND_S = 30.0

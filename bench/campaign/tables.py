@@ -9,7 +9,7 @@ from bench.campaign.criteria import CLEAR_SD, Criterion, strikes, struck_steps
 from bench.campaign.judge import Ending
 from bench.campaign.report import FaultReport, KillReport
 from bench.campaign.scenario import KINDS
-from service.jobs.journal import Step
+from mavcal.service.jobs.journal import Step
 
 WORDS = {
     "loss": "frames lost",

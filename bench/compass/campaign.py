@@ -8,15 +8,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from bench.compass.scene import QUANTA, turned
-from calib.fit import FitResult, FitStatus
-from calib.mag.blur import rates_during
-from calib.mag.blur_fit import fit_ellipsoid_deblurred
-from calib.procedures.context import ProcedureContext
-from calib.procedures.mag import COMPASS_WINDOW
-from calib.procedures.protocol import Done
-from calib.procedures.replay import replay
-from calib.recording import Sensor
-from service.simvehicle.rotation import Array
+from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.mag.blur import rates_during
+from mavcal.calib.mag.blur_fit import fit_ellipsoid_deblurred
+from mavcal.calib.procedures.context import ProcedureContext
+from mavcal.calib.procedures.mag import COMPASS_WINDOW
+from mavcal.calib.procedures.protocol import Done
+from mavcal.calib.procedures.replay import replay
+from mavcal.calib.recording import Sensor
+from mavcal.service.simvehicle.rotation import Array
 
 WINDOW = COMPASS_WINDOW["ardupilot"]
 KINDS = ("offset", "DIA", "ODI")

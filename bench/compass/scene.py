@@ -12,15 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.earth import EarthField
-from calib.recording import Channel, Identity, Recording, Rounding, Sensor, Stage
-from service.simvehicle.ardupilot_sensors import compass_reader
-from service.simvehicle.config import VehicleConfig
-from service.simvehicle.corrections import truncated
-from service.simvehicle.magreader import MagReader
-from service.simvehicle.motion import FACES
-from service.simvehicle.rotation import Array
-from service.simvehicle.world import World
+from mavcal.calib.earth import EarthField
+from mavcal.calib.recording import Channel, Identity, Recording, Rounding, Sensor, Stage
+from mavcal.service.simvehicle.ardupilot_sensors import compass_reader
+from mavcal.service.simvehicle.config import VehicleConfig
+from mavcal.service.simvehicle.corrections import truncated
+from mavcal.service.simvehicle.magreader import MagReader
+from mavcal.service.simvehicle.motion import FACES
+from mavcal.service.simvehicle.rotation import Array
+from mavcal.service.simvehicle.world import World
 
 MESSAGES_HZ = 50.0
 LONGEST_LAG_S = 0.012

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bench.guide.notes import NOTES
-from calib.methods import METHODS
+from mavcal.calib.methods import METHODS
 
 _TEXT = """# Methods: which one when
 

@@ -9,10 +9,19 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bench.guide.svg import BLUE, GREEN, GREY, ORANGE, RED, Map, Plot, side_by_side
-from calib.fit import FitResult, FitStatus
-from calib.methods import METHODS
-from calib.recording import Recording, Sensor
-from calib.simulate import MotionOptions, SensorErrors, SensorSuite, Warming, along, motion_of, simulate, trajectory
+from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.methods import METHODS
+from mavcal.calib.recording import Recording, Sensor
+from mavcal.calib.simulate import (
+    MotionOptions,
+    SensorErrors,
+    SensorSuite,
+    Warming,
+    along,
+    motion_of,
+    simulate,
+    trajectory,
+)
 
 _RUNS = 8
 _IRON = 0.03  # soft iron of the tilted compass, and its prior

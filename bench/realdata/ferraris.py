@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.recording import Recording, Sensor
+from mavcal.calib.recording import Recording, Sensor
 
 GRAVITY = 9.81
 TURN = -360.0  # deg: clockwise seen along the axis that points up

@@ -7,8 +7,8 @@ import numpy as np
 from bench.realdata import recordings
 from bench.realdata.ferraris import GRAVITY, ferraris
 from bench.realdata.finding import Finding, compared, said, with_sd
-from calib.fit import FitResult
-from calib.methods import METHODS
+from mavcal.calib.fit import FitResult
+from mavcal.calib.methods import METHODS
 
 _CERTIFICATE = "the certificate's last digit, and its gravity"
 _PADUA = 9.81744  # m/s2, where imu_tk's recording was made

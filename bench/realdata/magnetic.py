@@ -6,8 +6,8 @@ import numpy as np
 
 from bench.realdata import recordings
 from bench.realdata.finding import Finding, compared
-from calib.fit import FitResult
-from calib.methods import METHODS
+from mavcal.calib.fit import FitResult
+from mavcal.calib.methods import METHODS
 
 _CENTRES = {  # published; found by orthogonal distance
     "filtered": ((6195.1, 252.1, 3477.5), (6194.2, 248.6, 3479.8)),

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.logs.tables import read_table
-from calib.recording import Channel, Recording, Segment, Sensor, Stage
+from mavcal.calib.logs.tables import read_table
+from mavcal.calib.recording import Channel, Recording, Segment, Sensor, Stage
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from calib.blind.cases import split
+from mavcal.calib.blind.cases import split
 
 SYNONYMS: Mapping[str, frozenset[str]] = {
     "temp_linear": frozenset({"temp_poly", "thermal_lag"}),

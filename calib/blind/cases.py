@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.blind import nuisance
-from calib.blind.effects import KNOWN, UNKNOWN
-from calib.blind.effects.kind import Kind
-from calib.blind.missions import ALL, MissionKind, Rng, World, make_mission
-from calib.blind.render import Columns, render
-from calib.blind.sensors import Effect, Suite, draw_suite
-from calib.blind.severity import draw_severity, net_severity, severity, with_severity
+from mavcal.calib.blind import nuisance
+from mavcal.calib.blind.effects import KNOWN, UNKNOWN
+from mavcal.calib.blind.effects.kind import Kind
+from mavcal.calib.blind.missions import ALL, MissionKind, Rng, World, make_mission
+from mavcal.calib.blind.render import Columns, render
+from mavcal.calib.blind.sensors import Effect, Suite, draw_suite
+from mavcal.calib.blind.severity import draw_severity, net_severity, severity, with_severity
 
 Array = NDArray[np.float64]
 

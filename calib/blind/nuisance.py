@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.blind.effects.place import reference_tilt
-from calib.blind.effects.thermal import lagged
-from calib.blind.missions import Rng, World
-from calib.blind.sensors import SENSORS, Effect, Order, Quality
+from mavcal.calib.blind.effects.place import reference_tilt
+from mavcal.calib.blind.effects.thermal import lagged
+from mavcal.calib.blind.missions import Rng, World
+from mavcal.calib.blind.sensors import SENSORS, Effect, Order, Quality
 
 Array = NDArray[np.float64]
 Columns = dict[str, Array]

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.blind.missions import Rng
-from calib.recording import Channel, Recording, Sensor
+from mavcal.calib.blind.missions import Rng
+from mavcal.calib.recording import Channel, Recording, Sensor
 
 Array = NDArray[np.float64]
 Inject = Callable[[Channel, float, Rng], Array]

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.blind.effects.place import ReferenceTilt
-from calib.blind.missions import OVERSAMPLING, Rng, World
-from calib.blind.sensors import SENSORS, Effect, Suite, mean_signal, read_sensor
-from calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib.blind.effects.place import ReferenceTilt
+from mavcal.calib.blind.missions import OVERSAMPLING, Rng, World
+from mavcal.calib.blind.sensors import SENSORS, Effect, Suite, mean_signal, read_sensor
+from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 
 Array = NDArray[np.float64]
 Columns = dict[str, Array]

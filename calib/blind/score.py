@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.blind.answers import Answer, covered, honest_without
-from calib.blind.cases import LADDER, Tier
-from calib.blind.intervals import brier_skill, calibration_error, detection_limit, resampled, wilson
-from calib.blind.nuisance import EXPECTED
+from mavcal.calib.blind.answers import Answer, covered, honest_without
+from mavcal.calib.blind.cases import LADDER, Tier
+from mavcal.calib.blind.intervals import brier_skill, calibration_error, detection_limit, resampled, wilson
+from mavcal.calib.blind.nuisance import EXPECTED
 
 Array = NDArray[np.float64]
 

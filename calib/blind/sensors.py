@@ -14,7 +14,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.blind.missions import OVERSAMPLING, Rng, World
+from mavcal.calib.blind.missions import OVERSAMPLING, Rng, World
 
 Array = NDArray[np.float64]
 SENSORS = ("accel", "gyro", "mag")

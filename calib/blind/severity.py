@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from calib.blind.missions import World
-from calib.blind.sensors import Effect, Suite, at_samples, mean_signal
+from mavcal.calib.blind.missions import World
+from mavcal.calib.blind.sensors import Effect, Suite, at_samples, mean_signal
 
 Array = NDArray[np.float64]
 

@@ -12,14 +12,14 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import FirmwareError
-from calib.firmware import ardupilot, px4
-from calib.firmware.names import CALIBRATION_PREFIXES, Role
-from calib.firmware.plan import Value
-from calib.firmware.streams import Assembler, requested_streams
-from calib.firmware.undo import Undo, calibration_changes, undo
-from calib.recording import Sensor
-from calib.triad import TriadModel
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware import ardupilot, px4
+from mavcal.calib.firmware.names import CALIBRATION_PREFIXES, Role
+from mavcal.calib.firmware.plan import Value
+from mavcal.calib.firmware.streams import Assembler, requested_streams
+from mavcal.calib.firmware.undo import Undo, calibration_changes, undo
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import TriadModel
 
 __all__ = [
     "CALIBRATION_PREFIXES",

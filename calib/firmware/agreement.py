@@ -16,16 +16,16 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
-from calib.errors import FirmwareError
-from calib.firmware import ardupilot, losses, px4
-from calib.firmware.draft import Draft, Rank, Subject
-from calib.firmware.fitted import InForce, Pair
-from calib.firmware.names import OFFSET, Role
-from calib.firmware.plan import Agreement, Value
-from calib.firmware.significance import Judged, agreed, within
-from calib.fit import FitResult
-from calib.recording import Sensor
-from calib.triad import ThermalPolynomial, TriadModel
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware import ardupilot, losses, px4
+from mavcal.calib.firmware.draft import Draft, Rank, Subject
+from mavcal.calib.firmware.fitted import InForce, Pair
+from mavcal.calib.firmware.names import OFFSET, Role
+from mavcal.calib.firmware.plan import Agreement, Value
+from mavcal.calib.firmware.significance import Judged, agreed, within
+from mavcal.calib.fit import FitResult
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
 Array = NDArray[np.float64]
 NEWS: Final = frozenset({Rank.ROTATION, Rank.ID})

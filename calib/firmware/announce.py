@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import STANDARD_GRAVITY
-from calib.firmware import losses
-from calib.firmware.draft import Draft, Subject
-from calib.fit import AXES, FitResult
-from calib.recording import Sensor
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.firmware import losses
+from mavcal.calib.firmware.draft import Draft, Subject
+from mavcal.calib.fit import AXES, FitResult
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

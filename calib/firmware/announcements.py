@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib.recording import Event, Identity
-from calib.wire import decode
+from mavcal.calib.recording import Event, Identity
+from mavcal.calib.wire import decode
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from calib.wire import Frame
+    from mavcal.calib.wire import Frame
 
 AUTOPILOTS: Final = {
     dialect.MAV_AUTOPILOT_ARDUPILOTMEGA: "ardupilot",

@@ -9,21 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib.errors import FirmwareError
-from calib.firmware import auxiliary
-from calib.firmware.announcements import Announcements
-from calib.firmware.clock import VehicleClock
-from calib.firmware.messages import INERTIAL
-from calib.firmware.names import ARDUPILOT_COMPASS_SLOTS, Role, ardupilot_compass_names
-from calib.firmware.payload import gather
-from calib.firmware.samples import MessageSamples
-from calib.recording import Event, Identity, ParameterEntry, ParameterTimeline, Recording
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware import auxiliary
+from mavcal.calib.firmware.announcements import Announcements
+from mavcal.calib.firmware.clock import VehicleClock
+from mavcal.calib.firmware.messages import INERTIAL
+from mavcal.calib.firmware.names import ARDUPILOT_COMPASS_SLOTS, Role, ardupilot_compass_names
+from mavcal.calib.firmware.payload import gather
+from mavcal.calib.firmware.samples import MessageSamples
+from mavcal.calib.recording import Event, Identity, ParameterEntry, ParameterTimeline, Recording
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from calib.firmware.plan import Value
-    from calib.wire import Frame
+    from mavcal.calib.firmware.plan import Value
+    from mavcal.calib.wire import Frame
 
 Array = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib.geometry import quaternion_from_euler
-from calib.recording import Channel, Sensor, Stage
+from mavcal.calib.geometry import quaternion_from_euler
+from mavcal.calib.recording import Channel, Sensor, Stage
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -10,16 +10,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.firmware.discrepancy import Capture, Undo, covariance, discrepancy, expected_of, true_magnitude
-from calib.firmware.draft import Subject
-from calib.firmware.evidence import Evidence, Reading
-from calib.firmware.fitted import Pair
-from calib.firmware.force import Force
-from calib.firmware.hypotheses import Hypothesis, Judgement, judge
-from calib.firmware.known_drift import known_drift
-from calib.fit import FitResult
-from calib.recording import Sensor
-from calib.triad import ThermalPolynomial, TriadModel
+from mavcal.calib.firmware.discrepancy import Capture, Undo, covariance, discrepancy, expected_of, true_magnitude
+from mavcal.calib.firmware.draft import Subject
+from mavcal.calib.firmware.evidence import Evidence, Reading
+from mavcal.calib.firmware.fitted import Pair
+from mavcal.calib.firmware.force import Force
+from mavcal.calib.firmware.hypotheses import Hypothesis, Judgement, judge
+from mavcal.calib.firmware.known_drift import known_drift
+from mavcal.calib.fit import FitResult
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
 Array = NDArray[np.float64]
 

@@ -10,20 +10,20 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Final
 
-from calib.errors import FirmwareError
-from calib.firmware import ardupilot, compose_ardupilot, compose_px4, px4
-from calib.firmware.agreement import agreement
-from calib.firmware.content import contents
-from calib.firmware.draft import Draft, Subject
-from calib.firmware.fitted import Pair, pair_fits, usable_fits
-from calib.firmware.mag_ardupilot import compose_compasses
-from calib.firmware.mag_motor import compose_motors
-from calib.firmware.mag_px4 import compose_magnetometers
-from calib.firmware.options import ComposeOptions, to_confirm, unknown_keys
-from calib.firmware.plan import Agreement, Fingerprint, Loss, Value, WritePlan
-from calib.firmware.trim import adjust_trim, compose_level
-from calib.fit import FitResult
-from calib.recording import Sensor
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware import ardupilot, compose_ardupilot, compose_px4, px4
+from mavcal.calib.firmware.agreement import agreement
+from mavcal.calib.firmware.content import contents
+from mavcal.calib.firmware.draft import Draft, Subject
+from mavcal.calib.firmware.fitted import Pair, pair_fits, usable_fits
+from mavcal.calib.firmware.mag_ardupilot import compose_compasses
+from mavcal.calib.firmware.mag_motor import compose_motors
+from mavcal.calib.firmware.mag_px4 import compose_magnetometers
+from mavcal.calib.firmware.options import ComposeOptions, to_confirm, unknown_keys
+from mavcal.calib.firmware.plan import Agreement, Fingerprint, Loss, Value, WritePlan
+from mavcal.calib.firmware.trim import adjust_trim, compose_level
+from mavcal.calib.fit import FitResult
+from mavcal.calib.recording import Sensor
 
 __all__ = ["ComposeOptions", "compose", "unwritable"]
 

@@ -17,16 +17,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.firmware import ardupilot, losses
-from calib.firmware.announce import lose_accel, lose_gyro_matrix, offsets_usable, scale_usable
-from calib.firmware.draft import Draft, Rank, Subject
-from calib.firmware.fitted import Pair, offset_at
-from calib.firmware.names import OFFSET, SCALE, Role
-from calib.firmware.options import how
-from calib.firmware.plan import ParameterKind
-from calib.firmware.thermal_ardupilot import set_thermal, thermal_in_force
-from calib.fit import AXES, FitResult
-from calib.recording import Sensor
+from mavcal.calib.firmware import ardupilot, losses
+from mavcal.calib.firmware.announce import lose_accel, lose_gyro_matrix, offsets_usable, scale_usable
+from mavcal.calib.firmware.draft import Draft, Rank, Subject
+from mavcal.calib.firmware.fitted import Pair, offset_at
+from mavcal.calib.firmware.names import OFFSET, SCALE, Role
+from mavcal.calib.firmware.options import how
+from mavcal.calib.firmware.plan import ParameterKind
+from mavcal.calib.firmware.thermal_ardupilot import set_thermal, thermal_in_force
+from mavcal.calib.fit import AXES, FitResult
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 Names = Mapping[Role, str]

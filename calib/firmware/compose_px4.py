@@ -11,14 +11,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.firmware import losses, names, px4
-from calib.firmware.announce import lose_accel, lose_gyro_matrix, offsets_usable, scale_usable
-from calib.firmware.draft import Draft, Rank, Subject
-from calib.firmware.fitted import Pair, offset_at
-from calib.firmware.names import Role
-from calib.firmware.options import how
-from calib.firmware.plan import ParameterKind
-from calib.firmware.px4_memory import (
+from mavcal.calib.firmware import losses, names, px4
+from mavcal.calib.firmware.announce import lose_accel, lose_gyro_matrix, offsets_usable, scale_usable
+from mavcal.calib.firmware.draft import Draft, Rank, Subject
+from mavcal.calib.firmware.fitted import Pair, offset_at
+from mavcal.calib.firmware.names import Role
+from mavcal.calib.firmware.options import how
+from mavcal.calib.firmware.plan import ParameterKind
+from mavcal.calib.firmware.px4_memory import (
     Vector,
     acts_at_once,
     neutral_model,
@@ -26,9 +26,9 @@ from calib.firmware.px4_memory import (
     set_vector,
     survives_restart,
 )
-from calib.firmware.thermal_px4 import add_constant, set_thermal, thermal_runs, thermal_term
-from calib.fit import AXES, FitResult
-from calib.recording import Sensor
+from mavcal.calib.firmware.thermal_px4 import add_constant, set_thermal, thermal_runs, thermal_term
+from mavcal.calib.fit import AXES, FitResult
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

@@ -14,9 +14,9 @@ from typing import Final, NewType
 
 import numpy as np
 
-from calib.firmware import mag_motor, trim
-from calib.fit import FitResult, FitStatus
-from calib.gyro.g_sensitivity import METHOD as G_SENSITIVITY
+from mavcal.calib.firmware import mag_motor, trim
+from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.gyro.g_sensitivity import METHOD as G_SENSITIVITY
 
 Correction = NewType("Correction", FitResult)
 """A fit whose model is what it found of the sensor."""

@@ -21,12 +21,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import STANDARD_GRAVITY
-from calib.firmware.evidence import Reading
-from calib.firmware.known_drift import KnownDrift
-from calib.fit import FitResult
-from calib.recording import Sensor
-from calib.triad import TriadModel
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.firmware.evidence import Reading
+from mavcal.calib.firmware.known_drift import KnownDrift
+from mavcal.calib.fit import FitResult
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 Undo = Callable[[Sequence[Reading]], Array]

@@ -9,10 +9,10 @@ from enum import IntEnum
 
 import numpy as np
 
-from calib.firmware.fingerprint import rests_on
-from calib.firmware.limits import limit_of
-from calib.firmware.options import ComposeOptions
-from calib.firmware.plan import (
+from mavcal.calib.firmware.fingerprint import rests_on
+from mavcal.calib.firmware.limits import limit_of
+from mavcal.calib.firmware.options import ComposeOptions
+from mavcal.calib.firmware.plan import (
     AfterWrite,
     Agreement,
     Change,
@@ -24,7 +24,7 @@ from calib.firmware.plan import (
     sensors_of,
     snapshot_sha256,
 )
-from calib.recording import Sensor
+from mavcal.calib.recording import Sensor
 
 LARGEST = float(np.finfo(np.float32).max)
 

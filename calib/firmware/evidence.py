@@ -8,11 +8,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import InvalidInputError
-from calib.firmware.draft import Subject
-from calib.quantisation import mean_of
-from calib.recording import Channel, Recording, Sensor, Stage
-from calib.stillness import Still, find_still, pose_means
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.firmware.draft import Subject
+from mavcal.calib.quantisation import mean_of
+from mavcal.calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib.stillness import Still, find_still, pose_means
 
 Array = NDArray[np.float64]
 

@@ -20,8 +20,8 @@ from typing import Final
 
 import numpy as np
 
-from calib.errors import FirmwareError, UnreadableError
-from calib.firmware.plan import Change, ParameterKind, Value, WritePlan
+from mavcal.calib.errors import FirmwareError, UnreadableError
+from mavcal.calib.firmware.plan import Change, ParameterKind, Value, WritePlan
 
 
 class ParameterFormat(StrEnum):

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from calib.firmware.names import ARDUPILOT_PREFIXES
+from mavcal.calib.firmware.names import ARDUPILOT_PREFIXES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from calib.firmware.plan import Value
+    from mavcal.calib.firmware.plan import Value
 
 MOTOR_MOST_MGAUSS: Final = 1000.0
 """Documented range of COMPASS_MOT, mGauss per A or per full throttle (AP ``AP_Compass.cpp``)."""

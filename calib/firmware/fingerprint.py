@@ -6,9 +6,9 @@ from collections.abc import Collection, Mapping
 from types import MappingProxyType
 from typing import Final
 
-from calib.errors import FirmwareError
-from calib.firmware import ardupilot, px4
-from calib.firmware.names import (
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware import ardupilot, px4
+from mavcal.calib.firmware.names import (
     ARDUPILOT_IMU_SLOTS,
     CALIBRATION_PREFIXES,
     OFFSET,
@@ -17,8 +17,8 @@ from calib.firmware.names import (
     ardupilot_imu_names,
     px4_names,
 )
-from calib.firmware.plan import Fingerprint, Value
-from calib.recording import Identity, Sensor
+from mavcal.calib.firmware.plan import Fingerprint, Value
+from mavcal.calib.recording import Identity, Sensor
 
 SENSOR_IDS: Final = MappingProxyType({"ardupilot": ardupilot.sensor_ids, "px4": px4.sensor_ids})
 

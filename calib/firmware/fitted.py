@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.firmware import losses, names
-from calib.firmware.content import Correction
-from calib.firmware.draft import Draft, Subject
-from calib.firmware.names import Role
-from calib.firmware.plan import Value
-from calib.fit import AXES, FitResult, FitStatus
-from calib.recording import Sensor
-from calib.triad import TriadModel
+from mavcal.calib.firmware import losses, names
+from mavcal.calib.firmware.content import Correction
+from mavcal.calib.firmware.draft import Draft, Subject
+from mavcal.calib.firmware.names import Role
+from mavcal.calib.firmware.plan import Value
+from mavcal.calib.fit import AXES, FitResult, FitStatus
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 InForce = Callable[[Mapping[str, Value], Sensor, int], TriadModel]

@@ -10,13 +10,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import FirmwareError
-from calib.firmware import ardupilot, names, px4
-from calib.firmware.draft import Subject
-from calib.firmware.evidence import Reading
-from calib.firmware.plan import Change, Value
-from calib.recording import Sensor
-from calib.triad import TriadModel
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware import ardupilot, names, px4
+from mavcal.calib.firmware.draft import Subject
+from mavcal.calib.firmware.evidence import Reading
+from mavcal.calib.firmware.plan import Change, Value
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 

@@ -11,15 +11,15 @@ from typing import Final
 
 import numpy as np
 
-from calib.errors import FirmwareError
-from calib.firmware.compose import unwritable
-from calib.firmware.draft import Subject
-from calib.firmware.fingerprint import SENSOR_IDS, fingerprint
-from calib.firmware.options import ComposeOptions, unknown_keys
-from calib.firmware.plan import Value
-from calib.fit import AXES, FitResult, FitStatus, parameter_names
-from calib.recording import Identity, Sensor
-from calib.triad import ThermalPolynomial, TriadModel
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware.compose import unwritable
+from mavcal.calib.firmware.draft import Subject
+from mavcal.calib.firmware.fingerprint import SENSOR_IDS, fingerprint
+from mavcal.calib.firmware.options import ComposeOptions, unknown_keys
+from mavcal.calib.firmware.plan import Value
+from mavcal.calib.fit import AXES, FitResult, FitStatus, parameter_names
+from mavcal.calib.recording import Identity, Sensor
+from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
 STREAMED_INSTANCES: Final = 3
 """MAVLink carries RAW_IMU or SCALED_IMU, SCALED_IMU2 and SCALED_IMU3."""

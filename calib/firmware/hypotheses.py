@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from calib.firmware.plan import Verdict
+from mavcal.calib.firmware.plan import Verdict
 
 Array = NDArray[np.float64]
 Hypothesis = frozenset[str]

@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.firmware import losses
-from calib.fit import AXES, FitResult
-from calib.recording import Sensor
-from calib.triad import ThermalPolynomial
+from mavcal.calib.firmware import losses
+from mavcal.calib.fit import AXES, FitResult
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import ThermalPolynomial
 
 Array = NDArray[np.float64]
 Temperature = float | None

@@ -15,16 +15,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.firmware.check import ALL_APPLIED, Corrections
-from calib.firmware.draft import Subject
-from calib.firmware.evidence import Evidence, Reading
-from calib.firmware.force import Force
-from calib.firmware.hypotheses import OBSERVABLE, Hypothesis, judge
-from calib.firmware.plan import Change, ParameterVerdict, SensorCheck, SensorVerdict, Verdict, WritePlan
-from calib.firmware.rotations import euler_matrix
-from calib.firmware.trim import AHRS_TRIM, force_when_level
-from calib.fit import FitResult
-from calib.recording import Recording, Sensor
+from mavcal.calib.firmware.check import ALL_APPLIED, Corrections
+from mavcal.calib.firmware.draft import Subject
+from mavcal.calib.firmware.evidence import Evidence, Reading
+from mavcal.calib.firmware.force import Force
+from mavcal.calib.firmware.hypotheses import OBSERVABLE, Hypothesis, judge
+from mavcal.calib.firmware.plan import Change, ParameterVerdict, SensorCheck, SensorVerdict, Verdict, WritePlan
+from mavcal.calib.firmware.rotations import euler_matrix
+from mavcal.calib.firmware.trim import AHRS_TRIM, force_when_level
+from mavcal.calib.fit import FitResult
+from mavcal.calib.recording import Recording, Sensor
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from calib.recording import Rounding, Sensor, Stage
+from mavcal.calib.recording import Rounding, Sensor, Stage
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

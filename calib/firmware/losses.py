@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.fit import FitResult
+from mavcal.calib.fit import FitResult
 
 Array = NDArray[np.float64]
 

@@ -17,18 +17,18 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.firmware import ardupilot, losses, names
-from calib.firmware.announce import lose_compass_mounting
-from calib.firmware.ardupilot import UT_PER_MGAUSS
-from calib.firmware.draft import Draft, Rank, Subject
-from calib.firmware.fitted import Pair, body_from_raw, keeps_matrix
-from calib.firmware.limits import COMPASS_OFFS_MAX, COMPASS_SCALE_WINDOW
-from calib.firmware.mounting import Turn, ask_for_mounting, mounting_turn
-from calib.firmware.names import Role
-from calib.firmware.plan import ParameterKind
-from calib.firmware.rotations import nearest_rotation
-from calib.fit import AXES, FitResult
-from calib.recording import Sensor
+from mavcal.calib.firmware import ardupilot, losses, names
+from mavcal.calib.firmware.announce import lose_compass_mounting
+from mavcal.calib.firmware.ardupilot import UT_PER_MGAUSS
+from mavcal.calib.firmware.draft import Draft, Rank, Subject
+from mavcal.calib.firmware.fitted import Pair, body_from_raw, keeps_matrix
+from mavcal.calib.firmware.limits import COMPASS_OFFS_MAX, COMPASS_SCALE_WINDOW
+from mavcal.calib.firmware.mounting import Turn, ask_for_mounting, mounting_turn
+from mavcal.calib.firmware.names import Role
+from mavcal.calib.firmware.plan import ParameterKind
+from mavcal.calib.firmware.rotations import nearest_rotation
+from mavcal.calib.fit import AXES, FitResult
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

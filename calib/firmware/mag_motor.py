@@ -19,16 +19,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import FirmwareError
-from calib.firmware import ardupilot, names, px4
-from calib.firmware.ardupilot import UT_PER_MGAUSS
-from calib.firmware.draft import Draft, Rank, Subject
-from calib.firmware.names import Role
-from calib.firmware.plan import ParameterKind, Value
-from calib.firmware.px4 import UT_PER_GAUSS
-from calib.fit import AXES, FitResult
-from calib.mag.motor import METHOD
-from calib.recording import ParameterTimeline, Sensor
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware import ardupilot, names, px4
+from mavcal.calib.firmware.ardupilot import UT_PER_MGAUSS
+from mavcal.calib.firmware.draft import Draft, Rank, Subject
+from mavcal.calib.firmware.names import Role
+from mavcal.calib.firmware.plan import ParameterKind, Value
+from mavcal.calib.firmware.px4 import UT_PER_GAUSS
+from mavcal.calib.fit import AXES, FitResult
+from mavcal.calib.mag.motor import METHOD
+from mavcal.calib.recording import ParameterTimeline, Sensor
 
 Array = NDArray[np.float64]
 

@@ -11,19 +11,19 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.firmware import losses, names, px4
-from calib.firmware.announce import lose_compass_mounting
-from calib.firmware.compose_px4 import set_row
-from calib.firmware.draft import Draft, Rank, Subject
-from calib.firmware.fitted import Pair, keeps_matrix
-from calib.firmware.limits import COMPASS_SCALE_WINDOW
-from calib.firmware.mounting import Turn, ask_for_mounting, mounting_turn
-from calib.firmware.names import Role
-from calib.firmware.plan import ParameterKind
-from calib.firmware.px4 import UT_PER_GAUSS
-from calib.firmware.px4_memory import Vector, neutral_model, representable, set_vector
-from calib.firmware.rotations import nearest_rotation, rotation_matrix
-from calib.fit import FitResult
+from mavcal.calib.firmware import losses, names, px4
+from mavcal.calib.firmware.announce import lose_compass_mounting
+from mavcal.calib.firmware.compose_px4 import set_row
+from mavcal.calib.firmware.draft import Draft, Rank, Subject
+from mavcal.calib.firmware.fitted import Pair, keeps_matrix
+from mavcal.calib.firmware.limits import COMPASS_SCALE_WINDOW
+from mavcal.calib.firmware.mounting import Turn, ask_for_mounting, mounting_turn
+from mavcal.calib.firmware.names import Role
+from mavcal.calib.firmware.plan import ParameterKind
+from mavcal.calib.firmware.px4 import UT_PER_GAUSS
+from mavcal.calib.firmware.px4_memory import Vector, neutral_model, representable, set_vector
+from mavcal.calib.firmware.rotations import nearest_rotation, rotation_matrix
+from mavcal.calib.fit import FitResult
 
 Array = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib import STANDARD_GRAVITY
-from calib.recording import Rounding, Sensor, Stage
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.recording import Rounding, Sensor, Stage
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

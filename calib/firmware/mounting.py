@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.firmware.draft import Draft, Subject
-from calib.firmware.options import to_confirm
-from calib.firmware.rotations import rotation_words
-from calib.fit import FitResult
-from calib.mag.orientation import Verdict
+from mavcal.calib.firmware.draft import Draft, Subject
+from mavcal.calib.firmware.options import to_confirm
+from mavcal.calib.firmware.rotations import rotation_words
+from mavcal.calib.fit import FitResult
+from mavcal.calib.mag.orientation import Verdict
 
 Array = NDArray[np.float64]
 

@@ -8,11 +8,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.firmware.check import ALL_APPLIED, StreamCheck
-from calib.firmware.draft import Subject
-from calib.firmware.evidence import Reading
-from calib.firmware.plan import Movement, ParameterVerdict, Verdict
-from calib.recording import Sensor
+from mavcal.calib.firmware.check import ALL_APPLIED, StreamCheck
+from mavcal.calib.firmware.draft import Subject
+from mavcal.calib.firmware.evidence import Reading
+from mavcal.calib.firmware.plan import Movement, ParameterVerdict, Verdict
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

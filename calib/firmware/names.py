@@ -12,8 +12,8 @@ from functools import cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
-from calib.errors import FirmwareError
-from calib.recording import Sensor
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.recording import Sensor
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

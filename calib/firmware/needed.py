@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 
-from calib.errors import FirmwareError
-from calib.firmware import names
-from calib.firmware.fingerprint import SETTINGS
-from calib.firmware.names import Role
-from calib.firmware.plan import Value
-from calib.recording import Sensor
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware import names
+from mavcal.calib.firmware.fingerprint import SETTINGS
+from mavcal.calib.firmware.names import Role
+from mavcal.calib.firmware.plan import Value
+from mavcal.calib.recording import Sensor
 
 STREAMED = 3
 """Instances that either firmware streams."""

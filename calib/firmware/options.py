@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Final
 
-from calib.errors import InvalidInputError
-from calib.firmware.slots import CALIBRATED
-from calib.recording import Sensor
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.firmware.slots import CALIBRATED
+from mavcal.calib.recording import Sensor
 
 Key = tuple[Sensor, int]
 

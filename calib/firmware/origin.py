@@ -6,13 +6,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from calib.errors import FirmwareError
-from calib.firmware.fingerprint import SENSOR_IDS
-from calib.firmware.names import BOARD_ROTATION, ROTATION_EULER, Role
-from calib.firmware.plan import Value
-from calib.firmware.slots import CALIBRATED, ardupilot_calibration_names, px4_calibration_names
-from calib.fit import FitResult, FitStatus
-from calib.recording import Identity, Recording, Sensor
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware.fingerprint import SENSOR_IDS
+from mavcal.calib.firmware.names import BOARD_ROTATION, ROTATION_EULER, Role
+from mavcal.calib.firmware.plan import Value
+from mavcal.calib.firmware.slots import CALIBRATED, ardupilot_calibration_names, px4_calibration_names
+from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.recording import Identity, Recording, Sensor
 
 _NAMES: Final = {"ardupilot": ardupilot_calibration_names, "px4": px4_calibration_names}
 _MOUNTING: Final = (Role.ROTATION, Role.EXTERNAL, *ROTATION_EULER)

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib.errors import InvalidInputError
+from mavcal.calib.errors import InvalidInputError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from calib.wire import Frame
+    from mavcal.calib.wire import Frame
 
 _NUMPY_CODES: Final = {
     "char": "S1",

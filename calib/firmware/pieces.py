@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calib.errors import FirmwareError
-from calib.firmware import ardupilot, px4
-from calib.firmware.names import PX4_SLOTS
-from calib.firmware.plan import Value
-from calib.firmware.slots import CALIBRATED
-from calib.recording import Sensor
-from calib.triad import TriadModel
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware import ardupilot, px4
+from mavcal.calib.firmware.names import PX4_SLOTS
+from mavcal.calib.firmware.plan import Value
+from mavcal.calib.firmware.slots import CALIBRATED
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import TriadModel
 
 Key = tuple[Sensor, int]
 Parameters = dict[str, Value]

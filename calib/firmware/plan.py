@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
-from calib.recording import Sensor
+from mavcal.calib.recording import Sensor
 
 Value = float | int
 

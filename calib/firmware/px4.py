@@ -19,21 +19,21 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import FirmwareError
-from calib.firmware import names
-from calib.firmware.names import PX4_PREFIXES as CALIBRATION_PREFIXES
-from calib.firmware.names import Role
-from calib.firmware.rotations import euler_matrix, rotation_matrix
-from calib.firmware.slots import px4_calibration_names as calibration_names
-from calib.firmware.slots import px4_sensor_ids as sensor_ids
-from calib.firmware.values import need, vector
-from calib.recording import Sensor
-from calib.triad import ThermalPolynomial, TriadModel
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware import names
+from mavcal.calib.firmware.names import PX4_PREFIXES as CALIBRATION_PREFIXES
+from mavcal.calib.firmware.names import Role
+from mavcal.calib.firmware.rotations import euler_matrix, rotation_matrix
+from mavcal.calib.firmware.slots import px4_calibration_names as calibration_names
+from mavcal.calib.firmware.slots import px4_sensor_ids as sensor_ids
+from mavcal.calib.firmware.values import need, vector
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from calib.firmware.plan import Value
+    from mavcal.calib.firmware.plan import Value
 
 __all__ = [
     "CALIBRATION_PREFIXES",

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.firmware.px4_topics import TRUTH, US, Topic, Topics, columns, has, instances_of, sample_time, triple
-from calib.recording import Channel, Event, Sensor, Stage
+from mavcal.calib.firmware.px4_topics import TRUTH, US, Topic, Topics, columns, has, instances_of, sample_time, triple
+from mavcal.calib.recording import Channel, Event, Sensor, Stage
 
 Array = NDArray[np.float64]
 

@@ -16,13 +16,13 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.firmware import names, px4
-from calib.firmware.draft import Draft, Rank, Subject
-from calib.firmware.names import Role, Triple
-from calib.firmware.plan import Value
-from calib.fit import AXES
-from calib.recording import Sensor
-from calib.triad import TriadModel
+from mavcal.calib.firmware import names, px4
+from mavcal.calib.firmware.draft import Draft, Rank, Subject
+from mavcal.calib.firmware.names import Role, Triple
+from mavcal.calib.firmware.plan import Value
+from mavcal.calib.fit import AXES
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 

@@ -21,11 +21,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import FirmwareError
-from calib.firmware.plan import Value
-from calib.firmware.px4 import UT_PER_GAUSS, mounting
-from calib.firmware.slots import px4_sensor_ids
-from calib.recording import Channel, Event, Sensor, Stage
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware.plan import Value
+from mavcal.calib.firmware.px4 import UT_PER_GAUSS, mounting
+from mavcal.calib.firmware.slots import px4_sensor_ids
+from mavcal.calib.recording import Channel, Event, Sensor, Stage
 
 Array = NDArray[np.float64]
 Topic = Mapping[str, NDArray[Any]]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import FirmwareError
+from mavcal.calib.errors import FirmwareError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

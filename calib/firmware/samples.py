@@ -8,8 +8,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.firmware.messages import HIGHRES_IMU, InertialMessage, Reading
-from calib.recording import Channel, Rounding, Sensor
+from mavcal.calib.firmware.messages import HIGHRES_IMU, InertialMessage, Reading
+from mavcal.calib.recording import Channel, Rounding, Sensor
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

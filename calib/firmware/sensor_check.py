@@ -20,18 +20,18 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import STANDARD_GRAVITY
-from calib.firmware.check import ALL_APPLIED, Corrections, within
-from calib.firmware.discrepancy import BIAS_WALK, EARTH_RATE, MOST_BIAS_WALK, STABILITY, TEMPERATURE_STEP
-from calib.firmware.draft import Subject
-from calib.firmware.evidence import Evidence, Reading
-from calib.firmware.fitted import Pair, offset_at
-from calib.firmware.force import Force
-from calib.firmware.known_drift import DRIFT_PER_DEGC, UNKNOWN_TEMPERATURE
-from calib.firmware.losses import MATRIX, OFFSETS
-from calib.firmware.plan import SensorCheck, SensorVerdict, WritePlan
-from calib.fit import AXES, FitResult
-from calib.recording import Sensor
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.firmware.check import ALL_APPLIED, Corrections, within
+from mavcal.calib.firmware.discrepancy import BIAS_WALK, EARTH_RATE, MOST_BIAS_WALK, STABILITY, TEMPERATURE_STEP
+from mavcal.calib.firmware.draft import Subject
+from mavcal.calib.firmware.evidence import Evidence, Reading
+from mavcal.calib.firmware.fitted import Pair, offset_at
+from mavcal.calib.firmware.force import Force
+from mavcal.calib.firmware.known_drift import DRIFT_PER_DEGC, UNKNOWN_TEMPERATURE
+from mavcal.calib.firmware.losses import MATRIX, OFFSETS
+from mavcal.calib.firmware.plan import SensorCheck, SensorVerdict, WritePlan
+from mavcal.calib.fit import AXES, FitResult
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

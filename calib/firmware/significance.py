@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from calib.firmware.plan import Agreement
-from calib.recording import Sensor
+from mavcal.calib.firmware.plan import Agreement
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 Judged = tuple[Array, Array]

@@ -9,15 +9,15 @@ from __future__ import annotations
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from calib.errors import FirmwareError
-from calib.firmware import names
-from calib.firmware.names import Role
-from calib.recording import Sensor
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware import names
+from mavcal.calib.firmware.names import Role
+from mavcal.calib.recording import Sensor
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from calib.firmware.plan import Value
+    from mavcal.calib.firmware.plan import Value
 
 CALIBRATED = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
 """The sensors that have calibration parameters."""

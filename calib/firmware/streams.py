@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Final
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib.errors import FirmwareError
-from calib.firmware import auxiliary
-from calib.firmware.assembler import Assembler
-from calib.firmware.messages import HIGHRES_IMU, RAW_IMU, SCALED_IMU, SCALED_IMU2, SCALED_IMU3
-from calib.recording import Sensor
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware import auxiliary
+from mavcal.calib.firmware.assembler import Assembler
+from mavcal.calib.firmware.messages import HIGHRES_IMU, RAW_IMU, SCALED_IMU, SCALED_IMU2, SCALED_IMU3
+from mavcal.calib.recording import Sensor
 
 if TYPE_CHECKING:
     from collections.abc import Collection

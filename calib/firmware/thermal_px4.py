@@ -13,17 +13,17 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.firmware import losses, names, px4
-from calib.firmware.announce import lose_drift
-from calib.firmware.draft import Draft, Rank, Subject
-from calib.firmware.fitted import Pair
-from calib.firmware.limits import THERMAL_SPAN_MIN
-from calib.firmware.names import THERMAL, Role
-from calib.firmware.options import how
-from calib.firmware.plan import ParameterKind
-from calib.firmware.px4_memory import neutral_model
-from calib.fit import AXES, FitResult
-from calib.recording import Sensor
+from mavcal.calib.firmware import losses, names, px4
+from mavcal.calib.firmware.announce import lose_drift
+from mavcal.calib.firmware.draft import Draft, Rank, Subject
+from mavcal.calib.firmware.fitted import Pair
+from mavcal.calib.firmware.limits import THERMAL_SPAN_MIN
+from mavcal.calib.firmware.names import THERMAL, Role
+from mavcal.calib.firmware.options import how
+from mavcal.calib.firmware.plan import ParameterKind
+from mavcal.calib.firmware.px4_memory import neutral_model
+from mavcal.calib.fit import AXES, FitResult
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 Names = Mapping[Role, str]

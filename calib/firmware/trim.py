@@ -19,18 +19,18 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import STANDARD_GRAVITY
-from calib.errors import FirmwareError
-from calib.firmware import ardupilot, names, px4
-from calib.firmware.draft import Draft, Rank, Subject
-from calib.firmware.fingerprint import SENSOR_IDS
-from calib.firmware.limits import TRIM_MAX_RAD
-from calib.firmware.plan import Agreement, Change, Value
-from calib.firmware.rotations import euler_matrix
-from calib.firmware.significance import level_agreement
-from calib.fit import FitResult, FitStatus
-from calib.recording import Sensor
-from calib.triad import TriadModel
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware import ardupilot, names, px4
+from mavcal.calib.firmware.draft import Draft, Rank, Subject
+from mavcal.calib.firmware.fingerprint import SENSOR_IDS
+from mavcal.calib.firmware.limits import TRIM_MAX_RAD
+from mavcal.calib.firmware.plan import Agreement, Change, Value
+from mavcal.calib.firmware.rotations import euler_matrix
+from mavcal.calib.firmware.significance import level_agreement
+from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 

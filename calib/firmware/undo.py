@@ -10,13 +10,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import FirmwareError, InvalidInputError
-from calib.firmware import ardupilot, px4
-from calib.firmware.names import CALIBRATION_PREFIXES
-from calib.firmware.pieces import Key, Parameters, Piece
-from calib.firmware.plan import Value
-from calib.firmware.slots import CALIBRATED
-from calib.recording import (
+from mavcal.calib.errors import FirmwareError, InvalidInputError
+from mavcal.calib.firmware import ardupilot, px4
+from mavcal.calib.firmware.names import CALIBRATION_PREFIXES
+from mavcal.calib.firmware.pieces import Key, Parameters, Piece
+from mavcal.calib.firmware.plan import Value
+from mavcal.calib.firmware.slots import CALIBRATED
+from mavcal.calib.recording import (
     Channel,
     Event,
     Identity,

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import FirmwareError
+from mavcal.calib.errors import FirmwareError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from calib.firmware.names import Role
-    from calib.firmware.plan import Value
+    from mavcal.calib.firmware.names import Role
+    from mavcal.calib.firmware.plan import Value
 
 
 def shown(value: Value, digits: int = 9) -> str:

@@ -11,19 +11,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from calib.errors import InvalidInputError
-from calib.firmware.check import StreamCheck, check_stream, out_of_range, strongest
-from calib.firmware.content import contents
-from calib.firmware.draft import Subject
-from calib.firmware.evidence import Evidence, gather
-from calib.firmware.fitted import pair_fits
-from calib.firmware.force import force_of
-from calib.firmware.level_check import level_checks
-from calib.firmware.movement import movement_for
-from calib.firmware.plan import ParameterVerdict, Value, Verdict, Verification, WritePlan
-from calib.firmware.sensor_check import sensor_checks
-from calib.fit import FitResult
-from calib.recording import Recording, Sensor
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.firmware.check import StreamCheck, check_stream, out_of_range, strongest
+from mavcal.calib.firmware.content import contents
+from mavcal.calib.firmware.draft import Subject
+from mavcal.calib.firmware.evidence import Evidence, gather
+from mavcal.calib.firmware.fitted import pair_fits
+from mavcal.calib.firmware.force import force_of
+from mavcal.calib.firmware.level_check import level_checks
+from mavcal.calib.firmware.movement import movement_for
+from mavcal.calib.firmware.plan import ParameterVerdict, Value, Verdict, Verification, WritePlan
+from mavcal.calib.firmware.sensor_check import sensor_checks
+from mavcal.calib.fit import FitResult
+from mavcal.calib.recording import Recording, Sensor
 
 
 def verify(

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.drift import DriftData
-from calib.errors import InvalidInputError
-from calib.flight.rest import ground
-from calib.flight.warm import Log, difference
-from calib.recording import Channel, Recording, Sensor
-from calib.windows import finite_rows
+from mavcal.calib.drift import DriftData
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.flight.rest import ground
+from mavcal.calib.flight.warm import Log, difference
+from mavcal.calib.recording import Channel, Recording, Sensor
+from mavcal.calib.windows import finite_rows
 
 Array = NDArray[np.float64]
 

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import find_peaks, welch
 
-from calib.errors import InvalidInputError
-from calib.flight.item import Item, Limit, Verdict, judged, not_testable
-from calib.flight.rest import Span
-from calib.noise import long_run_variance
-from calib.recording import Channel, Recording, Sensor, Stage
-from calib.windows import finite_rows
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.flight.item import Item, Limit, Verdict, judged, not_testable
+from mavcal.calib.flight.rest import Span
+from mavcal.calib.noise import long_run_variance
+from mavcal.calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib.windows import finite_rows
 
 Array = NDArray[np.float64]
 

@@ -9,9 +9,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.flight.rest import DISARMED, Ground, Rest
-from calib.recording import Channel, Recording, Sensor, Stage
-from calib.windows import finite_rows
+from mavcal.calib.flight.rest import DISARMED, Ground, Rest
+from mavcal.calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib.windows import finite_rows
 
 Array = NDArray[np.float64]
 

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from calib.errors import InvalidInputError
-from calib.flight.flying import flying_items
-from calib.flight.item import Item, Verdict
-from calib.flight.plan import Step, next_steps
-from calib.flight.rest import Ground, Rest, ground, rests
-from calib.flight.resting import resting_items
-from calib.inspection import inspect
-from calib.recording import Recording, Sensor
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.flight.flying import flying_items
+from mavcal.calib.flight.item import Item, Verdict
+from mavcal.calib.flight.plan import Step, next_steps
+from mavcal.calib.flight.rest import Ground, Rest, ground, rests
+from mavcal.calib.flight.resting import resting_items
+from mavcal.calib.inspection import inspect
+from mavcal.calib.recording import Recording, Sensor
 
 _ORDER = (Verdict.PASS, Verdict.NOT_TESTABLE, Verdict.WARN, Verdict.FAIL)
 

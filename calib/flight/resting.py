@@ -13,16 +13,16 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import STANDARD_GRAVITY
-from calib.earth import local_gravity
-from calib.errors import InvalidInputError
-from calib.firmware.rotations import euler_matrix
-from calib.firmware.trim import AHRS_TRIM
-from calib.flight.item import Item, Limit, judged, not_testable
-from calib.flight.rest import DISARMED, Rest
-from calib.quantisation import mean_of
-from calib.recording import Recording, Sensor
-from calib.windows import finite_rows
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.earth import local_gravity
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.firmware.rotations import euler_matrix
+from mavcal.calib.firmware.trim import AHRS_TRIM
+from mavcal.calib.flight.item import Item, Limit, judged, not_testable
+from mavcal.calib.flight.rest import DISARMED, Rest
+from mavcal.calib.quantisation import mean_of
+from mavcal.calib.recording import Recording, Sensor
+from mavcal.calib.windows import finite_rows
 
 Array = NDArray[np.float64]
 

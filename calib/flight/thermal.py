@@ -16,13 +16,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.fit import AXES, FitResult, FitStatus, refused
-from calib.flight.flown import flown_difference
-from calib.flight.rest import DISARMED
-from calib.flight.warm import Log, Warmth, warmth
-from calib.procedures.drift_fit import PoseOffsets, fit_posed
-from calib.recording import Sensor
-from calib.thermal import LINEAR_METHOD, POLYNOMIAL_METHOD, fit_drift_data, fit_linear
+from mavcal.calib.fit import AXES, FitResult, FitStatus, refused
+from mavcal.calib.flight.flown import flown_difference
+from mavcal.calib.flight.rest import DISARMED
+from mavcal.calib.flight.warm import Log, Warmth, warmth
+from mavcal.calib.procedures.drift_fit import PoseOffsets, fit_posed
+from mavcal.calib.recording import Sensor
+from mavcal.calib.thermal import LINEAR_METHOD, POLYNOMIAL_METHOD, fit_drift_data, fit_linear
 
 Array = NDArray[np.float64]
 

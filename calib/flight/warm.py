@@ -10,13 +10,13 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.drift import DriftData
-from calib.errors import InvalidInputError
-from calib.firmware.fingerprint import SENSOR_IDS
-from calib.flight.rest import Known, Rest, rests
-from calib.procedures.drift_fit import SHORTEST, DriftPool
-from calib.recording import Channel, Recording, Sensor
-from calib.windows import finite_rows
+from mavcal.calib.drift import DriftData
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.firmware.fingerprint import SENSOR_IDS
+from mavcal.calib.flight.rest import Known, Rest, rests
+from mavcal.calib.procedures.drift_fit import SHORTEST, DriftPool
+from mavcal.calib.recording import Channel, Recording, Sensor
+from mavcal.calib.windows import finite_rows
 
 Array = NDArray[np.float64]
 

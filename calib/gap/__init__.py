@@ -11,16 +11,16 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 
-from calib.errors import InvalidInputError
-from calib.gap.baseline import baseline_of, beside
-from calib.gap.diagnose import diagnose
-from calib.gap.effects import catalogue
-from calib.gap.export import with_patches
-from calib.gap.flaws import beside_flaws, flaws_of
-from calib.gap.problem import Problem
-from calib.gap.reference import alike, build, flew_another, posed
-from calib.gap.schema import GapReport, as_json
-from calib.recording import Recording
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.gap.baseline import baseline_of, beside
+from mavcal.calib.gap.diagnose import diagnose
+from mavcal.calib.gap.effects import catalogue
+from mavcal.calib.gap.export import with_patches
+from mavcal.calib.gap.flaws import beside_flaws, flaws_of
+from mavcal.calib.gap.problem import Problem
+from mavcal.calib.gap.reference import alike, build, flew_another, posed
+from mavcal.calib.gap.schema import GapReport, as_json
+from mavcal.calib.recording import Recording
 
 __all__ = ["GapReport", "as_json", "diagnose", "run", "simulator_of"]
 

@@ -13,16 +13,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.contest import Contest, Score, exactly, fixed_score, noise_score, priced
-from calib.gap.effects.base import NoiseEffect
-from calib.gap.evidence import price_of_kind
-from calib.gap.filtered import told_by_noise
-from calib.gap.hypotheses import Columns, Hypothesis, Key, columns_of
-from calib.gap.model import Model, NoiseTerm, Term, misfit, refined
-from calib.gap.noise_fit import refitted, without_term
-from calib.gap.projection import Beside, existing
-from calib.gap.schema import Rival
-from calib.gap.selection import (
+from mavcal.calib.gap.contest import Contest, Score, exactly, fixed_score, noise_score, priced
+from mavcal.calib.gap.effects.base import NoiseEffect
+from mavcal.calib.gap.evidence import price_of_kind
+from mavcal.calib.gap.filtered import told_by_noise
+from mavcal.calib.gap.hypotheses import Columns, Hypothesis, Key, columns_of
+from mavcal.calib.gap.model import Model, NoiseTerm, Term, misfit, refined
+from mavcal.calib.gap.noise_fit import refitted, without_term
+from mavcal.calib.gap.projection import Beside, existing
+from mavcal.calib.gap.schema import Rival
+from mavcal.calib.gap.selection import (
     MATERIAL,
     REAL,
     Chosen,
@@ -37,7 +37,7 @@ from calib.gap.selection import (
     with_score,
     without,
 )
-from calib.recording import Sensor
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import idct
 
-from calib.gap.likelihood import fast_length, transform
-from calib.gap.problem import Trace
-from calib.gap.views import View
+from mavcal.calib.gap.likelihood import fast_length, transform
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.views import View
 
 Array = NDArray[np.float64]
 

@@ -10,12 +10,12 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from calib.gap.floors import SMALL, Floors, indifferent
-from calib.gap.problem import Floor, Problem, Trace
-from calib.gap.replay import with_effects, with_effects_in
-from calib.gap.schema import EffectEstimate
-from calib.gap.shown import shown
-from calib.recording import Sensor
+from mavcal.calib.gap.floors import SMALL, Floors, indifferent
+from mavcal.calib.gap.problem import Floor, Problem, Trace
+from mavcal.calib.gap.replay import with_effects, with_effects_in
+from mavcal.calib.gap.schema import EffectEstimate
+from mavcal.calib.gap.shown import shown
+from mavcal.calib.recording import Sensor
 
 _DIFFERENT = 0.1
 """Part of the evidence of a simulated flight's own flaws that a real one must have beyond them."""

@@ -18,9 +18,9 @@ from scipy.optimize import minimize_scalar
 from scipy.special import chdtrc
 from scipy.stats import binom
 
-from calib.gap.bands import joined
-from calib.gap.effects.base import MeanEffect, NoiseEffect
-from calib.gap.evidence import (
+from mavcal.calib.gap.bands import joined
+from mavcal.calib.gap.effects.base import MeanEffect, NoiseEffect
+from mavcal.calib.gap.evidence import (
     price_of_fixed,
     price_of_kind,
     price_of_noise,
@@ -28,22 +28,22 @@ from calib.gap.evidence import (
     price_of_repetition,
     price_of_search,
 )
-from calib.gap.filtered import shaped, told_by_noise
-from calib.gap.floors import Floors
-from calib.gap.hypotheses import Columns, Hypothesis, columns_of
-from calib.gap.kept import Kept
-from calib.gap.louder import Added, drift_beside_lines, stands_out, tone_beside_lines, whose
-from calib.gap.model import (
+from mavcal.calib.gap.filtered import shaped, told_by_noise
+from mavcal.calib.gap.floors import Floors
+from mavcal.calib.gap.hypotheses import Columns, Hypothesis, columns_of
+from mavcal.calib.gap.kept import Kept
+from mavcal.calib.gap.louder import Added, drift_beside_lines, stands_out, tone_beside_lines, whose
+from mavcal.calib.gap.model import (
     Model,
     Term,
     misfit,
     refined,
     with_residual,
 )
-from calib.gap.noise_fit import AxisFit, axes_of, axis_fit, densities_of, extra_rows
-from calib.gap.problem import Trace
-from calib.gap.projection import Beside, Gain
-from calib.recording import Sensor
+from mavcal.calib.gap.noise_fit import AxisFit, axes_of, axis_fit, densities_of, extra_rows
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.projection import Beside, Gain
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

@@ -6,39 +6,39 @@ import math
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
-from calib.gap.attribution import Attribution, settled, steadily
-from calib.gap.bands import split
-from calib.gap.contest import Contest, Score
-from calib.gap.doubts import nameless, not_following, without_sensors
-from calib.gap.effects import catalogue
-from calib.gap.effects.base import Effect
-from calib.gap.effects.parts import TRIADS
-from calib.gap.effects.reference_attitude import REFERENCE
-from calib.gap.floors import Floors
-from calib.gap.hypotheses import Key, hypotheses_of
-from calib.gap.impostors import Unexplained
-from calib.gap.inputs import inputs_of
-from calib.gap.left_open import with_flaws
-from calib.gap.locate import located
-from calib.gap.louder import unsteady_line
-from calib.gap.model import Model, setting_of, starting_model
-from calib.gap.noise_fit import refitted, starting_noise
-from calib.gap.power import powers_of
-from calib.gap.problem import Problem
-from calib.gap.quieter import quieter
-from calib.gap.reported import effect_of, wandering_reference
-from calib.gap.samples import Lattice, lattice_of, shown_by
-from calib.gap.schema import EffectEstimate, Finding, GapReport, MultipleTesting, NotTestable, Unknown, Verdict
-from calib.gap.selection import Chosen, reduced, select
-from calib.gap.series import series_of
-from calib.gap.shrink import Heldout, held_out, nested_in, shrink_of
-from calib.gap.strangers import NOT_LASTING, Stranger, strangers_in, unknown_of
-from calib.gap.transitions import Transition, passing, transitions, without_transitions
-from calib.gap.unknown import explained
-from calib.gap.usual import usual_tone
-from calib.gap.views import views_of
-from calib.gap.wander import Wander, wandering
-from calib.recording import Sensor
+from mavcal.calib.gap.attribution import Attribution, settled, steadily
+from mavcal.calib.gap.bands import split
+from mavcal.calib.gap.contest import Contest, Score
+from mavcal.calib.gap.doubts import nameless, not_following, without_sensors
+from mavcal.calib.gap.effects import catalogue
+from mavcal.calib.gap.effects.base import Effect
+from mavcal.calib.gap.effects.parts import TRIADS
+from mavcal.calib.gap.effects.reference_attitude import REFERENCE
+from mavcal.calib.gap.floors import Floors
+from mavcal.calib.gap.hypotheses import Key, hypotheses_of
+from mavcal.calib.gap.impostors import Unexplained
+from mavcal.calib.gap.inputs import inputs_of
+from mavcal.calib.gap.left_open import with_flaws
+from mavcal.calib.gap.locate import located
+from mavcal.calib.gap.louder import unsteady_line
+from mavcal.calib.gap.model import Model, setting_of, starting_model
+from mavcal.calib.gap.noise_fit import refitted, starting_noise
+from mavcal.calib.gap.power import powers_of
+from mavcal.calib.gap.problem import Problem
+from mavcal.calib.gap.quieter import quieter
+from mavcal.calib.gap.reported import effect_of, wandering_reference
+from mavcal.calib.gap.samples import Lattice, lattice_of, shown_by
+from mavcal.calib.gap.schema import EffectEstimate, Finding, GapReport, MultipleTesting, NotTestable, Unknown, Verdict
+from mavcal.calib.gap.selection import Chosen, reduced, select
+from mavcal.calib.gap.series import series_of
+from mavcal.calib.gap.shrink import Heldout, held_out, nested_in, shrink_of
+from mavcal.calib.gap.strangers import NOT_LASTING, Stranger, strangers_in, unknown_of
+from mavcal.calib.gap.transitions import Transition, passing, transitions, without_transitions
+from mavcal.calib.gap.unknown import explained
+from mavcal.calib.gap.usual import usual_tone
+from mavcal.calib.gap.views import views_of
+from mavcal.calib.gap.wander import Wander, wandering
+from mavcal.calib.recording import Sensor
 
 _ROUNDS = 3
 """Times that samples during events are left out, after which a selection stands whatever it says."""

@@ -7,15 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.gap.attribution import Attribution
-from calib.gap.hypotheses import Key
-from calib.gap.impostors import Unexplained
-from calib.gap.model import Model, predicted
-from calib.gap.problem import Problem
-from calib.gap.reference.checks import MOVES
-from calib.gap.shape_ids import is_shape
-from calib.gap.strangers import Stranger
-from calib.recording import Sensor
+from mavcal.calib.gap.attribution import Attribution
+from mavcal.calib.gap.hypotheses import Key
+from mavcal.calib.gap.impostors import Unexplained
+from mavcal.calib.gap.model import Model, predicted
+from mavcal.calib.gap.problem import Problem
+from mavcal.calib.gap.reference.checks import MOVES
+from mavcal.calib.gap.shape_ids import is_shape
+from mavcal.calib.gap.strangers import Stranger
+from mavcal.calib.recording import Sensor
 
 _BELIEVED = 0.01
 """Probability below which no effect is named where something without a name is the likelier."""

@@ -7,14 +7,14 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.effects.base import Parameter
-from calib.gap.louder import LINES, line_amplitudes
-from calib.gap.model import NoiseTerm, Term
-from calib.gap.noise_fit import NoiseEstimate
-from calib.gap.schema import Estimate
-from calib.gap.selection import Chosen
-from calib.gap.tilted import variance_of_tilt
-from calib.gap.transitions import levels_apart, moment_of
+from mavcal.calib.gap.effects.base import Parameter
+from mavcal.calib.gap.louder import LINES, line_amplitudes
+from mavcal.calib.gap.model import NoiseTerm, Term
+from mavcal.calib.gap.noise_fit import NoiseEstimate
+from mavcal.calib.gap.schema import Estimate
+from mavcal.calib.gap.selection import Chosen
+from mavcal.calib.gap.tilted import variance_of_tilt
+from mavcal.calib.gap.transitions import levels_apart, moment_of
 
 Array = NDArray[np.float64]
 

@@ -18,11 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.effects.base import DRIFTS
-from calib.gap.effects.reference_attitude import REFERENCE
-from calib.gap.effects.temperature import THERMAL
-from calib.gap.normal import eigh
-from calib.gap.shape_ids import family_of, is_part, is_shape
+from mavcal.calib.gap.effects.base import DRIFTS
+from mavcal.calib.gap.effects.reference_attitude import REFERENCE
+from mavcal.calib.gap.effects.temperature import THERMAL
+from mavcal.calib.gap.normal import eigh
+from mavcal.calib.gap.shape_ids import family_of, is_part, is_shape
 
 Array = NDArray[np.float64]
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.effects.base import MeanEffect
-from calib.gap.hypotheses import Hypothesis
-from calib.gap.model import Model
-from calib.gap.noise_fit import is_declared
-from calib.recording import Sensor
+from mavcal.calib.gap.effects.base import MeanEffect
+from mavcal.calib.gap.hypotheses import Hypothesis
+from mavcal.calib.gap.model import Model
+from mavcal.calib.gap.noise_fit import is_declared
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

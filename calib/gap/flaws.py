@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from calib.gap.floors import SMALL, Floors, indifferent
-from calib.gap.problem import Flaw, Floor, Problem, Trace
-from calib.gap.replay import with_effects, with_effects_in
-from calib.gap.schema import EffectEstimate, Estimate, Evidence
-from calib.gap.shown import shown
-from calib.recording import Sensor
+from mavcal.calib.gap.floors import SMALL, Floors, indifferent
+from mavcal.calib.gap.problem import Flaw, Floor, Problem, Trace
+from mavcal.calib.gap.replay import with_effects, with_effects_in
+from mavcal.calib.gap.schema import EffectEstimate, Estimate, Evidence
+from mavcal.calib.gap.shown import shown
+from mavcal.calib.recording import Sensor
 
 _OF_ONE_RECORDING = ("clock_drift", "accel_bias", "gyro_bias")
 """Two clocks may be set alike anywhere in a recording, and a bias is another one each time that a sensor is switched

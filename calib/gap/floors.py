@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from calib.gap.effects.base import Effect, NoiseEffect
-from calib.gap.hypotheses import Hypothesis, Key
-from calib.gap.problem import Floor, Problem
-from calib.recording import Sensor
+from mavcal.calib.gap.effects.base import Effect, NoiseEffect
+from mavcal.calib.gap.hypotheses import Hypothesis, Key
+from mavcal.calib.gap.problem import Floor, Problem
+from mavcal.calib.recording import Sensor
 
 _LEVELS = ("_bias", "_hard_iron", "_motor_current", "_vibration_rectification", "_thermal_lag")
 """Ends of the ids of what shifts the level of a reading, as temperature does, and what happens once."""

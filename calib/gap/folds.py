@@ -11,10 +11,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.contest import Contest
-from calib.gap.floors import Floors
-from calib.gap.hypotheses import Hypothesis
-from calib.gap.model import (
+from mavcal.calib.gap.contest import Contest
+from mavcal.calib.gap.floors import Floors
+from mavcal.calib.gap.hypotheses import Hypothesis
+from mavcal.calib.gap.model import (
     Model,
     NoiseTerm,
     Setting,
@@ -25,9 +25,9 @@ from calib.gap.model import (
     starting_model,
     with_residual,
 )
-from calib.gap.noise_fit import starting_noise, with_term
-from calib.gap.selection import fitted_about, without
-from calib.gap.views import View, between
+from mavcal.calib.gap.noise_fit import starting_noise, with_term
+from mavcal.calib.gap.selection import fitted_about, without
+from mavcal.calib.gap.views import View, between
 
 Array = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.folds import Fold, carried, expected_gain
-from calib.gap.hypotheses import Key
-from calib.gap.model import NoiseTerm, Setting, Term
-from calib.gap.selection import Chosen, Gains
+from mavcal.calib.gap.folds import Fold, carried, expected_gain
+from mavcal.calib.gap.hypotheses import Key
+from mavcal.calib.gap.model import NoiseTerm, Setting, Term
+from mavcal.calib.gap.selection import Chosen, Gains
 
 Array = NDArray[np.float64]
 

@@ -9,12 +9,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.bands import resampled
-from calib.gap.effects.base import Effect, MeanEffect, NoiseEffect
-from calib.gap.likelihood import fast_length, transform
-from calib.gap.problem import Trace, Worse
-from calib.gap.views import View
-from calib.recording import Sensor
+from mavcal.calib.gap.bands import resampled
+from mavcal.calib.gap.effects.base import Effect, MeanEffect, NoiseEffect
+from mavcal.calib.gap.likelihood import fast_length, transform
+from mavcal.calib.gap.problem import Trace, Worse
+from mavcal.calib.gap.views import View
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from calib.gap.effects.base import NoiseEffect
-from calib.gap.levels import step_of
-from calib.gap.likelihood import fit_amplitudes, flicker, random_walk
-from calib.gap.louder import unsteady_line
-from calib.gap.model import Model, NoiseTerm
-from calib.gap.noise_fit import noise_rows
-from calib.gap.schema import HiddenDriver
-from calib.gap.views import View
-from calib.recording import Sensor
+from mavcal.calib.gap.effects.base import NoiseEffect
+from mavcal.calib.gap.levels import step_of
+from mavcal.calib.gap.likelihood import fit_amplitudes, flicker, random_walk
+from mavcal.calib.gap.louder import unsteady_line
+from mavcal.calib.gap.model import Model, NoiseTerm
+from mavcal.calib.gap.noise_fit import noise_rows
+from mavcal.calib.gap.schema import HiddenDriver
+from mavcal.calib.gap.views import View
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

@@ -6,8 +6,8 @@ import hashlib
 from functools import cache
 from pathlib import Path
 
-from calib.gap.problem import Problem
-from calib.gap.schema import FIRST, Inputs
+from mavcal.calib.gap.problem import Problem
+from mavcal.calib.gap.schema import FIRST, Inputs
 
 
 def inputs_of(problem: Problem) -> Inputs:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from calib.gap.hypotheses import Columns, Hypothesis, columns_of
-from calib.gap.model import Setting
+from mavcal.calib.gap.hypotheses import Columns, Hypothesis, columns_of
+from mavcal.calib.gap.model import Setting
 
 
 class Kept:

@@ -11,14 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.gap.contest import Contest
-from calib.gap.effects.base import MeanEffect
-from calib.gap.floors import Floors
-from calib.gap.hypotheses import Key
-from calib.gap.model import Model, Term, with_residual
-from calib.gap.problem import Flaw
-from calib.gap.projection import Beside
-from calib.gap.replay import split_of
+from mavcal.calib.gap.contest import Contest
+from mavcal.calib.gap.effects.base import MeanEffect
+from mavcal.calib.gap.floors import Floors
+from mavcal.calib.gap.hypotheses import Key
+from mavcal.calib.gap.model import Model, Term, with_residual
+from mavcal.calib.gap.problem import Flaw
+from mavcal.calib.gap.projection import Beside
+from mavcal.calib.gap.replay import split_of
 
 
 def with_flaws(contest: Contest, bare: Model, flaws: tuple[Flaw, ...]) -> Contest:

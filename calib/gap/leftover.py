@@ -16,10 +16,10 @@ from scipy.fft import dct
 from scipy.ndimage import uniform_filter1d
 from scipy.special import chdtrc, fdtrc, ndtr
 
-from calib.gap.impostors import Unexplained, coarse
-from calib.gap.model import Model
-from calib.gap.views import View
-from calib.recording import Sensor
+from mavcal.calib.gap.impostors import Unexplained, coarse
+from mavcal.calib.gap.model import Model
+from mavcal.calib.gap.views import View
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.problem import Trace
-from calib.recording import Channel, Sensor
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.recording import Channel, Sensor
 
 Array = NDArray[np.float64]
 

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, ndtr
 
-from calib.gap.model import Model
-from calib.gap.problem import Trace
-from calib.gap.schema import FIRST, Finding, Regime
-from calib.gap.views import View
+from mavcal.calib.gap.model import Model
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.schema import FIRST, Finding, Regime
+from mavcal.calib.gap.views import View
 
 Array = NDArray[np.float64]
 

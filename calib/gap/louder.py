@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.hypotheses import Hypothesis
-from calib.gap.model import Model, NoiseTerm
-from calib.gap.noise_fit import densities_of
-from calib.gap.views import View
+from mavcal.calib.gap.hypotheses import Hypothesis
+from mavcal.calib.gap.model import Model, NoiseTerm
+from mavcal.calib.gap.noise_fit import densities_of
+from mavcal.calib.gap.views import View
 
 Array = NDArray[np.float64]
 

@@ -14,13 +14,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.effects.base import MeanEffect
-from calib.gap.hypotheses import Columns, Frame, Hypothesis, Part, add_block, columns_of, summed
-from calib.gap.likelihood import Bins, Noise, bins_of
-from calib.gap.normal import solved, weighted_gram
-from calib.gap.problem import Trace
-from calib.gap.views import View
-from calib.recording import Sensor
+from mavcal.calib.gap.effects.base import MeanEffect
+from mavcal.calib.gap.hypotheses import Columns, Frame, Hypothesis, Part, add_block, columns_of, summed
+from mavcal.calib.gap.likelihood import Bins, Noise, bins_of
+from mavcal.calib.gap.normal import solved, weighted_gram
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.views import View
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

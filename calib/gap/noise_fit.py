@@ -14,12 +14,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.effects.base import NoiseEffect
-from calib.gap.hypotheses import Hypothesis
-from calib.gap.likelihood import Noise, deviance, fit_amplitudes, flicker, random_walk
-from calib.gap.model import Model, NoiseTerm, Setting, with_noise
-from calib.gap.views import View
-from calib.recording import Sensor
+from mavcal.calib.gap.effects.base import NoiseEffect
+from mavcal.calib.gap.hypotheses import Hypothesis
+from mavcal.calib.gap.likelihood import Noise, deviance, fit_amplitudes, flicker, random_walk
+from mavcal.calib.gap.model import Model, NoiseTerm, Setting, with_noise
+from mavcal.calib.gap.views import View
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dpotri
 
-from calib.gap.hypotheses import Part
+from mavcal.calib.gap.hypotheses import Part
 
 Array = NDArray[np.float64]
 

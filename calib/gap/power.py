@@ -9,11 +9,11 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import chdtri, chndtr
 
-from calib.gap.contest import Contest
-from calib.gap.effects.base import MeanEffect, NoiseEffect
-from calib.gap.projection import Beside
-from calib.gap.schema import Power
-from calib.gap.selection import Chosen
+from mavcal.calib.gap.contest import Contest
+from mavcal.calib.gap.effects.base import MeanEffect, NoiseEffect
+from mavcal.calib.gap.projection import Beside
+from mavcal.calib.gap.schema import Power
+from mavcal.calib.gap.selection import Chosen
 
 
 def powers_of(chosen: Chosen, contest: Contest, alpha: float) -> tuple[Power, ...]:

@@ -13,11 +13,11 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.evidence import prior_sd
-from calib.gap.folds import carried, log_loss, with_weight
-from calib.gap.hypotheses import units_of
-from calib.gap.model import Model, Term, jacobian, normal_equations
-from calib.gap.normal import solved
+from mavcal.calib.gap.evidence import prior_sd
+from mavcal.calib.gap.folds import carried, log_loss, with_weight
+from mavcal.calib.gap.hypotheses import units_of
+from mavcal.calib.gap.model import Model, Term, jacobian, normal_equations
+from mavcal.calib.gap.normal import solved
 
 Array = NDArray[np.float64]
 

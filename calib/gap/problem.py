@@ -15,8 +15,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.schema import EffectEstimate
-from calib.recording import Sensor
+from mavcal.calib.gap.schema import EffectEstimate
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.evidence import weighed
-from calib.gap.hypotheses import Columns, Part
-from calib.gap.model import Model, Normal, Ridge, jacobian, normal_equations, stacked
-from calib.gap.normal import eigh, solved
+from mavcal.calib.gap.evidence import weighed
+from mavcal.calib.gap.hypotheses import Columns, Part
+from mavcal.calib.gap.model import Model, Normal, Ridge, jacobian, normal_equations, stacked
+from mavcal.calib.gap.normal import eigh, solved
 
 Array = NDArray[np.float64]
 

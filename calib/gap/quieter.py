@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calib.gap.model import Model
-from calib.gap.noise_fit import declared
+from mavcal.calib.gap.model import Model
+from mavcal.calib.gap.noise_fit import declared
 
 _QUIETER = 0.75
 """Ratio of powers from which it is said: below, a drone's own seldom repeats from flight to flight."""

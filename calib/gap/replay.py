@@ -9,10 +9,10 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.effects import by_id, forward_models
-from calib.gap.effects.base import Effect, MeanEffect, NoiseEffect
-from calib.gap.problem import Problem, Trace
-from calib.gap.schema import EffectEstimate
+from mavcal.calib.gap.effects import by_id, forward_models
+from mavcal.calib.gap.effects.base import Effect, MeanEffect, NoiseEffect
+from mavcal.calib.gap.problem import Problem, Trace
+from mavcal.calib.gap.schema import EffectEstimate
 
 Array = NDArray[np.float64]
 

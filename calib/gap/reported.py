@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.gap.attribution import TEMPERATURE, Attribution
-from calib.gap.believed import believed
-from calib.gap.effects.reference_attitude import REFERENCE
-from calib.gap.estimates import estimates_of
-from calib.gap.model import Model, NoiseTerm, Term
-from calib.gap.schema import FIRST, EffectEstimate, Evidence, Gates
-from calib.gap.selection import Chosen
-from calib.gap.shrink import dose_of
-from calib.gap.wander import Wander, rms_rotation, sees
-from calib.recording import Sensor
+from mavcal.calib.gap.attribution import TEMPERATURE, Attribution
+from mavcal.calib.gap.believed import believed
+from mavcal.calib.gap.effects.reference_attitude import REFERENCE
+from mavcal.calib.gap.estimates import estimates_of
+from mavcal.calib.gap.model import Model, NoiseTerm, Term
+from mavcal.calib.gap.schema import FIRST, EffectEstimate, Evidence, Gates
+from mavcal.calib.gap.selection import Chosen
+from mavcal.calib.gap.shrink import dose_of
+from mavcal.calib.gap.wander import Wander, rms_rotation, sees
+from mavcal.calib.recording import Sensor
 
 
 def effect_of(chosen: Chosen, found: Attribution, passed: bool | None, *, beside_unknown: bool) -> EffectEstimate:

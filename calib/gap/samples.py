@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.gap.effects.base import Effect, LatticeEffect, LatticeEvidence
-from calib.gap.problem import Problem, Trace
-from calib.gap.schema import FIRST, EffectEstimate, Estimate, Evidence
-from calib.gap.usual import usual_samples
+from mavcal.calib.gap.effects.base import Effect, LatticeEffect, LatticeEvidence
+from mavcal.calib.gap.problem import Problem, Trace
+from mavcal.calib.gap.schema import FIRST, EffectEstimate, Estimate, Evidence
+from mavcal.calib.gap.usual import usual_samples
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import InvalidInputError
-from calib.recording import Sensor
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 Json = dict[str, Any]

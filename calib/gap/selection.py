@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from calib.gap.contest import Contest, Score
-from calib.gap.effects.base import Effect, MeanEffect, NoiseEffect
-from calib.gap.hypotheses import Hypothesis, Key
-from calib.gap.louder import unsteady_line
-from calib.gap.model import (
+from mavcal.calib.gap.contest import Contest, Score
+from mavcal.calib.gap.effects.base import Effect, MeanEffect, NoiseEffect
+from mavcal.calib.gap.hypotheses import Hypothesis, Key
+from mavcal.calib.gap.louder import unsteady_line
+from mavcal.calib.gap.model import (
     Joint,
     Model,
     NoiseTerm,
@@ -29,10 +29,10 @@ from calib.gap.model import (
     with_noise,
     with_residual,
 )
-from calib.gap.noise_fit import NoiseFit, is_declared, refitted, starting_noise, with_term, without_term
-from calib.gap.normal import solved
-from calib.gap.projection import Beside, existing
-from calib.recording import Sensor
+from mavcal.calib.gap.noise_fit import NoiseFit, is_declared, refitted, starting_noise, with_term, without_term
+from mavcal.calib.gap.normal import solved
+from mavcal.calib.gap.projection import Beside, existing
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

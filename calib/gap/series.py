@@ -7,11 +7,11 @@ from collections.abc import Collection, Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.bands import assembled
-from calib.gap.hypotheses import Key
-from calib.gap.model import Model, Term, predicted
-from calib.gap.schema import FIRST, SeriesFit
-from calib.gap.views import View
+from mavcal.calib.gap.bands import assembled
+from mavcal.calib.gap.hypotheses import Key
+from mavcal.calib.gap.model import Model, Term, predicted
+from mavcal.calib.gap.schema import FIRST, SeriesFit
+from mavcal.calib.gap.views import View
 
 Array = NDArray[np.float64]
 

@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.effects.base import MeanEffect, Parameter
-from calib.gap.hypotheses import Hypothesis
-from calib.gap.model import Setting, Term
-from calib.gap.problem import Trace
-from calib.gap.shape_ids import family_of, shape_id
-from calib.recording import Sensor
+from mavcal.calib.gap.effects.base import MeanEffect, Parameter
+from mavcal.calib.gap.hypotheses import Hypothesis
+from mavcal.calib.gap.model import Setting, Term
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.shape_ids import family_of, shape_id
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]

@@ -5,20 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from calib.gap.bands import split
-from calib.gap.contest import Contest
-from calib.gap.effects import catalogue
-from calib.gap.effects.base import Effect, MeanEffect
-from calib.gap.estimates import estimates_of
-from calib.gap.floors import Floors
-from calib.gap.hypotheses import Key, hypotheses_of
-from calib.gap.model import setting_of, starting_model
-from calib.gap.noise_fit import refitted, starting_noise
-from calib.gap.problem import Problem
-from calib.gap.schema import EffectEstimate, Evidence
-from calib.gap.selection import Chosen, last_gains, reduced, select
-from calib.gap.views import views_of
-from calib.recording import Sensor
+from mavcal.calib.gap.bands import split
+from mavcal.calib.gap.contest import Contest
+from mavcal.calib.gap.effects import catalogue
+from mavcal.calib.gap.effects.base import Effect, MeanEffect
+from mavcal.calib.gap.estimates import estimates_of
+from mavcal.calib.gap.floors import Floors
+from mavcal.calib.gap.hypotheses import Key, hypotheses_of
+from mavcal.calib.gap.model import setting_of, starting_model
+from mavcal.calib.gap.noise_fit import refitted, starting_noise
+from mavcal.calib.gap.problem import Problem
+from mavcal.calib.gap.schema import EffectEstimate, Evidence
+from mavcal.calib.gap.selection import Chosen, last_gains, reduced, select
+from mavcal.calib.gap.views import views_of
+from mavcal.calib.recording import Sensor
 
 _CARRIED = (
     *("_bias", "_scale", "_misalignment", "_rotation", "_lever_arm", "_delay", "_low_pass", "clock_drift"),

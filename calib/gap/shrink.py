@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from calib.gap.contest import Contest
-from calib.gap.folds import (
+from mavcal.calib.gap.contest import Contest
+from mavcal.calib.gap.folds import (
     GUARD_S,
     Fold,
     blocks_of,
@@ -32,14 +32,14 @@ from calib.gap.folds import (
     power_ratio,
     with_weight,
 )
-from calib.gap.gates import Gate, gate_of
-from calib.gap.hypotheses import Key
-from calib.gap.model import Model, NoiseTerm, Setting, Term, jacobian, normal_equations, setting_of
-from calib.gap.noise_fit import is_declared, refitted
-from calib.gap.normal import solved
-from calib.gap.predictive import predictive_loss
-from calib.gap.schema import SequenceStep, Shrink
-from calib.gap.selection import Chosen, Gains, last_gains, select
+from mavcal.calib.gap.gates import Gate, gate_of
+from mavcal.calib.gap.hypotheses import Key
+from mavcal.calib.gap.model import Model, NoiseTerm, Setting, Term, jacobian, normal_equations, setting_of
+from mavcal.calib.gap.noise_fit import is_declared, refitted
+from mavcal.calib.gap.normal import solved
+from mavcal.calib.gap.predictive import predictive_loss
+from mavcal.calib.gap.schema import SequenceStep, Shrink
+from mavcal.calib.gap.selection import Chosen, Gains, last_gains, select
 
 Array = NDArray[np.float64]
 

@@ -13,15 +13,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.gap.attribution import Attribution
-from calib.gap.hypotheses import Key
-from calib.gap.impostors import Unexplained, impostors, unsteady
-from calib.gap.leftover import leftover
-from calib.gap.model import Model, Term
-from calib.gap.schema import HiddenDriver, Unknown
-from calib.gap.switching import switching
-from calib.gap.transitions import events_of, moment_of
-from calib.recording import Sensor
+from mavcal.calib.gap.attribution import Attribution
+from mavcal.calib.gap.hypotheses import Key
+from mavcal.calib.gap.impostors import Unexplained, impostors, unsteady
+from mavcal.calib.gap.leftover import leftover
+from mavcal.calib.gap.model import Model, Term
+from mavcal.calib.gap.schema import HiddenDriver, Unknown
+from mavcal.calib.gap.switching import switching
+from mavcal.calib.gap.transitions import events_of, moment_of
+from mavcal.calib.recording import Sensor
 
 _JUMPS = 3
 """Jumps of one sensor from which on they are no single events."""

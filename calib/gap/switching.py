@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.attribution import Attribution
-from calib.gap.hypotheses import Key
-from calib.gap.impostors import coarse
-from calib.gap.likelihood import Noise
-from calib.gap.model import Model, NoiseTerm, Term, predicted
-from calib.recording import Sensor
+from mavcal.calib.gap.attribution import Attribution
+from mavcal.calib.gap.hypotheses import Key
+from mavcal.calib.gap.impostors import coarse
+from mavcal.calib.gap.likelihood import Noise
+from mavcal.calib.gap.model import Model, NoiseTerm, Term, predicted
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

@@ -12,11 +12,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.effects.affine import rotation_columns
-from calib.gap.hypotheses import Columns, Part, add_block
-from calib.gap.model import Joint, Model, Setting, jacobian, normal_equations
-from calib.gap.views import View
-from calib.recording import Sensor
+from mavcal.calib.gap.effects.affine import rotation_columns
+from mavcal.calib.gap.hypotheses import Columns, Part, add_block
+from mavcal.calib.gap.model import Joint, Model, Setting, jacobian, normal_equations
+from mavcal.calib.gap.views import View
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from calib.gap.effects.events import SLOW_S
-from calib.gap.hypotheses import Key
-from calib.gap.model import Model, Term
-from calib.gap.problem import Problem
-from calib.gap.views import View
-from calib.recording import Sensor
+from mavcal.calib.gap.effects.events import SLOW_S
+from mavcal.calib.gap.hypotheses import Key
+from mavcal.calib.gap.model import Model, Term
+from mavcal.calib.gap.problem import Problem
+from mavcal.calib.gap.views import View
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 ONE_EVENT_S = 2.0

@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.contest import Contest, Score, priced
-from calib.gap.evidence import evidence, price_of_kind
-from calib.gap.hypotheses import Hypothesis
-from calib.gap.model import Model
-from calib.gap.noise_fit import refitted
-from calib.gap.projection import Beside, Gain, existing
-from calib.gap.selection import (
+from mavcal.calib.gap.contest import Contest, Score, priced
+from mavcal.calib.gap.evidence import evidence, price_of_kind
+from mavcal.calib.gap.hypotheses import Hypothesis
+from mavcal.calib.gap.model import Model
+from mavcal.calib.gap.noise_fit import refitted
+from mavcal.calib.gap.projection import Beside, Gain, existing
+from mavcal.calib.gap.selection import (
     MATERIAL,
     ONE_MORE,
     Chosen,
@@ -32,7 +32,7 @@ from calib.gap.selection import (
     select,
     without,
 )
-from calib.gap.shapes import Shape, flexible, shapes_of
+from mavcal.calib.gap.shapes import Shape, flexible, shapes_of
 
 Array = NDArray[np.float64]
 

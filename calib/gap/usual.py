@@ -7,9 +7,9 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.effects.base import LatticeEffect, LatticeEvidence
-from calib.gap.model import Term
-from calib.gap.problem import Trace
+from mavcal.calib.gap.effects.base import LatticeEffect, LatticeEvidence
+from mavcal.calib.gap.model import Term
+from mavcal.calib.gap.problem import Trace
 
 Array = NDArray[np.float64]
 

@@ -16,14 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import InvalidInputError
-from calib.gap.diagnose import diagnose
-from calib.gap.problem import Problem, ReferenceKind
-from calib.gap.reference import build
-from calib.gap.reference.recorded import recorded
-from calib.gap.replay import with_effects
-from calib.gap.schema import EffectEstimate, GapReport, SeriesFit, as_json
-from calib.recording import Recording
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.gap.diagnose import diagnose
+from mavcal.calib.gap.problem import Problem, ReferenceKind
+from mavcal.calib.gap.reference import build
+from mavcal.calib.gap.reference.recorded import recorded
+from mavcal.calib.gap.replay import with_effects
+from mavcal.calib.gap.schema import EffectEstimate, GapReport, SeriesFit, as_json
+from mavcal.calib.recording import Recording
 
 Array = NDArray[np.float64]
 Json = dict[str, Any]

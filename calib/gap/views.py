@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import idct
 
-from calib.gap.likelihood import fast_length, frequencies, transform
-from calib.gap.problem import Problem, ReferenceKind, Trace
-from calib.recording import Sensor
+from mavcal.calib.gap.likelihood import fast_length, frequencies, transform
+from mavcal.calib.gap.problem import Problem, ReferenceKind, Trace
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from calib.gap.contest import Contest, tail
-from calib.gap.effects.affine import rotation_columns
-from calib.gap.effects.base import MeanEffect
-from calib.gap.effects.reference_attitude import REFERENCE
-from calib.gap.evidence import price_of_kind
-from calib.gap.hypotheses import Columns, Frame, Hypothesis, Part, add_block
-from calib.gap.likelihood import Noise
-from calib.gap.model import (
+from mavcal.calib.gap.contest import Contest, tail
+from mavcal.calib.gap.effects.affine import rotation_columns
+from mavcal.calib.gap.effects.base import MeanEffect
+from mavcal.calib.gap.effects.reference_attitude import REFERENCE
+from mavcal.calib.gap.evidence import price_of_kind
+from mavcal.calib.gap.hypotheses import Columns, Frame, Hypothesis, Part, add_block
+from mavcal.calib.gap.likelihood import Noise
+from mavcal.calib.gap.model import (
     Model,
     Ridge,
     Setting,
@@ -32,11 +32,20 @@ from calib.gap.model import (
     refined,
     starting_model,
 )
-from calib.gap.noise_fit import refitted
-from calib.gap.schema import Estimate
-from calib.gap.selection import MATERIAL, ONE_MORE, Chosen, largest_gain, objective, price_of_all, select, without
-from calib.gap.views import View
-from calib.recording import Sensor
+from mavcal.calib.gap.noise_fit import refitted
+from mavcal.calib.gap.schema import Estimate
+from mavcal.calib.gap.selection import (
+    MATERIAL,
+    ONE_MORE,
+    Chosen,
+    largest_gain,
+    objective,
+    price_of_all,
+    select,
+    without,
+)
+from mavcal.calib.gap.views import View
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from html import escape
 
-from calib.gap.schema import EffectEstimate, GapReport
-from calib.gap_report.series_plots import (
+from mavcal.calib.gap.schema import EffectEstimate, GapReport
+from mavcal.calib.gap_report.series_plots import (
     allan_plot,
     of_effect,
     overlay,
@@ -14,9 +14,9 @@ from calib.gap_report.series_plots import (
     spectrum_plot,
     strip,
 )
-from calib.gap_report.style import STYLE
-from calib.gap_report.table_plots import power_table, rivals_table, waterfall, where_map
-from calib.gap_report.words import (
+from mavcal.calib.gap_report.style import STYLE
+from mavcal.calib.gap_report.table_plots import power_table, rivals_table, waterfall, where_map
+from mavcal.calib.gap_report.words import (
     closed_sentence,
     effect_phrase,
     interval,

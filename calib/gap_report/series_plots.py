@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.fit import AXES
-from calib.gap.schema import EffectEstimate, SeriesFit
-from calib.gap_report.chart import AFTER, BEFORE, FLOOR, MODEL, Chart, limits_of, thinned
+from mavcal.calib.fit import AXES
+from mavcal.calib.gap.schema import EffectEstimate, SeriesFit
+from mavcal.calib.gap_report.chart import AFTER, BEFORE, FLOOR, MODEL, Chart, limits_of, thinned
 
 Array = NDArray[np.float64]
 

@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 from html import escape
 
-from calib.gap.schema import Finding, GapReport, Shrink
-from calib.gap_report.chart import heat, svg, text
-from calib.gap_report.words import number, quantity, regime
+from mavcal.calib.gap.schema import Finding, GapReport, Shrink
+from mavcal.calib.gap_report.chart import heat, svg, text
+from mavcal.calib.gap_report.words import number, quantity, regime
 
 _SLOTS = 6
 _FAR = 1000

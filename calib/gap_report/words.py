@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from calib.gap.schema import EffectEstimate, Finding, GapReport, Shrink, Verdict
+from mavcal.calib.gap.schema import EffectEstimate, Finding, GapReport, Shrink, Verdict
 
 _KINDS = {
     "bias": "a constant offset",

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from calib.gyro.g_sensitivity import fit_g_sensitivity
-from calib.gyro.rest import LARGEST_BIAS, PLAUSIBLE_BIAS, fit_gyro_rest, steady_turn
-from calib.gyro.thread import fit_thread, thread_scale
-from calib.gyro.turntable import fit_turntable
+from mavcal.calib.gyro.g_sensitivity import fit_g_sensitivity
+from mavcal.calib.gyro.rest import LARGEST_BIAS, PLAUSIBLE_BIAS, fit_gyro_rest, steady_turn
+from mavcal.calib.gyro.thread import fit_thread, thread_scale
+from mavcal.calib.gyro.turntable import fit_turntable
 
 __all__ = [
     "LARGEST_BIAS",

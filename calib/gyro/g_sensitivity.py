@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from calib import STANDARD_GRAVITY
-from calib.attitude import drift_sd_deg_per_min
-from calib.errors import InvalidInputError
-from calib.fit import AXES, FitResult, FitStatus, refused
-from calib.gyro.rest import LARGEST_BIAS
-from calib.gyro.turns import EARTH_RATE, usable
-from calib.imu.poses import Poses, measure
-from calib.recording import Channel, Sensor
-from calib.residuals import residual_statistics
-from calib.triad import TriadModel
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.attitude import drift_sd_deg_per_min
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import AXES, FitResult, FitStatus, refused
+from mavcal.calib.gyro.rest import LARGEST_BIAS
+from mavcal.calib.gyro.turns import EARTH_RATE, usable
+from mavcal.calib.imu.poses import Poses, measure
+from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.residuals import residual_statistics
+from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 

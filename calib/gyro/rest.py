@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.attitude import drift_sd_deg_per_min
-from calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
-from calib.noise import long_run_variance
-from calib.quantisation import QuantisedMean, mean_of
-from calib.recording import Channel, Sensor
-from calib.residuals import residual_statistics
-from calib.triad import TriadModel
-from calib.windows import finite_rows
+from mavcal.calib.attitude import drift_sd_deg_per_min
+from mavcal.calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
+from mavcal.calib.noise import long_run_variance
+from mavcal.calib.quantisation import QuantisedMean, mean_of
+from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.residuals import residual_statistics
+from mavcal.calib.triad import TriadModel
+from mavcal.calib.windows import finite_rows
 
 Array = NDArray[np.float64]
 

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import InvalidInputError, UndeterminedError
-from calib.fit import FitResult, refused
-from calib.geometry import sphere_of
-from calib.gyro.turns import Turn, fit_turns, usable
-from calib.noise import long_run_variance
-from calib.recording import Channel, Segment, Sensor
-from calib.windows import occupied_starts, window_statistics
+from mavcal.calib.errors import InvalidInputError, UndeterminedError
+from mavcal.calib.fit import FitResult, refused
+from mavcal.calib.geometry import sphere_of
+from mavcal.calib.gyro.turns import Turn, fit_turns, usable
+from mavcal.calib.noise import long_run_variance
+from mavcal.calib.recording import Channel, Segment, Sensor
+from mavcal.calib.windows import occupied_starts, window_statistics
 
 Array = NDArray[np.float64]
 

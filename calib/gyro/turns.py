@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from calib.attitude import drift_sd_deg_per_min
-from calib.errors import InvalidInputError
-from calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
-from calib.quantisation import with_apparent_quantum
-from calib.recording import Channel, Sensor
-from calib.residuals import residual_statistics
-from calib.triad import TriadModel
-from calib.windows import finite_rows, without_spikes
+from mavcal.calib.attitude import drift_sd_deg_per_min
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
+from mavcal.calib.quantisation import with_apparent_quantum
+from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.residuals import residual_statistics
+from mavcal.calib.triad import TriadModel
+from mavcal.calib.windows import finite_rows, without_spikes
 
 Array = NDArray[np.float64]
 

@@ -8,12 +8,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import InvalidInputError
-from calib.fit import AXES, FitResult
-from calib.gyro.turns import EARTH_RATE, Turn, fit_turns, usable
-from calib.quantisation import mean_of
-from calib.recording import Channel, Segment
-from calib.windows import finite_rows, occupied_starts, window_statistics
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import AXES, FitResult
+from mavcal.calib.gyro.turns import EARTH_RATE, Turn, fit_turns, usable
+from mavcal.calib.quantisation import mean_of
+from mavcal.calib.recording import Channel, Segment
+from mavcal.calib.windows import finite_rows, occupied_starts, window_statistics
 
 Array = NDArray[np.float64]
 

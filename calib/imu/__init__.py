@@ -7,6 +7,6 @@ its residuals deserve, and ``result`` says what is known of either sensor. :func
 
 from __future__ import annotations
 
-from calib.imu.fit import fit_imu
+from mavcal.calib.imu.fit import fit_imu
 
 __all__ = ["fit_imu"]

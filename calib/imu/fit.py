@@ -8,22 +8,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import STANDARD_GRAVITY
-from calib.errors import InvalidInputError
-from calib.fit import AXES, FitResult
-from calib.geometry import sphere_of
-from calib.imu.integrate import Moves
-from calib.imu.poses import LEAST_POSES, Poses, find_poses, measure
-from calib.imu.problem import ImuProblem, ImuSolution, linearise, reduced, solve, turns_of
-from calib.imu.result import Facts, Form, imu_refused, imu_results
-from calib.imu.start import closure, rough_gyro, with_turn_noise
-from calib.imu.unknowns import DIAGONAL, UNKNOWNS, Coordinates, Prior
-from calib.imu.weigh import Weighed, weigh
-from calib.norm_fit import NEUTRAL, UNDETERMINED, NormProblem
-from calib.norm_fit import solve as solve_norm
-from calib.quantisation import with_apparent_quantum
-from calib.recording import Channel
-from calib.windows import finite_rows, without_spikes
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import AXES, FitResult
+from mavcal.calib.geometry import sphere_of
+from mavcal.calib.imu.integrate import Moves
+from mavcal.calib.imu.poses import LEAST_POSES, Poses, find_poses, measure
+from mavcal.calib.imu.problem import ImuProblem, ImuSolution, linearise, reduced, solve, turns_of
+from mavcal.calib.imu.result import Facts, Form, imu_refused, imu_results
+from mavcal.calib.imu.start import closure, rough_gyro, with_turn_noise
+from mavcal.calib.imu.unknowns import DIAGONAL, UNKNOWNS, Coordinates, Prior
+from mavcal.calib.imu.weigh import Weighed, weigh
+from mavcal.calib.norm_fit import NEUTRAL, UNDETERMINED, NormProblem
+from mavcal.calib.norm_fit import solve as solve_norm
+from mavcal.calib.quantisation import with_apparent_quantum
+from mavcal.calib.recording import Channel
+from mavcal.calib.windows import finite_rows, without_spikes
 
 Array = NDArray[np.float64]
 

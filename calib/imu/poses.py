@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.geometry import frame_along, sphere_of
-from calib.imu.static import Watch, candidates, steady
-from calib.noise import long_run_variance
-from calib.norm_fit import NormProblem, solve
-from calib.quantisation import mean_of
-from calib.recording import Channel
+from mavcal.calib.geometry import frame_along, sphere_of
+from mavcal.calib.imu.static import Watch, candidates, steady
+from mavcal.calib.noise import long_run_variance
+from mavcal.calib.norm_fit import NormProblem, solve
+from mavcal.calib.quantisation import mean_of
+from mavcal.calib.recording import Channel
 
 Array = NDArray[np.float64]
 

@@ -8,15 +8,15 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.attitude import drift_sd_deg_per_min, tilt_sd_deg
-from calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
-from calib.imu.poses import Poses
-from calib.imu.unknowns import symmetric
-from calib.imu.weigh import MISFIT, GroupFit, Weighed
-from calib.norm_fit import PAIRS
-from calib.recording import Channel, Sensor
-from calib.residuals import residual_statistics
-from calib.triad import TriadModel
+from mavcal.calib.attitude import drift_sd_deg_per_min, tilt_sd_deg
+from mavcal.calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
+from mavcal.calib.imu.poses import Poses
+from mavcal.calib.imu.unknowns import symmetric
+from mavcal.calib.imu.weigh import MISFIT, GroupFit, Weighed
+from mavcal.calib.norm_fit import PAIRS
+from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.residuals import residual_statistics
+from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 Form = Literal["symmetric", "upper"]

@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.imu.integrate import integrate
-from calib.imu.problem import ImuProblem
-from calib.imu.unknowns import cross, symmetric
-from calib.recording import Channel
+from mavcal.calib.imu.integrate import integrate
+from mavcal.calib.imu.problem import ImuProblem
+from mavcal.calib.imu.unknowns import cross, symmetric
+from mavcal.calib.recording import Channel
 
 Array = NDArray[np.float64]
 

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.recording import Channel
-from calib.windows import Windows, occupied_starts, window_statistics
+from mavcal.calib.recording import Channel
+from mavcal.calib.windows import Windows, occupied_starts, window_statistics
 
 Array = NDArray[np.float64]
 

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from calib.imu.problem import ImuProblem, ImuSolution, linearise, log_determinant, solve
-from calib.imu.unknowns import Coordinates, Prior
-from calib.mag.result import student_variance
+from mavcal.calib.imu.problem import ImuProblem, ImuSolution, linearise, log_determinant, solve
+from mavcal.calib.imu.unknowns import Coordinates, Prior
+from mavcal.calib.mag.result import student_variance
 
 Array = NDArray[np.float64]
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from calib.errors import InvalidInputError, UnreadableError
-from calib.logs.dataflash import DataFlash, read_dataflash, read_dataflash_text
-from calib.logs.tables import read_table
-from calib.logs.tlog import read_tlog
-from calib.logs.ulog import read_ulog
-from calib.recording import Recording
+from mavcal.calib.errors import InvalidInputError, UnreadableError
+from mavcal.calib.logs.dataflash import DataFlash, read_dataflash, read_dataflash_text
+from mavcal.calib.logs.tables import read_table
+from mavcal.calib.logs.tlog import read_tlog
+from mavcal.calib.logs.ulog import read_ulog
+from mavcal.calib.recording import Recording
 
 _HEAD = 1 << 14
 """Bytes that tell what a file is; a text log may begin with a greeting."""

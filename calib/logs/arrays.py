@@ -16,9 +16,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import UnreadableError
-from calib.logs.columns import Array, Columns
-from calib.logs.matlab import matlab_arrays
+from mavcal.calib.errors import UnreadableError
+from mavcal.calib.logs.columns import Array, Columns
+from mavcal.calib.logs.matlab import matlab_arrays
 
 MOST_UNFOLDED: Final = 1 << 26, 50
 """Bytes that the columns of a file may take, plus this many times the size of the file."""

@@ -8,9 +8,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import STANDARD_GRAVITY
-from calib.errors import InvalidInputError
-from calib.recording import Channel, Sensor
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.recording import Channel, Sensor
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import UnreadableError
+from mavcal.calib.errors import UnreadableError
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import UnreadableError
+from mavcal.calib.errors import UnreadableError
 
 HEADER: Final = 128
 VERSION_73: Final = 0x0200

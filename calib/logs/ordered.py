@@ -7,7 +7,7 @@ from bisect import bisect_right
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.recording import Channel
+from mavcal.calib.recording import Channel
 
 
 def in_order(channel: Channel, latest: float) -> tuple[Channel, int]:

@@ -18,9 +18,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import InvalidInputError, UnreadableError
-from calib.logs.arrays import mat_columns, npz_columns
-from calib.logs.canonical import (
+from mavcal.calib.errors import InvalidInputError, UnreadableError
+from mavcal.calib.logs.arrays import mat_columns, npz_columns
+from mavcal.calib.logs.canonical import (
     CANONICAL,
     FRD_FROM_FLU,
     GROUP,
@@ -35,8 +35,8 @@ from calib.logs.canonical import (
     reference_names,
     reference_sensor,
 )
-from calib.logs.columns import Columns, text_columns
-from calib.recording import Channel, Event, Recording, Rounding, Segment, Sensor, Stage
+from mavcal.calib.logs.columns import Columns, text_columns
+from mavcal.calib.recording import Channel, Event, Recording, Rounding, Segment, Sensor, Stage
 
 Array = NDArray[np.float64]
 

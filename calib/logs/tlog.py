@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib.errors import UnreadableError
-from calib.firmware.announcements import AUTOPILOTS
-from calib.firmware.messages import INERTIAL
-from calib.firmware.names import CALIBRATION_PREFIXES
-from calib.firmware.streams import Assembler
-from calib.recording import Event, Identity, Recording
-from calib.wire import TlogReader, decode
+from mavcal.calib.errors import UnreadableError
+from mavcal.calib.firmware.announcements import AUTOPILOTS
+from mavcal.calib.firmware.messages import INERTIAL
+from mavcal.calib.firmware.names import CALIBRATION_PREFIXES
+from mavcal.calib.firmware.streams import Assembler
+from mavcal.calib.recording import Event, Identity, Recording
+from mavcal.calib.wire import TlogReader, decode
 
 if TYPE_CHECKING:
-    from calib.wire import Frame
+    from mavcal.calib.wire import Frame
 
 HEARTBEAT: Final = dialect.MAVLINK_MSG_ID_HEARTBEAT
 INERTIAL_IDS: Final = frozenset(INERTIAL["ardupilot"])

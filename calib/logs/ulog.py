@@ -12,11 +12,11 @@ import pyulog.core
 from pyulog.core import ULog
 from pyulog.exceptions import ULogException, ULogIncompatibleFlagException
 
-from calib.errors import UnreadableError
-from calib.firmware.px4_flight import arming_events, flight_channels, truth_channels
-from calib.firmware.px4_topics import US, WANTED, inertial_channels
-from calib.logs.ordered import in_order
-from calib.recording import Channel, Event, Identity, ParameterEntry, ParameterTimeline, Recording
+from mavcal.calib.errors import UnreadableError
+from mavcal.calib.firmware.px4_flight import arming_events, flight_channels, truth_channels
+from mavcal.calib.firmware.px4_topics import US, WANTED, inertial_channels
+from mavcal.calib.logs.ordered import in_order
+from mavcal.calib.recording import Channel, Event, Identity, ParameterEntry, ParameterTimeline, Recording
 
 MAGIC: Final = b"ULog\x01\x12\x35"
 ENCRYPTED: Final = b"ULogEnc"

@@ -30,20 +30,20 @@ Every fit takes samples (N, 3) in order of time and the keywords of :class:`cali
 
 from __future__ import annotations
 
-from calib.mag.accumulator import EllipsoidAccumulator
-from calib.mag.blur import deblurred, rates_during
-from calib.mag.blur_fit import fit_ellipsoid_deblurred
-from calib.mag.coverage import Advice, Coverage
-from calib.mag.ellipsoid import fit_ellipsoid
-from calib.mag.ellipsoid_axis import fit_ellipsoid_axis
-from calib.mag.heading import heading_sd_deg
-from calib.mag.minmax import fit_minmax
-from calib.mag.moments import adjusted_least_squares
-from calib.mag.orientation import OrientationResult, Verdict, find_orientation
-from calib.mag.result import MagContext
-from calib.mag.running import RunningEllipsoid
-from calib.mag.shape import MagModel
-from calib.mag.sphere import fit_sphere
+from mavcal.calib.mag.accumulator import EllipsoidAccumulator
+from mavcal.calib.mag.blur import deblurred, rates_during
+from mavcal.calib.mag.blur_fit import fit_ellipsoid_deblurred
+from mavcal.calib.mag.coverage import Advice, Coverage
+from mavcal.calib.mag.ellipsoid import fit_ellipsoid
+from mavcal.calib.mag.ellipsoid_axis import fit_ellipsoid_axis
+from mavcal.calib.mag.heading import heading_sd_deg
+from mavcal.calib.mag.minmax import fit_minmax
+from mavcal.calib.mag.moments import adjusted_least_squares
+from mavcal.calib.mag.orientation import OrientationResult, Verdict, find_orientation
+from mavcal.calib.mag.result import MagContext
+from mavcal.calib.mag.running import RunningEllipsoid
+from mavcal.calib.mag.shape import MagModel
+from mavcal.calib.mag.sphere import fit_sphere
 
 __all__ = [
     "Advice",

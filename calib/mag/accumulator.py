@@ -7,15 +7,15 @@ from typing import Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.errors import UndeterminedError
-from calib.fit import FitResult
-from calib.mag.coverage import Coverage
-from calib.mag.ellipsoid import FEWEST, fit_ellipsoid
-from calib.mag.moments import Moments
-from calib.mag.result import MagFacts
-from calib.mag.samples import Cloud, check_samples
-from calib.mag.shape import Ellipsoid, MagModel
-from calib.mag.sphere import solve_sphere
+from mavcal.calib.errors import UndeterminedError
+from mavcal.calib.fit import FitResult
+from mavcal.calib.mag.coverage import Coverage
+from mavcal.calib.mag.ellipsoid import FEWEST, fit_ellipsoid
+from mavcal.calib.mag.moments import Moments
+from mavcal.calib.mag.result import MagFacts
+from mavcal.calib.mag.samples import Cloud, check_samples
+from mavcal.calib.mag.shape import Ellipsoid, MagModel
+from mavcal.calib.mag.sphere import solve_sphere
 
 Array = NDArray[np.float64]
 

@@ -14,18 +14,18 @@ from typing import Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib import STANDARD_GRAVITY
-from calib.errors import InvalidInputError, UndeterminedError
-from calib.fit import FitResult
-from calib.mag.align_lag import Lag, lag_of, turning_of
-from calib.mag.align_result import AlignFit, aligned_result
-from calib.mag.align_solve import Alignment, Noise, align, misclosures
-from calib.mag.align_start import linear_start, two_stage_start
-from calib.mag.orientation import QUIET, interpolated
-from calib.mag.result import MagContext, MagFacts, refusal
-from calib.mag.robust import MAD_TO_SD, MOST_OUTLIERS, OUTLIER
-from calib.mag.samples import check_not_flat, check_samples
-from calib.mag.serial import LONGEST, weakened_information
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.errors import InvalidInputError, UndeterminedError
+from mavcal.calib.fit import FitResult
+from mavcal.calib.mag.align_lag import Lag, lag_of, turning_of
+from mavcal.calib.mag.align_result import AlignFit, aligned_result
+from mavcal.calib.mag.align_solve import Alignment, Noise, align, misclosures
+from mavcal.calib.mag.align_start import linear_start, two_stage_start
+from mavcal.calib.mag.orientation import QUIET, interpolated
+from mavcal.calib.mag.result import MagContext, MagFacts, refusal
+from mavcal.calib.mag.robust import MAD_TO_SD, MOST_OUTLIERS, OUTLIER
+from mavcal.calib.mag.samples import check_not_flat, check_samples
+from mavcal.calib.mag.serial import LONGEST, weakened_information
 
 Array = NDArray[np.float64]
 

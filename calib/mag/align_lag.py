@@ -11,8 +11,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.mag.align_solve import Alignment
-from calib.mag.orientation import interpolated
+from mavcal.calib.mag.align_solve import Alignment
+from mavcal.calib.mag.orientation import interpolated
 
 Array = NDArray[np.float64]
 

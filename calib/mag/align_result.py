@@ -10,20 +10,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.c_array import c_array, homogeneous
-from calib.errors import UndeterminedError
-from calib.fit import FitResult, FitStatus, parameter_names
-from calib.mag.align_lag import Lag
-from calib.mag.align_solve import Alignment
-from calib.mag.align_start import check_dip
-from calib.mag.heading import heading_sd_deg
-from calib.mag.mounting import mounting_of, rotation_covariance
-from calib.mag.result import FIELD_TOLERANCE, UNDETERMINED_SD, MagContext
-from calib.mag.samples import axis_word
-from calib.mag.sections import mask_bytes, visited
-from calib.recording import Sensor
-from calib.residuals import residual_statistics
-from calib.triad import TriadModel
+from mavcal.calib.c_array import c_array, homogeneous
+from mavcal.calib.errors import UndeterminedError
+from mavcal.calib.fit import FitResult, FitStatus, parameter_names
+from mavcal.calib.mag.align_lag import Lag
+from mavcal.calib.mag.align_solve import Alignment
+from mavcal.calib.mag.align_start import check_dip
+from mavcal.calib.mag.heading import heading_sd_deg
+from mavcal.calib.mag.mounting import mounting_of, rotation_covariance
+from mavcal.calib.mag.result import FIELD_TOLERANCE, UNDETERMINED_SD, MagContext
+from mavcal.calib.mag.samples import axis_word
+from mavcal.calib.mag.sections import mask_bytes, visited
+from mavcal.calib.recording import Sensor
+from mavcal.calib.residuals import residual_statistics
+from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import UndeterminedError
+from mavcal.calib.errors import UndeterminedError
 
 Array = NDArray[np.float64]
 

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.errors import UndeterminedError
-from calib.fit import FitStatus, parameter_names
-from calib.mag.align_solve import N_UNKNOWNS
-from calib.mag.ellipsoid import fit_ellipsoid
-from calib.mag.orientation import RIGHT_ANGLES
+from mavcal.calib.errors import UndeterminedError
+from mavcal.calib.fit import FitStatus, parameter_names
+from mavcal.calib.mag.align_solve import N_UNKNOWNS
+from mavcal.calib.mag.ellipsoid import fit_ellipsoid
+from mavcal.calib.mag.orientation import RIGHT_ANGLES
 
 Array = NDArray[np.float64]
 

@@ -19,12 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from calib.errors import UndeterminedError
-from calib.mag.distance import Distances, gauss_newton, shape_prior
-from calib.mag.result import ShapeFit
-from calib.mag.samples import NEARLY_PLANAR, Cloud, check_not_flat
-from calib.mag.shape import Ellipsoid, MagModel, six_numbers, symmetric
-from calib.mag.shape_fit import Asked, Found, cloud_of, minimum, with_uncertainty
+from mavcal.calib.errors import UndeterminedError
+from mavcal.calib.mag.distance import Distances, gauss_newton, shape_prior
+from mavcal.calib.mag.result import ShapeFit
+from mavcal.calib.mag.samples import NEARLY_PLANAR, Cloud, check_not_flat
+from mavcal.calib.mag.shape import Ellipsoid, MagModel, six_numbers, symmetric
+from mavcal.calib.mag.shape_fit import Asked, Found, cloud_of, minimum, with_uncertainty
 
 Array = NDArray[np.float64]
 

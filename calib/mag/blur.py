@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from calib.errors import InvalidInputError
-from calib.mag.samples import CHUNK
-from calib.triad import TriadModel
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.mag.samples import CHUNK
+from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.mag.blur import Rates
+from mavcal.calib.mag.blur import Rates
 
 Array = NDArray[np.float64]
 

@@ -26,19 +26,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize_scalar
 
-from calib.errors import InvalidInputError, UndeterminedError
-from calib.fit import FitResult
-from calib.mag.auto import SOFT_IRON_SD
-from calib.mag.blur import Rates, deblurred
-from calib.mag.blur_axes import axes_of_gyro
-from calib.mag.distance import Distances, bisquare, score_rows, shape_prior
-from calib.mag.ellipsoid import AUTO, ellipsoid_shape, fit_ellipsoid
-from calib.mag.result import MagContext, MagFacts, ShapeFit, magnetometer_result, refusal
-from calib.mag.robust import MAD_TO_SD, OUTLIER, robust_sd
-from calib.mag.samples import Cloud, not_repeated
-from calib.mag.shape import MagModel, correction
-from calib.mag.shape_fit import METHOD
-from calib.mag.still import counted_as, still_stretches
+from mavcal.calib.errors import InvalidInputError, UndeterminedError
+from mavcal.calib.fit import FitResult
+from mavcal.calib.mag.auto import SOFT_IRON_SD
+from mavcal.calib.mag.blur import Rates, deblurred
+from mavcal.calib.mag.blur_axes import axes_of_gyro
+from mavcal.calib.mag.distance import Distances, bisquare, score_rows, shape_prior
+from mavcal.calib.mag.ellipsoid import AUTO, ellipsoid_shape, fit_ellipsoid
+from mavcal.calib.mag.result import MagContext, MagFacts, ShapeFit, magnetometer_result, refusal
+from mavcal.calib.mag.robust import MAD_TO_SD, OUTLIER, robust_sd
+from mavcal.calib.mag.samples import Cloud, not_repeated
+from mavcal.calib.mag.shape import MagModel, correction
+from mavcal.calib.mag.shape_fit import METHOD
+from mavcal.calib.mag.still import counted_as, still_stretches
 
 Array = NDArray[np.float64]
 

@@ -10,10 +10,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.errors import InvalidInputError
-from calib.mag.heading import heading_sd_deg
-from calib.mag.sections import N_SECTIONS, mask_bytes, visited
-from calib.mag.shape import COLUMNS, N_PARAMETERS, ROWS, Ellipsoid, correction, correction_covariance
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.mag.heading import heading_sd_deg
+from mavcal.calib.mag.sections import N_SECTIONS, mask_bytes, visited
+from mavcal.calib.mag.shape import COLUMNS, N_PARAMETERS, ROWS, Ellipsoid, correction, correction_covariance
 
 Array = NDArray[np.float64]
 

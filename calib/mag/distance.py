@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import UndeterminedError
-from calib.mag.samples import CHUNK, Cloud
-from calib.mag.shape import COLUMNS, N_PARAMETERS, ROWS, SYMMETRIC_BASIS, Ellipsoid, MagModel, six_numbers
+from mavcal.calib.errors import UndeterminedError
+from mavcal.calib.mag.samples import CHUNK, Cloud
+from mavcal.calib.mag.shape import COLUMNS, N_PARAMETERS, ROWS, SYMMETRIC_BASIS, Ellipsoid, MagModel, six_numbers
 
 Array = NDArray[np.float64]
 

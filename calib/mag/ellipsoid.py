@@ -12,13 +12,13 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.errors import InvalidInputError, UndeterminedError
-from calib.fit import FitResult
-from calib.mag.auto import averaged_shape
-from calib.mag.result import MagContext, MagFacts, ShapeFit, magnetometer_result, refusal
-from calib.mag.samples import real_array
-from calib.mag.shape import N_PARAMETERS, MagModel
-from calib.mag.shape_fit import METHOD, Asked, shape_of
+from mavcal.calib.errors import InvalidInputError, UndeterminedError
+from mavcal.calib.fit import FitResult
+from mavcal.calib.mag.auto import averaged_shape
+from mavcal.calib.mag.result import MagContext, MagFacts, ShapeFit, magnetometer_result, refusal
+from mavcal.calib.mag.samples import real_array
+from mavcal.calib.mag.shape import N_PARAMETERS, MagModel
+from mavcal.calib.mag.shape_fit import METHOD, Asked, shape_of
 
 AUTO = "auto"
 

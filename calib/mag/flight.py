@@ -13,18 +13,18 @@ from typing import Any, Literal, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import UndeterminedError
-from calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
-from calib.mag.flight_fit import SOFT_IRON_SD, Estimate, Knowledge, believed_soft_iron, estimate
-from calib.mag.flight_input import MOVEMENT, Given, given, unusable
-from calib.mag.flight_path import Turning
-from calib.mag.flight_problem import OFFSET, SHAPE, SHAPES
-from calib.mag.heading import heading_sd_deg
-from calib.mag.motor_drives import Drive
-from calib.mag.result import FIELD_TOLERANCE, UNDETERMINED_SD, MagContext, MagFacts
-from calib.recording import Channel, Sensor
-from calib.residuals import residual_statistics
-from calib.triad import TriadModel
+from mavcal.calib.errors import UndeterminedError
+from mavcal.calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
+from mavcal.calib.mag.flight_fit import SOFT_IRON_SD, Estimate, Knowledge, believed_soft_iron, estimate
+from mavcal.calib.mag.flight_input import MOVEMENT, Given, given, unusable
+from mavcal.calib.mag.flight_path import Turning
+from mavcal.calib.mag.flight_problem import OFFSET, SHAPE, SHAPES
+from mavcal.calib.mag.heading import heading_sd_deg
+from mavcal.calib.mag.motor_drives import Drive
+from mavcal.calib.mag.result import FIELD_TOLERANCE, UNDETERMINED_SD, MagContext, MagFacts
+from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.residuals import residual_statistics
+from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 SoftIron = Literal["auto", "held", "free"]

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.earth import EarthField
-from calib.mag.flight_path import GyroModel, Turning, first_bias, make_path
-from calib.mag.flight_problem import OFFSET, SHAPE, Flight, Layout, Prior, Solved, predicted, solve, without
+from mavcal.calib.earth import EarthField
+from mavcal.calib.mag.flight_path import GyroModel, Turning, first_bias, make_path
+from mavcal.calib.mag.flight_problem import OFFSET, SHAPE, Flight, Layout, Prior, Solved, predicted, solve, without
 
 Array = NDArray[np.float64]
 

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.errors import InvalidInputError
-from calib.mag.flight_fit import Samples
-from calib.mag.flight_path import Turning
-from calib.mag.motor_drives import Drive
-from calib.mag.result import MagContext
-from calib.recording import Channel, Sensor
-from calib.triad import TriadModel
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.mag.flight_fit import Samples
+from mavcal.calib.mag.flight_path import Turning
+from mavcal.calib.mag.motor_drives import Drive
+from mavcal.calib.mag.result import MagContext
+from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 

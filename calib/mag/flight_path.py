@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from calib.errors import InvalidInputError
-from calib.recording import Channel
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.recording import Channel
 
 Array = NDArray[np.float64]
 

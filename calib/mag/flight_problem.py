@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.spatial.transform import Rotation
 
-from calib.errors import UndeterminedError
-from calib.mag.flight_path import Path
+from mavcal.calib.errors import UndeterminedError
+from mavcal.calib.mag.flight_path import Path
 
 Array = NDArray[np.float64]
 

@@ -15,18 +15,18 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import InvalidInputError
-from calib.fit import FitResult, FitStatus, parameter_names, refused
-from calib.imu.unknowns import UNKNOWNS, Prior, symmetric
-from calib.imu.weigh import groups
-from calib.mag.blur import deblurred, rates_during
-from calib.mag.gyro_chain import BENT, BIAS_SD, LONGEST_DELAY, Chain, Found, rotation_of, weak_prior
-from calib.mag.heading import heading_sd_deg
-from calib.mag.result import UNDETERMINED_SD, MagContext, MagFacts
-from calib.recording import Channel, Sensor
-from calib.residuals import residual_statistics
-from calib.triad import TriadModel
-from calib.windows import finite_rows, without_spikes
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitResult, FitStatus, parameter_names, refused
+from mavcal.calib.imu.unknowns import UNKNOWNS, Prior, symmetric
+from mavcal.calib.imu.weigh import groups
+from mavcal.calib.mag.blur import deblurred, rates_during
+from mavcal.calib.mag.gyro_chain import BENT, BIAS_SD, LONGEST_DELAY, Chain, Found, rotation_of, weak_prior
+from mavcal.calib.mag.heading import heading_sd_deg
+from mavcal.calib.mag.result import UNDETERMINED_SD, MagContext, MagFacts
+from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.residuals import residual_statistics
+from mavcal.calib.triad import TriadModel
+from mavcal.calib.windows import finite_rows, without_spikes
 
 Array = NDArray[np.float64]
 

@@ -14,16 +14,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.geometry import sphere_of
-from calib.imu.integrate import Moves
-from calib.imu.problem import ImuProblem, ImuSolution, solve
-from calib.imu.start import rough_gyro, with_turn_noise
-from calib.imu.unknowns import Coordinates, Prior, symmetric
-from calib.imu.weigh import groups
-from calib.mag.result import MagContext
-from calib.norm_fit import NEUTRAL
-from calib.recording import Channel
-from calib.residuals import residual_statistics
+from mavcal.calib.geometry import sphere_of
+from mavcal.calib.imu.integrate import Moves
+from mavcal.calib.imu.problem import ImuProblem, ImuSolution, solve
+from mavcal.calib.imu.start import rough_gyro, with_turn_noise
+from mavcal.calib.imu.unknowns import Coordinates, Prior, symmetric
+from mavcal.calib.imu.weigh import groups
+from mavcal.calib.mag.result import MagContext
+from mavcal.calib.norm_fit import NEUTRAL
+from mavcal.calib.recording import Channel
+from mavcal.calib.residuals import residual_statistics
 
 Array = NDArray[np.float64]
 

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import InvalidInputError, UndeterminedError
-from calib.mag.samples import CHUNK, Cloud, check_not_flat, check_real_samples
-from calib.mag.shape import Ellipsoid, MagModel
+from mavcal.calib.errors import InvalidInputError, UndeterminedError
+from mavcal.calib.mag.samples import CHUNK, Cloud, check_not_flat, check_real_samples
+from mavcal.calib.mag.shape import Ellipsoid, MagModel
 
 Array = NDArray[np.float64]
 

@@ -17,17 +17,17 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import UndeterminedError
-from calib.fit import FitResult, FitStatus, parameter_names, refused
-from calib.mag.flight_fit import Estimate, Knowledge, estimate
-from calib.mag.flight_input import Given, given, unusable
-from calib.mag.flight_path import Turning, attitudes
-from calib.mag.flight_problem import OFFSET
-from calib.mag.motor_drives import UNIT, Drive, DriveKind
-from calib.mag.result import MagContext, MagFacts
-from calib.recording import Channel, Sensor
-from calib.residuals import residual_statistics
-from calib.triad import TriadModel
+from mavcal.calib.errors import UndeterminedError
+from mavcal.calib.fit import FitResult, FitStatus, parameter_names, refused
+from mavcal.calib.mag.flight_fit import Estimate, Knowledge, estimate
+from mavcal.calib.mag.flight_input import Given, given, unusable
+from mavcal.calib.mag.flight_path import Turning, attitudes
+from mavcal.calib.mag.flight_problem import OFFSET
+from mavcal.calib.mag.motor_drives import UNIT, Drive, DriveKind
+from mavcal.calib.mag.result import MagContext, MagFacts
+from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.residuals import residual_statistics
+from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from calib.recording import Channel
-from calib.windows import finite_rows
+from mavcal.calib.recording import Channel
+from mavcal.calib.windows import finite_rows
 
 Array = NDArray[np.float64]
 

@@ -15,9 +15,9 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib import STANDARD_GRAVITY
-from calib.errors import InvalidInputError, UndeterminedError
-from calib.mag.sections import sections
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.errors import InvalidInputError, UndeterminedError
+from mavcal.calib.mag.sections import sections
 
 Array = NDArray[np.float64]
 

@@ -13,17 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, stdtrit
 
-from calib.earth import EarthField
-from calib.errors import InvalidInputError, UndeterminedError
-from calib.fit import FitResult, FitStatus, parameter_names, refused
-from calib.mag.heading import DEFAULT_INCLINATION, heading_sd_deg
-from calib.mag.samples import axis_word
-from calib.mag.sections import mask_bytes, visited
-from calib.mag.serial import LONGEST, white_variance
-from calib.mag.shape import Ellipsoid, correction, correction_covariance
-from calib.recording import Sensor
-from calib.residuals import residual_statistics
-from calib.triad import TriadModel
+from mavcal.calib.earth import EarthField
+from mavcal.calib.errors import InvalidInputError, UndeterminedError
+from mavcal.calib.fit import FitResult, FitStatus, parameter_names, refused
+from mavcal.calib.mag.heading import DEFAULT_INCLINATION, heading_sd_deg
+from mavcal.calib.mag.samples import axis_word
+from mavcal.calib.mag.sections import mask_bytes, visited
+from mavcal.calib.mag.serial import LONGEST, white_variance
+from mavcal.calib.mag.shape import Ellipsoid, correction, correction_covariance
+from mavcal.calib.recording import Sensor
+from mavcal.calib.residuals import residual_statistics
+from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 

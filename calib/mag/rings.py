@@ -15,15 +15,24 @@ from typing import Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import InvalidInputError, UndeterminedError
-from calib.fit import FitResult
-from calib.mag.result import MagContext, MagFacts, refusal
-from calib.mag.ring_centres import CENTRES, FEWEST_OF_CIRCLE, Centre, Circle, Ring, centre_of, fit_circle, is_round
-from calib.mag.rings_algebra import columns_of
-from calib.mag.rings_faces import faces_of
-from calib.mag.rings_result import RingsFit, rings_result
-from calib.mag.robust import MAD_TO_SD, MOST_OUTLIERS, OUTLIER
-from calib.mag.serial import variance_inflation
+from mavcal.calib.errors import InvalidInputError, UndeterminedError
+from mavcal.calib.fit import FitResult
+from mavcal.calib.mag.result import MagContext, MagFacts, refusal
+from mavcal.calib.mag.ring_centres import (
+    CENTRES,
+    FEWEST_OF_CIRCLE,
+    Centre,
+    Circle,
+    Ring,
+    centre_of,
+    fit_circle,
+    is_round,
+)
+from mavcal.calib.mag.rings_algebra import columns_of
+from mavcal.calib.mag.rings_faces import faces_of
+from mavcal.calib.mag.rings_result import RingsFit, rings_result
+from mavcal.calib.mag.robust import MAD_TO_SD, MOST_OUTLIERS, OUTLIER
+from mavcal.calib.mag.serial import variance_inflation
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import UndeterminedError
-from calib.fit import AXES
+from mavcal.calib.errors import UndeterminedError
+from mavcal.calib.fit import AXES
 
 Array = NDArray[np.float64]
 

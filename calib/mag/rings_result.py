@@ -12,16 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from calib.c_array import c_array, homogeneous
-from calib.fit import FitResult, FitStatus, parameter_names
-from calib.mag.heading import heading_sd_deg
-from calib.mag.mounting import mounting_of
-from calib.mag.result import UNDETERMINED_SD, MagContext
-from calib.mag.ring_centres import Circle, Ring, plane_of
-from calib.mag.rings_algebra import by_dominant, centres_inverse, columns_of, published
-from calib.recording import Sensor
-from calib.residuals import residual_statistics
-from calib.triad import TriadModel
+from mavcal.calib.c_array import c_array, homogeneous
+from mavcal.calib.fit import FitResult, FitStatus, parameter_names
+from mavcal.calib.mag.heading import heading_sd_deg
+from mavcal.calib.mag.mounting import mounting_of
+from mavcal.calib.mag.result import UNDETERMINED_SD, MagContext
+from mavcal.calib.mag.ring_centres import Circle, Ring, plane_of
+from mavcal.calib.mag.rings_algebra import by_dominant, centres_inverse, columns_of, published
+from mavcal.calib.recording import Sensor
+from mavcal.calib.residuals import residual_statistics
+from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import UndeterminedError
-from calib.mag.distance import Distances, Pass
-from calib.mag.moments import Moments
-from calib.mag.samples import Cloud
-from calib.mag.shape import Ellipsoid, MagModel
-from calib.mag.sphere import solve_sphere
+from mavcal.calib.errors import UndeterminedError
+from mavcal.calib.mag.distance import Distances, Pass
+from mavcal.calib.mag.moments import Moments
+from mavcal.calib.mag.samples import Cloud
+from mavcal.calib.mag.shape import Ellipsoid, MagModel
+from mavcal.calib.mag.sphere import solve_sphere
 
 Array = NDArray[np.float64]
 

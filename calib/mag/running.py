@@ -20,14 +20,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import chdtrc, ndtr
 
-from calib.errors import InvalidInputError, UndeterminedError
-from calib.fit import FitResult
-from calib.mag.distance import ALL_SIDES
-from calib.mag.moments import POWERS, Moments, corrections, fill_monomials
-from calib.mag.result import MagContext, MagFacts, ShapeFit, concluded, refusal, student_variance
-from calib.mag.samples import CHUNK, LEAST_VARIANCE, Cloud, check_not_flat, check_samples
-from calib.mag.shape import SYMMETRIC_BASIS, Ellipsoid, MagModel
-from calib.residuals import WHITE
+from mavcal.calib.errors import InvalidInputError, UndeterminedError
+from mavcal.calib.fit import FitResult
+from mavcal.calib.mag.distance import ALL_SIDES
+from mavcal.calib.mag.moments import POWERS, Moments, corrections, fill_monomials
+from mavcal.calib.mag.result import MagContext, MagFacts, ShapeFit, concluded, refusal, student_variance
+from mavcal.calib.mag.samples import CHUNK, LEAST_VARIANCE, Cloud, check_not_flat, check_samples
+from mavcal.calib.mag.shape import SYMMETRIC_BASIS, Ellipsoid, MagModel
+from mavcal.calib.residuals import WHITE
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.errors import InvalidInputError, UndeterminedError
+from mavcal.calib.errors import InvalidInputError, UndeterminedError
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.triad import TriadModel
+from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 

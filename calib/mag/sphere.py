@@ -7,12 +7,12 @@ from typing import Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.errors import UndeterminedError
-from calib.fit import FitResult
-from calib.mag.result import MagContext, MagFacts, ShapeFit, magnetometer_result, refusal, student_variance
-from calib.mag.samples import LEAST_VARIANCE, check_not_flat, check_samples
-from calib.mag.serial import weakened_information
-from calib.mag.shape import N_PARAMETERS, Ellipsoid
+from mavcal.calib.errors import UndeterminedError
+from mavcal.calib.fit import FitResult
+from mavcal.calib.mag.result import MagContext, MagFacts, ShapeFit, magnetometer_result, refusal, student_variance
+from mavcal.calib.mag.samples import LEAST_VARIANCE, check_not_flat, check_samples
+from mavcal.calib.mag.serial import weakened_information
+from mavcal.calib.mag.shape import N_PARAMETERS, Ellipsoid
 
 Array = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from calib.methods import accel, gyro, imu, mag, mag_flight, noise, thermal
-from calib.methods.method import Finding, Method, Option, Options
+from mavcal.calib.methods import accel, gyro, imu, mag, mag_flight, noise, thermal
+from mavcal.calib.methods.method import Finding, Method, Option, Options
 
 _TABLES = (accel, gyro, mag, mag_flight, thermal, imu, noise)
 

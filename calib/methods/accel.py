@@ -7,14 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import STANDARD_GRAVITY
-from calib.accel import fit_one_axis, fit_poses
-from calib.accel_thermal import fit_accel_thermal
-from calib.coarse_means import means_together
-from calib.errors import InvalidInputError
-from calib.faces import CONVENTIONS, Face, down_of
-from calib.fit import FitResult
-from calib.methods.method import (
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.accel import fit_one_axis, fit_poses
+from mavcal.calib.accel_thermal import fit_accel_thermal
+from mavcal.calib.coarse_means import means_together
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.faces import CONVENTIONS, Face, down_of
+from mavcal.calib.fit import FitResult
+from mavcal.calib.methods.method import (
     FIXTURE,
     GRAVITY,
     INSTANCE,
@@ -26,11 +26,11 @@ from calib.methods.method import (
     gravity_of,
     mean_or_none,
 )
-from calib.methods.source import Source
-from calib.recording import Channel, Sensor
-from calib.six_face import FORMS, fit_six_face
-from calib.stillness import pose_means
-from calib.windows import finite_rows
+from mavcal.calib.methods.source import Source
+from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.six_face import FORMS, fit_six_face
+from mavcal.calib.stillness import pose_means
+from mavcal.calib.windows import finite_rows
 
 Array = NDArray[np.float64]
 

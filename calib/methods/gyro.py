@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import InvalidInputError
-from calib.fit import FitResult, parameter_names, refused
-from calib.gyro import fit_g_sensitivity, fit_gyro_rest, fit_thread, fit_turntable
-from calib.methods.method import GRAVITY, INSTANCE, Finding, Method, Option, Options, gravity_of, mean_or_none
-from calib.methods.source import Source
-from calib.recording import Channel, Sensor
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitResult, parameter_names, refused
+from mavcal.calib.gyro import fit_g_sensitivity, fit_gyro_rest, fit_thread, fit_turntable
+from mavcal.calib.methods.method import GRAVITY, INSTANCE, Finding, Method, Option, Options, gravity_of, mean_or_none
+from mavcal.calib.methods.source import Source
+from mavcal.calib.recording import Channel, Sensor
 
 Array = NDArray[np.float64]
 

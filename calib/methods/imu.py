@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib import STANDARD_GRAVITY
-from calib.errors import InvalidInputError
-from calib.fit import FitResult
-from calib.imu import fit_imu
-from calib.methods.method import GRAVITY, INSTANCE, Method, Option, Options, mean_or_none
-from calib.methods.source import Source
-from calib.recording import Sensor
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitResult
+from mavcal.calib.imu import fit_imu
+from mavcal.calib.methods.method import GRAVITY, INSTANCE, Method, Option, Options, mean_or_none
+from mavcal.calib.methods.source import Source
+from mavcal.calib.recording import Sensor
 
 
 def imu_multi(source: Source, options: Options) -> list[FitResult]:

@@ -9,28 +9,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.earth import EarthField, earth_field
-from calib.errors import InvalidInputError
-from calib.faces import down_of
-from calib.fit import FitResult, FitStatus
-from calib.mag.align import Vertical, fit_alignment
-from calib.mag.blur import deblurred, rates_during
-from calib.mag.blur_fit import fit_ellipsoid_deblurred
-from calib.mag.ellipsoid import fit_ellipsoid
-from calib.mag.ellipsoid_axis import fit_ellipsoid_axis
-from calib.mag.gyro_aided import fit_gyro_aided
-from calib.mag.heading import DEFAULT_INCLINATION
-from calib.mag.minmax import fit_minmax
-from calib.mag.ring_centres import CENTRES
-from calib.mag.rings import fit_rings
-from calib.mag.rings_faces import LABELS
-from calib.mag.sphere import fit_sphere
-from calib.methods.method import FIXTURE, GRAVITY, INSTANCE, Finding, Method, Option, Options, gravity_of
-from calib.methods.source import Source
-from calib.procedures.mag import COMPASS_WINDOW
-from calib.recording import Channel, Recording, Sensor
-from calib.rest_reference import SAMPLES, Sensors, fit_rest_reference
-from calib.windows import finite_rows
+from mavcal.calib.earth import EarthField, earth_field
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.faces import down_of
+from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.mag.align import Vertical, fit_alignment
+from mavcal.calib.mag.blur import deblurred, rates_during
+from mavcal.calib.mag.blur_fit import fit_ellipsoid_deblurred
+from mavcal.calib.mag.ellipsoid import fit_ellipsoid
+from mavcal.calib.mag.ellipsoid_axis import fit_ellipsoid_axis
+from mavcal.calib.mag.gyro_aided import fit_gyro_aided
+from mavcal.calib.mag.heading import DEFAULT_INCLINATION
+from mavcal.calib.mag.minmax import fit_minmax
+from mavcal.calib.mag.ring_centres import CENTRES
+from mavcal.calib.mag.rings import fit_rings
+from mavcal.calib.mag.rings_faces import LABELS
+from mavcal.calib.mag.sphere import fit_sphere
+from mavcal.calib.methods.method import FIXTURE, GRAVITY, INSTANCE, Finding, Method, Option, Options, gravity_of
+from mavcal.calib.methods.source import Source
+from mavcal.calib.procedures.mag import COMPASS_WINDOW
+from mavcal.calib.recording import Channel, Recording, Sensor
+from mavcal.calib.rest_reference import SAMPLES, Sensors, fit_rest_reference
+from mavcal.calib.windows import finite_rows
 
 Array = NDArray[np.float64]
 

@@ -8,22 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from calib.earth import EarthField, earth_field
-from calib.errors import CalibError, InvalidInputError
-from calib.firmware import body_from_sensor, calibration_in_force
-from calib.firmware.mag_motor import compensated, corrupt_compensation
-from calib.fit import FitResult, parameter_names, refused
-from calib.mag.flight import METHOD as FLIGHT
-from calib.mag.flight import SOFT_IRON, fit_flight
-from calib.mag.flight_input import between, flown
-from calib.mag.flight_path import Turning
-from calib.mag.motor import METHOD as MOTOR
-from calib.mag.motor import fit_motor
-from calib.mag.motor_drives import Drive, DriveKind
-from calib.methods.method import INSTANCE, Finding, Method, Option, Options
-from calib.methods.source import Source
-from calib.procedures.mag import COMPASS_WINDOW
-from calib.recording import Channel, Sensor, Stage
+from mavcal.calib.earth import EarthField, earth_field
+from mavcal.calib.errors import CalibError, InvalidInputError
+from mavcal.calib.firmware import body_from_sensor, calibration_in_force
+from mavcal.calib.firmware.mag_motor import compensated, corrupt_compensation
+from mavcal.calib.fit import FitResult, parameter_names, refused
+from mavcal.calib.mag.flight import METHOD as FLIGHT
+from mavcal.calib.mag.flight import SOFT_IRON, fit_flight
+from mavcal.calib.mag.flight_input import between, flown
+from mavcal.calib.mag.flight_path import Turning
+from mavcal.calib.mag.motor import METHOD as MOTOR
+from mavcal.calib.mag.motor import fit_motor
+from mavcal.calib.mag.motor_drives import Drive, DriveKind
+from mavcal.calib.methods.method import INSTANCE, Finding, Method, Option, Options
+from mavcal.calib.methods.source import Source
+from mavcal.calib.procedures.mag import COMPASS_WINDOW
+from mavcal.calib.recording import Channel, Sensor, Stage
 
 _SENSORS = {
     DriveKind.CURRENT: Sensor.CURRENT,

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import STANDARD_GRAVITY
-from calib.earth import local_gravity
-from calib.errors import InvalidInputError
-from calib.fit import FitResult
-from calib.methods.source import Source
-from calib.recording import Channel, Recording
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.earth import local_gravity
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitResult
+from mavcal.calib.methods.source import Source
+from mavcal.calib.recording import Channel, Recording
 
 Array = NDArray[np.float64]
 Options = Mapping[str, Any]

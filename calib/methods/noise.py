@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from calib.allan_fit import fit_allan
-from calib.errors import InvalidInputError
-from calib.fit import FitResult
-from calib.methods.method import INSTANCE, Finding, Method, Option, Options
-from calib.methods.source import Source
-from calib.recording import Sensor
+from mavcal.calib.allan_fit import fit_allan
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitResult
+from mavcal.calib.methods.method import INSTANCE, Finding, Method, Option, Options
+from mavcal.calib.methods.source import Source
+from mavcal.calib.recording import Sensor
 
 _SENSORS = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
 

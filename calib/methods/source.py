@@ -5,12 +5,12 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 
-from calib.firmware import undo
-from calib.fit import FitResult
-from calib.flight.rest import grounded
-from calib.logs.tables import NO_TIME
-from calib.recording import Channel, Recording, Sensor, Stage
-from calib.stillness import HELD, RESTING, Still, find_still
+from mavcal.calib.firmware import undo
+from mavcal.calib.fit import FitResult
+from mavcal.calib.flight.rest import grounded
+from mavcal.calib.logs.tables import NO_TIME
+from mavcal.calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib.stillness import HELD, RESTING, Still, find_still
 
 
 @dataclass(frozen=True, eq=False)

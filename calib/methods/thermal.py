@@ -7,16 +7,16 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.drift import DriftData
-from calib.errors import InvalidInputError
-from calib.fit import FitResult
-from calib.flight.thermal import Wish, fit_rests
-from calib.flight.warm import logs_of
-from calib.methods.method import INSTANCE, Finding, Method, Option, Options
-from calib.methods.source import Source
-from calib.procedures.drift_fit import fit_posed
-from calib.recording import Channel, Sensor
-from calib.thermal import fit_linear, fit_polynomial
+from mavcal.calib.drift import DriftData
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitResult
+from mavcal.calib.flight.thermal import Wish, fit_rests
+from mavcal.calib.flight.warm import logs_of
+from mavcal.calib.methods.method import INSTANCE, Finding, Method, Option, Options
+from mavcal.calib.methods.source import Source
+from mavcal.calib.procedures.drift_fit import fit_posed
+from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.thermal import fit_linear, fit_polynomial
 
 Array = NDArray[np.float64]
 

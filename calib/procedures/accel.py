@@ -10,20 +10,20 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
-from calib.procedures.context import ProcedureContext
-from calib.procedures.frames import body_from_sensor
-from calib.procedures.holds import SHORTEST, Hold, TakenPose, taken
-from calib.procedures.motion import HELD, Disturbance, StillLimits, Verdict
-from calib.procedures.placing import shown_down
-from calib.procedures.pose_fit import Assessment, assess
-from calib.procedures.poses import FACES, TEXTS, angle, in_words, recognise, remaining, suggest
-from calib.procedures.protocol import Done, Pose, Progress, Prompt
-from calib.procedures.results import annotated
-from calib.procedures.roster import Frame, Instance
-from calib.procedures.spec import Option, Options, ProcedureSpec
-from calib.procedures.ticked import TickedProcedure
-from calib.procedures.writable import ACCEL
-from calib.recording import Array, Sensor
+from mavcal.calib.procedures.context import ProcedureContext
+from mavcal.calib.procedures.frames import body_from_sensor
+from mavcal.calib.procedures.holds import SHORTEST, Hold, TakenPose, taken
+from mavcal.calib.procedures.motion import HELD, Disturbance, StillLimits, Verdict
+from mavcal.calib.procedures.placing import shown_down
+from mavcal.calib.procedures.pose_fit import Assessment, assess
+from mavcal.calib.procedures.poses import FACES, TEXTS, angle, in_words, recognise, remaining, suggest
+from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt
+from mavcal.calib.procedures.results import annotated
+from mavcal.calib.procedures.roster import Frame, Instance
+from mavcal.calib.procedures.spec import Option, Options, ProcedureSpec
+from mavcal.calib.procedures.ticked import TickedProcedure
+from mavcal.calib.procedures.writable import ACCEL
+from mavcal.calib.recording import Array, Sensor
 
 SPEC = ProcedureSpec(
     kind="accel",

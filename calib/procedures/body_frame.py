@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from calib.fit import AXES, FitResult, FitStatus, parameter_names
-from calib.recording import Array, Channel, Rounding
-from calib.triad import TriadModel
+from mavcal.calib.fit import AXES, FitResult, FitStatus, parameter_names
+from mavcal.calib.recording import Array, Channel, Rounding
+from mavcal.calib.triad import TriadModel
 
 _NOTHING = 1e-9  # share of an entry that is rounding
 

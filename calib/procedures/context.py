@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-from calib import STANDARD_GRAVITY
-from calib.earth import EarthField
-from calib.recording import Identity, Sensor
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.earth import EarthField
+from mavcal.calib.recording import Identity, Sensor
 
 
 @dataclass(frozen=True)

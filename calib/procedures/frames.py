@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib import firmware
-from calib.errors import FirmwareError
-from calib.procedures.context import ProcedureContext
-from calib.recording import Array, Sensor
-from calib.triad import TriadModel
+from mavcal.calib import firmware
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.procedures.context import ProcedureContext
+from mavcal.calib.recording import Array, Sensor
+from mavcal.calib.triad import TriadModel
 
 
 def in_force(context: ProcedureContext, sensor: Sensor, instance: int) -> TriadModel | None:

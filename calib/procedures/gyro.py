@@ -11,18 +11,18 @@ from typing import ClassVar
 
 import numpy as np
 
-from calib.fit import FitResult, FitStatus
-from calib.gyro import fit_gyro_rest
-from calib.procedures.context import ProcedureContext
-from calib.procedures.motion import Verdict, statistics
-from calib.procedures.pool import Pool, Tail
-from calib.procedures.protocol import Done, Progress, Prompt
-from calib.procedures.results import annotated, mean_temperature, share_of_information
-from calib.procedures.roster import Frame, Instance, label
-from calib.procedures.spec import Option, Options, ProcedureSpec
-from calib.procedures.ticked import TickedProcedure
-from calib.procedures.writable import GYRO
-from calib.recording import Array, Sensor
+from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.gyro import fit_gyro_rest
+from mavcal.calib.procedures.context import ProcedureContext
+from mavcal.calib.procedures.motion import Verdict, statistics
+from mavcal.calib.procedures.pool import Pool, Tail
+from mavcal.calib.procedures.protocol import Done, Progress, Prompt
+from mavcal.calib.procedures.results import annotated, mean_temperature, share_of_information
+from mavcal.calib.procedures.roster import Frame, Instance, label
+from mavcal.calib.procedures.spec import Option, Options, ProcedureSpec
+from mavcal.calib.procedures.ticked import TickedProcedure
+from mavcal.calib.procedures.writable import GYRO
+from mavcal.calib.recording import Array, Sensor
 
 SPEC = ProcedureSpec(
     kind="gyro",

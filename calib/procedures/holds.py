@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.procedures.pool import Pool, Tail
-from calib.procedures.poses import angle
-from calib.procedures.protocol import Pose
-from calib.procedures.results import mean_temperature
-from calib.procedures.roster import Frame
-from calib.recording import Array, Channel, Sensor
-from calib.stillness import PoseMean, Still, pose_means
+from mavcal.calib.procedures.pool import Pool, Tail
+from mavcal.calib.procedures.poses import angle
+from mavcal.calib.procedures.protocol import Pose
+from mavcal.calib.procedures.results import mean_temperature
+from mavcal.calib.procedures.roster import Frame
+from mavcal.calib.recording import Array, Channel, Sensor
+from mavcal.calib.stillness import PoseMean, Still, pose_means
 
 GUARD_TICKS = 1
 """A quarter of a second before a movement was noticed is not part of the hold."""

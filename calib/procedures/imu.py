@@ -14,23 +14,23 @@ from typing import ClassVar
 
 import numpy as np
 
-from calib.attitude import drift_sd_deg_per_min
-from calib.fit import FitResult, FitStatus
-from calib.gyro import fit_gyro_rest
-from calib.imu import fit_imu
-from calib.procedures.accel import EXTRA, AccelProcedure
-from calib.procedures.body_frame import in_body, in_sensor
-from calib.procedures.context import ProcedureContext
-from calib.procedures.frames import body_from_sensor
-from calib.procedures.motion import RESTING, StillWatch
-from calib.procedures.pool import Pool
-from calib.procedures.pose_fit import Assessment
-from calib.procedures.protocol import Done, Pose, Progress, Prompt
-from calib.procedures.results import annotated, mean_temperature, refusals
-from calib.procedures.roster import Frame, Instance, label
-from calib.procedures.spec import Holds, Option, Options, ProcedureSpec
-from calib.recording import Array, Sensor
-from calib.triad import TriadModel
+from mavcal.calib.attitude import drift_sd_deg_per_min
+from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.gyro import fit_gyro_rest
+from mavcal.calib.imu import fit_imu
+from mavcal.calib.procedures.accel import EXTRA, AccelProcedure
+from mavcal.calib.procedures.body_frame import in_body, in_sensor
+from mavcal.calib.procedures.context import ProcedureContext
+from mavcal.calib.procedures.frames import body_from_sensor
+from mavcal.calib.procedures.motion import RESTING, StillWatch
+from mavcal.calib.procedures.pool import Pool
+from mavcal.calib.procedures.pose_fit import Assessment
+from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt
+from mavcal.calib.procedures.results import annotated, mean_temperature, refusals
+from mavcal.calib.procedures.roster import Frame, Instance, label
+from mavcal.calib.procedures.spec import Holds, Option, Options, ProcedureSpec
+from mavcal.calib.recording import Array, Sensor
+from mavcal.calib.triad import TriadModel
 
 SPEC = ProcedureSpec(
     kind="imu-multi",

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.recording import Channel, Recording, Sensor, Stage, join
+from mavcal.calib.recording import Channel, Recording, Sensor, Stage, join
 
 TICK = 0.25
 """Length of a tick, s: a human notices a delay of more, and a 10 Hz compass still has two samples in it."""

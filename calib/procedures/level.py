@@ -7,20 +7,20 @@ from typing import ClassVar
 
 import numpy as np
 
-from calib.fit import FitResult, FitStatus
-from calib.procedures.context import ProcedureContext
-from calib.procedures.frames import in_force
-from calib.procedures.holds import Hold
-from calib.procedures.motion import Verdict
-from calib.procedures.poses import angle, down
-from calib.procedures.protocol import Done, Pose, Progress, Prompt
-from calib.procedures.results import annotated
-from calib.procedures.roster import Frame, Instance, label
-from calib.procedures.spec import Holds, Option, Options, ProcedureSpec
-from calib.procedures.ticked import TickedProcedure
-from calib.recording import Array, Sensor
-from calib.stillness import PoseMean
-from calib.triad import TriadModel
+from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.procedures.context import ProcedureContext
+from mavcal.calib.procedures.frames import in_force
+from mavcal.calib.procedures.holds import Hold
+from mavcal.calib.procedures.motion import Verdict
+from mavcal.calib.procedures.poses import angle, down
+from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt
+from mavcal.calib.procedures.results import annotated
+from mavcal.calib.procedures.roster import Frame, Instance, label
+from mavcal.calib.procedures.spec import Holds, Option, Options, ProcedureSpec
+from mavcal.calib.procedures.ticked import TickedProcedure
+from mavcal.calib.recording import Array, Sensor
+from mavcal.calib.stillness import PoseMean
+from mavcal.calib.triad import TriadModel
 
 SPEC = ProcedureSpec(
     kind="level",

@@ -12,20 +12,20 @@ from typing import ClassVar
 
 import numpy as np
 
-from calib.fit import FitResult, FitStatus
-from calib.mag.blur import rates_during
-from calib.mag.orientation import OrientationResult, Verdict, interpolated
-from calib.procedures.context import ProcedureContext
-from calib.procedures.frames import body_from_sensor, in_force
-from calib.procedures.mag_track import MagTrack, Motion
-from calib.procedures.protocol import Done, Progress, Prompt
-from calib.procedures.results import annotated, share_of_information
-from calib.procedures.roster import Frame, Instance, label
-from calib.procedures.spec import Option, Options, ProcedureSpec
-from calib.procedures.ticked import TickedProcedure
-from calib.procedures.writable import MAG
-from calib.recording import Array, Sensor
-from calib.triad import TriadModel
+from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.mag.blur import rates_during
+from mavcal.calib.mag.orientation import OrientationResult, Verdict, interpolated
+from mavcal.calib.procedures.context import ProcedureContext
+from mavcal.calib.procedures.frames import body_from_sensor, in_force
+from mavcal.calib.procedures.mag_track import MagTrack, Motion
+from mavcal.calib.procedures.protocol import Done, Progress, Prompt
+from mavcal.calib.procedures.results import annotated, share_of_information
+from mavcal.calib.procedures.roster import Frame, Instance, label
+from mavcal.calib.procedures.spec import Option, Options, ProcedureSpec
+from mavcal.calib.procedures.ticked import TickedProcedure
+from mavcal.calib.procedures.writable import MAG
+from mavcal.calib.recording import Array, Sensor
+from mavcal.calib.triad import TriadModel
 
 SPEC = ProcedureSpec(
     kind="mag",

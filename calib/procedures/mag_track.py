@@ -9,17 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from calib.earth import EarthField
-from calib.errors import CalibError, UndeterminedError
-from calib.fit import FitResult, FitStatus, parameter_names, refused
-from calib.mag.accumulator import EllipsoidAccumulator
-from calib.mag.blur import Rates
-from calib.mag.blur_fit import fit_ellipsoid_deblurred
-from calib.mag.coverage import Coverage
-from calib.mag.heading import DEFAULT_INCLINATION
-from calib.mag.orientation import OrientationResult, Verdict, find_orientation
-from calib.recording import Array, Sensor
-from calib.triad import TriadModel
+from mavcal.calib.earth import EarthField
+from mavcal.calib.errors import CalibError, UndeterminedError
+from mavcal.calib.fit import FitResult, FitStatus, parameter_names, refused
+from mavcal.calib.mag.accumulator import EllipsoidAccumulator
+from mavcal.calib.mag.blur import Rates
+from mavcal.calib.mag.blur_fit import fit_ellipsoid_deblurred
+from mavcal.calib.mag.coverage import Coverage
+from mavcal.calib.mag.heading import DEFAULT_INCLINATION
+from mavcal.calib.mag.orientation import OrientationResult, Verdict, find_orientation
+from mavcal.calib.recording import Array, Sensor
+from mavcal.calib.triad import TriadModel
 
 LEAST = 60
 """Sharp samples below which no fit is made: fewer do not know their own noise."""

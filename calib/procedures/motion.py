@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.gyro import LARGEST_BIAS
-from calib.procedures.roster import Frame, Instance, label
-from calib.recording import Array, Sensor
+from mavcal.calib.gyro import LARGEST_BIAS
+from mavcal.calib.procedures.roster import Frame, Instance, label
+from mavcal.calib.recording import Array, Sensor
 
 _AXES = "xyz"
 

@@ -12,21 +12,21 @@ from typing import ClassVar
 
 import numpy as np
 
-from calib.accel import fit_one_axis
-from calib.fit import FitResult, FitStatus
-from calib.procedures.body_frame import in_body, in_sensor
-from calib.procedures.context import ProcedureContext
-from calib.procedures.frames import body_from_sensor, in_force
-from calib.procedures.holds import Hold
-from calib.procedures.motion import Verdict
-from calib.procedures.placing import facing, shown_down
-from calib.procedures.protocol import Done, Pose, Progress, Prompt
-from calib.procedures.results import annotated, share_of_information
-from calib.procedures.roster import Frame, Instance, label
-from calib.procedures.spec import Holds, Option, Options, ProcedureSpec
-from calib.procedures.ticked import TickedProcedure
-from calib.recording import Array, Channel, Sensor
-from calib.triad import TriadModel
+from mavcal.calib.accel import fit_one_axis
+from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.procedures.body_frame import in_body, in_sensor
+from mavcal.calib.procedures.context import ProcedureContext
+from mavcal.calib.procedures.frames import body_from_sensor, in_force
+from mavcal.calib.procedures.holds import Hold
+from mavcal.calib.procedures.motion import Verdict
+from mavcal.calib.procedures.placing import facing, shown_down
+from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt
+from mavcal.calib.procedures.results import annotated, share_of_information
+from mavcal.calib.procedures.roster import Frame, Instance, label
+from mavcal.calib.procedures.spec import Holds, Option, Options, ProcedureSpec
+from mavcal.calib.procedures.ticked import TickedProcedure
+from mavcal.calib.recording import Array, Channel, Sensor
+from mavcal.calib.triad import TriadModel
 
 SPEC = ProcedureSpec(
     kind="accel-one-axis",

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.procedures.motion import StillWatch
-from calib.procedures.poses import DOWN, FACES, TEXTS, WEIGHTLESS, angle, down
-from calib.procedures.protocol import Pose, Prompt
-from calib.recording import Array, Sensor
+from mavcal.calib.procedures.motion import StillWatch
+from mavcal.calib.procedures.poses import DOWN, FACES, TEXTS, WEIGHTLESS, angle, down
+from mavcal.calib.procedures.protocol import Pose, Prompt
+from mavcal.calib.recording import Array, Sensor
 
 SQUARE_WITHIN = math.radians(12.0)
 """A face that looks further off than this was not put down square: an uncalibrated accelerometer errs by less."""

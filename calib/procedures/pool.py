@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Sequence
 
-from calib.procedures.roster import Frame, Instance
-from calib.recording import Channel, Recording, Sensor, join
+from mavcal.calib.procedures.roster import Frame, Instance
+from mavcal.calib.recording import Channel, Recording, Sensor, join
 
 BLOCK = 64
 """Ticks that are joined as they come: a tick holds a dozen samples, and its objects cost more than they do."""

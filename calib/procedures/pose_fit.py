@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.accel import fit_poses
-from calib.fit import FitResult, FitStatus
-from calib.procedures.holds import TakenPose
-from calib.procedures.roster import label
-from calib.recording import Sensor
+from mavcal.calib.accel import fit_poses
+from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.procedures.holds import TakenPose
+from mavcal.calib.procedures.roster import label
+from mavcal.calib.recording import Sensor
 
 LEAST_FREEDOM = 3
 """Degrees of freedom that a residual test must have to mean something."""

@@ -8,8 +8,8 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from calib.procedures.protocol import Pose
-from calib.recording import Array
+from mavcal.calib.procedures.protocol import Pose
+from mavcal.calib.recording import Array
 
 FACES = (Pose.LEVEL, Pose.LEFT, Pose.RIGHT, Pose.NOSE_DOWN, Pose.NOSE_UP, Pose.BACK)
 

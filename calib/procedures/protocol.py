@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, Protocol
 
-from calib.fit import FitResult
-from calib.recording import Recording
+from mavcal.calib.fit import FitResult
+from mavcal.calib.recording import Recording
 
 
 class Pose(StrEnum):

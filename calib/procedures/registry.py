@@ -6,21 +6,21 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-from calib.errors import InvalidInputError
-from calib.procedures.accel import AccelProcedure
-from calib.procedures.context import ProcedureContext
-from calib.procedures.gyro import GyroProcedure
-from calib.procedures.imu import ImuProcedure
-from calib.procedures.level import LevelProcedure
-from calib.procedures.mag import MagProcedure
-from calib.procedures.one_axis import AccelOneAxisProcedure
-from calib.procedures.rings import MagRingsProcedure
-from calib.procedures.six_face import AccelSixFaceProcedure
-from calib.procedures.spec import Options, ProcedureSpec
-from calib.procedures.thermal import ThermalProcedure
-from calib.procedures.thread import GyroThreadProcedure
-from calib.procedures.ticked import TickedProcedure
-from calib.procedures.turntable import GyroTurntableProcedure
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.procedures.accel import AccelProcedure
+from mavcal.calib.procedures.context import ProcedureContext
+from mavcal.calib.procedures.gyro import GyroProcedure
+from mavcal.calib.procedures.imu import ImuProcedure
+from mavcal.calib.procedures.level import LevelProcedure
+from mavcal.calib.procedures.mag import MagProcedure
+from mavcal.calib.procedures.one_axis import AccelOneAxisProcedure
+from mavcal.calib.procedures.rings import MagRingsProcedure
+from mavcal.calib.procedures.six_face import AccelSixFaceProcedure
+from mavcal.calib.procedures.spec import Options, ProcedureSpec
+from mavcal.calib.procedures.thermal import ThermalProcedure
+from mavcal.calib.procedures.thread import GyroThreadProcedure
+from mavcal.calib.procedures.ticked import TickedProcedure
+from mavcal.calib.procedures.turntable import GyroTurntableProcedure
 
 _CLASSES: tuple[type[TickedProcedure], ...] = (
     GyroProcedure,

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from calib.procedures.context import Answer, ProcedureContext
-from calib.procedures.protocol import Done, GaveUp
-from calib.procedures.registry import create
-from calib.recording import Recording
+from mavcal.calib.procedures.context import Answer, ProcedureContext
+from mavcal.calib.procedures.protocol import Done, GaveUp
+from mavcal.calib.procedures.registry import create
+from mavcal.calib.recording import Recording
 
 
 def replay(

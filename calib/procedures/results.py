@@ -6,11 +6,11 @@ import dataclasses
 import math
 from collections.abc import Collection, Iterable
 
-from calib.fit import FitResult, FitStatus
-from calib.procedures.context import ProcedureContext
-from calib.procedures.pool import Pool
-from calib.procedures.roster import label
-from calib.recording import Sensor
+from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.procedures.context import ProcedureContext
+from mavcal.calib.procedures.pool import Pool
+from mavcal.calib.procedures.roster import label
+from mavcal.calib.recording import Sensor
 
 
 def mean_temperature(pool: Pool, instance: int) -> float | None:

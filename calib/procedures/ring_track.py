@@ -6,14 +6,14 @@ import math
 
 import numpy as np
 
-from calib.mag.orientation import RIGHT_ANGLES, Verdict
-from calib.procedures.mag_track import REFUSED_ASKEW
-from calib.procedures.pool import Pool
-from calib.procedures.poses import DOWN
-from calib.procedures.protocol import Pose
-from calib.procedures.roster import Frame
-from calib.procedures.turning import Spin
-from calib.recording import Array, Channel, Sensor
+from mavcal.calib.mag.orientation import RIGHT_ANGLES, Verdict
+from mavcal.calib.procedures.mag_track import REFUSED_ASKEW
+from mavcal.calib.procedures.pool import Pool
+from mavcal.calib.procedures.poses import DOWN
+from mavcal.calib.procedures.protocol import Pose
+from mavcal.calib.procedures.roster import Frame
+from mavcal.calib.procedures.turning import Spin
+from mavcal.calib.recording import Array, Channel, Sensor
 
 FEWEST = 40
 """Samples of a ring below which it goes on: nine degrees apart."""

@@ -12,27 +12,27 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from calib.fit import FitResult, FitStatus, refused
-from calib.mag.orientation import Verdict
-from calib.mag.result import FIELD_TOLERANCE
-from calib.mag.rings import fit_rings
-from calib.procedures.body_frame import in_body, in_sensor
-from calib.procedures.context import ProcedureContext
-from calib.procedures.frames import body_from_sensor
-from calib.procedures.mag_track import WARNED_ASKEW
-from calib.procedures.motion import Verdict as Stillness
-from calib.procedures.placing import Facing, facing, place, shown_down
-from calib.procedures.pose_fit import CHANCE
-from calib.procedures.poses import DOWN, FACES, TEXTS
-from calib.procedures.protocol import Done, Pose, Progress, Prompt
-from calib.procedures.results import annotated, refusals
-from calib.procedures.ring_track import ONCE_AROUND, RingTrack, mounting_in
-from calib.procedures.roster import Frame, Instance, label
-from calib.procedures.spec import Option, Options, ProcedureSpec
-from calib.procedures.ticked import TickedProcedure
-from calib.procedures.turning import Spin, SpinWatch
-from calib.procedures.writable import MAG
-from calib.recording import Sensor
+from mavcal.calib.fit import FitResult, FitStatus, refused
+from mavcal.calib.mag.orientation import Verdict
+from mavcal.calib.mag.result import FIELD_TOLERANCE
+from mavcal.calib.mag.rings import fit_rings
+from mavcal.calib.procedures.body_frame import in_body, in_sensor
+from mavcal.calib.procedures.context import ProcedureContext
+from mavcal.calib.procedures.frames import body_from_sensor
+from mavcal.calib.procedures.mag_track import WARNED_ASKEW
+from mavcal.calib.procedures.motion import Verdict as Stillness
+from mavcal.calib.procedures.placing import Facing, facing, place, shown_down
+from mavcal.calib.procedures.pose_fit import CHANCE
+from mavcal.calib.procedures.poses import DOWN, FACES, TEXTS
+from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt
+from mavcal.calib.procedures.results import annotated, refusals
+from mavcal.calib.procedures.ring_track import ONCE_AROUND, RingTrack, mounting_in
+from mavcal.calib.procedures.roster import Frame, Instance, label
+from mavcal.calib.procedures.spec import Option, Options, ProcedureSpec
+from mavcal.calib.procedures.ticked import TickedProcedure
+from mavcal.calib.procedures.turning import Spin, SpinWatch
+from mavcal.calib.procedures.writable import MAG
+from mavcal.calib.recording import Sensor
 
 SPEC = ProcedureSpec(
     kind="mag-rings",

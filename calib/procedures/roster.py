@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calib.procedures.intake import TICK, Key, Tick
-from calib.recording import Array, Channel, Sensor
+from mavcal.calib.procedures.intake import TICK, Key, Tick
+from mavcal.calib.recording import Array, Channel, Sensor
 
 Instance = tuple[Sensor, int]
 Frame = dict[Instance, Channel]

@@ -11,24 +11,24 @@ from typing import ClassVar
 
 import numpy as np
 
-from calib.faces import Face
-from calib.fit import FitResult, FitStatus
-from calib.procedures.body_frame import in_sensor
-from calib.procedures.context import ProcedureContext
-from calib.procedures.frames import body_from_sensor
-from calib.procedures.holds import SHORTEST, Hold, TakenPose, taken
-from calib.procedures.motion import Verdict
-from calib.procedures.placing import facing, place, shown_down
-from calib.procedures.pose_fit import CHANCE
-from calib.procedures.poses import DOWN, FACES, TEXTS
-from calib.procedures.protocol import Done, Pose, Progress, Prompt
-from calib.procedures.results import annotated, mean_or_none, refusals
-from calib.procedures.roster import Frame, Instance
-from calib.procedures.spec import Option, Options, ProcedureSpec
-from calib.procedures.ticked import TickedProcedure
-from calib.procedures.writable import ACCEL
-from calib.recording import Array, Sensor
-from calib.six_face import fit_six_face
+from mavcal.calib.faces import Face
+from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.procedures.body_frame import in_sensor
+from mavcal.calib.procedures.context import ProcedureContext
+from mavcal.calib.procedures.frames import body_from_sensor
+from mavcal.calib.procedures.holds import SHORTEST, Hold, TakenPose, taken
+from mavcal.calib.procedures.motion import Verdict
+from mavcal.calib.procedures.placing import facing, place, shown_down
+from mavcal.calib.procedures.pose_fit import CHANCE
+from mavcal.calib.procedures.poses import DOWN, FACES, TEXTS
+from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt
+from mavcal.calib.procedures.results import annotated, mean_or_none, refusals
+from mavcal.calib.procedures.roster import Frame, Instance
+from mavcal.calib.procedures.spec import Option, Options, ProcedureSpec
+from mavcal.calib.procedures.ticked import TickedProcedure
+from mavcal.calib.procedures.writable import ACCEL
+from mavcal.calib.recording import Array, Sensor
+from mavcal.calib.six_face import fit_six_face
 
 SPEC = ProcedureSpec(
     kind="accel-six-face",

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-from calib.errors import InvalidInputError
-from calib.recording import Sensor
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.recording import Sensor
 
 OptionValue = float | bool
 Options = Mapping[str, OptionValue]

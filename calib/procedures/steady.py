@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from calib.procedures.pool import Pool, Tail
-from calib.procedures.results import mean_temperature
-from calib.procedures.roster import Frame
-from calib.procedures.turning import Spin
-from calib.recording import Array, Channel, Sensor
+from mavcal.calib.procedures.pool import Pool, Tail
+from mavcal.calib.procedures.results import mean_temperature
+from mavcal.calib.procedures.roster import Frame
+from mavcal.calib.procedures.turning import Spin
+from mavcal.calib.recording import Array, Channel, Sensor
 
 GUARD_TICKS = 1
 """The last quarter of a second before a change was noticed belongs to the change."""

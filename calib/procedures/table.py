@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from calib.procedures.registry import PROCEDURES
-from calib.procedures.spec import Option, ProcedureSpec
+from mavcal.calib.procedures.registry import PROCEDURES
+from mavcal.calib.procedures.spec import Option, ProcedureSpec
 
 _AUTOPILOTS = {"ardupilot": "ArduPilot", "px4": "PX4"}
 

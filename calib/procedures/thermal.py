@@ -9,18 +9,18 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
-from calib.fit import FitResult, FitStatus
-from calib.procedures.context import ProcedureContext
-from calib.procedures.drift_fit import DriftPool, fit_drift
-from calib.procedures.motion import Disturbance, Verdict
-from calib.procedures.pool import Tail
-from calib.procedures.protocol import Done, Progress, Prompt
-from calib.procedures.results import annotated
-from calib.procedures.roster import Frame, Instance, label
-from calib.procedures.spec import Holds, Option, Options, ProcedureSpec
-from calib.procedures.ticked import TickedProcedure
-from calib.procedures.warmth import Warmth
-from calib.recording import Sensor
+from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.procedures.context import ProcedureContext
+from mavcal.calib.procedures.drift_fit import DriftPool, fit_drift
+from mavcal.calib.procedures.motion import Disturbance, Verdict
+from mavcal.calib.procedures.pool import Tail
+from mavcal.calib.procedures.protocol import Done, Progress, Prompt
+from mavcal.calib.procedures.results import annotated
+from mavcal.calib.procedures.roster import Frame, Instance, label
+from mavcal.calib.procedures.spec import Holds, Option, Options, ProcedureSpec
+from mavcal.calib.procedures.ticked import TickedProcedure
+from mavcal.calib.procedures.warmth import Warmth
+from mavcal.calib.recording import Sensor
 
 SPEC = ProcedureSpec(
     kind="thermal",

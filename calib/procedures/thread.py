@@ -14,24 +14,24 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from calib.fit import FitResult, FitStatus
-from calib.gyro import fit_thread
-from calib.procedures.body_frame import in_body, in_sensor
-from calib.procedures.context import ProcedureContext
-from calib.procedures.frames import body_from_sensor
-from calib.procedures.intake import TICK
-from calib.procedures.motion import RESTING, StillLimits, Verdict
-from calib.procedures.placing import facing, shown_down
-from calib.procedures.pool import Pool
-from calib.procedures.poses import DOWN, TEXTS
-from calib.procedures.protocol import Done, Number, Pose, Progress, Prompt
-from calib.procedures.results import annotated, mean_temperature, refusals
-from calib.procedures.roster import Frame, Instance
-from calib.procedures.spec import Option, Options, ProcedureSpec
-from calib.procedures.ticked import TickedProcedure
-from calib.procedures.turning import OVERWRITES, TURNING, Spin, SpinWatch, way
-from calib.procedures.writable import GYRO
-from calib.recording import Array, Segment, Sensor
+from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.gyro import fit_thread
+from mavcal.calib.procedures.body_frame import in_body, in_sensor
+from mavcal.calib.procedures.context import ProcedureContext
+from mavcal.calib.procedures.frames import body_from_sensor
+from mavcal.calib.procedures.intake import TICK
+from mavcal.calib.procedures.motion import RESTING, StillLimits, Verdict
+from mavcal.calib.procedures.placing import facing, shown_down
+from mavcal.calib.procedures.pool import Pool
+from mavcal.calib.procedures.poses import DOWN, TEXTS
+from mavcal.calib.procedures.protocol import Done, Number, Pose, Progress, Prompt
+from mavcal.calib.procedures.results import annotated, mean_temperature, refusals
+from mavcal.calib.procedures.roster import Frame, Instance
+from mavcal.calib.procedures.spec import Option, Options, ProcedureSpec
+from mavcal.calib.procedures.ticked import TickedProcedure
+from mavcal.calib.procedures.turning import OVERWRITES, TURNING, Spin, SpinWatch, way
+from mavcal.calib.procedures.writable import GYRO
+from mavcal.calib.recording import Array, Segment, Sensor
 
 SPEC = ProcedureSpec(
     kind="gyro-thread",

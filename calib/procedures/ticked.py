@@ -7,12 +7,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import ClassVar
 
-from calib.errors import ProcedureError
-from calib.procedures.context import Answer, ProcedureContext
-from calib.procedures.intake import Intake, Tick
-from calib.procedures.motion import RESTING, StillLimits, StillWatch
-from calib.procedures.protocol import Done, GaveUp, Progress, Prompt, Step
-from calib.procedures.roster import (
+from mavcal.calib.errors import ProcedureError
+from mavcal.calib.procedures.context import Answer, ProcedureContext
+from mavcal.calib.procedures.intake import Intake, Tick
+from mavcal.calib.procedures.motion import RESTING, StillLimits, StillWatch
+from mavcal.calib.procedures.protocol import Done, GaveUp, Progress, Prompt, Step
+from mavcal.calib.procedures.roster import (
     ROSTER,
     ROSTER_EXPECTED,
     Attendance,
@@ -22,8 +22,8 @@ from calib.procedures.roster import (
     choose,
     label,
 )
-from calib.procedures.spec import Options, ProcedureSpec
-from calib.recording import Recording, Sensor
+from mavcal.calib.procedures.spec import Options, ProcedureSpec
+from mavcal.calib.recording import Recording, Sensor
 
 PROGRESS_EVERY = 1.0
 """Progress is told once a second of the vehicle's clock."""

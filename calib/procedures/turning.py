@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.fit import AXES
-from calib.procedures.roster import Frame
-from calib.recording import Array, Sensor
+from mavcal.calib.fit import AXES
+from mavcal.calib.procedures.roster import Frame
+from mavcal.calib.recording import Array, Sensor
 
 TURNING = math.radians(5.0)
 """Rate above which the vehicle counts as turned, rad/s: rest errs by less once the gyro's offset is taken off."""

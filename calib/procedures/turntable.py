@@ -10,24 +10,24 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from calib.fit import AXES, FitResult, FitStatus
-from calib.gyro import PLAUSIBLE_BIAS, fit_turntable
-from calib.procedures.body_frame import in_body, in_sensor
-from calib.procedures.context import ProcedureContext
-from calib.procedures.frames import body_from_sensor
-from calib.procedures.motion import Verdict
-from calib.procedures.placing import Facing, facing, shown_down
-from calib.procedures.pool import joined
-from calib.procedures.poses import DOWN, TEXTS
-from calib.procedures.protocol import Done, Number, Pose, Progress, Prompt
-from calib.procedures.results import annotated, mean_or_none, refusals
-from calib.procedures.roster import Frame, Instance
-from calib.procedures.spec import Option, Options, ProcedureSpec
-from calib.procedures.steady import Stretch
-from calib.procedures.ticked import TickedProcedure
-from calib.procedures.turning import OVERWRITES, TURNING, Spin, SpinWatch, Turned, way
-from calib.procedures.writable import GYRO
-from calib.recording import Segment, Sensor
+from mavcal.calib.fit import AXES, FitResult, FitStatus
+from mavcal.calib.gyro import PLAUSIBLE_BIAS, fit_turntable
+from mavcal.calib.procedures.body_frame import in_body, in_sensor
+from mavcal.calib.procedures.context import ProcedureContext
+from mavcal.calib.procedures.frames import body_from_sensor
+from mavcal.calib.procedures.motion import Verdict
+from mavcal.calib.procedures.placing import Facing, facing, shown_down
+from mavcal.calib.procedures.pool import joined
+from mavcal.calib.procedures.poses import DOWN, TEXTS
+from mavcal.calib.procedures.protocol import Done, Number, Pose, Progress, Prompt
+from mavcal.calib.procedures.results import annotated, mean_or_none, refusals
+from mavcal.calib.procedures.roster import Frame, Instance
+from mavcal.calib.procedures.spec import Option, Options, ProcedureSpec
+from mavcal.calib.procedures.steady import Stretch
+from mavcal.calib.procedures.ticked import TickedProcedure
+from mavcal.calib.procedures.turning import OVERWRITES, TURNING, Spin, SpinWatch, Turned, way
+from mavcal.calib.procedures.writable import GYRO
+from mavcal.calib.recording import Segment, Sensor
 
 SPEC = ProcedureSpec(
     kind="gyro-turntable",

@@ -6,8 +6,8 @@ import math
 from collections import deque
 from collections.abc import Iterable
 
-from calib.procedures.roster import Frame
-from calib.recording import Sensor
+from mavcal.calib.procedures.roster import Frame
+from mavcal.calib.recording import Sensor
 
 
 class Warmth:

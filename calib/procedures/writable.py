@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
-from calib.procedures.spec import Holds
+from mavcal.calib.procedures.spec import Holds
 
 _ROTATION = "the rotation of one accelerometer in the vehicle or against another (see the job level)"
 

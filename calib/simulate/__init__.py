@@ -11,13 +11,13 @@ array([ 0.1  ,  0.   , -9.807])
 
 from __future__ import annotations
 
-from calib.recording import Sensor
-from calib.simulate.matlab import MatlabParameters, from_matlab, to_matlab
-from calib.simulate.motion import Facts, Leg, Trajectory, Warming, along, trajectory
-from calib.simulate.presets import MOTIONS, Motion, MotionOptions, motion_of
-from calib.simulate.recording import SensorSuite, Simulated, in_frame, simulate, suite_in_frame
-from calib.simulate.sensor import SensorErrors
-from calib.simulate.sitl import SitlParameters, SitlSensors, from_sitl, to_sitl
+from mavcal.calib.recording import Sensor
+from mavcal.calib.simulate.matlab import MatlabParameters, from_matlab, to_matlab
+from mavcal.calib.simulate.motion import Facts, Leg, Trajectory, Warming, along, trajectory
+from mavcal.calib.simulate.presets import MOTIONS, Motion, MotionOptions, motion_of
+from mavcal.calib.simulate.recording import SensorSuite, Simulated, in_frame, simulate, suite_in_frame
+from mavcal.calib.simulate.sensor import SensorErrors
+from mavcal.calib.simulate.sitl import SitlParameters, SitlSensors, from_sitl, to_sitl
 
 __all__ = [
     "MOTIONS",

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import InvalidInputError, UnreadableError
-from calib.recording import Rounding, Sensor
-from calib.simulate.matlab import OBJECTS, suite_from_matlab
-from calib.simulate.motion import Facts, Warming
-from calib.simulate.recording import Frame, SensorSuite, Simulated, suite_in_frame
-from calib.simulate.sensor import SensorErrors
-from calib.simulate.sitl import from_sitl
+from mavcal.calib.errors import InvalidInputError, UnreadableError
+from mavcal.calib.recording import Rounding, Sensor
+from mavcal.calib.simulate.matlab import OBJECTS, suite_from_matlab
+from mavcal.calib.simulate.motion import Facts, Warming
+from mavcal.calib.simulate.recording import Frame, SensorSuite, Simulated, suite_in_frame
+from mavcal.calib.simulate.sensor import SensorErrors
+from mavcal.calib.simulate.sitl import from_sitl
 
 Array = NDArray[np.float64]
 

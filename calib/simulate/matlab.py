@@ -21,11 +21,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import InvalidInputError
-from calib.recording import Rounding, Sensor
-from calib.simulate.noise import half_derivative
-from calib.simulate.recording import Frame, errors_turned
-from calib.simulate.sensor import SensorErrors
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.recording import Rounding, Sensor
+from mavcal.calib.simulate.noise import half_derivative
+from mavcal.calib.simulate.recording import Frame, errors_turned
+from mavcal.calib.simulate.sensor import SensorErrors
 
 Array = NDArray[np.float64]
 

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from calib import STANDARD_GRAVITY
-from calib.errors import InvalidInputError
-from calib.recording import Segment
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.recording import Segment
 
 Array = NDArray[np.float64]
 Turning = Callable[[Array], tuple[Rotation, Array]]

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.errors import InvalidInputError
-from calib.simulate.motion import Leg, hold, ramp, spin, turn, weave
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.simulate.motion import Leg, hold, ramp, spin, turn, weave
 
 Array = NDArray[np.float64]
 

@@ -10,11 +10,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from calib import STANDARD_GRAVITY
-from calib.errors import InvalidInputError
-from calib.recording import Channel, Recording, Rounding, Sensor, Stage
-from calib.simulate.motion import Trajectory
-from calib.simulate.sensor import SensorErrors
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.recording import Channel, Recording, Rounding, Sensor, Stage
+from mavcal.calib.simulate.motion import Trajectory
+from mavcal.calib.simulate.sensor import SensorErrors
 
 Array = NDArray[np.float64]
 Frame = Literal["ned", "enu"]

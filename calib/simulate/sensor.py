@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.errors import InvalidInputError
-from calib.recording import Rounding
-from calib.simulate.noise import flicker, random_walk, white
-from calib.triad import ThermalPolynomial, TriadModel
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.recording import Rounding
+from mavcal.calib.simulate.noise import flicker, random_walk, white
+from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
 Array = NDArray[np.float64]
 

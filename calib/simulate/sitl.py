@@ -21,11 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.errors import InvalidInputError
-from calib.recording import Rounding
-from calib.simulate.motion import Warming
-from calib.simulate.recording import SensorSuite
-from calib.simulate.sensor import SensorErrors
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.recording import Rounding
+from mavcal.calib.simulate.motion import Warming
+from mavcal.calib.simulate.recording import SensorSuite
+from mavcal.calib.simulate.sensor import SensorErrors
 
 Array = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.simulate.recording import SensorSuite
-from calib.simulate.sensor import SensorErrors
+from mavcal.calib.simulate.recording import SensorSuite
+from mavcal.calib.simulate.sensor import SensorErrors
 
 Array = NDArray[np.float64]
 

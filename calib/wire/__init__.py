@@ -6,7 +6,7 @@ A frame is cut out of the bytes, its checksum is verified, and nothing else happ
 
 from __future__ import annotations
 
-from calib.wire.codec import (
+from mavcal.calib.wire.codec import (
     Message,
     ParamValue,
     RawMessage,
@@ -18,9 +18,9 @@ from calib.wire.codec import (
     param_set,
     raw_message,
 )
-from calib.wire.frames import CRC_EXTRA, Frame, FrameParser
-from calib.wire.signing import SignatureState, Signing, check_signature, sign
-from calib.wire.tlog import TlogReader, iter_tlog, tlog_record
+from mavcal.calib.wire.frames import CRC_EXTRA, Frame, FrameParser
+from mavcal.calib.wire.signing import SignatureState, Signing, check_signature, sign
+from mavcal.calib.wire.tlog import TlogReader, iter_tlog, tlog_record
 
 __all__ = [
     "CRC_EXTRA",

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib.errors import InvalidInputError
-from calib.wire.frames import EXTRA_BYTE, MAGIC_V2, SIGNED, Frame, crc
-from calib.wire.signing import Signing, sign
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.wire.frames import EXTRA_BYTE, MAGIC_V2, SIGNED, Frame, crc
+from mavcal.calib.wire.signing import Signing, sign
 
 Message = Any
 """A message object of :mod:`pymavlink.dialects.v20.ardupilotmega` (generated classes without a useful type)."""

@@ -6,8 +6,8 @@ import hashlib
 import hmac
 from typing import NamedTuple
 
-from calib.errors import InvalidInputError
-from calib.wire.frames import Frame
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.wire.frames import Frame
 
 
 class Signing(NamedTuple):

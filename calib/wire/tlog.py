@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 
-from calib.wire.frames import Frame, Plausibility, cut, next_magic
+from mavcal.calib.wire.frames import Frame, Plausibility, cut, next_magic
 
 _TIME = struct.Struct(">Q")
 

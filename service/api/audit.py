@@ -8,8 +8,8 @@ from typing import Any
 import structlog
 from fastapi import Request
 
-from service.core import Service
-from service.errors import StoreError
+from mavcal.service.core import Service
+from mavcal.service.errors import StoreError
 
 log = structlog.get_logger(__name__)
 

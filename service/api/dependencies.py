@@ -6,7 +6,7 @@ from typing import Annotated, cast
 
 from fastapi import Depends, Request
 
-from service.core import Service
+from mavcal.service.core import Service
 
 
 def _service(request: Request) -> Service:

@@ -11,9 +11,9 @@ import structlog
 from fastapi import Depends, Request
 from fastapi.sse import ServerSentEvent
 
-from service.api.models import LinkModel, VehicleModel
-from service.api.views import event_model, link_model, vehicle_model
-from service.core import Service
+from mavcal.service.api.models import LinkModel, VehicleModel
+from mavcal.service.api.views import event_model, link_model, vehicle_model
+from mavcal.service.core import Service
 
 log = structlog.get_logger(__name__)
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from fastapi import APIRouter, Depends, Request, Response
 from fastapi.responses import FileResponse
 
-from service.api.addresses import relative
-from service.api.dependencies import ServiceDep
-from service.api.models import GapModel, GapRequest, GapSummary
-from service.api.security import Scope, require
-from service.api.views import gap_model, gap_summary
+from mavcal.service.api.addresses import relative
+from mavcal.service.api.dependencies import ServiceDep
+from mavcal.service.api.models import GapModel, GapRequest, GapSummary
+from mavcal.service.api.security import Scope, require
+from mavcal.service.api.views import gap_model, gap_summary
 
 router = APIRouter(tags=["gaps"])
 READ = Depends(require(Scope.READ))

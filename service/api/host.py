@@ -10,11 +10,11 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.responses import JSONResponse, PlainTextResponse
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 
-import calib
-from service.api.dependencies import ServiceDep
-from service.api.models import AuditCheck, AuditModel, AuditPage, TicketModel
-from service.api.problems import explanations
-from service.api.security import TICKET_S, Guard, Scope, require
+from mavcal import calib
+from mavcal.service.api.dependencies import ServiceDep
+from mavcal.service.api.models import AuditCheck, AuditModel, AuditPage, TicketModel
+from mavcal.service.api.problems import explanations
+from mavcal.service.api.security import TICKET_S, Guard, Scope, require
 
 router = APIRouter(tags=["host"])
 READ = Depends(require(Scope.READ))

@@ -9,12 +9,12 @@ from urllib.parse import urlencode
 from fastapi import APIRouter, Depends, Header, Query, Request, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
-from calib.procedures.registry import PROCEDURES
-from calib.report import plan_to_json
-from service.api.addresses import relative
-from service.api.dependencies import ServiceDep
-from service.api.follow import WatchDep, everything
-from service.api.models import (
+from mavcal.calib.procedures.registry import PROCEDURES
+from mavcal.calib.report import plan_to_json
+from mavcal.service.api.addresses import relative
+from mavcal.service.api.dependencies import ServiceDep
+from mavcal.service.api.follow import WatchDep, everything
+from mavcal.service.api.models import (
     AnswerRequest,
     ApplyRequest,
     JobModel,
@@ -23,12 +23,12 @@ from service.api.models import (
     PlanRequest,
     ProcedureModel,
 )
-from service.api.paging import page_of
-from service.api.security import ActorDep, Scope, require
-from service.api.views import event_model, job_model, job_summary, procedure_model
-from service.errors import PlanMissing
-from service.exports import MEDIA_TYPES, export
-from service.jobs.model import Accept, Job
+from mavcal.service.api.paging import page_of
+from mavcal.service.api.security import ActorDep, Scope, require
+from mavcal.service.api.views import event_model, job_model, job_summary, procedure_model
+from mavcal.service.errors import PlanMissing
+from mavcal.service.exports import MEDIA_TYPES, export
+from mavcal.service.jobs.model import Accept, Job
 
 router = APIRouter(tags=["jobs"])
 READ = Depends(require(Scope.READ))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from fastapi import APIRouter, Depends, Request, Response
 
-from service.api.addresses import relative
-from service.api.dependencies import ServiceDep
-from service.api.models import LinkModel, LinkRequest
-from service.api.security import Scope, require
-from service.api.views import link_model
+from mavcal.service.api.addresses import relative
+from mavcal.service.api.dependencies import ServiceDep
+from mavcal.service.api.models import LinkModel, LinkRequest
+from mavcal.service.api.security import Scope, require
+from mavcal.service.api.views import link_model
 
 router = APIRouter(tags=["links"])
 READ = Depends(require(Scope.READ))

@@ -11,10 +11,10 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.api.problems import internal_problem, refusal
-from service.api.security import SAFE_METHODS, Guard
-from service.errors import AuthError, TooManyStreams
-from service.settings import Settings
+from mavcal.service.api.problems import internal_problem, refusal
+from mavcal.service.api.security import SAFE_METHODS, Guard
+from mavcal.service.errors import AuthError, TooManyStreams
+from mavcal.service.settings import Settings
 
 LARGEST_REQUEST_BYTES = 2**20
 """Limit for a request; uploads have a limit of their own."""

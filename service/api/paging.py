@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from service.errors import JobUnknown
-from service.jobs.model import Job
+from mavcal.service.errors import JobUnknown
+from mavcal.service.jobs.model import Job
 
 
 def page_of(jobs: Sequence[Job], after: str | None, limit: int) -> tuple[Sequence[Job], bool]:

@@ -13,9 +13,9 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
-from calib.errors import CalibError
-from service.api.addresses import relative
-from service.errors import AuthError, ServiceError, TooManyAttempts, TooManyStreams
+from mavcal.calib.errors import CalibError
+from mavcal.service.api.addresses import relative
+from mavcal.service.errors import AuthError, ServiceError, TooManyAttempts, TooManyStreams
 
 log = structlog.get_logger(__name__)
 

@@ -8,11 +8,11 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Query, Request, Response
 from pydantic import ValidationError
 
-from calib.errors import InvalidInputError
-from service.api.addresses import relative
-from service.api.dependencies import ServiceDep
-from service.api.disconnect import Body, while_connected
-from service.api.models import (
+from mavcal.calib.errors import InvalidInputError
+from mavcal.service.api.addresses import relative
+from mavcal.service.api.dependencies import ServiceDep
+from mavcal.service.api.disconnect import Body, while_connected
+from mavcal.service.api.models import (
     FitRequest,
     FitsModel,
     JobModel,
@@ -20,8 +20,8 @@ from service.api.models import (
     RecordingJobRequest,
     RecordingModel,
 )
-from service.api.security import Scope, require
-from service.api.views import job_model, recording_model
+from mavcal.service.api.security import Scope, require
+from mavcal.service.api.views import job_model, recording_model
 
 router = APIRouter(tags=["recordings"])
 READ = Depends(require(Scope.READ))

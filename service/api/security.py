@@ -20,10 +20,10 @@ import structlog
 from fastapi import Depends, Request
 from starlette.datastructures import Headers
 
-from service.api.audit import note
-from service.api.throttle import Throttle
-from service.errors import AuthError, Forbidden, TooManyAttempts
-from service.settings import ApiKey, Settings, is_loopback
+from mavcal.service.api.audit import note
+from mavcal.service.api.throttle import Throttle
+from mavcal.service.errors import AuthError, Forbidden, TooManyAttempts
+from mavcal.service.settings import ApiKey, Settings, is_loopback
 
 log = structlog.get_logger(__name__)
 

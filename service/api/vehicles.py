@@ -9,11 +9,11 @@ from typing import Annotated
 from fastapi import APIRouter, Depends
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
-from service.api.dependencies import ServiceDep
-from service.api.models import ParameterModel, VehicleModel
-from service.api.security import Scope, require
-from service.api.views import parameter_model, vehicle_model
-from service.vehicle import Vehicle
+from mavcal.service.api.dependencies import ServiceDep
+from mavcal.service.api.models import ParameterModel, VehicleModel
+from mavcal.service.api.security import Scope, require
+from mavcal.service.api.views import parameter_model, vehicle_model
+from mavcal.service.vehicle import Vehicle
 
 router = APIRouter(tags=["vehicles"])
 READ = Depends(require(Scope.READ))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from calib.procedures.spec import ProcedureSpec
-from calib.report import fit_to_json, plain, plan_to_json, step_to_json, verification_to_json
-from service.api.models import (
+from mavcal.calib.procedures.spec import ProcedureSpec
+from mavcal.calib.report import fit_to_json, plain, plan_to_json, step_to_json, verification_to_json
+from mavcal.service.api.models import (
     GapModel,
     GapSummary,
     JobModel,
@@ -18,14 +18,14 @@ from service.api.models import (
     RecordingModel,
     VehicleModel,
 )
-from service.gaps import GapRow
-from service.jobs.codec import attempt_to_json, outcome_to_json
-from service.jobs.model import Job
-from service.link import Link
-from service.store.rows import EventRow, RecordingRow
-from service.vehicle.encoding import Parameter
-from service.vehicle.registry import VehicleRegistry
-from service.vehicle.vehicle import Vehicle
+from mavcal.service.gaps import GapRow
+from mavcal.service.jobs.codec import attempt_to_json, outcome_to_json
+from mavcal.service.jobs.model import Job
+from mavcal.service.link import Link
+from mavcal.service.store.rows import EventRow, RecordingRow
+from mavcal.service.vehicle.encoding import Parameter
+from mavcal.service.vehicle.registry import VehicleRegistry
+from mavcal.service.vehicle.vehicle import Vehicle
 
 Json = dict[str, Any]
 

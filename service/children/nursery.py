@@ -23,7 +23,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NoReturn
 
-from service.children.limits import DEFECT, OUT_OF_MEMORY, Limits, confine, die_with_parent
+from mavcal.service.children.limits import DEFECT, OUT_OF_MEMORY, Limits, confine, die_with_parent
 
 Json = dict[str, Any]
 
@@ -168,7 +168,7 @@ def _descriptors(stderr: Path, progress: int) -> int:
 
 
 def _work(task: str, folder: Path, progress: int) -> int:
-    from calib.errors import CalibError
+    from mavcal.calib.errors import CalibError
 
     module, _, name = task.partition(":")
     function = getattr(importlib.import_module(module), name)

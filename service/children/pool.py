@@ -17,11 +17,11 @@ from typing import Any
 
 import structlog
 
-import calib.errors
-from calib.errors import CalibError, InvalidInputError
-from service.children.limits import Limits, cause_of
-from service.children.tasks import FIRST, LATER
-from service.errors import ChildEnded, ChildrenBusy
+import mavcal.calib.errors
+from mavcal.calib.errors import CalibError, InvalidInputError
+from mavcal.service.children.limits import Limits, cause_of
+from mavcal.service.children.tasks import FIRST, LATER
+from mavcal.service.errors import ChildEnded, ChildrenBusy
 
 log = structlog.get_logger(__name__)
 
@@ -150,7 +150,7 @@ class Children:
                 raise ChildEnded("the service is stopping")
             if self._nursery is None:
                 self._nursery = await asyncio.create_subprocess_exec(
-                    *(sys.executable, "-m", "service.children.nursery", *self._modules),
+                    *(sys.executable, "-m", "mavcal.service.children.nursery", *self._modules),
                     stdin=asyncio.subprocess.PIPE,
                     stdout=asyncio.subprocess.PIPE,
                 )
@@ -220,6 +220,6 @@ def _result_of(folder: Path, ended: Json, limits: Limits) -> Json:
 
 def _refusal(kind: str, text: str) -> CalibError:
     """The error that the task raised; whatever is not one of the domain's own is invalid input."""
-    made = getattr(calib.errors, kind, None)
+    made = getattr(mavcal.calib.errors, kind, None)
     known = isinstance(made, type) and issubclass(made, CalibError)
     return made(text) if known else InvalidInputError(text)  # type: ignore[misc]

@@ -14,20 +14,20 @@ from typing import Any
 Json = dict[str, Any]
 Tell = Callable[[str], None]
 
-INSPECT = "service.children.tasks:inspect"
-FIT = "service.children.tasks:fit"
-DIAGNOSE = "service.children.tasks:diagnose"
+INSPECT = "mavcal.service.children.tasks:inspect"
+FIT = "mavcal.service.children.tasks:fit"
+DIAGNOSE = "mavcal.service.children.tasks:diagnose"
 
-FIRST = ("calib.logs", "calib.flight.report", "calib.report")
-LATER = ("calib.methods", "calib.gap", "calib.gap.schema", "calib.gap_report")
+FIRST = ("mavcal.calib.logs", "mavcal.calib.flight.report", "mavcal.calib.report")
+LATER = ("mavcal.calib.methods", "mavcal.calib.gap", "mavcal.calib.gap.schema", "mavcal.calib.gap_report")
 """What the nursery imports for its children, before it serves and while it is idle."""
 
 
 def inspect(order: Mapping[str, Any], tell: Tell) -> Json:
     """What is in the recording ``{path, reading}``."""
-    from calib import logs
-    from calib.flight.report import overview
-    from calib.report import plain
+    from mavcal.calib import logs
+    from mavcal.calib.flight.report import overview
+    from mavcal.calib.report import plain
 
     tell("reading")
     found: Json = plain(overview(logs.read(Path(order["path"]), **order["reading"])))
@@ -36,10 +36,10 @@ def inspect(order: Mapping[str, Any], tell: Tell) -> Json:
 
 def fit(order: Mapping[str, Any], tell: Tell) -> Json:
     """Fits by a method, ``{path, reading, method, options, origin}``; with `origin` also whose sensors they are."""
-    from calib import logs
-    from calib.firmware.origin import origin_of
-    from calib.methods import METHODS
-    from calib.report import fit_to_json, plain
+    from mavcal.calib import logs
+    from mavcal.calib.firmware.origin import origin_of
+    from mavcal.calib.methods import METHODS
+    from mavcal.calib.report import fit_to_json, plain
 
     tell("reading")
     recording = logs.read(Path(order["path"]), **order["reading"])
@@ -51,9 +51,9 @@ def fit(order: Mapping[str, Any], tell: Tell) -> Json:
 
 def diagnose(order: Mapping[str, Any], tell: Tell) -> Json:
     """The gap of ``{real: {path, reading, sha256}, sim, nominal, title, out}``, as files beside `out`."""
-    from calib import gap, logs
-    from calib.gap.schema import as_json
-    from calib.gap_report import gap_to_html
+    from mavcal.calib import gap, logs
+    from mavcal.calib.gap.schema import as_json
+    from mavcal.calib.gap_report import gap_to_html
 
     def read(part: Mapping[str, Any]) -> Any:
         return logs.read(Path(part["path"]), **part["reading"])

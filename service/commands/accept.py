@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from service.commands.config import load_settings
-from service.commands.output import json_option
-from service.commands.plan_options import all_plan_options, given
-from service.commands.review import Wish, run_job
+from mavcal.service.commands.config import load_settings
+from mavcal.service.commands.output import json_option
+from mavcal.service.commands.plan_options import all_plan_options, given
+from mavcal.service.commands.review import Wish, run_job
 
 if TYPE_CHECKING:
-    from service.core import Service
-    from service.jobs.model import Job
-    from service.vehicle import Vehicle
+    from mavcal.service.core import Service
+    from mavcal.service.jobs.model import Job
+    from mavcal.service.vehicle import Vehicle
 
 
 @click.command()
@@ -46,8 +46,8 @@ def command(
     decided = given(more)
 
     async def begin(service: Service, vehicle: Vehicle) -> Job:
-        from service.commands.headless import is_of
-        from service.errors import OtherVehicle
+        from mavcal.service.commands.headless import is_of
+        from mavcal.service.errors import OtherVehicle
 
         job = service.jobs.get(job_id)
         if not is_of(service, job, vehicle):

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import click
 
-from service.commands.config import load_settings
-from service.commands.output import EXIT_NO, json_option, write_json
+from mavcal.service.commands.config import load_settings
+from mavcal.service.commands.output import EXIT_NO, json_option, write_json
 
 
 @click.command()
@@ -19,7 +19,7 @@ def command(data_dir: Path | None, as_json: bool) -> int:
 
     The service may go on meanwhile. Keep the digest elsewhere: it vouches for every row up to now.
     """
-    from service.store.sqlite import check_audit_of
+    from mavcal.service.store.sqlite import check_audit_of
 
     found = check_audit_of(load_settings(data_dir=data_dir).data_dir)
     if as_json:

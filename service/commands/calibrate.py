@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from service.commands.config import load_settings
-from service.commands.output import json_option
-from service.commands.plan_options import given, plan_options
-from service.commands.review import Wish, run_job
+from mavcal.service.commands.config import load_settings
+from mavcal.service.commands.output import json_option
+from mavcal.service.commands.plan_options import given, plan_options
+from mavcal.service.commands.review import Wish, run_job
 
 if TYPE_CHECKING:
-    from service.core import Service
-    from service.jobs.model import Job
-    from service.vehicle import Vehicle
+    from mavcal.service.core import Service
+    from mavcal.service.jobs.model import Job
+    from mavcal.service.vehicle import Vehicle
 
 KINDS = (
     *("gyro", "accel", "mag", "thermal", "level"),

@@ -12,8 +12,8 @@ import click
 from pydantic import ValidationError
 from pydantic_settings import SettingsError
 
-from service.commands.output import json_option, write_json
-from service.settings import Settings
+from mavcal.service.commands.output import json_option, write_json
+from mavcal.service.settings import Settings
 
 
 @click.group()
@@ -49,7 +49,7 @@ def schema(as_json: bool) -> None:
 @json_option
 def key(name: str, scope: tuple[str, ...], as_json: bool) -> None:
     """Make an API key: the key once, and the lines for ``mavcal.toml`` that let it in."""
-    from service.api.security import Scope, digest
+    from mavcal.service.api.security import Scope, digest
 
     unknown = set(scope) - {s.value for s in Scope}
     if unknown:

@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
-from service.commands.output import json_option, write_json
-from service.commands.reading import readable_file, reading_options
+from mavcal.service.commands.output import json_option, write_json
+from mavcal.service.commands.reading import readable_file, reading_options
 
 
 @click.command()
@@ -19,9 +19,9 @@ from service.commands.reading import readable_file, reading_options
 @json_option
 def command(file: str, out: Path, raw: bool, as_json: bool, **reading: Any) -> None:
     """Turn a recording into a table: OUT ends in .csv or .npz."""
-    from calib import logs
-    from calib.firmware import undo
-    from calib.logs.tables import write_table
+    from mavcal.calib import logs
+    from mavcal.calib.firmware import undo
+    from mavcal.calib.logs.tables import write_table
 
     recording = logs.read(readable_file(file), **reading)
     if raw:

@@ -6,7 +6,7 @@ import secrets
 
 import click
 
-from service.commands.output import EXIT_NO, json_option, write_json
+from mavcal.service.commands.output import EXIT_NO, json_option, write_json
 
 
 @click.command()
@@ -28,8 +28,8 @@ def command(autopilot: str, seed: int | None, speed: float, keep_open: bool, as_
 
     Exit code 0 only if every parameter is proved on the vehicle and the stated uncertainties are true.
     """
-    from service.commands.screen import Screen
-    from service.demo.run import DemoError, run
+    from mavcal.service.commands.screen import Screen
+    from mavcal.service.demo.run import DemoError, run
 
     drawn = secrets.randbelow(1_000_000) if seed is None else seed
     try:

@@ -15,10 +15,10 @@ from pathlib import Path
 
 import click
 
-from calib.errors import CalibError
-from service.commands.config import load_settings
-from service.commands.output import EXIT_NO, json_option, write_json
-from service.settings import Settings
+from mavcal.calib.errors import CalibError
+from mavcal.service.commands.config import load_settings
+from mavcal.service.commands.output import EXIT_NO, json_option, write_json
+from mavcal.service.settings import Settings
 
 DISTRIBUTIONS = ("numpy", "scipy", "pymavlink", "fastapi", "uvicorn", "pyserial", "pyulog", "pygeomag")
 LEAST_FREE_BYTES = 1024**3
@@ -97,7 +97,7 @@ def _serial() -> Finding:
 
 
 def _magnetic_model() -> Finding:
-    from calib.earth import earth_field
+    from mavcal.calib.earth import earth_field
 
     today = datetime.datetime.now(tz=datetime.UTC).date()
     year = today.year + (today.timetuple().tm_yday - 1) / 365.25

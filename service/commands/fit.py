@@ -8,13 +8,13 @@ from typing import Any
 
 import click
 
-from calib.converted import Convention, Converted, c_header, converted
-from calib.errors import CalibError
-from calib.fit import FitResult, FitStatus
-from calib.methods import METHODS, Finding, Method
-from calib.recording import Recording
-from service.commands.output import EXIT_NO, json_option, write_json
-from service.commands.reading import face_option, read_recording, reading_options, split_reading
+from mavcal.calib.converted import Convention, Converted, c_header, converted
+from mavcal.calib.errors import CalibError
+from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.methods import METHODS, Finding, Method
+from mavcal.calib.recording import Recording
+from mavcal.service.commands.output import EXIT_NO, json_option, write_json
+from mavcal.service.commands.reading import face_option, read_recording, reading_options, split_reading
 
 HEADER = ".h"
 """Ending of an export that is no parameter file but C."""
@@ -113,7 +113,7 @@ def _converted(fit: FitResult, convention: str) -> Converted | None:
 
 def _document(fits: tuple[FitResult, ...], forms: Sequence[Converted | None]) -> dict[str, Any]:
     """The only fit, or the first one with all of them under ``fits``."""
-    from calib.report import fit_to_json, plain
+    from mavcal.calib.report import fit_to_json, plain
 
     documents = [fit_to_json(fit) for fit in fits]
     for document, form in zip(documents, forms, strict=True):
@@ -124,7 +124,7 @@ def _document(fits: tuple[FitResult, ...], forms: Sequence[Converted | None]) ->
 
 def require_place(out: Path) -> None:
     """Refuse what cannot be written whatever the fit says: an unknown ending, a folder that is not there."""
-    from calib.firmware.export import ParameterFormat
+    from mavcal.calib.firmware.export import ParameterFormat
 
     endings = [*(f".{form}" for form in ParameterFormat), HEADER]
     if out.suffix not in endings:
@@ -152,7 +152,7 @@ def require_correction(method: Method) -> None:
 
 def require_vehicle(out: Path, recording: Recording) -> None:
     """Refuse parameters for a recording that does not say whose they would be, before the fit is made."""
-    from calib.firmware.fingerprint import SENSOR_IDS
+    from mavcal.calib.firmware.fingerprint import SENSOR_IDS
 
     if out.suffix == HEADER:
         return
@@ -169,9 +169,9 @@ def _export(recording: Recording, fits: tuple[FitResult, ...], out: Path) -> Non
     if out.suffix == HEADER:
         _write(out, c_header(fits))
         return
-    from calib.firmware.compose import compose
-    from calib.firmware.export import write_export
-    from calib.firmware.fingerprint import fingerprint
+    from mavcal.calib.firmware.compose import compose
+    from mavcal.calib.firmware.export import write_export
+    from mavcal.calib.firmware.fingerprint import fingerprint
 
     parameters = recording.parameters.final()
     plan = compose(fits, parameters, fingerprint(recording.identity, parameters))

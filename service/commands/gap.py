@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from service.commands.gap_selftest import command as selftest
-from service.commands.output import EXIT_NO, json_option, write_json
-from service.commands.reading import parse_mapping, reading_options
+from mavcal.service.commands.gap_selftest import command as selftest
+from mavcal.service.commands.output import EXIT_NO, json_option, write_json
+from mavcal.service.commands.reading import parse_mapping, reading_options
 
 if TYPE_CHECKING:
-    from calib.gap.schema import GapReport
-    from calib.gap.verify import Verified
+    from mavcal.calib.gap.schema import GapReport
+    from mavcal.calib.gap.verify import Verified
 
 TARGETS = ("sitl", "gazebo", "matlab", "mavcal", "vehicle")
 """Those of ``calib.gap.export.Target``, stated here so that help does without numpy (a test compares them)."""
@@ -93,9 +93,9 @@ def command(
         return 0
     if real is None:
         raise click.UsageError("Missing option '--real'.")
-    from calib import gap
-    from calib.gap.schema import as_json as document_of
-    from service.commands.gap_files import check_exports, check_folders, read_files, write_exports, write_page
+    from mavcal.calib import gap
+    from mavcal.calib.gap.schema import as_json as document_of
+    from mavcal.service.commands.gap_files import check_exports, check_folders, read_files, write_exports, write_page
 
     check_exports(exports, target)
     check_folders((*exports, *(() if page is None else (page,))))
@@ -104,7 +104,7 @@ def command(
     document = document_of(report)
     verified = None
     if files.again is not None:
-        from calib.gap.verify import verified_json, verify
+        from mavcal.calib.gap.verify import verified_json, verify
 
         verified = verify(report, files.real, files.sim, files.again, files.nominal)
         document["verify"] = verified_json(verified)
@@ -120,7 +120,7 @@ def command(
 
 
 def _show(report: GapReport, verified: Verified | None) -> None:
-    from calib.gap_report.words import closed_sentence, not_compared, regime, verdict_sentence
+    from mavcal.calib.gap_report.words import closed_sentence, not_compared, regime, verdict_sentence
 
     click.echo(f"{report.verdict.value}: {verdict_sentence(report, listed=False)}")
     if missing := not_compared(report):
@@ -148,7 +148,7 @@ def _show(report: GapReport, verified: Verified | None) -> None:
 
 
 def _show_effect(effect: Any) -> None:
-    from calib.gap_report.words import effect_phrase, number, quantity
+    from mavcal.calib.gap_report.words import effect_phrase, number, quantity
 
     click.echo(f"{effect_phrase(effect)}, probability {number(effect.evidence.probability)}")
     for parameter in effect.params:
@@ -158,7 +158,7 @@ def _show_effect(effect: Any) -> None:
 
 
 def _show_verified(verified: Verified) -> None:
-    from calib.gap_report.words import number
+    from mavcal.calib.gap_report.words import number
 
     low, high = verified.remaining.ci95
     click.echo(

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from calib.blind.answers import Answer
-from calib.blind.cases import Case, Tier, make_case
+from mavcal.calib.blind.answers import Answer
+from mavcal.calib.blind.cases import Case, Tier, make_case
 
 TIMEOUT_S = 300.0
 """Limit for a case of one minute, with room for a busy machine."""
@@ -54,7 +54,7 @@ class Worker:
     def _running(self) -> subprocess.Popen[str]:
         if self._process is None or self._process.poll() is not None:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "service.commands.gap_worker"],
+                [sys.executable, "-m", "mavcal.service.commands.gap_worker"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 text=True,

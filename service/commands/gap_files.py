@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from service.commands.reading import readable_file
+from mavcal.service.commands.reading import readable_file
 
 if TYPE_CHECKING:
-    from calib.gap.schema import GapReport
-    from calib.recording import Recording
+    from mavcal.calib.gap.schema import GapReport
+    from mavcal.calib.recording import Recording
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ def read_files(
     real: str, sim: str | None, nominal: Sequence[str], again: str | None, reading: Mapping[str, Any]
 ) -> Files:
     """Read every file; the reading options are of `real`, and of the others as far as they are tables."""
-    from calib import logs
+    from mavcal.calib import logs
 
     mapping = reading["sim_mapping"]
     own = {k: v for k, v in reading.items() if k != "sim_mapping"}
@@ -61,7 +61,7 @@ def _sha256(file: Path) -> str:
 
 def write_page(report: GapReport, title: str, out: Path) -> None:
     """The report as a page."""
-    from calib.gap_report import gap_to_html
+    from mavcal.calib.gap_report import gap_to_html
 
     write(out, gap_to_html(report, title=title))
 
@@ -74,9 +74,9 @@ def check_exports(outs: Sequence[Path], target: str | None) -> None:
     click.BadParameter
         If an ending does not say whom the file is for, or does not fit whom it is for.
     """
-    from calib.errors import InvalidInputError
-    from calib.firmware.export import ParameterFormat
-    from calib.gap.export import Target, target_of
+    from mavcal.calib.errors import InvalidInputError
+    from mavcal.calib.firmware.export import ParameterFormat
+    from mavcal.calib.gap.export import Target, target_of
 
     for out in outs:
         try:
@@ -105,10 +105,10 @@ def write_exports(
     report: GapReport, files: Files, outs: Sequence[Path], target: str | None, instance: int
 ) -> list[dict[str, Any]]:
     """Write the remedy; for each file its name, whom it is for, and what it cannot hold."""
-    from calib.errors import CalibError
-    from calib.firmware.export import ParameterFormat
-    from calib.gap import simulator_of
-    from calib.gap.export import Target, exported, target_of
+    from mavcal.calib.errors import CalibError
+    from mavcal.calib.firmware.export import ParameterFormat
+    from mavcal.calib.gap import simulator_of
+    from mavcal.calib.gap.export import Target, exported, target_of
 
     written: list[dict[str, Any]] = []
     for out in outs:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from calib.recording import Recording
-from service.commands.gap_campaign import Worker
+from mavcal.calib.recording import Recording
+from mavcal.service.commands.gap_campaign import Worker
 
 TIMEOUT_S = 1800.0
 """Limit for a recording of minutes."""
@@ -64,8 +64,8 @@ class RealCase:
 
 def cases(data: Path, folder: Path) -> Iterator[RealCase]:
     """Every case that the data folder has; derived tables are written to `folder`."""
-    from calib.blind.real import KINDS, halves, injected
-    from calib.logs.tables import write_table
+    from mavcal.calib.blind.real import KINDS, halves, injected
+    from mavcal.calib.logs.tables import write_table
 
     def table(recording: Recording, name: str) -> Path:
         path = folder / f"{name}.npz"
@@ -97,13 +97,13 @@ def cases(data: Path, folder: Path) -> Iterator[RealCase]:
 
 def broad_recording(path: Path) -> Recording:
     """A trial of the BROAD data set: inertial unit, compass and the motion capture's pose, in ENU."""
-    from calib import logs
+    from mavcal.calib import logs
 
     return logs.read(path, mapping=BROAD, world="enu", rate=2000.0 / 7.0)
 
 
 def _nominal(data: Path) -> Iterator[tuple[str, Recording]]:
-    from calib import logs
+    from mavcal.calib import logs
 
     if (path := data / "broad" / "01_undisturbed_slow_rotation_A.mat").is_file():
         yield "broad_01", broad_recording(path)

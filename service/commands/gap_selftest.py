@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from service.commands.output import EXIT_NO, json_option, write_json
+from mavcal.service.commands.output import EXIT_NO, json_option, write_json
 
 TIERS = ("T0", "T1", "T2", "T3", "T4", "T5", "T6", "T7", "T10")
 
@@ -49,8 +49,8 @@ def command(
     The cases come from a generator that shares no code with the diagnosis, each from its tier and seed. Exit code 1
     unless the 95 % interval of every figure that has a target meets it.
     """
-    from calib.blind.cases import Tier
-    from calib.blind.seal import PLAN, generator_sha256, scorer_sha256, seeds
+    from mavcal.calib.blind.cases import Tier
+    from mavcal.calib.blind.seal import PLAN, generator_sha256, scorer_sha256, seeds
 
     if score_only and answers is None:
         raise click.UsageError("--score-only needs --answers FILE")
@@ -72,7 +72,7 @@ def command(
 
 def _on_recordings(data: Path, out: Path | None, *, nested: bool, as_json: bool) -> int:
     """Every recording once; exit code 1 if one with a known list of effects is not named exactly."""
-    from service.commands.gap_real import run
+    from mavcal.service.commands.gap_real import run
 
     rows = []
     for row in run(data, nested=nested):
@@ -89,8 +89,8 @@ def _on_recordings(data: Path, out: Path | None, *, nested: bool, as_json: bool)
 
 
 def _seal(cases: Sequence[tuple[Any, int]], out: Path, seed: int) -> None:
-    from calib.blind.cases import make_label
-    from calib.blind.seal import generator_sha256, labels_sha256, scorer_sha256
+    from mavcal.calib.blind.cases import make_label
+    from mavcal.calib.blind.seal import generator_sha256, labels_sha256, scorer_sha256
 
     labels = []
     counts: dict[str, int] = {}
@@ -110,8 +110,8 @@ def _seal(cases: Sequence[tuple[Any, int]], out: Path, seed: int) -> None:
 
 
 def _run(cases: Sequence[tuple[Any, int]], out: Path | None, *, nested: bool, processes: int) -> list[str]:
-    from calib.report import plain
-    from service.commands.gap_campaign import Plan, run
+    from mavcal.calib.report import plain
+    from mavcal.service.commands.gap_campaign import Plan, run
 
     rows: list[str] = []
     with contextlib.ExitStack() as stack:
@@ -130,9 +130,9 @@ def _run(cases: Sequence[tuple[Any, int]], out: Path | None, *, nested: bool, pr
 
 
 def _report(rows: Sequence[str], seal: dict[str, str], *, as_json: bool) -> int:
-    from calib.blind.score import score
-    from calib.blind.seal import labels_sha256
-    from service.commands.gap_campaign import answers
+    from mavcal.calib.blind.score import score
+    from mavcal.calib.blind.seal import labels_sha256
+    from mavcal.service.commands.gap_campaign import answers
 
     found = answers(rows)
     scores = score(found)

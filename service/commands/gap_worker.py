@@ -17,8 +17,8 @@ from typing import Any
 
 def diagnosed(order: Mapping[str, Any]) -> dict[str, Any]:
     """The answer to one order; whatever goes wrong in the diagnosis is an answer too, and counts as a failure."""
-    from calib import gap, logs
-    from calib.gap.schema import as_json
+    from mavcal.calib import gap, logs
+    from mavcal.calib.gap.schema import as_json
 
     real = logs.read(Path(order["real"]))
     sim = None if order.get("sim") is None else logs.read(Path(order["sim"]))
@@ -33,7 +33,7 @@ def diagnosed(order: Mapping[str, Any]) -> dict[str, Any]:
 
 def main() -> None:
     """Answer until stdin ends."""
-    from calib.report import plain
+    from mavcal.calib.report import plain
 
     for line in sys.stdin:
         answer = diagnosed(json.loads(line))

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from service.commands.screen import Screen
-    from service.core import Service
-    from service.jobs.model import Job
-    from service.jobs.recovery import Unfinished
-    from service.link import Link
-    from service.store.rows import EventRow
-    from service.vehicle import Vehicle
+    from mavcal.service.commands.screen import Screen
+    from mavcal.service.core import Service
+    from mavcal.service.jobs.model import Job
+    from mavcal.service.jobs.recovery import Unfinished
+    from mavcal.service.link import Link
+    from mavcal.service.store.rows import EventRow
+    from mavcal.service.vehicle import Vehicle
 
 QUIET_S = 3.0
 """A vehicle that is not heard by then is said to be waited for."""
@@ -33,7 +33,7 @@ async def heard(service: Service, url: str, wait: float, screen: Screen) -> Vehi
 
     Raises VehicleSilent if none is heard within `wait` seconds; meanwhile `screen` says what is waited for.
     """
-    from service.errors import VehicleSilent
+    from mavcal.service.errors import VehicleSilent
 
     link = await service.links.open(url, remember=False, trusted=True)
     telling = asyncio.create_task(_tell_wait(link, url, wait, screen))
@@ -62,8 +62,8 @@ async def _tell_wait(link: Link, url: str, wait: float, screen: Screen) -> None:
 
 async def follow(service: Service, job_id: str, screen: Screen, after: int = 0, *, doubt_s: float = DOUBT_S) -> Job:
     """Show what happens after that event until the job ends, waits for acceptance, or stays in doubt for too long."""
-    from service.jobs.recovery import ending, unfinished
-    from service.jobs.states import ENDED, JobState
+    from mavcal.service.jobs.recovery import ending, unfinished
+    from mavcal.service.jobs.states import ENDED, JobState
 
     loop = asyncio.get_running_loop()
     with suppress(TimeoutError):
@@ -107,7 +107,7 @@ class Earlier:
 
 def earlier(service: Service) -> Earlier:
     """To be asked before the vehicle is heard: from then on the engine goes on with these jobs by itself."""
-    from service.jobs.recovery import left_over
+    from mavcal.service.jobs.recovery import left_over
 
     return Earlier(left_over(service.store, service.jobs.list()), service.store.last_event_id())
 
@@ -116,7 +116,7 @@ async def recovered(
     service: Service, vehicle: Vehicle, left: Earlier, screen: Screen, *, doubt_s: float = DOUBT_S
 ) -> tuple[Unfinished, ...]:
     """Bring to an end what earlier runs left unfinished on this vehicle; every such job, as it stands afterwards."""
-    from service.jobs.recovery import beginning, ending, unfinished
+    from mavcal.service.jobs.recovery import beginning, ending, unfinished
 
     told = []
     for found in left.found:
@@ -136,7 +136,7 @@ async def recovered(
 
 def is_of(service: Service, job: Job, vehicle: Vehicle) -> bool:
     """Whether the job is of this vehicle."""
-    from service.errors import VehicleUnknown
+    from mavcal.service.errors import VehicleUnknown
 
     with suppress(VehicleUnknown):
         return service.vehicles.get(job.vehicle_id) is vehicle
@@ -145,7 +145,7 @@ def is_of(service: Service, job: Job, vehicle: Vehicle) -> bool:
 
 def told_of(found: Unfinished) -> dict[str, Any]:
     """A job that was recovered, or could not be, as JSON."""
-    from service.jobs.codec import outcome_to_json
+    from mavcal.service.jobs.codec import outcome_to_json
 
     return {
         "id": found.job.id,
@@ -166,8 +166,8 @@ async def tidied(service: Service, seconds: float = TIDY_S) -> None:
 
 async def put_down(service: Service, job_id: str, connect: str, screen: Screen) -> None:
     """Leave a job because this process has to stop: cancel what wrote nothing, say what a write leaves behind."""
-    from service.jobs.recovery import unfinished
-    from service.jobs.states import CANCELLABLE, WRITING, JobState
+    from mavcal.service.jobs.recovery import unfinished
+    from mavcal.service.jobs.states import CANCELLABLE, WRITING, JobState
 
     job = service.jobs.get(job_id)
     if job.state in CANCELLABLE - {JobState.REVIEW}:

@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
-from service.commands.output import json_option, write_json
-from service.commands.reading import readable_file, reading_options
+from mavcal.service.commands.output import json_option, write_json
+from mavcal.service.commands.reading import readable_file, reading_options
 
 
 @click.command()
@@ -20,8 +20,8 @@ def command(file: str, as_json: bool, **reading: Any) -> None:
 
     Reads telemetry logs (.tlog), DataFlash (.bin, text), ULog (.ulg) and tables (.csv, .npz, .mat ...).
     """
-    from calib import logs
-    from calib.flight.report import overview
+    from mavcal.calib import logs
+    from mavcal.calib.flight.report import overview
 
     document = overview(logs.read(readable_file(file), **reading))
     if as_json:

@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from calib.methods import METHODS
-from service.commands.calibrate import parsed
-from service.commands.config import load_settings
-from service.commands.output import json_option
-from service.commands.plan_options import all_plan_options, given
-from service.commands.reading import readable_file, reading_options, split_reading
-from service.commands.review import Wish, run_job
+from mavcal.calib.methods import METHODS
+from mavcal.service.commands.calibrate import parsed
+from mavcal.service.commands.config import load_settings
+from mavcal.service.commands.output import json_option
+from mavcal.service.commands.plan_options import all_plan_options, given
+from mavcal.service.commands.reading import readable_file, reading_options, split_reading
+from mavcal.service.commands.review import Wish, run_job
 
 if TYPE_CHECKING:
-    from service.core import Service
-    from service.jobs.model import Job
-    from service.vehicle import Vehicle
+    from mavcal.service.core import Service
+    from mavcal.service.jobs.model import Job
+    from mavcal.service.vehicle import Vehicle
 
 CHUNK = 1 << 20
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from calib.recording import Recording
+    from mavcal.calib.recording import Recording
 
 ACCEL_UNITS = ("si", "g", "mg", "counts")
 GYRO_UNITS = ("si", "deg/s", "mrad/s", "counts")
@@ -75,8 +75,8 @@ def read_recording(file: str | None, faces: Sequence[tuple[str, str]], reading: 
     click.UsageError
         If there is neither, or both.
     """
-    from calib import logs
-    from calib.parts import of_parts
+    from mavcal.calib import logs
+    from mavcal.calib.parts import of_parts
 
     if bool(faces) == (file is not None):
         raise click.UsageError("give either one FILE, or --face LABEL=FILE for every face")

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from service.commands.config import load_settings
-from service.commands.output import EXIT_NO, json_option, write_json
+from mavcal.service.commands.config import load_settings
+from mavcal.service.commands.output import EXIT_NO, json_option, write_json
 
 if TYPE_CHECKING:
-    from service.commands.screen import Screen
+    from mavcal.service.commands.screen import Screen
 
 
 @click.command()
@@ -31,8 +31,8 @@ def command(connect: str, data_dir: Path | None, wait: float, as_json: bool) -> 
 
     Exit code 0: nothing is in doubt on this vehicle. 1: something still is; the parameters are listed.
     """
-    from service.commands.screen import Screen
-    from service.logs import configure_logging
+    from mavcal.service.commands.screen import Screen
+    from mavcal.service.logs import configure_logging
 
     settings = load_settings(data_dir=data_dir, connect=(connect,))
     configure_logging(as_json=settings.log_json)
@@ -40,7 +40,7 @@ def command(connect: str, data_dir: Path | None, wait: float, as_json: bool) -> 
 
 
 async def _recover(settings: Any, wait: float, screen: Screen, as_json: bool) -> int:
-    from service.commands.headless import stoppable
+    from mavcal.service.commands.headless import stoppable
 
     with stoppable() as caught:
         try:
@@ -53,10 +53,10 @@ async def _recover(settings: Any, wait: float, screen: Screen, as_json: bool) ->
 
 
 async def _recovered(settings: Any, wait: float, screen: Screen, as_json: bool) -> int:
-    from service.commands.headless import earlier, heard, recovered, tidied, told_of
-    from service.core import running_service
-    from service.errors import VehicleSilent
-    from service.jobs.recovery import ending, left_over
+    from mavcal.service.commands.headless import earlier, heard, recovered, tidied, told_of
+    from mavcal.service.core import running_service
+    from mavcal.service.errors import VehicleSilent
+    from mavcal.service.jobs.recovery import ending, left_over
 
     async with running_service(settings) as service:
         left = earlier(service)

@@ -8,17 +8,17 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from service.commands.output import EXIT_NO, write_json
+from mavcal.service.commands.output import EXIT_NO, write_json
 
 if TYPE_CHECKING:
-    from calib.firmware.plan import WritePlan
-    from service.commands.keyboard import Keyboard
-    from service.commands.screen import Screen
-    from service.core import Service
-    from service.jobs.model import Job
-    from service.jobs.recovery import Unfinished
-    from service.settings import Settings
-    from service.vehicle import Vehicle
+    from mavcal.calib.firmware.plan import WritePlan
+    from mavcal.service.commands.keyboard import Keyboard
+    from mavcal.service.commands.screen import Screen
+    from mavcal.service.core import Service
+    from mavcal.service.jobs.model import Job
+    from mavcal.service.jobs.recovery import Unfinished
+    from mavcal.service.settings import Settings
+    from mavcal.service.vehicle import Vehicle
 
     Begin = Callable[[Service, Vehicle], Awaitable[Job]]
     """Makes the job, or takes up one that waits in review. Raises ServiceError."""
@@ -41,8 +41,8 @@ class Wish:
 
 def run_job(settings: Settings, begin: Begin, wish: Wish) -> int:
     """One job from `begin` to its end; the exit code."""
-    from service.commands.screen import Screen
-    from service.logs import configure_logging
+    from mavcal.service.commands.screen import Screen
+    from mavcal.service.logs import configure_logging
 
     configure_logging(as_json=settings.log_json)
     job = asyncio.run(_job(settings, begin, wish, Screen()))
@@ -53,8 +53,8 @@ def run_job(settings: Settings, begin: Begin, wish: Wish) -> int:
 
 async def _job(settings: Settings, begin: Begin, wish: Wish, screen: Screen) -> Job | int:
     """The job as it ended, or the exit code of a run that was told to stop."""
-    from service.commands.headless import earlier, heard, recovered, stoppable
-    from service.core import running_service
+    from mavcal.service.commands.headless import earlier, heard, recovered, stoppable
+    from mavcal.service.core import running_service
 
     with stoppable() as caught:
         try:
@@ -73,8 +73,8 @@ async def _job(settings: Settings, begin: Begin, wish: Wish, screen: Screen) -> 
 
 def _require_resolved(resolved: Sequence[Unfinished]) -> None:
     """Raise PhysicalJobRunning, with every parameter, if an earlier job is still in doubt."""
-    from service.errors import PhysicalJobRunning
-    from service.jobs.recovery import ending
+    from mavcal.service.errors import PhysicalJobRunning
+    from mavcal.service.jobs.recovery import ending
 
     for found in resolved:
         if not found.ended:
@@ -91,9 +91,9 @@ class _Run:
     screen: Screen
 
     async def of(self, begin: Begin, resolved: Sequence[Unfinished]) -> Job:
-        from service.api.views import job_model
-        from service.commands.headless import put_down, tidied, told_of
-        from service.commands.keyboard import keyboard
+        from mavcal.service.api.views import job_model
+        from mavcal.service.commands.headless import put_down, tidied, told_of
+        from mavcal.service.commands.keyboard import keyboard
 
         after = self.service.store.last_event_id()
         job = await begin(self.service, self.vehicle)
@@ -111,7 +111,7 @@ class _Run:
         return job
 
     def _answer(self, job_id: str) -> Callable[[str], Any]:
-        from service.errors import ServiceError
+        from mavcal.service.errors import ServiceError
 
         async def answer(line: str) -> None:
             try:
@@ -123,9 +123,9 @@ class _Run:
 
     async def _carried(self, job: Job, after: int, typed: Keyboard) -> Job:
         """The job, once nothing goes on with it by itself."""
-        from service.commands.headless import follow
-        from service.jobs.model import Accept
-        from service.jobs.states import ENDED, JobState
+        from mavcal.service.commands.headless import follow
+        from mavcal.service.jobs.model import Accept
+        from mavcal.service.jobs.states import ENDED, JobState
 
         jobs = self.service.jobs
         if job.state not in ENDED | {JobState.REVIEW}:
@@ -144,7 +144,7 @@ class _Run:
 
     async def _confirmed(self, job: Job, typed: Keyboard) -> Job:
         """The job, planned again with what the person at the terminal has confirmed; as it is if there is nobody."""
-        from calib.firmware.options import confirmations
+        from mavcal.calib.firmware.options import confirmations
 
         assert job.plan is not None
         names = confirmations(job.plan.blockers)
@@ -170,9 +170,9 @@ async def _writable(vehicle: Vehicle, wait: float) -> None:
 
 def good(job: Job, write: bool, require_proof: bool) -> bool:
     """Whether the job has reached what was asked for."""
-    from service.jobs.model import Result
-    from service.jobs.proof import ProofLevel
-    from service.jobs.states import JobState
+    from mavcal.service.jobs.model import Result
+    from mavcal.service.jobs.proof import ProofLevel
+    from mavcal.service.jobs.states import JobState
 
     if job.plan is not None and job.plan.blockers:
         return False
@@ -185,8 +185,8 @@ def good(job: Job, write: bool, require_proof: bool) -> bool:
 
 def show_plan(plan: WritePlan, screen: Screen) -> None:
     """What is written, what is not, and what has to be confirmed first."""
-    from calib.firmware.options import confirmations
-    from calib.firmware.values import shown
+    from mavcal.calib.firmware.options import confirmations
+    from mavcal.calib.firmware.values import shown
 
     stands = "to be confirmed" if confirmations(plan.blockers) else "will not be written"
     for text in (*plan.warnings, *(f"{stands}: {b}" for b in plan.blockers)):
@@ -201,7 +201,7 @@ def show_plan(plan: WritePlan, screen: Screen) -> None:
 
 def show_end(job: Job, screen: Screen, connect: str, *, written: bool) -> None:
     """How the job ended; for one in review, how it is written later."""
-    from service.jobs.model import Failure
+    from mavcal.service.jobs.model import Failure
 
     if isinstance(job.outcome, Failure):
         screen.line(f"{job.state.value}: {job.outcome.cause} {job.outcome.remedy}", bold=True)
@@ -217,7 +217,7 @@ def show_end(job: Job, screen: Screen, connect: str, *, written: bool) -> None:
 
 def _waiting(job: Job, plan: WritePlan, connect: str) -> str:
     """What becomes of a plan that was not written."""
-    from calib.firmware.options import PLAN_OPTIONS, confirmations
+    from mavcal.calib.firmware.options import PLAN_OPTIONS, confirmations
 
     asked = confirmations(plan.blockers)
     if plan.blockers and not asked:

@@ -10,10 +10,10 @@ from typing import Any
 
 import click
 
-from service.commands.config import load_settings
-from service.commands.output import json_option, write_json
-from service.errors import PortBusy
-from service.settings import Settings
+from mavcal.service.commands.config import load_settings
+from mavcal.service.commands.output import json_option, write_json
+from mavcal.service.errors import PortBusy
+from mavcal.service.settings import Settings
 
 
 @click.command()
@@ -56,10 +56,10 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
     """
     import uvicorn
 
-    from service.app import create_app
-    from service.core import running_service
-    from service.http import server_config
-    from service.logs import configure_logging
+    from mavcal.service.app import create_app
+    from mavcal.service.core import running_service
+    from mavcal.service.http import server_config
+    from mavcal.service.logs import configure_logging
 
     configure_logging(as_json=settings.log_json)
     app = create_app(settings)

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from service.commands.output import json_option, write_json
-from service.commands.reading import readable_file
+from mavcal.service.commands.output import json_option, write_json
+from mavcal.service.commands.reading import readable_file
 
 if TYPE_CHECKING:
-    from calib.simulate import Trajectory
-    from calib.simulate.document import Stated
+    from mavcal.calib.simulate import Trajectory
+    from mavcal.calib.simulate.document import Stated
 
 MOTION_NAMES = (*("rest", "six-faces", "poses", "tumble", "rings", "turntable", "thread", "warm-up", "figure-eight"),)
 """Those of ``calib.simulate.presets.MOTIONS``, stated here so that help does without numpy (a test compares them)."""
@@ -34,7 +34,7 @@ def command() -> None:
 @click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
 def vehicle(arguments: tuple[str, ...]) -> int:
     """A simulated ArduPilot or PX4 that speaks MAVLink; `mavcal simulate vehicle --help` lists its options."""
-    from service.simvehicle.__main__ import main
+    from mavcal.service.simvehicle.__main__ import main
 
     return main(arguments)
 
@@ -103,9 +103,9 @@ def recording(
     """A synthetic recording that `mavcal fit` reads: --motion NAME --out FILE.csv."""
     import numpy as np
 
-    from calib.logs.tables import write_table
-    from calib.simulate import in_frame, simulate
-    from calib.simulate.document import truth_to_json
+    from mavcal.calib.logs.tables import write_table
+    from mavcal.calib.simulate import in_frame, simulate
+    from mavcal.calib.simulate.document import truth_to_json
 
     if (motion is None) == (path is None):
         raise click.UsageError("give one of --motion and --trajectory")
@@ -134,9 +134,9 @@ def recording(
 
 def _stated(options: dict[str, Any], draw: Any) -> Stated:
     """The sensors: those of the file, ideal ones, or a unit drawn by the seed."""
-    from calib.simulate import SensorSuite
-    from calib.simulate.document import Stated, stated_in
-    from calib.simulate.typical import typical
+    from mavcal.calib.simulate import SensorSuite
+    from mavcal.calib.simulate.document import Stated, stated_in
+    from mavcal.calib.simulate.typical import typical
 
     if options["params"] is None:
         return Stated(SensorSuite() if options["ideal"] else typical(draw))
@@ -157,9 +157,9 @@ def _trajectory(
     import numpy as np
     from scipy.spatial.transform import Rotation
 
-    from calib.logs.tables import read_table
-    from calib.recording import Sensor
-    from calib.simulate import MotionOptions, Warming, along, motion_of, trajectory
+    from mavcal.calib.logs.tables import read_table
+    from mavcal.calib.recording import Sensor
+    from mavcal.calib.simulate import MotionOptions, Warming, along, motion_of, trajectory
 
     given = options["temperature"] or (_WARM if motion == "warm-up" and stated.warming is None else None)
     warming = stated.warming if given is None else Warming(*given)

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from calib import STANDARD_GRAVITY
-from calib.firmware import calibration_in_force
-from calib.fit import FitResult, parameter_names
-from calib.recording import Sensor
-from calib.scoring import Score, joint_p_value, score
-from calib.triad import ThermalPolynomial, TriadModel
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.firmware import calibration_in_force
+from mavcal.calib.fit import FitResult, parameter_names
+from mavcal.calib.recording import Sensor
+from mavcal.calib.scoring import Score, joint_p_value, score
+from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
 Json = Mapping[str, Any]
 

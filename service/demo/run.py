@@ -13,16 +13,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from calib.firmware.values import shown
-from calib.logs.tlog import read_tlog
-from calib.recording import Sensor
-from calib.report import fit_from_json, plain
-from service.client import ApiError, ServiceClient
-from service.commands.screen import Screen
-from service.demo.judge import Judgement, SensorReport, judge
-from service.lifetime import ending_with_us
-from service.simvehicle.client import SimulatedVehicle
-from service.simvehicle.operator import Operator
+from mavcal.calib.firmware.values import shown
+from mavcal.calib.logs.tlog import read_tlog
+from mavcal.calib.recording import Sensor
+from mavcal.calib.report import fit_from_json, plain
+from mavcal.service.client import ApiError, ServiceClient
+from mavcal.service.commands.screen import Screen
+from mavcal.service.demo.judge import Judgement, SensorReport, judge
+from mavcal.service.lifetime import ending_with_us
+from mavcal.service.simvehicle.client import SimulatedVehicle
+from mavcal.service.simvehicle.operator import Operator
 
 Json = dict[str, Any]
 
@@ -293,7 +293,7 @@ def _why(job: Mapping[str, Any]) -> str:
 
 @contextmanager
 def _service(connect: str, data_dir: Path) -> Iterator[str]:
-    command = [sys.executable, "-m", "service", "serve", "--json", "--port", "0"]
+    command = [sys.executable, "-m", "mavcal", "serve", "--json", "--port", "0"]
     command += ["--connect", connect, "--data-dir", str(data_dir)]
     log = (data_dir / "service.log").open("wb")
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, cwd=data_dir, env=ending_with_us())  # noqa: S603 - ours

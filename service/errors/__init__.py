@@ -63,10 +63,10 @@ interface answers with.
 
 from __future__ import annotations
 
-from service.errors.base import (
+from mavcal.service.errors.base import (
     ServiceError,
 )
-from service.errors.host import (
+from mavcal.service.errors.host import (
     AuthError,
     ChildEnded,
     ChildrenBusy,
@@ -84,7 +84,7 @@ from service.errors.host import (
     UploadError,
     UploadTooLarge,
 )
-from service.errors.jobs import (
+from mavcal.service.errors.jobs import (
     AnswerRefused,
     CaptureDisturbed,
     CaptureEnded,
@@ -104,7 +104,7 @@ from service.errors.jobs import (
     WriteFailed,
     WriteStopped,
 )
-from service.errors.vehicles import (
+from mavcal.service.errors.vehicles import (
     CommandRefused,
     CommandTimeout,
     EndpointError,

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from service.errors.base import ServiceError
+from mavcal.service.errors.base import ServiceError
 
 
 class StoreError(ServiceError):

@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from calib.firmware.plan import ParameterKind, Value, Verification, WritePlan
-from calib.firmware.values import shown
-from service.errors import WriteFailed
-from service.jobs.journal import BY_OPERATOR, WriteRecord, same
-from service.jobs.model import Failure, Holds, Outcome, Result, Standing
-from service.jobs.proof import Proof, ProofLevel, proof_of
-from service.jobs.states import JobState
+from mavcal.calib.firmware.plan import ParameterKind, Value, Verification, WritePlan
+from mavcal.calib.firmware.values import shown
+from mavcal.service.errors import WriteFailed
+from mavcal.service.jobs.journal import BY_OPERATOR, WriteRecord, same
+from mavcal.service.jobs.model import Failure, Holds, Outcome, Result, Standing
+from mavcal.service.jobs.proof import Proof, ProofLevel, proof_of
+from mavcal.service.jobs.states import JobState
 
 NAMED = 3
 """So many parameters are named in a sentence; `standing` lists them all."""

@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Iterable
 
-from service.errors import (
+from mavcal.service.errors import (
     IllegalTransition,
     PhysicalJobRunning,
     PlanBlocked,
@@ -17,9 +17,9 @@ from service.errors import (
     VehicleConflict,
     VehicleSilent,
 )
-from service.jobs.model import Accept, Job
-from service.jobs.port import JobVehicle
-from service.jobs.states import PHYSICAL, JobState
+from mavcal.service.jobs.model import Accept, Job
+from mavcal.service.jobs.port import JobVehicle
+from mavcal.service.jobs.states import PHYSICAL, JobState
 
 
 def require_ready(vehicle: JobVehicle, *, busy: bool = False) -> None:

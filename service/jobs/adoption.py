@@ -6,16 +6,16 @@ import asyncio
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from calib.errors import CalibError
-from calib.firmware.origin import Origin, unproved
-from calib.fit import FitResult, FitStatus
-from calib.recording import Identity
-from service.errors import ServiceError
-from service.jobs.admission import require_ready
-from service.jobs.handle import JobHandle
-from service.jobs.model import Failure, Job
-from service.jobs.needs import read_needed, sensors_of
-from service.jobs.planning import (
+from mavcal.calib.errors import CalibError
+from mavcal.calib.firmware.origin import Origin, unproved
+from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.recording import Identity
+from mavcal.service.errors import ServiceError
+from mavcal.service.jobs.admission import require_ready
+from mavcal.service.jobs.handle import JobHandle
+from mavcal.service.jobs.model import Failure, Job
+from mavcal.service.jobs.needs import read_needed, sensors_of
+from mavcal.service.jobs.planning import (
     Planned,
     accel_temperatures,
     checked_plan_options,
@@ -27,8 +27,8 @@ from service.jobs.planning import (
     origin_to_json,
     require_origin,
 )
-from service.jobs.port import JobVehicle, VehicleSource
-from service.jobs.states import JobState
+from mavcal.service.jobs.port import JobVehicle, VehicleSource
+from mavcal.service.jobs.states import JobState
 
 Fitting = Callable[[], Awaitable[tuple[Sequence[FitResult], Origin]]]
 """Makes the fits of a recording, and says whose sensors they are of."""

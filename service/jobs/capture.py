@@ -11,28 +11,28 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from calib.errors import ProcedureError
-from calib.firmware.fingerprint import matters
-from calib.firmware.names import CALIBRATION_PREFIXES
-from calib.firmware.plan import Value
-from calib.firmware.streams import requested_streams
-from calib.procedures.protocol import Done, GaveUp, Progress, Prompt, Step
-from calib.procedures.registry import specification
-from calib.recording import Identity
-from calib.wire import Frame, iter_tlog
-from service.errors import CaptureEnded, DiskFull, LinkDown, ParameterTimeout, VehicleSilent
-from service.jobs.crashpoints import At, CrashPoint, nowhere
-from service.jobs.digest import LiveDigest, changed, read_range
-from service.jobs.handle import JobHandle, counting
-from service.jobs.needs import DRIFT_KINDS, read_needed
-from service.jobs.port import JobVehicle
-from service.jobs.settings import JobSettings
-from service.jobs.spans import captured, close_span, open_span
-from service.jobs.states import JobState
-from service.jobs.streams import ask_for_streams
-from service.jobs.watch import CaptureWatch, LinkWatch
-from service.jobs.write import read_values
-from service.store.rows import SegmentPurpose, SegmentRow
+from mavcal.calib.errors import ProcedureError
+from mavcal.calib.firmware.fingerprint import matters
+from mavcal.calib.firmware.names import CALIBRATION_PREFIXES
+from mavcal.calib.firmware.plan import Value
+from mavcal.calib.firmware.streams import requested_streams
+from mavcal.calib.procedures.protocol import Done, GaveUp, Progress, Prompt, Step
+from mavcal.calib.procedures.registry import specification
+from mavcal.calib.recording import Identity
+from mavcal.calib.wire import Frame, iter_tlog
+from mavcal.service.errors import CaptureEnded, DiskFull, LinkDown, ParameterTimeout, VehicleSilent
+from mavcal.service.jobs.crashpoints import At, CrashPoint, nowhere
+from mavcal.service.jobs.digest import LiveDigest, changed, read_range
+from mavcal.service.jobs.handle import JobHandle, counting
+from mavcal.service.jobs.needs import DRIFT_KINDS, read_needed
+from mavcal.service.jobs.port import JobVehicle
+from mavcal.service.jobs.settings import JobSettings
+from mavcal.service.jobs.spans import captured, close_span, open_span
+from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.streams import ask_for_streams
+from mavcal.service.jobs.watch import CaptureWatch, LinkWatch
+from mavcal.service.jobs.write import read_values
+from mavcal.service.store.rows import SegmentPurpose, SegmentRow
 
 BATCH_S = 0.05
 """Frames are digested at most so often, seconds of the wall clock."""

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from calib.firmware.plan import Fingerprint
-from calib.procedures.protocol import Progress, Prompt
-from calib.report import (
+from mavcal.calib.firmware.plan import Fingerprint
+from mavcal.calib.procedures.protocol import Progress, Prompt
+from mavcal.calib.report import (
     fit_from_json,
     fit_to_json,
     plan_from_json,
@@ -19,7 +19,7 @@ from calib.report import (
     verification_from_json,
     verification_to_json,
 )
-from service.jobs.model import (
+from mavcal.service.jobs.model import (
     Accept,
     Attempt,
     Failure,
@@ -31,9 +31,9 @@ from service.jobs.model import (
     Standing,
     WriteResult,
 )
-from service.jobs.proof import ProofLevel, Unproved
-from service.jobs.states import JobState
-from service.store.rows import JobRow
+from mavcal.service.jobs.proof import ProofLevel, Unproved
+from mavcal.service.jobs.states import JobState
+from mavcal.service.store.rows import JobRow
 
 Json = dict[str, Any]
 

@@ -13,25 +13,25 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from calib.earth import EarthField, earth_field
-from calib.errors import InvalidInputError
-from calib.firmware import sensor_ids
-from calib.firmware.fingerprint import REWRITTEN, matters
-from calib.firmware.foresee import STREAMED_INSTANCES
-from calib.firmware.names import CALIBRATION_PREFIXES
-from calib.firmware.plan import Value
-from calib.firmware.streams import Assembler
-from calib.firmware.undo import Undo, calibration_changes, undo
-from calib.firmware.values import shown
-from calib.logs.tlog import read_tlog
-from calib.procedures.context import Answer, ProcedureContext
-from calib.procedures.protocol import Done, GaveUp, Step
-from calib.procedures.registry import create, specification
-from calib.procedures.replay import replay
-from calib.recording import Channel, Identity, ParameterEntry, Recording, Sensor
-from calib.wire import Frame
-from service.errors import CaptureDisturbed, CaptureEnded
-from service.jobs.model import Span
+from mavcal.calib.earth import EarthField, earth_field
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.firmware import sensor_ids
+from mavcal.calib.firmware.fingerprint import REWRITTEN, matters
+from mavcal.calib.firmware.foresee import STREAMED_INSTANCES
+from mavcal.calib.firmware.names import CALIBRATION_PREFIXES
+from mavcal.calib.firmware.plan import Value
+from mavcal.calib.firmware.streams import Assembler
+from mavcal.calib.firmware.undo import Undo, calibration_changes, undo
+from mavcal.calib.firmware.values import shown
+from mavcal.calib.logs.tlog import read_tlog
+from mavcal.calib.procedures.context import Answer, ProcedureContext
+from mavcal.calib.procedures.protocol import Done, GaveUp, Step
+from mavcal.calib.procedures.registry import create, specification
+from mavcal.calib.procedures.replay import replay
+from mavcal.calib.recording import Channel, Identity, ParameterEntry, Recording, Sensor
+from mavcal.calib.wire import Frame
+from mavcal.service.errors import CaptureDisturbed, CaptureEnded
+from mavcal.service.jobs.model import Span
 
 POSITION_WAIT_S = 3.0
 """A compass job waits so long for the vehicle's position, in seconds of its clock: the Earth's field depends on it."""

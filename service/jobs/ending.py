@@ -8,16 +8,16 @@ from typing import Any
 
 import structlog
 
-from calib.errors import CalibError
-from calib.firmware.plan import Value
-from service.errors import ServiceError
-from service.jobs.account import Account, as_heard, in_doubt, nothing_sent
-from service.jobs.codec import attempt_to_json
-from service.jobs.guard import RESTARTED, Guard
-from service.jobs.handle import JobHandle
-from service.jobs.journal import Step, WriteRecord
-from service.jobs.model import Attempt, Failure, Holds, Standing, WriteResult
-from service.jobs.states import CAPTURING, JobState
+from mavcal.calib.errors import CalibError
+from mavcal.calib.firmware.plan import Value
+from mavcal.service.errors import ServiceError
+from mavcal.service.jobs.account import Account, as_heard, in_doubt, nothing_sent
+from mavcal.service.jobs.codec import attempt_to_json
+from mavcal.service.jobs.guard import RESTARTED, Guard
+from mavcal.service.jobs.handle import JobHandle
+from mavcal.service.jobs.journal import Step, WriteRecord
+from mavcal.service.jobs.model import Attempt, Failure, Holds, Standing, WriteResult
+from mavcal.service.jobs.states import CAPTURING, JobState
 
 log = structlog.get_logger(__name__)
 

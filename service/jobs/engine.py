@@ -14,9 +14,9 @@ from typing import Any
 
 import structlog
 
-from calib.firmware.streams import requested_streams
-from calib.procedures.registry import specification, validate_options
-from service.errors import (
+from mavcal.calib.firmware.streams import requested_streams
+from mavcal.calib.procedures.registry import specification, validate_options
+from mavcal.service.errors import (
     AnswerRefused,
     Forbidden,
     IdempotencyConflict,
@@ -25,15 +25,15 @@ from service.errors import (
     NotCancellable,
     NotRevertible,
 )
-from service.jobs.admission import request_digest, require_acceptable, require_free, require_ready
-from service.jobs.adoption import Fitting, adopted, composed
-from service.jobs.crashpoints import At, CrashPoint, nowhere
-from service.jobs.ending import INTERRUPTED, doubt
-from service.jobs.feed import EventFeed
-from service.jobs.handle import JobHandle
-from service.jobs.journal import BY_OPERATOR, Step
-from service.jobs.model import Accept, Attempt, Failure, Job, WriteResult
-from service.jobs.planning import (
+from mavcal.service.jobs.admission import request_digest, require_acceptable, require_free, require_ready
+from mavcal.service.jobs.adoption import Fitting, adopted, composed
+from mavcal.service.jobs.crashpoints import At, CrashPoint, nowhere
+from mavcal.service.jobs.ending import INTERRUPTED, doubt
+from mavcal.service.jobs.feed import EventFeed
+from mavcal.service.jobs.handle import JobHandle
+from mavcal.service.jobs.journal import BY_OPERATOR, Step
+from mavcal.service.jobs.model import Accept, Attempt, Failure, Job, WriteResult
+from mavcal.service.jobs.planning import (
     FROM_RECORDING,
     checked_plan_options,
     confirmed,
@@ -41,18 +41,18 @@ from service.jobs.planning import (
     keep_plan,
     require_sensors_of,
 )
-from service.jobs.port import VehicleSource
-from service.jobs.runner import Runner
-from service.jobs.salvage import job_of
-from service.jobs.settings import JobSettings
-from service.jobs.states import CANCELLABLE, CAPTURING, ENDED, WRITING, JobState
-from service.jobs.tasks import JobTasks
-from service.jobs.tidying import Tidying
-from service.jobs.transaction import Transaction
-from service.jobs.verify import StreamCheck
-from service.jobs.write import Writing, check_plan
-from service.store.protocol import Store
-from service.store.rows import EventRow
+from mavcal.service.jobs.port import VehicleSource
+from mavcal.service.jobs.runner import Runner
+from mavcal.service.jobs.salvage import job_of
+from mavcal.service.jobs.settings import JobSettings
+from mavcal.service.jobs.states import CANCELLABLE, CAPTURING, ENDED, WRITING, JobState
+from mavcal.service.jobs.tasks import JobTasks
+from mavcal.service.jobs.tidying import Tidying
+from mavcal.service.jobs.transaction import Transaction
+from mavcal.service.jobs.verify import StreamCheck
+from mavcal.service.jobs.write import Writing, check_plan
+from mavcal.service.store.protocol import Store
+from mavcal.service.store.rows import EventRow
 
 log = structlog.get_logger(__name__)
 

@@ -6,8 +6,8 @@ import asyncio
 from collections.abc import AsyncIterator
 from contextlib import suppress
 
-from service.store.protocol import JobStore
-from service.store.rows import EventRow
+from mavcal.service.store.protocol import JobStore
+from mavcal.service.store.rows import EventRow
 
 PAGE = 200
 RECENT = 1000

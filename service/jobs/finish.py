@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from functools import partial
 
-from calib.firmware.plan import Value
-from service.jobs.crashpoints import At
-from service.jobs.journal import Sent, Step, same
-from service.jobs.write import Writing, check_in_place, current_values
+from mavcal.calib.firmware.plan import Value
+from mavcal.service.jobs.crashpoints import At
+from mavcal.service.jobs.journal import Sent, Step, same
+from mavcal.service.jobs.write import Writing, check_in_place, current_values
 
 
 async def finish(w: Writing) -> dict[str, Value]:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from calib.firmware.plan import ParameterKind, Value
-from calib.recording import Identity
-from calib.wire import Frame
-from service.errors import CommandTimeout, DiskFull
-from service.jobs.port import Condition, FramesCallback, Reading, TlogPosition
-from service.link import Batch
-from service.vehicle import Vehicle, VehicleRegistry
-from service.vehicle.encoding import Parameter
-from service.vehicle.encoding import ParameterKind as WireKind
-from service.vehicle.streams import DEFAULT_INTERVAL, StreamReport, get_interval, request_streams
+from mavcal.calib.firmware.plan import ParameterKind, Value
+from mavcal.calib.recording import Identity
+from mavcal.calib.wire import Frame
+from mavcal.service.errors import CommandTimeout, DiskFull
+from mavcal.service.jobs.port import Condition, FramesCallback, Reading, TlogPosition
+from mavcal.service.link import Batch
+from mavcal.service.vehicle import Vehicle, VehicleRegistry
+from mavcal.service.vehicle.encoding import Parameter
+from mavcal.service.vehicle.encoding import ParameterKind as WireKind
+from mavcal.service.vehicle.streams import DEFAULT_INTERVAL, StreamReport, get_interval, request_streams
 
 SLOW = 1.2
 """From here on a job takes so much longer that it is said."""

@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from typing import TypeVar
 
-from service.errors import (
+from mavcal.service.errors import (
     LinkDown,
     ServiceError,
     VehicleArmed,
@@ -16,7 +16,7 @@ from service.errors import (
     VehicleSilent,
     WriteStopped,
 )
-from service.jobs.port import JobVehicle
+from mavcal.service.jobs.port import JobVehicle
 
 T = TypeVar("T")
 

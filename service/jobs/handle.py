@@ -11,15 +11,15 @@ from typing import Any
 
 import structlog
 
-from calib.procedures.protocol import Progress, Prompt
-from calib.report import step_to_json
-from service.errors import DiskFull
-from service.jobs.codec import outcome_to_json, row_from_job
-from service.jobs.journal import Step, WriteRecord, fold
-from service.jobs.model import Job, advance
-from service.jobs.states import JobState
-from service.store.protocol import JobStore
-from service.store.rows import EventRow, Json
+from mavcal.calib.procedures.protocol import Progress, Prompt
+from mavcal.calib.report import step_to_json
+from mavcal.service.errors import DiskFull
+from mavcal.service.jobs.codec import outcome_to_json, row_from_job
+from mavcal.service.jobs.journal import Step, WriteRecord, fold
+from mavcal.service.jobs.model import Job, advance
+from mavcal.service.jobs.states import JobState
+from mavcal.service.store.protocol import JobStore
+from mavcal.service.store.rows import EventRow, Json
 
 log = structlog.get_logger(__name__)
 

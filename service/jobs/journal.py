@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from calib.firmware.plan import Change, ParameterKind, Value, WritePlan
-from service.store.rows import JournalRow
+from mavcal.calib.firmware.plan import Change, ParameterKind, Value, WritePlan
+from mavcal.service.store.rows import JournalRow
 
 BY_OPERATOR = "the operator asked for it"
 """Why a finished write is taken back, if nothing went wrong."""

@@ -10,12 +10,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from calib.firmware.plan import Fingerprint, Value, Verification, WritePlan
-from calib.fit import FitResult
-from calib.procedures.protocol import Progress, Prompt
-from service.errors import IllegalTransition
-from service.jobs.proof import ProofLevel, Unproved
-from service.jobs.states import JobState, may_follow
+from mavcal.calib.firmware.plan import Fingerprint, Value, Verification, WritePlan
+from mavcal.calib.fit import FitResult
+from mavcal.calib.procedures.protocol import Progress, Prompt
+from mavcal.service.errors import IllegalTransition
+from mavcal.service.jobs.proof import ProofLevel, Unproved
+from mavcal.service.jobs.states import JobState, may_follow
 
 
 @dataclass(frozen=True)

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping
 
-from calib.firmware.needed import needed
-from calib.firmware.plan import Value
-from calib.firmware.slots import CALIBRATED
-from calib.fit import FitResult
-from calib.recording import Sensor
-from service.errors import PlanChanged
-from service.jobs.model import Job
-from service.jobs.port import JobVehicle, Reading
-from service.jobs.write import read_values
+from mavcal.calib.firmware.needed import needed
+from mavcal.calib.firmware.plan import Value
+from mavcal.calib.firmware.slots import CALIBRATED
+from mavcal.calib.fit import FitResult
+from mavcal.calib.recording import Sensor
+from mavcal.service.errors import PlanChanged
+from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.port import JobVehicle, Reading
+from mavcal.service.jobs.write import read_values
 
 DRIFT_KINDS = frozenset({"thermal"})
 """Jobs that write temperature coefficients."""

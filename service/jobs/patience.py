@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import asyncio
 
-from calib.procedures.protocol import Progress, Prompt
-from service.errors import VehicleBusy
-from service.jobs.handle import JobHandle
-from service.jobs.port import JobVehicle
-from service.jobs.settings import JobSettings
+from mavcal.calib.procedures.protocol import Progress, Prompt
+from mavcal.service.errors import VehicleBusy
+from mavcal.service.jobs.handle import JobHandle
+from mavcal.service.jobs.port import JobVehicle
+from mavcal.service.jobs.settings import JobSettings
 
 
 async def until_idle(handle: JobHandle, vehicle: JobVehicle, settings: JobSettings) -> None:

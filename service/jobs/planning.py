@@ -6,24 +6,24 @@ import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from calib.errors import InvalidInputError
-from calib.firmware.compose import compose
-from calib.firmware.fingerprint import calibration_snapshot, fingerprint
-from calib.firmware.foresee import foreseen, unknown_sensors
-from calib.firmware.options import CONFIRMATIONS, compose_options, key_text, unknown_keys
-from calib.firmware.origin import Origin, differences
-from calib.firmware.plan import Value, WritePlan, snapshot_sha256
-from calib.firmware.slots import CALIBRATED
-from calib.fit import FitResult
-from calib.procedures.spec import ProcedureSpec
-from calib.recording import Identity, Sensor
-from calib.report import plan_to_json
-from service.errors import CaptureEnded, OtherVehicle
-from service.jobs.handle import JobHandle
-from service.jobs.journal import same
-from service.jobs.model import Job, Result
-from service.jobs.states import JobState
-from service.store.rows import SnapshotPurpose
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.firmware.compose import compose
+from mavcal.calib.firmware.fingerprint import calibration_snapshot, fingerprint
+from mavcal.calib.firmware.foresee import foreseen, unknown_sensors
+from mavcal.calib.firmware.options import CONFIRMATIONS, compose_options, key_text, unknown_keys
+from mavcal.calib.firmware.origin import Origin, differences
+from mavcal.calib.firmware.plan import Value, WritePlan, snapshot_sha256
+from mavcal.calib.firmware.slots import CALIBRATED
+from mavcal.calib.fit import FitResult
+from mavcal.calib.procedures.spec import ProcedureSpec
+from mavcal.calib.recording import Identity, Sensor
+from mavcal.calib.report import plan_to_json
+from mavcal.service.errors import CaptureEnded, OtherVehicle
+from mavcal.service.jobs.handle import JobHandle
+from mavcal.service.jobs.journal import same
+from mavcal.service.jobs.model import Job, Result
+from mavcal.service.jobs.states import JobState
+from mavcal.service.store.rows import SnapshotPurpose
 
 ACCEL_KINDS = frozenset({"accel", "accel-one-axis", "accel-six-face", "imu-multi"})
 """Jobs that write an accelerometer's calibration."""

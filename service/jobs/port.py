@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from calib.firmware.plan import ParameterKind, Value
-from calib.recording import Identity
-from calib.wire import Frame
-from service.errors import DiskFull
+from mavcal.calib.firmware.plan import ParameterKind, Value
+from mavcal.calib.recording import Identity
+from mavcal.calib.wire import Frame
+from mavcal.service.errors import DiskFull
 
 
 @dataclass(frozen=True)

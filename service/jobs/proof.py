@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from calib.firmware.plan import SensorVerdict, Verdict, Verification
+from mavcal.calib.firmware.plan import SensorVerdict, Verdict, Verification
 
 
 class ProofLevel(StrEnum):

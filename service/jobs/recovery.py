@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from calib.firmware.plan import Value
-from calib.firmware.values import shown
-from service.jobs.account import as_heard
-from service.jobs.journal import Sent, fold
-from service.jobs.model import Failure, Job, Outcome, Standing
-from service.jobs.states import ENDED, PHYSICAL, WRITING
-from service.store.protocol import JobStore
+from mavcal.calib.firmware.plan import Value
+from mavcal.calib.firmware.values import shown
+from mavcal.service.jobs.account import as_heard
+from mavcal.service.jobs.journal import Sent, fold
+from mavcal.service.jobs.model import Failure, Job, Outcome, Standing
+from mavcal.service.jobs.states import ENDED, PHYSICAL, WRITING
+from mavcal.service.store.protocol import JobStore
 
 UNREAD = "not read since the interruption"
 

@@ -6,13 +6,13 @@ import asyncio
 from contextlib import suppress
 from functools import partial
 
-from calib.procedures.protocol import Prompt
-from service.errors import CommandRefused, CommandTimeout, WriteFailed, WriteStopped
-from service.jobs.crashpoints import At
-from service.jobs.guard import STOPPING
-from service.jobs.handle import waiting
-from service.jobs.journal import Step
-from service.jobs.write import Writing
+from mavcal.calib.procedures.protocol import Prompt
+from mavcal.service.errors import CommandRefused, CommandTimeout, WriteFailed, WriteStopped
+from mavcal.service.jobs.crashpoints import At
+from mavcal.service.jobs.guard import STOPPING
+from mavcal.service.jobs.handle import waiting
+from mavcal.service.jobs.journal import Step
+from mavcal.service.jobs.write import Writing
 
 PREFLIGHT_REBOOT_SHUTDOWN = 246
 REBOOT_AUTOPILOT = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

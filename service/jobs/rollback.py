@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from calib.firmware.plan import Value
-from service.jobs.crashpoints import At
-from service.jobs.journal import Sent, Step, same
-from service.jobs.write import Writing, current_values
+from mavcal.calib.firmware.plan import Value
+from mavcal.service.jobs.crashpoints import At
+from mavcal.service.jobs.journal import Sent, Step, same
+from mavcal.service.jobs.write import Writing, current_values
 
 
 async def roll_back(w: Writing) -> dict[str, Value]:

@@ -9,19 +9,19 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
 
-from calib.errors import CalibError
-from calib.firmware.plan import Value
-from calib.fit import FitStatus
-from calib.procedures.protocol import GaveUp
-from calib.recording import Identity
-from service.errors import CaptureDisturbed, CaptureEnded, CaptureLost, ServiceError, VehicleUnknown
-from service.jobs.capture import Capture
-from service.jobs.crashpoints import At, CrashPoint, nowhere
-from service.jobs.digest import FitRequest, Fitted, fit_segments
-from service.jobs.handle import JobHandle
-from service.jobs.model import Failure, Job, Span
-from service.jobs.patience import until_idle
-from service.jobs.planning import (
+from mavcal.calib.errors import CalibError
+from mavcal.calib.firmware.plan import Value
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.procedures.protocol import GaveUp
+from mavcal.calib.recording import Identity
+from mavcal.service.errors import CaptureDisturbed, CaptureEnded, CaptureLost, ServiceError, VehicleUnknown
+from mavcal.service.jobs.capture import Capture
+from mavcal.service.jobs.crashpoints import At, CrashPoint, nowhere
+from mavcal.service.jobs.digest import FitRequest, Fitted, fit_segments
+from mavcal.service.jobs.handle import JobHandle
+from mavcal.service.jobs.model import Failure, Job, Span
+from mavcal.service.jobs.patience import until_idle
+from mavcal.service.jobs.planning import (
     accel_temperatures,
     foresee,
     identity_from_json,
@@ -30,10 +30,10 @@ from service.jobs.planning import (
     make_plan,
     nothing_to_write,
 )
-from service.jobs.port import JobVehicle, VehicleSource
-from service.jobs.settings import JobSettings
-from service.jobs.spans import SET_ASIDE, captured, span_of
-from service.jobs.states import JobState
+from mavcal.service.jobs.port import JobVehicle, VehicleSource
+from mavcal.service.jobs.settings import JobSettings
+from mavcal.service.jobs.spans import SET_ASIDE, captured, span_of
+from mavcal.service.jobs.states import JobState
 
 REPEATED = frozenset({"gyro", "level", "accel-one-axis"})
 """Kinds that need one rest and no poses: they begin again by themselves."""

@@ -6,15 +6,15 @@ from typing import Any
 
 import structlog
 
-from calib.firmware.plan import WritePlan
-from calib.report import plan_from_json
-from service.jobs.account import as_heard
-from service.jobs.codec import job_from_row
-from service.jobs.journal import Step, fold
-from service.jobs.model import Failure, Job, Standing
-from service.jobs.states import ENDED, WRITING, JobState
-from service.store.protocol import JobStore
-from service.store.rows import JobRow
+from mavcal.calib.firmware.plan import WritePlan
+from mavcal.calib.report import plan_from_json
+from mavcal.service.jobs.account import as_heard
+from mavcal.service.jobs.codec import job_from_row
+from mavcal.service.jobs.journal import Step, fold
+from mavcal.service.jobs.model import Failure, Job, Standing
+from mavcal.service.jobs.states import ENDED, WRITING, JobState
+from mavcal.service.store.protocol import JobStore
+from mavcal.service.store.rows import JobRow
 
 log = structlog.get_logger(__name__)
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import asyncio
 import hashlib
 
-from service.jobs.digest import read_range
-from service.jobs.model import Job, Span
-from service.jobs.port import JobVehicle, TlogPosition
-from service.store.protocol import JobStore
-from service.store.rows import SegmentPurpose, SegmentRow
+from mavcal.service.jobs.digest import read_range
+from mavcal.service.jobs.model import Job, Span
+from mavcal.service.jobs.port import JobVehicle, TlogPosition
+from mavcal.service.store.protocol import JobStore
+from mavcal.service.store.rows import SegmentPurpose, SegmentRow
 
 SET_ASIDE = "set_aside"
 """In a job's context: the id of the newest segment that its fit does not use."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from service.errors import ServiceError
-from service.jobs.handle import JobHandle, waiting
-from service.jobs.journal import Step
-from service.jobs.port import JobVehicle
+from mavcal.service.errors import ServiceError
+from mavcal.service.jobs.handle import JobHandle, waiting
+from mavcal.service.jobs.journal import Step
+from mavcal.service.jobs.port import JobVehicle
 
 ASKING_S = 1.0
 """About how long it takes to ask for messages and to hear that they are granted."""

@@ -6,9 +6,9 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from functools import partial
 
-from service.jobs.ending import LOST, broke
-from service.jobs.handle import JobHandle
-from service.jobs.states import WRITING
+from mavcal.service.jobs.ending import LOST, broke
+from mavcal.service.jobs.handle import JobHandle
+from mavcal.service.jobs.states import WRITING
 
 Work = Callable[[], Awaitable[None]]
 

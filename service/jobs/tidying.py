@@ -8,10 +8,10 @@ from contextlib import contextmanager, suppress
 
 import structlog
 
-from service.jobs.handle import JobHandle
-from service.jobs.port import JobVehicle
-from service.jobs.states import JobState
-from service.jobs.streams import restore_streams
+from mavcal.service.jobs.handle import JobHandle
+from mavcal.service.jobs.port import JobVehicle
+from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.streams import restore_streams
 
 log = structlog.get_logger(__name__)
 

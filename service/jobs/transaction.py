@@ -20,24 +20,24 @@ from functools import partial
 
 import structlog
 
-from calib.firmware.plan import Value
-from calib.procedures.protocol import Prompt
-from service.errors import DiskFull, ServiceError, WriteFailed, WriteStopped
-from service.jobs.account import Account, as_read, nothing_sent, reverted, succeeded, who_else
-from service.jobs.crashpoints import At
-from service.jobs.ending import INTERRUPTED, cause_of, end, look_back, record_of, stop
-from service.jobs.finish import finish
-from service.jobs.guard import STOPPING, Guard
-from service.jobs.handle import JobHandle, counting, waiting
-from service.jobs.journal import BY_OPERATOR, Next, Step, decide
-from service.jobs.needs import require_absent
-from service.jobs.patience import until_idle
-from service.jobs.proof import proof_of
-from service.jobs.restart import restart
-from service.jobs.rollback import roll_back
-from service.jobs.states import JobState
-from service.jobs.streams import ASKING_S, restore_streams
-from service.jobs.write import Settled, Writing, prepare, read_back, read_values, send_all
+from mavcal.calib.firmware.plan import Value
+from mavcal.calib.procedures.protocol import Prompt
+from mavcal.service.errors import DiskFull, ServiceError, WriteFailed, WriteStopped
+from mavcal.service.jobs.account import Account, as_read, nothing_sent, reverted, succeeded, who_else
+from mavcal.service.jobs.crashpoints import At
+from mavcal.service.jobs.ending import INTERRUPTED, cause_of, end, look_back, record_of, stop
+from mavcal.service.jobs.finish import finish
+from mavcal.service.jobs.guard import STOPPING, Guard
+from mavcal.service.jobs.handle import JobHandle, counting, waiting
+from mavcal.service.jobs.journal import BY_OPERATOR, Next, Step, decide
+from mavcal.service.jobs.needs import require_absent
+from mavcal.service.jobs.patience import until_idle
+from mavcal.service.jobs.proof import proof_of
+from mavcal.service.jobs.restart import restart
+from mavcal.service.jobs.rollback import roll_back
+from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.streams import ASKING_S, restore_streams
+from mavcal.service.jobs.write import Settled, Writing, prepare, read_back, read_values, send_all
 
 log = structlog.get_logger(__name__)
 

@@ -10,24 +10,24 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Self
 
-from calib.firmware.auxiliary import ATTITUDE
-from calib.firmware.plan import Movement, Value, Verification, WritePlan
-from calib.firmware.slots import CALIBRATED
-from calib.firmware.streams import Assembler, requested_streams
-from calib.firmware.trim import AHRS_TRIM
-from calib.firmware.verify import verify
-from calib.procedures.protocol import Pose, Progress, Prompt
-from calib.recording import Recording, Sensor, join
-from calib.wire import Frame, iter_tlog
-from service.errors import CaptureEnded, WriteFailed
-from service.jobs.digest import content_of
-from service.jobs.guard import Guard
-from service.jobs.handle import JobHandle, waiting
-from service.jobs.port import JobVehicle
-from service.jobs.settings import JobSettings
-from service.jobs.spans import close_span, open_span, span_of
-from service.jobs.streams import ask_for_streams
-from service.store.rows import SegmentPurpose, SnapshotPurpose
+from mavcal.calib.firmware.auxiliary import ATTITUDE
+from mavcal.calib.firmware.plan import Movement, Value, Verification, WritePlan
+from mavcal.calib.firmware.slots import CALIBRATED
+from mavcal.calib.firmware.streams import Assembler, requested_streams
+from mavcal.calib.firmware.trim import AHRS_TRIM
+from mavcal.calib.firmware.verify import verify
+from mavcal.calib.procedures.protocol import Pose, Progress, Prompt
+from mavcal.calib.recording import Recording, Sensor, join
+from mavcal.calib.wire import Frame, iter_tlog
+from mavcal.service.errors import CaptureEnded, WriteFailed
+from mavcal.service.jobs.digest import content_of
+from mavcal.service.jobs.guard import Guard
+from mavcal.service.jobs.handle import JobHandle, waiting
+from mavcal.service.jobs.port import JobVehicle
+from mavcal.service.jobs.settings import JobSettings
+from mavcal.service.jobs.spans import close_span, open_span, span_of
+from mavcal.service.jobs.streams import ask_for_streams
+from mavcal.service.store.rows import SegmentPurpose, SnapshotPurpose
 
 FINISH = "finish"
 INERTIAL = (Sensor.ACCEL, Sensor.GYRO)

@@ -6,12 +6,12 @@ import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from calib.procedures.protocol import Prompt
-from service.errors import CaptureDisturbed, CaptureEnded, CaptureLost
-from service.jobs.digest import LiveDigest
-from service.jobs.handle import JobHandle
-from service.jobs.port import Condition, JobVehicle
-from service.jobs.settings import JobSettings
+from mavcal.calib.procedures.protocol import Prompt
+from mavcal.service.errors import CaptureDisturbed, CaptureEnded, CaptureLost
+from mavcal.service.jobs.digest import LiveDigest
+from mavcal.service.jobs.handle import JobHandle
+from mavcal.service.jobs.port import Condition, JobVehicle
+from mavcal.service.jobs.settings import JobSettings
 
 HEARTBEATS_S = 3.0
 """Without a heartbeat for so long a vehicle counts as silent."""

@@ -13,18 +13,18 @@ from enum import StrEnum
 from functools import partial
 from typing import Any, Protocol
 
-from calib.firmware.fingerprint import fingerprint, matters
-from calib.firmware.plan import Change, ParameterKind, Value, Verification, WritePlan, snapshot_sha256
-from calib.firmware.values import shown
-from service.errors import ParameterMissing, PlanBlocked, PlanChanged, WriteFailed
-from service.jobs.crashpoints import At, CrashPoint, nowhere
-from service.jobs.guard import Guard
-from service.jobs.handle import JobHandle, counting, waiting
-from service.jobs.journal import Step, same
-from service.jobs.model import Accept
-from service.jobs.port import JobVehicle, Reading
-from service.jobs.settings import JobSettings
-from service.store.rows import SnapshotPurpose
+from mavcal.calib.firmware.fingerprint import fingerprint, matters
+from mavcal.calib.firmware.plan import Change, ParameterKind, Value, Verification, WritePlan, snapshot_sha256
+from mavcal.calib.firmware.values import shown
+from mavcal.service.errors import ParameterMissing, PlanBlocked, PlanChanged, WriteFailed
+from mavcal.service.jobs.crashpoints import At, CrashPoint, nowhere
+from mavcal.service.jobs.guard import Guard
+from mavcal.service.jobs.handle import JobHandle, counting, waiting
+from mavcal.service.jobs.journal import Step, same
+from mavcal.service.jobs.model import Accept
+from mavcal.service.jobs.port import JobVehicle, Reading
+from mavcal.service.jobs.settings import JobSettings
+from mavcal.service.store.rows import SnapshotPurpose
 
 READS_IN_FLIGHT = 10
 """ArduPilot queues 20 reads and answers 5 at a time; what exceeds that is dropped (FLIGHT_CONTROLLERS 3.1)."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from service.link.endpoint import Endpoint, EndpointKind, parse_endpoint
-from service.link.link import Link
-from service.link.types import (
+from mavcal.service.link.endpoint import Endpoint, EndpointKind, parse_endpoint
+from mavcal.service.link.link import Link
+from mavcal.service.link.types import (
     Address,
     Batch,
     LinkEvent,

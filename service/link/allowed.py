@@ -13,10 +13,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from service.errors import EndpointRefused
-from service.link.endpoint import Endpoint, EndpointKind
-from service.reach import ANY, NETWORKS, PRIVATE, SERIAL, SIM
-from service.reach import network as as_network
+from mavcal.service.errors import EndpointRefused
+from mavcal.service.link.endpoint import Endpoint, EndpointKind
+from mavcal.service.reach import ANY, NETWORKS, PRIVATE, SERIAL, SIM
+from mavcal.service.reach import network as as_network
 
 IpAddress = ipaddress.IPv4Address | ipaddress.IPv6Address
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from service.link.endpoint import Endpoint, EndpointKind
+from mavcal.service.link.endpoint import Endpoint, EndpointKind
 
 SHARE = 0.7
 """Share of the capacity that streams may take: the rest is for parameters, commands and other programs."""

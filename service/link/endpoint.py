@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from urllib.parse import parse_qsl, urlencode
 
-from service.errors import EndpointError
+from mavcal.service.errors import EndpointError
 
 FORMS = (
     "udpin:0.0.0.0:14550",

@@ -10,16 +10,16 @@ from pathlib import Path
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib.wire import Message, RawMessage, raw_message
-from service.errors import EndpointError, LinkDown
-from service.link.endpoint import Endpoint, EndpointKind, parse_endpoint
-from service.link.local import FileTransport, SerialTransport, SimTransport
-from service.link.loss import SequenceCounter
-from service.link.reader import Mark, Outgoing, Reader, Report, StateChange
-from service.link.recorder import TlogRecorder
-from service.link.tcp import TcpServerTransport, TcpTransport
-from service.link.transports import Transport
-from service.link.types import (
+from mavcal.calib.wire import Message, RawMessage, raw_message
+from mavcal.service.errors import EndpointError, LinkDown
+from mavcal.service.link.endpoint import Endpoint, EndpointKind, parse_endpoint
+from mavcal.service.link.local import FileTransport, SerialTransport, SimTransport
+from mavcal.service.link.loss import SequenceCounter
+from mavcal.service.link.reader import Mark, Outgoing, Reader, Report, StateChange
+from mavcal.service.link.recorder import TlogRecorder
+from mavcal.service.link.tcp import TcpServerTransport, TcpTransport
+from mavcal.service.link.transports import Transport
+from mavcal.service.link.types import (
     Address,
     Batch,
     BatchCallback,
@@ -31,7 +31,7 @@ from service.link.types import (
     OwnIdentity,
     SigningConfig,
 )
-from service.link.udp import UdpTransport
+from mavcal.service.link.udp import UdpTransport
 
 HEARTBEAT_S = 1.0
 _JOIN_S = 10.0

@@ -18,12 +18,12 @@ from pathlib import Path
 
 import serial
 
-from calib.wire import Frame, iter_tlog
-from service.errors import EndpointError, LinkDown, LinkError, PortBusy
-from service.link.endpoint import Endpoint
-from service.link.transports import Chunk, Disconnected, Transport
-from service.link.types import Address
-from service.link.udp import UdpTransport
+from mavcal.calib.wire import Frame, iter_tlog
+from mavcal.service.errors import EndpointError, LinkDown, LinkError, PortBusy
+from mavcal.service.link.endpoint import Endpoint
+from mavcal.service.link.transports import Chunk, Disconnected, Transport
+from mavcal.service.link.types import Address
+from mavcal.service.link.udp import UdpTransport
 
 _REPLAY_CHUNK = 200
 _SPAWN_S = 20.0
@@ -195,7 +195,7 @@ class SimTransport(UdpTransport):
         return chunks
 
     def _command(self) -> list[str]:
-        command = [sys.executable, "-m", "service.simvehicle", "--autopilot", self._endpoint.autopilot]
+        command = [sys.executable, "-m", "mavcal.service.simvehicle", "--autopilot", self._endpoint.autopilot]
         command += ["--udpout", f"127.0.0.1:{self.local_port}", "--control", "0", "--follow-stdin"]
         for name, value in self._endpoint.options:
             command += [f"--{name.replace('_', '-')}", value]

@@ -6,7 +6,7 @@ datagram how many it had to drop so far; elsewhere the sender's own rate says ho
 
 from __future__ import annotations
 
-from service.link.types import LinkStatistics
+from mavcal.service.link.types import LinkStatistics
 
 _WINDOW_S = 0.5
 _REMEMBERED = 256

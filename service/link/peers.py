@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from service.link.types import Address, LinkEvent, LinkEventKind, OwnIdentity
+from mavcal.service.link.types import Address, LinkEvent, LinkEventKind, OwnIdentity
 
 INTERLEAVE_S = 5.0
 """Two addresses that take turns within this time are two vehicles, not one that moved."""

@@ -16,13 +16,13 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
-from calib.wire import Frame, FrameParser, RawMessage, SignatureState, encode
-from service.errors import EndpointError, LinkDown, LinkError, PortBusy
-from service.link.loss import SequenceCounter
-from service.link.peers import PeerTable
-from service.link.recorder import TlogRecorder
-from service.link.transports import Chunk, Disconnected, Transport
-from service.link.types import Address, Batch, LinkEvent, LinkEventKind, LinkState, OwnIdentity, SigningConfig
+from mavcal.calib.wire import Frame, FrameParser, RawMessage, SignatureState, encode
+from mavcal.service.errors import EndpointError, LinkDown, LinkError, PortBusy
+from mavcal.service.link.loss import SequenceCounter
+from mavcal.service.link.peers import PeerTable
+from mavcal.service.link.recorder import TlogRecorder
+from mavcal.service.link.transports import Chunk, Disconnected, Transport
+from mavcal.service.link.types import Address, Batch, LinkEvent, LinkEventKind, LinkState, OwnIdentity, SigningConfig
 
 _IDLE_S = 0.25
 """Longest wait for input; also how long a torn frame may hold back what came behind it."""

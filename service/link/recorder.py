@@ -10,8 +10,8 @@ import os
 import time
 from pathlib import Path
 
-from calib.wire import tlog_record
-from service.errors import DiskFull, StoreError
+from mavcal.calib.wire import tlog_record
+from mavcal.service.errors import DiskFull, StoreError
 
 _RETRY_S = 1.0
 

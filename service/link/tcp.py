@@ -5,9 +5,9 @@ from __future__ import annotations
 import selectors
 import socket
 
-from service.link.endpoint import Endpoint
-from service.link.transports import LARGEST, Chunk, Disconnected, Transport, open_error, resolve
-from service.link.types import Address
+from mavcal.service.link.endpoint import Endpoint
+from mavcal.service.link.transports import LARGEST, Chunk, Disconnected, Transport, open_error, resolve
+from mavcal.service.link.types import Address
 
 CONNECT_S = 3.0
 _MAX_UNSENT = 1 << 20

@@ -13,9 +13,9 @@ import socket
 from abc import ABC, abstractmethod
 from typing import NamedTuple
 
-from service.errors import EndpointError, LinkDown, PortBusy
-from service.link.endpoint import Endpoint
-from service.link.types import Address
+from mavcal.service.errors import EndpointError, LinkDown, PortBusy
+from mavcal.service.link.endpoint import Endpoint
+from mavcal.service.link.types import Address
 
 DRAIN = 256
 """Datagrams taken at once before they are handed on."""

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from calib.wire import Frame
-from service.errors import DiskFull
+from mavcal.calib.wire import Frame
+from mavcal.service.errors import DiskFull
 
 Address = tuple[str, int]
 """Host and port of a peer; a serial device or a file is ``(path, 0)``."""

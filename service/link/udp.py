@@ -7,9 +7,9 @@ import selectors
 import socket
 import sys
 
-from service.link.endpoint import Endpoint
-from service.link.transports import DRAIN, LARGEST, Chunk, Disconnected, Transport, open_error, resolve
-from service.link.types import Address
+from mavcal.service.link.endpoint import Endpoint
+from mavcal.service.link.transports import DRAIN, LARGEST, Chunk, Disconnected, Transport, open_error, resolve
+from mavcal.service.link.types import Address
 
 _RECEIVE_BUFFER = 4 << 20
 _SO_RXQ_OVFL = 40  # linux/socket.h: each datagram brings the number dropped before it

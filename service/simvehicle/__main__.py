@@ -9,12 +9,12 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 
-from service.simvehicle.config import Autopilot, VehicleConfig, load_config
-from service.simvehicle.errors import SimulatedVehicleError
-from service.simvehicle.links import Link, TcpServer, UdpIn, UdpOut
-from service.simvehicle.parameters import load_table
-from service.simvehicle.scripts import SCRIPTS
-from service.simvehicle.server import Server, make_vehicle
+from mavcal.service.simvehicle.config import Autopilot, VehicleConfig, load_config
+from mavcal.service.simvehicle.errors import SimulatedVehicleError
+from mavcal.service.simvehicle.links import Link, TcpServer, UdpIn, UdpOut
+from mavcal.service.simvehicle.parameters import load_table
+from mavcal.service.simvehicle.scripts import SCRIPTS
+from mavcal.service.simvehicle.server import Server, make_vehicle
 
 
 def parser() -> argparse.ArgumentParser:

@@ -7,23 +7,23 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from service.simvehicle import ardupilot_parameters as names
-from service.simvehicle.ardupilot_commands import GIT_HASH, ArduPilotCommands
-from service.simvehicle.ardupilot_protocol import ArduPilotParameters
-from service.simvehicle.ardupilot_readings import Readings
-from service.simvehicle.ardupilot_sensors import ArduPilotSensors
-from service.simvehicle.config import Calibration, VehicleConfig
-from service.simvehicle.parameters import Parameter, ParameterTable
-from service.simvehicle.streams import ardupilot_interval_ms, ardupilot_stream
-from service.simvehicle.telemetry import (
+from mavcal.service.simvehicle import ardupilot_parameters as names
+from mavcal.service.simvehicle.ardupilot_commands import GIT_HASH, ArduPilotCommands
+from mavcal.service.simvehicle.ardupilot_protocol import ArduPilotParameters
+from mavcal.service.simvehicle.ardupilot_readings import Readings
+from mavcal.service.simvehicle.ardupilot_sensors import ArduPilotSensors
+from mavcal.service.simvehicle.config import Calibration, VehicleConfig
+from mavcal.service.simvehicle.parameters import Parameter, ParameterTable
+from mavcal.service.simvehicle.streams import ardupilot_interval_ms, ardupilot_stream
+from mavcal.service.simvehicle.telemetry import (
     Block,
     Telemetry,
     microseconds,
     milliseconds,
     pressure_hpa,
 )
-from service.simvehicle.vehicle import Channel, Vehicle
-from service.simvehicle.wire import Received
+from mavcal.service.simvehicle.vehicle import Channel, Vehicle
+from mavcal.service.simvehicle.wire import Received
 
 BASE_MODE_DISARMED, ARMED_BIT = 81, 128
 STATISTICS_FIRST_S, STATISTICS_PERIOD_S = 30.43, 31.0

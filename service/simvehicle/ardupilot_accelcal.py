@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from service.simvehicle import ardupilot_parameters as names
-from service.simvehicle.parameters import Value
-from service.simvehicle.rotation import Array
+from mavcal.service.simvehicle import ardupilot_parameters as names
+from mavcal.service.simvehicle.parameters import Value
+from mavcal.service.simvehicle.rotation import Array
 
 if TYPE_CHECKING:
-    from service.simvehicle.ardupilot import ArduPilotVehicle
+    from mavcal.service.simvehicle.ardupilot import ArduPilotVehicle
 
 POSES = ("level", "on its LEFT side", "on its RIGHT side", "nose DOWN", "nose UP", "on its BACK")
 SUCCESS, FAILURE = 16777215.0, 16777216.0

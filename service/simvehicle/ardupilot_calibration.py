@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from service.simvehicle import ardupilot_parameters as names
-from service.simvehicle.parameters import Value
-from service.simvehicle.rotation import Array
+from mavcal.service.simvehicle import ardupilot_parameters as names
+from mavcal.service.simvehicle.parameters import Value
+from mavcal.service.simvehicle.rotation import Array
 
 if TYPE_CHECKING:
-    from service.simvehicle.ardupilot import ArduPilotVehicle
+    from mavcal.service.simvehicle.ardupilot import ArduPilotVehicle
 
 GYRO_WINDOW_SAMPLES = 50
 GYRO_SAMPLE_S = 0.005

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from service.simvehicle import ardupilot_calibration as calibration
-from service.simvehicle import ardupilot_parameters as names
-from service.simvehicle.ardupilot_accelcal import AccelCalibration
-from service.simvehicle.ardupilot_magcal import MagCalibration
-from service.simvehicle.parameters import Value
-from service.simvehicle.vehicle import Channel
-from service.simvehicle.wire import Received, command_parameters
+from mavcal.service.simvehicle import ardupilot_calibration as calibration
+from mavcal.service.simvehicle import ardupilot_parameters as names
+from mavcal.service.simvehicle.ardupilot_accelcal import AccelCalibration
+from mavcal.service.simvehicle.ardupilot_magcal import MagCalibration
+from mavcal.service.simvehicle.parameters import Value
+from mavcal.service.simvehicle.vehicle import Channel
+from mavcal.service.simvehicle.wire import Received, command_parameters
 
 if TYPE_CHECKING:
-    from service.simvehicle.ardupilot import ArduPilotVehicle
+    from mavcal.service.simvehicle.ardupilot import ArduPilotVehicle
 
 CAPABILITIES = 64495
 VERSION = 0x04070000

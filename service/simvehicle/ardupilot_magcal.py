@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from service.simvehicle import ardupilot_parameters as names
-from service.simvehicle.parameters import Value
-from service.simvehicle.rotation import mounting_matrix
+from mavcal.service.simvehicle import ardupilot_parameters as names
+from mavcal.service.simvehicle.parameters import Value
+from mavcal.service.simvehicle.rotation import mounting_matrix
 
 if TYPE_CHECKING:
-    from service.simvehicle.ardupilot import ArduPilotVehicle
+    from mavcal.service.simvehicle.ardupilot import ArduPilotVehicle
 
 MOVING_RATE = 0.2  # rad/s: slower motion brings no new samples
 FULL_AFTER_S = 20.0  # of motion

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from service.simvehicle.config import MAX_IMUS, VehicleConfig
-from service.simvehicle.parameters import AXES, Parameter, ParameterType, Value, float32
+from mavcal.service.simvehicle.config import MAX_IMUS, VehicleConfig
+from mavcal.service.simvehicle.parameters import AXES, Parameter, ParameterType, Value, float32
 
 ACCEL_IDS = (2753028, 2753036, 2753044)
 GYRO_IDS = (2752772, 2752780, 2752788)

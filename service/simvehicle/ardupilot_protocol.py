@@ -8,9 +8,9 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from service.simvehicle.parameters import Parameter, ParameterType, Value
-from service.simvehicle.vehicle import ANSWER_ROOM, Channel, Vehicle
-from service.simvehicle.wire import Received
+from mavcal.service.simvehicle.parameters import Parameter, ParameterType, Value
+from mavcal.service.simvehicle.vehicle import ANSWER_ROOM, Channel, Vehicle
+from mavcal.service.simvehicle.wire import Received
 
 NO_INDEX = 65535
 ECHO_S = 0.004  # the IO thread's turn between a PARAM_SET and its echo

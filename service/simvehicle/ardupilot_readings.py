@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from service.simvehicle.ardupilot_sensors import ImuReading
-from service.simvehicle.corrections import as_float32, truncated
-from service.simvehicle.rotation import euler_from_quaternions
-from service.simvehicle.telemetry import Block, make_block
-from service.simvehicle.world import State
+from mavcal.service.simvehicle.ardupilot_sensors import ImuReading
+from mavcal.service.simvehicle.corrections import as_float32, truncated
+from mavcal.service.simvehicle.rotation import euler_from_quaternions
+from mavcal.service.simvehicle.telemetry import Block, make_block
+from mavcal.service.simvehicle.world import State
 
 if TYPE_CHECKING:
-    from service.simvehicle.ardupilot import ArduPilotVehicle
+    from mavcal.service.simvehicle.ardupilot import ArduPilotVehicle
 
 G = 9.80665
 MAG_DEFECT = 1000.0  # mGauss times this, where Gauss would be mGauss divided by it

@@ -6,19 +6,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.simvehicle import ardupilot_parameters as names
-from service.simvehicle.corrections import (
+from mavcal.service.simvehicle import ardupilot_parameters as names
+from mavcal.service.simvehicle.corrections import (
     ArduPilotThermal,
     ardupilot_accel,
     ardupilot_compass,
     ardupilot_gyro,
 )
-from service.simvehicle.errors import ConfigurationError
-from service.simvehicle.magreader import MagReader
-from service.simvehicle.parameters import ParameterTable
-from service.simvehicle.rotation import Array, mounting_matrix
-from service.simvehicle.sensor_faults import SensorFaults
-from service.simvehicle.world import State, World
+from mavcal.service.simvehicle.errors import ConfigurationError
+from mavcal.service.simvehicle.magreader import MagReader
+from mavcal.service.simvehicle.parameters import ParameterTable
+from mavcal.service.simvehicle.rotation import Array, mounting_matrix
+from mavcal.service.simvehicle.sensor_faults import SensorFaults
+from mavcal.service.simvehicle.world import State, World
 
 MGAUSS_PER_UT = 10.0
 COMPASS_PERIOD_S = 0.1  # Copter's battery and compass task

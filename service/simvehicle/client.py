@@ -17,7 +17,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from service.simvehicle.errors import ControlError, StartError
+from mavcal.service.simvehicle.errors import ControlError, StartError
 
 START_TIMEOUT_S = 20.0
 CALL_TIMEOUT_S = 10.0
@@ -60,7 +60,7 @@ class SimulatedVehicle:
         script: str | None = None,
         sitl: bool = False,
     ) -> None:
-        command = [sys.executable, "-m", "service.simvehicle", "--follow-stdin", "--autopilot", autopilot]
+        command = [sys.executable, "-m", "mavcal.service.simvehicle", "--follow-stdin", "--autopilot", autopilot]
         for one in [link] if isinstance(link, str) else link:
             command += _link_arguments(one)
         command += ["--seed", str(seed), "--speed", str(speed), "--system-id", str(system_id)]
@@ -75,7 +75,7 @@ class SimulatedVehicle:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._said,
-            cwd=Path(__file__).resolve().parents[2],
+            cwd=Path(__file__).parents[3],
             env={**os.environ, "PYTHONUNBUFFERED": "1"},
         )
         self._control: socket.socket | None = None

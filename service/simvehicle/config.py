@@ -9,7 +9,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from service.simvehicle.errors import ConfigurationError
+from mavcal.service.simvehicle.errors import ConfigurationError
 
 MAX_IMUS = 3
 MAX_MAGS = 3

@@ -7,8 +7,8 @@ import socket
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from service.simvehicle.errors import SimulatedVehicleError
-from service.simvehicle.links import bound_socket
+from mavcal.service.simvehicle.errors import SimulatedVehicleError
+from mavcal.service.simvehicle.links import bound_socket
 
 MAX_LINE = 1 << 20
 Handler = Callable[[str, Mapping[str, Any]], dict[str, Any]]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.simvehicle.rotation import Array
+from mavcal.service.simvehicle.rotation import Array
 
 ARDUPILOT_T_REF = 35.0
 ARDUPILOT_COEFFICIENT_SCALE = 1e-6

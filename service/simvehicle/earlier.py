@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from service.simvehicle import ardupilot_parameters as ardupilot
-from service.simvehicle import px4_parameters as px4
-from service.simvehicle.config import Autopilot, VehicleConfig
-from service.simvehicle.parameters import AXES
-from service.simvehicle.rotation import Array, mounting_matrix
-from service.simvehicle.truth import T_REF, SensorTruth, VehicleTruth
+from mavcal.service.simvehicle import ardupilot_parameters as ardupilot
+from mavcal.service.simvehicle import px4_parameters as px4
+from mavcal.service.simvehicle.config import Autopilot, VehicleConfig
+from mavcal.service.simvehicle.parameters import AXES
+from mavcal.service.simvehicle.rotation import Array, mounting_matrix
+from mavcal.service.simvehicle.truth import T_REF, SensorTruth, VehicleTruth
 
 # By how much it is off by now: as much as a new calibration can prove, and not so much that the sensors look broken.
 ACCEL_OFFSET_AGED = (0.04, 0.1)  # m/s² an axis, either way

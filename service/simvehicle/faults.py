@@ -27,12 +27,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from service.simvehicle.errors import ControlError
-from service.simvehicle.impairment import Impairment
-from service.simvehicle.sensor_faults import SENSORS, SensorFault
+from mavcal.service.simvehicle.errors import ControlError
+from mavcal.service.simvehicle.impairment import Impairment
+from mavcal.service.simvehicle.sensor_faults import SENSORS, SensorFault
 
 if TYPE_CHECKING:
-    from service.simvehicle.server import Server
+    from mavcal.service.simvehicle.server import Server
 
 DEFAULT_SILENCE_S = 5.0
 DEFAULT_ECHO_DELAY_S = 1.5

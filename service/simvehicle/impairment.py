@@ -12,9 +12,9 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from service.simvehicle.links import Link
-from service.simvehicle.vehicle import Channel
-from service.simvehicle.wire import Received
+from mavcal.service.simvehicle.links import Link
+from mavcal.service.simvehicle.vehicle import Channel
+from mavcal.service.simvehicle.wire import Received
 
 PORT_BUFFER = 512.0  # bytes that wait in the vehicle's port: streams and parameter lists are held back at its brim
 MOST_BEYOND = 4096  # bytes over that; then even a heartbeat is lost

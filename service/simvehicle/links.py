@@ -9,8 +9,8 @@ import socket
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 
-from service.simvehicle.errors import ConfigurationError
-from service.simvehicle.wire import Received, Splitter, split_datagram
+from mavcal.service.simvehicle.errors import ConfigurationError
+from mavcal.service.simvehicle.wire import Received, Splitter, split_datagram
 
 DATAGRAM = 65535
 BURST = 256  # datagrams read in one poll

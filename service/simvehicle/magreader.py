@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from service.simvehicle.rotation import Array, body_from_ned
-from service.simvehicle.world import World
+from mavcal.service.simvehicle.rotation import Array, body_from_ned
+from mavcal.service.simvehicle.world import World
 
 KEEP = 64  # readings kept: more than any tick asks for at the highest speed
 

@@ -12,8 +12,8 @@ from typing import Protocol
 
 import numpy as np
 
-from service.simvehicle.errors import ControlError
-from service.simvehicle.rotation import (
+from mavcal.service.simvehicle.errors import ControlError
+from mavcal.service.simvehicle.rotation import (
     Array,
     conjugate,
     matrices_from_quaternions,

@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from service.simvehicle.client import SimulatedVehicle
+from mavcal.service.simvehicle.client import SimulatedVehicle
 
 FACES = ("level", "left", "right", "nose_down", "nose_up", "back")
 

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from service.simvehicle.errors import ConfigurationError
-from service.simvehicle.rotation import Array
+from mavcal.service.simvehicle.errors import ConfigurationError
+from mavcal.service.simvehicle.rotation import Array
 
 NAME_LENGTH = 16
 AXES = ("X", "Y", "Z")

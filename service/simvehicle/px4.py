@@ -7,19 +7,19 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from service.simvehicle import px4_parameters as names
-from service.simvehicle.config import VehicleConfig
-from service.simvehicle.parameters import Parameter, ParameterTable
-from service.simvehicle.px4_commands import Px4Commands
-from service.simvehicle.px4_ekf import Estimator
-from service.simvehicle.px4_gyrocal import GyroWriter
-from service.simvehicle.px4_protocol import Px4Parameters
-from service.simvehicle.px4_readings import Px4Readings
-from service.simvehicle.px4_sensors import Px4Sensors
-from service.simvehicle.streams import px4_stream
-from service.simvehicle.telemetry import Block, Telemetry, microseconds, milliseconds, pressure_hpa
-from service.simvehicle.vehicle import Channel, Vehicle
-from service.simvehicle.wire import Received
+from mavcal.service.simvehicle import px4_parameters as names
+from mavcal.service.simvehicle.config import VehicleConfig
+from mavcal.service.simvehicle.parameters import Parameter, ParameterTable
+from mavcal.service.simvehicle.px4_commands import Px4Commands
+from mavcal.service.simvehicle.px4_ekf import Estimator
+from mavcal.service.simvehicle.px4_gyrocal import GyroWriter
+from mavcal.service.simvehicle.px4_protocol import Px4Parameters
+from mavcal.service.simvehicle.px4_readings import Px4Readings
+from mavcal.service.simvehicle.px4_sensors import Px4Sensors
+from mavcal.service.simvehicle.streams import px4_stream
+from mavcal.service.simvehicle.telemetry import Block, Telemetry, microseconds, milliseconds, pressure_hpa
+from mavcal.service.simvehicle.vehicle import Channel, Vehicle
+from mavcal.service.simvehicle.wire import Received
 
 CAPABILITIES = 59647
 VERSION = 0x01110040

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from service.simvehicle import px4_parameters as names
-from service.simvehicle.parameters import Value
-from service.simvehicle.px4_memory import SensorMemory
-from service.simvehicle.px4_parameters import vector_names
-from service.simvehicle.rotation import Array
+from mavcal.service.simvehicle import px4_parameters as names
+from mavcal.service.simvehicle.parameters import Value
+from mavcal.service.simvehicle.px4_memory import SensorMemory
+from mavcal.service.simvehicle.px4_parameters import vector_names
+from mavcal.service.simvehicle.rotation import Array
 
 if TYPE_CHECKING:
-    from service.simvehicle.px4 import Px4Vehicle
+    from mavcal.service.simvehicle.px4 import Px4Vehicle
 
 GYRO_S = 1.05
 GYRO_SAMPLES = 250

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from service.simvehicle.px4_calibration import Px4Calibration
-from service.simvehicle.vehicle import Channel
-from service.simvehicle.wire import Received, command_parameters
+from mavcal.service.simvehicle.px4_calibration import Px4Calibration
+from mavcal.service.simvehicle.vehicle import Channel
+from mavcal.service.simvehicle.wire import Received, command_parameters
 
 if TYPE_CHECKING:
-    from service.simvehicle.px4 import Px4Vehicle
+    from mavcal.service.simvehicle.px4 import Px4Vehicle
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED = 0, 1, 2, 3, 4
 ACCEPT_CODE = 76

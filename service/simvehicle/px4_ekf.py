@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from service.simvehicle.rotation import Array
+from mavcal.service.simvehicle.rotation import Array
 
 TIME_CONSTANT_S = 8.0  # how fast a bias estimate follows the true error
 WANDER_S = 30.0

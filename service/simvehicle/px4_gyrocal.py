@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from service.simvehicle.parameters import Value
-from service.simvehicle.px4_memory import GYRO_OFFSET_THRESHOLD
-from service.simvehicle.px4_parameters import vector_names
-from service.simvehicle.rotation import Array
+from mavcal.service.simvehicle.parameters import Value
+from mavcal.service.simvehicle.px4_memory import GYRO_OFFSET_THRESHOLD
+from mavcal.service.simvehicle.px4_parameters import vector_names
+from mavcal.service.simvehicle.rotation import Array
 
 if TYPE_CHECKING:
-    from service.simvehicle.px4 import Px4Vehicle
+    from mavcal.service.simvehicle.px4 import Px4Vehicle
 
 SAMPLE_S = 0.02
 WINDOW_S = 5.0

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from service.simvehicle.parameters import ParameterTable
-from service.simvehicle.px4_parameters import SLOTS, vector_names
-from service.simvehicle.rotation import Array
+from mavcal.service.simvehicle.parameters import ParameterTable
+from mavcal.service.simvehicle.px4_parameters import SLOTS, vector_names
+from mavcal.service.simvehicle.rotation import Array
 
 ACCEL_OFFSET_THRESHOLD = 0.01  # m/s²
 GYRO_OFFSET_THRESHOLD = 0.01  # rad/s

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from service.simvehicle.config import VehicleConfig
-from service.simvehicle.parameters import Parameter, ParameterTable, ParameterType, float32
+from mavcal.service.simvehicle.config import VehicleConfig
+from mavcal.service.simvehicle.parameters import Parameter, ParameterTable, ParameterType, float32
 
 ACCEL_IDS = GYRO_IDS = (1310988, 1310996, 1311004)
 MAG_IDS = (197388, 197644, 197900)

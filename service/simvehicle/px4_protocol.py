@@ -9,10 +9,10 @@ from collections.abc import Callable
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from service.simvehicle.parameters import Parameter, ParameterTable, ParameterType, Value, int32_bytes
-from service.simvehicle.px4_parameters import PRIORITIES, UNINITIALISED, is_volatile
-from service.simvehicle.vehicle import ANSWER_ROOM, Channel, Vehicle
-from service.simvehicle.wire import Received
+from mavcal.service.simvehicle.parameters import Parameter, ParameterTable, ParameterType, Value, int32_bytes
+from mavcal.service.simvehicle.px4_parameters import PRIORITIES, UNINITIALISED, is_volatile
+from mavcal.service.simvehicle.vehicle import ANSWER_ROOM, Channel, Vehicle
+from mavcal.service.simvehicle.wire import Received
 
 NO_INDEX = 65535
 HASH_NAME = "_HASH_CHECK"

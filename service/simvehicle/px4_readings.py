@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from service.simvehicle.corrections import as_float32, truncated
-from service.simvehicle.px4_sensors import GAUSS_PER_UT, Px4Reading
-from service.simvehicle.rotation import Array, body_from_ned
-from service.simvehicle.telemetry import Block, make_block
-from service.simvehicle.world import State
+from mavcal.service.simvehicle.corrections import as_float32, truncated
+from mavcal.service.simvehicle.px4_sensors import GAUSS_PER_UT, Px4Reading
+from mavcal.service.simvehicle.rotation import Array, body_from_ned
+from mavcal.service.simvehicle.telemetry import Block, make_block
+from mavcal.service.simvehicle.world import State
 
 if TYPE_CHECKING:
-    from service.simvehicle.px4 import Px4Vehicle
+    from mavcal.service.simvehicle.px4 import Px4Vehicle
 
 G = 9.80665
 MGAUSS_PER_GAUSS = 1000.0

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.simvehicle import px4_parameters as names
-from service.simvehicle.corrections import px4_accel, px4_gyro, px4_mag, px4_thermal
-from service.simvehicle.errors import ConfigurationError
-from service.simvehicle.magreader import MagReader
-from service.simvehicle.parameters import ParameterTable
-from service.simvehicle.px4_memory import SensorMemory
-from service.simvehicle.rotation import Array, matrices_from_quaternions, mounting_matrix, quaternion_from_euler
-from service.simvehicle.sensor_faults import SensorFaults
-from service.simvehicle.world import State, World
+from mavcal.service.simvehicle import px4_parameters as names
+from mavcal.service.simvehicle.corrections import px4_accel, px4_gyro, px4_mag, px4_thermal
+from mavcal.service.simvehicle.errors import ConfigurationError
+from mavcal.service.simvehicle.magreader import MagReader
+from mavcal.service.simvehicle.parameters import ParameterTable
+from mavcal.service.simvehicle.px4_memory import SensorMemory
+from mavcal.service.simvehicle.rotation import Array, matrices_from_quaternions, mounting_matrix, quaternion_from_euler
+from mavcal.service.simvehicle.sensor_faults import SensorFaults
+from mavcal.service.simvehicle.world import State, World
 
 GAUSS_PER_UT = 0.01
 MAG_PERIOD_S = 0.02  # raw magnetometers are new 50 times a second

@@ -9,9 +9,9 @@ from collections.abc import Container, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from service.simvehicle.errors import ConfigurationError
-from service.simvehicle.vehicle import Channel, Vehicle
-from service.simvehicle.wire import (
+from mavcal.service.simvehicle.errors import ConfigurationError
+from mavcal.service.simvehicle.vehicle import Channel, Vehicle
+from mavcal.service.simvehicle.wire import (
     MAGIC_V1,
     MAGIC_V2,
     SIGNATURE_LENGTH,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from service.simvehicle.errors import ConfigurationError
+from mavcal.service.simvehicle.errors import ConfigurationError
 
 Array = NDArray[np.floating[Any]]
 

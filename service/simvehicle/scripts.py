@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 
-from service.simvehicle.vehicle import Vehicle
+from mavcal.service.simvehicle.vehicle import Vehicle
 
 FACE_S = 4.0
 OBLIQUE: tuple[tuple[float, float, float], ...] = ((35, 30, 0), (-40, 25, 90), (140, -30, 180), (-130, -35, 270))

@@ -6,8 +6,8 @@ from enum import StrEnum
 
 import numpy as np
 
-from service.simvehicle.errors import ControlError
-from service.simvehicle.rotation import Array
+from mavcal.service.simvehicle.errors import ControlError
+from mavcal.service.simvehicle.rotation import Array
 
 
 class SensorFault(StrEnum):

@@ -11,17 +11,17 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 
-from service.simvehicle.config import Autopilot, Calibration, VehicleConfig
-from service.simvehicle.control import ControlServer
-from service.simvehicle.earlier import earlier_calibration
-from service.simvehicle.errors import ControlError
-from service.simvehicle.faults import Injector
-from service.simvehicle.impairment import FaultyLink
-from service.simvehicle.links import Link
-from service.simvehicle.scripts import SCRIPTS
-from service.simvehicle.vehicle import Channel, Vehicle
-from service.simvehicle.verbs import Verbs
-from service.simvehicle.wire import Packer, Received
+from mavcal.service.simvehicle.config import Autopilot, Calibration, VehicleConfig
+from mavcal.service.simvehicle.control import ControlServer
+from mavcal.service.simvehicle.earlier import earlier_calibration
+from mavcal.service.simvehicle.errors import ControlError
+from mavcal.service.simvehicle.faults import Injector
+from mavcal.service.simvehicle.impairment import FaultyLink
+from mavcal.service.simvehicle.links import Link
+from mavcal.service.simvehicle.scripts import SCRIPTS
+from mavcal.service.simvehicle.vehicle import Channel, Vehicle
+from mavcal.service.simvehicle.verbs import Verbs
+from mavcal.service.simvehicle.wire import Packer, Received
 
 TICK_S = 0.005
 FAST, FAST_TICK_S = 5.0, 0.010  # from this speed on, longer ticks: whatever arrives still ends the wait
@@ -43,10 +43,10 @@ def make_vehicle(config: VehicleConfig) -> Vehicle:
 def _personality(config: VehicleConfig) -> Vehicle:
     # Imported here: each personality only pays for itself.
     if config.autopilot is Autopilot.ARDUPILOT:
-        from service.simvehicle.ardupilot import ArduPilotVehicle
+        from mavcal.service.simvehicle.ardupilot import ArduPilotVehicle
 
         return ArduPilotVehicle(config)
-    from service.simvehicle.px4 import Px4Vehicle
+    from mavcal.service.simvehicle.px4 import Px4Vehicle
 
     return Px4Vehicle(config)
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from service.simvehicle.corrections import as_float32
-from service.simvehicle.rotation import (
+from mavcal.service.simvehicle.corrections import as_float32
+from mavcal.service.simvehicle.rotation import (
     Array,
     conjugate,
     euler_from_quaternions,
@@ -19,8 +19,8 @@ from service.simvehicle.rotation import (
     quaternion_from_euler,
     shortest_rotation,
 )
-from service.simvehicle.vehicle import Vehicle
-from service.simvehicle.world import State
+from mavcal.service.simvehicle.vehicle import Vehicle
+from mavcal.service.simvehicle.world import State
 
 Builder = Callable[["Block", int], Any]
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.simvehicle.rotation import Array
+from mavcal.service.simvehicle.rotation import Array
 
 
 @dataclass(frozen=True)

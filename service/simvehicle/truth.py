@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from service.simvehicle.config import VehicleConfig
-from service.simvehicle.errors import ConfigurationError
-from service.simvehicle.rotation import Array
+from mavcal.service.simvehicle.config import VehicleConfig
+from mavcal.service.simvehicle.errors import ConfigurationError
+from mavcal.service.simvehicle.rotation import Array
 
 T_REF = 35.0  # °C, where every polynomial is zero
 

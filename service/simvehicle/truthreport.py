@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from service.simvehicle.rotation import mounting_matrix
-from service.simvehicle.truth import T_REF, SensorTruth
-from service.simvehicle.vehicle import Vehicle
-from service.simvehicle.world import World
+from mavcal.service.simvehicle.rotation import mounting_matrix
+from mavcal.service.simvehicle.truth import T_REF, SensorTruth
+from mavcal.service.simvehicle.vehicle import Vehicle
+from mavcal.service.simvehicle.world import World
 
 
 def truth_report(vehicle: Vehicle, since: float | None = None, until: float | None = None) -> dict[str, Any]:

@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from service.simvehicle.config import VehicleConfig
-from service.simvehicle.errors import ConfigurationError
-from service.simvehicle.parameters import Parameter, ParameterTable
-from service.simvehicle.rotation import Array, euler_from_quaternions
-from service.simvehicle.sensor_faults import SensorFaults
-from service.simvehicle.streams import Stream
-from service.simvehicle.wire import Packer, Received
-from service.simvehicle.world import World
+from mavcal.service.simvehicle.config import VehicleConfig
+from mavcal.service.simvehicle.errors import ConfigurationError
+from mavcal.service.simvehicle.parameters import Parameter, ParameterTable
+from mavcal.service.simvehicle.rotation import Array, euler_from_quaternions
+from mavcal.service.simvehicle.sensor_faults import SensorFaults
+from mavcal.service.simvehicle.streams import Stream
+from mavcal.service.simvehicle.wire import Packer, Received
+from mavcal.service.simvehicle.world import World
 
 MAX_SETS_KEPT = 10_000
 STREAM_ROOM = 192  # bytes that a port must take before the streams of an instant are sent: all of them, or none

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from service.simvehicle.errors import ControlError
-from service.simvehicle.scripts import SCRIPTS
-from service.simvehicle.truthreport import truth_report
+from mavcal.service.simvehicle.errors import ControlError
+from mavcal.service.simvehicle.scripts import SCRIPTS
+from mavcal.service.simvehicle.truthreport import truth_report
 
 if TYPE_CHECKING:
-    from service.simvehicle.server import Server
+    from mavcal.service.simvehicle.server import Server
 
 Request = Mapping[str, Any]
 Reply = dict[str, Any]

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.simvehicle.config import VehicleConfig
-from service.simvehicle.motion import Motion
-from service.simvehicle.rotation import Array, body_from_ned, mounting_matrix
-from service.simvehicle.thermal import Thermal
-from service.simvehicle.truth import SensorTruth, draw_truth
-from service.simvehicle.wander import Wander
+from mavcal.service.simvehicle.config import VehicleConfig
+from mavcal.service.simvehicle.motion import Motion
+from mavcal.service.simvehicle.rotation import Array, body_from_ned, mounting_matrix
+from mavcal.service.simvehicle.thermal import Thermal
+from mavcal.service.simvehicle.truth import SensorTruth, draw_truth
+from mavcal.service.simvehicle.wander import Wander
 
 
 @dataclass

@@ -7,7 +7,7 @@ means is not known here.
 
 from __future__ import annotations
 
-from service.store.protocol import Store
-from service.store.sqlite import SqliteStore
+from mavcal.service.store.protocol import Store
+from mavcal.service.store.sqlite import SqliteStore
 
 __all__ = ["SqliteStore", "Store"]

@@ -7,7 +7,7 @@ import json
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from service.store.rows import AuditRow
+from mavcal.service.store.rows import AuditRow
 
 BEGINNING = hashlib.sha256(b"mavcal audit trail").hexdigest()
 

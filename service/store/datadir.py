@@ -6,7 +6,7 @@ import fcntl
 import os
 from pathlib import Path
 
-from service.errors import DataDirLocked, StoreError
+from mavcal.service.errors import DataDirLocked, StoreError
 
 
 class DataDirLock:

@@ -6,7 +6,7 @@ import sqlite3
 from dataclasses import dataclass
 from importlib import resources
 
-from service.errors import StoreError
+from mavcal.service.errors import StoreError
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Migration:
 
 def migrations() -> tuple[Migration, ...]:
     """Every migration of this version, in order."""
-    folder = resources.files("service.store") / "migrations"
+    folder = resources.files("mavcal.service.store") / "migrations"
     found = []
     for entry in folder.iterdir():
         if entry.name.endswith(".sql"):

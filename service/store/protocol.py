@@ -12,8 +12,8 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Protocol, TypeVar
 
-from service.store.chain import ChainCheck
-from service.store.rows import (
+from mavcal.service.store.chain import ChainCheck
+from mavcal.service.store.rows import (
     AuditRow,
     EventRow,
     JobRow,

@@ -16,12 +16,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from service.errors import DiskFull, StoreError
-from service.store import chain
-from service.store.datadir import DataDirLock, require_database
-from service.store.line import WriteLine
-from service.store.migrate import migrate, migrations
-from service.store.rows import (
+from mavcal.service.errors import DiskFull, StoreError
+from mavcal.service.store import chain
+from mavcal.service.store.datadir import DataDirLock, require_database
+from mavcal.service.store.line import WriteLine
+from mavcal.service.store.migrate import migrate, migrations
+from mavcal.service.store.rows import (
     AuditRow,
     EventRow,
     JobRow,

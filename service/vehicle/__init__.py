@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from service.vehicle.commands import command
-from service.vehicle.encoding import Parameter, ParameterEncoding, ParameterKind
-from service.vehicle.events import VehicleEvent, VehicleEventKind
-from service.vehicle.identity import Autopilot, VehicleIdentity
-from service.vehicle.listing import ParameterSet
-from service.vehicle.parameters import Echo, Parameters
-from service.vehicle.registry import VehicleRegistry
-from service.vehicle.state import Landed, Refusal, VehicleState, Writable, writable
-from service.vehicle.streams import StreamRate, StreamReport, measure, request_streams, set_interval
-from service.vehicle.vehicle import Vehicle
+from mavcal.service.vehicle.commands import command
+from mavcal.service.vehicle.encoding import Parameter, ParameterEncoding, ParameterKind
+from mavcal.service.vehicle.events import VehicleEvent, VehicleEventKind
+from mavcal.service.vehicle.identity import Autopilot, VehicleIdentity
+from mavcal.service.vehicle.listing import ParameterSet
+from mavcal.service.vehicle.parameters import Echo, Parameters
+from mavcal.service.vehicle.registry import VehicleRegistry
+from mavcal.service.vehicle.state import Landed, Refusal, VehicleState, Writable, writable
+from mavcal.service.vehicle.streams import StreamRate, StreamReport, measure, request_streams, set_interval
+from mavcal.service.vehicle.vehicle import Vehicle
 
 __all__ = [
     "Autopilot",

@@ -6,7 +6,7 @@ import struct
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib.wire import Frame, padded_payload
+from mavcal.calib.wire import Frame, padded_payload
 
 
 def _offsets() -> dict[int, int]:

@@ -7,8 +7,8 @@ from enum import StrEnum
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib.wire import Message
-from service.vehicle.texts import StatusText
+from mavcal.calib.wire import Message
+from mavcal.service.vehicle.texts import StatusText
 
 _POSE_SUCCESS, _POSE_FAILED = 16777215, 16777216
 _MAG_RUNNING = {

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib.wire import Frame, decode
-from service.errors import CommandRefused, CommandTimeout, ForbiddenCommand, VehicleSilent
+from mavcal.calib.wire import Frame, decode
+from mavcal.service.errors import CommandRefused, CommandTimeout, ForbiddenCommand, VehicleSilent
 
 if TYPE_CHECKING:
-    from service.vehicle.vehicle import Vehicle
+    from mavcal.service.vehicle.vehicle import Vehicle
 
 ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS, CANCELLED = range(7)
 _RESULTS = {

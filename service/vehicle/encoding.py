@@ -11,7 +11,7 @@ import struct
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 
-from service.errors import ParameterRejected
+from mavcal.service.errors import ParameterRejected
 
 
 class ParameterEncoding(StrEnum):

@@ -7,7 +7,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from service.vehicle.vehicle import Vehicle
+    from mavcal.service.vehicle.vehicle import Vehicle
 
 
 class VehicleEventKind(StrEnum):

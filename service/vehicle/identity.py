@@ -7,8 +7,8 @@ from enum import StrEnum
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib.wire import Message
-from service.vehicle.encoding import ParameterEncoding
+from mavcal.calib.wire import Message
+from mavcal.service.vehicle.encoding import ParameterEncoding
 
 
 class Autopilot(StrEnum):

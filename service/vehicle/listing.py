@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib.wire import Frame, ParamValue, decode_param_value
-from service.errors import ParameterTimeout, VehicleSilent
-from service.vehicle.encoding import Parameter
-from service.vehicle.parameters import HASH_NAME, NO_INDEX
+from mavcal.calib.wire import Frame, ParamValue, decode_param_value
+from mavcal.service.errors import ParameterTimeout, VehicleSilent
+from mavcal.service.vehicle.encoding import Parameter
+from mavcal.service.vehicle.parameters import HASH_NAME, NO_INDEX
 
 if TYPE_CHECKING:
-    from service.vehicle.vehicle import Vehicle
+    from mavcal.service.vehicle.vehicle import Vehicle
 
 PIPELINE = 10
 """Reads under way at once: ArduPilot queues 20 and answers 5 at a time, what is beyond is dropped."""

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib.wire import Frame, RawMessage, decode, decode_param_value, param_set
-from service.errors import (
+from mavcal.calib.wire import Frame, RawMessage, decode, decode_param_value, param_set
+from mavcal.service.errors import (
     LinkDown,
     ParameterError,
     ParameterMissing,
@@ -24,7 +24,7 @@ from service.errors import (
     VehicleError,
     VehicleSilent,
 )
-from service.vehicle.encoding import (
+from mavcal.service.vehicle.encoding import (
     Parameter,
     ParameterEncoding,
     ParameterKind,
@@ -32,10 +32,10 @@ from service.vehicle.encoding import (
     same_value,
     value_from_bits,
 )
-from service.vehicle.waits import Expectation
+from mavcal.service.vehicle.waits import Expectation
 
 if TYPE_CHECKING:
-    from service.vehicle.vehicle import Vehicle
+    from mavcal.service.vehicle.vehicle import Vehicle
 
 HASH_NAME = "_HASH_CHECK"
 """PX4 sends this as if it were a parameter; it is none, and does not change when calibrations do."""

@@ -9,11 +9,11 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib.wire import Frame, Message, decode
-from service.errors import LinkDown, VehicleError, VehicleUnknown
-from service.link import Batch, Link, LinkEvent
-from service.vehicle.events import VehicleEvent, VehicleEventKind
-from service.vehicle.vehicle import CORE_IDS, YIELD_S, Vehicle
+from mavcal.calib.wire import Frame, Message, decode
+from mavcal.service.errors import LinkDown, VehicleError, VehicleUnknown
+from mavcal.service.link import Batch, Link, LinkEvent
+from mavcal.service.vehicle.events import VehicleEvent, VehicleEventKind
+from mavcal.service.vehicle.vehicle import CORE_IDS, YIELD_S, Vehicle
 
 TICK_S = 0.05
 _AUTOPILOT_COMPONENT = 1

@@ -10,9 +10,9 @@ from enum import StrEnum
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib.wire import Message
-from service.vehicle.calibration import OnboardCalibration, watch_calibration
-from service.vehicle.texts import ChunkedText, StatusText, add_chunk
+from mavcal.calib.wire import Message
+from mavcal.service.vehicle.calibration import OnboardCalibration, watch_calibration
+from mavcal.service.vehicle.texts import ChunkedText, StatusText, add_chunk
 
 SILENT_S = 3.0
 """A vehicle whose last heartbeat is older than this is silent (FLIGHT_CONTROLLERS 3.2: heartbeat age < 3 s)."""

@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib.wire import Frame, decode
-from service.errors import CommandRefused, CommandTimeout, LinkError, VehicleError
-from service.link import Batch
-from service.link.capacity import LOSSY, nominal_capacity, plan_rates, seen_capacity, slowdown
-from service.vehicle import commands
-from service.vehicle.boot_time import boot_time
-from service.vehicle.identity import Autopilot
+from mavcal.calib.wire import Frame, decode
+from mavcal.service.errors import CommandRefused, CommandTimeout, LinkError, VehicleError
+from mavcal.service.link import Batch
+from mavcal.service.link.capacity import LOSSY, nominal_capacity, plan_rates, seen_capacity, slowdown
+from mavcal.service.vehicle import commands
+from mavcal.service.vehicle.boot_time import boot_time
+from mavcal.service.vehicle.identity import Autopilot
 
 if TYPE_CHECKING:
-    from service.vehicle.vehicle import Vehicle
+    from mavcal.service.vehicle.vehicle import Vehicle
 
 _INTERVAL = dialect.MAVLINK_MSG_ID_MESSAGE_INTERVAL
 LATE_S, LATER = 0.4, 3.0

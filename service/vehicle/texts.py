@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from calib.wire import Message
+from mavcal.calib.wire import Message
 
 _CHUNK = 50
 _WAIT_S = 5.0

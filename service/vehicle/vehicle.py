@@ -10,8 +10,8 @@ from typing import NoReturn
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib.wire import Frame, Message, RawMessage, decode
-from service.errors import (
+from mavcal.calib.wire import Frame, Message, RawMessage, decode
+from mavcal.service.errors import (
     CommandTimeout,
     LinkDown,
     ServiceError,
@@ -21,16 +21,16 @@ from service.errors import (
     VehicleError,
     VehicleSilent,
 )
-from service.link import Batch, Link, LinkEvent, LinkEventKind
-from service.vehicle import commands
-from service.vehicle.boot_time import BOOT_TIME_IDS, boot_time
-from service.vehicle.events import VehicleEvent, VehicleEventKind
-from service.vehicle.identity import VehicleIdentity, identity_from_heartbeat, identity_from_version
-from service.vehicle.listing import ParameterSet, Progress, list_all
-from service.vehicle.pace import Pace
-from service.vehicle.parameters import Parameters
-from service.vehicle.state import Refusal, VehicleState, Writable, expire, note_boot_time, reduce, writable
-from service.vehicle.waits import Waits
+from mavcal.service.link import Batch, Link, LinkEvent, LinkEventKind
+from mavcal.service.vehicle import commands
+from mavcal.service.vehicle.boot_time import BOOT_TIME_IDS, boot_time
+from mavcal.service.vehicle.events import VehicleEvent, VehicleEventKind
+from mavcal.service.vehicle.identity import VehicleIdentity, identity_from_heartbeat, identity_from_version
+from mavcal.service.vehicle.listing import ParameterSet, Progress, list_all
+from mavcal.service.vehicle.pace import Pace
+from mavcal.service.vehicle.parameters import Parameters
+from mavcal.service.vehicle.state import Refusal, VehicleState, Writable, expire, note_boot_time, reduce, writable
+from mavcal.service.vehicle.waits import Waits
 
 VERSION_ID = dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION
 STATE_IDS = frozenset(

@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib import wire
-from service.errors import EndpointError, LinkDown, PortBusy
-from service.link import Batch, Link, LinkEvent, LinkEventKind, LinkState, OwnIdentity, SigningConfig
+from mavcal.calib import wire
+from mavcal.service.errors import EndpointError, LinkDown, PortBusy
+from mavcal.service.link import Batch, Link, LinkEvent, LinkEventKind, LinkState, OwnIdentity, SigningConfig
 from tests.patience import scaled
 
 KEY = bytes(range(32))

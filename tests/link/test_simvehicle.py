@@ -15,9 +15,9 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from service.simvehicle.client import SimulatedVehicle, free_udp_port
-from service.simvehicle.errors import ControlError, StartError
-from service.simvehicle.wire import Packer, Received, Splitter, split_datagram
+from mavcal.service.simvehicle.client import SimulatedVehicle, free_udp_port
+from mavcal.service.simvehicle.errors import ControlError, StartError
+from mavcal.service.simvehicle.wire import Packer, Received, Splitter, split_datagram
 from tests.patience import scaled
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -274,7 +274,7 @@ def test_wrong_use_says_why_and_does_not_start() -> None:
 
 def test_the_command_line_prints_where_it_can_be_reached() -> None:
     port = free_udp_port()
-    command = [sys.executable, "-m", "service.simvehicle", "--udpout", f"127.0.0.1:{port}", "--seed", "5"]
+    command = [sys.executable, "-m", "mavcal.service.simvehicle", "--udpout", f"127.0.0.1:{port}", "--seed", "5"]
     process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, env=os.environ.copy())
     try:
         assert process.stdout is not None

@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.simvehicle.config import load_config
-from service.simvehicle.replay import heard, read_frames
-from service.simvehicle.rotation import matrices_from_quaternions, quaternion_from_euler
-from service.simvehicle.server import make_vehicle
-from service.simvehicle.vehicle import Channel, Vehicle
-from service.simvehicle.wire import Packer, split_datagram
+from mavcal.service.simvehicle.config import load_config
+from mavcal.service.simvehicle.replay import heard, read_frames
+from mavcal.service.simvehicle.rotation import matrices_from_quaternions, quaternion_from_euler
+from mavcal.service.simvehicle.server import make_vehicle
+from mavcal.service.simvehicle.vehicle import Channel, Vehicle
+from mavcal.service.simvehicle.wire import Packer, split_datagram
 
 pytestmark = pytest.mark.shared
 

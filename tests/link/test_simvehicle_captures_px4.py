@@ -32,11 +32,11 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from service.simvehicle.config import load_config
-from service.simvehicle.parameters import load_table
-from service.simvehicle.replay import Frame, Heard, heard, read_frames, replay
-from service.simvehicle.server import make_vehicle
-from service.simvehicle.vehicle import Vehicle
+from mavcal.service.simvehicle.config import load_config
+from mavcal.service.simvehicle.parameters import load_table
+from mavcal.service.simvehicle.replay import Frame, Heard, heard, read_frames, replay
+from mavcal.service.simvehicle.server import make_vehicle
+from mavcal.service.simvehicle.vehicle import Vehicle
 
 pytestmark = pytest.mark.shared
 

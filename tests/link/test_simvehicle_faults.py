@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from service.simvehicle.config import load_config
-from service.simvehicle.errors import ControlError
-from service.simvehicle.links import Link
-from service.simvehicle.server import Server, make_vehicle
-from service.simvehicle.wire import Packer, Received, split_datagram
+from mavcal.service.simvehicle.config import load_config
+from mavcal.service.simvehicle.errors import ControlError
+from mavcal.service.simvehicle.links import Link
+from mavcal.service.simvehicle.server import Server, make_vehicle
+from mavcal.service.simvehicle.wire import Packer, Received, split_datagram
 
 TICK_S = 0.005
 RAW_IMU, HIGHRES = 27, 105

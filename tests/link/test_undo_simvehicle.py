@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib.firmware import Assembler, Undo, requested_streams, undo
-from calib.recording import Channel, Identity, Recording, Sensor, Stage, join
-from calib.wire import Frame, FrameParser, encode
-from service.simvehicle.config import load_config
-from service.simvehicle.server import make_vehicle
-from service.simvehicle.truthreport import truth_report
-from service.simvehicle.vehicle import Channel as Link
-from service.simvehicle.vehicle import Vehicle
-from service.simvehicle.wire import Packer, split_datagram
+from mavcal.calib.firmware import Assembler, Undo, requested_streams, undo
+from mavcal.calib.recording import Channel, Identity, Recording, Sensor, Stage, join
+from mavcal.calib.wire import Frame, FrameParser, encode
+from mavcal.service.simvehicle.config import load_config
+from mavcal.service.simvehicle.server import make_vehicle
+from mavcal.service.simvehicle.truthreport import truth_report
+from mavcal.service.simvehicle.vehicle import Channel as Link
+from mavcal.service.simvehicle.vehicle import Vehicle
+from mavcal.service.simvehicle.wire import Packer, split_datagram
 
 SECONDS = 12.0
 STEP = 0.05

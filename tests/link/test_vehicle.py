@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 
-from calib import wire
-from service.errors import CommandRefused, EndpointError, LinkDown, ParameterMissing, VehicleArmed
-from service.link import Link, LinkState
-from service.simvehicle.client import SimulatedVehicle
-from service.vehicle import (
+from mavcal.calib import wire
+from mavcal.service.errors import CommandRefused, EndpointError, LinkDown, ParameterMissing, VehicleArmed
+from mavcal.service.link import Link, LinkState
+from mavcal.service.simvehicle.client import SimulatedVehicle
+from mavcal.service.vehicle import (
     Autopilot,
     Landed,
     ParameterKind,

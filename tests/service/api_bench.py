@@ -14,10 +14,10 @@ import httpx2
 import uvicorn
 from starlette.types import ASGIApp
 
-from service.app import create_app
-from service.core import Service
-from service.http import server_config
-from service.settings import Settings
+from mavcal.service.app import create_app
+from mavcal.service.core import Service
+from mavcal.service.http import server_config
+from mavcal.service.settings import Settings
 from tests.patience import scaled
 
 Json = dict[str, Any]

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from calib.errors import FirmwareError
+from mavcal.calib.errors import FirmwareError
 
 Order = Mapping[str, Any]
 Tell = Callable[[str], None]

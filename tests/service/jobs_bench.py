@@ -9,16 +9,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from service.jobs.crashpoints import CrashPoint, nowhere
-from service.jobs.engine import JobEngine
-from service.jobs.fleet import Fleet
-from service.jobs.model import Accept, Job
-from service.jobs.settings import JobSettings
-from service.jobs.states import JobState
-from service.link import Link
-from service.simvehicle.client import SimulatedVehicle
-from service.store import SqliteStore
-from service.vehicle import Vehicle, VehicleRegistry
+from mavcal.service.jobs.crashpoints import CrashPoint, nowhere
+from mavcal.service.jobs.engine import JobEngine
+from mavcal.service.jobs.fleet import Fleet
+from mavcal.service.jobs.model import Accept, Job
+from mavcal.service.jobs.settings import JobSettings
+from mavcal.service.jobs.states import JobState
+from mavcal.service.link import Link
+from mavcal.service.simvehicle.client import SimulatedVehicle
+from mavcal.service.store import SqliteStore
+from mavcal.service.vehicle import Vehicle, VehicleRegistry
 from tests.patience import scaled
 
 SPEED = 10.0

@@ -12,8 +12,8 @@ import sys
 from pathlib import Path
 
 from bench.campaign.cli_process import killer
-from service.jobs.crashpoints import At
-from service.jobs.states import ENDED, JobState
+from mavcal.service.jobs.crashpoints import At
+from mavcal.service.jobs.states import ENDED, JobState
 
 from .jobs_bench import Session, session
 

@@ -13,11 +13,11 @@ from urllib.parse import urljoin
 import pytest
 import structlog
 
-from service.api.security import digest
-from service.app import create_app
-from service.errors import AuthError
-from service.logs import configure_logging
-from service.settings import ApiKey
+from mavcal.service.api.security import digest
+from mavcal.service.app import create_app
+from mavcal.service.errors import AuthError
+from mavcal.service.logs import configure_logging
+from mavcal.service.settings import ApiKey
 
 from .api_bench import api, served, settings_in
 
@@ -60,7 +60,7 @@ async def test_the_host_finds_and_watches_the_service(tmp_path):
 
 
 async def test_a_full_disk_is_not_ready(tmp_path, monkeypatch):
-    monkeypatch.setattr("service.core.LEAST_FREE_BYTES", 2**62)
+    monkeypatch.setattr("mavcal.service.core.LEAST_FREE_BYTES", 2**62)
     async with api(tmp_path) as a:
         answer = await a.call("GET", "/readyz", 503)
         assert "free some space" in answer["reason"]

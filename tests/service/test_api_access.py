@@ -13,12 +13,12 @@ from typing import Any
 import pytest
 import structlog
 
-from service.api.throttle import AT_ONCE
-from service.app import create_app
-from service.jobs.codec import row_from_job
-from service.jobs.model import Job
-from service.jobs.states import JobState
-from service.store import SqliteStore
+from mavcal.service.api.throttle import AT_ONCE
+from mavcal.service.app import create_app
+from mavcal.service.jobs.codec import row_from_job
+from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.states import JobState
+from mavcal.service.store import SqliteStore
 
 from .api_bench import api, served, settings_in
 from .test_api import bearer, keys
@@ -168,7 +168,7 @@ async def test_a_full_disk_keeps_changes_from_being_made_but_not_from_being_ende
 def test_the_command_line_checks_the_trail(tmp_path: Path) -> None:
     store = SqliteStore(tmp_path)
     store.add_audit(1.0, "a", "apply", "j1", {})
-    command = [sys.executable, "-m", "service", "audit", "--json", "--data-dir", str(tmp_path)]
+    command = [sys.executable, "-m", "mavcal", "audit", "--json", "--data-dir", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, check=True, env={**os.environ})  # while it is owned
     assert json.loads(done.stdout)["intact"] is True
     store._db.executescript("DROP TRIGGER audit_is_append_only; UPDATE audit SET actor = 'b'")

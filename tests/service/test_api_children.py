@@ -35,7 +35,7 @@ def _children(pid: int) -> list[str]:
 @pytest.fixture
 def hanging(tmp_path, monkeypatch) -> Path:
     """Every upload is read for ever; the file that the readers' process id is written to."""
-    monkeypatch.setattr("service.recordings.INSPECT", f"{TASKS}:hang_on_path")
+    monkeypatch.setattr("mavcal.service.recordings.INSPECT", f"{TASKS}:hang_on_path")
     return tmp_path
 
 
@@ -60,7 +60,7 @@ async def test_a_file_that_kills_its_reader_is_422_with_the_cause(tmp_path, monk
     limits = {"file_memory_bytes": 2**29, "file_cpu_s": 1.0 if task == "spin" else 60.0}
     async with api(tmp_path, limits=limits) as a:
         with monkeypatch.context() as patched:
-            patched.setattr("service.recordings.INSPECT", f"{TASKS}:{task}")
+            patched.setattr("mavcal.service.recordings.INSPECT", f"{TASKS}:{task}")
             problem = await upload(a, sphere_csv(20), 422)
         assert problem["type"].endswith("file-not-processed")
         assert cause in problem["detail"]
@@ -72,7 +72,7 @@ async def test_a_fit_that_kills_its_process_is_422_with_the_cause(tmp_path, monk
     async with api(tmp_path) as a:
         row = await upload(a, sphere_csv(60))
         with monkeypatch.context() as patched:
-            patched.setattr("service.recordings.FIT", f"{TASKS}:crash")
+            patched.setattr("mavcal.service.recordings.FIT", f"{TASKS}:crash")
             problem = await a.post(f"/recordings/{row['id']}/fits", {"method": "mag-sphere"}, 422)
         assert "signal 11" in problem["detail"]
         await a.post(f"/recordings/{row['id']}/fits", {"method": "mag-sphere"}, 200)
@@ -94,7 +94,7 @@ async def test_the_reader_ends_when_the_client_goes_away(hanging):
 
 
 async def test_two_slow_uploads_do_not_starve_a_live_calibration(hanging):
-    from service.simvehicle.client import SimulatedVehicle
+    from mavcal.service.simvehicle.client import SimulatedVehicle
 
     with SimulatedVehicle("ardupilot", speed=20.0, seed=33, config={"thermal": False}) as sim:
         async with served(hanging, connect=(sim.url,)) as a:

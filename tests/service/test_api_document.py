@@ -17,8 +17,8 @@ from hypothesis import seed as seeded
 from schemathesis.generation import GenerationMode
 from schemathesis.specs.openapi.checks import positive_data_acceptance
 
-from service.api.document import OPEN
-from service.app import create_app
+from mavcal.service.api.document import OPEN
+from mavcal.service.app import create_app
 
 from .api_bench import settings_in
 from .test_api import keys

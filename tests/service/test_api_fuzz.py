@@ -11,8 +11,8 @@ from typing import Any
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from service.app import create_app
-from service.settings import Settings
+from mavcal.service.app import create_app
+from mavcal.service.settings import Settings
 
 from .api_bench import api
 

@@ -10,8 +10,8 @@ from urllib.parse import urljoin
 
 import pytest
 
-from service.children import Limits
-from service.gaps import MOST_WAITING, Gaps, GapState
+from mavcal.service.children import Limits
+from mavcal.service.gaps import MOST_WAITING, Gaps, GapState
 from tests.patience import scaled
 from tests.service.gap_tables import write_table
 

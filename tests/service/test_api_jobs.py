@@ -14,10 +14,10 @@ from urllib.parse import urljoin
 import pytest
 import structlog
 
-from service.api.security import digest
-from service.logs import configure_logging
-from service.settings import ApiKey
-from service.simvehicle.client import SimulatedVehicle
+from mavcal.service.api.security import digest
+from mavcal.service.logs import configure_logging
+from mavcal.service.settings import ApiKey
+from mavcal.service.simvehicle.client import SimulatedVehicle
 from tests.patience import scaled
 
 from .api_bench import Api, Json, served

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 import structlog
 
-from calib.wire import iter_tlog
-from service.logs import configure_logging
-from service.simvehicle.client import SimulatedVehicle
+from mavcal.calib.wire import iter_tlog
+from mavcal.service.logs import configure_logging
+from mavcal.service.simvehicle.client import SimulatedVehicle
 
 from .api_bench import Api, Json, served
 from .jobs_bench import GYRO_OFFSETS, SPEED, stored, zero_gyro_offsets
@@ -189,7 +189,7 @@ def without_version(content: bytes) -> bytes:
 
 
 async def test_a_job_of_a_recording_is_answered_at_once_and_can_be_cancelled(tmp_path, sim, monkeypatch):
-    monkeypatch.setattr("service.recordings.FIT", "tests.service.child_tasks:hang_on_path")
+    monkeypatch.setattr("mavcal.service.recordings.FIT", "tests.service.child_tasks:hang_on_path")
     async with served(tmp_path, connect=(sim.url,)) as a:
         vehicle = await a.vehicle()
         recording = await upload(a, b"t,gyro_x,gyro_y,gyro_z\n0,0,0,0\n1,0,0,0\n", "rest.csv")

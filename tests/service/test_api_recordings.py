@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib.wire import tlog_record
-from service.api.models import ReadingOptions
-from service.errors import DiskFull
-from service.store.sqlite import DATABASE
+from mavcal.calib.wire import tlog_record
+from mavcal.service.api.models import ReadingOptions
+from mavcal.service.errors import DiskFull
+from mavcal.service.store.sqlite import DATABASE
 
 from .api_bench import Api, api
 
@@ -198,7 +198,7 @@ async def test_a_full_disk_is_507_and_nothing_stays(tmp_path, monkeypatch):
         def full(_fd: int) -> None:
             raise OSError(28, "No space left on device")
 
-        monkeypatch.setattr("service.recordings.os.fsync", full)
+        monkeypatch.setattr("mavcal.service.recordings.os.fsync", full)
         problem = await upload(a, sphere_csv(20), DiskFull.status_code)
         assert "Free some space" in problem["detail"]
         assert kept(a) == []
@@ -238,7 +238,7 @@ async def test_a_fit_that_cannot_be_made_is_a_problem_with_words(tmp_path):
 
 
 def test_the_options_of_reading_are_those_of_the_command_line():
-    from service.commands.fit import command
+    from mavcal.service.commands.fit import command
 
     options = {p.name for p in command.commands["mag-sphere"].params}  # type: ignore[attr-defined]
     assert set(ReadingOptions.model_fields) - {"system"} <= options

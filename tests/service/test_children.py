@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from calib.errors import FirmwareError
-from service.children import Children, Limits
-from service.errors import ChildEnded, ChildrenBusy
+from mavcal.calib.errors import FirmwareError
+from mavcal.service.children import Children, Limits
+from mavcal.service.errors import ChildEnded, ChildrenBusy
 
 TASKS = "tests.service.child_tasks"
 PLENTY = Limits(2**30, 60.0, 60.0)
@@ -155,7 +155,7 @@ async def test_children_die_with_their_nursery_and_a_new_one_serves(tmp_path):
 SERVICE = """
 import asyncio, sys
 from pathlib import Path
-from service.children import Children, Limits
+from mavcal.service.children import Children, Limits
 async def main():
     c = Children(Path(sys.argv[1]) / "children", most=2, first=(), later=())
     orders = [{"pid": sys.argv[1] + "/pid1"}, {"pid": sys.argv[1] + "/pid2"}]
@@ -180,7 +180,7 @@ async def test_no_child_survives_a_killed_service(tmp_path):
 
 
 async def test_only_so_many_at_a_time_and_so_many_waiting(tmp_path, monkeypatch):
-    monkeypatch.setattr("service.children.pool.MOST_WAITING", 3)
+    monkeypatch.setattr("mavcal.service.children.pool.MOST_WAITING", 3)
     async with children(tmp_path, most=1) as c:
         asked = [asyncio.create_task(c.run(f"{TASKS}:hang", {"pid": str(tmp_path / f"{i}")}, PLENTY)) for i in range(3)]
         await pid_in(tmp_path / "0")

@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 import structlog
 
-from calib.methods import METHODS
-from service.cli import COMMANDS, main
+from mavcal.calib.methods import METHODS
+from mavcal.service.cli import COMMANDS, main
 from tests.patience import scaled
 
 from .test_api_recordings import rest_tlog, sphere_csv
@@ -59,7 +59,7 @@ def only_object(out: str) -> dict[str, Any]:
 
 def run(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
     """The command in a process of its own."""
-    command = [sys.executable, "-m", "service", *arguments]
+    command = [sys.executable, "-m", "mavcal", *arguments]
     return subprocess.run(command, capture_output=True, text=True, timeout=scaled(100), check=False, **options)
 
 
@@ -249,7 +249,7 @@ def test_a_vehicle_that_is_not_there_is_1(cli):
 @pytest.mark.parametrize("command", ["recover", "calibrate gyro"])
 def test_a_vehicle_that_is_waited_for_is_said_with_the_reason(cli, command, monkeypatch):
     """A person who looks at a silent terminal cannot tell a wrong port from a slow radio."""
-    monkeypatch.setattr("service.commands.headless.QUIET_S", 0.05)
+    monkeypatch.setattr("mavcal.service.commands.headless.QUIET_S", 0.05)
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))  # nobody listens there
         url = f"tcp:127.0.0.1:{listener.getsockname()[1]}"
@@ -416,7 +416,7 @@ def test_the_doctor_finds_a_data_directory_that_cannot_be_used(cli, tmp_path, mo
     assert {"python", "numpy", "data-dir", "port", "serial", "magnetic-model"} <= {
         f["id"] for f in document["findings"]
     }
-    monkeypatch.setattr("service.commands.doctor.DISTRIBUTIONS", ("no-such-distribution",))
+    monkeypatch.setattr("mavcal.service.commands.doctor.DISTRIBUTIONS", ("no-such-distribution",))
     code, out, _ = cli("doctor")
     assert code == 1
     assert re.search(r"^fail +no-such-distribution", out, re.MULTILINE)
@@ -434,7 +434,7 @@ def test_serving_on_a_busy_port_says_what_to_do(cli):
 
 
 def test_a_service_starts_answers_and_ends(tmp_path):
-    command = [sys.executable, "-m", "service", "serve", "--json", "--port", "0", "--data-dir", str(tmp_path / "data")]
+    command = [sys.executable, "-m", "mavcal", "serve", "--json", "--port", "0", "--data-dir", str(tmp_path / "data")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib import logs
-from calib.converted import c_header
-from calib.errors import InvalidInputError
-from calib.methods import METHODS
-from calib.recording import Recording
-from service.cli import main
+from mavcal.calib import logs
+from mavcal.calib.converted import c_header
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.methods import METHODS
+from mavcal.calib.recording import Recording
+from mavcal.service.cli import main
 
 ACCELCAL = {
     "x-up": (-9.6490, 0.2225, -0.1925),
@@ -158,7 +158,7 @@ def test_every_export_that_cannot_hold_the_finding_is_refused_before_anything_is
         begun.append(name)
         raise InvalidInputError("read")
 
-    monkeypatch.setattr("service.commands.fit.read_recording", read)
+    monkeypatch.setattr("mavcal.service.commands.fit.read_recording", read)
     code, said, error = cli("fit", name, "x.csv", "--export", f"out.{ending}")
     possible = EXPORTED.get(name, {}).get("h" if ending == "h" else "param", True)
     assert (code, said, begun) == (2, "", [name] if possible else [])
@@ -191,7 +191,7 @@ def sphere(path: Path) -> None:
 def test_an_export_that_cannot_work_is_refused_before_the_fit_is_made(
     cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, out: str, told: str
 ) -> None:
-    from calib.methods import Method
+    from mavcal.calib.methods import Method
 
     sphere(tmp_path / "x.csv")
     worked: list[str] = []
@@ -203,7 +203,7 @@ def test_an_export_that_cannot_work_is_refused_before_the_fit_is_made(
 
 def test_a_fit_is_told_although_its_export_fails(cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     sphere(tmp_path / "x.csv")
-    monkeypatch.setattr("service.commands.fit.require_place", lambda _: None)
+    monkeypatch.setattr("mavcal.service.commands.fit.require_place", lambda _: None)
     out = tmp_path / "sub" / "out.h"
     code, document, error = cli("fit", "mag-ellipsoid", "x.csv", "--export", str(out), "--json")
     assert code == 1

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.gap.export import Target
-from calib.simulate.document import stated_in
-from service.cli import main
-from service.commands.gap import TARGETS
+from mavcal.calib.gap.export import Target
+from mavcal.calib.simulate.document import stated_in
+from mavcal.service.cli import main
+from mavcal.service.commands.gap import TARGETS
 from tests.service.gap_tables import BIAS, write_table
 
 Cli = Callable[..., tuple[int, Any, str]]

@@ -13,9 +13,9 @@ from typing import Any
 
 import pytest
 
-from calib.firmware.values import shown
-from service.jobs.crashpoints import At
-from service.simvehicle.client import SimulatedVehicle
+from mavcal.calib.firmware.values import shown
+from mavcal.service.jobs.crashpoints import At
+from mavcal.service.simvehicle.client import SimulatedVehicle
 
 pytestmark = pytest.mark.timeout(300)
 
@@ -65,13 +65,13 @@ class Command:
         return done.stderr
 
     def ran(self, *arguments: str) -> tuple[int, dict[str, Any], str]:
-        command = [sys.executable, "-m", "service", *arguments, *self._place, "--json"]
+        command = [sys.executable, "-m", "mavcal", *arguments, *self._place, "--json"]
         done = subprocess.run(command, cwd=ROOT, timeout=LIMIT_S, capture_output=True, text=True, check=False)
         assert "Traceback" not in done.stderr, done.stderr
         return done.returncode, json.loads(done.stdout), done.stderr
 
     def begun(self, *arguments: str, stdin: int | None = None) -> Running:
-        command = [sys.executable, "-u", "-m", "service", *arguments, *self._place]
+        command = [sys.executable, "-u", "-m", "mavcal", *arguments, *self._place]
         return Running(command, stdin)
 
 

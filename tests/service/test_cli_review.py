@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from service.simvehicle.client import SimulatedVehicle
-from service.store import SqliteStore
+from mavcal.service.simvehicle.client import SimulatedVehicle
+from mavcal.service.store import SqliteStore
 
 from .test_api_recording_jobs import without_version
 from .test_cli_recovery import Command, stored

@@ -12,7 +12,7 @@ import pytest
 
 def demonstrated(autopilot: str, seed: int) -> dict[str, Any]:
     """The document of a demonstration; slower than by default, since the machine may be busy with other tests."""
-    command = [sys.executable, "-m", "service", "demo", "--autopilot", autopilot, "--seed", str(seed)]
+    command = [sys.executable, "-m", "mavcal", "demo", "--autopilot", autopilot, "--seed", str(seed)]
     done = subprocess.run([*command, "--speed", "12", "--json"], capture_output=True, text=True, check=False)
     found: dict[str, Any] = json.loads(done.stdout)
     assert (done.returncode == 0) == found["ok"], done.stderr[-500:]

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.firmware.plan import Verdict
-from calib.report import step_to_json
-from service.jobs.states import ENDED, JobState
-from service.simvehicle.client import SimulatedVehicle
-from service.simvehicle.operator import Operator
+from mavcal.calib.firmware.plan import Verdict
+from mavcal.calib.report import step_to_json
+from mavcal.service.jobs.states import ENDED, JobState
+from mavcal.service.simvehicle.client import SimulatedVehicle
+from mavcal.service.simvehicle.operator import Operator
 from tests.patience import scaled
 
 from .jobs_bench import SPEED, Session, session

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from calib.firmware.plan import Verdict
-from service.errors import PhysicalJobRunning, PlanChanged, VehicleArmed
-from service.jobs.digest import FitRequest, fit_segments
-from service.jobs.model import Accept, Failure, Result
-from service.jobs.states import JobState
-from service.simvehicle.client import SimulatedVehicle
+from mavcal.calib.firmware.plan import Verdict
+from mavcal.service.errors import PhysicalJobRunning, PlanChanged, VehicleArmed
+from mavcal.service.jobs.digest import FitRequest, fit_segments
+from mavcal.service.jobs.model import Accept, Failure, Result
+from mavcal.service.jobs.states import JobState
+from mavcal.service.simvehicle.client import SimulatedVehicle
 
 from .jobs_bench import GYRO_OFFSETS, SPEED, Session, eventually, session, stored, zero_gyro_offsets
 

@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.firmware.plan import Verdict
-from calib.fit import FitResult
-from calib.report import step_to_json
-from service.jobs.digest import FitRequest, fit_segments
-from service.jobs.model import Job
-from service.jobs.states import ENDED, JobState
-from service.simvehicle.client import SimulatedVehicle
-from service.simvehicle.operator import Operator
+from mavcal.calib.firmware.plan import Verdict
+from mavcal.calib.fit import FitResult
+from mavcal.calib.report import step_to_json
+from mavcal.service.jobs.digest import FitRequest, fit_segments
+from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.states import ENDED, JobState
+from mavcal.service.simvehicle.client import SimulatedVehicle
+from mavcal.service.simvehicle.operator import Operator
 from tests.patience import scaled
 
 from .jobs_bench import Session, session

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from service.jobs.journal import Step
-from service.jobs.states import JobState
-from service.simvehicle.client import SimulatedVehicle, free_udp_port
+from mavcal.service.jobs.journal import Step
+from mavcal.service.jobs.states import JobState
+from mavcal.service.simvehicle.client import SimulatedVehicle, free_udp_port
 from tests.patience import scaled
 
 from .jobs_bench import eventually, session, stored

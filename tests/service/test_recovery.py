@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from service.jobs.crashpoints import At
-from service.jobs.journal import Step
-from service.jobs.states import ENDED, JobState
-from service.simvehicle.client import SimulatedVehicle
+from mavcal.service.jobs.crashpoints import At
+from mavcal.service.jobs.journal import Step
+from mavcal.service.jobs.states import ENDED, JobState
+from mavcal.service.simvehicle.client import SimulatedVehicle
 from tests.patience import scaled
 
 from .jobs_bench import GYRO_OFFSETS, SPEED, session, stored, zero_gyro_offsets

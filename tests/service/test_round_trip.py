@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from calib import logs
-from calib.firmware import undo
-from calib.logs.tables import write_table
-from calib.recording import Recording, Segment, Sensor
-from service.cli import cli
-from service.simvehicle.client import SimulatedVehicle
+from mavcal.calib import logs
+from mavcal.calib.firmware import undo
+from mavcal.calib.logs.tables import write_table
+from mavcal.calib.recording import Recording, Segment, Sensor
+from mavcal.service.cli import cli
+from mavcal.service.simvehicle.client import SimulatedVehicle
 
 from .api_bench import Api, Json, served
 from .jobs_bench import SPEED

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.simulate import MOTIONS
-from service.cli import main
-from service.commands.simulate import MOTION_NAMES
+from mavcal.calib.simulate import MOTIONS
+from mavcal.service.cli import main
+from mavcal.service.commands.simulate import MOTION_NAMES
 
 Cli = Callable[..., tuple[int, Any, str]]
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from service.store import SqliteStore
-from service.store.rows import JobRow, LinkRow, RecordingRow
+from mavcal.service.store import SqliteStore
+from mavcal.service.store.rows import JobRow, LinkRow, RecordingRow
 
 from .api_bench import api
 

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from service.api.security import digest
-from service.simvehicle.client import SimulatedVehicle
+from mavcal.service.api.security import digest
+from mavcal.service.simvehicle.client import SimulatedVehicle
 
 from .browser import CHROMIUM, DRIVER, Browser, browser
 
@@ -29,7 +29,7 @@ BARE = {"thermal": False, "parameters": {"INS_GYR_CAL": 0}}
 @contextmanager
 def service(folder: Path, *arguments: str, **environment: str) -> Iterator[str]:
     """A running service: its address."""
-    command = [sys.executable, "-m", "service", "serve", "--json", "--port", "0", "--data-dir", str(folder / "data")]
+    command = [sys.executable, "-m", "mavcal", "serve", "--json", "--port", "0", "--data-dir", str(folder / "data")]
     with (
         (folder / "service.log").open("w") as log,
         subprocess.Popen(

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from calib.recording import Channel, Recording, Rounding, Sensor, Stage
+from mavcal.calib.recording import Channel, Recording, Rounding, Sensor, Stage
 
 G = 9.80665
 FACES = (

@@ -6,12 +6,12 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from calib.accel import fit_one_axis, fit_poses
-from calib.errors import InvalidInputError
-from calib.fit import FitStatus
-from calib.recording import Channel, Sensor, Stage
-from calib.stillness import PoseMean, Still, find_still, pose_means
-from calib.triad import TriadModel
+from mavcal.calib.accel import fit_one_axis, fit_poses
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.recording import Channel, Sensor, Stage
+from mavcal.calib.stillness import PoseMean, Still, find_still, pose_means
+from mavcal.calib.triad import TriadModel
 
 G = 9.80665
 TRUTH = TriadModel(

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from calib.accel_thermal import fit_accel_thermal
-from calib.errors import InvalidInputError
-from calib.fit import FitStatus
-from calib.methods import METHODS
-from calib.recording import Channel, Recording, Sensor, Stage
-from calib.report import fit_to_json
-from calib.stillness import Still, find_still
+from mavcal.calib.accel_thermal import fit_accel_thermal
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.methods import METHODS
+from mavcal.calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib.report import fit_to_json
+from mavcal.calib.stillness import Still, find_still
 
 G = 9.80665
 FACES = np.array([[0, 0, -1], [0, 0, 1], [0, 1, 0], [0, -1, 0], [1, 0, 0], [-1, 0, 0]], dtype=float)

@@ -10,12 +10,12 @@ from pathlib import Path
 import click
 import pytest
 
-from calib.firmware.options import PLAN_OPTIONS
-from calib.methods import METHODS
-from calib.procedures.registry import PROCEDURES
-from service.api.models import JobRequest, PlanOptions, PlanRequest, RecordingJobRequest
-from service.cli import COMMANDS, cli
-from service.commands import plan_options as command_line
+from mavcal.calib.firmware.options import PLAN_OPTIONS
+from mavcal.calib.methods import METHODS
+from mavcal.calib.procedures.registry import PROCEDURES
+from mavcal.service.api.models import JobRequest, PlanOptions, PlanRequest, RecordingJobRequest
+from mavcal.service.cli import COMMANDS, cli
+from mavcal.service.commands import plan_options as command_line
 
 ROOT = Path(__file__).resolve().parents[2]
 FLAG = re.compile(r"(?<![\w-])--([a-z][a-z0-9-]*)")

@@ -8,14 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import nnls
 
-from calib.allan import FLICKER, fit_noise, octaves, overlapping_deviation
-from calib.allan_fit import fit_allan
-from calib.errors import InvalidInputError
-from calib.fit import FitStatus
-from calib.logs import read
-from calib.methods import METHODS
-from calib.recording import Channel, Event, Recording, Sensor, Stage
-from calib.report import fit_to_json
+from mavcal.calib.allan import FLICKER, fit_noise, octaves, overlapping_deviation
+from mavcal.calib.allan_fit import fit_allan
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.logs import read
+from mavcal.calib.methods import METHODS
+from mavcal.calib.recording import Channel, Event, Recording, Sensor, Stage
+from mavcal.calib.report import fit_to_json
 
 RATE = 50.0
 
@@ -61,7 +61,7 @@ def test_the_published_example_of_nbs14():
 def test_chunks_do_not_matter(monkeypatch):
     y = np.random.default_rng(2).normal(size=3000)
     whole = overlapping_deviation(y, RATE, octaves(3000))
-    monkeypatch.setattr("calib.allan._CHUNK", 101)
+    monkeypatch.setattr("mavcal.calib.allan._CHUNK", 101)
     assert overlapping_deviation(y, RATE, octaves(3000)).adev == pytest.approx(whole.adev, rel=1e-12)
 
 

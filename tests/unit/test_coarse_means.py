@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from calib.coarse_means import means_together
-from calib.errors import InvalidInputError
-from calib.quantisation import mean_of
-from calib.recording import Channel, Rounding, Sensor, Stage
+from mavcal.calib.coarse_means import means_together
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.quantisation import mean_of
+from mavcal.calib.recording import Channel, Rounding, Sensor, Stage
 
 
 def channel(values, quantum=1.0):

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import calib
-from calib.faces import down_of
-from calib.fit import parameter_names
-from calib.procedures.protocol import Pose
-from calib.recording import Channel, Sensor, Stage
-from calib.triad import ThermalPolynomial, TriadModel
+from mavcal import calib
+from mavcal.calib.faces import down_of
+from mavcal.calib.fit import parameter_names
+from mavcal.calib.procedures.protocol import Pose
+from mavcal.calib.recording import Channel, Sensor, Stage
+from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
 G = 9.80665
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.conventions import (
+from mavcal.calib.conventions import (
     Magcal,
     accelcal_from_model,
     imu_tk_from_model,
@@ -20,7 +20,7 @@ from calib.conventions import (
     model_from_kalibr,
     model_from_magcal,
 )
-from calib.converted import (
+from mavcal.calib.converted import (
     Convention,
     ardupilot_from_model,
     converted,
@@ -28,10 +28,10 @@ from calib.converted import (
     model_from_px4,
     px4_from_model,
 )
-from calib.errors import InvalidInputError
-from calib.fit import FitResult, FitStatus, refused
-from calib.recording import Sensor
-from calib.triad import ThermalPolynomial, TriadModel
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitResult, FitStatus, refused
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
 numbers = st.floats(-0.2, 0.2)
 

@@ -24,7 +24,7 @@ def test_there_are_examples():
 @pytest.mark.parametrize("path", SHOWN, ids=str)
 def test_examples_are_true(path):
     parts = path.with_suffix("").parts
-    module = importlib.import_module(".".join(parts[:-1] if parts[-1] == "__init__" else parts))
+    module = importlib.import_module("mavcal." + ".".join(parts[:-1] if parts[-1] == "__init__" else parts))
     said: list[str] = []
     tests = [t for t in doctest.DocTestFinder(exclude_empty=True).find(module) if t.examples]
     runner = doctest.DocTestRunner()

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.drift_cells import DriftCells
-from calib.errors import InvalidInputError
-from calib.recording import Channel, Sensor, Stage
-from calib.thermal import fit_drift_data, fit_polynomial
+from mavcal.calib.drift_cells import DriftCells
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.recording import Channel, Sensor, Stage
+from mavcal.calib.thermal import fit_drift_data, fit_polynomial
 
 COEFFICIENTS = np.array([[7e-3, 6e-5, 1e-6], [-4e-3, -3e-5, 0.0], [9e-3, 4e-5, -2e-6]])
 PER_TICK = 12

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib import STANDARD_GRAVITY
-from calib.earth import EarthField, earth_field, local_gravity
-from calib.errors import InvalidInputError
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.earth import EarthField, earth_field, local_gravity
+from mavcal.calib.errors import InvalidInputError
 
 
 def test_reproduces_a_published_evaluation() -> None:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.geometry import frame_along, sphere_of
+from mavcal.calib.geometry import frame_along, sphere_of
 
 
 @given(centre=st.tuples(*[st.floats(-1e4, 1e4)] * 3), radius=st.floats(0.1, 1e4), seed=st.integers(0, 100))

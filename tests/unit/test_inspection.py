@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.inspection import inspect, summarise
-from calib.recording import Channel, Event, Identity, ParameterTimeline, Recording, Sensor, Stage
+from mavcal.calib.inspection import inspect, summarise
+from mavcal.calib.recording import Channel, Event, Identity, ParameterTimeline, Recording, Sensor, Stage
 
 
 def channel(t, values, sensor=Sensor.ACCEL, quantum=0.0):

@@ -73,7 +73,9 @@ STANDARD = {
 def modules(package: str) -> dict[str, str]:
     """Dotted name and source of every module below `package`."""
     paths = sorted((ROOT / package).rglob("*.py"))
-    return {".".join(p.relative_to(ROOT).with_suffix("").parts): p.read_text(encoding="utf-8") for p in paths}
+    return {
+        ".".join(("mavcal", *p.relative_to(ROOT).with_suffix("").parts)): p.read_text(encoding="utf-8") for p in paths
+    }
 
 
 def imports(name: str, source: str) -> set[str]:
@@ -93,7 +95,7 @@ def imports(name: str, source: str) -> set[str]:
 def room(name: str) -> str | None:
     """The room of ``calib`` that a dotted name lies in; None for the package itself or something else."""
     parts = name.split(".")
-    return parts[1] if parts[0] == "calib" and len(parts) > 1 and parts[1] in ROOMS else None
+    return parts[2] if parts[:2] == ["mavcal", "calib"] and len(parts) > 2 and parts[2] in ROOMS else None
 
 
 def layer(of: str) -> int:
@@ -102,15 +104,20 @@ def layer(of: str) -> int:
 
 def climbs(name: str, source: str) -> set[str]:
     """Imports of a module of ``calib`` that lie above its own layer."""
-    own = name.split(".")[1]
+    own = name.split(".")[2]
     height = -1 if own == "__init__" else layer(own)
     return {i for i in imports(name, source) if (other := room(i)) is not None and layer(other) > height}
 
 
 def impurities(name: str, source: str) -> set[str]:
     """Imports that a module of ``calib`` must not have: clocks, sockets, environment, or what is not declared."""
-    allowed = PURE | STANDARD | {"calib"}
-    return {i for i in imports(name, source) if i.split(".")[0] not in allowed or i.startswith("pymavlink.mavutil")}
+    allowed = PURE | STANDARD
+    own = ("mavcal.calib.", "mavcal.calib")
+    return {
+        i
+        for i in imports(name, source)
+        if (i.split(".")[0] not in allowed and not i.startswith(own)) or i.startswith("pymavlink.mavutil")
+    }
 
 
 def strangers(name: str, source: str) -> set[str]:
@@ -118,7 +125,7 @@ def strangers(name: str, source: str) -> set[str]:
     return {
         i
         for i in imports(name, source)
-        if (i.split(".")[0] in {"calib", "service"} and not i.startswith("service.simvehicle"))
+        if (i.split(".")[0] == "mavcal" and not i.startswith("mavcal.service.simvehicle"))
         or i.startswith("pymavlink.mavutil")
     }
 
@@ -128,7 +135,7 @@ def offenders(package: str, rule: Callable[[str, str], set[str]]) -> dict[str, s
 
 
 def test_every_room_of_calib_has_a_layer():
-    assert {name.split(".")[1] for name in modules("calib")} - {"__init__"} <= ROOMS
+    assert {name.split(".")[2] for name in modules("calib")} - {"__init__"} <= ROOMS
 
 
 def test_a_room_of_calib_imports_only_its_own_layer_and_below():
@@ -155,14 +162,14 @@ def test_the_simulated_vehicle_reads_the_facts_for_itself():
 @pytest.mark.parametrize(
     ("rule", "name", "source"),
     [
-        (climbs, "calib.triad", "from calib.report import fit_to_json"),
-        (climbs, "calib.firmware.px4", "from ..logs import tlog"),
-        (climbs, "calib.__init__", "import calib.errors"),
-        (impurities, "calib.accel", "import time"),
-        (impurities, "calib.wire.frames", "from service.errors import LinkError"),
-        (impurities, "calib.logs.tlog", "from pymavlink.mavutil import mavlink_connection"),
-        (strangers, "service.simvehicle.vehicle", "from calib.wire import decode"),
-        (strangers, "service.simvehicle.vehicle", "from ..link import endpoints"),
+        (climbs, "mavcal.calib.triad", "from mavcal.calib.report import fit_to_json"),
+        (climbs, "mavcal.calib.firmware.px4", "from ..logs import tlog"),
+        (climbs, "mavcal.calib.__init__", "import mavcal.calib.errors"),
+        (impurities, "mavcal.calib.accel", "import time"),
+        (impurities, "mavcal.calib.wire.frames", "from mavcal.service.errors import LinkError"),
+        (impurities, "mavcal.calib.logs.tlog", "from pymavlink.mavutil import mavlink_connection"),
+        (strangers, "mavcal.service.simvehicle.vehicle", "from mavcal.calib.wire import decode"),
+        (strangers, "mavcal.service.simvehicle.vehicle", "from ..link import endpoints"),
     ],
 )
 def test_the_rules_see_a_violation(rule, name, source):

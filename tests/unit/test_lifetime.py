@@ -8,15 +8,15 @@ import subprocess
 import sys
 import threading
 
-from service.lifetime import ENDS_WITH, alive, follow
+from mavcal.service.lifetime import ENDS_WITH, alive, follow
 from tests import processes
 from tests.patience import crowding, patience, scaled
 
 SLEEP = "import time; print('up', flush=True); time.sleep(600)"
-FOLLOWING = f"from service.lifetime import follow; follow(); {SLEEP}"
+FOLLOWING = f"from mavcal.service.lifetime import follow; follow(); {SLEEP}"
 PARENT = f"""
 import subprocess, sys
-from service.lifetime import ending_with_us
+from mavcal.service.lifetime import ending_with_us
 child = subprocess.Popen([sys.executable, "-c", {FOLLOWING!r}], env=ending_with_us(), stdout=subprocess.PIPE)
 child.stdout.readline()
 print(child.pid, flush=True)
@@ -60,7 +60,7 @@ def test_the_end_comes_once_the_named_process_is_gone():
 
 
 def test_the_command_line_follows(tmp_path):
-    command = [sys.executable, "-m", "service", "serve", "--json", "--port", "0", "--data-dir", str(tmp_path)]
+    command = [sys.executable, "-m", "mavcal", "serve", "--json", "--port", "0", "--data-dir", str(tmp_path)]
     with subprocess.Popen([sys.executable, "-c", SLEEP], stdout=subprocess.PIPE, text=True) as other:
         other.stdout.readline()
         environment = {**os.environ, ENDS_WITH: str(other.pid)}

@@ -6,13 +6,13 @@ import json
 import numpy as np
 import pytest
 
-from calib.errors import InvalidInputError
-from calib.fit import FitStatus
-from calib.logs import read, read_tlog
-from calib.logs.tables import NO_TIME
-from calib.methods import METHODS
-from calib.recording import Channel, Event, ParameterTimeline, Recording, Segment, Sensor, Stage
-from calib.report import fit_to_json
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.logs import read, read_tlog
+from mavcal.calib.logs.tables import NO_TIME
+from mavcal.calib.methods import METHODS
+from mavcal.calib.recording import Channel, Event, ParameterTimeline, Recording, Segment, Sensor, Stage
+from mavcal.calib.report import fit_to_json
 
 G = 9.80665
 ACCELCAL = np.array(

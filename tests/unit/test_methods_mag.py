@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.errors import InvalidInputError
-from calib.firmware.compose import compose
-from calib.firmware.plan import Fingerprint
-from calib.fit import FitStatus
-from calib.logs import read_tlog
-from calib.logs.tables import NO_TIME
-from calib.methods import METHODS
-from calib.recording import Channel, Event, Recording, Segment, Sensor, Stage
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.firmware.compose import compose
+from mavcal.calib.firmware.plan import Fingerprint
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.logs import read_tlog
+from mavcal.calib.logs.tables import NO_TIME
+from mavcal.calib.methods import METHODS
+from mavcal.calib.recording import Channel, Event, Recording, Segment, Sensor, Stage
 
 G = 9.80665
 FIELD = 49.0 * np.array([np.cos(1.15), 0.0, np.sin(1.15)])

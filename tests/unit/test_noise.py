@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, lfilter
 
-from calib.noise import _random_walk, coloured_covariance, long_run_variance
+from mavcal.calib.noise import _random_walk, coloured_covariance, long_run_variance
 
 
 def test_white_noise_keeps_its_variance():

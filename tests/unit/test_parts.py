@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.errors import InvalidInputError
-from calib.parts import of_parts
-from calib.recording import (
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.parts import of_parts
+from mavcal.calib.recording import (
     Channel,
     Event,
     Identity,

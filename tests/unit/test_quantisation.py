@@ -10,9 +10,9 @@ from scipy.integrate import quad
 from scipy.optimize import minimize
 from scipy.stats import norm
 
-from calib.errors import InvalidInputError
-from calib.quantisation import half_widths, impute, interval_regression, mean_of, with_apparent_quantum
-from calib.recording import Channel, Rounding, Sensor, Stage
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.quantisation import half_widths, impute, interval_regression, mean_of, with_apparent_quantum
+from mavcal.calib.recording import Channel, Rounding, Sensor, Stage
 
 
 def truncated(x: np.ndarray, quantum: float = 1.0) -> Channel:

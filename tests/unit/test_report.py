@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.errors import InvalidInputError
-from calib.firmware.plan import (
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.firmware.plan import (
     AfterWrite,
     Change,
     Fingerprint,
@@ -23,10 +23,10 @@ from calib.firmware.plan import (
     Verification,
     WritePlan,
 )
-from calib.fit import FitResult, FitStatus, refused
-from calib.procedures.protocol import Done, GaveUp, Number, Pose, Progress, Prompt
-from calib.recording import Sensor
-from calib.report import (
+from mavcal.calib.fit import FitResult, FitStatus, refused
+from mavcal.calib.procedures.protocol import Done, GaveUp, Number, Pose, Progress, Prompt
+from mavcal.calib.recording import Sensor
+from mavcal.calib.report import (
     fit_from_json,
     fit_to_json,
     plain,
@@ -37,7 +37,7 @@ from calib.report import (
     verification_from_json,
     verification_to_json,
 )
-from calib.triad import ThermalPolynomial, TriadModel
+from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
 KEYS_OF_DESIGN = {
     *("method", "status", "message", "n_samples", "n_used", "relative", "model", "sd", "native"),

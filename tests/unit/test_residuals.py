@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.residuals import residual_statistics
+from mavcal.calib.residuals import residual_statistics
 
 
 def test_white_noise_of_the_right_size_passes():

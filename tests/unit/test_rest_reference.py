@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from calib.earth import EarthField
-from calib.errors import InvalidInputError
-from calib.fit import FitStatus, parameter_names
-from calib.recording import Channel, Sensor, Stage
-from calib.rest_reference import Sensors, angles_of, attitude_from_vectors, fit_rest_reference
+from mavcal.calib.earth import EarthField
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitStatus, parameter_names
+from mavcal.calib.recording import Channel, Sensor, Stage
+from mavcal.calib.rest_reference import Sensors, angles_of, attitude_from_vectors, fit_rest_reference
 
 G = 9.80665
 FIELD = np.array([20.0, 0.0, 45.0])

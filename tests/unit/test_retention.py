@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from service.jobs import states
-from service.retention import DAY_S, Retention
-from service.settings import RetentionSettings
-from service.store import SqliteStore, sqlite
-from service.store.rows import JobRow, RecordingRow, SegmentPurpose, SnapshotPurpose
+from mavcal.service.jobs import states
+from mavcal.service.retention import DAY_S, Retention
+from mavcal.service.settings import RetentionSettings
+from mavcal.service.store import SqliteStore, sqlite
+from mavcal.service.store.rows import JobRow, RecordingRow, SegmentPurpose, SnapshotPurpose
 
 NOW = 1000 * DAY_S
 DIGEST = "a" * 64

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from service.settings import Settings, is_loopback, settings_table
+from mavcal.service.settings import Settings, is_loopback, settings_table
 
 ROOT = Path(__file__).resolve().parents[2]
 

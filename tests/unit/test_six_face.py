@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.errors import InvalidInputError
-from calib.faces import Face, down_of
-from calib.fit import FitStatus
-from calib.six_face import fit_six_face
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.faces import Face, down_of
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.six_face import fit_six_face
 
 G = 9.80665
 ACCELCAL = np.array(  # METHODS S4: XUP YUP ZUP XDOWN YDOWN ZDOWN

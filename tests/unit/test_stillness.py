@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import calib.stillness
-from calib.errors import InvalidInputError
-from calib.recording import Channel, Recording, Sensor, Stage
-from calib.stillness import HELD, RESTING, Still, StillnessDetector, find_still, pose_means
+import mavcal.calib.stillness
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib.stillness import HELD, RESTING, Still, StillnessDetector, find_still, pose_means
 
 G = 9.80665
 
@@ -225,7 +225,7 @@ def test_spans_with_hardly_a_sample_make_no_pose():
 
 
 def test_the_example_of_the_detector():
-    assert doctest.testmod(calib.stillness).failed == 0
+    assert doctest.testmod(mavcal.calib.stillness).failed == 0
 
 
 def test_a_hole_of_years_costs_no_more_than_its_samples():
@@ -248,7 +248,7 @@ def test_judging_in_blocks_changes_no_digit(monkeypatch):
     recording = Recording((Channel(Sensor.ACCEL, 0, t, x, "m/s2", Stage.RAW, "made"),))
     whole = find_still(recording)
     assert whole
-    monkeypatch.setattr("calib.stillness.BLOCK", 7)
+    monkeypatch.setattr("mavcal.calib.stillness.BLOCK", 7)
     for one, other in zip(find_still(recording), whole, strict=True):
         assert (one.start, one.end) == (other.start, other.end)
         assert repr(one) == repr(other)

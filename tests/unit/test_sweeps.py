@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from calib.drift import DriftBlocks
-from calib.errors import InvalidInputError
-from calib.fit import FitStatus
-from calib.logs import read
-from calib.recording import Channel, Sensor, Stage
-from calib.sweeps import cross_validated, hysteresis, judge_drift, sweeps
-from calib.thermal import fit_polynomial
+from mavcal.calib.drift import DriftBlocks
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.logs import read
+from mavcal.calib.recording import Channel, Sensor, Stage
+from mavcal.calib.sweeps import cross_validated, hysteresis, judge_drift, sweeps
+from mavcal.calib.thermal import fit_polynomial
 
 N = 4000
 COEFFICIENTS = np.array([[7e-3, 6e-5, 1e-6], [-4e-3, -3e-5, 0.0], [9e-3, 4e-5, -2e-6]])

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib.drift import DriftBlocks
-from calib.errors import InvalidInputError
-from calib.fit import FitStatus
-from calib.recording import Channel, Sensor, Stage
-from calib.thermal import fit_linear, fit_polynomial
+from mavcal.calib.drift import DriftBlocks
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.recording import Channel, Sensor, Stage
+from mavcal.calib.thermal import fit_linear, fit_polynomial
 
 T_S2 = np.array([25.0, 35.0, 45.0, 55.0, 65.0, 55.0, 45.0])
 Y_S2 = np.array([400.0, 411.0, 419.0, 431.0, 440.0, 429.0, 420.0])
@@ -308,7 +308,7 @@ def test_counting_equal_samples_gives_the_same_answer_as_listing_them(raw_channe
     values = drift(T, offset=(0.01, 0.0, -0.003)) + 3e-4 * rng.normal(size=(3000, 3))
     coarse = raw_channel(Sensor.GYRO, np.arange(3000) / 50.0, values, "rad/s", quantum=1e-3)
     listed = fit_polynomial(coarse, T)
-    monkeypatch.setattr("calib.thermal._MANY", 100)
+    monkeypatch.setattr("mavcal.calib.thermal._MANY", 100)
     counted = fit_polynomial(coarse, T)
     assert np.abs((counted.values - listed.values) / np.where(listed.sd > 0, listed.sd, 1.0)).max() < 1e-4
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.windows import occupied_starts, without_spikes
+from mavcal.calib.windows import occupied_starts, without_spikes
 
 
 def test_lone_spikes_are_found_and_movements_are_not():

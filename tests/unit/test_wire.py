@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib import wire
-from calib.errors import InvalidInputError
+from mavcal.calib import wire
+from mavcal.calib.errors import InvalidInputError
 
 KEY = bytes(range(32))
 NOW = 500_000_000_000

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from calib.blind.effects import linear, noise, place, thermal, timing, unknown, vibration
-from calib.blind.effects.kind import Kind
+from mavcal.calib.blind.effects import linear, noise, place, thermal, timing, unknown, vibration
+from mavcal.calib.blind.effects.kind import Kind
 
 KNOWN: tuple[Kind, ...] = (
     *linear.KINDS,

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.blind.missions import ALL, MissionKind, Rng, World
-from calib.blind.sensors import Effect, Quality, Suite
-from calib.blind.severity import divergence
+from mavcal.calib.blind.missions import ALL, MissionKind, Rng, World
+from mavcal.calib.blind.sensors import Effect, Quality, Suite
+from mavcal.calib.blind.severity import divergence
 
 Array = NDArray[np.float64]
 Make = Callable[[float], Effect]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.blind.effects.kind import Added, Kind, Make, Mapped, Matrix, direction, named
-from calib.blind.missions import ALL, TURNED, MissionKind, Rng, World
-from calib.blind.sensors import Order, Suite
+from mavcal.calib.blind.effects.kind import Added, Kind, Make, Mapped, Matrix, direction, named
+from mavcal.calib.blind.missions import ALL, TURNED, MissionKind, Rng, World
+from mavcal.calib.blind.sensors import Order, Suite
 
 MOVED = (MissionKind.TUMBLE, MissionKind.FLIGHT, MissionKind.FULL)
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.blind.effects.kind import Kind, Louder, Make
-from calib.blind.missions import LOG_RATE, Rng, World
-from calib.blind.sensors import SENSORS, Effect, Quality, Suite
-from calib.blind.severity import divergence
+from mavcal.calib.blind.effects.kind import Kind, Louder, Make
+from mavcal.calib.blind.missions import LOG_RATE, Rng, World
+from mavcal.calib.blind.sensors import SENSORS, Effect, Quality, Suite
+from mavcal.calib.blind.severity import divergence
 
 Array = NDArray[np.float64]
 

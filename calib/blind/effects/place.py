@@ -11,9 +11,9 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from calib.blind.effects.kind import Added, Kind, Make, direction, named
-from calib.blind.missions import TRAVELLED, TURNED, Rng, World
-from calib.blind.sensors import Effect, Order, Suite
+from mavcal.calib.blind.effects.kind import Added, Kind, Make, direction, named
+from mavcal.calib.blind.missions import TRAVELLED, TURNED, Rng, World
+from mavcal.calib.blind.sensors import Effect, Order, Suite
 
 Array = NDArray[np.float64]
 

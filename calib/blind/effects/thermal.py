@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from calib.blind.effects.kind import Added, Kind, Make, Mapped, calibration_temperature, direction, named
-from calib.blind.missions import Rng, World
-from calib.blind.sensors import Order, Suite
+from mavcal.calib.blind.effects.kind import Added, Kind, Make, Mapped, calibration_temperature, direction, named
+from mavcal.calib.blind.missions import Rng, World
+from mavcal.calib.blind.sensors import Order, Suite
 
 Array = NDArray[np.float64]
 BOUNDS = {"accel": (1e-5, 0.5), "gyro": (1e-6, 0.05), "mag": (1e-4, 5.0)}

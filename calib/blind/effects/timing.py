@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, lfilter, lfilter_zi
 
-from calib.blind.effects.kind import Added, Kind, Make, direction, named
-from calib.blind.missions import ALL, LOG_RATE, OVERSAMPLING, Rng, World, ease
-from calib.blind.sensors import SENSORS, Effect, Order, Quality, Suite
-from calib.blind.severity import divergence
+from mavcal.calib.blind.effects.kind import Added, Kind, Make, direction, named
+from mavcal.calib.blind.missions import ALL, LOG_RATE, OVERSAMPLING, Rng, World, ease
+from mavcal.calib.blind.sensors import SENSORS, Effect, Order, Quality, Suite
+from mavcal.calib.blind.severity import divergence
 
 Array = NDArray[np.float64]
 

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from calib.blind.effects.kind import Added, Kind, Make, Mapped, direction
-from calib.blind.effects.thermal import lagged
-from calib.blind.missions import ALL, FLOWN, TRAVELLED, TURNED, MissionKind, Rng, World
-from calib.blind.sensors import Order, Suite
+from mavcal.calib.blind.effects.kind import Added, Kind, Make, Mapped, direction
+from mavcal.calib.blind.effects.thermal import lagged
+from mavcal.calib.blind.missions import ALL, FLOWN, TRAVELLED, TURNED, MissionKind, Rng, World
+from mavcal.calib.blind.sensors import Order, Suite
 
 Array = NDArray[np.float64]
 MOVED = (MissionKind.TUMBLE, MissionKind.FLIGHT, MissionKind.FULL)

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
-from calib.blind.effects.kind import Added, Kind, Louder, Make, direction
-from calib.blind.missions import ALL, FLOWN, OVERSAMPLING, TRAVELLED, Rng, World
-from calib.blind.sensors import Order, Suite
+from mavcal.calib.blind.effects.kind import Added, Kind, Louder, Make, direction
+from mavcal.calib.blind.missions import ALL, FLOWN, OVERSAMPLING, TRAVELLED, Rng, World
+from mavcal.calib.blind.sensors import Order, Suite
 
 Array = NDArray[np.float64]
 NORMAL_HZ = 75.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from calib.gap.effects import (
+from mavcal.calib.gap.effects import (
     affine,
     dynamics,
     events,
@@ -18,7 +18,7 @@ from calib.gap.effects import (
     tone,
     vibration,
 )
-from calib.gap.effects.base import Effect, MeanEffect, NoiseEffect, Parameter
+from mavcal.calib.gap.effects.base import Effect, MeanEffect, NoiseEffect, Parameter
 
 _FAMILIES = (
     limits,

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.gap.effects.base import Effect, MeanEffect, Parameter
-from calib.gap.effects.parts import AXES, INERTIAL, TRIADS, TUMBLE, UNIT, axiswise, crossed, moves, per_axis
-from calib.gap.problem import Trace
-from calib.recording import Sensor
+from mavcal.calib.gap.effects.base import Effect, MeanEffect, Parameter
+from mavcal.calib.gap.effects.parts import AXES, INERTIAL, TRIADS, TUMBLE, UNIT, axiswise, crossed, moves, per_axis
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

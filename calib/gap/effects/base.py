@@ -9,9 +9,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.problem import Trace
-from calib.gap.shape_ids import is_shape
-from calib.recording import Sensor
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.shape_ids import is_shape
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

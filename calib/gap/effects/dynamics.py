@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.effects.base import Effect, MeanEffect, Parameter
-from calib.gap.effects.parts import AXES, TUMBLE, on_each_axis, per_axis, spread
-from calib.gap.problem import Trace
-from calib.recording import Sensor
+from mavcal.calib.gap.effects.base import Effect, MeanEffect, Parameter
+from mavcal.calib.gap.effects.parts import AXES, TUMBLE, on_each_axis, per_axis, spread
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

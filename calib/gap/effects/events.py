@@ -8,10 +8,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.effects.base import Effect, MeanEffect, Parameter, Shape
-from calib.gap.effects.parts import TRIADS, UNIT, axiswise, per_axis
-from calib.gap.problem import Trace
-from calib.recording import Sensor
+from mavcal.calib.gap.effects.base import Effect, MeanEffect, Parameter, Shape
+from mavcal.calib.gap.effects.parts import TRIADS, UNIT, axiswise, per_axis
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 Screen = Callable[[Trace, Array], Array]

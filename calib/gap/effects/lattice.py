@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import brentq
 
-from calib.gap.effects.base import Effect, LatticeEffect, LatticeEvidence, Parameter
-from calib.gap.effects.parts import AXES, TRIADS, UNIT
-from calib.gap.levels import levels_of, noise_of
-from calib.gap.problem import Trace
-from calib.recording import Sensor
+from mavcal.calib.gap.effects.base import Effect, LatticeEffect, LatticeEvidence, Parameter
+from mavcal.calib.gap.effects.parts import AXES, TRIADS, UNIT
+from mavcal.calib.gap.levels import levels_of, noise_of
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

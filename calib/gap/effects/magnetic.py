@@ -10,11 +10,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.effects.affine import constant
-from calib.gap.effects.base import Effect, MeanEffect, Missing, Parameter, Shape
-from calib.gap.effects.parts import TUMBLE, axiswise, body_from_ned, first_missing, moves, per_axis, spread
-from calib.gap.problem import Trace
-from calib.recording import Sensor
+from mavcal.calib.gap.effects.affine import constant
+from mavcal.calib.gap.effects.base import Effect, MeanEffect, Missing, Parameter, Shape
+from mavcal.calib.gap.effects.parts import TUMBLE, axiswise, body_from_ned, first_missing, moves, per_axis, spread
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

@@ -11,11 +11,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.effects.base import Effect, NoiseEffect
-from calib.gap.effects.parts import TRIADS, UNIT, per_axis
-from calib.gap.problem import Trace
-from calib.gap.reference.calibrated import filter_gain
-from calib.recording import Sensor
+from mavcal.calib.gap.effects.base import Effect, NoiseEffect
+from mavcal.calib.gap.effects.parts import TRIADS, UNIT, per_axis
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.reference.calibrated import filter_gain
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

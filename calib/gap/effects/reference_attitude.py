@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.effects.affine import rotated, rotation_columns
-from calib.gap.effects.base import Effect, MeanEffect
-from calib.gap.effects.parts import per_axis
-from calib.gap.problem import Trace
-from calib.recording import Sensor
+from mavcal.calib.gap.effects.affine import rotated, rotation_columns
+from mavcal.calib.gap.effects.base import Effect, MeanEffect
+from mavcal.calib.gap.effects.parts import per_axis
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

@@ -13,11 +13,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.effects.affine import scale_columns
-from calib.gap.effects.base import Effect, MeanEffect, Missing, Parameter, Shape
-from calib.gap.effects.parts import TRIADS, UNIT, axiswise, first_missing, lagged, moves, per_axis
-from calib.gap.problem import Trace
-from calib.recording import Sensor
+from mavcal.calib.gap.effects.affine import scale_columns
+from mavcal.calib.gap.effects.base import Effect, MeanEffect, Missing, Parameter, Shape
+from mavcal.calib.gap.effects.parts import TRIADS, UNIT, axiswise, first_missing, lagged, moves, per_axis
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage
 from scipy.interpolate import BSpline
 
-from calib.gap.effects.base import Effect, MeanEffect, Missing, Parameter, Shape
-from calib.gap.effects.parts import TRIADS
-from calib.gap.problem import Trace
-from calib.recording import Sensor
+from mavcal.calib.gap.effects.base import Effect, MeanEffect, Missing, Parameter, Shape
+from mavcal.calib.gap.effects.parts import TRIADS
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

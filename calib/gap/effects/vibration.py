@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import uniform_filter1d
 
-from calib.gap.effects.base import Effect, MeanEffect, Missing, NoiseEffect, Parameter, Shape
-from calib.gap.effects.noise import white
-from calib.gap.effects.parts import INERTIAL, TRIADS, UNIT, axiswise, per_axis
-from calib.gap.likelihood import transform
-from calib.gap.problem import Trace
-from calib.gap.reference.calibrated import filter_gain
-from calib.recording import Sensor
+from mavcal.calib.gap.effects.base import Effect, MeanEffect, Missing, NoiseEffect, Parameter, Shape
+from mavcal.calib.gap.effects.noise import white
+from mavcal.calib.gap.effects.parts import INERTIAL, TRIADS, UNIT, axiswise, per_axis
+from mavcal.calib.gap.likelihood import transform
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.reference.calibrated import filter_gain
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

@@ -1,6 +1,6 @@
 """The remedy of a gap: its effects as parameters of a simulator, or as a calibration of the vehicle."""
 
-from calib.gap.export.files import ENDINGS, Exported, Target, exported, target_of
-from calib.gap.export.sitl import SitlPatch, patch, with_patches
+from mavcal.calib.gap.export.files import ENDINGS, Exported, Target, exported, target_of
+from mavcal.calib.gap.export.sitl import SitlPatch, patch, with_patches
 
 __all__ = ["ENDINGS", "Exported", "SitlPatch", "Target", "exported", "patch", "target_of", "with_patches"]

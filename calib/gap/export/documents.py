@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from calib.gap.export.state import Sensors, named, sensors_with
-from calib.gap.schema import GapReport
-from calib.recording import Sensor
-from calib.simulate.document import errors_to_json
-from calib.simulate.matlab import OBJECTS, to_matlab
+from mavcal.calib.gap.export.state import Sensors, named, sensors_with
+from mavcal.calib.gap.schema import GapReport
+from mavcal.calib.recording import Sensor
+from mavcal.calib.simulate.document import errors_to_json
+from mavcal.calib.simulate.matlab import OBJECTS, to_matlab
 
 _T_REF = 25.0
 """Reference temperature of the exported curves, degC."""

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import PurePath
 
-from calib.errors import InvalidInputError
-from calib.firmware.export import ParameterFormat, number, write_plan
-from calib.gap.export.documents import to_document, to_matlab_text
-from calib.gap.export.gazebo import to_sdf
-from calib.gap.export.sitl import SitlPatch, older_names, patch
-from calib.gap.export.state import doubt_of
-from calib.gap.export.vehicle import vehicle_plan
-from calib.gap.schema import GapReport, Verdict
-from calib.recording import Recording
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.firmware.export import ParameterFormat, number, write_plan
+from mavcal.calib.gap.export.documents import to_document, to_matlab_text
+from mavcal.calib.gap.export.gazebo import to_sdf
+from mavcal.calib.gap.export.sitl import SitlPatch, older_names, patch
+from mavcal.calib.gap.export.state import doubt_of
+from mavcal.calib.gap.export.vehicle import vehicle_plan
+from mavcal.calib.gap.schema import GapReport, Verdict
+from mavcal.calib.recording import Recording
 
 
 class Target(StrEnum):

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import InvalidInputError
-from calib.gap.export.state import kind_of, named, sensors_with
-from calib.gap.schema import GapReport
-from calib.recording import Sensor
-from calib.simulate.recording import FLU_FROM_FRD
-from calib.simulate.sensor import SensorErrors
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.gap.export.state import kind_of, named, sensors_with
+from mavcal.calib.gap.schema import GapReport
+from mavcal.calib.recording import Sensor
+from mavcal.calib.simulate.recording import FLU_FROM_FRD
+from mavcal.calib.simulate.sensor import SensorErrors
 
 Array = NDArray[np.float64]
 

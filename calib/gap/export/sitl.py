@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.errors import InvalidInputError
-from calib.fit import AXES
-from calib.gap.export.state import Sensors, doubt_of, kind_of, named, sensors_with, value, vector
-from calib.gap.schema import EffectEstimate, GapReport
-from calib.recording import Sensor
-from calib.simulate.recording import SensorSuite
-from calib.simulate.sensor import SensorErrors
-from calib.simulate.sitl import UT_PER_MGAUSS, from_sitl, to_sitl
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import AXES
+from mavcal.calib.gap.export.state import Sensors, doubt_of, kind_of, named, sensors_with, value, vector
+from mavcal.calib.gap.schema import EffectEstimate, GapReport
+from mavcal.calib.recording import Sensor
+from mavcal.calib.simulate.recording import SensorSuite
+from mavcal.calib.simulate.sensor import SensorErrors
+from mavcal.calib.simulate.sitl import UT_PER_MGAUSS, from_sitl, to_sitl
 
 Array = NDArray[np.float64]
 

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from calib.fit import AXES
-from calib.gap.schema import EffectEstimate
-from calib.recording import Sensor
-from calib.simulate.sensor import SensorErrors
+from mavcal.calib.fit import AXES
+from mavcal.calib.gap.schema import EffectEstimate
+from mavcal.calib.recording import Sensor
+from mavcal.calib.simulate.sensor import SensorErrors
 
 Array = NDArray[np.float64]
 

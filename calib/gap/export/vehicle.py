@@ -13,16 +13,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import FirmwareError
-from calib.firmware import body_from_sensor, calibration_in_force
-from calib.firmware.compose import compose
-from calib.firmware.fingerprint import fingerprint
-from calib.firmware.plan import WritePlan
-from calib.fit import FitResult, FitStatus
-from calib.gap.export.state import doubt_of, kind_of, named, sensors_with, value
-from calib.gap.schema import EffectEstimate, Estimate, GapReport
-from calib.recording import Recording, Sensor
-from calib.triad import ThermalPolynomial, TriadModel
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware import body_from_sensor, calibration_in_force
+from mavcal.calib.firmware.compose import compose
+from mavcal.calib.firmware.fingerprint import fingerprint
+from mavcal.calib.firmware.plan import WritePlan
+from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.gap.export.state import doubt_of, kind_of, named, sensors_with, value
+from mavcal.calib.gap.schema import EffectEstimate, Estimate, GapReport
+from mavcal.calib.recording import Recording, Sensor
+from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
 Array = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import correlate, correlation_lags
 
-from calib.gap.reference.calibrated import TRIADS
-from calib.gap.reference.frames import turned_correlation
-from calib.gap.reference.signal import Signal, linear
-from calib.recording import Recording, Sensor, Stage
+from mavcal.calib.gap.reference.calibrated import TRIADS
+from mavcal.calib.gap.reference.frames import turned_correlation
+from mavcal.calib.gap.reference.signal import Signal, linear
+from mavcal.calib.recording import Recording, Sensor, Stage
 
 Array = NDArray[np.float64]
 

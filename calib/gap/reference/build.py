@@ -6,23 +6,23 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-from calib.errors import InvalidInputError
-from calib.gap.levels import steps_of, with_simulated_step
-from calib.gap.problem import Problem, ReferenceInfo, ReferenceKind, Trace
-from calib.gap.reference.calibrated import corrected, not_undone
-from calib.gap.reference.checks import Checked, check_vehicles, checked
-from calib.gap.reference.choose import Chosen, choose
-from calib.gap.reference.chosen import sensors_of
-from calib.gap.reference.denoised import error_sd, with_error
-from calib.gap.reference.deviation import deviations, simulated_ideal
-from calib.gap.reference.driven_noise import as_driven, driven_by
-from calib.gap.reference.ideal import Ideal, trace_of
-from calib.gap.reference.moments import age_of, louder, settled
-from calib.gap.reference.moving import as_heaving, as_moving, movement_of
-from calib.gap.reference.noise import Noise, learned, pooled, with_noise
-from calib.gap.reference.redundant import differences
-from calib.gap.reference.which import worse_of
-from calib.recording import Channel, Recording, Sensor
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.gap.levels import steps_of, with_simulated_step
+from mavcal.calib.gap.problem import Problem, ReferenceInfo, ReferenceKind, Trace
+from mavcal.calib.gap.reference.calibrated import corrected, not_undone
+from mavcal.calib.gap.reference.checks import Checked, check_vehicles, checked
+from mavcal.calib.gap.reference.choose import Chosen, choose
+from mavcal.calib.gap.reference.chosen import sensors_of
+from mavcal.calib.gap.reference.denoised import error_sd, with_error
+from mavcal.calib.gap.reference.deviation import deviations, simulated_ideal
+from mavcal.calib.gap.reference.driven_noise import as_driven, driven_by
+from mavcal.calib.gap.reference.ideal import Ideal, trace_of
+from mavcal.calib.gap.reference.moments import age_of, louder, settled
+from mavcal.calib.gap.reference.moving import as_heaving, as_moving, movement_of
+from mavcal.calib.gap.reference.noise import Noise, learned, pooled, with_noise
+from mavcal.calib.gap.reference.redundant import differences
+from mavcal.calib.gap.reference.which import worse_of
+from mavcal.calib.recording import Channel, Recording, Sensor
 
 _NO_REFERENCE = (
     "nothing says what an ideal sensor would have read: add ref_* or q_* columns, give --sim of the same trajectory, "

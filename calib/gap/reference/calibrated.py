@@ -15,10 +15,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import FirmwareError, InvalidInputError
-from calib.firmware import body_from_sensor, calibration_in_force
-from calib.recording import Channel, Recording, Sensor, Stage
-from calib.triad import TriadModel
+from mavcal.calib.errors import FirmwareError, InvalidInputError
+from mavcal.calib.firmware import body_from_sensor, calibration_in_force
+from mavcal.calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal.windows import hann
 
-from calib.errors import InvalidInputError
-from calib.gap.problem import Trace
-from calib.gap.reference.following import unrelated
-from calib.gap.reference.frames import correlation, turn_of
-from calib.logs.tables import NO_TIME
-from calib.recording import Recording, Sensor
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.reference.following import unrelated
+from mavcal.calib.gap.reference.frames import correlation, turn_of
+from mavcal.calib.logs.tables import NO_TIME
+from mavcal.calib.recording import Recording, Sensor
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from calib.errors import InvalidInputError
-from calib.gap.reference.align import (
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.gap.reference.align import (
     CLOSED,
     SAME,
     aligned,
@@ -17,15 +17,15 @@ from calib.gap.reference.align import (
     one_clock,
     same_digits,
 )
-from calib.gap.reference.calibrated import TRIADS
-from calib.gap.reference.checks import check_times
-from calib.gap.reference.chosen import comparable, sensors_of
-from calib.gap.reference.ideal import Ideal
-from calib.gap.reference.notices import notices, why_no_reference
-from calib.gap.reference.posed import Array, Cutoffs, Pose, driven, earth_field_of, pose_of
-from calib.gap.reference.recorded import recorded, simulated, true_attitude
-from calib.gap.reference.smoothed import re_estimated
-from calib.recording import Recording, Sensor
+from mavcal.calib.gap.reference.calibrated import TRIADS
+from mavcal.calib.gap.reference.checks import check_times
+from mavcal.calib.gap.reference.chosen import comparable, sensors_of
+from mavcal.calib.gap.reference.ideal import Ideal
+from mavcal.calib.gap.reference.notices import notices, why_no_reference
+from mavcal.calib.gap.reference.posed import Array, Cutoffs, Pose, driven, earth_field_of, pose_of
+from mavcal.calib.gap.reference.recorded import recorded, simulated, true_attitude
+from mavcal.calib.gap.reference.smoothed import re_estimated
+from mavcal.calib.recording import Recording, Sensor
 
 DOUBTFUL_DEG = 0.5
 """Standard deviation of a reference's attitude from which it is warned of."""

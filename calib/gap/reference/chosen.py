@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.gap.reference.calibrated import TRIADS
-from calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib.gap.reference.calibrated import TRIADS
+from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 
 _CLOSE = 0.05
 """Share of a step by which time stamps of two instances may differ and still be one sample of both."""

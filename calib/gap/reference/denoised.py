@@ -19,10 +19,10 @@ from scipy.fft import dct, idct
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.special import chdtri
 
-from calib.gap.reference.grid import grid_of
-from calib.gap.reference.noise import Noise, on
-from calib.gap.reference.signal import Signal, linear
-from calib.recording import Channel
+from mavcal.calib.gap.reference.grid import grid_of
+from mavcal.calib.gap.reference.noise import Noise, on
+from mavcal.calib.gap.reference.signal import Signal, linear
+from mavcal.calib.recording import Channel
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.problem import Trace
-from calib.gap.reference.noise import learned
-from calib.recording import Sensor
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.reference.noise import learned
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from calib.gap.likelihood import fit_amplitudes
-from calib.gap.problem import Trace
-from calib.gap.reference.noise import with_more
-from calib.recording import Sensor
+from mavcal.calib.gap.likelihood import fit_amplitudes
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.reference.noise import with_more
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import correlate, correlation_lags
 
-from calib.gap.problem import Trace
-from calib.gap.reference.frames import turn_of
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.reference.frames import turn_of
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import InvalidInputError
-from calib.recording import Channel
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.recording import Channel
 
 Array = NDArray[np.float64]
 

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.problem import ReferenceInfo, Trace
-from calib.gap.reference.calibrated import filter_in_force, sensor_from_corrected
-from calib.gap.reference.grid import grid_of
-from calib.gap.reference.noise import Noise
-from calib.gap.reference.signal import Signal, slow
-from calib.recording import Channel, Recording, Sensor
+from mavcal.calib.gap.problem import ReferenceInfo, Trace
+from mavcal.calib.gap.reference.calibrated import filter_in_force, sensor_from_corrected
+from mavcal.calib.gap.reference.grid import grid_of
+from mavcal.calib.gap.reference.noise import Noise
+from mavcal.calib.gap.reference.signal import Signal, slow
+from mavcal.calib.recording import Channel, Recording, Sensor
 
 Array = NDArray[np.float64]
 

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from calib.gap.likelihood import AmplitudeFit, fit_amplitudes
-from calib.gap.problem import Trace
-from calib.gap.reference.noise import with_more
+from mavcal.calib.gap.likelihood import AmplitudeFit, fit_amplitudes
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.reference.noise import with_more
 
 Array = NDArray[np.float64]
 

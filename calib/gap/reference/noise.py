@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from scipy.fft import dct
 from scipy.special import chdtr, chdtrc
 
-from calib.gap.likelihood import fit_amplitudes, flicker, random_walk
-from calib.gap.problem import Trace
-from calib.gap.reference.calibrated import filter_gain
+from mavcal.calib.gap.likelihood import fit_amplitudes, flicker, random_walk
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.reference.calibrated import filter_gain
 
 Array = NDArray[np.float64]
 

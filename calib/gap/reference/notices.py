@@ -7,13 +7,13 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from calib.gap.problem import ReferenceKind
-from calib.gap.reference.align import SAME, aligned, aligned_in_any_frame, same_digits
-from calib.gap.reference.calibrated import TRIADS
-from calib.gap.reference.chosen import comparable, sensors_of
-from calib.gap.reference.grid import LONGEST_HOLE_S
-from calib.gap.reference.ideal import Ideal
-from calib.recording import Recording, Sensor
+from mavcal.calib.gap.problem import ReferenceKind
+from mavcal.calib.gap.reference.align import SAME, aligned, aligned_in_any_frame, same_digits
+from mavcal.calib.gap.reference.calibrated import TRIADS
+from mavcal.calib.gap.reference.chosen import comparable, sensors_of
+from mavcal.calib.gap.reference.grid import LONGEST_HOLE_S
+from mavcal.calib.gap.reference.ideal import Ideal
+from mavcal.calib.recording import Recording, Sensor
 
 _SLOWER = 0.5
 """Ratio of rates from which a reference leaves out what the sensor sees."""

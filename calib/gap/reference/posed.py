@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion
 from scipy.spatial.transform import Rotation
 
-from calib import STANDARD_GRAVITY
-from calib.errors import InvalidInputError
-from calib.gap.problem import ReferenceInfo, ReferenceKind
-from calib.gap.reference.frames import TURNS, correlation, likened, turned_correlation
-from calib.gap.reference.ideal import Ideal
-from calib.gap.reference.recorded import continuous, true_attitude, true_place
-from calib.gap.reference.signal import Signal, linear
-from calib.gap.reference.smooth import Smoothed, bandwidth, smoothed
-from calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.gap.problem import ReferenceInfo, ReferenceKind
+from mavcal.calib.gap.reference.frames import TURNS, correlation, likened, turned_correlation
+from mavcal.calib.gap.reference.ideal import Ideal
+from mavcal.calib.gap.reference.recorded import continuous, true_attitude, true_place
+from mavcal.calib.gap.reference.signal import Signal, linear
+from mavcal.calib.gap.reference.smooth import Smoothed, bandwidth, smoothed
+from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 
 Array = NDArray[np.float64]
 

@@ -7,12 +7,12 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.problem import ReferenceInfo, ReferenceKind
-from calib.gap.reference.calibrated import TRIADS
-from calib.gap.reference.denoised import denoised
-from calib.gap.reference.ideal import Ideal
-from calib.gap.reference.signal import Signal
-from calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib.gap.problem import ReferenceInfo, ReferenceKind
+from mavcal.calib.gap.reference.calibrated import TRIADS
+from mavcal.calib.gap.reference.denoised import denoised
+from mavcal.calib.gap.reference.ideal import Ideal
+from mavcal.calib.gap.reference.signal import Signal
+from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 
 Array = NDArray[np.float64]
 

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from calib.gap.problem import Trace
-from calib.gap.reference.calibrated import TRIADS
-from calib.gap.reference.chosen import comparable
-from calib.gap.reference.ideal import Ideal, trace_of
-from calib.gap.reference.signal import Signal
-from calib.recording import Channel, Recording, Sensor
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.reference.calibrated import TRIADS
+from mavcal.calib.gap.reference.chosen import comparable
+from mavcal.calib.gap.reference.ideal import Ideal, trace_of
+from mavcal.calib.gap.reference.signal import Signal
+from mavcal.calib.recording import Channel, Recording, Sensor
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from calib.recording import Channel
+from mavcal.calib.recording import Channel
 
 Array = NDArray[np.float64]
 

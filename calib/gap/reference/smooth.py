@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.fft import dct, idct
 from scipy.interpolate import CubicSpline
 
-from calib.gap.reference.signal import Signal
+from mavcal.calib.gap.reference.signal import Signal
 
 Array = NDArray[np.float64]
 

@@ -15,18 +15,18 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.spatial.transform import Rotation
 
-from calib.earth import earth_field
-from calib.errors import InvalidInputError
-from calib.gap.problem import ReferenceInfo, ReferenceKind
-from calib.gap.reference.calibrated import filter_delay, filter_in_force
-from calib.gap.reference.chosen import sensors_of
-from calib.gap.reference.ideal import Ideal
-from calib.gap.reference.posed import GRAVITY_NED, rotation
-from calib.gap.reference.recorded import continuous, true_attitude
-from calib.gap.reference.signal import Signal, linear, slow
-from calib.gap.reference.strapdown import STEPS, Between, Increments
-from calib.gap.reference.trajectory import ITERATIONS, LATE_GPS, WALK, Aiding, State, smooth, start_at
-from calib.recording import Channel, Recording, Sensor
+from mavcal.calib.earth import earth_field
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.gap.problem import ReferenceInfo, ReferenceKind
+from mavcal.calib.gap.reference.calibrated import filter_delay, filter_in_force
+from mavcal.calib.gap.reference.chosen import sensors_of
+from mavcal.calib.gap.reference.ideal import Ideal
+from mavcal.calib.gap.reference.posed import GRAVITY_NED, rotation
+from mavcal.calib.gap.reference.recorded import continuous, true_attitude
+from mavcal.calib.gap.reference.signal import Signal, linear, slow
+from mavcal.calib.gap.reference.strapdown import STEPS, Between, Increments
+from mavcal.calib.gap.reference.trajectory import ITERATIONS, LATE_GPS, WALK, Aiding, State, smooth, start_at
+from mavcal.calib.recording import Channel, Recording, Sensor
 
 Array = NDArray[np.float64]
 

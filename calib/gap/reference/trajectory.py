@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.spatial.transform import Rotation
 
-from calib.gap.reference.posed import GRAVITY_NED
-from calib.gap.reference.strapdown import Between, Increments
+from mavcal.calib.gap.reference.posed import GRAVITY_NED
+from mavcal.calib.gap.reference.strapdown import Between, Increments
 
 Array = NDArray[np.float64]
 

@@ -19,9 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.gap.likelihood import transform
-from calib.gap.problem import Trace, Worse
-from calib.recording import Sensor
+from mavcal.calib.gap.likelihood import transform
+from mavcal.calib.gap.problem import Trace, Worse
+from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
 

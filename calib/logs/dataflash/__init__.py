@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from calib.logs.dataflash.log import DataFlash
-from calib.logs.dataflash.reader import read_dataflash, read_dataflash_text
-from calib.logs.dataflash.tables import Log, Table
-from calib.logs.dataflash.text import TextLog
+from mavcal.calib.logs.dataflash.log import DataFlash
+from mavcal.calib.logs.dataflash.reader import read_dataflash, read_dataflash_text
+from mavcal.calib.logs.dataflash.tables import Log, Table
+from mavcal.calib.logs.dataflash.text import TextLog
 
 __all__ = ["DataFlash", "Log", "Table", "TextLog", "read_dataflash", "read_dataflash_text"]

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.recording import Channel, Rounding, Sensor, Stage
+from mavcal.calib.recording import Channel, Rounding, Sensor, Stage
 
 if TYPE_CHECKING:
-    from calib.logs.dataflash.tables import Log
+    from mavcal.calib.logs.dataflash.tables import Log
 
 Array = NDArray[np.float64]
 

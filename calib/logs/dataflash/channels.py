@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.firmware.log_fields import COMPASS, INERTIAL, INSTANCE_COLUMNS, LogReading
-from calib.logs.dataflash.clock import ordered
-from calib.recording import Channel, Event, Rounding, Sensor
+from mavcal.calib.firmware.log_fields import COMPASS, INERTIAL, INSTANCE_COLUMNS, LogReading
+from mavcal.calib.logs.dataflash.clock import ordered
+from mavcal.calib.recording import Channel, Event, Rounding, Sensor
 
 if TYPE_CHECKING:
-    from calib.logs.dataflash.clock import Clock
-    from calib.logs.dataflash.tables import Log, Table
+    from mavcal.calib.logs.dataflash.clock import Clock
+    from mavcal.calib.logs.dataflash.tables import Log, Table
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

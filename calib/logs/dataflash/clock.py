@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.firmware.log_fields import SAMPLE_TIME_COLUMNS
-from calib.recording import Event
+from mavcal.calib.firmware.log_fields import SAMPLE_TIME_COLUMNS
+from mavcal.calib.recording import Event
 
 if TYPE_CHECKING:
-    from calib.logs.dataflash.tables import Log, Table
+    from mavcal.calib.logs.dataflash.tables import Log, Table
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -9,10 +9,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.errors import UnreadableError
-from calib.logs.dataflash.formats import Format
-from calib.logs.dataflash.scan import Index, scan
-from calib.logs.dataflash.tables import BinaryTable, Bytes, Table
+from mavcal.calib.errors import UnreadableError
+from mavcal.calib.logs.dataflash.formats import Format
+from mavcal.calib.logs.dataflash.scan import Index, scan
+from mavcal.calib.logs.dataflash.tables import BinaryTable, Bytes, Table
 
 PREFIXES: Final = {-1: "d", -2: "c", -3: "m", -6: "u", -9: "n", 0: ""}
 """SI prefix of a power of ten."""

@@ -6,16 +6,16 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from calib.errors import FirmwareError
-from calib.firmware import names
-from calib.firmware.names import ARDUPILOT_COMPASS_SLOTS
-from calib.firmware.slots import ardupilot_calibration_names
-from calib.logs.dataflash.channels import instances
-from calib.recording import Event, ParameterEntry, ParameterTimeline, Sensor
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware import names
+from mavcal.calib.firmware.names import ARDUPILOT_COMPASS_SLOTS
+from mavcal.calib.firmware.slots import ardupilot_calibration_names
+from mavcal.calib.logs.dataflash.channels import instances
+from mavcal.calib.recording import Event, ParameterEntry, ParameterTimeline, Sensor
 
 if TYPE_CHECKING:
-    from calib.logs.dataflash.clock import Clock
-    from calib.logs.dataflash.tables import Log
+    from mavcal.calib.logs.dataflash.clock import Clock
+    from mavcal.calib.logs.dataflash.tables import Log
 
 COLUMNS: Final = ("OfsX", "OfsY", "OfsZ")
 TRUNCATION_MGAUSS: Final = 1.0

@@ -8,23 +8,23 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from calib.errors import UnreadableError
-from calib.firmware.faults import parameter_faults
-from calib.firmware.log_fields import TEXT_COLUMNS, WANTED, implied_parameters
-from calib.logs.dataflash.batch import batch_channels
-from calib.logs.dataflash.channels import SensorChannels
-from calib.logs.dataflash.clock import Clock
-from calib.logs.dataflash.log import DataFlash
-from calib.logs.dataflash.offsets import learned_offsets
-from calib.logs.dataflash.said import counted_events, identity_of, parameter_entries, spoken_events
-from calib.logs.dataflash.scan import LONGEST
-from calib.logs.dataflash.state import reference_channels, state_channels
-from calib.logs.dataflash.tables import Log, Table
-from calib.logs.dataflash.text import TextLog
-from calib.recording import Event, Identity, ParameterEntry, ParameterTimeline, Recording
+from mavcal.calib.errors import UnreadableError
+from mavcal.calib.firmware.faults import parameter_faults
+from mavcal.calib.firmware.log_fields import TEXT_COLUMNS, WANTED, implied_parameters
+from mavcal.calib.logs.dataflash.batch import batch_channels
+from mavcal.calib.logs.dataflash.channels import SensorChannels
+from mavcal.calib.logs.dataflash.clock import Clock
+from mavcal.calib.logs.dataflash.log import DataFlash
+from mavcal.calib.logs.dataflash.offsets import learned_offsets
+from mavcal.calib.logs.dataflash.said import counted_events, identity_of, parameter_entries, spoken_events
+from mavcal.calib.logs.dataflash.scan import LONGEST
+from mavcal.calib.logs.dataflash.state import reference_channels, state_channels
+from mavcal.calib.logs.dataflash.tables import Log, Table
+from mavcal.calib.logs.dataflash.text import TextLog
+from mavcal.calib.recording import Event, Identity, ParameterEntry, ParameterTimeline, Recording
 
 if TYPE_CHECKING:
-    from calib.logs.dataflash.scan import Index
+    from mavcal.calib.logs.dataflash.scan import Index
 
 GPS_EPOCH: Final = datetime(1980, 1, 6, tzinfo=UTC)
 LEAP_S: Final = 18

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib.firmware.log_fields import ARMED_EVENT, DISARMED_EVENT
-from calib.recording import Event, Identity, ParameterEntry
+from mavcal.calib.firmware.log_fields import ARMED_EVENT, DISARMED_EVENT
+from mavcal.calib.recording import Event, Identity, ParameterEntry
 
 if TYPE_CHECKING:
-    from calib.logs.dataflash.clock import Clock
-    from calib.logs.dataflash.tables import Log
+    from mavcal.calib.logs.dataflash.clock import Clock
+    from mavcal.calib.logs.dataflash.tables import Log
 
 _FIRMWARE: Final = re.compile(r"(?:APM:)?(?:Ardu)?(Copter|Plane|Rover|Sub)\s+V(\d+)\.(\d+)(?:\.(\d+))?", re.IGNORECASE)
 _TYPES: Final = {

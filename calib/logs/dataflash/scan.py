@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.logs.dataflash.formats import FMT, FMT_LENGTH, FMT_TYPE, HEADER, MAGIC, Format, read_fmt
+from mavcal.calib.logs.dataflash.formats import FMT, FMT_LENGTH, FMT_TYPE, HEADER, MAGIC, Format, read_fmt
 
 if TYPE_CHECKING:
     from collections.abc import Collection

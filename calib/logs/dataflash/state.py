@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.firmware.log_fields import MOTOR_FUNCTIONS, PWM_DEFAULT, THROTTLE_FUNCTIONS
-from calib.geometry import quaternion_from_euler
-from calib.logs.dataflash.channels import instances
-from calib.recording import Channel, Rounding, Sensor, Stage
+from mavcal.calib.firmware.log_fields import MOTOR_FUNCTIONS, PWM_DEFAULT, THROTTLE_FUNCTIONS
+from mavcal.calib.geometry import quaternion_from_euler
+from mavcal.calib.logs.dataflash.channels import instances
+from mavcal.calib.recording import Channel, Rounding, Sensor, Stage
 
 if TYPE_CHECKING:
-    from calib.logs.dataflash.clock import Clock
-    from calib.logs.dataflash.tables import Log, Table
+    from mavcal.calib.logs.dataflash.clock import Clock
+    from mavcal.calib.logs.dataflash.tables import Log, Table
 
 Array = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import InvalidInputError
-from calib.logs.dataflash.formats import HEADER, Format
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.logs.dataflash.formats import HEADER, Format
 
 Bytes = NDArray[np.uint8]
 Column = NDArray[Any]

@@ -8,9 +8,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.errors import UnreadableError
-from calib.logs.dataflash.formats import Format, define
-from calib.logs.dataflash.tables import Column, Table
+from mavcal.calib.errors import UnreadableError
+from mavcal.calib.logs.dataflash.formats import Format, define
+from mavcal.calib.logs.dataflash.tables import Column, Table
 
 WHOLE: Final = "bBhHiIqQ"
 LONGEST_LINE: Final = 4096

@@ -7,9 +7,9 @@ from contextlib import aclosing
 
 import pytest
 
-from service.api import follow
-from service.api.follow import State, Watch
-from service.api.models import LinkModel
+from mavcal.service.api import follow
+from mavcal.service.api.follow import State, Watch
+from mavcal.service.api.models import LinkModel
 
 STREAMS = 40
 

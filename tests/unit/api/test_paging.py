@@ -2,10 +2,10 @@ from __future__ import annotations
 
 import pytest
 
-from service.api.paging import page_of
-from service.errors import JobUnknown
-from service.jobs.model import Job
-from service.jobs.states import JobState
+from mavcal.service.api.paging import page_of
+from mavcal.service.errors import JobUnknown
+from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.states import JobState
 
 JOBS = [Job(f"j{i}", "v", "gyro", {}, JobState.FAILED, float(i), float(i)) for i in range(7)]
 

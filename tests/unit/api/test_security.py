@@ -3,9 +3,9 @@ from __future__ import annotations
 import pytest
 from starlette.datastructures import Headers
 
-from service.api.security import Guard, check_exposure, digest
-from service.errors import AuthError, Forbidden
-from service.settings import ApiKey, Settings
+from mavcal.service.api.security import Guard, check_exposure, digest
+from mavcal.service.errors import AuthError, Forbidden
+from mavcal.service.settings import ApiKey, Settings
 
 KEY = ApiKey(name="ground", sha256=digest("secret"), scopes=frozenset({"read"}))
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bench.accuracy import bounds, bounds_imu, rows_align, rows_imu, scenes
-from calib.mag.distance import score_rows
-from calib.mag.shape import Ellipsoid
+from mavcal.calib.mag.distance import score_rows
+from mavcal.calib.mag.shape import Ellipsoid
 
 
 def test_the_bound_of_the_ellipsoid_is_that_with_every_direction_eliminated() -> None:

@@ -11,8 +11,8 @@ from bench.guide.notes import NOTES
 from bench.guide.page import markdown
 from bench.guide.pictures import PICTURES
 from bench.guide.svg import BLUE, Map, Plot, side_by_side
-from calib.methods import METHODS
-from service.commands.simulate import MOTION_NAMES
+from mavcal.calib.methods import METHODS
+from mavcal.service.commands.simulate import MOTION_NAMES
 
 DOCS = Path(__file__).resolve().parents[3] / "docs"
 SVG = "{http://www.w3.org/2000/svg}"

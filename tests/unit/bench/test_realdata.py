@@ -7,7 +7,7 @@ from bench.realdata import inertial, magnetic, thermal
 from bench.realdata.ferraris import ferraris
 from bench.realdata.finding import compared, said, table, with_sd
 from bench.realdata.page import page
-from calib.recording import Channel, Recording, Segment, Sensor, Stage
+from mavcal.calib.recording import Channel, Recording, Segment, Sensor, Stage
 
 
 def test_a_number_agrees_within_what_is_known_and_twice_its_own_sd():

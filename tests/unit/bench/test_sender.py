@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from bench.sender import COMPONENT, MARKER, SYSTEM, Spec, frame, number_of, numbers_of
-from calib.wire import FrameParser
+from mavcal.calib.wire import FrameParser
 
 
 def test_a_frame_carries_its_number_and_its_sequence() -> None:

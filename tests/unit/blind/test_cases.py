@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.blind.cases import FAMILIES, KNOWN, Tier, family, make_case, make_label, split
-from calib.blind.render import recording
-from calib.blind.seal import generator_sha256, labels_sha256, seeds
-from calib.recording import Sensor
+from mavcal.calib.blind.cases import FAMILIES, KNOWN, Tier, family, make_case, make_label, split
+from mavcal.calib.blind.render import recording
+from mavcal.calib.blind.seal import generator_sha256, labels_sha256, seeds
+from mavcal.calib.recording import Sensor
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import ast
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[3]
-MAY = {"calib.blind", "calib.errors", "calib.recording"}
+MAY = {"mavcal.calib.blind", "mavcal.calib.errors", "mavcal.calib.recording"}
 
 
 def imported(path: Path) -> set[str]:
@@ -17,7 +17,7 @@ def imported(path: Path) -> set[str]:
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0
             found.add(str(node.module))
-    return {name for name in found if name.split(".")[0] in {"calib", "service"}}
+    return {name for name in found if name.split(".")[0] == "mavcal"}
 
 
 def graph(start: str) -> set[str]:
@@ -26,8 +26,10 @@ def graph(start: str) -> set[str]:
     while todo:
         name = todo.pop()
         seen.add(name)
-        base = ROOT.joinpath(*name.split("."))
-        paths = [*base.rglob("*.py")] if name == "calib.blind" else [base.with_suffix(".py"), base / "__init__.py"]
+        base = ROOT.joinpath(*name.split(".")[1:])
+        paths = (
+            [*base.rglob("*.py")] if name == "mavcal.calib.blind" else [base.with_suffix(".py"), base / "__init__.py"]
+        )
         for path in paths:
             if path.is_file():
                 todo |= imported(path) - seen
@@ -35,12 +37,12 @@ def graph(start: str) -> set[str]:
 
 
 def test_the_generator_reaches_neither_the_diagnosis_nor_the_forward_model():
-    reached = graph("calib.blind")
-    assert "calib.recording" in reached
+    reached = graph("mavcal.calib.blind")
+    assert "mavcal.calib.recording" in reached
     assert not {name for name in reached if not name.startswith(tuple(MAY))}
 
 
 def test_the_diagnosis_does_not_know_the_generator():
     for path in (ROOT / "calib").rglob("*.py"):
         if "blind" not in path.parts:
-            assert not any(name.startswith("calib.blind") for name in imported(path)), path
+            assert not any(name.startswith("mavcal.calib.blind") for name in imported(path)), path

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.blind.intervals import brier_skill, calibration_error, detection_limit, resampled, wilson
+from mavcal.calib.blind.intervals import brier_skill, calibration_error, detection_limit, resampled, wilson
 
 
 def test_wilson_interval_by_hand():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.blind.missions import GRAVITY_N, OVERSAMPLING, MissionKind, World, make_mission
+from mavcal.calib.blind.missions import GRAVITY_N, OVERSAMPLING, MissionKind, World, make_mission
 
 KINDS = tuple(MissionKind)
 

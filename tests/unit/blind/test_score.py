@@ -4,9 +4,9 @@ from typing import Any
 
 import pytest
 
-from calib.blind.answers import Answer, covered, honest_without
-from calib.blind.cases import KNOWN, LADDER, Tier
-from calib.blind.score import Verdict, score
+from mavcal.calib.blind.answers import Answer, covered, honest_without
+from mavcal.calib.blind.cases import KNOWN, LADDER, Tier
+from mavcal.calib.blind.score import Verdict, score
 
 
 def effect(

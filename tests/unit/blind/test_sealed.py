@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from calib.blind.seal import generator_sha256
+from mavcal.calib.blind.seal import generator_sha256
 
 SEAL = Path(__file__).resolve().parents[3] / "docs" / "gap-seal.json"
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from calib.blind.cases import FIRST_SEALED, Tier, make_label
-from calib.blind.real import KINDS, fast_sd, injected
-from calib.blind.seal import labels_sha256
-from calib.recording import Channel, Recording, Sensor, Stage
-from service.commands.gap_campaign import Worker, answers
-from service.commands.gap_selftest import command
+from mavcal.calib.blind.cases import FIRST_SEALED, Tier, make_label
+from mavcal.calib.blind.real import KINDS, fast_sd, injected
+from mavcal.calib.blind.seal import labels_sha256
+from mavcal.calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.service.commands.gap_campaign import Worker, answers
+from mavcal.service.commands.gap_selftest import command
 
 
 def recording() -> Recording:

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.signal import periodogram
 
-from calib.blind.effects import KNOWN, UNKNOWN
-from calib.blind.effects.noise import Drift
-from calib.blind.effects.timing import LowPass
-from calib.blind.missions import MissionKind, World, make_mission
-from calib.blind.sensors import Order, Quality, read_sensor
-from calib.blind.severity import difference, divergence, net_severity, severity, with_severity
+from mavcal.calib.blind.effects import KNOWN, UNKNOWN
+from mavcal.calib.blind.effects.noise import Drift
+from mavcal.calib.blind.effects.timing import LowPass
+from mavcal.calib.blind.missions import MissionKind, World, make_mission
+from mavcal.calib.blind.sensors import Order, Quality, read_sensor
+from mavcal.calib.blind.severity import difference, divergence, net_severity, severity, with_severity
 
 SUITE = {"accel": Quality(0.03, 0.0048), "gyro": Quality(0.003, 0.001), "mag": Quality(0.5, 0.15, 2)}
 KIND = {(k.id, k.sensor): k for k in KNOWN + UNKNOWN}

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from calib.firmware.options import to_confirm
-from calib.firmware.plan import Change, Fingerprint, ParameterKind, WritePlan
-from service.commands.review import show_end, show_plan
-from service.commands.screen import Screen
-from service.jobs.model import Failure, Job
-from service.jobs.states import JobState
+from mavcal.calib.firmware.options import to_confirm
+from mavcal.calib.firmware.plan import Change, Fingerprint, ParameterKind, WritePlan
+from mavcal.service.commands.review import show_end, show_plan
+from mavcal.service.commands.screen import Screen
+from mavcal.service.jobs.model import Failure, Job
+from mavcal.service.jobs.states import JobState
 
 
 def test_an_id_is_shown_with_all_its_digits(capsys: pytest.CaptureFixture[str]) -> None:

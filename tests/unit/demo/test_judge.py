@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.recording import Sensor
-from calib.scoring import Score
-from service.demo.judge import Judgement, SensorReport
+from mavcal.calib.recording import Sensor
+from mavcal.calib.scoring import Score
+from mavcal.service.demo.judge import Judgement, SensorReport
 
 
 def judged(errors_over_sd: np.ndarray) -> Judgement:

@@ -7,7 +7,7 @@ import struct
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from service.demo.run import sampled
+from mavcal.service.demo.run import sampled
 
 
 def stream(first: float, last: float) -> bytes:

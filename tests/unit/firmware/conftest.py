@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.firmware.names import (
+from mavcal.calib.firmware.names import (
     ardupilot_compass_names,
     ardupilot_imu_names,
     px4_names,
     px4_thermal_names,
 )
-from calib.firmware.plan import Fingerprint
-from calib.fit import FitResult, FitStatus, parameter_names
-from calib.recording import Sensor
-from calib.triad import ThermalPolynomial, TriadModel
+from mavcal.calib.firmware.plan import Fingerprint
+from mavcal.calib.fit import FitResult, FitStatus, parameter_names
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
 Make = Callable[..., FitResult]
 

@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.firmware.compose import ComposeOptions, compose
-from calib.recording import Sensor
-from calib.triad import ThermalPolynomial
+from mavcal.calib.firmware.compose import ComposeOptions, compose
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import ThermalPolynomial
 
 CURVE = ThermalPolynomial(25.0, 10.0, 60.0, [[7e-3, 6e-5, 1e-7], [-4e-3, -3e-5, 2e-7], [9e-3, 4e-5, 0.0]])
 

@@ -7,15 +7,15 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.firmware.agreement import agreement
-from calib.firmware.draft import Draft, Rank, Subject
-from calib.firmware.fitted import Pair
-from calib.firmware.names import ardupilot_compass_names, ardupilot_imu_names
-from calib.firmware.options import ComposeOptions
-from calib.firmware.plan import ParameterKind
-from calib.fit import parameter_names
-from calib.recording import Sensor
-from calib.triad import ThermalPolynomial
+from mavcal.calib.firmware.agreement import agreement
+from mavcal.calib.firmware.draft import Draft, Rank, Subject
+from mavcal.calib.firmware.fitted import Pair
+from mavcal.calib.firmware.names import ardupilot_compass_names, ardupilot_imu_names
+from mavcal.calib.firmware.options import ComposeOptions
+from mavcal.calib.firmware.plan import ParameterKind
+from mavcal.calib.fit import parameter_names
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import ThermalPolynomial
 
 ACCEL, GYRO, MAG = (Subject(s, 0) for s in (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG))
 CURVE = ThermalPolynomial(25.0, 10.0, 60.0, [[7e-5, 6e-7, 1e-9], [-4e-5, -3e-7, 2e-9], [9e-5, 4e-7, 0.0]])

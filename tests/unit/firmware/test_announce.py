@@ -7,12 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.firmware import announce, losses
-from calib.firmware.draft import Draft, Subject
-from calib.firmware.options import ComposeOptions
-from calib.firmware.rotations import euler_matrix
-from calib.recording import Sensor
-from calib.triad import ThermalPolynomial
+from mavcal.calib.firmware import announce, losses
+from mavcal.calib.firmware.draft import Draft, Subject
+from mavcal.calib.firmware.options import ComposeOptions
+from mavcal.calib.firmware.rotations import euler_matrix
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import ThermalPolynomial
 
 ACCEL, GYRO, MAG = (Subject(s, 0) for s in (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG))
 G = 9.80665

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib.firmware.announcements import Announcements
-from calib.recording import Identity
-from calib.wire import FrameParser
+from mavcal.calib.firmware.announcements import Announcements
+from mavcal.calib.recording import Identity
+from mavcal.calib.wire import FrameParser
 
 
 def frame(message):

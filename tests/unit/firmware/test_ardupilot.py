@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.errors import FirmwareError
-from calib.firmware import ardupilot
-from calib.firmware.names import Role
-from calib.recording import Sensor
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware import ardupilot
+from mavcal.calib.firmware.names import Role
+from mavcal.calib.recording import Sensor
 
 AXES = "XYZ"
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib.errors import InvalidInputError
-from calib.firmware.auxiliary import Auxiliary
-from calib.firmware.payload import wire_dtype
-from calib.recording import Sensor
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.firmware.auxiliary import Auxiliary
+from mavcal.calib.firmware.payload import wire_dtype
+from mavcal.calib.recording import Sensor
 
 
 def rows_of(message_id, **fields):

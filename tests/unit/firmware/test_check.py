@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib import STANDARD_GRAVITY
-from calib.firmware import ardupilot, px4
-from calib.firmware.compose import ComposeOptions, compose
-from calib.firmware.content import contents
-from calib.firmware.plan import Change, Fingerprint, ParameterKind, Verdict, WritePlan
-from calib.firmware.trim import force_when_level, trim_from_force
-from calib.firmware.verify import verify
-from calib.fit import parameter_names
-from calib.logs.tlog import read_tlog
-from calib.recording import Channel, ParameterTimeline, Recording, Rounding, Sensor, Stage
-from calib.triad import ThermalPolynomial, TriadModel
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.firmware import ardupilot, px4
+from mavcal.calib.firmware.compose import ComposeOptions, compose
+from mavcal.calib.firmware.content import contents
+from mavcal.calib.firmware.plan import Change, Fingerprint, ParameterKind, Verdict, WritePlan
+from mavcal.calib.firmware.trim import force_when_level, trim_from_force
+from mavcal.calib.firmware.verify import verify
+from mavcal.calib.fit import parameter_names
+from mavcal.calib.logs.tlog import read_tlog
+from mavcal.calib.recording import Channel, ParameterTimeline, Recording, Rounding, Sensor, Stage
+from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
 LEVEL = np.array([0.0, 0.0, -STANDARD_GRAVITY])
 FIELD = np.array([20.0, 3.0, 43.0])

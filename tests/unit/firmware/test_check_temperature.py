@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.firmware.check import within
-from calib.firmware.draft import Subject
-from calib.firmware.evidence import Reading, gather
-from calib.firmware.known_drift import KnownDrift
-from calib.recording import Channel, Recording, Sensor, Stage
-from calib.triad import ThermalPolynomial
+from mavcal.calib.firmware.check import within
+from mavcal.calib.firmware.draft import Subject
+from mavcal.calib.firmware.evidence import Reading, gather
+from mavcal.calib.firmware.known_drift import KnownDrift
+from mavcal.calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib.triad import ThermalPolynomial
 
 CURVE = ThermalPolynomial(35.0, 20.0, 50.0, [[1e-3], [0.0], [0.0]])
 

@@ -5,13 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib import STANDARD_GRAVITY
-from calib.firmware import ardupilot
-from calib.firmware.compose import ComposeOptions, compose
-from calib.firmware.plan import ParameterKind
-from calib.fit import FitStatus
-from calib.recording import Sensor
-from calib.triad import TriadModel
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.firmware import ardupilot
+from mavcal.calib.firmware.compose import ComposeOptions, compose
+from mavcal.calib.firmware.plan import ParameterKind
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import TriadModel
 
 SHEARED = np.array([[1.02, 0.004, -0.002], [0.004, 0.97, 0.003], [-0.002, 0.003, 1.01]])
 

@@ -7,14 +7,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.errors import FirmwareError
-from calib.firmware.compose import ComposeOptions, compose
-from calib.firmware.draft import Draft, Subject
-from calib.firmware.mag_motor import compensated, compose_motors, corrupt_compensation
-from calib.firmware.plan import Fingerprint
-from calib.firmware.trim import adjust_trim, compose_level, force_when_level
-from calib.fit import FitResult, FitStatus
-from calib.recording import ParameterTimeline, Sensor
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware.compose import ComposeOptions, compose
+from mavcal.calib.firmware.draft import Draft, Subject
+from mavcal.calib.firmware.mag_motor import compensated, compose_motors, corrupt_compensation
+from mavcal.calib.firmware.plan import Fingerprint
+from mavcal.calib.firmware.trim import adjust_trim, compose_level, force_when_level
+from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.recording import ParameterTimeline, Sensor
 
 from .test_mag_motor import motor_fit
 

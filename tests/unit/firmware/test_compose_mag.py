@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.firmware import ardupilot, px4
-from calib.firmware.compose import ComposeOptions, compose
-from calib.firmware.rotations import rotation_matrix
-from calib.recording import Sensor
+from mavcal.calib.firmware import ardupilot, px4
+from mavcal.calib.firmware.compose import ComposeOptions, compose
+from mavcal.calib.firmware.rotations import rotation_matrix
+from mavcal.calib.recording import Sensor
 
 SOFT = np.array([[1.06, 0.03, -0.02], [0.03, 0.95, 0.015], [-0.02, 0.015, 1.03]])
 OFFSET = np.array([9.0, -5.5, 3.5])  # uT

@@ -3,11 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib import STANDARD_GRAVITY
-from calib.firmware import px4
-from calib.firmware.compose import ComposeOptions, compose
-from calib.recording import Sensor
-from calib.triad import ThermalPolynomial
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.firmware import px4
+from mavcal.calib.firmware.compose import ComposeOptions, compose
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import ThermalPolynomial
 
 
 def after(plan, parameters):

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.firmware.discrepancy import BIAS_WALK, MOST_BIAS_WALK, RESTART_S, Capture, covariance
-from calib.firmware.evidence import Reading
-from calib.firmware.known_drift import known_drift
-from calib.recording import Sensor
-from calib.triad import TriadModel
+from mavcal.calib.firmware.discrepancy import BIAS_WALK, MOST_BIAS_WALK, RESTART_S, Capture, covariance
+from mavcal.calib.firmware.evidence import Reading
+from mavcal.calib.firmware.known_drift import known_drift
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import TriadModel
 
 
 def gyro(before: float, after: float, *, restarted: bool) -> Capture:

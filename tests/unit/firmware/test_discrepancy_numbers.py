@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.firmware.discrepancy import Capture, Expected, covariance, discrepancy, expected_of, true_magnitude
-from calib.firmware.evidence import Reading
-from calib.firmware.known_drift import known_drift
-from calib.recording import Sensor
-from calib.triad import ThermalPolynomial, TriadModel
+from mavcal.calib.firmware.discrepancy import Capture, Expected, covariance, discrepancy, expected_of, true_magnitude
+from mavcal.calib.firmware.evidence import Reading
+from mavcal.calib.firmware.known_drift import known_drift
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
 STABILITY = {Sensor.ACCEL: 1e-3, Sensor.GYRO: 5e-5, Sensor.MAG: 0.05}
 EARTH_RATE = 7.292115e-5

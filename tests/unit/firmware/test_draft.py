@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from calib.firmware.draft import Draft, Rank, Subject
-from calib.firmware.options import ComposeOptions
-from calib.firmware.plan import Fingerprint, Loss, ParameterKind
-from calib.recording import Sensor
+from mavcal.calib.firmware.draft import Draft, Rank, Subject
+from mavcal.calib.firmware.options import ComposeOptions
+from mavcal.calib.firmware.plan import Fingerprint, Loss, ParameterKind
+from mavcal.calib.recording import Sensor
 
 GYRO = Subject(Sensor.GYRO, 1)
 NAMES = ("INS_GYR2OFFS_X", "INS_GYR2OFFS_Y", "INS_GYR2OFFS_Z")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.firmware.draft import Subject
-from calib.firmware.evidence import gather
-from calib.recording import Channel, Recording, Rounding, Sensor, Stage
+from mavcal.calib.firmware.draft import Subject
+from mavcal.calib.firmware.evidence import gather
+from mavcal.calib.recording import Channel, Recording, Rounding, Sensor, Stage
 
 G = 9.80665
 ACCEL, GYRO, MAG = (Subject(s, 0) for s in (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG))

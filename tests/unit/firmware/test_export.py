@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.errors import FirmwareError, UnreadableError
-from calib.firmware.export import (
+from mavcal.calib.errors import FirmwareError, UnreadableError
+from mavcal.calib.firmware.export import (
     ParameterFormat,
     number,
     read_export,
@@ -19,7 +19,7 @@ from calib.firmware.export import (
     write_export,
     write_plan,
 )
-from calib.firmware.plan import Change, Fingerprint, ParameterKind, WritePlan
+from mavcal.calib.firmware.plan import Change, Fingerprint, ParameterKind, WritePlan
 
 FINE = float(np.float32(1.2345678e-7))
 PLAN = WritePlan(

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from calib.firmware.compose import compose
-from calib.firmware.fingerprint import calibration_snapshot, fingerprint, matters, rests_on
-from calib.firmware.names import OFFSET, Role, ardupilot_imu_names, px4_names
-from calib.firmware.options import compose_options
-from calib.firmware.plan import Value, WritePlan
-from calib.procedures.registry import PROCEDURES
-from calib.recording import Identity, Sensor
+from mavcal.calib.firmware.compose import compose
+from mavcal.calib.firmware.fingerprint import calibration_snapshot, fingerprint, matters, rests_on
+from mavcal.calib.firmware.names import OFFSET, Role, ardupilot_imu_names, px4_names
+from mavcal.calib.firmware.options import compose_options
+from mavcal.calib.firmware.plan import Value, WritePlan
+from mavcal.calib.procedures.registry import PROCEDURES
+from mavcal.calib.recording import Identity, Sensor
 
 from .test_needed import IDS, held
 from .test_needed_plan import FITS

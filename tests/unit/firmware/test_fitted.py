@@ -7,18 +7,26 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.firmware.draft import Draft, Subject
-from calib.firmware.evidence import Reading
-from calib.firmware.fitted import Pair, drift_axes, is_shape_only, keeps_matrix, offset_at, pair_fits, usable_fits
-from calib.firmware.force import force_of
-from calib.firmware.losses import rotation_angle, split
-from calib.firmware.names import ardupilot_imu_names
-from calib.firmware.options import ComposeOptions
-from calib.firmware.plan import Change, ParameterKind
-from calib.firmware.rotations import euler_matrix
-from calib.fit import AXES, FitStatus
-from calib.recording import Sensor
-from calib.triad import ThermalPolynomial
+from mavcal.calib.firmware.draft import Draft, Subject
+from mavcal.calib.firmware.evidence import Reading
+from mavcal.calib.firmware.fitted import (
+    Pair,
+    drift_axes,
+    is_shape_only,
+    keeps_matrix,
+    offset_at,
+    pair_fits,
+    usable_fits,
+)
+from mavcal.calib.firmware.force import force_of
+from mavcal.calib.firmware.losses import rotation_angle, split
+from mavcal.calib.firmware.names import ardupilot_imu_names
+from mavcal.calib.firmware.options import ComposeOptions
+from mavcal.calib.firmware.plan import Change, ParameterKind
+from mavcal.calib.firmware.rotations import euler_matrix
+from mavcal.calib.fit import AXES, FitStatus
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import ThermalPolynomial
 
 CURVE = ThermalPolynomial(25.0, 10.0, 60.0, [[1e-3, 1e-5], [0.0, 2e-5], [3e-3, 0.0]])
 GYRO, ACCEL, MAG = (Subject(s, 0) for s in (Sensor.GYRO, Sensor.ACCEL, Sensor.MAG))

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from calib.firmware.compose import compose
-from calib.firmware.fingerprint import fingerprint
-from calib.firmware.foresee import foreseen, unknown_sensors
-from calib.firmware.options import ComposeOptions
-from calib.recording import Identity, Sensor
-from calib.triad import ThermalPolynomial
+from mavcal.calib.firmware.compose import compose
+from mavcal.calib.firmware.fingerprint import fingerprint
+from mavcal.calib.firmware.foresee import foreseen, unknown_sensors
+from mavcal.calib.firmware.options import ComposeOptions
+from mavcal.calib.recording import Identity, Sensor
+from mavcal.calib.triad import ThermalPolynomial
 
 COPTER = Identity("ardupilot", 2, (4, 7, 0), "0123", 1, 1)
 PLANE = Identity("px4", 1, (1, 16, 0), "0123", 1, 1)

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from calib.firmware.hypotheses import combinations_of, judge
-from calib.firmware.plan import Verdict
+from mavcal.calib.firmware.hypotheses import combinations_of, judge
+from mavcal.calib.firmware.plan import Verdict
 
 
 def weigh(data, effects):

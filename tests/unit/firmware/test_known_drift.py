@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.firmware.known_drift import DRIFT_PER_DEGC, UNKNOWN_TEMPERATURE, known_drift
-from calib.recording import Sensor
-from calib.triad import ThermalPolynomial
+from mavcal.calib.firmware.known_drift import DRIFT_PER_DEGC, UNKNOWN_TEMPERATURE, known_drift
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import ThermalPolynomial
 
 CURVE = ThermalPolynomial(35.0, 10.0, 60.0, [[7e-4, 6e-6, 1e-8], [-4e-4, -3e-6, 2e-8], [9e-4, 4e-6, 0.0]])
 ONE = np.ones((1, 1))

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib import STANDARD_GRAVITY
-from calib.firmware.compose import compose
-from calib.firmware.plan import SensorVerdict, Verdict
-from calib.firmware.trim import force_when_level
-from calib.firmware.verify import verify
-from calib.geometry import quaternion_from_euler
-from calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.firmware.compose import compose
+from mavcal.calib.firmware.plan import SensorVerdict, Verdict
+from mavcal.calib.firmware.trim import force_when_level
+from mavcal.calib.firmware.verify import verify
+from mavcal.calib.geometry import quaternion_from_euler
+from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 
 OLD = {"AHRS_TRIM_X": 0.019, "AHRS_TRIM_Y": -0.014}
 ROLL, PITCH = np.radians((1.7, -2.3))

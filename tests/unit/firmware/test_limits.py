@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from calib.firmware.draft import Draft, Rank
-from calib.firmware.limits import limit_of
-from calib.firmware.names import (
+from mavcal.calib.firmware.draft import Draft, Rank
+from mavcal.calib.firmware.limits import limit_of
+from mavcal.calib.firmware.names import (
     OFFSET,
     SCALE,
     Role,
@@ -16,9 +16,9 @@ from calib.firmware.names import (
     px4_names,
     px4_thermal_names,
 )
-from calib.firmware.options import ComposeOptions
-from calib.firmware.plan import Fingerprint
-from calib.recording import Sensor
+from mavcal.calib.firmware.options import ComposeOptions
+from mavcal.calib.firmware.plan import Fingerprint
+from mavcal.calib.recording import Sensor
 
 
 @pytest.mark.parametrize("slot", range(5))

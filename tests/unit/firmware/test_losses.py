@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.firmware.losses import largest_error, rotation_angle, split
-from calib.firmware.rotations import euler_matrix
-from calib.recording import Sensor
-from calib.triad import TriadModel
+from mavcal.calib.firmware.losses import largest_error, rotation_angle, split
+from mavcal.calib.firmware.rotations import euler_matrix
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import TriadModel
 
 small = st.floats(-0.05, 0.05)
 

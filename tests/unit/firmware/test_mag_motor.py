@@ -8,14 +8,14 @@ import math
 import numpy as np
 import pytest
 
-from calib.firmware import ardupilot, px4
-from calib.firmware.draft import Draft
-from calib.firmware.mag_motor import compose_motors, corrupt_compensation
-from calib.firmware.options import ComposeOptions
-from calib.fit import FitResult, FitStatus, parameter_names
-from calib.mag.motor import METHOD
-from calib.recording import ParameterEntry, ParameterTimeline, Sensor
-from calib.triad import TriadModel
+from mavcal.calib.firmware import ardupilot, px4
+from mavcal.calib.firmware.draft import Draft
+from mavcal.calib.firmware.mag_motor import compose_motors, corrupt_compensation
+from mavcal.calib.firmware.options import ComposeOptions
+from mavcal.calib.fit import FitResult, FitStatus, parameter_names
+from mavcal.calib.mag.motor import METHOD
+from mavcal.calib.recording import ParameterEntry, ParameterTimeline, Sensor
+from mavcal.calib.triad import TriadModel
 
 INTERFERENCE = {"current": [0.3, -0.2, 0.4], "throttle": [12.0, -8.0, 16.0]}  # uT per A, uT at full throttle
 

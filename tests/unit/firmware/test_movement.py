@@ -7,15 +7,15 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.firmware.check import check_stream
-from calib.firmware.draft import Subject
-from calib.firmware.evidence import Evidence, Reading
-from calib.firmware.fitted import Pair
-from calib.firmware.force import force_of
-from calib.firmware.movement import movement_for
-from calib.firmware.names import ardupilot_imu_names
-from calib.firmware.plan import Change, ParameterKind, ParameterVerdict, Verdict
-from calib.recording import Sensor
+from mavcal.calib.firmware.check import check_stream
+from mavcal.calib.firmware.draft import Subject
+from mavcal.calib.firmware.evidence import Evidence, Reading
+from mavcal.calib.firmware.fitted import Pair
+from mavcal.calib.firmware.force import force_of
+from mavcal.calib.firmware.movement import movement_for
+from mavcal.calib.firmware.names import ardupilot_imu_names
+from mavcal.calib.firmware.plan import Change, ParameterKind, ParameterVerdict, Verdict
+from mavcal.calib.recording import Sensor
 
 G = 9.80665
 ACCEL, GYRO, MAG = (Subject(s, 0) for s in (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from calib.errors import FirmwareError
-from calib.firmware.names import Role, ardupilot_compass_names, ardupilot_imu_names, px4_names, px4_thermal_names
-from calib.recording import Sensor
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware.names import Role, ardupilot_compass_names, ardupilot_imu_names, px4_names, px4_thermal_names
+from mavcal.calib.recording import Sensor
 
 
 @pytest.fixture(autouse=True)

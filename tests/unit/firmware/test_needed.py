@@ -2,13 +2,13 @@ from __future__ import annotations
 
 import pytest
 
-from calib.errors import FirmwareError
-from calib.firmware import ardupilot, px4
-from calib.firmware.needed import needed
-from calib.firmware.plan import Value
-from calib.recording import Sensor
-from service.simvehicle.config import Autopilot, VehicleConfig
-from service.simvehicle.server import make_vehicle
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware import ardupilot, px4
+from mavcal.calib.firmware.needed import needed
+from mavcal.calib.firmware.plan import Value
+from mavcal.calib.recording import Sensor
+from mavcal.service.simvehicle.config import Autopilot, VehicleConfig
+from mavcal.service.simvehicle.server import make_vehicle
 
 IN_FORCE = {"ardupilot": ardupilot.calibration_in_force, "px4": px4.calibration_in_force}
 IDS = {"ardupilot": ardupilot.sensor_ids, "px4": px4.sensor_ids}

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from calib.firmware.fingerprint import SETTINGS
-from calib.firmware.needed import needed
-from calib.recording import Sensor
+from mavcal.calib.firmware.fingerprint import SETTINGS
+from mavcal.calib.firmware.needed import needed
+from mavcal.calib.recording import Sensor
 
 PX4_SETTINGS = {name for name in SETTINGS if name.startswith(("SENS_", "IMU_"))}
 ARDUPILOT_ALWAYS = set(SETTINGS) - PX4_SETTINGS | {"AHRS_ORIENTATION"}

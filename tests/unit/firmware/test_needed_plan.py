@@ -7,15 +7,15 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib import STANDARD_GRAVITY
-from calib.firmware.compose import compose
-from calib.firmware.fingerprint import fingerprint
-from calib.firmware.options import compose_options
-from calib.firmware.plan import Value
-from calib.firmware.verify import verify
-from calib.geometry import quaternion_from_euler
-from calib.recording import Channel, Identity, Recording, Sensor, Stage
-from calib.triad import ThermalPolynomial
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.firmware.compose import compose
+from mavcal.calib.firmware.fingerprint import fingerprint
+from mavcal.calib.firmware.options import compose_options
+from mavcal.calib.firmware.plan import Value
+from mavcal.calib.firmware.verify import verify
+from mavcal.calib.geometry import quaternion_from_euler
+from mavcal.calib.recording import Channel, Identity, Recording, Sensor, Stage
+from mavcal.calib.triad import ThermalPolynomial
 
 from .test_needed import IDS, held, read
 

@@ -4,9 +4,9 @@ import dataclasses
 
 import pytest
 
-from calib.errors import InvalidInputError
-from calib.firmware.options import PLAN_OPTIONS, ComposeOptions, compose_options, how, parse_key, unknown_keys
-from calib.recording import Sensor
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.firmware.options import PLAN_OPTIONS, ComposeOptions, compose_options, how, parse_key, unknown_keys
+from mavcal.calib.recording import Sensor
 
 
 def test_every_decision_of_composing_is_an_option_and_nothing_else_is() -> None:

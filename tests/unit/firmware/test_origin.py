@@ -4,10 +4,10 @@ import dataclasses
 
 import pytest
 
-from calib.errors import FirmwareError
-from calib.firmware.origin import differences, origin_of, unproved
-from calib.fit import FitStatus, refused
-from calib.recording import Identity, ParameterTimeline, Recording, Sensor
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware.origin import differences, origin_of, unproved
+from mavcal.calib.fit import FitStatus, refused
+from mavcal.calib.recording import Identity, ParameterTimeline, Recording, Sensor
 from tests.unit.logs.ulog_file import PARAMETERS
 
 BOARD = Identity(autopilot="px4", uid="0002aa00")

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.errors import FirmwareError
-from calib.firmware.names import ardupilot_imu_names
-from calib.firmware.pieces import Piece
-from calib.recording import Sensor
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware.names import ardupilot_imu_names
+from mavcal.calib.firmware.pieces import Piece
+from mavcal.calib.recording import Sensor
 
 KEY = (Sensor.GYRO, 0)
 

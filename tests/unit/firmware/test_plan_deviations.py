@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.firmware.compose import compose
-from calib.firmware.thermal_ardupilot import ardupilot_coefficients
-from calib.fit import parameter_names
-from calib.recording import Sensor
-from calib.triad import ThermalPolynomial
+from mavcal.calib.firmware.compose import compose
+from mavcal.calib.firmware.thermal_ardupilot import ardupilot_coefficients
+from mavcal.calib.fit import parameter_names
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import ThermalPolynomial
 
 ELEMENTS = ("xx", "yy", "zz", "xy", "xz", "yz")
 SDS = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0]) * 1e-3

@@ -3,11 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.errors import FirmwareError
-from calib.firmware import px4
-from calib.firmware.names import Role
-from calib.firmware.px4 import Px4Calibration
-from calib.recording import Sensor
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware import px4
+from mavcal.calib.firmware.names import Role
+from mavcal.calib.firmware.px4 import Px4Calibration
+from mavcal.calib.recording import Sensor
 
 AXES = "XYZ"
 BOARD = {"SENS_BOARD_ROT": 0, "SENS_BOARD_X_OFF": 0.0, "SENS_BOARD_Y_OFF": 0.0, "SENS_BOARD_Z_OFF": 0.0}

@@ -5,21 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.errors import FirmwareError
-from calib.firmware import px4
-from calib.firmware.draft import Draft, Subject
-from calib.firmware.names import CROSS, OFFSET, SCALE
-from calib.firmware.options import ComposeOptions
-from calib.firmware.px4_memory import Vector, acts_at_once, representable, set_vector, survives_restart
-from calib.firmware.rotations import euler_matrix
-from calib.firmware.slots import (
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware import px4
+from mavcal.calib.firmware.draft import Draft, Subject
+from mavcal.calib.firmware.names import CROSS, OFFSET, SCALE
+from mavcal.calib.firmware.options import ComposeOptions
+from mavcal.calib.firmware.px4_memory import Vector, acts_at_once, representable, set_vector, survives_restart
+from mavcal.calib.firmware.rotations import euler_matrix
+from mavcal.calib.firmware.slots import (
     ardupilot_compass_slot,
     ardupilot_sensor_ids,
     px4_sensor_ids,
     px4_slot,
     px4_thermal_slot,
 )
-from calib.recording import Sensor
+from mavcal.calib.recording import Sensor
 
 ACCEL, GYRO, MAG = (Subject(s, 0) for s in (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG))
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.firmware.px4_flight import arming_events, flight_channels, truth_channels
-from calib.recording import Sensor, Stage
+from mavcal.calib.firmware.px4_flight import arming_events, flight_channels, truth_channels
+from mavcal.calib.recording import Sensor, Stage
 
 from .test_px4_topics import topic
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.firmware.px4_topics import Rows, inertial_channels
-from calib.recording import Sensor, Stage
+from mavcal.calib.firmware.px4_topics import Rows, inertial_channels
+from mavcal.calib.recording import Sensor, Stage
 
 ACCEL, GYRO, MAG = 1310988, 2490644, 197388
 

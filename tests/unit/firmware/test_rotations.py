@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib.errors import FirmwareError
-from calib.firmware.rotations import ROTATIONS, euler_matrix, nearest_rotation, rotation_matrix, rotation_words
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware.rotations import ROTATIONS, euler_matrix, nearest_rotation, rotation_matrix, rotation_words
 
 
 @pytest.mark.parametrize(

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.firmware.compose import compose
-from calib.firmware.plan import SensorVerdict, Verdict
-from calib.firmware.verify import verify
-from calib.recording import Sensor, join
-from calib.triad import TriadModel
+from mavcal.calib.firmware.compose import compose
+from mavcal.calib.firmware.plan import SensorVerdict, Verdict
+from mavcal.calib.firmware.verify import verify
+from mavcal.calib.recording import Sensor, join
+from mavcal.calib.triad import TriadModel
 
 from .test_verify import LEFT, LEVEL, NOSE_DOWN, accel_case, gyro_case, stream
 

@@ -7,14 +7,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.firmware.draft import Subject
-from calib.firmware.evidence import Evidence, Reading
-from calib.firmware.fitted import Pair
-from calib.firmware.force import force_of
-from calib.firmware.plan import Change, Loss, ParameterKind, SensorVerdict, WritePlan
-from calib.firmware.sensor_check import sensor_checks
-from calib.recording import Sensor
-from calib.triad import ThermalPolynomial
+from mavcal.calib.firmware.draft import Subject
+from mavcal.calib.firmware.evidence import Evidence, Reading
+from mavcal.calib.firmware.fitted import Pair
+from mavcal.calib.firmware.force import force_of
+from mavcal.calib.firmware.plan import Change, Loss, ParameterKind, SensorVerdict, WritePlan
+from mavcal.calib.firmware.sensor_check import sensor_checks
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import ThermalPolynomial
 
 GYRO, ACCEL, SECOND = Subject(Sensor.GYRO, 0), Subject(Sensor.ACCEL, 0), Subject(Sensor.ACCEL, 1)
 NAMES = {GYRO: "INS_GYROFFS_X", ACCEL: "INS_ACCOFFS_X", SECOND: "INS_ACC2OFFS_X"}

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.firmware.significance import agreed, level_agreement, within
-from calib.recording import Sensor
+from mavcal.calib.firmware.significance import agreed, level_agreement, within
+from mavcal.calib.recording import Sensor
 
 QUANTILES = {1: 3.841, 2: 5.991, 3: 7.815}
 """95 % of chi-squared by its degrees of freedom (any table)."""

@@ -9,12 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib import STANDARD_GRAVITY
-from calib.errors import FirmwareError
-from calib.firmware.clock import WRAP_S, VehicleClock
-from calib.firmware.streams import Assembler, requested_streams
-from calib.recording import Channel, Event, Identity, Recording, Rounding, Sensor, Stage, join
-from calib.wire import Frame, FrameParser, RawMessage, encode
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware.clock import WRAP_S, VehicleClock
+from mavcal.calib.firmware.streams import Assembler, requested_streams
+from mavcal.calib.recording import Channel, Event, Identity, Recording, Rounding, Sensor, Stage, join
+from mavcal.calib.wire import Frame, FrameParser, RawMessage, encode
 
 ARDUPILOT = Identity(autopilot="ardupilot", system=1, component=1)
 PX4 = Identity(autopilot="px4", system=1, component=1)

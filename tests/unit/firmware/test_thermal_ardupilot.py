@@ -3,11 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.firmware import ardupilot
-from calib.firmware.compose import compose
-from calib.firmware.thermal_ardupilot import ardupilot_coefficients, recentre
-from calib.recording import Sensor
-from calib.triad import ThermalPolynomial
+from mavcal.calib.firmware import ardupilot
+from mavcal.calib.firmware.compose import compose
+from mavcal.calib.firmware.thermal_ardupilot import ardupilot_coefficients, recentre
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import ThermalPolynomial
 
 CURVE = ThermalPolynomial(25.0, 10.0, 60.0, [[7e-3, 6e-5, 1e-7], [-4e-3, -3e-5, 2e-7], [9e-3, 4e-5, 0.0]])
 SHAPE_ONLY = tuple(f"offset_{a}" for a in "xyz")

@@ -3,19 +3,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib import STANDARD_GRAVITY
-from calib.firmware import ardupilot, px4
-from calib.firmware.compose import compose
-from calib.firmware.compose_px4 import compose_imu
-from calib.firmware.draft import Draft, Rank, Subject
-from calib.firmware.fitted import Pair
-from calib.firmware.options import ComposeOptions
-from calib.firmware.plan import ParameterKind
-from calib.firmware.rotations import euler_matrix
-from calib.firmware.trim import adjust_trim, carried_over, force_when_level, trim_from_force
-from calib.fit import FitStatus
-from calib.recording import Sensor
-from calib.triad import TriadModel
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.firmware import ardupilot, px4
+from mavcal.calib.firmware.compose import compose
+from mavcal.calib.firmware.compose_px4 import compose_imu
+from mavcal.calib.firmware.draft import Draft, Rank, Subject
+from mavcal.calib.firmware.fitted import Pair
+from mavcal.calib.firmware.options import ComposeOptions
+from mavcal.calib.firmware.plan import ParameterKind
+from mavcal.calib.firmware.rotations import euler_matrix
+from mavcal.calib.firmware.trim import adjust_trim, carried_over, force_when_level, trim_from_force
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import TriadModel
 
 
 def after(plan, parameters):

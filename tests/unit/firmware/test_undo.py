@@ -6,10 +6,10 @@ import itertools
 import numpy as np
 import pytest
 
-from calib import STANDARD_GRAVITY
-from calib.errors import FirmwareError
-from calib.firmware import Undo, calibration_changes, calibration_in_force, undo
-from calib.recording import (
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware import Undo, calibration_changes, calibration_in_force, undo
+from mavcal.calib.recording import (
     Channel,
     Identity,
     ParameterEntry,

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib import STANDARD_GRAVITY
-from calib.firmware import ardupilot
-from calib.firmware.compose import compose
-from calib.firmware.plan import Verdict
-from calib.firmware.verify import verify
-from calib.recording import Channel, ParameterTimeline, Recording, Rounding, Sensor, Stage
-from calib.triad import TriadModel
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.firmware import ardupilot
+from mavcal.calib.firmware.compose import compose
+from mavcal.calib.firmware.plan import Verdict
+from mavcal.calib.firmware.verify import verify
+from mavcal.calib.recording import Channel, ParameterTimeline, Recording, Rounding, Sensor, Stage
+from mavcal.calib.triad import TriadModel
 
 LEVEL = (0.0, 0.0, -STANDARD_GRAVITY)
 LEFT = (0.0, STANDARD_GRAVITY, 0.0)

@@ -7,20 +7,20 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.errors import InvalidInputError
-from calib.firmware.check import Corrections, StreamCheck, check_stream, out_of_range, within
-from calib.firmware.compose import compose
-from calib.firmware.draft import Subject
-from calib.firmware.evidence import Evidence, Reading
-from calib.firmware.fitted import Pair
-from calib.firmware.force import force_of
-from calib.firmware.level_check import level_checks
-from calib.firmware.plan import Change, Fingerprint, ParameterKind, SensorVerdict, Verdict, WritePlan
-from calib.firmware.trim import force_when_level
-from calib.firmware.verify import verify
-from calib.geometry import quaternion_from_euler
-from calib.recording import Channel, ParameterTimeline, Recording, Sensor, Stage
-from calib.triad import ThermalPolynomial, TriadModel
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.firmware.check import Corrections, StreamCheck, check_stream, out_of_range, within
+from mavcal.calib.firmware.compose import compose
+from mavcal.calib.firmware.draft import Subject
+from mavcal.calib.firmware.evidence import Evidence, Reading
+from mavcal.calib.firmware.fitted import Pair
+from mavcal.calib.firmware.force import force_of
+from mavcal.calib.firmware.level_check import level_checks
+from mavcal.calib.firmware.plan import Change, Fingerprint, ParameterKind, SensorVerdict, Verdict, WritePlan
+from mavcal.calib.firmware.trim import force_when_level
+from mavcal.calib.firmware.verify import verify
+from mavcal.calib.geometry import quaternion_from_euler
+from mavcal.calib.recording import Channel, ParameterTimeline, Recording, Sensor, Stage
+from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
 from .test_verify import LEVEL, gyro_case, stream
 

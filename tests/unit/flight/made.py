@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.recording import Channel, Event, Identity, ParameterTimeline, Recording, Sensor, Stage
+from mavcal.calib.recording import Channel, Event, Identity, ParameterTimeline, Recording, Sensor, Stage
 
 Array = NDArray[np.float64]
 

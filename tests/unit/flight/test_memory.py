@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from bench.dataflash import write_flight
-from calib import logs
-from calib.flight.report import flight_report
-from calib.inspection import inspect
-from calib.recording import Channel, Event, Identity, Recording, Sensor, Stage
+from mavcal.calib import logs
+from mavcal.calib.flight.report import flight_report
+from mavcal.calib.inspection import inspect
+from mavcal.calib.recording import Channel, Event, Identity, Recording, Sensor, Stage
 
 MIB = 2**20
 BLOCKS = 4.0 * MIB

@@ -7,12 +7,12 @@ import functools
 import numpy as np
 import pytest
 
-from calib import logs
-from calib.errors import InvalidInputError
-from calib.fit import FitStatus
-from calib.flight.item import Verdict
-from calib.flight.report import flight_report
-from calib.methods import METHODS
+from mavcal.calib import logs
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.flight.item import Verdict
+from mavcal.calib.flight.report import flight_report
+from mavcal.calib.methods import METHODS
 
 pytestmark = pytest.mark.shared
 

@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.errors import InvalidInputError
-from calib.flight.rest import Known, Phase, ground, rests
-from calib.methods.source import Source
-from calib.recording import Channel, Event, Identity, Recording, Sensor, Stage
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.flight.rest import Known, Phase, ground, rests
+from mavcal.calib.methods.source import Source
+from mavcal.calib.recording import Channel, Event, Identity, Recording, Sensor, Stage
 from tests.unit.flight.made import Unit, log
 
 

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.flight.item import Limit, Verdict, judged
-from calib.flight.report import flight_report, overview
-from calib.recording import Channel, Event, Identity, ParameterTimeline, Recording, Sensor, Stage
+from mavcal.calib.flight.item import Limit, Verdict, judged
+from mavcal.calib.flight.report import flight_report, overview
+from mavcal.calib.recording import Channel, Event, Identity, ParameterTimeline, Recording, Sensor, Stage
 from tests.unit.flight.made import GRAVITY, Unit, log
 
 CLEAN = Unit()

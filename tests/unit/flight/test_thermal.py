@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.errors import InvalidInputError
-from calib.fit import FitStatus
-from calib.flight.thermal import Wish, fit_rests
-from calib.flight.warm import difference, logs_of
-from calib.methods import METHODS
-from calib.recording import Identity, ParameterTimeline, Sensor
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.flight.thermal import Wish, fit_rests
+from mavcal.calib.flight.warm import difference, logs_of
+from mavcal.calib.methods import METHODS
+from mavcal.calib.recording import Identity, ParameterTimeline, Sensor
 from tests.unit.flight.made import Unit, log
 
 ACCEL = ((8e-3, -5e-3, 12e-3), (150e-6, 0.0, 0.0))

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from calib.gap.problem import Problem, ReferenceInfo, ReferenceKind, Trace
-from calib.recording import Sensor
+from mavcal.calib.gap.problem import Problem, ReferenceInfo, ReferenceKind, Trace
+from mavcal.calib.recording import Sensor
 
 SIGMA = {Sensor.ACCEL: 0.05, Sensor.GYRO: 0.003, Sensor.MAG: 0.5}
 Gap = Callable[[Trace], np.ndarray | float]

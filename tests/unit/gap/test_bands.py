@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.gap.bands import assembled, joined, resampled, split
-from calib.gap.likelihood import transform
-from calib.gap.problem import Problem, ReferenceInfo, ReferenceKind
-from calib.gap.views import View, views_of
-from calib.recording import Sensor
+from mavcal.calib.gap.bands import assembled, joined, resampled, split
+from mavcal.calib.gap.likelihood import transform
+from mavcal.calib.gap.problem import Problem, ReferenceInfo, ReferenceKind
+from mavcal.calib.gap.views import View, views_of
+from mavcal.calib.recording import Sensor
 
 from .effects.conftest import make
 

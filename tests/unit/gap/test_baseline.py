@@ -9,12 +9,12 @@ import pytest
 from scipy import signal
 from scipy.spatial.transform import Rotation
 
-from calib.gap.baseline import Baseline, baseline_of, beside
-from calib.gap.diagnose import diagnose
-from calib.gap.floors import SMALL
-from calib.gap.problem import Floor
-from calib.gap.schema import Verdict
-from calib.recording import Sensor
+from mavcal.calib.gap.baseline import Baseline, baseline_of, beside
+from mavcal.calib.gap.diagnose import diagnose
+from mavcal.calib.gap.floors import SMALL
+from mavcal.calib.gap.problem import Floor
+from mavcal.calib.gap.schema import Verdict
+from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import problem_of
 
 ALPHA = 0.005

@@ -7,8 +7,8 @@ import math
 
 import pytest
 
-from calib.blind.score import BINS
-from calib.gap.believed import believed
+from mavcal.calib.blind.score import BINS
+from mavcal.calib.gap.believed import believed
 
 GAINS = (0.0, 10.0, 50.0, 200.0, 1000.0, 1e8)
 WEAKEST, STRONGEST = BINS[0][0], BINS[-1][1]

@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from calib.gap.bands import split
-from calib.gap.contest import Contest, fixed_score, noise_score, one_sided_tail, priced, tail, widest
-from calib.gap.effects import by_id, forward_models
-from calib.gap.hypotheses import Frame, Hypothesis
-from calib.gap.likelihood import transform
-from calib.gap.model import refined, setting_of, starting_model
-from calib.gap.noise_fit import starting_noise
-from calib.gap.power import noncentrality
-from calib.gap.problem import Problem, ReferenceInfo, ReferenceKind, Trace
-from calib.gap.projection import Beside, Gain
-from calib.gap.selection import Chosen, fitted, grown, with_score
-from calib.gap.views import views_of
-from calib.recording import Sensor
+from mavcal.calib.gap.bands import split
+from mavcal.calib.gap.contest import Contest, fixed_score, noise_score, one_sided_tail, priced, tail, widest
+from mavcal.calib.gap.effects import by_id, forward_models
+from mavcal.calib.gap.hypotheses import Frame, Hypothesis
+from mavcal.calib.gap.likelihood import transform
+from mavcal.calib.gap.model import refined, setting_of, starting_model
+from mavcal.calib.gap.noise_fit import starting_noise
+from mavcal.calib.gap.power import noncentrality
+from mavcal.calib.gap.problem import Problem, ReferenceInfo, ReferenceKind, Trace
+from mavcal.calib.gap.projection import Beside, Gain
+from mavcal.calib.gap.selection import Chosen, fitted, grown, with_score
+from mavcal.calib.gap.views import views_of
+from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
 

@@ -8,20 +8,20 @@ import pytest
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from calib.gap.bands import split
-from calib.gap.contest import Contest
-from calib.gap.diagnose import diagnose
-from calib.gap.effects import catalogue
-from calib.gap.estimates import estimates_of
-from calib.gap.hypotheses import hypotheses_of
-from calib.gap.model import setting_of, starting_model
-from calib.gap.noise_fit import refitted, starting_noise
-from calib.gap.problem import Problem, ReferenceInfo, ReferenceKind
-from calib.gap.schema import GapReport, Verdict, as_json
-from calib.gap.selection import select
-from calib.gap.shrink import dose_of
-from calib.gap.views import views_of
-from calib.recording import Sensor
+from mavcal.calib.gap.bands import split
+from mavcal.calib.gap.contest import Contest
+from mavcal.calib.gap.diagnose import diagnose
+from mavcal.calib.gap.effects import catalogue
+from mavcal.calib.gap.estimates import estimates_of
+from mavcal.calib.gap.hypotheses import hypotheses_of
+from mavcal.calib.gap.model import setting_of, starting_model
+from mavcal.calib.gap.noise_fit import refitted, starting_noise
+from mavcal.calib.gap.problem import Problem, ReferenceInfo, ReferenceKind
+from mavcal.calib.gap.schema import GapReport, Verdict, as_json
+from mavcal.calib.gap.selection import select
+from mavcal.calib.gap.shrink import dose_of
+from mavcal.calib.gap.views import views_of
+from mavcal.calib.recording import Sensor
 from tests.unit.gap.effects.conftest import make
 from tests.unit.gap.synthetic import problem_of
 

@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from calib.gap import diagnose
-from calib.gap.attribution import Attribution
-from calib.gap.doubts import nameless
-from calib.gap.problem import Problem
-from calib.gap.schema import Verdict
-from calib.gap.wander import halved, marginal
-from calib.recording import Sensor
+from mavcal.calib.gap import diagnose
+from mavcal.calib.gap.attribution import Attribution
+from mavcal.calib.gap.doubts import nameless
+from mavcal.calib.gap.problem import Problem
+from mavcal.calib.gap.schema import Verdict
+from mavcal.calib.gap.wander import halved, marginal
+from mavcal.calib.recording import Sensor
 
 from .synthetic import problem_of
 

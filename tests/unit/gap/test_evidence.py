@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from calib.gap.evidence import (
+from mavcal.calib.gap.evidence import (
     evidence,
     price_of_fixed,
     price_of_kind,

@@ -5,16 +5,16 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.gap import diagnose
-from calib.gap.contest import noise_score
-from calib.gap.effects import by_id
-from calib.gap.effects.timing import low_pass_gain
-from calib.gap.filtered import shaped, told_by_noise
-from calib.gap.hypotheses import Hypothesis
-from calib.gap.model import Term, setting_of, starting_model
-from calib.gap.noise_fit import refitted, starting_noise
-from calib.gap.views import views_of
-from calib.recording import Sensor
+from mavcal.calib.gap import diagnose
+from mavcal.calib.gap.contest import noise_score
+from mavcal.calib.gap.effects import by_id
+from mavcal.calib.gap.effects.timing import low_pass_gain
+from mavcal.calib.gap.filtered import shaped, told_by_noise
+from mavcal.calib.gap.hypotheses import Hypothesis
+from mavcal.calib.gap.model import Term, setting_of, starting_model
+from mavcal.calib.gap.noise_fit import refitted, starting_noise
+from mavcal.calib.gap.views import views_of
+from mavcal.calib.recording import Sensor
 
 from .synthetic import problem_of
 

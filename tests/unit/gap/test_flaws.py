@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from calib import gap
-from calib.gap.flaws import beside_flaws, flaws_of
-from calib.gap.reference import build, posed
-from calib.gap.reference.signal import linear
-from calib.gap.schema import Verdict
-from calib.recording import Recording, Sensor
+from mavcal.calib import gap
+from mavcal.calib.gap.flaws import beside_flaws, flaws_of
+from mavcal.calib.gap.reference import build, posed
+from mavcal.calib.gap.reference.signal import linear
+from mavcal.calib.gap.schema import Verdict
+from mavcal.calib.recording import Recording, Sensor
 
 from .reference.test_recorded import RATE, SIGMA, channel
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from calib.gap.effects import by_id, catalogue
-from calib.gap.floors import Floors
-from calib.gap.hypotheses import Hypothesis
-from calib.gap.problem import Floor
-from calib.recording import Sensor
+from mavcal.calib.gap.effects import by_id, catalogue
+from mavcal.calib.gap.floors import Floors
+from mavcal.calib.gap.hypotheses import Hypothesis
+from mavcal.calib.gap.problem import Floor
+from mavcal.calib.recording import Sensor
 
 ACCEL = Sensor.ACCEL
 FLOOR = Floor(joins={ACCEL: 3.0}, lasting={ACCEL: 30.0}, level={ACCEL: 6.0}, noise={ACCEL: 1.0}, loud={ACCEL: 300.0})

@@ -7,14 +7,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.gap.contest import Beside, Contest
-from calib.gap.effects import forward_models
-from calib.gap.folds import carried, expected_gain, folds_of, foretold, joined, log_loss
-from calib.gap.hypotheses import Hypothesis
-from calib.gap.model import NoiseTerm, Term, setting_of, starting_model
-from calib.gap.noise_fit import refitted, starting_noise, with_term
-from calib.gap.views import views_of
-from calib.recording import Sensor
+from mavcal.calib.gap.contest import Beside, Contest
+from mavcal.calib.gap.effects import forward_models
+from mavcal.calib.gap.folds import carried, expected_gain, folds_of, foretold, joined, log_loss
+from mavcal.calib.gap.hypotheses import Hypothesis
+from mavcal.calib.gap.model import NoiseTerm, Term, setting_of, starting_model
+from mavcal.calib.gap.noise_fit import refitted, starting_noise, with_term
+from mavcal.calib.gap.views import views_of
+from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
 LOUD = np.array([2.0, 0.5, 8.0])

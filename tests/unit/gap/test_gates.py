@@ -7,20 +7,20 @@ import math
 import numpy as np
 import pytest
 
-from calib.gap.attribution import settled
-from calib.gap.contest import Contest
-from calib.gap.diagnose import _Answer, _confirmed
-from calib.gap.effects import catalogue
-from calib.gap.folds import folds_of
-from calib.gap.gates import gate_of
-from calib.gap.hypotheses import hypotheses_of
-from calib.gap.model import setting_of, starting_model
-from calib.gap.noise_fit import refitted, starting_noise
-from calib.gap.selection import last_gains, select
-from calib.gap.shrink import held_out
-from calib.gap.strangers import NOT_LASTING
-from calib.gap.views import views_of
-from calib.recording import Sensor
+from mavcal.calib.gap.attribution import settled
+from mavcal.calib.gap.contest import Contest
+from mavcal.calib.gap.diagnose import _Answer, _confirmed
+from mavcal.calib.gap.effects import catalogue
+from mavcal.calib.gap.folds import folds_of
+from mavcal.calib.gap.gates import gate_of
+from mavcal.calib.gap.hypotheses import hypotheses_of
+from mavcal.calib.gap.model import setting_of, starting_model
+from mavcal.calib.gap.noise_fit import refitted, starting_noise
+from mavcal.calib.gap.selection import last_gains, select
+from mavcal.calib.gap.shrink import held_out
+from mavcal.calib.gap.strangers import NOT_LASTING
+from mavcal.calib.gap.views import views_of
+from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
 ALPHA = 0.005
@@ -122,7 +122,7 @@ def test_what_the_other_blocks_know_nothing_of_is_not_counted_against_an_effect(
     chosen, contest, folds = offset
     (term,) = chosen.model.terms
     due = iter([-500.0, *[10.0] * (len(folds) - 1)])
-    monkeypatch.setattr("calib.gap.gates.expected_gain", lambda *_: next(due))
+    monkeypatch.setattr("mavcal.calib.gap.gates.expected_gain", lambda *_: next(due))
     gains = np.array([-1000.0, *[10.0] * (len(folds) - 1)])
     gate = gate_of(term, gains, [True] * len(folds), folds, chosen, last_gains(chosen.model, contest))
     assert gate.passed is True
@@ -133,7 +133,7 @@ def test_a_block_that_is_due_next_to_nothing_still_counts(offset, monkeypatch):
     chosen, contest, folds = offset
     (term,) = chosen.model.terms
     due = iter([-4.0, *[10.0] * (len(folds) - 1)])
-    monkeypatch.setattr("calib.gap.gates.expected_gain", lambda *_: next(due))
+    monkeypatch.setattr("mavcal.calib.gap.gates.expected_gain", lambda *_: next(due))
     gains = np.array([-1000.0, *[10.0] * (len(folds) - 1)])
     gate = gate_of(term, gains, [True] * len(folds), folds, chosen, last_gains(chosen.model, contest))
     assert gate.passed is False

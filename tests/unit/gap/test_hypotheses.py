@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.gap.effects import by_id, forward_models
-from calib.gap.hypotheses import hypotheses_of
-from calib.gap.problem import ReferenceInfo, ReferenceKind, Worse
-from calib.gap.views import views_of
-from calib.recording import Sensor
+from mavcal.calib.gap.effects import by_id, forward_models
+from mavcal.calib.gap.hypotheses import hypotheses_of
+from mavcal.calib.gap.problem import ReferenceInfo, ReferenceKind, Worse
+from mavcal.calib.gap.views import views_of
+from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import problem_of
 
 SLOW_AND_FAST = Worse(slow=(0,), fast=(0, 1))

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from calib.gap.effects import forward_models
-from calib.gap.hypotheses import Hypothesis
-from calib.gap.impostors import coherent, impostors, returning, unsteady
-from calib.gap.model import NoiseTerm, setting_of, starting_model
-from calib.gap.noise_fit import refitted, starting_noise, with_term
-from calib.gap.problem import Problem, ReferenceInfo, ReferenceKind, Trace
-from calib.gap.views import views_of
-from calib.recording import Sensor
+from mavcal.calib.gap.effects import forward_models
+from mavcal.calib.gap.hypotheses import Hypothesis
+from mavcal.calib.gap.impostors import coherent, impostors, returning, unsteady
+from mavcal.calib.gap.model import NoiseTerm, setting_of, starting_model
+from mavcal.calib.gap.noise_fit import refitted, starting_noise, with_term
+from mavcal.calib.gap.problem import Problem, ReferenceInfo, ReferenceKind, Trace
+from mavcal.calib.gap.views import views_of
+from mavcal.calib.recording import Sensor
 
 G, FS, N, SD = Sensor.GYRO, 50.0, 2000, 0.003
 

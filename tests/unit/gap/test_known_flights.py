@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from scipy import signal
 from scipy.spatial.transform import Rotation
 
-from calib import gap, logs
-from calib.blind.real import halves, injected
-from calib.gap.schema import EffectEstimate, GapReport, Verdict
-from calib.recording import Channel, Recording, Sensor
-from service.commands.gap_real import broad_recording
+from mavcal.calib import gap, logs
+from mavcal.calib.blind.real import halves, injected
+from mavcal.calib.gap.schema import EffectEstimate, GapReport, Verdict
+from mavcal.calib.recording import Channel, Recording, Sensor
+from mavcal.service.commands.gap_real import broad_recording
 
 pytestmark = [pytest.mark.shared, pytest.mark.long, pytest.mark.timeout(600)]
 

@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.gap.contest import Contest
-from calib.gap.effects import catalogue
-from calib.gap.hypotheses import hypotheses_of
-from calib.gap.left_open import with_flaws
-from calib.gap.model import setting_of, starting_model
-from calib.gap.noise_fit import refitted, starting_noise
-from calib.gap.problem import Flaw
-from calib.gap.projection import Beside
-from calib.gap.schema import EffectEstimate, Estimate, Evidence
-from calib.gap.views import views_of
-from calib.recording import Sensor
+from mavcal.calib.gap.contest import Contest
+from mavcal.calib.gap.effects import catalogue
+from mavcal.calib.gap.hypotheses import hypotheses_of
+from mavcal.calib.gap.left_open import with_flaws
+from mavcal.calib.gap.model import setting_of, starting_model
+from mavcal.calib.gap.noise_fit import refitted, starting_noise
+from mavcal.calib.gap.problem import Flaw
+from mavcal.calib.gap.projection import Beside
+from mavcal.calib.gap.schema import EffectEstimate, Estimate, Evidence
+from mavcal.calib.gap.views import views_of
+from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
 SCALE = np.array([0.04, -0.02, 0.03])

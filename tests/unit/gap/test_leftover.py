@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.gap.leftover import leftover
-from calib.gap.model import setting_of, starting_model
-from calib.gap.noise_fit import starting_noise
-from calib.gap.problem import Problem, ReferenceInfo, ReferenceKind, Trace
-from calib.gap.views import views_of
-from calib.recording import Sensor
+from mavcal.calib.gap.leftover import leftover
+from mavcal.calib.gap.model import setting_of, starting_model
+from mavcal.calib.gap.noise_fit import starting_noise
+from mavcal.calib.gap.problem import Problem, ReferenceInfo, ReferenceKind, Trace
+from mavcal.calib.gap.views import views_of
+from mavcal.calib.recording import Sensor
 
 G, FS, N, SD = Sensor.GYRO, 200.0, 12_000, 0.003
 

@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.gap.effects import by_id
-from calib.gap.levels import levels_of, noise_of, step_of, steps_of, with_simulated_step
-from calib.recording import Channel, Sensor, Stage
+from mavcal.calib.gap.effects import by_id
+from mavcal.calib.gap.levels import levels_of, noise_of, step_of, steps_of, with_simulated_step
+from mavcal.calib.recording import Channel, Sensor, Stage
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
 Q = 0.02

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.gap.likelihood import bins_of, fast_length, fit_amplitudes, frequencies, random_walk, transform
+from mavcal.calib.gap.likelihood import bins_of, fast_length, fit_amplitudes, frequencies, random_walk, transform
 
 
 def test_the_transform_of_a_random_walk_has_the_stated_power():

@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.gap.contest import noise_score
-from calib.gap.effects import forward_models
-from calib.gap.hypotheses import Hypothesis
-from calib.gap.louder import (
+from mavcal.calib.gap.contest import noise_score
+from mavcal.calib.gap.effects import forward_models
+from mavcal.calib.gap.hypotheses import Hypothesis
+from mavcal.calib.gap.louder import (
     Added,
     drift_beside_lines,
     line_amplitudes,
@@ -20,11 +20,11 @@ from calib.gap.louder import (
     unsteady_line,
     whose,
 )
-from calib.gap.model import Model, NoiseTerm, setting_of, starting_model
-from calib.gap.noise_fit import refitted, starting_noise, with_term
-from calib.gap.problem import Problem, ReferenceInfo, ReferenceKind
-from calib.gap.views import views_of
-from calib.recording import Sensor
+from mavcal.calib.gap.model import Model, NoiseTerm, setting_of, starting_model
+from mavcal.calib.gap.noise_fit import refitted, starting_noise, with_term
+from mavcal.calib.gap.problem import Problem, ReferenceInfo, ReferenceKind
+from mavcal.calib.gap.views import views_of
+from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
 ESTIMATOR = ReferenceInfo(ReferenceKind.ESTIMATOR, att_sigma_deg=1.0)

@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.gap.diagnose import _task_of
-from calib.gap.effects import catalogue
-from calib.gap.hypotheses import columns_of
-from calib.gap.model import Term, jacobian, misfit, refined, setting_of, with_residual
-from calib.recording import Sensor
+from mavcal.calib.gap.diagnose import _task_of
+from mavcal.calib.gap.effects import catalogue
+from mavcal.calib.gap.hypotheses import columns_of
+from mavcal.calib.gap.model import Term, jacobian, misfit, refined, setting_of, with_residual
+from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
 WARM = "gyro_temp_poly"

@@ -7,14 +7,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.gap.effects import forward_models
-from calib.gap.folds import carried, folds_of, joined, log_loss
-from calib.gap.hypotheses import Hypothesis
-from calib.gap.model import Model, Term, jacobian, normal_equations, setting_of
-from calib.gap.noise_fit import refitted
-from calib.gap.predictive import predictive_loss
-from calib.gap.views import views_of
-from calib.recording import Sensor
+from mavcal.calib.gap.effects import forward_models
+from mavcal.calib.gap.folds import carried, folds_of, joined, log_loss
+from mavcal.calib.gap.hypotheses import Hypothesis
+from mavcal.calib.gap.model import Model, Term, jacobian, normal_equations, setting_of
+from mavcal.calib.gap.noise_fit import refitted
+from mavcal.calib.gap.predictive import predictive_loss
+from mavcal.calib.gap.views import views_of
+from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
 ACCEL_SCALE = Hypothesis(forward_models()["accel_scale"][-1], (0,))

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.gap import diagnose
-from calib.recording import Sensor
+from mavcal.calib.gap import diagnose
+from mavcal.calib.recording import Sensor
 
 from .synthetic import SIGMA, problem_of
 

@@ -6,9 +6,9 @@ import dataclasses
 
 import numpy as np
 
-from calib.gap.problem import Problem
-from calib.gap.replay import with_effects
-from calib.recording import Sensor
+from mavcal.calib.gap.problem import Problem
+from mavcal.calib.gap.replay import with_effects
+from mavcal.calib.recording import Sensor
 from tests.unit.gap.export.making import effect
 from tests.unit.gap.synthetic import SIGMA, problem_of
 

@@ -7,12 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.gap.diagnose import diagnose
-from calib.gap.effects import by_id, catalogue
-from calib.gap.effects.base import LatticeEffect
-from calib.gap.problem import Problem, ReferenceInfo, ReferenceKind
-from calib.gap.samples import lattice_of, shown_by
-from calib.recording import Sensor
+from mavcal.calib.gap.diagnose import diagnose
+from mavcal.calib.gap.effects import by_id, catalogue
+from mavcal.calib.gap.effects.base import LatticeEffect
+from mavcal.calib.gap.problem import Problem, ReferenceInfo, ReferenceKind
+from mavcal.calib.gap.samples import lattice_of, shown_by
+from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
 G = Sensor.GYRO

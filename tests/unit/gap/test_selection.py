@@ -8,15 +8,15 @@ import math
 import numpy as np
 import pytest
 
-from calib.gap.attribution import Alternative, Place, _behind, _improved, settled
-from calib.gap.contest import Contest, Score
-from calib.gap.diagnose import _task_of
-from calib.gap.effects import catalogue, forward_models
-from calib.gap.hypotheses import Hypothesis
-from calib.gap.model import NoiseTerm
-from calib.gap.projection import Beside
-from calib.gap.selection import REAL, _better, _joined, _least, _objective_of, grown, objective, select, without
-from calib.recording import Sensor
+from mavcal.calib.gap.attribution import Alternative, Place, _behind, _improved, settled
+from mavcal.calib.gap.contest import Contest, Score
+from mavcal.calib.gap.diagnose import _task_of
+from mavcal.calib.gap.effects import catalogue, forward_models
+from mavcal.calib.gap.hypotheses import Hypothesis
+from mavcal.calib.gap.model import NoiseTerm
+from mavcal.calib.gap.projection import Beside
+from mavcal.calib.gap.selection import REAL, _better, _joined, _least, _objective_of, grown, objective, select, without
+from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
 

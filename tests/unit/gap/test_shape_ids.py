@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from calib.gap.effects import catalogue
-from calib.gap.shape_ids import family_of, is_part, is_shape, shape_id
+from mavcal.calib.gap.effects import catalogue
+from mavcal.calib.gap.shape_ids import family_of, is_part, is_shape, shape_id
 
 
 @pytest.mark.parametrize("part", [False, True])

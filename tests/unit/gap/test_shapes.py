@@ -8,17 +8,17 @@ import math
 import numpy as np
 import pytest
 
-from calib.gap.contest import Contest
-from calib.gap.diagnose import diagnose
-from calib.gap.effects import by_id
-from calib.gap.hypotheses import Hypothesis
-from calib.gap.model import setting_of, starting_model
-from calib.gap.noise_fit import starting_noise
-from calib.gap.projection import Beside
-from calib.gap.selection import with_score
-from calib.gap.shapes import shapes_of
-from calib.gap.views import views_of
-from calib.recording import Sensor
+from mavcal.calib.gap.contest import Contest
+from mavcal.calib.gap.diagnose import diagnose
+from mavcal.calib.gap.effects import by_id
+from mavcal.calib.gap.hypotheses import Hypothesis
+from mavcal.calib.gap.model import setting_of, starting_model
+from mavcal.calib.gap.noise_fit import starting_noise
+from mavcal.calib.gap.projection import Beside
+from mavcal.calib.gap.selection import with_score
+from mavcal.calib.gap.shapes import shapes_of
+from mavcal.calib.gap.views import views_of
+from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
 

@@ -7,16 +7,16 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.gap.contest import Contest
-from calib.gap.diagnose import diagnose
-from calib.gap.effects import catalogue
-from calib.gap.hypotheses import hypotheses_of
-from calib.gap.model import setting_of, starting_model
-from calib.gap.noise_fit import refitted, starting_noise
-from calib.gap.selection import select
-from calib.gap.shrink import held_out
-from calib.gap.views import views_of
-from calib.recording import Sensor
+from mavcal.calib.gap.contest import Contest
+from mavcal.calib.gap.diagnose import diagnose
+from mavcal.calib.gap.effects import catalogue
+from mavcal.calib.gap.hypotheses import hypotheses_of
+from mavcal.calib.gap.model import setting_of, starting_model
+from mavcal.calib.gap.noise_fit import refitted, starting_noise
+from mavcal.calib.gap.selection import select
+from mavcal.calib.gap.shrink import held_out
+from mavcal.calib.gap.views import views_of
+from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import problem_of
 
 ALPHA = 0.005

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.gap.diagnose import diagnose
-from calib.gap.effects import catalogue
-from calib.gap.impostors import Unexplained
-from calib.gap.leftover import leftover
-from calib.gap.model import setting_of, starting_model
-from calib.gap.noise_fit import starting_noise
-from calib.gap.strangers import Stranger, unknown_of
-from calib.gap.views import views_of
-from calib.recording import Sensor
+from mavcal.calib.gap.diagnose import diagnose
+from mavcal.calib.gap.effects import catalogue
+from mavcal.calib.gap.impostors import Unexplained
+from mavcal.calib.gap.leftover import leftover
+from mavcal.calib.gap.model import setting_of, starting_model
+from mavcal.calib.gap.noise_fit import starting_noise
+from mavcal.calib.gap.strangers import Stranger, unknown_of
+from mavcal.calib.gap.views import views_of
+from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import problem_of
 
 MOMENTS = (8.0, 16.0, 24.0, 32.0)

@@ -8,16 +8,16 @@ import itertools
 import numpy as np
 import pytest
 
-from calib.gap.attribution import Attribution
-from calib.gap.diagnose import diagnose
-from calib.gap.effects import forward_models
-from calib.gap.hypotheses import Hypothesis
-from calib.gap.model import NoiseTerm, Term, setting_of, starting_model, with_residual
-from calib.gap.noise_fit import refitted, starting_noise, with_term
-from calib.gap.problem import Problem, ReferenceInfo, ReferenceKind, Trace
-from calib.gap.switching import switching, two_levels
-from calib.gap.views import views_of
-from calib.recording import Sensor
+from mavcal.calib.gap.attribution import Attribution
+from mavcal.calib.gap.diagnose import diagnose
+from mavcal.calib.gap.effects import forward_models
+from mavcal.calib.gap.hypotheses import Hypothesis
+from mavcal.calib.gap.model import NoiseTerm, Term, setting_of, starting_model, with_residual
+from mavcal.calib.gap.noise_fit import refitted, starting_noise, with_term
+from mavcal.calib.gap.problem import Problem, ReferenceInfo, ReferenceKind, Trace
+from mavcal.calib.gap.switching import switching, two_levels
+from mavcal.calib.gap.views import views_of
+from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
 G, FS, N, SD = Sensor.GYRO, 50.0, 3500, 0.003

@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from calib.gap.diagnose import diagnose
-from calib.gap.effects import catalogue
-from calib.gap.problem import ReferenceInfo, ReferenceKind
-from calib.recording import Sensor
+from mavcal.calib.gap.diagnose import diagnose
+from mavcal.calib.gap.effects import catalogue
+from mavcal.calib.gap.problem import ReferenceInfo, ReferenceKind
+from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
 TILT_DEG = 0.5

@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.gap.diagnose import diagnose
-from calib.gap.effects import catalogue
-from calib.gap.estimates import estimates_of
-from calib.gap.hypotheses import Hypothesis
-from calib.gap.model import (
+from mavcal.calib.gap.diagnose import diagnose
+from mavcal.calib.gap.effects import catalogue
+from mavcal.calib.gap.estimates import estimates_of
+from mavcal.calib.gap.hypotheses import Hypothesis
+from mavcal.calib.gap.model import (
     Joint,
     NoiseTerm,
     Term,
@@ -21,13 +21,13 @@ from calib.gap.model import (
     starting_model,
     with_residual,
 )
-from calib.gap.noise_fit import NoiseFit, starting_noise
-from calib.gap.normal import solved
-from calib.gap.schema import Verdict
-from calib.gap.selection import Chosen
-from calib.gap.transitions import Transition, levels_apart, passing, transitions
-from calib.gap.views import views_of
-from calib.recording import Sensor
+from mavcal.calib.gap.noise_fit import NoiseFit, starting_noise
+from mavcal.calib.gap.normal import solved
+from mavcal.calib.gap.schema import Verdict
+from mavcal.calib.gap.selection import Chosen
+from mavcal.calib.gap.transitions import Transition, levels_apart, passing, transitions
+from mavcal.calib.gap.views import views_of
+from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import problem_of
 
 ON_S, OFF_S = 10.0, 28.0

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from calib import gap, logs
-from calib.gap.schema import Verdict
+from mavcal.calib import gap, logs
+from mavcal.calib.gap.schema import Verdict
 
 pytestmark = [pytest.mark.shared, pytest.mark.long]
 

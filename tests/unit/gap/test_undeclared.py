@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from bench.gap_picture import CLEAN, REAL, recorded
-from calib import gap
-from calib.gap.diagnose import diagnose
-from calib.recording import Sensor
+from mavcal.calib import gap
+from mavcal.calib.gap.diagnose import diagnose
+from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
 

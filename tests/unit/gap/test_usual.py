@@ -7,13 +7,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.gap.diagnose import diagnose
-from calib.gap.effects import by_id, forward_models
-from calib.gap.effects.base import LatticeEffect
-from calib.gap.hypotheses import Hypothesis
-from calib.gap.model import Term
-from calib.gap.usual import usual_samples, usual_tone
-from calib.recording import Sensor
+from mavcal.calib.gap.diagnose import diagnose
+from mavcal.calib.gap.effects import by_id, forward_models
+from mavcal.calib.gap.effects.base import LatticeEffect
+from mavcal.calib.gap.hypotheses import Hypothesis
+from mavcal.calib.gap.model import Term
+from mavcal.calib.gap.usual import usual_samples, usual_tone
+from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
 HZ = 8.3

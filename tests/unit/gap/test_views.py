@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.gap.problem import Problem, ReferenceInfo, ReferenceKind
-from calib.gap.views import between, views_of
-from calib.recording import Sensor
+from mavcal.calib.gap.problem import Problem, ReferenceInfo, ReferenceKind
+from mavcal.calib.gap.views import between, views_of
+from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
 
 ESTIMATOR = ReferenceInfo(ReferenceKind.ESTIMATOR, att_sigma_deg=1.0)

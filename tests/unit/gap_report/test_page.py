@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from calib.gap.schema import (
+from mavcal.calib.gap.schema import (
     Finding,
     GapReport,
     MultipleTesting,
@@ -23,12 +23,12 @@ from calib.gap.schema import (
     Unknown,
     Verdict,
 )
-from calib.gap_report import gap_to_html, verdict_sentence
-from calib.gap_report.chart import Chart, heat, limits_of, thinned, ticks
-from calib.gap_report.series_plots import allan, spectrum, spectrum_plot
-from calib.gap_report.table_plots import waterfall
-from calib.gap_report.words import regime
-from calib.recording import Sensor
+from mavcal.calib.gap_report import gap_to_html, verdict_sentence
+from mavcal.calib.gap_report.chart import Chart, heat, limits_of, thinned, ticks
+from mavcal.calib.gap_report.series_plots import allan, spectrum, spectrum_plot
+from mavcal.calib.gap_report.table_plots import waterfall
+from mavcal.calib.gap_report.words import regime
+from mavcal.calib.recording import Sensor
 from tests.unit.gap.export.making import effect, report
 
 EVIL = '<script>alert("x")</script>'

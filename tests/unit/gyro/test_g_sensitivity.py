@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.errors import InvalidInputError
-from calib.fit import FitStatus
-from calib.gyro import fit_g_sensitivity
-from calib.gyro.turns import EARTH_RATE
-from calib.methods import METHODS
-from calib.recording import Channel, Recording, Segment, Sensor, Stage
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.gyro import fit_g_sensitivity
+from mavcal.calib.gyro.turns import EARTH_RATE
+from mavcal.calib.methods import METHODS
+from mavcal.calib.recording import Channel, Recording, Segment, Sensor, Stage
 
 G = 9.80665
 K = 1e-4 * np.array([[2.0, -0.5, 0.3], [0.4, -3.0, 0.2], [-0.6, 0.1, 1.5]])

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.fit import FitStatus
-from calib.gyro import LARGEST_BIAS, PLAUSIBLE_BIAS, fit_gyro_rest, steady_turn
-from calib.recording import Channel, Sensor, Stage
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.gyro import LARGEST_BIAS, PLAUSIBLE_BIAS, fit_gyro_rest, steady_turn
+from mavcal.calib.recording import Channel, Sensor, Stage
 
 G = 9.80665
 OFFSET = np.array([0.0132, -0.0084, 0.0057])

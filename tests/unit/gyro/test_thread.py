@@ -5,13 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.errors import InvalidInputError, UndeterminedError
-from calib.fit import FitStatus
-from calib.gyro import fit_thread, thread_scale
-from calib.gyro.thread import turning_spans
-from calib.logs import read
-from calib.methods import METHODS
-from calib.recording import Channel, Segment, Sensor, Stage
+from mavcal.calib.errors import InvalidInputError, UndeterminedError
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.gyro import fit_thread, thread_scale
+from mavcal.calib.gyro.thread import turning_spans
+from mavcal.calib.logs import read
+from mavcal.calib.methods import METHODS
+from mavcal.calib.recording import Channel, Segment, Sensor, Stage
 
 SCALE, BIAS = 0.98, np.array([0.01, -0.02, 0.03])  # true = k (read - b)
 HZ = 100.0

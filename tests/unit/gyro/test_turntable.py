@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib.errors import InvalidInputError
-from calib.fit import FitStatus
-from calib.gyro import fit_turntable
-from calib.gyro.turns import EARTH_RATE
-from calib.gyro.turntable import steady_spans
-from calib.logs import read
-from calib.methods import METHODS
-from calib.recording import Channel, Segment, Sensor, Stage
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.gyro import fit_turntable
+from mavcal.calib.gyro.turns import EARTH_RATE
+from mavcal.calib.gyro.turntable import steady_spans
+from mavcal.calib.logs import read
+from mavcal.calib.methods import METHODS
+from mavcal.calib.recording import Channel, Segment, Sensor, Stage
 
 M = np.array([[1.03, 0.01, -0.02], [0.005, 0.98, 0.015], [-0.01, 0.02, 1.04]])
 B = np.array([0.0132, -0.0084, 0.0057])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.recording import Channel, Sensor, Stage
+from mavcal.calib.recording import Channel, Sensor, Stage
 
 G = 9.80665
 

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from calib.errors import InvalidInputError
-from calib.fit import FitStatus
-from calib.imu import fit_imu
-from calib.recording import Sensor
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.imu import fit_imu
+from mavcal.calib.recording import Sensor
 
 G = 9.80665
 SYMMETRIC = [0, 1, 2, 3, 7, 11, 4, 5, 8]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from calib.imu.integrate import Moves, integrate
+from mavcal.calib.imu.integrate import Moves, integrate
 
 MATRIX = np.array([[1.02, 0.03, -0.01], [0.02, 0.97, 0.04], [-0.03, 0.01, 1.01]])
 OFFSET = np.array([0.05, -0.02, 0.1])

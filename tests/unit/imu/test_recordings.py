@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.fit import FitStatus
-from calib.logs import read
-from calib.logs.tables import read_table
-from calib.methods import METHODS
-from calib.recording import Recording
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.logs import read
+from mavcal.calib.logs.tables import read_table
+from mavcal.calib.methods import METHODS
+from mavcal.calib.recording import Recording
 
 pytestmark = pytest.mark.shared
 

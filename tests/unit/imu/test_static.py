@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.imu.poses import find_poses, measure
-from calib.imu.static import ACCEL_LADDER, GYRO_LADDER, Watch, candidates, steady
+from mavcal.calib.imu.poses import find_poses, measure
+from mavcal.calib.imu.static import ACCEL_LADDER, GYRO_LADDER, Watch, candidates, steady
 
 G = 9.80665
 

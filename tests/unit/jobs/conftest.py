@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from calib.firmware.fingerprint import fingerprint
-from calib.firmware.plan import (
+from mavcal.calib.firmware.fingerprint import fingerprint
+from mavcal.calib.firmware.plan import (
     AfterWrite,
     Change,
     ParameterKind,
@@ -19,20 +19,20 @@ from calib.firmware.plan import (
     WritePlan,
     snapshot_sha256,
 )
-from calib.recording import Sensor
-from service.jobs.crashpoints import At, nowhere
-from service.jobs.guard import Guard
-from service.jobs.handle import JobHandle
-from service.jobs.journal import Step
-from service.jobs.model import Accept, Job
-from service.jobs.port import Reading
-from service.jobs.settings import JobSettings
-from service.jobs.states import JobState
-from service.jobs.transaction import Transaction
-from service.jobs.write import Writing
-from service.store import SqliteStore
-from service.store.rows import SnapshotPurpose
-from service.testing import FakeVehicle
+from mavcal.calib.recording import Sensor
+from mavcal.service.jobs.crashpoints import At, nowhere
+from mavcal.service.jobs.guard import Guard
+from mavcal.service.jobs.handle import JobHandle
+from mavcal.service.jobs.journal import Step
+from mavcal.service.jobs.model import Accept, Job
+from mavcal.service.jobs.port import Reading
+from mavcal.service.jobs.settings import JobSettings
+from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.transaction import Transaction
+from mavcal.service.jobs.write import Writing
+from mavcal.service.store import SqliteStore
+from mavcal.service.store.rows import SnapshotPurpose
+from mavcal.service.testing import FakeVehicle
 from tests.patience import scaled
 
 QUICK = JobSettings(
@@ -128,7 +128,7 @@ class Bench:
         """The service after a crash: only the store and the vehicle are left."""
         row = self.store.job(self.handle.id)
         assert row is not None
-        from service.jobs.codec import job_from_row
+        from mavcal.service.jobs.codec import job_from_row
 
         handle = JobHandle(job_from_row(row), self.store, lambda _: None)
         return Bench(self.vehicle, self.store, self.plan, handle, self.accept, self.check)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.firmware.plan import (
+from mavcal.calib.firmware.plan import (
     Change,
     Fingerprint,
     ParameterKind,
@@ -16,11 +16,21 @@ from calib.firmware.plan import (
     Verification,
     WritePlan,
 )
-from service.errors import WriteFailed
-from service.jobs.account import EITHER, SOMEBODY, Account, as_heard, as_read, in_doubt, reverted, succeeded, who_else
-from service.jobs.journal import BY_OPERATOR, Step, fold
-from service.jobs.model import Failure, Holds, Result
-from service.jobs.states import JobState
+from mavcal.service.errors import WriteFailed
+from mavcal.service.jobs.account import (
+    EITHER,
+    SOMEBODY,
+    Account,
+    as_heard,
+    as_read,
+    in_doubt,
+    reverted,
+    succeeded,
+    who_else,
+)
+from mavcal.service.jobs.journal import BY_OPERATOR, Step, fold
+from mavcal.service.jobs.model import Failure, Holds, Result
+from mavcal.service.jobs.states import JobState
 
 from .test_journal import ACCEPTED, echo, rows, send
 

@@ -6,7 +6,7 @@ import dataclasses
 
 import pytest
 
-from service.errors import (
+from mavcal.service.errors import (
     IllegalTransition,
     PhysicalJobRunning,
     PlanBlocked,
@@ -17,10 +17,10 @@ from service.errors import (
     VehicleConflict,
     VehicleSilent,
 )
-from service.jobs.admission import request_digest, require_acceptable, require_free, require_ready
-from service.jobs.model import Accept, Job
-from service.jobs.states import JobState
-from service.testing import FakeVehicle
+from mavcal.service.jobs.admission import request_digest, require_acceptable, require_free, require_ready
+from mavcal.service.jobs.model import Accept, Job
+from mavcal.service.jobs.states import JobState
+from mavcal.service.testing import FakeVehicle
 
 from .conftest import OLD, make_plan
 

@@ -6,19 +6,19 @@ from pathlib import Path
 
 import pytest
 
-from calib.procedures.protocol import Done, Pose, Prompt
-from calib.procedures.registry import validate_options
-from calib.recording import Identity
-from service.errors import CaptureEnded
-from service.jobs.capture import Capture, _asks
-from service.jobs.digest import LiveDigest
-from service.jobs.handle import JobHandle
-from service.jobs.model import Job
-from service.jobs.states import JobState
-from service.jobs.watch import CaptureWatch
-from service.store import SqliteStore
-from service.store.rows import SegmentPurpose
-from service.testing import FakeVehicle
+from mavcal.calib.procedures.protocol import Done, Pose, Prompt
+from mavcal.calib.procedures.registry import validate_options
+from mavcal.calib.recording import Identity
+from mavcal.service.errors import CaptureEnded
+from mavcal.service.jobs.capture import Capture, _asks
+from mavcal.service.jobs.digest import LiveDigest
+from mavcal.service.jobs.handle import JobHandle
+from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.watch import CaptureWatch
+from mavcal.service.store import SqliteStore
+from mavcal.service.store.rows import SegmentPurpose
+from mavcal.service.testing import FakeVehicle
 
 from .conftest import QUICK
 

@@ -6,17 +6,17 @@ from collections.abc import Iterator
 
 import pytest
 
-from calib.procedures.protocol import Done, GaveUp, Progress, Prompt
-from calib.procedures.registry import validate_options
-from service.errors import CaptureEnded, DiskFull
-from service.jobs.capture import Capture
-from service.jobs.digest import LiveDigest
-from service.jobs.handle import JobHandle
-from service.jobs.model import Job
-from service.jobs.states import JobState
-from service.jobs.watch import CaptureWatch
-from service.store import SqliteStore
-from service.testing import FakeVehicle
+from mavcal.calib.procedures.protocol import Done, GaveUp, Progress, Prompt
+from mavcal.calib.procedures.registry import validate_options
+from mavcal.service.errors import CaptureEnded, DiskFull
+from mavcal.service.jobs.capture import Capture
+from mavcal.service.jobs.digest import LiveDigest
+from mavcal.service.jobs.handle import JobHandle
+from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.watch import CaptureWatch
+from mavcal.service.store import SqliteStore
+from mavcal.service.testing import FakeVehicle
 
 from .conftest import QUICK
 

@@ -10,17 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from calib.firmware.plan import SensorVerdict, Verification
-from calib.fit import FitResult, FitStatus
-from calib.recording import Sensor
-from calib.triad import TriadModel
-from calib.wire import FrameParser
-from service.jobs.guard import Guard
-from service.jobs.verify import HOLD_STILL, StreamCheck
-from service.simvehicle.config import load_config
-from service.simvehicle.server import make_vehicle
-from service.simvehicle.vehicle import Channel
-from service.simvehicle.wire import Packer
+from mavcal.calib.firmware.plan import SensorVerdict, Verification
+from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import TriadModel
+from mavcal.calib.wire import FrameParser
+from mavcal.service.jobs.guard import Guard
+from mavcal.service.jobs.verify import HOLD_STILL, StreamCheck
+from mavcal.service.simvehicle.config import load_config
+from mavcal.service.simvehicle.server import make_vehicle
+from mavcal.service.simvehicle.vehicle import Channel
+from mavcal.service.simvehicle.wire import Packer
 
 from .conftest import QUICK, Bench, MakeBench
 

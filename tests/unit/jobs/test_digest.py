@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib import wire
-from calib.procedures.protocol import GaveUp
-from calib.procedures.registry import validate_options
-from calib.recording import Channel, Identity, Recording, Sensor, Stage
-from service.errors import CaptureDisturbed, CaptureEnded
-from service.jobs.digest import FitRequest, LiveDigest, changed, content_of, context_of, field_of, fit_segments
-from service.jobs.model import Span
+from mavcal.calib import wire
+from mavcal.calib.procedures.protocol import GaveUp
+from mavcal.calib.procedures.registry import validate_options
+from mavcal.calib.recording import Channel, Identity, Recording, Sensor, Stage
+from mavcal.service.errors import CaptureDisturbed, CaptureEnded
+from mavcal.service.jobs.digest import FitRequest, LiveDigest, changed, content_of, context_of, field_of, fit_segments
+from mavcal.service.jobs.model import Span
 
 CONTENT = bytes(range(256)) * 8
 

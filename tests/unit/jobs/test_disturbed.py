@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from service.jobs.engine import JobEngine
-from service.jobs.model import Failure, Job
-from service.jobs.runner import REPEATS
-from service.jobs.spans import captured
-from service.jobs.states import CAPTURING, JobState
-from service.store import SqliteStore
-from service.store.rows import SegmentPurpose, SegmentRow
-from service.testing import FakeFleet, FakeVehicle
+from mavcal.service.jobs.engine import JobEngine
+from mavcal.service.jobs.model import Failure, Job
+from mavcal.service.jobs.runner import REPEATS
+from mavcal.service.jobs.spans import captured
+from mavcal.service.jobs.states import CAPTURING, JobState
+from mavcal.service.store import SqliteStore
+from mavcal.service.store.rows import SegmentPurpose, SegmentRow
+from mavcal.service.testing import FakeFleet, FakeVehicle
 
 from .conftest import OLD, QUICK, until
 

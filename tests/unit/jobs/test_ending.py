@@ -5,17 +5,17 @@ from typing import Any
 
 import pytest
 
-from calib.errors import CalibError
-from calib.procedures.protocol import Prompt
-from service.errors import WriteFailed
-from service.jobs.account import RESOLVE, Account, nothing_sent
-from service.jobs.ending import broke, cause_of, doubt, end, look_back, record_of, stop
-from service.jobs.guard import RESTARTED, Guard
-from service.jobs.handle import JobHandle
-from service.jobs.journal import Step
-from service.jobs.model import Accept, Failure, Holds, Result, Standing, WriteResult
-from service.jobs.states import JobState
-from service.store.rows import EventRow
+from mavcal.calib.errors import CalibError
+from mavcal.calib.procedures.protocol import Prompt
+from mavcal.service.errors import WriteFailed
+from mavcal.service.jobs.account import RESOLVE, Account, nothing_sent
+from mavcal.service.jobs.ending import broke, cause_of, doubt, end, look_back, record_of, stop
+from mavcal.service.jobs.guard import RESTARTED, Guard
+from mavcal.service.jobs.handle import JobHandle
+from mavcal.service.jobs.journal import Step
+from mavcal.service.jobs.model import Accept, Failure, Holds, Result, Standing, WriteResult
+from mavcal.service.jobs.states import JobState
+from mavcal.service.store.rows import EventRow
 
 from .conftest import Bench, MakeBench
 

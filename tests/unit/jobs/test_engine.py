@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from calib.errors import CalibError, FirmwareError, InvalidInputError
-from calib.procedures.protocol import Prompt
-from calib.recording import Identity
-from service.errors import (
+from mavcal.calib.errors import CalibError, FirmwareError, InvalidInputError
+from mavcal.calib.procedures.protocol import Prompt
+from mavcal.calib.recording import Identity
+from mavcal.service.errors import (
     AnswerRefused,
     Forbidden,
     IdempotencyConflict,
@@ -28,15 +28,15 @@ from service.errors import (
     VehicleSilent,
     VehicleUnknown,
 )
-from service.jobs.codec import job_from_row, row_from_job
-from service.jobs.engine import JobEngine
-from service.jobs.journal import BY_OPERATOR, Step
-from service.jobs.model import Accept, Failure, Job
-from service.jobs.planning import identity_to_json
-from service.jobs.states import JobState
-from service.store import SqliteStore
-from service.store.rows import SnapshotPurpose
-from service.testing import FakeFleet, FakeVehicle
+from mavcal.service.jobs.codec import job_from_row, row_from_job
+from mavcal.service.jobs.engine import JobEngine
+from mavcal.service.jobs.journal import BY_OPERATOR, Step
+from mavcal.service.jobs.model import Accept, Failure, Job
+from mavcal.service.jobs.planning import identity_to_json
+from mavcal.service.jobs.states import JobState
+from mavcal.service.store import SqliteStore
+from mavcal.service.store.rows import SnapshotPurpose
+from mavcal.service.testing import FakeFleet, FakeVehicle
 
 from .conftest import OLD, QUICK, make_plan, until
 

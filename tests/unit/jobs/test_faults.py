@@ -12,15 +12,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from structlog.testing import capture_logs
 
-from service.errors import DiskFull, ParameterTimeout, VehicleUnknown, WriteFailed, WriteStopped
-from service.jobs.crashpoints import At
-from service.jobs.engine import JobEngine
-from service.jobs.handle import JobHandle
-from service.jobs.model import Accept, Job
-from service.jobs.states import ENDED, WRITING, JobState
-from service.jobs.write import Writing
-from service.store import SqliteStore
-from service.testing import FakeFleet, FakeVehicle
+from mavcal.service.errors import DiskFull, ParameterTimeout, VehicleUnknown, WriteFailed, WriteStopped
+from mavcal.service.jobs.crashpoints import At
+from mavcal.service.jobs.engine import JobEngine
+from mavcal.service.jobs.handle import JobHandle
+from mavcal.service.jobs.model import Accept, Job
+from mavcal.service.jobs.states import ENDED, WRITING, JobState
+from mavcal.service.jobs.write import Writing
+from mavcal.service.store import SqliteStore
+from mavcal.service.testing import FakeFleet, FakeVehicle
 
 from .conftest import NEW, OLD, QUICK, FakeCheck, float32
 from .test_engine import reviewed
@@ -181,8 +181,8 @@ def test_no_exception_of_any_kind_strands_a_write(
 
 
 def _keep(store: SqliteStore, job: Job, vehicle: FakeVehicle) -> None:
-    from service.jobs.codec import row_from_job
-    from service.store.rows import SnapshotPurpose
+    from mavcal.service.jobs.codec import row_from_job
+    from mavcal.service.store.rows import SnapshotPurpose
 
     assert job.plan is not None
     store.save_job(row_from_job(job))

@@ -7,13 +7,13 @@ from collections.abc import Iterator
 
 import pytest
 
-from service.jobs import feed as feed_module
-from service.jobs.codec import row_from_job
-from service.jobs.feed import EventFeed
-from service.jobs.model import Job
-from service.jobs.states import JobState
-from service.store import SqliteStore
-from service.store.rows import EventRow
+from mavcal.service.jobs import feed as feed_module
+from mavcal.service.jobs.codec import row_from_job
+from mavcal.service.jobs.feed import EventFeed
+from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.states import JobState
+from mavcal.service.store import SqliteStore
+from mavcal.service.store.rows import EventRow
 from tests.patience import scaled
 
 from .conftest import until

@@ -5,11 +5,11 @@ from __future__ import annotations
 import asyncio
 from pathlib import Path
 
-from service.jobs.codec import row_from_job
-from service.jobs.feed import EventFeed
-from service.jobs.model import Job
-from service.jobs.states import JobState
-from service.store import SqliteStore
+from mavcal.service.jobs.codec import row_from_job
+from mavcal.service.jobs.feed import EventFeed
+from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.states import JobState
+from mavcal.service.store import SqliteStore
 
 from .conftest import until
 

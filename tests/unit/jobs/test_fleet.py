@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib.firmware.plan import ParameterKind
-from service.errors import CommandTimeout, DiskFull
-from service.jobs.fleet import Fleet, FleetVehicle
-from service.jobs.port import Reading, TlogPosition
+from mavcal.calib.firmware.plan import ParameterKind
+from mavcal.service.errors import CommandTimeout, DiskFull
+from mavcal.service.jobs.fleet import Fleet, FleetVehicle
+from mavcal.service.jobs.port import Reading, TlogPosition
 from tests.unit.vehicle.fake import FakeVehicle, ack, heartbeat, landed, param_value, real
 
 
@@ -117,7 +117,7 @@ async def test_a_slow_link_is_said_from_a_fifth_on(
     async def request(*_: object, **__: object) -> SimpleNamespace:
         return SimpleNamespace(slowdown=slowdown)
 
-    monkeypatch.setattr("service.jobs.fleet.request_streams", request)
+    monkeypatch.setattr("mavcal.service.jobs.fleet.request_streams", request)
     told = await seen.request_streams({27: 50.0}, measure_s=1.0, before={})
     assert tuple(word in text for word, text in zip(said, told, strict=True)) == (True,) * len(said)
 

@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from calib.recording import Identity
-from service.errors import WriteStopped
-from service.jobs.guard import Guard
-from service.testing import FakeVehicle
+from mavcal.calib.recording import Identity
+from mavcal.service.errors import WriteStopped
+from mavcal.service.jobs.guard import Guard
+from mavcal.service.testing import FakeVehicle
 
 
 @pytest.fixture

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import pytest
 
-from service.jobs import handle as handle_module
-from service.jobs.handle import JobHandle, counting
-from service.jobs.model import Job
-from service.jobs.states import JobState
-from service.store import SqliteStore
+from mavcal.service.jobs import handle as handle_module
+from mavcal.service.jobs.handle import JobHandle, counting
+from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.states import JobState
+from mavcal.service.store import SqliteStore
 
 
 @pytest.fixture

@@ -4,9 +4,9 @@ from typing import Any
 
 import pytest
 
-from calib.firmware.plan import Change, Fingerprint, ParameterKind, Value, WritePlan
-from service.jobs.journal import Next, Step, decide, fold, same
-from service.store.rows import JournalRow
+from mavcal.calib.firmware.plan import Change, Fingerprint, ParameterKind, Value, WritePlan
+from mavcal.service.jobs.journal import Next, Step, decide, fold, same
+from mavcal.service.store.rows import JournalRow
 
 REAL = ParameterKind.REAL32
 

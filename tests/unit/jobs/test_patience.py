@@ -5,15 +5,15 @@ from collections.abc import Iterator
 
 import pytest
 
-from calib.recording import Identity
-from service.errors import VehicleBusy
-from service.jobs.handle import JobHandle
-from service.jobs.model import Job
-from service.jobs.patience import until_idle
-from service.jobs.settings import JobSettings
-from service.jobs.states import JobState
-from service.store import SqliteStore
-from service.testing import FakeVehicle
+from mavcal.calib.recording import Identity
+from mavcal.service.errors import VehicleBusy
+from mavcal.service.jobs.handle import JobHandle
+from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.patience import until_idle
+from mavcal.service.jobs.settings import JobSettings
+from mavcal.service.jobs.states import JobState
+from mavcal.service.store import SqliteStore
+from mavcal.service.testing import FakeVehicle
 
 from .conftest import QUICK, MakeBench, until
 

@@ -6,17 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.errors import InvalidInputError
-from calib.firmware.origin import Origin
-from calib.firmware.plan import Agreement, Change, Fingerprint, ParameterKind, WritePlan
-from calib.firmware.slots import CALIBRATED
-from calib.fit import FitResult, FitStatus
-from calib.procedures.registry import PROCEDURES, specification
-from calib.recording import Identity, Sensor
-from calib.triad import TriadModel
-from service.errors import CaptureEnded, OtherVehicle
-from service.jobs.model import Job
-from service.jobs.planning import (
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.firmware.origin import Origin
+from mavcal.calib.firmware.plan import Agreement, Change, Fingerprint, ParameterKind, WritePlan
+from mavcal.calib.firmware.slots import CALIBRATED
+from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.procedures.registry import PROCEDURES, specification
+from mavcal.calib.recording import Identity, Sensor
+from mavcal.calib.triad import TriadModel
+from mavcal.service.errors import CaptureEnded, OtherVehicle
+from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.planning import (
     FROM_RECORDING,
     accel_temperatures,
     checked_plan_options,
@@ -30,7 +30,7 @@ from service.jobs.planning import (
     require_origin,
     require_sensors_of,
 )
-from service.jobs.states import JobState
+from mavcal.service.jobs.states import JobState
 
 
 def test_plan_options_are_those_of_composing() -> None:

@@ -2,14 +2,14 @@ from __future__ import annotations
 
 import pytest
 
-from calib.firmware.plan import ParameterVerdict, SensorCheck, SensorVerdict, Verdict, Verification
-from calib.recording import Sensor
-from service.api.views import job_model
-from service.commands.review import good as is_good
-from service.jobs.codec import job_from_row, row_from_job
-from service.jobs.model import Attempt, Failure, Job, Outcome, Result, WriteResult
-from service.jobs.proof import ProofLevel, Unproved, proof_of
-from service.jobs.states import JobState
+from mavcal.calib.firmware.plan import ParameterVerdict, SensorCheck, SensorVerdict, Verdict, Verification
+from mavcal.calib.recording import Sensor
+from mavcal.service.api.views import job_model
+from mavcal.service.commands.review import good as is_good
+from mavcal.service.jobs.codec import job_from_row, row_from_job
+from mavcal.service.jobs.model import Attempt, Failure, Job, Outcome, Result, WriteResult
+from mavcal.service.jobs.proof import ProofLevel, Unproved, proof_of
+from mavcal.service.jobs.states import JobState
 
 P, C, N = Verdict.PROVED, Verdict.CONSISTENT, Verdict.NOT_OBSERVABLE
 

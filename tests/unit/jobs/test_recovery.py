@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import pytest
 
-from calib.firmware.plan import ParameterKind
-from calib.procedures.protocol import Prompt
-from service.jobs.codec import row_from_job
-from service.jobs.journal import Sent, Step
-from service.jobs.model import Failure, Holds, Job, Result, Standing
-from service.jobs.recovery import Unfinished, beginning, ending, left_over
-from service.jobs.states import JobState
-from service.store import SqliteStore
+from mavcal.calib.firmware.plan import ParameterKind
+from mavcal.calib.procedures.protocol import Prompt
+from mavcal.service.jobs.codec import row_from_job
+from mavcal.service.jobs.journal import Sent, Step
+from mavcal.service.jobs.model import Failure, Holds, Job, Result, Standing
+from mavcal.service.jobs.recovery import Unfinished, beginning, ending, left_over
+from mavcal.service.jobs.states import JobState
+from mavcal.service.store import SqliteStore
 
 JOB = Job("j1", "v", "gyro", {}, JobState.IN_DOUBT, 0.0, 0.0)
 SENT = Sent("FLAG", 1, 0, ParameterKind.INT32, session=True, confirmed=1)

@@ -7,10 +7,10 @@ import dataclasses
 
 import pytest
 
-from calib.recording import Identity
-from service.errors import WriteFailed, WriteStopped
-from service.jobs.journal import Step
-from service.jobs.restart import PREFLIGHT_REBOOT_SHUTDOWN, restart
+from mavcal.calib.recording import Identity
+from mavcal.service.errors import WriteFailed, WriteStopped
+from mavcal.service.jobs.journal import Step
+from mavcal.service.jobs.restart import PREFLIGHT_REBOOT_SHUTDOWN, restart
 
 from .conftest import Bench, MakeBench, until
 

@@ -10,20 +10,20 @@ from typing import Any
 
 import pytest
 
-from calib.errors import FirmwareError
-from calib.procedures.protocol import GaveUp
-from calib.recording import Identity
-from service.errors import CaptureEnded, CaptureLost, CommandTimeout
-from service.jobs import runner as runner_module
-from service.jobs.digest import Fitted
-from service.jobs.handle import JobHandle
-from service.jobs.model import Failure, Job
-from service.jobs.planning import identity_to_json
-from service.jobs.runner import KEPT, Runner
-from service.jobs.states import JobState
-from service.store import SqliteStore
-from service.store.rows import SegmentPurpose
-from service.testing import FakeFleet, FakeVehicle
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.procedures.protocol import GaveUp
+from mavcal.calib.recording import Identity
+from mavcal.service.errors import CaptureEnded, CaptureLost, CommandTimeout
+from mavcal.service.jobs import runner as runner_module
+from mavcal.service.jobs.digest import Fitted
+from mavcal.service.jobs.handle import JobHandle
+from mavcal.service.jobs.model import Failure, Job
+from mavcal.service.jobs.planning import identity_to_json
+from mavcal.service.jobs.runner import KEPT, Runner
+from mavcal.service.jobs.states import JobState
+from mavcal.service.store import SqliteStore
+from mavcal.service.store.rows import SegmentPurpose
+from mavcal.service.testing import FakeFleet, FakeVehicle
 
 from .conftest import QUICK, until
 

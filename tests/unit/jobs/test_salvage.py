@@ -10,16 +10,16 @@ from pathlib import Path
 
 import pytest
 
-from calib.report import plan_to_json
-from service.errors import PhysicalJobRunning
-from service.jobs.codec import row_from_job
-from service.jobs.engine import JobEngine
-from service.jobs.journal import Step
-from service.jobs.model import Job
-from service.jobs.states import JobState
-from service.store import SqliteStore
-from service.store.rows import SnapshotPurpose
-from service.testing import FakeFleet, FakeVehicle
+from mavcal.calib.report import plan_to_json
+from mavcal.service.errors import PhysicalJobRunning
+from mavcal.service.jobs.codec import row_from_job
+from mavcal.service.jobs.engine import JobEngine
+from mavcal.service.jobs.journal import Step
+from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.states import JobState
+from mavcal.service.store import SqliteStore
+from mavcal.service.store.rows import SnapshotPurpose
+from mavcal.service.testing import FakeFleet, FakeVehicle
 
 from .conftest import NEW, OLD, QUICK, float32, make_plan, until
 

@@ -10,11 +10,11 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 
-from service.jobs.handle import JobHandle
-from service.jobs.journal import Step
-from service.jobs.states import JobState
-from service.store import SqliteStore
-from service.testing import FakeVehicle
+from mavcal.service.jobs.handle import JobHandle
+from mavcal.service.jobs.journal import Step
+from mavcal.service.jobs.states import JobState
+from mavcal.service.store import SqliteStore
+from mavcal.service.testing import FakeVehicle
 
 from .conftest import NEW, OLD, MakeBench, float32, until
 from .test_engine import reviewed, running
@@ -157,7 +157,7 @@ async def test_a_crash_after_every_commit_leaves_what_the_next_start_needs(
             commits += 1
             continue
         handle = JobHandle(bench.handle.job, again, lambda _: None)
-        from service.jobs.codec import job_from_row
+        from mavcal.service.jobs.codec import job_from_row
 
         handle.job = job_from_row(row)
         resumed = type(bench)(bench.vehicle, again, bench.plan, handle, bench.accept, bench.check)

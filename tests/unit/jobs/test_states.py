@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.errors import IllegalTransition
-from service.jobs.model import Job, advance
-from service.jobs.states import CANCELLABLE, ENDED, PHYSICAL, TRANSITIONS, WRITING, JobState
+from mavcal.service.errors import IllegalTransition
+from mavcal.service.jobs.model import Job, advance
+from mavcal.service.jobs.states import CANCELLABLE, ENDED, PHYSICAL, TRANSITIONS, WRITING, JobState
 
 
 def job(state: JobState = JobState.QUEUED) -> Job:

@@ -7,15 +7,15 @@ from collections.abc import Iterator
 
 import pytest
 
-from service.errors import CommandTimeout
-from service.jobs.handle import JobHandle
-from service.jobs.journal import Step
-from service.jobs.model import Job
-from service.jobs.states import JobState
-from service.jobs.streams import ask_for_streams, restore_streams
-from service.jobs.tidying import Tidying
-from service.store import SqliteStore
-from service.testing import FakeVehicle
+from mavcal.service.errors import CommandTimeout
+from mavcal.service.jobs.handle import JobHandle
+from mavcal.service.jobs.journal import Step
+from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.streams import ask_for_streams, restore_streams
+from mavcal.service.jobs.tidying import Tidying
+from mavcal.service.store import SqliteStore
+from mavcal.service.testing import FakeVehicle
 
 from .conftest import until
 

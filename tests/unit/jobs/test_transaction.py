@@ -8,14 +8,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calib.firmware.plan import ParameterKind
-from calib.recording import Identity
-from service.errors import DiskFull
-from service.jobs.crashpoints import At
-from service.jobs.journal import BY_OPERATOR, Step
-from service.jobs.model import Failure, Result
-from service.jobs.port import Reading
-from service.jobs.states import JobState
+from mavcal.calib.firmware.plan import ParameterKind
+from mavcal.calib.recording import Identity
+from mavcal.service.errors import DiskFull
+from mavcal.service.jobs.crashpoints import At
+from mavcal.service.jobs.journal import BY_OPERATOR, Step
+from mavcal.service.jobs.model import Failure, Result
+from mavcal.service.jobs.port import Reading
+from mavcal.service.jobs.states import JobState
 
 from .conftest import NEW, OLD, QUICK, Bench, Killed, MakeBench, float32, until
 
@@ -514,7 +514,7 @@ def test_killed_anywhere_twice_it_ends_verified_or_as_before(
 
 
 def test_settings_give_each_autopilot_time_to_save() -> None:
-    from service.jobs.settings import JobSettings
+    from mavcal.service.jobs.settings import JobSettings
 
     patient = JobSettings()
     assert patient.settle_s["ardupilot"] >= 1.0  # its I/O thread
@@ -525,6 +525,6 @@ def test_settings_give_each_autopilot_time_to_save() -> None:
 
 
 def test_every_step_is_understood_by_recovery() -> None:
-    from service.jobs.journal import _FOLDS
+    from mavcal.service.jobs.journal import _FOLDS
 
     assert set(_FOLDS) == set(Step)

@@ -5,13 +5,13 @@ import asyncio
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib import wire
-from calib.firmware.movement import FACES
-from calib.firmware.plan import Movement
-from calib.procedures.protocol import Pose
-from service.errors import CaptureEnded
-from service.jobs.verify import POLL_S, Window, proving
-from service.testing import FakeVehicle
+from mavcal.calib import wire
+from mavcal.calib.firmware.movement import FACES
+from mavcal.calib.firmware.plan import Movement
+from mavcal.calib.procedures.protocol import Pose
+from mavcal.service.errors import CaptureEnded
+from mavcal.service.jobs.verify import POLL_S, Window, proving
+from mavcal.service.testing import FakeVehicle
 
 from .conftest import QUICK
 

@@ -8,11 +8,11 @@ import itertools
 
 import pytest
 
-from calib.procedures.protocol import Progress
-from service.jobs.handle import JobHandle, waiting
-from service.jobs.port import Condition
-from service.jobs.states import JobState
-from service.jobs.write import Settled, Writing
+from mavcal.calib.procedures.protocol import Progress
+from mavcal.service.jobs.handle import JobHandle, waiting
+from mavcal.service.jobs.port import Condition
+from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.write import Settled, Writing
 from tests.unit.jobs.conftest import QUICK, Bench, MakeBench, until
 
 

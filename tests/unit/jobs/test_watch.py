@@ -5,15 +5,15 @@ from typing import Any
 
 import pytest
 
-from calib.procedures.protocol import Prompt
-from service.errors import CaptureEnded, CaptureLost
-from service.jobs.handle import JobHandle
-from service.jobs.model import Job
-from service.jobs.settings import JobSettings
-from service.jobs.states import JobState
-from service.jobs.watch import CaptureWatch, LinkWatch
-from service.store import SqliteStore
-from service.testing import FakeVehicle, ManualClock
+from mavcal.calib.procedures.protocol import Prompt
+from mavcal.service.errors import CaptureEnded, CaptureLost
+from mavcal.service.jobs.handle import JobHandle
+from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.settings import JobSettings
+from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.watch import CaptureWatch, LinkWatch
+from mavcal.service.store import SqliteStore
+from mavcal.service.testing import FakeVehicle, ManualClock
 
 
 @dataclass

@@ -7,13 +7,20 @@ from typing import Any
 
 import pytest
 
-from calib.firmware.plan import ParameterKind, Value, snapshot_sha256
-from calib.recording import Identity
-from service.errors import ParameterMissing, ParameterTimeout, PlanBlocked, PlanChanged, WriteFailed, WriteStopped
-from service.jobs.crashpoints import At
-from service.jobs.journal import Step
-from service.jobs.port import Condition, Reading
-from service.jobs.write import (
+from mavcal.calib.firmware.plan import ParameterKind, Value, snapshot_sha256
+from mavcal.calib.recording import Identity
+from mavcal.service.errors import (
+    ParameterMissing,
+    ParameterTimeout,
+    PlanBlocked,
+    PlanChanged,
+    WriteFailed,
+    WriteStopped,
+)
+from mavcal.service.jobs.crashpoints import At
+from mavcal.service.jobs.journal import Step
+from mavcal.service.jobs.port import Condition, Reading
+from mavcal.service.jobs.write import (
     READS_IN_FLIGHT,
     Settled,
     Writing,
@@ -24,8 +31,8 @@ from service.jobs.write import (
     read_values,
     send_all,
 )
-from service.store.rows import SnapshotPurpose
-from service.testing import FakeVehicle
+from mavcal.service.store.rows import SnapshotPurpose
+from mavcal.service.testing import FakeVehicle
 
 from .conftest import NEW, OLD, QUICK, Bench, MakeBench, float32, until
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from service.errors import EndpointRefused
-from service.link.allowed import Allowed
-from service.link.endpoint import parse_endpoint
-from service.reach import DEFAULT
-from service.settings import LinkSettings
+from mavcal.service.errors import EndpointRefused
+from mavcal.service.link.allowed import Allowed
+from mavcal.service.link.endpoint import parse_endpoint
+from mavcal.service.reach import DEFAULT
+from mavcal.service.settings import LinkSettings
 
 
 def opened(text: str, entries: tuple[str, ...] = DEFAULT, *folders: Path) -> str:

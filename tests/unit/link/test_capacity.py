@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from service.link import parse_endpoint
-from service.link.capacity import (
+from mavcal.service.link import parse_endpoint
+from mavcal.service.link.capacity import (
     SHARE,
     bytes_needed,
     frame_bytes,

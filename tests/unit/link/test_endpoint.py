@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import pytest
 
-from service.errors import EndpointError
-from service.link import Endpoint, EndpointKind, parse_endpoint
-from service.link.endpoint import FORMS
+from mavcal.service.errors import EndpointError
+from mavcal.service.link import Endpoint, EndpointKind, parse_endpoint
+from mavcal.service.link.endpoint import FORMS
 
 
 @pytest.mark.parametrize(

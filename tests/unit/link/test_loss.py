@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from service.link.loss import SequenceCounter
+from mavcal.service.link.loss import SequenceCounter
 
 
 def steady(

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
-from service.link import LinkEventKind, OwnIdentity
-from service.link.peers import PeerTable
+from mavcal.service.link import LinkEventKind, OwnIdentity
+from mavcal.service.link.peers import PeerTable
 
 A, B, C = ("10.0.0.1", 14550), ("10.0.0.2", 14550), ("10.0.0.3", 14550)
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from calib import wire
-from service.errors import StoreError
-from service.link.recorder import TlogRecorder
+from mavcal.calib import wire
+from mavcal.service.errors import StoreError
+from mavcal.service.link.recorder import TlogRecorder
 
 
 def frame(number: int) -> bytes:
@@ -69,7 +69,7 @@ def test_a_write_that_ends_half_way_leaves_no_torn_record_and_is_tried_again(rec
 
 def test_times_never_decrease(recorder: TlogRecorder, monkeypatch: pytest.MonkeyPatch) -> None:
     clock: Callable[[], int] = iter([5_000_000_000_000, 4_000_000_000_000, 6_000_000_000_000]).__next__
-    monkeypatch.setattr("service.link.recorder.time.time_ns", clock)
+    monkeypatch.setattr("mavcal.service.link.recorder.time.time_ns", clock)
     stamps = [int.from_bytes(recorder.stamp(), "big") for _ in range(3)]
     assert stamps == [5_000_000_000, 5_000_000_000, 6_000_000_000]
 

@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bench import dataflash as made
-from calib import logs
-from calib.errors import UnreadableError
-from calib.firmware import undo
-from calib.logs.dataflash import read_dataflash, read_dataflash_text
-from calib.recording import Recording, Rounding, Sensor, Stage
+from mavcal.calib import logs
+from mavcal.calib.errors import UnreadableError
+from mavcal.calib.firmware import undo
+from mavcal.calib.logs.dataflash import read_dataflash, read_dataflash_text
+from mavcal.calib.recording import Recording, Rounding, Sensor, Stage
 
 FLIGHT = made.flight(2.0, seed=1)
 HEAD = made.head()

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bench import dataflash as made
-from calib.logs.dataflash import DataFlash, scan
-from calib.logs.dataflash.formats import define, read_fmt
-from calib.logs.dataflash.scan import BLOCK
+from mavcal.calib.logs.dataflash import DataFlash, scan
+from mavcal.calib.logs.dataflash.formats import define, read_fmt
+from mavcal.calib.logs.dataflash.scan import BLOCK
 
 FLIGHT = made.flight(2.0, seed=1)
 TALL = made.Message(90, "TALL", "QZZZ", "TimeUS,A,B,C")

@@ -7,8 +7,8 @@ import pytest
 from pymavlink import DFReader
 
 from bench import dataflash as made
-from calib.errors import InvalidInputError, UnreadableError
-from calib.logs.dataflash import DataFlash
+from mavcal.calib.errors import InvalidInputError, UnreadableError
+from mavcal.calib.logs.dataflash import DataFlash
 
 UNIT = made.Message(80, "UNIT", "QbZ", "TimeUS,Id,Label")
 MULT = made.Message(81, "MULT", "Qbd", "TimeUS,Id,Mult")

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib import logs
-from calib.firmware import undo
-from calib.inspection import inspect
-from calib.recording import Recording, Sensor, Stage
+from mavcal.calib import logs
+from mavcal.calib.firmware import undo
+from mavcal.calib.inspection import inspect
+from mavcal.calib.recording import Recording, Sensor, Stage
 
 pytestmark = pytest.mark.shared
 

@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from calib import logs
-from calib.errors import InvalidInputError, UnreadableError
-from calib.logs.columns import text_columns
-from calib.logs.tables import NO_TIME, read_table, write_table
-from calib.recording import Channel, Recording, Rounding, Segment, Sensor, Stage
+from mavcal.calib import logs
+from mavcal.calib.errors import InvalidInputError, UnreadableError
+from mavcal.calib.logs.columns import text_columns
+from mavcal.calib.logs.tables import NO_TIME, read_table, write_table
+from mavcal.calib.recording import Channel, Recording, Rounding, Segment, Sensor, Stage
 
 G = 9.80665
 MAG_BY_NUMBER = {"mag_x": "0", "mag_y": "1", "mag_z": "2"}

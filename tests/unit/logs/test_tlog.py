@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib.errors import UnreadableError
-from calib.firmware import calibration_changes, undo
-from calib.logs.tlog import read_tlog
-from calib.recording import Channel, Recording, Sensor, Stage
-from calib.wire import RawMessage, encode, tlog_record
+from mavcal.calib.errors import UnreadableError
+from mavcal.calib.firmware import calibration_changes, undo
+from mavcal.calib.logs.tlog import read_tlog
+from mavcal.calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib.wire import RawMessage, encode, tlog_record
 
 
 def record(message: Any, system: int = 1, component: int = 1) -> bytes:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib.flight.report import overview
-from calib.logs.tlog import read_tlog
-from calib.wire import tlog_record
+from mavcal.calib.flight.report import overview
+from mavcal.calib.logs.tlog import read_tlog
+from mavcal.calib.wire import tlog_record
 
 
 def log(times_us: list[int], autopilots: list[int]) -> bytes:

@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib import logs
-from calib.errors import CalibError, UnreadableError
-from calib.firmware import undo
-from calib.fit import FitStatus
-from calib.logs.ulog import read_ulog
-from calib.methods import METHODS
-from calib.recording import Sensor, Stage
+from mavcal.calib import logs
+from mavcal.calib.errors import CalibError, UnreadableError
+from mavcal.calib.firmware import undo
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.logs.ulog import read_ulog
+from mavcal.calib.methods import METHODS
+from mavcal.calib.recording import Sensor, Stage
 from tests.unit.logs.ulog_file import ACCEL_ID, GYRO_ID, MAG_ID, MAGIC, PARAMETERS, UlogFile, driver, message, sample
 
 COMBINED = (

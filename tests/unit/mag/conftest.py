@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.mag.shape import Ellipsoid
+from mavcal.calib.mag.shape import Ellipsoid
 
 SHAPE = np.array([[51.0, 2.2, -1.5], [2.2, 47.0, 1.8], [-1.5, 1.8, 49.5]])
 OFFSET = np.array([12.0, -8.5, 21.0])

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
-from calib.earth import EarthField
-from calib.mag.flight_path import Turning
-from calib.mag.motor_drives import Drive, DriveKind
-from calib.recording import Channel, Sensor, Stage
+from mavcal.calib.earth import EarthField
+from mavcal.calib.mag.flight_path import Turning
+from mavcal.calib.mag.motor_drives import Drive, DriveKind
+from mavcal.calib.recording import Channel, Sensor, Stage
 
 Array = NDArray[np.float64]
 

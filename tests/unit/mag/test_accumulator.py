@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib.earth import EarthField
-from calib.errors import InvalidInputError
-from calib.fit import FitStatus
-from calib.mag.accumulator import EllipsoidAccumulator
-from calib.mag.ellipsoid import fit_ellipsoid
+from mavcal.calib.earth import EarthField
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.mag.accumulator import EllipsoidAccumulator
+from mavcal.calib.mag.ellipsoid import fit_ellipsoid
 
 FIELD = EarthField.from_elements(49.1, math.radians(66.0), norm_sd=0.15)
 

@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from calib.earth import EarthField
-from calib.errors import InvalidInputError, UndeterminedError
-from calib.fit import FitStatus
-from calib.mag.align import Vertical, fit_alignment
-from calib.mag.align_solve import Noise, align
-from calib.mag.align_start import linear_start
+from mavcal.calib.earth import EarthField
+from mavcal.calib.errors import InvalidInputError, UndeterminedError
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.mag.align import Vertical, fit_alignment
+from mavcal.calib.mag.align_solve import Noise, align
+from mavcal.calib.mag.align_start import linear_start
 
 G = 9.80665
 STRENGTH, DIP = 49.0, math.radians(66.0)

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.errors import InvalidInputError
-from calib.fit import FitStatus
-from calib.mag.blur import deblurred, rates_during
-from calib.mag.blur_fit import fit_ellipsoid_deblurred
-from calib.mag.ellipsoid import fit_ellipsoid
-from calib.mag.shape import correction
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.mag.blur import deblurred, rates_during
+from mavcal.calib.mag.blur_fit import fit_ellipsoid_deblurred
+from mavcal.calib.mag.ellipsoid import fit_ellipsoid
+from mavcal.calib.mag.shape import correction
 
 WINDOW = 0.1
 

@@ -7,13 +7,13 @@ import pytest
 
 from bench.compass.campaign import deviations
 from bench.compass.scene import turned
-from calib.fit import FitStatus
-from calib.mag.blur import rates_during
-from calib.mag.blur_axes import axes_of_gyro
-from calib.mag.blur_fit import fit_ellipsoid_deblurred
-from calib.mag.samples import not_repeated
-from calib.recording import Sensor
-from service.simvehicle.rotation import mounting_matrix
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.mag.blur import rates_during
+from mavcal.calib.mag.blur_axes import axes_of_gyro
+from mavcal.calib.mag.blur_fit import fit_ellipsoid_deblurred
+from mavcal.calib.mag.samples import not_repeated
+from mavcal.calib.recording import Sensor
+from mavcal.service.simvehicle.rotation import mounting_matrix
 
 SEEDS = range(100, 112)
 

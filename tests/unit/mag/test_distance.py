@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.optimize import least_squares
 
-from calib.errors import UndeterminedError
-from calib.mag.distance import Distances, bisquare, foot_points, gauss_newton, score_rows
-from calib.mag.moments import Moments
-from calib.mag.samples import Cloud
-from calib.mag.shape import Ellipsoid, six_numbers, symmetric
+from mavcal.calib.errors import UndeterminedError
+from mavcal.calib.mag.distance import Distances, bisquare, foot_points, gauss_newton, score_rows
+from mavcal.calib.mag.moments import Moments
+from mavcal.calib.mag.samples import Cloud
+from mavcal.calib.mag.shape import Ellipsoid, six_numbers, symmetric
 
 SHAPE = np.array([[550.0, 30.0, -20.0], [30.0, 450.0, 25.0], [-20.0, 25.0, 500.0]])
 

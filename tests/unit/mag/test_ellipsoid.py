@@ -9,13 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from calib.earth import EarthField
-from calib.errors import InvalidInputError
-from calib.fit import FitStatus, parameter_names
-from calib.mag.distance import bisquare, score_rows
-from calib.mag.ellipsoid import fit_ellipsoid
-from calib.mag.shape import Ellipsoid, correction, six_numbers
-from calib.mag.shape_fit import estimate_variance
+from mavcal.calib.earth import EarthField
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitStatus, parameter_names
+from mavcal.calib.mag.distance import bisquare, score_rows
+from mavcal.calib.mag.ellipsoid import fit_ellipsoid
+from mavcal.calib.mag.shape import Ellipsoid, correction, six_numbers
+from mavcal.calib.mag.shape_fit import estimate_variance
 
 FIELD = EarthField.from_elements(49.0, math.radians(66.0), norm_sd=0.15)
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.errors import InvalidInputError
-from calib.fit import FitStatus
-from calib.mag.flight import fit_flight
-from calib.mag.flight_fit import correlation_time
-from calib.mag.flight_input import flown
-from calib.mag.flight_path import Turning
-from calib.recording import Channel, Sensor, Stage
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.mag.flight import fit_flight
+from mavcal.calib.mag.flight_fit import correlation_time
+from mavcal.calib.mag.flight_input import flown
+from mavcal.calib.mag.flight_path import Turning
+from mavcal.calib.recording import Channel, Sensor, Stage
 from tests.unit.mag.flights import FIELD, Truth, fly
 
 SOFT = np.array([[1.04, 0.02, -0.01], [0.02, 0.97, 0.015], [-0.01, 0.015, 1.02]])

@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib import logs
-from calib.fit import FitStatus
-from calib.methods import METHODS
-from calib.recording import ParameterTimeline
+from mavcal.calib import logs
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.methods import METHODS
+from mavcal.calib.recording import ParameterTimeline
 
 pytestmark = pytest.mark.shared
 

@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from calib.errors import InvalidInputError
-from calib.fit import FitStatus
-from calib.logs import read
-from calib.mag.gyro_aided import fit_gyro_aided
-from calib.methods import METHODS
-from calib.recording import Channel, Sensor, Stage
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.logs import read
+from mavcal.calib.mag.gyro_aided import fit_gyro_aided
+from mavcal.calib.methods import METHODS
+from mavcal.calib.recording import Channel, Sensor, Stage
 
 FIELD = 50.0
 MOUNTING = Rotation.from_euler("xyz", [4.0, -3.0, 170.0], degrees=True).as_matrix()  # sensor from gyroscope

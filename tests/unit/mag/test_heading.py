@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from calib.mag.heading import heading_sd_deg
-from calib.triad import TriadModel
+from mavcal.calib.mag.heading import heading_sd_deg
+from mavcal.calib.triad import TriadModel
 
 
 def offset_covariance(sd: float, axis: int = 0) -> np.ndarray:

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from calib.errors import InvalidInputError
-from calib.fit import FitStatus
-from calib.mag.distance import score_rows
-from calib.mag.ellipsoid import fit_ellipsoid
-from calib.mag.moments import Moments
-from calib.mag.samples import Cloud
-from calib.mag.shape import Ellipsoid, MagModel, six_numbers
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.mag.distance import score_rows
+from mavcal.calib.mag.ellipsoid import fit_ellipsoid
+from mavcal.calib.mag.moments import Moments
+from mavcal.calib.mag.samples import Cloud
+from mavcal.calib.mag.shape import Ellipsoid, MagModel, six_numbers
 
 OFFSET = np.array([12.0, -8.5, 21.0])
 SPHERE = 49.0 * np.eye(3)

@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.errors import InvalidInputError, UndeterminedError
-from calib.mag.moments import Moments, adjusted_least_squares, corrections
-from calib.mag.samples import Cloud
-from calib.mag.shape import Ellipsoid, six_numbers
+from mavcal.calib.errors import InvalidInputError, UndeterminedError
+from mavcal.calib.mag.moments import Moments, adjusted_least_squares, corrections
+from mavcal.calib.mag.samples import Cloud
+from mavcal.calib.mag.shape import Ellipsoid, six_numbers
 
 
 def test_exact_samples_give_the_exact_ellipsoid(compass: Any, rng: np.random.Generator) -> None:

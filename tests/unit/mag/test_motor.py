@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.fit import FitStatus
-from calib.mag.motor import fit_motor
-from calib.mag.motor_drives import Drive, DriveKind
-from calib.recording import Channel, Sensor, Stage
-from calib.triad import TriadModel
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.mag.motor import fit_motor
+from mavcal.calib.mag.motor_drives import Drive, DriveKind
+from mavcal.calib.recording import Channel, Sensor, Stage
+from mavcal.calib.triad import TriadModel
 from tests.unit.mag.flights import FIELD, Truth, fly
 
 TERM = np.array([0.3, -0.2, 0.4])

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.errors import InvalidInputError, UndeterminedError
-from calib.mag.orientation import RIGHT_ANGLES, Verdict, find_orientation, interpolated, rotation_matrix
+from mavcal.calib.errors import InvalidInputError, UndeterminedError
+from mavcal.calib.mag.orientation import RIGHT_ANGLES, Verdict, find_orientation, interpolated, rotation_matrix
 
 DIP = math.radians(66.0)
 NORTH_EAST_DOWN = 49.0 * np.array([math.cos(DIP), 0.0, math.sin(DIP)])

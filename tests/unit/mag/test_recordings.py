@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.earth import EarthField
-from calib.firmware import undo
-from calib.fit import FitResult, FitStatus
-from calib.logs.tlog import read_tlog
-from calib.mag.blur import rates_during
-from calib.mag.blur_fit import fit_ellipsoid_deblurred
-from calib.mag.ellipsoid import fit_ellipsoid
-from calib.recording import Sensor
+from mavcal.calib.earth import EarthField
+from mavcal.calib.firmware import undo
+from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.logs.tlog import read_tlog
+from mavcal.calib.mag.blur import rates_during
+from mavcal.calib.mag.blur_fit import fit_ellipsoid_deblurred
+from mavcal.calib.mag.ellipsoid import fit_ellipsoid
+from mavcal.calib.recording import Sensor
 
 pytestmark = pytest.mark.shared
 

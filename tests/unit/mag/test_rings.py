@@ -11,13 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from calib.c_array import homogeneous
-from calib.earth import EarthField
-from calib.errors import InvalidInputError
-from calib.fit import FitStatus
-from calib.mag.ring_centres import CENTRES, Ring, centre_of, fit_circle
-from calib.mag.rings import fit_rings
-from calib.mag.rings_algebra import by_dominant, columns_of, published
+from mavcal.calib.c_array import homogeneous
+from mavcal.calib.earth import EarthField
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.mag.ring_centres import CENTRES, Ring, centre_of, fit_circle
+from mavcal.calib.mag.rings import fit_rings
+from mavcal.calib.mag.rings_algebra import by_dominant, columns_of, published
 
 WAYS = np.vstack([np.eye(3), -np.eye(3)])
 STRENGTH, DIP = 49.0, np.radians(66.0)

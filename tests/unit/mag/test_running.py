@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib.errors import InvalidInputError
-from calib.fit import FitStatus
-from calib.mag.distance import score_rows
-from calib.mag.ellipsoid import fit_ellipsoid
-from calib.mag.moments import Moments
-from calib.mag.running import RunningEllipsoid, quadric, quadric_derivatives, squared_gradient
-from calib.mag.samples import Cloud
-from calib.mag.shape import correction, six_numbers
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.mag.distance import score_rows
+from mavcal.calib.mag.ellipsoid import fit_ellipsoid
+from mavcal.calib.mag.moments import Moments
+from mavcal.calib.mag.running import RunningEllipsoid, quadric, quadric_derivatives, squared_gradient
+from mavcal.calib.mag.samples import Cloud
+from mavcal.calib.mag.shape import correction, six_numbers
 
 ABOUT = ([10.0, 0.0, 10.0], 50.0)
 

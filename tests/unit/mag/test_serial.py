@@ -5,13 +5,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.mag.serial import (
+from mavcal.calib.mag.serial import (
     variance_inflation,
     weakened_information,
     white_variance,
     widened_scatter,
 )
-from calib.residuals import first_correlation
+from mavcal.calib.residuals import first_correlation
 
 
 def autoregressive(rng: np.random.Generator, count: int, rho: float) -> Any:

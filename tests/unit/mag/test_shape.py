@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.mag.shape import Ellipsoid, correction, correction_covariance, six_numbers, symmetric
+from mavcal.calib.mag.shape import Ellipsoid, correction, correction_covariance, six_numbers, symmetric
 
 
 def test_six_numbers_and_back() -> None:

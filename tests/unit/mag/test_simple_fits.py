@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.errors import InvalidInputError, UndeterminedError
-from calib.fit import FitStatus
-from calib.mag.ellipsoid_axis import fit_ellipsoid_axis, normal_equations, offset_and_radii, solve_coefficients
-from calib.mag.minmax import fit_minmax, half_range
-from calib.mag.sphere import fit_sphere, solve_sphere
+from mavcal.calib.errors import InvalidInputError, UndeterminedError
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.mag.ellipsoid_axis import fit_ellipsoid_axis, normal_equations, offset_and_radii, solve_coefficients
+from mavcal.calib.mag.minmax import fit_minmax, half_range
+from mavcal.calib.mag.sphere import fit_sphere, solve_sphere
 
 CENTRE = np.array([10.0, -20.0, 30.0])
 DIRECTIONS = np.vstack([np.eye(3), -np.eye(3), [[0.6, 0.8, 0.0], [0.0, 0.6, 0.8]]])

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from bench.compass.campaign import deviations
-from calib.mag.blur import Rates
-from calib.mag.blur_fit import fit_ellipsoid_deblurred
-from calib.mag.still import counted_as, still_stretches
+from mavcal.calib.mag.blur import Rates
+from mavcal.calib.mag.blur_fit import fit_ellipsoid_deblurred
+from mavcal.calib.mag.still import counted_as, still_stretches
 
 STEP = 0.1
 

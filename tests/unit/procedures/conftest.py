@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from calib.recording import Channel, Recording, Rounding, Sensor, Stage
+from mavcal.calib.recording import Channel, Recording, Rounding, Sensor, Stage
 
 G = 9.80665
 FIELD = np.array([20.5, 1.2, 44.0])  # north east down, uT

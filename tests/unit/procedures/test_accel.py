@@ -8,10 +8,10 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from calib.procedures.accel import SPEC, AccelProcedure
-from calib.procedures.context import ProcedureContext
-from calib.procedures.protocol import Done, GaveUp, Pose, Progress, Prompt
-from calib.recording import Identity, Sensor
+from mavcal.calib.procedures.accel import SPEC, AccelProcedure
+from mavcal.calib.procedures.context import ProcedureContext
+from mavcal.calib.procedures.protocol import Done, GaveUp, Pose, Progress, Prompt
+from mavcal.calib.recording import Identity, Sensor
 
 WITHOUT_SHRINKING = (Phase.explicit, Phase.generate)  # a run takes too long for it
 CONTEXT = ProcedureContext(identity=Identity(autopilot="other"), parameters={"X": 1.0})

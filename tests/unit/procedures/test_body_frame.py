@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.fit import FitResult, FitStatus, parameter_names
-from calib.procedures.body_frame import in_body, in_sensor
-from calib.recording import Channel, Rounding, Sensor, Stage
-from calib.triad import TriadModel
+from mavcal.calib.fit import FitResult, FitStatus, parameter_names
+from mavcal.calib.procedures.body_frame import in_body, in_sensor
+from mavcal.calib.recording import Channel, Rounding, Sensor, Stage
+from mavcal.calib.triad import TriadModel
 
 YAW_90 = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 OBLIQUE = Rotation.from_euler("ZYX", [30.0, 20.0, -50.0], degrees=True).as_matrix()

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.earth import EarthField, earth_field
-from calib.firmware import undo
-from calib.logs.tlog import read_tlog
-from calib.procedures.context import ProcedureContext
-from calib.procedures.protocol import Done, GaveUp
-from calib.procedures.replay import replay
-from calib.recording import Sensor
+from mavcal.calib.earth import EarthField, earth_field
+from mavcal.calib.firmware import undo
+from mavcal.calib.logs.tlog import read_tlog
+from mavcal.calib.procedures.context import ProcedureContext
+from mavcal.calib.procedures.protocol import Done, GaveUp
+from mavcal.calib.procedures.replay import replay
+from mavcal.calib.recording import Sensor
 
 pytestmark = pytest.mark.shared
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from bench.compass.campaign import deviations
-from calib.firmware import undo
-from calib.logs import read
-from calib.methods import METHODS
-from calib.procedures.protocol import Done
-from calib.procedures.registry import create
-from calib.procedures.replay import replay
-from calib.recording import ParameterTimeline, Recording
-from service.jobs.digest import context_of, field_of
+from mavcal.calib.firmware import undo
+from mavcal.calib.logs import read
+from mavcal.calib.methods import METHODS
+from mavcal.calib.procedures.protocol import Done
+from mavcal.calib.procedures.registry import create
+from mavcal.calib.procedures.replay import replay
+from mavcal.calib.recording import ParameterTimeline, Recording
+from mavcal.service.jobs.digest import context_of, field_of
 
 pytestmark = pytest.mark.shared
 

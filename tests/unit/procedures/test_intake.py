@@ -7,8 +7,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib.procedures.intake import TICK, Intake
-from calib.recording import Channel, Event, Recording, Sensor, Stage
+from mavcal.calib.procedures.intake import TICK, Intake
+from mavcal.calib.recording import Channel, Event, Recording, Sensor, Stage
 
 
 def channel(t, sensor=Sensor.ACCEL, instance=0, source="A", stage=Stage.RAW, values=None):

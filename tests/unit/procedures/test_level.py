@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.procedures.context import ProcedureContext
-from calib.procedures.level import SPEC, LevelProcedure, roll_pitch
-from calib.procedures.protocol import Done, GaveUp
-from calib.recording import Identity
+from mavcal.calib.procedures.context import ProcedureContext
+from mavcal.calib.procedures.level import SPEC, LevelProcedure, roll_pitch
+from mavcal.calib.procedures.protocol import Done, GaveUp
+from mavcal.calib.recording import Identity
 
 CONTEXT = ProcedureContext(identity=Identity(autopilot="other"), parameters={"X": 1.0})
 

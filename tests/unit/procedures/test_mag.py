@@ -8,11 +8,11 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from calib.earth import EarthField
-from calib.procedures.context import Answer, ProcedureContext
-from calib.procedures.mag import SPEC, MagProcedure
-from calib.procedures.protocol import Done, GaveUp, Progress, Prompt
-from calib.recording import Identity, Sensor
+from mavcal.calib.earth import EarthField
+from mavcal.calib.procedures.context import Answer, ProcedureContext
+from mavcal.calib.procedures.mag import SPEC, MagProcedure
+from mavcal.calib.procedures.protocol import Done, GaveUp, Progress, Prompt
+from mavcal.calib.recording import Identity, Sensor
 
 FIELD = EarthField([20.5, 1.2, 44.0], norm_sd=0.15)
 WITHOUT_SHRINKING = (Phase.explicit, Phase.generate)  # a run takes too long for it

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from calib.procedures.intake import Intake
-from calib.procedures.motion import HELD, RESTING, StillWatch
-from calib.procedures.roster import choose
-from calib.recording import Sensor
+from mavcal.calib.procedures.intake import Intake
+from mavcal.calib.procedures.motion import HELD, RESTING, StillWatch
+from mavcal.calib.procedures.roster import choose
+from mavcal.calib.recording import Sensor
 
 INERTIAL = ((Sensor.ACCEL, 0), (Sensor.GYRO, 0))
 

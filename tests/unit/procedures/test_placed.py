@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.earth import EarthField
-from calib.procedures.context import ProcedureContext
-from calib.procedures.protocol import Done, Pose, Prompt
-from calib.procedures.registry import create
-from calib.recording import Identity, Sensor
+from mavcal.calib.earth import EarthField
+from mavcal.calib.procedures.context import ProcedureContext
+from mavcal.calib.procedures.protocol import Done, Pose, Prompt
+from mavcal.calib.procedures.registry import create
+from mavcal.calib.recording import Identity, Sensor
 
 from .conftest import FACES, FIELD, MAG, Bench, Truth, attitude
 

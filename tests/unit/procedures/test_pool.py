@@ -5,8 +5,8 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from calib.procedures.pool import BLOCK, Pool
-from calib.recording import Channel, Sensor, Stage
+from mavcal.calib.procedures.pool import BLOCK, Pool
+from mavcal.calib.recording import Channel, Sensor, Stage
 
 GYRO = (Sensor.GYRO, 0)
 PER_TICK = 12

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.procedures import poses
-from calib.procedures.protocol import Pose
+from mavcal.calib.procedures import poses
+from mavcal.calib.procedures.protocol import Pose
 
 
 @pytest.mark.parametrize(

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib import report
-from calib.errors import InvalidInputError, ProcedureError
-from calib.procedures.context import ProcedureContext
-from calib.procedures.protocol import Done
-from calib.procedures.registry import PROCEDURES, create, specification, validate_options
-from calib.procedures.replay import replay
-from calib.procedures.table import markdown
-from calib.recording import Event, Identity, Recording, Sensor
-from service.commands.calibrate import KINDS
+from mavcal.calib import report
+from mavcal.calib.errors import InvalidInputError, ProcedureError
+from mavcal.calib.procedures.context import ProcedureContext
+from mavcal.calib.procedures.protocol import Done
+from mavcal.calib.procedures.registry import PROCEDURES, create, specification, validate_options
+from mavcal.calib.procedures.replay import replay
+from mavcal.calib.procedures.table import markdown
+from mavcal.calib.recording import Event, Identity, Recording, Sensor
+from mavcal.service.commands.calibrate import KINDS
 
 CONTEXT = ProcedureContext(identity=Identity(autopilot="other"), parameters={"X": 1.0})
 

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.firmware import ardupilot
-from calib.firmware.compose import ComposeOptions, compose
-from calib.firmware.fingerprint import fingerprint
-from calib.firmware.undo import undo
-from calib.logs.tlog import read_tlog
-from calib.procedures.context import ProcedureContext
-from calib.procedures.protocol import Done
-from calib.procedures.replay import replay
-from calib.recording import Identity, Sensor
+from mavcal.calib.firmware import ardupilot
+from mavcal.calib.firmware.compose import ComposeOptions, compose
+from mavcal.calib.firmware.fingerprint import fingerprint
+from mavcal.calib.firmware.undo import undo
+from mavcal.calib.logs.tlog import read_tlog
+from mavcal.calib.procedures.context import ProcedureContext
+from mavcal.calib.procedures.protocol import Done
+from mavcal.calib.procedures.replay import replay
+from mavcal.calib.recording import Identity, Sensor
 
 TRUTH = 1e-6 * np.array([[357, -263, 149], [2.1, -3.3, 1.7], [0.0, 0.0, 0.0]]).T
 """Of the first gyro about 35 degC, rad/s per degC, degC^2, degC^3; the second one does not drift."""

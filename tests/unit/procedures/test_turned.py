@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.errors import ProcedureError
-from calib.fit import FitStatus
-from calib.procedures.context import Answer, ProcedureContext
-from calib.procedures.poses import APART, angle, suggest
-from calib.procedures.protocol import Done, GaveUp, Prompt
-from calib.procedures.registry import create
-from calib.procedures.replay import replay
-from calib.recording import Identity, Sensor
+from mavcal.calib.errors import ProcedureError
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.procedures.context import Answer, ProcedureContext
+from mavcal.calib.procedures.poses import APART, angle, suggest
+from mavcal.calib.procedures.protocol import Done, GaveUp, Prompt
+from mavcal.calib.procedures.registry import create
+from mavcal.calib.procedures.replay import replay
+from mavcal.calib.recording import Identity, Sensor
 
 from .conftest import FACES, MAG, Bench, Truth, attitude
 

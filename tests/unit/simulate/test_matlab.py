@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.errors import InvalidInputError
-from calib.recording import Rounding, Sensor
-from calib.report import plain
-from calib.simulate import SensorErrors, from_matlab, to_matlab
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.recording import Rounding, Sensor
+from mavcal.calib.report import plain
+from mavcal.calib.simulate import SensorErrors, from_matlab, to_matlab
 
 SENSORS = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
 

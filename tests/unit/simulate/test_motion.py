@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.errors import InvalidInputError
-from calib.simulate import MOTIONS, MotionOptions, Warming, along, motion_of, trajectory
-from calib.simulate.motion import hold, spin, turn
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.simulate import MOTIONS, MotionOptions, Warming, along, motion_of, trajectory
+from mavcal.calib.simulate.motion import hold, spin, turn
 
 FIELD = np.array([20.0, 1.0, 43.0])
 G = 9.80665

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import welch
 
-from calib.simulate.noise import flicker, half_derivative, half_integral, random_walk, white
+from mavcal.calib.simulate.noise import flicker, half_derivative, half_integral, random_walk, white
 
 RATE = 50.0
 COUNT = 60_000

@@ -6,14 +6,14 @@ import json
 import numpy as np
 import pytest
 
-from calib.errors import InvalidInputError, UnreadableError
-from calib.logs.tables import read_table, write_table
-from calib.methods import METHODS
-from calib.recording import Rounding, Sensor
-from calib.simulate import MotionOptions, SensorErrors, SensorSuite, in_frame, motion_of, simulate, trajectory
-from calib.simulate.document import errors_from_json, errors_to_json, stated_in, truth_to_json
-from calib.simulate.recording import suite_in_frame
-from calib.simulate.typical import typical
+from mavcal.calib.errors import InvalidInputError, UnreadableError
+from mavcal.calib.logs.tables import read_table, write_table
+from mavcal.calib.methods import METHODS
+from mavcal.calib.recording import Rounding, Sensor
+from mavcal.calib.simulate import MotionOptions, SensorErrors, SensorSuite, in_frame, motion_of, simulate, trajectory
+from mavcal.calib.simulate.document import errors_from_json, errors_to_json, stated_in, truth_to_json
+from mavcal.calib.simulate.recording import suite_in_frame
+from mavcal.calib.simulate.typical import typical
 
 FIELD = np.array([20.0, 1.0, 43.0])
 
@@ -71,7 +71,7 @@ def test_methods_find_what_was_put_in():
 
 
 def test_the_die_runs_ahead_of_a_lagging_thermometer():
-    from calib.simulate import Warming
+    from mavcal.calib.simulate import Warming
 
     motion = motion_of("warm-up", MotionOptions(duration=300.0), np.random.default_rng(0))
     path = trajectory(motion.legs, 10.0, field=FIELD, start=motion.start, warming=Warming(20.0, 60.0, 100.0))

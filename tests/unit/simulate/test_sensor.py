@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.errors import InvalidInputError
-from calib.recording import Rounding
-from calib.simulate import SensorErrors
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.recording import Rounding
+from mavcal.calib.simulate import SensorErrors
 
 TRUTH = np.array([[1.0, -2.0, 3.0], [0.5, 0.0, -0.25]])
 WRONG = SensorErrors(

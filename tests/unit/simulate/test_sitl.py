@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.errors import InvalidInputError
-from calib.firmware import undo
-from calib.logs import read
-from calib.recording import Sensor
-from calib.simulate import SensorErrors, SensorSuite, Warming, from_sitl, to_sitl
-from calib.simulate.typical import typical
-from calib.stillness import HELD, find_still, pose_means
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.firmware import undo
+from mavcal.calib.logs import read
+from mavcal.calib.recording import Sensor
+from mavcal.calib.simulate import SensorErrors, SensorSuite, Warming, from_sitl, to_sitl
+from mavcal.calib.simulate.typical import typical
+from mavcal.calib.stillness import HELD, find_still, pose_means
 
 
 def vector(name: str, values) -> dict[str, float]:

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from service.simvehicle.config import load_config
-from service.simvehicle.server import make_vehicle
-from service.simvehicle.vehicle import Channel, Vehicle
-from service.simvehicle.wire import Packer, Received, split_datagram
+from mavcal.service.simvehicle.config import load_config
+from mavcal.service.simvehicle.server import make_vehicle
+from mavcal.service.simvehicle.vehicle import Channel, Vehicle
+from mavcal.service.simvehicle.wire import Packer, Received, split_datagram
 
 CLEAN = {"offset": [0, 0, 0], "matrix": np.eye(3).tolist(), "polynomial": np.zeros((3, 3)).tolist()}
 QUIET = {"accel_noise": 0.0, "gyro_noise": 0.0, "mag_noise": 0.0}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from service.simvehicle.magreader import MagReader
+from mavcal.service.simvehicle.magreader import MagReader
 
 CLEAN = {"offset": [0, 0, 0], "matrix": np.eye(3).tolist(), "polynomial": np.zeros((3, 3)).tolist()}
 QUIET = {"accel_noise": 0.0, "gyro_noise": 0.0, "mag_noise": 0.0}

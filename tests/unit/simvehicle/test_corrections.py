@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from service.simvehicle.corrections import (
+from mavcal.service.simvehicle.corrections import (
     ArduPilotThermal,
     ardupilot_accel,
     ardupilot_compass,

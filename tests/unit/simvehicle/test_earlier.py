@@ -7,11 +7,11 @@ import re
 import numpy as np
 import pytest
 
-from service.simvehicle.config import load_config
-from service.simvehicle.earlier import earlier_calibration
-from service.simvehicle.errors import ConfigurationError
-from service.simvehicle.server import make_vehicle
-from service.simvehicle.vehicle import Vehicle
+from mavcal.service.simvehicle.config import load_config
+from mavcal.service.simvehicle.earlier import earlier_calibration
+from mavcal.service.simvehicle.errors import ConfigurationError
+from mavcal.service.simvehicle.server import make_vehicle
+from mavcal.service.simvehicle.vehicle import Vehicle
 
 NEUTRAL_ONE = re.compile(r"SCAL|SCALE|DIA_|DIA2|DIA3")
 

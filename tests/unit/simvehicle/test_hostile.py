@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from service.simvehicle.wire import Packer, Splitter, split_datagram
+from mavcal.service.simvehicle.wire import Packer, Splitter, split_datagram
 
 ODD = [0.0, 1.0, -1.0, 76.0, 2.0, 65536.0, 1e9, -1e9, 1e38, math.inf, -math.inf, math.nan, 0.5]
 COMMANDS = [241, 245, 246, 400, 401, 510, 511, 512, 520, 42424, 42425, 42426, 42006, 0, 65535]

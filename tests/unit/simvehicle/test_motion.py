@@ -5,9 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from service.simvehicle.errors import ControlError
-from service.simvehicle.motion import FACES, Motion
-from service.simvehicle.rotation import (
+from mavcal.service.simvehicle.errors import ControlError
+from mavcal.service.simvehicle.motion import FACES, Motion
+from mavcal.service.simvehicle.rotation import (
     body_from_ned,
     conjugate,
     euler_from_quaternions,

@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from service.simvehicle.config import load_config
-from service.simvehicle.parameters import ParameterTable
-from service.simvehicle.px4_memory import SensorMemory
-from service.simvehicle.px4_parameters import ACCEL_IDS, GYRO_IDS, MAG_IDS, px4_table
+from mavcal.service.simvehicle.config import load_config
+from mavcal.service.simvehicle.parameters import ParameterTable
+from mavcal.service.simvehicle.px4_memory import SensorMemory
+from mavcal.service.simvehicle.px4_parameters import ACCEL_IDS, GYRO_IDS, MAG_IDS, px4_table
 
 
 @pytest.fixture

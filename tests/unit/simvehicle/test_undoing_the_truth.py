@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.simvehicle.rotation import body_from_ned
+from mavcal.service.simvehicle.rotation import body_from_ned
 
 QUIET = {"accel_noise": 0.0, "gyro_noise": 0.0, "mag_noise": 0.0}
 POSES = ([0, 0, 0], [-90, 0, 10], [30, 40, 200], [180, 0, 0], [10, -90, 0])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from service.simvehicle.wander import Wander
+from mavcal.service.simvehicle.wander import Wander
 
 
 def test_it_grows_with_the_root_of_time():

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.simvehicle.config import VehicleConfig, load_config
-from service.simvehicle.errors import ConfigurationError
-from service.simvehicle.parameters import load_table
-from service.simvehicle.thermal import Thermal
-from service.simvehicle.truth import draw_truth
-from service.simvehicle.world import World
+from mavcal.service.simvehicle.config import VehicleConfig, load_config
+from mavcal.service.simvehicle.errors import ConfigurationError
+from mavcal.service.simvehicle.parameters import load_table
+from mavcal.service.simvehicle.thermal import Thermal
+from mavcal.service.simvehicle.truth import draw_truth
+from mavcal.service.simvehicle.world import World
 
 
 def test_a_seed_gives_the_same_truth_again_and_another_gives_another() -> None:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from service.store import SqliteStore
-from service.store.migrate import migrate, migrations
+from mavcal.service.store import SqliteStore
+from mavcal.service.store.migrate import migrate, migrations
 
 ROWS = 6
 

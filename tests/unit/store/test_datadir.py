@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from service.errors import DataDirLocked, StoreError
-from service.store import SqliteStore
-from service.store.rows import JobRow, LinkRow, SegmentPurpose, SnapshotPurpose
+from mavcal.service.errors import DataDirLocked, StoreError
+from mavcal.service.store import SqliteStore
+from mavcal.service.store.rows import JobRow, LinkRow, SegmentPurpose, SnapshotPurpose
 
 DIGEST = "a" * 64
 
@@ -22,7 +22,9 @@ def test_the_lock_survives_the_deletion_of_its_file(tmp_path: Path, removed: lis
         (tmp_path / name).unlink()
     with pytest.raises(DataDirLocked):
         SqliteStore(tmp_path)
-    code = f"from pathlib import Path; from service.store import SqliteStore; SqliteStore(Path({str(tmp_path)!r}))"
+    code = (
+        f"from pathlib import Path; from mavcal.service.store import SqliteStore; SqliteStore(Path({str(tmp_path)!r}))"
+    )
     other = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert "DataDirLocked" in other.stderr
     store.close()

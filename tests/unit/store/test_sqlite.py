@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from service.errors import DataDirLocked, DiskFull, StoreError
-from service.store import SqliteStore, Store
-from service.store.migrate import Migration, migrate, migrations
-from service.store.rows import JobRow, LinkRow, RecordingRow, SegmentPurpose, SnapshotPurpose
+from mavcal.service.errors import DataDirLocked, DiskFull, StoreError
+from mavcal.service.store import SqliteStore, Store
+from mavcal.service.store.migrate import Migration, migrate, migrations
+from mavcal.service.store.rows import JobRow, LinkRow, RecordingRow, SegmentPurpose, SnapshotPurpose
 
 DIGEST = "a" * 64
 

@@ -9,9 +9,9 @@ from typing import Any, TypeVar, cast
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib import wire
-from service.link import Batch, Link, LinkStatistics, OwnIdentity, parse_endpoint
-from service.vehicle import Vehicle, VehicleEvent
+from mavcal.calib import wire
+from mavcal.service.link import Batch, Link, LinkStatistics, OwnIdentity, parse_endpoint
+from mavcal.service.vehicle import Vehicle, VehicleEvent
 
 T = TypeVar("T")
 Reply = wire.RawMessage | Any

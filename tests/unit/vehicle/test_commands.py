@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from service.errors import CommandRefused, CommandTimeout, ForbiddenCommand, LinkDown, VehicleSilent
-from service.vehicle import command
-from service.vehicle.commands import check_allowed
+from mavcal.service.errors import CommandRefused, CommandTimeout, ForbiddenCommand, LinkDown, VehicleSilent
+from mavcal.service.vehicle import command
+from mavcal.service.vehicle.commands import check_allowed
 from tests.unit.vehicle.fake import FakeVehicle, ack
 
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.errors import ParameterRejected
-from service.vehicle.encoding import (
+from mavcal.service.errors import ParameterRejected
+from mavcal.service.vehicle.encoding import (
     ParameterEncoding,
     ParameterKind,
     bits_from_value,

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from calib import wire
-from service.vehicle import Autopilot, ParameterEncoding
-from service.vehicle.identity import VehicleIdentity, identity_from_heartbeat, identity_from_version
+from mavcal.calib import wire
+from mavcal.service.vehicle import Autopilot, ParameterEncoding
+from mavcal.service.vehicle.identity import VehicleIdentity, identity_from_heartbeat, identity_from_version
 from tests.unit.vehicle.fake import AP_CAPABILITIES, PX4_CAPABILITIES, heartbeat, version
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from calib import wire
-from calib.wire import ParamValue, decode_param_value
-from service.errors import ParameterTimeout, VehicleSilent
-from service.vehicle.encoding import Parameter, ParameterKind
-from service.vehicle.listing import ParameterSet, _incomplete, _Listing
-from service.vehicle.parameters import HASH_NAME
+from mavcal.calib import wire
+from mavcal.calib.wire import ParamValue, decode_param_value
+from mavcal.service.errors import ParameterTimeout, VehicleSilent
+from mavcal.service.vehicle.encoding import Parameter, ParameterKind
+from mavcal.service.vehicle.listing import ParameterSet, _incomplete, _Listing
+from mavcal.service.vehicle.parameters import HASH_NAME
 from tests.unit.vehicle.fake import FakeVehicle, param_value, real
 
 

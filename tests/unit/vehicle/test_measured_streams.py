@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib import wire
-from service.link.capacity import LOSSY
-from service.vehicle import request_streams
-from service.vehicle.streams import (
+from mavcal.calib import wire
+from mavcal.service.link.capacity import LOSSY
+from mavcal.service.vehicle import request_streams
+from mavcal.service.vehicle.streams import (
     LATE_S,
     REMEMBERED_S,
     _interval_us,

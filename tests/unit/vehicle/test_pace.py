@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from service.vehicle.pace import MOST_S, Pace
+from mavcal.service.vehicle.pace import MOST_S, Pace
 
 
 def test_patience_follows_what_answers_took_and_stays_within_its_bounds() -> None:

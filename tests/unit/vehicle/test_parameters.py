@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from service.errors import (
+from mavcal.service.errors import (
     ParameterMissing,
     ParameterRejected,
     ParameterTimeout,
@@ -17,8 +17,8 @@ from service.errors import (
     VehicleConflict,
     VehicleSilent,
 )
-from service.link import LinkEvent, LinkEventKind
-from service.vehicle import ParameterKind
+from mavcal.service.link import LinkEvent, LinkEventKind
+from mavcal.service.vehicle import ParameterKind
 from tests.unit.vehicle.fake import FakeVehicle, delay_answers, heartbeat, param_value, real
 
 NAME = "INS_ACCOFFS_Y"

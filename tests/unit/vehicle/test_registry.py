@@ -7,10 +7,10 @@ from typing import Any, cast
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib import wire
-from service.errors import LinkDown, VehicleConflict, VehicleUnknown
-from service.link import Batch, Link, LinkEvent, LinkEventKind
-from service.vehicle import VehicleEventKind, VehicleRegistry
+from mavcal.calib import wire
+from mavcal.service.errors import LinkDown, VehicleConflict, VehicleUnknown
+from mavcal.service.link import Batch, Link, LinkEvent, LinkEventKind
+from mavcal.service.vehicle import VehicleEventKind, VehicleRegistry
 from tests.unit.vehicle.fake import FakeLink, ManualClock, ack, heartbeat, param_value, real, version
 
 

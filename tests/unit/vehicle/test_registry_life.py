@@ -8,9 +8,9 @@ from typing import cast
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from service.errors import LinkDown
-from service.link import Link
-from service.vehicle import VehicleEvent, VehicleEventKind, VehicleRegistry
+from mavcal.service.errors import LinkDown
+from mavcal.service.link import Link
+from mavcal.service.vehicle import VehicleEvent, VehicleEventKind, VehicleRegistry
 from tests.unit.vehicle.fake import ManualClock, heartbeat, version
 from tests.unit.vehicle.test_registry import Air, attached, registry
 
@@ -118,7 +118,7 @@ async def test_a_vehicle_that_does_not_answer_is_asked_again_later_and_not_at_on
         await again.wait()
         return None
 
-    monkeypatch.setattr("service.vehicle.registry.asyncio.sleep", pause)
+    monkeypatch.setattr("mavcal.service.vehicle.registry.asyncio.sleep", pause)
     air = attached(registry)
     air.say(heartbeat())
     (vehicle,) = registry.all()

@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from service.vehicle.calibration import CalibrationSign
-from service.vehicle.state import (
+from mavcal.service.vehicle.calibration import CalibrationSign
+from mavcal.service.vehicle.state import (
     KEPT_TEXTS,
     Landed,
     Refusal,

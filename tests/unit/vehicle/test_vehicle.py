@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from service.errors import (
+from mavcal.service.errors import (
     CommandTimeout,
     LinkDown,
     VehicleArmed,
@@ -17,10 +17,10 @@ from service.errors import (
     VehicleError,
     VehicleSilent,
 )
-from service.link import LinkEvent, LinkEventKind
-from service.vehicle import VehicleEventKind
-from service.vehicle import vehicle as vehicle_module
-from service.vehicle.commands import REQUEST_CAPABILITIES, REQUEST_MESSAGE
+from mavcal.service.link import LinkEvent, LinkEventKind
+from mavcal.service.vehicle import VehicleEventKind
+from mavcal.service.vehicle import vehicle as vehicle_module
+from mavcal.service.vehicle.commands import REQUEST_CAPABILITIES, REQUEST_MESSAGE
 from tests.unit.vehicle.fake import FakeVehicle, heartbeat, landed, param_value, real, version
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.gap.problem import Trace
-from calib.recording import Sensor
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.recording import Sensor
 
 G = 9.80665
 EARTH = np.array([20.0, 1.5, 45.0])

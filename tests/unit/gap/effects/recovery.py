@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from calib.gap.effects.base import MeanEffect
-from calib.gap.problem import Trace
+from mavcal.calib.gap.effects.base import MeanEffect
+from mavcal.calib.gap.problem import Trace
 
 
 def with_measured(trace: Trace, measured: np.ndarray) -> Trace:

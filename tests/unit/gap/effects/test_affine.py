@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from calib.gap.effects import by_id
-from calib.recording import Sensor
+from mavcal.calib.gap.effects import by_id
+from mavcal.calib.recording import Sensor
 
 from .conftest import make
 from .recovery import amplitudes, noisy

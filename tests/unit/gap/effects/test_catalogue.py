@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.gap.effects import by_id, catalogue, forward_models, parameter_table
-from calib.gap.effects.base import LatticeEffect, MeanEffect, NoiseEffect
-from calib.recording import Sensor
+from mavcal.calib.gap.effects import by_id, catalogue, forward_models, parameter_table
+from mavcal.calib.gap.effects.base import LatticeEffect, MeanEffect, NoiseEffect
+from mavcal.calib.recording import Sensor
 
 from .conftest import make
 

@@ -7,9 +7,9 @@ import re
 import numpy as np
 import pytest
 
-from calib.gap.effects import by_id, catalogue
-from calib.gap.effects.base import MeanEffect
-from calib.recording import Sensor
+from mavcal.calib.gap.effects import by_id, catalogue
+from mavcal.calib.gap.effects.base import MeanEffect
+from mavcal.calib.recording import Sensor
 
 from .conftest import make
 from .test_catalogue import PAGE

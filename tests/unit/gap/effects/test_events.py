@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.gap.effects import by_id
-from calib.gap.effects.events import SLOW_S, likeliest, likeliest_ramps, moments
-from calib.recording import Sensor
+from mavcal.calib.gap.effects import by_id
+from mavcal.calib.gap.effects.events import SLOW_S, likeliest, likeliest_ramps, moments
+from mavcal.calib.recording import Sensor
 
 from .conftest import make
 from .recovery import fitted, noisy

@@ -9,8 +9,8 @@ import pytest
 from scipy.fft import dct
 from scipy.signal import butter, lfilter
 
-from calib.gap.effects import by_id
-from calib.recording import Sensor
+from mavcal.calib.gap.effects import by_id
+from mavcal.calib.recording import Sensor
 
 from .conftest import make
 from .recovery import amplitudes, noisy

@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.gap.effects import by_id
-from calib.recording import Sensor
+from mavcal.calib.gap.effects import by_id
+from mavcal.calib.recording import Sensor
 
 from .conftest import make
 from .recovery import noisy, with_measured

@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.gap.effects import forward_models
-from calib.gap.effects.limits import limits, widths
-from calib.gap.problem import Trace
-from calib.recording import Sensor
+from mavcal.calib.gap.effects import forward_models
+from mavcal.calib.gap.effects.limits import limits, widths
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.recording import Sensor
 
 from .conftest import make
 from .recovery import amplitudes, fitted, noisy

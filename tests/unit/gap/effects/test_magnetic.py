@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from calib.gap.effects import by_id, forward_models
-from calib.recording import Sensor
+from mavcal.calib.gap.effects import by_id, forward_models
+from mavcal.calib.recording import Sensor
 
 from .conftest import EARTH, make
 from .recovery import amplitudes, noisy

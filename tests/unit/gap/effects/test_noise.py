@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.fft import dct
 
-from calib.gap.effects import by_id
-from calib.recording import Sensor
-from calib.simulate import noise
+from mavcal.calib.gap.effects import by_id
+from mavcal.calib.recording import Sensor
+from mavcal.calib.simulate import noise
 
 from .conftest import make
 

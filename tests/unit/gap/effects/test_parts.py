@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.gap.effects.parts import lagged
+from mavcal.calib.gap.effects.parts import lagged
 
 
 def test_a_ramp_through_one_pole_is_exact_however_long_a_sample_is():

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.signal import butter, freqs
 
-from calib.gap.effects import by_id
-from calib.recording import Sensor
+from mavcal.calib.gap.effects import by_id
+from mavcal.calib.recording import Sensor
 
 from .conftest import make
 from .recovery import amplitudes, fitted, noisy

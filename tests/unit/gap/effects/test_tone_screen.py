@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.gap.effects.tone import strongest_bins
-from calib.recording import Sensor
+from mavcal.calib.gap.effects.tone import strongest_bins
+from mavcal.calib.recording import Sensor
 
 from .conftest import make
 

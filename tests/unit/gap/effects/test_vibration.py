@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.fft import dct
 
-from calib.gap.effects import by_id
-from calib.gap.effects.vibration import folded
-from calib.recording import Sensor
+from mavcal.calib.gap.effects import by_id
+from mavcal.calib.gap.effects.vibration import folded
+from mavcal.calib.recording import Sensor
 
 from .conftest import make
 from .recovery import amplitudes, fitted, noisy

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from calib.gap.effects import parameter_table
-from calib.gap.schema import EffectEstimate, Estimate, Evidence, GapReport, Inputs, Verdict
-from calib.recording import Sensor
+from mavcal.calib.gap.effects import parameter_table
+from mavcal.calib.gap.schema import EffectEstimate, Estimate, Evidence, GapReport, Inputs, Verdict
+from mavcal.calib.recording import Sensor
 
 
 def effect(id_: str, instances: tuple[int, ...] = (1,), **groups: object) -> EffectEstimate:

@@ -10,9 +10,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from calib.gap.export import ENDINGS, Target, exported, target_of
-from calib.gap.schema import Verdict
-from calib.recording import Recording
+from mavcal.calib.gap.export import ENDINGS, Target, exported, target_of
+from mavcal.calib.gap.schema import Verdict
+from mavcal.calib.recording import Recording
 
 from .making import effect, report
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from bench.gap_picture import CLEAN, REAL, recorded
-from calib import gap
-from calib.gap.export import Target, exported
-from calib.gap.schema import GapReport, Verdict
-from calib.gap.verify import verified_json, verify
-from calib.recording import Recording, Sensor
-from calib.simulate import SensorErrors, SensorSuite
-from calib.simulate.document import stated_in
+from mavcal.calib import gap
+from mavcal.calib.gap.export import Target, exported
+from mavcal.calib.gap.schema import GapReport, Verdict
+from mavcal.calib.gap.verify import verified_json, verify
+from mavcal.calib.recording import Recording, Sensor
+from mavcal.calib.simulate import SensorErrors, SensorSuite
+from mavcal.calib.simulate.document import stated_in
 
 SECONDS = 30.0
 

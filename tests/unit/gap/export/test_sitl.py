@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib.gap.effects import by_id
-from calib.gap.effects.base import MeanEffect
-from calib.gap.export import patch, with_patches
-from calib.gap.export.files import sitl_text
-from calib.gap.problem import Trace
-from calib.gap.schema import EffectEstimate, as_json
-from calib.recording import Sensor
-from calib.simulate import from_sitl
-from calib.simulate.document import stated_in
+from mavcal.calib.gap.effects import by_id
+from mavcal.calib.gap.effects.base import MeanEffect
+from mavcal.calib.gap.export import patch, with_patches
+from mavcal.calib.gap.export.files import sitl_text
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.schema import EffectEstimate, as_json
+from mavcal.calib.recording import Sensor
+from mavcal.calib.simulate import from_sitl
+from mavcal.calib.simulate.document import stated_in
 
 from .making import effect, report
 

@@ -7,14 +7,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.errors import FirmwareError
-from calib.firmware import ardupilot
-from calib.firmware.export import ParameterFormat, read_parameters
-from calib.firmware.names import ardupilot_compass_names, ardupilot_imu_names
-from calib.gap.export import Target, exported
-from calib.gap.export.vehicle import vehicle_plan
-from calib.gap.schema import EffectEstimate, Unknown
-from calib.recording import Identity, ParameterEntry, ParameterTimeline, Recording, Sensor
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware import ardupilot
+from mavcal.calib.firmware.export import ParameterFormat, read_parameters
+from mavcal.calib.firmware.names import ardupilot_compass_names, ardupilot_imu_names
+from mavcal.calib.gap.export import Target, exported
+from mavcal.calib.gap.export.vehicle import vehicle_plan
+from mavcal.calib.gap.schema import EffectEstimate, Unknown
+from mavcal.calib.recording import Identity, ParameterEntry, ParameterTimeline, Recording, Sensor
 
 from .making import effect, report
 
@@ -61,7 +61,7 @@ CASES = {
 
 def affected(sensor: Sensor, effects: tuple[EffectEstimate, ...], values: dict[str, float | int]) -> tuple[object, ...]:
     """Truth in body axes, and the raw reading of a sensor with the effects, as the diagnosis states them."""
-    from calib.gap.export.state import sensors_with
+    from mavcal.calib.gap.export.state import sensors_with
 
     truth = {Sensor.ACCEL: 9.0, Sensor.GYRO: 2.0, Sensor.MAG: 40.0}[sensor] * np.random.default_rng(3).normal(
         size=(50, 3)

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.gap.reference import build
-from calib.gap.reference.calibrated import corrected, filter_gain, filter_in_force, sensor_from_corrected
-from calib.recording import Identity, ParameterTimeline, Recording, Sensor, Stage
+from mavcal.calib.gap.reference import build
+from mavcal.calib.gap.reference.calibrated import corrected, filter_gain, filter_in_force, sensor_from_corrected
+from mavcal.calib.recording import Identity, ParameterTimeline, Recording, Sensor, Stage
 
 from .test_recorded import RATE, SECONDS, channel, truth
 

@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.errors import InvalidInputError
-from calib.gap.reference import build
-from calib.logs.tables import NO_TIME
-from calib.recording import Event, Identity, Recording, Sensor
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.gap.reference import build
+from mavcal.calib.logs.tables import NO_TIME
+from mavcal.calib.recording import Event, Identity, Recording, Sensor
 
 from .test_recorded import RATE, by_sensor, channel, flown
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.gap.reference.chosen import alike
-from calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib.gap.reference.chosen import alike
+from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 
 T = np.arange(100) / 100.0
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from calib.gap.likelihood import flicker, random_walk
-from calib.gap.reference.noise import Noise, chances, learned
+from mavcal.calib.gap.likelihood import flicker, random_walk
+from mavcal.calib.gap.reference.noise import Noise, chances, learned
 
 from .test_noise import trace, walk, white
 

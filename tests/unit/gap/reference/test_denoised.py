@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.gap.problem import ReferenceKind
-from calib.gap.reference import build
-from calib.gap.reference.denoised import denoised, error_sd, with_error
-from calib.gap.reference.noise import Noise
-from calib.recording import Sensor
+from mavcal.calib.gap.problem import ReferenceKind
+from mavcal.calib.gap.reference import build
+from mavcal.calib.gap.reference.denoised import denoised, error_sd, with_error
+from mavcal.calib.gap.reference.noise import Noise
+from mavcal.calib.recording import Sensor
 
 from .test_recorded import RATE, SECONDS, SIGMA, by_sensor, channel, flown, truth
 

@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.gap.problem import Trace
-from calib.gap.reference.driven_noise import as_driven, driven_by
-from calib.recording import Sensor
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.reference.driven_noise import as_driven, driven_by
+from mavcal.calib.recording import Sensor
 
 QUIET, LOUD, THROTTLE = 0.002, 0.02, 0.6
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib import logs
-from calib.gap.problem import ReferenceKind
-from calib.gap.reference import build
-from calib.gap.reference.calibrated import corrected
-from calib.gap.reference.smoothed import best_trajectory
-from calib.recording import Sensor
+from mavcal.calib import logs
+from mavcal.calib.gap.problem import ReferenceKind
+from mavcal.calib.gap.reference import build
+from mavcal.calib.gap.reference.calibrated import corrected
+from mavcal.calib.gap.reference.smoothed import best_trajectory
+from mavcal.calib.recording import Sensor
 
 pytestmark = pytest.mark.shared
 
@@ -41,9 +41,9 @@ def test_an_attitude_is_estimated_better_than_the_firmware_does(flights):
     null = flights("null")
     found = best_trajectory(corrected(null))
     truth = next(c for c in null.reference if c.sensor == Sensor.ATTITUDE)
-    from calib.gap.reference.posed import rotation
-    from calib.gap.reference.recorded import continuous
-    from calib.gap.reference.signal import linear
+    from mavcal.calib.gap.reference.posed import rotation
+    from mavcal.calib.gap.reference.recorded import continuous
+    from mavcal.calib.gap.reference.signal import linear
 
     at = rotation(linear(truth.t, continuous(truth.values), found.state.t))
     error = np.degrees((at.inv() * found.state.attitude).as_rotvec())

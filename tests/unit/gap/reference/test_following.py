@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.gap.problem import Trace
-from calib.gap.reference.checks import refusal_of
-from calib.gap.reference.following import unrelated
-from calib.recording import Sensor
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.reference.checks import refusal_of
+from mavcal.calib.gap.reference.following import unrelated
+from mavcal.calib.recording import Sensor
 
 FS, N = 100.0, 6000
 

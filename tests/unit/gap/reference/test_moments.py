@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.gap.problem import Trace
-from calib.gap.reference.moments import age_of, louder, settled
-from calib.recording import Sensor
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.reference.moments import age_of, louder, settled
+from mavcal.calib.recording import Sensor
 
 AGE, NOISE, FS = 1e-3, 1e-3, 25.0
 

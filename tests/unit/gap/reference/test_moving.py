@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.gap.problem import Trace
-from calib.gap.reference.moving import as_heaving, as_moving, movement_of
-from calib.gap.reference.noise import learned, with_noise
-from calib.recording import Sensor
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.reference.moving import as_heaving, as_moving, movement_of
+from mavcal.calib.gap.reference.noise import learned, with_noise
+from mavcal.calib.recording import Sensor
 
 FS, N = 100.0, 16000
 JITTER_S = 0.003

@@ -3,12 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.gap.problem import Trace
-from calib.gap.reference.calibrated import filter_gain
-from calib.gap.reference.deviation import deviations, simulated_ideal
-from calib.gap.reference.grid import grid_of
-from calib.gap.reference.noise import learned, pooled, with_noise
-from calib.recording import Sensor
+from mavcal.calib.gap.problem import Trace
+from mavcal.calib.gap.reference.calibrated import filter_gain
+from mavcal.calib.gap.reference.deviation import deviations, simulated_ideal
+from mavcal.calib.gap.reference.grid import grid_of
+from mavcal.calib.gap.reference.noise import learned, pooled, with_noise
+from mavcal.calib.recording import Sensor
 
 from .test_recorded import channel
 

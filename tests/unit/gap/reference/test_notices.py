@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.errors import InvalidInputError
-from calib.gap.reference import build
-from calib.recording import Sensor
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.gap.reference import build
+from mavcal.calib.recording import Sensor
 
 from .test_recorded import channel, flown, truth
 

@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.errors import InvalidInputError
-from calib.gap.problem import ReferenceKind
-from calib.gap.reference import build
-from calib.gap.reference.posed import body_rate, earth_field_of, pose_of
-from calib.recording import Recording, Sensor
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.gap.problem import ReferenceKind
+from mavcal.calib.gap.reference import build
+from mavcal.calib.gap.reference.posed import body_rate, earth_field_of, pose_of
+from mavcal.calib.recording import Recording, Sensor
 
 from .test_recorded import RATE, SECONDS, SIGMA, by_sensor, channel, flown, truth
 

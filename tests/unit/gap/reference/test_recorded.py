@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.errors import InvalidInputError
-from calib.gap.problem import ReferenceKind
-from calib.gap.reference import build
-from calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.gap.problem import ReferenceKind
+from mavcal.calib.gap.reference import build
+from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 
 RATE, SECONDS, SIGMA = 100.0, 20.0, {Sensor.ACCEL: 0.02, Sensor.GYRO: 0.002, Sensor.MAG: 0.4}
 UNITS = {Sensor.ACCEL: "m/s2", Sensor.GYRO: "rad/s", Sensor.MAG: "uT"}

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from calib.gap.problem import ReferenceKind
-from calib.gap.reference import build
-from calib.recording import Recording, Sensor
+from mavcal.calib.gap.problem import ReferenceKind
+from mavcal.calib.gap.reference import build
+from mavcal.calib.recording import Recording, Sensor
 
 from .test_recorded import RATE, SECONDS, channel, flown, truth
 from .test_smoothed import flight

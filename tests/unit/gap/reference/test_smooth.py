@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.gap.reference.signal import Signal
-from calib.gap.reference.smooth import bandwidth, smoothed
+from mavcal.calib.gap.reference.signal import Signal
+from mavcal.calib.gap.reference.smooth import bandwidth, smoothed
 
 FS, CUTOFF = 200.0, 16.0
 T = np.arange(8000) / FS

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib import logs
-from calib.gap.effects import catalogue
-from calib.gap.problem import ReferenceKind
-from calib.gap.reference import build
-from calib.gap.reference.signal import Signal
-from calib.gap.reference.smoothed import _typical, best_trajectory
-from calib.gap.reference.strapdown import WARM, Increments
-from calib.gap.reference.trajectory import ACCEL_DRIFT, GYRO_DRIFT
-from calib.recording import Channel, ParameterTimeline, Recording, Sensor, Stage
+from mavcal.calib import logs
+from mavcal.calib.gap.effects import catalogue
+from mavcal.calib.gap.problem import ReferenceKind
+from mavcal.calib.gap.reference import build
+from mavcal.calib.gap.reference.signal import Signal
+from mavcal.calib.gap.reference.smoothed import _typical, best_trajectory
+from mavcal.calib.gap.reference.strapdown import WARM, Increments
+from mavcal.calib.gap.reference.trajectory import ACCEL_DRIFT, GYRO_DRIFT
+from mavcal.calib.recording import Channel, ParameterTimeline, Recording, Sensor, Stage
 
 from .test_recorded import by_sensor, channel
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from calib.gap.problem import Trace, Worse
-from calib.gap.reference.which import worse_of
-from calib.recording import Sensor
+from mavcal.calib.gap.problem import Trace, Worse
+from mavcal.calib.gap.reference.which import worse_of
+from mavcal.calib.recording import Sensor
 
 RATE, ROWS, SIGMA = 100.0, 4000, 0.003
 SEEDS = range(6)

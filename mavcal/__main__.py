@@ -1,0 +1,5 @@
+"""``python -m mavcal`` is ``mavcal``."""
+
+from mavcal.service.cli import main
+
+main()

@@ -1,5 +1,0 @@
-"""``python -m service`` is ``mavcal``."""
-
-from service.cli import main
-
-main()
