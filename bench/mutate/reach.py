@@ -59,9 +59,12 @@ class Reach:
 
     def _tests(self, path: str, span: Sequence[int]) -> frozenset[str]:
         lines = self.lines.get(path, {})
+        reading: frozenset[str] = frozenset()
         if not self.loading.get(path, frozenset()).isdisjoint(span):
             span = tuple(lines)  # what came of it while the module was loaded may matter anywhere
-        return frozenset().union(*(lines.get(line, frozenset()) for line in span)).intersection(self.seconds)
+            own = f"/test_{Path(path).stem}"
+            reading = frozenset(test for test in self.seconds if own in test)  # a table is read without running a line
+        return reading.union(*(lines.get(line, frozenset()) for line in span)).intersection(self.seconds)
 
     def _within(self, tests: Sequence[str], limit_s: float) -> list[str]:
         chosen: list[str] = []

@@ -86,11 +86,11 @@ class Runner:
             capture.foresee = partial(self._foresee, handle.job)
             try:
                 await capture.run()
-            except CaptureDisturbed:
+            except CaptureDisturbed as disturbed:
                 if left == 0:
                     raise
                 left -= 1
-                _set_aside(handle)
+                _set_aside(handle, disturbed)
             else:
                 return
 
@@ -155,13 +155,13 @@ class Runner:
         handle.move(state, outcome=Failure(code, cause, remedy), segments=_spans(handle), prompt=None)
 
 
-def _set_aside(handle: JobHandle) -> None:
+def _set_aside(handle: JobHandle, disturbed: CaptureDisturbed) -> None:
     """Leave what was recorded so far out of the fit; it stays on the disk."""
     rows = captured(handle.job, handle.store)
     context = {key: value for key, value in handle.job.context.items() if key != "answers"}
     if rows:
         context[SET_ASIDE] = rows[-1].id
-    handle.warn("the vehicle began a calibration of its own: the capture begins again when that has ended")
+    handle.warn(f"{disturbed}: the capture begins again")
     handle.change("set_aside", {"segments": len(rows)}, context=context, progress=None)
 
 

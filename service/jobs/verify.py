@@ -106,7 +106,7 @@ class StreamCheck:
 
     async def before(self, guard: Guard) -> None:
         """Keep a window of the stream under the old parameters, in memory and as a segment."""
-        await self._streams()
+        await guard.run(self._streams)
         row = await open_span(self.handle.store, self.handle.id, SegmentPurpose.BEFORE, self.vehicle.tlog_position())
         try:
             with Window(self.vehicle, self.settings, self.clock) as window:
@@ -124,7 +124,7 @@ class StreamCheck:
         WriteFailed
             If there is no stream to judge.
         """
-        await self._streams()
+        await guard.run(self._streams)
         before = self._before or await asyncio.to_thread(self._recorded)
         row = await open_span(self.handle.store, self.handle.id, SegmentPurpose.AFTER, self.vehicle.tlog_position())
         try:

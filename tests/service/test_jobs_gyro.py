@@ -126,16 +126,38 @@ async def test_a_change_by_somebody_else_before_the_accept_is_plan_again(tmp_pat
         assert (await bench.until(job.id, JobState.SUCCEEDED, JobState.REVERTED)).state == JobState.SUCCEEDED
 
 
-async def test_a_change_during_the_capture_ends_it_with_the_name(tmp_path: Path, sim: SimulatedVehicle) -> None:
+async def test_another_calibration_during_the_capture_ends_it_with_the_name(
+    tmp_path: Path, sim: SimulatedVehicle
+) -> None:
+    async with session(tmp_path, sim.url) as bench:
+        await bench.writable()
+        job = await bench.engine.submit(bench.vehicle.id, "gyro", {"uncertainty": 0.001})
+        await eventually(lambda: bench.engine.get(job.id).prompt is not None)
+        before = stored(sim)["INS_ACCOFFS_Z"]
+        sim.call("fault", kind="foreign_write", name="INS_ACCOFFS_Z", value=0.125)
+        job = await bench.until(job.id, JobState.REVIEW, JobState.FAILED)
+        sim.call("fault", kind="foreign_write", name="INS_ACCOFFS_Z", value=before)
+        assert isinstance(job.outcome, Failure)
+        assert "INS_ACCOFFS_Z changed from" in job.outcome.cause
+        assert job.segments  # what was recorded is kept
+
+
+async def test_a_gyro_offset_that_changes_during_the_capture_is_told_and_the_rest_begins_again(
+    tmp_path: Path, sim: SimulatedVehicle
+) -> None:
     async with session(tmp_path, sim.url) as bench:
         await bench.writable()
         job = await bench.engine.submit(bench.vehicle.id, "gyro", {"uncertainty": 0.001})
         await eventually(lambda: bench.engine.get(job.id).prompt is not None)
         sim.call("fault", kind="foreign_write", name="INS_GYROFFS_Z", value=0.125)
         job = await bench.until(job.id, JobState.REVIEW, JobState.FAILED)
-        assert isinstance(job.outcome, Failure)
-        assert "INS_GYROFFS_Z changed from 0 to 0.125" in job.outcome.cause
-        assert job.segments  # what was recorded is kept
+        assert job.state == JobState.REVIEW
+        (told,) = [text for text in job.warnings if "begins again" in text]
+        assert told.startswith("INS_GYROFFS_Z changed from 0 to 0.125 during the capture, set by")
+        assert job.plan is not None
+        (change,) = [change for change in job.plan.changes if change.name == "INS_GYROFFS_Z"]
+        assert change.old == 0.125
+        assert abs(change.new - sim.truth()["gyros"][0]["offset"][2]) < 4.5 * 0.001 / 57.3
 
 
 async def test_cancel_is_quick_and_puts_the_streams_back(tmp_path: Path, sim: SimulatedVehicle) -> None:

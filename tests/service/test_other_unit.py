@@ -55,9 +55,10 @@ async def test_the_write_of_a_unit_that_was_swapped_is_never_finished_on_the_oth
             assert bench.store.journal(job.id)[-1].step == Step.STOPPED
 
 
+@pytest.mark.long
 async def test_two_units_at_once_are_a_conflict_for_as_long_as_both_are_there(tmp_path: Path) -> None:
     port = free_udp_port()
-    yield_s = scaled(YIELD_S)  # two answers lost in a row look like silence
+    yield_s = 2.0 * scaled(YIELD_S)  # two answers lost in a row look like silence
     with unit(port, 33) as first:
         async with session(tmp_path, first.url, yield_s=yield_s) as bench:
             with await asyncio.to_thread(unit, port, 34):

@@ -4,23 +4,27 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from mavcal.calib.firmware.plan import SensorVerdict, Verification
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import TriadModel
 from mavcal.calib.wire import FrameParser
+from mavcal.service.errors import WriteStopped
 from mavcal.service.jobs.guard import Guard
 from mavcal.service.jobs.verify import HOLD_STILL, StreamCheck
 from mavcal.service.simvehicle.config import load_config
 from mavcal.service.simvehicle.server import make_vehicle
 from mavcal.service.simvehicle.vehicle import Channel
 from mavcal.service.simvehicle.wire import Packer
+from mavcal.service.testing import FakeVehicle
+from tests.patience import scaled
 
 from .conftest import QUICK, Bench, MakeBench
 
@@ -130,3 +134,30 @@ async def test_a_sensor_is_called_wrong_only_after_a_second_look(make_bench: Mak
     assert [c.id for c in result.refuted] == ["gyro_zero"]
     assert rig.vehicle.time - rig.began >= 9.0
     assert "looking again" in str(await rig.told())
+
+
+class Deaf(FakeVehicle):
+    """Never answers a request for a message rate: the link loses every one."""
+
+    async def request_streams(
+        self, rates: Mapping[int, float], *, measure_s: float, before: Mapping[int, int]
+    ) -> tuple[str, ...]:
+        await asyncio.Event().wait()
+        raise AssertionError
+
+
+@pytest.mark.parametrize("when", ["before", "after"])
+async def test_a_vehicle_that_arms_while_its_streams_are_asked_for_stops_the_write_at_once(
+    make_bench: MakeBench, when: str
+) -> None:
+    bench = make_bench()
+    vehicle = Deaf(bench.vehicle.parameters)
+    check = StreamCheck(bench.handle, vehicle, bench.plan, 0.0, QUICK)
+    guard = Guard(vehicle, 0.01)
+    looking = asyncio.create_task(check.before(guard) if when == "before" else check.after(guard, {}))
+    await asyncio.sleep(0.03)
+    assert not looking.done()
+    vehicle.change_state(armed=True)
+    async with asyncio.timeout(scaled(5.0)):
+        with pytest.raises(WriteStopped, match="armed"):
+            await looking
