@@ -1,4 +1,4 @@
-"""``python -m service.commands.gap_worker``: diagnoses pairs of files named on stdin, a JSON object a line.
+"""``python -m mavcal.service.commands.gap_worker``: diagnoses pairs of files named on stdin, a JSON object a line.
 
 The other side of the withheld-effect check: a process of its own that sees files with random names and nothing else.
 ``{"real": path, "sim": path or null, "nominal": [...], "without": [...], "nested": bool}`` gives

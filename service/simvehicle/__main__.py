@@ -1,4 +1,4 @@
-"""`python -m service.simvehicle`: a simulated vehicle in a process of its own."""
+"""`python -m mavcal.service.simvehicle`: a simulated vehicle in a process of its own."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mavcal.service.simvehicle.server import Server, make_vehicle
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    p = argparse.ArgumentParser(prog="python -m service.simvehicle", description=__doc__)
+    p = argparse.ArgumentParser(prog="python -m mavcal.service.simvehicle", description=__doc__)
     p.add_argument("--autopilot", choices=[str(a) for a in Autopilot], default=None)
     p.add_argument("--udpout", metavar="HOST:PORT", action="append", default=[], help="send to a ground station")
     p.add_argument("--udpin", metavar="HOST:PORT", action="append", default=[], help="listen for ground stations")
