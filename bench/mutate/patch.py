@@ -96,8 +96,9 @@ def replacements(mutant: Mutant) -> list[tuple[FunctionType, CodeType]]:
         if ours != theirs and ours.co_name != "<module>"
     }
     found = []
+    imported = str(ROOT / "mavcal" / mutant.path)
     for thing in gc.get_objects():
-        if isinstance(thing, FunctionType) and thing.__code__.co_filename == str(path):
+        if isinstance(thing, FunctionType) and thing.__code__.co_filename == imported:
             code = changed.get(_place(thing.__code__))
             if code is not None:
                 if code.co_freevars != thing.__code__.co_freevars:

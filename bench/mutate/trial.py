@@ -139,7 +139,7 @@ class _Changed(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 
     def __init__(self, mutant: Mutant) -> None:
         self._path = ROOT / mutant.path
-        parts = Path(mutant.path).with_suffix("").parts
+        parts = ("mavcal", *Path(mutant.path).with_suffix("").parts)
         self._package = parts[-1] == "__init__"
         self._name = ".".join(parts[:-1] if self._package else parts)
         self._tree = mutated(self._path.read_text(encoding="utf-8"), mutant)

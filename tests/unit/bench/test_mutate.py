@@ -7,6 +7,9 @@ import ast
 import pytest
 
 from bench.mutate.operators import mutants, mutated
+from bench.mutate.patch import replacements
+from bench.mutate.trial import ROOT
+from mavcal.calib.firmware import rotations
 
 SOURCE = '''
 """Text."""
@@ -59,3 +62,12 @@ def test_wording_annotations_and_logging_stay():
         assert "log.info('asked', x=1)" in source
         assert "x: float" in source
         assert '"""Text."""' in source
+
+
+def test_the_functions_that_a_mutant_changes_are_those_that_are_imported():
+    path = ROOT / "calib/firmware/rotations.py"
+    of_rotations = mutants(path.read_text(encoding="utf-8"), "calib/firmware/rotations.py")
+    mutant = next(m for m in of_rotations if m.inside and "argmin" in m.text)
+    ((function, code),) = replacements(mutant)
+    assert function is rotations.nearest_rotation
+    assert code != function.__code__
