@@ -121,6 +121,13 @@ def test_the_head_names_the_plan_its_board_and_what_to_mind():
     assert write_plan(nameless, ParameterFormat.PARAM).splitlines()[:3:2] == ["# mavcal: px4", "# board not known"]
 
 
+def test_only_qgroundcontrols_file_has_its_table_head():
+    for form in ParameterFormat:
+        text = write_plan(PLAN, form)
+        assert ("# Onboard parameters" in text) == (form == ParameterFormat.PARAMS)
+        assert ("# Vehicle-Id Component-Id Name Value Type" in text) == (form == ParameterFormat.PARAMS)
+
+
 def test_a_station_of_another_system_gets_its_own_ids():
     lines = write_plan(PLAN, ParameterFormat.PARAMS, system=7, component=3).splitlines()
     assert "7\t3\tCAL_ACC0_XOFF\t0.31\t9" in lines

@@ -1,6 +1,10 @@
 from __future__ import annotations
 
+<<<<<<< HEAD
 from mavcal.calib.firmware.log_fields import COMPASS, INERTIAL, implied_parameters
+=======
+from mavcal.calib.firmware.log_fields import COMPASS, INERTIAL, MOTOR_FUNCTIONS, implied_parameters
+>>>>>>> origin/main
 
 OLD, NEW = (3, 2, 9), (3, 3, 0)
 OFFSETS = {"COMPASS_OFS_X": 1.0, "COMPASS_OFS2_X": 2.0}
@@ -33,3 +37,9 @@ def test_nothing_is_implied_of_a_newer_an_unknown_or_a_compassless_firmware() ->
 def test_a_bin_is_as_wide_as_the_unit_of_a_truncated_field() -> None:
     assert COMPASS.quantum == 0.1  # whole mGauss
     assert {reading.quantum for reading in INERTIAL} == {0.0}
+
+
+def test_motors_are_found_by_the_functions_that_ardupilot_gives_their_outputs() -> None:
+    """SERVOn_FUNCTION: Motor1 to Motor8 are 33 to 40, Motor9 to Motor12 are 82 to 85."""
+    assert [MOTOR_FUNCTIONS[f] for f in (*range(33, 41), *range(82, 86))] == list(range(12))
+    assert len(MOTOR_FUNCTIONS) == 12
