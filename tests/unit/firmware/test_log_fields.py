@@ -1,10 +1,6 @@
 from __future__ import annotations
 
-<<<<<<< HEAD
-from mavcal.calib.firmware.log_fields import COMPASS, INERTIAL, implied_parameters
-=======
 from mavcal.calib.firmware.log_fields import COMPASS, INERTIAL, MOTOR_FUNCTIONS, implied_parameters
->>>>>>> origin/main
 
 OLD, NEW = (3, 2, 9), (3, 3, 0)
 OFFSETS = {"COMPASS_OFS_X": 1.0, "COMPASS_OFS2_X": 2.0}
