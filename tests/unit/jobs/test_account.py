@@ -153,3 +153,19 @@ def test_nothing_is_certain_once_the_vehicle_may_calibrate_by_itself_again() -> 
     by_name = {s.name: s for s in as_heard(back, {})}
     assert (by_name["S"].certain, by_name["A"].certain) == (True, False)
     assert "since S was put back" in by_name["A"].note
+
+
+def test_a_parameter_is_certain_only_where_it_was_read() -> None:
+    plan = WritePlan(
+        Fingerprint("px4", "u", "1", ()),
+        "0" * 64,
+        tuple(Change(name, 9.0, 1.0, ParameterKind.REAL32, "") for name in ("OLD", "NEW", "OTHER", "UNREAD")),
+    )
+    old = dict.fromkeys(("OLD", "NEW", "OTHER", "UNREAD"), 0.5)
+    found = {s.name: s for s in as_read(plan, old, {"OLD": 0.5, "NEW": 1.0, "OTHER": 2.0}, SOMEBODY)}
+    assert [s.certain for s in found.values()] == [True, True, True, False]
+    assert [s.holds for s in found.values()] == [Holds.OLD, Holds.NEW, Holds.OTHER, Holds.UNKNOWN]
+    assert [s.note for s in found.values()] == ["", "", f"set by {SOMEBODY}; it is left so", ""]
+    assert [(s.old, s.new) for s in found.values()] == [(0.5, 1.0)] * 4  # old is what it held, not what the plan says
+    assert found["OTHER"].value == 2.0
+    assert found["UNREAD"].value is None
