@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from calib import wire
-from service.errors import (
+from mavcal.calib import wire
+from mavcal.service.errors import (
     LinkDown,
     ParameterMissing,
     ParameterRejected,
@@ -18,10 +18,10 @@ from service.errors import (
     VehicleError,
     VehicleSilent,
 )
-from service.vehicle import ParameterKind, commands
-from service.vehicle.encoding import ParameterEncoding, same_value, value_from_bits
-from service.vehicle.parameters import HASH_NAME, NO_INDEX, TRIES
-from service.vehicle.streams import _Request
+from mavcal.service.vehicle import ParameterKind, commands
+from mavcal.service.vehicle.encoding import ParameterEncoding, same_value, value_from_bits
+from mavcal.service.vehicle.parameters import HASH_NAME, NO_INDEX, TRIES
+from mavcal.service.vehicle.streams import _Request
 from tests.unit.vehicle.fake import FakeVehicle, heartbeat, param_value, real
 from tests.unit.vehicle.test_parameters import NAME, Firmware, three
 
