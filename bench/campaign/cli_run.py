@@ -98,6 +98,12 @@ def _outcome(kill: CliKill) -> tuple[Ending, tuple[str, ...], str]:
     ):
         sim.call("still")
         sim.wait(30.0)
+        for name, change in scene.off_by.items():
+            sim.call("fault", kind="foreign_write", name=name, value=holding(sim).stored[name] + change)
+        if scene.off_by:
+            sim.wait(5.0)
+            sim.call("reboot")  # PX4 loads so small a change only then
+            sim.wait(30.0)
         before = holding(sim)
         if scene.fault is not None:
             sim.call("fault", kind=scene.fault["kind"], trigger={"nth_set": 6})
@@ -119,6 +125,7 @@ def _outcome(kill: CliKill) -> tuple[Ending, tuple[str, ...], str]:
             last = told is jobs[-1]
             ending, wrong = _judged(told, before, holding(sim), sim, whole=last)
             complaints += wrong
+            before = _written(before, told)
         return (Ending.FAILURE if complaints else ending), tuple(complaints), after.stderr[-1500:]
 
 
@@ -132,6 +139,14 @@ def _judged(
     fitted = [fit["instance"] for fit in job["results"] if fit["status"] != "refused"]
     left = residuals(sim.truth(), now.in_force, "gyro", OPTIONS["gyro"], fitted)
     return judge(Evidence(job, before, now, {}), left)
+
+
+def _written(before: Holding, job: Mapping[str, Any]) -> Holding:
+    """What the vehicle holds where an earlier run of the command has written all of its plan."""
+    if job["state"] != "succeeded":
+        return before
+    new = {c["name"]: c["new"] for c in (job["plan"] or {"changes": []})["changes"] if not c["session"]}
+    return Holding({**before.stored, **new}, before.in_force)
 
 
 def _jobs(folder: Path) -> list[dict[str, Any]]:
