@@ -27,6 +27,9 @@ Every run is judged by the simulator alone, never by the service's word:
   vehicle or mends the link, the job has to come out of its doubt by itself.
 * **FAILURE**: anything else, jobs that never end and PARAM_SETs to an armed vehicle among them.
 
+Gyro offsets that the vehicle rewrites by itself (`INS_GYR_CAL`, `IMU_GYRO_CAL_EN`) count as nobody's change where the
+job has not written them.
+
 A fault on the wire counts as a strike if it was switched on with a PARAM_SET, or later, and hit at least one frame. The
 vehicle's clock runs 20 times faster than the wall's; 5 times where a bad wire costs wall time, because a frame that is
 held back by 20 times as much looks like a restarted clock, and a gyro may drift between the two windows of a check.
