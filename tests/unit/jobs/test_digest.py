@@ -9,6 +9,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib import wire
+from mavcal.calib.errors import ProcedureError
 from mavcal.calib.procedures.protocol import GaveUp
 from mavcal.calib.procedures.registry import validate_options
 from mavcal.calib.recording import Channel, Identity, Recording, Sensor, Stage
@@ -171,3 +172,16 @@ def test_a_change_that_the_vehicle_may_have_made_itself_is_a_disturbance() -> No
     assert isinstance(changed("INS_GYR1_CALTEMP", 30.0, 31.0), CaptureDisturbed)
     assert not isinstance(changed("CAL_ACC0_XOFF", 0.0, 1.0), CaptureDisturbed)
     assert "set IMU_GYRO_CAL_EN to 0" in changed("CAL_GYRO0_XOFF", 0.0, 1.0).remedy
+
+
+def test_a_compass_waits_for_its_position_and_takes_answers_only_then() -> None:
+    digest = LiveDigest("mag", validate_options("mag", {}), ARDUPILOT, {}, 0.0)
+    assert digest.time == float("-inf")
+    assert digest.outcome is None
+    assert digest.warnings == ()
+    assert digest.answer("finish") == ()
+    digest.schedule([(1.0, "finish")])
+    at_rest = LiveDigest("gyro", validate_options("gyro", {}), ARDUPILOT, {"INS_GYR_ID": 1, "INS_ACC_ID": 2}, 0.0)
+    assert at_rest.outcome is None
+    with pytest.raises(ProcedureError):
+        at_rest.answer("left")
