@@ -59,7 +59,7 @@ def written(drawn: Sequence[Drawn], there: Mapping[str, int], commit: str) -> st
         f"page; this one is of {commit}. Equivalent mutants count as survivors.",
         "",
         LAST_COUNTS if len(drawn) > 1 else FLATTERED,
-        "The target is 90 %.",
+        f"The target is 90 %. {_of_those_that_matter(drawn[-1], reasons)}",
         "",
         "| seed | room | mutants there | sampled | killed | killed by time | survived | equivalent |",
         "|---|---|---|---|---|---|---|---|",
@@ -72,6 +72,15 @@ def written(drawn: Sequence[Drawn], there: Mapping[str, int], commit: str) -> st
         lines += ["", f"## Survivors of seed {one.seed}", "", "| where | change | why it lives |", "|---|---|---|"]
         lines += _survivors(one, reasons)
     return "\n".join(lines) + "\n"
+
+
+def _of_those_that_matter(one: Drawn, reasons: Mapping[str, str]) -> str:
+    same = sum(_key(row) in reasons for row in one.survivors)
+    matter = len(one.rows) - same
+    share = f"{100 * one.killed / max(matter, 1):.0f} %"
+    return (
+        f"Without the {same} equivalent ones, {one.killed} of {matter} mutants of the last sample are killed ({share})."
+    )
 
 
 def _row(begin: str, rows: Sequence[Mapping[str, Any]], reasons: Mapping[str, str]) -> str:
