@@ -57,6 +57,7 @@ async def upload(a: Api, content: bytes, name: str = "flight.tlog") -> str:
     return str(found["id"])
 
 
+@pytest.mark.long
 async def test_a_log_is_fitted_planned_written_proved_and_taken_back(tmp_path, sim):
     async with served(tmp_path, connect=(sim.url,)) as a:
         vehicle = await a.vehicle()

@@ -153,6 +153,7 @@ def test_a_capture_that_was_killed_does_not_stand_in_the_way(ardupilot: Simulate
     assert "was interrupted before it wrote anything" in said
 
 
+@pytest.mark.long
 def test_what_cannot_be_resolved_is_1_and_listed(ardupilot: SimulatedVehicle, mavcal: Command) -> None:
     mavcal.killed(At.AFTER_ECHO, 4, "calibrate", "gyro", "--apply")
     ardupilot.call("fault", kind="arm")

@@ -69,6 +69,7 @@ def test_a_mounting_is_told_in_words_and_confirmed_on_the_terminal(sim, mavcal, 
     assert stored(sim)["COMPASS_ORIENT2"] == TURNED
 
 
+@pytest.mark.long
 def test_what_is_not_confirmed_waits_and_is_accepted_later_without_turning_again(sim, mavcal, terminal, tmp_path):
     person, stdin = terminal
     before = stored(sim)
@@ -91,6 +92,7 @@ def test_what_is_not_confirmed_waits_and_is_accepted_later_without_turning_again
     assert confirmed(tmp_path) == ["confirm_mounting"]
 
 
+@pytest.mark.long
 def test_a_log_without_a_board_id_is_written_only_as_confirmed(sim, mavcal, tmp_path):
     sim.call("still")
     code, job, said = mavcal.ran("calibrate", "gyro")

@@ -27,6 +27,7 @@ def unit(port: int, seed: int) -> SimulatedVehicle:
     return sim
 
 
+@pytest.mark.long
 async def test_the_write_of_a_unit_that_was_swapped_is_never_finished_on_the_other(tmp_path: Path) -> None:
     port = free_udp_port()
     with unit(port, 31) as first:

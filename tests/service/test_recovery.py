@@ -43,6 +43,7 @@ async def resumed(folder: Path, url: str) -> tuple[JobState, list[str]]:
         return job.state, [row.step for row in bench.store.journal(job.id)]
 
 
+@pytest.mark.long
 async def test_killed_in_the_capture_and_in_the_write(tmp_path: Path, sim: SimulatedVehicle) -> None:
     zero_gyro_offsets(sim)
     before = stored(sim)
@@ -63,6 +64,7 @@ async def test_killed_in_the_capture_and_in_the_write(tmp_path: Path, sim: Simul
         assert bench.engine._handles[bench.engine.list()[-1].id].written().intervals == {}
 
 
+@pytest.mark.long
 async def test_killed_after_the_last_echo_and_then_after_the_proof(tmp_path: Path, sim: SimulatedVehicle) -> None:
     zero_gyro_offsets(sim)
     killed(tmp_path, sim.url, "capture", At.FITTED)

@@ -17,6 +17,7 @@ pytestmark = pytest.mark.timeout(120)
 SAID_S = 8.0
 
 
+@pytest.mark.long
 async def test_silence_is_said_within_8_s_and_so_is_the_return(tmp_path: Path) -> None:
     with SimulatedVehicle("ardupilot", speed=5, seed=21, config={"thermal": False}) as sim:
         sim.call("still")
