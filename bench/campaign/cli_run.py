@@ -142,7 +142,7 @@ def _judged(
 
 
 def _written(before: Holding, job: Mapping[str, Any]) -> Holding:
-    """What the vehicle holds where an earlier run of the command has written all of its plan."""
+    """The expected parameters after an earlier run of the command wrote its whole plan."""
     if job["state"] != "succeeded":
         return before
     new = {c["name"]: c["new"] for c in (job["plan"] or {"changes": []})["changes"] if not c["session"]}

@@ -65,8 +65,10 @@ def _rewritten() -> frozenset[str]:
 
 
 REWRITTEN: Final = _rewritten()
-"""What a vehicle at rest rewrites by itself: ArduPilot's boot calibration (INS_GYR_CAL = 1) and PX4's module
-gyro_calibration (IMU_GYRO_CAL_EN = 1) both set the gyro offsets (FLIGHT_CONTROLLERS 1.3, 1.4)."""
+"""Gyro offsets and their temperatures, which a vehicle rewrites by itself (FLIGHT_CONTROLLERS 1.3, 1.4).
+
+ArduPilot does so at every start (INS_GYR_CAL = 1), PX4 at rest (IMU_GYRO_CAL_EN = 1).
+"""
 
 
 def matters(name: str, sensors: Collection[Sensor]) -> bool:

@@ -1,4 +1,4 @@
-"""What is judged of a sensor, element by element."""
+"""Which elements of a sensor's fit are compared with what is in force."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the frames of one vehicle tell beside its streams."""
+"""Arming, calibrations, versions and texts are read from the frames of one vehicle."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_a_long_text_is_told_when_its_last_chunk_has_come(listener):
     assert told(listener, text("b" * 50, id_=8)) == []
     assert told(listener, text("c" * 50, id_=7, chunk=1)) == []
     assert told(listener, text("end", id_=7, chunk=2)) == [(5.0, "text", "a" * 50 + "c" * 50 + "end")]
-    assert told(listener, text("new", id_=8)) == [(5.0, "text", "new")]  # a first chunk begins anew
+    assert told(listener, text("new", id_=8)) == [(5.0, "text", "new")]  # another id is another text
     assert told(listener, text("rest", id_=9, chunk=3)) == [(5.0, "text", "rest")]
 
 

@@ -1,4 +1,4 @@
-"""The discrepancy and its covariance, held against finite differences of the one and literal floors of the other."""
+"""The discrepancy agrees with finite differences, and its covariance with floors that are written out."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def derivative(vector, size, step):
 
 
 def propagated(case, *, equality):
-    """What noise of the readings, and of the fits where lengths are judged, does to the discrepancy."""
+    """How noise of readings and fits enters the discrepancy."""
     count = case.means.size
     readings = derivative(
         lambda z: discrepancy(case(means=case.means + z.reshape(-1, 3)), undo, equality=equality), count, 1e-5
