@@ -30,7 +30,7 @@ import numpy as np
 from mavcal.calib import logs
 from mavcal.calib.errors import CalibError
 from mavcal.calib.flight.report import overview
-from mavcal.calib.inspection import inspect
+from mavcal.calib.logs.inspection import inspect
 from mavcal.calib.report import plain
 
 CPU_S = 5.0

@@ -6,7 +6,7 @@ px4         magnetometer ``S (m - OFF)``, Gauss; ``SCALE o (m - OFF)``; ``m - OF
 ==========  ===========================================================================================================
 
 Firmwares hold less than a matrix; what a form cannot hold is said with it. Parameters are those of a sensor whose axes
-are the body's: :mod:`calib.firmware.compose` turns them into the mounting of a real vehicle, and is what writes.
+are the body's: :mod:`calib.firmware.compose.plan` turns them into the mounting of a real vehicle, and is what writes.
 """
 
 from __future__ import annotations
@@ -23,9 +23,11 @@ from numpy.typing import NDArray
 from mavcal.calib.c_array import c_array, homogeneous
 from mavcal.calib.conventions import accelcal_from_model, imu_tk_from_model, kalibr_from_model, magcal_from_model
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.firmware import ardupilot, names, px4
+from mavcal.calib.firmware import names
+from mavcal.calib.firmware.ardupilot import parameters as ardupilot
 from mavcal.calib.firmware.losses import rotation_angle
 from mavcal.calib.firmware.names import Role
+from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import TriadModel
@@ -79,7 +81,8 @@ def model_from_ardupilot(parameters: Mapping[str, float], sensor: Sensor, instan
 def px4_from_model(model: TriadModel, sensor: Sensor, instance: int = 0) -> dict[str, float]:
     """Parameters of a PX4 whose sensor has the body's axes; a rotation and what else it cannot hold is left out.
 
-    PX4 ignores vectors within 0.01 of neutral (offsets of a magnetometer 0.005): see :mod:`calib.firmware.px4_memory`.
+    PX4 ignores vectors within 0.01 of neutral (offsets of a magnetometer 0.005):
+    see :mod:`calib.firmware.compose.px4_memory`.
     """
     roles = names.px4_names(sensor, instance)
     unit = px4.UT_PER_GAUSS if sensor == Sensor.MAG else 1.0

@@ -14,7 +14,7 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from mavcal.calib.errors import CalibError, FirmwareError, InvalidInputError
-from mavcal.calib.firmware.origin import Origin
+from mavcal.calib.firmware.in_force.origin import Origin
 from mavcal.calib.fit import FitResult
 from mavcal.calib.methods import METHODS
 from mavcal.calib.report import fit_from_json, fit_to_json

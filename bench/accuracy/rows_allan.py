@@ -12,7 +12,7 @@ from bench.accuracy.campaign import best_of
 from bench.accuracy.settings import Settings
 from bench.accuracy.tables import Part
 from bench.rows import Row, Section
-from mavcal.calib.allan import octaves, overlapping_deviation
+from mavcal.calib.noise.allan import octaves, overlapping_deviation
 
 RATE = 100.0
 

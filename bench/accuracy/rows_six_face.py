@@ -12,11 +12,11 @@ from bench.accuracy.campaign import Answer, Case, Contender, Drawn, run_case
 from bench.accuracy.settings import Settings
 from bench.accuracy.tables import Part, accuracy_part
 from mavcal.calib import STANDARD_GRAVITY
-from mavcal.calib.coarse_means import means_together
-from mavcal.calib.faces import Face
+from mavcal.calib.accel.faces import Face
+from mavcal.calib.accel.six_face import fit_six_face
 from mavcal.calib.fit import FitStatus
+from mavcal.calib.noise.coarse_means import means_together
 from mavcal.calib.recording import Channel, Rounding, Sensor, Stage
-from mavcal.calib.six_face import fit_six_face
 
 Array = NDArray[np.float64]
 Faces = list[Array]

@@ -14,10 +14,10 @@ from bench.accuracy.settings import Settings
 from bench.accuracy.tables import Part, accuracy_part
 from bench.rows import Row, Section
 from mavcal.calib import STANDARD_GRAVITY
-from mavcal.calib.drift import DriftBlocks
 from mavcal.calib.fit import FitStatus
 from mavcal.calib.recording import Channel, Rounding, Sensor, Stage
-from mavcal.calib.thermal import fit_polynomial
+from mavcal.calib.thermal.drift import DriftBlocks
+from mavcal.calib.thermal.fit import fit_polynomial
 
 Array = NDArray[np.float64]
 

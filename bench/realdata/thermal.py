@@ -9,7 +9,7 @@ from bench.realdata.finding import Finding, compared, said, with_sd
 from mavcal.calib.fit import FitResult
 from mavcal.calib.methods import METHODS
 from mavcal.calib.recording import Recording, Sensor
-from mavcal.calib.sweeps import judge_drift
+from mavcal.calib.thermal.sweeps import judge_drift
 
 _SWEEPS = ("P0_z", "P1_x")
 _CATS = {  # slopes on either sweep: m/s2 or mrad/s per degC

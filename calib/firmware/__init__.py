@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import FirmwareError
-from mavcal.calib.firmware import ardupilot, px4
+from mavcal.calib.firmware.ardupilot import parameters as ardupilot
+from mavcal.calib.firmware.in_force.undo import Undo, calibration_changes, undo
 from mavcal.calib.firmware.names import CALIBRATION_PREFIXES, Role
 from mavcal.calib.firmware.plan import Value
-from mavcal.calib.firmware.streams import Assembler, requested_streams
-from mavcal.calib.firmware.undo import Undo, calibration_changes, undo
+from mavcal.calib.firmware.px4 import parameters as px4
+from mavcal.calib.firmware.stream.rates import Assembler, requested_streams
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import TriadModel
 
@@ -48,7 +49,8 @@ def calibration_in_force(
 ) -> TriadModel:
     """The correction that the firmware applies: raw sensor frame to corrected body frame, SI and uT.
 
-    On PX4 as after a boot with `parameters`; see :class:`calib.firmware.px4.Px4Calibration` for values written since.
+    On PX4 as after a boot with `parameters`; for values written since see
+    :class:`calib.firmware.px4.parameters.Px4Calibration`.
     """
     model: TriadModel = _of(autopilot).calibration_in_force(parameters, sensor, instance)
     return model

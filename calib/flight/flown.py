@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.drift import DriftData
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.flight.rest import ground
 from mavcal.calib.flight.warm import Log, difference
 from mavcal.calib.recording import Channel, Recording, Sensor
-from mavcal.calib.windows import finite_rows
+from mavcal.calib.stats.windows import finite_rows
+from mavcal.calib.thermal.drift import DriftData
 
 Array = NDArray[np.float64]
 

@@ -14,9 +14,9 @@ from scipy.signal import find_peaks, welch
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.flight.item import Item, Limit, Verdict, judged, not_testable
 from mavcal.calib.flight.rest import Span
-from mavcal.calib.noise import long_run_variance
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
-from mavcal.calib.windows import finite_rows
+from mavcal.calib.stats.correlated import long_run_variance
+from mavcal.calib.stats.windows import finite_rows
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.flight.rest import DISARMED, Ground, Rest
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
-from mavcal.calib.windows import finite_rows
+from mavcal.calib.stats.windows import finite_rows
 
 Array = NDArray[np.float64]
 

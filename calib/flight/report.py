@@ -13,7 +13,7 @@ from mavcal.calib.flight.item import Item, Verdict
 from mavcal.calib.flight.plan import Step, next_steps
 from mavcal.calib.flight.rest import Ground, Rest, ground, rests
 from mavcal.calib.flight.resting import resting_items
-from mavcal.calib.inspection import inspect
+from mavcal.calib.logs.inspection import inspect
 from mavcal.calib.recording import Recording, Sensor
 
 _ORDER = (Verdict.PASS, Verdict.NOT_TESTABLE, Verdict.WARN, Verdict.FAIL)
@@ -48,7 +48,7 @@ class FlightReport:
 
 
 def overview(recording: Recording) -> dict[str, Any]:
-    """What is in a recording (:func:`calib.inspection.inspect`); of a vehicle's also ``flight`` and ``next``.
+    """What is in a recording (:func:`calib.logs.inspection.inspect`); of a vehicle's also ``flight`` and ``next``.
 
     ``flight`` is the sanity of its inertial sensors, ``next`` the fits that are worthwhile on it and those that are
     not; both are None for a recording that is not of a vehicle.

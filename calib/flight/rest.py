@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from mavcal.calib.recording import Channel, Recording, Sensor
-from mavcal.calib.stillness import RESTING, Still, find_still
+from mavcal.calib.stats.stillness import RESTING, Still, find_still
 
 UNARMED, ARMED = "disarmed", "armed"
 """Kinds of the events that tell the motors' state."""

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.earth import local_gravity
 from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.firmware.compose.trim import AHRS_TRIM
 from mavcal.calib.firmware.rotations import euler_matrix
-from mavcal.calib.firmware.trim import AHRS_TRIM
 from mavcal.calib.flight.item import Item, Limit, judged, not_testable
 from mavcal.calib.flight.rest import DISARMED, Rest
-from mavcal.calib.quantisation import mean_of
 from mavcal.calib.recording import Recording, Sensor
-from mavcal.calib.windows import finite_rows
+from mavcal.calib.stats.quantisation import mean_of
+from mavcal.calib.stats.windows import finite_rows
 
 Array = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ from mavcal.calib.flight.rest import DISARMED
 from mavcal.calib.flight.warm import Log, Warmth, warmth
 from mavcal.calib.procedures.drift_fit import PoseOffsets, fit_posed
 from mavcal.calib.recording import Sensor
-from mavcal.calib.thermal import LINEAR_METHOD, POLYNOMIAL_METHOD, fit_drift_data, fit_linear
+from mavcal.calib.thermal.fit import LINEAR_METHOD, POLYNOMIAL_METHOD, fit_drift_data, fit_linear
 
 Array = NDArray[np.float64]
 

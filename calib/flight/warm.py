@@ -10,13 +10,13 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.drift import DriftData
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.firmware.fingerprint import SENSOR_IDS
+from mavcal.calib.firmware.in_force.fingerprint import SENSOR_IDS
 from mavcal.calib.flight.rest import Known, Rest, rests
 from mavcal.calib.procedures.drift_fit import SHORTEST, DriftPool
 from mavcal.calib.recording import Channel, Recording, Sensor
-from mavcal.calib.windows import finite_rows
+from mavcal.calib.stats.windows import finite_rows
+from mavcal.calib.thermal.drift import DriftData
 
 Array = NDArray[np.float64]
 

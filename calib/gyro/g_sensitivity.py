@@ -18,7 +18,7 @@ from mavcal.calib.gyro.rest import LARGEST_BIAS
 from mavcal.calib.gyro.turns import EARTH_RATE, usable
 from mavcal.calib.imu.poses import Poses, measure
 from mavcal.calib.recording import Channel, Sensor
-from mavcal.calib.residuals import residual_statistics
+from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]

@@ -7,12 +7,12 @@ from numpy.typing import NDArray
 
 from mavcal.calib.attitude import drift_sd_deg_per_min
 from mavcal.calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
-from mavcal.calib.noise import long_run_variance
-from mavcal.calib.quantisation import QuantisedMean, mean_of
 from mavcal.calib.recording import Channel, Sensor
-from mavcal.calib.residuals import residual_statistics
+from mavcal.calib.stats.correlated import long_run_variance
+from mavcal.calib.stats.quantisation import QuantisedMean, mean_of
+from mavcal.calib.stats.residuals import residual_statistics
+from mavcal.calib.stats.windows import finite_rows
 from mavcal.calib.triad import TriadModel
-from mavcal.calib.windows import finite_rows
 
 Array = NDArray[np.float64]
 

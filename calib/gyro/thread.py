@@ -17,9 +17,9 @@ from mavcal.calib.errors import InvalidInputError, UndeterminedError
 from mavcal.calib.fit import FitResult, refused
 from mavcal.calib.geometry import sphere_of
 from mavcal.calib.gyro.turns import Turn, fit_turns, usable
-from mavcal.calib.noise import long_run_variance
 from mavcal.calib.recording import Channel, Segment, Sensor
-from mavcal.calib.windows import occupied_starts, window_statistics
+from mavcal.calib.stats.correlated import long_run_variance
+from mavcal.calib.stats.windows import occupied_starts, window_statistics
 
 Array = NDArray[np.float64]
 

@@ -17,11 +17,11 @@ from scipy.special import chdtrc
 from mavcal.calib.attitude import drift_sd_deg_per_min
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
-from mavcal.calib.quantisation import with_apparent_quantum
 from mavcal.calib.recording import Channel, Sensor
-from mavcal.calib.residuals import residual_statistics
+from mavcal.calib.stats.quantisation import with_apparent_quantum
+from mavcal.calib.stats.residuals import residual_statistics
+from mavcal.calib.stats.windows import finite_rows, without_spikes
 from mavcal.calib.triad import TriadModel
-from mavcal.calib.windows import finite_rows, without_spikes
 
 Array = NDArray[np.float64]
 

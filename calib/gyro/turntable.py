@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import AXES, FitResult
 from mavcal.calib.gyro.turns import EARTH_RATE, Turn, fit_turns, usable
-from mavcal.calib.quantisation import mean_of
 from mavcal.calib.recording import Channel, Segment
-from mavcal.calib.windows import finite_rows, occupied_starts, window_statistics
+from mavcal.calib.stats.quantisation import mean_of
+from mavcal.calib.stats.windows import finite_rows, occupied_starts, window_statistics
 
 Array = NDArray[np.float64]
 

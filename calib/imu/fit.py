@@ -19,11 +19,11 @@ from mavcal.calib.imu.result import Facts, Form, imu_refused, imu_results
 from mavcal.calib.imu.start import closure, rough_gyro, with_turn_noise
 from mavcal.calib.imu.unknowns import DIAGONAL, UNKNOWNS, Coordinates, Prior
 from mavcal.calib.imu.weigh import Weighed, weigh
-from mavcal.calib.norm_fit import NEUTRAL, UNDETERMINED, NormProblem
-from mavcal.calib.norm_fit import solve as solve_norm
-from mavcal.calib.quantisation import with_apparent_quantum
 from mavcal.calib.recording import Channel
-from mavcal.calib.windows import finite_rows, without_spikes
+from mavcal.calib.stats.norm_fit import NEUTRAL, UNDETERMINED, NormProblem
+from mavcal.calib.stats.norm_fit import solve as solve_norm
+from mavcal.calib.stats.quantisation import with_apparent_quantum
+from mavcal.calib.stats.windows import finite_rows, without_spikes
 
 Array = NDArray[np.float64]
 

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from mavcal.calib.geometry import frame_along, sphere_of
 from mavcal.calib.imu.static import Watch, candidates, steady
-from mavcal.calib.noise import long_run_variance
-from mavcal.calib.norm_fit import NormProblem, solve
-from mavcal.calib.quantisation import mean_of
 from mavcal.calib.recording import Channel
+from mavcal.calib.stats.correlated import long_run_variance
+from mavcal.calib.stats.norm_fit import NormProblem, solve
+from mavcal.calib.stats.quantisation import mean_of
 
 Array = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from mavcal.calib.imu.integrate import Moves, Turns, integrate
 from mavcal.calib.imu.unknowns import ACCEL, FREE, GYRO, NO_PRIOR, UNKNOWNS, Coordinates, Prior, cross, symmetric
-from mavcal.calib.norm_fit import PAIRS
+from mavcal.calib.stats.norm_fit import PAIRS
 
 Array = NDArray[np.float64]
 

@@ -13,9 +13,9 @@ from mavcal.calib.fit import AXES, FitResult, FitStatus, parameter_names, refuse
 from mavcal.calib.imu.poses import Poses
 from mavcal.calib.imu.unknowns import symmetric
 from mavcal.calib.imu.weigh import MISFIT, GroupFit, Weighed
-from mavcal.calib.norm_fit import PAIRS
 from mavcal.calib.recording import Channel, Sensor
-from mavcal.calib.residuals import residual_statistics
+from mavcal.calib.stats.norm_fit import PAIRS
+from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]

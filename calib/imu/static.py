@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.recording import Channel
-from mavcal.calib.windows import Windows, occupied_starts, window_statistics
+from mavcal.calib.stats.windows import Windows, occupied_starts, window_statistics
 
 Array = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from scipy.special import chdtrc
 
 from mavcal.calib.imu.problem import ImuProblem, ImuSolution, linearise, log_determinant, solve
 from mavcal.calib.imu.unknowns import Coordinates, Prior
-from mavcal.calib.mag.result import student_variance
+from mavcal.calib.stats.residuals import student_variance
 
 Array = NDArray[np.float64]
 

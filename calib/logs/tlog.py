@@ -11,10 +11,10 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.errors import UnreadableError
-from mavcal.calib.firmware.announcements import AUTOPILOTS
-from mavcal.calib.firmware.messages import INERTIAL
 from mavcal.calib.firmware.names import CALIBRATION_PREFIXES
-from mavcal.calib.firmware.streams import Assembler
+from mavcal.calib.firmware.stream.announcements import AUTOPILOTS
+from mavcal.calib.firmware.stream.messages import INERTIAL
+from mavcal.calib.firmware.stream.rates import Assembler
 from mavcal.calib.recording import Event, Identity, Recording
 from mavcal.calib.wire import TlogReader, decode
 

@@ -13,8 +13,8 @@ from pyulog.core import ULog
 from pyulog.exceptions import ULogException, ULogIncompatibleFlagException
 
 from mavcal.calib.errors import UnreadableError
-from mavcal.calib.firmware.px4_flight import arming_events, flight_channels, truth_channels
-from mavcal.calib.firmware.px4_topics import US, WANTED, inertial_channels
+from mavcal.calib.firmware.px4.flight import arming_events, flight_channels, truth_channels
+from mavcal.calib.firmware.px4.topics import US, WANTED, inertial_channels
 from mavcal.calib.logs.ordered import in_order
 from mavcal.calib.recording import Channel, Event, Identity, ParameterEntry, ParameterTimeline, Recording
 
@@ -74,7 +74,7 @@ class _Metered:
 
 
 def read_ulog(path: Path | str) -> Recording:
-    """Read a PX4 log as a recording; every topic at its own rate and stage (:mod:`calib.firmware.px4_topics`).
+    """Read a PX4 log as a recording; every topic at its own rate and stage (:mod:`calib.firmware.px4.topics`).
 
     Returns
     -------

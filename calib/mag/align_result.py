@@ -22,7 +22,7 @@ from mavcal.calib.mag.result import FIELD_TOLERANCE, UNDETERMINED_SD, MagContext
 from mavcal.calib.mag.samples import axis_word
 from mavcal.calib.mag.sections import mask_bytes, visited
 from mavcal.calib.recording import Sensor
-from mavcal.calib.residuals import residual_statistics
+from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]

@@ -23,7 +23,7 @@ from mavcal.calib.mag.heading import heading_sd_deg
 from mavcal.calib.mag.motor_drives import Drive
 from mavcal.calib.mag.result import FIELD_TOLERANCE, UNDETERMINED_SD, MagContext, MagFacts
 from mavcal.calib.recording import Channel, Sensor
-from mavcal.calib.residuals import residual_statistics
+from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]

@@ -24,9 +24,9 @@ from mavcal.calib.mag.gyro_chain import BENT, BIAS_SD, LONGEST_DELAY, Chain, Fou
 from mavcal.calib.mag.heading import heading_sd_deg
 from mavcal.calib.mag.result import UNDETERMINED_SD, MagContext, MagFacts
 from mavcal.calib.recording import Channel, Sensor
-from mavcal.calib.residuals import residual_statistics
+from mavcal.calib.stats.residuals import residual_statistics
+from mavcal.calib.stats.windows import finite_rows, without_spikes
 from mavcal.calib.triad import TriadModel
-from mavcal.calib.windows import finite_rows, without_spikes
 
 Array = NDArray[np.float64]
 

@@ -21,9 +21,9 @@ from mavcal.calib.imu.start import rough_gyro, with_turn_noise
 from mavcal.calib.imu.unknowns import Coordinates, Prior, symmetric
 from mavcal.calib.imu.weigh import groups
 from mavcal.calib.mag.result import MagContext
-from mavcal.calib.norm_fit import NEUTRAL
 from mavcal.calib.recording import Channel
-from mavcal.calib.residuals import residual_statistics
+from mavcal.calib.stats.norm_fit import NEUTRAL
+from mavcal.calib.stats.residuals import residual_statistics
 
 Array = NDArray[np.float64]
 

@@ -26,7 +26,7 @@ from mavcal.calib.mag.flight_problem import OFFSET
 from mavcal.calib.mag.motor_drives import UNIT, Drive, DriveKind
 from mavcal.calib.mag.result import MagContext, MagFacts
 from mavcal.calib.recording import Channel, Sensor
-from mavcal.calib.residuals import residual_statistics
+from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]

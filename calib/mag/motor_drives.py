@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from mavcal.calib.recording import Channel
-from mavcal.calib.windows import finite_rows
+from mavcal.calib.stats.windows import finite_rows
 
 Array = NDArray[np.float64]
 

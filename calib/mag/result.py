@@ -11,7 +11,7 @@ from typing import Any, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, stdtrit
+from scipy.special import chdtrc
 
 from mavcal.calib.earth import EarthField
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
@@ -22,7 +22,7 @@ from mavcal.calib.mag.sections import mask_bytes, visited
 from mavcal.calib.mag.serial import LONGEST, white_variance
 from mavcal.calib.mag.shape import Ellipsoid, correction, correction_covariance
 from mavcal.calib.recording import Sensor
-from mavcal.calib.residuals import residual_statistics
+from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
@@ -134,15 +134,6 @@ class ShapeFit:
             covariance=self.covariance * scale**2,
             residuals=self.residuals * scale,
         )
-
-
-def student_variance(dof: float) -> float:
-    """Factor on a variance that was estimated with `dof` degrees of freedom, so that 1.96 sd hold 95 %.
-
-    >>> round(student_variance(91.0), 3), round(student_variance(3.0), 2)
-    (1.027, 2.64)
-    """
-    return float(stdtrit(dof, 0.975) / stdtrit(math.inf, 0.975)) ** 2
 
 
 def magnetometer_result(fit: ShapeFit, samples: Array, context: MagContext) -> FitResult:

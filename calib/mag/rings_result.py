@@ -20,7 +20,7 @@ from mavcal.calib.mag.result import UNDETERMINED_SD, MagContext
 from mavcal.calib.mag.ring_centres import Circle, Ring, plane_of
 from mavcal.calib.mag.rings_algebra import by_dominant, centres_inverse, columns_of, published
 from mavcal.calib.recording import Sensor
-from mavcal.calib.residuals import residual_statistics
+from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.residuals import first_correlation
+from mavcal.calib.stats.residuals import first_correlation
 
 Array = NDArray[np.float64]
 

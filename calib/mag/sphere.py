@@ -9,10 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import FitResult
-from mavcal.calib.mag.result import MagContext, MagFacts, ShapeFit, magnetometer_result, refusal, student_variance
+from mavcal.calib.mag.result import MagContext, MagFacts, ShapeFit, magnetometer_result, refusal
 from mavcal.calib.mag.samples import LEAST_VARIANCE, check_not_flat, check_samples
 from mavcal.calib.mag.serial import weakened_information
 from mavcal.calib.mag.shape import N_PARAMETERS, Ellipsoid
+from mavcal.calib.stats.residuals import student_variance
 
 Array = NDArray[np.float64]
 

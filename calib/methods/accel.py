@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
-from mavcal.calib.accel import fit_one_axis, fit_poses
-from mavcal.calib.accel_thermal import fit_accel_thermal
-from mavcal.calib.coarse_means import means_together
+from mavcal.calib.accel.faces import CONVENTIONS, Face, down_of
+from mavcal.calib.accel.poses import fit_one_axis, fit_poses
+from mavcal.calib.accel.six_face import FORMS, fit_six_face
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.faces import CONVENTIONS, Face, down_of
 from mavcal.calib.fit import FitResult
 from mavcal.calib.methods.method import (
     FIXTURE,
@@ -27,10 +26,11 @@ from mavcal.calib.methods.method import (
     mean_or_none,
 )
 from mavcal.calib.methods.source import Source
+from mavcal.calib.noise.coarse_means import means_together
 from mavcal.calib.recording import Channel, Sensor
-from mavcal.calib.six_face import FORMS, fit_six_face
-from mavcal.calib.stillness import pose_means
-from mavcal.calib.windows import finite_rows
+from mavcal.calib.stats.stillness import pose_means
+from mavcal.calib.stats.windows import finite_rows
+from mavcal.calib.thermal.accel import fit_accel_thermal
 
 Array = NDArray[np.float64]
 

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcal.calib.accel.faces import down_of
+from mavcal.calib.accel.rest_reference import SAMPLES, Sensors, fit_rest_reference
 from mavcal.calib.earth import EarthField, earth_field
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.faces import down_of
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.mag.align import Vertical, fit_alignment
 from mavcal.calib.mag.blur import deblurred, rates_during
@@ -29,8 +30,7 @@ from mavcal.calib.methods.method import FIXTURE, GRAVITY, INSTANCE, Finding, Met
 from mavcal.calib.methods.source import Source
 from mavcal.calib.procedures.mag import COMPASS_WINDOW
 from mavcal.calib.recording import Channel, Recording, Sensor
-from mavcal.calib.rest_reference import SAMPLES, Sensors, fit_rest_reference
-from mavcal.calib.windows import finite_rows
+from mavcal.calib.stats.windows import finite_rows
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ import numpy as np
 from mavcal.calib.earth import EarthField, earth_field
 from mavcal.calib.errors import CalibError, InvalidInputError
 from mavcal.calib.firmware import body_from_sensor, calibration_in_force
-from mavcal.calib.firmware.mag_motor import compensated, corrupt_compensation
+from mavcal.calib.firmware.compose.mag_motor import compensated, corrupt_compensation
 from mavcal.calib.fit import FitResult, parameter_names, refused
 from mavcal.calib.mag.flight import METHOD as FLIGHT
 from mavcal.calib.mag.flight import SOFT_IRON, fit_flight

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from mavcal.calib.allan_fit import fit_allan
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitResult
 from mavcal.calib.methods.method import INSTANCE, Finding, Method, Option, Options
 from mavcal.calib.methods.source import Source
+from mavcal.calib.noise.allan_fit import fit_allan
 from mavcal.calib.recording import Sensor
 
 _SENSORS = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)

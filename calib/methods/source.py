@@ -10,7 +10,7 @@ from mavcal.calib.fit import FitResult
 from mavcal.calib.flight.rest import grounded
 from mavcal.calib.logs.tables import NO_TIME
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
-from mavcal.calib.stillness import HELD, RESTING, Still, find_still
+from mavcal.calib.stats.stillness import HELD, RESTING, Still, find_still
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.drift import DriftData
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitResult
 from mavcal.calib.flight.thermal import Wish, fit_rests
@@ -16,7 +15,8 @@ from mavcal.calib.methods.method import INSTANCE, Finding, Method, Option, Optio
 from mavcal.calib.methods.source import Source
 from mavcal.calib.procedures.drift_fit import fit_posed
 from mavcal.calib.recording import Channel, Sensor
-from mavcal.calib.thermal import fit_linear, fit_polynomial
+from mavcal.calib.thermal.drift import DriftData
+from mavcal.calib.thermal.fit import fit_linear, fit_polynomial
 
 Array = NDArray[np.float64]
 

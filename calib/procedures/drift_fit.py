@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.drift import DriftData, powers_about
-from mavcal.calib.drift_cells import DriftCells
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.procedures.roster import Frame, Instance
 from mavcal.calib.recording import Array, Channel, Sensor
-from mavcal.calib.thermal import fit_drift_data
+from mavcal.calib.thermal.cells import DriftCells
+from mavcal.calib.thermal.drift import DriftData, powers_about
+from mavcal.calib.thermal.fit import fit_drift_data
 from mavcal.calib.triad import ThermalPolynomial
 
 _KEPT = frozenset({Sensor.ACCEL, Sensor.GYRO, Sensor.TEMPERATURE})

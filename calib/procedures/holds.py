@@ -13,7 +13,7 @@ from mavcal.calib.procedures.protocol import Pose
 from mavcal.calib.procedures.results import mean_temperature
 from mavcal.calib.procedures.roster import Frame
 from mavcal.calib.recording import Array, Channel, Sensor
-from mavcal.calib.stillness import PoseMean, Still, pose_means
+from mavcal.calib.stats.stillness import PoseMean, Still, pose_means
 
 GUARD_TICKS = 1
 """A quarter of a second before a movement was noticed is not part of the hold."""

@@ -19,7 +19,7 @@ from mavcal.calib.procedures.roster import Frame, Instance, label
 from mavcal.calib.procedures.spec import Holds, Option, Options, ProcedureSpec
 from mavcal.calib.procedures.ticked import TickedProcedure
 from mavcal.calib.recording import Array, Sensor
-from mavcal.calib.stillness import PoseMean
+from mavcal.calib.stats.stillness import PoseMean
 from mavcal.calib.triad import TriadModel
 
 SPEC = ProcedureSpec(

@@ -1,6 +1,6 @@
 """Whether the vehicle is still, tick by tick, and what moves if it is not.
 
-The live judgement that prompts and collection rest on; :mod:`calib.stillness` finds still spans in recordings. It
+The live judgement that prompts and collection rest on; :mod:`calib.stats.stillness` finds still spans in recordings. It
 looks at every unit's accelerometer and gyro, because each sees what the other cannot: a steady turn leaves the gyro's
 spread small, a turn about the vertical leaves the accelerometer alone.
 """

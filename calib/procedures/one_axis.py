@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from mavcal.calib.accel import fit_one_axis
+from mavcal.calib.accel.poses import fit_one_axis
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.procedures.body_frame import in_body, in_sensor
 from mavcal.calib.procedures.context import ProcedureContext

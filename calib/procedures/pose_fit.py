@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavcal.calib.accel import fit_poses
+from mavcal.calib.accel.poses import fit_poses
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.procedures.holds import TakenPose
 from mavcal.calib.procedures.roster import label

@@ -11,7 +11,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from mavcal.calib.faces import Face
+from mavcal.calib.accel.faces import Face
+from mavcal.calib.accel.six_face import fit_six_face
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.procedures.body_frame import in_sensor
 from mavcal.calib.procedures.context import ProcedureContext
@@ -28,7 +29,6 @@ from mavcal.calib.procedures.spec import Option, Options, ProcedureSpec
 from mavcal.calib.procedures.ticked import TickedProcedure
 from mavcal.calib.procedures.writable import ACCEL
 from mavcal.calib.recording import Array, Sensor
-from mavcal.calib.six_face import fit_six_face
 
 SPEC = ProcedureSpec(
     kind="accel-six-face",

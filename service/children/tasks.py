@@ -37,7 +37,7 @@ def inspect(order: Mapping[str, Any], tell: Tell) -> Json:
 def fit(order: Mapping[str, Any], tell: Tell) -> Json:
     """Fits by a method, ``{path, reading, method, options, origin}``; with `origin` also whose sensors they are."""
     from mavcal.calib import logs
-    from mavcal.calib.firmware.origin import origin_of
+    from mavcal.calib.firmware.in_force.origin import origin_of
     from mavcal.calib.methods import METHODS
     from mavcal.calib.report import fit_to_json, plain
 

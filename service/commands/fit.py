@@ -152,7 +152,7 @@ def require_correction(method: Method) -> None:
 
 def require_vehicle(out: Path, recording: Recording) -> None:
     """Refuse parameters for a recording that does not say whose they would be, before the fit is made."""
-    from mavcal.calib.firmware.fingerprint import SENSOR_IDS
+    from mavcal.calib.firmware.in_force.fingerprint import SENSOR_IDS
 
     if out.suffix == HEADER:
         return
@@ -169,9 +169,9 @@ def _export(recording: Recording, fits: tuple[FitResult, ...], out: Path) -> Non
     if out.suffix == HEADER:
         _write(out, c_header(fits))
         return
-    from mavcal.calib.firmware.compose import compose
+    from mavcal.calib.firmware.compose.plan import compose
     from mavcal.calib.firmware.export import write_export
-    from mavcal.calib.firmware.fingerprint import fingerprint
+    from mavcal.calib.firmware.in_force.fingerprint import fingerprint
 
     parameters = recording.parameters.final()
     plan = compose(fits, parameters, fingerprint(recording.identity, parameters))

@@ -76,7 +76,7 @@ def read_recording(file: str | None, faces: Sequence[tuple[str, str]], reading: 
         If there is neither, or both.
     """
     from mavcal.calib import logs
-    from mavcal.calib.parts import of_parts
+    from mavcal.calib.logs.parts import of_parts
 
     if bool(faces) == (file is not None):
         raise click.UsageError("give either one FILE, or --face LABEL=FILE for every face")

@@ -12,7 +12,7 @@ from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.firmware import calibration_in_force
 from mavcal.calib.fit import FitResult, parameter_names
 from mavcal.calib.recording import Sensor
-from mavcal.calib.scoring import Score, joint_p_value, score
+from mavcal.calib.simulate.scoring import Score, joint_p_value, score
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
 Json = Mapping[str, Any]

@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from mavcal.calib.errors import CalibError
-from mavcal.calib.firmware.origin import Origin, unproved
+from mavcal.calib.firmware.in_force.origin import Origin, unproved
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.recording import Identity
 from mavcal.service.errors import ServiceError

@@ -12,10 +12,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from mavcal.calib.errors import ProcedureError
-from mavcal.calib.firmware.fingerprint import matters
+from mavcal.calib.firmware.in_force.fingerprint import matters
 from mavcal.calib.firmware.names import CALIBRATION_PREFIXES
 from mavcal.calib.firmware.plan import Value
-from mavcal.calib.firmware.streams import requested_streams
+from mavcal.calib.firmware.stream.rates import requested_streams
 from mavcal.calib.procedures.protocol import Done, GaveUp, Progress, Prompt, Step
 from mavcal.calib.procedures.registry import specification
 from mavcal.calib.recording import Identity

@@ -16,12 +16,12 @@ from typing import Any
 from mavcal.calib.earth import EarthField, earth_field
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware import sensor_ids
-from mavcal.calib.firmware.fingerprint import REWRITTEN, matters
-from mavcal.calib.firmware.foresee import STREAMED_INSTANCES
+from mavcal.calib.firmware.compose.foresee import STREAMED_INSTANCES
+from mavcal.calib.firmware.in_force.fingerprint import REWRITTEN, matters
+from mavcal.calib.firmware.in_force.undo import Undo, calibration_changes, undo
 from mavcal.calib.firmware.names import CALIBRATION_PREFIXES
 from mavcal.calib.firmware.plan import Value
-from mavcal.calib.firmware.streams import Assembler
-from mavcal.calib.firmware.undo import Undo, calibration_changes, undo
+from mavcal.calib.firmware.stream.rates import Assembler
 from mavcal.calib.firmware.values import shown
 from mavcal.calib.logs.tlog import read_tlog
 from mavcal.calib.procedures.context import Answer, ProcedureContext

@@ -14,7 +14,7 @@ from typing import Any
 
 import structlog
 
-from mavcal.calib.firmware.streams import requested_streams
+from mavcal.calib.firmware.stream.rates import requested_streams
 from mavcal.calib.procedures.registry import specification, validate_options
 from mavcal.service.errors import (
     AnswerRefused,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping
 
-from mavcal.calib.firmware.needed import needed
+from mavcal.calib.firmware.in_force.needed import needed
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.slots import CALIBRATED
 from mavcal.calib.fit import FitResult

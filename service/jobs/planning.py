@@ -7,11 +7,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.firmware.compose import compose
-from mavcal.calib.firmware.fingerprint import calibration_snapshot, fingerprint
-from mavcal.calib.firmware.foresee import foreseen, unknown_sensors
+from mavcal.calib.firmware.compose.foresee import foreseen, unknown_sensors
+from mavcal.calib.firmware.compose.plan import compose
+from mavcal.calib.firmware.in_force.fingerprint import calibration_snapshot, fingerprint
+from mavcal.calib.firmware.in_force.origin import Origin, differences
 from mavcal.calib.firmware.options import CONFIRMATIONS, compose_options, key_text, unknown_keys
-from mavcal.calib.firmware.origin import Origin, differences
 from mavcal.calib.firmware.plan import Value, WritePlan, snapshot_sha256
 from mavcal.calib.firmware.slots import CALIBRATED
 from mavcal.calib.fit import FitResult
@@ -149,7 +149,7 @@ def make_plan(
     """Compose what to write. Raises FirmwareError if the firmware cannot take it at all.
 
     `options` are those of the plan as plain data, `temperatures` those of :func:`accel_temperatures`,
-    `unproved_origin` what :func:`calib.firmware.origin.unproved` says.
+    `unproved_origin` what :func:`calib.firmware.in_force.origin.unproved` says.
     """
     chosen = compose_options(options, accel_temperature=dict(temperatures), unproved_origin=unproved_origin)
     plan = compose(results, parameters, fingerprint(identity, parameters), options=chosen)

@@ -10,12 +10,12 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Self
 
-from mavcal.calib.firmware.auxiliary import ATTITUDE
+from mavcal.calib.firmware.compose.trim import AHRS_TRIM
 from mavcal.calib.firmware.plan import Movement, Value, Verification, WritePlan
+from mavcal.calib.firmware.proof.verify import verify
 from mavcal.calib.firmware.slots import CALIBRATED
-from mavcal.calib.firmware.streams import Assembler, requested_streams
-from mavcal.calib.firmware.trim import AHRS_TRIM
-from mavcal.calib.firmware.verify import verify
+from mavcal.calib.firmware.stream.auxiliary import ATTITUDE
+from mavcal.calib.firmware.stream.rates import Assembler, requested_streams
 from mavcal.calib.procedures.protocol import Pose, Progress, Prompt
 from mavcal.calib.recording import Recording, Sensor, join
 from mavcal.calib.wire import Frame, iter_tlog

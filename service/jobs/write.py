@@ -13,7 +13,7 @@ from enum import StrEnum
 from functools import partial
 from typing import Any, Protocol
 
-from mavcal.calib.firmware.fingerprint import fingerprint, matters
+from mavcal.calib.firmware.in_force.fingerprint import fingerprint, matters
 from mavcal.calib.firmware.plan import Change, ParameterKind, Value, Verification, WritePlan, snapshot_sha256
 from mavcal.calib.firmware.values import shown
 from mavcal.service.errors import ParameterMissing, PlanBlocked, PlanChanged, WriteFailed

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mavcal import calib
-from mavcal.calib.faces import down_of
+from mavcal.calib.accel.faces import down_of
 from mavcal.calib.fit import parameter_names
 from mavcal.calib.procedures.protocol import Pose
 from mavcal.calib.recording import Channel, Sensor, Stage

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware import body_from_sensor, calibration_in_force
-from mavcal.calib.firmware.compose import compose
-from mavcal.calib.firmware.fingerprint import fingerprint
+from mavcal.calib.firmware.compose.plan import compose
+from mavcal.calib.firmware.in_force.fingerprint import fingerprint
 from mavcal.calib.firmware.plan import WritePlan
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.gap.export.state import doubt_of, kind_of, named, sensors_with, value

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.firmware.log_fields import COMPASS, INERTIAL, INSTANCE_COLUMNS, LogReading
+from mavcal.calib.firmware.ardupilot.log_fields import COMPASS, INERTIAL, INSTANCE_COLUMNS, LogReading
 from mavcal.calib.logs.dataflash.clock import ordered
 from mavcal.calib.recording import Channel, Event, Rounding, Sensor
 

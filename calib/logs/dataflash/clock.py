@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.firmware.log_fields import SAMPLE_TIME_COLUMNS
+from mavcal.calib.firmware.ardupilot.log_fields import SAMPLE_TIME_COLUMNS
 from mavcal.calib.recording import Event
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from mavcal.calib.errors import UnreadableError
+from mavcal.calib.firmware.ardupilot.log_fields import TEXT_COLUMNS, WANTED, implied_parameters
 from mavcal.calib.firmware.faults import parameter_faults
-from mavcal.calib.firmware.log_fields import TEXT_COLUMNS, WANTED, implied_parameters
 from mavcal.calib.logs.dataflash.batch import batch_channels
 from mavcal.calib.logs.dataflash.channels import SensorChannels
 from mavcal.calib.logs.dataflash.clock import Clock

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.firmware.log_fields import ARMED_EVENT, DISARMED_EVENT
+from mavcal.calib.firmware.ardupilot.log_fields import ARMED_EVENT, DISARMED_EVENT
 from mavcal.calib.recording import Event, Identity, ParameterEntry
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.firmware.log_fields import MOTOR_FUNCTIONS, PWM_DEFAULT, THROTTLE_FUNCTIONS
+from mavcal.calib.firmware.ardupilot.log_fields import MOTOR_FUNCTIONS, PWM_DEFAULT, THROTTLE_FUNCTIONS
 from mavcal.calib.geometry import quaternion_from_euler
 from mavcal.calib.logs.dataflash.channels import instances
 from mavcal.calib.recording import Channel, Rounding, Sensor, Stage

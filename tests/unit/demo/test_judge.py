@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib.recording import Sensor
-from mavcal.calib.scoring import Score
+from mavcal.calib.simulate.scoring import Score
 from mavcal.service.demo.judge import Judgement, SensorReport
 
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from mavcal.calib.firmware.draft import Draft, Rank
+from mavcal.calib.firmware.compose.draft import Draft, Rank
 from mavcal.calib.firmware.limits import limit_of
 from mavcal.calib.firmware.names import (
     OFFSET,

@@ -13,7 +13,7 @@ import pytest
 from bench.dataflash import write_flight
 from mavcal.calib import logs
 from mavcal.calib.flight.report import flight_report
-from mavcal.calib.inspection import inspect
+from mavcal.calib.logs.inspection import inspect
 from mavcal.calib.recording import Channel, Event, Identity, Recording, Sensor, Stage
 
 MIB = 2**20

@@ -187,5 +187,5 @@ def test_the_sd_is_honest_over_many_logs(sensor):
         made = [log([DRIFTING], (22.0, 42.0), seed=100 + seed, rate=20.0)]
         made.append(log([DRIFTING], (48.0, 30.0), seed=200 + seed, rate=20.0, roll=6.0))
         squares.append(errors(fitted(made, sensor), truth) ** 2)
-    # white noise: the sd allows for a slow wander that is not there (calib.noise), and so is on the safe side
+    # white noise: the sd allows for a slow wander that is not there (calib.stats.correlated): the safe side
     assert 0.2 < float(np.mean(squares)) < 1.2

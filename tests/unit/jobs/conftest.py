@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from mavcal.calib.firmware.fingerprint import fingerprint
+from mavcal.calib.firmware.in_force.fingerprint import fingerprint
 from mavcal.calib.firmware.plan import (
     AfterWrite,
     Change,

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.firmware.origin import Origin
+from mavcal.calib.firmware.in_force.origin import Origin
 from mavcal.calib.firmware.plan import Agreement
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.procedures.protocol import Prompt

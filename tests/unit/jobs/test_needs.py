@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mavcal.calib.firmware.needed import needed
+from mavcal.calib.firmware.in_force.needed import needed
 from mavcal.calib.recording import Sensor
 from mavcal.service.jobs.needs import read_needed
 from mavcal.service.testing import FakeVehicle

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.firmware.origin import Origin
+from mavcal.calib.firmware.in_force.origin import Origin
 from mavcal.calib.firmware.plan import Agreement, Change, Fingerprint, ParameterKind, WritePlan
 from mavcal.calib.firmware.slots import CALIBRATED
 from mavcal.calib.fit import FitResult, FitStatus

@@ -11,7 +11,7 @@ import pytest
 
 from mavcal.calib import logs
 from mavcal.calib.firmware import undo
-from mavcal.calib.inspection import inspect
+from mavcal.calib.logs.inspection import inspect
 from mavcal.calib.recording import Recording, Sensor, Stage
 
 pytestmark = pytest.mark.shared

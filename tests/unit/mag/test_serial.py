@@ -11,7 +11,7 @@ from mavcal.calib.mag.serial import (
     white_variance,
     widened_scatter,
 )
-from mavcal.calib.residuals import first_correlation
+from mavcal.calib.stats.residuals import first_correlation
 
 
 def autoregressive(rng: np.random.Generator, count: int, rho: float) -> Any:

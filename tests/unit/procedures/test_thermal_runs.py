@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mavcal.calib.firmware import ardupilot
-from mavcal.calib.firmware.compose import ComposeOptions, compose
-from mavcal.calib.firmware.fingerprint import fingerprint
-from mavcal.calib.firmware.undo import undo
+from mavcal.calib.firmware.ardupilot import parameters as ardupilot
+from mavcal.calib.firmware.compose.plan import ComposeOptions, compose
+from mavcal.calib.firmware.in_force.fingerprint import fingerprint
+from mavcal.calib.firmware.in_force.undo import undo
 from mavcal.calib.logs.tlog import read_tlog
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.protocol import Done

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib.errors import FirmwareError
-from mavcal.calib.firmware import ardupilot
+from mavcal.calib.firmware.ardupilot import parameters as ardupilot
 from mavcal.calib.firmware.export import ParameterFormat, read_parameters
 from mavcal.calib.firmware.names import ardupilot_compass_names, ardupilot_imu_names
 from mavcal.calib.gap.export import Target, exported

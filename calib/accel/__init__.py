@@ -1,0 +1,1 @@
+"""The accelerometer: poses in any direction, six faces on a fixture, one pose at rest."""

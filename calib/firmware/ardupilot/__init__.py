@@ -1,0 +1,1 @@
+"""Facts of ArduPilot: parameters, rotations and log fields."""

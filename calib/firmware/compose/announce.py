@@ -1,0 +1,119 @@
+"""Losses and refusals that both autopilots have in common."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.firmware import losses
+from mavcal.calib.firmware.compose.draft import Draft, Subject
+from mavcal.calib.fit import AXES, FitResult
+from mavcal.calib.recording import Sensor
+
+Array = NDArray[np.float64]
+
+ALIGNED = 1e-9
+"""rad; smaller turns are rounding."""
+SINGLE_PRECISION = 1e-5
+"""m/s2; what storing a scale as float32 may cost, and not worth a word."""
+
+
+def offsets_usable(draft: Draft, about: Subject, fit: FitResult, *, thermal: bool) -> bool:
+    """Whether the undetermined offsets, if any, may stay as they are beside the others.
+
+    `thermal`: a polynomial is in force that this fit does not replace; an offset may then not stay behind when the
+    temperature that it refers to is moved.
+    """
+    missing = [a for a in AXES if not fit.determined(f"offset_{a}")]
+    if not missing:
+        return True
+    which = f"{about}: the offset of {', '.join(missing)} is not determined"
+    if about.sensor == Sensor.ACCEL or thermal:
+        draft.block(f"{which}, and the others do not hold without it. {fit.message}", about)
+        return False
+    draft.warn(f"{which} and stays as it is. {fit.message}")
+    return True
+
+
+def scale_usable(draft: Draft, about: Subject, fit: FitResult, in_force: Array) -> bool:
+    """Whether the fit says what the scales are; those that it assumed must be the ones in force (`in_force`, (3,))."""
+    if not np.any(np.diag(fit.covariance)[losses.MATRIX]):
+        if not np.allclose(fit.model.matrix, np.diag(in_force), rtol=0, atol=1e-6):
+            draft.block(
+                f"{about}: this fit assumes scales of {np.diag(fit.model.matrix).tolist()}, but those in force are "
+                f"{in_force.tolist()}; an offset taken that way does not fit to them. Calibrate with six poses",
+                about,
+            )
+        return False
+    undetermined = [n for n in ("matrix_xx", "matrix_yy", "matrix_zz") if not fit.determined(n)]
+    if undetermined:
+        draft.block(f"{about}: {', '.join(undetermined)} are not determined. {fit.message}", about)
+        return False
+    return True
+
+
+def lose_accel(draft: Draft, about: Subject, parts: losses.Parts, stored: Array, body_from_sensor: Array) -> None:
+    """Announce what of an accelerometer's matrix is left out if its scales are `stored` (3,)."""
+    cost = losses.largest_error(np.diag(stored), parts.symmetric, STANDARD_GRAVITY)
+    if cost > SINGLE_PRECISION:
+        cross = ", ".join(f"{c:.5f}" for c in parts.cross)
+        what, text = "cross terms", f"cross-axis terms (xy xz yz: {cross}) cannot be stored"
+        if not np.allclose(stored, parts.diagonal, rtol=0, atol=1e-6):
+            what, text = "scale and cross terms", f"scales so near to 1 never reach PX4's memory, and {text}"
+        draft.lose(about, what, cost, "m/s2", f"{about}: {text}; up to {cost:.4f} m/s2 stay, depending on the attitude")
+    angle = min(losses.rotation_angle(parts.rotation), losses.rotation_angle(body_from_sensor.T @ parts.rotation))
+    if angle > ALIGNED:
+        draft.lose(
+            about,
+            "mounting",
+            2.0 * STANDARD_GRAVITY * np.sin(0.5 * angle),
+            "m/s2",
+            f"{about}: turned by {np.degrees(angle):.3f} deg in its mounting; there is no parameter for one sensor. "
+            "What is common to all sensors goes into the level trim: run the level job",
+        )
+
+
+def lose_gyro_matrix(draft: Draft, about: Subject, fit: FitResult) -> None:
+    """Announce a gyroscope's scale and misalignment, which neither firmware can store."""
+    cost = losses.largest_error(np.eye(3), fit.model.matrix, 1.0)
+    if cost > 0.0:
+        draft.lose(
+            about,
+            "scale and misalignment",
+            cost,
+            "rad/s at 1 rad/s",
+            f"{about}: scale and misalignment cannot be stored; up to {100.0 * cost:.3f} % of the rate stay",
+        )
+
+
+def lose_compass_mounting(draft: Draft, about: Subject, fit: FitResult, old: Array, new: Array) -> None:
+    """Announce what of a magnetometer's mounting no parameter holds.
+
+    With `old` and `new` (3, 3), the body from the sensor as stated now and by the plan, the whole is
+    ``old Q S (m - b)`` and ``new S (m - b)`` is stored, so ``old Q new^T`` is left. A fit of lengths has no Q.
+    """
+    rotation = losses.split(fit).rotation
+    if losses.rotation_angle(rotation) <= ALIGNED:
+        return
+    angle = np.degrees(losses.rotation_angle(old @ rotation @ new.T))
+    if angle > np.degrees(ALIGNED):
+        draft.lose(
+            about,
+            "mounting",
+            angle,
+            "deg",
+            f"{about}: mounted {angle:.2f} deg askew, which no parameter holds: the heading is off by about as much",
+        )
+
+
+def lose_drift(draft: Draft, about: Subject, fit: FitResult, why: str) -> None:
+    """Announce a temperature drift that is not written."""
+    polynomial = fit.model.polynomial
+    assert polynomial is not None
+    over = polynomial(np.linspace(polynomial.t_min, polynomial.t_max, 101))
+    cost = float(np.linalg.norm(np.ptp(over, axis=0)))
+    unit = "m/s2" if about.sensor == Sensor.ACCEL else "rad/s"
+    text = f"{about}: its drift is not written, because {why}"
+    draft.lose(about, "temperature drift", cost, unit, text)
+    draft.drop(about, text)

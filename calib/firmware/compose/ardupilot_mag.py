@@ -1,0 +1,218 @@
+"""Fits into ArduPilot's compass parameters (FLIGHT_CONTROLLERS 1.3).
+
+``c = M (s (R m + OFS)) + MOT``: the offset is *added*, in mGauss, in the *body* frame, so a fit of the raw sensor
+frame (``C (m - b)``) is turned into the body first: ``M = R S R^T``, ``OFS = -R b``. The whole symmetric matrix can be
+stored.
+
+The strength of the field goes into M. COMPASS_SCALE is written 1 where the true field was known, which tells the
+estimator that the scale is true (``have_scale_factor``, asked by EKF3 before it trusts its table of the Earth's field),
+and 0 ("not set") where it was not; both multiply by 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.firmware import losses, names
+from mavcal.calib.firmware.ardupilot import parameters as ardupilot
+from mavcal.calib.firmware.ardupilot.parameters import UT_PER_MGAUSS
+from mavcal.calib.firmware.compose.announce import lose_compass_mounting
+from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
+from mavcal.calib.firmware.compose.fitted import Pair, body_from_raw, keeps_matrix
+from mavcal.calib.firmware.compose.mounting import Turn, ask_for_mounting, mounting_turn
+from mavcal.calib.firmware.limits import COMPASS_OFFS_MAX, COMPASS_SCALE_WINDOW
+from mavcal.calib.firmware.names import Role
+from mavcal.calib.firmware.plan import ParameterKind
+from mavcal.calib.firmware.rotations import nearest_rotation
+from mavcal.calib.fit import AXES, FitResult
+from mavcal.calib.recording import Sensor
+
+Array = NDArray[np.float64]
+
+PREFLIGHT_CALIBRATION: Final = 241
+STORE_AS_CALIBRATED: Final = 76.0
+EXACT: Final = 1e-6  # rad
+
+
+def compose_compasses(draft: Draft, pairs: Sequence[Pair]) -> None:
+    """Plan every compass that was fitted."""
+    fitted = [(p.about, p.at_rest) for p in pairs if p.at_rest is not None]
+    for about, fit in fitted:
+        _compose_one(draft, about, fit)
+    if not fitted:
+        return
+    if int(draft.parameters.get("COMPASS_LEARN", 0)) != 0:
+        draft.set_integer(
+            "COMPASS_LEARN",
+            0,
+            Rank.SESSION,
+            "learning would overwrite the offsets (ArduPilot's own calibration switches it off too)",
+            kind=ParameterKind.INT8,
+        )
+    _mark_calibrated(draft, {about.instance for about, _ in fitted})
+
+
+def _compose_one(draft: Draft, about: Subject, fit: FitResult) -> None:
+    roles = ardupilot.calibration_names(draft.parameters, Sensor.MAG, about.instance)
+    if not _is_whole(draft, about, fit):
+        return
+    old = body_from_raw(ardupilot.calibration_in_force, roles, draft.parameters, about)
+    turn = mounting_turn(draft, about, fit)
+    new = old if turn is None else turn.matrix @ old
+    if turn is not None and not _set_rotation(draft, about, roles, turn, new):
+        return
+    parts = losses.split(fit).rotated(new)
+    if not _field_plausible(draft, about, fit, parts):
+        return
+    _set_values(draft, about, roles, parts)
+    lose_compass_mounting(draft, about, fit, old, new)
+    absolute = fit.quality.get("field_ratio") is not None
+    draft.set_real(
+        roles[Role.FIELD_SCALE],
+        1.0 if absolute else 0.0,
+        Rank.FIELD_SCALE,
+        "the matrix holds the true strength of the field" if absolute else "the strength of the field is not known",
+        about=about,
+    )
+    _carry_motors(draft, about, roles, fit, parts.symmetric, new @ old.T)
+
+
+def _is_whole(draft: Draft, about: Subject, fit: FitResult) -> bool:
+    if fit.unit != "uT":
+        draft.block(f"{about}: the fit is in {fit.unit}; ArduPilot's offsets are in mGauss", about)
+        return False
+    if fit.undetermined and not keeps_matrix(fit):
+        draft.block(f"{about}: {', '.join(fit.undetermined)} are not determined. {fit.message}", about)
+        return False
+    return True
+
+
+def _set_rotation(draft: Draft, about: Subject, roles: Mapping[Role, str], turn: Turn, body_from_sensor: Array) -> bool:
+    if int(draft.parameters.get(roles[Role.EXTERNAL], 0)) == 0:
+        draft.block(
+            f"{about} is internal and follows AHRS_ORIENTATION, but its field is turned by {turn.name} against the "
+            "accelerometer: it is external (set "
+            f"{roles[Role.EXTERNAL]} to 1 and repeat) or the board's orientation is wrong",
+            about,
+        )
+        return False
+    number, angle = nearest_rotation("ardupilot", body_from_sensor)
+    if angle > EXACT:
+        draft.block(f"{about} is turned by {turn.name}, and ArduPilot has no number for the resulting mounting", about)
+        return False
+    name = roles[Role.ROTATION]
+    ask_for_mounting(draft, "ardupilot", about, turn, (name, int(draft.parameters.get(name, 0)), number))
+    draft.set_integer(
+        name,
+        number,
+        Rank.ROTATION,
+        f"{about} is mounted turned by {turn.name}; offsets and matrix are for this mounting",
+        kind=ParameterKind.INT8,
+        about=about,
+    )
+    return True
+
+
+def _field_plausible(draft: Draft, about: Subject, fit: FitResult, parts: losses.Parts) -> bool:
+    factor = float(np.cbrt(np.linalg.det(parts.symmetric)))
+    low, high = COMPASS_SCALE_WINDOW
+    if fit.quality.get("field_ratio") is not None and not low <= factor <= high:
+        draft.block(
+            f"{about} measures {1.0 / factor:.2f} times the Earth's field; ArduPilot accepts a factor of {high:g} at "
+            "most: steel, a magnet or a current is near, or the sensor is damaged. Move away and repeat",
+            about,
+        )
+        return False
+    length = float(np.linalg.norm(parts.offset)) / UT_PER_MGAUSS
+    limit = float(draft.parameters.get("COMPASS_OFFS_MAX", COMPASS_OFFS_MAX))
+    if length > limit:
+        draft.block(
+            f"{about}: the offset is {length:.0f} mGauss long, more than COMPASS_OFFS_MAX = {limit:.0f}; the vehicle "
+            "would refuse to arm. Move the compass away from iron and magnets and repeat",
+            about,
+        )
+        return False
+    return True
+
+
+def _set_values(draft: Draft, about: Subject, roles: Mapping[Role, str], parts: losses.Parts) -> None:
+    sd = parts.sd
+    for axis, role in enumerate(names.OFFSET):
+        draft.set_real(
+            roles[role],
+            float(-parts.offset[axis] / UT_PER_MGAUSS),
+            Rank.OFFSET,
+            f"offset of {about}, {AXES[axis]} axis of the body (added)",
+            about=about,
+            sd=float(sd[axis] / UT_PER_MGAUSS) or None,
+            unit="mGauss",
+        )
+    for k, role in enumerate((*names.SCALE, *names.CROSS)):
+        diagonal = k < 3
+        draft.set_real(
+            roles[role],
+            float(parts.diagonal[k] if diagonal else parts.cross[k - 3]),
+            Rank.SCALE if diagonal else Rank.CROSS,
+            f"{'diagonal' if diagonal else 'off-diagonal'} term of the matrix of {about}",
+            about=about,
+            sd=float(sd[3 + k]) or None,
+        )
+
+
+def _carry_motors(
+    draft: Draft, about: Subject, roles: Mapping[Role, str], fit: FitResult, matrix: Array, turn: Array
+) -> None:
+    """The motor term is added behind the matrix, so it is carried into the new one: ``M' X M^-1 MOT``."""
+    kind = int(draft.parameters.get(roles[Role.MOTOR_TYPE], 0))
+    old = np.array([float(draft.parameters.get(roles[role], 0.0)) for role in names.MOTOR])
+    if kind not in (1, 2) or not old.any():
+        return
+    in_force = ardupilot.calibration_in_force(draft.parameters, Sensor.MAG, about.instance).matrix
+    mounting = body_from_raw(ardupilot.calibration_in_force, roles, draft.parameters, about)
+    new = matrix @ turn @ np.linalg.solve(in_force @ mounting.T, old)
+    for axis, role in enumerate(names.MOTOR):
+        draft.set_real(
+            roles[role],
+            float(new[axis]),
+            Rank.SETTING,
+            f"the motor compensation of {about}, carried over to its new matrix",
+            about=about,
+            unit="mGauss" if kind == 1 else "mGauss/A",
+        )
+    if kind == 2 and not fit.native.get("without_motors", False):
+        draft.warn(
+            f"{about}: the field of the idle current ({np.linalg.norm(new):.2g} mGauss per A) is part of the new "
+            "offset and is compensated a second time; calibrate without load"
+        )
+
+
+def _mark_calibrated(draft: Draft, fitted: set[int]) -> None:
+    """Code 76 marks every compass, so it is sent only if every used one deserves it (1.1, DESIGN 6)."""
+    doubtful = [i for i in _used(draft) if i not in fitted and not _was_valid(draft, i)]
+    if doubtful:
+        draft.warn(
+            f"compass {', '.join(str(i + 1) for i in doubtful)} is in use but was never calibrated, and not by this "
+            "plan either; code 76 would mark it as calibrated, so it is not sent and the vehicle may refuse to arm. "
+            "Calibrate it, or set its COMPASS_USE to 0"
+        )
+    elif draft.options.mark_calibrated:
+        draft.after(
+            PREFLIGHT_CALIBRATION,
+            (0.0, STORE_AS_CALIBRATED, 0.0, 0.0, 0.0, 0.0, 0.0),
+            "store the compasses' ids, so that the vehicle takes them as calibrated and arms",
+        )
+
+
+def _used(draft: Draft) -> list[int]:
+    found = [i for (sensor, i) in ardupilot.sensor_ids(draft.parameters) if sensor == Sensor.MAG]
+    use = {i: names.ardupilot_compass_names(i, i)[Role.USE] for i in found}
+    return sorted(i for i in found if int(draft.parameters.get(use[i], 1)) == 1)
+
+
+def _was_valid(draft: Draft, instance: int) -> bool:
+    roles = ardupilot.calibration_names(draft.parameters, Sensor.MAG, instance)
+    return any(float(draft.parameters.get(roles[role], 0.0)) for role in names.OFFSET)

@@ -1,0 +1,133 @@
+"""What was fitted of each sensor, brought into the form that every composer asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.firmware import losses, names
+from mavcal.calib.firmware.compose.content import Correction
+from mavcal.calib.firmware.compose.draft import Draft, Subject
+from mavcal.calib.firmware.names import Role
+from mavcal.calib.firmware.plan import Value
+from mavcal.calib.fit import AXES, FitResult, FitStatus
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import TriadModel
+
+Array = NDArray[np.float64]
+InForce = Callable[[Mapping[str, Value], Sensor, int], TriadModel]
+
+
+@dataclass(frozen=True)
+class Pair:
+    """What was fitted of one sensor: its calibration at one temperature, its drift with temperature, or both."""
+
+    about: Subject
+    at_rest: FitResult | None
+    """A fit of offset (and matrix) without temperature."""
+    drift: FitResult | None
+    """A fit with a polynomial."""
+
+    @property
+    def absolute(self) -> FitResult | None:
+        """The fit that says where the offset stands; None: only the shape of the drift is known."""
+        if self.at_rest is not None:
+            return self.at_rest
+        if self.drift is not None and not is_shape_only(self.drift):
+            return self.drift
+        return None
+
+
+def is_shape_only(fit: FitResult) -> bool:
+    """Whether a thermal fit says how the offset moves, but not where it stands.
+
+    An accelerometer that lay in one pose all the time cannot tell its offset from the tilt of the pose; such a fit
+    holds the matrix fixed.
+    """
+    if not fit.determined(*(f"offset_{a}" for a in AXES)) and fit.sensor == Sensor.ACCEL:
+        return True
+    matrix_fixed = not np.any(np.diag(fit.covariance)[losses.MATRIX])
+    return fit.sensor == Sensor.ACCEL and fit.model.polynomial is not None and matrix_fixed
+
+
+def keeps_matrix(fit: FitResult) -> bool:
+    """Whether what a compass fit leaves open are entries of the matrix that it kept near the ones in force."""
+    return bool(fit.quality.get("soft_iron_kept")) and all(name.startswith("matrix") for name in fit.undetermined)
+
+
+def drift_axes(fit: FitResult) -> str:
+    """The axes whose drift a thermal fit determines; of a fit without temperature every axis."""
+    return "".join(a for a in AXES if fit.determined(*(f"poly{j + 1}_{a}" for j in range(fit.degree))))
+
+
+def usable_fits(draft: Draft, fits: Sequence[FitResult]) -> tuple[FitResult, ...]:
+    """The fits that may be written; what is wrong with the others is said in the draft."""
+    kept = []
+    for fit in fits:
+        about = Subject(fit.sensor, fit.instance)
+        if fit.status == FitStatus.REFUSED:
+            _leave_out(draft, about, fit.message)
+        elif not drift_axes(fit):
+            _leave_out(draft, about, _why_no_drift(fit))
+        elif fit.relative:
+            draft.block(
+                f"{about}: the calibration in force during the capture is not known, so this fit is relative and "
+                "cannot be written as absolute values. Capture again with the vehicle's parameters in the recording",
+                about,
+            )
+        else:
+            kept.append(fit)
+    return tuple(kept)
+
+
+def _leave_out(draft: Draft, about: Subject, why: str) -> None:
+    text = f"{about} is left out: {why}"
+    draft.warn(text)
+    draft.drop(about, text)
+
+
+def _why_no_drift(fit: FitResult) -> str:
+    """What kept every axis of a thermal fit from being determined."""
+    if fit.quality.get("below_resolution"):
+        return "its drift with temperature is below what the stream resolves, on every axis"
+    return f"its drift with temperature is not determined on any axis. {'; '.join(fit.warnings) or fit.message}"
+
+
+def pair_fits(fits: Sequence[Correction]) -> tuple[Pair, ...]:
+    """Fits of one sensor instance put together; the last one wins where there are several of a kind."""
+    at_rest: dict[Subject, FitResult] = {}
+    drift: dict[Subject, FitResult] = {}
+    for fit in fits:
+        kind = at_rest if fit.model.polynomial is None else drift
+        kind[Subject(fit.sensor, fit.instance)] = fit
+    return tuple(Pair(about, at_rest.get(about), drift.get(about)) for about in {**at_rest, **drift})
+
+
+def offset_at(fit: FitResult, temperature: float) -> tuple[Array, Array]:
+    """Offset (3,) of a thermal fit at `temperature` (degC), and its covariance (3, 3)."""
+    polynomial = fit.model.polynomial
+    if polynomial is None:
+        return fit.model.offset, fit.covariance[losses.OFFSETS, losses.OFFSETS]
+    degree = fit.degree
+    d = float(np.clip(temperature, polynomial.t_min, polynomial.t_max)) - polynomial.t_ref
+    jacobian = np.zeros((3, fit.covariance.shape[0]))
+    jacobian[:, losses.OFFSETS] = np.eye(3)
+    for axis in range(3):
+        first = losses.POLYNOMIAL + axis * degree
+        jacobian[axis, first : first + degree] = d ** np.arange(1, degree + 1)
+    return fit.model.offset + polynomial(temperature), jacobian @ fit.covariance @ jacobian.T
+
+
+def body_from_raw(
+    in_force: InForce, roles: Mapping[Role, str], parameters: Mapping[str, Value], about: Subject
+) -> Array:
+    """Rotation from the raw sensor frame to the body: the correction in force with every calibration value neutral."""
+    neutral = dict(parameters)
+    neutral |= {roles[role]: 0.0 for role in names.OFFSET}
+    neutral |= {roles[role]: 1.0 for role in names.SCALE if role in roles}
+    neutral |= {roles[role]: 0.0 for role in names.CROSS if role in roles}
+    neutral |= {roles[role]: 0.0 for role in (Role.FIELD_SCALE, Role.THERMAL_ENABLE) if role in roles}
+    return in_force(neutral, about.sensor, about.instance).matrix

@@ -1,0 +1,169 @@
+"""Fits into PX4's accelerometer and gyroscope parameters (FLIGHT_CONTROLLERS 1.4).
+
+``b = L R [(a - TC(T) - OFF) o SCALE]``. Rows are matched by device id; small changes do not reach the memory that
+corrects (:mod:`calib.firmware.compose.px4_memory`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.firmware import losses, names
+from mavcal.calib.firmware.compose.announce import lose_accel, lose_gyro_matrix, offsets_usable, scale_usable
+from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
+from mavcal.calib.firmware.compose.fitted import Pair, offset_at
+from mavcal.calib.firmware.compose.px4_memory import (
+    Vector,
+    acts_at_once,
+    neutral_model,
+    representable,
+    set_vector,
+    survives_restart,
+)
+from mavcal.calib.firmware.compose.px4_thermal import add_constant, set_thermal, thermal_runs, thermal_term
+from mavcal.calib.firmware.names import Role
+from mavcal.calib.firmware.options import how
+from mavcal.calib.firmware.plan import ParameterKind
+from mavcal.calib.firmware.px4 import parameters as px4
+from mavcal.calib.fit import AXES, FitResult
+from mavcal.calib.recording import Sensor
+
+Array = NDArray[np.float64]
+
+
+def compose_imu(draft: Draft, pairs: Sequence[Pair]) -> None:
+    """Plan every accelerometer and gyroscope that was fitted."""
+    for pair in pairs:
+        if not set_row(draft, pair.about):
+            continue
+        if pair.drift is not None:
+            set_thermal(draft, pair)
+        fit = pair.absolute
+        if fit is None:
+            continue
+        if not offsets_usable(draft, pair.about, fit, thermal=fit.degree == 0 and thermal_runs(draft, pair.about)):
+            continue
+        _set_offset(draft, pair.about, fit)
+        if pair.about.sensor == Sensor.ACCEL:
+            _set_scale(draft, pair.about, fit)
+        else:
+            lose_gyro_matrix(draft, pair.about, fit)
+    _silence_writers(draft, pairs)
+
+
+def set_row(draft: Draft, about: Subject) -> bool:
+    """Make sure that the sensor has a row of its own, that is, that its device id is known."""
+    roles = px4.calibration_names(draft.parameters, about.sensor, about.instance)
+    if int(draft.parameters.get(roles[Role.PRIORITY], -1)) == 0:
+        draft.warn(f"{about} is disabled ({roles[Role.PRIORITY]} = 0); it stays so")
+    if int(draft.parameters.get(roles[Role.ID], 0)) != 0:
+        if about.instance > 0 or _rows_filled(draft, about.sensor) > 1:
+            draft.warn(
+                f"PX4 streams do not say which device {about} is; its row is taken by order ({roles[Role.ID]}), and "
+                "the physical check will tell if that is wrong"
+            )
+        return True
+    device = draft.options.device_ids.get((about.sensor, about.instance))
+    if device is None:
+        draft.block(
+            f"{roles[Role.ID]} is 0: the vehicle has never calibrated {about}, and a stream does not tell its device "
+            f"id. Run PX4's own quick calibration once, or give it with {how('device_ids')}",
+            about,
+        )
+        return False
+    draft.set_integer(
+        roles[Role.ID], device, Rank.ID, f"the row belongs to {about}", kind=ParameterKind.INT32, about=about
+    )
+    return True
+
+
+def _rows_filled(draft: Draft, sensor: Sensor) -> int:
+    return sum(1 for (s, _) in px4.sensor_ids(draft.parameters) if s == sensor)
+
+
+def _set_offset(draft: Draft, about: Subject, fit: FitResult) -> None:
+    temperature = fit.temperature if fit.model.polynomial is None else fit.model.polynomial.t_ref
+    thermal = thermal_term(draft, about, temperature)
+    if thermal is None:
+        draft.block(
+            f"{about}: temperature compensation is in force, but the temperature during the calibration is not known. "
+            "Repeat with a stream that carries it",
+            about,
+        )
+        return
+    offset, covariance = offset_at(fit, temperature if temperature is not None else 0.0)
+    memory = px4.Px4Calibration.load(draft.parameters, about.sensor, about.instance)
+    known = np.array([fit.determined(f"offset_{a}") for a in AXES])
+    wanted = Vector(
+        about,
+        names.OFFSET,
+        np.where(known, offset - thermal, memory.offset),
+        np.where(known, np.sqrt(np.diag(covariance)), 0.0),
+        "m/s2" if about.sensor == Sensor.ACCEL else "rad/s",
+        f"offset of {about}",
+    )
+    lasting = survives_restart(about, names.OFFSET, wanted.values)
+    if thermal_runs(draft, about) and _thermal_is_live(draft, about):
+        target = representable(wanted)
+        if not lasting or acts_at_once(draft, wanted, target) is None:
+            add_constant(draft, about, wanted.values - memory.offset, wanted.sd)
+            return
+    if not lasting and thermal_runs(draft, about):
+        add_constant(draft, about, wanted.values, wanted.sd)
+    elif not lasting:
+        cost = float(np.linalg.norm(wanted.values))
+        draft.lose(
+            about,
+            "offset",
+            cost,
+            wanted.unit,
+            f"{about}: its offset of {cost:.4f} {wanted.unit} is too small to reach PX4's memory and is not written; "
+            "it could be held by the temperature compensation, if that ran",
+        )
+    set_vector(draft, wanted, representable(wanted))
+
+
+def _thermal_is_live(draft: Draft, about: Subject) -> bool:
+    """Whether TC runs already, so that X0 acts at once."""
+    roles = px4.calibration_names(draft.parameters, about.sensor, about.instance)
+    own = int(draft.parameters.get(roles[Role.ID], 0))
+    return (
+        int(draft.parameters.get(roles[Role.THERMAL_ENABLE], 0)) == 1
+        and int(draft.parameters.get(roles[Role.THERMAL_ID], 0)) == own
+    )
+
+
+def _set_scale(draft: Draft, about: Subject, fit: FitResult) -> None:
+    memory = px4.Px4Calibration.load(draft.parameters, about.sensor, about.instance)
+    if not scale_usable(draft, about, fit, memory.scale):
+        return
+    parts = losses.split(fit)
+    wanted = Vector(about, names.SCALE, parts.diagonal, parts.sd[3:6], "", f"scale of {about}")
+    stored = representable(wanted)
+    set_vector(draft, wanted, stored)
+    lose_accel(draft, about, parts, stored, neutral_model(draft.parameters, about).matrix)
+
+
+def _silence_writers(draft: Draft, pairs: Sequence[Pair]) -> None:
+    """Switch off for this session what would write the same parameters; say what cannot be switched off."""
+    sensors = {pair.about.sensor for pair in pairs}
+    if not sensors:
+        return
+    if int(draft.parameters.get("SENS_IMU_AUTOCAL", 0)) != 0:
+        draft.set_integer(
+            "SENS_IMU_AUTOCAL",
+            0,
+            Rank.SESSION,
+            "after a landing PX4 would write its own estimate of the offsets",
+            kind=ParameterKind.INT32,
+            session=True,
+        )
+    if Sensor.GYRO in sensors and int(draft.parameters.get("IMU_GYRO_CAL_EN", 0)) != 0:
+        draft.warn(
+            "PX4 re-estimates the gyro offsets by itself while disarmed and still (IMU_GYRO_CAL_EN = 1): it "
+            "overwrites them where its estimate differs by more than 0.01 rad/s, and takes a steady turn for a bias. "
+            "Setting it to 0 stops this only after a restart"
+        )

@@ -1,0 +1,156 @@
+"""Fits into PX4's magnetometer parameters (FLIGHT_CONTROLLERS 1.4).
+
+``b = L R S (m + p COMP - OFF)``: the offset is *subtracted*, in Gauss, in the *sensor's* frame, which is the frame of
+the raw stream; the whole symmetric matrix can be stored, as far as it differs enough from the neutral one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.firmware import losses, names
+from mavcal.calib.firmware.compose.announce import lose_compass_mounting
+from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
+from mavcal.calib.firmware.compose.fitted import Pair, keeps_matrix
+from mavcal.calib.firmware.compose.mounting import Turn, ask_for_mounting, mounting_turn
+from mavcal.calib.firmware.compose.px4 import set_row
+from mavcal.calib.firmware.compose.px4_memory import Vector, neutral_model, representable, set_vector
+from mavcal.calib.firmware.limits import COMPASS_SCALE_WINDOW
+from mavcal.calib.firmware.names import Role
+from mavcal.calib.firmware.plan import ParameterKind
+from mavcal.calib.firmware.px4 import parameters as px4
+from mavcal.calib.firmware.px4.parameters import UT_PER_GAUSS
+from mavcal.calib.firmware.rotations import nearest_rotation, rotation_matrix
+from mavcal.calib.fit import FitResult
+
+Array = NDArray[np.float64]
+
+EXACT = 1e-6  # rad
+EARTH_FIELD = 50.0
+"""uT, for the cost of a loss where the field was not known."""
+
+
+def compose_magnetometers(draft: Draft, pairs: Sequence[Pair]) -> None:
+    """Plan every magnetometer that was fitted."""
+    for pair in pairs:
+        if pair.at_rest is not None and set_row(draft, pair.about):
+            _compose_one(draft, pair.about, pair.at_rest)
+    if pairs and int(draft.parameters.get("SENS_MAG_AUTOCAL", 0)) != 0:
+        draft.set_integer(
+            "SENS_MAG_AUTOCAL",
+            0,
+            Rank.SESSION,
+            "PX4 would write its own estimate of the offsets",
+            kind=ParameterKind.INT32,
+            session=True,
+        )
+
+
+def _compose_one(draft: Draft, about: Subject, fit: FitResult) -> None:
+    if fit.unit != "uT":
+        draft.block(f"{about}: the fit is in {fit.unit}; PX4's offsets are in Gauss", about)
+        return
+    if fit.undetermined and not keeps_matrix(fit):
+        draft.block(f"{about}: {', '.join(fit.undetermined)} are not determined. {fit.message}", about)
+        return
+    roles = px4.calibration_names(draft.parameters, about.sensor, about.instance)
+    turn = mounting_turn(draft, about, fit)
+    if turn is not None and not _set_rotation(draft, about, roles, turn):
+        return
+    parts = losses.split(fit)
+    factor = float(np.cbrt(np.linalg.det(parts.symmetric)))
+    if fit.quality.get("field_ratio") is not None and not COMPASS_SCALE_WINDOW[0] <= factor <= COMPASS_SCALE_WINDOW[1]:
+        draft.block(
+            f"{about} measures {1.0 / factor:.2f} times the Earth's field: steel, a magnet or a current is near, or "
+            "the sensor is damaged. Move away and repeat",
+            about,
+        )
+        return
+    wanted = {
+        names.OFFSET: Vector(
+            about, names.OFFSET, parts.offset / UT_PER_GAUSS, parts.sd[:3] / UT_PER_GAUSS, "gauss", f"offset of {about}"
+        ),
+        names.SCALE: Vector(about, names.SCALE, parts.diagonal, parts.sd[3:6], "", f"scale of {about}"),
+        names.CROSS: Vector(about, names.CROSS, parts.cross, parts.sd[6:], "", f"off-diagonal term of {about}"),
+    }
+    stored = {triple: representable(vector) for triple, vector in wanted.items()}
+    for triple, vector in wanted.items():
+        set_vector(draft, vector, stored[triple])
+    _lose(draft, about, fit, parts, wanted, stored)
+    mounting = neutral_model(draft.parameters, about).matrix
+    lose_compass_mounting(draft, about, fit, mounting, mounting if turn is None else turn.matrix @ mounting)
+
+
+def _lose(
+    draft: Draft,
+    about: Subject,
+    fit: FitResult,
+    parts: losses.Parts,
+    wanted: Mapping[names.Triple, Vector],
+    stored: Mapping[names.Triple, Array],
+) -> None:
+    """Announce the vectors that are too near to neutral to be taken."""
+    radius, ratio = fit.quality.get("radius"), fit.quality.get("field_ratio")
+    field = float(radius) / float(ratio) if radius and ratio else EARTH_FIELD
+    xy, xz, yz = stored[names.CROSS]
+    matrix = np.diag(stored[names.SCALE]) + np.array([[0, xy, xz], [xy, 0, yz], [xz, yz, 0]])
+    dropped = [
+        what
+        for what, triple in (("scale", names.SCALE), ("cross terms", names.CROSS))
+        if not np.allclose(stored[triple], wanted[triple].values, rtol=1e-6, atol=1e-7)
+    ]
+    if dropped:
+        cost = losses.largest_error(matrix, parts.symmetric, field)
+        draft.lose(
+            about,
+            " and ".join(dropped),
+            cost,
+            "uT",
+            f"{about}: {' and '.join(dropped)} within 0.01 of neutral never reach PX4's memory; up to "
+            f"{cost:.2f} uT stay",
+        )
+    missing = stored[names.OFFSET] - wanted[names.OFFSET].values
+    if not np.allclose(missing, 0.0, rtol=0, atol=1e-6):
+        cost = UT_PER_GAUSS * float(np.linalg.norm(matrix @ missing))
+        draft.lose(
+            about,
+            "offset",
+            cost,
+            "uT",
+            f"{about}: an offset of less than 0.005 gauss never reaches PX4's memory; {cost:.2f} uT stay",
+        )
+
+
+def _set_rotation(draft: Draft, about: Subject, roles: Mapping[Role, str], turn: Turn) -> bool:
+    number = int(draft.parameters.get(roles[Role.ROTATION], -1))
+    if number < 0:
+        draft.block(
+            f"{about} is internal and follows SENS_BOARD_ROT, but its field is turned by {turn.name} against the "
+            "accelerometer: the board's orientation is wrong, or the sensor is external and not known as such",
+            about,
+        )
+        return False
+    if number >= px4.ROTATION_CUSTOM:
+        draft.block(
+            f"{about} has a rotation of its own (custom angles), and is turned by {turn.name} beside: set it right",
+            about,
+        )
+        return False
+    # the found rotation is by right angles, so the level adjustment, a degree or two, does not matter to it
+    new, angle = nearest_rotation("px4", turn.matrix @ rotation_matrix("px4", number))
+    if angle > EXACT:
+        draft.block(f"{about} is turned by {turn.name}, and PX4 has no number for the resulting mounting", about)
+        return False
+    ask_for_mounting(draft, "px4", about, turn, (roles[Role.ROTATION], number, new))
+    draft.set_integer(
+        roles[Role.ROTATION],
+        new,
+        Rank.ROTATION,
+        f"{about} is mounted turned by {turn.name}",
+        kind=ParameterKind.INT32,
+        about=about,
+    )
+    return True

@@ -1,0 +1,217 @@
+"""Taking the calibration in force off a stream: what the bare sensor measured (FLIGHT_CONTROLLERS 2.3)."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.errors import FirmwareError, InvalidInputError
+from mavcal.calib.firmware.ardupilot import parameters as ardupilot
+from mavcal.calib.firmware.in_force.pieces import Key, Parameters, Piece
+from mavcal.calib.firmware.names import CALIBRATION_PREFIXES
+from mavcal.calib.firmware.plan import Value
+from mavcal.calib.firmware.px4 import parameters as px4
+from mavcal.calib.firmware.slots import CALIBRATED
+from mavcal.calib.recording import (
+    Channel,
+    Event,
+    Identity,
+    ParameterEntry,
+    ParameterTimeline,
+    Recording,
+    Sensor,
+    Stage,
+    join,
+)
+
+Array = NDArray[np.float64]
+
+GUARD_BEFORE_S: Final = 0.5
+GUARD_AFTER_S: Final = 0.1
+"""Samples so near to a change are left out: it acts before its echo, and the firmware's filter still rings after it."""
+PX4_BATTERIES: Final = 2
+MIXING: Final = 0.1
+"""A rotated axis that takes at least this much from an axis in its zero bin counts as lying in it."""
+
+
+def calibration_changes(recording: Recording) -> tuple[ParameterEntry, ...]:
+    """Entries at which a calibration parameter took another value; a live capture with any of them is refused."""
+    return recording.parameters.changes(CALIBRATION_PREFIXES.get(recording.identity.autopilot or "", ()))
+
+
+def undo(recording: Recording) -> Recording:
+    """The same recording with every accelerometer, gyroscope and compass channel at :attr:`Stage.RAW`, sensor frame.
+
+    Each sample is undone with the parameters in force at its time (:class:`Undo`). A channel whose calibration in force
+    is not known (parameters, temperature or motor current missing) keeps its stage, and an event of kind ``undo`` says
+    why: a fit of it is relative. Debiased channels stay as they are.
+
+    Raises
+    ------
+    FirmwareError
+        If the recording is of neither ArduPilot nor PX4.
+    """
+    return Undo(recording.identity, whole=True).feed(recording)
+
+
+class Undo:
+    """The same for consecutive chunks of one recording: it remembers parameters, temperatures and motor currents.
+
+    A parameter counts from its first sight on for everything before; every later change counts from its time, and
+    samples within half a second of a change that matters to them are left out. On PX4 each change goes through the
+    thresholds of its memory, which starts as after a boot with the first values seen.
+
+    Parameters
+    ----------
+    identity
+        Whose stream it is.
+    parameters
+        What was read before (mapping, or timeline with its changes); the chunks' own entries are added as they come.
+    whole
+        True: one chunk is the whole recording, so a temperature that is missing in it will never come. False: samples
+        that come before the temperature or current they need are left out.
+    """
+
+    def __init__(
+        self,
+        identity: Identity,
+        parameters: ParameterTimeline | Mapping[str, Value] | None = None,
+        *,
+        whole: bool = False,
+    ) -> None:
+        if identity.autopilot is None or identity.autopilot not in CALIBRATION_PREFIXES:
+            raise FirmwareError(f"calibrations of ArduPilot and PX4 can be undone, not of {identity.autopilot!r}")
+        self._autopilot: str = identity.autopilot
+        self._whole = whole
+        self._held: dict[Key, tuple[float, float]] = {}
+        self._reported: set[tuple[Sensor, int, str]] = set()
+        self._piece = Piece(-np.inf, {}, {})
+        self._latest: Parameters = {}
+        if not isinstance(parameters, ParameterTimeline):
+            parameters = ParameterTimeline.constant(parameters or {})
+        self._piece = self._pieces(parameters)[-1].throughout()
+
+    def feed(self, chunk: Recording) -> Recording:
+        """The next chunk at :attr:`Stage.RAW`."""
+        pieces = self._pieces(chunk.parameters)
+        self._piece = pieces[-1].throughout()
+        channels, events = [], list(chunk.events)
+        for channel in chunk.channels:
+            if channel.sensor not in CALIBRATED or channel.stage not in (Stage.CORRECTED, Stage.FILTERED):
+                channels.append(channel)
+                continue
+            try:
+                channels.append(self._raw(channel, chunk, pieces))
+            except (FirmwareError, InvalidInputError) as reason:
+                channels.append(channel)
+                if channel.key not in self._reported:
+                    self._reported.add(channel.key)
+                    text = f"{channel.sensor} {channel.instance + 1} of {channel.source} stays as streamed: {reason}"
+                    events.append(Event(float(channel.t[0]), "undo", text))
+        self._hold(chunk)
+        return dataclasses.replace(chunk, channels=tuple(c for c in channels if len(c)), events=tuple(events))
+
+    def _pieces(self, timeline: ParameterTimeline) -> list[Piece]:
+        """The spans of constant parameters, from the present one on."""
+        prefixes = CALIBRATION_PREFIXES[self._autopilot]
+        first: Parameters = {}
+        changes: dict[float, Parameters] = {}
+        for entry in timeline.entries:
+            if not entry.name.startswith(prefixes):
+                continue
+            if entry.name not in self._latest:
+                first[entry.name] = entry.value
+            elif self._latest[entry.name] != entry.value:
+                changes.setdefault(entry.t, {})[entry.name] = entry.value
+            self._latest[entry.name] = entry.value
+        pieces = [self._piece.completed(self._autopilot, first) if first else self._piece]
+        for t, changed in changes.items():
+            pieces.append(pieces[-1].changed(t, changed))
+        return pieces
+
+    def _raw(self, channel: Channel, chunk: Recording, pieces: list[Piece]) -> Channel:
+        if len(pieces) == 1:
+            return self._undone(channel, chunk, pieces[0])
+        spans = _spans(channel, pieces, self._autopilot)
+        parts = [self._undone(channel.take(rows), chunk, piece) for piece, rows in spans]
+        if not parts:
+            return dataclasses.replace(channel.take(slice(0)), stage=Stage.RAW)
+        return join([Recording((part,)) for part in parts]).channels[0]
+
+    def _undone(self, channel: Channel, chunk: Recording, piece: Piece) -> Channel:
+        model = piece.model(self._autopilot, (channel.sensor, channel.instance))
+        values, temperature = channel.values, None
+        if self._autopilot == "ardupilot" and channel.sensor == Sensor.MAG:
+            throttle = self._drive(Sensor.THROTTLE, 0, channel, chunk)
+            current = self._drive(Sensor.CURRENT, 0, channel, chunk)
+            term = ardupilot.motor_term(piece.parameters, channel.instance, throttle, current)
+            values = values if term is None else values - term
+        if model.polynomial is not None:
+            temperature = self._drive(Sensor.TEMPERATURE, channel.instance, channel, chunk)
+            if temperature is None:
+                raise FirmwareError(
+                    "its correction depends on temperature and none was recorded; stream RAW_IMU or SCALED_IMU too"
+                )
+        raw = model.invert(values, temperature)
+        if self._autopilot == "px4" and channel.sensor == Sensor.MAG:
+            added = self._px4_motors(channel, chunk, piece)
+            raw = raw if added is None else raw - added
+        known = np.isfinite(raw).all(axis=1) | ~np.isfinite(channel.values).all(axis=1)
+        turned = _turned(channel.zero_bin, model.matrix)
+        undone = dataclasses.replace(channel, values=raw, stage=Stage.RAW, zero_bin=turned)
+        return undone if known.all() else undone.take(np.flatnonzero(known))
+
+    def _px4_motors(self, channel: Channel, chunk: Recording, piece: Piece) -> Array | None:
+        """What PX4 added to the raw field for its motors, uT (N, 3); None: nothing."""
+        known = {k: self._drive(Sensor.CURRENT, k, channel, chunk) for k in range(PX4_BATTERIES)}
+        currents = {k: current for k, current in known.items() if current is not None}
+        throttle = self._drive(Sensor.THROTTLE, 0, channel, chunk)
+        return px4.motor_term(piece.parameters, channel.instance, throttle, currents)
+
+    def _drive(self, sensor: Sensor, instance: int, channel: Channel, chunk: Recording) -> Array | None:
+        """Last value of `sensor` known at each sample, nan before the first; None: it will never be known."""
+        found = chunk.find(sensor, instance)
+        held = self._held.get((sensor, instance))
+        if not found and held is None and self._whole:
+            return None
+        times, values = np.array([-np.inf]), np.array([np.nan if held is None else held[1]])
+        if found:
+            times, values = np.append(times, found[0].t), np.append(values, found[0].values[:, 0])
+        return np.asarray(values[np.searchsorted(times, channel.t, side="right") - 1])
+
+    def _hold(self, chunk: Recording) -> None:
+        for channel in chunk.channels:
+            if channel.sensor in (Sensor.TEMPERATURE, Sensor.CURRENT, Sensor.THROTTLE) and len(channel):
+                key = channel.sensor, channel.instance
+                if key not in self._held or self._held[key][0] <= channel.t[-1]:
+                    self._held[key] = float(channel.t[-1]), float(channel.values[-1, 0])
+
+
+def _spans(channel: Channel, pieces: list[Piece], autopilot: str) -> list[tuple[Piece, NDArray[np.bool_]]]:
+    """Which rows of `channel` lie in which piece; rows near a change of its correction in none."""
+    ends = [piece.start for piece in pieces[1:]] + [np.inf]
+    allowed = np.ones(len(channel), dtype=bool)
+    key = channel.sensor, channel.instance
+    for before, after in itertools.pairwise(pieces):
+        if not before.same(autopilot, after, key):
+            allowed &= (channel.t < after.start - GUARD_BEFORE_S) | (channel.t >= after.start + GUARD_AFTER_S)
+    spans = [
+        (piece, allowed & (channel.t >= piece.start) & (channel.t < end))
+        for piece, end in zip(pieces, ends, strict=True)
+    ]
+    return [(piece, rows) for piece, rows in spans if rows.any()]
+
+
+def _turned(zero_bin: NDArray[np.bool_] | None, matrix: Array) -> NDArray[np.bool_] | None:
+    """Zero-bin marks of the body's axes, on the axes of the sensor."""
+    if zero_bin is None:
+        return None
+    if not np.any(matrix - np.diag(np.diag(matrix))):
+        return zero_bin
+    weight = np.abs(np.linalg.inv(matrix))
+    return np.asarray(zero_bin @ (weight > MIXING * weight.max()).T)

@@ -1,0 +1,237 @@
+"""The check of one sensor's stream against every combination of the changes that act on it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.firmware.compose.draft import Subject
+from mavcal.calib.firmware.compose.fitted import Pair
+from mavcal.calib.firmware.proof.discrepancy import Capture, Undo, covariance, discrepancy, expected_of, true_magnitude
+from mavcal.calib.firmware.proof.evidence import Evidence, Reading
+from mavcal.calib.firmware.proof.force import Force
+from mavcal.calib.firmware.proof.hypotheses import Hypothesis, Judgement, judge
+from mavcal.calib.firmware.proof.known_drift import known_drift
+from mavcal.calib.fit import FitResult
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import ThermalPolynomial, TriadModel
+
+Array = NDArray[np.float64]
+
+ALL_APPLIED: Hypothesis = frozenset()
+_BLIND: Final = 1e-3
+"""Distance below which a check says nothing of a direction; its standard deviation is then a thousand effects."""
+TEMPERATURE_SLACK: Final = 0.3
+"""degC beyond the range of a fit within which its drift still counts as known (streams carry about 1 Hz of it)."""
+
+
+@dataclass(eq=False)
+class Corrections:
+    """Models and undoing of one sensor under hypotheses, each computed once."""
+
+    force: Force
+    about: Subject
+    _models: dict[Hypothesis, TriadModel] = field(default_factory=dict)
+
+    @property
+    def every(self) -> Hypothesis:
+        """The names of all changes."""
+        return frozenset(change.name for change in self.force.changes)
+
+    def model(self, refused: Hypothesis) -> TriadModel:
+        """The correction in force if `refused` did not take effect."""
+        if refused not in self._models:
+            self._models[refused] = self.force.model(self.about, self.every - refused)
+        return self._models[refused]
+
+    def raw(self, refused: Hypothesis, readings: Sequence[Reading]) -> Array:
+        """What the sensor measured at each reading, (K, 3), if `refused` did not take effect."""
+        streamed = np.array([r.mean for r in readings]).reshape(-1, 3)
+        motor = self.force.motor(self.about, self.every - refused, readings)
+        return self.model(refused).invert(streamed - motor, self.temperatures(refused, readings))
+
+    def stream(self, refused: Hypothesis, raw: Array, readings: Sequence[Reading]) -> Array:
+        """What the vehicle would stream of `raw` (K, 3) under the conditions of `readings`."""
+        motor = self.force.motor(self.about, self.every - refused, readings)
+        return self.model(refused).apply(raw, self.temperatures(refused, readings)) + motor
+
+    def temperatures(self, refused: Hypothesis, readings: Sequence[Reading]) -> Array | None:
+        """Temperatures (K,) of the readings; None where the correction does not need them."""
+        if self.model(refused).polynomial is None:
+            return None
+        return np.array([np.nan if r.temperature is None else r.temperature for r in readings])
+
+    def readable(self, readings: tuple[Reading, ...]) -> tuple[Reading, ...]:
+        """Those of `readings` that can be undone: a correction by temperature needs the temperature."""
+        thermal = any(self.model(h).polynomial is not None for h in (ALL_APPLIED, self.every))
+        return tuple(r for r in readings if r.temperature is not None or not thermal)
+
+
+@dataclass(frozen=True, eq=False)
+class StreamCheck:
+    """What one sensor's stream says of `names`, the changes that act on it."""
+
+    corrections: Corrections
+    capture: Capture
+    names: tuple[str, ...]
+    judgement: Judgement
+    equality: bool
+    """Whether the captures before and after were compared; False: none before, or the vehicle was moved."""
+
+    @property
+    def unit(self) -> str:
+        """Unit of the stream."""
+        return {Sensor.ACCEL: "m/s2", Sensor.GYRO: "rad/s"}.get(self.capture.sensor, "uT")
+
+    def effect(self, name: str) -> float:
+        """How far the stream would be off, at most over the readings, if `name` alone had not taken effect."""
+        readings = (*self.capture.after, *self.capture.invariant)
+        raw = self.corrections.raw(ALL_APPLIED, readings)
+        with_it, without = (self.corrections.stream(h, raw, readings) for h in (ALL_APPLIED, frozenset({name})))
+        return float(np.linalg.norm(with_it - without, axis=1).max())
+
+    def sd(self, name: str) -> float:
+        """Standard deviation of the check along the effect of `name`, in the unit of the stream."""
+        distance, effect = self.judgement.distance[name], self.effect(name)
+        if effect > 0.0:
+            return effect / max(distance, _BLIND)
+        matrix = self.covariance(self.capture, equality=self.equality)
+        return float(np.sqrt(np.diag(matrix).min()))
+
+    def covariance(self, capture: Capture, *, equality: bool) -> Array:
+        """Covariance of the discrepancy of `capture` with everything in force."""
+        undo = self._undo(ALL_APPLIED)
+        return covariance(capture, self.corrections.model(ALL_APPLIED), undo, equality=equality)
+
+    def distance_in(self, name: str, readings: tuple[Reading, ...]) -> float:
+        """How many standard deviations `name` would be worth with other readings, held against lengths alone."""
+        capture = dataclasses.replace(self.capture, before=None, raw_before=None, after=readings, invariant=readings)
+        root = np.linalg.cholesky(self.covariance(capture, equality=False))
+        shift = discrepancy(capture, self._undo(frozenset({name})), equality=False)
+        shift = shift - discrepancy(capture, self._undo(ALL_APPLIED), equality=False)
+        return float(np.linalg.norm(np.linalg.solve(root, shift)))
+
+    def _undo(self, refused: Hypothesis) -> Undo:
+        return lambda readings: self.corrections.raw(refused, readings)
+
+
+def check_stream(
+    about: Subject,
+    names: tuple[str, ...],
+    force: Force,
+    pair: Pair | None,
+    then: Evidence,
+    now: Evidence,
+    *,
+    restarted: bool,
+) -> StreamCheck | None:
+    """Hold the stream of `about` against every combination of `names`; None if there is nothing to hold it against.
+
+    `restarted`: whether the vehicle was restarted after `then` was taken.
+
+    If no combination explains the captures before and after together, the vehicle was moved between them, and only
+    the lengths of its vectors are left. A gyroscope at rest reads the same in any attitude, so it has no such excuse.
+    """
+    corrections = Corrections(force, about)
+    capture = _capture(corrections, pair, then, now, restarted=restarted)
+    ways = [True] if capture.equality else []
+    if capture.lengths and not (ways and about.sensor == Sensor.GYRO):
+        ways.append(False)
+    check = None
+    for equality in ways:
+        judgement = _judge(corrections, capture, names, equality=equality)
+        check = StreamCheck(corrections, capture, names, judgement, equality)
+        if judgement.explained:
+            return check
+    moved = ways == [True] and about.sensor != Sensor.GYRO
+    return None if moved else check
+
+
+def _capture(corrections: Corrections, pair: Pair | None, then: Evidence, now: Evidence, *, restarted: bool) -> Capture:
+    about = corrections.about
+    in_force = corrections.model(ALL_APPLIED).polynomial
+    drift = None if pair is None else pair.drift
+    moves = known_drift(about.sensor, drift, in_force)
+    known = moves.polynomial
+    readings = within(known, corrections.readable(now.readings.get(about, ())))
+    moving = within(known, corrections.readable(now.moving.get(about, ())))
+    earlier = within(known, corrections.readable(then.readings.get(about, ())))
+    before = earlier[-1] if earlier else None
+    expected = None
+    if pair is not None and pair.absolute is not None:
+        expected = expected_of(pair.at_rest, drift, moves, _magnitude(about.sensor, pair.absolute))
+    return Capture(
+        sensor=about.sensor,
+        before=before,
+        raw_before=None if before is None else corrections.raw(corrections.every, (before,))[0],
+        after=readings,
+        invariant=(*readings, *moving),
+        expected=expected,
+        drift=moves,
+        restarted=restarted,
+    )
+
+
+def within(polynomial: ThermalPolynomial | None, readings: tuple[Reading, ...]) -> tuple[Reading, ...]:
+    """Those of `readings` at temperatures where the drift is known: beyond, the firmware clamps and the sensor goes on.
+
+    Readings without a temperature stay: what is not known of them is in the covariance.
+    """
+    if polynomial is None:
+        return readings
+    low, high = polynomial.t_min - TEMPERATURE_SLACK, polynomial.t_max + TEMPERATURE_SLACK
+    return tuple(r for r in readings if r.temperature is None or low <= r.temperature <= high)
+
+
+def out_of_range(about: Subject, force: Force, pair: Pair | None, now: Evidence) -> str:
+    """In words, that every reading of `about` was taken where its drift is not known; empty if not.
+
+    Waiting there proves nothing, so the range is said in which it will be provable.
+    """
+    in_force = Corrections(force, about).model(ALL_APPLIED).polynomial
+    known = known_drift(about.sensor, None if pair is None else pair.drift, in_force).polynomial
+    taken = [r for r in now.readings.get(about, ()) if r.temperature is not None]
+    if known is None or not taken or within(known, tuple(taken)):
+        return ""
+    heat = float(taken[-1].temperature or 0.0)
+    side = f"below {known.t_max:.0f}" if heat > known.t_max else f"above {known.t_min:.0f}"
+    return (
+        f"{about} is at {heat:.1f} degC and its drift is known from {known.t_min:.0f} to {known.t_max:.0f} degC: "
+        f"it will be provable {side} degC"
+    )
+
+
+def _magnitude(sensor: Sensor, fit: FitResult | None) -> float | None:
+    """Length of the true vector; a magnetometer's is in the quality of its fit, if the field was known."""
+    if sensor != Sensor.MAG or fit is None:
+        return true_magnitude(sensor)
+    radius, ratio = fit.quality.get("radius"), fit.quality.get("field_ratio")
+    return None if not radius or not ratio else float(radius) / float(ratio)
+
+
+def _judge(corrections: Corrections, capture: Capture, names: tuple[str, ...], *, equality: bool) -> Judgement:
+    whole = corrections.model(ALL_APPLIED)
+    matrix = covariance(capture, whole, lambda r: corrections.raw(ALL_APPLIED, r), equality=equality)
+    whitening = np.linalg.inv(np.linalg.cholesky(matrix))
+
+    def whitened(refused: Hypothesis) -> Array:
+        vector = discrepancy(capture, lambda r: corrections.raw(refused, r), equality=equality)
+        return np.asarray(whitening @ vector)
+
+    return judge(names, whitened)
+
+
+def strongest(checks: Mapping[Subject, StreamCheck], name: str) -> StreamCheck | None:
+    """The check with the most to say of `name`: a contradiction first, then the largest distance."""
+    about = [c for c in checks.values() if name in c.names]
+    return max(about, key=lambda c: _weight(c, name), default=None)
+
+
+def _weight(check: StreamCheck, name: str) -> tuple[int, float]:
+    order = ("not_observable", "consistent", "proved", "contradicted")
+    return order.index(check.judgement.verdicts[name].value), check.judgement.distance[name]

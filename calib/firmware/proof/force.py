@@ -1,0 +1,143 @@
+"""Which correction would be in force if only some of a plan's changes had taken effect."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware import names
+from mavcal.calib.firmware.ardupilot import parameters as ardupilot
+from mavcal.calib.firmware.compose.draft import Subject
+from mavcal.calib.firmware.plan import Change, Value
+from mavcal.calib.firmware.proof.evidence import Reading
+from mavcal.calib.firmware.px4 import parameters as px4
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import TriadModel
+
+Array = NDArray[np.float64]
+
+_HIDDEN_DEFAULTS: Final = MappingProxyType({"TMIN": 0.0, "TREF": 25.0})
+_TMAX: Final = MappingProxyType({"ardupilot": 70.0, "px4": 100.0})
+
+
+@dataclass(frozen=True)
+class Force:
+    """The corrections of one vehicle as a function of the changes that took effect.
+
+    `parameters` is the vehicle with every change of the plan in it.
+    """
+
+    autopilot: str
+    parameters: Mapping[str, Value]
+    changes: tuple[Change, ...]
+
+    def model(self, about: Subject, applied: Set[str]) -> TriadModel:
+        """The correction of `about` with only `applied` (names) in effect and the old values elsewhere.
+
+        PX4 keeps its calibration in a memory that a parameter may fail to reach, so there the memory is made of old
+        and new numbers directly, without asking whether a boot would take them.
+        """
+        mixed = self._mixed(applied)
+        if self.autopilot == "ardupilot":
+            return ardupilot.calibration_in_force(mixed, about.sensor, about.instance)
+        return px4.calibration_in_force(mixed, about.sensor, about.instance, self._memory(about, applied))
+
+    def motor(self, about: Subject, applied: Set[str], readings: Sequence[Reading]) -> Array:
+        """What the firmware adds to a compass for its motors at each reading, uT (K, 3)."""
+        nothing = np.zeros((len(readings), 3))
+        if self.autopilot != "ardupilot" or about.sensor != Sensor.MAG or not readings:
+            return nothing
+        throttle = _all_known([r.throttle for r in readings])
+        current = _all_known([r.current for r in readings])
+        term = ardupilot.motor_term(self._mixed(applied), about.instance, throttle, current)
+        return nothing if term is None else term
+
+    def acting(self, about: Subject) -> tuple[str, ...]:
+        """Names of the changes that the correction of `about` depends on.
+
+        A change counts as acting if it matters beside all others or all alone: a coefficient matters only once its
+        set is enabled, and the enabling only with coefficients.
+        """
+        every = frozenset(change.name for change in self.changes)
+        whole, none = self.model(about, every), self.model(about, frozenset())
+        motors = self._motor_names(about)
+        return tuple(
+            name
+            for name in (change.name for change in self.changes)
+            if name in motors
+            or _differ(whole, self.model(about, every - {name}))
+            or _differ(none, self.model(about, {name}))
+        )
+
+    def _motor_names(self, about: Subject) -> set[str]:
+        if self.autopilot != "ardupilot" or about.sensor != Sensor.MAG:
+            return set()
+        roles = ardupilot.calibration_names(self.parameters, about.sensor, about.instance)
+        return {roles[role] for role in names.MOTOR}
+
+    def _mixed(self, applied: Set[str]) -> dict[str, Value]:
+        values = dict(self.parameters)
+        for change in self.changes:
+            values[change.name] = change.new if change.name in applied else self._old(change)
+        return values
+
+    def _old(self, change: Change) -> Value:
+        """The value before; the firmware's default where it was hidden."""
+        if change.old is not None:
+            return change.old
+        ending = change.name.rsplit("_", 1)[-1]
+        if ending == "TMAX":
+            return _TMAX[self.autopilot]
+        return _HIDDEN_DEFAULTS.get(ending, 0)
+
+    def _memory(self, about: Subject, applied: Set[str]) -> px4.Px4Calibration:
+        old = px4.Px4Calibration.load(self._mixed(frozenset()), about.sensor, about.instance)
+        roles = px4.calibration_names(self.parameters, about.sensor, about.instance)
+        new = {change.name: float(change.new) for change in self.changes if change.name in applied}
+
+        def taken(held: Array, triple: names.Triple) -> Array:
+            return np.array([new.get(roles.get(role, ""), held[i]) for i, role in enumerate(triple)])
+
+        return px4.Px4Calibration(
+            about.sensor,
+            about.instance,
+            offset=taken(old.offset, names.OFFSET),
+            scale=taken(old.scale, names.SCALE),
+            cross=taken(old.cross, names.CROSS),
+        )
+
+
+def force_of(autopilot: str, parameters: Mapping[str, Value], changes: tuple[Change, ...]) -> Force:
+    """The corrections of a vehicle with `parameters` and a plan's `changes`.
+
+    Raises
+    ------
+    FirmwareError
+        If the autopilot is not known.
+    """
+    if autopilot not in _TMAX:
+        raise FirmwareError(f"what {autopilot} does with its parameters is not known, so nothing of it can be checked")
+    return Force(autopilot, {**parameters, **{c.name: c.new for c in changes}}, changes)
+
+
+def _all_known(values: Sequence[float | None]) -> Array | None:
+    known = [v for v in values if v is not None]
+    return np.array(known) if len(known) == len(values) else None
+
+
+def _differ(a: TriadModel, b: TriadModel) -> bool:
+    """Whether two corrections differ anywhere in the narrower of their temperature ranges.
+
+    Beyond it one of them is clamped while the sensor drifts on unknown, so no stream could tell them apart there.
+    """
+    curves = [m.polynomial for m in (a, b) if m.polynomial is not None]
+    if not curves or not np.array_equal(a.matrix, b.matrix):
+        return not (np.array_equal(a.offset, b.offset) and np.array_equal(a.matrix, b.matrix))
+    heat = np.linspace(max(c.t_min for c in curves), min(c.t_max for c in curves), 9)
+    return not np.allclose(a.bias(heat), b.bias(heat), rtol=0.0, atol=1e-12)

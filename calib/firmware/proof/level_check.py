@@ -1,0 +1,158 @@
+"""The level after a level job: where its trim shows, and whether the vehicle reads level as it stands.
+
+PX4 turns every sensor by its trim: SCALED_IMU shows it, and :mod:`calib.firmware.proof.check` proves it. ArduPilot
+turns the attitude, behind all sensors (FLIGHT_CONTROLLERS 2.2: AHRS_TRIM is in no IMU message), so only ATTITUDE
+shows it: with ``E = from_euler(trim)``, vehicle from board, "down" in the vehicle is ``E d``, ``d`` that in the board.
+From one trim to the next it is turned by ``E_new E_old^T``, whatever the estimator's own error.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence, Set
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.firmware.compose.draft import Subject
+from mavcal.calib.firmware.compose.trim import AHRS_TRIM, force_when_level
+from mavcal.calib.firmware.plan import Change, ParameterVerdict, SensorCheck, SensorVerdict, Verdict, WritePlan
+from mavcal.calib.firmware.proof.check import ALL_APPLIED, Corrections
+from mavcal.calib.firmware.proof.evidence import Evidence, Reading
+from mavcal.calib.firmware.proof.force import Force
+from mavcal.calib.firmware.proof.hypotheses import OBSERVABLE, Hypothesis, judge
+from mavcal.calib.firmware.rotations import euler_matrix
+from mavcal.calib.fit import FitResult
+from mavcal.calib.recording import Recording, Sensor
+
+Array = NDArray[np.float64]
+
+HALF_S: Final = 1.0
+"""s of attitude on either side of a reading at rest."""
+ESTIMATOR_SD: Final = np.radians(0.1)
+"""How an estimator's attitude at rest wanders from one capture to the next."""
+SAME_POSE: Final = np.radians(0.3)
+"""rad within which the vehicle still stands as it stood when its level was measured."""
+LEAST: Final = 4
+"""Attitudes of a mean."""
+LEVEL_WITHIN: Final[Mapping[str, float]] = {"ardupilot": float(np.radians(0.5)), "px4": float(np.radians(0.2))}
+"""rad from level, where the level was measured: ArduPilot's is its estimator's, PX4's the accelerometer's own."""
+
+
+def level_checks(
+    plan: WritePlan,
+    levels: Sequence[FitResult],
+    before: Recording | None,
+    after: Recording,
+    then: Evidence,
+    now: Evidence,
+    force: Force,
+) -> tuple[dict[str, ParameterVerdict], tuple[SensorCheck, ...]]:
+    """What ATTITUDE says of ArduPilot's trim by its parameters' names, and whether the vehicle reads level."""
+    if not levels:
+        return {}, ()
+    fit = min(levels, key=lambda f: f.instance)
+    about = Subject(Sensor.ACCEL, fit.instance)
+    corrections = Corrections(force, about)
+    earlier = corrections.readable(then.readings.get(about, ()))[-1:]
+    there = [r for r in corrections.readable(now.readings.get(about, ())) if _stands(corrections, fit, r)]
+    names = [c for c in plan.changes if c.name in AHRS_TRIM]
+    verdicts: dict[str, ParameterVerdict] = {}
+    if force.autopilot == "ardupilot" and names and before is not None:
+        later = _unmoved(corrections, earlier, now, about)
+        verdicts = _trims(force, names, _downs(before, earlier), _downs(after, later))
+    seen = _downs(after, there) if force.autopilot == "ardupilot" else [-r.mean / np.linalg.norm(r.mean) for r in there]
+    return verdicts, (_level(about, seen, fit, LEVEL_WITHIN[force.autopilot]),)
+
+
+def _stands(corrections: Corrections, fit: FitResult, reading: Reading) -> bool:
+    """Whether the vehicle stands as it did when `fit` was made: with the old trim it would read what the fit read."""
+    raw = corrections.raw(ALL_APPLIED, (reading,))
+    old = corrections.stream(corrections.every, raw, (reading,))[0]
+    return bool(_angle(old, force_when_level(float(fit.native["roll"]), float(fit.native["pitch"]))) <= SAME_POSE)
+
+
+def _unmoved(
+    corrections: Corrections, earlier: Sequence[Reading], now: Evidence, about: Subject
+) -> tuple[Reading, ...]:
+    """Readings after the write in the pose of the one before."""
+    if not earlier:
+        return ()
+    raw = corrections.raw(corrections.every, earlier)[0]
+    later = corrections.readable(now.readings.get(about, ()))
+    return tuple(r for r in later if _angle(corrections.raw(ALL_APPLIED, (r,))[0], raw) <= SAME_POSE)
+
+
+def _downs(recording: Recording, readings: Sequence[Reading]) -> list[Array]:
+    """Mean direction of down in the vehicle, (3,), beside each of `readings`."""
+    found = []
+    for channel in recording.find(Sensor.ATTITUDE, 0)[:1]:
+        for reading in readings:
+            part = channel.between(reading.t - HALF_S, reading.t + HALF_S)
+            if len(part) >= LEAST:
+                w, x, y, z = part.values.T  # the last row of the rotation from the body to north, east, down
+                rows = np.stack([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)], axis=1)
+                mean = rows.mean(axis=0)
+                found.append(mean / np.linalg.norm(mean))
+    return found
+
+
+def _trims(
+    force: Force, changes: Sequence[Change], before: Sequence[Array], after: Sequence[Array]
+) -> dict[str, ParameterVerdict]:
+    """Each trim by how "down" has turned between the captures."""
+    if not before or not after:
+        return {}
+    board = _vehicle_from_board(force, changes, frozenset(c.name for c in changes)).T @ before[-1]
+    seen = np.mean(after, axis=0)
+
+    def whitened(refused: Hypothesis) -> Array:
+        return np.asarray((_vehicle_from_board(force, changes, refused) @ board - seen)[:2] / ESTIMATOR_SD)
+
+    judgement = judge([c.name for c in changes], whitened)
+    found = {}
+    for change in changes:
+        effect = abs(float(change.new) - float(change.old or 0.0))
+        verdict = judgement.verdicts[change.name]
+        if not judgement.explained and judgement.distance[change.name] >= OBSERVABLE:
+            verdict, text = Verdict.NOT_OBSERVABLE, "the attitude has changed otherwise meanwhile: nothing can be told"
+        else:
+            text = _WORDS[verdict]
+        found[change.name] = ParameterVerdict(change.name, verdict, effect, float(ESTIMATOR_SD), "rad", text)
+    return found
+
+
+_WORDS: Final[Mapping[Verdict, str]] = {
+    Verdict.PROVED: "the attitude has turned by the change of the trim",
+    Verdict.CONSISTENT: "the attitude agrees with the new value, but also with the old one",
+    Verdict.NOT_OBSERVABLE: "its change is below 3 standard deviations of the attitude",
+    Verdict.CONTRADICTED: "the attitude behaves as if the old value were still in force",
+}
+
+
+def _vehicle_from_board(force: Force, changes: Sequence[Change], refused: Set[str]) -> Array:
+    values = {name: float(force.parameters.get(name, 0.0)) for name in AHRS_TRIM}
+    values |= {c.name: float((c.old or 0.0) if c.name in refused else c.new) for c in changes}
+    roll, pitch = (float(np.degrees(values[name])) for name in AHRS_TRIM)
+    return euler_matrix(roll, pitch, 0.0)
+
+
+def _level(about: Subject, downs: Sequence[Array], fit: FitResult, within: float) -> SensorCheck:
+    sd = math.hypot(float(fit.native["roll_sd"]), float(fit.native["pitch_sd"]))
+    if not downs:
+        text = "the vehicle does not stand, or show its attitude, as it did when its level was measured"
+        return SensorCheck(
+            "level", about.sensor, about.instance, None, None, "rad", None, SensorVerdict.NOT_OBSERVABLE, text
+        )
+    off = min(_angle(d, np.array([0.0, 0.0, 1.0])) for d in downs)
+    limit = within + 5.0 * sd
+    wrong = off > limit
+    text = f"the vehicle reads {math.degrees(off):.2f} deg off level where its level was measured"
+    text += f"; {'at most' if wrong else 'the limit is'} {math.degrees(limit):.2f} deg"
+    verdict = SensorVerdict.WRONG if wrong else SensorVerdict.RIGHT
+    return SensorCheck("level", about.sensor, about.instance, off, limit, "rad", sd, verdict, text)
+
+
+def _angle(a: Array, b: Array) -> float:
+    return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))

@@ -1,0 +1,1 @@
+"""Facts of PX4: parameters, topics and flights."""

@@ -1,0 +1,160 @@
+"""What a PX4 log tells beside its inertial sensors: pose, place, current, throttle, motors, arming."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.firmware.px4.topics import TRUTH, US, Topic, Topics, columns, has, instances_of, sample_time, triple
+from mavcal.calib.recording import Channel, Event, Sensor, Stage
+
+Array = NDArray[np.float64]
+
+FIX_3D: Final = 3
+ARMING_STATE_ARMED: Final = 2
+MOST_OUTPUTS: Final = 16
+PWM_LOW, PWM_SPAN = 1000.0, 1000.0
+
+
+def flight_channels(topics: Topics) -> list[Channel]:
+    """Attitude, position, velocity, place, current, throttle, motors and rotor speeds."""
+    return [
+        channel
+        for maker in (_attitude, _gps, _local, _current, _throttle, _motors, _rotors)
+        for channel in maker(topics)
+        if len(channel)
+    ]
+
+
+def truth_channels(topics: Topics) -> list[Channel]:
+    """What a simulator says of the vehicle: attitude, place, velocity and position of the ``*_groundtruth`` topics."""
+    made = (
+        *_attitude(topics, "vehicle_attitude" + TRUTH),
+        *_local(topics, "vehicle_local_position" + TRUTH),
+        *_global(topics, "vehicle_global_position" + TRUTH),
+    )
+    return [channel for channel in made if len(channel)]
+
+
+def arming_events(topics: Topics) -> list[Event]:
+    """Every change between armed and disarmed, the first state included if it is armed."""
+    for name, column, armed in (("actuator_armed", "armed", 1), ("vehicle_status", "arming_state", ARMING_STATE_ARMED)):
+        topic = topics.get((name, 0))
+        if topic is None or column not in topic or not len(topic["timestamp"]):
+            continue
+        state = topic[column].astype(np.int64) == armed
+        turned = np.flatnonzero(np.diff(state, prepend=False))
+        kinds = ["armed" if state[i] else "disarmed" for i in turned]
+        stamps = topic["timestamp"][turned].astype(np.float64) * US
+        return [Event(float(t), kind, f"the vehicle was {kind}") for t, kind in zip(stamps, kinds, strict=True)]
+    return []
+
+
+def _finite(sensor: Sensor, instance: int, t: Array, values: Array, unit: str, source: str) -> Channel:
+    """A channel of the rows in which every value is a number."""
+    good = np.isfinite(values).all(axis=1)
+    return Channel(sensor, instance, t[good], values[good], unit, Stage.RAW, source)
+
+
+def _attitude(topics: Topics, name: str = "vehicle_attitude") -> Iterator[Channel]:
+    topic = topics.get((name, 0))
+    if topic is None or not has(topic, *(f"q[{k}]" for k in range(4))):
+        return
+    q = columns(topic, *(f"q[{k}]" for k in range(4)))
+    size = np.linalg.norm(q, axis=1)
+    good = np.isfinite(size) & (size > 0.5)
+    q = q[good] / size[good, None]
+    yield Channel(Sensor.ATTITUDE, 0, sample_time(topic)[good], q, "1", Stage.RAW, name)
+
+
+def _gps(topics: Topics) -> Iterator[Channel]:
+    name = "vehicle_gps_position" if ("vehicle_gps_position", 0) in topics else "sensor_gps"
+    topic = topics.get((name, 0))
+    if topic is None or not has(topic, "timestamp", "fix_type"):
+        return
+    topic = {field: values[topic["fix_type"] >= FIX_3D] for field, values in topic.items()}
+    t = sample_time(topic)
+    if has(topic, "latitude_deg", "longitude_deg", "altitude_msl_m"):
+        place = columns(topic, "latitude_deg", "longitude_deg", "altitude_msl_m")
+        yield _finite(Sensor.POSITION, 0, t, place, "deg deg m", name)
+    elif has(topic, "lat", "lon", "alt"):
+        place = columns(topic, "lat", "lon", "alt") * np.array([1e-7, 1e-7, 1e-3])
+        yield _finite(Sensor.POSITION, 0, t, place, "deg deg m", name)
+    if has(topic, "vel_n_m_s", "vel_e_m_s", "vel_d_m_s"):
+        yield _finite(Sensor.VELOCITY, 0, t, columns(topic, "vel_n_m_s", "vel_e_m_s", "vel_d_m_s"), "m/s", name)
+
+
+def _global(topics: Topics, name: str) -> Iterator[Channel]:
+    topic = topics.get((name, 0))
+    if topic is not None and has(topic, "lat", "lon", "alt"):
+        yield _finite(Sensor.POSITION, 0, sample_time(topic), columns(topic, "lat", "lon", "alt"), "deg deg m", name)
+
+
+def _local(topics: Topics, name: str = "vehicle_local_position") -> Iterator[Channel]:
+    topic = topics.get((name, 0))
+    if topic is None:
+        return
+    for sensor, fields, unit, flag in (
+        (Sensor.PLACE, ("x", "y", "z"), "m", "xy_valid"),
+        (Sensor.VELOCITY, ("vx", "vy", "vz"), "m/s", "v_xy_valid"),
+    ):
+        if has(topic, *fields):
+            valid = topic[flag] != 0 if flag in topic else np.ones(len(topic["timestamp"]), dtype=bool)
+            yield _finite(sensor, 0, sample_time(topic)[valid], columns(topic, *fields)[valid], unit, name)
+
+
+def _current(topics: Topics) -> Iterator[Channel]:
+    for multi_id, topic in instances_of(topics, "battery_status"):
+        if "current_a" in topic:
+            measured = topic["current_a"] >= 0.0  # -1: not measured
+            values = columns(topic, "current_a")[measured]
+            yield _finite(Sensor.CURRENT, multi_id, sample_time(topic)[measured], values, "A", "battery_status")
+
+
+def _throttle(topics: Topics) -> Iterator[Channel]:
+    """|thrust setpoint|, which is what CAL_MAG_COMP_TYP 1 multiplies."""
+    topic = topics.get(("vehicle_thrust_setpoint", 0))
+    if topic is not None and has(topic, "xyz[0]", "xyz[1]", "xyz[2]"):
+        size = np.linalg.norm(triple(topic, "xyz"), axis=1)[:, None]
+        yield _finite(Sensor.THROTTLE, 0, sample_time(topic), size, "1", "vehicle_thrust_setpoint")
+        return
+    topic = topics.get(("actuator_controls_0", 0))
+    if topic is not None and "control[3]" in topic:
+        size = np.abs(columns(topic, "control[3]"))
+        yield _finite(Sensor.THROTTLE, 0, sample_time(topic), size, "1", "actuator_controls_0")
+
+
+def _motors(topics: Topics) -> Iterator[Channel]:
+    """Motor commands 0..1; where only PWM was logged, every output in use, whatever it drives."""
+    topic = topics.get(("actuator_motors", 0))
+    if topic is not None:
+        used = [f"control[{k}]" for k in range(MOST_OUTPUTS) if f"control[{k}]" in topic]
+        used = [name for name in used if np.isfinite(topic[name]).any()]
+        if used:
+            values = np.clip(np.nan_to_num(columns(topic, *used), nan=0.0), 0.0, 1.0)  # nan: the motor is stopped
+            yield _finite(Sensor.MOTOR, 0, sample_time(topic), values, "1", "actuator_motors")
+        return
+    for multi_id, outputs in instances_of(topics, "actuator_outputs"):
+        used = [f"output[{k}]" for k in range(MOST_OUTPUTS) if f"output[{k}]" in outputs and _is_pwm(outputs, k)]
+        if used:
+            values = np.clip((columns(outputs, *used) - PWM_LOW) / PWM_SPAN, 0.0, 1.0)
+            yield _finite(Sensor.MOTOR, multi_id, sample_time(outputs), values, "1", "actuator_outputs")
+
+
+def _is_pwm(topic: Topic, output: int) -> bool:
+    values = topic[f"output[{output}]"]
+    return bool((values >= 800.0).all() and (values <= 2200.0).all())
+
+
+def _rotors(topics: Topics) -> Iterator[Channel]:
+    topic = topics.get(("esc_status", 0))
+    if topic is None or "esc_count" not in topic or not len(topic["timestamp"]):
+        return
+    count = min(int(topic["esc_count"].max()), 8)
+    used = [f"esc[{k}].esc_rpm" for k in range(count)]
+    if used and has(topic, *used):
+        speeds = np.abs(columns(topic, *used)) / 60.0
+        yield _finite(Sensor.ROTOR_SPEED, 0, sample_time(topic), speeds, "Hz", "esc_status")

@@ -1,0 +1,1 @@
+"""What the vehicles' messages carry, as recordings."""

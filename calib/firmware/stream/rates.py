@@ -1,0 +1,74 @@
+"""Streams of a vehicle: what to ask for, and the :class:`Assembler` that understands what comes.
+
+Both firmwares give 25 and 50 Hz exactly (ArduPilot cuts intervals to whole milliseconds, PX4 rounds up to its 4 ms
+loop); at 100 Hz and more the steps become uneven. FLIGHT_CONTROLLERS 2, 9, 10.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware.stream import auxiliary
+from mavcal.calib.firmware.stream.assembler import Assembler
+from mavcal.calib.firmware.stream.messages import HIGHRES_IMU, RAW_IMU, SCALED_IMU, SCALED_IMU2, SCALED_IMU3
+from mavcal.calib.recording import Sensor
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+__all__ = ["Assembler", "requested_streams"]
+
+INERTIAL_HZ: Final = 50.0
+COMPASS_HZ: Final = 25.0
+STATE_HZ: Final = 2.0
+DRIVE_HZ: Final = 5.0
+POSITION_HZ: Final = 1.0
+
+BY_INSTANCE: Final = {
+    "ardupilot": (RAW_IMU, SCALED_IMU2, SCALED_IMU3),
+    "px4": (SCALED_IMU, SCALED_IMU2, SCALED_IMU3),
+}
+"""The message that carries inertial unit and compass number 0, 1, 2. More are not streamed by either firmware."""
+
+
+def requested_streams(
+    autopilot: str, sensors: Collection[Sensor], instances: Collection[int] = (0, 1, 2)
+) -> dict[int, float]:
+    """Rates in Hz by message id that a job over `sensors` asks for.
+
+    ArduPilot's HIGHRES_IMU is asked for besides: it carries the first inertial unit without rounding (boards with
+    little flash refuse it). PX4's is not: the bias that one looks for is already subtracted from it.
+
+    Raises
+    ------
+    FirmwareError
+        If the autopilot is neither ArduPilot nor PX4, or streams no such instance.
+    """
+    if autopilot not in BY_INSTANCE:
+        raise FirmwareError(f"mavcal asks ArduPilot and PX4 for streams, not autopilot {autopilot!r}")
+    messages = BY_INSTANCE[autopilot]
+    beyond = [i for i in instances if not 0 <= i < len(messages)]
+    if beyond:
+        raise FirmwareError(
+            f"{autopilot} streams {len(messages)} inertial units; instance {beyond[0]} only appears in logs"
+        )
+    inertial = {Sensor.ACCEL, Sensor.GYRO} & set(sensors)
+    rate = INERTIAL_HZ if inertial else COMPASS_HZ
+    wanted = {messages[i]: rate for i in instances}
+    if autopilot == "ardupilot":
+        if 0 in instances:
+            wanted[HIGHRES_IMU] = rate
+        # silent while no onboard calibration runs, and always silent unless asked for (FLIGHT_CONTROLLERS 9)
+        wanted[dialect.MAVLINK_MSG_ID_MAG_CAL_PROGRESS] = STATE_HZ
+        wanted[dialect.MAVLINK_MSG_ID_MAG_CAL_REPORT] = STATE_HZ
+    wanted[dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE] = STATE_HZ
+    wanted[auxiliary.VFR_HUD] = STATE_HZ
+    if Sensor.MAG in sensors:
+        # the Earth's field needs the place; ArduPilot's motor compensation has to be undone
+        wanted[auxiliary.GLOBAL_POSITION_INT] = POSITION_HZ
+        wanted[auxiliary.BATTERY_STATUS] = DRIVE_HZ
+        wanted[auxiliary.VFR_HUD] = DRIVE_HZ
+    return wanted

@@ -1,0 +1,411 @@
+"""Drift with temperature: a straight line (S2) and a polynomial, with errors that hold under coloured noise.
+
+A still sensor is regressed on its own temperature in a scaled variable, by normal equations summed over blocks of time
+(conditioning and speed: METHODS S2). A slow wander of the sensor looks like drift; how much of it there is follows
+from the residuals (:func:`calib.stats.correlated.coloured_regression`), so that the sd stays true.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
+from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.stats.correlated import ColouredCovariance
+from mavcal.calib.stats.quantisation import COARSE, impute, interval_regression
+from mavcal.calib.thermal.drift import Bins, DriftBlocks, DriftCurve, DriftData, powers_about, repeated_rows
+from mavcal.calib.thermal.quality import (
+    attitude_quality,
+    block_statistics,
+    common_warnings,
+    declined_warnings,
+    noise_quality,
+    or_none,
+    remedy_for,
+    said_of,
+    two_way_warnings,
+)
+from mavcal.calib.thermal.sweeps import (
+    Die,
+    Judgement,
+    Lag,
+    both_ways,
+    cross_validated,
+    hysteresis,
+    rates,
+    sweeps,
+    thermal_lag,
+)
+from mavcal.calib.triad import ThermalPolynomial, TriadModel
+
+Array = NDArray[np.float64]
+
+LINEAR_METHOD = "thermal-linear"
+POLYNOMIAL_METHOD = "thermal-poly"
+
+_ONLY_SLOPE = "a slope says nothing of the offset: rest a gyroscope (gyro-rest), turn an accelerometer on six faces"
+_COLDER = "start with a cold board and let it warm up at rest through ten degrees or more, better down again too"
+_SMALLEST_NOISE = 0.02  # of a quantum
+_MANY = 20_000  # samples beyond which equal ones are counted instead of listed
+
+
+def fit_linear(
+    channel: Channel,
+    temperature: Array,
+    *,
+    t_ref: float = 25.0,
+    through: Array | None = None,
+    min_span: float = 2.0,
+    relative: bool = False,
+) -> FitResult:
+    """Slope of every axis against temperature, ``corrected = raw - k (T - t_ref)`` (METHODS S2).
+
+    Parameters
+    ----------
+    channel
+        Samples of a motionless sensor, any unit.
+    temperature : shape (N,)
+        At every sample, degC.
+    t_ref : float
+        Temperature at which nothing is corrected; 0 is the published form.
+    through : shape (3,) or None
+        Values that the lines must take at `t_ref`: the slope through a fixed point, another estimator. None: least
+        squares with an intercept.
+    min_span : float
+        Least range of temperature, degC.
+    relative : bool
+        The calibration in force was not known.
+
+    Returns
+    -------
+    FitResult
+        Slopes in ``model.polynomial``, with an sd that holds under slow wander of the sensor. Offsets are not part of
+        this method and are named as undetermined; an axis that reads one constant value is named, not estimated.
+    """
+    data = DriftData.of(channel, temperature)
+    reason = data.refusal(1, min_span)
+    if reason:
+        return _refused(LINEAR_METHOD, channel, len(channel), reason)
+    x = data.t - t_ref
+    fixed = None if through is None else np.asarray(through, dtype=np.float64)
+    repeated = repeated_rows(data)
+    fresh = data.rows(~repeated)
+    blocks = DriftBlocks.of(x, data.time, data.y, degree=1, origin=fixed)
+    fresh_blocks = DriftBlocks.of(x[~repeated], fresh.time, fresh.y, degree=1, origin=fixed)
+    noise = fresh_blocks.noise()
+    none = np.zeros(3, dtype=np.bool_)
+    slope_row = 0 if fixed is not None else 1
+    slopes = blocks.ordinary[slope_row]
+    variance = noise.covariances[:, slope_row, slope_row]
+    estimated = ~data.constant
+    covariance = np.zeros((15, 15))
+    covariance[12:, 12:] = np.diag(np.where(estimated, variance, 0.0))
+    residual = blocks.residual_sd()
+    warnings = list(common_warnings(data, estimated))
+    if repeated.any():
+        warnings.append(
+            f"{int(repeated.sum())} of {data.n} rows repeat earlier rows exactly: they count as weights, and not as "
+            "new information for the sd"
+        )
+    weak = ", ".join(AXES[i] for i in range(3) if estimated[i] and slopes[i] ** 2 < 4.0 * variance[i])
+    if weak:
+        warnings.append(f"the slope of {weak} is not larger than twice its own sd: it may be no drift of temperature")
+    intercepts = blocks.ordinary[0] if fixed is None else fixed
+    undetermined = parameter_names()[:3] + tuple(f"poly1_{AXES[i]}" for i in range(3) if not estimated[i])
+    return FitResult(
+        method=LINEAR_METHOD,
+        sensor=channel.sensor,
+        instance=channel.instance,
+        status=FitStatus.OK if estimated.all() else FitStatus.PARTIAL,
+        message=said_of("slope", data, estimated),
+        model=TriadModel(
+            polynomial=ThermalPolynomial(t_ref, data.t_min, data.t_max, np.where(estimated, slopes, 0.0)[:, None])
+        ),
+        covariance=covariance,
+        unit=channel.unit,
+        n_samples=len(channel),
+        n_used=data.n,
+        residual_rms=float(np.sqrt((residual[estimated] ** 2).mean())) if estimated.any() else 0.0,
+        condition_number=blocks.condition,
+        relative=relative,
+        undetermined=undetermined,
+        movements={n: _ONLY_SLOPE if n.startswith("offset") else remedy_for(n, data, none, none) for n in undetermined},
+        warnings=tuple(warnings),
+        temperature=t_ref,
+        quality={
+            **noise_quality(data, noise, estimated),
+            **block_statistics(fresh_blocks, fresh_blocks.ordinary, estimated),
+            "repeated_rows": int(repeated.sum()),
+        },
+        native={
+            "slopes": or_none(slopes, estimated),
+            "intercepts": or_none(intercepts, estimated),
+            "t_ref": t_ref,
+            "form": "least_squares" if fixed is None else "through_point",
+            "residual_sd": or_none(residual, estimated),
+            "raw_sd": or_none(data.y.std(axis=0, ddof=1), estimated),
+        },
+    )
+
+
+def fit_polynomial(
+    channel: Channel,
+    temperature: Array,
+    *,
+    degree: int = 3,
+    t_ref: float = 35.0,
+    min_span: float = 10.0,
+    lag: bool = True,
+    relative: bool = False,
+) -> FitResult:
+    """Polynomial of every axis against temperature about `t_ref`, as both firmwares store it.
+
+    Parameters
+    ----------
+    channel
+        Samples of a motionless sensor in the order of time; coarse bins are treated as intervals.
+    temperature : shape (N,)
+        At every sample, degC.
+    degree : int
+        1 to 5.
+    t_ref : float
+        Where the polynomial is zero, degC.
+    min_span : float
+        Least range of temperature, degC; less is refused by name.
+    lag : bool
+        Where warming and cooling show that the die lags its thermometer: fit against the die's temperature.
+    relative : bool
+        The calibration in force was not known.
+
+    Returns
+    -------
+    FitResult
+        The offset is that at `t_ref` for a gyroscope; for an accelerometer in one pose it is undetermined (gravity and
+        tilt are inside it) and only the shape counts. ``quality["drift"]`` is each axis' range over the span and
+        ``quality["drift_sd"]`` the largest sd of the curve about its mean. An axis whose wander does not repeat with
+        temperature, one of a constant value, and one seen on too few levels are named and left at zero. Where the
+        temperature went through its span more than once, ``quality["cross_validation"]`` judges every sweep by the
+        others; ``quality["hysteresis"]`` is warming less cooling.
+    """
+    data = DriftData.of(channel, temperature)
+    return fit_drift_data(
+        channel, data, len(channel), degree=degree, t_ref=t_ref, min_span=min_span, lag=lag, relative=relative
+    )
+
+
+def fit_drift_data(
+    channel: Channel,
+    data: DriftData,
+    given: int,
+    *,
+    degree: int = 3,
+    t_ref: float = 35.0,
+    min_span: float = 10.0,
+    lag: bool = True,
+    relative: bool = False,
+) -> FitResult:
+    """:func:`fit_polynomial` of samples that are summed already; `channel` says only of what, and may be empty."""
+    if not 1 <= degree <= 5:
+        raise InvalidInputError(f"the degree of a thermal polynomial is 1 to 5, not {degree}")
+    reason = data.refusal(degree, min_span)
+    if reason:
+        return _refused(POLYNOMIAL_METHOD, channel, given, reason)
+    found, die = _lag_of(data, degree) if lag else (None, None)
+    slower = None
+    if found is not None and die is not None:
+        slower = _Scaled.of(data.warmed(die.at(data.time, found.seconds + found.sd)))
+        data = data.warmed(die.at(data.time, found.seconds))
+    scaled = _Scaled.of(data)
+    axes = _fit_axes(channel, data, scaled.x, degree)
+    judged, repeats = _repeats(axes)
+    curve = DriftCurve.of(axes.coefficients, axes.noise, scaled.middle, scaled.half_span, t_ref)
+    if slower is not None:
+        curve = curve.widened(_by_lag(curve, data, slower, degree, t_ref))
+    too_coarse = axes.too_coarse
+    declined = ~data.constant & ~too_coarse & (curve.not_repeatable(axes.noise) | ~repeats)
+    estimated = ~(data.constant | too_coarse | declined)
+    shape_only = channel.sensor != Sensor.GYRO
+    model, covariance, undetermined = curve.model(data, t_ref, estimated, shape_only=shape_only)
+    residual = axes.residual_sd
+    warnings = [*common_warnings(data, estimated | too_coarse | declined)]
+    warnings += declined_warnings(declined, too_coarse, channel)
+    two_ways = hysteresis(axes.blocks, scaled.middle, scaled.half_span)
+    warnings += two_way_warnings(found, two_ways, curve, estimated)
+    message = said_of("polynomial", data, estimated)
+    return FitResult(
+        method=POLYNOMIAL_METHOD,
+        sensor=channel.sensor,
+        instance=channel.instance,
+        status=FitStatus.OK if estimated.all() else FitStatus.PARTIAL,
+        message=message,
+        model=model,
+        covariance=covariance,
+        unit=channel.unit,
+        n_samples=given,
+        n_used=data.samples,
+        residual_rms=float(np.sqrt((residual[estimated] ** 2).mean())) if estimated.any() else 0.0,
+        condition_number=axes.blocks.condition,
+        relative=relative,
+        undetermined=undetermined,
+        movements={name: remedy_for(name, data, too_coarse, declined) for name in undetermined},
+        warnings=tuple(warnings),
+        temperature=t_ref,
+        quality={
+            **noise_quality(data, axes.noise, estimated),
+            **block_statistics(axes.blocks, axes.coefficients, estimated),
+            **attitude_quality(channel, curve, estimated),
+            "drift": or_none(curve.drift, ~data.constant),
+            "drift_sd": or_none(curve.drift_sd, ~data.constant),
+            "lag_s": found.seconds if found else None,
+            "lag_sd_s": found.sd if found else None,
+            "hysteresis": None if two_ways is None else two_ways[0].tolist(),
+            "hysteresis_sd": None if two_ways is None else two_ways[1].tolist(),
+            "cross_validation": judged,
+            "below_resolution": bool(((data.constant & data.quantised) | too_coarse).all()),
+        },
+        native={"residual_sd": or_none(residual, estimated), "degree": degree},
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Scaled:
+    """The temperature in the variable ``x = (T - middle)/half_span``, within -1 and 1."""
+
+    middle: float
+    half_span: float
+    x: Array
+
+    @classmethod
+    def of(cls, data: DriftData) -> _Scaled:
+        middle, half_span = 0.5 * (data.t_min + data.t_max), 0.5 * data.span
+        return cls(middle, half_span, (data.t - middle) / half_span)
+
+
+def _lag_of(data: DriftData, degree: int) -> tuple[Lag | None, Die | None]:
+    """The lag of the die, and its temperature for any; None if nothing shows one."""
+    scaled = _Scaled.of(data)
+    blocks = data.blocks(scaled.x, degree)
+    rate = rates(blocks, scaled.middle, scaled.half_span)
+    if not both_ways(rate):
+        return None, None
+    die = Die.of(data.time, data.t, blocks, rate)
+    return thermal_lag(blocks, die, scaled.middle, scaled.half_span, ~data.constant), die
+
+
+def _by_lag(curve: DriftCurve, data: DriftData, slower: _Scaled, degree: int, t_ref: float) -> Array:
+    """Change of the coefficients (p, 3) about `t_ref` when the lag is one sd longer."""
+    blocks = data.blocks(slower.x, degree)
+    shift = powers_about(t_ref, slower.middle, slower.half_span, degree + 1)
+    return np.asarray(shift @ blocks.ordinary - curve.coefficients, dtype=np.float64)
+
+
+def _repeats(axes: _Axes) -> tuple[dict[str, Any] | None, NDArray[np.bool_]]:
+    """Every sweep judged by the others, and which axes do repeat: a correction that makes things worse is none.
+
+    Noise alone may do so too; only what is left far above the white noise of the block means counts.
+    """
+    found: Judgement | None = cross_validated(axes.blocks)
+    if found is None:
+        return None, np.ones(3, dtype=np.bool_)
+    white = axes.residual_sd / np.sqrt(axes.blocks.counts.mean())
+    repeats = (found.explained > 0.0) | (found.after < 3.0 * white)
+    judged = {
+        "sweeps": len(sweeps(axes.blocks)),
+        "before": found.before.tolist(),
+        "after": found.after.tolist(),
+        "explained": found.explained.tolist(),
+    }
+    return judged, np.asarray(repeats, dtype=np.bool_)
+
+
+@dataclass(frozen=True, eq=False)
+class _Axes:
+    """Curves of the three axes in the scaled variable, each with the treatment that its bins need."""
+
+    blocks: DriftBlocks  # of the samples as they are
+    coefficients: Array  # (p, 3)
+    noise: ColouredCovariance
+    residual_sd: Array
+    too_coarse: NDArray[np.bool_]
+
+
+def _fit_axes(channel: Channel, data: DriftData, x: Array, degree: int) -> _Axes:
+    blocks = data.blocks(x, degree)
+    plain = blocks.noise()
+    coefficients, residual = blocks.ordinary.copy(), blocks.residual_sd()
+    covariances, whiteness, excess = plain.covariances.copy(), plain.whiteness.copy(), plain.excess.copy()
+    too_coarse = np.zeros(3, dtype=np.bool_)
+    for axis in range(3):
+        bins = data.bins(axis)
+        if bins is None:
+            continue
+        wide = bool((bins.half > 0.75 * channel.quantum).any())
+        if data.constant[axis] or (residual[axis] > COARSE * channel.quantum and not wide):
+            continue
+        coarse = _coarse_axis(x, data.time, bins, degree, channel.quantum)
+        if coarse is None:
+            too_coarse[axis] = True
+            continue
+        own, residual[axis] = coarse
+        noise = own.noise()
+        coefficients[:, axis], covariances[axis] = own.ordinary[:, 0], noise.covariances[0]
+        whiteness[axis], excess[axis] = noise.whiteness[0], noise.excess[0]
+    return _Axes(blocks, coefficients, ColouredCovariance(covariances, whiteness, excess), residual, too_coarse)
+
+
+def _coarse_axis(x: Array, time: Array, bins: Bins, degree: int, quantum: float) -> tuple[DriftBlocks, float] | None:
+    """Block sums of an axis whose noise is smaller than its bins, and that noise; None if too few bins are seen.
+
+    The interval likelihood's estimate is least squares on ``expected + score/information`` with the information of
+    each sample as its weight, so the same sums carry on from there.
+    """
+    at = x[bins.rows]
+    design = at[:, None] ** np.arange(degree + 1)
+    rows, counts = _distinct(at, bins, quantum)
+    fit = interval_regression(
+        design[rows], bins.values[rows], bins.half[rows], weights=counts, smallest=_SMALLEST_NOISE * quantum
+    )
+    levels = len(np.unique(np.round(bins.values[rows] / quantum, 3)))
+    if fit.at_limit and levels < degree + 3:
+        return None
+    expected = design @ fit.coefficients
+    mean, variance = impute(bins.values, bins.half, expected, fit.sigma)
+    information = np.maximum(1.0 - variance / fit.sigma**2, 1e-9)
+    pseudo = expected + (mean - expected) / information
+    weights = information * bins.counts
+    means = len(bins.rows) > len(x)
+    if means:  # their bins belong together
+        total = np.bincount(bins.rows, weights, minlength=len(x)).astype(np.float64)
+        sums = np.bincount(bins.rows, weights * pseudo, minlength=len(x)).astype(np.float64)
+        pseudo = sums / np.maximum(total, 1e-300)
+        weights, at = total, x
+    else:
+        time = time[bins.rows]
+    blocks = DriftBlocks.of(at, time, pseudo[:, None], degree=degree, weights=weights, means=means)
+    return blocks, fit.sigma
+
+
+def _distinct(x: Array, bins: Bins, quantum: float) -> tuple[NDArray[np.intp], Array]:
+    """Rows that stand for all others with the same temperature and bin, and how many samples each stands for."""
+    if len(x) <= _MANY:
+        return np.arange(len(x)), bins.counts
+    key = np.round(x * 2e4).astype(np.int64) * 2_000_003 + np.round(bins.values / (1e-3 * quantum)).astype(np.int64)
+    _, rows, which = np.unique(key, return_index=True, return_inverse=True)
+    return rows, np.bincount(which, weights=bins.counts).astype(np.float64)
+
+
+def _refused(method: str, channel: Channel, given: int, reason: str) -> FitResult:
+    return refused(
+        method,
+        channel.sensor,
+        channel.instance,
+        reason,
+        unit=channel.unit,
+        n_samples=given,
+        movement=_COLDER,
+    )

@@ -1,0 +1,305 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from mavcal.calib.firmware.ardupilot import parameters as ardupilot
+from mavcal.calib.firmware.compose.plan import ComposeOptions, compose
+from mavcal.calib.firmware.px4 import parameters as px4
+from mavcal.calib.firmware.rotations import rotation_matrix
+from mavcal.calib.recording import Sensor
+
+SOFT = np.array([[1.06, 0.03, -0.02], [0.03, 0.95, 0.015], [-0.02, 0.015, 1.03]])
+OFFSET = np.array([9.0, -5.5, 3.5])  # uT
+KNOWN = {"radius": 48.0, "field_ratio": 1.0}
+
+
+def after(plan, parameters):
+    return {**parameters, **{c.name: c.new for c in plan.changes}}
+
+
+def mag_fit(make_fit, instance=0, quality=None, **more):
+    more = {"offset": OFFSET, "matrix": SOFT, "offset_sd": 0.02, "matrix_sd": 5e-4} | more
+    return make_fit(Sensor.MAG, instance, quality=KNOWN if quality is None else quality, **more)
+
+
+def test_ardupilot_adds_the_offset_in_mgauss_in_the_body(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    plan = compose([mag_fit(make_fit)], ardupilot_parameters, ardupilot_fingerprint)
+    values = {c.name: c.new for c in plan.changes}
+    assert [values[f"COMPASS_OFS_{a}"] for a in "XYZ"] == [-90.0, 55.0, -35.0]
+    assert [values[f"COMPASS_ODI_{a}"] for a in "XYZ"] == pytest.approx([0.03, -0.02, 0.015], rel=1e-6)
+    assert [values[f"COMPASS_DIA_{a}"] for a in "XYZ"] == pytest.approx([1.06, 0.95, 1.03], rel=1e-6)
+    assert values["COMPASS_SCALE"] == 1.0
+    assert not plan.losses
+    assert not plan.blockers
+    assert {c.name: c.sd for c in plan.changes}["COMPASS_OFS_X"] == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("orientation", [2, 8, 14, 24])
+def test_what_ardupilot_does_afterwards_is_what_was_fitted(
+    ardupilot_parameters, ardupilot_fingerprint, make_fit, orientation
+):
+    parameters = ardupilot_parameters | {"COMPASS_ORIENT2": orientation, "COMPASS_SCALE2": 1.2, "COMPASS_DIA2_X": 1.1}
+    fit = mag_fit(make_fit, 1)
+    plan = compose([fit], parameters, ardupilot_fingerprint)
+    model = ardupilot.calibration_in_force(after(plan, parameters), Sensor.MAG, 1)
+    raw = np.random.default_rng(1).normal(0, 40, (50, 3))
+    turn = rotation_matrix("ardupilot", orientation)
+    np.testing.assert_allclose(model.apply(raw), fit.model.apply(raw) @ turn.T, atol=1e-4)
+
+
+def test_a_compass_is_found_by_its_device_id_and_not_by_its_rank(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    swapped = ardupilot_parameters | {
+        "COMPASS_PRIO1_ID": ardupilot_parameters["COMPASS_DEV_ID2"],
+        "COMPASS_PRIO2_ID": ardupilot_parameters["COMPASS_DEV_ID"],
+    }
+    plan = compose([mag_fit(make_fit, 0)], swapped, ardupilot_fingerprint)
+    assert {c.name for c in plan.changes if "OFS" in c.name} == {f"COMPASS_OFS2_{a}" for a in "XYZ"}
+
+
+def test_an_unknown_field_leaves_the_scale_unset(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    quality = {"radius": 48.0, "field_ratio": None}
+    plan = compose(
+        [mag_fit(make_fit, quality=quality)], ardupilot_parameters | {"COMPASS_SCALE": 1.1}, ardupilot_fingerprint
+    )
+    assert {c.name: c.new for c in plan.changes}["COMPASS_SCALE"] == 0.0
+
+
+def test_a_wrong_mounting_is_put_right_with_the_offsets_in_the_new_frame(
+    ardupilot_parameters, ardupilot_fingerprint, make_fit
+):
+    turn = rotation_matrix("ardupilot", 2)  # yaw 90
+    found = {"verdict": "rotated", "name": "yaw_90", "matrix": turn.tolist()}
+    fit = mag_fit(make_fit, quality=KNOWN | {"orientation": found})
+    plan = compose([fit], ardupilot_parameters, ardupilot_fingerprint)
+    values = {c.name: c.new for c in plan.changes}
+    assert values["COMPASS_ORIENT"] == 2
+    model = ardupilot.calibration_in_force(after(plan, ardupilot_parameters), Sensor.MAG, 0)
+    raw = np.random.default_rng(1).normal(0, 40, (50, 3))
+    np.testing.assert_allclose(model.apply(raw), fit.model.apply(raw) @ turn.T, atol=1e-4)
+
+    internal = compose([fit], ardupilot_parameters | {"COMPASS_EXTERNAL": 0}, ardupilot_fingerprint)
+    assert "internal" in internal.blockers[0]
+    unexplained = mag_fit(make_fit, quality=KNOWN | {"orientation": {**found, "verdict": "unexplained"}})
+    assert compose([unexplained], ardupilot_parameters, ardupilot_fingerprint).blockers
+
+
+def test_motor_compensation_is_carried_into_the_new_matrix(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    induced = np.array([4.0, -2.0, 3.0])  # mGauss per unit of throttle at the sensor
+    old = np.diag([1.2, 0.9, 1.1])
+    parameters = ardupilot_parameters | {"COMPASS_MOTCT": 1}
+    parameters |= {f"COMPASS_DIA_{a}": d for a, d in zip("XYZ", np.diag(old), strict=True)}
+    parameters |= {f"COMPASS_MOT_{a}": m for a, m in zip("XYZ", -old @ induced, strict=True)}
+    plan = compose([mag_fit(make_fit)], parameters, ardupilot_fingerprint)
+    values = after(plan, parameters)
+    np.testing.assert_allclose([values[f"COMPASS_MOT_{a}"] for a in "XYZ"], -SOFT @ induced, rtol=1e-6)
+
+
+def test_code_76_for_compasses_and_learning_off(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    both = [mag_fit(make_fit, i) for i in (0, 1)]
+    plan = compose(both, ardupilot_parameters | {"COMPASS_LEARN": 3}, ardupilot_fingerprint)
+    assert [a.params for a in plan.after] == [(0, 76, 0, 0, 0, 0, 0)]
+    assert (plan.changes[0].name, plan.changes[0].new) == ("COMPASS_LEARN", 0)
+    one = compose(both[:1], ardupilot_parameters, ardupilot_fingerprint)
+    assert one.after == ()
+    assert any("compass 2 is in use" in text for text in one.warnings)
+
+
+@pytest.mark.parametrize(
+    ("more", "text"),
+    [
+        ({"offset": [150.0, 100.0, 50.0]}, "COMPASS_OFFS_MAX"),
+        ({"matrix": 1.6 * np.eye(3)}, "times the Earth's field"),
+        ({"undetermined": ("offset_z",)}, "not determined"),
+    ],
+)
+def test_implausible_compasses_block(ardupilot_parameters, ardupilot_fingerprint, make_fit, more, text):
+    plan = compose([mag_fit(make_fit, **more)], ardupilot_parameters, ardupilot_fingerprint)
+    assert text in plan.blockers[0]
+
+
+def test_px4_subtracts_the_offset_in_gauss_in_the_sensor_frame(px4_parameters, px4_fingerprint, make_fit):
+    parameters = px4_parameters | {"SENS_BOARD_ROT": 2}
+    fit = mag_fit(make_fit)
+    plan = compose([fit], parameters, px4_fingerprint)
+    values = {c.name: c.new for c in plan.changes}
+    assert [values[f"CAL_MAG0_{a}OFF"] for a in "XYZ"] == pytest.approx([0.09, -0.055, 0.035], rel=1e-6)
+    assert [values[f"CAL_MAG0_{a}ODIAG"] for a in "XYZ"] == pytest.approx([0.03, -0.02, 0.015], rel=1e-6)
+    model = px4.calibration_in_force(after(plan, parameters), Sensor.MAG, 0)
+    raw = np.random.default_rng(1).normal(0, 40, (50, 3))
+    np.testing.assert_allclose(model.apply(raw), fit.model.apply(raw) @ rotation_matrix("px4", 2).T, atol=1e-4)
+    assert not plan.losses
+    (session,) = [c for c in plan.changes if c.session]
+    assert (session.name, session.new) == ("SENS_MAG_AUTOCAL", 0)
+    assert plan.changes[0] == session
+
+
+def test_px4_values_near_neutral_are_announced_as_lost(px4_parameters, px4_fingerprint, make_fit):
+    soft = np.array([[1.004, 0.003, 0], [0.003, 0.998, 0.002], [0, 0.002, 1.003]])
+    fit = mag_fit(make_fit, offset=[0.3, 0.2, 0.1], matrix=soft)
+    plan = compose([fit], px4_parameters, px4_fingerprint)
+    assert not [c for c in plan.changes if "CAL_MAG" in c.name]
+    model = px4.calibration_in_force(after(plan, px4_parameters), Sensor.MAG, 0)
+    directions = np.random.default_rng(1).normal(size=(100_000, 3))
+    truth = 48.0 * directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    left = model.apply(fit.model.invert(truth)) - truth
+    cost = {loss.what: loss.cost for loss in plan.losses}
+    spread = np.linalg.norm(left - left.mean(axis=0), axis=1).max()
+    assert spread == pytest.approx(cost["scale and cross terms"], rel=2e-2)
+    assert cost["offset"] == pytest.approx(np.linalg.norm([0.3, 0.2, 0.1]), rel=1e-6)
+
+
+def test_a_wrong_mounting_on_px4(px4_parameters, px4_fingerprint, make_fit):
+    found = {"verdict": "rotated", "name": "yaw_90", "matrix": rotation_matrix("px4", 2).tolist()}
+    fit = mag_fit(make_fit, quality=KNOWN | {"orientation": found})
+    plan = compose([fit], px4_parameters | {"CAL_MAG0_ROT": 4}, px4_fingerprint)
+    assert {c.name: c.new for c in plan.changes}["CAL_MAG0_ROT"] == 6
+    assert "internal" in compose([fit], px4_parameters, px4_fingerprint).blockers[0]
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+@pytest.mark.parametrize("quarter", [False, True])
+def test_what_no_parameter_holds_of_the_mounting_is_lost_with_its_angle(request, make_fit, autopilot, quarter):
+    """A fit that knows the rotation: 2 deg askew, and perhaps a quarter turn besides, which a parameter holds."""
+    parameters = {**request.getfixturevalue(f"{autopilot}_parameters")}
+    parameters |= {"COMPASS_ORIENT": 0, "COMPASS_EXTERNAL": 1} if autopilot == "ardupilot" else {"CAL_MAG0_ROT": 0}
+    askew = Rotation.from_euler("Y", 2.0, degrees=True).as_matrix()
+    turn = Rotation.from_euler("Z", 90.0, degrees=True).as_matrix().round() if quarter else np.eye(3)
+    found = {"verdict": "rotated" if quarter else "as_stated", "name": "yaw_90", "matrix": turn.tolist()}
+    fit = mag_fit(make_fit, matrix=askew @ turn @ SOFT, quality=KNOWN | {"orientation": found})
+    options = ComposeOptions(confirm_mounting=True)
+    plan = compose([fit], parameters, request.getfixturevalue(f"{autopilot}_fingerprint"), options=options)
+    assert not plan.blockers
+    (loss,) = (x for x in plan.losses if x.what == "mounting")
+    assert (loss.cost, loss.unit) == (pytest.approx(2.0, abs=1e-6), "deg")
+    rotation = {c.name for c in plan.changes} & {"COMPASS_ORIENT", "CAL_MAG0_ROT"}
+    assert bool(rotation) == quarter
+
+
+@pytest.mark.parametrize(("autopilot", "name"), [("ardupilot", "COMPASS_ORIENT"), ("px4", "CAL_MAG0_ROT")])
+def test_another_mounting_is_said_in_words_and_confirmed_in_a_field_of_its_own(request, make_fit, autopilot, name):
+    parameters = {**request.getfixturevalue(f"{autopilot}_parameters")}
+    parameters |= {"COMPASS_ORIENT": 0, "COMPASS_EXTERNAL": 1} if autopilot == "ardupilot" else {"CAL_MAG0_ROT": 0}
+    fingerprint = request.getfixturevalue(f"{autopilot}_fingerprint")
+    found = {"verdict": "rotated", "name": "yaw_270", "matrix": rotation_matrix(autopilot, 6).tolist()}
+    fit = mag_fit(make_fit, quality=KNOWN | {"orientation": found})
+    (blocker,) = compose([fit], parameters, fingerprint).blockers
+    assert blocker.startswith(f"compass 1 is mounted turned by yaw 270: {name} changes from 0 (none) to 6 (yaw 270).")
+    assert "confirm_mounting (--confirm-mounting)" in blocker
+    plan = compose([fit], parameters, fingerprint, options=ComposeOptions(confirm_mounting=True))
+    assert not plan.blockers
+    assert plan.warnings[0].startswith("compass 1 is mounted turned by yaw 270, as confirmed:")
+    assert {c.name: c.new for c in plan.changes}[name] == 6
+
+
+def test_a_rotation_that_is_stated_already_is_named_beside_the_one_that_was_found(
+    ardupilot_parameters, ardupilot_fingerprint, make_fit
+):
+    found = {"verdict": "rotated", "name": "yaw_90", "matrix": rotation_matrix("ardupilot", 2).tolist()}
+    fit = mag_fit(make_fit, quality=KNOWN | {"orientation": found})
+    parameters = ardupilot_parameters | {"COMPASS_ORIENT": 4, "COMPASS_EXTERNAL": 1}
+    (blocker,) = compose([fit], parameters, ardupilot_fingerprint).blockers
+    assert "turned by yaw 90 against what COMPASS_ORIENT says (yaw 180): " in blocker
+    assert "changes from 4 (yaw 180) to 6 (yaw 270)" in blocker
+
+
+@pytest.mark.parametrize("separated", [False, True])
+def test_the_idle_current_is_compensated_twice_only_if_the_offset_holds_it(
+    ardupilot_parameters, ardupilot_fingerprint, make_fit, separated
+):
+    parameters = ardupilot_parameters | {"COMPASS_MOTCT": 2, "COMPASS_MOT_X": 3.0}
+    fit = mag_fit(make_fit, native={"without_motors": separated})
+    warnings = compose([fit], parameters, ardupilot_fingerprint).warnings
+    assert any("idle current" in text for text in warnings) != separated
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "text"), [("ardupilot", "ArduPilot's offsets are in mGauss"), ("px4", "PX4's offsets are in Gauss")]
+)
+def test_counts_are_no_field_and_are_refused(request, make_fit, autopilot, text):
+    parameters = request.getfixturevalue(f"{autopilot}_parameters")
+    fit = dataclasses.replace(mag_fit(make_fit), unit="counts")
+    plan = compose([fit], parameters, request.getfixturevalue(f"{autopilot}_fingerprint"))
+    assert f"the fit is in counts; {text}" in plan.blockers[0]
+    assert plan.changes == ()
+
+
+@pytest.mark.parametrize(
+    ("more", "text"),
+    [
+        ({"matrix": 1.6 * np.eye(3)}, "measures 0.62 times the Earth's field"),
+        ({"matrix": 0.5 * np.eye(3)}, "measures 2.00 times the Earth's field"),
+        ({"undetermined": ("offset_z",)}, "offset_z are not determined"),
+    ],
+)
+def test_implausible_compasses_block_on_px4_too(px4_parameters, px4_fingerprint, make_fit, more, text):
+    plan = compose([mag_fit(make_fit, **more)], px4_parameters, px4_fingerprint)
+    assert text in plan.blockers[0]
+    assert plan.changes == ()
+    relative = mag_fit(make_fit, **more, quality={"radius": 48.0, "field_ratio": None})
+    assert ("undetermined" in more) == bool(compose([relative], px4_parameters, px4_fingerprint).blockers)
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.3])
+def test_a_strength_just_inside_the_window_is_written(px4_parameters, px4_fingerprint, make_fit, factor):
+    plan = compose([mag_fit(make_fit, matrix=factor * np.eye(3))], px4_parameters, px4_fingerprint)
+    assert not plan.blockers
+    assert {c.name: c.new for c in plan.changes}["CAL_MAG0_XSCALE"] == pytest.approx(factor)
+
+
+def turned(make_fit, matrix, name="yaw_90"):
+    orientation = {"verdict": "rotated", "name": name, "matrix": matrix.tolist()}
+    return mag_fit(make_fit, quality=KNOWN | {"orientation": orientation})
+
+
+def test_px4_puts_an_external_compass_right_only_where_it_has_a_number(px4_parameters, px4_fingerprint, make_fit):
+    fit = turned(make_fit, rotation_matrix("px4", 2))
+    confirmed = ComposeOptions(confirm_mounting=True)
+
+    def composed(rotation, found=fit):
+        parameters = px4_parameters | {"CAL_MAG0_ROT": rotation}
+        return compose([found], parameters, px4_fingerprint, options=confirmed)
+
+    assert {c.name: c.new for c in composed(0).changes}["CAL_MAG0_ROT"] == 2
+    assert {c.name: c.new for c in composed(2).changes}["CAL_MAG0_ROT"] == 4
+    for rotation, text in ((-1, "internal and follows SENS_BOARD_ROT"), (100, "a rotation of its own (custom angles)")):
+        plan = composed(rotation)
+        assert text in plan.blockers[0]
+        assert plan.changes == ()
+    askew = turned(make_fit, Rotation.from_euler("zyx", [20.0, 10.0, 5.0], degrees=True).as_matrix(), "odd")
+    assert "PX4 has no number for the resulting mounting" in composed(0, askew).blockers[0]
+    assert composed(0, askew).changes == ()
+
+
+def test_ardupilot_has_no_number_for_an_odd_angle(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    askew = turned(make_fit, Rotation.from_euler("zyx", [20.0, 10.0, 5.0], degrees=True).as_matrix(), "odd")
+    options = ComposeOptions(confirm_mounting=True)
+    plan = compose([askew], ardupilot_parameters, ardupilot_fingerprint, options=options)
+    assert "ArduPilot has no number for the resulting mounting" in plan.blockers[0]
+    assert plan.changes == ()
+
+
+def test_a_mounting_that_could_not_be_told_is_a_warning_and_changes_nothing(
+    ardupilot_parameters, ardupilot_fingerprint, make_fit
+):
+    orientation = {"verdict": "ambiguous", "name": "none", "matrix": np.eye(3).tolist()}
+    plan = compose(
+        [mag_fit(make_fit, quality=KNOWN | {"orientation": orientation})], ardupilot_parameters, ardupilot_fingerprint
+    )
+    assert any("whether it is mounted as stated could not be told" in text for text in plan.warnings)
+    assert not [c for c in plan.changes if "ORIENT" in c.name]
+    assert not plan.blockers
+
+
+def test_motor_compensation_turns_with_the_compass(ardupilot_parameters, ardupilot_fingerprint, make_fit):
+    turn = rotation_matrix("ardupilot", 2)
+    motors = {"COMPASS_MOTCT": 2, "COMPASS_MOT_X": 3.0, "COMPASS_MOT_Y": -2.0, "COMPASS_MOT_Z": 1.0}
+    parameters = ardupilot_parameters | motors
+    options = ComposeOptions(confirm_mounting=True)
+    plan = compose([turned(make_fit, turn)], parameters, ardupilot_fingerprint, options=options)
+    values = after(plan, parameters)
+    expected = turn @ SOFT @ np.array([3.0, -2.0, 1.0])
+    np.testing.assert_allclose([values[f"COMPASS_MOT_{a}"] for a in "XYZ"], expected, rtol=1e-5)

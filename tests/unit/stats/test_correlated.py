@@ -1,0 +1,95 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import butter, lfilter
+
+from mavcal.calib.stats.correlated import _random_walk, coloured_covariance, long_run_variance
+
+
+def test_white_noise_keeps_its_variance():
+    rng = np.random.default_rng(1)
+    ratios = [long_run_variance(rng.normal(size=200)) for _ in range(200)]
+    assert np.mean(ratios) == pytest.approx(1.05, abs=0.05)
+
+
+@pytest.mark.parametrize("phi", [0.5, 0.8, 0.9])
+def test_an_autoregression_of_known_long_run_variance(phi):
+    rng = np.random.default_rng(2)
+    x = lfilter([1.0], [1.0, -phi], rng.normal(size=20_000))
+    assert long_run_variance(x) == pytest.approx(1.0 / (1.0 - phi) ** 2, rel=0.15)
+
+
+def test_means_of_filtered_noise_scatter_as_said():
+    rng = np.random.default_rng(3)
+    b, a = butter(2, 20.0 / 125.0)
+    squares = []
+    for _ in range(300):
+        x = lfilter(b, a, rng.normal(size=1200))[200:]
+        squares.append(x.mean() ** 2 * len(x) / long_run_variance(x))
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.25)
+
+
+def test_drift_between_blocks_counts_although_no_order_sees_it():
+    rng = np.random.default_rng(4)
+    x = rng.normal(size=4096) + 2.0 * np.sin(2 * np.pi * np.arange(4096) / 4096)
+    assert long_run_variance(x) > 100.0
+
+
+def test_a_constant_series_has_none_and_a_short_one_its_variance():
+    assert long_run_variance(np.full(100, 3.0)) == 0.0
+    assert long_run_variance(np.array([1.0, 2.0, 3.0])) == pytest.approx(1.0)
+
+
+def test_no_series_is_worth_less_than_one_sample():
+    x = np.repeat([0.0, 1.0], 500)
+    assert long_run_variance(x) <= len(x) * x.var(ddof=1) * (1 + 1e-12)
+
+
+def regression(rng: np.random.Generator, walk: float, blocks: int = 48, per_block: int = 20):
+    """Error of a straight line's slope, in its own standard deviations, under white noise and a random walk."""
+    n = blocks * per_block
+    t = np.arange(n) / n
+    X = np.column_stack([np.ones(n), np.sin(3.0 * t)])
+    e = rng.normal(size=(n, 1)) + walk * np.cumsum(rng.normal(size=(n, 1)), axis=0) / np.sqrt(n)
+
+    def means(a):
+        return a.reshape(blocks, per_block, -1).mean(axis=1)
+
+    gram = X.T @ X
+    slope = np.linalg.solve(gram, X.T @ e)[1, 0]
+    found = coloured_covariance(means(X), means(e), np.full(blocks, 20.0), means(t[:, None])[:, 0], gram=gram)
+    return slope / np.sqrt(found.covariances[0, 1, 1]), found
+
+
+@pytest.mark.parametrize(("walk", "least", "most"), [(0.0, 0.4, 1.3), (3.0, 0.5, 1.8), (30.0, 0.6, 1.6)])
+def test_the_covariance_of_least_squares_holds_under_a_random_walk(walk, least, most):
+    rng = np.random.default_rng(5)
+    normalised = [regression(rng, walk)[0] for _ in range(200)]
+    assert least < np.mean(np.square(normalised)) < most
+
+
+def test_what_white_error_bars_would_miss_is_reported():
+    found = regression(np.random.default_rng(6), walk=30.0)[1]
+    assert found.whiteness[0] < 1e-3
+    assert found.excess[0] > 2.0  # on top of blocks whose scatter is already the walk's
+    calm = regression(np.random.default_rng(6), walk=0.0)[1]
+    assert calm.whiteness[0] > 0.5
+
+
+def test_with_few_rows_the_textbook_standard_error_stands():
+    t = np.array([25.0, 35.0, 45.0, 55.0, 65.0, 55.0, 45.0]) - 25.0
+    y = np.array([400.0, 411.0, 419.0, 431.0, 440.0, 429.0, 420.0])
+    X = np.column_stack([np.ones(7), t])
+    found = coloured_covariance(X, y[:, None], np.ones(7), np.arange(7.0), gram=X.T @ X)
+    assert np.sqrt(found.covariances[0, 1, 1]) == pytest.approx(0.026830, abs=1e-6)
+
+
+def test_block_means_of_a_random_walk_scatter_like_its_kernel():
+    rng = np.random.default_rng(7)
+    walks = np.cumsum(rng.normal(size=(20_000, 120)), axis=1) / np.sqrt(120)
+    means = walks.reshape(20_000, 6, 20).mean(axis=2)
+    kernel = _random_walk((np.arange(6) + 0.5) / 6.0)
+    scale = 5.0 / 6.0  # the kernel's time runs from the first middle to the last one
+    steps = np.diff(np.eye(6), axis=0)  # a constant is absorbed by every fit
+    assert steps @ kernel @ steps.T * scale == pytest.approx(steps @ np.cov(means.T) @ steps.T, abs=0.006)
