@@ -1,4 +1,4 @@
-"""``python -m bench [ingest|api|latency|memory|logs|gap|all]``: measure, print tables, exit 1 if a target is missed."""
+"""``python -m bench [ingest|api|latency|memory|logs|gap|startup|all]``: measure, print tables, exit 1 if a target is missed."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from bench import api, gap, ingest, latency, logs, memory
+from bench import api, gap, ingest, latency, logs, memory, startup
 from bench.page import machine, page, shown
 from bench.rows import Section
 
@@ -20,6 +20,7 @@ PARTS: Mapping[str, Callable[[], Section]] = {
     "memory": memory.run,
     "logs": logs.run,
     "gap": gap.run,
+    "startup": startup.run,
 }
 
 

@@ -6,15 +6,37 @@ force where the recording is of a vehicle, and returns one fit a sensor instance
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from types import MappingProxyType
+from collections.abc import Iterator, Mapping, Sequence
+from importlib import import_module
+from typing import TYPE_CHECKING
 
-from mavcal.calib.methods import accel, gyro, imu, mag, mag_flight, noise, thermal
-from mavcal.calib.methods.method import Finding, Method, Option, Options
+from mavcal.calib.methods.names import ENTRIES
 
-_TABLES = (accel, gyro, mag, mag_flight, thermal, imu, noise)
+if TYPE_CHECKING:
+    from mavcal.calib.methods.method import Method
 
-METHODS: Mapping[str, Method] = MappingProxyType({method.name: method for t in _TABLES for method in t.METHODS})
+__all__ = ["METHODS", "MODULES"]
+
+MODULES = tuple(dict.fromkeys(f"{__name__}.{entry.module}" for entry in ENTRIES.values()))
+"""The modules that hold the methods."""
+
+
+class _Methods(Mapping[str, "Method"]):
+    """The methods by name; a method's module is loaded when the method is asked for, its name costs nothing."""
+
+    def __getitem__(self, name: str) -> Method:
+        methods: Sequence[Method] = import_module(f"{__name__}.{ENTRIES[name].module}").METHODS
+        return next(method for method in methods if method.name == name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(ENTRIES)
+
+    def __len__(self) -> int:
+        return len(ENTRIES)
+
+    def __contains__(self, name: object) -> bool:
+        return name in ENTRIES
+
+
+METHODS: Mapping[str, Method] = _Methods()
 """Every method by its name."""
-
-__all__ = ["METHODS", "Finding", "Method", "Option", "Options"]

@@ -158,14 +158,12 @@ def accel_thermal(source: Source, options: Options) -> list[FitResult]:
 METHODS = (
     Method(
         "accel-one-axis",
-        "Accelerometer offset with one axis vertical",
         "a rest with one axis vertical to a degree",
         (INSTANCE, GRAVITY, *PLACE, FIXTURE),
         accel_one_axis,
     ),
     Method(
         "accel-six-face",
-        "Accelerometer offset and full matrix from six faces of a fixture",
         "every axis once up and once down, square on a fixture; labelled, still, or one row a face",
         (
             INSTANCE,
@@ -180,7 +178,6 @@ METHODS = (
     ),
     Method(
         "accel-multi",
-        "Accelerometer offset and matrix from still poses in any direction",
         "six faces and three oblique poses or more, each held still for two seconds",
         (
             INSTANCE,
@@ -193,7 +190,6 @@ METHODS = (
     ),
     Method(
         "accel-thermal",
-        "Accelerometer offset, matrix and drift with temperature from still poses",
         "six faces and oblique ones held still while cold, and again in opposite order when warm",
         (
             INSTANCE,

@@ -145,10 +145,9 @@ def _rates_of(text: str) -> float | dict[str, float]:
 _LATITUDE = Option("latitude", float, None, "degrees; takes the Earth's rate about the vertical off")
 
 METHODS = (
-    Method("gyro-rest", "Gyroscope offset at rest", "five seconds at rest", (INSTANCE,), gyro_rest),
+    Method("gyro-rest", "five seconds at rest", (INSTANCE,), gyro_rest),
     Method(
         "gyro-turntable",
-        "Gyroscope scale, cross axes and offset from turns at a known rate",
         "steady turns of five seconds about one axis or three, both ways",
         (
             INSTANCE,
@@ -160,7 +159,6 @@ METHODS = (
     ),
     Method(
         "gyro-thread",
-        "Gyroscope scale and offset from whole turns on a thread, each way",
         "whole turns about one axis one way, and as many back",
         (
             INSTANCE,
@@ -171,7 +169,6 @@ METHODS = (
     ),
     Method(
         "gyro-g-sensitivity",
-        "What acceleration does to the gyroscope: offset + K acceleration",
         "a rest on each of six sides, ten seconds or more",
         (
             INSTANCE,

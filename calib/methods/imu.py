@@ -45,7 +45,6 @@ def imu_multi(source: Source, options: Options) -> list[FitResult]:
 METHODS = (
     Method(
         "imu-multi",
-        "Accelerometer and gyroscope jointly, from still poses and the movements between them",
         "twelve or more still poses of two seconds, and the movements from each to the next",
         (
             INSTANCE,

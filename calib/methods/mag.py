@@ -243,14 +243,12 @@ def mag_gyro(source: Source, options: Options) -> list[FitResult]:
 METHODS = (
     Method(
         "mag-minmax",
-        "Magnetometer offset and scale from the extremes",
         "every axis once along and once against the field; only a start for better methods",
         (INSTANCE, *_FIELD),
         mag_of(fit_minmax),
     ),
     Method(
         "rest-reference",
-        "Reference vectors at rest, and the attitude that they imply",
         "a hundred samples of accelerometer and magnetometer at rest",
         (
             INSTANCE,
@@ -264,21 +262,18 @@ METHODS = (
     ),
     Method(
         "mag-sphere",
-        "Magnetometer offset by a sphere",
         "rotation about two axes or more, no soft iron",
         (INSTANCE, *_FIELD),
         mag_of(fit_sphere),
     ),
     Method(
         "mag-ellipsoid-axis",
-        "Magnetometer offset and axis scales by an axis-aligned ellipsoid",
         "rotation in all directions, no cross terms",
         (INSTANCE, *_FIELD),
         mag_of(fit_ellipsoid_axis),
     ),
     Method(
         "mag-ellipsoid",
-        "Magnetometer offset and symmetric matrix by orthogonal distance",
         "rotation in all directions",
         (
             INSTANCE,
@@ -298,7 +293,6 @@ METHODS = (
     ),
     Method(
         "mag-rings",
-        "Magnetometer offset, full matrix and mounting from six turns about the vertical",
         f"a whole turn with every axis down and up; one label a ring ({LABELS}), or the accelerometer",
         (
             INSTANCE,
@@ -312,7 +306,6 @@ METHODS = (
     ),
     Method(
         "mag-align",
-        "Magnetometer offset, full matrix and mounting against the accelerometer",
         "rotation in all directions, slowly; a calibrated accelerometer in the recording",
         (
             INSTANCE,
@@ -326,7 +319,6 @@ METHODS = (
     ),
     Method(
         "mag-gyro",
-        "Magnetometer offset, matrix and mounting against the gyroscope",
         "any motion about two axes or more, a gyroscope in rad/s",
         (
             INSTANCE,

@@ -196,7 +196,6 @@ _DRIVE = ("auto", *(str(kind) for kind in DriveKind))
 METHODS = (
     Method(
         "mag-flight",
-        "Magnetometer offset and soft iron from an ordinary flight",
         "a compass with a gyroscope or an attitude; whole circles on the spot and banks",
         (
             *_FROM,
@@ -207,7 +206,6 @@ METHODS = (
     ),
     Method(
         "mag-motor",
-        "Compensation of a magnetometer for the motors, from an ordinary flight",
         "a compass with a gyroscope or an attitude, and current, throttle or motor outputs that change",
         (*_FROM, Option("drive", _DRIVE, "auto", "what drives it; auto: what predicts unseen data best")),
         mag_motor,

@@ -15,6 +15,7 @@ from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.earth import local_gravity
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitResult
+from mavcal.calib.methods.names import ENTRIES
 from mavcal.calib.methods.source import Source
 from mavcal.calib.recording import Channel, Recording
 
@@ -46,13 +47,17 @@ class Method:
     """A way to fit a sensor, with what it needs and the options that it takes."""
 
     name: str
-    summary: str
     needs: str
     options: tuple[Option, ...]
     fit: Callable[[Source, Options], Sequence[FitResult]]
     pool: Callable[[Sequence[Source], Options], Sequence[FitResult]] | None = None
     """Several logs of one vehicle together; None: the method takes one recording."""
     finds: Finding = Finding.CORRECTION
+
+    @property
+    def summary(self) -> str:
+        """What it finds, in a line."""
+        return ENTRIES[self.name].summary
 
     def run(self, recording: Recording, options: Options = MappingProxyType({})) -> tuple[FitResult, ...]:
         """The fits of every instance (or of the option ``instance``) that the recording has.

@@ -30,7 +30,6 @@ def allan(source: Source, options: Options) -> list[FitResult]:
 METHODS = (
     Method(
         "allan",
-        "White noise, bias instability and random walk by the Allan variance",
         "hours at rest at an even rate; minutes tell the white noise only",
         (INSTANCE, Option("sensor", ("all", *(s.value for s in _SENSORS)), "all", "only this sensor")),
         allan,

@@ -166,7 +166,6 @@ def _poly_of_table(source: Source, options: Options) -> list[FitResult]:
 METHODS = (
     Method(
         "thermal-linear",
-        "Slope of accelerometer and gyroscope against temperature",
         "a motionless sensor whose temperature moves",
         (
             INSTANCE,
@@ -182,7 +181,6 @@ METHODS = (
     ),
     Method(
         "thermal-poly",
-        "Polynomial drift of accelerometer and gyroscope against temperature",
         "a motionless sensor that warms up by ten degrees or more",
         (
             INSTANCE,

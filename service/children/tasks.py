@@ -11,6 +11,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from mavcal.calib.methods import MODULES
+
 Json = dict[str, Any]
 Tell = Callable[[str], None]
 
@@ -19,7 +21,7 @@ FIT = "mavcal.service.children.tasks:fit"
 DIAGNOSE = "mavcal.service.children.tasks:diagnose"
 
 FIRST = ("mavcal.calib.logs", "mavcal.calib.flight.report", "mavcal.calib.report")
-LATER = ("mavcal.calib.methods", "mavcal.calib.gap", "mavcal.calib.gap.schema", "mavcal.calib.gap_report")
+LATER = (*MODULES, "mavcal.calib.gap", "mavcal.calib.gap.schema", "mavcal.calib.gap_report")
 """What the nursery imports for its children, before it serves and while it is idle."""
 
 

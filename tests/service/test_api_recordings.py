@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urljoin
 
+import click
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -240,7 +241,9 @@ async def test_a_fit_that_cannot_be_made_is_a_problem_with_words(tmp_path):
 def test_the_options_of_reading_are_those_of_the_command_line():
     from mavcal.service.commands.fit import command
 
-    options = {p.name for p in command.commands["mag-sphere"].params}  # type: ignore[attr-defined]
+    method = command.get_command(click.Context(command), "mag-sphere")
+    assert method is not None
+    options = {p.name for p in method.params}
     assert set(ReadingOptions.model_fields) - {"system"} <= options
 
 

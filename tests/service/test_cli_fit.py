@@ -158,7 +158,7 @@ def test_every_export_that_cannot_hold_the_finding_is_refused_before_anything_is
         begun.append(name)
         raise InvalidInputError("read")
 
-    monkeypatch.setattr("mavcal.service.commands.fit.read_recording", read)
+    monkeypatch.setattr("mavcal.service.commands.fit_method.read_recording", read)
     code, said, error = cli("fit", name, "x.csv", "--export", f"out.{ending}")
     possible = EXPORTED.get(name, {}).get("h" if ending == "h" else "param", True)
     assert (code, said, begun) == (2, "", [name] if possible else [])
@@ -191,7 +191,7 @@ def sphere(path: Path) -> None:
 def test_an_export_that_cannot_work_is_refused_before_the_fit_is_made(
     cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, out: str, told: str
 ) -> None:
-    from mavcal.calib.methods import Method
+    from mavcal.calib.methods.method import Method
 
     sphere(tmp_path / "x.csv")
     worked: list[str] = []
@@ -203,7 +203,7 @@ def test_an_export_that_cannot_work_is_refused_before_the_fit_is_made(
 
 def test_a_fit_is_told_although_its_export_fails(cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     sphere(tmp_path / "x.csv")
-    monkeypatch.setattr("mavcal.service.commands.fit.require_place", lambda _: None)
+    monkeypatch.setattr("mavcal.service.commands.fit_method.require_place", lambda _: None)
     out = tmp_path / "sub" / "out.h"
     code, document, error = cli("fit", "mag-ellipsoid", "x.csv", "--export", str(out), "--json")
     assert code == 1
