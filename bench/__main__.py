@@ -1,4 +1,4 @@
-"""``python -m bench [ingest|api|latency|memory|logs|gap|startup|all]``: measure, print tables, exit 1 if a target is missed."""
+"""``python -m bench [PART|all]``: measure, print tables, exit 1 if a target is missed."""
 
 from __future__ import annotations
 
