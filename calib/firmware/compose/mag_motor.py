@@ -202,8 +202,6 @@ def _set_kind(draft: Draft, module: object, kind: str | None, kinds: Mapping[str
             "keeps a compensation in the old unit. Fit it too, or set its compensation to 0"
         )
         return
-    if kind is None and others:
-        return
     draft.set_integer(
         name,
         new,

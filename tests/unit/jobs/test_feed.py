@@ -120,3 +120,15 @@ async def test_nobody_is_told_anything_after_the_end(watched: Watched) -> None:
     watched.feed.close()
     await watched.follow(None)
     assert watched.read == []
+
+
+async def test_an_event_that_was_never_announced_is_read_from_the_store(watched: Watched) -> None:
+    watched.tell("a")
+    reading = asyncio.create_task(watched.follow(None, after=1))
+    await asyncio.sleep(0)
+    watched.tell("a")
+    await until(lambda: watched.ids == [2])
+    watched.store.add_event("a", 0.0, "state", {})
+    watched.tell("b")
+    await until(lambda: watched.ids == [2, 3, 4])
+    await ended(reading, watched)

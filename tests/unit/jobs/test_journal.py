@@ -103,3 +103,9 @@ def test_values_are_compared_as_they_are_on_the_wire() -> None:
     assert not same(0.1, 0.10000001639127731, REAL)  # the next float32
     assert same(-8388000, -8388000, ParameterKind.INT32)
     assert not same(16777217, 16777216, ParameterKind.INT32)
+
+
+def test_a_value_that_is_sent_again_is_one_entry_and_waits_for_its_echo_again() -> None:
+    record = fold(rows(ACCEPTED, send("A"), echo("A"), send("B", 0.25), send("A")))
+    assert [sent.name for sent in record.sent] == ["A", "B"]
+    assert [sent.confirmed for sent in record.sent] == [None, None]

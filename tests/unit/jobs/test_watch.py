@@ -133,3 +133,20 @@ def test_a_silent_vehicle_is_said_in_the_prompt_and_its_return_too() -> None:
         "hold_still",
     ]
     store.close()
+
+
+def test_a_prompt_that_changed_meanwhile_is_not_replaced_when_the_vehicle_is_heard_again() -> None:
+    store, vehicle, clock = SqliteStore(None), FakeVehicle({}), ManualClock()
+    handle = JobHandle(Job("one", vehicle.id, "gyro", {}, JobState.RUNNING, 0.0, 0.0), store, lambda _: None)
+    handle.change("state", {})
+    handle.prompt(Prompt("hold_still", "Do not touch it."))
+    watch = LinkWatch(handle, vehicle, JobSettings(gap_limit_s=60.0), clock)
+    vehicle.change_state(silent=True)
+    watch.look()
+    turn = Prompt("turn", "Turn it on its side.")
+    handle.prompt(turn)
+    vehicle.change_state(silent=False)
+    watch.look()
+    assert handle.job.prompt == turn
+    assert len(handle.job.warnings) == 1
+    store.close()

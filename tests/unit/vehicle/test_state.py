@@ -274,3 +274,9 @@ def test_the_end_of_a_compass_calibration_is_its_status_too() -> None:
     assert told(mag_progress(4), state=running, at=104.0).onboard_calibration is None
     other = told(pose(1), state=READY, at=103.5)
     assert told(mag_progress(4), state=other, at=104.0).onboard_calibration == other.onboard_calibration
+
+
+def test_a_calibration_of_its_own_is_part_of_the_evidence() -> None:
+    state = told(text("[cal] calibration started: 2 accel"))
+    assert state.onboard_calibration is not None
+    assert state.onboard_calibration.text in state.evidence(101.0)

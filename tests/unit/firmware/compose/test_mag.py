@@ -303,3 +303,21 @@ def test_motor_compensation_turns_with_the_compass(ardupilot_parameters, ardupil
     values = after(plan, parameters)
     expected = turn @ SOFT @ np.array([3.0, -2.0, 1.0])
     np.testing.assert_allclose([values[f"COMPASS_MOT_{a}"] for a in "XYZ"], expected, rtol=1e-5)
+
+
+def test_compasses_are_not_marked_as_calibrated_against_the_operators_word(
+    ardupilot_parameters, ardupilot_fingerprint, make_fit
+):
+    both = [mag_fit(make_fit, i) for i in (0, 1)]
+    plan = compose(both, ardupilot_parameters, ardupilot_fingerprint, options=ComposeOptions(mark_calibrated=False))
+    assert plan.changes
+    assert plan.after == ()
+    assert not any("code 76" in text for text in plan.warnings)
+
+
+def test_a_compass_without_a_row_keeps_no_other_from_its_calibration(px4_parameters, px4_fingerprint, make_fit):
+    fits = [mag_fit(make_fit, 3), mag_fit(make_fit, 0)]
+    plan = compose(fits, px4_parameters, px4_fingerprint)
+    assert plan.blockers == ()
+    assert {"CAL_MAG0_XOFF", "CAL_MAG0_YOFF"} <= {c.name for c in plan.changes}
+    assert not any(c.name.startswith("CAL_MAG3") for c in plan.changes)

@@ -398,3 +398,23 @@ def test_an_open_axis_of_a_running_compensation_stands_in_the_way(px4_parameters
         Sensor.GYRO, offset=[0.0132, 0.0, 0.0057], undetermined=("offset_y",), polynomial=cubic(), polynomial_sd=1e-5
     )
     assert not compose([thermal], px4_parameters, px4_fingerprint).blockers
+
+
+def test_a_drift_has_nowhere_to_go_when_other_sensors_hold_every_thermal_row(px4_parameters, px4_fingerprint, make_fit):
+    parameters = compensated(px4_parameters) | {f"TC_A{slot}_ID": 4711 + slot for slot in range(4)}
+    (blocker,) = compose([shape(make_fit)], parameters, px4_fingerprint).blockers
+    assert "no free row of temperature compensation" in blocker
+    free = compose([shape(make_fit)], parameters | {"TC_A1_ID": 0}, px4_fingerprint)
+    assert not any("no free row" in text for text in free.blockers)
+
+
+def test_a_fine_offset_goes_into_a_thermal_term_that_the_next_start_switches_on(
+    px4_parameters, px4_fingerprint, make_fit
+):
+    """The drift alone is planned first; the offset of the poses is below what PX4 takes, and the row will run."""
+    rest = make_fit(Sensor.GYRO, offset=[0.002, -0.001, 0.003], offset_sd=1e-5)
+    parameters = px4_parameters | {"TC_G_ENABLE": 1, "TC_G0_ID": px4_parameters["CAL_GYRO0_ID"], "TC_G0_TREF": 25.0}
+    parameters |= {"TC_G0_TMIN": 0.0, "TC_G0_TMAX": 60.0}
+    parameters |= {f"TC_G0_X{k}_{a}": 0.0 for k in range(4) for a in range(3)}
+    plan = compose([rest], parameters, px4_fingerprint)
+    assert {c.name for c in plan.changes if not c.session} == {f"TC_G0_X0_{a}" for a in range(3)}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -91,3 +93,28 @@ def test_px4_reads_level_after_its_level_job(px4_parameters, px4_fingerprint, ma
     assert (check.id, check.verdict) == ("level", SensorVerdict.RIGHT)
     assert abs(np.linalg.norm(force_when_level(ROLL, PITCH)) - STANDARD_GRAVITY) < 1e-9
     assert result.proved
+
+
+def test_without_a_rest_before_the_write_no_trim_is_judged(levelled):
+    """Only the level itself is: the vehicle stands as it did when the fit was made."""
+    plan, fits, stored = levelled
+    rng = np.random.default_rng(4)
+    shaken = standing(rng, ROLL, PITCH, tuple(OLD.values()))
+    channels = tuple(
+        c if c.sensor is Sensor.ATTITUDE else dataclasses.replace(c, values=c.values + rng.normal(0.0, 2.0, (200, 3)))
+        for c in shaken.channels
+    )
+    after = standing(rng, ROLL, PITCH, (ROLL, PITCH), start=9.0)
+    result = verify(plan, fits, Recording(channels), after, parameters=stored)
+    assert {p.verdict for p in result.parameters} == {Verdict.NOT_OBSERVABLE}
+    assert result.must_go == ""
+
+
+def test_an_attitude_that_turned_by_itself_tells_nothing_of_a_trim(levelled):
+    plan, fits, stored = levelled
+    rng = np.random.default_rng(5)
+    before = standing(rng, ROLL, PITCH, tuple(OLD.values()))
+    after = standing(rng, ROLL, PITCH, (ROLL, PITCH), start=9.0, error=(0.2, -0.3))
+    result = verify(plan, fits, before, after, parameters=stored)
+    assert {p.verdict for p in result.parameters} == {Verdict.NOT_OBSERVABLE}
+    assert {p.text for p in result.parameters} == {"the attitude has changed otherwise meanwhile: nothing can be told"}
