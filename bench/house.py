@@ -1,0 +1,90 @@
+"""``scripts/house``: files, lines, arrows and circles of the packages, room by room, as the imports say."""
+
+from __future__ import annotations
+
+import ast
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("calib", "service")
+Graph = Mapping[str, frozenset[str]]
+
+
+def sources(package: str) -> dict[str, str]:
+    """Text of every module, by its dotted name; a folder's ``__init__`` has the name of the folder."""
+    paths = sorted((ROOT / package).rglob("*.py"))
+    names = {".".join(p.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): p for p in paths}
+    return {f"mavcal.{name}": path.read_text(encoding="utf-8") for name, path in names.items()}
+
+
+def arrows(modules: Mapping[str, str]) -> Graph:
+    """Each module with those that it imports, imports for type checkers included; only modules of `modules` count."""
+    return {name: frozenset(_imported(text, modules)) - {name} for name, text in modules.items()}
+
+
+def circles(graph: Graph) -> list[list[str]]:
+    """Sets of modules that import each other in a circle (strongly connected components), each sorted.
+
+    >>> circles({"a": frozenset("b"), "b": frozenset("a"), "c": frozenset("a")})
+    [['a', 'b']]
+    """
+    reached = {name: _reached(graph, name) for name in graph}
+    groups = {frozenset(o for o in reached[name] if name in reached[o]) for name in graph}
+    return sorted(sorted(group) for group in groups if len(group) > 1)
+
+
+def report(package: str, modules: Mapping[str, str]) -> str:
+    """What the package looks like, a line a room."""
+    graph = arrows(modules)
+    lines: Counter[str] = Counter()
+    files: Counter[str] = Counter()
+    for name, text in modules.items():
+        lines[_room(name)] += len(text.splitlines())
+        files[_room(name)] += 1
+    found = circles(graph)
+    head = (
+        f"{package}: {len(modules)} files, {sum(lines.values())} lines, "
+        f"{sum(map(len, graph.values()))} arrows, {len(found)} circles"
+    )
+    rooms = [f"  {room:24} {files[room]:4} files {count:6} lines" for room, count in lines.most_common()]
+    rings = [f"  circle: {', '.join(circle)}" for circle in found]
+    return "\n".join([head, *rooms, *rings])
+
+
+def main() -> None:
+    """Print the packages one after the other."""
+    for package in PACKAGES:
+        print(report(package, sources(package)))
+
+
+def _room(name: str) -> str:
+    parts = name.split(".")
+    return ".".join(parts[1:3])
+
+
+def _imported(text: str, modules: Mapping[str, str]) -> Iterator[str]:
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name in modules)
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            whole = [f"{node.module}.{alias.name}" for alias in node.names]
+            yield from (name for name in whole if name in modules)  # a name, or a module of that name
+            if node.module in modules and any(name not in modules for name in whole):
+                yield node.module
+
+
+def _reached(graph: Graph, start: str) -> frozenset[str]:
+    seen: set[str] = set()
+    waiting = [start]
+    while waiting:
+        for other in graph[waiting.pop()]:
+            if other not in seen:
+                seen.add(other)
+                waiting.append(other)
+    return frozenset(seen)
+
+
+if __name__ == "__main__":
+    main()
