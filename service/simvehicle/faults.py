@@ -23,16 +23,14 @@ Triggers: "now", {"time": t}, {"after_s": s}, {"nth_set": n} (the n-th PARAM_SET
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from mavcal.service.simvehicle.errors import ControlError
-from mavcal.service.simvehicle.impairment import Impairment
+from mavcal.service.simvehicle.impairment import FaultyLink, Impairment
 from mavcal.service.simvehicle.sensor_faults import SENSORS, SensorFault
-
-if TYPE_CHECKING:
-    from mavcal.service.simvehicle.server import Server
+from mavcal.service.simvehicle.vehicle import Vehicle
 
 DEFAULT_SILENCE_S = 5.0
 DEFAULT_ECHO_DELAY_S = 1.5
@@ -59,11 +57,33 @@ class Fault:
     done: bool = False
 
 
+class Site(Protocol):
+    """Where faults strike: a vehicle, its links, and room for a twin."""
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The vehicle."""
+        ...
+
+    @property
+    def links(self) -> Sequence[FaultyLink]:
+        """What its frames pass."""
+        ...
+
+    def add_twin(self) -> None:
+        """Another vehicle under the same system id."""
+        ...
+
+    def remove_twins(self) -> None:
+        """Take the others away."""
+        ...
+
+
 class Injector:
     """Keeps the faults that wait, and lets them strike."""
 
-    def __init__(self, server: Server) -> None:
-        self._server = server
+    def __init__(self, site: Site) -> None:
+        self._site = site
         self._faults: list[Fault] = []
         self._echoes: list[tuple[Fault, int]] = []
         self._kinds: dict[str, Callable[[Fault, str | None], None]] = {
@@ -79,14 +99,14 @@ class Injector:
             "stuck": self._sensor,
             "nan": self._sensor,
             "absent": self._sensor,
-            "twin": lambda _f, _n: self._server.add_twin(),
+            "twin": lambda _f, _n: self._site.add_twin(),
             "move": lambda _f, _n: self._move(),
         }
-        server.vehicle.echo_filter = self._filter_echo
+        site.vehicle.echo_filter = self._filter_echo
 
     @property
     def _vehicle(self) -> Any:
-        return self._server.vehicle
+        return self._site.vehicle
 
     def arm(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """The `fault` verb. Raises ControlError where the kind, an option or the trigger makes no sense."""
@@ -150,14 +170,14 @@ class Injector:
         for fault in self._faults:
             fault.done = True
         self._echoes.clear()
-        for link in self._server.links:
+        for link in self._site.links:
             link.set_impairments(Impairment(), Impairment())
         self._vehicle.faults.clear()
         self._vehicle.table.unpin_all()
         self._vehicle.reload_calibration()
         self._vehicle.stop_onboard_calibration()
         self._vehicle.silent_until = -math.inf
-        self._server.remove_twins()
+        self._site.remove_twins()
 
     def report(self) -> list[dict[str, Any]]:
         """Every fault asked for, when it struck, and for one on the wire how many frames it has hit in all."""
@@ -166,13 +186,13 @@ class Injector:
     def _hits(self, fault: Fault) -> dict[str, int]:
         if fault.kind not in PERSISTENT:
             return {}
-        return {"hits": sum(link.spoilt[fault.kind] for link in self._server.links)}
+        return {"hits": sum(link.spoilt[fault.kind] for link in self._site.links)}
 
     # --- the strokes
 
     def _impair(self, fault: Fault, _name: str | None) -> None:
         direction, values = _direction(fault), _impairment_values(fault)
-        for link in self._server.links:
+        for link in self._site.links:
             link.set_impairments(
                 replace(link.incoming, **values) if direction != "out" else link.incoming,
                 replace(link.outgoing, **values) if direction != "in" else link.outgoing,
@@ -229,7 +249,7 @@ class Injector:
         self._vehicle.faults.set(sensor, instance, SensorFault(fault.kind))
 
     def _move(self) -> None:
-        for link in self._server.links:
+        for link in self._site.links:
             link.move()
 
 

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from mavcal.service.simvehicle.errors import ControlError
+from mavcal.service.simvehicle.faults import Injector
 from mavcal.service.simvehicle.scripts import SCRIPTS
 from mavcal.service.simvehicle.truthreport import truth_report
-
-if TYPE_CHECKING:
-    from mavcal.service.simvehicle.server import Server
 
 Request = Mapping[str, Any]
 Reply = dict[str, Any]
@@ -22,11 +20,51 @@ DEFAULT_TILT_DEG = 3.0
 DEFAULT_TREMOR_DEG = 0.2
 
 
+class Process(Protocol):
+    """What the verbs ask of the process that keeps the vehicle going."""
+
+    @property
+    def vehicle(self) -> Any:
+        """The vehicle; its personality has more than every vehicle has."""
+        ...
+
+    @property
+    def injector(self) -> Injector:
+        """Its faults."""
+        ...
+
+    @property
+    def speed(self) -> float:
+        """Seconds of the vehicle's time in one of the wall clock."""
+        ...
+
+    @property
+    def lag_s(self) -> float:
+        """How far the last tick came too late, s of the wall clock."""
+        ...
+
+    def set_speed(self, value: float) -> None:
+        """Go at another speed. Raises ControlError if it is none."""
+        ...
+
+    def run_script(self, name: str) -> None:
+        """Begin the movements of that name. Raises ControlError if there are none."""
+        ...
+
+    def stop_script(self) -> None:
+        """End the movements."""
+        ...
+
+    def stop(self) -> None:
+        """End the process."""
+        ...
+
+
 class Verbs:
     """The handler of the control channel."""
 
-    def __init__(self, server: Server) -> None:
-        self._server = server
+    def __init__(self, process: Process) -> None:
+        self._process = process
         self._verbs: dict[str, Callable[[Request], Reply]] = {
             "hold": self._hold,
             "still": self._still,
@@ -52,7 +90,7 @@ class Verbs:
 
     @property
     def _vehicle(self) -> Any:
-        return self._server.vehicle
+        return self._process.vehicle
 
     def __call__(self, do: str, request: Request) -> Reply:
         """Carry out one request. Raises ControlError for a verb or an entry that is not known."""
@@ -64,7 +102,7 @@ class Verbs:
     # --- motion
 
     def _hold(self, r: Request) -> Reply:
-        self._server.stop_script()
+        self._process.stop_script()
         tilt = _number(r, "tilt_deg", DEFAULT_TILT_DEG)
         tremor = _number(r, "tremor_deg", DEFAULT_TREMOR_DEG)
         transition = _number(r, "transition_s", 1.5)
@@ -73,17 +111,17 @@ class Verbs:
         return {"reached": reached}
 
     def _still(self, _r: Request) -> Reply:
-        self._server.stop_script()
+        self._process.stop_script()
         self._vehicle.world.motion.still(self._vehicle.time)
         return {}
 
     def _tumble(self, r: Request) -> Reply:
-        self._server.stop_script()
+        self._process.stop_script()
         self._vehicle.world.motion.tumble(self._vehicle.time, _number(r, "rate_dps", 45.0))
         return {}
 
     def _turn(self, r: Request) -> Reply:
-        self._server.stop_script()
+        self._process.stop_script()
         turns = None if r.get("turns") is None else _number(r, "turns")
         axis, rate_dps = r.get("axis", [0, 0, 1]), _number(r, "rate_dps", 20.0)
         self._vehicle.world.motion.turn(self._vehicle.time, axis, rate_dps, turns)
@@ -126,17 +164,17 @@ class Verbs:
     # --- faults and scripts
 
     def _fault(self, r: Request) -> Reply:
-        return self._server.injector.arm(r)
+        return self._process.injector.arm(r)
 
     def _clear_faults(self, _r: Request) -> Reply:
-        self._server.injector.clear()
+        self._process.injector.clear()
         return {}
 
     def _script(self, r: Request) -> Reply:
         name = r.get("name")
         if name not in SCRIPTS:
             raise ControlError(f"unknown script {name!r}; known: {', '.join(SCRIPTS)}")
-        self._server.run_script(str(name))
+        self._process.run_script(str(name))
         return {}
 
     # --- knowledge
@@ -168,19 +206,19 @@ class Verbs:
             "temperatures": [float(vehicle.world.thermal.imu(k, t)[0]) for k in range(count)],
             "throttle": float(vehicle.world.throttle.at(t)[0]),
             "current": float(vehicle.world.current.at(t)[0]),
-            "speed": self._server.speed,
-            "lag_s": self._server.lag_s,
+            "speed": self._process.speed,
+            "lag_s": self._process.lag_s,
             "param_sets": vehicle.set_count,
             "param_set_list": [[when, name, _json_value(value)] for when, name, value in vehicle.sets],
-            "faults": self._server.injector.report(),
+            "faults": self._process.injector.report(),
         }
 
     def _speed(self, r: Request) -> Reply:
-        self._server.set_speed(_number(r, "value"))
-        return {"speed": self._server.speed}
+        self._process.set_speed(_number(r, "value"))
+        return {"speed": self._process.speed}
 
     def _shutdown(self, _r: Request) -> Reply:
-        self._server.stop()
+        self._process.stop()
         return {}
 
 
