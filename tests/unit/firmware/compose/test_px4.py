@@ -408,10 +408,7 @@ def test_a_drift_has_nowhere_to_go_when_other_sensors_hold_every_thermal_row(px4
     assert not any("no free row" in text for text in free.blockers)
 
 
-def test_a_fine_offset_goes_into_a_thermal_term_that_the_next_start_switches_on(
-    px4_parameters, px4_fingerprint, make_fit
-):
-    """The drift alone is planned first; the offset of the poses is below what PX4 takes, and the row will run."""
+def test_a_fine_offset_of_a_gyroscope_goes_into_its_running_thermal_term(px4_parameters, px4_fingerprint, make_fit):
     rest = make_fit(Sensor.GYRO, offset=[0.002, -0.001, 0.003], offset_sd=1e-5)
     parameters = px4_parameters | {"TC_G_ENABLE": 1, "TC_G0_ID": px4_parameters["CAL_GYRO0_ID"], "TC_G0_TREF": 25.0}
     parameters |= {"TC_G0_TMIN": 0.0, "TC_G0_TMAX": 60.0}
