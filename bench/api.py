@@ -11,18 +11,19 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+import httpx
+
 from bench.memory import begin_capture
 from bench.rows import Row, Section, milliseconds, percentile
 from bench.running import RunningService, service
 from bench.sender import MARKER, Spec, started
-from mavcal.service.client import ServiceClient
-from mavcal.service.simvehicle.client import SimulatedVehicle, free_udp_port
+from mavcal.client import Client
+from mavcal.service.simvehicle import SimulatedVehicle, free_udp_port
 
 RATE = 20_000.0
 SECONDS = 20.0
 REQUESTS_PER_S = 20.0
 TARGET_S = 0.050
-PATH = "/vehicles"
 SPAWN = multiprocessing.get_context("spawn")
 
 
@@ -90,7 +91,7 @@ def _measured(*, rate: float, seconds: float, job: bool) -> Answers:
             with _streaming(port, rate, seconds) as sent:
                 late = pool.submit(oversleeping, seconds)
                 began, used = time.monotonic(), running.processor_s()
-                durations = asked_at_rate(running.client, REQUESTS_PER_S, seconds)
+                durations = asked_at_rate(running.url, REQUESTS_PER_S, seconds)
                 share = (running.processor_s() - used) / (time.monotonic() - began)
             probe = tuple(late.result())
         recorded = _recorded(running, sent)
@@ -120,17 +121,18 @@ def _recorded(running: RunningService, sent: int) -> int:
     return found
 
 
-def asked_at_rate(client: ServiceClient, rate: float, seconds: float) -> list[float]:
+def asked_at_rate(url: str, rate: float, seconds: float) -> list[float]:
     """Durations of GET requests on a schedule; one held up by the answer before counts from when it was due."""
-    began = time.monotonic()
     durations = []
-    for k in range(int(rate * seconds)):
-        start = due = began + k / rate
-        if time.monotonic() < due:
-            time.sleep(due - time.monotonic())
-            start = time.monotonic()
-        client.get(PATH)
-        durations.append(time.monotonic() - start)
+    with Client(url, transport=httpx.HTTPTransport(limits=httpx.Limits(max_keepalive_connections=0))) as client:
+        began = time.monotonic()
+        for k in range(int(rate * seconds)):
+            start = due = began + k / rate
+            if time.monotonic() < due:
+                time.sleep(due - time.monotonic())
+                start = time.monotonic()
+            client.list_vehicles()
+            durations.append(time.monotonic() - start)
     return durations
 
 

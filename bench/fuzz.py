@@ -31,7 +31,7 @@ from mavcal.calib import logs
 from mavcal.calib.errors import CalibError
 from mavcal.calib.flight.report import overview
 from mavcal.calib.logs.inspection import inspect
-from mavcal.calib.report import plain
+from mavcal.calib.report import to_json
 
 CPU_S = 5.0
 """Most processor time for one file."""
@@ -107,7 +107,7 @@ def mutated(data: bytes, rng: random.Random) -> bytes:
     return bytes(made)
 
 
-def _plain(*seeds: bytes) -> Mutate:
+def _to_json(*seeds: bytes) -> Mutate:
     return lambda rng: mutated(rng.choice(seeds), rng)
 
 
@@ -115,7 +115,7 @@ def dataflash() -> Mutate:
     """A copter's log, short."""
     from bench.dataflash import flight
 
-    return _plain(flight(0.1, 1)[:6000], flight(0.1, 2)[:9000])
+    return _to_json(flight(0.1, 1)[:6000], flight(0.1, 2)[:9000])
 
 
 def dataflash_text() -> Mutate:
@@ -131,7 +131,7 @@ def dataflash_text() -> Mutate:
     ]
     rows = [f"IMU, {20 * k}, 0.01, -0.0{k % 9}, 0.0, 0.1, 0.{k % 7}, -9.8" for k in range(24)]
     rows += [f"MAG, {20 * k}, {100 + k % 3}, {-50 - k % 5}, 400" for k in range(24)]
-    return _plain("\n".join(head + rows).encode())
+    return _to_json("\n".join(head + rows).encode())
 
 
 def ulog() -> Mutate:
@@ -147,7 +147,7 @@ def ulog() -> Mutate:
         for topic in topics:
             sample(log, topic, 1_000_000 + 20_000 * k, 0.1, 0.01 * (k % 5), -9.8)
     sync = struct.pack("<HB", 8, ord("S")) + bytes((0x2F, 0x73, 0x13, 0x20, 0x25, 0x0C, 0xBB, 0x12))
-    return _plain(log.bytes, log.bytes[:-300] + sync + log.bytes[-300:])
+    return _to_json(log.bytes, log.bytes[:-300] + sync + log.bytes[-300:])
 
 
 def tlog() -> Mutate:
@@ -190,7 +190,7 @@ def csv() -> Mutate:
     """A table as text, in two dialects."""
     rows = [f"{k / 50},{k % 3},0.{k % 7},-9.8,{20 + k}.5,1,face{k // 10}" for k in range(30)]
     one = "t,accel_x,accel_y,accel_z,current,temperature,segment\n" + "\n".join(rows)
-    return _plain(one.encode(), ("# made\n" + one.replace(",", ";").replace(".", ",")).encode())
+    return _to_json(one.encode(), ("# made\n" + one.replace(",", ";").replace(".", ",")).encode())
 
 
 def _arrays() -> dict[str, Any]:
@@ -303,7 +303,7 @@ def _child(mutate: Mutate, seed: str, numbers: range, path: Path, told: int) -> 
             signal.setitimer(signal.ITIMER_PROF, CPU_S)  # its signal ends the process, wherever it is
             try:
                 recording = logs.read(path)
-                json.dumps(plain((overview if number % OVERVIEW_EACH == 0 else inspect)(recording)), allow_nan=False)
+                json.dumps(to_json((overview if number % OVERVIEW_EACH == 0 else inspect)(recording)), allow_nan=False)
                 what = "read"
             except CalibError as error:
                 what = "refused" if len(str(error)) < 2000 else "a refusal longer than 2000 characters"

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("calib", "service")
+PACKAGES = ("calib", "client", "service")
 Graph = Mapping[str, frozenset[str]]
 
 
@@ -21,7 +21,7 @@ def sources(package: str) -> dict[str, str]:
 
 def arrows(modules: Mapping[str, str]) -> Graph:
     """Each module with those that it imports, imports for type checkers included; only modules of `modules` count."""
-    return {name: frozenset(_imported(text, modules)) - {name} for name, text in modules.items()}
+    return {name: frozenset(_imported(name, text, modules)) - {name} for name, text in modules.items()}
 
 
 def circles(graph: Graph) -> list[list[str]]:
@@ -64,15 +64,26 @@ def _room(name: str) -> str:
     return ".".join(parts[1:3])
 
 
-def _imported(text: str, modules: Mapping[str, str]) -> Iterator[str]:
+def _imported(importer: str, text: str, modules: Mapping[str, str]) -> Iterator[str]:
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names if alias.name in modules)
-        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            whole = [f"{node.module}.{alias.name}" for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = _base(importer, node, modules)
+            whole = [f"{base}.{alias.name}" for alias in node.names]
             yield from (name for name in whole if name in modules)  # a name, or a module of that name
-            if node.module in modules and any(name not in modules for name in whole):
-                yield node.module
+            if base in modules and any(name not in modules for name in whole):
+                yield base
+
+
+def _base(importer: str, node: ast.ImportFrom, modules: Mapping[str, str]) -> str:
+    """The module that names are imported from; a relative import counts from the importer's folder."""
+    if not node.level:
+        return node.module or ""
+    folder = any(name.startswith(f"{importer}.") for name in modules)
+    parts = importer.split(".")
+    own = parts[: len(parts) - node.level + folder]
+    return ".".join([*own, *([node.module] if node.module else [])])
 
 
 def _reached(graph: Graph, start: str) -> frozenset[str]:

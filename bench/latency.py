@@ -14,10 +14,10 @@ from pathlib import Path
 from bench.rows import Row, Section, milliseconds
 from bench.running import RunningService, service
 from mavcal.calib.wire import RawMessage, encode
-from mavcal.service.client import ApiError
+from mavcal.client.events import ProgressEvent, StateEvent
+from mavcal.client.problems import VehicleArmed
 from mavcal.service.link import Batch, Link
-from mavcal.service.simvehicle.client import SimulatedVehicle
-from mavcal.service.simvehicle.operator import Operator
+from mavcal.service.simvehicle import Operator, SimulatedVehicle
 
 SPEEDS = (1.0, 30.0)
 WRITING_SPEED = 4.0
@@ -129,49 +129,47 @@ def _job(speed: float) -> Watched:
         Operator(vehicle).rest()
         vehicle_id = running.found()
         watched = Watched(time.time())
-        job = str(running.client.post(f"/vehicles/{vehicle_id}/jobs", {"kind": "gyro"})["id"])
+        job = running.client.start_job(vehicle_id, kind="gyro").id
         _follow(running, job, watched, {"review"})
-        fits = running.client.get(f"/jobs/{job}")["results"]
-        watched.data_s = max(float(fit["quality"]["duration"]) for fit in fits)
+        fits = running.client.get_job(job).results
+        watched.data_s = max(float(fit.quality["duration"]) for fit in fits)
         vehicle.call("speed", value=min(speed, WRITING_SPEED))
         _apply(running, job)
         _follow(running, job, watched, set(_ENDED))
         if watched.states[-1][0] != "succeeded":
-            raise RuntimeError(f"the job has not succeeded: {running.client.get(f'/jobs/{job}')['outcome']}")
+            raise RuntimeError(f"the job has not succeeded: {running.client.get_job(job).outcome}")
     return watched
 
 
 def _follow(running: RunningService, job: str, watched: Watched, until: set[str]) -> None:
     """Note states and progress until one of these states; states that were noted before are passed over."""
     known = len(watched.states)
-    for _, _, event in running.client.events(f"/jobs/{job}/events"):
-        at, data = float(event["at"]), event["data"]
-        if event["kind"] == "progress":
-            watched.first_progress = watched.first_progress or at
-        elif event["kind"] == "state":
+    for message in running.client.follow_job(job):
+        event = message.data
+        if isinstance(event, ProgressEvent):
+            watched.first_progress = watched.first_progress or event.at
+        elif isinstance(event, StateEvent):
             if known:
                 known -= 1
                 continue
-            watched.states.append((str(data["state"]), at))
-            if data["state"] in until:
+            watched.states.append((event.data.state.value, event.at))
+            if event.data.state in until:
                 return
-            if data["state"] in _ENDED:
-                raise RuntimeError(f"the job ended early: {running.client.get(f'/jobs/{job}')['outcome']}")
+            if event.data.state in _ENDED:
+                raise RuntimeError(f"the job ended early: {running.client.get_job(job).outcome}")
     raise RuntimeError(f"the events of job {job} ended early")
 
 
 def _apply(running: RunningService, job: str) -> None:
     """Accept the plan; a vehicle that was not seen disarmed for 2 s yet is asked again."""
-    digest = running.client.get(f"/jobs/{job}")["plan"]["sha256"]
+    digest = running.client.get_plan(job).sha256
     until = time.monotonic() + _ACCEPT_WITHIN_S
     while True:
         try:
-            running.client.post(
-                f"/jobs/{job}/apply", {"plan_sha256": digest, "reboot": True, "prove_s": 0.0}, Idempotency_Key=job
-            )
-        except ApiError as error:
-            if error.problem.get("type", "").endswith("vehicle-armed") and time.monotonic() < until:
-                time.sleep(0.1)
-                continue
-            raise
+            running.client.apply_plan(job, plan_sha256=digest, reboot=True, prove_s=0.0, idempotency_key=job)
+        except VehicleArmed:
+            if time.monotonic() > until:
+                raise
+            time.sleep(0.1)
+            continue
         return

@@ -13,8 +13,8 @@ import numpy as np
 from bench.rows import Row, Section
 from bench.running import RunningService, service
 from bench.sender import MARKER, Spec, started
-from mavcal.service.client import ServiceClient
-from mavcal.service.simvehicle.client import SimulatedVehicle, free_udp_port
+from mavcal.client import Client
+from mavcal.service.simvehicle import SimulatedVehicle, free_udp_port
 
 SPEED = 30.0
 HOUR_S = 3600.0
@@ -83,13 +83,13 @@ def _capturing(vehicle_s: float) -> tuple[list[Reading], list[str]]:
         job = begin_capture(running.client, vehicle_id)
         began = vehicle.state()["time"]
         readings = _sampled(running, lambda: vehicle.state()["time"] - began, vehicle_s, job)
-        page = running.client.get(f"/vehicles/{vehicle_id}")
-        ended = running.client.get(f"/jobs/{job}")
+        page = running.client.get_vehicle(vehicle_id)
+        ended = running.client.get_job(job)
         said = [
             f"The vehicle's clock ran {readings[-1].at:.0f} s in {readings[-1].wall - readings[0].wall:.0f} s; "
-            f"{page['received']} frames came, {page['lost']} were lost.",
-            f"The job (thermal, span {SPAN_C:g} degC) at the end: {ended['state']}, "
-            f"{(ended['progress'] or {}).get('text')}, {(ended['outcome'] or {}).get('cause', 'no outcome yet')}.",
+            f"{page.received} frames came, {page.lost} were lost.",
+            f"The job (thermal, span {SPAN_C:g} degC) at the end: {ended.state}, "
+            f"{getattr(ended.progress, 'text', None)}, {getattr(ended.outcome, 'cause', 'no outcome yet')}.",
         ]
     return readings, said
 
@@ -112,14 +112,13 @@ def _streaming(frames: int) -> tuple[list[Reading], list[str]]:
     return readings, [f"Without a job: {recorded} of {len(spec.sent())} frames were recorded."]
 
 
-def begin_capture(client: ServiceClient, vehicle_id: str) -> str:
+def begin_capture(client: Client, vehicle_id: str) -> str:
     """A job that captures until it is ended, because the temperature never reaches the span; its id."""
-    body = {"kind": "thermal", "options": {"span": SPAN_C, "extend": False}}
-    job = str(client.post(f"/vehicles/{vehicle_id}/jobs", body)["id"])
+    job = client.start_job(vehicle_id, kind="thermal", options={"span": SPAN_C, "extend": False}).id
     until = time.monotonic() + CAPTURES_WITHIN_S
-    while client.get(f"/jobs/{job}")["progress"] is None:
+    while client.get_job(job).progress is None:
         if time.monotonic() > until:
-            raise RuntimeError(f"the job does not capture: {client.get(f'/jobs/{job}')}")
+            raise RuntimeError(f"the job does not capture: {client.get_job(job)}")
         time.sleep(0.1)
     return job
 
@@ -130,7 +129,7 @@ def _sampled(running: RunningService, clock: Callable[[], float], until: float, 
     limit = time.monotonic() + WALL_LIMIT_S
     while (now := clock()) <= until and time.monotonic() < limit:
         readings.append(Reading(now, time.monotonic(), running.resident_bytes(), running.tlog_bytes()))
-        if job is not None and running.client.get(f"/jobs/{job}")["state"] not in CAPTURING:
+        if job is not None and running.client.get_job(job).state not in CAPTURING:
             break
         time.sleep(PERIOD_S)
     return readings

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mavcal.service.client import ServiceClient
+from mavcal.client import Client
 from mavcal.service.lifetime import ending_with_us
 
 _START_S = 60.0
@@ -25,7 +25,7 @@ _STOP_S = 15.0
 class RunningService:
     """The client of a service, and its process."""
 
-    client: ServiceClient
+    client: Client
     pid: int
     data_dir: Path
     url: str
@@ -57,9 +57,9 @@ class RunningService:
         """
         until = time.monotonic() + _FOUND_S
         while time.monotonic() < until:
-            vehicles = self.client.get("/vehicles")
-            if vehicles and not vehicles[0]["silent"] and vehicles[0]["uid"]:
-                return str(vehicles[0]["id"])
+            vehicles = self.client.list_vehicles()
+            if vehicles and not vehicles[0].silent and vehicles[0].uid:
+                return vehicles[0].id
             time.sleep(0.02)
         raise RuntimeError(f"the service did not find the simulated vehicle within {_FOUND_S:g} s")
 
@@ -93,7 +93,8 @@ def service(connect: str, data_dir: Path) -> Iterator[RunningService]:
                 said = log_path.read_text(errors="replace").strip().splitlines()[-3:]
                 raise RuntimeError(f"the service did not come up: {said}")
             answer: dict[str, Any] = json.loads(line)
-            yield RunningService(ServiceClient(answer["url"]), process.pid, data_dir, answer["url"])
+            with Client(answer["url"]) as client:
+                yield RunningService(client, process.pid, data_dir, answer["url"])
         finally:
             process.terminate()
             try:

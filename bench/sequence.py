@@ -19,11 +19,10 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from bench.campaign.session import Session, session
-from mavcal.calib.firmware.plan import SensorVerdict, Verdict, Verification
+from mavcal.calib.firmware.plan import ProofVerdict, SensorVerdict, Verification
 from mavcal.service.jobs.model import Failure, Job
 from mavcal.service.jobs.states import ENDED, JobState
-from mavcal.service.simvehicle.client import SimulatedVehicle
-from mavcal.service.simvehicle.operator import Operator
+from mavcal.service.simvehicle import Operator, SimulatedVehicle
 
 Json = dict[str, Any]
 
@@ -119,7 +118,7 @@ def row_of(autopilot: str, job: Job, seconds: float) -> Row:
         job.kind,
         job.state,
         len(acting),
-        sum(p.verdict == Verdict.PROVED for p in acting),
+        sum(p.verdict == ProofVerdict.PROVED for p in acting),
         sum(c.verdict == SensorVerdict.RIGHT for c in judged),
         len(judged),
         seconds,
@@ -135,7 +134,7 @@ def reason_of(job: Job, check: Verification) -> str:
         return "; ".join(job.plan.blockers) or "nothing to write: what is in force agrees with the fit"
     texts: dict[str, list[str]] = {}
     for p in check.parameters:
-        if p.acts_on_stream and p.verdict != Verdict.PROVED:
+        if p.acts_on_stream and p.verdict != ProofVerdict.PROVED:
             texts.setdefault(p.text, []).append(p.name)
     if texts:
         return "; ".join(f"{', '.join(names)}: {text}" for text, names in texts.items())

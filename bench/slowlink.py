@@ -21,7 +21,7 @@ from mavcal.service.core import Service, running_service
 from mavcal.service.jobs.model import Accept, Job
 from mavcal.service.jobs.states import ENDED, JobState
 from mavcal.service.settings import Settings
-from mavcal.service.simvehicle.client import SimulatedVehicle
+from mavcal.service.simvehicle import SimulatedVehicle
 from mavcal.service.store.rows import EventRow, SnapshotPurpose
 
 LIMIT_S = 60.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from types import MappingProxyType
@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.recording import Sensor
+from mavcal.calib.recording import Channel, Sensor
 from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 
 AXES = "xyz"
+OFFSETS = tuple(f"offset_{axis}" for axis in AXES)
 
 
 class FitStatus(StrEnum):
@@ -34,10 +35,9 @@ def parameter_names(polynomial_degree: int = 0) -> tuple[str, ...]:
     >>> parameter_names(1)[:4], parameter_names(1)[-3:]
     (('offset_x', 'offset_y', 'offset_z', 'matrix_xx'), ('poly1_x', 'poly1_y', 'poly1_z'))
     """
-    offsets = tuple(f"offset_{a}" for a in AXES)
     matrix = tuple(f"matrix_{a}{b}" for a in AXES for b in AXES)
     poly = tuple(f"poly{j + 1}_{a}" for a in AXES for j in range(polynomial_degree))
-    return offsets + matrix + poly
+    return OFFSETS + matrix + poly
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,34 +118,105 @@ class FitResult:
         return self.status != FitStatus.REFUSED and not set(names) & set(self.undetermined)
 
 
-def refused(
-    method: str,
-    sensor: Sensor,
-    instance: int,
-    message: str,
-    *,
-    unit: str,
-    n_samples: int,
-    undetermined: tuple[str, ...] = parameter_names(),
-    movement: str = "",
-    quality: Mapping[str, Any] = MappingProxyType({}),
-) -> FitResult:
-    """A fit that may not be used: `message` has reason and remedy, `movement` what would determine it."""
-    size = len(parameter_names())
-    return FitResult(
-        method=method,
-        sensor=sensor,
-        instance=instance,
-        status=FitStatus.REFUSED,
-        message=message,
-        model=TriadModel(),
-        covariance=np.zeros((size, size)),
-        unit=unit,
-        n_samples=n_samples,
-        n_used=0,
-        residual_rms=0.0,
-        condition_number=0.0,
-        undetermined=undetermined,
-        movements=dict.fromkeys(undetermined, movement) if movement else {},
-        quality=quality,
-    )
+@dataclass(frozen=True)
+class FitBuilder:
+    """What is known before anything is fitted: the method, and of which samples.
+
+    It makes the result in one step, fitted or refused, so that none is ever half built.
+    """
+
+    method: str
+    sensor: Sensor
+    instance: int
+    unit: str
+    n_samples: int
+    relative: bool = False
+    temperature: float | None = None
+    movement: str = ""
+    """What would determine all of it: told of a refusal that names nothing better."""
+
+    @classmethod
+    def of(
+        cls,
+        method: str,
+        channel: Channel,
+        *,
+        relative: bool = False,
+        temperature: float | None = None,
+        movement: str = "",
+    ) -> FitBuilder:
+        """For the samples of a channel as it was given."""
+        return cls(
+            method, channel.sensor, channel.instance, channel.unit, len(channel), relative, temperature, movement
+        )
+
+    def fitted(
+        self,
+        model: TriadModel,
+        covariance: Array,
+        *,
+        message: str,
+        n_used: int,
+        residual_rms: float,
+        condition_number: float,
+        undetermined: Mapping[str, str] = MappingProxyType({}),
+        partial: bool | None = None,
+        warnings: Iterable[str] = (),
+        quality: Mapping[str, Any] = MappingProxyType({}),
+        native: Mapping[str, Any] = MappingProxyType({}),
+    ) -> FitResult:
+        """The fit; `undetermined` has for each name the movement that would determine it, or nothing.
+
+        `partial` says whether that is less than the method promises; None: whenever something is undetermined.
+        """
+        lacking = bool(undetermined) if partial is None else partial
+        return FitResult(
+            method=self.method,
+            sensor=self.sensor,
+            instance=self.instance,
+            status=FitStatus.PARTIAL if lacking else FitStatus.OK,
+            message=message,
+            model=model,
+            covariance=covariance,
+            unit=self.unit,
+            n_samples=self.n_samples,
+            n_used=n_used,
+            residual_rms=residual_rms,
+            condition_number=condition_number,
+            relative=self.relative,
+            undetermined=tuple(undetermined),
+            movements={name: remedy for name, remedy in undetermined.items() if remedy},
+            warnings=tuple(warnings),
+            temperature=self.temperature,
+            quality=quality,
+            native=native,
+        )
+
+    def refused(
+        self,
+        message: str,
+        undetermined: tuple[str, ...] = parameter_names(),
+        movement: str = "",
+        *,
+        quality: Mapping[str, Any] = MappingProxyType({}),
+    ) -> FitResult:
+        """A fit that may not be used: `message` has reason and remedy, `movement` what would determine it."""
+        remedy = movement or self.movement
+        size = len(parameter_names())
+        return FitResult(
+            method=self.method,
+            sensor=self.sensor,
+            instance=self.instance,
+            status=FitStatus.REFUSED,
+            message=message,
+            model=TriadModel(),
+            covariance=np.zeros((size, size)),
+            unit=self.unit,
+            n_samples=self.n_samples,
+            n_used=0,
+            residual_rms=0.0,
+            condition_number=0.0,
+            undetermined=undetermined,
+            movements=dict.fromkeys(undetermined, remedy) if remedy else {},
+            quality=quality,
+        )

@@ -10,13 +10,14 @@ from pathlib import Path
 from fastapi import FastAPI
 from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
+from starlette.middleware.cors import CORSMiddleware
 
 from mavcal import calib
-from mavcal.service.api import gaps, host, jobs, links, recordings, vehicles
+from mavcal.service.api import gaps, host, jobs, links, preflight, recordings, vehicles
 from mavcal.service.api.document import document
 from mavcal.service.api.middleware import Envelope
 from mavcal.service.api.problems import install_problem_handlers
-from mavcal.service.api.security import Guard, check_exposure
+from mavcal.service.api.security import RequestGuard, check_exposure
 from mavcal.service.core import running_service
 from mavcal.service.settings import Settings
 
@@ -48,10 +49,18 @@ def create_app(settings: Settings) -> FastAPI:
         redirect_slashes=False,
     )
     app.state.settings = settings
-    app.state.guard = Guard(settings)
+    app.state.guard = RequestGuard(settings)
     install_problem_handlers(app)
     app.add_middleware(Envelope, settings=settings, guard=app.state.guard)
-    for module in (links, vehicles, jobs, recordings, gaps):
+    if settings.cors_origins:  # outermost: a page of such an origin can read what it is refused with, too
+        app.add_middleware(
+            CORSMiddleware,
+            allow_origins=settings.cors_origins,
+            allow_methods=["GET", "POST", "DELETE"],
+            allow_headers=["Authorization", "Content-Type", "Idempotency-Key", "Last-Event-ID"],
+            expose_headers=["Location", "Link", "X-Request-ID"],
+        )
+    for module in (links, vehicles, preflight, jobs, recordings, gaps):
         app.include_router(module.router, prefix="/api/v1")
     app.include_router(host.router)
     _add_panel(app)

@@ -17,9 +17,13 @@ from mavcal.service.lifetime import follow
 COMMANDS = {
     "demo": "Calibrate a simulated vehicle end to end and compare with its truth.",
     "serve": "Run the service and its panel.",
+    "preflight": "Check in ten seconds whether a vehicle is fit to fly.",
     "calibrate": "Calibrate one sensor of a vehicle, headless.",
     "plan": "Plan the fit of a recording for a connected vehicle, and write it.",
     "accept": "Write the plan of a job that waits in review.",
+    "revert": "Take back what a job has written.",
+    "status": "Say who is at the other end of a link, and what was calibrated last.",
+    "jobs": "List the jobs of a data directory, of every kind.",
     "recover": "Finish or take back a write that was interrupted.",
     "fit": "Run one method on a recording.",
     "inspect": "Tell what is in a recording.",

@@ -17,14 +17,15 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from prometheus_client.registry import Collector
 
 from mavcal.service.children import Children, Limits
-from mavcal.service.gaps import Gaps
+from mavcal.service.computations import UploadComputations
+from mavcal.service.jobs.computing import uploads_of
 from mavcal.service.jobs.crashpoints import CrashPoint, nowhere
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.fleet import Fleet
 from mavcal.service.jobs.model import Failure
 from mavcal.service.jobs.salvage import CODE as UNREADABLE
+from mavcal.service.jobs.vehicle_adapter import RegistryAdapter
 from mavcal.service.link.allowed import Allowed
-from mavcal.service.links import Links
+from mavcal.service.link_registry import LinkRegistry
 from mavcal.service.recordings import Recordings
 from mavcal.service.retention import Retention
 from mavcal.service.settings import Settings
@@ -42,11 +43,10 @@ class Service:
 
     settings: Settings
     store: Store
-    links: Links
+    links: LinkRegistry
     vehicles: VehicleRegistry
     jobs: JobEngine
     recordings: Recordings
-    gaps: Gaps
     children: Children
 
     def obstacle(self) -> str | None:
@@ -79,41 +79,41 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
     vehicles = VehicleRegistry(yield_s=settings.mavlink.yield_s)
     tlogs = settings.data_dir / "tlogs"
     allowed = Allowed(settings.links.allowed, (tlogs, *settings.links.folders))
-    links = Links(store, tlogs, settings.mavlink, allowed=allowed, attach=vehicles.attach, detach=vehicles.detach)
-    jobs = JobEngine(store, Fleet(vehicles), executor=executor, read_only=settings.read_only, reach=reach)
+    links = LinkRegistry(
+        store, tlogs, settings.mavlink, allowed=allowed, attach=vehicles.attach, detach=vehicles.detach
+    )
+    folder, limits = settings.data_dir, settings.limits
+    children = Children(folder / "children", most=limits.file_processes)
+    of_files = Limits(limits.file_memory_bytes, limits.file_cpu_s, limits.file_wall_s)
+    of_gaps = Limits(limits.file_memory_bytes, limits.gap_s, limits.gap_s)
+    recordings = Recordings(
+        store, folder / "recordings", limit_bytes=limits.upload_bytes, children=children, limits=of_files
+    )
+    computations = UploadComputations(recordings, children, of_files, of_gaps)
+    jobs = JobEngine(
+        store, RegistryAdapter(vehicles), computations, executor=executor, read_only=settings.read_only, reach=reach
+    )
     async with AsyncExitStack() as started:
         # Interrupted writes first: nothing that comes later can keep them from being finished or taken back.
         started.callback(store.close)
         started.callback(executor.shutdown, wait=False, cancel_futures=True)
         started.callback(vehicles.close)
         started.push_async_callback(links.close_all)
+        started.callback(recordings.close)
+        started.push_async_callback(children.stop)
         started.push_async_callback(jobs.stop)
         await jobs.start()
         await _open_links(links, settings, store)
-        folder, limits = settings.data_dir, settings.limits
-        children = Children(folder / "children", most=limits.file_processes)
-        started.push_async_callback(children.stop)
-        of_files = Limits(limits.file_memory_bytes, limits.file_cpu_s, limits.file_wall_s)
-        recordings = Recordings(
-            store, folder / "recordings", limit_bytes=limits.upload_bytes, children=children, limits=of_files
-        )
-        started.callback(recordings.close)
-        of_gaps = Limits(limits.file_memory_bytes, limits.gap_s, limits.gap_s)
-        gaps = Gaps(recordings, folder / "gaps", children=children, limits=of_gaps)
-        started.push_async_callback(gaps.stop)
-        started.push_async_callback(
-            _cancelled, asyncio.create_task(_retention(store, settings, jobs, gaps, links).run())
-        )
-        yield Service(settings, store, links, vehicles, jobs, recordings, gaps, children)
+        started.push_async_callback(_cancelled, asyncio.create_task(_retention(store, settings, jobs, links).run()))
+        yield Service(settings, store, links, vehicles, jobs, recordings, children)
 
 
-def _retention(store: Store, settings: Settings, jobs: JobEngine, gaps: Gaps, links: Links) -> Retention:
+def _retention(store: Store, settings: Settings, jobs: JobEngine, links: LinkRegistry) -> Retention:
     def needed() -> set[str]:
-        """Uploads that a job or a diagnosis rests on."""
+        """Uploads that a plan or a diagnosis rests on, or that a fit still needs."""
         if any(isinstance(job.outcome, Failure) and job.outcome.code == UNREADABLE for job in jobs.list()):
             return {row.id for row in store.recordings()}  # nobody knows what a damaged job rests on
-        of_jobs = {str(job.options["recording"]) for job in jobs.list() if "recording" in job.options}
-        return of_jobs.union(*({row.real, row.sim or "", *row.nominal} for row in gaps.all()))
+        return {upload for job in jobs.list() for upload in uploads_of(job)}
 
     def open_files() -> set[Path]:
         return {link.tlog.path for link in links.all()}
@@ -126,7 +126,7 @@ async def _cancelled(task: asyncio.Task[None]) -> None:
     await asyncio.gather(task, return_exceptions=True)
 
 
-async def _open_links(links: Links, settings: Settings, store: Store) -> None:
+async def _open_links(links: LinkRegistry, settings: Settings, store: Store) -> None:
     """Open what the settings name, which must work, and what was open before, which may have gone."""
     for url in settings.connect:
         await links.open(url, remember=False, trusted=True)

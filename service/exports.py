@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import html
 import io
 import json
 from collections.abc import Callable, Mapping
@@ -11,7 +10,8 @@ from collections.abc import Callable, Mapping
 from mavcal.calib.firmware.export import to_param, to_params, to_parm
 from mavcal.calib.firmware.plan import WritePlan
 from mavcal.calib.firmware.values import shown
-from mavcal.calib.report import fit_to_json, plan_to_json, verification_to_json
+from mavcal.calib.pages import page
+from mavcal.calib.report import to_json
 from mavcal.service.errors import ExportUnknown, PlanMissing
 from mavcal.service.jobs.model import Job
 
@@ -55,9 +55,9 @@ def _json(job: Job, plan: WritePlan) -> str:
         "job": {"id": job.id, "kind": job.kind, "vehicle": job.vehicle_id, "options": dict(job.options)},
         "state": job.state.value,
         "created_at": job.created_at,
-        "fits": [fit_to_json(fit) for fit in job.results],
-        "plan": plan_to_json(plan),
-        "verification": None if job.verification is None else verification_to_json(job.verification),
+        "fits": to_json(job.results),
+        "plan": to_json(plan),
+        "verification": to_json(job.verification),
         "segments": [
             {"name": s.path.name, "start": s.start_byte, "end": s.end_byte, "sha256": s.sha256} for s in job.segments
         ],
@@ -77,27 +77,7 @@ def _csv(_job: Job, plan: WritePlan) -> str:
 def _html(job: Job, plan: WritePlan) -> str:
     """One self-contained page that prints well."""
     verdicts = {} if job.verification is None else {v.name: v.verdict.value for v in job.verification.parameters}
-    rows = [
-        [c.name, _number(c.old), _number(c.new), _number(c.sd), c.unit, verdicts.get(c.name, ""), c.why]
-        for c in plan.changes
-    ]
-    head = ["parameter", "before", "after", "± sd", "unit", "stream", "why"]
-    losses = "".join(f"<li>{html.escape(x.text)} ({_number(x.cost)} {html.escape(x.unit)})</li>" for x in plan.losses)
-    title = html.escape(f"{job.kind} calibration of {job.vehicle_id}")
-    return (
-        "<!doctype html><html lang='en'><meta charset='utf-8'>"
-        f"<title>{title}</title><style>body{{font:15px/1.4 system-ui,sans-serif;margin:2rem;max-width:60rem}}"
-        "table{border-collapse:collapse}td,th{border:1px solid #bbb;padding:.2rem .5rem;text-align:left}</style>"
-        f"<h1>{title}</h1><p>Job {html.escape(job.id)}, state {job.state.value}, "
-        f"firmware {html.escape(plan.fingerprint.firmware)}, plan {plan.sha256[:16]}.</p>"
-        f"{_table(head, rows)}<h2>What the autopilot cannot hold</h2><ul>{losses or '<li>nothing</li>'}</ul></html>"
-    )
-
-
-def _table(head: list[str], rows: list[list[str]]) -> str:
-    top = "".join(f"<th>{html.escape(cell)}</th>" for cell in head)
-    body = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
-    return f"<table><tr>{top}</tr>{body}</table>"
+    return page("mavcal.service", "export.html", job=job, plan=plan, verdicts=verdicts, number=_number)
 
 
 def _number(value: float | None) -> str:

@@ -21,7 +21,7 @@ DAY_S = 86400.0
 
 
 @dataclass(frozen=True)
-class Item:
+class Removable:
     """A recording that may go: an upload, or the telemetry log of a link that was closed."""
 
     path: Path
@@ -64,14 +64,14 @@ class Retention:
         self.store.drop_old_events(now - kept.events_days * DAY_S, most=kept.events)
         self.store.drop_old_keys(now - kept.keys_days * DAY_S, most=kept.keys)
 
-    def _items(self, needed: set[str], held: set[Path]) -> list[Item]:
+    def _items(self, needed: set[str], held: set[Path]) -> list[Removable]:
         """Everything that may go: no upload of a job or diagnosis, no log with a segment of any job."""
         uploads = [_upload(row) for row in self.store.recordings() if row.id not in needed]
         evidence = {path.resolve() for path in (*self.store.segment_paths(), *held)}
         logs = (path for path in self.tlog_dir.glob("*.tlog") if path.resolve() not in evidence)
         return [*uploads, *filter(None, map(_log, logs))]
 
-    def _forget(self, item: Item) -> None:
+    def _forget(self, item: Removable) -> None:
         """The row first: a file without a row is waste, a row without its file is a lie."""
         if item.upload is not None:
             self.store.delete_recording(item.upload)
@@ -80,7 +80,7 @@ class Retention:
         item.path.unlink(missing_ok=True)
 
 
-def due(items: Iterable[Item], now: float, settings: RetentionSettings) -> list[Item]:
+def due(items: Iterable[Removable], now: float, settings: RetentionSettings) -> list[Removable]:
     """What is too old, and the oldest of the rest as long as all together is too large."""
     oldest_first = sorted(items, key=lambda item: item.at)
     total, going = sum(item.size for item in oldest_first), []
@@ -93,13 +93,13 @@ def due(items: Iterable[Item], now: float, settings: RetentionSettings) -> list[
     return going
 
 
-def _upload(row: RecordingRow) -> Item:
-    return Item(row.path, row.at, row.size, row.id)
+def _upload(row: RecordingRow) -> Removable:
+    return Removable(row.path, row.at, row.size, row.id)
 
 
-def _log(path: Path) -> Item | None:
+def _log(path: Path) -> Removable | None:
     try:
         found = path.stat()
     except OSError:
         return None
-    return Item(path, found.st_mtime, found.st_size, None)
+    return Removable(path, found.st_mtime, found.st_size, None)

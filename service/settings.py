@@ -19,6 +19,9 @@ from pydantic_settings import (
 
 from mavcal.service.reach import DEFAULT, checked_entry
 
+ORIGIN = r"^https?://(\[[0-9a-f:]+\]|[a-z0-9.-]+)(:[0-9]{1,5})?$"
+"""One exact origin, as browsers send it; no pattern, no path."""
+
 
 def default_data_dir() -> Path:
     """The platform's place for a program's state (XDG on Linux)."""
@@ -159,6 +162,10 @@ class Settings(BaseSettings):
     allowed_origins: tuple[Annotated[str, Field(pattern=r"^https?://[^/\s]+$")], ...] = Field(
         default=(),
         description="further origins, as `https://boat.local`, whose pages may change something: of a proxy in front",
+    )
+    cors_origins: tuple[Annotated[str, Field(pattern=ORIGIN)], ...] = Field(
+        default=(),
+        description="origins, as `https://gcs.example`, whose pages may use this service from their own site",
     )
     mavlink: MavlinkSettings = Field(default_factory=MavlinkSettings, description="who we are on the wire")
     links: LinkSettings = Field(default_factory=LinkSettings, description="which endpoints may be opened over HTTP")

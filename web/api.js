@@ -1,5 +1,10 @@
 // Calls of the service. Every address is relative, so that the panel works behind any path prefix.
 
+/**
+ * @import { JobModel, JobSummary, LinkModel, PlanModel, ProcedureModel, VehicleModel } from "./mavcal.d.ts"
+ * @import { JobEvent, TicketModel } from "./mavcal.d.ts"
+ */
+
 const BASE = "./api/v1";
 const KEY = "mavcal-key";
 const AGAIN_MS = 2000;
@@ -44,21 +49,32 @@ async function call(method, path, body, headers = {}) {
 const id = encodeURIComponent;
 
 export const api = {
+  /** @returns {Promise<LinkModel[]>} */
   links: () => call("GET", "/links"),
   openLink: (url) => call("POST", "/links", { url }),
   closeLink: (link) => call("DELETE", `/links/${id(link)}`),
+  /** @returns {Promise<VehicleModel[]>} */
   vehicles: () => call("GET", "/vehicles"),
+  /** @returns {Promise<ProcedureModel[]>} */
   procedures: () => call("GET", "/procedures"),
+  /** @returns {Promise<JobSummary[]>} */
   jobs: (count) => call("GET", `/jobs?order=newest&limit=${count}`),
+  /** @returns {Promise<JobModel>} */
   job: (job) => call("GET", `/jobs/${id(job)}`),
+  /** @returns {Promise<JobModel>} */
   start: (vehicle, kind) => call("POST", `/vehicles/${id(vehicle)}/jobs`, { kind }),
+  /** @returns {Promise<JobModel>} */
   answer: (job, value) => call("POST", `/jobs/${id(job)}/answers`, { value }),
+  /** @returns {Promise<JobModel>} */
   cancel: (job) => call("DELETE", `/jobs/${id(job)}`),
+  /** @returns {Promise<PlanModel>} */
   planAgain: (job) => call("POST", `/jobs/${id(job)}/plan`, {}),
   // The plan's digest is the key: the same acceptance sent twice is one.
+  /** @returns {Promise<JobModel>} */
   apply: (job, digest, reboot) =>
     call("POST", `/jobs/${id(job)}/apply`, { plan_sha256: digest, reboot },
       { "Idempotency-Key": `${job}-${digest.slice(0, 16)}-${reboot}` }),
+  /** @returns {Promise<JobModel>} */
   revert: (job) => call("POST", `/jobs/${id(job)}/revert`, {}),
   /** A file of the result, as text: a link could not carry the key. */
   exported: async (job, form) => {

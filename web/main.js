@@ -3,13 +3,20 @@
 import { api, follow, KeyNeeded, useKey } from "./api.js";
 import { jobCard, linkRow, showProgress, vehicleCard } from "./render.js";
 
+/** @import { JobModel, LinkModel, ProcedureModel, VehicleModel } from "./mavcal.d.ts" */
+
 const LOOK_MS = 5000; // a vehicle or link that has gone sends no event
 const SHOWN_JOBS = 20;
 
 const page = (id) => document.getElementById(id);
+const field = (id) => /** @type {HTMLInputElement} */ (page(id));
+/** @type {Map<string, JobModel>} */
 const jobs = new Map();
+/** @type {Map<string, VehicleModel>} */
 let vehicles = new Map();
+/** @type {Map<string, LinkModel>} */
 let links = new Map();
+/** @type {ProcedureModel[]} */
 let procedures = [];
 let noticeTimer = 0;
 
@@ -101,7 +108,8 @@ function draw() {
   newest.forEach((job, i) => showProgress(page("jobs").children[i], job));
 }
 
-const title = (kind) => procedures.find((procedure) => procedure.kind === kind)?.title ?? kind;
+const OF_UPLOADS = { fit: "Fit of a recording", gap: "Gap diagnosis", recording: "Calibration from a recording" };
+const title = (kind) => procedures.find((procedure) => procedure.kind === kind)?.title ?? OF_UPLOADS[kind] ?? kind;
 const byId = (items) => new Map(items.map((item) => [item.id, item]));
 
 async function refresh() {
@@ -150,14 +158,14 @@ function begin() {
 
 page("link-form").addEventListener("submit", (event) => {
   event.preventDefault();
-  const url = page("link-url").value.trim();
+  const url = field("link-url").value.trim();
   if (url) acting(() => api.openLink(url))();
 });
 
 page("key-form").addEventListener("submit", (event) => {
   event.preventDefault();
-  useKey(page("key").value.trim());
-  page("key").value = "";
+  useKey(field("key").value.trim());
+  field("key").value = "";
   page("key-form").hidden = true;
   begin();
 });

@@ -1,5 +1,8 @@
 // Draws what the service says. No decision is taken here.
 
+/** @import { JobModel, LinkModel, NumberModel, OutcomeModel, PlanModel } from "./mavcal.d.ts" */
+/** @import { ProcedureModel, StandingModel, VehicleModel, VerificationModel } from "./mavcal.d.ts" */
+
 const GOOD = new Set(["succeeded"]);
 const BAD = new Set(["failed", "in_doubt"]);
 const ENDED = new Set(["succeeded", "reverted", "failed", "cancelled", "interrupted"]);
@@ -22,6 +25,10 @@ const number = (value) => (value === null || value === undefined ? "–" : Numbe
 
 const rough = (value) => (value === null || value === undefined ? "–" : value.toPrecision(2));
 
+/**
+ * @param {VehicleModel} vehicle
+ * @param {ProcedureModel[]} procedures
+ */
 export function vehicleCard(vehicle, procedures, busy, actions) {
   const state = vehicle.silent ? ["silent", "bad"] : vehicle.armed ? ["armed", "warn"] : ["disarmed", "good"];
   return el("article", { class: "card" },
@@ -36,6 +43,7 @@ export function vehicleCard(vehicle, procedures, busy, actions) {
         procedure.title))));
 }
 
+/** @param {LinkModel} link */
 export function linkRow(link, actions) {
   return el("li", { class: "row small" },
     el("span", {}, `${link.url}: ${link.state}${link.reason ? `, ${link.reason}` : ""}`),
@@ -48,13 +56,17 @@ export function showProgress(card, job) {
   if (place) place.replaceChildren(...progressPart(job.progress));
 }
 
+/**
+ * @param {JobModel} job
+ * @param {VehicleModel | undefined} vehicle
+ */
 export function jobCard(job, title, vehicle, actions) {
   const tone = GOOD.has(job.state) ? "good" : BAD.has(job.state) ? "bad" : "warn";
   return el("article", { class: "card", "data-job": job.id },
     el("div", { class: "row" },
       el("h3", {}, title),
       el("span", { class: `state ${ENDED.has(job.state) || BAD.has(job.state) ? tone : ""}` }, words(job.state))),
-    el("p", { class: "quiet small" }, [vehicle ? `${vehicle.autopilot}, system ${vehicle.system}` : job.vehicle_id,
+    el("p", { class: "quiet small" }, [vehicle ? `${vehicle.autopilot}, system ${vehicle.system}` : job.vehicle_id ?? "uploaded recording",
       new Date(1000 * job.created_at).toLocaleString()].join(" · ")),
     ENDED.has(job.state) ? null : promptPart(job, actions),
     SHOWS_PROGRESS.has(job.state) ? el("div", { class: "progress" }) : null,
@@ -68,10 +80,11 @@ export function jobCard(job, title, vehicle, actions) {
       job.state === "review" ? el("button", { onclick: () => actions.planAgain(job.id) }, "Plan again") : null,
       job.plan ? ["param", "json", "html"].map((form) =>
         el("button", { class: "quiet", onclick: () => actions.save(job.id, form) }, `Save .${form}`)) : null,
-      job.state === "succeeded"
+      job.state === "succeeded" && job.vehicle_id
         ? el("button", { class: "danger", onclick: () => actions.revert(job.id) }, "Take back") : null));
 }
 
+/** @param {JobModel} job */
 function promptPart(job, actions) {
   const prompt = job.prompt;
   if (!prompt) return null;
@@ -105,6 +118,7 @@ function progressPart(progress) {
     el("p", { class: "quiet small" }, `${progress.text}${eta}`)];
 }
 
+/** @param {OutcomeModel} outcome */
 function outcomePart(outcome, checked) {
   if (!outcome) return null;
   if (outcome.kind === "result") {
@@ -114,12 +128,14 @@ function outcomePart(outcome, checked) {
   return el("p", { class: "bad" }, `${outcome.cause} ${outcome.remedy}`);
 }
 
+/** @param {StandingModel[]} standing */
 function standingPart(standing) {
   if (!standing.length) return null;
   return el("ul", {}, standing.map((s) =>
     el("li", { class: "bad small" }, `${s.name}: last heard ${number(s.value)}, was ${number(s.old)}, to be ${number(s.new)}. ${s.note}`)));
 }
 
+/** @param {JobModel} job */
 function planPart(job, actions) {
   const plan = job.plan;
   if (!plan) return null;
@@ -160,6 +176,7 @@ const table = (head, rows) => el("div", { class: "scroll" }, el("table", {},
   el("thead", {}, el("tr", {}, head.map((text) =>
     el("th", { class: text.startsWith(">") ? "number" : "" }, text.replace(">", ""))))), el("tbody", {}, rows)));
 
+/** @param {VerificationModel} verification */
 function verificationPart(verification) {
   if (!verification) return null;
   const tones = { proved: "good", consistent: "warn", not_observable: "warn", contradicted: "bad" };

@@ -24,7 +24,7 @@ from bench.campaign.truth import Holding, holding, residuals
 from mavcal.service.api.views import job_model
 from mavcal.service.jobs.crashpoints import At
 from mavcal.service.jobs.salvage import job_of
-from mavcal.service.simvehicle.client import SimulatedVehicle
+from mavcal.service.simvehicle import SimulatedVehicle
 from mavcal.service.store import SqliteStore
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -10,7 +10,7 @@ from bench.campaign.judge import Ending
 from bench.campaign.kill_scene import REPEATS
 from bench.campaign.report import FaultReport, KillReport
 from bench.campaign.scenario import KINDS
-from mavcal.service.jobs.journal import Step
+from mavcal.service.jobs.journal import JournalStep
 
 LEAST_RUNS = 200
 LEAST_STRIKES = 15
@@ -38,7 +38,9 @@ def strikes(reports: Sequence[FaultReport]) -> Counter[str]:
 
 def struck_steps(reports: Sequence[KillReport]) -> Counter[str]:
     """Kills by the last step of the journal."""
-    return Counter({step.value: 0 for step in Step}) + Counter(step for report in reports for step in report.struck)
+    return Counter({step.value: 0 for step in JournalStep}) + Counter(
+        step for report in reports for step in report.struck
+    )
 
 
 def of_faults(reports: Sequence[FaultReport]) -> list[Criterion]:
@@ -84,7 +86,7 @@ def of_kills(reports: Sequence[KillReport]) -> list[Criterion]:
     count = sum(len(report.struck) for report in reports)
     failed = sum(report.ending == Ending.FAILURE for report in reports)
     steps = struck_steps(reports)
-    least = min(((step.value, steps[step.value]) for step in Step), key=lambda item: item[1])
+    least = min(((step.value, steps[step.value]) for step in JournalStep), key=lambda item: item[1])
     return [
         Criterion(f"at least {LEAST_KILLS} SIGKILLs", f"{count}", count >= LEAST_KILLS),
         Criterion(

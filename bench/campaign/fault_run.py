@@ -20,7 +20,7 @@ from mavcal.service.api.views import job_model
 from mavcal.service.errors import ServiceError
 from mavcal.service.jobs.model import Job
 from mavcal.service.jobs.states import JobState
-from mavcal.service.simvehicle.client import SimulatedVehicle
+from mavcal.service.simvehicle import SimulatedVehicle
 
 Json = dict[str, Any]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import http.client
 import tempfile
 import threading
 import time
@@ -17,10 +16,9 @@ from bench.campaign.report import KillReport
 from bench.campaign.scenario import OPTIONS, SPEED
 from bench.campaign.service_process import ServiceProcess, journal, wait_for_step
 from bench.campaign.truth import Holding, holding, residuals
-from mavcal.service.client import ApiError, ServiceClient
-from mavcal.service.jobs.journal import Step
-from mavcal.service.simvehicle.client import SimulatedVehicle
-from mavcal.service.simvehicle.operator import Operator
+from mavcal.client import ApiProblem, Client, Unreachable
+from mavcal.service.jobs.journal import JournalStep
+from mavcal.service.simvehicle import Operator, SimulatedVehicle
 
 Json = dict[str, Any]
 
@@ -107,10 +105,8 @@ class _KillRun:
             vehicle_id = _found(client)
             kind = self._kill.scenery.job
             before = holding(vehicle)
-            posted = _patiently(
-                lambda: client.post(f"/vehicles/{vehicle_id}/jobs", {"kind": kind, "options": OPTIONS[kind]})
-            )
-            self._job_id = posted["id"]
+            posted = _patiently(lambda: client.start_job(vehicle_id, kind=kind, options=OPTIONS[kind]))
+            self._job_id = posted.id
             if self._kill.scene == "capture":
                 self._killed(service, data_dir, self._kill.step, lambda steps: steps)
                 return before
@@ -125,12 +121,12 @@ class _KillRun:
         finally:
             service.kill()
 
-    def _reviewed(self, client: ServiceClient, vehicle: SimulatedVehicle) -> Json:
+    def _reviewed(self, client: Client, vehicle: SimulatedVehicle) -> Json:
         operator = Operator(vehicle)
         asked = None
         deadline = time.monotonic() + REVIEWED_S
         while time.monotonic() < deadline:
-            job: Json = client.get(f"/jobs/{self._job_id}")
+            job = _told(client, self._job_id)
             if job["state"] == "review":
                 operator.rest()
                 vehicle.wait(4.0)
@@ -154,14 +150,14 @@ class _KillRun:
             self._foreign[fault["name"]] = float(fault["value"])
         vehicle.call("fault", trigger={"nth_set": 1 + chosen}, **fault)
 
-    def _applied(self, client: ServiceClient, accept: Json) -> None:
-        with suppress(OSError, http.client.HTTPException, TimeoutError):  # it is killed in the middle
-            _patiently(lambda: client.post(f"/jobs/{self._job_id}/apply", accept))
+    def _applied(self, client: Client, accept: Json) -> None:
+        with suppress(Unreachable):  # it is killed in the middle
+            _patiently(lambda: client.apply_plan(self._job_id, **accept))
 
     # --- kills
 
     def _killed(
-        self, service: ServiceProcess, data_dir: Path, step: Step, since: Callable[[list[str]], list[str]]
+        self, service: ServiceProcess, data_dir: Path, step: JournalStep, since: Callable[[list[str]], list[str]]
     ) -> None:
         """Kill the service when `step` has come as often as planned; note at which step it died."""
         wanted = self._kill.occurrence if step == self._kill.step else 1
@@ -170,8 +166,8 @@ class _KillRun:
             return since(steps).count(step) >= wanted
 
         def over() -> bool:
-            with suppress(OSError, http.client.HTTPException):
-                return service.client.get(f"/jobs/{self._job_id}")["state"] in ENDED - {"review"}
+            with suppress(Unreachable):
+                return service.client.get_job(self._job_id).state in ENDED - {"review"}
             return not service.alive
 
         hit = wait_for_step(data_dir, self._job_id, reached, over, KILLED_S)
@@ -186,10 +182,10 @@ class _KillRun:
         service = ServiceProcess(data_dir, vehicle.url)
         self._killed(service, data_dir, self._kill.again, lambda steps: steps[known:])
 
-    def _ended(self, client: ServiceClient, timeout_s: float) -> Json:
+    def _ended(self, client: Client, timeout_s: float) -> Json:
         deadline = time.monotonic() + timeout_s
         while time.monotonic() < deadline:
-            job: Json = client.get(f"/jobs/{self._job_id}")
+            job = _told(client, self._job_id)
             if job["state"] in ENDED:
                 return job
             time.sleep(POLL_S)
@@ -197,17 +193,22 @@ class _KillRun:
 
 
 def _after_accept(steps: list[str]) -> list[str]:
-    return steps[steps.index(Step.ACCEPTED) :] if Step.ACCEPTED in steps else []
+    return steps[steps.index(JournalStep.ACCEPTED) :] if JournalStep.ACCEPTED in steps else []
 
 
-def _found(client: ServiceClient) -> str:
+def _found(client: Client) -> str:
     deadline = time.monotonic() + 30.0
     while time.monotonic() < deadline:
-        known = client.get("/vehicles")
-        if known and known[0]["uid"] and known[0]["writable"]:
-            return str(known[0]["id"])
+        known = client.list_vehicles()
+        if known and known[0].uid and known[0].writable:
+            return known[0].id
         time.sleep(POLL_S)
     raise TimeoutError("the service did not find the simulated vehicle")
+
+
+def _told(client: Client, job_id: str) -> Json:
+    """The job as JSON, which is what a run is judged by."""
+    return client.get_job(job_id).model_dump(mode="json")
 
 
 def _patiently(ask: Callable[[], Any]) -> Any:
@@ -216,7 +217,7 @@ def _patiently(ask: Callable[[], Any]) -> Any:
     while True:
         try:
             return ask()
-        except ApiError as error:
+        except ApiProblem as error:
             if error.status != 409 or time.monotonic() > deadline:
                 raise
             time.sleep(0.3)

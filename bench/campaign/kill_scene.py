@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from mavcal.service.jobs.journal import Step
+from mavcal.service.jobs.journal import JournalStep
 
 REPEATS = 3
 """Every step of the journal is struck at least so often."""
@@ -42,24 +42,24 @@ SCENES: Mapping[str, Scene] = {
     "capture": Scene("px4", "gyro", None, {"IMU_GYRO_CAL_EN": 0.0}),
 }
 
-_LEADS: Mapping[str, tuple[Step, ...]] = {
+_LEADS: Mapping[str, tuple[JournalStep, ...]] = {
     "gyro": (
-        Step.ACCEPTED,
-        Step.STREAMS,
-        Step.SNAPSHOT,
-        Step.SEND,
-        Step.ECHO,
-        Step.READ_BACK,
-        Step.VERIFIED,
-        Step.STREAMS_RESTORED,
-        Step.CLOSED,
+        JournalStep.ACCEPTED,
+        JournalStep.STREAMS,
+        JournalStep.SNAPSHOT,
+        JournalStep.SEND,
+        JournalStep.ECHO,
+        JournalStep.READ_BACK,
+        JournalStep.VERIFIED,
+        JournalStep.STREAMS_RESTORED,
+        JournalStep.CLOSED,
     ),
-    "restart": (Step.REBOOT, Step.REBOOTED, Step.RESTORE, Step.RESTORED),
-    "commands": (Step.COMMAND, Step.COMMANDED),
-    "not applied": (Step.ROLL_BACK, Step.UNDO, Step.UNDONE),
-    "third party": (Step.LEFT,),
-    "armed": (Step.STOPPED,),
-    "capture": (Step.STREAMS,),
+    "restart": (JournalStep.REBOOT, JournalStep.REBOOTED, JournalStep.RESTORE, JournalStep.RESTORED),
+    "commands": (JournalStep.COMMAND, JournalStep.COMMANDED),
+    "not applied": (JournalStep.ROLL_BACK, JournalStep.UNDO, JournalStep.UNDONE),
+    "third party": (JournalStep.LEFT,),
+    "armed": (JournalStep.STOPPED,),
+    "capture": (JournalStep.STREAMS,),
 }
 """Which scene leads through which steps."""
 
@@ -71,27 +71,27 @@ class Kill:
     index: int
     seed: int
     scene: str
-    step: Step
+    step: JournalStep
     occurrence: int
-    again: Step | None = None
+    again: JournalStep | None = None
     """Killed a second time, at the first row of this step that the restarted service writes."""
     scenery: Scene = field(repr=False, default=SCENES["gyro"])
 
 
 def kills(seed: int) -> tuple[Kill, ...]:
     """Every step of the journal, `REPEATS` times, at different occurrences; and some services that are killed twice."""
-    planned: list[tuple[str, Step, int, Step | None]] = [
+    planned: list[tuple[str, JournalStep, int, JournalStep | None]] = [
         (scene, step, _occurrence(step, repeat), None)
         for repeat in range(REPEATS)
         for scene, steps in _LEADS.items()
         for step in steps
     ]
     planned += [
-        ("gyro", Step.SEND, 6, Step.UNDO),
-        ("gyro", Step.ECHO, 3, Step.ROLL_BACK),
-        ("gyro", Step.READ_BACK, 1, Step.VERIFIED),
-        ("restart", Step.REBOOT, 1, Step.REBOOTED),
-        ("not applied", Step.UNDO, 2, Step.UNDONE),
+        ("gyro", JournalStep.SEND, 6, JournalStep.UNDO),
+        ("gyro", JournalStep.ECHO, 3, JournalStep.ROLL_BACK),
+        ("gyro", JournalStep.READ_BACK, 1, JournalStep.VERIFIED),
+        ("restart", JournalStep.REBOOT, 1, JournalStep.REBOOTED),
+        ("not applied", JournalStep.UNDO, 2, JournalStep.UNDONE),
     ]
     return tuple(Kill(i, seed, s, step, n, again, SCENES[s]) for i, (s, step, n, again) in enumerate(planned))
 
@@ -107,7 +107,12 @@ def kill_of(seed: int, index: int) -> Kill:
     return kill if index < SERIES else repetition(kill, index // SERIES)
 
 
-def _occurrence(step: Step, repeat: int) -> int:
+def _occurrence(step: JournalStep, repeat: int) -> int:
     """The first, one in the middle, one near the end; the other steps come once."""
-    many = {Step.SEND: (1, 5, 12), Step.ECHO: (1, 7, 12), Step.UNDO: (1, 4, 9), Step.UNDONE: (1, 5, 11)}
+    many = {
+        JournalStep.SEND: (1, 5, 12),
+        JournalStep.ECHO: (1, 7, 12),
+        JournalStep.UNDO: (1, 4, 9),
+        JournalStep.UNDONE: (1, 5, 11),
+    }
     return many.get(step, (1, 1, 1))[repeat]

@@ -10,10 +10,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import ExitStack, closing
 from pathlib import Path
 
-from mavcal.service.client import ServiceClient
+from mavcal.client import Client
 from mavcal.service.lifetime import ending_with_us
 
 START_S = 40.0
@@ -34,7 +34,8 @@ class ServiceProcess:
         command = [sys.executable, "-m", "mavcal", "serve", "--json", "--port", "0"]
         command += ["--connect", connect, "--data-dir", str(data_dir)]
         data_dir.mkdir(parents=True, exist_ok=True)
-        self._log = (data_dir / "service.log").open("ab")
+        self._open = ExitStack()
+        self._log = self._open.enter_context((data_dir / "service.log").open("ab"))
         self._process = subprocess.Popen(
             command,
             stdout=subprocess.PIPE,
@@ -49,7 +50,7 @@ class ServiceProcess:
             self.kill()
             said = (data_dir / "service.log").read_text(errors="replace").strip().splitlines()[-3:]
             raise RuntimeError(f"the service did not come up: {said}")
-        self.client = ServiceClient(json.loads(line)["url"])
+        self.client = self._open.enter_context(Client(json.loads(line)["url"]))
 
     @property
     def alive(self) -> bool:
@@ -63,7 +64,7 @@ class ServiceProcess:
         self._process.wait()
         if self._process.stdout is not None:
             self._process.stdout.close()
-        self._log.close()
+        self._open.close()
 
 
 def journal(data_dir: Path, job_id: str) -> list[str]:

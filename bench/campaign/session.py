@@ -10,16 +10,15 @@ from pathlib import Path
 from typing import Any
 
 from mavcal.calib.procedures.protocol import Prompt
-from mavcal.calib.report import step_to_json
+from mavcal.calib.report import to_json
 from mavcal.service.errors import ServiceError
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.fleet import Fleet
 from mavcal.service.jobs.model import Accept, Job
 from mavcal.service.jobs.settings import JobSettings
 from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.vehicle_adapter import RegistryAdapter
 from mavcal.service.link import Link
-from mavcal.service.simvehicle.client import SimulatedVehicle
-from mavcal.service.simvehicle.operator import Operator
+from mavcal.service.simvehicle import Operator, SimulatedVehicle
 from mavcal.service.store import SqliteStore
 from mavcal.service.vehicle import Vehicle, VehicleRegistry
 
@@ -59,7 +58,7 @@ class Session:
         """Do what the job asks for, if that is something new."""
         if job.prompt is not None and job.prompt is not self._asked:
             self._asked = job.prompt
-            await asyncio.to_thread(self.operator.follow, step_to_json(job.prompt))
+            await asyncio.to_thread(self.operator.follow, to_json(job.prompt))
 
     async def applied(self, job: Job) -> Job:
         """Accept the plan, as soon as the service takes it."""
@@ -85,7 +84,7 @@ async def session(folder: Path, sim: SimulatedVehicle) -> AsyncIterator[Session]
     registry = VehicleRegistry()
     link = Link("campaign", sim.url, tlog_dir=folder / "tlogs")
     registry.attach(link)
-    engine = JobEngine(store, Fleet(registry), settings=SETTINGS)
+    engine = JobEngine(store, RegistryAdapter(registry), settings=SETTINGS)
     try:
         await link.open()
         await engine.start()

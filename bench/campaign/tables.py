@@ -9,7 +9,7 @@ from bench.campaign.criteria import CLEAR_SD, Criterion, strikes, struck_steps
 from bench.campaign.judge import Ending
 from bench.campaign.report import FaultReport, KillReport
 from bench.campaign.scenario import KINDS
-from mavcal.service.jobs.journal import Step
+from mavcal.service.jobs.journal import JournalStep
 
 WORDS = {
     "loss": "frames lost",
@@ -76,7 +76,7 @@ def kill_table(reports: Sequence[KillReport]) -> str:
     steps = struck_steps(reports)
     shown = (Ending.VERIFIED, Ending.AS_BEFORE, Ending.FAILURE)
     rows = []
-    for step in Step:
+    for step in JournalStep:
         hit = Counter(report.ending for report in reports if step.value in report.struck)
         rows.append((f"`{step.value}`", steps[step.value], *(hit[ending] for ending in shown)))
     ends = Counter(report.ending for report in reports)

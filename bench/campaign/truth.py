@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mavcal.service.simvehicle.client import SimulatedVehicle
+from mavcal.service.simvehicle import SimulatedVehicle
 
 Json = Mapping[str, Any]
 AXES = ("X", "Y", "Z")

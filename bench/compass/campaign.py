@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from bench.compass.scene import QUANTA, turned
+from mavcal.calib.firmware.stream.messages import COMPASS_WINDOW
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.mag.blur import rates_during
 from mavcal.calib.mag.blur_fit import fit_ellipsoid_deblurred
 from mavcal.calib.procedures.context import ProcedureContext
-from mavcal.calib.procedures.mag import COMPASS_WINDOW
 from mavcal.calib.procedures.protocol import Done
 from mavcal.calib.procedures.replay import replay
 from mavcal.calib.recording import Sensor

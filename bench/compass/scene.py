@@ -20,7 +20,7 @@ from mavcal.service.simvehicle.corrections import truncated
 from mavcal.service.simvehicle.magreader import MagReader
 from mavcal.service.simvehicle.motion import FACES
 from mavcal.service.simvehicle.rotation import Array
-from mavcal.service.simvehicle.world import World
+from mavcal.service.simvehicle.world import SimWorld
 
 MESSAGES_HZ = 50.0
 LONGEST_LAG_S = 0.012
@@ -49,7 +49,7 @@ def turned(seed: int, rate_dps: float, noise: float, seconds: float) -> Turned:
     """
     rng = np.random.default_rng([seed, 77])
     config = VehicleConfig(seed=seed, imu_count=1, mag_count=3, mag_noise=noise, mag_orientations=(0, 0, 0))
-    world = World(config)
+    world = SimWorld(config)
     phase, lag = float(rng.uniform(0.0, 1.0 / MESSAGES_HZ)), float(rng.uniform(0.0, LONGEST_LAG_S))
     reader = compass_reader(world)
     pieces = [_moved(world, reader, rng, rate_dps, start, end, phase, lag) for start, end in _legs(rate_dps, seconds)]
@@ -76,7 +76,7 @@ def _legs(rate_dps: float, seconds: float) -> list[tuple[float, float]]:
 
 
 def _moved(
-    world: World,
+    world: SimWorld,
     reader: MagReader,
     rng: np.random.Generator,
     rate_dps: float,
@@ -100,7 +100,7 @@ def _moved(
     return t, world.accel(0, state), world.gyro(0, late), readings, reader.read_at(t)
 
 
-def _hold(world: World, rng: np.random.Generator, start: float) -> None:
+def _hold(world: SimWorld, rng: np.random.Generator, start: float) -> None:
     """The next attitude: faces and slants in turn, moved to within half a second."""
     names = list(FACES)
     index = round(start / 2.0)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bench.guide.svg import BLUE, GREEN, GREY, ORANGE, RED, Map, Plot, side_by_side
+from mavcal.calib.drawing import Chart, SphereMap, side_by_side
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.methods import METHODS
 from mavcal.calib.recording import Recording, Sensor
@@ -23,6 +23,8 @@ from mavcal.calib.simulate import (
     trajectory,
 )
 
+GREY = "#6b7a86"
+BLUE, ORANGE, GREEN, RED = "#1f6fb2", "#d9731a", "#2f8f5b", "#c0392b"
 _RUNS = 8
 _IRON = 0.03  # soft iron of the tilted compass, and its prior
 FIELD = np.array([21.0, 1.1, 43.2])  # uT, dip 64 deg
@@ -40,7 +42,7 @@ ACCEL = SensorErrors(
 
 def coverage() -> str:
     """Which directions of the field a motion shows the compass, and what the heading is then good to."""
-    maps: list[Map | Plot] = []
+    maps: list[SphereMap | Chart] = []
     for limit in (90.0, 45.0, 20.0):
         recording = _tilted(limit, 60.0)
         mag = recording.channel(Sensor.MAG)
@@ -49,7 +51,7 @@ def coverage() -> str:
         shown = f"mag-ellipsoid: heading sd {fit.quality['heading_sd_deg']:.2g}°"
         shown = shown if fit.status == FitStatus.OK else f"mag-ellipsoid: {fit.status.value}"
         whole = "turned to every side" if limit > 80 else f"tilted by at most {limit:.0f}°"
-        made = Map(whole, shown, width=300, height=205)
+        made = SphereMap(whole, shown, width=300, height=205)
         made.dots(inside[::4], BLUE)
         maps.append(made)
     return side_by_side(maps, "Field directions that three motions cover, and the heading error that follows")
@@ -59,11 +61,11 @@ def magnetometer_residuals() -> str:
     """Length of the corrected field over time, less its mean, by four methods on the same samples."""
     recording = _tilted(90.0, 60.0)
     mag = recording.channel(Sensor.MAG)
-    plots: list[Map | Plot] = []
+    plots: list[SphereMap | Chart] = []
     for name, colour in (("mag-minmax", RED), ("mag-sphere", ORANGE), ("mag-ellipsoid", BLUE)):
         length = np.linalg.norm(_mag(name, recording).model.apply(mag.values), axis=1)
         residual = length / length.mean() - 1.0
-        plot = Plot(
+        plot = Chart(
             f"{name}: {100 * residual.std():.2g} % rms", "s", "|field| − mean, %", (0.0, 60.0), (-15.0, 15.0), 300
         )
         plot.dots(mag.t[::3], 100 * residual[::3], colour, size=1.0)
@@ -74,7 +76,17 @@ def magnetometer_residuals() -> str:
 def tilt() -> str:
     """Error and stated uncertainty of the offset against how far the vehicle is tilted, with a prior and without."""
     limits = np.array([10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0, 75.0])
-    plot = Plot("Offset of the compass", "largest tilt, degrees", "µT", (5, 80), (0.01, 100), 440, 270, log_y=True)
+    plot = Chart(
+        "Offset of the compass",
+        "largest tilt, degrees",
+        "µT",
+        (5, 80),
+        (0.01, 100),
+        440,
+        270,
+        log_y=True,
+        legend_inside=True,
+    )
     for prior, colour in ((None, BLUE), (_IRON, ORANGE)):
         shown: list[tuple[float, float, float]] = []
         for k, limit in enumerate(limits):
@@ -94,7 +106,7 @@ def tilt() -> str:
 def fixture() -> str:
     """Error of the accelerometer's cross terms against how square the fixture is: six faces and free poses."""
     tilts = np.array([0.01, 0.03, 0.1, 0.3, 1.0, 2.0])
-    plot = Plot(
+    plot = Chart(
         "Cross terms of the accelerometer",
         "tilt of the fixture, degrees",
         "rms error",
@@ -128,12 +140,12 @@ def warm_up() -> str:
     curve = fit.model.polynomial(at)[:, 0]
     level = float((drift - curve).mean())
     low, high = at.min(), at.max()
-    left = Plot("accelerometer x", "°C", "m/s² about the mean", (10.0, 65.0), (-0.4, 0.3), 330)
+    left = Chart("accelerometer x", "°C", "m/s² about the mean", (10.0, 65.0), (-0.4, 0.3), 330)
     left.dots(at[::17], drift[::17], GREY, "samples", size=0.9)
     grid = np.linspace(low, high, 60)
     left.line(grid, fit.model.polynomial(grid)[:, 0] + level, BLUE, "thermal-poly")
     residual = drift - curve - level
-    right = Plot("what is left", "s", "m/s²", (0.0, 1200.0), (-0.15, 0.15), 330)
+    right = Chart("what is left", "s", "m/s²", (0.0, 1200.0), (-0.15, 0.15), 330)
     right.dots(accel.t[::17], residual[::17], GREY, "samples", size=0.9)
     blocks = residual[: len(residual) // 200 * 200].reshape(-1, 200)
     right.line(accel.t[100::200][: len(blocks)], blocks.mean(axis=1), ORANGE, "means of 20 s")
@@ -148,7 +160,7 @@ def allan() -> str:
     recording = simulate(path, SensorSuite(gyro=errors), np.random.default_rng(6)).recording
     (fit,) = METHODS["allan"].run(recording, {"sensor": "gyro"})
     tau, deviation = np.array(fit.native["tau"]), np.array(fit.native["adev"])[0]
-    plot = Plot(
+    plot = Chart(
         "Allan deviation of a gyroscope, eight hours",
         "averaged over, s",
         "rad/s",

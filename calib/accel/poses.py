@@ -7,7 +7,9 @@ fixture are :mod:`calib.accel.six_face`.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -17,7 +19,7 @@ from scipy.stats import chi2 as chi2_distribution
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.attitude import tilt_sd_deg
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
+from mavcal.calib.fit import AXES, OFFSETS, FitBuilder, FitResult
 from mavcal.calib.recording import Channel, Sensor
 from mavcal.calib.stats.norm_fit import (
     NEUTRAL,
@@ -92,44 +94,30 @@ def fit_poses(
     """
     _check(gravity, cross_sd)
     n_samples = sum(pose.n for pose in poses)
-
-    def refusal(
-        message: str, undetermined: tuple[str, ...] = parameter_names(), movement: str = _ALL_SIDES
-    ) -> FitResult:
-        return refused(
-            POSES_METHOD,
-            Sensor.ACCEL,
-            instance,
-            message,
-            unit=unit,
-            n_samples=n_samples,
-            undetermined=undetermined,
-            movement=movement,
-        )
-
+    made = FitBuilder(POSES_METHOD, Sensor.ACCEL, instance, unit, n_samples, relative, movement=_ALL_SIDES)
     if len(poses) < 4:
-        return refusal(f"{len(poses)} still poses are not enough: hold six different ones, each side down once")
+        return made.refused(f"{len(poses)} still poses are not enough: hold six different ones, each side down once")
     nonsense = _nonsense(poses, gravity if unit == "m/s2" else None)
     if nonsense:
-        return refusal(nonsense)
+        return made.refused(nonsense)
     problem = NormProblem.of(poses, in_si=unit == "m/s2", gravity=gravity, cross_sd=cross_sd)
     weak = solve(problem, weak=True)
     if weak is not None:
         problem = weighted_along(problem, poses, weak)
         weak = solve(problem, weak=True)
     if weak is None:
-        return refusal("the poses do not lie on one sphere: check the unit, and that every pose was still")
+        return made.refused("the poses do not lie on one sphere: check the unit, and that every pose was still")
     sd = np.sqrt(np.diag(weak.covariance))
     unknown = [i for i in range(6) if sd[i] > UNDETERMINED]
     names = _names(unknown)
     movement = _movement(problem, weak)
     if len({i % 3 for i in unknown}) == 3:
-        return refusal(f"these {len(poses)} poses determine no axis: {movement}", names, movement)
+        return made.refused(f"these {len(poses)} poses determine no axis: {movement}", names, movement)
     solution = weak if unknown else solve(problem, weak=False)
     if solution is None:
-        return refusal("the fit of the poses did not converge: hold more poses, and each of them longer")
+        return made.refused("the fit of the poses did not converge: hold more poses, and each of them longer")
     crosses = unlearnt(problem, weak, cross_sd)
-    return _result(problem, poses, solution, unknown, crosses, movement, form, instance, unit, relative)
+    return _result(made, problem, poses, solution, _Open(unknown, crosses, movement, form))
 
 
 def fit_one_axis(
@@ -153,30 +141,22 @@ def fit_one_axis(
     FitResult
         The matrix is held at one: a scale error reads as offset here.
     """
-    given = len(accel)
+    made = FitBuilder.of(ONE_AXIS_METHOD, accel, relative=relative, movement=_ONE_AXIS)
     accel = accel.take(finite_rows(accel.values))
 
-    def refusal(message: str) -> FitResult:
-        return refused(
-            ONE_AXIS_METHOD,
-            Sensor.ACCEL,
-            accel.instance,
-            message,
-            unit=accel.unit,
-            n_samples=given,
-            undetermined=parameter_names()[:3],
-            movement=_ONE_AXIS,
-        )
-
     if len(accel) < 16:
-        return refusal(f"{len(accel)} finite samples of the accelerometer: 16 are needed")
+        return made.refused(f"{len(accel)} finite samples of the accelerometer: 16 are needed", OFFSETS)
     estimate = mean_of(accel)
     vertical = np.abs(estimate.mean) > 0.9 * gravity
     if vertical.sum() != 1:
         found = "no axis reads" if not vertical.any() else f"{int(vertical.sum())} axes read"
-        return refusal(f"{found} more than 0.9 g ({_listed(estimate.mean)}): hold one axis vertical and keep still")
+        return made.refused(
+            f"{found} more than 0.9 g ({_listed(estimate.mean)}): hold one axis vertical and keep still", OFFSETS
+        )
     if np.nanmax(estimate.sd, initial=0.0) > 0.05 * gravity:
-        return refusal(f"the samples scatter by {np.nanmax(estimate.sd):.3g} {accel.unit}: it moved, keep it still")
+        return made.refused(
+            f"the samples scatter by {np.nanmax(estimate.sd):.3g} {accel.unit}: it moved, keep it still", OFFSETS
+        )
     down = np.where(vertical, np.sign(estimate.mean), 0.0)
     tilt = np.radians(fixture_sd)
     covariance = np.zeros((12, 12))
@@ -184,30 +164,23 @@ def fit_one_axis(
     residual = accel.values - estimate.mean
     noisy = residual[:, ~np.array(estimate.constant)] if not all(estimate.constant) else residual
     model = TriadModel(offset=estimate.mean - gravity * down)
-    return FitResult(
-        method=ONE_AXIS_METHOD,
-        sensor=Sensor.ACCEL,
-        instance=accel.instance,
-        status=FitStatus.OK,
-        message=f"offset with {AXES[int(vertical.argmax())]} vertical; a scale error is inside it",
-        model=model,
-        covariance=covariance,
-        unit=accel.unit,
-        n_samples=given,
+    axis = AXES[int(vertical.argmax())]
+    exact = f"the axis was taken as exactly vertical: one degree of tilt is {gravity * np.sin(np.pi / 180):.3g}"
+    return made.fitted(
+        model,
+        covariance,
+        message=f"offset with {axis} vertical; a scale error is inside it",
         n_used=len(accel),
         residual_rms=float(np.sqrt((residual**2).mean())),
         condition_number=1.0,
-        relative=relative,
-        warnings=()
-        if fixture_sd
-        else (f"the axis was taken as exactly vertical: one degree of tilt is {gravity * np.sin(np.pi / 180):.3g}",),
+        warnings=() if fixture_sd else (exact,),
         quality={
             **residual_statistics(noisy, noisy.size - noisy.shape[1], None),
             "n_effective": estimate.n_effective,
             "gravity": gravity,
             "attitude_sd_deg": tilt_sd_deg(model, covariance, gravity),
         },
-        native={"mean": estimate.mean.tolist(), "vertical": AXES[int(vertical.argmax())]},
+        native={"mean": estimate.mean.tolist(), "vertical": axis},
     )
 
 
@@ -228,58 +201,58 @@ def _nonsense(poses: Sequence[PoseMean], gravity: float | None) -> str:
     return ""
 
 
+@dataclass(frozen=True)
+class _Open:
+    """Indices of what the poses leave open and of cross terms that the prior alone holds, and what would show them."""
+
+    unknown: list[int]
+    crosses: list[int]
+    movement: str
+    form: str
+
+
 def _result(
+    made: FitBuilder,
     problem: NormProblem,
     poses: Sequence[PoseMean],
     solution: NormSolution,
-    unknown: list[int],
-    crosses: list[int],
-    movement: str,
-    form: str,
-    instance: int,
-    unit: str,
-    relative: bool,
+    left: _Open,
 ) -> FitResult:
     prior_terms = int((problem.prior > 0).sum())
     chi2 = float(solution.residuals @ solution.residuals + problem.prior @ (solution.parameters - NEUTRAL) ** 2)
     dof = len(poses) + prior_terms - 9
     p_value = float(chi2_distribution.sf(chi2, dof)) if dof > 0 else None
-    x, covariance = without_crosses(problem, solution, crosses)
+    x, covariance = without_crosses(problem, solution, left.crosses)
     warnings = []
     if p_value is not None and p_value < _MISFIT:
         covariance = covariance * (chi2 / dof)
         warnings.append(_contradiction(solution, poses, p_value))
     if p_value is None:
         warnings.append("as many unknowns as poses: nothing tests the fit; add three oblique poses")
-    x, covariance = with_neutral(x, covariance, unknown + crosses)
-    model, full = model_of(problem, x, covariance, form)
-    names = _names(unknown + crosses, form)
+    x, covariance = with_neutral(x, covariance, left.unknown + left.crosses)
+    model, full = model_of(problem, x, covariance, left.form)
+    names = _names(left.unknown + left.crosses, left.form)
     temperatures = [pose.temperature for pose in poses if pose.temperature is not None]
     if temperatures and max(temperatures) - min(temperatures) > 5.0:
         warnings.append(f"the temperature moved by {np.ptp(temperatures):.1f} degC between the poses")
-    return FitResult(
-        method=POSES_METHOD,
-        sensor=Sensor.ACCEL,
-        instance=instance,
-        status=FitStatus.PARTIAL if unknown else FitStatus.OK,
-        message=f"{len(poses)} poses determine part of it: {movement}" if unknown else f"fitted to {len(poses)} poses",
-        model=model,
-        covariance=full,
-        unit=unit,
-        n_samples=sum(pose.n for pose in poses),
-        n_used=sum(pose.n for pose in poses),
+    warm = dataclasses.replace(made, temperature=float(np.mean(temperatures)) if temperatures else None)
+    return warm.fitted(
+        model,
+        full,
+        message=f"{len(poses)} poses determine part of it: {left.movement}"
+        if left.unknown
+        else f"fitted to {len(poses)} poses",
+        n_used=made.n_samples,
         residual_rms=float(problem.gravity * np.sqrt((solution.lengths**2).mean())),
         condition_number=float(np.linalg.cond(solution.jacobian / np.linalg.norm(solution.jacobian, axis=0))),
-        relative=relative,
-        undetermined=names,
-        movements=_movements(names, movement),
-        warnings=tuple(warnings),
-        temperature=float(np.mean(temperatures)) if temperatures else None,
+        undetermined=_movements(names, left.movement),
+        partial=bool(left.unknown),
+        warnings=warnings,
         quality={
             **_quality(problem, solution, chi2, dof, p_value),
             "attitude_sd_deg": tilt_sd_deg(model, full, problem.gravity),
         },
-        native={"offset": model.offset.tolist(), "matrix": model.matrix.tolist(), "form": form},
+        native={"offset": model.offset.tolist(), "matrix": model.matrix.tolist(), "form": left.form},
     )
 
 

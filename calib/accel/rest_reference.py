@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib.earth import EarthField
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.fit import FitResult, FitStatus, parameter_names, refused
-from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.fit import FitBuilder, FitResult, parameter_names
+from mavcal.calib.recording import Channel
 from mavcal.calib.stats.quantisation import QuantisedMean, mean_of
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.stats.windows import finite_rows
@@ -39,14 +39,14 @@ _STEP = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Sensors:
+class SensorTolerances:
     """How well the sensors are known apart from their noise: standard deviation of an axis's offset, in its unit."""
 
     accel_sd: float = 0.0
     mag_sd: float = 0.0
 
 
-NOISE_ALONE = Sensors()
+NOISE_ALONE = SensorTolerances()
 
 
 def attitude_from_vectors(accel: Array, mag: Array | None) -> Array:
@@ -80,7 +80,7 @@ def fit_rest_reference(
     mag: Channel | None,
     *,
     samples: int = SAMPLES,
-    sensors: Sensors = NOISE_ALONE,
+    sensors: SensorTolerances = NOISE_ALONE,
     field: EarthField | None = None,
     relative: bool = False,
 ) -> FitResult:
@@ -119,31 +119,22 @@ def fit_rest_reference(
         )
     parts = [_first(channel, samples) for channel in (accel, mag) if channel is not None]
     problem = next((text for text in (_why_not(part, samples) for part in parts) if text), "")
+    made = FitBuilder.of(METHOD, accel, relative=relative)
     if problem:
-        return refused(
-            METHOD, Sensor.ACCEL, accel.instance, problem, unit=accel.unit, n_samples=len(accel), movement=problem
-        )
+        return made.refused(problem, movement=problem)
     means = [mean_of(part) for part in parts]
     native, quality = _implied(means, sensors, field)
     residual = parts[0].values - means[0].mean
     scatter = residual[:, ~np.array(means[0].constant)]
     quality |= residual_statistics(scatter if scatter.size else residual, 3 * (samples - 1), None)
-    return FitResult(
-        method=METHOD,
-        sensor=Sensor.ACCEL,
-        instance=accel.instance,
-        status=FitStatus.PARTIAL,
+    return made.fitted(
+        TriadModel(),
+        np.zeros((12, 12)),
         message=_message(native, quality),
-        model=TriadModel(),
-        covariance=np.zeros((12, 12)),
-        unit=accel.unit,
-        n_samples=len(accel),
         n_used=samples,
         residual_rms=float(np.sqrt((residual**2).mean())),
         condition_number=quality["condition"],
-        relative=relative,
-        undetermined=parameter_names(),
-        movements=dict.fromkeys(parameter_names(), NO_CALIBRATION),
+        undetermined=dict.fromkeys(parameter_names(), NO_CALIBRATION),
         warnings=_warnings(native, sensors, mag),
         quality=MappingProxyType(quality),
         native=MappingProxyType({**native, "unit_mag": None if mag is None else mag.unit, "samples": samples}),
@@ -168,7 +159,7 @@ def _why_not(part: Channel, samples: int) -> str:
 
 
 def _implied(
-    means: list[QuantisedMean], sensors: Sensors, field: EarthField | None
+    means: list[QuantisedMean], sensors: SensorTolerances, field: EarthField | None
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """The attitude of the mean vectors with its uncertainty: what is native, and what is quality."""
     vector = np.concatenate([m.mean for m in means])
@@ -253,7 +244,7 @@ def _message(native: dict[str, Any], quality: dict[str, Any]) -> str:
     )
 
 
-def _warnings(native: dict[str, Any], sensors: Sensors, mag: Channel | None) -> tuple[str, ...]:
+def _warnings(native: dict[str, Any], sensors: SensorTolerances, mag: Channel | None) -> tuple[str, ...]:
     found = []
     if mag is None:
         found.append("no magnetometer was recorded: the heading is open")

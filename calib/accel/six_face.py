@@ -21,7 +21,7 @@ from mavcal.calib.attitude import tilt_sd_deg
 from mavcal.calib.c_array import homogeneous
 from mavcal.calib.conventions import accelcal_from_model
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.fit import FitResult, FitStatus, refused
+from mavcal.calib.fit import FitBuilder, FitResult
 from mavcal.calib.recording import Sensor
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
@@ -89,27 +89,25 @@ def fit_six_face(
     if not (np.isfinite(fixture_sd) and fixture_sd >= 0.0):
         raise InvalidInputError(f"the tilt of the fixture is a number of degrees, not {fixture_sd}")
     n_samples = sum(face.n for face in faces)
-
-    def refusal(message: str, movement: str = _ALL_FACES) -> FitResult:
-        return refused(METHOD, Sensor.ACCEL, instance, message, unit=unit, n_samples=n_samples, movement=movement)
-
+    made = FitBuilder(METHOD, Sensor.ACCEL, instance, unit, n_samples, relative, temperature, _ALL_FACES)
     U = np.array([face.mean for face in faces], dtype=np.float64).reshape(-1, 3)
     if len(U) < 6 or not np.isfinite(U).all():
-        return refusal(f"{len(U)} faces with finite readings: six are needed, every axis once up and once down")
+        return made.refused(f"{len(U)} faces with finite readings: six are needed, every axis once up and once down")
     sign = 1.0 if convention == "accelcal" else -1.0
     directions, problem = directions_of(faces, U, sign)
     if problem:
-        return refusal(problem)
+        return made.refused(problem)
     g = recognised_gravity(U, gravity, convention)
     if g is None:
         size = float(np.linalg.norm(U, axis=1).mean())
         said = f"readings of length {size:.4g} {unit} are neither g nor m/s2: state --gravity or the unit"
-        return refusal(said, "state the length of gravity in the unit of the samples, or their unit")
+        return made.refused(said, movement="state the length of gravity in the unit of the samples, or their unit")
     rows = _Rows(tuple(faces), U, g * sign * directions, g, fixture_sd)
-    about = _About(convention, form, instance, unit, temperature, relative)
-    if np.linalg.cond(_regressors(rows, about.form)) > _MOST_CONDITION:
-        return refusal("the readings of opposite faces do not differ: the accelerometer is stuck, or was not turned")
-    return _fitted(rows, about)
+    if np.linalg.cond(_regressors(rows, form)) > _MOST_CONDITION:
+        return made.refused(
+            "the readings of opposite faces do not differ: the accelerometer is stuck, or was not turned"
+        )
+    return _fitted(made, rows, convention, form)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,26 +121,14 @@ class _Rows:
     fixture_sd: float
 
 
-@dataclass(frozen=True)
-class _About:
-    """What goes into the result as it came."""
-
-    convention: Convention
-    form: Form
-    instance: int
-    unit: str
-    temperature: float | None
-    relative: bool
-
-
 def _regressors(rows: _Rows, form: Form) -> Array:
     """Columns of the regression, each of the order of one: ``[U 1]``, or ``[T 1]`` for the forward form."""
     known = rows.U / np.abs(rows.U).max() if form == "accelcal" else rows.T / rows.g
     return np.column_stack([known, np.ones(len(known))])
 
 
-def _fitted(rows: _Rows, about: _About) -> FitResult:
-    forward = about.form == "forward"
+def _fitted(made: FitBuilder, rows: _Rows, convention: Convention, form: Form) -> FitResult:
+    forward = form == "forward"
     left, right = (rows.T, rows.U) if forward else (rows.U, rows.T)
     X = np.column_stack([left, np.ones(len(left))])
     H = np.linalg.pinv(X)  # (4, K): solution = H right
@@ -164,26 +150,16 @@ def _fitted(rows: _Rows, about: _About) -> FitResult:
     corrected = rows.T - model.apply(rows.U)
     if not forward:
         warnings += _shrinks(rows, corrected, dof, float(np.sqrt(np.diag(covariance)[[3, 7, 11]].min())))
-    statistics = residual_statistics(corrected, dof, None)
-    n_samples = sum(face.n for face in rows.faces)
-    return FitResult(
-        method=METHOD,
-        sensor=Sensor.ACCEL,
-        instance=about.instance,
-        status=FitStatus.OK,
+    return made.fitted(
+        model,
+        0.5 * (covariance + covariance.T),
         message=f"fitted to {len(X)} readings of six faces, gravity {rows.g:g}",
-        model=model,
-        covariance=0.5 * (covariance + covariance.T),
-        unit=about.unit,
-        n_samples=n_samples,
-        n_used=n_samples,
+        n_used=made.n_samples,
         residual_rms=float(np.sqrt((corrected**2).mean())),
         condition_number=float(np.linalg.cond(X / np.linalg.norm(X, axis=0))),
-        relative=about.relative,
-        warnings=tuple(warnings),
-        temperature=about.temperature,
+        warnings=warnings,
         quality={
-            **statistics,
+            **residual_statistics(corrected, dof, None),
             "chi2": chi2,
             "dof": dof,
             "p_value": p_value,
@@ -192,11 +168,11 @@ def _fitted(rows: _Rows, about: _About) -> FitResult:
             "fixture_sd_deg": rows.fixture_sd,
             "attitude_sd_deg": tilt_sd_deg(model, covariance, rows.g),
         },
-        native=_native(model, rows, about),
+        native=_native(model, rows, convention, form),
     )
 
 
-def _native(model: TriadModel, rows: _Rows, about: _About) -> dict[str, Any]:
+def _native(model: TriadModel, rows: _Rows, convention: Convention, form: Form) -> dict[str, Any]:
     A, b = accelcal_from_model(model)
     return {
         "A": A.tolist(),
@@ -205,8 +181,8 @@ def _native(model: TriadModel, rows: _Rows, about: _About) -> dict[str, Any]:
         "offset": model.offset.tolist(),
         "homogeneous": homogeneous(model.matrix, model.offset).tolist(),
         "gravity": rows.g,
-        "convention": about.convention,
-        "regression": about.form,
+        "convention": convention,
+        "regression": form,
         "form": "C = U A + b by rows",
     }
 

@@ -44,7 +44,7 @@ are no false alarm."""
 
 
 @dataclass(frozen=True)
-class Answer:
+class CaseAnswer:
     """One case's label and what was said of it.
 
     `named` in the report's order, `reach` all of it with the rivals, `failed` the error where there is no report.

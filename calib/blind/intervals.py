@@ -7,11 +7,10 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import chi2, ncx2
+from scipy.stats import binomtest, chi2, ncx2
 
 Array = NDArray[np.float64]
 
-Z95 = 1.959963984540054
 _DRAWS = 1000
 """Of as many rows as there are: the ends of a 95 % interval are the 25th of either side."""
 
@@ -20,10 +19,8 @@ def wilson(hits: int, n: int) -> tuple[float, float]:
     """95 % interval of a proportion (Wilson 1927); (0, 1) of nothing."""
     if n == 0:
         return 0.0, 1.0
-    p, z2 = hits / n, Z95**2
-    middle = (p + z2 / (2 * n)) / (1.0 + z2 / n)
-    half = Z95 / (1.0 + z2 / n) * math.sqrt(p * (1.0 - p) / n + z2 / (4.0 * n * n))
-    return max(0.0, middle - half), min(1.0, middle + half)
+    found = binomtest(hits, n).proportion_ci(0.95, method="wilson")
+    return float(found.low), float(found.high)
 
 
 def resampled(statistic: Callable[[Array], float | None], rows: Array) -> tuple[float, float]:

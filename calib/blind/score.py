@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.blind.answers import Answer, covered, honest_without
+from mavcal.calib.blind.answers import CaseAnswer, covered, honest_without
 from mavcal.calib.blind.cases import LADDER, Tier
 from mavcal.calib.blind.intervals import brier_skill, calibration_error, detection_limit, resampled, wilson
 from mavcal.calib.blind.nuisance import EXPECTED
@@ -30,7 +30,7 @@ NOTEWORTHY = 0.05
 RANDOM = ("random_walk", "flicker", "noise")
 
 
-class Verdict(StrEnum):
+class FigureVerdict(StrEnum):
     """What a figure's 95 % interval says of its target: all of it meets it, none of it does, or a part."""
 
     REACHED = "reached"
@@ -48,12 +48,12 @@ class Figure:
     low: float | None = None
     high: float | None = None
     target: str = ""
-    verdict: Verdict | None = None
+    verdict: FigureVerdict | None = None
 
 
-def score(answers: Sequence[Answer]) -> dict[str, Any]:
+def score(answers: Sequence[CaseAnswer]) -> dict[str, Any]:
     """All figures, tables by severity, and failures by type, ready for JSON."""
-    by_tier: dict[Tier, list[Answer]] = defaultdict(list)
+    by_tier: dict[Tier, list[CaseAnswer]] = defaultdict(list)
     for answer in answers:
         by_tier[Tier(answer.label["tier"])].append(answer)
     singles, mixed = by_tier[Tier.SINGLE], by_tier[Tier.MIXED]
@@ -96,7 +96,7 @@ def _share(name: str, hits: Iterable[bool], target: str = "") -> Figure:
     return Figure(name, value, len(each), low, high, target, _judged(low, high, target))
 
 
-def _judged(low: float, high: float, target: str) -> Verdict | None:
+def _judged(low: float, high: float, target: str) -> FigureVerdict | None:
     """A target is reached where the worse end of the interval meets it, and missed where the better end does not."""
     if not target:
         return None
@@ -104,8 +104,8 @@ def _judged(low: float, high: float, target: str) -> Verdict | None:
     bound = float(text)
     worse, better = (low - bound, high - bound) if relation == ">=" else (bound - high, bound - low)
     if worse >= 0.0:
-        return Verdict.REACHED
-    return Verdict.UNDECIDED if better >= 0.0 else Verdict.MISSED
+        return FigureVerdict.REACHED
+    return FigureVerdict.UNDECIDED if better >= 0.0 else FigureVerdict.MISSED
 
 
 def _of_rows(name: str, statistic: Callable[[Array], float | None], each: Sequence[Any], target: str = "") -> Figure:
@@ -118,8 +118,8 @@ def _of_rows(name: str, statistic: Callable[[Array], float | None], each: Sequen
     return Figure(name, value, len(rows), low, high, target, _judged(low, high, target))
 
 
-def _nulls(plain: Sequence[Answer], tilted: Sequence[Answer]) -> list[Figure]:
-    def false_alarm(answer: Answer) -> bool:
+def _nulls(plain: Sequence[CaseAnswer], tilted: Sequence[CaseAnswer]) -> list[Figure]:
+    def false_alarm(answer: CaseAnswer) -> bool:
         return bool(set(answer.named) - {"reference_attitude"}) or answer.unknown
 
     return [
@@ -129,15 +129,15 @@ def _nulls(plain: Sequence[Answer], tilted: Sequence[Answer]) -> list[Figure]:
     ]
 
 
-def _single_right(answer: Answer) -> bool:
+def _single_right(answer: CaseAnswer) -> bool:
     return bool(answer.named) and answer.named[0] in answer.true
 
 
-def _exact(answer: Answer) -> bool:
+def _exact(answer: CaseAnswer) -> bool:
     return answer.true <= set(answer.named) and not answer.surplus
 
 
-def _singles(answers: Sequence[Answer]) -> list[Figure]:
+def _singles(answers: Sequence[CaseAnswer]) -> list[Figure]:
     strong = [a for a in answers if a.severity >= STRONG]
     detected = [a for a in answers if a.detected]
     sizes = [len(a.reach) for a in answers if a.named]
@@ -152,7 +152,7 @@ def _singles(answers: Sequence[Answer]) -> list[Figure]:
     ]
 
 
-def _where(answer: Answer) -> bool | None:
+def _where(answer: CaseAnswer) -> bool | None:
     """Whether the strongest place is of a true sensor; None: no place was told, or it is of all sensors."""
     places = answer.report.get("where") or []
     sensors = {e["sensor"] for e in answer.label["effects"]}
@@ -162,7 +162,7 @@ def _where(answer: Answer) -> bool | None:
     return str(best.get("channel", "")).split(".")[0] in sensors
 
 
-def _mixtures(answers: Sequence[Answer]) -> list[Figure]:
+def _mixtures(answers: Sequence[CaseAnswer]) -> list[Figure]:
     counts = [(len(a.true & set(a.named)), len(a.surplus), len(a.true - set(a.named))) for a in answers]
     return [
         _of_rows("mixed: strict F1", lambda rows: _ratio(rows, (2, 0, 0), (2, 1, 1)), counts, ">= 0.93"),
@@ -183,14 +183,14 @@ def _mean(values: Array) -> float:
     return float(values.mean())
 
 
-def _rejected(answer: Answer) -> bool:
+def _rejected(answer: CaseAnswer) -> bool:
     """A left-out effect: called unknown, or by nothing but honest synonyms."""
     true = next(iter(answer.true))
     named = [n for n in answer.named if n != "reference_attitude" or true == "reference_attitude"]
     return answer.unknown or (bool(answer.named) and all(honest_without(true, n) for n in named))
 
 
-def _unknowns(unknown: Sequence[Answer], left: Sequence[Answer], both: Sequence[Answer]) -> list[Figure]:
+def _unknowns(unknown: Sequence[CaseAnswer], left: Sequence[CaseAnswer], both: Sequence[CaseAnswer]) -> list[Figure]:
     strong = [a for a in unknown if a.severity >= STRONG]
     net = [a for a in unknown if a.label["unknown"][0]["net_lambda"] >= STRONG]
     one = [a for a in left if len(a.label["without"]) == 1]
@@ -212,7 +212,7 @@ def _unknowns(unknown: Sequence[Answer], left: Sequence[Answer], both: Sequence[
     ]
 
 
-def _intervals(answers: Iterable[Answer]) -> list[Figure]:
+def _intervals(answers: Iterable[CaseAnswer]) -> list[Figure]:
     hits = [
         hit
         for a in answers
@@ -226,13 +226,13 @@ def _intervals(answers: Iterable[Answer]) -> list[Figure]:
     value = sum(hits) / len(hits)
     slack = 2.0 * (0.95 * 0.05 / len(hits)) ** 0.5
     low, high = wilson(sum(hits), len(hits))
-    verdict = Verdict.REACHED if abs(value - 0.95) <= slack else Verdict.MISSED
-    if verdict is Verdict.REACHED and slack > HELD:
-        verdict = Verdict.UNDECIDED  # so few would look right whatever the intervals are
+    verdict = FigureVerdict.REACHED if abs(value - 0.95) <= slack else FigureVerdict.MISSED
+    if verdict is FigureVerdict.REACHED and slack > HELD:
+        verdict = FigureVerdict.UNDECIDED  # so few would look right whatever the intervals are
     return [Figure("95 % intervals hold", value, len(hits), low, high, f"0.95 +- {slack:.3f}", verdict)]
 
 
-def _probabilities(answers: Iterable[Answer]) -> list[Figure]:
+def _probabilities(answers: Iterable[CaseAnswer]) -> list[Figure]:
     """Of each reported effect that it is there; pooled over single, mixed and unknown cases."""
     p, hit = [], []
     for answer in answers:
@@ -252,7 +252,7 @@ def _probabilities(answers: Iterable[Answer]) -> list[Figure]:
     ]
 
 
-def _closed(answers: Iterable[Answer]) -> list[Figure]:
+def _closed(answers: Iterable[CaseAnswer]) -> list[Figure]:
     found: dict[bool, list[float]] = {True: [], False: []}
     limits: list[float] = []
     for answer in answers:
@@ -278,7 +278,7 @@ def _quantile(q: float) -> Callable[[Array], float]:
     return lambda values: float(np.quantile(values, q))
 
 
-def _ladder(answers: Sequence[Answer]) -> list[Figure]:
+def _ladder(answers: Sequence[CaseAnswer]) -> list[Figure]:
     """Detection at each severity against the test that knows what it looks for, at the same corrected level."""
     figures = []
     for step in LADDER:
@@ -296,13 +296,13 @@ def _ladder(answers: Sequence[Answer]) -> list[Figure]:
     return figures
 
 
-def _undisturbed(answer: Answer) -> bool:
+def _undisturbed(answer: CaseAnswer) -> bool:
     """Nothing was blamed but what was put in and what the nuisance honestly is."""
     allowed = EXPECTED.get(str(answer.label["nuisance"]), set())
     return not (answer.surplus - allowed)
 
 
-def _nuisances(answers: Sequence[Answer]) -> list[Figure]:
+def _nuisances(answers: Sequence[CaseAnswer]) -> list[Figure]:
     names = sorted({str(a.label["nuisance"]) for a in answers})
     figures = []
     for name in names:
@@ -314,7 +314,7 @@ def _nuisances(answers: Sequence[Answer]) -> list[Figure]:
     return figures
 
 
-def _times(answers: Sequence[Answer]) -> list[Figure]:
+def _times(answers: Sequence[CaseAnswer]) -> list[Figure]:
     seconds = [a.seconds for a in answers if a.failed is None]
     if not seconds:
         return []
@@ -324,17 +324,17 @@ def _times(answers: Sequence[Answer]) -> list[Figure]:
     ]
 
 
-def _errors(answers: Sequence[Answer]) -> list[Figure]:
+def _errors(answers: Sequence[CaseAnswer]) -> list[Figure]:
     """A promise of every case, not of a share: one error is a miss, and no number of cases without one is a doubt."""
     name, failed = "failed with an error", [a.failed is not None for a in answers]
     if not failed:
         return [Figure(name, None, 0, target="none")]
     low, high = wilson(sum(failed), len(failed))
-    verdict = Verdict.MISSED if any(failed) else Verdict.REACHED
+    verdict = FigureVerdict.MISSED if any(failed) else FigureVerdict.REACHED
     return [Figure(name, sum(failed) / len(failed), len(failed), low, high, "none", verdict)]
 
 
-def _by_severity(singles: Sequence[Answer], unknown: Sequence[Answer]) -> list[dict[str, Any]]:
+def _by_severity(singles: Sequence[CaseAnswer], unknown: Sequence[CaseAnswer]) -> list[dict[str, Any]]:
     rows = []
     for low, high in BINS:
         mine = [a for a in singles if low <= a.severity < high * 1.001]
@@ -351,16 +351,16 @@ def _by_severity(singles: Sequence[Answer], unknown: Sequence[Answer]) -> list[d
     return rows
 
 
-def _unknown_name(answer: Answer) -> str:
+def _unknown_name(answer: CaseAnswer) -> str:
     entry = answer.label["unknown"][0]
     return f"{entry['sensor']} {entry['id'].removeprefix('unknown_')}"
 
 
 def _failures(
-    answers: Sequence[Answer], kind: Callable[[Answer], str], right: Callable[[Answer], bool]
+    answers: Sequence[CaseAnswer], kind: Callable[[CaseAnswer], str], right: Callable[[CaseAnswer], bool]
 ) -> list[dict[str, Any]]:
     """A row for each type with a failure: how many, what was said instead, and the seeds that repeat it."""
-    groups: dict[str, list[Answer]] = defaultdict(list)
+    groups: dict[str, list[CaseAnswer]] = defaultdict(list)
     for answer in answers:
         groups[kind(answer)].append(answer)
     rows = []
@@ -375,7 +375,7 @@ def _failures(
     return sorted(rows, key=lambda r: (-r["wrong"] / r["n"], r["type"]))
 
 
-def _said(answer: Answer) -> str:
+def _said(answer: CaseAnswer) -> str:
     if answer.failed:
         return f"error: {answer.failed[:80]}"
     parts = [*answer.named[:4], *(["unknown"] if answer.unknown else [])]

@@ -11,7 +11,7 @@ from typing import Final
 
 
 @dataclass(frozen=True)
-class Limit:
+class ParameterLimit:
     """Range of a family of parameters, where it comes from and what to do beyond it."""
 
     pattern: re.Pattern[str]
@@ -29,8 +29,8 @@ class Limit:
         )
 
 
-def _limit(pattern: str, low: float, high: float, unit: str, source: str, remedy: str) -> Limit:
-    return Limit(re.compile(pattern), low, high, unit, source, remedy)
+def _limit(pattern: str, low: float, high: float, unit: str, source: str, remedy: str) -> ParameterLimit:
+    return ParameterLimit(re.compile(pattern), low, high, unit, source, remedy)
 
 
 _POSES = "repeat the six poses on a firm, still surface; if it persists, the sensor is damaged"
@@ -70,6 +70,6 @@ THERMAL_SPAN_MIN: Final = 10.0
 """Smallest range of temperature over which a polynomial is stored, degC (ArduPilot's own learning asks the same)."""
 
 
-def limit_of(name: str) -> Limit | None:
+def limit_of(name: str) -> ParameterLimit | None:
     """The limit that `name` is held to; None: a flag, an id, or a coefficient without a range of its own."""
     return next((limit for limit in LIMITS if limit.pattern.fullmatch(name)), None)

@@ -140,7 +140,7 @@ class WritePlan:
         return hashlib.sha256(text.encode()).hexdigest()
 
 
-class Verdict(StrEnum):
+class ProofVerdict(StrEnum):
     """What the stream says of one written parameter."""
 
     PROVED = "proved"  # the stream agrees with the new value and contradicts the old one
@@ -154,7 +154,7 @@ class ParameterVerdict:
     """The physical check of one parameter."""
 
     name: str
-    verdict: Verdict
+    verdict: ProofVerdict
     effect: float
     """How far the stream would be off if this one parameter had not been applied, in `unit`."""
     sd: float
@@ -227,7 +227,7 @@ class Verification:
     @property
     def contradicted(self) -> tuple[str, ...]:
         """Names of the parameters that were accepted but did not take effect."""
-        return tuple(p.name for p in self.parameters if p.verdict == Verdict.CONTRADICTED)
+        return tuple(p.name for p in self.parameters if p.verdict == ProofVerdict.CONTRADICTED)
 
     @property
     def refuted(self) -> tuple[SensorCheck, ...]:
@@ -247,7 +247,7 @@ class Verification:
     def proved(self) -> bool:
         """Whether every parameter that acts on a stream is proved, there is one, and no sensor reads wrong."""
         acting = [p.verdict for p in self.parameters if p.acts_on_stream]
-        return bool(acting) and not self.refuted and all(verdict == Verdict.PROVED for verdict in acting)
+        return bool(acting) and not self.refuted and all(verdict == ProofVerdict.PROVED for verdict in acting)
 
 
 def snapshot_sha256(values: Mapping[str, Value]) -> str:

@@ -12,17 +12,21 @@ from numpy.typing import NDArray
 from scipy.signal import find_peaks, welch
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.flight.item import Item, Limit, Verdict, judged, not_testable
-from mavcal.calib.flight.rest import Span
+from mavcal.calib.flight.item import FlightLimit, FlightVerdict, JudgedItem, judged, not_testable
+from mavcal.calib.flight.rest import TimeSpan
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from mavcal.calib.stats.correlated import long_run_variance
 from mavcal.calib.stats.windows import finite_rows
 
 Array = NDArray[np.float64]
 
-VIBRATION: Final = Limit(30.0, 60.0, "m/s2", "levels of ArduPilot's VIBE message: fine below 30, trouble above 60")
-CLIPPED: Final = Limit(0.0, 100.0, "times", "ArduPilot: a count that rises in flight is trouble, a hundred the cause")
-SCALE: Final = Limit(0.02, 0.10, "1", "twice the sensitivity tolerance of a MEMS sensor (1 %); a broken axis")
+VIBRATION: Final = FlightLimit(
+    30.0, 60.0, "m/s2", "levels of ArduPilot's VIBE message: fine below 30, trouble above 60"
+)
+CLIPPED: Final = FlightLimit(
+    0.0, 100.0, "times", "ArduPilot: a count that rises in flight is trouble, a hundred the cause"
+)
+SCALE: Final = FlightLimit(0.02, 0.10, "1", "twice the sensitivity tolerance of a MEMS sensor (1 %); a broken axis")
 FULL_SCALE: Final = 156.9
 """16 g, m/s2: the range that autopilots set."""
 
@@ -38,7 +42,7 @@ _CELL = 0.1  # s
 _LEARNT = 0.02  # sd of a scale: more is no comparison
 
 
-def flying_items(recording: Recording, flown: Sequence[Span]) -> list[Item]:
+def flying_items(recording: Recording, flown: Sequence[TimeSpan]) -> list[JudgedItem]:
     """Every item that a flight can tell; `flown` are the spans with the motors on."""
     items = []
     accels = recording.instances(Sensor.ACCEL)
@@ -55,7 +59,7 @@ def _fastest(recording: Recording, sensor: Sensor, instance: int) -> Channel | N
     return min(found, key=lambda c: (c.stage in (Stage.FILTERED, Stage.DEBIASED), -len(c)), default=None)
 
 
-def _vibration(recording: Recording, instance: int, flown: Sequence[Span]) -> Item:
+def _vibration(recording: Recording, instance: int, flown: Sequence[TimeSpan]) -> JudgedItem:
     subject = f"accel {instance + 1}"
     channel = _fastest(recording, Sensor.ACCEL, instance)
     if channel is None:
@@ -73,13 +77,13 @@ def _vibration(recording: Recording, instance: int, flown: Sequence[Span]) -> It
     worst = float(rms.max())
     text = f"{worst:.2f} m/s2 rms above {_HIGH:.0f} Hz up to {frequency[-1]:.0f} Hz ({listed})"
     item = judged("vibration", subject, worst, VIBRATION, text, rms=rms.tolist(), tones=tones, source=channel.source)
-    if channel.stage == Stage.FILTERED and item.verdict == Verdict.PASS:
+    if channel.stage == Stage.FILTERED and item.verdict == FlightVerdict.PASS:
         why = f"at least {text}: {channel.source} is low-passed; log the unfiltered samples (raw IMU or batch sampling)"
-        return Item("vibration", subject, Verdict.NOT_TESTABLE, why, worst, None, VIBRATION, item.numbers)
+        return JudgedItem("vibration", subject, FlightVerdict.NOT_TESTABLE, why, worst, None, VIBRATION, item.numbers)
     return item
 
 
-def _spectrum(channel: Channel, flown: Sequence[Span]) -> tuple[Array, Array] | None:
+def _spectrum(channel: Channel, flown: Sequence[TimeSpan]) -> tuple[Array, Array] | None:
     """Frequencies (F,) and power density (F, 3) over the flown spans, pauses left out; None: too short or too slow."""
     runs = []
     for span in flown:
@@ -141,7 +145,7 @@ def _tones(frequency: Array, density: Array) -> list[dict[str, float]]:
     return found
 
 
-def _clipping(recording: Recording, instance: int) -> Item:
+def _clipping(recording: Recording, instance: int) -> JudgedItem:
     """Counted by the autopilot, or seen as samples at the end of the range."""
     subject = f"accel {instance + 1}"
     said = re.compile(rf"accelerometer {instance + 1} clipped (\d+) times")
@@ -166,7 +170,7 @@ def _usable_rows(values: Array) -> Array:
     return values if good.all() else values[good]
 
 
-def _scale(recording: Recording, sensor: Sensor, pair: tuple[int, int], flown: Sequence[Span]) -> Item:
+def _scale(recording: Recording, sensor: Sensor, pair: tuple[int, int], flown: Sequence[TimeSpan]) -> JudgedItem:
     """Scale of one instance over the other, axis by axis, from what both went through."""
     name, subject = f"{sensor.value}_scale", f"{sensor.value} {pair[0] + 1}, {pair[1] + 1}"
     cells = _cells(recording, sensor, pair, flown)
@@ -193,7 +197,7 @@ def _scale(recording: Recording, sensor: Sensor, pair: tuple[int, int], flown: S
     return judged(name, subject, abs(float(scale[worst]) - 1.0), SCALE, text, sd=float(sd[worst]), **numbers)
 
 
-def _cells(recording: Recording, sensor: Sensor, pair: tuple[int, int], flown: Sequence[Span]) -> Array:
+def _cells(recording: Recording, sensor: Sensor, pair: tuple[int, int], flown: Sequence[TimeSpan]) -> Array:
     """Means (M, 6) of both instances over the same tenths of a second."""
     try:
         channels = [recording.channel(sensor, i) for i in pair]

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any
 
 
-class Verdict(StrEnum):
+class FlightVerdict(StrEnum):
     """What became of an item; the worst one is a log's."""
 
     PASS = "pass"  # noqa: S105  a verdict
@@ -19,7 +19,7 @@ class Verdict(StrEnum):
 
 
 @dataclass(frozen=True)
-class Limit:
+class FlightLimit:
     """Where a number begins to matter, and where the vehicle should not fly with it; `source` says whose limits."""
 
     warn: float
@@ -29,7 +29,7 @@ class Limit:
 
 
 @dataclass(frozen=True)
-class Item:
+class JudgedItem:
     """A judged number.
 
     `value` is None where nothing was measured; `subject` is the sensor, as ``accel 1``; `numbers` are JSON-able.
@@ -37,11 +37,11 @@ class Item:
 
     name: str
     subject: str
-    verdict: Verdict
+    verdict: FlightVerdict
     text: str
     value: float | None = None
     sd: float | None = None
-    limit: Limit | None = None
+    limit: FlightLimit | None = None
     numbers: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
     @property
@@ -52,14 +52,16 @@ class Item:
 
 
 def judged(
-    name: str, subject: str, value: float, limit: Limit, text: str, *, sd: float | None = None, **numbers: Any
-) -> Item:
+    name: str, subject: str, value: float, limit: FlightLimit, text: str, *, sd: float | None = None, **numbers: Any
+) -> JudgedItem:
     """An item of which a larger `value` is worse; what its own sd may explain is no finding."""
     sure = value - 2.0 * (sd or 0.0)
-    verdict = Verdict.FAIL if sure > limit.fail else Verdict.WARN if sure > limit.warn else Verdict.PASS
-    return Item(name, subject, verdict, text, value, sd, limit, numbers)
+    verdict = (
+        FlightVerdict.FAIL if sure > limit.fail else FlightVerdict.WARN if sure > limit.warn else FlightVerdict.PASS
+    )
+    return JudgedItem(name, subject, verdict, text, value, sd, limit, numbers)
 
 
-def not_testable(name: str, subject: str, reason: str, **numbers: Any) -> Item:
+def not_testable(name: str, subject: str, reason: str, **numbers: Any) -> JudgedItem:
     """An item that cannot be judged."""
-    return Item(name, subject, Verdict.NOT_TESTABLE, reason, numbers=numbers)
+    return JudgedItem(name, subject, FlightVerdict.NOT_TESTABLE, reason, numbers=numbers)

@@ -26,7 +26,7 @@ _CURRENT: Final = 3.0  # A
 
 
 @dataclass(frozen=True)
-class Step:
+class PlannedMethod:
     """One method: whether it is worthwhile on this log, and why (or why not)."""
 
     method: str
@@ -40,7 +40,7 @@ class Step:
         return dict(vars(self))
 
 
-def next_steps(recording: Recording, rests: Sequence[Rest], ground: Ground) -> tuple[Step, ...]:
+def next_steps(recording: Recording, rests: Sequence[Rest], ground: Ground) -> tuple[PlannedMethod, ...]:
     """Every method that takes a log, the worthwhile ones first."""
     found = [
         ("gyro-rest", *_gyro(recording, rests)),
@@ -53,7 +53,7 @@ def next_steps(recording: Recording, rests: Sequence[Rest], ground: Ground) -> t
         ("allan", *_allan(recording, rests)),
     ]
     name = recording.source or "FILE"
-    steps = [Step(method, worth, reason, f"mavcal fit {method} {name}") for method, worth, reason in found]
+    steps = [PlannedMethod(method, worth, reason, f"mavcal fit {method} {name}") for method, worth, reason in found]
     return tuple(sorted(steps, key=lambda step: not step.worthwhile))
 
 

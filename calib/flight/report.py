@@ -9,14 +9,14 @@ import numpy as np
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.flight.flying import flying_items
-from mavcal.calib.flight.item import Item, Verdict
-from mavcal.calib.flight.plan import Step, next_steps
+from mavcal.calib.flight.item import FlightVerdict, JudgedItem
+from mavcal.calib.flight.plan import PlannedMethod, next_steps
 from mavcal.calib.flight.rest import Ground, Rest, ground, rests
 from mavcal.calib.flight.resting import resting_items
 from mavcal.calib.logs.inspection import inspect
 from mavcal.calib.recording import Recording, Sensor
 
-_ORDER = (Verdict.PASS, Verdict.NOT_TESTABLE, Verdict.WARN, Verdict.FAIL)
+_ORDER = (FlightVerdict.PASS, FlightVerdict.NOT_TESTABLE, FlightVerdict.WARN, FlightVerdict.FAIL)
 
 
 @dataclass(frozen=True)
@@ -25,14 +25,14 @@ class FlightReport:
 
     ground: Ground
     rests: tuple[Rest, ...]
-    items: tuple[Item, ...]
+    items: tuple[JudgedItem, ...]
     spans: tuple[dict[str, Any], ...]
-    steps: tuple[Step, ...]
+    steps: tuple[PlannedMethod, ...]
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> FlightVerdict:
         """The worst of what could be tested."""
-        return max((item.verdict for item in self.items), key=_ORDER.index, default=Verdict.NOT_TESTABLE)
+        return max((item.verdict for item in self.items), key=_ORDER.index, default=FlightVerdict.NOT_TESTABLE)
 
     @property
     def document(self) -> dict[str, Any]:

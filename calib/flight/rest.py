@@ -48,7 +48,7 @@ class Known(StrEnum):
 
 
 @dataclass(frozen=True)
-class Span:
+class TimeSpan:
     """A stretch of time, s."""
 
     start: float
@@ -61,7 +61,7 @@ class Span:
 
 
 @dataclass(frozen=True)
-class Rest(Span):
+class Rest(TimeSpan):
     """A still span with the motors off."""
 
     phase: Phase
@@ -72,8 +72,8 @@ class Rest(Span):
 class Ground:
     """When the motors were off, when they ran, and how that is known."""
 
-    off: tuple[Span, ...]
-    running: tuple[Span, ...]
+    off: tuple[TimeSpan, ...]
+    running: tuple[TimeSpan, ...]
     known: Known
 
 
@@ -88,7 +88,7 @@ def ground(recording: Recording) -> Ground:
     spun = _spun(recording)
     if spun is not None:
         return Ground(_between(spun, begin, end, _SETTLED), spun, Known.MOTORS)
-    return Ground((Span(begin, end),), (), Known.STILLNESS)
+    return Ground((TimeSpan(begin, end),), (), Known.STILLNESS)
 
 
 def rests(recording: Recording, instance: int = 0) -> tuple[Rest, ...]:
@@ -124,23 +124,23 @@ def grounded(recording: Recording, stills: Sequence[Still], shortest: float) -> 
     return tuple(part for part in parts if part.duration >= shortest)
 
 
-def _phase(start: float, running: tuple[Span, ...]) -> Phase:
+def _phase(start: float, running: tuple[TimeSpan, ...]) -> Phase:
     before = [span for span in running if span.end <= start]
     if not before:
         return Phase.BEFORE
     return Phase.AFTER if len(before) == len(running) else Phase.BETWEEN
 
 
-def _armed(recording: Recording, begin: float, end: float) -> tuple[Span, ...] | None:
+def _armed(recording: Recording, begin: float, end: float) -> tuple[TimeSpan, ...] | None:
     """Armed spans; None where arming was never spoken of."""
     said = sorted((e.t, e.kind == ARMED) for e in recording.events if e.kind in (ARMED, UNARMED))
     if not said:
         return None
     states = [(begin, not said[0][1]), *said, (end, said[-1][1])]
-    return _merged([Span(a, max(a, b)) for (a, on), (b, _) in pairwise(states) if on])
+    return _merged([TimeSpan(a, max(a, b)) for (a, on), (b, _) in pairwise(states) if on])
 
 
-def _spun(recording: Recording) -> tuple[Span, ...] | None:
+def _spun(recording: Recording) -> tuple[TimeSpan, ...] | None:
     """Spans in which a motor was driven; None where nothing tells."""
     channels = recording.find(Sensor.MOTOR) or recording.find(Sensor.THROTTLE)
     channel = max(channels, key=len, default=None)
@@ -149,27 +149,27 @@ def _spun(recording: Recording) -> tuple[Span, ...] | None:
     return _merged(_high(channel))
 
 
-def _high(channel: Channel) -> list[Span]:
+def _high(channel: Channel) -> list[TimeSpan]:
     """Spans with an output above idle, from the last sample below it to the next one."""
     highest = np.nanmax(np.where(np.isfinite(channel.values), channel.values, 0.0), axis=1)
     rising = np.diff((highest > _OFF).astype(np.int8), prepend=0, append=0)
     first, last = np.flatnonzero(rising > 0) - 1, np.flatnonzero(rising < 0)
     t, end = channel.t, len(channel) - 1
-    return [Span(float(t[max(int(i), 0)]), float(t[min(int(j), end)])) for i, j in zip(first, last, strict=True)]
+    return [TimeSpan(float(t[max(int(i), 0)]), float(t[min(int(j), end)])) for i, j in zip(first, last, strict=True)]
 
 
-def _merged(spans: list[Span]) -> tuple[Span, ...]:
-    merged: list[Span] = []
+def _merged(spans: list[TimeSpan]) -> tuple[TimeSpan, ...]:
+    merged: list[TimeSpan] = []
     for span in spans:
         if merged and span.start <= merged[-1].end:
-            merged[-1] = Span(merged[-1].start, max(merged[-1].end, span.end))
+            merged[-1] = TimeSpan(merged[-1].start, max(merged[-1].end, span.end))
         elif span.duration > 0.0:
             merged.append(span)
     return tuple(merged)
 
 
-def _between(spans: tuple[Span, ...], begin: float, end: float, settle: float) -> tuple[Span, ...]:
+def _between(spans: tuple[TimeSpan, ...], begin: float, end: float, settle: float) -> tuple[TimeSpan, ...]:
     """What `spans` leave of the recording, each gap shortened by `settle` where it follows a span."""
     edges = [begin, *(t for span in spans for t in (span.start, span.end + settle)), end]
-    gaps = [Span(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    gaps = [TimeSpan(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True)]
     return tuple(gap for gap in gaps if gap.duration > 0.0)

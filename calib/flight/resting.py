@@ -18,7 +18,7 @@ from mavcal.calib.earth import local_gravity
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware.compose.trim import AHRS_TRIM
 from mavcal.calib.firmware.rotations import euler_matrix
-from mavcal.calib.flight.item import Item, Limit, judged, not_testable
+from mavcal.calib.flight.item import FlightLimit, JudgedItem, judged, not_testable
 from mavcal.calib.flight.rest import DISARMED, Rest
 from mavcal.calib.recording import Recording, Sensor
 from mavcal.calib.stats.quantisation import mean_of
@@ -26,14 +26,20 @@ from mavcal.calib.stats.windows import finite_rows
 
 Array = NDArray[np.float64]
 
-GRAVITY: Final = Limit(0.1, 0.75, "m/s2", "0.6 deg of tilt if it lay across gravity; ARMING_ACCTHRESH of ArduPilot")
-RATE: Final = Limit(
+GRAVITY: Final = FlightLimit(
+    0.1, 0.75, "m/s2", "0.6 deg of tilt if it lay across gravity; ARMING_ACCTHRESH of ArduPilot"
+)
+RATE: Final = FlightLimit(
     np.radians(0.1), np.radians(5.0), "rad/s", "what the calibration at boot reaches; arming check of ArduPilot"
 )
-WANDER: Final = Limit(np.radians(0.1), np.radians(1.0), "rad/s", "as for the bias: ten times what a job aims at")
-APART: Final = Limit(0.2, 0.75, "m/s2", "the sum of what two good sensors may be off; ARMING_ACCTHRESH of ArduPilot")
-RATES_APART: Final = Limit(np.radians(0.2), np.radians(5.0), "rad/s", "twice that of one; arming check of ArduPilot")
-LEVEL: Final = Limit(1.0, 5.0, "deg", "a multicopter drifts visibly from one degree on")
+WANDER: Final = FlightLimit(np.radians(0.1), np.radians(1.0), "rad/s", "as for the bias: ten times what a job aims at")
+APART: Final = FlightLimit(
+    0.2, 0.75, "m/s2", "the sum of what two good sensors may be off; ARMING_ACCTHRESH of ArduPilot"
+)
+RATES_APART: Final = FlightLimit(
+    np.radians(0.2), np.radians(5.0), "rad/s", "twice that of one; arming check of ArduPilot"
+)
+LEVEL: Final = FlightLimit(1.0, 5.0, "deg", "a multicopter drifts visibly from one degree on")
 
 _LEAST = 32  # samples of a mean
 _SHORTEST = 2.0  # s
@@ -71,7 +77,7 @@ def rest_means(recording: Recording, sensor: Sensor, instance: int, rests: Seque
     return tuple(found)
 
 
-def resting_items(recording: Recording, rests: Sequence[Rest]) -> list[Item]:
+def resting_items(recording: Recording, rests: Sequence[Rest]) -> list[JudgedItem]:
     """Every item that rests can tell, of every instance."""
     accels = {i: rest_means(recording, Sensor.ACCEL, i, rests) for i in recording.instances(Sensor.ACCEL)}
     gyros = {i: rest_means(recording, Sensor.GYRO, i, rests) for i in recording.instances(Sensor.GYRO)}
@@ -98,11 +104,11 @@ def gravity_of_place(recording: Recording) -> tuple[float, bool]:
     return STANDARD_GRAVITY, False
 
 
-def _none(name: str, subject: str) -> Item:
+def _none(name: str, subject: str) -> JudgedItem:
     return not_testable(name, subject, f"no rest of {_SHORTEST:.0f} s with the motors off")
 
 
-def _gravity(instance: int, means: Sequence[RestMean], gravity: float, known: bool) -> Item:
+def _gravity(instance: int, means: Sequence[RestMean], gravity: float, known: bool) -> JudgedItem:
     """Length of the force at rest; a calibrated sensor reads the firmware's 9.80665 wherever it was calibrated."""
     subject = f"accel {instance + 1}"
     if not means:
@@ -119,7 +125,7 @@ def _gravity(instance: int, means: Sequence[RestMean], gravity: float, known: bo
     )
 
 
-def _level(recording: Recording, instance: int, means: Sequence[RestMean]) -> Item:
+def _level(recording: Recording, instance: int, means: Sequence[RestMean]) -> JudgedItem:
     """Angle between the vertical of the accelerometer, trimmed, and that of the autopilot's attitude."""
     subject = f"accel {instance + 1}"
     if not means:
@@ -155,7 +161,7 @@ def _vertical(q: Array) -> Array:
     return np.asarray(mean / max(float(np.linalg.norm(mean)), 1e-12), dtype=np.float64)
 
 
-def _bias(instance: int, means: Sequence[RestMean]) -> Item:
+def _bias(instance: int, means: Sequence[RestMean]) -> JudgedItem:
     subject = f"gyro {instance + 1}"
     if not means:
         return _none("gyro_bias_at_rest", subject)
@@ -168,7 +174,7 @@ def _bias(instance: int, means: Sequence[RestMean]) -> Item:
     )
 
 
-def _wander(instance: int, means: Sequence[RestMean]) -> Item:
+def _wander(instance: int, means: Sequence[RestMean]) -> JudgedItem:
     """Change of the bias between the first and the last rest."""
     subject = f"gyro {instance + 1}"
     if not means:
@@ -197,8 +203,8 @@ def _wander(instance: int, means: Sequence[RestMean]) -> Item:
 
 
 def _apart(
-    name: str, sensor: str, pair: tuple[int, int], limit: Limit, means: Mapping[int, Sequence[RestMean]]
-) -> Item:
+    name: str, sensor: str, pair: tuple[int, int], limit: FlightLimit, means: Mapping[int, Sequence[RestMean]]
+) -> JudgedItem:
     """The largest difference of two instances in the same rest, the vertical one halved as by ArduPilot's check."""
     a, b = pair
     subject = f"{sensor} {a + 1}, {b + 1}"

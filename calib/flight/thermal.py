@@ -16,10 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.fit import AXES, FitResult, FitStatus, refused
+from mavcal.calib.fit import AXES, FitBuilder, FitResult, FitStatus
 from mavcal.calib.flight.flown import flown_difference
 from mavcal.calib.flight.rest import DISARMED
-from mavcal.calib.flight.warm import Log, Warmth, warmth
+from mavcal.calib.flight.warm import Log, RestTemperatures, warmth
 from mavcal.calib.procedures.drift_fit import PoseOffsets, fit_posed
 from mavcal.calib.recording import Sensor
 from mavcal.calib.thermal.fit import LINEAR_METHOD, POLYNOMIAL_METHOD, fit_drift_data, fit_linear
@@ -42,7 +42,7 @@ _SAID = {
 
 
 @dataclass(frozen=True)
-class Wish:
+class ThermalWish:
     """What is asked for; `degree` 0 is the straight line of thermal-linear."""
 
     degree: int
@@ -58,7 +58,7 @@ class Wish:
         return POLYNOMIAL_METHOD if self.degree else LINEAR_METHOD
 
 
-def fit_rests(logs: Sequence[Log], sensor: Sensor, instance: int, wish: Wish, *, relative: bool) -> FitResult:
+def fit_rests(logs: Sequence[Log], sensor: Sensor, instance: int, wish: ThermalWish, *, relative: bool) -> FitResult:
     """Drift of one sensor over the rests of `logs`; refused with the span that is there and the one that is needed."""
     own = warmth(logs, sensor, instance)
     if own is None:
@@ -81,7 +81,7 @@ def fit_rests(logs: Sequence[Log], sensor: Sensor, instance: int, wish: Wish, *,
     return alone if not why else dataclasses.replace(alone, warnings=(*alone.warnings, why))
 
 
-def _fit(rows: Warmth, number: NDArray[np.intp], wish: Wish, relative: bool) -> FitResult:
+def _fit(rows: RestTemperatures, number: NDArray[np.intp], wish: ThermalWish, relative: bool) -> FitResult:
     """The drift with one constant for every `number` (N,)."""
     covered = rows.covered(number)
     if covered < wish.min_span:
@@ -105,7 +105,9 @@ def _fit(rows: Warmth, number: NDArray[np.intp], wish: Wish, relative: bool) -> 
     return fit if poses is None else poses.widened(fit, _SAID[rows.channel.sensor])
 
 
-def _by_difference(logs: Sequence[Log], own: Warmth, wish: Wish, relative: bool) -> tuple[FitResult | None, str]:
+def _by_difference(
+    logs: Sequence[Log], own: RestTemperatures, wish: ThermalWish, relative: bool
+) -> tuple[FitResult | None, str]:
     """The drift against another accelerometer that has none, where that sees more; or why not."""
     instance = own.channel.instance
     others = sorted({i for log in logs for i in log.recording.instances(Sensor.ACCEL)} - {instance})
@@ -127,7 +129,9 @@ def _by_difference(logs: Sequence[Log], own: Warmth, wish: Wish, relative: bool)
     return None, why
 
 
-def _in_flight(logs: Sequence[Log], own: Warmth, wish: Wish, relative: bool) -> tuple[FitResult | None, str]:
+def _in_flight(
+    logs: Sequence[Log], own: RestTemperatures, wish: ThermalWish, relative: bool
+) -> tuple[FitResult | None, str]:
     """The drift against another unit over whole logs, flights included; or why not."""
     sensor, instance = own.channel.sensor, own.channel.instance
     why = ""
@@ -180,7 +184,7 @@ def _steady(logs: Sequence[Log], sensor: Sensor, other: int, span: float) -> Arr
     if rows is None:
         return f"{name} never rested"
     groups = rows.rest if sensor == Sensor.ACCEL else rows.log
-    line = _fit(rows, groups, Wish(degree=1, t_ref=35.0, min_span=_LEAST_SPAN, lag=False), relative=False)
+    line = _fit(rows, groups, ThermalWish(degree=1, t_ref=35.0, min_span=_LEAST_SPAN, lag=False), relative=False)
     if line.status == FitStatus.REFUSED or line.model.polynomial is None or len(line.undetermined) > 3:
         return f"{name} cannot be judged as a reference: {line.message}"
     slope = line.model.polynomial.coefficients[:, 0]
@@ -213,7 +217,7 @@ def _against(fit: FitResult, other: int, slopes: Array) -> FitResult:
     return dataclasses.replace(fit, covariance=covariance, warnings=(*fit.warnings, text), quality=quality)
 
 
-def _told(fit: FitResult, rows: Warmth, constants: str) -> FitResult:
+def _told(fit: FitResult, rows: RestTemperatures, constants: str) -> FitResult:
     """The fit with what it was made from."""
     logs = f"{rows.logs} log{'s' if rows.logs > 1 else ''}"
     warnings = list(fit.warnings)
@@ -244,29 +248,18 @@ def _none(fit: FitResult) -> str:
     return ", ".join(a for a, none in zip(AXES, small, strict=True) if none)
 
 
-def _narrow(rows: Warmth, wish: Wish, covered: float) -> FitResult:
-    data = rows.data
-    return refused(
-        wish.method,
-        rows.channel.sensor,
-        rows.channel.instance,
+def _narrow(rows: RestTemperatures, wish: ThermalWish, covered: float) -> FitResult:
+    data, channel = rows.data, rows.channel
+    return FitBuilder(wish.method, channel.sensor, channel.instance, channel.unit, data.samples).refused(
         f"at rest the temperature moved by {covered:.1f} degC ({data.t_min:.1f} to {data.t_max:.1f} over "
         f"{len(rows.rests)} rests of {rows.duration:.0f} s): {wish.min_span:.0f} are needed; {COLDER}",
-        unit=rows.channel.unit,
-        n_samples=data.samples,
         movement=COLDER,
         quality={"span": covered, "t_min": data.t_min, "t_max": data.t_max, "rests": len(rows.rests)},
     )
 
 
-def _refused(logs: Sequence[Log], sensor: Sensor, instance: int, wish: Wish, reason: str) -> FitResult:
+def _refused(logs: Sequence[Log], sensor: Sensor, instance: int, wish: ThermalWish, reason: str) -> FitResult:
     channels = [c for log in logs for c in log.recording.find(sensor, instance)]
-    return refused(
-        wish.method,
-        sensor,
-        instance,
-        f"{reason}; {COLDER}",
-        unit=channels[0].unit if channels else "",
-        n_samples=sum(len(c) for c in channels),
-        movement=COLDER,
-    )
+    unit, count = channels[0].unit if channels else "", sum(len(c) for c in channels)
+    made = FitBuilder(wish.method, sensor, instance, unit, count)
+    return made.refused(f"{reason}; {COLDER}", movement=COLDER)

@@ -43,7 +43,7 @@ class Log:
 
 
 @dataclass(frozen=True, eq=False)
-class Warmth:
+class RestTemperatures:
     """What the rests of every log say of one sensor: rows, and for each of them its rest and its log."""
 
     channel: Channel
@@ -97,7 +97,7 @@ def logs_of(recordings: Sequence[Recording]) -> tuple[Log, ...]:
     return tuple(logs)
 
 
-def warmth(logs: Sequence[Log], sensor: Sensor, instance: int, *, other: int | None = None) -> Warmth | None:
+def warmth(logs: Sequence[Log], sensor: Sensor, instance: int, *, other: int | None = None) -> RestTemperatures | None:
     """The rests of that sensor in every log; None: there is no row.
 
     With `other` its samples less those of that instance: what the vehicle does cancels, and so does gravity.
@@ -128,7 +128,9 @@ def warmth(logs: Sequence[Log], sensor: Sensor, instance: int, *, other: int | N
     data, rest_of = pool.data(sensor, instance)
     kept = pool[sensor, instance].channel
     assert kept is not None
-    return Warmth(kept, data, rest_of, np.asarray(log_of, dtype=np.intp)[rest_of], tuple(found), len(set(log_of)))
+    return RestTemperatures(
+        kept, data, rest_of, np.asarray(log_of, dtype=np.intp)[rest_of], tuple(found), len(set(log_of))
+    )
 
 
 def _channel(log: Log, sensor: Sensor, instance: int, other: int | None) -> Channel | None:

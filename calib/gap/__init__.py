@@ -1,6 +1,6 @@
 """The sim-to-real gap: where a real sensor differs from the simulated one, why, and how far an effect closes it.
 
-The way through: recordings -> :mod:`calib.gap.reference` -> :class:`calib.gap.problem.Problem` (every sensor beside
+The way through: recordings -> :mod:`calib.gap.reference` -> :class:`calib.gap.problem.GapProblem` (every sensor beside
 what an ideal one would have read) -> :mod:`calib.gap.diagnose` (the effects of :mod:`calib.gap.effects` in one contest)
 -> :class:`calib.gap.schema.GapReport`, whose effects :mod:`calib.gap.export` writes for simulators. :func:`run` goes
 all the way.
@@ -17,7 +17,7 @@ from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.effects import catalogue
 from mavcal.calib.gap.export import with_patches
 from mavcal.calib.gap.flaws import beside_flaws, flaws_of
-from mavcal.calib.gap.problem import Problem
+from mavcal.calib.gap.problem import GapProblem
 from mavcal.calib.gap.reference import alike, build, flew_another, posed
 from mavcal.calib.gap.schema import GapReport, as_json
 from mavcal.calib.recording import Recording
@@ -69,7 +69,7 @@ def run(
     return with_patches(report, simulator_of(real, sim))
 
 
-def _problem(real: Recording, sim: Recording | None, nominal: Sequence[Recording], alpha: float) -> Problem:
+def _problem(real: Recording, sim: Recording | None, nominal: Sequence[Recording], alpha: float) -> GapProblem:
     """The sensors of `real` beside their references, less what a companion on another trajectory shows of its own."""
     if sim is not None and flew_another(real, sim):
         real, sim = alike(real, sim)

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.gap.contest import Contest, Score, exactly, fixed_score, noise_score, priced
+from mavcal.calib.gap.contest import Contest, ContestScore, exactly, fixed_score, noise_score, priced
 from mavcal.calib.gap.effects.base import NoiseEffect
 from mavcal.calib.gap.evidence import price_of_kind
 from mavcal.calib.gap.filtered import told_by_noise
-from mavcal.calib.gap.hypotheses import Columns, Hypothesis, Key, columns_of
+from mavcal.calib.gap.hypotheses import Hypothesis, HypothesisColumns, Key, columns_of
 from mavcal.calib.gap.model import Model, NoiseTerm, Term, misfit, refined
 from mavcal.calib.gap.noise_fit import refitted, without_term
 from mavcal.calib.gap.projection import Beside, existing
@@ -25,7 +25,7 @@ from mavcal.calib.gap.schema import Rival
 from mavcal.calib.gap.selection import (
     MATERIAL,
     REAL,
-    Chosen,
+    ChosenModel,
     fitted,
     grown,
     largest_gain,
@@ -92,7 +92,7 @@ class Attribution:
 class Alternative:
     """Another hypothesis in the place of an effect; `kappa` is 0 where it is too far behind to be listed."""
 
-    score: Score
+    score: ContestScore
     kappa: float
 
 
@@ -105,15 +105,15 @@ class Place:
 
 
 @dataclass(frozen=True, eq=False)
-class Settled:
+class SettledModel:
     """A model in which no effect has a better one in its place, and what its effects are worth, by their places."""
 
-    chosen: Chosen
+    chosen: ChosenModel
     attributions: tuple[Attribution, ...]
     places: Mapping[Key, Place]
 
 
-def settled(chosen: Chosen, contest: Contest, alpha: float, before: Settled | None = None) -> Settled:
+def settled(chosen: ChosenModel, contest: Contest, alpha: float, before: SettledModel | None = None) -> SettledModel:
     """A model in which no effect has a better one in its place, and what its effects are worth.
 
     Forward steps take the best single effect first: one that stands for two of them, noise for a mean. Each effect is
@@ -133,7 +133,7 @@ def settled(chosen: Chosen, contest: Contest, alpha: float, before: Settled | No
     while True:
         other = _improved(chosen, places, level, contest) if exchanges < _ROUNDS else None
         if other is None and fresh:
-            return Settled(chosen, _attributed(chosen, contest, places), places)
+            return SettledModel(chosen, _attributed(chosen, contest, places), places)
         if other is None:
             places, fresh = _places(chosen, contest, {}), True
             continue
@@ -144,7 +144,7 @@ def settled(chosen: Chosen, contest: Contest, alpha: float, before: Settled | No
 
 
 def _places(
-    chosen: Chosen, contest: Contest, known: Mapping[Key, Place], but: Collection[Key] = ()
+    chosen: ChosenModel, contest: Contest, known: Mapping[Key, Place], but: Collection[Key] = ()
 ) -> dict[Key, Place]:
     """The places of the effects of a model, `but` for some; of those that are `known` with what is not yet."""
     keys = {term.hypothesis.key: term for term in chosen.model.members}
@@ -163,7 +163,7 @@ def _elsewhere(model: Model, other: Model) -> frozenset[Key]:
     return frozenset(key for key in own.keys() & new.keys() if not own[key].shared and own[key].sensor not in sensors)
 
 
-def _improved(chosen: Chosen, places: Mapping[Key, Place], level: float, contest: Contest) -> Chosen | None:
+def _improved(chosen: ChosenModel, places: Mapping[Key, Place], level: float, contest: Contest) -> ChosenModel | None:
     """The model after the best exchange that keeps what it promised once everything was fitted anew; None: none does.
 
     Every exchange is judged beside the others as they are fitted to that moment, and they may have leant on what goes.
@@ -175,13 +175,13 @@ def _improved(chosen: Chosen, places: Mapping[Key, Place], level: float, contest
     return None
 
 
-def _exchanged(chosen: Chosen, old: Key, new: Score) -> Chosen:
+def _exchanged(chosen: ChosenModel, old: Key, new: ContestScore) -> ChosenModel:
     model, joint, noise = fitted(with_score(without(chosen.model, old), new))
     scores = (*(s for s in chosen.scores if s.hypothesis.key != old), new)
     return replace(chosen, model=model, joint=joint, noise=noise, scores=scores)
 
 
-def steadily(chosen: Chosen, start: Model, contest: Contest, alpha: float) -> Chosen:
+def steadily(chosen: ChosenModel, start: Model, contest: Contest, alpha: float) -> ChosenModel:
     """The model, or a better one without noise that wanders, whose effects were exchanged until none has a better one.
 
     Forward steps may stop where two of the wrong effects stand; wandering noise then beats them, and not the right two.
@@ -202,7 +202,7 @@ def steadily(chosen: Chosen, start: Model, contest: Contest, alpha: float) -> Ch
     return replace(best, tests=chosen.tests, first=chosen.first)
 
 
-def _events_first(start: Model, jumps: Sequence[Hypothesis], contest: Contest, alpha: float) -> Chosen | None:
+def _events_first(start: Model, jumps: Sequence[Hypothesis], contest: Contest, alpha: float) -> ChosenModel | None:
     """A model that begins with `jumps` alone; None where there are no two of them."""
     tests = sum(not h.again for h in contest.hypotheses)
     events = select(start, contest.among(jumps), alpha * len(jumps) / max(len(contest.hypotheses), 1))
@@ -213,8 +213,8 @@ def _events_first(start: Model, jumps: Sequence[Hypothesis], contest: Contest, a
 
 
 def _exchanges(
-    chosen: Chosen, places: Mapping[Key, Place], level: float, contest: Contest
-) -> list[tuple[float, Key, Score]]:
+    chosen: ChosenModel, places: Mapping[Key, Place], level: float, contest: Contest
+) -> list[tuple[float, Key, ContestScore]]:
     """Exchanges of one effect for another that gain, best first, and by how much the model may seem worse after each.
 
     Beside noise that was learned from flights a hundredth of an effect is a second order of it: for that much the one
@@ -230,27 +230,27 @@ def _exchanges(
     return [exchange[1:] for exchange in sorted(found, key=lambda exchange: -exchange[0])]
 
 
-def second_order(chosen: Chosen, own: float) -> float:
+def second_order(chosen: ChosenModel, own: float) -> float:
     """What of an effect's evidence is a second order of it; nothing but beside noise learned from flights."""
     return REAL * max(own, 0.0) if of_flights(chosen.model) else 0.0
 
 
-def _freedom_of(chosen: Chosen, key: Key) -> int:
+def _freedom_of(chosen: ChosenModel, key: Key) -> int:
     return next((_freedom(score) for score in chosen.scores if score.hypothesis.key == key), 0)
 
 
-def _freedom(score: Score) -> int:
+def _freedom(score: ContestScore) -> int:
     """Numbers of an effect; noise that wanders takes the place of anything slow, and has more than any other."""
     return score.df + (_WANDERS if score.hypothesis.effect.drifts else 0)
 
 
-def _behind(own: float, score: Score, freedom: int, second: float) -> float:
+def _behind(own: float, score: ContestScore, freedom: int, second: float) -> float:
     """By how much evidence a rival stands behind an effect; of what is a `second` order, more freedom explains more."""
     more = _freedom(score) - freedom if freedom else 0
     return own - score.delta + (second if more > 0 else -_LESS * second if more < 0 else 0.0)
 
 
-def _attributed(chosen: Chosen, contest: Contest, places: Mapping[Key, Place]) -> tuple[Attribution, ...]:
+def _attributed(chosen: ChosenModel, contest: Contest, places: Mapping[Key, Place]) -> tuple[Attribution, ...]:
     """One attribution for each effect of a model, largest share first."""
     model = chosen.model
     last = last_gains(model, contest)
@@ -275,7 +275,7 @@ def _likeliest_shape(others: Sequence[Alternative]) -> str:
     return max(shapes, key=lambda s: s.delta).hypothesis.effect.excited_by if shapes else ""
 
 
-def _place(chosen: Chosen, contest: Contest, term: Term | NoiseTerm, known: Sequence[Alternative]) -> Place:
+def _place(chosen: ChosenModel, contest: Contest, term: Term | NoiseTerm, known: Sequence[Alternative]) -> Place:
     """Every other hypothesis in the place of `term`, of which some are `known`."""
     model = chosen.model
     key = term.hypothesis.key
@@ -307,16 +307,16 @@ def _place(chosen: Chosen, contest: Contest, term: Term | NoiseTerm, known: Sequ
     scores += contest.assured(coarse, beside, own_delta - _FAR)
     for score in scores:
         near = own_delta - score.delta < _FAR + price_of_kind(score.hypothesis.effect.id)
-        kappa = _imitated(beside, own_columns, term, score, energy, own_gain, contest) if near else 0.0
+        kappa = _imitated(contest, beside, own_columns, term, score, energy=energy, own_gain=own_gain) if near else 0.0
         found.append(Alternative(score, kappa))
     return Place(tuple(found), own_delta)
 
 
-def _less(score: Score, gain: float) -> Score:
+def _less(score: ContestScore, gain: float) -> ContestScore:
     return replace(score, gain=score.gain - gain, delta=score.delta - gain)
 
 
-def _own_score(chosen: Chosen, term: Term, columns: Columns, beside: Beside) -> Score:
+def _own_score(chosen: ChosenModel, term: Term, columns: HypothesisColumns, beside: Beside) -> ContestScore:
     if term.effect.fixed:
         gain = beside.fixed_gain(columns) + told_by_noise(term.hypothesis, term.theta, beside.model)
         return fixed_score(term.hypothesis, term.theta, gain)
@@ -333,13 +333,14 @@ def _meets(rival: Hypothesis, own: Hypothesis, model: Model) -> bool:
 
 
 def _imitated(
+    contest: Contest,
     beside: Beside,
-    own: Columns | None,
+    own: HypothesisColumns | None,
     term: Term | NoiseTerm,
-    score: Score,
+    score: ContestScore,
+    *,
     energy: float,
     own_gain: float,
-    contest: Contest,
 ) -> float:
     """The part of the effect's energy that the rival's columns can take."""
     if own is None or isinstance(score.hypothesis.effect, NoiseEffect) or score.df == 0:

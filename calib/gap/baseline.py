@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from mavcal.calib.gap.floors import SMALL, Floors, indifferent
-from mavcal.calib.gap.problem import Floor, Problem, Trace
+from mavcal.calib.gap.problem import Floor, GapProblem, Trace
 from mavcal.calib.gap.replay import with_effects, with_effects_in
 from mavcal.calib.gap.schema import EffectEstimate
 from mavcal.calib.gap.shown import shown
@@ -37,7 +37,7 @@ class Baseline:
         return with_effects_in(traces, self.effects)[0]
 
 
-def baseline_of(problem: Problem, alpha: float) -> Baseline:
+def baseline_of(problem: GapProblem, alpha: float) -> Baseline:
     """What of the mean a simulated flight shows beside its own ideal; what happens once is not carried over.
 
     The noise that was learned from this flight has in it what is looked for: it is fitted anew beside it.
@@ -61,7 +61,7 @@ def _undeclared(trace: Trace) -> Trace:
     return replace(trace, sigma=None, sigma_dof=math.inf, psd=None, psd_hz=None, own_psd=None)
 
 
-def beside(problem: Problem, baseline: Baseline) -> Problem:
+def beside(problem: GapProblem, baseline: Baseline) -> GapProblem:
     """`problem` held against a simulator that has what its own flight shows."""
     changed, _ = with_effects(problem, baseline.effects, shared=True)
     livelier = _changes(problem, changed)
@@ -70,7 +70,7 @@ def beside(problem: Problem, baseline: Baseline) -> Problem:
     return replace(changed, floor=Floor(floor, floor, floor, floor))
 
 
-def _flaws(problem: Problem, baseline: Baseline, livelier: Mapping[Sensor, float], sensor: Sensor) -> float:
+def _flaws(problem: GapProblem, baseline: Baseline, livelier: Mapping[Sensor, float], sensor: Sensor) -> float:
     """Twice the log-likelihood that what a simulated flight's flaws leave open has in this one.
 
     A livelier flight shows more of them. Their parameters are as uncertain as a part of their own evidence, and as what
@@ -86,7 +86,7 @@ def _flaws(problem: Problem, baseline: Baseline, livelier: Mapping[Sensor, float
     return numbers * math.log1p(gain / numbers)
 
 
-def _changes(problem: Problem, changed: Problem) -> dict[Sensor, float]:
+def _changes(problem: GapProblem, changed: GapProblem) -> dict[Sensor, float]:
     """By sensor, sum of squares of what effects change of the ideal readings."""
     total: dict[Sensor, float] = {}
     for before, after in zip(problem.traces, changed.traces, strict=True):

@@ -30,9 +30,9 @@ from mavcal.calib.gap.evidence import (
 )
 from mavcal.calib.gap.filtered import shaped, told_by_noise
 from mavcal.calib.gap.floors import Floors
-from mavcal.calib.gap.hypotheses import Columns, Hypothesis, columns_of
+from mavcal.calib.gap.hypotheses import Hypothesis, HypothesisColumns, columns_of
 from mavcal.calib.gap.kept import Kept
-from mavcal.calib.gap.louder import Added, drift_beside_lines, stands_out, tone_beside_lines, whose
+from mavcal.calib.gap.louder import AddedNoise, drift_beside_lines, stands_out, tone_beside_lines, whose
 from mavcal.calib.gap.model import (
     Model,
     Term,
@@ -61,7 +61,7 @@ _SIDES = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Score:
+class ContestScore:
     """What a hypothesis would gain.
 
     `gain` is twice the gain of log-likelihood, `p` the chance of so much without it, corrected for the grid; `delta`
@@ -98,7 +98,7 @@ def one_sided_tail(gain: float, df: int, grid: int) -> float:
     return min(1.0, grid * float(weights @ chdtrc(np.arange(1, df + 1), gain)))
 
 
-def refinable(score: Score) -> bool:
+def refinable(score: ContestScore) -> bool:
     """Whether another fit of its shape, or without linearisation, could gain more."""
     effect = score.hypothesis.effect
     return isinstance(effect, MeanEffect) and (
@@ -124,18 +124,18 @@ class Contest:
         """A contest of other hypotheses on the same setting, which shares the columns that were made."""
         return Contest(hypotheses, floors=self.floors, kept=self._kept)
 
-    def columns(self, hypothesis: Hypothesis, theta: float, model: Model) -> Columns:
+    def columns(self, hypothesis: Hypothesis, theta: float, model: Model) -> HypothesisColumns:
         """Transformed columns of `hypothesis`, kept."""
         return self._kept.of(hypothesis, theta, model.setting)
 
-    def score(self, hypothesis: Hypothesis, beside: Beside, *, refine: bool = True) -> Score:
+    def score(self, hypothesis: Hypothesis, beside: Beside, *, refine: bool = True) -> ContestScore:
         """What `hypothesis` would gain, at its best shape; without `refine` only of those on its grid."""
         if isinstance(hypothesis.effect, NoiseEffect):
             return noise_score(hypothesis, beside.model)
         found = self._mean_score(hypothesis, beside, refine=refine)
         return found if refine else replace(found, sure=not refinable(found))
 
-    def scores(self, hypotheses: Sequence[Hypothesis], beside: Beside) -> list[Score]:
+    def scores(self, hypotheses: Sequence[Hypothesis], beside: Beside) -> list[ContestScore]:
         """Of several on their grids; those that are not `sure` are to be asked for alone before they count.
 
         A free amplitude gains more at its best shape than on the grid, and no less than an effect that is nothing but a
@@ -143,11 +143,11 @@ class Contest:
         """
         return [self.score(h, beside, refine=False) for h in hypotheses]
 
-    def assured(self, scores: Sequence[Score], beside: Beside, least: float) -> list[Score]:
+    def assured(self, scores: Sequence[ContestScore], beside: Beside, least: float) -> list[ContestScore]:
         """The same, with every one whose `delta` may be above `least` at its best shape."""
         return [s if s.sure or s.delta < least else self.score(s.hypothesis, beside) for s in scores]
 
-    def _mean_score(self, hypothesis: Hypothesis, beside: Beside, *, refine: bool) -> Score:
+    def _mean_score(self, hypothesis: Hypothesis, beside: Beside, *, refine: bool) -> ContestScore:
         effect = hypothesis.effect
         assert isinstance(effect, MeanEffect)
         if effect.shape is None:
@@ -176,7 +176,7 @@ class Contest:
         score = priced(hypothesis, theta, found, len(grid))
         return score if tone_beside_lines(hypothesis, found.beta, beside.model) else replace(score, p=1.0)
 
-    def _fixed_score(self, hypothesis: Hypothesis, grid: Array, beside: Beside, *, refine: bool) -> Score:
+    def _fixed_score(self, hypothesis: Hypothesis, grid: Array, beside: Beside, *, refine: bool) -> ContestScore:
         """Of an effect that has nothing but a shape; without `refine` what a free amplitude gains, which is no less."""
         columns = [self.columns(hypothesis, float(theta), beside.model) for theta in grid]
         gains = beside.free_and_fixed_gains(columns)
@@ -221,7 +221,7 @@ def exactly(hypothesis: Hypothesis, beta: Array, beside: Beside) -> tuple[float,
     return misfit(without) - misfit(model), model.terms[-1].beta
 
 
-def priced(hypothesis: Hypothesis, theta: float, found: Gain, grid: int) -> Score:
+def priced(hypothesis: Hypothesis, theta: float, found: Gain, grid: int) -> ContestScore:
     """A score of an effect on the mean with free amplitudes."""
     hidden = hypothesis.effect.hidden if found.df else 0
     price = price_of_search(grid, found.gain) + hidden * price_of_fixed(found.gain)
@@ -229,16 +229,16 @@ def priced(hypothesis: Hypothesis, theta: float, found: Gain, grid: int) -> Scor
     price += price_of_repetition(hypothesis.again) if hypothesis.effect.jumps else 0.0
     price += 0.0 if hypothesis.effect.nameless else price_of_numbers(found.idle)
     p = tail(found.gain, found.df + hidden, grid)
-    return Score(hypothesis, theta, found.gain, found.df + hidden, grid, p, found.evidence - price, found.beta)
+    return ContestScore(hypothesis, theta, found.gain, found.df + hidden, grid, p, found.evidence - price, found.beta)
 
 
-def fixed_score(hypothesis: Hypothesis, theta: float, gain: float) -> Score:
+def fixed_score(hypothesis: Hypothesis, theta: float, gain: float) -> ContestScore:
     """A score of an effect on the mean that has nothing but a shape."""
     delta = gain - price_of_fixed(gain) - hypothesis.handicap
-    return Score(hypothesis, theta, gain, 1, _SIDES, tail(gain, 1, _SIDES), delta, np.ones(1))
+    return ContestScore(hypothesis, theta, gain, 1, _SIDES, tail(gain, 1, _SIDES), delta, np.ones(1))
 
 
-def noise_score(hypothesis: Hypothesis, model: Model) -> Score:
+def noise_score(hypothesis: Hypothesis, model: Model) -> ContestScore:
     """What an effect on the noise would gain, its amplitudes and those of the model fitted together."""
     effect = hypothesis.effect
     assert isinstance(effect, NoiseEffect)
@@ -256,12 +256,12 @@ def noise_score(hypothesis: Hypothesis, model: Model) -> Score:
     gain, values, price = scores[best]
     gain = max(gain - shaped(model, effect.sensor), 0.0)
     df = len(effect.parameters)
-    added = Added(hypothesis, thetas[best], values)
+    added = AddedNoise(hypothesis, thetas[best], values)
     own = whose(added, model) if hypothesis.loud is None else hypothesis.loud
     believed = gain > 0.0 and stands_out(added, model) and drift_beside_lines(added, model) and own
     p = one_sided_tail(gain, df, grid) if believed else 1.0
     price += price_of_search(grid, gain) + price_of_kind(effect.id) + hypothesis.handicap
-    return Score(hypothesis, thetas[best], gain, df, grid, p, gain - price, values)
+    return ContestScore(hypothesis, thetas[best], gain, df, grid, p, gain - price, values)
 
 
 @lru_cache(maxsize=6)

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field, replace
 
 from mavcal.calib.gap.attribution import Attribution, settled, steadily
 from mavcal.calib.gap.bands import split
-from mavcal.calib.gap.contest import Contest, Score
+from mavcal.calib.gap.contest import Contest, ContestScore
 from mavcal.calib.gap.doubts import nameless, not_following, without_sensors
 from mavcal.calib.gap.effects import catalogue
-from mavcal.calib.gap.effects.base import Effect
+from mavcal.calib.gap.effects.base import CatalogueEffect
 from mavcal.calib.gap.effects.parts import TRIADS
 from mavcal.calib.gap.effects.reference_attitude import REFERENCE
 from mavcal.calib.gap.floors import Floors
@@ -24,20 +24,28 @@ from mavcal.calib.gap.louder import unsteady_line
 from mavcal.calib.gap.model import Model, setting_of, starting_model
 from mavcal.calib.gap.noise_fit import refitted, starting_noise
 from mavcal.calib.gap.power import powers_of
-from mavcal.calib.gap.problem import Problem
+from mavcal.calib.gap.problem import GapProblem
 from mavcal.calib.gap.quieter import quieter
 from mavcal.calib.gap.reported import effect_of, wandering_reference
 from mavcal.calib.gap.samples import Lattice, lattice_of, shown_by
-from mavcal.calib.gap.schema import EffectEstimate, Finding, GapReport, MultipleTesting, NotTestable, Unknown, Verdict
-from mavcal.calib.gap.selection import Chosen, reduced, select
+from mavcal.calib.gap.schema import (
+    EffectEstimate,
+    GapReport,
+    GapVerdict,
+    LocatedGap,
+    MultipleTesting,
+    NotTestable,
+    Unknown,
+)
+from mavcal.calib.gap.selection import ChosenModel, reduced, select
 from mavcal.calib.gap.series import series_of
 from mavcal.calib.gap.shrink import Heldout, held_out, nested_in, shrink_of
 from mavcal.calib.gap.strangers import NOT_LASTING, Stranger, strangers_in, unknown_of
-from mavcal.calib.gap.transitions import Transition, passing, transitions, without_transitions
+from mavcal.calib.gap.transitions import JumpSpan, passing, transitions, without_transitions
 from mavcal.calib.gap.unknown import explained
 from mavcal.calib.gap.usual import usual_tone
 from mavcal.calib.gap.views import views_of
-from mavcal.calib.gap.wander import Wander, wandering
+from mavcal.calib.gap.wander import WanderFit, wandering
 from mavcal.calib.recording import Sensor
 
 _ROUNDS = 3
@@ -52,12 +60,12 @@ class _Task:
     the problem any more.
     """
 
-    problem: Problem
+    problem: GapProblem
     lattice: Lattice
     bare: Model
     contest: Contest
     missing: tuple[tuple[str, str, str], ...]
-    left_out: tuple[Transition, ...] = ()
+    left_out: tuple[JumpSpan, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,10 +77,10 @@ class _Answer:
     effects that did not had gained.
     """
 
-    chosen: Chosen
+    chosen: ChosenModel
     attributions: tuple[Attribution, ...]
     contest: Contest
-    wander: Wander | None
+    wander: WanderFit | None
     heldout: Heldout | None = None
     gates: Mapping[Key, bool | None] = field(default_factory=dict)
     withdrawn: tuple[Unexplained, ...] = ()
@@ -93,7 +101,11 @@ class _Answer:
 
 
 def diagnose(
-    problem: Problem, *, effects: tuple[Effect, ...] | None = None, alpha: float = 0.005, nested: bool = True
+    problem: GapProblem,
+    *,
+    effects: tuple[CatalogueEffect, ...] | None = None,
+    alpha: float = 0.005,
+    nested: bool = True,
 ) -> GapReport:
     """Where the sensors of `problem` differ from their references, which effects explain it, and how far.
 
@@ -117,13 +129,15 @@ def diagnose(
     return _report(task, _confirmed(answer, alpha, nested=nested), alpha, nested=nested)
 
 
-def _begun(problem: Problem, effects: tuple[Effect, ...], alpha: float) -> tuple[Problem, tuple[_Task, Chosen] | None]:
+def _begun(
+    problem: GapProblem, effects: tuple[CatalogueEffect, ...], alpha: float
+) -> tuple[GapProblem, tuple[_Task, ChosenModel] | None]:
     """The problem without what says nothing, and the effects that are selected for it; None: no series is left.
 
     A selection tells of sensors that do not follow their reference, and of samples during events that take time.
     Neither belongs to any model: they are left out, and it is selected anew.
     """
-    left_out: tuple[Transition, ...] = ()
+    left_out: tuple[JumpSpan, ...] = ()
     rounds = 0
     while True:
         task = _task_of(problem, effects)
@@ -139,7 +153,7 @@ def _begun(problem: Problem, effects: tuple[Effect, ...], alpha: float) -> tuple
             return problem, (replace(task, left_out=left_out), chosen)
 
 
-def _task_of(problem: Problem, effects: tuple[Effect, ...]) -> _Task | None:
+def _task_of(problem: GapProblem, effects: tuple[CatalogueEffect, ...]) -> _Task | None:
     """None: no sensor has enough samples beside a reference."""
     lattice = lattice_of(problem, effects)
     masked = {i: found.masked for i, found in lattice.masks.items()}
@@ -154,11 +168,11 @@ def _task_of(problem: Problem, effects: tuple[Effect, ...]) -> _Task | None:
     return _Task(problem, lattice, bare, contest, missing)
 
 
-def _gains(chosen: Chosen) -> dict[Key, float]:
+def _gains(chosen: ChosenModel) -> dict[Key, float]:
     return {s.hypothesis.key: s.gain for s in chosen.scores}
 
 
-def _settled(task: _Task, chosen: Chosen, alpha: float, named: Collection[str]) -> _Answer:
+def _settled(task: _Task, chosen: ChosenModel, alpha: float, named: Collection[str]) -> _Answer:
     """The model in which nothing has a better one in its place: the reference's own error, other effects, shapes."""
     contest, start = task.contest, task.bare
     wander = wandering(chosen, contest, start, alpha) if REFERENCE in named else None
@@ -209,7 +223,7 @@ def _gates_of(heldout: Heldout | None) -> Mapping[Key, bool | None]:
     return {} if heldout is None else {gate.key: gate.passed for gate in heldout.gates}
 
 
-def _withdrawn(scores: Iterable[Score]) -> tuple[Unexplained, ...]:
+def _withdrawn(scores: Iterable[ContestScore]) -> tuple[Unexplained, ...]:
     """What effects had gained, by sensor."""
     nats: dict[Sensor, float] = {}
     for score in scores:
@@ -247,7 +261,7 @@ def _not_told(answer: _Answer) -> tuple[str, ...]:
     return (f"two recordings differ by as much anyway: {', '.join(small)} are no gap here",) if small else ()
 
 
-def _where(task: _Task, effects: Iterable[EffectEstimate], unknown: Unknown, alpha: float) -> tuple[Finding, ...]:
+def _where(task: _Task, effects: Iterable[EffectEstimate], unknown: Unknown, alpha: float) -> tuple[LocatedGap, ...]:
     """Where the gap lies; beside flaws of the reference, which are everywhere, only on sensors that have one."""
     found = located(task.bare, alpha)
     named = {effect.id.partition("_")[0] for effect in effects}
@@ -284,12 +298,12 @@ def _effects(
     return (*task.lattice.effects, *wander, *(e for e in found if not shown_by(task.lattice, e)))
 
 
-def _verdict(effects: tuple[EffectEstimate, ...], unknown: Unknown) -> Verdict:
+def _verdict(effects: tuple[EffectEstimate, ...], unknown: Unknown) -> GapVerdict:
     if unknown.flag:
-        return Verdict.PARTLY_EXPLAINED if effects else Verdict.UNKNOWN
+        return GapVerdict.PARTLY_EXPLAINED if effects else GapVerdict.UNKNOWN
     if not effects:
-        return Verdict.NO_GAP
-    return Verdict.REFERENCE if all(e.id == REFERENCE for e in effects) else Verdict.EXPLAINED
+        return GapVerdict.NO_GAP
+    return GapVerdict.REFERENCE if all(e.id == REFERENCE for e in effects) else GapVerdict.EXPLAINED
 
 
 def _untestable(task: _Task) -> tuple[NotTestable, ...]:
@@ -298,11 +312,11 @@ def _untestable(task: _Task) -> tuple[NotTestable, ...]:
     return tuple(NotTestable(*entry) for entry in {e[0]: e for e in entries}.values())
 
 
-def _nothing(problem: Problem) -> GapReport:
+def _nothing(problem: GapProblem) -> GapReport:
     entries = problem.not_testable or (("all", "no sensor has enough samples beside a reference", "a longer overlap"),)
     return GapReport(
         inputs_of(problem),
-        Verdict.NOT_TESTABLE,
+        GapVerdict.NOT_TESTABLE,
         not_testable=tuple(NotTestable(*e) for e in entries),
         warnings=problem.warnings,
     )

@@ -11,7 +11,7 @@ from mavcal.calib.gap.attribution import Attribution
 from mavcal.calib.gap.hypotheses import Key
 from mavcal.calib.gap.impostors import Unexplained
 from mavcal.calib.gap.model import Model, predicted
-from mavcal.calib.gap.problem import Problem
+from mavcal.calib.gap.problem import GapProblem
 from mavcal.calib.gap.reference.checks import MOVES
 from mavcal.calib.gap.shape_ids import is_shape
 from mavcal.calib.gap.strangers import Stranger
@@ -46,7 +46,7 @@ def not_following(model: Model) -> frozenset[Sensor]:
     return frozenset(found)
 
 
-def without_sensors(problem: Problem, sensors: Collection[Sensor]) -> Problem:
+def without_sensors(problem: GapProblem, sensors: Collection[Sensor]) -> GapProblem:
     """`problem` without sensors that do not follow their references, which is said."""
     said = [
         (s.value, f"{s.value} does not follow its reference: of its movement next to nothing is in the readings", _LIVE)

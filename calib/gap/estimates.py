@@ -7,12 +7,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.gap.effects.base import Parameter
+from mavcal.calib.gap.effects.base import EffectParameter
 from mavcal.calib.gap.louder import LINES, line_amplitudes
 from mavcal.calib.gap.model import NoiseTerm, Term
 from mavcal.calib.gap.noise_fit import NoiseEstimate
-from mavcal.calib.gap.schema import Estimate
-from mavcal.calib.gap.selection import Chosen
+from mavcal.calib.gap.schema import ParameterEstimate
+from mavcal.calib.gap.selection import ChosenModel
 from mavcal.calib.gap.tilted import variance_of_tilt
 from mavcal.calib.gap.transitions import levels_apart, moment_of
 
@@ -28,7 +28,7 @@ _SIGNIFICANT = 3.0
 """Standard errors of a step beyond which it does not fit the levels beside it."""
 
 
-def estimates_of(chosen: Chosen, term: Term | NoiseTerm, widening: float = 1.0) -> tuple[Estimate, ...]:
+def estimates_of(chosen: ChosenModel, term: Term | NoiseTerm, widening: float = 1.0) -> tuple[ParameterEstimate, ...]:
     """The parameters of one effect, its shape last; errors on the mean are `widening` times those of the noise,
     and what the reference's attitude leaves open (:mod:`calib.gap.tilted`).
 
@@ -60,11 +60,11 @@ def estimates_of(chosen: Chosen, term: Term | NoiseTerm, widening: float = 1.0) 
     )
 
 
-def _estimate(parameter: Parameter, value: float, se: float) -> Estimate:
-    return Estimate(parameter.name, value, se, (value - _Z * se, value + _Z * se), parameter.unit)
+def _estimate(parameter: EffectParameter, value: float, se: float) -> ParameterEstimate:
+    return ParameterEstimate(parameter.name, value, se, (value - _Z * se, value + _Z * se), parameter.unit)
 
 
-def _of_noise(term: NoiseTerm, found: NoiseEstimate) -> tuple[Estimate, ...]:
+def _of_noise(term: NoiseTerm, found: NoiseEstimate) -> tuple[ParameterEstimate, ...]:
     effect = term.hypothesis.effect
     made = []
     for parameter, value, se in zip(effect.parameters, found.values.ravel(), found.se.ravel(), strict=True):
@@ -73,7 +73,7 @@ def _of_noise(term: NoiseTerm, found: NoiseEstimate) -> tuple[Estimate, ...]:
             continue
         root = math.sqrt(max(float(value), 0.0))
         low, high = (math.sqrt(max(float(value) + sign * _Z * float(se), 0.0)) for sign in (-1.0, 1.0))
-        made.append(Estimate(parameter.name, root, (high - low) / (2.0 * _Z), (low, high), parameter.unit))
+        made.append(ParameterEstimate(parameter.name, root, (high - low) / (2.0 * _Z), (low, high), parameter.unit))
     if effect.shape is not None:
         made.append(_estimate(effect.shape.parameter, term.theta, math.inf))
     return tuple(made)

@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from mavcal.calib.gap.floors import SMALL, Floors, indifferent
-from mavcal.calib.gap.problem import Flaw, Floor, Problem, Trace
+from mavcal.calib.gap.problem import Flaw, Floor, GapProblem, Trace
 from mavcal.calib.gap.replay import with_effects, with_effects_in
-from mavcal.calib.gap.schema import EffectEstimate, Estimate, Evidence
+from mavcal.calib.gap.schema import EffectEstimate, EffectEvidence, ParameterEstimate
 from mavcal.calib.gap.shown import shown
 from mavcal.calib.recording import Sensor
 
@@ -42,7 +42,7 @@ class Flaws:
         return with_effects_in(traces, self.effects)[0]
 
 
-def flaws_of(learned: Callable[[Callable[[Sequence[Trace]], tuple[Trace, ...]]], Problem], alpha: float) -> Flaws:
+def flaws_of(learned: Callable[[Callable[[Sequence[Trace]], tuple[Trace, ...]]], GapProblem], alpha: float) -> Flaws:
     """What of the mean a nominal recording shows beside a pose of its own.
 
     Parameters
@@ -73,13 +73,16 @@ def _bias_of(trace: Trace) -> EffectEstimate:
     """The mean residual, whether it is significant or not."""
     mean = trace.residual[trace.observed].mean(axis=0)
     values = tuple(
-        Estimate(f"bias.{a}", float(v), 0.0, (float(v), float(v)), trace.unit) for a, v in zip("xyz", mean, strict=True)
+        ParameterEstimate(f"bias.{a}", float(v), 0.0, (float(v), float(v)), trace.unit)
+        for a, v in zip("xyz", mean, strict=True)
     )
     instances = tuple(i + 1 for i in trace.instances)
-    return EffectEstimate(f"{trace.sensor}_bias", trace.sensor, instances, values, Evidence(0.0, 3, 1.0, 0.0, 0.0))
+    return EffectEstimate(
+        f"{trace.sensor}_bias", trace.sensor, instances, values, EffectEvidence(0.0, 3, 1.0, 0.0, 0.0)
+    )
 
 
-def beside_flaws(problem: Problem, flaws: Flaws) -> Problem:
+def beside_flaws(problem: GapProblem, flaws: Flaws) -> GapProblem:
     """`problem` held against a pose that has the flaws which a nominal recording shows against its own.
 
     A bias is not carried over, but one as large is no gap.

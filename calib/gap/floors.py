@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from mavcal.calib.gap.effects.base import Effect, NoiseEffect
+from mavcal.calib.gap.effects.base import CatalogueEffect, NoiseEffect
 from mavcal.calib.gap.hypotheses import Hypothesis, Key
-from mavcal.calib.gap.problem import Floor, Problem
+from mavcal.calib.gap.problem import Floor, GapProblem
 from mavcal.calib.recording import Sensor
 
 _LEVELS = ("_bias", "_hard_iron", "_motor_current", "_vibration_rectification", "_thermal_lag")
@@ -49,10 +49,10 @@ class Floors:
         return self.floor.lasting.get(sensor, 0.0)
 
 
-def indifferent(problem: Problem, each: float) -> dict[Sensor, float]:
+def indifferent(problem: GapProblem, each: float) -> dict[Sensor, float]:
     """Twice the log-likelihood by sensor that two recordings differ by anyway, `each` for a number."""
     return {s: each * sum(3 * len(t.t) for t in problem.traces if t.sensor is s) for s in Sensor}
 
 
-def _shifts(effect: Effect) -> bool:
+def _shifts(effect: CatalogueEffect) -> bool:
     return effect.jumps or effect.id.endswith(_LEVELS) or "_temp_" in effect.id

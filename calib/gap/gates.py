@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mavcal.calib.gap.folds import Fold, carried, expected_gain
 from mavcal.calib.gap.hypotheses import Key
 from mavcal.calib.gap.model import NoiseTerm, Setting, Term
-from mavcal.calib.gap.selection import Chosen, Gains
+from mavcal.calib.gap.selection import ChosenModel, Gains
 
 Array = NDArray[np.float64]
 
@@ -34,7 +34,12 @@ class Gate:
 
 
 def gate_of(
-    term: Term | NoiseTerm, gains: Array, told: Sequence[bool], folds: Sequence[Fold], chosen: Chosen, beside: Gains
+    term: Term | NoiseTerm,
+    gains: Array,
+    told: Sequence[bool],
+    folds: Sequence[Fold],
+    chosen: ChosenModel,
+    beside: Gains,
 ) -> Gate:
     """Passed where held-out data are described better; withdrawn where they are not although they should.
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.gap.bands import resampled
-from mavcal.calib.gap.effects.base import Effect, MeanEffect, NoiseEffect
+from mavcal.calib.gap.effects.base import CatalogueEffect, MeanEffect, NoiseEffect
 from mavcal.calib.gap.likelihood import fast_length, transform
 from mavcal.calib.gap.problem import Trace, Worse
 from mavcal.calib.gap.views import View
@@ -42,7 +42,7 @@ class Hypothesis:
     instances are the ones that have such noise, None where only their own residuals say.
     """
 
-    effect: Effect
+    effect: CatalogueEffect
     instances: tuple[int, ...]
     again: int = 0
     handicap: float = 0.0
@@ -90,7 +90,7 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
-class Columns:
+class HypothesisColumns:
     """`p` columns over every axis of every series; axis ``3 v + c`` is axis c of series v.
 
     `groups` numbers the units of their amplitudes; None: they have one.
@@ -107,7 +107,7 @@ class Columns:
 
 
 def hypotheses_of(
-    effects: Iterable[Effect], views: Sequence[View], worse: Mapping[Sensor, Worse] | None = None
+    effects: Iterable[CatalogueEffect], views: Sequence[View], worse: Mapping[Sensor, Worse] | None = None
 ) -> tuple[tuple[Hypothesis, ...], tuple[tuple[str, str, str], ...]]:
     """Everything that can be tested, and (id, reason, need) of what cannot.
 
@@ -137,7 +137,7 @@ def hypotheses_of(
     return tuple(tested), tuple(dict.fromkeys(missing))
 
 
-def _at_fault(effect: Effect, worse: Mapping[Sensor, Worse]) -> tuple[int, ...] | None:
+def _at_fault(effect: CatalogueEffect, worse: Mapping[Sensor, Worse]) -> tuple[int, ...] | None:
     """Which instances have what an effect describes; None: nothing says."""
     told = worse.get(effect.sensor)
     if effect.shared or told is None:
@@ -148,7 +148,7 @@ def _at_fault(effect: Effect, worse: Mapping[Sensor, Worse]) -> tuple[int, ...] 
     return told.fast if noise and told.slow is None else told.slow
 
 
-def _handicap(effect: Effect, instances: tuple[int, ...], at_fault: tuple[int, ...] | None) -> float:
+def _handicap(effect: CatalogueEffect, instances: tuple[int, ...], at_fault: tuple[int, ...] | None) -> float:
     """Noise of both adds up in a difference as that of one does; what both add to the mean is not in it at all."""
     noise = isinstance(effect, NoiseEffect)
     if at_fault is None or instances == at_fault or not (noise or len(instances) == len(at_fault)):
@@ -156,14 +156,14 @@ def _handicap(effect: Effect, instances: tuple[int, ...], at_fault: tuple[int, .
     return _ELSEWHERE
 
 
-def _loud(effect: Effect, instances: tuple[int, ...], at_fault: tuple[int, ...] | None) -> bool | None:
+def _loud(effect: CatalogueEffect, instances: tuple[int, ...], at_fault: tuple[int, ...] | None) -> bool | None:
     """A trajectory that is re-estimated turns with its own gyroscope, which shows none of its noise against it."""
     if at_fault is None or effect.sensor is not Sensor.GYRO or not effect.id.endswith("_noise"):
         return None
     return instances == at_fault
 
 
-def _instances(effect: Effect, views: Sequence[View]) -> list[tuple[tuple[int, ...], list[Trace]]]:
+def _instances(effect: CatalogueEffect, views: Sequence[View]) -> list[tuple[tuple[int, ...], list[Trace]]]:
     """Smallest sets of instances on which the effect can sit, with the traces that it would change."""
     if effect.shared:
         traces = [trace for view in views for trace in view.traces.values()]
@@ -186,7 +186,7 @@ def _together(possible: Sequence[tuple[int, ...]]) -> tuple[int, ...] | None:
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class Binning:
     """From samples to bins: long series are first averaged over `factor` consecutive samples."""
 
     factor: int
@@ -239,7 +239,9 @@ def _places(n: int, m: int) -> tuple[NDArray[np.intp], Array]:
     return left, at - left
 
 
-def columns_of(hypothesis: Hypothesis, theta: float, views: Sequence[View], frames: Sequence[Frame]) -> Columns:
+def columns_of(
+    hypothesis: Hypothesis, theta: float, views: Sequence[View], frames: Sequence[Binning]
+) -> HypothesisColumns:
     """Transformed columns of a hypothesis on the mean."""
     effect = hypothesis.effect
     assert isinstance(effect, MeanEffect)
@@ -258,10 +260,10 @@ def columns_of(hypothesis: Hypothesis, theta: float, views: Sequence[View], fram
         X = frames[v].bins(signals)
         for c in range(3):
             parts[3 * v + c] = Part(3 * np.arange(len(X), dtype=np.intp) + c, X)
-    return Columns(p, parts, units_of(effect, p))
+    return HypothesisColumns(p, parts, units_of(effect, p))
 
 
-def units_of(effect: Effect, p: int) -> NDArray[np.intp]:
+def units_of(effect: CatalogueEffect, p: int) -> NDArray[np.intp]:
     """Which of an effect's `p` amplitudes have the same unit: the same number, (p,)."""
     names = [parameter.unit for parameter in effect.parameters]
     return np.array([names.index(name) for name in names] if len(names) == p else [0] * p, np.intp)
@@ -290,7 +292,7 @@ def _over_trace(columns: Callable[[Trace, float], Array], trace: Trace, theta: f
     return columns(trace, theta)
 
 
-def add_block(parts: dict[int, Part], v: int, block: Array, frame: Frame) -> None:
+def add_block(parts: dict[int, Part], v: int, block: Array, frame: Binning) -> None:
     """Put columns (p, n, 3) of series `v` into `parts`, leaving out what is zero."""
     for c in range(3):
         axis = block[:, :, c]

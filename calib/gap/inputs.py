@@ -6,11 +6,11 @@ import hashlib
 from functools import cache
 from pathlib import Path
 
-from mavcal.calib.gap.problem import Problem
+from mavcal.calib.gap.problem import GapProblem
 from mavcal.calib.gap.schema import FIRST, Inputs
 
 
-def inputs_of(problem: Problem) -> Inputs:
+def inputs_of(problem: GapProblem) -> Inputs:
     """The inputs of a problem."""
     reference = problem.reference
     noise = {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mavcal.calib.gap.hypotheses import Columns, Hypothesis, columns_of
+from mavcal.calib.gap.hypotheses import Hypothesis, HypothesisColumns, columns_of
 from mavcal.calib.gap.model import Setting
 
 
@@ -10,10 +10,10 @@ class Kept:
     """Transformed columns of hypotheses on one setting, as many as fit into `budget` numbers."""
 
     def __init__(self, budget: int) -> None:
-        self._columns: dict[tuple[str, tuple[int, ...], float], Columns] = {}
+        self._columns: dict[tuple[str, tuple[int, ...], float], HypothesisColumns] = {}
         self._left = budget
 
-    def of(self, hypothesis: Hypothesis, theta: float, setting: Setting) -> Columns:
+    def of(self, hypothesis: Hypothesis, theta: float, setting: Setting) -> HypothesisColumns:
         """Those of `hypothesis` at the shape `theta`."""
         key = (*hypothesis.key, theta)
         if key in self._columns:

@@ -31,8 +31,8 @@ _FIRST = np.sqrt(3.0) / np.pi
 def fast_length(n: int) -> int:
     """The largest length up to `n` that transforms fast: without a prime factor above 31.
 
-    They are dense: of 14 000 samples at most 36 are lost. Of the lengths with factors 2, 3 and 5 alone it would be a
-    second of a minute, and what grows to the end of a recording has a tenth of its energy there.
+    They are dense: of 14 000 samples at most 36 are lost. SciPy's ``prev_fast_len``, without a factor above 11, loses
+    up to 1.8 % of a recording of that length, and what grows to the end of it has a tenth of its energy there.
     """
     for length in range(n, 0, -1):
         rest = length
@@ -67,7 +67,7 @@ def flicker(omega: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Bins:
+class FrequencyBins:
     """Neighbouring frequencies merged: enough for any noise that is smooth over a bin."""
 
     starts: NDArray[np.intp]
@@ -83,16 +83,16 @@ class Bins:
 
 
 @lru_cache(maxsize=64)
-def bins_of(n: int) -> Bins:
+def bins_of(n: int) -> FrequencyBins:
     """Bins for the transform of `n` samples."""
     upper = np.unique(np.geomspace(_SINGLE, n, _MERGED).astype(np.intp)) if n > _SINGLE else np.zeros(0, np.intp)
     starts = np.concatenate([np.arange(min(n, _SINGLE), dtype=np.intp), upper[upper > _SINGLE - 1]])
     starts = np.unique(starts[starts < n])
-    return Bins(starts, np.diff(np.append(starts, n)).astype(np.float64))
+    return FrequencyBins(starts, np.diff(np.append(starts, n)).astype(np.float64))
 
 
 @dataclass(frozen=True, eq=False)
-class Noise:
+class AxisNoise:
     """The noise of one axis of one series: `base` (n,), and densities (n,) by name with amplitudes >= 0."""
 
     base: Array

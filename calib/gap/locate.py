@@ -18,7 +18,7 @@ from scipy.special import chdtrc, ndtr
 
 from mavcal.calib.gap.model import Model
 from mavcal.calib.gap.problem import Trace
-from mavcal.calib.gap.schema import FIRST, Finding, Regime
+from mavcal.calib.gap.schema import FIRST, LocatedGap, Regime
 from mavcal.calib.gap.views import View
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ class _Cell:
         return 0.5 * max(self.squares / self.count - 1.0, (self.total / self.count) ** 2, 0.0)
 
 
-def located(model: Model, alpha: float) -> tuple[Finding, ...]:
+def located(model: Model, alpha: float) -> tuple[LocatedGap, ...]:
     """Every significant cell of a model without effects, largest loss in total first."""
     cells = [cell for v in range(len(model.setting.views)) for c in range(3) for cell in _cells(model, v, c)]
     order = sorted(range(len(cells)), key=lambda i: cells[i].p)
@@ -64,11 +64,11 @@ def located(model: Model, alpha: float) -> tuple[Finding, ...]:
     return tuple(finding for _, finding in sorted(findings, key=lambda pair: -pair[0]))
 
 
-def _finding(model: Model, cell: _Cell, p: float) -> Finding:
+def _finding(model: Model, cell: _Cell, p: float) -> LocatedGap:
     view = model.setting.views[cell.v]
     instance = max(view.weights, key=lambda i: view.weights[i]) + FIRST
     channel = f"{view.sensor.value}.{'xyz'[cell.c]}"
-    return Finding(channel, instance, cell.regime, cell.nats, cell.rms, view.any_trace.unit, p)
+    return LocatedGap(channel, instance, cell.regime, cell.nats, cell.rms, view.any_trace.unit, p)
 
 
 def _cells(model: Model, v: int, c: int) -> Iterator[_Cell]:

@@ -28,7 +28,7 @@ LINES = ("_vibration", "_aliasing")
 
 
 @dataclass(frozen=True, eq=False)
-class Added:
+class AddedNoise:
     """Noise of a hypothesis: `amplitudes` (p, 3) of its densities at the shape `theta`."""
 
     hypothesis: Hypothesis
@@ -44,7 +44,7 @@ def _touched(hypothesis: Hypothesis, model: Model) -> list[int]:
     return [v for v, view in enumerate(model.setting.views) if hypothesis.touches(view)]
 
 
-def stands_out(added: Added, model: Model) -> bool:
+def stands_out(added: AddedNoise, model: Model) -> bool:
     """Whether added noise is more than two flights of one vehicle differ by.
 
     A spectrum that was learned from another recording is the mean over its rest and its flight; how much of either
@@ -67,7 +67,7 @@ def unsteady_line(term: NoiseTerm, model: Model) -> bool:
     return _power_of(term, term.hypothesis, model) <= _OF_LINE * line_power(term.hypothesis, model)
 
 
-def drift_beside_lines(added: Added, model: Model) -> bool:
+def drift_beside_lines(added: AddedNoise, model: Model) -> bool:
     """Whether noise that wanders is more than the unsteadiness of the lines of a model, whose skirts reach low bins."""
     if not added.hypothesis.effect.drifts:
         return True
@@ -102,7 +102,7 @@ def _power_of(term: NoiseTerm, hypothesis: Hypothesis, model: Model) -> float:
     return sum(n.amplitudes[k] * float(n.densities[k].sum()) for n in seen for k in names if k in n.amplitudes)
 
 
-def whose(added: Added, model: Model) -> bool:
+def whose(added: AddedNoise, model: Model) -> bool:
     """Whether the instances of a hypothesis are those that show the noise.
 
     Sums and differences of instances have the same spectra whichever of them is loud; their own do not.
@@ -116,7 +116,7 @@ def whose(added: Added, model: Model) -> bool:
     return {i for i, e in excess.items() if e > _INVOLVED * largest} == set(added.hypothesis.instances)
 
 
-def _excess(added: Added, model: Model) -> Mapping[int, float]:
+def _excess(added: AddedNoise, model: Model) -> Mapping[int, float]:
     """By instance: power above the noise, weighted as the added noise is seen; empty where series are of one each."""
     found: dict[int, float] = {}
     for v in _touched(added.hypothesis, model):
@@ -142,7 +142,7 @@ def _excess(added: Added, model: Model) -> Mapping[int, float]:
     return found
 
 
-def _about(added: Added, model: Model, v: int) -> Array:
+def _about(added: AddedNoise, model: Model, v: int) -> Array:
     """Where added noise is looked for, (3, n): of a line all about it, since units with clocks of their own have it at
     frequencies of their own.
     """

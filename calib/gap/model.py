@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.base import MeanEffect
-from mavcal.calib.gap.hypotheses import Columns, Frame, Hypothesis, Part, add_block, columns_of, summed
-from mavcal.calib.gap.likelihood import Bins, Noise, bins_of
+from mavcal.calib.gap.hypotheses import Binning, Hypothesis, HypothesisColumns, Part, add_block, columns_of, summed
+from mavcal.calib.gap.likelihood import AxisNoise, FrequencyBins, bins_of
 from mavcal.calib.gap.normal import solved, weighted_gram
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.views import View
@@ -39,8 +39,8 @@ class Setting:
     """The series and how they are transformed."""
 
     views: tuple[View, ...]
-    frames: tuple[Frame, ...]
-    bins: tuple[Bins, ...]
+    frames: tuple[Binning, ...]
+    bins: tuple[FrequencyBins, ...]
 
     @property
     def axes(self) -> int:
@@ -58,9 +58,9 @@ def setting_of(views: tuple[View, ...]) -> Setting:
     return Setting(views, tuple(frame_of(view, _LONGEST) for view in views), tuple(bins_of(v.count) for v in views))
 
 
-def frame_of(view: View, longest: int) -> Frame:
+def frame_of(view: View, longest: int) -> Binning:
     """At most about `longest` averages; an upper band stays as it is."""
-    return Frame(1 if view.first else max(1, view.n // longest), view.n, view.first)
+    return Binning(1 if view.first else max(1, view.n // longest), view.n, view.first)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +115,7 @@ class Model:
     setting: Setting
     terms: tuple[Term, ...]
     noise_terms: tuple[NoiseTerm, ...]
-    noise: tuple[Noise, ...]
+    noise: tuple[AxisNoise, ...]
     residual: tuple[Array, ...]
     y: tuple[Array, ...]
     weight: tuple[Array, ...]
@@ -148,7 +148,7 @@ class Ridge:
         First and last time, between which the cosines make half turns, s.
     """
 
-    columns: Columns
+    columns: HypothesisColumns
     precision: Array
     value: Array
     span: tuple[float, float]
@@ -185,7 +185,7 @@ def cosines(t: Array, span: tuple[float, float], modes: int) -> Array:
     return np.asarray(np.cos(np.pi * np.arange(modes)[:, None] * s[None, :]))
 
 
-def starting_model(setting: Setting, noise: tuple[Noise, ...], ridge: Ridge | None = None) -> Model:
+def starting_model(setting: Setting, noise: tuple[AxisNoise, ...], ridge: Ridge | None = None) -> Model:
     """No effect at all."""
     residual = tuple(view.residual for view in setting.views)
     model = Model(setting, (), (), noise, residual, (), (), ridge)
@@ -207,7 +207,7 @@ def with_residual(model: Model) -> Model:
 
 
 @lru_cache(maxsize=64)
-def _left(view: View, frame: Frame, terms: tuple[Term, ...], ridge: Ridge | None) -> tuple[Array, Array]:
+def _left(view: View, frame: Binning, terms: tuple[Term, ...], ridge: Ridge | None) -> tuple[Array, Array]:
     """What terms and ridge leave of a series, and its bins; kept, since most terms stay when one changes."""
     left = view.residual
     for term in terms:
@@ -217,7 +217,7 @@ def _left(view: View, frame: Frame, terms: tuple[Term, ...], ridge: Ridge | None
     return left, frame.bins(np.ascontiguousarray(left.T))
 
 
-def with_noise(model: Model, noise: tuple[Noise, ...]) -> Model:
+def with_noise(model: Model, noise: tuple[AxisNoise, ...]) -> Model:
     """The same with another noise."""
     old = model.noise if model.weight else (None,) * len(noise)
     weight = [
@@ -264,12 +264,14 @@ def limits_of(term: Term, setting: Setting) -> tuple[float, float]:
 
 
 @lru_cache(maxsize=40)
-def jacobian(term: Term, setting: Setting) -> Columns:
+def jacobian(term: Term, setting: Setting) -> HypothesisColumns:
     """Columns of everything that `term` estimates, at its present values; the last ones asked for are kept."""
     effect = term.effect
     if effect.shape is None and effect.exact is None:
         found = columns_of(term.hypothesis, term.theta, setting.views, setting.frames)
-        return found if found.p else Columns(len(term.values), {})  # a block in which its sensor has no samples
+        return (
+            found if found.p else HypothesisColumns(len(term.values), {})
+        )  # a block in which its sensor has no samples
     count = len(term.values)
     limits = limits_of(term, setting)
     linear = effect.exact is None and not effect.fixed
@@ -280,9 +282,11 @@ def jacobian(term: Term, setting: Setting) -> Columns:
         block = [_derivative(term, view, j, limits) for j in range(count - 1 if linear else 0, count)]
         add_block(parts, v, np.asarray(block), setting.frames[v])
     if not linear:
-        return Columns(count, parts)
+        return HypothesisColumns(count, parts)
     own = columns_of(term.hypothesis, term.theta, setting.views, setting.frames).parts
-    return Columns(count, {a: _with_last(own.get(a), parts.get(a), count - 1) for a in sorted({*own, *parts})})
+    return HypothesisColumns(
+        count, {a: _with_last(own.get(a), parts.get(a), count - 1) for a in sorted({*own, *parts})}
+    )
 
 
 def _with_last(own: Part | None, last: Part | None, row: int) -> Part:
@@ -317,7 +321,7 @@ class Normal:
 
 
 def normal_equations(
-    blocks: Sequence[Columns], y: Sequence[Array], weight: Sequence[Array], ridge: Ridge | None = None
+    blocks: Sequence[HypothesisColumns], y: Sequence[Array], weight: Sequence[Array], ridge: Ridge | None = None
 ) -> Normal:
     """``X' W X`` and ``X' W y`` over all axes; the ridge's columns, if any, come last with their prior precision."""
     everything = [*blocks, ridge.columns] if ridge else list(blocks)
@@ -346,13 +350,13 @@ def normal_equations(
     return Normal(gram, right, tuple(slices))
 
 
-def slices_of(blocks: Sequence[Columns]) -> list[slice]:
+def slices_of(blocks: Sequence[HypothesisColumns]) -> list[slice]:
     """Where the columns of each block lie when they are stacked."""
     ends = np.cumsum([0, *(b.p for b in blocks)])
     return [slice(int(i), int(j)) for i, j in itertools.pairwise(ends)]
 
 
-def stacked(blocks: Sequence[Columns], slices: Sequence[slice], axis: int) -> tuple[NDArray[np.intp], Array]:
+def stacked(blocks: Sequence[HypothesisColumns], slices: Sequence[slice], axis: int) -> tuple[NDArray[np.intp], Array]:
     """Indices and columns of all `blocks` on one axis."""
     found = [(b.parts[axis], s.start) for b, s in zip(blocks, slices, strict=True) if axis in b.parts]
     if not found:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.base import NoiseEffect
 from mavcal.calib.gap.hypotheses import Hypothesis
-from mavcal.calib.gap.likelihood import Noise, deviance, fit_amplitudes, flicker, random_walk
+from mavcal.calib.gap.likelihood import AxisNoise, deviance, fit_amplitudes, flicker, random_walk
 from mavcal.calib.gap.model import Model, NoiseTerm, Setting, with_noise
 from mavcal.calib.gap.views import View
 from mavcal.calib.recording import Sensor
@@ -56,7 +56,7 @@ def learned_once(setting: Setting, axes: Sequence[int]) -> set[int]:
     return set(first.values())
 
 
-def starting_noise(setting: Setting) -> tuple[Noise, ...]:
+def starting_noise(setting: Setting) -> tuple[AxisNoise, ...]:
     """Of every axis, before any effect: declared, or a white start whose parts are fitted later."""
     noise = []
     for view in setting.views:
@@ -65,7 +65,7 @@ def starting_noise(setting: Setting) -> tuple[Noise, ...]:
             if base is not None:
                 scale = {f"scale{view.label}.{c}": base[:, c]} if np.isfinite(view.dof) else {}
                 kept = np.zeros(view.count) if scale else base[:, c]
-                noise.append(Noise(kept, scale, dict.fromkeys(scale, 1.0)))
+                noise.append(AxisNoise(kept, scale, dict.fromkeys(scale, 1.0)))
                 continue
             omega = view.omega
             level = max(float(np.diff(view.residual[:, c]).var()) / (2.0 * view.gain), 1e-30)
@@ -74,7 +74,7 @@ def starting_noise(setting: Setting) -> tuple[Noise, ...]:
                 f"{kind}{view.label}.{c}": view.gain * np.asarray(shape(omega)) for kind, shape in _NUISANCE.items()
             }
             start = {name: level if name.startswith("white") else 1e-9 * level for name in parts}
-            noise.append(Noise(np.full(view.count, least), parts, start))
+            noise.append(AxisNoise(np.full(view.count, least), parts, start))
     return tuple(noise)
 
 
@@ -199,7 +199,7 @@ class NoiseEstimate:
 
 
 @dataclass(frozen=True, eq=False)
-class NoiseFit:
+class FittedNoise:
     """A model with its noise fitted, the deviance by sensor axis, and what its noise terms came to."""
 
     model: Model
@@ -207,7 +207,7 @@ class NoiseFit:
     estimates: Mapping[tuple[str, tuple[int, ...]], NoiseEstimate] = field(default_factory=dict)
 
 
-def refitted(model: Model, sensors: Iterable[Sensor] | None = None) -> NoiseFit:
+def refitted(model: Model, sensors: Iterable[Sensor] | None = None) -> FittedNoise:
     """The noise fitted anew to what the mean leaves over; only that of `sensors` if given."""
     setting = model.setting
     noise = list(model.noise)
@@ -226,7 +226,7 @@ def refitted(model: Model, sensors: Iterable[Sensor] | None = None) -> NoiseFit:
             for a in fit.axes:
                 own = noise[a]
                 noise[a] = replace(own, amplitudes={n: value[n] for n in own.densities})
-    return NoiseFit(with_noise(model, tuple(noise)), levels, _estimates(model.noise_terms, sd))
+    return FittedNoise(with_noise(model, tuple(noise)), levels, _estimates(model.noise_terms, sd))
 
 
 def _estimates(
@@ -250,7 +250,9 @@ def with_term(model: Model, term: NoiseTerm) -> Model:
         for c in range(3):
             own = noise[3 * v + c]
             new = {term.name(j): density for j, density in enumerate(densities)}
-            noise[3 * v + c] = Noise(own.base, {**own.densities, **new}, {**own.amplitudes, **dict.fromkeys(new, 0.0)})
+            noise[3 * v + c] = AxisNoise(
+                own.base, {**own.densities, **new}, {**own.amplitudes, **dict.fromkeys(new, 0.0)}
+            )
     return replace(model, noise_terms=(*model.noise_terms, term), noise=tuple(noise))
 
 
@@ -259,7 +261,7 @@ def without_term(model: Model, term: NoiseTerm) -> Model:
     p = len(term.hypothesis.effect.parameters) // 3
     names = {term.name(j) for j in range(p)}
     noise = tuple(
-        Noise(
+        AxisNoise(
             n.base,
             {k: d for k, d in n.densities.items() if k not in names},
             {k: a for k, a in n.amplitudes.items() if k not in names},

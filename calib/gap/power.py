@@ -13,10 +13,10 @@ from mavcal.calib.gap.contest import Contest
 from mavcal.calib.gap.effects.base import MeanEffect, NoiseEffect
 from mavcal.calib.gap.projection import Beside
 from mavcal.calib.gap.schema import Power
-from mavcal.calib.gap.selection import Chosen
+from mavcal.calib.gap.selection import ChosenModel
 
 
-def powers_of(chosen: Chosen, contest: Contest, alpha: float) -> tuple[Power, ...]:
+def powers_of(chosen: ChosenModel, contest: Contest, alpha: float) -> tuple[Power, ...]:
     """For every linear effect that was not found: the weakest of its parameters' strongest instance."""
     taken = {t.hypothesis.effect.id for t in chosen.model.members}
     best: dict[tuple[str, str], Power] = {}
@@ -27,7 +27,7 @@ def powers_of(chosen: Chosen, contest: Contest, alpha: float) -> tuple[Power, ..
     return tuple(best.values())
 
 
-def _all(chosen: Chosen, contest: Contest, level: float) -> Iterator[Power]:
+def _all(chosen: ChosenModel, contest: Contest, level: float) -> Iterator[Power]:
     beside = Beside(chosen.model)
     for hypothesis in contest.hypotheses:
         effect = hypothesis.effect

@@ -198,7 +198,7 @@ class Flaw:
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class GapProblem:
     """One diagnosis: traces with one reference each, and what was noticed while they were made."""
 
     traces: tuple[Trace, ...]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.gap.evidence import weighed
-from mavcal.calib.gap.hypotheses import Columns, Part
+from mavcal.calib.gap.hypotheses import HypothesisColumns, Part
 from mavcal.calib.gap.model import Model, Normal, Ridge, jacobian, normal_equations, stacked
 from mavcal.calib.gap.normal import eigh, solved
 
@@ -50,11 +50,11 @@ class Beside:
         self._right = normal.right
         self._own = [_own_on(a, blocks, normal.slices, model.ridge) for a in range(len(model.y))]
 
-    def projected(self, columns: Columns) -> tuple[Array, Array, Array]:
+    def projected(self, columns: HypothesisColumns) -> tuple[Array, Array, Array]:
         """Gram matrix, right side and original energies of `columns` with the model's own columns taken out."""
         return self._projected_each([columns])[0]
 
-    def _projected_each(self, groups: Sequence[Columns]) -> list[tuple[Array, Array, Array]]:
+    def _projected_each(self, groups: Sequence[HypothesisColumns]) -> list[tuple[Array, Array, Array]]:
         """The same of each of several groups of columns."""
         weighted = [self._weighted(columns) for columns in groups]
         found = []
@@ -70,7 +70,7 @@ class Beside:
             found.append((gram, right, energy))
         return found
 
-    def cross(self, one: Columns, other: Columns) -> Array:
+    def cross(self, one: HypothesisColumns, other: HypothesisColumns) -> Array:
         """Products of two groups of columns with the model's own columns taken out, (p, q)."""
         total = np.zeros((one.p, other.p))
         left, right = self._weighted(one), self._weighted(other)
@@ -79,10 +79,10 @@ class Beside:
         of_one, of_other = self._with_own([one, other], [left, right])
         return np.asarray(total - of_one @ self.covariance @ of_other.T)
 
-    def _weighted(self, columns: Columns) -> dict[int, Array]:
+    def _weighted(self, columns: HypothesisColumns) -> dict[int, Array]:
         return {a: part.X * self.model.weight[a] for a, part in columns.parts.items()}
 
-    def _with_own(self, groups: Sequence[Columns], weighted: Sequence[Mapping[int, Array]]) -> list[Array]:
+    def _with_own(self, groups: Sequence[HypothesisColumns], weighted: Sequence[Mapping[int, Array]]) -> list[Array]:
         """Products of groups of `weighted` columns with the model's own, (p, own) each: these are read once for all."""
         products = [np.zeros((columns.p, len(self._right))) for columns in groups]
         for a, own in enumerate(self._own):
@@ -96,7 +96,7 @@ class Beside:
                     products[k][groups[k].parts[a].index[:, None], part.index] += rows
         return products
 
-    def gain(self, columns: Columns) -> Gain:
+    def gain(self, columns: HypothesisColumns) -> Gain:
         """What a group of free columns would gain."""
         gram, right, energy = self.projected(columns)
         basis = existing(gram, energy)
@@ -104,22 +104,22 @@ class Beside:
         worth, told = weighed(gram, right, columns.units)
         return Gain(float(found @ found), basis.shape[1], basis @ found, worth, len(right) - told)
 
-    def free_gains(self, groups: Sequence[Columns]) -> list[float]:
+    def free_gains(self, groups: Sequence[HypothesisColumns]) -> list[float]:
         """The gains alone of several groups, which is all that a search for a shape asks for."""
         return [_free_gain(*found) for found in self._projected_each(groups)]
 
-    def fixed_gain(self, columns: Columns) -> float:
+    def fixed_gain(self, columns: HypothesisColumns) -> float:
         """What one column would gain whose amplitude is one."""
         gram, right, _ = self.projected(columns)
         return float(2.0 * right[0] - gram[0, 0])
 
-    def free_and_fixed_gains(self, groups: Sequence[Columns]) -> Array:
+    def free_and_fixed_gains(self, groups: Sequence[HypothesisColumns]) -> Array:
         """What single columns would gain, each with a free amplitude and with one of one, (k, 2)."""
         found = self._projected_each(groups)
         return np.array([[_free_gain(*one), 2.0 * one[1][0] - one[0][0, 0]] for one in found])
 
 
-def _own_on(axis: int, blocks: Sequence[Columns], slices: Sequence[slice], ridge: Ridge | None) -> list[Part]:
+def _own_on(axis: int, blocks: Sequence[HypothesisColumns], slices: Sequence[slice], ridge: Ridge | None) -> list[Part]:
     """Columns of a model on an axis: of its terms together, and of its ridge, which are too many to be copied."""
     index, X = stacked(blocks, slices[: len(blocks)], axis)
     found = [Part(index, X)] if len(index) else []

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects import by_id, forward_models
-from mavcal.calib.gap.effects.base import Effect, MeanEffect, NoiseEffect
-from mavcal.calib.gap.problem import Problem, Trace
+from mavcal.calib.gap.effects.base import CatalogueEffect, MeanEffect, NoiseEffect
+from mavcal.calib.gap.problem import GapProblem, Trace
 from mavcal.calib.gap.schema import EffectEstimate
 
 Array = NDArray[np.float64]
@@ -20,8 +20,8 @@ _BINS = 1024  # of a spectrum that is made here
 
 
 def with_effects(
-    problem: Problem, effects: Sequence[EffectEstimate], *, shared: bool = False
-) -> tuple[Problem, tuple[str, ...]]:
+    problem: GapProblem, effects: Sequence[EffectEstimate], *, shared: bool = False
+) -> tuple[GapProblem, tuple[str, ...]]:
     """`problem` held against a simulator that has `effects`, and those that could not be replayed.
 
     Mean effects move the ideal reading, noise effects raise the noise that is expected. What is left in its residuals
@@ -64,14 +64,14 @@ def forward(described: MeanEffect, found: EffectEstimate, trace: Trace) -> Array
     return np.asarray(np.tensordot(weights, columns, axes=1), dtype=np.float64)
 
 
-def split_of(described: Effect, found: EffectEstimate) -> tuple[float, Array]:
+def split_of(described: CatalogueEffect, found: EffectEstimate) -> tuple[float, Array]:
     """The shape (NaN where there is none) and the amplitudes, in the catalogue's order."""
     values: Mapping[str, float] = {p.name: p.value for p in found.params}
     amplitudes = np.array([values.get(p.name, 0.0) for p in described.parameters], dtype=np.float64)
     return (math.nan if described.shape is None else values[described.shape.parameter.name]), amplitudes
 
 
-def _complete(described: Effect, found: EffectEstimate) -> bool:
+def _complete(described: CatalogueEffect, found: EffectEstimate) -> bool:
     """Whether everything that it needs was estimated."""
     known = {p.name for p in found.params}
     shape = {described.shape.parameter.name} if described.shape is not None else set()

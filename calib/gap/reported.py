@@ -9,14 +9,14 @@ from mavcal.calib.gap.believed import believed
 from mavcal.calib.gap.effects.reference_attitude import REFERENCE
 from mavcal.calib.gap.estimates import estimates_of
 from mavcal.calib.gap.model import Model, NoiseTerm, Term
-from mavcal.calib.gap.schema import FIRST, EffectEstimate, Evidence, Gates
-from mavcal.calib.gap.selection import Chosen
+from mavcal.calib.gap.schema import FIRST, EffectEstimate, EffectEvidence, Gates
+from mavcal.calib.gap.selection import ChosenModel
 from mavcal.calib.gap.shrink import dose_of
-from mavcal.calib.gap.wander import Wander, rms_rotation, sees
+from mavcal.calib.gap.wander import WanderFit, rms_rotation, sees
 from mavcal.calib.recording import Sensor
 
 
-def effect_of(chosen: Chosen, found: Attribution, passed: bool | None, *, beside_unknown: bool) -> EffectEstimate:
+def effect_of(chosen: ChosenModel, found: Attribution, passed: bool | None, *, beside_unknown: bool) -> EffectEstimate:
     """An effect of the catalogue; `passed`: whether held-out blocks confirm it, None where they say nothing."""
     term, dose = _term(chosen.model, found), dose_of(chosen, found.key)
     p = next((s.p for s in chosen.scores if s.hypothesis.key == found.key), 1.0)
@@ -26,18 +26,18 @@ def effect_of(chosen: Chosen, found: Attribution, passed: bool | None, *, beside
         term.hypothesis.effect.sensor,
         tuple(i + FIRST for i in found.key[1]),
         estimates_of(chosen, term, dose.widening),
-        Evidence(found.gain, found.df, min(1.0, p * chosen.tests), probability, found.share),
+        EffectEvidence(found.gain, found.df, min(1.0, p * chosen.tests), probability, found.share),
         found.rivals,
         Gates(passed, None, dose.agrees),
     )
 
 
-def wandering_reference(wander: Wander, attributions: tuple[Attribution, ...]) -> EffectEstimate:
+def wandering_reference(wander: WanderFit, attributions: tuple[Attribution, ...]) -> EffectEstimate:
     """The reference's own error as an effect: its size on each axis."""
     model = wander.chosen.model
     instances = sorted({i + FIRST for view in model.setting.views if sees(view) for i in view.weights})
     others = sum(a.gain for a in attributions)
-    sure = Evidence(
+    sure = EffectEvidence(
         wander.gain,
         2,
         float(np.exp(-0.5 * min(wander.gain, 1400.0))),

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mavcal.calib.gap.effects.base import Effect, LatticeEffect, LatticeEvidence
-from mavcal.calib.gap.problem import Problem, Trace
-from mavcal.calib.gap.schema import FIRST, EffectEstimate, Estimate, Evidence
+from mavcal.calib.gap.effects.base import CatalogueEffect, LatticeEffect, LatticeEvidence
+from mavcal.calib.gap.problem import GapProblem, Trace
+from mavcal.calib.gap.schema import FIRST, EffectEstimate, EffectEvidence, ParameterEstimate
 from mavcal.calib.gap.usual import usual_samples
 
 
@@ -22,7 +22,7 @@ class Lattice:
     variance: Mapping[int, float]
 
 
-def lattice_of(problem: Problem, effects: Iterable[Effect]) -> Lattice:
+def lattice_of(problem: GapProblem, effects: Iterable[CatalogueEffect]) -> Lattice:
     """Lattice effects of every trace."""
     found: list[EffectEstimate] = []
     masks: dict[int, LatticeEvidence] = {}
@@ -72,8 +72,8 @@ def _both(one: LatticeEvidence, other: LatticeEvidence) -> LatticeEvidence:
 
 def _from_lattice(effect: LatticeEffect, instances: tuple[int, ...], evidence: LatticeEvidence) -> EffectEstimate:
     params = tuple(
-        Estimate(p.name, value, se, (value - 1.96 * se, value + 1.96 * se), p.unit)
+        ParameterEstimate(p.name, value, se, (value - 1.96 * se, value + 1.96 * se), p.unit)
         for p, value, se in zip(effect.parameters, evidence.values, evidence.se, strict=True)
     )
-    sure = Evidence(evidence.two_delta_loglik, len(params), 0.0, 0.999, 0.0)
+    sure = EffectEvidence(evidence.two_delta_loglik, len(params), 0.0, 0.999, 0.0)
     return EffectEstimate(effect.id, effect.sensor, tuple(i + FIRST for i in instances), params, sure)

@@ -5,17 +5,17 @@ Parameters are forward: what is added to, or multiplies, the ideal sensor. Numbe
 
 from __future__ import annotations
 
-import dataclasses
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import Enum, StrEnum
+from enum import StrEnum
 from typing import Any
 
 import numpy as np
+from cattrs import Converter
+from cattrs.gen import make_dict_unstructure_fn, override
 from numpy.typing import NDArray
 
-from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.converter import make_converter
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ FIRST = 1
 """Instances count from 1 in a report."""
 
 
-class Verdict(StrEnum):
+class GapVerdict(StrEnum):
     """What the diagnosis says in one word."""
 
     EXPLAINED = "explained"  # effects of the catalogue account for the gap
@@ -48,7 +48,7 @@ class Regime:
 
 
 @dataclass(frozen=True)
-class Finding:
+class LocatedGap:
     """One channel in one regime where the sensor differs from its reference by more than the noise.
 
     `nats_per_sample` is the loss of log-likelihood against the declared noise, `p_holm` corrected for every cell.
@@ -64,7 +64,7 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class ParameterEstimate:
     """One parameter of an effect with its standard error and 95 % interval."""
 
     name: str
@@ -75,7 +75,7 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class EffectEvidence:
     """How sure an effect is.
 
     `share` is its part of what all effects together gain, the mean of the gain as the first and as the last one.
@@ -123,8 +123,8 @@ class EffectEstimate:
     id: str
     sensor: Sensor
     instances: tuple[int, ...]
-    params: tuple[Estimate, ...]
-    evidence: Evidence
+    params: tuple[ParameterEstimate, ...]
+    evidence: EffectEvidence
     confusable_with: tuple[Rival, ...] = ()
     gates: Gates = Gates()
     sim_patch: Mapping[str, float] = field(default_factory=dict)
@@ -247,8 +247,8 @@ class GapReport:
     """Where a sensor differs from the simulated one, which effects cause it, and how far they close the gap."""
 
     inputs: Inputs
-    verdict: Verdict
-    where: tuple[Finding, ...] = ()
+    verdict: GapVerdict
+    where: tuple[LocatedGap, ...] = ()
     effects: tuple[EffectEstimate, ...] = ()
     unknown: Unknown = Unknown()
     shrink: Shrink | None = None
@@ -261,50 +261,23 @@ class GapReport:
 
 def as_json(report: GapReport) -> Json:
     """The JSON of GAP 8, ``power`` beside it."""
-    inputs = report.inputs
-    return {
-        "schema": SCHEMA,
-        "inputs": {
-            "real_sha256": inputs.real_sha256,
-            "sim_sha256": inputs.sim_sha256,
-            "fs_hz": _plain(inputs.fs_hz),
-            "duration_s": _plain(inputs.duration_s),
-            "reference": {
-                "kind": inputs.reference_kind,
-                "att_sigma_deg": _plain(inputs.att_sigma_deg),
-                "text": inputs.reference_text,
-            },
-            "declared_noise": _plain(inputs.declared_noise),
-            "diagnoser_sha256": inputs.diagnoser_sha256,
-        },
-        "verdict": report.verdict.value,
-        "where": [_plain(finding) for finding in report.where],
-        "effects": [_plain(effect) for effect in report.effects],
-        "unknown": _plain(report.unknown),
-        "shrink": _plain(report.shrink),
-        "not_testable": [_plain(entry) for entry in report.not_testable],
-        "power": [_plain(entry) for entry in report.power],
-        "multiple_testing": _plain(report.multiple_testing),
-        "warnings": list(report.warnings),
-    }
+    return {"schema": SCHEMA, **CONVERTER.unstructure(report)}
 
 
-def _plain(value: Any) -> Any:
-    """`value` in the types of JSON; numbers that are not finite become null."""
-    if isinstance(value, Enum):
-        return value.value
-    if value is None or isinstance(value, bool | str):
-        return value
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
-    if isinstance(value, int):
-        return value
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
-    raise InvalidInputError(f"{type(value).__name__} has no form in JSON")
+def _made() -> Converter:
+    made = make_converter()
+    written = make_dict_unstructure_fn(Inputs, made)
+
+    def write_inputs(inputs: Inputs) -> Json:
+        data = written(inputs)
+        reference = {"kind": "reference_kind", "att_sigma_deg": "att_sigma_deg", "text": "reference_text"}
+        told = {name: data.pop(field) for name, field in reference.items()}
+        return {**data, "reference": told}
+
+    made.register_unstructure_hook(Inputs, write_inputs)
+    made.register_unstructure_hook(GapReport, make_dict_unstructure_fn(GapReport, made, series=override(omit=True)))
+    return made
+
+
+CONVERTER = _made()
+"""Writes a report and every part of it."""

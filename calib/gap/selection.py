@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from mavcal.calib.gap.contest import Contest, Score
-from mavcal.calib.gap.effects.base import Effect, MeanEffect, NoiseEffect
+from mavcal.calib.gap.contest import Contest, ContestScore
+from mavcal.calib.gap.effects.base import CatalogueEffect, MeanEffect, NoiseEffect
 from mavcal.calib.gap.hypotheses import Hypothesis, Key
 from mavcal.calib.gap.louder import unsteady_line
 from mavcal.calib.gap.model import (
@@ -29,7 +29,7 @@ from mavcal.calib.gap.model import (
     with_noise,
     with_residual,
 )
-from mavcal.calib.gap.noise_fit import NoiseFit, is_declared, refitted, starting_noise, with_term, without_term
+from mavcal.calib.gap.noise_fit import FittedNoise, is_declared, refitted, starting_noise, with_term, without_term
 from mavcal.calib.gap.normal import solved
 from mavcal.calib.gap.projection import Beside, existing
 from mavcal.calib.recording import Sensor
@@ -68,24 +68,24 @@ Gains = Mapping[Key, tuple[float, int, int]]
 
 
 @dataclass(frozen=True, eq=False)
-class Chosen:
+class ChosenModel:
     """A fitted model, its covariance, the scores when each term joined, and the level of significance."""
 
     model: Model
     joint: Joint
-    noise: NoiseFit
-    scores: tuple[Score, ...]
+    noise: FittedNoise
+    scores: tuple[ContestScore, ...]
     tests: int
-    first: tuple[Score, ...]
+    first: tuple[ContestScore, ...]
     """Scores of all hypotheses against no effect at all."""
 
 
-def largest_gain(chosen: Chosen, contest: Contest) -> float:
+def largest_gain(chosen: ChosenModel, contest: Contest) -> float:
     """Of the effects in a model, each beside all the others."""
     return max((gain for gain, _, _ in last_gains(chosen.model, contest).values()), default=0.0)
 
 
-def fitted(model: Model) -> tuple[Model, Joint, NoiseFit]:
+def fitted(model: Model) -> tuple[Model, Joint, FittedNoise]:
     """Mean and noise of a model fitted in turn."""
     model, _ = refined(model)
     noise = refitted(model)
@@ -101,7 +101,7 @@ def fitted_about(model: Model, hypothesis: Hypothesis) -> Model:
     return refined_on(noise.model, near)
 
 
-def select(start: Model, contest: Contest, alpha: float) -> Chosen:
+def select(start: Model, contest: Contest, alpha: float) -> ChosenModel:
     """The effects that the data show; noise that wanders comes last.
 
     It can take the place of any slow effects on the mean, of two at once of which neither is better alone. It is
@@ -122,7 +122,7 @@ def select(start: Model, contest: Contest, alpha: float) -> Chosen:
     level = alpha / max(tests, 1)
     model, joint, noise = fitted(start)
     first = tuple(_scored(model, contest, candidates, {}, None).values())
-    bare = Chosen(model, joint, noise, (), tests, first)
+    bare = ChosenModel(model, joint, noise, (), tests, first)
     chosen = grown(grown(bare, contest, level, steady), contest, level, candidates)
     if _slow_is_left(chosen.model):
         quiet = _quiet(model)
@@ -153,7 +153,7 @@ def _quiet(model: Model) -> Model:
     return with_noise(model, tuple(n if is_declared(views[a // 3]) else start[a] for a, n in enumerate(model.noise)))
 
 
-def _better(chosen: Chosen, other: Chosen, contest: Contest) -> Chosen:
+def _better(chosen: ChosenModel, other: ChosenModel, contest: Contest) -> ChosenModel:
     """`other` where it says materially more: sensor by sensor, unless effects or the reference's error tie them."""
     if any(t.effect.shared for c in (chosen, other) for t in c.model.terms) or chosen.model.ridge is not None:
         worth = MATERIAL * largest_gain(chosen, contest)
@@ -172,13 +172,13 @@ def _better(chosen: Chosen, other: Chosen, contest: Contest) -> Chosen:
     return _joined(chosen, other, taken) if taken else chosen
 
 
-def _objective_of(chosen: Chosen, sensor: Sensor) -> float:
+def _objective_of(chosen: ChosenModel, sensor: Sensor) -> float:
     """The part of :func:`objective` that is of one sensor."""
     deviance = sum(level for (own, _), level in chosen.noise.deviance.items() if own is sensor)
     return deviance + price_of_all(s for s in chosen.scores if s.hypothesis.effect.sensor is sensor)
 
 
-def _joined(chosen: Chosen, other: Chosen, taken: Collection[Sensor]) -> Chosen:
+def _joined(chosen: ChosenModel, other: ChosenModel, taken: Collection[Sensor]) -> ChosenModel:
     """The effects of `other` on the sensors `taken`, those of `chosen` on the rest."""
     kept = [s for s in chosen.scores if s.hypothesis.effect.sensor not in taken]
     scores = (*kept, *(s for s in other.scores if s.hypothesis.effect.sensor in taken))
@@ -193,16 +193,16 @@ def _joined(chosen: Chosen, other: Chosen, taken: Collection[Sensor]) -> Chosen:
         weight=tuple(m.weight[a] for a, m in enumerate(own)),
     )
     model, joint, fit = fitted(with_residual(mixed))
-    return Chosen(model, joint, fit, scores, chosen.tests, chosen.first)
+    return ChosenModel(model, joint, fit, scores, chosen.tests, chosen.first)
 
 
 def _is_of(term: Term | NoiseTerm, sensors: Collection[Sensor]) -> bool:
     return term.hypothesis.effect.sensor in sensors
 
 
-def _drift_leads(first: Sequence[Score], level: float) -> bool:
+def _drift_leads(first: Sequence[ContestScore], level: float) -> bool:
     """Whether noise that wanders is the best single effect on some sensor."""
-    best: dict[Sensor, Score] = {}
+    best: dict[Sensor, ContestScore] = {}
     for score in (s for s in first if s.p < level):
         sensor = score.hypothesis.effect.sensor
         if sensor not in best or score.delta > best[sensor].delta:
@@ -210,7 +210,9 @@ def _drift_leads(first: Sequence[Score], level: float) -> bool:
     return any(score.hypothesis.effect.drifts for score in best.values())
 
 
-def grown(chosen: Chosen, contest: Contest, level: float, candidates: Sequence[Hypothesis] | None = None) -> Chosen:
+def grown(
+    chosen: ChosenModel, contest: Contest, level: float, candidates: Sequence[Hypothesis] | None = None
+) -> ChosenModel:
     """A model with everything that is still significant beside it, at `level` a test."""
     candidates = contest.hypotheses if candidates is None else candidates
     model, joined, first = chosen.model, list(chosen.scores), chosen.first
@@ -232,19 +234,19 @@ def grown(chosen: Chosen, contest: Contest, level: float, candidates: Sequence[H
         scores = _scored(model, contest, candidates, scores, changed)
     model, joined = _material(model, joined, gains)
     model, joint, noise = fitted(model)
-    return Chosen(model, joint, noise, tuple(joined), chosen.tests, first)
+    return ChosenModel(model, joint, noise, tuple(joined), chosen.tests, first)
 
 
-def _happens(score: Score) -> bool:
+def _happens(score: ContestScore) -> bool:
     """Whether it is an event: one that waits for room behind flaws of other sensors spoils their noise meanwhile."""
     return score.hypothesis.effect.jumps
 
 
-def _lasting(joined: Sequence[Score]) -> int:
+def _lasting(joined: Sequence[ContestScore]) -> int:
     return sum(not _happens(s) for s in joined)
 
 
-def with_score(model: Model, score: Score) -> Model:
+def with_score(model: Model, score: ContestScore) -> Model:
     """The model with a hypothesis that was scored beside it."""
     if isinstance(score.hypothesis.effect, NoiseEffect):
         return with_term(model, NoiseTerm(score.hypothesis, score.theta))
@@ -256,9 +258,9 @@ def _scored(
     model: Model,
     contest: Contest,
     candidates: Sequence[Hypothesis],
-    old: dict[Key, Score],
+    old: dict[Key, ContestScore],
     changed: set[Sensor] | None,
-) -> dict[Key, Score]:
+) -> dict[Key, ContestScore]:
     """Scores of all candidates that are not in the model; those of sensors that did not change stay."""
     taken = {t.hypothesis.key for t in model.terms} | {t.hypothesis.key for t in model.noise_terms}
     beside = Beside(model)
@@ -277,7 +279,9 @@ def _scored(
     return {**scores, **{s.hypothesis.key: s for s in contest.scores(stale, beside)}}
 
 
-def _best(scores: dict[Key, Score], level: float, gains: Gains, contest: Contest, model: Model) -> Score | None:
+def _best(
+    scores: dict[Key, ContestScore], level: float, gains: Gains, contest: Contest, model: Model
+) -> ContestScore | None:
     """The best of `scores` that is significant and no second order of others, the first few at their best shapes.
 
     Noise that wanders may have taken the place of a slow mean, and so may noise that nobody declared, which was fitted
@@ -286,7 +290,7 @@ def _best(scores: dict[Key, Score], level: float, gains: Gains, contest: Contest
     wandering = any(t.hypothesis.effect.drifts for t in model.noise_terms)
     undeclared = {view.sensor for view in model.setting.views if not is_declared(view)}
 
-    def hidden(score: Score) -> bool:
+    def hidden(score: ContestScore) -> bool:
         return not score.hypothesis.periodic and (wandering or score.hypothesis.effect.sensor in undeclared)
 
     beside: Beside | None = None
@@ -309,7 +313,7 @@ def _best(scores: dict[Key, Score], level: float, gains: Gains, contest: Contest
         scores[unsure.hypothesis.key] = contest.score(unsure.hypothesis, beside)
 
 
-def _by_refit(ranked: Sequence[Score], model: Model) -> Score:
+def _by_refit(ranked: Sequence[ContestScore], model: Model) -> ContestScore:
     """The best of scores in their order; of large ones, the one beside which the noise anew says most.
 
     A large gap is in the noise that is fitted before anything explains it: beside a bias of a hundred standard
@@ -319,7 +323,7 @@ def _by_refit(ranked: Sequence[Score], model: Model) -> Score:
     size = sum(3 * view.count for view in model.setting.views if best.hypothesis.touches(view))
     if best.gain < _LOUD * size:
         return best
-    rivals: dict[str, Score] = {}
+    rivals: dict[str, ContestScore] = {}
     for score in ranked:
         if score.delta > _RIVALS * best.delta and score.hypothesis.effect.sensor is best.hypothesis.effect.sensor:
             rivals.setdefault(score.hypothesis.effect.id, score)
@@ -329,7 +333,7 @@ def _by_refit(ranked: Sequence[Score], model: Model) -> Score:
     return min(tried, key=lambda score: _refitted_objective(model, score, near))
 
 
-def _refitted_objective(model: Model, score: Score, sensors: Sequence[Sensor]) -> float:
+def _refitted_objective(model: Model, score: ContestScore, sensors: Sequence[Sensor]) -> float:
     """``-2 log L`` of `sensors` beside a hypothesis, everything about it fitted anew, with its price."""
     trial = fitted_about(with_score(model, score), score.hypothesis)
     return sum(refitted(trial, sensors).deviance.values()) + score.price
@@ -352,7 +356,7 @@ def _least(hypothesis: Hypothesis, model: Model, gains: Gains) -> float:
     return max(part * max(near, default=0.0), _FAR * far)
 
 
-def _of_one_order(effect: Effect, other: Effect) -> bool:
+def _of_one_order(effect: CatalogueEffect, other: CatalogueEffect) -> bool:
     """Whether an effect could be a second order of another: a mean could not of noise that does not wander."""
     steady = isinstance(other, NoiseEffect) and not other.drifts
     return not (steady and isinstance(effect, MeanEffect) and not effect.tonal)
@@ -363,7 +367,9 @@ def of_flights(model: Model) -> bool:
     return any(view.density is not None for view in model.setting.views)
 
 
-def pruned(model: Model, contest: Contest, joined: list[Score], level: float) -> tuple[Model, list[Score], Gains]:
+def pruned(
+    model: Model, contest: Contest, joined: list[ContestScore], level: float
+) -> tuple[Model, list[ContestScore], Gains]:
     """Without the terms that no longer are significant beside the others (Wald on the mean, ratio on the noise)."""
     while True:
         gains = last_gains(model, contest)
@@ -377,7 +383,7 @@ def pruned(model: Model, contest: Contest, joined: list[Score], level: float) ->
         model = fitted_about(without(model, key), gone)
 
 
-def reduced(chosen: Chosen, keys: Collection[Key]) -> Chosen:
+def reduced(chosen: ChosenModel, keys: Collection[Key]) -> ChosenModel:
     """The same without the effects of those keys, everything fitted anew."""
     model = chosen.model
     for key in keys:
@@ -448,7 +454,7 @@ def restored(model: Model, i: int) -> Model:
     return replace(model, residual=back.residual, y=back.y)
 
 
-def _material(model: Model, joined: list[Score], gains: Gains) -> tuple[Model, list[Score]]:
+def _material(model: Model, joined: list[ContestScore], gains: Gains) -> tuple[Model, list[ContestScore]]:
     small = [k for k, (gain, _, _) in gains.items() if gain < _least(_member(model, k), model, gains)]
     for key in small:
         model = without(model, key)
@@ -459,16 +465,16 @@ def _member(model: Model, key: Key) -> Hypothesis:
     return next(term.hypothesis for term in model.members if term.hypothesis.key == key)
 
 
-def objective(chosen: Chosen) -> float:
+def objective(chosen: ChosenModel) -> float:
     """``-2 log L`` with the price of every effect, and of there being one more: smaller is better."""
     return sum(chosen.noise.deviance.values()) + price_of_all(chosen.scores)
 
 
-def price_of_all(scores: Iterable[Score]) -> float:
+def price_of_all(scores: Iterable[ContestScore]) -> float:
     """Of some effects together."""
     return sum(s.price + ONE_MORE for s in scores)
 
 
-def wanders(chosen: Chosen) -> bool:
+def wanders(chosen: ChosenModel) -> bool:
     """Whether noise that wanders is in the model."""
     return any(t.hypothesis.effect.drifts for t in chosen.model.noise_terms)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.gap.effects.base import MeanEffect, Parameter
+from mavcal.calib.gap.effects.base import EffectParameter, MeanEffect
 from mavcal.calib.gap.hypotheses import Hypothesis
 from mavcal.calib.gap.model import Setting, Term
 from mavcal.calib.gap.problem import Trace
@@ -59,7 +59,7 @@ _AXES = "xyz"
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class ShapeHypothesis:
     """A hypothesis of many amplitudes, and by the rows of its columns what is offered as a hypothesis of its own."""
 
     whole: Hypothesis
@@ -86,12 +86,12 @@ class _Group:
     each: bool = False
 
 
-def shapes_of(setting: Setting, tones: Sequence[Term] = (), named: Collection[str] = ()) -> tuple[Shape, ...]:
+def shapes_of(setting: Setting, tones: Sequence[Term] = (), named: Collection[str] = ()) -> tuple[ShapeHypothesis, ...]:
     """Every shape that can be drawn, of every sensor and instance; of waves that `tones` found, their overtones.
 
     What has a name among the effects `named` in every one of its parts is no shape.
     """
-    found: dict[object, Shape] = {}
+    found: dict[object, ShapeHypothesis] = {}
     for view in setting.views:
         for instance, trace in view.traces.items() if not view.first else ():
             if instance not in view.weights:
@@ -119,7 +119,7 @@ def _groups(trace: Trace, named: Collection[str]) -> Iterator[_Group]:
     yield from _simplest(trace, named)
 
 
-def _shape(trace: Trace, group: _Group, instance: int) -> Shape:
+def _shape(trace: Trace, group: _Group, instance: int) -> ShapeHypothesis:
     def made(text: str, rows: Rows, *, part: bool = False) -> Hypothesis:
         name = shape_id(group.family, text, part=part)
         return Hypothesis(_effect(name, trace, text, group, rows), (instance,))
@@ -133,7 +133,7 @@ def _shape(trace: Trace, group: _Group, instance: int) -> Shape:
         for c in range(3):
             one = rows[3 * j + c : 3 * j + c + 1]
             parts.append((made(f"{name} on {on}.{_AXES[c]}", one, part=True), one))
-    return Shape(made(f"{text} on {on}", rows), tuple(parts))
+    return ShapeHypothesis(made(f"{text} on {on}", rows), tuple(parts))
 
 
 def _along(trace: Trace, own: Trace, drawn: Array) -> Array:
@@ -161,7 +161,7 @@ def _effect(name: str, own: Trace, text: str, group: _Group, rows: Rows) -> Mean
     return MeanEffect(
         name,
         sensor,
-        (Parameter("amplitude", ""),),
+        (EffectParameter("amplitude", ""),),
         text,
         wish,
         columns=columns,

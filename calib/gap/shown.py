@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from mavcal.calib.gap.bands import split
 from mavcal.calib.gap.contest import Contest
 from mavcal.calib.gap.effects import catalogue
-from mavcal.calib.gap.effects.base import Effect, MeanEffect
+from mavcal.calib.gap.effects.base import CatalogueEffect, MeanEffect
 from mavcal.calib.gap.estimates import estimates_of
 from mavcal.calib.gap.floors import Floors
 from mavcal.calib.gap.hypotheses import Key, hypotheses_of
 from mavcal.calib.gap.model import setting_of, starting_model
 from mavcal.calib.gap.noise_fit import refitted, starting_noise
-from mavcal.calib.gap.problem import Problem
-from mavcal.calib.gap.schema import EffectEstimate, Evidence
-from mavcal.calib.gap.selection import Chosen, last_gains, reduced, select
+from mavcal.calib.gap.problem import GapProblem
+from mavcal.calib.gap.schema import EffectEstimate, EffectEvidence
+from mavcal.calib.gap.selection import ChosenModel, last_gains, reduced, select
 from mavcal.calib.gap.views import views_of
 from mavcal.calib.recording import Sensor
 
@@ -36,7 +36,7 @@ class Shown:
     sensors: tuple[Sensor, ...]
 
 
-def shown(problem: Problem, alpha: float, floors: Floors, without: Sequence[str] = ()) -> list[Shown]:
+def shown(problem: GapProblem, alpha: float, floors: Floors, without: Sequence[str] = ()) -> list[Shown]:
     """Steady effects on the mean that are significant beside each other, and above what recordings differ by anyway."""
     views = split(views_of(problem, {}, {}))
     hypotheses, _ = hypotheses_of([e for e in catalogue() if _carried(e) and e.id not in without], views)
@@ -51,14 +51,14 @@ def shown(problem: Problem, alpha: float, floors: Floors, without: Sequence[str]
     for term in chosen.model.terms:
         effect, gain = term.hypothesis.effect, gains[term.hypothesis.key]
         instances = tuple(i + 1 for i in term.hypothesis.instances)
-        evidence = Evidence(gain, len(term.values), 0.0, 1.0, 0.0)
+        evidence = EffectEvidence(gain, len(term.values), 0.0, 1.0, 0.0)
         estimate = EffectEstimate(effect.id, effect.sensor, instances, estimates_of(chosen, term), evidence)
         seen = dict.fromkeys(v.sensor for v in views if effect.shared or v.sensor is effect.sensor)
         found.append(Shown(estimate, gain, tuple(seen)))
     return found
 
 
-def _indifferent(chosen: Chosen, contest: Contest) -> list[Key]:
+def _indifferent(chosen: ChosenModel, contest: Contest) -> list[Key]:
     """What joined for more than it gains at last, beside noise that was fitted with it."""
     gains = last_gains(chosen.model, contest)
     small = []
@@ -69,5 +69,5 @@ def _indifferent(chosen: Chosen, contest: Contest) -> list[Key]:
     return small
 
 
-def _carried(effect: Effect) -> bool:
+def _carried(effect: CatalogueEffect) -> bool:
     return isinstance(effect, MeanEffect) and effect.id.endswith(_CARRIED) and "_temp" not in effect.id

@@ -39,7 +39,7 @@ from mavcal.calib.gap.noise_fit import is_declared, refitted
 from mavcal.calib.gap.normal import solved
 from mavcal.calib.gap.predictive import predictive_loss
 from mavcal.calib.gap.schema import SequenceStep, Shrink
-from mavcal.calib.gap.selection import Chosen, Gains, last_gains, select
+from mavcal.calib.gap.selection import ChosenModel, Gains, last_gains, select
 
 Array = NDArray[np.float64]
 
@@ -104,7 +104,7 @@ class Heldout:
         return tuple(SequenceStep(name, float(part)) for name, part in zip(self.order, parts, strict=True))
 
 
-def held_out(chosen: Chosen, contest: Contest, tolerated: Collection[Key] = ()) -> Heldout | None:
+def held_out(chosen: ChosenModel, contest: Contest, tolerated: Collection[Key] = ()) -> Heldout | None:
     """Every block held out in turn; None if the recording is too short for that, or nothing is a gap.
 
     Effects of the keys `tolerated` are in every model: by them two recordings differ anyway.
@@ -152,7 +152,7 @@ def held_out(chosen: Chosen, contest: Contest, tolerated: Collection[Key] = ()) 
     )
 
 
-def _gains_anew(chosen: Chosen, contest: Contest) -> Gains:
+def _gains_anew(chosen: ChosenModel, contest: Contest) -> Gains:
     """What each effect gains as the last one; of noise that nobody declared no more than once it is fitted without it.
 
     That takes much of a slow effect for its own, on held-out blocks as well.
@@ -168,7 +168,7 @@ def _gains_anew(chosen: Chosen, contest: Contest) -> Gains:
     return gains
 
 
-def nested_in(found: Heldout, chosen: Chosen, contest: Contest, alpha: float) -> Heldout:
+def nested_in(found: Heldout, chosen: ChosenModel, contest: Contest, alpha: float) -> Heldout:
     """The same with effects that are selected anew for each block, from the others; not where an event lies in it."""
     again = [
         fixed if happens else _selected_anew(fold, chosen, contest, alpha)
@@ -177,7 +177,7 @@ def nested_in(found: Heldout, chosen: Chosen, contest: Contest, alpha: float) ->
     return replace(found, losses=np.column_stack([found.losses[:, 0], again]))
 
 
-def _floor(chosen: Chosen, order: Sequence[Term | NoiseTerm], fitted: Model, fold: Fold) -> float:
+def _floor(chosen: ChosenModel, order: Sequence[Term | NoiseTerm], fitted: Model, fold: Fold) -> float:
     """Loss of a held-out block under the effects as all data have them.
 
     How loud a sensor is every model has to learn from the other blocks, and is no part of the gap: unless noise is the
@@ -213,7 +213,7 @@ def _happens_in(term: Term | NoiseTerm, block: Model) -> bool:
     return any(view.t[0] - 2.0 * GUARD_S <= term.theta <= view.t[-1] + 2.0 * GUARD_S for view in own)
 
 
-def _order(chosen: Chosen, tolerated: Collection[Key]) -> tuple[list[Term | NoiseTerm], list[Term | NoiseTerm]]:
+def _order(chosen: ChosenModel, tolerated: Collection[Key]) -> tuple[list[Term | NoiseTerm], list[Term | NoiseTerm]]:
     """Terms in the order in which they joined: those that are tolerated, and the others."""
     members = {t.hypothesis.key: t for t in chosen.model.members}
     terms = [members[s.hypothesis.key] for s in chosen.scores if s.hypothesis.key in members]
@@ -232,7 +232,7 @@ def _excess(model: Model) -> float:
     return excess if excess > _SIGNIFICANT / math.sqrt(2.0 * count) else 0.0
 
 
-def _selected_anew(fold: Fold, chosen: Chosen, contest: Contest, alpha: float) -> float:
+def _selected_anew(fold: Fold, chosen: ChosenModel, contest: Contest, alpha: float) -> float:
     """Loss of the held-out block under what is selected without it."""
     promising = {s.hypothesis.key for s in (*chosen.first, *chosen.scores) if s.p < _PROMISING}
     few = [h for h in contest.hypotheses if h.key in promising or (h.before is not None and h.before in promising)]
@@ -256,7 +256,7 @@ def interval(part: Array, whole: Array) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def shrink_of(chosen: Chosen, found: Heldout, *, nested: bool) -> Shrink:
+def shrink_of(chosen: ChosenModel, found: Heldout, *, nested: bool) -> Shrink:
     """The headline."""
     samples = float(found.samples.sum())
     gap = float(found.before.sum())
@@ -304,7 +304,7 @@ class Dose:
     widening: float = 1.0
 
 
-def dose_of(chosen: Chosen, key: Key) -> Dose:
+def dose_of(chosen: ChosenModel, key: Key) -> Dose:
     """What the blocks say of the effect `key`."""
     model = chosen.model
     term = next((t for t in model.terms if t.hypothesis.key == key), None)

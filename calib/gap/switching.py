@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mavcal.calib.gap.attribution import Attribution
 from mavcal.calib.gap.hypotheses import Key
 from mavcal.calib.gap.impostors import coarse
-from mavcal.calib.gap.likelihood import Noise
+from mavcal.calib.gap.likelihood import AxisNoise
 from mavcal.calib.gap.model import Model, NoiseTerm, Term, predicted
 from mavcal.calib.recording import Sensor
 
@@ -117,7 +117,7 @@ def _chains(series: Array, rest: Array) -> tuple[Array, Array]:
     return two_levels(means, slow.max(axis=1) / width)  # no more than the spectrum grants the effects
 
 
-def _without(noise: Noise, names: Collection[str]) -> Array:
+def _without(noise: AxisNoise, names: Collection[str]) -> Array:
     """The power of noise without those of its densities that have one of `names`."""
     own = [name for name in names if name in noise.densities]
     return noise.power - sum((noise.amplitudes[name] * noise.densities[name] for name in own), 0.0)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.affine import rotation_columns
-from mavcal.calib.gap.hypotheses import Columns, Part, add_block
+from mavcal.calib.gap.hypotheses import HypothesisColumns, Part, add_block
 from mavcal.calib.gap.model import Joint, Model, Setting, jacobian, normal_equations
 from mavcal.calib.gap.views import View
 from mavcal.calib.recording import Sensor
@@ -38,7 +38,7 @@ def variance_of_tilt(model: Model, joint: Joint) -> Array:
     return np.asarray(0.5 * size**2 * (moved**2).sum(axis=1))
 
 
-def _turned(setting: Setting) -> Columns:
+def _turned(setting: Setting) -> HypothesisColumns:
     """What readings change by a rotation of the reference about x, y, z, at first constant, then growing."""
     times = [view.t for view in setting.views]
     first, last = min(float(t[0]) for t in times), max(float(t[-1]) for t in times)
@@ -46,7 +46,7 @@ def _turned(setting: Setting) -> Columns:
     for v, view in enumerate(setting.views):
         if view.reference_error:
             add_block(parts, v, _of_view(view, first, last), setting.frames[v])
-    return Columns(6, parts)
+    return HypothesisColumns(6, parts)
 
 
 def _of_view(view: View, first: float, last: float) -> Array:

@@ -17,7 +17,7 @@ from scipy.ndimage import median_filter
 from mavcal.calib.gap.effects.events import SLOW_S
 from mavcal.calib.gap.hypotheses import Key
 from mavcal.calib.gap.model import Model, Term
-from mavcal.calib.gap.problem import Problem
+from mavcal.calib.gap.problem import GapProblem
 from mavcal.calib.gap.views import View
 from mavcal.calib.recording import Sensor
 
@@ -39,7 +39,7 @@ _FAR = 6.0
 
 
 @dataclass(frozen=True)
-class Transition:
+class JumpSpan:
     """From `start` to `end`, s, the readings of a sensor say nothing; `nats` is what its jumps were worth."""
 
     sensor: Sensor
@@ -65,7 +65,7 @@ def events_of(model: Model, sensor: Sensor) -> list[list[Term]]:
     return events
 
 
-def transitions(model: Model, gains: Mapping[Key, float] | None = None) -> tuple[Transition, ...]:
+def transitions(model: Model, gains: Mapping[Key, float] | None = None) -> tuple[JumpSpan, ...]:
     """Events of a model that take several jumps, or one that is gradual, or beside which the levels are not reached.
 
     `gains`: of its effects, twice the log-likelihood.
@@ -82,7 +82,7 @@ def transitions(model: Model, gains: Mapping[Key, float] | None = None) -> tuple
             if apart or slow or early < start or late > end:
                 early, late = min(early, start - _beside(event[0])), max(late, end + _beside(event[-1]))
                 nats = 0.5 * sum((gains or {}).get(jump.hypothesis.key, 0.0) for jump in event)
-                found.append(Transition(sensor, early, late, nats))
+                found.append(JumpSpan(sensor, early, late, nats))
     return tuple(found)
 
 
@@ -93,8 +93,8 @@ def _ramp_seen(term: Term, view: View) -> bool:
 
 
 def passing(
-    left_out: Sequence[Transition], model: Model, gains: Mapping[Key, float] | None = None
-) -> tuple[Transition, ...]:
+    left_out: Sequence[JumpSpan], model: Model, gains: Mapping[Key, float] | None = None
+) -> tuple[JumpSpan, ...]:
     """Those after which the level is what it was before: what happened there is in no effect of the model.
 
     Noise that wanders, and is worth more than the jumps were, is what they stood for.
@@ -102,10 +102,10 @@ def passing(
     jumps = [(t.effect.sensor, t.theta) for t in model.terms if t.effect.jumps]
     drifts = {t.hypothesis.effect.sensor: t.hypothesis.key for t in model.noise_terms if t.hypothesis.effect.drifts}
 
-    def lasts(one: Transition) -> bool:
+    def lasts(one: JumpSpan) -> bool:
         return any(s is one.sensor and one.start - ONE_EVENT_S < at < one.end + ONE_EVENT_S for s, at in jumps)
 
-    def drifted(one: Transition) -> bool:
+    def drifted(one: JumpSpan) -> bool:
         return one.sensor in drifts and one.nats < 0.5 * (gains or {}).get(drifts[one.sensor], 0.0)
 
     return tuple(one for one in left_out if one.nats > 0.0 and not lasts(one) and not drifted(one))
@@ -187,7 +187,7 @@ def _beside(term: Term) -> float:
     return _MARGIN_S + (0.5 * SLOW_S if term.effect.form else 0.0)
 
 
-def without_transitions(problem: Problem, found: Sequence[Transition]) -> Problem:
+def without_transitions(problem: GapProblem, found: Sequence[JumpSpan]) -> GapProblem:
     """`problem` with the samples of transitions left out."""
     traces = list(problem.traces)
     for one in found:

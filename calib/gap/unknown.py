@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.gap.contest import Contest, Score, priced
+from mavcal.calib.gap.contest import Contest, ContestScore, priced
 from mavcal.calib.gap.evidence import evidence, price_of_kind
 from mavcal.calib.gap.hypotheses import Hypothesis
 from mavcal.calib.gap.model import Model
@@ -23,7 +23,7 @@ from mavcal.calib.gap.projection import Beside, Gain, existing
 from mavcal.calib.gap.selection import (
     MATERIAL,
     ONE_MORE,
-    Chosen,
+    ChosenModel,
     fitted_about,
     grown,
     largest_gain,
@@ -32,7 +32,7 @@ from mavcal.calib.gap.selection import (
     select,
     without,
 )
-from mavcal.calib.gap.shapes import Shape, flexible, shapes_of
+from mavcal.calib.gap.shapes import ShapeHypothesis, flexible, shapes_of
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ _CONTAINED = 0.8
 class WithShapes:
     """The better of the two models, and the contest that has the likeliest shapes among its rivals."""
 
-    chosen: Chosen
+    chosen: ChosenModel
     contest: Contest
 
 
@@ -56,7 +56,7 @@ class WithShapes:
 class _Place:
     """A shape where it would stand: what it displaces is worth `own` (penalised evidence) with `df` numbers."""
 
-    score: Score
+    score: ContestScore
     own: float = 0.0
     df: int = 0
 
@@ -72,7 +72,7 @@ class _Place:
         return more and self.own > _CONTAINED * self.score.delta
 
 
-def explained(chosen: Chosen, contest: Contest, start: Model, alpha: float, named: Collection[str]) -> WithShapes:
+def explained(chosen: ChosenModel, contest: Contest, start: Model, alpha: float, named: Collection[str]) -> WithShapes:
     """The catalogue's model, or a better one with shapes, and a contest that has the likeliest shapes as rivals.
 
     `named` are the ids of the catalogue, of effects that cannot be tested here as well.
@@ -98,7 +98,7 @@ def explained(chosen: Chosen, contest: Contest, start: Model, alpha: float, name
     return WithShapes(chosen, rivals)
 
 
-def _least(chosen: Chosen, contest: Contest) -> float:
+def _least(chosen: ChosenModel, contest: Contest) -> float:
     """Part of the largest gain that is a second order of it; noise takes what is its own."""
     return 0.0 if chosen.model.noise_terms else MATERIAL * largest_gain(chosen, contest)
 
@@ -111,7 +111,9 @@ def _best(places: Sequence[_Place]) -> list[_Place]:
     return found
 
 
-def _instead_of_all(chosen: Chosen, shapes: Sequence[Shape], scorer: Contest, start: Model) -> list[_Place]:
+def _instead_of_all(
+    chosen: ChosenModel, shapes: Sequence[ShapeHypothesis], scorer: Contest, start: Model
+) -> list[_Place]:
     """Shapes in the place of all effects of a sensor."""
     found = []
     before = refitted(start).deviance
@@ -124,7 +126,7 @@ def _instead_of_all(chosen: Chosen, shapes: Sequence[Shape], scorer: Contest, st
     return found
 
 
-def _instead_of_each(chosen: Chosen, shapes: Sequence[Shape], scorer: Contest) -> list[_Place]:
+def _instead_of_each(chosen: ChosenModel, shapes: Sequence[ShapeHypothesis], scorer: Contest) -> list[_Place]:
     """Shapes in the place of each effect."""
     found = []
     level = sum(chosen.noise.deviance.values())
@@ -138,7 +140,7 @@ def _instead_of_each(chosen: Chosen, shapes: Sequence[Shape], scorer: Contest) -
     return found
 
 
-def _scored(shapes: Sequence[Shape], contest: Contest, beside: Beside) -> list[Score]:
+def _scored(shapes: Sequence[ShapeHypothesis], contest: Contest, beside: Beside) -> list[ContestScore]:
     """Scores of all shapes and of their parts, whose columns are made once."""
     found = []
     for shape in shapes:
@@ -152,7 +154,7 @@ def _scored(shapes: Sequence[Shape], contest: Contest, beside: Beside) -> list[S
     return found
 
 
-def _score(hypothesis: Hypothesis, gram: Array, right: Array, energy: Array) -> Score:
+def _score(hypothesis: Hypothesis, gram: Array, right: Array, energy: Array) -> ContestScore:
     basis = existing(gram, energy)
     gain = basis.T @ right
     worth = evidence(gram, right, np.zeros(len(right), np.intp))

@@ -8,7 +8,6 @@ real one by itself) the real sensors are held against the simulated ones directl
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,11 +17,11 @@ from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.gap.diagnose import diagnose
-from mavcal.calib.gap.problem import Problem, ReferenceKind
+from mavcal.calib.gap.problem import GapProblem, ReferenceKind
 from mavcal.calib.gap.reference import build
 from mavcal.calib.gap.reference.recorded import recorded
 from mavcal.calib.gap.replay import with_effects
-from mavcal.calib.gap.schema import EffectEstimate, GapReport, SeriesFit, as_json
+from mavcal.calib.gap.schema import CONVERTER, EffectEstimate, GapReport, SeriesFit, as_json
 from mavcal.calib.recording import Recording
 
 Array = NDArray[np.float64]
@@ -128,7 +127,7 @@ def verify(
     )
 
 
-def _of_new(again: Recording, sim: Recording | None, nominal: Sequence[Recording]) -> Problem:
+def _of_new(again: Recording, sim: Recording | None, nominal: Sequence[Recording]) -> GapProblem:
     """`again` beside its own reference; an error says which of the recordings it is about."""
     try:
         return build(again, sim, nominal)
@@ -176,10 +175,10 @@ def verified_json(verified: Verified) -> Json:
     return {
         "same_flight": verified.same_flight,
         "verdict": verified.rest.verdict.value,
-        "before": dataclasses.asdict(verified.before),
-        "remaining": dataclasses.asdict(verified.remaining),
+        "before": CONVERTER.unstructure(verified.before),
+        "remaining": CONVERTER.unstructure(verified.remaining),
         "closed": verified.closed,
-        "effects": [dataclasses.asdict(e) for e in verified.effects],
+        "effects": CONVERTER.unstructure(verified.effects),
         "added": [e.id for e in verified.added],
         "rest": {"effects": rest["effects"], "unknown": rest["unknown"], "where": rest["where"][:20]},
         "warnings": list(verified.warnings),

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.fft import idct
 
 from mavcal.calib.gap.likelihood import fast_length, frequencies, transform
-from mavcal.calib.gap.problem import Problem, ReferenceKind, Trace
+from mavcal.calib.gap.problem import GapProblem, ReferenceKind, Trace
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
@@ -133,7 +133,9 @@ class View:
         return np.asarray(self.any_trace.t[self.keep])
 
 
-def views_of(problem: Problem, masked: Mapping[int, NDArray[np.bool_]], extra: Mapping[int, float]) -> tuple[View, ...]:
+def views_of(
+    problem: GapProblem, masked: Mapping[int, NDArray[np.bool_]], extra: Mapping[int, float]
+) -> tuple[View, ...]:
     """Every series of `problem`.
 
     Parameters

@@ -19,8 +19,8 @@ from mavcal.calib.gap.effects.affine import rotation_columns
 from mavcal.calib.gap.effects.base import MeanEffect
 from mavcal.calib.gap.effects.reference_attitude import REFERENCE
 from mavcal.calib.gap.evidence import price_of_kind
-from mavcal.calib.gap.hypotheses import Columns, Frame, Hypothesis, Part, add_block
-from mavcal.calib.gap.likelihood import Noise
+from mavcal.calib.gap.hypotheses import Binning, Hypothesis, HypothesisColumns, Part, add_block
+from mavcal.calib.gap.likelihood import AxisNoise
 from mavcal.calib.gap.model import (
     Model,
     Ridge,
@@ -33,11 +33,11 @@ from mavcal.calib.gap.model import (
     starting_model,
 )
 from mavcal.calib.gap.noise_fit import refitted
-from mavcal.calib.gap.schema import Estimate
+from mavcal.calib.gap.schema import ParameterEstimate
 from mavcal.calib.gap.selection import (
     MATERIAL,
     ONE_MORE,
-    Chosen,
+    ChosenModel,
     largest_gain,
     objective,
     price_of_all,
@@ -63,19 +63,19 @@ _SLACK = 12.0
 
 
 @dataclass(frozen=True, eq=False)
-class Wander:
+class WanderFit:
     """A model with a wandering reference, on averages over some samples, and the contest on these.
 
     `gain` says how much better it is; `size_deg` and `time_s` are of the process, `noise` is with what it has above its
     last cosine.
     """
 
-    chosen: Chosen
+    chosen: ChosenModel
     contest: Contest
     gain: float
     size_deg: float
     time_s: float
-    noise: tuple[Noise, ...]
+    noise: tuple[AxisNoise, ...]
 
 
 def sees(view: View) -> bool:
@@ -83,7 +83,7 @@ def sees(view: View) -> bool:
     return view.reference_error and view.sensor is not Sensor.GYRO and not view.first
 
 
-def wandering(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> Wander | None:
+def wandering(chosen: ChosenModel, contest: Contest, start: Model, alpha: float) -> WanderFit | None:
     """The better model in which the reference's attitude wanders, None if there is none."""
     setting = start.setting
     if not any(map(sees, setting.views)):
@@ -108,10 +108,10 @@ def wandering(chosen: Chosen, contest: Contest, start: Model, alpha: float) -> W
     noise = with_tail(setting, start.noise, size, time)
     found = select(starting_model(setting, noise, ridge), contest, alpha)
     better = objective(chosen) - (objective(found) + process_cost(found.model) + price)
-    return Wander(found, contest, better, size, time, noise) if better > _MARGIN else None
+    return WanderFit(found, contest, better, size, time, noise) if better > _MARGIN else None
 
 
-def _instead(chosen: Chosen) -> tuple[_ProcessFit, float]:
+def _instead(chosen: ChosenModel) -> tuple[_ProcessFit, float]:
     """The best process, and by how much a model with it is better, its own price apart: at least, infinite if unknown.
 
     It stands in the place of all drifts that could be its own, and of every effect that it explains better. What drifts
@@ -162,8 +162,8 @@ class _Process:
     `priors`: size and time, roots (p,) of the prior variances, and :func:`halved` with them.
     """
 
-    frames: tuple[Frame, ...]
-    columns: Columns
+    frames: tuple[Binning, ...]
+    columns: HypothesisColumns
     weight: tuple[Array, ...]
     priors: tuple[tuple[float, float, Array, tuple[Array, float]], ...]
 
@@ -211,7 +211,7 @@ def marginal(half: tuple[Array, float], right: Array) -> float:
     return float(scaled @ scaled) - half[1]
 
 
-def with_tail(setting: Setting, noise: Sequence[Noise], size_deg: float, time_s: float) -> tuple[Noise, ...]:
+def with_tail(setting: Setting, noise: Sequence[AxisNoise], size_deg: float, time_s: float) -> tuple[AxisNoise, ...]:
     """The noise with what the process has above the last of its cosines, as far as a sensor sees it on average."""
     first, last = span_of(setting)
     changed = list(noise)
@@ -250,7 +250,7 @@ def span_of(setting: Setting) -> tuple[float, float]:
     return min(float(v.t[0]) for v in setting.views), max(float(v.t[-1]) for v in setting.views)
 
 
-def wander_columns(setting: Setting, frames: Sequence[Frame]) -> Columns:
+def wander_columns(setting: Setting, frames: Sequence[Binning]) -> HypothesisColumns:
     """Columns of the amplitudes, axis by axis, over every series that sees the reference's attitude."""
     span = span_of(setting)
     parts: dict[int, Part] = {}
@@ -262,8 +262,8 @@ def wander_columns(setting: Setting, frames: Sequence[Frame]) -> Columns:
         t = t[0, :, 0]
         waves = cosines(t, span, _MODES)
         block = turn[:, None] * waves[None, :, :, None]
-        add_block(parts, v, block.reshape(3 * _MODES, len(t), 3), Frame(1, len(t)))
-    return Columns(3 * _MODES, parts)
+        add_block(parts, v, block.reshape(3 * _MODES, len(t), 3), Binning(1, len(t)))
+    return HypothesisColumns(3 * _MODES, parts)
 
 
 def _averaged(values: Array, factor: int) -> Array:
@@ -283,7 +283,7 @@ def process_cost(model: Model) -> float:
     return float(ridge.precision @ ridge.value**2) + volume
 
 
-def rms_rotation(model: Model) -> tuple[Estimate, ...]:
+def rms_rotation(model: Model) -> tuple[ParameterEstimate, ...]:
     """Root mean square of the error about each axis, rad."""
     assert model.ridge is not None
     normal = normal_equations((), model.y, model.weight, model.ridge)
@@ -296,5 +296,5 @@ def rms_rotation(model: Model) -> tuple[Estimate, ...]:
         noise = float(np.einsum("mn,mk,kn->n", waves, own, waves).mean())
         size = math.sqrt(float((turn[:, axis] ** 2).mean()))
         se = math.sqrt(noise / max(1, _MODES // 4))
-        made.append(Estimate(f"rotation.{'xyz'[axis]}", size, se, (size - 1.96 * se, size + 1.96 * se), "rad"))
+        made.append(ParameterEstimate(f"rotation.{'xyz'[axis]}", size, se, (size - 1.96 * se, size + 1.96 * se), "rad"))
     return tuple(made)

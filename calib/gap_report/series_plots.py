@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
+from mavcal.calib.drawing import Chart, limits_of, thinned
 from mavcal.calib.fit import AXES
 from mavcal.calib.gap.schema import EffectEstimate, SeriesFit
-from mavcal.calib.gap_report.chart import AFTER, BEFORE, FLOOR, MODEL, Chart, limits_of, thinned
+from mavcal.calib.gap_report.colours import AFTER, BEFORE, FLOOR, MODEL
 
 Array = NDArray[np.float64]
 
@@ -34,11 +36,11 @@ def axis_of(series: SeriesFit, effect_id: str | None = None) -> int:
     return int(np.argmax(size / np.maximum(series.sigma, 1e-30) ** 2))
 
 
-def shape_plot(series: SeriesFit, effect_id: str) -> str:
+def shape_plot(series: SeriesFit, effect_id: str) -> Markup:
     """The residual that one effect explains, or a shape that none does, over what it follows, before and after."""
     part = series.parts.get(effect_id)
     if part is None or len(series.t) < _LEAST or not part.any():
-        return ""
+        return Markup()
     axis = axis_of(series, effect_id)
     label, x = _follows(series, part[:, axis])
     before = series.residual[:, axis] - (series.modelled - part)[:, axis]
@@ -104,10 +106,10 @@ def _binned(x: Array, y: Array) -> tuple[Array, Array, Array]:
     return middle[kept], mean[kept], 1.96 * np.sqrt(spread / total)[kept]
 
 
-def spectrum_plot(series: SeriesFit) -> str:
+def spectrum_plot(series: SeriesFit) -> Markup:
     """Density of the residual before and after, and the noise that the model ends with."""
     if len(series.t) < _LEAST:
-        return ""
+        return Markup()
     axis, fs = axis_of(series), _rate(series)
     hz, before = spectrum(series.residual[:, axis], fs)
     _, after = spectrum((series.residual - series.modelled)[:, axis], fs)
@@ -140,10 +142,10 @@ def spectrum(values: Array, fs: float) -> tuple[Array, Array]:
     return np.bincount(where, weights=hz[1:])[kept] / count[kept], np.sqrt(mean)
 
 
-def allan_plot(series: SeriesFit) -> str:
+def allan_plot(series: SeriesFit) -> Markup:
     """Allan deviation of the residual before and after."""
     if len(series.t) < 4 * _LEAST:
-        return ""
+        return Markup()
     axis, fs = axis_of(series), _rate(series)
     tau, before = allan(series.residual[:, axis], fs)
     _, after = allan((series.residual - series.modelled)[:, axis], fs)
@@ -172,7 +174,7 @@ def allan(values: Array, fs: float) -> tuple[Array, Array]:
     return sizes / fs, np.array(found)
 
 
-def strip(series: Sequence[SeriesFit], effects: Sequence[EffectEstimate]) -> list[str]:
+def strip(series: Sequence[SeriesFit], effects: Sequence[EffectEstimate]) -> list[Markup]:
     """By sensor: residual over time in units of its noise before and after, and below it the conditions."""
     drawn = []
     for fit in series:
@@ -181,7 +183,7 @@ def strip(series: Sequence[SeriesFit], effects: Sequence[EffectEstimate]) -> lis
         chart = _strip_chart(fit)
         for effect in effects:
             if effect.id == f"{fit.sensor.value}_step" and set(effect.instances) & set(fit.instances):
-                chart.mark(next(p.value for p in effect.params if p.name == "time_s"), "step")
+                chart.mark(next(p.value for p in effect.params if p.name == "time_s"), "step", MODEL)
         drawn.append(chart.drawn())
     return drawn + conditions(series)
 
@@ -213,7 +215,7 @@ def _energy(fit: SeriesFit, values: Array) -> tuple[Array, Array]:
     return t, np.sqrt(np.bincount(where, weights=power, minlength=_STRIP)[kept] / count[kept])
 
 
-def conditions(series: Sequence[SeriesFit]) -> list[str]:
+def conditions(series: Sequence[SeriesFit]) -> list[Markup]:
     """Temperature, current and throttle over time, each once."""
     units = {"temperature": "degC", "current": "A", "throttle": "0 to 1"}
     seen: dict[str, SeriesFit] = {}
@@ -239,10 +241,10 @@ def conditions(series: Sequence[SeriesFit]) -> list[str]:
     return drawn
 
 
-def overlay(series: SeriesFit) -> str:
+def overlay(series: SeriesFit) -> Markup:
     """Real, simulated and corrected simulation in the seconds where the effects move most."""
     if series.ideal is None or len(series.t) < _LEAST or not series.modelled.any():
-        return ""
+        return Markup()
     axis = axis_of(series)
     rows = _busiest(series.t, series.modelled[:, axis] ** 2)
     t, ideal = series.t[rows], series.ideal[rows, axis]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mavcal.calib.gap.schema import EffectEstimate, Finding, GapReport, Shrink, Verdict
+from mavcal.calib.gap.schema import EffectEstimate, GapReport, GapVerdict, LocatedGap, Shrink
 
 _KINDS = {
     "bias": "a constant offset",
@@ -39,19 +39,21 @@ _KINDS = {
 _ENDLESS = 1e300
 _SENSORS = {"accel": "accelerometer", "gyro": "gyroscope", "mag": "magnetometer"}
 _VERDICTS = {
-    Verdict.EXPLAINED: "The real sensors differ from the simulated ones, and known effects explain the difference.",
-    Verdict.PARTLY_EXPLAINED: "Known effects explain part of the difference; the rest is of a kind that is not known.",
-    Verdict.UNKNOWN: "The real sensors differ from the simulated ones, and no known effect explains it.",
-    Verdict.REFERENCE: "What differs is the reference, not a sensor.",
-    Verdict.NO_GAP: "No difference beyond the noise was found.",
-    Verdict.NOT_TESTABLE: "These recordings do not allow an answer.",
+    GapVerdict.EXPLAINED: "The real sensors differ from the simulated ones, and known effects explain the difference.",
+    GapVerdict.PARTLY_EXPLAINED: (
+        "Known effects explain part of the difference; the rest is of a kind that is not known."
+    ),
+    GapVerdict.UNKNOWN: "The real sensors differ from the simulated ones, and no known effect explains it.",
+    GapVerdict.REFERENCE: "What differs is the reference, not a sensor.",
+    GapVerdict.NO_GAP: "No difference beyond the noise was found.",
+    GapVerdict.NOT_TESTABLE: "These recordings do not allow an answer.",
 }
 
 
 def verdict_sentence(report: GapReport, *, listed: bool = True) -> str:
     """The answer in one or two sentences, the effects `listed` or not."""
     said = _VERDICTS[report.verdict]
-    if listed and report.verdict in {Verdict.EXPLAINED, Verdict.PARTLY_EXPLAINED} and report.effects:
+    if listed and report.verdict in {GapVerdict.EXPLAINED, GapVerdict.PARTLY_EXPLAINED} and report.effects:
         likely = [effect_phrase(e) for e in report.effects if not e.evidence.doubtful]
         doubtful = [effect_phrase(e) for e in report.effects if e.evidence.doubtful]
         said += f" Found: {'; '.join(likely)}." if likely else ""
@@ -62,7 +64,7 @@ def verdict_sentence(report: GapReport, *, listed: bool = True) -> str:
 def not_compared(report: GapReport) -> str:
     """Which sensors the answer is not about, though they were recorded; empty: it is about all."""
     lost = dict.fromkeys(n.id for n in report.not_testable if n.id in _SENSORS)
-    if not lost or report.verdict is Verdict.NOT_TESTABLE:
+    if not lost or report.verdict is GapVerdict.NOT_TESTABLE:
         return ""
     return f"Not compared, at least in part: {', '.join(_SENSORS[name] for name in lost)}; why is said below."
 
@@ -75,6 +77,17 @@ def effect_phrase(effect: EffectEstimate) -> str:
     if effect.id == "clock_drift":
         return "clocks that run at different speeds (clock_drift)"
     return f"{_KINDS.get(kind, kind.replace('_', ' '))}, {sensor_name(effect)} ({effect.id})"
+
+
+def held_out(effect: EffectEstimate) -> str:
+    """Whether it was found again in data that were kept aside."""
+    held = effect.gates.heldout_blocks
+    return "not held out" if held is None else f"{'holds' if held else 'does not hold'} on held-out data"
+
+
+def sim_patch(effect: EffectEstimate) -> str:
+    """Parameters of ArduPilot's simulator that make the effect; empty: it has none."""
+    return ", ".join(f"{name} {value:.6g}" for name, value in effect.sim_patch.items() if value)
 
 
 def sensor_name(effect: EffectEstimate) -> str:
@@ -107,7 +120,7 @@ def closed_sentence(shrink: Shrink | None) -> str:
     )
 
 
-def regime(found: Finding) -> str:
+def regime(found: LocatedGap) -> str:
     """When it is: ``temperature 20..24 degC``."""
     if found.regime.kind == "all":
         return "whole recording"

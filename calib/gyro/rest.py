@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.attitude import drift_sd_deg_per_min
-from mavcal.calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
-from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.fit import AXES, OFFSETS, FitBuilder, FitResult
+from mavcal.calib.recording import Channel
 from mavcal.calib.stats.correlated import long_run_variance
 from mavcal.calib.stats.quantisation import QuantisedMean, mean_of
 from mavcal.calib.stats.residuals import residual_statistics
@@ -56,46 +56,36 @@ def fit_gyro_rest(
         The offset with its covariance, serial correlation included; Earth's rate (7.3e-5 rad/s) is inside it. Refused
         if the vehicle moved or turned, or there are too few samples.
     """
-    given = len(gyro)
+    made = FitBuilder.of(METHOD, gyro, relative=relative, temperature=temperature, movement=MOVEMENT)
     gyro = gyro.take(finite_rows(gyro.values))
     if len(gyro) < _LEAST_SAMPLES:
-        return _refused(gyro, given, f"{len(gyro)} finite samples of the gyroscope: {_LEAST_SAMPLES} are needed")
+        return made.refused(f"{len(gyro)} finite samples of the gyroscope: {_LEAST_SAMPLES} are needed", OFFSETS)
     estimate = mean_of(gyro)
     reason = _moved(gyro, estimate)
     if reason is None and gyro.unit == "rad/s":
         reason = steady_turn(gyro, accel, mag)
     if reason is not None:
-        return _refused(gyro, given, f"{reason}; put the vehicle down, leave it alone and try again")
+        return made.refused(f"{reason}; put the vehicle down, leave it alone and try again", OFFSETS)
     silent = np.array(estimate.constant) & (gyro.quantum <= 0.0)  # a constant of unknown resolution
     if silent.all():
-        return _refused(
-            gyro, given, "the gyroscope reads one constant value on every axis: it is stuck or not connected"
-        )
+        said = "the gyroscope reads one constant value on every axis: it is stuck or not connected"
+        return made.refused(said, OFFSETS)
     covariance = np.zeros((12, 12))
     covariance[:3, :3] = estimate.covariance
     covariance[:3, :3][silent] = 0.0
     covariance[:3, :3][:, silent] = 0.0
     residual = gyro.values - estimate.mean
     model = TriadModel(offset=np.where(silent, 0.0, estimate.mean))
-    names = tuple(parameter_names()[i] for i in range(3) if silent[i])
-    return FitResult(
-        method=METHOD,
-        sensor=Sensor.GYRO,
-        instance=gyro.instance,
-        status=FitStatus.PARTIAL if silent.any() else FitStatus.OK,
+    finer = "record it on a stream of finer resolution, or see whether the axis is stuck"
+    return made.fitted(
+        model,
+        covariance,
         message=f"offset of {len(gyro)} samples at rest",
-        model=model,
-        covariance=covariance,
-        unit=gyro.unit,
-        n_samples=given,
         n_used=len(gyro),
         residual_rms=float(np.sqrt((residual**2).mean())),
         condition_number=1.0,
-        relative=relative,
-        undetermined=names,
-        movements=dict.fromkeys(names, "record it on a stream of finer resolution, or see whether the axis is stuck"),
+        undetermined={OFFSETS[i]: finer for i in range(3) if silent[i]},
         warnings=_warnings(gyro, estimate),
-        temperature=temperature,
         quality={
             "n_effective": estimate.n_effective,
             "noise_sd": [float(sd) if np.isfinite(sd) else None for sd in estimate.sd],
@@ -131,19 +121,6 @@ def steady_turn(gyro: Channel, accel: Channel | None = None, mag: Channel | None
             f"({np.degrees(bound):.1f} deg/s): the vehicle is turning, or the sensor is broken"
         )
     return None
-
-
-def _refused(gyro: Channel, given: int, message: str) -> FitResult:
-    return refused(
-        METHOD,
-        Sensor.GYRO,
-        gyro.instance,
-        message,
-        unit=gyro.unit,
-        n_samples=given,
-        undetermined=parameter_names()[:3],
-        movement=MOVEMENT,
-    )
 
 
 def _moved(gyro: Channel, estimate: QuantisedMean) -> str | None:

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
-from mavcal.calib.fit import FitResult, refused
+from mavcal.calib.fit import FitBuilder, FitResult
 from mavcal.calib.geometry import sphere_of
 from mavcal.calib.gyro.turns import Turn, fit_turns, usable
-from mavcal.calib.recording import Channel, Segment, Sensor
+from mavcal.calib.recording import Channel, Segment
 from mavcal.calib.stats.correlated import long_run_variance
 from mavcal.calib.stats.windows import occupied_starts, window_statistics
 
@@ -105,13 +105,9 @@ def fit_thread(
     spans = np.array([(s.start, s.end) for s in segments]) if segments else turning_spans(gyro)
     labels = [s.label for s in segments] or [f"turn {k + 1}" for k in range(len(spans))]
 
-    def refusal(message: str) -> FitResult:
-        return refused(
-            METHOD, Sensor.GYRO, given.instance, message, unit=given.unit, n_samples=len(given), movement=MOVEMENT
-        )
-
+    made = FitBuilder.of(METHOD, given, movement=MOVEMENT)
     if len(spans) < 2:
-        return refusal(f"{len(spans)} spans of turning were found: {MOVEMENT}")
+        return made.refused(f"{len(spans)} spans of turning were found: {MOVEMENT}")
     if mag is not None:
         mag = usable(mag)
     integral = _Integral.of(gyro)
@@ -120,14 +116,16 @@ def fit_thread(
     for label, span in zip(labels, spans, strict=True):
         inside = len(gyro.between(*span))
         if inside < 8:
-            return refusal(f"{inside} samples of the gyroscope in {label}: the recording does not cover the turns")
+            return made.refused(f"{inside} samples of the gyroscope in {label}: the recording does not cover the turns")
         if np.diff(gyro.between(*span).t).max() > _HOLE * float(np.median(np.diff(gyro.t))):
-            return refusal(f"the gyroscope has a hole in {label}: the turns in it are lost")
+            return made.refused(f"the gyroscope has a hole in {label}: the turns in it are lost")
         counted = _counted(integral, axis, span, mag) if mag is not None else None
         if counted is None and turns is None:
-            return refusal(f"the compass does not go round in {label}, {span[0]:.1f} to {span[1]:.1f} s: state --turns")
+            return made.refused(
+                f"the compass does not go round in {label}, {span[0]:.1f} to {span[1]:.1f} s: state --turns"
+            )
         if counted is not None and turns is not None and abs(counted.seen - turns) > _DISAGREE:
-            return refusal(f"{turns:g} turns were stated, but the compass sees {counted.seen:.2f} in {label}")
+            return made.refused(f"{turns:g} turns were stated, but the compass sees {counted.seen:.2f} in {label}")
         if counted is None or turns is not None:
             counted = _stated(integral, axis, span, float(turns or 0.0))
         found.append(_turn(label, axis, counted, gyro, span, angle_sd))

@@ -16,8 +16,8 @@ from scipy.special import chdtrc
 
 from mavcal.calib.attitude import drift_sd_deg_per_min
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
-from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.fit import AXES, FitBuilder, FitResult, parameter_names
+from mavcal.calib.recording import Channel
 from mavcal.calib.stats.quantisation import with_apparent_quantum
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.stats.windows import finite_rows, without_spikes
@@ -97,52 +97,28 @@ def fit_turns(
     native, warnings, temperature, relative
         Passed on to the result.
     """
-
-    def refusal(message: str) -> FitResult:
-        return refused(
-            method,
-            Sensor.GYRO,
-            gyro.instance,
-            message,
-            unit=gyro.unit,
-            n_samples=len(gyro),
-            movement=movement,
-        )
-
+    made = FitBuilder.of(method, gyro, relative=relative, temperature=temperature, movement=movement)
     rates = np.array([turn.rate for turn in turns]).reshape(-1, 3)
     fastest = np.abs(rates).max(initial=0.0)
     axes = [j for j in range(3) if fastest > 0.0 and np.abs(rates[:, j]).max() > 0.01 * fastest]
     if not axes:
-        return refusal(f"{len(turns)} turns of known rate were found: {movement}")
+        return made.refused(f"{len(turns)} turns of known rate were found: {movement}")
     design = np.column_stack([rates[:, axes] / fastest, np.ones(len(turns))])
     if len(turns) < len(axes) + 1 or np.linalg.cond(design) > 1e3:
         open_axes = ", ".join(AXES[j] for j in axes if np.ptp(rates[:, j]) < 0.1 * np.abs(rates[:, j]).max())
-        return refusal(f"scale and offset of {open_axes or 'the gyroscope'} are not told apart: {movement}")
+        return made.refused(f"scale and offset of {open_axes or 'the gyroscope'} are not told apart: {movement}")
     solved = _solve(design, turns, fastest)
     matrix = _sensitivity(solved.coefficients[:-1] / fastest, axes, gyro.unit)
     if abs(np.linalg.det(matrix)) < 1e-3 * np.prod(np.linalg.norm(matrix, axis=0)):
-        return refusal("the turns about different axes read the same: name the axis of every turn in its label")
+        return made.refused("the turns about different axes read the same: name the axis of every turn in its label")
     scales = np.diag(matrix)[axes]
     if gyro.unit == "rad/s" and not ((scales > 1.0 / _STRANGE) & (scales < _STRANGE)).all():
-        return refusal(
+        return made.refused(
             f"the gyroscope reads {', '.join(f'{s:.3g}' for s in scales)} times the stated rate about "
             f"{', '.join(AXES[j] for j in axes)}: check the rate (deg/s), its direction and the unit"
         )
-    return _result(
-        method,
-        gyro,
-        turns,
-        axes,
-        matrix,
-        solved,
-        fastest,
-        movement=movement,
-        earth_known=earth_known,
-        native=dict(native or {}),
-        warnings=warnings,
-        temperature=temperature,
-        relative=relative,
-    )
+    found = _Found(turns, axes, matrix, solved, fastest)
+    return _result(made, found, earth_known=earth_known, native=native or {}, warnings=warnings)
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,77 +158,67 @@ def _sensitivity(columns: Array, axes: Sequence[int], unit: str) -> Array:
     return matrix
 
 
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """The solution with what it was found from: the sensitivity (3, 3) about `axes`, rates over the fastest one."""
+
+    turns: Sequence[Turn]
+    axes: Sequence[int]
+    sensitivity: Array
+    solved: _Solved
+    fastest: float
+
+
 def _result(
-    method: str,
-    gyro: Channel,
-    turns: Sequence[Turn],
-    axes: Sequence[int],
-    sensitivity: Array,
-    solved: _Solved,
-    fastest: float,
-    *,
-    movement: str,
-    earth_known: bool,
-    native: dict[str, Any],
-    warnings: tuple[str, ...],
-    temperature: float | None,
-    relative: bool,
+    made: FitBuilder, found: _Found, *, earth_known: bool, native: Mapping[str, Any], warnings: tuple[str, ...]
 ) -> FitResult:
-    matrix = np.asarray(np.linalg.inv(sensitivity), dtype=np.float64)
+    solved, axes = found.solved, found.axes
+    matrix = np.asarray(np.linalg.inv(found.sensitivity), dtype=np.float64)
     dof = solved.residuals.size - 3 * (len(axes) + 1)
-    statistics = residual_statistics(solved.whitened, dof, 1.0)
-    covariance = _covariance(solved, axes, matrix, fastest)
+    covariance = _covariance(solved, axes, matrix, found.fastest)
     p_value = float(chdtrc(dof, (solved.whitened**2).sum())) if dof > 0 else None
     if p_value is not None and p_value < _MISFIT:
         covariance = covariance * float((solved.whitened**2).sum()) / dof
-        warnings = (
-            *warnings,
-            f"the turns contradict each other (p = {p_value:.1e}): the sd are widened",
-        )
+        warnings = (*warnings, f"the turns contradict each other (p = {p_value:.1e}): the sd are widened")
     if dof <= 0:
         warnings = (*warnings, "as many unknowns as turns: nothing tests the fit; repeat every turn")
     if not earth_known:
-        earth = sensitivity * EARTH_RATE
+        earth = found.sensitivity * EARTH_RATE
         covariance[:3, :3] += earth @ earth.T / 3.0
     names = tuple(f"matrix_{AXES[i]}{AXES[j]}" for j in range(3) if j not in axes for i in range(3))
     where = [parameter_names().index(name) for name in names]
     covariance[where, :] = covariance[:, where] = 0.0
     model = TriadModel(solved.coefficients[-1], matrix)
-    return FitResult(
-        method=method,
-        sensor=Sensor.GYRO,
-        instance=gyro.instance,
-        status=FitStatus.PARTIAL if names else FitStatus.OK,
-        message=f"{len(turns)} turns about {', '.join(AXES[j] for j in axes)}",
-        model=model,
-        covariance=covariance,
-        unit=gyro.unit,
-        n_samples=len(gyro),
-        n_used=sum(turn.n for turn in turns),
+    return made.fitted(
+        model,
+        covariance,
+        message=f"{len(found.turns)} turns about {', '.join(AXES[j] for j in axes)}",
+        n_used=sum(turn.n for turn in found.turns),
         residual_rms=float(np.sqrt((solved.residuals**2).mean())),
         condition_number=solved.condition,
-        relative=relative,
-        undetermined=names,
-        movements={name: f"turn it about {name[-1]} as well, both ways" for name in names},
+        undetermined={name: f"turn it about {name[-1]} as well, both ways" for name in names},
         warnings=warnings,
-        temperature=temperature,
         quality={
-            **statistics,
-            "turns": len(turns),
+            **residual_statistics(solved.whitened, dof, 1.0),
+            "turns": len(found.turns),
             "attitude_sd_deg_per_min": drift_sd_deg_per_min(model, covariance),
         },
-        native={
-            **native,
-            "sensitivity": sensitivity.tolist(),
-            "columns": {AXES[j]: sensitivity[:, j].tolist() for j in axes},
-            "scale": {AXES[j]: float(sensitivity[j, j]) for j in axes},
-            "offset": model.offset.tolist(),
-            "turns": [
-                {"label": t.label, "rate": t.rate.tolist(), "mean": t.mean.tolist(), "duration": t.duration}
-                for t in turns
-            ],
-        },
+        native={**native, **_native(found, model)},
     )
+
+
+def _native(found: _Found, model: TriadModel) -> dict[str, Any]:
+    sensitivity, axes = found.sensitivity, found.axes
+    return {
+        "sensitivity": sensitivity.tolist(),
+        "columns": {AXES[j]: sensitivity[:, j].tolist() for j in axes},
+        "scale": {AXES[j]: float(sensitivity[j, j]) for j in axes},
+        "offset": model.offset.tolist(),
+        "turns": [
+            {"label": t.label, "rate": t.rate.tolist(), "mean": t.mean.tolist(), "duration": t.duration}
+            for t in found.turns
+        ],
+    }
 
 
 def _covariance(solved: _Solved, axes: Sequence[int], matrix: Array, fastest: float) -> Array:

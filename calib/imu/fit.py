@@ -15,9 +15,9 @@ from mavcal.calib.geometry import sphere_of
 from mavcal.calib.imu.integrate import Moves
 from mavcal.calib.imu.poses import LEAST_POSES, Poses, find_poses, measure
 from mavcal.calib.imu.problem import ImuProblem, ImuSolution, linearise, reduced, solve, turns_of
-from mavcal.calib.imu.result import Facts, Form, imu_refused, imu_results
+from mavcal.calib.imu.result import Form, RecordingFacts, imu_refused, imu_results
 from mavcal.calib.imu.start import closure, rough_gyro, with_turn_noise
-from mavcal.calib.imu.unknowns import DIAGONAL, UNKNOWNS, Coordinates, Prior
+from mavcal.calib.imu.unknowns import DIAGONAL, UNKNOWNS, Coordinates, ImuPrior
 from mavcal.calib.imu.weigh import Weighed, weigh
 from mavcal.calib.recording import Channel
 from mavcal.calib.stats.norm_fit import NEUTRAL, UNDETERMINED, NormProblem
@@ -83,7 +83,7 @@ def fit_imu(
         If time goes back, or gravity or `cross_sd` is not positive.
     """
     _check(accel, gyro, gravity, cross_sd)
-    facts = Facts(accel, gyro, gravity, form, temperature, relative)
+    facts = RecordingFacts(accel, gyro, gravity, form, temperature, relative)
     accel, gyro = (c.take(finite_rows(c.values)) for c in (accel, gyro))
     accel, gyro = (with_apparent_quantum(c.take(without_spikes(c.values))) for c in (accel, gyro))
     reason = _unusable(accel, gyro)
@@ -115,7 +115,7 @@ class _Begun:
     problem: ImuProblem
     x: Array
     directions: Array
-    prior: Prior
+    prior: ImuPrior
     radius: float
     gyro_scale: float
     left_out: int
@@ -159,7 +159,7 @@ def _begin(accel: Channel, gyro: Channel, poses: Poses, gravity: float | None, c
     return _Begun(problem, x, alone.directions, _prior(centre / radius, cross_sd), radius, scale, left_out)
 
 
-def _finished(facts: Facts, poses: Poses, begun: _Begun, cross_sd: float) -> tuple[FitResult, FitResult]:
+def _finished(facts: RecordingFacts, poses: Poses, begun: _Begun, cross_sd: float) -> tuple[FitResult, FitResult]:
     """Solve, weigh, hold what stays unknown, and say it."""
     begin = linearise(begun.problem, begun.x, begun.directions, turns_of(begun.problem, begun.x))
     open_at_start = Coordinates(_unknown(reduced(begin)[0], begun.prior, cross_sd, doubt=1.0))
@@ -188,17 +188,17 @@ def _finished(facts: Facts, poses: Poses, begun: _Begun, cross_sd: float) -> tup
     )
 
 
-def _prior(centre: Array, cross_sd: float) -> Prior:
+def _prior(centre: Array, cross_sd: float) -> ImuPrior:
     """What is known of any inertial unit: offsets within a radius, scales within their size, small misalignments."""
     sd = np.concatenate([np.ones(6), np.full(12, cross_sd), np.full(3, np.inf)])
     sd[DIAGONAL] = _SCALE_SD
-    return Prior(
+    return ImuPrior(
         np.concatenate([centre, NEUTRAL[3:], np.eye(3).ravel(), np.zeros(3)]),
         1.0 / sd**2,
     )
 
 
-def _unknown(information: Array, prior: Prior, cross_sd: float, doubt: float) -> NDArray[np.intp]:
+def _unknown(information: Array, prior: ImuPrior, cross_sd: float, doubt: float) -> NDArray[np.intp]:
     """The unknowns that the data with that `information` (21, 21) do not tell; `doubt` multiplies their variances."""
     sd = np.sqrt(np.diag(np.linalg.inv(information + np.diag(prior.information))) * doubt)
     limit = np.concatenate([np.full(6, UNDETERMINED), np.full(12, _LEARNT * cross_sd), np.full(3, np.inf)])
@@ -206,7 +206,7 @@ def _unknown(information: Array, prior: Prior, cross_sd: float, doubt: float) ->
     return np.flatnonzero(sd > limit)
 
 
-def _covariance(weighed: Weighed, solution: ImuSolution, unknown: NDArray[np.intp], prior: Prior) -> Array:
+def _covariance(weighed: Weighed, solution: ImuSolution, unknown: NDArray[np.intp], prior: ImuPrior) -> Array:
     """Covariance (21, 21) of the unknowns; what is held passes its usual size on to the others.
 
     With ``F`` the information, fitting x1 with x2 held errs by ``-H x2``, ``H = F11^-1 F12``.

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.geometry import frame_along, sphere_of
-from mavcal.calib.imu.static import Watch, candidates, steady
+from mavcal.calib.imu.static import ScatterWindows, candidates, steady
 from mavcal.calib.recording import Channel
 from mavcal.calib.stats.correlated import long_run_variance
 from mavcal.calib.stats.norm_fit import NormProblem, solve
@@ -68,7 +68,7 @@ def find_poses(accel: Channel, gyro: Channel, gravity: float | None) -> Array:
         In the unit of `accel`; None: the radius of the quiet readings.
     """
     size = gravity if gravity is not None else _radius(accel, gyro)
-    watch = Watch.of(accel, gyro, size)
+    watch = ScatterWindows.of(accel, gyro, size)
     best, chosen = np.inf, np.zeros((0, 2))
     for spans in candidates(watch):
         spans = spans[steady(accel, spans, size)]
@@ -172,7 +172,7 @@ def _plain_means(channel: Channel, spans: Array) -> tuple[Array, NDArray[np.intp
 
 def _radius(accel: Channel, gyro: Channel) -> float:
     """Radius of the readings of the quietest windows, where gravity is not known in their unit."""
-    watch = Watch.of(accel, gyro, np.inf)
+    watch = ScatterWindows.of(accel, gyro, np.inf)
     quiet = watch.still(4.0, 6.0)
     means = watch.accel.mean[quiet if quiet.sum() >= 8 else np.ones(len(quiet), dtype=np.bool_)]
     return sphere_of(means)[1]

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from mavcal.calib.imu.integrate import Moves, Turns, integrate
-from mavcal.calib.imu.unknowns import ACCEL, FREE, GYRO, NO_PRIOR, UNKNOWNS, Coordinates, Prior, cross, symmetric
+from mavcal.calib.imu.unknowns import ACCEL, FREE, GYRO, NO_PRIOR, UNKNOWNS, Coordinates, ImuPrior, cross, symmetric
 from mavcal.calib.stats.norm_fit import PAIRS
 
 Array = NDArray[np.float64]
@@ -107,7 +107,7 @@ class ImuSolution:
 
 
 def solve(
-    problem: ImuProblem, x: Array, directions: Array, *, prior: Prior = NO_PRIOR, coordinates: Coordinates = FREE
+    problem: ImuProblem, x: Array, directions: Array, *, prior: ImuPrior = NO_PRIOR, coordinates: Coordinates = FREE
 ) -> ImuSolution | None:
     """Gauss and Newton with damped steps from `x` (21,) and `directions` (P, 3); None if it does not converge.
 
@@ -141,7 +141,7 @@ def solve(
     return None
 
 
-def _off(prior: Prior, x: Array) -> float:
+def _off(prior: ImuPrior, x: Array) -> float:
     return float(prior.information @ (x - prior.centre) ** 2)
 
 

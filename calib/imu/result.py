@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -9,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.attitude import drift_sd_deg_per_min, tilt_sd_deg
-from mavcal.calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
+from mavcal.calib.fit import AXES, FitBuilder, FitResult, parameter_names
 from mavcal.calib.imu.poses import Poses
 from mavcal.calib.imu.unknowns import symmetric
 from mavcal.calib.imu.weigh import MISFIT, GroupFit, Weighed
-from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.recording import Channel
 from mavcal.calib.stats.norm_fit import PAIRS
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
@@ -32,7 +33,7 @@ _FACES = (("nose up", "nose down"), ("left side down", "right side down"), ("ups
 
 
 @dataclass(frozen=True, eq=False)
-class Facts:
+class RecordingFacts:
     """What both results are told of the recording: the channels as given, and the settings."""
 
     accel: Channel
@@ -42,26 +43,18 @@ class Facts:
     temperature: float | None
     relative: bool
 
+    def made(self, channel: Channel) -> FitBuilder:
+        """What begins the result of one of the sensors."""
+        return FitBuilder.of(METHOD, channel, relative=self.relative, temperature=self.temperature, movement=MOVEMENT)
 
-def imu_refused(facts: Facts, message: str) -> tuple[FitResult, FitResult]:
+
+def imu_refused(facts: RecordingFacts, message: str) -> tuple[FitResult, FitResult]:
     """Both sensors refused, with what would determine them."""
-    accel, gyro = (
-        refused(
-            METHOD,
-            channel.sensor,
-            channel.instance,
-            message,
-            unit=channel.unit,
-            n_samples=len(channel),
-            movement=MOVEMENT,
-        )
-        for channel in (facts.accel, facts.gyro)
-    )
-    return accel, gyro
+    return facts.made(facts.accel).refused(message), facts.made(facts.gyro).refused(message)
 
 
 def imu_results(
-    facts: Facts,
+    facts: RecordingFacts,
     poses: Poses,
     weighed: Weighed,
     covariance: Array,
@@ -80,13 +73,23 @@ def imu_results(
     names = _open_names(unknown, facts.form)
     warnings = _warnings(facts, poses, weighed, moves_left_out)
     quality = _quality(poses, weighed, moves_left_out)
-    return (
-        _accel_fit(facts, poses, weighed, models[0], full[:12, :12], names[0], warnings, quality, radius),
-        _gyro_fit(facts, poses, weighed, models[1], full[12:, 12:], names[1], warnings, quality, gyro_scale),
-    )
+    accel = _Part(models[0], full[:12, :12], names[0], warnings, quality)
+    gyro = _Part(models[1], full[12:, 12:], names[1], warnings, quality)
+    return _accel_fit(facts, poses, weighed, accel, radius), _gyro_fit(facts, poses, weighed, gyro, gyro_scale)
 
 
-def _models(x: Array, facts: Facts, radius: float, gyro_scale: float) -> tuple[TriadModel, TriadModel]:
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """The solution for one of the sensors, with what it leaves open, and what is said of both."""
+
+    model: TriadModel
+    covariance: Array
+    open_names: dict[str, str]
+    warnings: tuple[str, ...]
+    quality: dict[str, Any]
+
+
+def _models(x: Array, facts: RecordingFacts, radius: float, gyro_scale: float) -> tuple[TriadModel, TriadModel]:
     """Both models in the units of the sensors and the frame of the chosen form."""
     accel = TriadModel(radius * x[:3], facts.gravity / radius * symmetric(x[3:9]))
     matrix = gyro_scale * x[9:18].reshape(3, 3)
@@ -97,7 +100,7 @@ def _models(x: Array, facts: Facts, radius: float, gyro_scale: float) -> tuple[T
     return accel, TriadModel(x[18:21] / gyro_scale, matrix)
 
 
-def _derivative(x: Array, facts: Facts, radius: float, gyro_scale: float) -> Array:
+def _derivative(x: Array, facts: RecordingFacts, radius: float, gyro_scale: float) -> Array:
     """Derivative (24, 21) of the numbers of both models by the unknowns, by central differences."""
 
     def numbers(at: Array) -> Array:
@@ -148,7 +151,7 @@ def _turning(row: int, column: int) -> str:
     return f"turn it about {AXES[column]} by 90 degrees or more with {AXES[row]} level, between still poses, both ways"
 
 
-def _warnings(facts: Facts, poses: Poses, weighed: Weighed, moves_left_out: int) -> tuple[str, ...]:
+def _warnings(facts: RecordingFacts, poses: Poses, weighed: Weighed, moves_left_out: int) -> tuple[str, ...]:
     found = []
     for group, what, extra in (
         (weighed.poses, "poses", weighed.problem.extra[0]),
@@ -203,125 +206,73 @@ def _statistics(residuals: Array, group: GroupFit) -> dict[str, Any]:
     }
 
 
-def _accel_fit(
-    facts: Facts,
-    poses: Poses,
-    weighed: Weighed,
-    model: TriadModel,
-    covariance: Array,
-    open_names: dict[str, str],
-    warnings: tuple[str, ...],
-    quality: dict[str, Any],
-    radius: float,
-) -> FitResult:
-    axes_open = {name[-1] for name in open_names if name in _DIRECT}
+def _accel_fit(facts: RecordingFacts, poses: Poses, weighed: Weighed, part: _Part, radius: float) -> FitResult:
+    made = facts.made(facts.accel)
+    axes_open = {name[-1] for name in part.open_names if name in _DIRECT}
     if len(axes_open) == 3 or (axes_open and facts.accel.unit != "m/s2"):
-        return _one_refused(facts, facts.accel, tuple(open_names), "accelerometer")
-    corrected = np.linalg.norm(model.apply(poses.means[weighed.kept]), axis=1) - facts.gravity
+        return made.refused(_not_determined("accelerometer", part.open_names))
+    corrected = np.linalg.norm(part.model.apply(poses.means[weighed.kept]), axis=1) - facts.gravity
     rms = float(np.sqrt((corrected**2).mean()))
-    return FitResult(
-        method=METHOD,
-        sensor=Sensor.ACCEL,
-        instance=facts.accel.instance,
-        status=FitStatus.PARTIAL if open_names else FitStatus.OK,
-        message=_message(weighed, open_names),
-        model=model,
-        covariance=covariance,
-        unit=facts.accel.unit,
-        n_samples=len(facts.accel),
+    return made.fitted(
+        part.model,
+        part.covariance,
+        message=_message(weighed, part.open_names),
         n_used=int(poses.counts[weighed.kept].sum()),
         residual_rms=rms * radius / facts.gravity,
         condition_number=_condition(weighed, slice(0, 9)),
-        relative=facts.relative,
-        undetermined=tuple(open_names),
-        movements=open_names,
-        warnings=warnings,
-        temperature=facts.temperature,
+        undetermined=part.open_names,
+        warnings=part.warnings,
         quality={
             **_statistics(weighed.solution.at.poses, weighed.poses),
-            **quality,
+            **part.quality,
             "gravity": facts.gravity,
             "norm_rms": rms,
             "pose_residuals": corrected.tolist(),
             "noise_sd": poses.noise_sd,
-            "attitude_sd_deg": tilt_sd_deg(model, covariance, facts.gravity),
+            "attitude_sd_deg": tilt_sd_deg(part.model, part.covariance, facts.gravity),
         },
-        native=_native(model, facts.form),
+        native=_native(part.model, facts.form),
     )
 
 
-def _gyro_fit(
-    facts: Facts,
-    poses: Poses,
-    weighed: Weighed,
-    model: TriadModel,
-    covariance: Array,
-    open_names: dict[str, str],
-    warnings: tuple[str, ...],
-    quality: dict[str, Any],
-    gyro_scale: float,
-) -> FitResult:
-    scales_open = [name for name in open_names if name[-1] == name[-2]]
+def _gyro_fit(facts: RecordingFacts, poses: Poses, weighed: Weighed, part: _Part, gyro_scale: float) -> FitResult:
+    made = facts.made(facts.gyro)
+    scales_open = [name for name in part.open_names if name[-1] == name[-2]]
     if scales_open and facts.gyro.unit != "rad/s":
-        return _one_refused(facts, facts.gyro, tuple(open_names), "gyroscope")
-    scales = np.abs(np.linalg.norm(model.matrix, axis=0))
+        return made.refused(_not_determined("gyroscope", part.open_names))
+    scales = np.abs(np.linalg.norm(part.model.matrix, axis=0))
     if facts.gyro.unit == "rad/s" and not ((scales > 0.5) & (scales < 2.0)).all():
         factors = ", ".join(f"{1.0 / scale:.3g}" for scale in scales)
-        return refused(
-            METHOD,
-            Sensor.GYRO,
-            facts.gyro.instance,
-            f"the gyroscope reads {factors} times the rate about x, y, z: check its unit (deg/s, counts)",
-            unit=facts.gyro.unit,
-            n_samples=len(facts.gyro),
-            movement="state its --unit-gyro",
-        )
+        said = f"the gyroscope reads {factors} times the rate about x, y, z: check its unit (deg/s, counts)"
+        return made.refused(said, movement="state its --unit-gyro")
     moves = weighed.problem.moves
-    misses = weighed.solution.at.moves
     closure = _closure(weighed)
     turning = float(np.sqrt((moves.durations**2).mean())) if len(moves) else 1.0
-    return FitResult(
-        method=METHOD,
-        sensor=Sensor.GYRO,
-        instance=facts.gyro.instance,
-        status=FitStatus.PARTIAL if open_names else FitStatus.OK,
-        message=_message(weighed, open_names),
-        model=model,
-        covariance=covariance,
-        unit=facts.gyro.unit,
-        n_samples=len(facts.gyro),
+    return made.fitted(
+        part.model,
+        part.covariance,
+        message=_message(weighed, part.open_names),
         n_used=int(poses.gyro_counts.sum()) + int(np.count_nonzero(moves.steps)),
         residual_rms=closure / turning / gyro_scale,
         condition_number=_condition(weighed, slice(9, 18)),
-        relative=facts.relative,
-        undetermined=tuple(open_names),
-        movements=open_names,
-        warnings=warnings,
-        temperature=facts.temperature,
+        undetermined=part.open_names,
+        warnings=part.warnings,
         quality={
-            **_statistics(misses, weighed.moves),
-            **quality,
+            **_statistics(weighed.solution.at.moves, weighed.moves),
+            **part.quality,
             "closure_rms_deg": float(np.degrees(closure)),
             "noise_sd": np.sqrt(poses.gyro_noise).tolist(),
-            "attitude_sd_deg_per_min": drift_sd_deg_per_min(model, covariance),
+            "attitude_sd_deg_per_min": drift_sd_deg_per_min(part.model, part.covariance),
         },
-        native=_native(model, facts.form),
+        native=_native(part.model, facts.form),
     )
 
 
 _DIRECT = frozenset(parameter_names()[i] for i in (0, 1, 2, 3, 7, 11))  # offsets and scales
 
 
-def _one_refused(facts: Facts, channel: Channel, names: tuple[str, ...], what: str) -> FitResult:
-    return refused(
-        METHOD,
-        channel.sensor,
-        channel.instance,
-        f"the poses and movements do not determine the {what}'s {', '.join(names)}: {MOVEMENT}",
-        unit=channel.unit,
-        n_samples=len(channel),
-        movement=MOVEMENT,
-    )
+def _not_determined(what: str, names: Iterable[str]) -> str:
+    return f"the poses and movements do not determine the {what}'s {', '.join(names)}: {MOVEMENT}"
 
 
 def _message(weighed: Weighed, open_names: dict[str, str]) -> str:

@@ -32,7 +32,7 @@ _QUIET = 0.1  # quantile that is called the quietest
 
 
 @dataclass(frozen=True, eq=False)
-class Watch:
+class ScatterWindows:
     """Scatter of both sensors over windows that begin at `starts` (M,), `length` long."""
 
     starts: Array
@@ -44,7 +44,7 @@ class Watch:
     gravity: float
 
     @classmethod
-    def of(cls, accel: Channel, gyro: Channel, gravity: float) -> Watch:
+    def of(cls, accel: Channel, gyro: Channel, gravity: float) -> ScatterWindows:
         """Watch two channels of finite samples over the time that both cover; `gravity` in the unit of `accel`."""
         begin, end = max(accel.t[0], gyro.t[0]), min(accel.t[-1], gyro.t[-1])
         step = max(_median_step(accel), _median_step(gyro))
@@ -68,7 +68,7 @@ class Watch:
         return np.asarray(quiet & (np.linalg.norm(self.gyro.mean - usual, axis=1) <= limit))
 
 
-def candidates(watch: Watch) -> Iterator[Array]:
+def candidates(watch: ScatterWindows) -> Iterator[Array]:
     """Spans (P, 2) of the still poses for every rung of the ladder, the same ones not twice."""
     seen = set()
     for gyro_factor in GYRO_LADDER:
@@ -80,7 +80,7 @@ def candidates(watch: Watch) -> Iterator[Array]:
             yield _spans(watch, still)
 
 
-def _spans(watch: Watch, still: NDArray[np.bool_]) -> Array:
+def _spans(watch: ScatterWindows, still: NDArray[np.bool_]) -> Array:
     """Consecutive still windows, half a window shorter at both ends where motion borders."""
     apart = np.diff(watch.starts) > 0.3 * watch.length  # a hole in the recording
     first = np.flatnonzero(still & np.concatenate([[True], ~still[:-1] | apart]))

@@ -30,7 +30,7 @@ def cross(v: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Prior:
+class ImuPrior:
     """What is known of the unknowns beforehand: `centre` (21,) and `information` (21,), independent of each other."""
 
     centre: Array
@@ -62,5 +62,5 @@ class Coordinates:
         return np.asarray(new, dtype=np.float64)
 
 
-NO_PRIOR = Prior(np.zeros(UNKNOWNS), np.zeros(UNKNOWNS))
+NO_PRIOR = ImuPrior(np.zeros(UNKNOWNS), np.zeros(UNKNOWNS))
 FREE = Coordinates(np.zeros(0, dtype=np.intp))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from mavcal.calib.imu.problem import ImuProblem, ImuSolution, linearise, log_determinant, solve
-from mavcal.calib.imu.unknowns import Coordinates, Prior
+from mavcal.calib.imu.unknowns import Coordinates, ImuPrior
 from mavcal.calib.stats.residuals import student_variance
 
 Array = NDArray[np.float64]
@@ -65,7 +65,7 @@ class Weighed:
         return student_variance(max(self.problem.freedom, 1)) if any(self.problem.extra) else 1.0
 
 
-def weigh(problem: ImuProblem, solution: ImuSolution, prior: Prior, coordinates: Coordinates) -> Weighed:
+def weigh(problem: ImuProblem, solution: ImuSolution, prior: ImuPrior, coordinates: Coordinates) -> Weighed:
     """Leave out what alone spoils the fit, at most a tenth of the poses; then add variances until the rest fits.
 
     A pose or a movement spoils the fit if without it the reduced chi-square is less than half of what it was: one that
@@ -87,7 +87,7 @@ def weigh(problem: ImuProblem, solution: ImuSolution, prior: Prior, coordinates:
 
 
 def _without_worst(
-    problem: ImuProblem, solution: ImuSolution, prior: Prior, coordinates: Coordinates
+    problem: ImuProblem, solution: ImuSolution, prior: ImuPrior, coordinates: Coordinates
 ) -> tuple[ImuProblem, ImuSolution, int | None] | None:
     """Without the pose or the movement that spoils the fit, and which pose it was; None if none alone does."""
     if problem.freedom < _LEAST_FREEDOM:
@@ -135,7 +135,12 @@ def _used(problem: ImuProblem, solution: ImuSolution, group: int) -> float:
 
 
 def _expanded(
-    problem: ImuProblem, solution: ImuSolution, poses: GroupFit, moves: GroupFit, prior: Prior, coordinates: Coordinates
+    problem: ImuProblem,
+    solution: ImuSolution,
+    poses: GroupFit,
+    moves: GroupFit,
+    prior: ImuPrior,
+    coordinates: Coordinates,
 ) -> tuple[ImuProblem, ImuSolution]:
     """The problem with the variances that make the groups fit, and its solution.
 
@@ -151,7 +156,7 @@ def _expanded(
 
 
 def _fitted(
-    problem: ImuProblem, solution: ImuSolution, group: int, prior: Prior, coordinates: Coordinates
+    problem: ImuProblem, solution: ImuSolution, group: int, prior: ImuPrior, coordinates: Coordinates
 ) -> tuple[ImuProblem, ImuSolution]:
     """The problem with the variance that makes one group's residuals as large as expected."""
     size = _typical_variances(problem)[group]

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import UnreadableError
-from mavcal.calib.logs.columns import Array, Columns
+from mavcal.calib.logs.columns import Array, TableColumns
 from mavcal.calib.logs.matlab import matlab_arrays
 
 MOST_UNFOLDED: Final = 1 << 26, 50
@@ -46,7 +46,7 @@ class _Stored:
         return self.size * (self.dtype.itemsize + TEXT_BYTES if self.dtype.kind in "US" else 8)
 
 
-def npz_columns(path: Path) -> Columns:
+def npz_columns(path: Path) -> TableColumns:
     """The arrays of an .npz; one of shape (N, k) called a becomes a_0, a_1 ... (accel, gyro, mag: a_x, a_y, a_z).
 
     Raises
@@ -70,7 +70,7 @@ def npz_columns(path: Path) -> Columns:
         ) from error
 
 
-def mat_columns(path: Path) -> Columns:
+def mat_columns(path: Path) -> TableColumns:
     """The arrays of a MATLAB file, in the same manner as :func:`npz_columns`.
 
     Raises
@@ -117,7 +117,7 @@ def _check_unfolded(total: int, size: int) -> None:
         raise UnreadableError(f"the file of {size} bytes unfolds to {total >> 20} MB or more: that is no recording")
 
 
-def _from_arrays(arrays: Mapping[str, _Stored]) -> Columns:
+def _from_arrays(arrays: Mapping[str, _Stored]) -> TableColumns:
     flat = {name: a for name, a in arrays.items() if len(a.shape) in (1, 2) and a.size > 1}
     if not flat:
         raise UnreadableError("the file holds no arrays")
@@ -145,7 +145,7 @@ def _from_arrays(arrays: Mapping[str, _Stored]) -> Columns:
             names.append(_array_name(name, k, array.shape[1]))
     if not values:
         raise UnreadableError("the file holds no arrays of numbers")
-    return Columns(tuple(names), tuple(values), texts)
+    return TableColumns(tuple(names), tuple(values), texts)
 
 
 def _array_name(name: str, column: int, width: int) -> str:

@@ -21,7 +21,7 @@ _MOST_BAD = 0.1  # share of damaged rows beyond which a file is not a table
 
 
 @dataclass(frozen=True, eq=False)
-class Columns:
+class TableColumns:
     """Equally long columns with their names; texts of the cells are kept where they are not numbers.
 
     `names` are those of the header, or "" for columns without one; a column is found by its name or 0-based number.
@@ -61,7 +61,7 @@ class Columns:
         return ", ".join(named[:40])
 
 
-def text_columns(data: bytes) -> Columns:
+def text_columns(data: bytes) -> TableColumns:
     """The table in a text: comma, semicolon, tab or blanks between cells; comments and a preamble may precede it.
 
     Raises
@@ -162,7 +162,7 @@ def _header(lines: list[str], separator: str | None, width: int) -> tuple[tuple[
     return ("",) * width, len(lines) - 1
 
 
-def _columns(names: tuple[str, ...], rows: list[list[str]], damage: str) -> Columns:
+def _columns(names: tuple[str, ...], rows: list[list[str]], damage: str) -> TableColumns:
     values, texts = [], {}
     for k in range(len(names)):
         cells = [row[k] for row in rows]
@@ -175,4 +175,4 @@ def _columns(names: tuple[str, ...], rows: list[list[str]], damage: str) -> Colu
         values.append(np.array([np.nan if number is None else number for number in numbers]))
         if any(number is None and cell for number, cell in zip(numbers, cells, strict=True)):
             texts[k] = tuple("" if cell.lower() in _MISSING else cell for cell in cells)
-    return Columns(names, tuple(values), texts, damage)
+    return TableColumns(names, tuple(values), texts, damage)

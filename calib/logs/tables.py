@@ -35,7 +35,7 @@ from mavcal.calib.logs.canonical import (
     reference_names,
     reference_sensor,
 )
-from mavcal.calib.logs.columns import Columns, text_columns
+from mavcal.calib.logs.columns import TableColumns, text_columns
 from mavcal.calib.recording import Channel, Event, Recording, Rounding, Segment, Sensor, Stage
 
 Array = NDArray[np.float64]
@@ -93,7 +93,7 @@ def read_table(
     channels = [
         channel
         for sensor, instance in _present(order)
-        if (channel := _channel(table, sensor, instance, t, units, body, world)) is not None
+        if (channel := _channel(table, sensor, instance, t, units=units, body=body, world=world)) is not None
     ]
     reference = tuple(
         channel for sensor in REFERENCE_SI if (channel := _reference(table, sensor, t, body, world)) is not None
@@ -113,7 +113,7 @@ def read_table(
     )
 
 
-def read_columns(path: Path) -> Columns:
+def read_columns(path: Path) -> TableColumns:
     """The columns of the file, whatever kind of table it is.
 
     Raises
@@ -191,7 +191,7 @@ class _Table:
     damage: tuple[str, ...]
 
     @classmethod
-    def of(cls, columns: Columns, mapping: Mapping[str, str]) -> _Table:
+    def of(cls, columns: TableColumns, mapping: Mapping[str, str]) -> _Table:
         chosen: dict[str, tuple[int, float]] = {}
         for index, name in enumerate(columns.names):
             if CANONICAL.fullmatch(name.lower()):
@@ -216,7 +216,7 @@ class _Table:
         return cls(cells, labels, tuple(text for text in damage if text))
 
 
-def _ungrouped(columns: Columns, mapping: Mapping[str, str]) -> dict[str, str]:
+def _ungrouped(columns: TableColumns, mapping: Mapping[str, str]) -> dict[str, str]:
     """The mapping with every group name replaced by its columns.
 
     Raises
@@ -253,7 +253,7 @@ def _factor(name: str, column: str) -> tuple[str, float]:
     return wanted.strip(), factor
 
 
-def _damage(name: str, columns: Columns, index: int) -> str:
+def _damage(name: str, columns: TableColumns, index: int) -> str:
     """What is said of texts among the numbers of a column; empty if there are none.
 
     Raises
@@ -275,7 +275,7 @@ def _label(value: float) -> str:
     return str(int(value)) if value == int(value) else str(value)
 
 
-def _time(table: _Table, columns: Columns, rate: float | None) -> tuple[Array, tuple[Event, ...]]:
+def _time(table: _Table, columns: TableColumns, rate: float | None) -> tuple[Array, tuple[Event, ...]]:
     if "t" not in table.cells:
         t = np.arange(columns.rows) / (rate or 1.0)
         text = "the table has no time column: rows are counted, one a second; give --rate"
@@ -314,7 +314,7 @@ def _present(names: list[str]) -> list[tuple[Sensor, int]]:
 
 
 def _channel(
-    table: _Table, sensor: Sensor, instance: int, t: Array, units: Mapping[Sensor, str], body: str, world: str
+    table: _Table, sensor: Sensor, instance: int, t: Array, *, units: Mapping[Sensor, str], body: str, world: str
 ) -> Channel | None:
     """The rows of that sensor that have a sample; None if none has."""
     names = _names_of(table, sensor, instance)

@@ -39,7 +39,7 @@ from mavcal.calib.mag.ellipsoid_axis import fit_ellipsoid_axis
 from mavcal.calib.mag.heading import heading_sd_deg
 from mavcal.calib.mag.minmax import fit_minmax
 from mavcal.calib.mag.moments import adjusted_least_squares
-from mavcal.calib.mag.orientation import OrientationResult, Verdict, find_orientation
+from mavcal.calib.mag.orientation import MountingVerdict, OrientationResult, find_orientation
 from mavcal.calib.mag.result import MagContext
 from mavcal.calib.mag.running import RunningEllipsoid
 from mavcal.calib.mag.shape import MagModel
@@ -51,9 +51,9 @@ __all__ = [
     "EllipsoidAccumulator",
     "MagContext",
     "MagModel",
+    "MountingVerdict",
     "OrientationResult",
     "RunningEllipsoid",
-    "Verdict",
     "adjusted_least_squares",
     "deblurred",
     "find_orientation",

@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
 from mavcal.calib.fit import FitResult
-from mavcal.calib.mag.align_lag import Lag, lag_of, turning_of
+from mavcal.calib.mag.align_lag import FieldLag, lag_of, turning_of
 from mavcal.calib.mag.align_result import AlignFit, aligned_result
-from mavcal.calib.mag.align_solve import Alignment, Noise, align, misclosures
+from mavcal.calib.mag.align_solve import AlignmentNoise, AlignmentSolution, align, misclosures
 from mavcal.calib.mag.align_start import linear_start, two_stage_start
 from mavcal.calib.mag.orientation import QUIET, interpolated
 from mavcal.calib.mag.result import MagContext, MagFacts, refusal
@@ -165,7 +165,7 @@ def _at_lag(
         raise UndeterminedError("the field never changes", remedy=ALL_SIDES)
     scaled = (field - centre) / scale
     check_not_flat(scaled.T @ scaled / len(scaled))
-    least = Noise(context.quantum / math.sqrt(12.0) / scale, 0.0)
+    least = AlignmentNoise(context.quantum / math.sqrt(12.0) / scale, 0.0)
     alignment, kept = _without_outliers(scaled, down, scale, least)
     lag = None if turning is None else lag_of(alignment, turning[used][kept])
     information, inflation = _information(alignment, lag)
@@ -183,7 +183,9 @@ def _at_lag(
     )
 
 
-def _without_outliers(field: Array, down: Array, scale: float, least: Noise) -> tuple[Alignment, NDArray[np.bool_]]:
+def _without_outliers(
+    field: Array, down: Array, scale: float, least: AlignmentNoise
+) -> tuple[AlignmentSolution, NDArray[np.bool_]]:
     """The alignment without samples beyond six standard deviations of the others, and which ones it is of.
 
     Raises
@@ -197,7 +199,9 @@ def _without_outliers(field: Array, down: Array, scale: float, least: Noise) -> 
         return _trimmed(field, down, two_stage_start(field, down, scale), least)
 
 
-def _trimmed(field: Array, down: Array, start: Array, least: Noise) -> tuple[Alignment, NDArray[np.bool_]]:
+def _trimmed(
+    field: Array, down: Array, start: Array, least: AlignmentNoise
+) -> tuple[AlignmentSolution, NDArray[np.bool_]]:
     kept = _near(misclosures(start, field, down))
     for trims_left in range(_TRIMS, -1, -1):
         if np.count_nonzero(kept) < max(FEWEST, (1.0 - MOST_OUTLIERS) * len(field)):
@@ -220,7 +224,7 @@ def _near(residuals: Array) -> NDArray[np.bool_]:
     return np.asarray((size <= OUTLIER * MAD_TO_SD * np.median(size, axis=0) + 1e-9).all(axis=1))
 
 
-def _information(alignment: Alignment, lag: Lag | None) -> tuple[Array, float]:
+def _information(alignment: AlignmentSolution, lag: FieldLag | None) -> tuple[Array, float]:
     """Information (13, 13) on the unknowns, less what is correlated in time and what an unknown lag takes."""
     rows = alignment.rows if lag is None else np.concatenate([alignment.rows, lag.column[:, :, None]], axis=2)
     flat = rows.reshape(-1, rows.shape[2])

@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.mag.align_solve import Alignment
+from mavcal.calib.mag.align_solve import AlignmentSolution
 from mavcal.calib.mag.orientation import interpolated
 
 Array = NDArray[np.float64]
@@ -22,7 +22,7 @@ _WIDEST = 16  # samples to either side that a turn is taken over
 _LONGEST_LAG = 1.0  # s: a lag that is open by more is no lag
 
 
-class Stream(Protocol):
+class TurningVertical(Protocol):
     """What :class:`calib.mag.align.Vertical` holds."""
 
     @property
@@ -35,7 +35,7 @@ class Stream(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Lag:
+class FieldLag:
     """By how much the field is later than the vertical, s, and what every sample says of it."""
 
     value: float
@@ -44,7 +44,7 @@ class Lag:
     """(N, 2): derivatives of the whitened residuals."""
 
 
-def turning_of(at: Array, stream: Stream, force: Array) -> Array | None:
+def turning_of(at: Array, stream: TurningVertical, force: Array) -> Array | None:
     """Rate of change (N, 3) of the unit vector down at the times `at`, 1/s; None: it hardly turns, or cannot be told.
 
     With a gyroscope ``dg/dt = g x w``; without, the difference of its neighbours, as near as noise allows.
@@ -79,7 +79,7 @@ def _difference(at: Array, down: Array, reach: int) -> tuple[Array, float]:
     return rate, 2.0 * variance / typical**2 if typical > 0.0 else np.inf
 
 
-def lag_of(alignment: Alignment, turning: Array) -> Lag | None:
+def lag_of(alignment: AlignmentSolution, turning: Array) -> FieldLag | None:
     """The lag that one more Gauss-Newton step gives to `alignment`, whose vertical turns by `turning` (N, 3).
 
     The field of ``t`` belongs to the vertical of ``t - lag``, so the second condition changes by ``-dg/dt . B (y - b)``
@@ -97,4 +97,4 @@ def lag_of(alignment: Alignment, turning: Array) -> Lag | None:
     inverse = np.linalg.inv(normal)
     step = -(inverse @ (rows.T @ alignment.residuals.ravel() / size)) / size
     sd = float(np.sqrt(inverse[-1, -1]) / size[-1])
-    return Lag(float(step[-1]), sd, column) if sd < _LONGEST_LAG else None
+    return FieldLag(float(step[-1]), sd, column) if sd < _LONGEST_LAG else None

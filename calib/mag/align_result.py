@@ -12,16 +12,15 @@ from numpy.typing import NDArray
 
 from mavcal.calib.c_array import c_array, homogeneous
 from mavcal.calib.errors import UndeterminedError
-from mavcal.calib.fit import FitResult, FitStatus, parameter_names
-from mavcal.calib.mag.align_lag import Lag
-from mavcal.calib.mag.align_solve import Alignment
+from mavcal.calib.fit import FitResult, parameter_names
+from mavcal.calib.mag.align_lag import FieldLag
+from mavcal.calib.mag.align_solve import AlignmentSolution
 from mavcal.calib.mag.align_start import check_dip
 from mavcal.calib.mag.heading import heading_sd_deg
 from mavcal.calib.mag.mounting import mounting_of, rotation_covariance
 from mavcal.calib.mag.result import FIELD_TOLERANCE, UNDETERMINED_SD, MagContext
 from mavcal.calib.mag.samples import axis_word
 from mavcal.calib.mag.sections import mask_bytes, visited
-from mavcal.calib.recording import Sensor
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
 
@@ -34,14 +33,14 @@ _ROUGHEST = 0.15  # of the field, residuals from which on nothing is explained
 class AlignFit:
     """What was found in scaled samples ``(y - centre) / scale``, and everything that tells how far to trust it."""
 
-    alignment: Alignment
+    alignment: AlignmentSolution
     centre: Array
     scale: float
     information: Array
     """(13, 13), weakened by what is correlated in time and by an unknown lag."""
     variance_inflation: float
     down: Array
-    lag: Lag | None
+    lag: FieldLag | None
     """What is left of the lag after `shift`, and its uncertainty; None: the movement does not show it, or stated."""
     shift: float
     n_gated: int
@@ -99,25 +98,17 @@ def aligned_result(method: str, fit: AlignFit, context: MagContext, n_samples: i
     _check_determined(model, covariance, fit.radius)
     quality = _quality(fit, context, model, covariance, cosine)
     left = fit.alignment.residuals
-    return FitResult(
-        method=method,
-        sensor=Sensor.MAG,
-        instance=context.instance,
-        status=FitStatus.OK,
+    return context.made(method, n_samples).fitted(
+        model,
+        covariance,
         message=(
             f"mounting {quality['mounting_deg']:.2f} deg known to {quality['mounting_sd_deg']:.2g} deg, heading good "
             f"to {quality['heading_sd_deg']:.2g} deg at a dip of {quality['dip_deg']:.1f} deg"
         ),
-        model=model,
-        covariance=covariance,
-        unit=context.unit,
-        n_samples=n_samples,
         n_used=len(left),
         residual_rms=quality["residual_rms"],
         condition_number=_condition(fit.information),
-        relative=context.relative,
         warnings=_warnings(fit, context, quality),
-        temperature=context.temperature,
         quality=MappingProxyType(quality),
         native=MappingProxyType(_native(fit, context, model)),
     )

@@ -28,7 +28,7 @@ _BOUND = 1e3  # of the unknowns, whose order is 1: beyond it the iteration runs 
 
 
 @dataclass(frozen=True, eq=False)
-class Noise:
+class AlignmentNoise:
     """Standard deviations: of one axis of the field over its strength, and of the vertical, rad."""
 
     field: float
@@ -36,7 +36,7 @@ class Noise:
 
 
 @dataclass(frozen=True, eq=False)
-class Alignment:
+class AlignmentSolution:
     """Where the iteration ended, in units of the scaled samples."""
 
     unknowns: Array
@@ -47,7 +47,7 @@ class Alignment:
     """(N, 2, 13): derivatives of the whitened residuals."""
     residuals: Array
     """(N, 2): what the conditions leave, in standard deviations and uncorrelated."""
-    noise: Noise
+    noise: AlignmentNoise
     corrected: Array
     """(N, 3): ``B (y - b)`` of the projected observations."""
     sine_weight: Array
@@ -59,7 +59,9 @@ class Alignment:
         return self.unknowns[:9].reshape(3, 3)
 
 
-def align(field: Array, down: Array, start: Array, noise: Noise | None, least: Noise) -> Alignment:
+def align(
+    field: Array, down: Array, start: Array, noise: AlignmentNoise | None, least: AlignmentNoise
+) -> AlignmentSolution:
     """The maximum of the likelihood of `field` (N, 3), of the order of 1, and unit vectors `down` (N, 3).
 
     Parameters
@@ -79,7 +81,7 @@ def align(field: Array, down: Array, start: Array, noise: Noise | None, least: N
         If the iteration does not come to an end.
     """
     state = _State(start, field, down)
-    now = noise or Noise(_FIRST_NOISE, _FIRST_NOISE)
+    now = noise or AlignmentNoise(_FIRST_NOISE, _FIRST_NOISE)
     for _ in range(_ROUNDS):
         linear = _linearised(state, field, down, now)
         if noise is None:
@@ -102,7 +104,7 @@ def align(field: Array, down: Array, start: Array, noise: Noise | None, least: N
             left = residuals + rows @ step
             weight = 1.0 / np.sqrt(linear.conditional)
             unknowns = linear.state.unknowns + step
-            return Alignment(unknowns, information, rows, left, now, linear.corrected, weight)
+            return AlignmentSolution(unknowns, information, rows, left, now, linear.corrected, weight)
     raise UndeterminedError("the field and the vertical do not fit each other: the iteration came to no end")
 
 
@@ -134,9 +136,9 @@ class _Linear:
     across: Array  # (N, 3): derivative of the second condition by the vertical
     corrected: Array  # (N, 3)
     products: Array  # (N, 3): by_field times itself: 11, 12, 22
-    noise: Noise
+    noise: AlignmentNoise
 
-    def reweighted(self, noise: Noise) -> _Linear:
+    def reweighted(self, noise: AlignmentNoise) -> _Linear:
         return replace(self, noise=noise)
 
     @cached_property
@@ -211,7 +213,7 @@ class _Linear:
         of_sine = crossed - 0.5 * _dot(down, self.corrected) * sphere
         return np.stack([of_length, of_sine], axis=1)
 
-    def projected(self, step: Array, noise: Noise) -> _State:
+    def projected(self, step: Array, noise: AlignmentNoise) -> _State:
         """The next state: unknowns moved by `step`, observations moved onto the conditions with the least effort."""
         left = self.moved(step)
         first, both, second = self.variance
@@ -230,7 +232,7 @@ def _dot(a: Array, b: Array) -> Array:
     return np.asarray(np.einsum("ij,ij->i", a, b))
 
 
-def _linearised(state: _State, field: Array, down: Array, noise: Noise) -> _Linear:
+def _linearised(state: _State, field: Array, down: Array, noise: AlignmentNoise) -> _Linear:
     B, b, sine = state.unknowns[:9].reshape(3, 3), state.unknowns[9:12], state.unknowns[12]
     d = state.field - b
     w = d @ B.T
@@ -249,7 +251,7 @@ def _linearised(state: _State, field: Array, down: Array, noise: Noise) -> _Line
     return _Linear(state, observed, misclosure, d, (u, g), by_field, across, w, products, noise)
 
 
-def _estimated(linear: _Linear, least: Noise) -> Noise:
+def _estimated(linear: _Linear, least: AlignmentNoise) -> AlignmentNoise:
     """Noise of the field from the first condition, which the vertical has no part in; the rest of the second is its.
 
     Nine of the unknowns are seen by the first condition, four by the second alone.
@@ -262,4 +264,4 @@ def _estimated(linear: _Linear, least: Noise) -> Noise:
     explained = of_field * (second - share * both)
     gain = _dot(linear.across, linear.across)
     squares = float((rest * len(rest) / max(len(rest) - 4, 1) - explained).sum()) / max(float(gain.sum()), 1e-12)
-    return Noise(float(np.sqrt(of_field)), float(np.sqrt(max(squares, least.vertical**2, _LEAST_NOISE**2))))
+    return AlignmentNoise(float(np.sqrt(of_field)), float(np.sqrt(max(squares, least.vertical**2, _LEAST_NOISE**2))))

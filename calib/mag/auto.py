@@ -24,7 +24,7 @@ from mavcal.calib.mag.distance import Distances, gauss_newton, shape_prior
 from mavcal.calib.mag.result import ShapeFit
 from mavcal.calib.mag.samples import NEARLY_PLANAR, Cloud, check_not_flat
 from mavcal.calib.mag.shape import Ellipsoid, MagModel, six_numbers, symmetric
-from mavcal.calib.mag.shape_fit import Asked, Found, cloud_of, minimum, with_uncertainty
+from mavcal.calib.mag.shape_fit import Asked, ShapeSolution, cloud_of, minimum, with_uncertainty
 
 Array = NDArray[np.float64]
 
@@ -102,7 +102,7 @@ def _with_scales(asked: Asked, pair: tuple[float, float]) -> Asked:
     return dataclasses.replace(asked, prior_sd=pair[0], cross_sd=pair[1])
 
 
-def _settled(found: Found, cloud: Cloud, asked: Asked) -> Found:
+def _settled(found: ShapeSolution, cloud: Cloud, asked: Asked) -> ShapeSolution:
     """The minimum with the prior of `asked`, from that of another, with the same weights of the samples."""
     solution = gauss_newton(
         Distances(cloud),
@@ -112,11 +112,11 @@ def _settled(found: Found, cloud: Cloud, asked: Asked) -> Found:
         prior_sd=asked.prior_sd,
         cross_sd=asked.cross_sd,
     )
-    return Found(solution, found.tukey_scale)
+    return ShapeSolution(solution, found.tukey_scale)
 
 
 def _average(
-    likelihood: _Likelihood, scales: list[tuple[float, float]], found: Found, fit: ShapeFit, cloud: Cloud
+    likelihood: _Likelihood, scales: list[tuple[float, float]], found: ShapeSolution, fit: ShapeFit, cloud: Cloud
 ) -> ShapeFit:
     answers = [likelihood.with_prior(*pair) for pair in scales]
     evidence = np.array([e for _, _, e in answers])

@@ -143,7 +143,7 @@ def fit_ellipsoid_deblurred(
         for _ in range(_ROUNDS):
             sharp = deblurred(kept, _adjusted(slow, timing.state), correction(shape.ellipsoid, None))
             shape = on_the_way()
-            timing = _timing(kept, slow, shape, timing, free, believed, worth)
+            timing = _timing(kept, slow, shape, timing, free=free, prior_sd=believed, worth=worth)
         sharp = deblurred(kept, _adjusted(slow, timing.state), correction(shape.ellipsoid, None))
         shape = fitted(robust=robust)
     except UndeterminedError as error:
@@ -172,6 +172,7 @@ def _timing(
     slow: Rates,
     shape: ShapeFit,
     before: _Timing,
+    *,
     free: Array,
     prior_sd: float | None,
     worth: Array | None,

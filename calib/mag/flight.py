@@ -14,15 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import UndeterminedError
-from mavcal.calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
-from mavcal.calib.mag.flight_fit import SOFT_IRON_SD, Estimate, Knowledge, believed_soft_iron, estimate
-from mavcal.calib.mag.flight_input import MOVEMENT, Given, given, unusable
+from mavcal.calib.fit import AXES, OFFSETS, FitBuilder, FitResult, parameter_names
+from mavcal.calib.mag.flight_fit import SOFT_IRON_SD, FlightEstimate, Knowledge, believed_soft_iron, estimate
+from mavcal.calib.mag.flight_input import MOVEMENT, FlightInput, given, unusable
 from mavcal.calib.mag.flight_path import Turning
 from mavcal.calib.mag.flight_problem import OFFSET, SHAPE, SHAPES
 from mavcal.calib.mag.heading import heading_sd_deg
 from mavcal.calib.mag.motor_drives import Drive
 from mavcal.calib.mag.result import FIELD_TOLERANCE, UNDETERMINED_SD, MagContext, MagFacts
-from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.recording import Channel
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
 
@@ -86,40 +86,25 @@ def fit_flight(
         If the clocks go back, or units or shapes do not fit.
     """
     context = MagContext(**facts)
+    made = context.made(METHOD, len(mag), MOVEMENT)
     data = given(mag, turning, in_force, drive, window, context)
     reason = unusable(data)
     if reason:
-        return _refusal(context, len(mag), reason)
+        return made.refused(reason)
     try:
         found = _fitted(data, context, soft_iron)
     except UndeterminedError as error:
-        return _refusal(context, len(mag), str(error))
-    return _verdict(found, data, context, len(mag))
+        return made.refused(str(error))
+    return _verdict(made, found, data, context)
 
 
-def _fitted(data: Given, context: MagContext, soft_iron: SoftIron) -> Estimate:
+def _fitted(data: FlightInput, context: MagContext, soft_iron: SoftIron) -> FlightEstimate:
     if soft_iron == "held":
         return estimate(data.samples, data.turning, Knowledge(context.field, 0.0))
     found = estimate(data.samples, data.turning, Knowledge(context.field, SOFT_IRON_SD))
     if soft_iron == "free":
         return found
     return estimate(data.samples, data.turning, Knowledge(context.field, believed_soft_iron(found)))
-
-
-def _refusal(
-    context: MagContext, count: int, message: str, names: tuple[str, ...] = parameter_names(), **quality: Any
-) -> FitResult:
-    return refused(
-        METHOD,
-        Sensor.MAG,
-        context.instance,
-        message,
-        unit=context.unit,
-        n_samples=count,
-        undetermined=names,
-        movement=MOVEMENT,
-        quality=quality,
-    )
 
 
 def _model(x: Array, sensor_from_body: Array) -> TriadModel:
@@ -141,7 +126,7 @@ def _spread(x: Array, covariance: Array, sensor_from_body: Array) -> Array:
     return np.asarray(J @ covariance[:9, :9] @ J.T)
 
 
-def _verdict(found: Estimate, data: Given, context: MagContext, count: int) -> FitResult:
+def _verdict(made: FitBuilder, found: FlightEstimate, data: FlightInput, context: MagContext) -> FitResult:
     x, layout = found.x, found.layout
     strength = float(np.linalg.norm(x[layout.field]))
     model = _model(x, data.sensor_from_body)
@@ -150,48 +135,34 @@ def _verdict(found: Estimate, data: Given, context: MagContext, count: int) -> F
     outliers = 1.0 - found.used / len(data.samples.t)
     rough = quality["residual_rms"] / strength
     if rough > _ROUGHEST or outliers > _MOST_OUTLIERS:
-        return _refusal(
-            context,
-            count,
+        return made.refused(
             f"the compass departs from the Earth's field by {rough:.0%} of it, and {outliers:.0%} of its samples by "
             "more than their noise: another cause than iron on board is at work (corrupt parameters, currents, steel "
             "on the ground, wrong mounting)",
-            **quality,
+            quality=quality,
         )
     offsets, entries = _open(found, strength)
     if len(offsets) == 3:
-        names = tuple(f"offset_{a}" for a in AXES)
         worst = math.sqrt(float(np.diag(full)[:3].max()))
-        return _refusal(
-            context,
-            count,
+        return made.refused(
             f"the flight does not determine the offset (known to {worst:.2g} {context.unit} at a field of "
             f"{strength:.3g}): {MOVEMENT}",
-            names,
-            **quality,
+            OFFSETS,
+            quality=quality,
         )
     names = tuple(f"offset_{a}" for a in offsets) + tuple(n for entry in entries for n in _both(entry))
     blind = [parameter_names().index(n) for n in names]
     told = full.copy()
     told[blind, :] = told[:, blind] = 0.0
-    return FitResult(
-        method=METHOD,
-        sensor=Sensor.MAG,
-        instance=context.instance,
-        status=FitStatus.PARTIAL if names else FitStatus.OK,
+    return made.fitted(
+        model,
+        told,
         message=_message(quality, offsets, entries, strength),
-        model=model,
-        covariance=told,
-        unit=context.unit,
-        n_samples=count,
         n_used=found.used,
         residual_rms=quality["residual_rms"],
         condition_number=quality["condition_number"],
-        relative=context.relative,
-        undetermined=names,
-        movements={n: _movement(n) for n in names},
+        undetermined={n: _movement(n) for n in names},
         warnings=_warnings(found, context, quality, strength),
-        temperature=context.temperature,
         quality=quality,
         native=_native(found, data, context, strength),
     )
@@ -207,7 +178,7 @@ def _movement(name: str) -> str:
     return f"{MOVEMENT}; by hand in all directions for the whole matrix"
 
 
-def _open(found: Estimate, strength: float) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _open(found: FlightEstimate, strength: float) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Axes of the offset and entries of the matrix that the flight leaves open, in body axes."""
     sd = np.sqrt(np.diag(found.solved.covariance)[:9])
     prior = found.prior.sd[SHAPE]
@@ -221,7 +192,7 @@ def _open(found: Estimate, strength: float) -> tuple[tuple[str, ...], tuple[str,
 
 
 def _quality(
-    found: Estimate, data: Given, context: MagContext, model: TriadModel, full: Array, strength: float
+    found: FlightEstimate, data: FlightInput, context: MagContext, model: TriadModel, full: Array, strength: float
 ) -> dict[str, Any]:
     weights = found.flight.weights
     kept = weights > 0.0
@@ -267,7 +238,9 @@ def _message(quality: Mapping[str, Any], offsets: tuple[str, ...], entries: tupl
     return text
 
 
-def _warnings(found: Estimate, context: MagContext, quality: Mapping[str, Any], strength: float) -> tuple[str, ...]:
+def _warnings(
+    found: FlightEstimate, context: MagContext, quality: Mapping[str, Any], strength: float
+) -> tuple[str, ...]:
     warnings = []
     ratio = quality["field_ratio"]
     if context.strength is None:
@@ -291,7 +264,7 @@ def _warnings(found: Estimate, context: MagContext, quality: Mapping[str, Any], 
     return tuple(warnings)
 
 
-def _native(found: Estimate, data: Given, context: MagContext, strength: float) -> dict[str, Any]:
+def _native(found: FlightEstimate, data: FlightInput, context: MagContext, strength: float) -> dict[str, Any]:
     layout, path = found.layout, found.flight.path
     bias = path.bias + found.solved.knots[:, 3:]
     sources = [n for n, c in (("gyro", data.turning.gyro), ("attitude", data.turning.attitude)) if c is not None]
@@ -312,7 +285,7 @@ def _native(found: Estimate, data: Given, context: MagContext, strength: float) 
     }
 
 
-def directions(found: Estimate, strength: float) -> list[dict[str, Any]]:
+def directions(found: FlightEstimate, strength: float) -> list[dict[str, Any]]:
     """What the flight alone determines of offset and matrix, best first: combinations with their sd (field = 1)."""
     scale = np.concatenate([np.full(3, strength), np.ones(6)])
     free = found.prior.sd[:9] > 0.0

@@ -9,11 +9,22 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft
 from scipy.spatial.transform import Rotation
 
 from mavcal.calib.earth import EarthField
 from mavcal.calib.mag.flight_path import GyroModel, Turning, first_bias, make_path
-from mavcal.calib.mag.flight_problem import OFFSET, SHAPE, Flight, Layout, Prior, Solved, predicted, solve, without
+from mavcal.calib.mag.flight_problem import (
+    OFFSET,
+    SHAPE,
+    Flight,
+    FlightPrior,
+    FlightSolution,
+    Layout,
+    predicted,
+    solve,
+    without,
+)
 
 Array = NDArray[np.float64]
 
@@ -69,12 +80,12 @@ class Knowledge:
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
+class FlightEstimate:
     """A fit: unknowns, the flight with its weights, the noise of a sample and how correlated it is in time."""
 
-    solved: Solved
+    solved: FlightSolution
     flight: Flight
-    prior: Prior
+    prior: FlightPrior
     layout: Layout
     model: GyroModel
     noise: Array
@@ -101,7 +112,7 @@ class Estimate:
         return np.asarray((hidden.y - predicted(hidden, x, solved.knots))[rows])
 
 
-def estimate(samples: Samples, turning: Turning, known: Knowledge) -> Estimate:
+def estimate(samples: Samples, turning: Turning, known: Knowledge) -> FlightEstimate:
     """Fit `samples` of a vehicle that turned as `turning` says.
 
     Raises
@@ -116,7 +127,7 @@ def estimate(samples: Samples, turning: Turning, known: Knowledge) -> Estimate:
     x, size = _start(samples, flight, layout, known)
     flight = dataclasses.replace(flight, variance=np.full(len(samples.t), (_FIRST_NOISE * size) ** 2))
     for number in range(_PATHS):
-        prior = _prior(samples, turning, known, model, layout, x, size)
+        prior = _prior(samples, turning, known, model, layout, x=x, size=size)
         solved = solve(flight, prior, x)
         flight, noise, inflation = _weighed(flight, solved, samples, size)
         solved = solve(flight, prior, solved.x, solved.knots)
@@ -134,10 +145,10 @@ def estimate(samples: Samples, turning: Turning, known: Knowledge) -> Estimate:
             start = flight.path.knot_rotations[0]
         flight = dataclasses.replace(flight, path=make_path(turning, samples.t, model, start, samples.window))
     solved = solve(flight, prior, solved.x, solved.knots)
-    return Estimate(solved, flight, prior, layout, model, noise, inflation)
+    return FlightEstimate(solved, flight, prior, layout, model, noise, inflation)
 
 
-def believed_soft_iron(found: Estimate) -> float:
+def believed_soft_iron(found: FlightEstimate) -> float:
     """The sd of the matrix' entries that makes the data most likely: those entries that they determine say it.
 
     `found` was fitted with :data:`SOFT_IRON_SD`; what its likelihood alone says of the entries has the information
@@ -177,9 +188,10 @@ def _prior(
     known: Knowledge,
     model: GyroModel,
     layout: Layout,
+    *,
     x: Array,
     size: float,
-) -> Prior:
+) -> FlightPrior:
     mean, sd = np.zeros(layout.size), np.full(layout.size, np.inf)
     mean[SHAPE] = samples.matrix[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
     sd[SHAPE] = known.soft_iron_sd
@@ -202,10 +214,10 @@ def _prior(
         mean[layout.field], sd[layout.field] = x[layout.field], 2.0 * size
     else:
         mean[layout.field], sd[layout.field] = x[layout.field], 2.0 * size
-    return Prior(mean, sd, np.append(start, np.full(3, GYRO_BIAS_SD)))
+    return FlightPrior(mean, sd, np.append(start, np.full(3, GYRO_BIAS_SD)))
 
 
-def _weighed(flight: Flight, solved: Solved, samples: Samples, size: float) -> tuple[Flight, Array, float]:
+def _weighed(flight: Flight, solved: FlightSolution, samples: Samples, size: float) -> tuple[Flight, Array, float]:
     """The flight with the noise that its residuals show and without outliers; that noise (N,), and its correlation.
 
     The noise is that of the time about a sample: a vehicle at rest is quieter than one that flies.
@@ -246,9 +258,9 @@ def correlation_time(residuals: Array) -> float:
     if power <= 0.0 or len(residuals) < 8:
         return 1.0
     longest = max(int(_LONGEST_LAG * len(residuals)), 1)
-    width = 2 ** math.ceil(math.log2(len(residuals) + longest))
-    spectrum = np.abs(np.fft.rfft(centred, width, axis=0)) ** 2
-    correlations = np.fft.irfft(spectrum.sum(axis=1), width)[1 : longest + 1] / power
+    width = fft.next_fast_len(len(residuals) + longest, real=True)
+    spectrum = np.abs(fft.rfft(centred, width, axis=0)) ** 2
+    correlations = fft.irfft(spectrum.sum(axis=1), width)[1 : longest + 1] / power
     small = np.flatnonzero(correlations < 0.05)
     until = int(small[0]) if len(small) else len(correlations)
     return max(1.0 + 2.0 * float(correlations[:until].sum()), 1.0)

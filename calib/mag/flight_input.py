@@ -34,7 +34,7 @@ _BEFORE_SHOCK = 2.0  # s
 
 
 @dataclass(frozen=True, eq=False)
-class Given:
+class FlightInput:
     """Checked input: samples in body axes, motion, and what was in force."""
 
     samples: Samples
@@ -54,7 +54,7 @@ def given(
     drive: Drive | None,
     window: float,
     context: MagContext,
-) -> Given:
+) -> FlightInput:
     """The channels made ready: finite, in order, within the time of the motion; the compass in body axes.
 
     Raises
@@ -90,10 +90,10 @@ def given(
         window,
     )
     yaw, tilt = _ranges(turning)
-    return Given(samples, turning, body_from_sensor.T, body_from_sensor @ correction.offset, mag, yaw, tilt)
+    return FlightInput(samples, turning, body_from_sensor.T, body_from_sensor @ correction.offset, mag, yaw, tilt)
 
 
-def unusable(data: Given) -> str:
+def unusable(data: FlightInput) -> str:
     """Why nothing can be fitted; empty if something may."""
     mag, turning = data.mag, data.turning
     if turning.gyro is None and turning.attitude is None:

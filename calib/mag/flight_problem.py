@@ -98,7 +98,7 @@ class Layout:
 
 
 @dataclass(frozen=True, eq=False)
-class Prior:
+class FlightPrior:
     """What is known of the unknowns beforehand: `mean` and `sd` (G,); sd 0 holds it fixed, inf says nothing."""
 
     mean: Array
@@ -120,7 +120,7 @@ class Flight:
 
 
 @dataclass(frozen=True, eq=False)
-class Solved:
+class FlightSolution:
     """Unknowns `x` (G,) with their covariance (G, G), knots (J, 6), residuals (N, 3)."""
 
     x: Array
@@ -130,7 +130,7 @@ class Solved:
     cost: float
 
 
-def solve(flight: Flight, prior: Prior, start: Array, knots: Array | None = None) -> Solved:
+def solve(flight: Flight, prior: FlightPrior, start: Array, knots: Array | None = None) -> FlightSolution:
     """The most likely unknowns, by Gauss-Newton from `start` (G,).
 
     Raises
@@ -157,7 +157,7 @@ def solve(flight: Flight, prior: Prior, start: Array, knots: Array | None = None
         if done:
             break
     covariance = _normal(flight, prior, x, knots).covariance()
-    return Solved(x, covariance, knots, flight.y - predicted(flight, x, knots), cost)
+    return FlightSolution(x, covariance, knots, flight.y - predicted(flight, x, knots), cost)
 
 
 def predicted(flight: Flight, x: Array, knots: Array) -> Array:
@@ -216,7 +216,7 @@ def _inverse_square(sd: Array) -> Array:
     return np.where(np.isfinite(information), information, 0.0)
 
 
-def _cost(flight: Flight, prior: Prior, x: Array, knots: Array) -> float:
+def _cost(flight: Flight, prior: FlightPrior, x: Array, knots: Array) -> float:
     layout, path = Layout(flight.drives.shape[1]), flight.path
     r = flight.y - predicted(flight, x, knots)
     cost = float(((flight.weights / flight.variance)[:, None] * r**2).sum())
@@ -299,7 +299,7 @@ def _cross_matrices(v: Array) -> Array:
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
 
 
-def _normal(flight: Flight, prior: Prior, x: Array, knots: Array) -> _Normal:
+def _normal(flight: Flight, prior: FlightPrior, x: Array, knots: Array) -> _Normal:
     path, layout = flight.path, Layout(flight.drives.shape[1])
     by_delta, by_others, residuals = _derivatives(flight, x, knots)
     count, size = path.knots, layout.size

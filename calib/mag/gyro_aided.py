@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.fit import FitResult, FitStatus, parameter_names, refused
-from mavcal.calib.imu.unknowns import UNKNOWNS, Prior, symmetric
+from mavcal.calib.fit import FitBuilder, FitResult, parameter_names
+from mavcal.calib.imu.unknowns import UNKNOWNS, ImuPrior, symmetric
 from mavcal.calib.imu.weigh import groups
 from mavcal.calib.mag.blur import deblurred, rates_during
-from mavcal.calib.mag.gyro_chain import BENT, BIAS_SD, LONGEST_DELAY, Chain, Found, rotation_of, weak_prior
+from mavcal.calib.mag.gyro_chain import BENT, BIAS_SD, LONGEST_DELAY, Chain, ChainSolution, rotation_of, weak_prior
 from mavcal.calib.mag.heading import heading_sd_deg
 from mavcal.calib.mag.result import UNDETERMINED_SD, MagContext, MagFacts
-from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.recording import Channel
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.stats.windows import finite_rows, without_spikes
 from mavcal.calib.triad import TriadModel
@@ -71,26 +71,13 @@ def fit_gyro_aided(
     """
     context = MagContext(**facts)
     _check(mag, gyro, delay)
-    given = len(mag)
-
-    def refusal(message: str, undetermined: tuple[str, ...] = parameter_names()) -> FitResult:
-        return refused(
-            METHOD,
-            Sensor.MAG,
-            context.instance,
-            message,
-            unit=context.unit,
-            n_samples=given,
-            undetermined=undetermined,
-            movement=MOVEMENT,
-        )
-
+    made = context.made(METHOD, len(mag), MOVEMENT)
     mag, gyro = (channel.take(finite_rows(channel.values)) for channel in (mag, gyro))
     mag, gyro = (channel.take(without_spikes(channel.values)) for channel in (mag, gyro))
     gyro = gyro.take(np.diff(gyro.t, prepend=-np.inf) > 0.0)
     reason = _unusable(mag, gyro)
     if reason:
-        return refusal(reason)
+        return made.refused(reason)
     sharp = _sharp(mag, gyro, window)
     chain = Chain(mag.take(sharp), gyro, context)
     found = chain.solved(delay)
@@ -98,8 +85,8 @@ def fit_gyro_aided(
         chain = Chain(_deblurred(chain.mag, gyro, found, window), gyro, context)
         found = chain.refined(found, delay)
     if found is None:
-        return refusal(f"compass and gyroscope do not turn alike by any model: check units and axes; {MOVEMENT}")
-    return _verdict(chain, found, context, given) or refusal(*_open(found, context))
+        return made.refused(f"compass and gyroscope do not turn alike by any model: check units and axes; {MOVEMENT}")
+    return _verdict(made, chain, found, context) or made.refused(*_open(found, context))
 
 
 def _sharp(mag: Channel, gyro: Channel, window: float) -> NDArray[np.bool_]:
@@ -110,7 +97,7 @@ def _sharp(mag: Channel, gyro: Channel, window: float) -> NDArray[np.bool_]:
     return sharp if sharp.sum() >= _LEAST_SAMPLES else np.ones(len(mag), dtype=np.bool_)
 
 
-def _deblurred(mag: Channel, gyro: Channel, found: Found, window: float) -> Channel:
+def _deblurred(mag: Channel, gyro: Channel, found: ChainSolution, window: float) -> Channel:
     """The compass as it would read without averaging, by the model `found`."""
     rates = rates_during(mag.t, gyro.t, gyro.values - found.solution.x[18:21], window)
     model = _model(found.solution.x, found.radius, None)
@@ -136,13 +123,13 @@ def _spread(x: Array, covariance: Array, radius: float, strength: float | None) 
     return np.asarray(J @ covariance @ J.T, dtype=np.float64)
 
 
-def _relative_sd(found: Found, prior: Prior | None) -> Array:
+def _relative_sd(found: ChainSolution, prior: ImuPrior | None) -> Array:
     """Standard deviations (12,) of offset and matrix, relative to the field and to one."""
     x = found.solution.x
     return np.sqrt(np.diag(_spread(x, found.covariance(prior), 1.0, None)))
 
 
-def _open(found: Found, context: MagContext) -> tuple[str, tuple[str, ...]]:
+def _open(found: ChainSolution, context: MagContext) -> tuple[str, tuple[str, ...]]:
     """Why nothing of it may be used, and which parameters are open."""
     rough = float(np.sqrt((_residuals(found) ** 2).mean()))
     if rough > _ROUGHEST:
@@ -164,12 +151,12 @@ def _open(found: Found, context: MagContext) -> tuple[str, tuple[str, ...]]:
     )
 
 
-def _residuals(found: Found) -> Array:
+def _residuals(found: ChainSolution) -> Array:
     """What the compass misses (N, 3), relative to the field."""
     return found.solution.at.poses * math.sqrt(found.problem.covariances[0, 0, 0])
 
 
-def _verdict(chain: Chain, found: Found, context: MagContext, given: int) -> FitResult | None:
+def _verdict(made: FitBuilder, chain: Chain, found: ChainSolution, context: MagContext) -> FitResult | None:
     """The fit; None if nothing of it may be used."""
     if (_relative_sd(found, weak_prior(found.solution.x)) > UNDETERMINED_SD).any():
         return None
@@ -185,28 +172,20 @@ def _verdict(chain: Chain, found: Found, context: MagContext, given: int) -> Fit
     if context.field is not None:
         lengthening = np.concatenate([np.zeros(3), model.matrix.ravel()]) * context.field.norm_sd / context.field.norm
         full = full + np.outer(lengthening, lengthening)
-    return FitResult(
-        method=METHOD,
-        sensor=Sensor.MAG,
-        instance=context.instance,
-        status=FitStatus.OK,
+    return made.fitted(
+        model,
+        full,
         message=f"{len(chain.mag)} samples over {chain.mag.t[-1] - chain.mag.t[0]:.0f} s against the gyroscope",
-        model=model,
-        covariance=full,
-        unit=context.unit,
-        n_samples=given,
         n_used=len(chain.mag),
         residual_rms=float(np.sqrt((residuals**2).mean())) * found.radius,
         condition_number=_condition(found),
-        relative=context.relative,
         warnings=_warnings(found, context),
-        temperature=context.temperature,
         quality=_quality(found, context, model, full),
         native=_native(found, covariance),
     )
 
 
-def _quality(found: Found, context: MagContext, model: TriadModel, full: Array) -> dict[str, Any]:
+def _quality(found: ChainSolution, context: MagContext, model: TriadModel, full: Array) -> dict[str, Any]:
     samples, turns = groups(found.problem, found.solution)
     noise_known = context.noise_variance is not None
     mean_radius = found.radius * float(np.linalg.det(symmetric(found.solution.x[3:9]))) ** (-1.0 / 3.0)
@@ -224,7 +203,7 @@ def _quality(found: Found, context: MagContext, model: TriadModel, full: Array) 
     }
 
 
-def _native(found: Found, covariance: Array) -> dict[str, Any]:
+def _native(found: ChainSolution, covariance: Array) -> dict[str, Any]:
     """The rotation between the sensors, and what was learnt of the gyroscope and of the clocks."""
     x = found.solution.x
     G = x[9:18].reshape(3, 3)
@@ -241,7 +220,7 @@ def _native(found: Found, covariance: Array) -> dict[str, Any]:
     }
 
 
-def _rotation_sd_deg(found: Found, covariance: Array) -> float:
+def _rotation_sd_deg(found: ChainSolution, covariance: Array) -> float:
     """Standard deviation of the rotation about its worst axis, degrees."""
     G = found.solution.x[9:18].reshape(3, 3)
     # a turn by omega changes G by [omega]x G: omega = vee of the skew part of dG G^-1
@@ -255,14 +234,14 @@ def _rotation_sd_deg(found: Found, covariance: Array) -> float:
     return math.degrees(math.sqrt(max(float(np.linalg.eigvalsh(variance)[-1]), 0.0)))
 
 
-def _condition(found: Found) -> float:
+def _condition(found: ChainSolution) -> float:
     basis = found.coordinates.tangents(found.solution.x)
     reduced = basis.T @ found.solution.information @ basis
     scale = np.sqrt(np.diag(reduced))
     return float(np.sqrt(np.linalg.cond(reduced / np.outer(scale, scale))))
 
 
-def _warnings(found: Found, context: MagContext) -> tuple[str, ...]:
+def _warnings(found: ChainSolution, context: MagContext) -> tuple[str, ...]:
     warnings = []
     if context.strength is None:
         warnings.append("field strength unknown: the matrix keeps the mean radius, its common scale is not calibrated")

@@ -18,7 +18,7 @@ from mavcal.calib.geometry import sphere_of
 from mavcal.calib.imu.integrate import Moves
 from mavcal.calib.imu.problem import ImuProblem, ImuSolution, solve
 from mavcal.calib.imu.start import rough_gyro, with_turn_noise
-from mavcal.calib.imu.unknowns import Coordinates, Prior, symmetric
+from mavcal.calib.imu.unknowns import Coordinates, ImuPrior, symmetric
 from mavcal.calib.imu.weigh import groups
 from mavcal.calib.mag.result import MagContext
 from mavcal.calib.recording import Channel
@@ -41,7 +41,7 @@ _PER_BLOCK = 1.5  # samples of the compass in a block of the start
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class ChainSolution:
     """A solution with the problem that it solves, in fields of strength `radius`."""
 
     problem: ImuProblem
@@ -57,7 +57,7 @@ class Found:
         """Sum of squared residuals in standard deviations."""
         return self.solution.at.cost
 
-    def covariance(self, prior: Prior | None = None) -> Array:
+    def covariance(self, prior: ImuPrior | None = None) -> Array:
         """Covariance (21, 21) of the unknowns, wider where residuals are correlated in time."""
         basis = self.coordinates.tangents(self.solution.x)
         information = self.solution.information
@@ -90,11 +90,11 @@ class Chain:
         noise = np.diff(gyro.values, n=3, axis=0).var(axis=0) / 20.0  # third differences leave no motion
         self.density = (noise + gyro.quantum**2 / 12.0 + 1e-18) * step
 
-    def solved(self, delay: float | None) -> Found | None:
+    def solved(self, delay: float | None) -> ChainSolution | None:
         """The best solution: of two starts, of rigid and bent gyroscopes, and of all delays where none is given."""
         every = -(-len(self.mag) // _ENOUGH)
         few = Chain(self.mag.take(slice(None, None, every)), self.gyro, self.context)
-        found: Found | None = None
+        found: ChainSolution | None = None
         for x, radius in self._starts():
             begun = few._at(delay or 0.0, x, radius)
             if begun is not None and (found is None or begun.cost < found.cost):
@@ -106,12 +106,12 @@ class Chain:
         found = few._weighed(found)
         return self.refined(few._delayed(found, rounds=6) if delay is None else found, delay)
 
-    def refined(self, found: Found, delay: float | None) -> Found | None:
+    def refined(self, found: ChainSolution, delay: float | None) -> ChainSolution | None:
         """The solution of this chain from where that of another one, `found`, ended."""
         again = self._again(found, found.delay)
         return None if again is None else self._concluded(self._weighed(again), delay)
 
-    def _concluded(self, found: Found, delay: float | None) -> Found:
+    def _concluded(self, found: ChainSolution, delay: float | None) -> ChainSolution:
         if delay is None:
             found = self._weighed(self._delayed(found, rounds=2))
         bent = self._again(dataclasses.replace(found, coordinates=BENT), found.delay)
@@ -120,7 +120,7 @@ class Chain:
 
     def _at(
         self, delay: float, x: Array, radius: float, noise: float = _FIRST_NOISE, coordinates: Coordinates = RIGID
-    ) -> Found | None:
+    ) -> ChainSolution | None:
         t = self.mag.t - delay
         spans = np.column_stack([t[:-1], t[1:]])
         linked = (np.diff(t) < _GAP) & (np.diff(np.searchsorted(self.holes, t)) == 0)
@@ -144,13 +144,13 @@ class Chain:
         solution = solve(problem, x, u, prior=weak_prior(x), coordinates=coordinates)
         if solution is None:
             return None
-        return Found(problem, solution, coordinates, radius, noise, delay, 0.0)
+        return ChainSolution(problem, solution, coordinates, radius, noise, delay, 0.0)
 
-    def _again(self, found: Found, delay: float) -> Found | None:
+    def _again(self, found: ChainSolution, delay: float) -> ChainSolution | None:
         """The solution from where `found` ended, with another delay."""
         return self._at(delay, found.solution.x, found.radius, found.noise, found.coordinates)
 
-    def _weighed(self, found: Found) -> Found:
+    def _weighed(self, found: ChainSolution) -> ChainSolution:
         """With the compass' noise as its residuals show it, or as it is known."""
         known = self.context.noise_variance
         for _ in range(4):
@@ -171,7 +171,7 @@ class Chain:
             found = dataclasses.replace(found, problem=scaled, solution=solution, noise=noise)
         return found
 
-    def _delayed(self, found: Found, rounds: int) -> Found:
+    def _delayed(self, found: ChainSolution, rounds: int) -> ChainSolution:
         """The delay with the least cost, by parabolas through three of them, and its sd."""
         step, best = min(_DELAY_STEP, 3.0 * found.delay_sd or _DELAY_STEP), found
         for _ in range(rounds):
@@ -230,7 +230,7 @@ def rotation_of(matrix: Array) -> Array:
     return np.asarray(U @ Vt, dtype=np.float64)
 
 
-def weak_prior(x: Array) -> Prior:
+def weak_prior(x: Array) -> ImuPrior:
     """Offsets within a field, scales within half their size, axes within a radian of `x` (21,)."""
     sd = np.concatenate([np.ones(3), np.full(6, 0.5), np.full(9, 1.0), np.full(3, np.inf)])
-    return Prior(x, 1.0 / sd**2)
+    return ImuPrior(x, 1.0 / sd**2)

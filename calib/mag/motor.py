@@ -18,14 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import UndeterminedError
-from mavcal.calib.fit import FitResult, FitStatus, parameter_names, refused
-from mavcal.calib.mag.flight_fit import Estimate, Knowledge, estimate
-from mavcal.calib.mag.flight_input import Given, given, unusable
+from mavcal.calib.fit import FitResult, parameter_names
+from mavcal.calib.mag.flight_fit import FlightEstimate, Knowledge, estimate
+from mavcal.calib.mag.flight_input import FlightInput, given, unusable
 from mavcal.calib.mag.flight_path import Turning, attitudes
 from mavcal.calib.mag.flight_problem import OFFSET
 from mavcal.calib.mag.motor_drives import UNIT, Drive, DriveKind
 from mavcal.calib.mag.result import MagContext, MagFacts
-from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.recording import Channel
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
 
@@ -54,7 +54,7 @@ class Candidate:
     """One way of driving the term: the fit, and what it predicts of the hidden stretches."""
 
     drive: Drive | None
-    found: Estimate
+    found: FlightEstimate
     scores: Array
     """(B,), mean of the clipped squared lengths of the residuals in each hidden stretch."""
     hidden_rms: float
@@ -140,16 +140,7 @@ def fit_motor(
 
 
 def _refusal(context: MagContext, count: int, message: str, **quality: Any) -> FitResult:
-    return refused(
-        METHOD,
-        Sensor.MAG,
-        context.instance,
-        message,
-        unit=context.unit,
-        n_samples=count,
-        undetermined=(),
-        quality=quality,
-    )
+    return context.made(METHOD, count).refused(message, (), quality=quality)
 
 
 def _candidates(
@@ -177,7 +168,7 @@ def _candidates(
     return [_judged(drive, data, fit) for drive, data, fit in found]
 
 
-def _judged(drive: Drive | None, data: Given, fit: Estimate) -> Candidate:
+def _judged(drive: Drive | None, data: FlightInput, fit: FlightEstimate) -> Candidate:
     """What the fit with `drive` predicts of each hidden stretch."""
     t = data.samples.t
     count = int(np.clip((t[-1] - t[0]) / _BLOCK, _FEWEST_BLOCKS, _MOST_BLOCKS))
@@ -240,7 +231,7 @@ def _unknown(candidate: Candidate) -> float:
 
 
 def _verdict(
-    candidates: list[Candidate], data: Given, in_force: TriadModel, context: MagContext, count: int
+    candidates: list[Candidate], data: FlightInput, in_force: TriadModel, context: MagContext, count: int
 ) -> FitResult:
     none, chosen = candidates[0], _chosen(candidates)
     quality = _quality(candidates, chosen, context)
@@ -253,22 +244,14 @@ def _verdict(
         )
     best = chosen if chosen is not none else min(candidates[1:], key=lambda c: c.score)
     native = _native(candidates, chosen, data, in_force, context)
-    return FitResult(
-        method=METHOD,
-        sensor=Sensor.MAG,
-        instance=context.instance,
-        status=FitStatus.OK,
+    return context.made(METHOD, count).fitted(
+        in_force,
+        np.zeros((len(parameter_names()),) * 2),
         message=_message(none, chosen, best, native, context),
-        model=in_force,
-        covariance=np.zeros((len(parameter_names()),) * 2),
-        unit=context.unit,
-        n_samples=count,
         n_used=chosen.found.used,
         residual_rms=quality["residual_rms"],
         condition_number=quality["condition_number"],
-        relative=context.relative,
         warnings=_warnings(native, chosen, context),
-        temperature=context.temperature,
         quality=quality,
         native=native,
     )
@@ -307,7 +290,7 @@ def _quality(candidates: Sequence[Candidate], chosen: Candidate, context: MagCon
 
 
 def _native(
-    candidates: Sequence[Candidate], chosen: Candidate, data: Given, in_force: TriadModel, context: MagContext
+    candidates: Sequence[Candidate], chosen: Candidate, data: FlightInput, in_force: TriadModel, context: MagContext
 ) -> dict[str, Any]:
     none = candidates[0]
     turn = data.sensor_from_body.T
@@ -332,7 +315,9 @@ def _native(
     }
 
 
-def _trusting(candidates: Sequence[Candidate], data: Given, gain: Array, context: MagContext) -> dict[str, Any] | None:
+def _trusting(
+    candidates: Sequence[Candidate], data: FlightInput, gain: Array, context: MagContext
+) -> dict[str, Any] | None:
     """What least squares find that take the log's attitude, heading included, for the truth; to compare, not to use.
 
     Its heading came from a compass: where it is corrected at arming or in the air, that step is taken for the motors'.

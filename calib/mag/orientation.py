@@ -41,7 +41,7 @@ _OPEN_CONDITION = 1e6
 _OPEN = math.radians(5.0)  # sd of a misalignment beyond which it counts as not determined
 
 
-class Verdict(StrEnum):
+class MountingVerdict(StrEnum):
     """What the data say about the mounting."""
 
     AS_STATED = "as_stated"  # no rotation is needed
@@ -68,7 +68,7 @@ class Mounting:
 class OrientationResult:
     """The verdict with its evidence."""
 
-    verdict: Verdict
+    verdict: MountingVerdict
     best: Mounting
     message: str
     rms: dict[str, float]
@@ -210,22 +210,25 @@ def _mean_square(down: Array, field: Array, sine: float | None) -> float:
 
 def _verdict(
     candidates: tuple[Mounting, ...], order: NDArray[np.intp], squares: Array, margin: float
-) -> tuple[Verdict, str]:
+) -> tuple[MountingVerdict, str]:
     first, second = candidates[order[0]], candidates[order[1]]
     rms = math.sqrt(squares[order[0]])
     if rms > _EXPLAINS:
-        return Verdict.UNEXPLAINED, (
+        return MountingVerdict.UNEXPLAINED, (
             f"no right-angle mounting explains the compass: the best ({first.name}) leaves {rms:.2f} of the field "
             "against the vertical; check the accelerometer's calibration and the mounting angle"
         )
     if squares[order[1]] < MARGIN * max(squares[order[0]], _LEAST**2) or margin < _LIKELIHOOD:
-        return Verdict.AMBIGUOUS, (
+        return MountingVerdict.AMBIGUOUS, (
             f"the mountings {first.name} and {second.name} explain the compass alike: tilt the vehicle to more sides"
         )
     if order[0] == 0:
-        return Verdict.AS_STATED, f"the stated mounting explains the compass, the next best ({second.name}) does not"
+        return (
+            MountingVerdict.AS_STATED,
+            f"the stated mounting explains the compass, the next best ({second.name}) does not",
+        )
     stated = math.sqrt(squares[0])
-    return Verdict.ROTATED, (
+    return MountingVerdict.ROTATED, (
         f"mounting {first.name} explains the compass (rms {rms:.3f}), the stated one does not (rms {stated:.2f})"
     )
 

@@ -15,7 +15,7 @@ from scipy.special import chdtrc
 
 from mavcal.calib.earth import EarthField
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
-from mavcal.calib.fit import FitResult, FitStatus, parameter_names, refused
+from mavcal.calib.fit import FitBuilder, FitResult, parameter_names
 from mavcal.calib.mag.heading import DEFAULT_INCLINATION, heading_sd_deg
 from mavcal.calib.mag.samples import axis_word
 from mavcal.calib.mag.sections import mask_bytes, visited
@@ -75,6 +75,12 @@ class MagContext:
             raise InvalidInputError(f"noise of a magnetometer must be positive, not {self.noise_sd}")
         if not (math.isfinite(self.quantum) and self.quantum >= 0.0):
             raise InvalidInputError(f"a quantisation bin cannot be {self.quantum} wide")
+
+    def made(self, method: str, n_samples: int, movement: str = "") -> FitBuilder:
+        """What begins the result of a method from so many samples."""
+        return FitBuilder(
+            method, Sensor.MAG, self.instance, self.unit, n_samples, self.relative, self.temperature, movement
+        )
 
     @property
     def noise_variance(self) -> float | None:
@@ -148,6 +154,7 @@ def concluded(
     fit: ShapeFit, about_samples: Mapping[str, Any], n_samples: int, n_used: int, context: MagContext
 ) -> FitResult:
     """The verdict on `fit` from what is known of the samples: :func:`residual_quality`, and their coverage."""
+    made = context.made(fit.method, n_samples)
     model = correction(fit.ellipsoid, context.strength)
     strength_sd = 0.0 if context.field is None else context.field.norm_sd
     full = correction_covariance(fit.ellipsoid, fit.covariance, context.strength, strength_sd)
@@ -155,33 +162,15 @@ def concluded(
     reason = _why_not(fit, quality["residual_rms"], model, full)
     if reason is not None:
         message, names = reason
-        return refused(
-            fit.method,
-            Sensor.MAG,
-            context.instance,
-            message,
-            unit=context.unit,
-            n_samples=n_samples,
-            undetermined=names,
-            movement=message,
-            quality=MappingProxyType(quality),
-        )
-    return FitResult(
-        method=fit.method,
-        sensor=Sensor.MAG,
-        instance=context.instance,
-        status=FitStatus.OK,
+        return made.refused(message, names, message, quality=MappingProxyType(quality))
+    return made.fitted(
+        model,
+        full,
         message=_message(quality),
-        model=model,
-        covariance=full,
-        unit=context.unit,
-        n_samples=n_samples,
         n_used=n_used,
         residual_rms=quality["residual_rms"],
         condition_number=fit.condition_number,
-        relative=context.relative,
         warnings=fit.warnings + _warnings(fit, context, quality),
-        temperature=context.temperature,
         quality=MappingProxyType(quality),
         native=MappingProxyType(_native(fit.ellipsoid, model) | dict(fit.native)),
     )
@@ -190,17 +179,7 @@ def concluded(
 def refusal(method: str, error: UndeterminedError, n_samples: int, context: MagContext) -> FitResult:
     """The refused fit that `error` stands for."""
     message = f"{error}; {error.remedy}" if error.remedy else str(error)
-    names = error.missing or parameter_names()
-    return refused(
-        method,
-        Sensor.MAG,
-        context.instance,
-        message,
-        unit=context.unit,
-        n_samples=n_samples,
-        undetermined=names,
-        movement=error.remedy or message,
-    )
+    return context.made(method, n_samples).refused(message, error.missing or parameter_names(), error.remedy or message)
 
 
 def residual_quality(fit: ShapeFit, context: MagContext) -> dict[str, Any]:

@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from mavcal.calib.c_array import c_array, homogeneous
-from mavcal.calib.fit import FitResult, FitStatus, parameter_names
+from mavcal.calib.fit import FitResult, parameter_names
 from mavcal.calib.mag.heading import heading_sd_deg
 from mavcal.calib.mag.mounting import mounting_of
 from mavcal.calib.mag.result import UNDETERMINED_SD, MagContext
 from mavcal.calib.mag.ring_centres import Circle, Ring, plane_of
 from mavcal.calib.mag.rings_algebra import by_dominant, centres_inverse, columns_of, published
-from mavcal.calib.recording import Sensor
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.triad import TriadModel
 
@@ -187,28 +186,18 @@ def rings_result(method: str, fit: RingsFit, context: MagContext, diameter: floa
     if strength is not None and context.field is not None and diameter is None and whole:
         error = np.concatenate([np.zeros(3), model.matrix.ravel()]) * context.field.norm_sd / strength
         covariance = covariance + np.outer(error, error)
-    open_names = () if whole else parameter_names()[3:]
-    quality = _quality(fit, context, model, covariance, strength, diameter is None, whole)
+    quality = _quality(fit, context, model, covariance, strength=strength, of_field=diameter is None, whole=whole)
     quality |= {"n_outliers": n_samples - fit.n_used}
     quality |= {"chi2": chi2 if p_value is not None else None, "dof": closing, "p_value": p_value}
-    return FitResult(
-        method=method,
-        sensor=Sensor.MAG,
-        instance=context.instance,
-        status=FitStatus.OK if whole else FitStatus.PARTIAL,
+    return context.made(method, n_samples).fitted(
+        model,
+        covariance,
         message=_message(fit, quality, whole),
-        model=model,
-        covariance=covariance,
-        unit=context.unit,
-        n_samples=n_samples,
         n_used=fit.n_used,
         residual_rms=quality["residual_rms"],
         condition_number=float(np.linalg.cond(fit.columns)),
-        relative=context.relative,
-        undetermined=open_names,
-        movements=dict.fromkeys(open_names, NEAR_EQUATOR),
+        undetermined={} if whole else dict.fromkeys(parameter_names()[3:], NEAR_EQUATOR),
         warnings=_warnings(fit, context, strength, quality),
-        temperature=context.temperature,
         quality=MappingProxyType(quality),
         native=MappingProxyType(_native(fit, context, model, strength, whole)),
     )
@@ -219,6 +208,7 @@ def _quality(
     context: MagContext,
     model: TriadModel,
     covariance: Array,
+    *,
     strength: float | None,
     of_field: bool,
     whole: bool,

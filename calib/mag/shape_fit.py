@@ -43,7 +43,7 @@ class Asked:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class ShapeSolution:
     """A solution in the scale of its cloud, with the weights of the samples."""
 
     solution: Solution
@@ -91,7 +91,7 @@ def shape_of(samples: NDArray[np.generic], asked: Asked) -> ShapeFit:
     return with_uncertainty(found, cloud, asked).moved(cloud.centre, cloud.scale)
 
 
-def minimum(cloud: Cloud, moments: Moments, asked: Asked) -> Found:
+def minimum(cloud: Cloud, moments: Moments, asked: Asked) -> ShapeSolution:
     """The minimum, from a start of its own."""
     smallest = max(asked.context.quantum / np.sqrt(12.0), np.sqrt(asked.least_variance)) / cloud.scale
     start = find_start(cloud, moments, smallest, asked.model)
@@ -106,10 +106,10 @@ def minimum(cloud: Cloud, moments: Moments, asked: Asked) -> Found:
         model=asked.model,
         first=start.first,
     )
-    return Found(plain, None)
+    return ShapeSolution(plain, None)
 
 
-def _robust_minimum(distances: Distances, start: Start, asked: Asked, smallest: float) -> Found:
+def _robust_minimum(distances: Distances, start: Start, asked: Asked, smallest: float) -> ShapeSolution:
     """Gauss-Newton with bisquare weights, the noise re-estimated from the inliers until it stays within 1 %."""
     ellipsoid, sd = start.ellipsoid, start.noise_sd
     for _ in range(_SCALE_ROUNDS):
@@ -126,10 +126,10 @@ def _robust_minimum(distances: Distances, start: Start, asked: Asked, smallest: 
         sd = robust_sd(solution.last.residuals, max(0.01 * sd, smallest))
         if abs(sd - previous) <= 0.01 * sd:
             break
-    return Found(solution, previous)
+    return ShapeSolution(solution, previous)
 
 
-def with_uncertainty(found: Found, cloud: Cloud, asked: Asked) -> ShapeFit:
+def with_uncertainty(found: ShapeSolution, cloud: Cloud, asked: Asked) -> ShapeFit:
     """The fit that `found` is, in the scale of `cloud`.
 
     Raises

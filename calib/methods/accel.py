@@ -18,15 +18,15 @@ from mavcal.calib.methods.method import (
     GRAVITY,
     INSTANCE,
     PLACE,
-    Finding,
+    FindingKind,
     Method,
-    Option,
     Options,
     gravity_of,
     mean_or_none,
 )
 from mavcal.calib.methods.source import Source
 from mavcal.calib.noise.coarse_means import means_together
+from mavcal.calib.option import Option
 from mavcal.calib.recording import Channel, Sensor
 from mavcal.calib.stats.stillness import pose_means
 from mavcal.calib.stats.windows import finite_rows
@@ -200,7 +200,7 @@ METHODS = (
             Option("cross_sd", float, 0.01, "prior standard deviation of the cross terms; 0 holds them at zero"),
         ),
         accel_thermal,
-        finds=Finding.DRIFT,
+        finds=FindingKind.DRIFT,
     ),
 )
 """In the order of the command line."""

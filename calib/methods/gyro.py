@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.fit import FitResult, parameter_names, refused
+from mavcal.calib.fit import OFFSETS, FitBuilder, FitResult
 from mavcal.calib.gyro import fit_g_sensitivity, fit_gyro_rest, fit_thread, fit_turntable
-from mavcal.calib.methods.method import GRAVITY, INSTANCE, Finding, Method, Option, Options, gravity_of, mean_or_none
+from mavcal.calib.methods.method import GRAVITY, INSTANCE, FindingKind, Method, Options, gravity_of, mean_or_none
 from mavcal.calib.methods.source import Source
+from mavcal.calib.option import Option
 from mavcal.calib.recording import Channel, Sensor
 
 Array = NDArray[np.float64]
@@ -39,15 +40,10 @@ def gyro_rest(source: Source, options: Options) -> list[FitResult]:
 
 
 def _never_at_rest(gyro: Channel) -> FitResult:
-    return refused(
-        "gyro-rest",
-        Sensor.GYRO,
-        gyro.instance,
+    return FitBuilder.of("gyro-rest", gyro).refused(
         "the vehicle was armed and never at rest with its motors off: log some seconds on the ground before arming",
-        unit=gyro.unit,
-        n_samples=len(gyro),
-        undetermined=parameter_names()[:3],
-        movement="leave the vehicle still on the ground, disarmed, for some seconds",
+        OFFSETS,
+        "leave the vehicle still on the ground, disarmed, for some seconds",
     )
 
 
@@ -177,7 +173,7 @@ METHODS = (
             Option("drift", ("no", "yes"), "no", "also fit an offset that moves steadily over time"),
         ),
         gyro_g_sensitivity,
-        finds=Finding.FIGURES,
+        finds=FindingKind.FIGURES,
     ),
 )
 """In the order of the command line."""

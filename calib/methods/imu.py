@@ -8,8 +8,9 @@ from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitResult
 from mavcal.calib.imu import fit_imu
-from mavcal.calib.methods.method import GRAVITY, INSTANCE, Method, Option, Options, mean_or_none
+from mavcal.calib.methods.method import GRAVITY, INSTANCE, Method, Options, mean_or_none
 from mavcal.calib.methods.source import Source
+from mavcal.calib.option import Option
 from mavcal.calib.recording import Sensor
 
 

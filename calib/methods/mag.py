@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.accel.faces import down_of
-from mavcal.calib.accel.rest_reference import SAMPLES, Sensors, fit_rest_reference
+from mavcal.calib.accel.rest_reference import SAMPLES, SensorTolerances, fit_rest_reference
 from mavcal.calib.earth import EarthField, earth_field
 from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.firmware.stream.messages import COMPASS_WINDOW
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.mag.align import Vertical, fit_alignment
 from mavcal.calib.mag.blur import deblurred, rates_during
@@ -26,9 +27,9 @@ from mavcal.calib.mag.ring_centres import CENTRES
 from mavcal.calib.mag.rings import fit_rings
 from mavcal.calib.mag.rings_faces import LABELS
 from mavcal.calib.mag.sphere import fit_sphere
-from mavcal.calib.methods.method import FIXTURE, GRAVITY, INSTANCE, Finding, Method, Option, Options, gravity_of
+from mavcal.calib.methods.method import FIXTURE, GRAVITY, INSTANCE, FindingKind, Method, Options, gravity_of
 from mavcal.calib.methods.source import Source
-from mavcal.calib.procedures.mag import COMPASS_WINDOW
+from mavcal.calib.option import Option
 from mavcal.calib.recording import Channel, Recording, Sensor
 from mavcal.calib.stats.windows import finite_rows
 
@@ -168,7 +169,7 @@ def rest_reference(source: Source, options: Options) -> list[FitResult]:
                 part,
                 mag,
                 samples=options["samples"],
-                sensors=Sensors(options["accel_sd"], options["mag_sd"]),
+                sensors=SensorTolerances(options["accel_sd"], options["mag_sd"]),
                 field=field,
                 relative=source.relative(accel),
             )
@@ -258,7 +259,7 @@ METHODS = (
             _FIELD[0],
         ),
         rest_reference,
-        finds=Finding.FIGURES,
+        finds=FindingKind.FIGURES,
     ),
     Method(
         "mag-sphere",

@@ -12,7 +12,8 @@ from mavcal.calib.earth import EarthField, earth_field
 from mavcal.calib.errors import CalibError, InvalidInputError
 from mavcal.calib.firmware import body_from_sensor, calibration_in_force
 from mavcal.calib.firmware.compose.mag_motor import compensated, corrupt_compensation
-from mavcal.calib.fit import FitResult, parameter_names, refused
+from mavcal.calib.firmware.stream.messages import COMPASS_WINDOW
+from mavcal.calib.fit import FitBuilder, FitResult, parameter_names
 from mavcal.calib.mag.flight import METHOD as FLIGHT
 from mavcal.calib.mag.flight import SOFT_IRON, fit_flight
 from mavcal.calib.mag.flight_input import between, flown
@@ -20,9 +21,9 @@ from mavcal.calib.mag.flight_path import Turning
 from mavcal.calib.mag.motor import METHOD as MOTOR
 from mavcal.calib.mag.motor import fit_motor
 from mavcal.calib.mag.motor_drives import Drive, DriveKind
-from mavcal.calib.methods.method import INSTANCE, Finding, Method, Option, Options
+from mavcal.calib.methods.method import INSTANCE, FindingKind, Method, Options
 from mavcal.calib.methods.source import Source
-from mavcal.calib.procedures.mag import COMPASS_WINDOW
+from mavcal.calib.option import Option
 from mavcal.calib.recording import Channel, Sensor, Stage
 
 _SENSORS = {
@@ -73,15 +74,10 @@ def mag_motor(source: Source, options: Options) -> list[FitResult]:
 def _fitted(source: Source, mag: Channel, options: Options, method: str, fit: Any) -> FitResult:
     corrupt = corrupt_compensation(source.recording.identity.autopilot, source.recording.parameters, mag.instance)
     if corrupt:
-        return refused(
-            method,
-            Sensor.MAG,
-            mag.instance,
+        return FitBuilder.of(method, mag).refused(
             corrupt,
-            unit=mag.unit,
-            n_samples=len(mag),
-            undetermined=parameter_names() if method == FLIGHT else (),
-            movement="put the parameters right, then fly again" if method == FLIGHT else "",
+            parameter_names() if method == FLIGHT else (),
+            "put the parameters right, then fly again",
             quality={"corrupt_parameters": True},
         )
     turning, end = _turning(source, options)
@@ -209,7 +205,7 @@ METHODS = (
         "a compass with a gyroscope or an attitude, and current, throttle or motor outputs that change",
         (*_FROM, Option("drive", _DRIVE, "auto", "what drives it; auto: what predicts unseen data best")),
         mag_motor,
-        finds=Finding.MOTORS,
+        finds=FindingKind.MOTORS,
     ),
 )
 """In the order of the command line."""

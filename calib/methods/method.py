@@ -17,29 +17,20 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitResult
 from mavcal.calib.methods.names import ENTRIES
 from mavcal.calib.methods.source import Source
+from mavcal.calib.option import Option
 from mavcal.calib.recording import Channel, Recording
 
 Array = NDArray[np.float64]
 Options = Mapping[str, Any]
 
 
-class Finding(StrEnum):
+class FindingKind(StrEnum):
     """What a method finds, in words for a sentence: it decides what a fit can be exported as."""
 
     CORRECTION = "a constant correction"
     DRIFT = "a correction that moves with temperature"
     MOTORS = "the field of the motors"
     FIGURES = "figures that belong to no correction"
-
-
-@dataclass(frozen=True)
-class Option:
-    """An option of a method. `type` is float, int or str, or a tuple of the texts that are allowed."""
-
-    name: str
-    type: Any
-    default: Any
-    help: str
 
 
 @dataclass(frozen=True)
@@ -52,7 +43,7 @@ class Method:
     fit: Callable[[Source, Options], Sequence[FitResult]]
     pool: Callable[[Sequence[Source], Options], Sequence[FitResult]] | None = None
     """Several logs of one vehicle together; None: the method takes one recording."""
-    finds: Finding = Finding.CORRECTION
+    finds: FindingKind = FindingKind.CORRECTION
 
     @property
     def summary(self) -> str:
@@ -107,26 +98,8 @@ def _checked(method: Method, options: Options) -> dict[str, Any]:
         raise InvalidInputError(
             f"{method.name} has no option {', '.join(unknown)}; it takes {', '.join(sorted(known)) or 'none'}"
         )
-    return {name: _converted(option, options.get(name)) for name, option in known.items()}
-
-
-def _converted(option: Option, value: Any) -> Any:
-    if value is None:
-        return option.default
-    if isinstance(option.type, tuple):
-        if value not in option.type:
-            raise InvalidInputError(f"{option.name} is one of {', '.join(option.type)}, not {value!r}")
-        return value
-    try:
-        converted = option.type(value)
-        whole = option.type is not int or isinstance(value, str) or converted == value
-        finite = option.type is str or (whole and np.isfinite(float(converted)))
-    except (TypeError, ValueError, OverflowError):
-        converted, finite = None, False
-    if not finite or isinstance(value, bool):
-        form = "; a whole one" if option.type is int else ""
-        raise InvalidInputError(f"{option.name} must be a number ({option.help}{form}), not {value!r}")
-    return converted
+    given = {name: options.get(name) for name in known}
+    return {n: o.default if given[n] is None else o.check(o.from_text(given[n])) for n, o in known.items()}
 
 
 INSTANCE = Option("instance", int, None, "only this instance, from 0; else every one that is there")

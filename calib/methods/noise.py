@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitResult
-from mavcal.calib.methods.method import INSTANCE, Finding, Method, Option, Options
+from mavcal.calib.methods.method import INSTANCE, FindingKind, Method, Options
 from mavcal.calib.methods.source import Source
 from mavcal.calib.noise.allan_fit import fit_allan
+from mavcal.calib.option import Option
 from mavcal.calib.recording import Sensor
 
 _SENSORS = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
@@ -33,7 +34,7 @@ METHODS = (
         "hours at rest at an even rate; minutes tell the white noise only",
         (INSTANCE, Option("sensor", ("all", *(s.value for s in _SENSORS)), "all", "only this sensor")),
         allan,
-        finds=Finding.FIGURES,
+        finds=FindingKind.FIGURES,
     ),
 )
 """In the order of the command line."""

@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitResult
-from mavcal.calib.flight.thermal import Wish, fit_rests
+from mavcal.calib.flight.thermal import ThermalWish, fit_rests
 from mavcal.calib.flight.warm import logs_of
-from mavcal.calib.methods.method import INSTANCE, Finding, Method, Option, Options
+from mavcal.calib.methods.method import INSTANCE, FindingKind, Method, Options
 from mavcal.calib.methods.source import Source
+from mavcal.calib.option import Option
 from mavcal.calib.procedures.drift_fit import fit_posed
 from mavcal.calib.recording import Channel, Sensor
 from mavcal.calib.thermal.drift import DriftData
@@ -49,7 +50,7 @@ def _thermal(source: Source, options: Options, fit: Callable[[Channel, Array, bo
     return fits
 
 
-def _from_logs(sources: Sequence[Source], options: Options, wish: Wish) -> list[FitResult]:
+def _from_logs(sources: Sequence[Source], options: Options, wish: ThermalWish) -> list[FitResult]:
     """The same from what vehicles logged: only their rests on the ground."""
     logs = logs_of([source.recording for source in sources])
     sensors = [s for s in (Sensor.ACCEL, Sensor.GYRO) if options["sensor"] in {"all", s.value}]
@@ -91,7 +92,7 @@ def linear_pooled(sources: Sequence[Source], options: Options) -> list[FitResult
     if through is not None and options["sensor"] == "all" and len({c.sensor for c in _inertial(sources[0])}) > 1:
         raise InvalidInputError("a fixed point is one sensor's: choose it with --sensor accel or --sensor gyro")
     if _logged(sources):
-        wish = Wish(0, options["tref"], options["min_span"], through=through, reference=options["reference"])
+        wish = ThermalWish(0, options["tref"], options["min_span"], through=through, reference=options["reference"])
         return _from_logs(sources, options, wish)
 
     def fit(channel: Channel, temperature: Array, relative: bool) -> FitResult:
@@ -142,7 +143,7 @@ def poly_pooled(sources: Sequence[Source], options: Options) -> list[FitResult]:
         if not 1 <= degree <= 5:
             raise InvalidInputError(f"the degree of a thermal polynomial is 1 to 5, not {degree}")
         lag = options["lag"] == "auto"
-        wish = Wish(degree, options["tref"], options["min_span"], lag=lag, reference=options["reference"])
+        wish = ThermalWish(degree, options["tref"], options["min_span"], lag=lag, reference=options["reference"])
         return _from_logs(sources, options, wish)
     return _poly_of_table(sources[0], options)
 
@@ -177,7 +178,7 @@ METHODS = (
         ),
         thermal_linear,
         linear_pooled,
-        finds=Finding.DRIFT,
+        finds=FindingKind.DRIFT,
     ),
     Method(
         "thermal-poly",
@@ -193,7 +194,7 @@ METHODS = (
         ),
         thermal_poly,
         poly_pooled,
-        finds=Finding.DRIFT,
+        finds=FindingKind.DRIFT,
     ),
 )
 """In the order of the command line."""

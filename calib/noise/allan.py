@@ -52,7 +52,7 @@ class AllanTable:
 
 
 @dataclass(frozen=True, eq=False)
-class NoiseFit:
+class AllanFit:
     """N, B and K with their covariance, and where the data follow them.
 
     A term that is not told from zero has the value 0 and the bound that the data put on it in `upper`.
@@ -120,7 +120,7 @@ def _second_differences(x: Array, m: int, buffer: Array) -> float:
     return total
 
 
-def fit_noise(table: AllanTable, n: int) -> NoiseFit:
+def fit_noise(table: AllanTable, n: int) -> AllanFit:
     """N, B and K of the model by generalised least squares on the Allan variances.
 
     Averaging times at the short end that do not follow the model (a low-pass filter, coarse quantisation, vibration)
@@ -181,7 +181,7 @@ class _Spectrum:
         return np.asarray(2.0 * product / pairs, dtype=np.float64)
 
 
-def _fit_from(table: AllanTable, spectrum: _Spectrum, first: int) -> NoiseFit:
+def _fit_from(table: AllanTable, spectrum: _Spectrum, first: int) -> AllanFit:
     design = np.column_stack([1.0 / table.tau, np.full(len(table.tau), FLICKER), table.tau / 3.0])
     avar = table.adev**2
     used = np.arange(len(avar)) >= first
@@ -216,13 +216,13 @@ def _fit_from(table: AllanTable, spectrum: _Spectrum, first: int) -> NoiseFit:
     )
 
 
-def _noise_fit(squares: Array, covariance: Array, **facts: object) -> NoiseFit:
+def _noise_fit(squares: Array, covariance: Array, **facts: object) -> AllanFit:
     error = np.sqrt(np.diag(covariance))
     told = squares > _KNOWN * error
     values = np.sqrt(np.where(told, squares, 0.0))
     sd = np.where(told, error / (2.0 * np.where(told, values, 1.0)), np.nan)
     upper = np.sqrt(np.maximum(squares, 0.0) + 1.645 * error)
-    return NoiseFit(values=values, sd=sd, upper=upper, covariance=covariance, **facts)  # type: ignore[arg-type]
+    return AllanFit(values=values, sd=sd, upper=upper, covariance=covariance, **facts)  # type: ignore[arg-type]
 
 
 def _start(design: Array, avar: Array) -> Array:

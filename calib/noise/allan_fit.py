@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
+from mavcal.calib.fit import AXES, FitBuilder, FitResult, parameter_names
 from mavcal.calib.noise.allan import (
     FLICKER,
     MISFIT,
     TERMS,
+    AllanFit,
     AllanTable,
-    NoiseFit,
     fit_noise,
     octaves,
     overlapping_deviation,
@@ -62,16 +62,17 @@ def fit_allan(channel: Channel, *, relative: bool = False) -> FitResult:
         and has only that), where each slope ``holds`` (s), and ``read_off``: the usual reading at tau = 1, at the
         minimum and at tau = 3.
     """
-    given = len(channel)
     if channel.values.shape[1] != 3:
         raise InvalidInputError(f"{channel.sensor}: three axes are needed, not {channel.values.shape[1]}")
+    longer = "record it at rest for longer, at an even rate"
+    made = FitBuilder.of(METHOD, channel, relative=relative, movement=longer)
     try:
         values, rate, warnings = _even(channel)
     except InvalidInputError as error:
-        return _refused(channel, str(error))
+        return made.refused(str(error))
     constant = values.min(axis=0) == values.max(axis=0)
     if constant.all():
-        return _refused(channel, "every axis reads one constant value: it is stuck, or its noise is below one bin")
+        return made.refused("every axis reads one constant value: it is stuck, or its noise is below one bin")
     warnings += _disturbed(values, rate)
     tables = [overlapping_deviation(values[:, i], rate, octaves(len(values))) for i in range(3)]
     fits = [None if constant[i] else fit_noise(tables[i], len(values)) for i in range(3)]
@@ -80,37 +81,18 @@ def fit_allan(channel: Channel, *, relative: bool = False) -> FitResult:
     known = [fit for fit in fits if fit is not None]
     whole = all(fit is not None and np.isfinite(fit.sd[0]) for fit in fits)
     names = parameter_names()
-    return FitResult(
-        method=METHOD,
-        sensor=channel.sensor,
-        instance=channel.instance,
-        status=FitStatus.OK if whole else FitStatus.PARTIAL,
+    return made.fitted(
+        TriadModel(),
+        np.zeros((len(names), len(names))),
         message=_said(channel, tables[0], fits),
-        model=TriadModel(),
-        covariance=np.zeros((len(names), len(names))),
-        unit=channel.unit,
-        n_samples=given,
         n_used=len(values),
         residual_rms=float(values.std()),
         condition_number=max(fit.condition for fit in known),
-        relative=relative,
-        undetermined=names,
-        movements=dict.fromkeys(names, "noise alone is told here: run a calibration method of this sensor"),
-        warnings=tuple(warnings),
+        undetermined=dict.fromkeys(names, "noise alone is told here: run a calibration method of this sensor"),
+        partial=not whole,
+        warnings=warnings,
         quality=_quality(channel, values, rate, known),
         native=_native(channel.unit, rate, tables, fits),
-    )
-
-
-def _refused(channel: Channel, reason: str) -> FitResult:
-    return refused(
-        METHOD,
-        channel.sensor,
-        channel.instance,
-        reason,
-        unit=channel.unit,
-        n_samples=len(channel),
-        movement="record it at rest for longer, at an even rate",
     )
 
 
@@ -176,7 +158,7 @@ def _disturbed(values: Array, rate: float) -> list[str]:
     ]
 
 
-def _filtered(tables: list[AllanTable], fits: list[NoiseFit | None]) -> list[str]:
+def _filtered(tables: list[AllanTable], fits: list[AllanFit | None]) -> list[str]:
     """Where the shortest averaging times do not follow the model: below it, a low-pass; above it, something else."""
     below: list[str] = []
     above: list[str] = []
@@ -201,17 +183,17 @@ def _filtered(tables: list[AllanTable], fits: list[NoiseFit | None]) -> list[str
     return warnings
 
 
-def _misfits(fit: NoiseFit) -> bool:
+def _misfits(fit: AllanFit) -> bool:
     return fit.p_value is not None and fit.p_value < MISFIT
 
 
-def low_passed(table: AllanTable, fit: NoiseFit) -> bool:
+def low_passed(table: AllanTable, fit: AllanFit) -> bool:
     """Whether the averaging times that were left out lie below the model, as behind a low-pass filter."""
     out = ~fit.used
     return bool(out.any() and np.median(table.adev[out] / fit.model[out]) < 1.0)
 
 
-def _holds(table: AllanTable, fit: NoiseFit) -> list[list[float] | None]:
+def _holds(table: AllanTable, fit: AllanFit) -> list[list[float] | None]:
     """For each noise, the first and last averaging time (s) at which it is most of the variance; None: nowhere."""
     parts = np.column_stack([1.0 / table.tau, np.full(len(table.tau), FLICKER), table.tau / 3.0]) * fit.values**2
     spans: list[list[float] | None] = []
@@ -221,7 +203,7 @@ def _holds(table: AllanTable, fit: NoiseFit) -> list[list[float] | None]:
     return spans
 
 
-def _read_off(table: AllanTable, fit: NoiseFit) -> dict[str, float | None]:
+def _read_off(table: AllanTable, fit: AllanFit) -> dict[str, float | None]:
     """N, B and K as they are usually read: the line of slope -1/2 at 1 s, the minimum, the line of +1/2 at 3 s."""
     tau, adev = table.tau[fit.used], table.adev[fit.used]
     slope = np.diff(np.log(np.maximum(adev, 1e-300))) / np.diff(np.log(tau))
@@ -235,7 +217,7 @@ def _read_off(table: AllanTable, fit: NoiseFit) -> dict[str, float | None]:
     }
 
 
-def _said(channel: Channel, table: AllanTable, fits: list[NoiseFit | None]) -> str:
+def _said(channel: Channel, table: AllanTable, fits: list[AllanFit | None]) -> str:
     def listed(k: int, unit: str) -> str:
         numbers = ["-" if f is None or not np.isfinite(f.sd[k]) else f"{f.values[k]:.3g}" for f in fits]
         return f"{TERMS[k]} {' '.join(numbers)} {unit}"
@@ -245,7 +227,7 @@ def _said(channel: Channel, table: AllanTable, fits: list[NoiseFit | None]) -> s
     return f"noise over {table.tau[0]:.3g} to {table.tau[-1]:.3g} s of averaging: {'; '.join(parts)} (- not told)"
 
 
-def _quality(channel: Channel, values: Array, rate: float, known: list[NoiseFit]) -> dict[str, Any]:
+def _quality(channel: Channel, values: Array, rate: float, known: list[AllanFit]) -> dict[str, Any]:
     residuals = np.concatenate([fit.residuals for fit in known])
     N, B, K = (np.array([fit.values[k] for fit in known]) for k in range(3))
     quality: dict[str, Any] = {
@@ -265,7 +247,7 @@ def _quality(channel: Channel, values: Array, rate: float, known: list[NoiseFit]
     return quality
 
 
-def _native(unit: str, rate: float, tables: list[AllanTable], fits: list[NoiseFit | None]) -> dict[str, Any]:
+def _native(unit: str, rate: float, tables: list[AllanTable], fits: list[AllanFit | None]) -> dict[str, Any]:
     def each(numbers: Any) -> list[Any]:
         return [None if fit is None else numbers(table, fit) for table, fit in zip(tables, fits, strict=True)]
 

@@ -10,19 +10,20 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
+from mavcal.calib.firmware.storable import ACCEL
+from mavcal.calib.option import Option
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.frames import body_from_sensor
 from mavcal.calib.procedures.holds import SHORTEST, Hold, TakenPose, taken
-from mavcal.calib.procedures.motion import HELD, Disturbance, StillLimits, Verdict
+from mavcal.calib.procedures.motion import HELD, Disturbance, StillLimits, StillnessVerdict
 from mavcal.calib.procedures.placing import shown_down
 from mavcal.calib.procedures.pose_fit import Assessment, assess
 from mavcal.calib.procedures.poses import FACES, TEXTS, angle, in_words, recognise, remaining, suggest
 from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt
 from mavcal.calib.procedures.results import annotated
-from mavcal.calib.procedures.roster import Frame, Instance
-from mavcal.calib.procedures.spec import Option, Options, ProcedureSpec
+from mavcal.calib.procedures.roster import Instance, TickChannels
+from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.procedures.ticked import TickedProcedure
-from mavcal.calib.procedures.writable import ACCEL
 from mavcal.calib.recording import Array, Sensor
 
 SPEC = ProcedureSpec(
@@ -32,9 +33,11 @@ SPEC = ProcedureSpec(
     still_only=(Sensor.GYRO,),
     helpful=(Sensor.TEMPERATURE,),
     options=(
-        Option("uncertainty", 0.005, "standard deviation to reach on every axis of every offset", "m/s2", 5e-4, 0.1),
-        Option("obliques", 4.0, "oblique poses to ask for beside the six faces", "", 3.0, 12.0),
-        Option("patience", 180.0, "gives up after this time without a new pose", "s", 20.0, 3600.0),
+        Option(
+            "uncertainty", float, 0.005, "standard deviation to reach on every axis of every offset", "m/s2", 5e-4, 0.1
+        ),
+        Option("obliques", float, 4.0, "oblique poses to ask for beside the six faces", "", 3.0, 12.0),
+        Option("patience", float, 180.0, "gives up after this time without a new pose", "s", 20.0, 3600.0),
     ),
     needs="the vehicle held still on its six faces and in four oblique poses, in any order, 2-3 s each",
     ends_on="standard deviation of every offset (0.005 m/s2), and poses that agree (residual test, dof 3 or more)",
@@ -80,11 +83,13 @@ class AccelProcedure(TickedProcedure):
         self._body = {i: body_from_sensor(self.context, Sensor.ACCEL, i) for i in self.present(Sensor.ACCEL)}
         self._ask(None, stable=False)
 
-    def _on_tick(self, start: float, end: float, frame: Frame) -> None:
+    def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
         verdict = self._watch.update(frame)
         direction = self._direction()
         if verdict.still and direction is None:
-            verdict = Verdict(still=False, ticks=0, why="no accelerometer shows gravity", what=Disturbance.SILENT)
+            verdict = StillnessVerdict(
+                still=False, ticks=0, why="no accelerometer shows gravity", what=Disturbance.SILENT
+            )
         if not verdict.still or direction is None:
             self._moved(verdict)
         elif self._here is not None and angle(direction, self._here) > NEXT_POSE:
@@ -99,19 +104,19 @@ class AccelProcedure(TickedProcedure):
         """The body direction that points down, as the first accelerometer has it."""
         return shown_down(self._watch, self._body, self.present(Sensor.ACCEL))
 
-    def _moved(self, verdict: Verdict) -> None:
+    def _moved(self, verdict: StillnessVerdict) -> None:
         if self._hold is not None and self._hold.seconds > 0.0:
             self._note = f"The pose was disturbed ({verdict.what or 'it crept away'}): take it again. "
         self._hold = None
         self._here = None
 
-    def _keep(self, frame: Frame, seconds: float, direction: Array) -> None:
+    def _keep(self, frame: TickChannels, seconds: float, direction: Array) -> None:
         if any(angle(direction, p.direction) < SAME_POSE for p in self._poses):
             self._note = "This pose is done. "
             return
         self._hold = self._hold or Hold(direction)
         if self._hold.crept(direction):
-            self._moved(Verdict(still=False, ticks=0, why="", what=Disturbance.NONE))
+            self._moved(StillnessVerdict(still=False, ticks=0, why="", what=Disturbance.NONE))
             self._watch.reset()
             return
         self._hold.add(frame, seconds)
@@ -199,7 +204,7 @@ class AccelProcedure(TickedProcedure):
             )
         )
 
-    def _tell(self, verdict: Verdict, direction: Array | None) -> None:
+    def _tell(self, verdict: StillnessVerdict, direction: Array | None) -> None:
         self._ask(direction, stable=verdict.counted)
         if self.time - max(self._last_taken, self._began) >= self.options["patience"]:
             cause, remedy = self._missing()

@@ -43,7 +43,7 @@ class ProcedureContext:
 
 
 @dataclass(frozen=True)
-class Answer:
+class OperatorAnswer:
     """An operator's answer: it came when the procedure's `time` (s, vehicle clock) was `t`."""
 
     t: float

@@ -11,14 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.fit import FitResult, FitStatus
-from mavcal.calib.procedures.roster import Frame, Instance
+from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.recording import Array, Channel, Sensor
 from mavcal.calib.thermal.cells import DriftCells
 from mavcal.calib.thermal.drift import DriftData, powers_about
 from mavcal.calib.thermal.fit import fit_drift_data
+from mavcal.calib.thermal.thermometer import Thermometer
 from mavcal.calib.triad import ThermalPolynomial
 
-_KEPT = frozenset({Sensor.ACCEL, Sensor.GYRO, Sensor.TEMPERATURE})
+_KEPT = frozenset({Sensor.ACCEL, Sensor.GYRO})
 
 DEGREE = 3
 """Order of the polynomial that both firmwares store."""
@@ -35,39 +36,29 @@ class DriftPool:
 
     def __init__(self) -> None:
         self._cells: dict[Instance, DriftCells] = {}
-        self._read: dict[Instance, float] = {}
-        self._ends: dict[Instance, tuple[float, float]] = {}
+        self._thermometers: dict[int, Thermometer] = {}
 
-    def add(self, frame: Frame, span: int) -> None:
+    def add(self, frame: TickChannels, span: int) -> None:
         """Keep the samples of a tick that belongs to the still span of that number."""
-        for instance, channel in frame.items():
-            if instance[0] in _KEPT:
-                thermometer = instance[0] == Sensor.TEMPERATURE
-                if instance not in self._cells:
-                    self._cells[instance] = DriftCells(channel.values.shape[1], bins=not thermometer)
-                self._cells[instance].add(self._fresh(instance, channel) if thermometer else channel, span)
-
-    def _fresh(self, instance: Instance, channel: Channel) -> Channel:
-        """The samples of a thermometer that differ from the one before: a value that is repeated grows old.
-
-        Autopilots read it once a second and send it with every sample; where it is read it is true.
-        """
-        values = channel.values[:, 0]
-        low, high = float(values.min()), float(values.max())
-        known = self._ends.get(instance, (low, high))
-        self._ends[instance] = (min(known[0], low), max(known[1], high))
-        before = np.append(self._read.get(instance, np.nan), values[:-1])
-        self._read[instance] = float(values[-1])
-        return channel.take(values != before)
+        for (sensor, unit), channel in frame.items():
+            if sensor == Sensor.TEMPERATURE:
+                self._thermometers.setdefault(unit, Thermometer()).add(channel)
+            elif sensor in _KEPT:
+                if (sensor, unit) not in self._cells:
+                    self._cells[sensor, unit] = DriftCells(channel.values.shape[1])
+                self._cells[sensor, unit].add(channel, span)
 
     def data(self, sensor: Sensor, instance: int) -> tuple[DriftData, NDArray[np.intp]]:
         """What a fit of that sensor takes, and the still span of each of its rows."""
-        cells, thermometer = self[sensor, instance], self[Sensor.TEMPERATURE, instance].table()
+        cells, thermometer = self._cells[sensor, instance], self._thermometers[instance]
         table = cells.table()
-        data = cells.data(np.interp(table.time, thermometer.time, thermometer.mean[:, 0]))
-        return dataclasses.replace(data, limits=self._ends[Sensor.TEMPERATURE, instance]), table.span
+        data = cells.data(thermometer.at(table.time))
+        return dataclasses.replace(data, limits=thermometer.limits), table.span
 
     def __contains__(self, instance: Instance) -> bool:
+        sensor, unit = instance
+        if sensor == Sensor.TEMPERATURE:
+            return unit in self._thermometers and len(self._thermometers[unit]) > 0
         return instance in self._cells and len(self._cells[instance]) > 0
 
     def __getitem__(self, instance: Instance) -> DriftCells:

@@ -11,17 +11,18 @@ from typing import ClassVar
 
 import numpy as np
 
+from mavcal.calib.firmware.storable import GYRO
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.gyro import fit_gyro_rest
+from mavcal.calib.option import Option
 from mavcal.calib.procedures.context import ProcedureContext
-from mavcal.calib.procedures.motion import Verdict, statistics
+from mavcal.calib.procedures.motion import StillnessVerdict, statistics
 from mavcal.calib.procedures.pool import Pool, Tail
 from mavcal.calib.procedures.protocol import Done, Progress, Prompt
 from mavcal.calib.procedures.results import annotated, mean_temperature, share_of_information
-from mavcal.calib.procedures.roster import Frame, Instance, label
-from mavcal.calib.procedures.spec import Option, Options, ProcedureSpec
+from mavcal.calib.procedures.roster import Instance, TickChannels, label
+from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.procedures.ticked import TickedProcedure
-from mavcal.calib.procedures.writable import GYRO
 from mavcal.calib.recording import Array, Sensor
 
 SPEC = ProcedureSpec(
@@ -31,8 +32,10 @@ SPEC = ProcedureSpec(
     aiding=(Sensor.ACCEL,),
     helpful=(Sensor.TEMPERATURE, Sensor.MAG),
     options=(
-        Option("uncertainty", 0.01, "standard deviation to reach on every axis of every gyro", "deg/s", 0.001, 1.0),
-        Option("patience", 120.0, "gives up after this time without rest", "s", 10.0, 3600.0),
+        Option(
+            "uncertainty", float, 0.01, "standard deviation to reach on every axis of every gyro", "deg/s", 0.001, 1.0
+        ),
+        Option("patience", float, 120.0, "gives up after this time without rest", "s", 10.0, 3600.0),
     ),
     needs="the vehicle lying still on a firm surface; its attitude does not matter",
     ends_on="standard deviation of the offset on every axis of every gyro (0.01 deg/s), or the stream's resolution",
@@ -79,7 +82,7 @@ class GyroProcedure(TickedProcedure):
     def _on_start(self, present: set[Instance]) -> None:
         self._say(Prompt("hold_still", "Put the vehicle on a firm surface and do not touch it."))
 
-    def _on_tick(self, start: float, end: float, frame: Frame) -> None:
+    def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
         verdict = self._watch.update(frame)
         turned = self._field.update(frame) if verdict.counted else ""
         if not verdict.still or turned:
@@ -100,7 +103,7 @@ class GyroProcedure(TickedProcedure):
                 "put the vehicle on a firm surface away from people and engines, then start again",
             )
 
-    def _collect(self, frame: Frame, seconds: float) -> None:
+    def _collect(self, frame: TickChannels, seconds: float) -> None:
         self._say(Prompt("hold_still", "At rest: leave the vehicle alone.", stable=True))
         kept = self._tail.push(frame)
         if kept is None:
@@ -155,7 +158,7 @@ class GyroProcedure(TickedProcedure):
         results = tuple(annotated(f, self.context, self.warnings) for f in fits)
         self._finish(Done(results, because))
 
-    def _tell(self, verdict: Verdict) -> None:
+    def _tell(self, verdict: StillnessVerdict) -> None:
         reached = self._known
         known = math.isfinite(reached)
         # The standard deviation of a mean falls with the square root of the time.
@@ -222,7 +225,7 @@ class FieldWatch:
         self._first: dict[Instance, list[Array]] = {}
         self._latest: dict[Instance, list[Array]] = {}
 
-    def update(self, frame: Frame) -> str:
+    def update(self, frame: TickChannels) -> str:
         """Take a tick at rest; what turned, or nothing."""
         for instance, channel in frame.items():
             if instance[0] != Sensor.MAG:

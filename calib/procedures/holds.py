@@ -11,7 +11,7 @@ from mavcal.calib.procedures.pool import Pool, Tail
 from mavcal.calib.procedures.poses import angle
 from mavcal.calib.procedures.protocol import Pose
 from mavcal.calib.procedures.results import mean_temperature
-from mavcal.calib.procedures.roster import Frame
+from mavcal.calib.procedures.roster import TickChannels
 from mavcal.calib.recording import Array, Channel, Sensor
 from mavcal.calib.stats.stillness import PoseMean, Still, pose_means
 
@@ -39,7 +39,7 @@ class Hold:
         self._tail = Tail(GUARD_TICKS)
         self._lengths: dict[int, list[float]] = {}
 
-    def add(self, frame: Frame, seconds: float) -> None:
+    def add(self, frame: TickChannels, seconds: float) -> None:
         """Take a still tick."""
         kept = self._tail.push(frame)
         if kept is None:

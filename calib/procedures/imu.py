@@ -15,9 +15,11 @@ from typing import ClassVar
 import numpy as np
 
 from mavcal.calib.attitude import drift_sd_deg_per_min
+from mavcal.calib.firmware.storable import INERTIAL
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.gyro import fit_gyro_rest
 from mavcal.calib.imu import fit_imu
+from mavcal.calib.option import Option
 from mavcal.calib.procedures.accel import EXTRA, AccelProcedure
 from mavcal.calib.procedures.body_frame import in_body, in_sensor
 from mavcal.calib.procedures.context import ProcedureContext
@@ -27,8 +29,8 @@ from mavcal.calib.procedures.pool import Pool
 from mavcal.calib.procedures.pose_fit import Assessment
 from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt
 from mavcal.calib.procedures.results import annotated, mean_temperature, refusals
-from mavcal.calib.procedures.roster import Frame, Instance, label
-from mavcal.calib.procedures.spec import Holds, Option, Options, ProcedureSpec
+from mavcal.calib.procedures.roster import Instance, TickChannels, label
+from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.recording import Array, Sensor
 from mavcal.calib.triad import TriadModel
 
@@ -38,39 +40,16 @@ SPEC = ProcedureSpec(
     sensors=(Sensor.ACCEL, Sensor.GYRO),
     helpful=(Sensor.TEMPERATURE,),
     options=(
-        Option("uncertainty", 0.005, "standard deviation to reach on every axis of every offset", "m/s2", 5e-4, 0.1),
-        Option("scale", 2.0, "standard deviation to reach of the gyros' scale", "%", 0.02, 5.0),
-        Option("obliques", 6.0, "oblique poses to ask for beside the six faces", "", 4.0, 18.0),
-        Option("patience", 180.0, "gives up after this time without a new pose", "s", 20.0, 3600.0),
+        Option(
+            "uncertainty", float, 0.005, "standard deviation to reach on every axis of every offset", "m/s2", 5e-4, 0.1
+        ),
+        Option("scale", float, 2.0, "standard deviation to reach of the gyros' scale", "%", 0.02, 5.0),
+        Option("obliques", float, 6.0, "oblique poses to ask for beside the six faces", "", 4.0, 18.0),
+        Option("patience", float, 180.0, "gives up after this time without a new pose", "s", 20.0, 3600.0),
     ),
     needs="the vehicle at rest, then held still on its six faces and in six oblique poses, turned briskly in between",
     ends_on="standard deviation of every accelerometer offset (0.005 m/s2) and gyro scale (2 %), poses that agree",
-    autopilots={
-        "ardupilot": Holds(
-            writes=(
-                "INS_ACCOFFS_*, INS_ACC2OFFS_*, INS_ACC3OFFS_*",
-                "INS_ACCSCAL_* ...",
-                "INS_GYROFFS_*, INS_GYR2OFFS_*, INS_GYR3OFFS_*",
-                "INS_ACCn_CALTEMP, INS_GYRn_CALTEMP",
-                "AHRS_TRIM_*",
-            ),
-            cannot_represent=("cross terms", "gyro scale", "gyro misalignment"),
-        ),
-        "px4": Holds(
-            writes=(
-                "CAL_ACCn_XOFF ... _ZOFF",
-                "CAL_ACCn_XSCALE ... _ZSCALE",
-                "CAL_GYROn_XOFF, _YOFF, _ZOFF",
-                "SENS_BOARD_X_OFF, _Y_OFF",
-            ),
-            cannot_represent=(
-                "cross terms",
-                "gyro scale",
-                "gyro misalignment",
-                "a change of the accelerometer's scale or offset below 0.01, or of the gyro's offset below 0.01 rad/s",
-            ),
-        ),
-    },
+    autopilots=INERTIAL,
     duration_s=75.0,
 )
 
@@ -97,7 +76,7 @@ class ImuProcedure(AccelProcedure):
         self._say(_REST)
         self._gyro_body = {i: body_from_sensor(self.context, Sensor.GYRO, i) for i in self.present(Sensor.GYRO)}
 
-    def _on_tick(self, start: float, end: float, frame: Frame) -> None:
+    def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
         self._pool.add(frame)
         if self._rest is None:
             self._wait_for_rest(start, end, frame)
@@ -112,7 +91,7 @@ class ImuProcedure(AccelProcedure):
         super()._on_lost(instance)
         self._quiet.drop(instance)
 
-    def _wait_for_rest(self, start: float, end: float, frame: Frame) -> None:
+    def _wait_for_rest(self, start: float, end: float, frame: TickChannels) -> None:
         verdict = self._quiet.update(frame)
         if not verdict.counted:
             self._rest_begun = None

@@ -7,16 +7,18 @@ from typing import ClassVar
 
 import numpy as np
 
-from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.firmware.storable import LEVEL
+from mavcal.calib.fit import FitBuilder, FitResult
+from mavcal.calib.option import Option
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.frames import in_force
 from mavcal.calib.procedures.holds import Hold
-from mavcal.calib.procedures.motion import Verdict
+from mavcal.calib.procedures.motion import StillnessVerdict
 from mavcal.calib.procedures.poses import angle, down
 from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt
 from mavcal.calib.procedures.results import annotated
-from mavcal.calib.procedures.roster import Frame, Instance, label
-from mavcal.calib.procedures.spec import Holds, Option, Options, ProcedureSpec
+from mavcal.calib.procedures.roster import Instance, TickChannels, label
+from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.procedures.ticked import TickedProcedure
 from mavcal.calib.recording import Array, Sensor
 from mavcal.calib.stats.stillness import PoseMean
@@ -29,21 +31,12 @@ SPEC = ProcedureSpec(
     still_only=(Sensor.GYRO,),
     helpful=(Sensor.TEMPERATURE,),
     options=(
-        Option("uncertainty", 0.05, "standard deviation of roll and pitch to reach", "deg", 0.005, 1.0),
-        Option("patience", 120.0, "gives up after this time without rest", "s", 10.0, 3600.0),
+        Option("uncertainty", float, 0.05, "standard deviation of roll and pitch to reach", "deg", 0.005, 1.0),
+        Option("patience", float, 120.0, "gives up after this time without rest", "s", 10.0, 3600.0),
     ),
     needs="the vehicle level, at rest on a level surface, with calibrated accelerometers",
     ends_on="standard deviation of roll and pitch (0.05 deg), three seconds at least",
-    autopilots={
-        "ardupilot": Holds(
-            writes=("AHRS_TRIM_X, AHRS_TRIM_Y",),
-            cannot_represent=("a trim beyond 10 deg", "different trims of several units", "the yaw of the board"),
-        ),
-        "px4": Holds(
-            writes=("SENS_BOARD_X_OFF, SENS_BOARD_Y_OFF",),
-            cannot_represent=("different trims of several units", "the yaw of the board"),
-        ),
-    },
+    autopilots=LEVEL,
     duration_s=6.0,
 )
 
@@ -84,7 +77,7 @@ class LevelProcedure(TickedProcedure):
             )
         self._say(_PROMPT)
 
-    def _on_tick(self, start: float, end: float, frame: Frame) -> None:
+    def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
         verdict = self._watch.update(frame)
         if not verdict.still:
             self._hold, self._why, self._judge_at = Hold(), verdict.why, 0.0
@@ -146,7 +139,7 @@ class LevelProcedure(TickedProcedure):
         if apart > UNITS_WITHIN:
             self._warn(f"the accelerometers differ by {math.degrees(apart):.1f} deg about what is level")
 
-    def _tell(self, verdict: Verdict) -> None:
+    def _tell(self, verdict: StillnessVerdict) -> None:
         if self._restless >= self.options["patience"]:
             self._give_up(
                 f"no rest within {self._restless:.0f} s: {self._why}",
@@ -184,20 +177,13 @@ def _fit(instance: int, model: TriadModel, mean: PoseMean) -> FitResult:
     gradient = _gradient(force)
     roll_sd, pitch_sd = (math.sqrt(float(row @ covariance @ row)) for row in gradient)
     native = {"roll": roll, "pitch": pitch, "roll_sd": roll_sd, "pitch_sd": pitch_sd}
-    return FitResult(
-        method="level",
-        sensor=Sensor.ACCEL,
-        instance=instance,
-        status=FitStatus.OK,
+    return FitBuilder("level", Sensor.ACCEL, instance, "m/s2", mean.n, temperature=mean.temperature).fitted(
+        TriadModel(),
+        np.zeros((12, 12)),
         message=f"board at roll {math.degrees(roll):.2f}, pitch {math.degrees(pitch):.2f} deg on the surface",
-        model=TriadModel(),
-        covariance=np.zeros((12, 12)),
-        unit="m/s2",
-        n_samples=mean.n,
         n_used=mean.n,
         residual_rms=0.0,
         condition_number=1.0,
-        temperature=mean.temperature,
         quality={f"{name}_deg": math.degrees(value) for name, value in native.items()},
         native=native,
     )

@@ -12,18 +12,20 @@ from typing import ClassVar
 
 import numpy as np
 
+from mavcal.calib.firmware.storable import MAG
+from mavcal.calib.firmware.stream.messages import COMPASS_WINDOW
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.mag.blur import rates_during
-from mavcal.calib.mag.orientation import OrientationResult, Verdict, interpolated
+from mavcal.calib.mag.orientation import MountingVerdict, OrientationResult, interpolated
+from mavcal.calib.option import Option
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.frames import body_from_sensor, in_force
-from mavcal.calib.procedures.mag_track import MagTrack, Motion
+from mavcal.calib.procedures.mag_track import BodyMotion, MagTrack
 from mavcal.calib.procedures.protocol import Done, Progress, Prompt
 from mavcal.calib.procedures.results import annotated, share_of_information
-from mavcal.calib.procedures.roster import Frame, Instance, label
-from mavcal.calib.procedures.spec import Option, Options, ProcedureSpec
+from mavcal.calib.procedures.roster import Instance, TickChannels, label
+from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.procedures.ticked import TickedProcedure
-from mavcal.calib.procedures.writable import MAG
 from mavcal.calib.recording import Array, Sensor
 from mavcal.calib.triad import TriadModel
 
@@ -34,18 +36,16 @@ SPEC = ProcedureSpec(
     aiding=(Sensor.GYRO, Sensor.ACCEL),
     helpful=(),
     options=(
-        Option("uncertainty", 0.3, "standard deviation of the heading to reach with every compass", "deg", 0.02, 5.0),
-        Option("patience", 240.0, "ends after this time in any case", "s", 20.0, 3600.0),
+        Option(
+            "uncertainty", float, 0.3, "standard deviation of the heading to reach with every compass", "deg", 0.02, 5.0
+        ),
+        Option("patience", float, 240.0, "ends after this time in any case", "s", 20.0, 3600.0),
     ),
     needs="the vehicle turned slowly about all axes, outdoors, away from steel and magnets; accelerometers calibrated",
     ends_on="standard deviation of the heading of every compass (0.3 deg), and a mounting that gravity confirms",
     autopilots=MAG,
     duration_s=40.0,
 )
-
-COMPASS_WINDOW = {"ardupilot": 0.1, "px4": 0.0}
-"""What the stream's compass averages over, s: ArduPilot reads at 10 Hz and averages what the sensor gave meanwhile; PX4
-streams single samples (FLIGHT_CONTROLLERS 2.1, 2.2)."""
 
 SHORTEST = 10.0
 """Least length, s."""
@@ -85,7 +85,7 @@ class MagProcedure(TickedProcedure):
         self._target = float(options["uncertainty"])
         self._window = COMPASS_WINDOW.get(context.identity.autopilot or "", 0.0)
         self._tracks: dict[int, MagTrack] = {}
-        self._recent: list[Frame] = []
+        self._recent: list[TickChannels] = []
         self._looked = self._advised = self._next_fit = -math.inf
         self._reached_at: float | None = None
         self._text = "Turn the vehicle slowly about all its axes."
@@ -107,7 +107,7 @@ class MagProcedure(TickedProcedure):
         elif instance[1] in self._inertial:
             self._inertial = self.present(Sensor.ACCEL)[0], self.present(Sensor.GYRO)[0]
 
-    def _on_tick(self, start: float, end: float, frame: Frame) -> None:
+    def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
         self._recent = [*self._recent[-2:], frame]
         if len(self._recent) > 1:
             # One tick late, so that the gyro's samples reach beyond the compass's.
@@ -125,8 +125,8 @@ class MagProcedure(TickedProcedure):
 
     # -- collecting ------------------------------------------------------------------------------------------------
 
-    def _collect(self, frame: Frame) -> None:
-        known: tuple[Array, Motion | None] | None = None
+    def _collect(self, frame: TickChannels) -> None:
+        known: tuple[Array, BodyMotion | None] | None = None
         for (sensor, instance), channel in frame.items():
             if sensor != Sensor.MAG or instance not in self.present(Sensor.MAG):
                 continue
@@ -146,7 +146,7 @@ class MagProcedure(TickedProcedure):
                 )
             self._tracks[instance].add(channel.values, motion)
 
-    def _motion(self, t: Array) -> Motion | None:
+    def _motion(self, t: Array) -> BodyMotion | None:
         """Of the body at the compass times `t`, from the last ticks; None: the inertial samples are missing."""
         accel_t, accel = self._lately((Sensor.ACCEL, self._inertial[0]))
         gyro_t, gyro = self._lately((Sensor.GYRO, self._inertial[1]))
@@ -156,7 +156,7 @@ class MagProcedure(TickedProcedure):
         # The reference of a thermal correction is left out: it tilts the vertical by less than the 10 % gate.
         force = self._accel.matrix @ (interpolated(middle, accel_t, accel) - self._accel.offset).T
         turning = self._rotation @ interpolated(middle, gyro_t, gyro).T
-        return Motion(rates_during(t, gyro_t, gyro, self._window), force.T, turning.T)
+        return BodyMotion(rates_during(t, gyro_t, gyro, self._window), force.T, turning.T)
 
     def _lately(self, instance: Instance) -> tuple[Array, Array]:
         parts = [f[instance] for f in self._recent if instance in f]
@@ -210,7 +210,7 @@ class MagProcedure(TickedProcedure):
 
     def _confirmed(self, mountings: dict[int, OrientationResult | None]) -> bool:
         """Whether every mounting is clear, or was waited for long enough."""
-        clear = all(m is not None and m.verdict != Verdict.AMBIGUOUS for m in mountings.values())
+        clear = all(m is not None and m.verdict != MountingVerdict.AMBIGUOUS for m in mountings.values())
         waited = self._reached_at is not None and self.time - self._reached_at >= CONFIRM_MOUNTING
         if not clear and not waited:
             self._text = "Tilt the vehicle to all sides while turning: the mounting of the compass is not clear yet."

@@ -11,13 +11,13 @@ import numpy as np
 
 from mavcal.calib.earth import EarthField
 from mavcal.calib.errors import CalibError, UndeterminedError
-from mavcal.calib.fit import FitResult, FitStatus, parameter_names, refused
+from mavcal.calib.fit import FitBuilder, FitResult, FitStatus
 from mavcal.calib.mag.accumulator import EllipsoidAccumulator
 from mavcal.calib.mag.blur import Rates
 from mavcal.calib.mag.blur_fit import fit_ellipsoid_deblurred
 from mavcal.calib.mag.coverage import Coverage
 from mavcal.calib.mag.heading import DEFAULT_INCLINATION
-from mavcal.calib.mag.orientation import OrientationResult, Verdict, find_orientation
+from mavcal.calib.mag.orientation import MountingVerdict, OrientationResult, find_orientation
 from mavcal.calib.recording import Array, Sensor
 from mavcal.calib.triad import TriadModel
 
@@ -36,7 +36,7 @@ REFUSED_ASKEW = 20.0
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class BodyMotion:
     """How the body moved at the times of a chunk of compass samples: rates over their window, force and rate then."""
 
     rates: Rates
@@ -92,7 +92,7 @@ class MagTrack:
     def __len__(self) -> int:
         return len(self._shape)
 
-    def add(self, samples: Array, motion: Motion) -> None:
+    def add(self, samples: Array, motion: BodyMotion) -> None:
         """Take samples (N, 3) with the motion at their times; blurred ones are left out."""
         if self.in_force is not None:
             self.strength = float(np.linalg.norm(self.in_force.apply(samples), axis=1).mean())
@@ -164,28 +164,20 @@ class MagTrack:
         known = None if mounting is None else _as_quality(mounting)
         quality = {**self.fit.quality, "orientation": known, "blurred": self.blurred}
         askew = _askew(mounting)
-        if mounting is not None and (mounting.verdict == Verdict.UNEXPLAINED or askew > REFUSED_ASKEW):
+        if mounting is not None and (mounting.verdict == MountingVerdict.UNEXPLAINED or askew > REFUSED_ASKEW):
             message = mounting.message
-            if mounting.verdict != Verdict.UNEXPLAINED:
+            if mounting.verdict != MountingVerdict.UNEXPLAINED:
                 message = (
                     f"no right-angle mounting explains the compass: the best ({mounting.best.name}) is {askew:.0f} deg "
                     "off; mount it square to the vehicle, or set its rotation by angles"
                 )
-            return refused(
-                self.fit.method,
-                Sensor.MAG,
-                self.instance,
-                message,
-                unit=self.fit.unit,
-                n_samples=self.fit.n_samples,
-                undetermined=parameter_names(),
-                quality=quality,
-            )
+            made = FitBuilder(self.fit.method, Sensor.MAG, self.instance, self.fit.unit, self.fit.n_samples)
+            return made.refused(message, quality=quality)
         warnings = self.fit.warnings
-        if mounting is None or mounting.verdict == Verdict.AMBIGUOUS:
+        if mounting is None or mounting.verdict == MountingVerdict.AMBIGUOUS:
             text = "the mounting of the compass could not be checked against the accelerometer"
             warnings += (text if mounting is None else mounting.message,)
-        elif mounting.verdict == Verdict.ROTATED:
+        elif mounting.verdict == MountingVerdict.ROTATED:
             warnings += (mounting.message,)
         if askew > WARNED_ASKEW:
             warnings += (f"the compass is mounted {askew:.0f} deg askew, which no parameter holds",)

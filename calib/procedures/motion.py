@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mavcal.calib.gyro import LARGEST_BIAS
-from mavcal.calib.procedures.roster import Frame, Instance, label
+from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.recording import Array, Sensor
 
 _AXES = "xyz"
@@ -108,7 +108,7 @@ class Disturbance(StrEnum):
 
 
 @dataclass(frozen=True)
-class Verdict:
+class StillnessVerdict:
     """Whether a tick belongs to a still run.
 
     `ticks` counts the run's ticks so far, `why` says what moves and by how much (empty while still), `what` of which
@@ -159,12 +159,12 @@ class StillWatch:
         """Mean over the last seconds of the present run."""
         return self._references[instance].mean
 
-    def update(self, frame: Frame) -> Verdict:
+    def update(self, frame: TickChannels) -> StillnessVerdict:
         """Take a tick."""
         self.latest = {i: statistics(frame[i].values) for i in self._references if i in frame}
         if not self.latest:
             self.reset()
-            return Verdict(still=False, ticks=0, why="no samples come in", what=Disturbance.SILENT)
+            return StillnessVerdict(still=False, ticks=0, why="no samples come in", what=Disturbance.SILENT)
         worst = max((self._judge(i, tick) for i, tick in self.latest.items()), key=lambda e: e.ratio)
         still = worst.ratio <= 1.0
         if not still:
@@ -173,8 +173,8 @@ class StillWatch:
         for instance, tick in self.latest.items():
             self._references[instance].add(tick)
         if still:
-            return Verdict(still=True, ticks=self._ticks, why="", what=Disturbance.NONE)
-        return Verdict(still=False, ticks=0, why=worst.why, what=worst.what)
+            return StillnessVerdict(still=True, ticks=self._ticks, why="", what=Disturbance.NONE)
+        return StillnessVerdict(still=False, ticks=0, why=worst.why, what=worst.what)
 
     def _judge(self, instance: Instance, tick: TickStatistics) -> _Excess:
         accel = instance[0] == Sensor.ACCEL

@@ -13,17 +13,19 @@ from typing import ClassVar
 import numpy as np
 
 from mavcal.calib.accel.poses import fit_one_axis
+from mavcal.calib.firmware.storable import ACCEL_OFFSETS
 from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.option import Option
 from mavcal.calib.procedures.body_frame import in_body, in_sensor
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.frames import body_from_sensor, in_force
 from mavcal.calib.procedures.holds import Hold
-from mavcal.calib.procedures.motion import Verdict
+from mavcal.calib.procedures.motion import StillnessVerdict
 from mavcal.calib.procedures.placing import facing, shown_down
 from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt
 from mavcal.calib.procedures.results import annotated, share_of_information
-from mavcal.calib.procedures.roster import Frame, Instance, label
-from mavcal.calib.procedures.spec import Holds, Option, Options, ProcedureSpec
+from mavcal.calib.procedures.roster import Instance, TickChannels, label
+from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.procedures.ticked import TickedProcedure
 from mavcal.calib.recording import Array, Channel, Sensor
 from mavcal.calib.triad import TriadModel
@@ -35,22 +37,15 @@ SPEC = ProcedureSpec(
     still_only=(Sensor.GYRO,),
     helpful=(Sensor.TEMPERATURE,),
     options=(
-        Option("uncertainty", 0.005, "standard deviation of the mean to reach on every axis", "m/s2", 5e-4, 0.1),
-        Option("fixture_sd", 0.5, "how far from vertical the axis may be (one standard deviation)", "deg", 0.0, 10.0),
-        Option("patience", 120.0, "gives up after this time", "s", 10.0, 3600.0),
+        Option("uncertainty", float, 0.005, "standard deviation of the mean to reach on every axis", "m/s2", 5e-4, 0.1),
+        Option(
+            "fixture_sd", float, 0.5, "how far from vertical the axis may be (one standard deviation)", "deg", 0.0, 10.0
+        ),
+        Option("patience", float, 120.0, "gives up after this time", "s", 10.0, 3600.0),
     ),
     needs="the vehicle at rest on a level surface, on any one of its six faces",
     ends_on="standard deviation of the mean reading of every axis (0.005 m/s2); the tilt of the surface comes on top",
-    autopilots={
-        "ardupilot": Holds(
-            writes=("INS_ACCOFFS_*, INS_ACC2OFFS_*, INS_ACC3OFFS_*", "INS_ACCn_CALTEMP", "AHRS_TRIM_*"),
-            cannot_represent=("nothing of it: scale and cross terms are not measured",),
-        ),
-        "px4": Holds(
-            writes=("CAL_ACCn_XOFF ... _ZOFF", "SENS_BOARD_X_OFF, _Y_OFF"),
-            cannot_represent=("a change of the offset below 0.01 m/s2, unless thermal compensation runs",),
-        ),
-    },
+    autopilots=ACCEL_OFFSETS,
     duration_s=8.0,
 )
 
@@ -82,7 +77,7 @@ class AccelOneAxisProcedure(TickedProcedure):
             self._give_up("the scale in force of no accelerometer is known", "read the vehicle's parameters first")
         self._say(_PROMPT)
 
-    def _on_tick(self, start: float, end: float, frame: Frame) -> None:
+    def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
         verdict = self._watch.update(frame)
         direction = shown_down(self._watch, self._body, self.present(Sensor.ACCEL))
         if not verdict.still or direction is None:
@@ -97,7 +92,7 @@ class AccelOneAxisProcedure(TickedProcedure):
     def _begin_again(self, why: str) -> None:
         self._hold, self._why, self._known, self._judge_at = Hold(), why, math.inf, SHORTEST
 
-    def _rest(self, frame: Frame, seconds: float, direction: Array) -> None:
+    def _rest(self, frame: TickChannels, seconds: float, direction: Array) -> None:
         at = facing(direction)
         if not at.square:
             self._begin_again(f"no axis is vertical: the nearest is {math.degrees(at.off):.0f} deg off")
@@ -144,7 +139,7 @@ class AccelOneAxisProcedure(TickedProcedure):
         fit = dataclasses.replace(fit, model=TriadModel(offset, scale))
         return in_sensor(fit, body, temperature=self._hold.temperature(instance))
 
-    def _tell(self, verdict: Verdict) -> None:
+    def _tell(self, verdict: StillnessVerdict) -> None:
         if self.elapsed >= self.options["patience"]:
             self._give_up(f"not done within {self.elapsed:.0f} s: {self._missing()[0]}", self._missing()[1])
             return

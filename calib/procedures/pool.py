@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Sequence
 
-from mavcal.calib.procedures.roster import Frame, Instance
+from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.recording import Channel, Recording, Sensor, join
 
 BLOCK = 64
@@ -20,7 +20,7 @@ class Pool:
         self._parts: dict[Instance, list[Channel]] = {}
         self._recent: dict[Instance, list[Channel]] = {}
 
-    def add(self, frame: Frame) -> None:
+    def add(self, frame: TickChannels) -> None:
         """Keep the samples of a tick."""
         for instance, channel in frame.items():
             if instance[0] in self._sensors:
@@ -54,10 +54,10 @@ class Tail:
     """Holds back the last ticks of a still run: the onset of a movement is in them before it is noticed."""
 
     def __init__(self, ticks: int) -> None:
-        self._held: deque[Frame] = deque()
+        self._held: deque[TickChannels] = deque()
         self._ticks = ticks
 
-    def push(self, frame: Frame) -> Frame | None:
+    def push(self, frame: TickChannels) -> TickChannels | None:
         """Take a tick; return the one that is old enough to be kept, if there is one."""
         self._held.append(frame)
         return self._held.popleft() if len(self._held) > self._ticks else None

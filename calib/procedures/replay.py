@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from mavcal.calib.procedures.context import Answer, ProcedureContext
+from mavcal.calib.procedures.context import OperatorAnswer, ProcedureContext
 from mavcal.calib.procedures.protocol import Done, GaveUp
 from mavcal.calib.procedures.registry import create
 from mavcal.calib.recording import Recording
@@ -16,7 +16,7 @@ def replay(
     options: Mapping[str, Any],
     context: ProcedureContext,
     recording: Recording,
-    answers: Sequence[Answer] = (),
+    answers: Sequence[OperatorAnswer] = (),
 ) -> Done | GaveUp:
     """Run the procedure `kind` over a raw `recording` (calibration in force undone).
 

@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
-from mavcal.calib.mag.orientation import RIGHT_ANGLES, Verdict
+from mavcal.calib.mag.orientation import RIGHT_ANGLES, MountingVerdict
 from mavcal.calib.procedures.mag_track import REFUSED_ASKEW
 from mavcal.calib.procedures.pool import Pool
 from mavcal.calib.procedures.poses import DOWN
 from mavcal.calib.procedures.protocol import Pose
-from mavcal.calib.procedures.roster import Frame
+from mavcal.calib.procedures.roster import TickChannels
 from mavcal.calib.procedures.turning import Spin
 from mavcal.calib.recording import Array, Channel, Sensor
 
@@ -31,7 +31,7 @@ class RingTrack:
         """Turned so far, rad, signed."""
         self._pool = Pool((Sensor.MAG,))
 
-    def add(self, frame: Frame, spin: Spin) -> None:
+    def add(self, frame: TickChannels, spin: Spin) -> None:
         """Take a tick of a clean turn about the vertical."""
         self._pool.add(frame)
         self.angle += spin.about(self.down) * spin.seconds
@@ -54,15 +54,15 @@ def mounting_in(rotation: Array) -> dict[str, object]:
     """
     best = max(RIGHT_ANGLES, key=lambda m: float(np.trace(m.matrix.T @ rotation)))
     askew = math.degrees(math.acos(float(np.clip(0.5 * (np.trace(best.matrix.T @ rotation) - 1.0), -1.0, 1.0))))
-    verdict, message = Verdict.AS_STATED, "mounted as stated"
+    verdict, message = MountingVerdict.AS_STATED, "mounted as stated"
     if askew > REFUSED_ASKEW:
-        verdict = Verdict.UNEXPLAINED
+        verdict = MountingVerdict.UNEXPLAINED
         message = (
             f"no right-angle mounting explains the compass: the best ({best.name}) is {askew:.0f} deg off; mount it "
             "square to the vehicle, or set its rotation by angles"
         )
     elif best is not RIGHT_ANGLES[0]:
-        verdict, message = Verdict.ROTATED, f"mounted turned by {best.name} against what is stated"
+        verdict, message = MountingVerdict.ROTATED, f"mounted turned by {best.name} against what is stated"
     return {
         "verdict": verdict.value,
         "name": best.name,

@@ -12,26 +12,27 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from mavcal.calib.fit import FitResult, FitStatus, refused
-from mavcal.calib.mag.orientation import Verdict
+from mavcal.calib.firmware.storable import MAG
+from mavcal.calib.fit import FitBuilder, FitResult, FitStatus
+from mavcal.calib.mag.orientation import MountingVerdict
 from mavcal.calib.mag.result import FIELD_TOLERANCE
 from mavcal.calib.mag.rings import fit_rings
+from mavcal.calib.option import Option
 from mavcal.calib.procedures.body_frame import in_body, in_sensor
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.frames import body_from_sensor
 from mavcal.calib.procedures.mag_track import WARNED_ASKEW
-from mavcal.calib.procedures.motion import Verdict as Stillness
+from mavcal.calib.procedures.motion import StillnessVerdict as Stillness
 from mavcal.calib.procedures.placing import Facing, facing, place, shown_down
 from mavcal.calib.procedures.pose_fit import CHANCE
 from mavcal.calib.procedures.poses import DOWN, FACES, TEXTS
 from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt
 from mavcal.calib.procedures.results import annotated, refusals
 from mavcal.calib.procedures.ring_track import ONCE_AROUND, RingTrack, mounting_in
-from mavcal.calib.procedures.roster import Frame, Instance, label
-from mavcal.calib.procedures.spec import Option, Options, ProcedureSpec
+from mavcal.calib.procedures.roster import Instance, TickChannels, label
+from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.procedures.ticked import TickedProcedure
 from mavcal.calib.procedures.turning import Spin, SpinWatch
-from mavcal.calib.procedures.writable import MAG
 from mavcal.calib.recording import Sensor
 
 SPEC = ProcedureSpec(
@@ -41,9 +42,19 @@ SPEC = ProcedureSpec(
     aiding=(Sensor.GYRO, Sensor.ACCEL),
     helpful=(),
     options=(
-        Option("uncertainty", 0.5, "standard deviation of the heading to reach with every compass", "deg", 0.05, 10.0),
-        Option("fixture_sd", 0.2, "how far from square each face may be (one standard deviation)", "deg", 0.0, 5.0),
-        Option("patience", 240.0, "gives up after this time without a new ring", "s", 20.0, 3600.0),
+        Option(
+            "uncertainty",
+            float,
+            0.5,
+            "standard deviation of the heading to reach with every compass",
+            "deg",
+            0.05,
+            10.0,
+        ),
+        Option(
+            "fixture_sd", float, 0.2, "how far from square each face may be (one standard deviation)", "deg", 0.0, 5.0
+        ),
+        Option("patience", float, 240.0, "gives up after this time without a new ring", "s", 20.0, 3600.0),
     ),
     needs="the vehicle stood square on each of its six faces and turned once around there, away from steel and magnets",
     ends_on="standard deviation of the heading of every compass (0.5 deg), the tilt of faces included; rings agree",
@@ -84,7 +95,7 @@ class MagRingsProcedure(TickedProcedure):
             self._warn("the place is not known: the field strength cannot be judged, and the common scale is not set")
         self._say(self._place_prompt())
 
-    def _on_tick(self, start: float, end: float, frame: Frame) -> None:
+    def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
         verdict = self._watch.update(frame)
         spin = self._spins.update(frame, self.present(Sensor.GYRO), end - start, resting=verdict.counted)
         direction = shown_down(self._watch, self._level, self.present(Sensor.ACCEL))
@@ -93,7 +104,7 @@ class MagRingsProcedure(TickedProcedure):
         if self.outcome is None:
             self._tell(verdict)
 
-    def _follow(self, frame: Frame, verdict: Stillness, spin: Spin, at: Facing) -> None:
+    def _follow(self, frame: TickChannels, verdict: Stillness, spin: Spin, at: Facing) -> None:
         if self._asked is not None and (not at.square or at.face != self._asked):
             if self._ring is not None and abs(self._ring.angle) > _BEGUN:
                 self._note = "It was tilted before it had gone round: begin this ring anew. "
@@ -124,7 +135,7 @@ class MagRingsProcedure(TickedProcedure):
         x, y, z = DOWN[at.face]
         return Prompt("turn", self._note + text, at.face, self._left(), detected=at.face, stable=moving, axis=(x, y, z))
 
-    def _turned(self, frame: Frame, spin: Spin, at: Facing) -> None:
+    def _turned(self, frame: TickChannels, spin: Spin, at: Facing) -> None:
         if self._ring is None:
             self._ring, self._asked = RingTrack(at.face), at.face
         self._note = ""
@@ -236,19 +247,12 @@ def _mounted(fit: FitResult, instance: int) -> FitResult:
     """The fit (in the body) with what its rotation says of the mounting; refused if no mounting explains it."""
     mounting = mounting_in(fit.model.rotation)
     quality = {**fit.quality, "orientation": mounting}
-    if mounting["verdict"] == Verdict.UNEXPLAINED:
-        return refused(
-            fit.method,
-            Sensor.MAG,
-            instance,
-            str(mounting["message"]),
-            unit=fit.unit,
-            n_samples=fit.n_samples,
-            movement="mount the compass square to the vehicle, or state its rotation by angles",
-            quality=quality,
-        )
+    if mounting["verdict"] == MountingVerdict.UNEXPLAINED:
+        made = FitBuilder(fit.method, Sensor.MAG, instance, fit.unit, fit.n_samples)
+        remedy = "mount the compass square to the vehicle, or state its rotation by angles"
+        return made.refused(str(mounting["message"]), movement=remedy, quality=quality)
     warnings = fit.warnings
-    if mounting["verdict"] == Verdict.ROTATED:
+    if mounting["verdict"] == MountingVerdict.ROTATED:
         warnings += (str(mounting["message"]),)
     if float(str(mounting["askew_deg"])) > WARNED_ASKEW:
         warnings += (f"the compass is mounted {mounting['askew_deg']:.0f} deg askew, which no parameter holds",)

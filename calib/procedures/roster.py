@@ -11,7 +11,7 @@ from mavcal.calib.procedures.intake import TICK, Key, Tick
 from mavcal.calib.recording import Array, Channel, Sensor
 
 Instance = tuple[Sensor, int]
-Frame = dict[Instance, Channel]
+TickChannels = dict[Instance, Channel]
 """The samples of one tick, one channel an instance."""
 
 ROSTER = 2.0
@@ -54,7 +54,7 @@ class Roster:
 
     keys: Mapping[Instance, Key]
 
-    def frame(self, tick: Tick) -> Frame:
+    def frame(self, tick: Tick) -> TickChannels:
         """The tick's samples by instance."""
         return {i: tick.channels[k] for i, k in self.keys.items() if k in tick.channels}
 
@@ -86,7 +86,7 @@ class Attendance:
     _constant: dict[Instance, int] = field(default_factory=dict)
     _mean: dict[Instance, Array] = field(default_factory=dict)
 
-    def update(self, frame: Frame) -> tuple[tuple[Instance, str], ...]:
+    def update(self, frame: TickChannels) -> tuple[tuple[Instance, str], ...]:
         """Take a tick; return the instances that fall out with it, each with its reason."""
         constant = {i for i in self.present & frame.keys() if self._repeats(i, frame[i])}
         movers = self._movers(frame, constant)
@@ -117,7 +117,7 @@ class Attendance:
         self._last[instance] = last
         return first == last == previous and bool((values == values[0]).all())
 
-    def _movers(self, frame: Frame, constant: set[Instance]) -> set[Instance]:
+    def _movers(self, frame: TickChannels, constant: set[Instance]) -> set[Instance]:
         movers = set()
         for instance in self.present & frame.keys() - constant:
             bound = MOVED.get(instance[0])

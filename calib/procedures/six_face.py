@@ -13,21 +13,22 @@ import numpy as np
 
 from mavcal.calib.accel.faces import Face
 from mavcal.calib.accel.six_face import fit_six_face
+from mavcal.calib.firmware.storable import ACCEL
 from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.option import Option
 from mavcal.calib.procedures.body_frame import in_sensor
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.frames import body_from_sensor
 from mavcal.calib.procedures.holds import SHORTEST, Hold, TakenPose, taken
-from mavcal.calib.procedures.motion import Verdict
+from mavcal.calib.procedures.motion import StillnessVerdict
 from mavcal.calib.procedures.placing import facing, place, shown_down
 from mavcal.calib.procedures.pose_fit import CHANCE
 from mavcal.calib.procedures.poses import DOWN, FACES, TEXTS
 from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt
 from mavcal.calib.procedures.results import annotated, mean_or_none, refusals
-from mavcal.calib.procedures.roster import Frame, Instance
-from mavcal.calib.procedures.spec import Option, Options, ProcedureSpec
+from mavcal.calib.procedures.roster import Instance, TickChannels
+from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.procedures.ticked import TickedProcedure
-from mavcal.calib.procedures.writable import ACCEL
 from mavcal.calib.recording import Array, Sensor
 
 SPEC = ProcedureSpec(
@@ -37,9 +38,13 @@ SPEC = ProcedureSpec(
     still_only=(Sensor.GYRO,),
     helpful=(Sensor.TEMPERATURE,),
     options=(
-        Option("uncertainty", 0.01, "standard deviation to reach on every axis of every offset", "m/s2", 5e-4, 0.2),
-        Option("fixture_sd", 0.1, "how far from square each face may be (one standard deviation)", "deg", 0.0, 5.0),
-        Option("patience", 180.0, "gives up after this time without a new face", "s", 20.0, 3600.0),
+        Option(
+            "uncertainty", float, 0.01, "standard deviation to reach on every axis of every offset", "m/s2", 5e-4, 0.2
+        ),
+        Option(
+            "fixture_sd", float, 0.1, "how far from square each face may be (one standard deviation)", "deg", 0.0, 5.0
+        ),
+        Option("patience", float, 180.0, "gives up after this time without a new face", "s", 20.0, 3600.0),
     ),
     needs="the vehicle put down on its six faces, square on a fixture or a block, in any order, 3 s each",
     ends_on="standard deviation of every offset (0.01 m/s2), the fixture's tilt included, and faces that agree",
@@ -70,7 +75,7 @@ class AccelSixFaceProcedure(TickedProcedure):
         self._body = {i: body_from_sensor(self.context, Sensor.ACCEL, i) for i in self.present(Sensor.ACCEL)}
         self._say(place(FACES, ""))
 
-    def _on_tick(self, start: float, end: float, frame: Frame) -> None:
+    def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
         verdict = self._watch.update(frame)
         direction = shown_down(self._watch, self._body, self.present(Sensor.ACCEL))
         if not verdict.still or direction is None:
@@ -86,7 +91,7 @@ class AccelSixFaceProcedure(TickedProcedure):
     def _left(self) -> tuple[Pose, ...]:
         return tuple(face for face in FACES if face not in self._faces)
 
-    def _rest(self, frame: Frame, seconds: float, direction: Array) -> None:
+    def _rest(self, frame: TickChannels, seconds: float, direction: Array) -> None:
         at = facing(direction)
         if not at.square:
             self._hold = None
@@ -160,7 +165,7 @@ class AccelSixFaceProcedure(TickedProcedure):
         results = tuple(annotated(f, self.context, self.warnings) for f in fits)
         self._finish(Done(results, f"every offset is known to {reached:.4f} m/s2 or better"))
 
-    def _tell(self, verdict: Verdict) -> None:
+    def _tell(self, verdict: StillnessVerdict) -> None:
         if self.time - max(self._last_taken, self._began) >= self.options["patience"]:
             cause, remedy = self._missing()
             self._give_up(

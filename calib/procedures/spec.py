@@ -7,60 +7,18 @@ The specifications are the one place of these facts: the service validates optio
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
 from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.firmware.storable import Storable
+from mavcal.calib.option import Option
 from mavcal.calib.recording import Sensor
 
 OptionValue = float | bool
 Options = Mapping[str, OptionValue]
-
-
-@dataclass(frozen=True)
-class Option:
-    """A number or a switch that the operator may set when the job is started."""
-
-    name: str
-    default: OptionValue
-    help: str
-    unit: str = ""
-    low: float = -math.inf
-    high: float = math.inf
-
-    def check(self, value: Any) -> OptionValue:
-        """`value` as this option's type.
-
-        Raises
-        ------
-        InvalidInputError
-            If it has another type or lies outside the limits.
-        """
-        if isinstance(self.default, bool):
-            if not isinstance(value, bool):
-                raise InvalidInputError(f"option {self.name} is a switch: give true or false, not {value!r}")
-            return value
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise InvalidInputError(f"option {self.name} is a finite number{self._unit()}, not {value!r}")
-        if not self.low <= value <= self.high:
-            raise InvalidInputError(
-                f"option {self.name} is {value:g}{self._unit()}; it must lie between {self.low:g} and {self.high:g}"
-            )
-        return float(value)
-
-    def _unit(self) -> str:
-        return f" {self.unit}" if self.unit else ""
-
-
-@dataclass(frozen=True)
-class Holds:
-    """What one autopilot keeps of a procedure's result."""
-
-    writes: tuple[str, ...]
-    cannot_represent: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -80,7 +38,7 @@ class ProcedureSpec:
     options: tuple[Option, ...]
     needs: str
     ends_on: str
-    autopilots: Mapping[str, Holds]
+    autopilots: Mapping[str, Storable]
     duration_s: float
     aliases: tuple[str, ...] = dataclasses.field(default=())
     still_only: tuple[Sensor, ...] = ()

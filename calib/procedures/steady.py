@@ -8,7 +8,7 @@ import numpy as np
 
 from mavcal.calib.procedures.pool import Pool, Tail
 from mavcal.calib.procedures.results import mean_temperature
-from mavcal.calib.procedures.roster import Frame
+from mavcal.calib.procedures.roster import TickChannels
 from mavcal.calib.procedures.turning import Spin
 from mavcal.calib.recording import Array, Channel, Sensor
 
@@ -43,7 +43,7 @@ class Stretch:
         allowed = max(STEADY * abs(rate), STEADY_AT_LEAST)
         return math.isnan(self._last) or abs(rate - self._last) <= allowed
 
-    def add(self, frame: Frame, spin: Spin) -> None:
+    def add(self, frame: TickChannels, spin: Spin) -> None:
         """Take a tick."""
         self._last = spin.about(self.axis)
         if self._skip > 0:

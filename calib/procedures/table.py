@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from mavcal.calib.option import Option
 from mavcal.calib.procedures.registry import PROCEDURES
-from mavcal.calib.procedures.spec import Option, ProcedureSpec
+from mavcal.calib.procedures.spec import ProcedureSpec
 
 _AUTOPILOTS = {"ardupilot": "ArduPilot", "px4": "PX4"}
 

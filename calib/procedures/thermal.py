@@ -9,15 +9,17 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
+from mavcal.calib.firmware.storable import DRIFT
 from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.option import Option
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.drift_fit import DriftPool, fit_drift
-from mavcal.calib.procedures.motion import Disturbance, Verdict
+from mavcal.calib.procedures.motion import Disturbance, StillnessVerdict
 from mavcal.calib.procedures.pool import Tail
 from mavcal.calib.procedures.protocol import Done, Progress, Prompt
 from mavcal.calib.procedures.results import annotated
-from mavcal.calib.procedures.roster import Frame, Instance, label
-from mavcal.calib.procedures.spec import Holds, Option, Options, ProcedureSpec
+from mavcal.calib.procedures.roster import Instance, TickChannels, label
+from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.procedures.ticked import TickedProcedure
 from mavcal.calib.procedures.warmth import Warmth
 from mavcal.calib.recording import Sensor
@@ -28,34 +30,32 @@ SPEC = ProcedureSpec(
     sensors=(Sensor.ACCEL, Sensor.GYRO, Sensor.TEMPERATURE),
     helpful=(),
     options=(
-        Option("span", 25.0, "range of temperature to cover, every unit", "degC", 10.0, 100.0),
+        Option("span", float, 25.0, "range of temperature to cover, every unit", "degC", 10.0, 100.0),
         Option(
-            "extend", default=True, help="goes on past the span until the temperature settles, or the operator ends it"
+            "extend",
+            bool,
+            default=True,
+            help="goes on past the span until the temperature settles, or the operator ends it",
         ),
-        Option("settled", 0.2, "rate below which the temperature counts as settled", "degC/min", 0.01, 5.0),
+        Option("settled", float, 0.2, "rate below which the temperature counts as settled", "degC/min", 0.01, 5.0),
         Option(
-            "accel_residual", 0.02, "standard deviation of the accelerometers' drift curve to reach", "m/s2", 1e-3, 0.2
+            "accel_residual",
+            float,
+            0.02,
+            "standard deviation of the accelerometers' drift curve to reach",
+            "m/s2",
+            1e-3,
+            0.2,
         ),
-        Option("gyro_residual", 0.05, "standard deviation of the gyros' drift curve to reach", "deg/s", 2e-3, 0.5),
-        Option("patience", 600.0, "gives up after this time without a change of temperature", "s", 30.0, 7200.0),
+        Option(
+            "gyro_residual", float, 0.05, "standard deviation of the gyros' drift curve to reach", "deg/s", 2e-3, 0.5
+        ),
+        Option("patience", float, 600.0, "gives up after this time without a change of temperature", "s", 30.0, 7200.0),
     ),
     needs="a cold vehicle lying still while it warms up by its own heat (or a warm one that cools down)",
     ends_on="a settled temperature, or `finish` once the range is wide enough (25 degC). "
     "The drift curves are then known to 0.02 m/s2 and 0.05 deg/s",
-    autopilots={
-        "ardupilot": Holds(
-            writes=(
-                "INS_TCALn_ENABLE, _TMIN, _TMAX",
-                "INS_TCALn_ACC1..3_*, _GYR1..3_*",
-                "INS_ACC*OFFS_*, INS_GYR*OFFS_*",
-            ),
-            cannot_represent=("a scale that varies with temperature", "more than three orders", "hysteresis"),
-        ),
-        "px4": Holds(
-            writes=("TC_An_*, TC_Gn_* (X0..X3, TMIN, TMAX, TREF, ID)", "TC_A_ENABLE, TC_G_ENABLE"),
-            cannot_represent=("a scale that varies with temperature", "more than three orders", "hysteresis"),
-        ),
-    },
+    autopilots=DRIFT,
     duration_s=900.0,
 )
 
@@ -110,7 +110,7 @@ class ThermalProcedure(TickedProcedure):
         moving = {*self.present(Sensor.ACCEL), *self.present(Sensor.GYRO)}
         return tuple(i for i in self.present(Sensor.TEMPERATURE) if i in moving)
 
-    def _on_tick(self, start: float, end: float, frame: Frame) -> None:
+    def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
         self._warmth.update(frame, self._units())
         verdict = self._watch.update(frame)
         if not verdict.still:
@@ -122,12 +122,12 @@ class ThermalProcedure(TickedProcedure):
         if self.outcome is None:
             self._tell(verdict)
 
-    def _moved(self, verdict: Verdict) -> None:
+    def _moved(self, verdict: StillnessVerdict) -> None:
         self._why, self._what = verdict.why, verdict.what
         self._tail = Tail(GUARD_TICKS)
         self._resting = False
 
-    def _keep(self, start: float, end: float, frame: Frame) -> None:
+    def _keep(self, start: float, end: float, frame: TickChannels) -> None:
         kept = self._tail.push(frame)
         if kept is None:
             return
@@ -255,7 +255,7 @@ class ThermalProcedure(TickedProcedure):
             text = f"Do not touch it: {self._what}. {text}"
         self._say(Prompt("warm_up", text, stable=still, answers=answers))
 
-    def _tell(self, verdict: Verdict) -> None:
+    def _tell(self, verdict: StillnessVerdict) -> None:
         span, target, rate = self._warmth.span, float(self.options["span"]), self._warmth.rate
         eta = (target - span) / abs(rate) if abs(rate) > 1e-4 and span < target else None
         text = f"{span:.1f} of {target:.0f} degC"

@@ -14,23 +14,24 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from mavcal.calib.firmware.storable import GYRO
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.gyro import fit_thread
+from mavcal.calib.option import Option
 from mavcal.calib.procedures.body_frame import in_body, in_sensor
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.frames import body_from_sensor
 from mavcal.calib.procedures.intake import TICK
-from mavcal.calib.procedures.motion import RESTING, StillLimits, Verdict
+from mavcal.calib.procedures.motion import RESTING, StillLimits, StillnessVerdict
 from mavcal.calib.procedures.placing import facing, shown_down
 from mavcal.calib.procedures.pool import Pool
 from mavcal.calib.procedures.poses import DOWN, TEXTS
 from mavcal.calib.procedures.protocol import Done, Number, Pose, Progress, Prompt
 from mavcal.calib.procedures.results import annotated, mean_temperature, refusals
-from mavcal.calib.procedures.roster import Frame, Instance
-from mavcal.calib.procedures.spec import Option, Options, ProcedureSpec
+from mavcal.calib.procedures.roster import Instance, TickChannels
+from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.procedures.ticked import TickedProcedure
 from mavcal.calib.procedures.turning import OVERWRITES, TURNING, Spin, SpinWatch, way
-from mavcal.calib.procedures.writable import GYRO
 from mavcal.calib.recording import Array, Segment, Sensor
 
 SPEC = ProcedureSpec(
@@ -40,10 +41,10 @@ SPEC = ProcedureSpec(
     aiding=(Sensor.ACCEL,),
     helpful=(Sensor.MAG, Sensor.TEMPERATURE),
     options=(
-        Option("turns", 10.0, "whole turns to make each way, from rest to rest", "", 1.0, 200.0),
-        Option("angle_sd", 5.0, "how far from whole the turns may be where no compass counts", "deg", 0.0, 90.0),
-        Option("uncertainty", 0.2, "standard deviation of the scale to reach", "%", 0.01, 5.0),
-        Option("patience", 300.0, "gives up after this time without new turns", "s", 20.0, 3600.0),
+        Option("turns", float, 10.0, "whole turns to make each way, from rest to rest", "", 1.0, 200.0),
+        Option("angle_sd", float, 5.0, "how far from whole the turns may be where no compass counts", "deg", 0.0, 90.0),
+        Option("uncertainty", float, 0.2, "standard deviation of the scale to reach", "%", 0.01, 5.0),
+        Option("patience", float, 300.0, "gives up after this time without new turns", "s", 20.0, 3600.0),
     ),
     needs="the vehicle hung on a thread, or on a swivel chair, turned by whole turns one way and as many back, twice",
     ends_on="standard deviation of the scale about the thread (0.2 %), and turns that agree",
@@ -108,7 +109,7 @@ class GyroThreadProcedure(TickedProcedure):
             self._warn(OVERWRITES)
         self._say(self._rest_prompt())
 
-    def _on_tick(self, start: float, end: float, frame: Frame) -> None:
+    def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
         verdict = self._watch.update(frame)
         self._pool.add(frame)
         resting = verdict.counted and not self._wound
@@ -121,11 +122,11 @@ class GyroThreadProcedure(TickedProcedure):
         if self.outcome is None:
             self._tell()
 
-    def _resting(self, verdict: Verdict, spin: Spin) -> bool:
+    def _resting(self, verdict: StillnessVerdict, spin: Spin) -> bool:
         """A steady slow turn is still to the eye of one tick: its rate tells."""
         return verdict.counted and (not self._spins.rested or float(np.linalg.norm(spin.rate)) < 0.3 * TURNING)
 
-    def _rested(self, end: float, verdict: Verdict) -> None:
+    def _rested(self, end: float, verdict: StillnessVerdict) -> None:
         begun = end - verdict.ticks * TICK
         if not math.isnan(self._rest_end) and abs(self._angle) >= LEAST_TURN:
             self._keep(Wound(self._rest_end - TICK, begun + 2.0 * TICK, self._angle))

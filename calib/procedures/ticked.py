@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 from mavcal.calib.errors import ProcedureError
-from mavcal.calib.procedures.context import Answer, ProcedureContext
+from mavcal.calib.procedures.context import OperatorAnswer, ProcedureContext
 from mavcal.calib.procedures.intake import Intake, Tick
 from mavcal.calib.procedures.motion import RESTING, StillLimits, StillWatch
 from mavcal.calib.procedures.protocol import Done, GaveUp, Progress, Prompt, Step
@@ -16,9 +16,9 @@ from mavcal.calib.procedures.roster import (
     ROSTER,
     ROSTER_EXPECTED,
     Attendance,
-    Frame,
     Instance,
     Roster,
+    TickChannels,
     choose,
     label,
 )
@@ -52,7 +52,7 @@ class TickedProcedure(ABC):
         self._roster: Roster | None = None
         self._attendance = Attendance(set())
         self._watch = StillWatch(self.limits, ())
-        self._scheduled: list[Answer] = []
+        self._scheduled: list[OperatorAnswer] = []
         self._steps: list[Step] = []
         self._prompt: Prompt | None = None
         self._reported = -math.inf
@@ -90,7 +90,7 @@ class TickedProcedure(ABC):
         self._on_answer(value)
         return self._told()
 
-    def schedule(self, answers: Sequence[Answer]) -> None:
+    def schedule(self, answers: Sequence[OperatorAnswer]) -> None:
         """Give these answers when the procedure's `time` comes to theirs (a replayed job)."""
         self._scheduled = sorted([*self._scheduled, *answers], key=lambda a: a.t)
 
@@ -106,7 +106,7 @@ class TickedProcedure(ABC):
         """The roster is settled."""
 
     @abstractmethod
-    def _on_tick(self, start: float, end: float, frame: Frame) -> None:
+    def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
         """Take a tick's samples."""
 
     @abstractmethod

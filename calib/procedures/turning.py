@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavcal.calib.fit import AXES
-from mavcal.calib.procedures.roster import Frame
+from mavcal.calib.procedures.roster import TickChannels
 from mavcal.calib.recording import Array, Sensor
 
 TURNING = math.radians(5.0)
@@ -56,7 +56,7 @@ class SpinWatch:
         self._body = body
         self._offsets: dict[int, tuple[Array, int]] = {}
 
-    def update(self, frame: Frame, instances: Iterable[int], seconds: float, *, resting: bool) -> Spin | None:
+    def update(self, frame: TickChannels, instances: Iterable[int], seconds: float, *, resting: bool) -> Spin | None:
         """Take a tick; `resting` ones tell the offset. None: no gyro gave samples."""
         means = {i: frame[Sensor.GYRO, i].values.mean(axis=0) for i in instances if (Sensor.GYRO, i) in frame}
         for instance, mean in means.items():

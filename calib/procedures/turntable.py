@@ -10,23 +10,24 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from mavcal.calib.firmware.storable import GYRO
 from mavcal.calib.fit import AXES, FitResult, FitStatus
 from mavcal.calib.gyro import PLAUSIBLE_BIAS, fit_turntable
+from mavcal.calib.option import Option
 from mavcal.calib.procedures.body_frame import in_body, in_sensor
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.frames import body_from_sensor
-from mavcal.calib.procedures.motion import Verdict
+from mavcal.calib.procedures.motion import StillnessVerdict
 from mavcal.calib.procedures.placing import Facing, facing, shown_down
 from mavcal.calib.procedures.pool import joined
 from mavcal.calib.procedures.poses import DOWN, TEXTS
 from mavcal.calib.procedures.protocol import Done, Number, Pose, Progress, Prompt
 from mavcal.calib.procedures.results import annotated, mean_or_none, refusals
-from mavcal.calib.procedures.roster import Frame, Instance
-from mavcal.calib.procedures.spec import Option, Options, ProcedureSpec
+from mavcal.calib.procedures.roster import Instance, TickChannels
+from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.procedures.steady import Stretch
 from mavcal.calib.procedures.ticked import TickedProcedure
 from mavcal.calib.procedures.turning import OVERWRITES, TURNING, Spin, SpinWatch, Turned, way
-from mavcal.calib.procedures.writable import GYRO
 from mavcal.calib.recording import Segment, Sensor
 
 SPEC = ProcedureSpec(
@@ -36,13 +37,15 @@ SPEC = ProcedureSpec(
     aiding=(Sensor.ACCEL,),
     helpful=(Sensor.TEMPERATURE,),
     options=(
-        Option("rate", 0.0, "true rate of the turntable; 0: the operator is asked", "deg/s", 0.0, 1000.0),
-        Option("rate_sd", 0.0, "uncertainty of that rate (one standard deviation)", "deg/s", 0.0, 100.0),
-        Option("uncertainty", 0.1, "standard deviation of the scale to reach on every axis turned", "%", 0.01, 5.0),
-        Option("x", default=True, help="turn about the nose-tail axis (nose up or down)"),
-        Option("y", default=True, help="turn about the left-right axis (on a side)"),
-        Option("z", default=True, help="turn about the top-bottom axis (level or upside down)"),
-        Option("patience", 300.0, "gives up after this time without a new turn", "s", 20.0, 3600.0),
+        Option("rate", float, 0.0, "true rate of the turntable; 0: the operator is asked", "deg/s", 0.0, 1000.0),
+        Option("rate_sd", float, 0.0, "uncertainty of that rate (one standard deviation)", "deg/s", 0.0, 100.0),
+        Option(
+            "uncertainty", float, 0.1, "standard deviation of the scale to reach on every axis turned", "%", 0.01, 5.0
+        ),
+        Option("x", bool, default=True, help="turn about the nose-tail axis (nose up or down)"),
+        Option("y", bool, default=True, help="turn about the left-right axis (on a side)"),
+        Option("z", bool, default=True, help="turn about the top-bottom axis (level or upside down)"),
+        Option("patience", float, 300.0, "gives up after this time without a new turn", "s", 20.0, 3600.0),
     ),
     needs="a turntable of known, steady rate; the vehicle fixed on it with each axis vertical, turned both ways",
     ends_on="standard deviation of the scale of every axis that is turned (0.1 %), and turns that agree",
@@ -102,7 +105,7 @@ class GyroTurntableProcedure(TickedProcedure):
         self._round += 1
         self._left = [Turned(j, sign) for j in reversed(self._axes) for sign in (1.0, -1.0)]
 
-    def _on_tick(self, start: float, end: float, frame: Frame) -> None:
+    def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
         verdict = self._watch.update(frame)
         spin = self._spins.update(frame, self.present(Sensor.GYRO), end - start, resting=self._at_rest(verdict))
         direction = shown_down(self._watch, self._level, self.present(Sensor.ACCEL))
@@ -116,7 +119,7 @@ class GyroTurntableProcedure(TickedProcedure):
         if self.outcome is None:
             self._tell()
 
-    def _at_rest(self, verdict: Verdict) -> bool:
+    def _at_rest(self, verdict: StillnessVerdict) -> bool:
         return verdict.counted and not self._rested
 
     @property
@@ -129,7 +132,7 @@ class GyroTurntableProcedure(TickedProcedure):
             return Prompt("hold_still", text, stable=resting)
         return Prompt("state", f"{text} State the true rate of the turntable.", stable=resting, number=_RATE)
 
-    def _rest(self, frame: Frame, spin: Spin, verdict: Verdict) -> None:
+    def _rest(self, frame: TickChannels, spin: Spin, verdict: StillnessVerdict) -> None:
         """A rest, before anything turns: its offset is what turns are told by."""
         if not verdict.still:
             self._stretch = None
@@ -151,7 +154,7 @@ class GyroTurntableProcedure(TickedProcedure):
 
     # -- turns -----------------------------------------------------------------------------------------------------
 
-    def _follow(self, frame: Frame, spin: Spin, at: Facing) -> None:
+    def _follow(self, frame: TickChannels, spin: Spin, at: Facing) -> None:
         turned = self._recognised(spin, at)
         if turned is None or turned not in self._left or not self._plausible(spin, turned):
             self._stretch = None

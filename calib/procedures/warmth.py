@@ -6,7 +6,7 @@ import math
 from collections import deque
 from collections.abc import Iterable
 
-from mavcal.calib.procedures.roster import Frame
+from mavcal.calib.procedures.roster import TickChannels
 from mavcal.calib.recording import Sensor
 
 
@@ -21,7 +21,7 @@ class Warmth:
         self.now: dict[int, float] = {}
         """Latest temperature of every unit, degC."""
 
-    def update(self, frame: Frame, units: tuple[int, ...]) -> None:
+    def update(self, frame: TickChannels, units: tuple[int, ...]) -> None:
         """Take a tick; only `units` count."""
         for unit in set(self.now) - set(units):
             del self.now[unit]
@@ -35,7 +35,7 @@ class Warmth:
         while len(self._history) > 2 and self._history[-1][0] - self._history[1][0] >= self._over:
             self._history.popleft()
 
-    def keep(self, frame: Frame) -> None:
+    def keep(self, frame: TickChannels) -> None:
         """The samples of `frame` are kept for the fit."""
         self._kept.add(frame, tuple(self.now))
 
@@ -91,7 +91,7 @@ class _Range:
     def __init__(self) -> None:
         self._ends: dict[int, tuple[float, float]] = {}
 
-    def add(self, frame: Frame, units: Iterable[int]) -> None:
+    def add(self, frame: TickChannels, units: Iterable[int]) -> None:
         for unit in units:
             channel = frame.get((Sensor.TEMPERATURE, unit))
             if channel is not None:

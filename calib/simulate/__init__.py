@@ -13,19 +13,19 @@ from __future__ import annotations
 
 from mavcal.calib.recording import Sensor
 from mavcal.calib.simulate.matlab import MatlabParameters, from_matlab, to_matlab
-from mavcal.calib.simulate.motion import Facts, Leg, Trajectory, Warming, along, trajectory
-from mavcal.calib.simulate.presets import MOTIONS, Motion, MotionOptions, motion_of
+from mavcal.calib.simulate.motion import Leg, SegmentFacts, Trajectory, Warming, along, trajectory
+from mavcal.calib.simulate.presets import MOTIONS, MotionOptions, MotionPreset, motion_of
 from mavcal.calib.simulate.recording import SensorSuite, Simulated, in_frame, simulate, suite_in_frame
 from mavcal.calib.simulate.sensor import SensorErrors
 from mavcal.calib.simulate.sitl import SitlParameters, SitlSensors, from_sitl, to_sitl
 
 __all__ = [
     "MOTIONS",
-    "Facts",
     "Leg",
     "MatlabParameters",
-    "Motion",
     "MotionOptions",
+    "MotionPreset",
+    "SegmentFacts",
     "Sensor",
     "SensorErrors",
     "SensorSuite",

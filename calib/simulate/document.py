@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcal.calib.converter import make_converter
 from mavcal.calib.errors import InvalidInputError, UnreadableError
 from mavcal.calib.recording import Rounding, Sensor
 from mavcal.calib.simulate.matlab import OBJECTS, suite_from_matlab
-from mavcal.calib.simulate.motion import Facts, Warming
+from mavcal.calib.simulate.motion import SegmentFacts, Warming
 from mavcal.calib.simulate.recording import Frame, SensorSuite, Simulated, suite_in_frame
 from mavcal.calib.simulate.sensor import SensorErrors
 from mavcal.calib.simulate.sitl import from_sitl
@@ -22,6 +23,7 @@ from mavcal.calib.simulate.sitl import from_sitl
 Array = NDArray[np.float64]
 
 _SENSORS = tuple(s.value for s in (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG))
+_CONVERTER = make_converter()
 _TEXT_FORMS = (".param", ".parm", ".params")
 
 
@@ -104,12 +106,7 @@ def errors_from_json(fields: Mapping[str, Any]) -> SensorErrors:
 
 def errors_to_json(errors: SensorErrors) -> dict[str, Any]:
     """The fields by name; null where there is no range, and where flicker has no poles of its own."""
-    document: dict[str, Any] = {}
-    for field in dataclasses.fields(errors):
-        value = getattr(errors, field.name)
-        document[field.name] = value.tolist() if isinstance(value, np.ndarray) else value
-    document["rounding"] = errors.rounding.value
-    document["full_scale"] = errors.full_scale if np.isfinite(errors.full_scale) else None
+    document: dict[str, Any] = _CONVERTER.unstructure(errors)
     return document
 
 
@@ -136,17 +133,12 @@ def _model(errors: SensorErrors) -> dict[str, Any]:
     polynomial = None
     if model.polynomial is not None:
         polynomial = {"t_ref": errors.t_ref, "coefficients": errors.temperature.tolist()}
-    return {"offset": model.offset.tolist(), "matrix": model.matrix.tolist(), "polynomial": polynomial}
+    return {**_CONVERTER.unstructure(model), "polynomial": polynomial}
 
 
-def _segment(facts: Facts) -> dict[str, Any]:
-    return {
-        "label": facts.segment.label,
-        "start": facts.segment.start,
-        "end": facts.segment.end,
-        "rate": None if facts.rate is None else facts.rate.tolist(),
-        "turns": facts.turns,
-    }
+def _segment(facts: SegmentFacts) -> dict[str, Any]:
+    data = _CONVERTER.unstructure(facts)
+    return {**data.pop("segment"), **data}
 
 
 def _parameters(text: str) -> dict[str, float]:

@@ -37,7 +37,7 @@ class Leg:
 
 
 @dataclass(frozen=True, eq=False)
-class Facts:
+class SegmentFacts:
     """What is known of a labelled segment: the true rate (3,) in rad/s, or the number of turns; None: neither."""
 
     segment: Segment
@@ -60,7 +60,7 @@ class Trajectory:
     force: Array
     field: Array
     temperature: Array
-    facts: tuple[Facts, ...] = ()
+    facts: tuple[SegmentFacts, ...] = ()
 
     @property
     def samples_per_second(self) -> float:
@@ -182,9 +182,11 @@ def trajectory(
             rates.append(body_rate)
         begin = begin * leg.turning(np.array([leg.duration]))[0][0]
         if leg.label and j > i:
-            facts.append(Facts(Segment(leg.label, float(t[i]), float(t[j - 1]) + 1.0 / rate), leg.rate, leg.turns))
+            facts.append(
+                SegmentFacts(Segment(leg.label, float(t[i]), float(t[j - 1]) + 1.0 / rate), leg.rate, leg.turns)
+            )
     attitude = Rotation.from_quat(np.concatenate(attitudes))
-    return _moved(t, attitude, np.concatenate(rates), field, gravity, warming, tuple(facts))
+    return _moved(t, attitude, np.concatenate(rates), field=field, gravity=gravity, warming=warming, facts=tuple(facts))
 
 
 def along(
@@ -200,17 +202,20 @@ def along(
     if len(t) < 2 or len(t) != len(attitude) or not (np.diff(t) > 0.0).all():
         raise InvalidInputError(f"{len(attitude)} attitudes at {len(t)} times: two or more are needed, at rising times")
     rates = np.asarray(RotationSpline(t, attitude)(t, 1), dtype=np.float64)
-    return _moved(np.asarray(t, dtype=np.float64), attitude, rates, field, gravity, warming, ())
+    return _moved(
+        np.asarray(t, dtype=np.float64), attitude, rates, field=field, gravity=gravity, warming=warming, facts=()
+    )
 
 
 def _moved(
     t: Array,
     attitude: Rotation,
     rates: Array,
+    *,
     field: Array,
     gravity: float,
     warming: Warming | None,
-    facts: tuple[Facts, ...],
+    facts: tuple[SegmentFacts, ...],
 ) -> Trajectory:
     local = np.asarray(field, dtype=np.float64)
     if local.shape != (3,) or not np.isfinite(local).all() or not (np.isfinite(gravity) and gravity > 0.0):

@@ -35,7 +35,7 @@ _TURNS = 10  # of the thread
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class MotionPreset:
     """Legs, and the attitude in which they begin."""
 
     legs: tuple[Leg, ...]
@@ -66,27 +66,27 @@ class MotionOptions:
             )
 
 
-Maker = Callable[[MotionOptions, np.random.Generator], Motion]
+Maker = Callable[[MotionOptions, np.random.Generator], MotionPreset]
 
 
-def rest(options: MotionOptions, rng: np.random.Generator) -> Motion:
+def rest(options: MotionOptions, rng: np.random.Generator) -> MotionPreset:
     """Level and still."""
-    return Motion((hold(options.duration or 60.0, "level"),), _held([FACES["level"]], options, rng)[0])
+    return MotionPreset((hold(options.duration or 60.0, "level"),), _held([FACES["level"]], options, rng)[0])
 
 
-def six_faces(options: MotionOptions, rng: np.random.Generator) -> Motion:
+def six_faces(options: MotionOptions, rng: np.random.Generator) -> MotionPreset:
     """The six faces in turn, labelled by their names."""
     return _visited(list(FACES), _held(list(FACES.values()), options, rng), options)
 
 
-def poses(options: MotionOptions, rng: np.random.Generator) -> Motion:
+def poses(options: MotionOptions, rng: np.random.Generator) -> MotionPreset:
     """The six faces and oblique poses, all labelled."""
     oblique = [Rotation.from_quat(q / np.linalg.norm(q)) for q in rng.normal(size=(options.poses, 4))]
     names = [*FACES, *(f"pose{k + 1}" for k in range(options.poses))]
     return _visited(names, _held([*FACES.values(), *oblique], options, rng), options)
 
 
-def tumble(options: MotionOptions, rng: np.random.Generator) -> Motion:
+def tumble(options: MotionOptions, rng: np.random.Generator) -> MotionPreset:
     """Never still, all directions: yaw, pitch and roll at speeds without a common measure, begun anywhere."""
     phase = rng.uniform(0.0, 2.0 * np.pi, 3)
     speeds = np.array([0.61803, 0.41421, 1.17320])
@@ -98,10 +98,10 @@ def tumble(options: MotionOptions, rng: np.random.Generator) -> Motion:
         slope[:, 1] *= 1.4 * np.cos(p[:, 1])
         return value, slope
 
-    return Motion((weave(options.duration or 120.0, angles),), Rotation.identity())
+    return MotionPreset((weave(options.duration or 120.0, angles),), Rotation.identity())
 
 
-def figure_eight(options: MotionOptions, rng: np.random.Generator) -> Motion:
+def figure_eight(options: MotionOptions, rng: np.random.Generator) -> MotionPreset:
     """A figure of eight waved with the wrist: yaw once while roll goes twice, pitch between, slowly turning."""
     w = 2.0 * np.pi / 4.0
     phase = float(rng.uniform(0.0, 2.0 * np.pi))
@@ -115,10 +115,10 @@ def figure_eight(options: MotionOptions, rng: np.random.Generator) -> Motion:
         ]
         return np.column_stack(value), np.column_stack(slope)
 
-    return Motion((weave(options.duration or 60.0, angles),), Rotation.identity())
+    return MotionPreset((weave(options.duration or 60.0, angles),), Rotation.identity())
 
 
-def rings(options: MotionOptions, rng: np.random.Generator) -> Motion:
+def rings(options: MotionOptions, rng: np.random.Generator) -> MotionPreset:
     """One whole turn about the vertical on each of the six faces, labelled by the face."""
     seconds = options.duration or 20.0
     legs: list[Leg] = []
@@ -129,10 +129,10 @@ def rings(options: MotionOptions, rng: np.random.Generator) -> Motion:
         if k + 1 < len(attitudes):
             done = attitude * Rotation.from_rotvec(vertical * _SETTLE)  # the ramps add half a second of turning
             legs.append(turn((done.inv() * attitudes[k + 1]).as_rotvec(), _MOVE))
-    return Motion(tuple(legs), attitudes[0])
+    return MotionPreset(tuple(legs), attitudes[0])
 
 
-def turntable(options: MotionOptions, rng: np.random.Generator) -> Motion:
+def turntable(options: MotionOptions, rng: np.random.Generator) -> MotionPreset:
     """Each axis down on a turntable that turns at +90 deg/s and then at -90 deg/s; labels ``x+ x- y+ y- z+ z-``."""
     seconds = options.duration or 20.0
     legs: list[Leg] = []
@@ -143,21 +143,21 @@ def turntable(options: MotionOptions, rng: np.random.Generator) -> Motion:
         legs += [*_spun_up(rate, seconds, f"{letter}+"), *_spun_up(-rate, seconds, f"{letter}-")]
         if k + 1 < len(attitudes):
             legs.append(turn((attitude.inv() * attitudes[k + 1]).as_rotvec(), _MOVE))
-    return Motion(tuple(legs), attitudes[0])
+    return MotionPreset(tuple(legs), attitudes[0])
 
 
-def thread(options: MotionOptions, rng: np.random.Generator) -> Motion:
+def thread(options: MotionOptions, rng: np.random.Generator) -> MotionPreset:
     """Hung level on a thread: ten whole turns one way, from rest to rest, and ten back; labels ``z+ z-``."""
     seconds = options.duration or 20.0
     start = _held([FACES["level"]], options, rng)[0]
     whole = 2.0 * np.pi * _TURNS * np.asarray(start.apply([0.0, 0.0, 1.0], inverse=True), dtype=np.float64)
     there, back = turn(whole, seconds, "z+"), turn(-whole, seconds, "z-")
-    return Motion((hold(_SETTLE), there, hold(_SETTLE), back, hold(_SETTLE)), start)
+    return MotionPreset((hold(_SETTLE), there, hold(_SETTLE), back, hold(_SETTLE)), start)
 
 
-def warm_up(options: MotionOptions, rng: np.random.Generator) -> Motion:
+def warm_up(options: MotionOptions, rng: np.random.Generator) -> MotionPreset:
     """Level and still for twenty minutes, while the temperature moves."""
-    return Motion((hold(options.duration or 1200.0),), _held([FACES["level"]], options, rng)[0])
+    return MotionPreset((hold(options.duration or 1200.0),), _held([FACES["level"]], options, rng)[0])
 
 
 MOTIONS: Mapping[str, Maker] = MappingProxyType(
@@ -176,7 +176,7 @@ MOTIONS: Mapping[str, Maker] = MappingProxyType(
 """Every motion by its name."""
 
 
-def motion_of(name: str, options: MotionOptions, rng: np.random.Generator) -> Motion:
+def motion_of(name: str, options: MotionOptions, rng: np.random.Generator) -> MotionPreset:
     """The motion called `name`; `rng` draws oblique poses, phases and the fixture's tilt.
 
     Raises
@@ -197,14 +197,14 @@ def _held(attitudes: Sequence[Rotation], options: MotionOptions, rng: np.random.
     return [Rotation.from_rotvec([a, b, 0.0]) * attitude for (a, b), attitude in zip(tilts, attitudes, strict=True)]
 
 
-def _visited(names: Sequence[str], attitudes: Sequence[Rotation], options: MotionOptions) -> Motion:
+def _visited(names: Sequence[str], attitudes: Sequence[Rotation], options: MotionOptions) -> MotionPreset:
     seconds = options.duration or 5.0
     if options.back:
         names, attitudes = [*names, *names[-2::-1]], [*attitudes, *attitudes[-2::-1]]
     legs = [hold(seconds, names[0])]
     for name, (before, after) in zip(names[1:], pairwise(attitudes), strict=True):
         legs += [hold(_SETTLE), turn((before.inv() * after).as_rotvec(), _MOVE), hold(_SETTLE), hold(seconds, name)]
-    return Motion(tuple(legs), attitudes[0])
+    return MotionPreset(tuple(legs), attitudes[0])
 
 
 def _spun_up(rate: Array, seconds: float, label: str) -> list[Leg]:

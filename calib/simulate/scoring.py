@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Score:
+class RecoveryScore:
     """Errors of the parameters `names`, with the standard deviations and covariance that were stated for them."""
 
     names: tuple[str, ...]
@@ -37,7 +37,7 @@ class Score:
         return float(e @ np.linalg.solve(correlation, e))
 
 
-def score(stored: TriadModel, fit: FitResult, truth: TriadModel, names: tuple[str, ...]) -> Score:
+def score(stored: TriadModel, fit: FitResult, truth: TriadModel, names: tuple[str, ...]) -> RecoveryScore:
     """What `stored` (the calibration in force on the vehicle) misses of `truth`, against the uncertainty of `fit`.
 
     Matrices are compared in their symmetric form, offsets at the temperature of the fit, polynomials about the
@@ -54,10 +54,10 @@ def score(stored: TriadModel, fit: FitResult, truth: TriadModel, names: tuple[st
     if silent:
         raise InvalidInputError(f"the fit states no uncertainty for {', '.join(silent)}")
     errors = _values(stored, fit) - _values(truth, fit)
-    return Score(names, errors[order], covariance)
+    return RecoveryScore(names, errors[order], covariance)
 
 
-def joint_p_value(scores: tuple[Score, ...]) -> tuple[float, int, float]:
+def joint_p_value(scores: tuple[RecoveryScore, ...]) -> tuple[float, int, float]:
     """Sum of chi-squares over independent fits, its degrees of freedom, and the probability of a larger one."""
     total = sum(s.chi2 for s in scores)
     freedom = sum(len(s.names) for s in scores)

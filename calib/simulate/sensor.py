@@ -145,20 +145,20 @@ class SensorErrors:
         *,
         temperature: Array | None = None,
         force: Array | None = None,
-    ) -> Reading:
+    ) -> SimulatedReadings:
         """What the sensor reads: :meth:`systematic` with noise, clipped and made discrete."""
         noise = self.random(len(truth), rate, rng) * self._growth(temperature)
         return self.discrete(self.systematic(truth, temperature, force) + noise)
 
-    def discrete(self, values: Array) -> Reading:
+    def discrete(self, values: Array) -> SimulatedReadings:
         """`values` (N, 3) clipped to the range and rounded; truncated ones become the middles of their bins."""
         clipped = np.clip(values, -self.full_scale, self.full_scale)
         if self.resolution == 0.0 or self.rounding == Rounding.NONE:
-            return Reading(clipped, None)
+            return SimulatedReadings(clipped, None)
         if self.rounding == Rounding.NEAREST:
-            return Reading(self.resolution * _nearest(clipped / self.resolution), None)
+            return SimulatedReadings(self.resolution * _nearest(clipped / self.resolution), None)
         k = np.trunc(clipped / self.resolution)
-        return Reading(self.resolution * (k + 0.5 * np.sign(k)), np.asarray(k == 0.0))
+        return SimulatedReadings(self.resolution * (k + 0.5 * np.sign(k)), np.asarray(k == 0.0))
 
     def _growth(self, temperature: Array | None) -> Array:
         if temperature is None:
@@ -168,7 +168,7 @@ class SensorErrors:
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class SimulatedReadings:
     """Samples (N, 3) of a sensor; `zero_bin` (N, 3) is True where truncation left a double-width bin, None: nowhere."""
 
     values: Array

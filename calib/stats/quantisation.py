@@ -164,7 +164,7 @@ def interval_regression(
     X = np.asarray(design, dtype=np.float64)
     w = np.ones(len(X)) if weights is None else np.asarray(weights, dtype=np.float64)
     theta = _maximum(X, lower, upper, w, _start(X, values / scale, w, limit), limit)
-    return _interval_fit(X, lower, upper, w, theta, scale, limit)
+    return _interval_fit(X, lower, upper, w, theta, scale=scale, limit=limit)
 
 
 def impute(values: Array, half: Array, expected: Array, sigma: float) -> tuple[Array, Array]:
@@ -292,7 +292,7 @@ def _newton_step(gradient: Array, hessian: Array, *, held: bool) -> Array:
 
 
 def _interval_fit(
-    X: Array, lower: Array, upper: Array, w: Array, theta: Array, scale: float, limit: float
+    X: Array, lower: Array, upper: Array, w: Array, theta: Array, *, scale: float, limit: float
 ) -> IntervalFit:
     _, _, hessian, scores = _likelihood(X, lower, upper, w, theta)
     tau, beta = theta[-1], theta[:-1] / theta[-1]

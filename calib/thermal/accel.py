@@ -17,7 +17,7 @@ order parts them.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -27,14 +27,14 @@ from scipy.special import chdtrc
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.attitude import tilt_sd_deg
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
-from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.fit import AXES, FitBuilder, FitResult, parameter_names
+from mavcal.calib.recording import Channel
 from mavcal.calib.stats.norm_fit import PAIRS
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.stats.stillness import Still, pose_means
 from mavcal.calib.stats.windows import finite_rows
 from mavcal.calib.thermal.accel_solve import (
-    Solved,
+    AccelThermalSolution,
     WarmPose,
     WarmProblem,
     WarmSolution,
@@ -99,41 +99,34 @@ def fit_accel_thermal(
     """
     _check(degree, gravity, cross_sd)
 
-    def refusal(message: str, movement: str) -> FitResult:
-        return refused(
-            METHOD,
-            Sensor.ACCEL,
-            accel.instance,
-            message,
-            unit=accel.unit,
-            n_samples=len(accel),
-            movement=movement,
-        )
-
     again = "hold every face still for some seconds while it is cold, and again, in opposite order, when it is warm"
     accel = accel.take(finite_rows(accel.values))
+    made = FitBuilder.of(METHOD, accel, relative=relative)
     at = _temperature_at(accel, temperature)
     if at is None:
-        return refusal("the thermometer has no finite sample", "stream the temperature of the inertial unit")
+        return made.refused(
+            "the thermometer has no finite sample", movement="stream the temperature of the inertial unit"
+        )
     inside = np.zeros(len(accel), dtype=np.bool_)
     for still in stills:
         inside |= (accel.t >= still.start) & (accel.t < still.end)
     if len(stills) < 4 or not inside.any():
-        return refusal(f"{len(stills)} still poses are not enough: six faces at two temperatures", again)
+        return made.refused(f"{len(stills)} still poses are not enough: six faces at two temperatures", movement=again)
     low, high = float(at[inside].min()), float(at[inside].max())
     if high - low < _LEAST_SPAN:
-        return refusal(
+        return made.refused(
             f"the temperature of the poses moved by {high - low:.2f} degC ({low:.1f} to {high:.1f}): "
             f"{_LEAST_SPAN:.0f} are needed; without them accel-multi is the method",
-            again,
+            movement=again,
         )
     middle, half_span = 0.5 * (low + high), 0.5 * (high - low)
     x = (at - middle) / half_span
-    solved = _solved(accel, x, stills, gyro, degree, gravity, cross_sd)
+    solved = _solved(accel, x, stills, gyro, degree=degree, gravity=gravity, cross_sd=cross_sd)
     if isinstance(solved, str):
-        return refusal(solved, again)
+        return made.refused(solved, movement=again)
     reference = float(middle + half_span * np.mean([w.powers[0] for w in solved.warm])) if t_ref is None else t_ref
-    return _result(accel, solved, gravity, cross_sd, (low, high), reference, relative)
+    made = dataclasses.replace(made, temperature=reference)
+    return _result(made, solved, gravity=gravity, cross_sd=cross_sd, span=(low, high), t_ref=reference)
 
 
 def _solved(
@@ -141,10 +134,11 @@ def _solved(
     x: Array,
     stills: Sequence[Still],
     gyro: Channel | None,
+    *,
     degree: int,
     gravity: float,
     cross_sd: float | None,
-) -> Solved | str:
+) -> AccelThermalSolution | str:
     """The solution in two rounds: the second one's means are freed of the drift within each pose; or why there is none.
 
     The mean of a pose then stands for its mean powers of the temperature, and its scatter is noise alone.
@@ -152,7 +146,7 @@ def _solved(
     within = within_poses(accel, x, stills, degree)
     level = accel
     drift = within.coefficients
-    solved: Solved | str = ""
+    solved: AccelThermalSolution | str = ""
     for _ in range(2):
         warm = _warm_poses(level, x, stills, gyro, degree)
         if len(warm) < 4:
@@ -178,65 +172,37 @@ def _levelled(accel: Channel, x: Array, stills: Sequence[Still], drift: Array) -
 
 
 def _result(
-    accel: Channel,
-    solved: Solved,
+    made: FitBuilder,
+    solved: AccelThermalSolution,
+    *,
     gravity: float,
     cross_sd: float | None,
     span: tuple[float, float],
     t_ref: float,
-    relative: bool,
 ) -> FitResult:
     problem, solution, unknown = solved.problem, solved.solution, solved.unknown
     degree = problem.degree
     chi2, dof = _chi2(problem, solution, unknown, cross_sd)
-    statistics = residual_statistics(solution.residuals, dof, 1.0)
     p_value = None if dof <= 0 else float(chdtrc(dof, chi2))
-    model, covariance, scale_of = _model(problem, solution, unknown, cross_sd, gravity, span, t_ref)
-    warnings = []
+    model, covariance, scale_of = _model(
+        problem, solution, unknown, cross_sd=cross_sd, gravity=gravity, span=span, t_ref=t_ref
+    )
     if p_value is not None and p_value < _MISFIT:
         covariance = covariance * (chi2 / dof)
-        worst = int(np.argmax(np.abs(solution.residuals)))
-        pose = solved.warm[worst].pose
-        warnings.append(
-            f"the poses contradict each other (p = {p_value:.1e}; the sd is inflated to their scatter): that of "
-            f"{pose.start:.1f} to {pose.end:.1f} s is off most; or the drift needs a higher degree"
-        )
-    if p_value is None:
-        warnings.append("as many unknowns as poses: nothing tests the fit; visit the faces once more")
     confounded = confounding(problem, solution)
-    if confounded > 4.0:
-        warnings.append(
-            f"direction and temperature went together (the drift is known {confounded:.1f} times worse for it): visit "
-            "the faces a second time in opposite order"
-        )
-    slope, slope_covariance = scale_drift(problem, solution)
-    if slope @ np.linalg.solve(slope_covariance, slope) > _SCALE_MOVES:
-        warnings.append(
-            f"the scale moves with temperature as well ({_listed(200.0 * slope)} % of x, y, z over the span): no "
-            "autopilot stores that, the matrix is that of the mean"
-        )
-    undetermined, movements = _open(unknown, degree, movement(solved.weak))
-    return FitResult(
-        method=METHOD,
-        sensor=Sensor.ACCEL,
-        instance=accel.instance,
-        status=FitStatus.PARTIAL if any(i < 6 or i >= 9 for i in unknown) else FitStatus.OK,
+    return made.fitted(
+        model,
+        covariance,
         message=f"{len(solved.warm)} poses over {span[0]:.1f} to {span[1]:.1f} degC, directions free, drift of degree "
         f"{degree}",
-        model=model,
-        covariance=covariance,
-        unit=accel.unit,
-        n_samples=len(accel),
         n_used=sum(w.pose.n for w in solved.warm),
         residual_rms=float(gravity * np.sqrt((solution.lengths**2).mean())),
         condition_number=scale_of,
-        relative=relative,
-        undetermined=undetermined,
-        movements=movements,
-        warnings=tuple(warnings),
-        temperature=t_ref,
+        undetermined=_open(unknown, degree, movement(solved.weak)),
+        partial=any(i < 6 or i >= 9 for i in unknown),
+        warnings=_warnings(solved, p_value, confounded),
         quality={
-            **statistics,
+            **residual_statistics(solution.residuals, dof, 1.0),
             "chi2": chi2,
             "p_value": p_value,
             "poses": len(solved.warm),
@@ -250,6 +216,30 @@ def _result(
         },
         native=_native(solved, gravity, 0.5 * (span[1] - span[0])),
     )
+
+
+def _warnings(solved: AccelThermalSolution, p_value: float | None, confounded: float) -> Iterator[str]:
+    """What speaks against the fit; `p_value` None: as many unknowns as poses."""
+    problem, solution = solved.problem, solved.solution
+    if p_value is None:
+        yield "as many unknowns as poses: nothing tests the fit; visit the faces once more"
+    elif p_value < _MISFIT:
+        pose = solved.warm[int(np.argmax(np.abs(solution.residuals)))].pose
+        yield (
+            f"the poses contradict each other (p = {p_value:.1e}; the sd is inflated to their scatter): that of "
+            f"{pose.start:.1f} to {pose.end:.1f} s is off most; or the drift needs a higher degree"
+        )
+    if confounded > 4.0:
+        yield (
+            f"direction and temperature went together (the drift is known {confounded:.1f} times worse for it): visit "
+            "the faces a second time in opposite order"
+        )
+    slope, slope_covariance = scale_drift(problem, solution)
+    if slope @ np.linalg.solve(slope_covariance, slope) > _SCALE_MOVES:
+        yield (
+            f"the scale moves with temperature as well ({_listed(200.0 * slope)} % of x, y, z over the span): no "
+            "autopilot stores that, the matrix is that of the mean"
+        )
 
 
 def _chi2(
@@ -270,6 +260,7 @@ def _model(
     problem: WarmProblem,
     solution: WarmSolution,
     unknown: Sequence[int],
+    *,
     cross_sd: float | None,
     gravity: float,
     span: tuple[float, float],
@@ -323,7 +314,7 @@ def _with_cross_scatter(problem: WarmProblem, solution: WarmSolution, crosses: l
     return covariance
 
 
-def _open(unknown: Sequence[int], degree: int, remedy: str) -> tuple[tuple[str, ...], dict[str, str]]:
+def _open(unknown: Sequence[int], degree: int, remedy: str) -> dict[str, str]:
     """Names of what is not determined, in the order of the model, each with the movement that would."""
     found: dict[str, str] = {}
     for i in unknown:
@@ -337,8 +328,7 @@ def _open(unknown: Sequence[int], degree: int, remedy: str) -> tuple[tuple[str, 
             power, axis = divmod(i - 9, 3)
             text = f"hold {AXES[axis]} up and down again at another temperature, the faces in opposite order"
             found[f"poly{power + 1}_{AXES[axis]}"] = text
-    names = tuple(name for name in parameter_names(degree) if name in found)
-    return names, {name: found[name] for name in names}
+    return {name: found[name] for name in parameter_names(degree) if name in found}
 
 
 def _attitude_sd(model: TriadModel, covariance: Array, gravity: float, span: tuple[float, float]) -> float:
@@ -353,7 +343,7 @@ def _attitude_sd(model: TriadModel, covariance: Array, gravity: float, span: tup
     return worst
 
 
-def _native(solved: Solved, gravity: float, half_span: float) -> dict[str, Any]:
+def _native(solved: AccelThermalSolution, gravity: float, half_span: float) -> dict[str, Any]:
     problem, solution = solved.problem, solved.solution
     slope, covariance = scale_drift(problem, solution)
     return {

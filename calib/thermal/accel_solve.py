@@ -79,7 +79,7 @@ class WarmSolution:
 
 
 @dataclass(frozen=True, eq=False)
-class Solved:
+class AccelThermalSolution:
     """The solution, the one under a weak prior that tells what is open, and the indices of that."""
 
     warm: tuple[WarmPose, ...]
@@ -121,7 +121,7 @@ def within_poses(accel: Channel, x: Array, stills: Sequence[Still], degree: int)
 
 def solve_poses(
     warm: Sequence[WarmPose], within: WithinPoses, *, in_si: bool, gravity: float, cross_sd: float | None
-) -> Solved | str:
+) -> AccelThermalSolution | str:
     """Offset, matrix and drift from poses; or why there are none."""
     means = np.array([w.pose.mean for w in warm])
     if not np.isfinite(means).all():
@@ -150,7 +150,7 @@ def solve_poses(
     solution = _solve(problem, weak=bool(unknown), held=crosses)
     if solution is None:
         return "the fit of the poses did not converge: hold more poses, and each of them longer"
-    return Solved(tuple(warm), problem, weak, solution, (*unknown, *crosses))
+    return AccelThermalSolution(tuple(warm), problem, weak, solution, (*unknown, *crosses))
 
 
 def _unlearnt(sd: Array, cross_sd: float | None) -> tuple[int, ...]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.recording import Channel
 from mavcal.calib.stats.quantisation import COARSE, half_widths
-from mavcal.calib.thermal.drift import Bins, DriftData
+from mavcal.calib.thermal.drift import DriftData, TemperatureBins
 
 Array = NDArray[np.float64]
 
@@ -46,20 +46,18 @@ class DriftCells:
     ----------
     columns : int
         Of the channel.
-    bins : bool
-        Whether the bins of a quantised channel are counted.
     limit : int
         Cells to keep.
     """
 
-    def __init__(self, columns: int = 3, *, bins: bool = True, limit: int = CELLS) -> None:
+    def __init__(self, columns: int = 3, *, limit: int = CELLS) -> None:
         self._k = columns
         self._limit = limit
         self._rows = np.empty((2 * limit, 3 + 2 * columns))
         self._used = 0
         self._each = 1  # parts of a full cell
         self._parts = 0  # of the last one
-        self._bins: list[list[Array] | None] = [[] if bins else None for _ in range(columns)]
+        self._bins: list[list[Array] | None] = [[] for _ in range(columns)]
         self._quantum = 0.0
         self.channel: Channel | None = None
         """An empty channel with what is said of all samples; None before the first."""
@@ -103,9 +101,9 @@ class DriftCells:
         k = self._k
         return CellTable(rows[:, 0], rows[:, 1], rows[:, 2].astype(np.intp), rows[:, 3 : 3 + k], rows[:, 3 + k :])
 
-    def bins(self) -> tuple[Bins | None, ...]:
+    def bins(self) -> tuple[TemperatureBins | None, ...]:
         """For every column how many samples of which cell lay in which bin; None where they do not count."""
-        found: list[Bins | None] = []
+        found: list[TemperatureBins | None] = []
         for column in range(self._k):
             self._gather(column)
             pieces = self._bins[column]
@@ -113,7 +111,7 @@ class DriftCells:
                 found.append(None)
                 continue
             rows, values, halves, counts = pieces[0].T
-            found.append(Bins(rows.astype(np.intp), values.copy(), halves.copy(), counts.copy()))
+            found.append(TemperatureBins(rows.astype(np.intp), values.copy(), halves.copy(), counts.copy()))
         return tuple(found)
 
     def data(self, temperature: Array) -> DriftData:

@@ -34,7 +34,7 @@ _SPIKES_AMONG = 50  # rows below which an extreme is not told from a spike
 
 
 @dataclass(frozen=True, eq=False)
-class Bins:
+class TemperatureBins:
     """The bins of one axis: of which row of the data, middle and half width, and how many samples lay there."""
 
     rows: NDArray[np.intp]
@@ -59,7 +59,7 @@ class DriftData:
     """Samples (N,) that each row is the mean of; None: one."""
     scatter: Array | None = None
     """Sums (3,) of the squares of the samples about their rows; None: zero."""
-    cell_bins: tuple[Bins | None, ...] | None = None
+    cell_bins: tuple[TemperatureBins | None, ...] | None = None
     """Per axis, where the rows are means of quantised samples."""
     limits: tuple[float, float] | None = None
     """Lowest and highest temperature, where the rows are means that do not reach them, degC; None: those of `t`."""
@@ -129,13 +129,13 @@ class DriftData:
         """Whether the samples came in bins."""
         return self.half is not None or self.cell_bins is not None
 
-    def bins(self, axis: int) -> Bins | None:
+    def bins(self, axis: int) -> TemperatureBins | None:
         """The bins of one axis; None where they do not matter."""
         if self.cell_bins is not None:
             return self.cell_bins[axis]
         if self.half is None:
             return None
-        return Bins(np.arange(self.n), self.y[:, axis], self.half[:, axis], np.ones(self.n))
+        return TemperatureBins(np.arange(self.n), self.y[:, axis], self.half[:, axis], np.ones(self.n))
 
     def blocks(self, x: Array, degree: int) -> DriftBlocks:
         """Sums on the powers of `x` (N,)."""
@@ -190,12 +190,12 @@ class DriftData:
         return ""
 
 
-def _kept(bins: Bins | None, keep: NDArray[np.bool_]) -> Bins | None:
+def _kept(bins: TemperatureBins | None, keep: NDArray[np.bool_]) -> TemperatureBins | None:
     if bins is None:
         return None
     stay = keep[bins.rows]
     number = np.cumsum(keep) - 1
-    return Bins(number[bins.rows[stay]], bins.values[stay], bins.half[stay], bins.counts[stay])
+    return TemperatureBins(number[bins.rows[stay]], bins.values[stay], bins.half[stay], bins.counts[stay])
 
 
 def _spiked(data: DriftData, reach: Array) -> NDArray[np.bool_] | None:

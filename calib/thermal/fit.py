@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.fit import AXES, FitResult, FitStatus, parameter_names, refused
+from mavcal.calib.fit import AXES, OFFSETS, FitBuilder, FitResult
 from mavcal.calib.recording import Channel, Sensor
 from mavcal.calib.stats.correlated import ColouredCovariance
 from mavcal.calib.stats.quantisation import COARSE, impute, interval_regression
-from mavcal.calib.thermal.drift import Bins, DriftBlocks, DriftCurve, DriftData, powers_about, repeated_rows
+from mavcal.calib.thermal.drift import DriftBlocks, DriftCurve, DriftData, TemperatureBins, powers_about, repeated_rows
 from mavcal.calib.thermal.quality import (
     attitude_quality,
     block_statistics,
@@ -32,8 +32,8 @@ from mavcal.calib.thermal.quality import (
 )
 from mavcal.calib.thermal.sweeps import (
     Die,
-    Judgement,
-    Lag,
+    DriftPrediction,
+    ThermometerLag,
     both_ways,
     cross_validated,
     hysteresis,
@@ -88,9 +88,10 @@ def fit_linear(
         this method and are named as undetermined; an axis that reads one constant value is named, not estimated.
     """
     data = DriftData.of(channel, temperature)
+    made = FitBuilder.of(LINEAR_METHOD, channel, relative=relative, temperature=t_ref, movement=_COLDER)
     reason = data.refusal(1, min_span)
     if reason:
-        return _refused(LINEAR_METHOD, channel, len(channel), reason)
+        return made.refused(reason)
     x = data.t - t_ref
     fixed = None if through is None else np.asarray(through, dtype=np.float64)
     repeated = repeated_rows(data)
@@ -98,7 +99,6 @@ def fit_linear(
     blocks = DriftBlocks.of(x, data.time, data.y, degree=1, origin=fixed)
     fresh_blocks = DriftBlocks.of(x[~repeated], fresh.time, fresh.y, degree=1, origin=fixed)
     noise = fresh_blocks.noise()
-    none = np.zeros(3, dtype=np.bool_)
     slope_row = 0 if fixed is not None else 1
     slopes = blocks.ordinary[slope_row]
     variance = noise.covariances[:, slope_row, slope_row]
@@ -106,6 +106,42 @@ def fit_linear(
     covariance = np.zeros((15, 15))
     covariance[12:, 12:] = np.diag(np.where(estimated, variance, 0.0))
     residual = blocks.residual_sd()
+    polynomial = ThermalPolynomial(t_ref, data.t_min, data.t_max, np.where(estimated, slopes, 0.0)[:, None])
+    return made.fitted(
+        TriadModel(polynomial=polynomial),
+        covariance,
+        message=said_of("slope", data, estimated),
+        n_used=data.n,
+        residual_rms=_rms(residual, estimated),
+        condition_number=blocks.condition,
+        undetermined=_beside_slopes(data, estimated),
+        partial=not estimated.all(),
+        warnings=_slope_warnings(data, repeated, slopes, variance),
+        quality={
+            **noise_quality(data, noise, estimated),
+            **block_statistics(fresh_blocks, fresh_blocks.ordinary, estimated),
+            "repeated_rows": int(repeated.sum()),
+        },
+        native={
+            "slopes": or_none(slopes, estimated),
+            "intercepts": or_none(blocks.ordinary[0] if fixed is None else fixed, estimated),
+            "t_ref": t_ref,
+            "form": "least_squares" if fixed is None else "through_point",
+            "residual_sd": or_none(residual, estimated),
+            "raw_sd": or_none(data.y.std(axis=0, ddof=1), estimated),
+        },
+    )
+
+
+def _beside_slopes(data: DriftData, estimated: NDArray[np.bool_]) -> dict[str, str]:
+    """What the slopes leave open, each with what would determine it."""
+    none = np.zeros(3, dtype=np.bool_)
+    flat = tuple(f"poly1_{AXES[i]}" for i in range(3) if not estimated[i])
+    return dict.fromkeys(OFFSETS, _ONLY_SLOPE) | {name: remedy_for(name, data, none, none) for name in flat}
+
+
+def _slope_warnings(data: DriftData, repeated: NDArray[np.bool_], slopes: Array, variance: Array) -> list[str]:
+    estimated = ~data.constant
     warnings = list(common_warnings(data, estimated))
     if repeated.any():
         warnings.append(
@@ -115,42 +151,12 @@ def fit_linear(
     weak = ", ".join(AXES[i] for i in range(3) if estimated[i] and slopes[i] ** 2 < 4.0 * variance[i])
     if weak:
         warnings.append(f"the slope of {weak} is not larger than twice its own sd: it may be no drift of temperature")
-    intercepts = blocks.ordinary[0] if fixed is None else fixed
-    undetermined = parameter_names()[:3] + tuple(f"poly1_{AXES[i]}" for i in range(3) if not estimated[i])
-    return FitResult(
-        method=LINEAR_METHOD,
-        sensor=channel.sensor,
-        instance=channel.instance,
-        status=FitStatus.OK if estimated.all() else FitStatus.PARTIAL,
-        message=said_of("slope", data, estimated),
-        model=TriadModel(
-            polynomial=ThermalPolynomial(t_ref, data.t_min, data.t_max, np.where(estimated, slopes, 0.0)[:, None])
-        ),
-        covariance=covariance,
-        unit=channel.unit,
-        n_samples=len(channel),
-        n_used=data.n,
-        residual_rms=float(np.sqrt((residual[estimated] ** 2).mean())) if estimated.any() else 0.0,
-        condition_number=blocks.condition,
-        relative=relative,
-        undetermined=undetermined,
-        movements={n: _ONLY_SLOPE if n.startswith("offset") else remedy_for(n, data, none, none) for n in undetermined},
-        warnings=tuple(warnings),
-        temperature=t_ref,
-        quality={
-            **noise_quality(data, noise, estimated),
-            **block_statistics(fresh_blocks, fresh_blocks.ordinary, estimated),
-            "repeated_rows": int(repeated.sum()),
-        },
-        native={
-            "slopes": or_none(slopes, estimated),
-            "intercepts": or_none(intercepts, estimated),
-            "t_ref": t_ref,
-            "form": "least_squares" if fixed is None else "through_point",
-            "residual_sd": or_none(residual, estimated),
-            "raw_sd": or_none(data.y.std(axis=0, ddof=1), estimated),
-        },
-    )
+    return warnings
+
+
+def _rms(residual: Array, estimated: NDArray[np.bool_]) -> float:
+    """Over the axes that are estimated; 0 where none is."""
+    return float(np.sqrt((residual[estimated] ** 2).mean())) if estimated.any() else 0.0
 
 
 def fit_polynomial(
@@ -212,14 +218,13 @@ def fit_drift_data(
     """:func:`fit_polynomial` of samples that are summed already; `channel` says only of what, and may be empty."""
     if not 1 <= degree <= 5:
         raise InvalidInputError(f"the degree of a thermal polynomial is 1 to 5, not {degree}")
+    made = FitBuilder(
+        POLYNOMIAL_METHOD, channel.sensor, channel.instance, channel.unit, given, relative, t_ref, _COLDER
+    )
     reason = data.refusal(degree, min_span)
     if reason:
-        return _refused(POLYNOMIAL_METHOD, channel, given, reason)
-    found, die = _lag_of(data, degree) if lag else (None, None)
-    slower = None
-    if found is not None and die is not None:
-        slower = _Scaled.of(data.warmed(die.at(data.time, found.seconds + found.sd)))
-        data = data.warmed(die.at(data.time, found.seconds))
+        return made.refused(reason)
+    found, slower, data = _at_the_die(data, degree) if lag else (None, None, data)
     scaled = _Scaled.of(data)
     axes = _fit_axes(channel, data, scaled.x, degree)
     judged, repeats = _repeats(axes)
@@ -236,40 +241,37 @@ def fit_drift_data(
     warnings += declined_warnings(declined, too_coarse, channel)
     two_ways = hysteresis(axes.blocks, scaled.middle, scaled.half_span)
     warnings += two_way_warnings(found, two_ways, curve, estimated)
-    message = said_of("polynomial", data, estimated)
-    return FitResult(
-        method=POLYNOMIAL_METHOD,
-        sensor=channel.sensor,
-        instance=channel.instance,
-        status=FitStatus.OK if estimated.all() else FitStatus.PARTIAL,
-        message=message,
-        model=model,
-        covariance=covariance,
-        unit=channel.unit,
-        n_samples=given,
+    return made.fitted(
+        model,
+        covariance,
+        message=said_of("polynomial", data, estimated),
         n_used=data.samples,
-        residual_rms=float(np.sqrt((residual[estimated] ** 2).mean())) if estimated.any() else 0.0,
+        residual_rms=_rms(residual, estimated),
         condition_number=axes.blocks.condition,
-        relative=relative,
-        undetermined=undetermined,
-        movements={name: remedy_for(name, data, too_coarse, declined) for name in undetermined},
-        warnings=tuple(warnings),
-        temperature=t_ref,
+        undetermined={name: remedy_for(name, data, too_coarse, declined) for name in undetermined},
+        partial=not estimated.all(),
+        warnings=warnings,
         quality={
             **noise_quality(data, axes.noise, estimated),
             **block_statistics(axes.blocks, axes.coefficients, estimated),
             **attitude_quality(channel, curve, estimated),
             "drift": or_none(curve.drift, ~data.constant),
             "drift_sd": or_none(curve.drift_sd, ~data.constant),
-            "lag_s": found.seconds if found else None,
-            "lag_sd_s": found.sd if found else None,
-            "hysteresis": None if two_ways is None else two_ways[0].tolist(),
-            "hysteresis_sd": None if two_ways is None else two_ways[1].tolist(),
+            **_lag_quality(found, two_ways),
             "cross_validation": judged,
             "below_resolution": bool(((data.constant & data.quantised) | too_coarse).all()),
         },
         native={"residual_sd": or_none(residual, estimated), "degree": degree},
     )
+
+
+def _lag_quality(found: ThermometerLag | None, two_ways: tuple[Array, Array] | None) -> dict[str, Any]:
+    return {
+        "lag_s": found.seconds if found else None,
+        "lag_sd_s": found.sd if found else None,
+        "hysteresis": None if two_ways is None else two_ways[0].tolist(),
+        "hysteresis_sd": None if two_ways is None else two_ways[1].tolist(),
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,7 +288,7 @@ class _Scaled:
         return cls(middle, half_span, (data.t - middle) / half_span)
 
 
-def _lag_of(data: DriftData, degree: int) -> tuple[Lag | None, Die | None]:
+def _lag_of(data: DriftData, degree: int) -> tuple[ThermometerLag | None, Die | None]:
     """The lag of the die, and its temperature for any; None if nothing shows one."""
     scaled = _Scaled.of(data)
     blocks = data.blocks(scaled.x, degree)
@@ -295,6 +297,15 @@ def _lag_of(data: DriftData, degree: int) -> tuple[Lag | None, Die | None]:
         return None, None
     die = Die.of(data.time, data.t, blocks, rate)
     return thermal_lag(blocks, die, scaled.middle, scaled.half_span, ~data.constant), die
+
+
+def _at_the_die(data: DriftData, degree: int) -> tuple[ThermometerLag | None, _Scaled | None, DriftData]:
+    """The lag, the temperature if it were longer by one sd, and the data against the die's temperature."""
+    found, die = _lag_of(data, degree)
+    if found is None or die is None:
+        return found, None, data
+    slower = _Scaled.of(data.warmed(die.at(data.time, found.seconds + found.sd)))
+    return found, slower, data.warmed(die.at(data.time, found.seconds))
 
 
 def _by_lag(curve: DriftCurve, data: DriftData, slower: _Scaled, degree: int, t_ref: float) -> Array:
@@ -309,7 +320,7 @@ def _repeats(axes: _Axes) -> tuple[dict[str, Any] | None, NDArray[np.bool_]]:
 
     Noise alone may do so too; only what is left far above the white noise of the block means counts.
     """
-    found: Judgement | None = cross_validated(axes.blocks)
+    found: DriftPrediction | None = cross_validated(axes.blocks)
     if found is None:
         return None, np.ones(3, dtype=np.bool_)
     white = axes.residual_sd / np.sqrt(axes.blocks.counts.mean())
@@ -358,7 +369,9 @@ def _fit_axes(channel: Channel, data: DriftData, x: Array, degree: int) -> _Axes
     return _Axes(blocks, coefficients, ColouredCovariance(covariances, whiteness, excess), residual, too_coarse)
 
 
-def _coarse_axis(x: Array, time: Array, bins: Bins, degree: int, quantum: float) -> tuple[DriftBlocks, float] | None:
+def _coarse_axis(
+    x: Array, time: Array, bins: TemperatureBins, degree: int, quantum: float
+) -> tuple[DriftBlocks, float] | None:
     """Block sums of an axis whose noise is smaller than its bins, and that noise; None if too few bins are seen.
 
     The interval likelihood's estimate is least squares on ``expected + score/information`` with the information of
@@ -390,22 +403,10 @@ def _coarse_axis(x: Array, time: Array, bins: Bins, degree: int, quantum: float)
     return blocks, fit.sigma
 
 
-def _distinct(x: Array, bins: Bins, quantum: float) -> tuple[NDArray[np.intp], Array]:
+def _distinct(x: Array, bins: TemperatureBins, quantum: float) -> tuple[NDArray[np.intp], Array]:
     """Rows that stand for all others with the same temperature and bin, and how many samples each stands for."""
     if len(x) <= _MANY:
         return np.arange(len(x)), bins.counts
     key = np.round(x * 2e4).astype(np.int64) * 2_000_003 + np.round(bins.values / (1e-3 * quantum)).astype(np.int64)
     _, rows, which = np.unique(key, return_index=True, return_inverse=True)
     return rows, np.bincount(which, weights=bins.counts).astype(np.float64)
-
-
-def _refused(method: str, channel: Channel, given: int, reason: str) -> FitResult:
-    return refused(
-        method,
-        channel.sensor,
-        channel.instance,
-        reason,
-        unit=channel.unit,
-        n_samples=given,
-        movement=_COLDER,
-    )

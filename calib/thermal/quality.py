@@ -13,7 +13,7 @@ from mavcal.calib.recording import Channel, Sensor
 from mavcal.calib.stats.correlated import ColouredCovariance
 from mavcal.calib.stats.residuals import residual_statistics
 from mavcal.calib.thermal.drift import DriftBlocks, DriftCurve, DriftData
-from mavcal.calib.thermal.sweeps import Lag
+from mavcal.calib.thermal.sweeps import ThermometerLag
 
 Array = NDArray[np.float64]
 
@@ -58,7 +58,7 @@ def declined_warnings(declined: NDArray[np.bool_], too_coarse: NDArray[np.bool_]
 
 
 def two_way_warnings(
-    lag: Lag | None, two_ways: tuple[Array, Array] | None, curve: DriftCurve, estimated: NDArray[np.bool_]
+    lag: ThermometerLag | None, two_ways: tuple[Array, Array] | None, curve: DriftCurve, estimated: NDArray[np.bool_]
 ) -> list[str]:
     """The lag, and what warming and cooling still differ by."""
     warnings = []

@@ -35,7 +35,7 @@ _JUDGED = 64  # blocks of a record that is judged
 
 
 @dataclass(frozen=True)
-class Lag:
+class ThermometerLag:
     """Seconds by which the sensor's die lags its thermometer; negative where the thermometer lags the die.
 
     First order either way: ``T = T_die + tau dT_die/dt`` for a die that lags by tau, ``T_die = T + tau dT/dt`` for a
@@ -76,7 +76,7 @@ class Die:
 
 
 @dataclass(frozen=True, eq=False)
-class Judgement:
+class DriftPrediction:
     """How well a drift predicts a record that it was not fitted to; rms of block means about their own mean.
 
     `explained` is the share of the variance that the correction takes away: negative where it makes things worse.
@@ -109,7 +109,7 @@ def both_ways(rate: Array) -> bool:
 
 def thermal_lag(
     blocks: DriftBlocks, die: Die, middle: float, half_span: float, estimated: NDArray[np.bool_]
-) -> Lag | None:
+) -> ThermometerLag | None:
     """The lag that makes warming and cooling agree; None if nothing shows it.
 
     Newton's method on ``y = P(T_die(lag))``: the column ``P' dT_die/dlag`` beside the powers. It needs warming and
@@ -137,7 +137,7 @@ def thermal_lag(
             break
     sd = 1.0 / math.sqrt(weight)
     told = _SIGNIFICANT * sd < abs(seconds) < longest
-    return Lag(seconds, sd) if told else None
+    return ThermometerLag(seconds, sd) if told else None
 
 
 def _lag_step(blocks: DriftBlocks, design: Array, moved: Array, axis: int) -> tuple[float, float, float, float]:
@@ -193,7 +193,7 @@ def sweeps(blocks: DriftBlocks) -> list[NDArray[np.intp]]:
     return [part for part in parts if np.ptp(x[part]) >= least]
 
 
-def cross_validated(blocks: DriftBlocks) -> Judgement | None:
+def cross_validated(blocks: DriftBlocks) -> DriftPrediction | None:
     """Every sweep judged by the curve of all the others, over the temperatures that both saw; None: one sweep only."""
     p = blocks.design.shape[1]
     parts = sweeps(blocks)
@@ -216,10 +216,10 @@ def cross_validated(blocks: DriftBlocks) -> Judgement | None:
         weight += float(counts.sum())
     if weight <= 0.0:
         return None
-    return Judgement(np.sqrt(before / weight), np.sqrt(after / weight))
+    return DriftPrediction(np.sqrt(before / weight), np.sqrt(after / weight))
 
 
-def judge_drift(fit: FitResult, channel: Channel, temperature: Array) -> Judgement:
+def judge_drift(fit: FitResult, channel: Channel, temperature: Array) -> DriftPrediction:
     """How well the drift of `fit` predicts another record of the same sensor.
 
     Parameters
@@ -250,7 +250,7 @@ def judge_drift(fit: FitResult, channel: Channel, temperature: Array) -> Judgeme
     edges = np.linspace(0, n, _JUDGED + 1).astype(int)
     counts = np.diff(edges).astype(np.float64)
     before, after = (np.add.reduceat(y, edges[:-1], axis=0) / counts[:, None] for y in (values, corrected))
-    return Judgement(np.sqrt(_scatter(before, counts) / n), np.sqrt(_scatter(after, counts) / n))
+    return DriftPrediction(np.sqrt(_scatter(before, counts) / n), np.sqrt(_scatter(after, counts) / n))
 
 
 def _scatter(series: Array, counts: Array) -> Array:

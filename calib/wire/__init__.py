@@ -19,15 +19,19 @@ from mavcal.calib.wire.codec import (
     raw_message,
 )
 from mavcal.calib.wire.frames import CRC_EXTRA, Frame, FrameParser
+from mavcal.calib.wire.parameters import HASH_CHECK, ParameterEncoding, ParamType, value_from_bits
 from mavcal.calib.wire.signing import SignatureState, Signing, check_signature, sign
 from mavcal.calib.wire.tlog import TlogReader, iter_tlog, tlog_record
 
 __all__ = [
     "CRC_EXTRA",
+    "HASH_CHECK",
     "Frame",
     "FrameParser",
     "Message",
+    "ParamType",
     "ParamValue",
+    "ParameterEncoding",
     "RawMessage",
     "SignatureState",
     "Signing",
@@ -43,4 +47,5 @@ __all__ = [
     "raw_message",
     "sign",
     "tlog_record",
+    "value_from_bits",
 ]

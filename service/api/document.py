@@ -1,4 +1,4 @@
-"""The OpenAPI document: every status that an operation can answer with, and what a problem looks like."""
+"""The OpenAPI document: every status that an operation can answer with, its problems, and what streams carry."""
 
 from __future__ import annotations
 
@@ -7,16 +7,44 @@ from typing import Any
 
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, TypeAdapter
+
+from mavcal.service.api.models import Message, ReadingOptions
+from mavcal.service.api.problems import codes, explanations
 
 Json = dict[str, Any]
 
 KEYED = "/api/v1"
 OPEN = frozenset({"/healthz", "/readyz", "/register_service", "/problems/{code}"})
 """What is told without a key."""
-PROBLEM = {"application/problem+json": {"schema": {"$ref": "#/components/schemas/Problem"}}}
 ERROR_SCHEMAS = ("HTTPValidationError", "ValidationError")
 """What FastAPI would document instead of the problems that are answered."""
+REF = "#/components/schemas/{model}"
+
+TAGS = {
+    "links": "Connections to vehicles. An endpoint is written as `udpin:0.0.0.0:14550`, `tcp:HOST:PORT` and so on.",
+    "vehicles": "Vehicles that were heard, their state and their parameters.",
+    "jobs": "Calibrations: start, follow, answer, read the plan, apply it, take it back.",
+    "recordings": "Logs that were uploaded, to be fitted, or to be planned for a vehicle.",
+    "gaps": "Diagnoses of where a real sensor differs from a simulated one.",
+    "host": "Health, metrics, audit trail, and how host systems find the service.",
+}
+BEARER = {
+    "type": "http",
+    "scheme": "bearer",
+    "description": "An API key (`mavcal config key` makes one). Its scopes say what it may do: `read`, `operate` "
+    "(links, jobs, answers, uploads), `write-params` (apply and revert), `admin`. "
+    "On loopback the service may run without keys.",
+}
+STREAMS = {"follow_job": "JobMessage", "follow_vehicle": "VehicleMessage", "follow_events": "Message"}
+"""What each message of an event stream is; its lines `event`, `id` and `data` are the fields of the schema."""
+
+
+HEADERS = {
+    "Location": ("open_link", "start_job", "upload_recording", "plan_recording", "diagnose_gap"),
+    "Link": ("list_jobs",),
+}
+"""Operations whose answer carries a header that a client needs: where what was made is, or the next page."""
 
 
 class FieldError(BaseModel):
@@ -29,7 +57,11 @@ class FieldError(BaseModel):
 class Problem(BaseModel):
     """A problem document (RFC 9457)."""
 
-    type: str = Field(description="address of the page that explains it, relative to the address of the request")
+    type: str = Field(
+        description="address of the page that explains it, relative to the address of the request; it ends in `code`",
+        pattern="^(\\.\\./)*problems/[a-z-]+$",
+    )
+    code: str = Field(description="what kind of problem it is, for programs")
     title: str
     status: int
     detail: str = Field(description="what happened, and what helps")
@@ -40,23 +72,25 @@ class Problem(BaseModel):
 def document(app: FastAPI) -> Json:
     """The document of an application."""
     made = get_openapi(
-        title=app.title, version=app.version, description=app.description, routes=app.routes, servers=app.servers
+        title=app.title,
+        version=app.version,
+        description=app.description,
+        routes=app.routes,
+        servers=app.servers,
+        tags=[{"name": name, "description": text} for name, text in TAGS.items()],
     )
     schemas = made["components"]["schemas"]
-    described = Problem.model_json_schema(ref_template="#/components/schemas/{model}")
-    schemas.update(described.pop("$defs"))
-    schemas["Problem"] = described
     for name in ERROR_SCHEMAS:
         schemas.pop(name, None)
-    made["components"]["securitySchemes"] = {"key": {"type": "http", "scheme": "bearer"}}
+    schemas.update(_further_schemas())
+    made["components"]["securitySchemes"] = {"bearer": BEARER}
     for path, methods in made["paths"].items():
         for method, operation in methods.items():
-            if path not in OPEN:
-                operation["security"] = [{"key": []}, {}]  # none, where the service runs without keys
+            _complete(path, method, operation)
             for status in statuses(path, method, operation):
-                answer = {"description": HTTPStatus(status).phrase, "content": PROBLEM}
                 if status == 422 or str(status) not in operation["responses"]:
-                    operation["responses"][str(status)] = answer
+                    operation["responses"][str(status)] = _answer(status)
+                    schemas[f"Problem{status}"] = _problem(status)
     return made
 
 
@@ -73,8 +107,73 @@ def statuses(path: str, method: str, operation: Json) -> list[int]:
         found |= {400, 408, 413}
     if method != "get":
         found |= {409, 413, 503, 507}
-    if path.endswith(("/plan", "/report.html", "/parameters", "/jobs", "/gaps")) or path.startswith(f"{KEYED}/jobs/"):
+    if path.endswith(("/plan", "/report.html", "/parameters", "/jobs", "/gaps", "/fits")) or path.startswith(
+        f"{KEYED}/jobs/"
+    ):
         found |= {404, 409}
     if path.endswith(("/parameters", "/events", "/stream")):
         found |= {503}
     return sorted(found)
+
+
+def _complete(path: str, method: str, operation: Json) -> None:
+    """What FastAPI does not know of an operation."""
+    first, _, rest = operation.get("description", "").partition("\n\n")
+    operation["summary"] = first.removesuffix(".")
+    if rest:
+        operation["description"] = rest
+    else:
+        operation.pop("description", None)
+    if path not in OPEN:
+        operation["security"] = [{"bearer": []}, {}]  # none, where the service runs without keys
+    if (message := STREAMS.get(operation["operationId"])) is not None:
+        ok = operation["responses"]["200"]
+        ok["description"] = "A stream of messages; each is as the schema says"
+        ok["content"] = {"text/event-stream": {"schema": {"$ref": REF.format(model=message)}}}
+    for name, operations in HEADERS.items():
+        if operation["operationId"] in operations:
+            answer = next(a for status, a in operation["responses"].items() if status < "300")
+            text = "relative to the address of the request"
+            answer["headers"] = {name: {"description": text, "schema": {"type": "string"}}}
+    for parameter in operation.get("parameters", ()):
+        if parameter["name"] == "reading":
+            del parameter["schema"]
+            parameter["content"] = {"application/json": {"schema": {"$ref": REF.format(model="ReadingOptions")}}}
+
+
+def _further_schemas() -> Json:
+    """Schemas that no route names."""
+    _, found = TypeAdapter.json_schemas(
+        [
+            ("message", "serialization", TypeAdapter(Message)),
+            ("problem", "serialization", TypeAdapter(Problem)),
+            ("reading", "validation", TypeAdapter(ReadingOptions)),
+        ],
+        ref_template=REF,
+    )
+    schemas: Json = found["$defs"]
+    texts = explanations()
+    schemas["ProblemCode"] = {
+        "title": "ProblemCode",
+        "description": "What kind of problem it is.",
+        "type": "string",
+        "enum": list(texts),
+        "x-enum-descriptions": list(texts.values()),
+    }
+    schemas["Problem"]["properties"]["code"] = {"$ref": REF.format(model="ProblemCode")}
+    return schemas
+
+
+def _answer(status: int) -> Json:
+    schema = {"$ref": REF.format(model=f"Problem{status}")}
+    return {"description": HTTPStatus(status).phrase, "content": {"application/problem+json": {"schema": schema}}}
+
+
+def _problem(status: int) -> Json:
+    """A problem with this status, and the codes that come with it."""
+    chosen = sorted(code for code, known in codes().items() if status in known)
+    own = {"status": {"const": status}, "code": {"enum": chosen}}
+    return {
+        "description": f"{HTTPStatus(status).phrase}.",
+        "allOf": [{"$ref": REF.format(model="Problem")}, {"type": "object", "properties": own}],
+    }

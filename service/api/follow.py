@@ -27,7 +27,7 @@ Name = tuple[str, str]
 State = VehicleModel | LinkModel
 
 
-class Watch:
+class ChangeWatch:
     """Looks at vehicles and links once for all streams, as long as there are any, and wakes them if one has changed."""
 
     def __init__(self, look: Callable[[], list[tuple[str, State]]]) -> None:
@@ -78,7 +78,7 @@ class Watch:
         news.set()
 
 
-def watch_of(service: Service) -> Watch:
+def watch_of(service: Service) -> ChangeWatch:
     """A watch over the vehicles and links of a service."""
 
     def states() -> list[tuple[str, State]]:
@@ -86,20 +86,20 @@ def watch_of(service: Service) -> Watch:
         links = [("link", link_model(link, service.vehicles)) for link in service.links.all()]
         return [*vehicles, *links]
 
-    return Watch(states)
+    return ChangeWatch(states)
 
 
-def _watch(request: Request) -> Watch:
+def _watch(request: Request) -> ChangeWatch:
     state = request.app.state
     if getattr(state, "watch", None) is None:
         state.watch = watch_of(state.service)
-    return cast(Watch, state.watch)
+    return cast(ChangeWatch, state.watch)
 
 
-WatchDep = Annotated[Watch, Depends(_watch)]
+WatchDep = Annotated[ChangeWatch, Depends(_watch)]
 
 
-async def everything(service: Service, watch: Watch, after: int) -> AsyncIterator[ServerSentEvent]:
+async def everything(service: Service, watch: ChangeWatch, after: int) -> AsyncIterator[ServerSentEvent]:
     """Events of jobs after the id `after`; vehicles and links whenever their state has changed."""
     queue: asyncio.Queue[ServerSentEvent | None] = asyncio.Queue(maxsize=1)
     reading = [asyncio.create_task(_states(watch, queue)), asyncio.create_task(_events(service, after, queue))]
@@ -112,7 +112,7 @@ async def everything(service: Service, watch: Watch, after: int) -> AsyncIterato
         await asyncio.gather(*reading, return_exceptions=True)
 
 
-async def _states(watch: Watch, queue: asyncio.Queue[ServerSentEvent | None]) -> None:
+async def _states(watch: ChangeWatch, queue: asyncio.Queue[ServerSentEvent | None]) -> None:
     async with aclosing(watch.changes()) as states:  # type: ignore[type-var]
         async for name, state in states:
             await queue.put(ServerSentEvent(data=state, event=name))

@@ -1,48 +1,69 @@
-"""Routes of gap diagnoses."""
+"""Routes of gap diagnoses: the jobs of kind `gap`, as diagnoses with their reports."""
 
 from __future__ import annotations
 
 from fastapi import APIRouter, Depends, Request, Response
-from fastapi.responses import FileResponse
 
 from mavcal.service.api.addresses import relative
 from mavcal.service.api.dependencies import ServiceDep
 from mavcal.service.api.models import GapModel, GapRequest, GapSummary
 from mavcal.service.api.security import Scope, require
-from mavcal.service.api.views import gap_model, gap_summary
+from mavcal.service.api.views import document_response, gap_model, gap_summary
+from mavcal.service.computations import PAGE, REPORT
+from mavcal.service.core import Service
+from mavcal.service.errors import GapUnfinished, GapUnknown, JobUnknown
+from mavcal.service.jobs.computing import GAP
+from mavcal.service.jobs.model import Failure, Job
+from mavcal.service.jobs.states import JobState
 
 router = APIRouter(tags=["gaps"])
 READ = Depends(require(Scope.READ))
 OPERATE = Depends(require(Scope.OPERATE))
 
 
-@router.post("/gaps", status_code=202, dependencies=[OPERATE])
+@router.post("/gaps", operation_id="diagnose_gap", status_code=202, dependencies=[OPERATE])
 async def diagnose(body: GapRequest, request: Request, response: Response, service: ServiceDep) -> GapSummary:
     """Diagnose the sim-to-real gap of an uploaded recording; 429 if too many diagnoses are waiting."""
-    model = gap_summary(service.gaps.start(body.real, body.sim, body.nominal))
+    model = gap_summary(await service.jobs.computing.diagnose(body.real, body.sim, body.nominal))
     response.headers["Location"] = relative(request, model.href)
     return model
 
 
-@router.get("/gaps", dependencies=[READ])
+@router.get("/gaps", operation_id="list_gaps", dependencies=[READ])
 async def gaps(service: ServiceDep) -> list[GapSummary]:
     """Every diagnosis, oldest first, without its report."""
-    return [gap_summary(row) for row in service.gaps.all()]
+    return [gap_summary(job) for job in service.jobs.list() if job.kind == GAP]
 
 
-@router.get("/gaps/{gap_id}", dependencies=[READ])
+@router.get("/gaps/{gap_id}", operation_id="get_gap", dependencies=[READ])
 async def gap(gap_id: str, service: ServiceDep) -> GapModel:
     """Where a diagnosis stands, and its report once it is done."""
-    report = service.gaps.report(gap_id)  # which may find that the diagnosis failed
-    return gap_model(service.gaps.get(gap_id), report)
+    job = _diagnosis(gap_id, service)
+    done = job.state == JobState.SUCCEEDED
+    return gap_model(job, await service.jobs.document(gap_id, REPORT) if done else None)
 
 
 @router.get(
     "/gaps/{gap_id}/report.html",
+    operation_id="get_gap_report",
     dependencies=[READ],
-    response_class=FileResponse,
+    response_class=Response,
     responses={200: {"content": {"text/html": {}}}},
 )
-async def page(gap_id: str, service: ServiceDep) -> FileResponse:
+async def page(gap_id: str, service: ServiceDep) -> Response:
     """The report as a page; 409 while there is none."""
-    return FileResponse(service.gaps.page(gap_id), media_type="text/html")
+    job = _diagnosis(gap_id, service)
+    if job.state != JobState.SUCCEEDED:
+        why = f": {job.outcome.cause}" if isinstance(job.outcome, Failure) else ""
+        raise GapUnfinished(f"the diagnosis is {job.state}{why}")
+    return document_response(await service.jobs.document(gap_id, PAGE))
+
+
+def _diagnosis(gap_id: str, service: Service) -> Job:
+    try:
+        job = service.jobs.get(gap_id)
+    except JobUnknown:
+        job = None
+    if job is None or job.kind != GAP:
+        raise GapUnknown(f"there is no gap diagnosis {gap_id}; GET /api/v1/gaps lists them")
+    return job

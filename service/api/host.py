@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import sys
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.responses import JSONResponse, PlainTextResponse
@@ -12,9 +12,18 @@ from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 
 from mavcal import calib
 from mavcal.service.api.dependencies import ServiceDep
-from mavcal.service.api.models import AuditCheck, AuditModel, AuditPage, TicketModel
+from mavcal.service.api.models import (
+    AuditCheck,
+    AuditModel,
+    AuditPage,
+    HealthModel,
+    InfoModel,
+    ReadinessModel,
+    RegistrationModel,
+    TicketModel,
+)
 from mavcal.service.api.problems import explanations
-from mavcal.service.api.security import TICKET_S, Guard, Scope, require
+from mavcal.service.api.security import TICKET_S, RequestGuard, Scope, require
 
 router = APIRouter(tags=["host"])
 READ = Depends(require(Scope.READ))
@@ -23,15 +32,19 @@ ADMIN = Depends(require(Scope.ADMIN))
 DESCRIPTION = "Calibrates the sensors of MAVLink vehicles from the ground, and proves that the result took effect."
 
 
-@router.get("/healthz")
-async def healthz() -> dict[str, str]:
+@router.get("/healthz", operation_id="get_health")
+async def healthz() -> HealthModel:
     """Whether the process answers."""
-    return {"status": "ok"}
+    return HealthModel(status="ok")
 
 
 @router.get(
     "/readyz",
-    responses={503: {"description": "Not ready, with the reason", "content": {"application/json": {"schema": {}}}}},
+    operation_id="get_readiness",
+    responses={
+        200: {"model": ReadinessModel, "description": "Ready"},
+        503: {"model": ReadinessModel, "description": "Not ready, with the reason"},
+    },
 )
 async def readyz(service: ServiceDep) -> Response:
     """Whether jobs can be run: the store takes writes and nothing stands in the way."""
@@ -41,36 +54,37 @@ async def readyz(service: ServiceDep) -> Response:
     return JSONResponse({"status": "not ready", "reason": obstacle}, status_code=503)
 
 
-@router.get("/metrics", dependencies=[READ], response_class=PlainTextResponse)
+@router.get("/metrics", operation_id="get_metrics", dependencies=[READ], response_class=PlainTextResponse)
 async def metrics(service: ServiceDep) -> Response:
     """Counters in the format of Prometheus."""
     return Response(generate_latest(service.metrics()), media_type=CONTENT_TYPE_LATEST)
 
 
-@router.get("/info", dependencies=[READ])
-async def info() -> dict[str, str]:
+@router.get("/info", operation_id="get_info", dependencies=[READ])
+async def info() -> InfoModel:
     """Name and versions."""
-    return {"name": "mavcal", "version": calib.__version__, "python": sys.version.split()[0]}
+    return InfoModel(name="mavcal", version=calib.__version__, python=sys.version.split()[0])
 
 
-@router.get("/register_service")
-async def register_service() -> dict[str, Any]:
+@router.get("/register_service", operation_id="get_registration")
+async def register_service() -> RegistrationModel:
     """How BlueOS lists the service."""
-    return {
-        "name": "mavcal",
-        "description": DESCRIPTION,
-        "icon": "mdi-compass-outline",
-        "company": "mavcal",
-        "version": calib.__version__,
-        "webpage": ".",
-        "api": "docs",
-        "works_in_relative_paths": True,
-        "new_page": False,
-    }
+    return RegistrationModel(
+        name="mavcal",
+        description=DESCRIPTION,
+        icon="mdi-compass-outline",
+        company="mavcal",
+        version=calib.__version__,
+        webpage=".",
+        api="docs",
+        works_in_relative_paths=True,
+        new_page=False,
+    )
 
 
 @router.get(
     "/problems/{code}",
+    operation_id="explain_problem",
     response_class=PlainTextResponse,
     responses={404: {"description": "There is no such problem", "content": {"text/plain": {}}}},
 )
@@ -81,18 +95,18 @@ async def explain(code: str) -> Response:
     return PlainTextResponse(text or "There is no such problem.", status_code=status)
 
 
-@router.post("/api/v1/tickets", status_code=201, dependencies=[READ])
+@router.post("/api/v1/tickets", operation_id="make_ticket", status_code=201, dependencies=[READ])
 async def ticket(request: Request) -> TicketModel:
     """Make a ticket for one event stream.
 
     A browser's EventSource cannot send headers: give it `?ticket=...` instead.
     """
-    guard: Guard = request.app.state.guard
+    guard: RequestGuard = request.app.state.guard
     key = guard.authenticate(request)
     return TicketModel(ticket=guard.ticket(key) if key else "", valid_s=TICKET_S)
 
 
-@router.get("/api/v1/audit", dependencies=[ADMIN])
+@router.get("/api/v1/audit", operation_id="list_audit", dependencies=[ADMIN])
 async def audit(
     service: ServiceDep,
     after: Annotated[int, Query(ge=0, le=2**62)] = 0,
@@ -104,7 +118,7 @@ async def audit(
     return AuditPage(rows=page, next=page[-1].id if len(rows) > limit else None)
 
 
-@router.get("/api/v1/audit/check", dependencies=[ADMIN])
+@router.get("/api/v1/audit/check", operation_id="check_audit", dependencies=[ADMIN])
 async def check_audit(service: ServiceDep) -> AuditCheck:
     """Check the hash chain of the audit trail."""
     found = await asyncio.to_thread(service.store.check_audit)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 from urllib.parse import urlencode
 
-from fastapi import APIRouter, Depends, Header, Query, Request, Response
+from fastapi import APIRouter, Depends, Header, Path, Query, Request, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from mavcal.calib.procedures.registry import PROCEDURES
-from mavcal.calib.report import plan_to_json
 from mavcal.service.api.addresses import relative
 from mavcal.service.api.dependencies import ServiceDep
 from mavcal.service.api.follow import WatchDep, everything
@@ -20,12 +19,20 @@ from mavcal.service.api.models import (
     JobModel,
     JobRequest,
     JobSummary,
+    PlanModel,
     PlanRequest,
     ProcedureModel,
 )
 from mavcal.service.api.paging import page_of
 from mavcal.service.api.security import ActorDep, Scope, require
-from mavcal.service.api.views import event_model, job_model, job_summary, procedure_model
+from mavcal.service.api.views import (
+    document_response,
+    event_model,
+    job_model,
+    job_summary,
+    plan_model,
+    procedure_model,
+)
 from mavcal.service.errors import PlanMissing
 from mavcal.service.exports import MEDIA_TYPES, export
 from mavcal.service.jobs.model import Accept, Job
@@ -46,13 +53,19 @@ JobDep = Annotated[Job, Depends(_job)]
 """The job of the address. For a stream this is the place where 404 can still be said."""
 
 
-@router.get("/procedures", dependencies=[READ])
+def _plan_of(job: Job) -> PlanModel:
+    if job.plan is None:
+        raise PlanMissing(f"job {job.id} has no plan (yet): its state tells why")
+    return plan_model(job.plan)
+
+
+@router.get("/procedures", operation_id="list_procedures", dependencies=[READ])
 async def procedures() -> list[ProcedureModel]:
     """What can be calibrated, what each procedure needs, ends on, writes and cannot represent."""
     return [procedure_model(spec) for spec in PROCEDURES.values()]
 
 
-@router.post("/vehicles/{vehicle_id}/jobs", status_code=202, dependencies=[OPERATE])
+@router.post("/vehicles/{vehicle_id}/jobs", operation_id="start_job", status_code=202, dependencies=[OPERATE])
 async def start(
     vehicle_id: str, body: JobRequest, request: Request, response: Response, service: ServiceDep
 ) -> JobModel:
@@ -63,68 +76,68 @@ async def start(
     return model
 
 
-@router.get("/jobs", dependencies=[READ])
+@router.get("/jobs", operation_id="list_jobs", dependencies=[READ])
 async def jobs(
     response: Response,
     service: ServiceDep,
+    *,
     vehicle_id: str | None = None,
+    kind: Annotated[str | None, Query(max_length=100, description="such as gyro, fit or gap")] = None,
     order: Literal["oldest", "newest"] = "oldest",
     limit: Annotated[int, Query(ge=1, le=1000)] = 1000,
     after: Annotated[str | None, Query(max_length=100, description="id of the last job of the page before")] = None,
 ) -> list[JobSummary]:
-    """Jobs, a page at a time. A header `Link` with `rel="next"` leads to the next page if there is one."""
-    found = [job for job in service.jobs.list() if vehicle_id in {None, job.vehicle_id}]
+    """Jobs of every kind, a page at a time. A header `Link` with `rel="next"` leads to the next page, if any."""
+    found = [job for job in service.jobs.list() if vehicle_id in {None, job.vehicle_id} and kind in {None, job.kind}]
     page, more = page_of(found if order == "oldest" else found[::-1], after, limit)
     if more:
-        asked = {"vehicle_id": vehicle_id, "order": order, "limit": limit, "after": page[-1].id}
+        asked = {"vehicle_id": vehicle_id, "kind": kind, "order": order, "limit": limit, "after": page[-1].id}
         query = urlencode({name: value for name, value in asked.items() if value is not None}, errors="replace")
         response.headers["Link"] = f'<jobs?{query}>; rel="next"'
     return [job_summary(job) for job in page]
 
 
-@router.get("/jobs/{job_id}", dependencies=[READ])
+@router.get("/jobs/{job_id}", operation_id="get_job", dependencies=[READ])
 async def job(found: JobDep) -> JobModel:
     """One job with its results."""
     return job_model(found)
 
 
-@router.delete("/jobs/{job_id}", dependencies=[OPERATE])
+@router.delete("/jobs/{job_id}", operation_id="cancel_job", dependencies=[OPERATE])
 async def cancel(job_id: str, service: ServiceDep) -> JobModel:
     """Cancel a job that has not written anything."""
     return job_model(await service.jobs.cancel(job_id))
 
 
-@router.post("/jobs/{job_id}/answers", dependencies=[OPERATE])
+@router.post("/jobs/{job_id}/answers", operation_id="answer_job", dependencies=[OPERATE])
 async def answer(job_id: str, body: AnswerRequest, service: ServiceDep) -> JobModel:
     """Answer the prompt of a job."""
     return job_model(await service.jobs.answer(job_id, body.value))
 
 
-@router.get("/jobs/{job_id}/plan", dependencies=[READ])
-async def plan(found: JobDep) -> dict[str, Any]:
+@router.get("/jobs/{job_id}/plan", operation_id="get_plan", dependencies=[READ])
+async def plan(found: JobDep) -> PlanModel:
     """What would be written, why, and what it costs."""
-    if found.plan is None:
-        raise PlanMissing(f"job {found.id} has no plan (yet): its state tells why")
-    return plan_to_json(found.plan)
+    return _plan_of(found)
 
 
-@router.post("/jobs/{job_id}/plan", dependencies=[OPERATE])
-async def plan_again(job_id: str, service: ServiceDep, body: PlanRequest | None = None) -> JobModel:
+@router.post("/jobs/{job_id}/plan", operation_id="renew_plan", dependencies=[OPERATE])
+async def plan_again(job_id: str, service: ServiceDep, body: PlanRequest | None = None) -> PlanModel:
     """Plan again on the vehicle's present parameters: what `apply` asks for when something has changed.
 
     `plan_options` decide about the plan in place of what was decided before; without them it stays so.
     """
     options = None if body is None or body.plan_options is None else body.plan_options.given()
-    return job_model(await service.jobs.plan_again(job_id, options))
+    return _plan_of(await service.jobs.plan_again(job_id, options))
 
 
-@router.post("/jobs/{job_id}/refit", status_code=202, dependencies=[OPERATE])
+@router.post("/jobs/{job_id}/refit", operation_id="refit_job", status_code=202, dependencies=[OPERATE])
 async def refit(job_id: str, service: ServiceDep) -> JobModel:
     """Fit what an interrupted job has recorded."""
     return job_model(await service.jobs.refit(job_id))
 
 
-@router.post("/jobs/{job_id}/apply", status_code=202, dependencies=[WRITE])
+@router.post("/jobs/{job_id}/apply", operation_id="apply_plan", status_code=202, dependencies=[WRITE])
 async def apply(
     job_id: str,
     body: ApplyRequest,
@@ -137,14 +150,22 @@ async def apply(
     return job_model(await service.jobs.apply(job_id, accept, idempotency_key))
 
 
-@router.post("/jobs/{job_id}/revert", status_code=202, dependencies=[WRITE])
+@router.post("/jobs/{job_id}/revert", operation_id="revert_job", status_code=202, dependencies=[WRITE])
 async def revert(job_id: str, service: ServiceDep, actor: ActorDep) -> JobModel:
     """Take back what a job has written, where it still stands."""
     return job_model(await service.jobs.revert(job_id, actor))
 
 
-@router.get("/jobs/{job_id}/export.{form}", dependencies=[READ])
-async def export_job(found: JobDep, form: str) -> Response:
+@router.get(
+    "/jobs/{job_id}/export.{form}",
+    operation_id="export_job",
+    dependencies=[READ],
+    response_class=Response,
+    responses={200: {"content": {kind: {"schema": {"type": "string"}} for kind in sorted(set(MEDIA_TYPES.values()))}}},
+)
+async def export_job(
+    found: JobDep, form: Annotated[str, Path(json_schema_extra={"enum": list(MEDIA_TYPES)})]
+) -> Response:
     """The result as a file: param, parm, params, json, csv or html."""
     content = export(found, form)
     name = f"mavcal-{found.id}.{form}"
@@ -153,7 +174,19 @@ async def export_job(found: JobDep, form: str) -> Response:
     )
 
 
-@router.get("/jobs/{job_id}/events", response_class=EventSourceResponse, dependencies=[READ])
+@router.get(
+    "/jobs/{job_id}/documents/{name}",
+    operation_id="get_document",
+    dependencies=[READ],
+    response_class=Response,
+    responses={200: {"content": {"application/json": {}, "text/html": {}}}},
+)
+async def job_document(found: JobDep, name: str, service: ServiceDep) -> Response:
+    """A document that the job has made, such as the report of a diagnosis."""
+    return document_response(await service.jobs.document(found.id, name))
+
+
+@router.get("/jobs/{job_id}/events", operation_id="follow_job", response_class=EventSourceResponse, dependencies=[READ])
 async def job_events(
     found: JobDep, service: ServiceDep, last_event_id: LastEventId = None
 ) -> AsyncIterator[ServerSentEvent]:
@@ -162,7 +195,7 @@ async def job_events(
         yield ServerSentEvent(data=event_model(event), event="job", id=str(event.sequence))
 
 
-@router.get("/events", response_class=EventSourceResponse, dependencies=[READ])
+@router.get("/events", operation_id="follow_events", response_class=EventSourceResponse, dependencies=[READ])
 async def events(
     service: ServiceDep, watch: WatchDep, last_event_id: LastEventId = None
 ) -> AsyncIterator[ServerSentEvent]:

@@ -15,13 +15,13 @@ READ = Depends(require(Scope.READ))
 OPERATE = Depends(require(Scope.OPERATE))
 
 
-@router.get("/links", dependencies=[READ])
+@router.get("/links", operation_id="list_links", dependencies=[READ])
 async def links(service: ServiceDep) -> list[LinkModel]:
     """Every open link."""
     return [link_model(link, service.vehicles) for link in service.links.all()]
 
 
-@router.post("/links", status_code=201, dependencies=[OPERATE])
+@router.post("/links", operation_id="open_link", status_code=201, dependencies=[OPERATE])
 async def open_link(body: LinkRequest, request: Request, response: Response, service: ServiceDep) -> LinkModel:
     """Open a link; one that is open already is returned as it is."""
     link = await service.links.open(body.url)
@@ -29,13 +29,13 @@ async def open_link(body: LinkRequest, request: Request, response: Response, ser
     return link_model(link, service.vehicles)
 
 
-@router.get("/links/{link_id}", dependencies=[READ])
+@router.get("/links/{link_id}", operation_id="get_link", dependencies=[READ])
 async def link(link_id: str, service: ServiceDep) -> LinkModel:
     """One link."""
     return link_model(service.links.get(link_id), service.vehicles)
 
 
-@router.delete("/links/{link_id}", status_code=204, dependencies=[OPERATE])
+@router.delete("/links/{link_id}", operation_id="close_link", status_code=204, dependencies=[OPERATE])
 async def close_link(link_id: str, service: ServiceDep) -> None:
     """Close a link; its recording stays."""
     await service.links.close(link_id)

@@ -12,7 +12,7 @@ from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from mavcal.service.api.problems import internal_problem, refusal
-from mavcal.service.api.security import SAFE_METHODS, Guard
+from mavcal.service.api.security import SAFE_METHODS, RequestGuard
 from mavcal.service.errors import AuthError, TooManyStreams
 from mavcal.service.settings import Settings
 
@@ -29,7 +29,7 @@ STREAMS = ("/events", "/stream")
 class Envelope:
     """Plain ASGI middleware, so that event streams pass through unbuffered."""
 
-    def __init__(self, app: ASGIApp, settings: Settings, guard: Guard) -> None:
+    def __init__(self, app: ASGIApp, settings: Settings, guard: RequestGuard) -> None:
         self._app = app
         self._guard = guard
         self._window_s = settings.limits.body_window_s

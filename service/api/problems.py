@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator
 from http import HTTPStatus
 from typing import Any
 
@@ -34,6 +35,7 @@ def problem(request: Request, status: int, code: str, title: str, detail: str, *
     """The document: `type` is the page that explains it, relative to the request's address."""
     body = {
         "type": relative(request, f"problems/{code}"),
+        "code": code,
         "title": title,
         "status": status,
         "detail": detail,
@@ -64,19 +66,33 @@ def internal_problem(request: Request, error: Exception) -> ProblemResponse:
     return problem(request, 500, ServiceError.code, ServiceError.title, detail)
 
 
+def codes() -> dict[str, frozenset[int]]:
+    """Every problem code with the statuses that it comes with."""
+    found = {kind.code: frozenset({kind.status_code}) for kind in _kinds()}
+    return found | {
+        "invalid-input": frozenset({422}),
+        "validation": frozenset({422}),
+        "not-found": frozenset({404}),
+        "http": frozenset({400, 405, 408, 413}),
+    }
+
+
 def explanations() -> dict[str, str]:
     """Every problem code with the text that explains it: the docstring of its exception."""
-    found: dict[str, str] = {}
-    pending: list[type[ServiceError]] = [ServiceError]
-    while pending:
-        kind = pending.pop()
-        found[kind.code] = f"{kind.title} ({kind.status_code}). {(kind.__doc__ or '').strip()}"
-        pending += kind.__subclasses__()
+    found = {kind.code: f"{kind.title} ({kind.status_code}). {(kind.__doc__ or '').strip()}" for kind in _kinds()}
     found["invalid-input"] = f"Invalid input (422). {(CalibError.__doc__ or '').strip()}"
     found["validation"] = "Invalid request (422). The request does not have the documented form."
     found["not-found"] = "Not found (404). There is nothing at this address."
     found["http"] = "The request cannot be handled: its method, form or size is not what this address takes."
     return dict(sorted(found.items()))
+
+
+def _kinds() -> Iterator[type[ServiceError]]:
+    pending: list[type[ServiceError]] = [ServiceError]
+    while pending:
+        kind = pending.pop()
+        yield kind
+        pending += kind.__subclasses__()
 
 
 def install_problem_handlers(app: FastAPI) -> None:

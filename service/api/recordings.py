@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 from pydantic import ValidationError
 
 from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.report import to_json
 from mavcal.service.api.addresses import relative
 from mavcal.service.api.dependencies import ServiceDep
 from mavcal.service.api.disconnect import Body, while_connected
 from mavcal.service.api.models import (
+    FitJobRequest,
     FitRequest,
     FitsModel,
     JobModel,
@@ -21,7 +22,7 @@ from mavcal.service.api.models import (
     RecordingModel,
 )
 from mavcal.service.api.security import Scope, require
-from mavcal.service.api.views import job_model, recording_model
+from mavcal.service.api.views import job_model, job_summary, recording_model
 
 router = APIRouter(tags=["recordings"])
 READ = Depends(require(Scope.READ))
@@ -30,6 +31,7 @@ OPERATE = Depends(require(Scope.OPERATE))
 
 @router.post(
     "/recordings",
+    operation_id="upload_recording",
     status_code=201,
     dependencies=[OPERATE],
     openapi_extra={"requestBody": {"required": True, "content": {"application/octet-stream": {}}}},
@@ -50,26 +52,41 @@ async def upload(
     return model
 
 
-@router.get("/recordings", dependencies=[READ])
+@router.get("/recordings", operation_id="list_recordings", dependencies=[READ])
 async def recordings(service: ServiceDep) -> list[RecordingModel]:
     """Every uploaded recording."""
     return [recording_model(row) for row in service.recordings.all()]
 
 
-@router.get("/recordings/{recording_id}", dependencies=[READ])
+@router.get("/recordings/{recording_id}", operation_id="get_recording", dependencies=[READ])
 async def recording(recording_id: str, service: ServiceDep) -> RecordingModel:
     """One uploaded recording, and what is in it."""
     return recording_model(service.recordings.get(recording_id))
 
 
-@router.post("/recordings/{recording_id}/fits", dependencies=[OPERATE])
-async def fit(recording_id: str, body: FitRequest, request: Request, service: ServiceDep) -> FitsModel:
-    """Run one method on an uploaded recording."""
-    fits = await while_connected(request, service.recordings.fit(recording_id, body.method, body.options))
-    return FitsModel(method=body.method, fits=fits)
+@router.post("/recordings/{recording_id}/fits", operation_id="fit_recording", dependencies=[OPERATE])
+async def fit(
+    recording_id: str, body: FitRequest, request: Request, response: Response, service: ServiceDep
+) -> FitsModel:
+    """Run one method on an uploaded recording and wait for it; `POST /fits` does not wait.
+
+    It is a job of kind `fit`, whose address is in Location. It is cancelled when the client goes away.
+    """
+    fitting = service.jobs.computing.fitted(recording_id, body.method, body.options)
+    job = await while_connected(request, fitting)
+    response.headers["Location"] = relative(request, job_summary(job).href)
+    return FitsModel.model_validate({"method": body.method, "fits": to_json(job.results)})
 
 
-@router.post("/recordings/{recording_id}/jobs", status_code=202, dependencies=[OPERATE])
+@router.post("/fits", operation_id="start_fit", status_code=202, dependencies=[OPERATE])
+async def start_fit(body: FitJobRequest, request: Request, response: Response, service: ServiceDep) -> JobModel:
+    """A job that runs one method on an uploaded recording: followed, cancelled and listed as every other job."""
+    model = job_model(await service.jobs.computing.fit(body.recording, body.method, body.options))
+    response.headers["Location"] = relative(request, model.href)
+    return model
+
+
+@router.post("/recordings/{recording_id}/jobs", operation_id="plan_recording", status_code=202, dependencies=[OPERATE])
 async def plan(
     recording_id: str, body: RecordingJobRequest, request: Request, response: Response, service: ServiceDep
 ) -> JobModel:
@@ -77,10 +94,7 @@ async def plan(
 
     What it plans is accepted, written, proved and taken back as every other job's.
     """
-    service.recordings.check(recording_id, body.method)
-    fitting = partial(service.recordings.fit_of_vehicle, recording_id, body.method, body.options)
-    options = {"recording": recording_id, "method": body.method, "options": body.options}
-    job = await service.jobs.adopt(body.vehicle_id, fitting, options, body.plan_options.given())
+    job = await service.jobs.adopt(body.vehicle_id, recording_id, body.method, body.options, body.plan_options.given())
     model = job_model(job)
     response.headers["Location"] = relative(request, model.href)
     return model

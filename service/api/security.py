@@ -68,13 +68,14 @@ def check_exposure(settings: Settings) -> None:
         )
 
 
-class Guard:
+class RequestGuard:
     """Decides on one request; made once from the settings."""
 
     def __init__(self, settings: Settings, clock: Callable[[], float] = time.monotonic) -> None:
         self._keys: Mapping[str, ApiKey] = {key.sha256: key for key in settings.api_keys}
         self._hosts = {h.lower() for h in settings.allowed_hosts}
         self._origins = {_origin(o) for o in settings.allowed_origins}
+        self._guests = {_origin(o) for o in settings.cors_origins}
         self._loopback_only = not settings.beyond_loopback
         self._clock = clock
         self._tickets: dict[str, tuple[float, ApiKey]] = {}
@@ -88,7 +89,8 @@ class Guard:
     def check_origin(self, method: str, headers: Headers, scheme: str = "http") -> None:
         """Refuse a rebound host name, and a change that the page of another origin asks for.
 
-        One origin is one scheme, host and port. Programs that are no browsers send neither header.
+        One origin is one scheme, host and port. Programs that are no browsers send neither header. Pages of
+        `cors_origins` come from another site by intent.
         """
         asked = headers.get("host", "")
         host = _hostname(f"//{asked}")
@@ -97,6 +99,8 @@ class Guard:
         if method in SAFE_METHODS:
             return
         origin = headers.get("origin")
+        if origin is not None and _origin(origin) in self._guests - {None}:
+            return
         ours = _origin(f"{scheme}://{asked}")
         if origin is not None and _origin(origin) not in {ours, *self._origins} - {None}:
             raise Forbidden(f"a page of {origin} may not change anything here: add its origin to allowed_origins")
@@ -168,7 +172,7 @@ def require(scope: Scope) -> Callable[[Request], Awaitable[None]]:
     """A dependency that lets a request pass only with `scope`; what asks for a change goes to the audit trail first."""
 
     async def check(request: Request) -> None:
-        guard: Guard = request.app.state.guard
+        guard: RequestGuard = request.app.state.guard
         key = guard.authenticate(request)
         if key is not None and scope not in key.scopes and Scope.ADMIN not in key.scopes:
             raise Forbidden(f"the key of {key.name!r} lacks the scope {scope.value!r}")
@@ -179,7 +183,7 @@ def require(scope: Scope) -> Callable[[Request], Awaitable[None]]:
 
 
 def _actor(request: Request) -> str:
-    guard: Guard = request.app.state.guard
+    guard: RequestGuard = request.app.state.guard
     key = guard.authenticate(request)
     return "operator" if key is None else key.name
 

@@ -29,19 +29,19 @@ VehicleDep = Annotated[Vehicle, Depends(_vehicle)]
 """The vehicle of the address. For a stream this is the place where 404 can still be said."""
 
 
-@router.get("/vehicles", dependencies=[READ])
+@router.get("/vehicles", operation_id="list_vehicles", dependencies=[READ])
 async def vehicles(service: ServiceDep) -> list[VehicleModel]:
     """Every vehicle that was heard."""
     return [vehicle_model(v) for v in service.vehicles.all()]
 
 
-@router.get("/vehicles/{vehicle_id}", dependencies=[READ])
+@router.get("/vehicles/{vehicle_id}", operation_id="get_vehicle", dependencies=[READ])
 async def vehicle(found: VehicleDep) -> VehicleModel:
     """One vehicle."""
     return vehicle_model(found)
 
 
-@router.get("/vehicles/{vehicle_id}/parameters", dependencies=[READ])
+@router.get("/vehicles/{vehicle_id}/parameters", operation_id="list_parameters", dependencies=[READ])
 async def parameters(found: VehicleDep, refresh: bool = False) -> list[ParameterModel]:
     """Every parameter of the vehicle as heard last; `refresh` lists them again first."""
     if refresh or not found.listed:
@@ -49,7 +49,12 @@ async def parameters(found: VehicleDep, refresh: bool = False) -> list[Parameter
     return [parameter_model(p) for _, p in sorted(found.parameters.items())]
 
 
-@router.get("/vehicles/{vehicle_id}/stream", response_class=EventSourceResponse, dependencies=[READ])
+@router.get(
+    "/vehicles/{vehicle_id}/stream",
+    operation_id="follow_vehicle",
+    response_class=EventSourceResponse,
+    dependencies=[READ],
+)
 async def stream(found: VehicleDep, service: ServiceDep) -> AsyncIterator[ServerSentEvent]:
     """The vehicle's state, once a second, as long as its link is open."""
     while found in service.vehicles.all():

@@ -2,27 +2,35 @@
 
 from __future__ import annotations
 
-import dataclasses
+import json
+from collections.abc import Sequence
 from typing import Any
 
+from fastapi import Response
+
+from mavcal.calib.firmware.plan import ParameterKind, WritePlan
 from mavcal.calib.procedures.spec import ProcedureSpec
-from mavcal.calib.report import fit_to_json, plain, plan_to_json, step_to_json, verification_to_json
 from mavcal.service.api.models import (
     GapModel,
     GapSummary,
     JobModel,
     JobSummary,
     LinkModel,
+    OptionModel,
     ParameterModel,
+    PlanModel,
+    PreflightModel,
     ProcedureModel,
     RecordingModel,
     VehicleModel,
 )
-from mavcal.service.gaps import GapRow
-from mavcal.service.jobs.codec import attempt_to_json, outcome_to_json
-from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.codec import to_json
+from mavcal.service.jobs.fixing import Fix
+from mavcal.service.jobs.model import Failure, Job
+from mavcal.service.jobs.preflight import Preflight
+from mavcal.service.jobs.states import JobState
 from mavcal.service.link import Link
-from mavcal.service.store.rows import EventRow, RecordingRow
+from mavcal.service.store.rows import EventRow, JobDocument, RecordingRow
 from mavcal.service.vehicle.encoding import Parameter
 from mavcal.service.vehicle.registry import VehicleRegistry
 from mavcal.service.vehicle.vehicle import Vehicle
@@ -32,22 +40,33 @@ Json = dict[str, Any]
 
 def job_summary(job: Job) -> JobSummary:
     """A job for a list."""
-    return JobSummary(**_summary(job))
+    return JobSummary.model_validate(_summary(job))
 
 
 def job_model(job: Job) -> JobModel:
     """A job with its results."""
-    return JobModel(
-        **_summary(job),
-        options=dict(job.options),
-        plan_options=plain(job.context.get("plan_options", {})),
-        warnings=list(job.warnings),
-        results=[fit_to_json(fit) for fit in job.results],
-        plan=None if job.plan is None else plan_to_json(job.plan),
-        verification=None if job.verification is None else verification_to_json(job.verification),
-        standing=[plain(s) for s in job.standing],
-        segments=[{**plain(dataclasses.asdict(s) | {"path": s.path.name})} for s in job.segments],
+    return JobModel.model_validate(
+        _summary(job)
+        | {
+            "options": dict(job.options),
+            "plan_options": to_json(job.context.get("plan_options", {})),
+            "warnings": list(job.warnings),
+            "results": to_json(job.results),
+            "plan": to_json(job.plan),
+            "verification": to_json(job.verification),
+            "standing": to_json(job.standing),
+            "documents": [
+                {"name": name, "href": f"api/v1/jobs/{job.id}/documents/{name}"}
+                for name in job.context.get("documents", ())
+            ],
+            "segments": [{**to_json(s), "path": s.path.name} for s in job.segments],
+        }
     )
+
+
+def plan_model(plan: WritePlan) -> PlanModel:
+    """A plan."""
+    return PlanModel.model_validate(to_json(plan))
 
 
 def event_model(event: EventRow) -> Json:
@@ -57,7 +76,7 @@ def event_model(event: EventRow) -> Json:
         "sequence": event.sequence,
         "at": event.at,
         "kind": event.kind,
-        "data": plain(event.data),
+        "data": to_json(event.data),
     }
 
 
@@ -66,7 +85,7 @@ def link_model(link: Link, vehicles: VehicleRegistry) -> LinkModel:
     return LinkModel(
         id=link.id,
         url=str(link.endpoint),
-        state=link.state.value,
+        state=link.state,
         reason=link.reason,
         vehicles=[v.id for v in vehicles.all() if v.link is link],
         crc_errors=link.crc_errors,
@@ -83,11 +102,11 @@ def vehicle_model(vehicle: Vehicle) -> VehicleModel:
         link=vehicle.link.id,
         system=vehicle.system,
         component=vehicle.component,
-        autopilot=identity.autopilot.value,
+        autopilot=identity.autopilot,
         firmware=identity.version_text,
         uid=identity.uid2,
         armed=bool(state.armed),
-        landed=state.landed.value,
+        landed=state.landed,
         silent=state.silent(now),
         writable=writable.ok,
         obstacles=list(writable.reasons),
@@ -103,12 +122,32 @@ def vehicle_model(vehicle: Vehicle) -> VehicleModel:
 
 def parameter_model(parameter: Parameter) -> ParameterModel:
     """A parameter as the vehicle states it; a value that is not finite is null."""
-    return ParameterModel(name=parameter.name, value=plain(parameter.value), kind=parameter.kind.name.lower())
+    return ParameterModel(
+        name=parameter.name, value=to_json(parameter.value), kind=ParameterKind(parameter.kind.name.lower())
+    )
 
 
 def procedure_model(spec: ProcedureSpec) -> ProcedureModel:
     """A procedure as a row of the table."""
-    return ProcedureModel(**plain({k: v for k, v in vars(spec).items() if k != "aliases"}))
+    told = {name: getattr(spec, name) for name in ProcedureModel.model_fields}
+    told["options"] = [{name: getattr(option, name) for name in OptionModel.model_fields} for option in spec.options]
+    return ProcedureModel.model_validate(to_json(told))
+
+
+def preflight_model(found: Preflight, fixed: Sequence[Fix]) -> PreflightModel:
+    """A preflight, and what was calibrated before it."""
+    return PreflightModel.model_validate(
+        {
+            "vehicle_id": found.vehicle_id,
+            "at": found.at,
+            "seconds": found.seconds,
+            "verdict": found.report.verdict,
+            "summary": found.report.summary,
+            "checks": to_json(found.report.checks),
+            "notes": list(found.notes),
+            "fixed": to_json(fixed),
+        }
+    )
 
 
 def recording_model(row: RecordingRow) -> RecordingModel:
@@ -121,24 +160,41 @@ def recording_model(row: RecordingRow) -> RecordingModel:
         size=row.size,
         sha256=row.sha256,
         uploaded_at=row.at,
-        inspection=plain(inspection) if isinstance(inspection, dict) else {},
+        inspection=to_json(inspection) if isinstance(inspection, dict) else {},
     )
 
 
-def gap_summary(row: GapRow) -> GapSummary:
+def gap_summary(job: Job) -> GapSummary:
     """A gap diagnosis without its report."""
-    return GapSummary(**_gap(row))
+    return GapSummary(**_gap(job))
 
 
-def gap_model(row: GapRow, report: Json | None) -> GapModel:
-    """A gap diagnosis with its report."""
-    done = report is not None
-    return GapModel(**_gap(row), report=report, page=f"api/v1/gaps/{row.id}/report.html" if done else None)
+def gap_model(job: Job, report: JobDocument | None) -> GapModel:
+    """A gap diagnosis with its report; None: there is none (yet)."""
+    page = None if report is None else f"api/v1/gaps/{job.id}/report.html"
+    return GapModel(**_gap(job), report=None if report is None else json.loads(report.body), page=page)
 
 
-def _gap(row: GapRow) -> Json:
-    fields = dataclasses.asdict(row)
-    return {**fields, "nominal": list(row.nominal), "state": row.state.value, "href": f"api/v1/gaps/{row.id}"}
+def document_response(document: JobDocument) -> Response:
+    """A document as the answer to a request."""
+    return Response(document.body, media_type=document.media_type)
+
+
+_GAP_STATES = {JobState.QUEUED: "queued", JobState.FITTING: "running", JobState.SUCCEEDED: "done"}
+"""A job that ended in any other way has failed."""
+
+
+def _gap(job: Job) -> Json:
+    return {
+        "id": job.id,
+        "href": f"api/v1/gaps/{job.id}",
+        "state": _GAP_STATES.get(job.state, "failed"),
+        "error": job.outcome.cause if isinstance(job.outcome, Failure) else None,
+        "created_at": job.created_at,
+        "real": job.options.get("real", ""),
+        "sim": job.options.get("sim"),
+        "nominal": list(job.options.get("nominal", ())),
+    }
 
 
 def _summary(job: Job) -> Json:
@@ -150,8 +206,8 @@ def _summary(job: Job) -> Json:
         "state": job.state.value,
         "created_at": job.created_at,
         "updated_at": job.updated_at,
-        "progress": None if job.progress is None else step_to_json(job.progress),
-        "prompt": None if job.prompt is None else step_to_json(job.prompt),
-        "outcome": plain(outcome_to_json(job.outcome)),
-        "last_write": plain(attempt_to_json(job.last_write)),
+        "progress": to_json(job.progress),
+        "prompt": to_json(job.prompt),
+        "outcome": to_json(job.outcome),
+        "last_write": to_json(job.last_write),
     }

@@ -49,7 +49,7 @@ class Children:
     Parameters
     ----------
     folder
-        Where orders and results lie while they are needed; what a crash left there is removed.
+        Where orders and results lie while they are needed; what a crash left there is removed before the first.
     most
         Children at a time.
     first, later
@@ -67,8 +67,7 @@ class Children:
         self._starting = asyncio.Lock()
         self._files = ThreadPoolExecutor(1, thread_name_prefix="children")
         self._stopped = False
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir(parents=True, mode=0o700)
+        self._swept = False
 
     @property
     def nursery_pid(self) -> int | None:
@@ -119,7 +118,7 @@ class Children:
     async def _one(self, task: str, order: Mapping[str, Any], limits: Limits, told: Told | None) -> Json:
         name = secrets.token_hex(8)
         folder = self._folder / name
-        await self._off_loop(_written, folder, order)
+        await self._off_loop(self._written, folder, order)
         running = _Running(asyncio.get_running_loop().create_future(), told)
         try:
             await self._send({"start": name, "task": task, "folder": str(folder), "limits": asdict(limits)}, running)
@@ -187,13 +186,17 @@ class Children:
                 running.ended.exception()  # it may be that nobody waits any more
         self._running.clear()
 
+    def _written(self, folder: Path, order: Mapping[str, Any]) -> None:
+        """Lay an order down; in the one thread of files."""
+        if not self._swept:
+            shutil.rmtree(self._folder, ignore_errors=True)
+            self._folder.mkdir(parents=True, mode=0o700)
+            self._swept = True
+        folder.mkdir(mode=0o700)
+        (folder / "order.json").write_text(json.dumps(order), encoding="utf-8")
+
     async def _off_loop(self, function: Callable[..., Any], *arguments: Any) -> Any:
         return await asyncio.get_running_loop().run_in_executor(self._files, function, *arguments)
-
-
-def _written(folder: Path, order: Mapping[str, Any]) -> None:
-    folder.mkdir(mode=0o700)
-    (folder / "order.json").write_text(json.dumps(order), encoding="utf-8")
 
 
 def _result_of(folder: Path, ended: Json, limits: Limits) -> Json:

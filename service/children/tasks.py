@@ -5,8 +5,7 @@ A task is named ``module:function``; only names in the service's own code are ev
 
 from __future__ import annotations
 
-import dataclasses
-import json
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -29,10 +28,10 @@ def inspect(order: Mapping[str, Any], tell: Tell) -> Json:
     """What is in the recording ``{path, reading}``."""
     from mavcal.calib import logs
     from mavcal.calib.flight.report import overview
-    from mavcal.calib.report import plain
+    from mavcal.calib.report import to_json
 
     tell("reading")
-    found: Json = plain(overview(logs.read(Path(order["path"]), **order["reading"])))
+    found: Json = to_json(overview(logs.read(Path(order["path"]), **order["reading"])))
     return found
 
 
@@ -41,33 +40,43 @@ def fit(order: Mapping[str, Any], tell: Tell) -> Json:
     from mavcal.calib import logs
     from mavcal.calib.firmware.in_force.origin import origin_of
     from mavcal.calib.methods import METHODS
-    from mavcal.calib.report import fit_to_json, plain
+    from mavcal.calib.report import to_json
 
     tell("reading")
     recording = logs.read(Path(order["path"]), **order["reading"])
     tell("fitting")
     fits = METHODS[order["method"]].run(recording, order["options"])
-    origin = plain(dataclasses.asdict(origin_of(recording, fits))) if order["origin"] else None
-    return {"fits": [fit_to_json(one) for one in fits], "origin": origin}
+    origin = to_json(origin_of(recording, fits)) if order["origin"] else None
+    return {"fits": to_json(fits), "origin": origin}
 
 
 def diagnose(order: Mapping[str, Any], tell: Tell) -> Json:
-    """The gap of ``{real: {path, reading, sha256}, sim, nominal, title, out}``, as files beside `out`."""
+    """The gap of ``{real, sim, nominal}``, each ``{path, reading, sha256}`` or None: a sentence and the report.
+
+    With `title` also its page; `without` leaves effects out, `nested` is as in :func:`calib.gap.run`. `seconds` is the
+    time of the diagnosis alone. A digest may be left out.
+    """
     from mavcal.calib import gap, logs
     from mavcal.calib.gap.schema import as_json
     from mavcal.calib.gap_report import gap_to_html
+    from mavcal.calib.gap_report.words import verdict_sentence
 
     def read(part: Mapping[str, Any]) -> Any:
-        return logs.read(Path(part["path"]), **part["reading"])
+        return logs.read(Path(part["path"]), **part.get("reading", {}))
 
     tell("reading")
     real = read(order["real"])
     sim = None if order["sim"] is None else read(order["sim"])
     nominal = tuple(read(part) for part in order["nominal"])
-    hashes = {role: order[role]["sha256"] for role in ("real", "sim") if order[role] is not None}
+    hashes = {role: part["sha256"] for role in ("real", "sim") if "sha256" in (part := order[role] or {})}
     tell("diagnosing")
-    report = gap.run(real, sim, nominal, inputs=hashes)
-    out = Path(order["out"])
-    out.with_suffix(".html").write_text(gap_to_html(report, title=order["title"]), encoding="utf-8")
-    out.with_suffix(".report").write_text(json.dumps(as_json(report), allow_nan=False), encoding="utf-8")
-    return {}
+    began = time.perf_counter()
+    report = gap.run(
+        real, sim, nominal, without=order.get("without", ()), nested=order.get("nested", True), inputs=hashes or None
+    )
+    return {
+        "seconds": time.perf_counter() - began,
+        "summary": verdict_sentence(report, listed=False),
+        "report": as_json(report),
+        "page": gap_to_html(report, title=order["title"]) if "title" in order else None,
+    }

@@ -10,7 +10,7 @@ import click
 from mavcal.service.commands.config import load_settings
 from mavcal.service.commands.output import json_option
 from mavcal.service.commands.plan_options import all_plan_options, given
-from mavcal.service.commands.review import Wish, run_job
+from mavcal.service.commands.review import JobWish, run_job
 
 if TYPE_CHECKING:
     from mavcal.service.core import Service
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 @click.option("--wait", type=float, default=30.0, show_default=True, help="How long to wait for a vehicle, s.")
 @json_option
 def command(
+    *,
     job_id: str,
     connect: str,
     require_proof: bool,
@@ -54,5 +55,5 @@ def command(
             raise OtherVehicle(f"job {job_id} is of {job.vehicle_id}, but {connect} leads to {vehicle.id}")
         return await service.jobs.plan_again(job_id, {**job.context.get("plan_options", {}), **decided})
 
-    wish = Wish(write=True, require_proof=require_proof, reboot=reboot, wait_s=wait, as_json=as_json)
+    wish = JobWish(write=True, require_proof=require_proof, reboot=reboot, wait_s=wait, as_json=as_json)
     return run_job(settings, begin, wish)

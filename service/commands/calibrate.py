@@ -11,7 +11,7 @@ import click
 from mavcal.service.commands.config import load_settings
 from mavcal.service.commands.output import json_option
 from mavcal.service.commands.plan_options import given, plan_options
-from mavcal.service.commands.review import Wish, run_job
+from mavcal.service.commands.review import JobWish, run_job
 
 if TYPE_CHECKING:
     from mavcal.service.core import Service
@@ -37,6 +37,7 @@ KINDS = (
 @click.option("--wait", type=float, default=30.0, show_default=True, help="How long to wait for a vehicle, s.")
 @json_option
 def command(
+    *,
     kind: str,
     connect: str,
     write: bool,
@@ -63,7 +64,7 @@ def command(
     async def begin(service: Service, vehicle: Vehicle) -> Job:
         return await service.jobs.submit(vehicle.id, kind, chosen, decided)
 
-    return run_job(settings, begin, Wish(write, require_proof, reboot, wait, as_json))
+    return run_job(settings, begin, JobWish(write, require_proof, reboot, wait, as_json))
 
 
 def parsed(options: tuple[str, ...], *, words: bool = False) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import shutil
 import socket
 import sys
 import tempfile
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
@@ -25,7 +25,7 @@ LEAST_FREE_BYTES = 1024**3
 
 
 @dataclass(frozen=True)
-class Finding:
+class DoctorFinding:
     """One thing looked at; `verdict` is pass, warn or fail."""
 
     id: str
@@ -40,63 +40,65 @@ def command(as_json: bool) -> int:
     settings = load_settings()
     findings = [_python(), *_packages(), _data_dir(settings.data_dir), _port(settings), _serial(), _magnetic_model()]
     if as_json:
-        write_json({"findings": [asdict(f) for f in findings]})
+        write_json({"findings": findings})
     else:
         for finding in findings:
             click.echo(f"{finding.verdict:4}  {finding.id:14}  {finding.text}")
     return EXIT_NO if any(f.verdict == "fail" for f in findings) else 0
 
 
-def _python() -> Finding:
+def _python() -> DoctorFinding:
     verdict = "pass" if sys.version_info >= (3, 11) else "fail"
-    return Finding("python", verdict, f"Python {platform.python_version()} (3.11 or newer is needed)")
+    return DoctorFinding("python", verdict, f"Python {platform.python_version()} (3.11 or newer is needed)")
 
 
-def _packages() -> list[Finding]:
+def _packages() -> list[DoctorFinding]:
     findings = []
     for name in DISTRIBUTIONS:
         try:
-            findings.append(Finding(name, "pass", importlib.metadata.version(name)))
+            findings.append(DoctorFinding(name, "pass", importlib.metadata.version(name)))
         except importlib.metadata.PackageNotFoundError:
-            findings.append(Finding(name, "fail", "not installed: run scripts/setup"))
+            findings.append(DoctorFinding(name, "fail", "not installed: run scripts/setup"))
     return findings
 
 
-def _data_dir(folder: Path) -> Finding:
+def _data_dir(folder: Path) -> DoctorFinding:
     existing = next(p for p in (folder, *folder.parents) if p.exists())
     if not os.access(existing, os.W_OK):
-        return Finding("data-dir", "fail", f"{existing} cannot be written: set data_dir")
+        return DoctorFinding("data-dir", "fail", f"{existing} cannot be written: set data_dir")
     free = shutil.disk_usage(existing).free
     try:
         with tempfile.TemporaryFile(dir=existing) as probe:
             probe.write(b"mavcal")
     except OSError as error:
-        return Finding("data-dir", "fail", f"{existing}: {error.strerror}: free some space or set data_dir")
+        return DoctorFinding("data-dir", "fail", f"{existing}: {error.strerror}: free some space or set data_dir")
     verdict = "pass" if free > LEAST_FREE_BYTES else "warn"
-    return Finding("data-dir", verdict, f"{folder}, {free / 1024**3:.1f} GiB free")
+    return DoctorFinding("data-dir", verdict, f"{folder}, {free / 1024**3:.1f} GiB free")
 
 
-def _port(settings: Settings) -> Finding:
+def _port(settings: Settings) -> DoctorFinding:
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((settings.host, settings.port))
         except OSError as error:
-            return Finding("port", "warn", f"{settings.host}:{settings.port}: {error.strerror}; choose another --port")
-    return Finding("port", "pass", f"{settings.host}:{settings.port} is free")
+            return DoctorFinding(
+                "port", "warn", f"{settings.host}:{settings.port}: {error.strerror}; choose another --port"
+            )
+    return DoctorFinding("port", "pass", f"{settings.host}:{settings.port} is free")
 
 
-def _serial() -> Finding:
+def _serial() -> DoctorFinding:
     from serial.tools import list_ports
 
     ports = [p.device for p in list_ports.comports()]
     closed = [p for p in ports if not os.access(p, os.R_OK | os.W_OK)]
     if closed:
-        return Finding("serial", "warn", f"{', '.join(closed)} may not be opened: join the group dialout")
-    return Finding("serial", "pass", ", ".join(ports) or "no serial port here")
+        return DoctorFinding("serial", "warn", f"{', '.join(closed)} may not be opened: join the group dialout")
+    return DoctorFinding("serial", "pass", ", ".join(ports) or "no serial port here")
 
 
-def _magnetic_model() -> Finding:
+def _magnetic_model() -> DoctorFinding:
     from mavcal.calib.earth import earth_field
 
     today = datetime.datetime.now(tz=datetime.UTC).date()
@@ -104,8 +106,8 @@ def _magnetic_model() -> Finding:
     try:
         field = earth_field(0.0, 0.0, 0.0, year)
     except CalibError as error:
-        return Finding("magnetic-model", "fail", str(error))
+        return DoctorFinding("magnetic-model", "fail", str(error))
     verdict = "pass" if field.valid else "warn"
-    return Finding(
+    return DoctorFinding(
         "magnetic-model", verdict, f"world magnetic model {'covers' if field.valid else 'ended before'} {year:.2f}"
     )

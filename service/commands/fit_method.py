@@ -11,7 +11,7 @@ import click
 from mavcal.calib.converted import Convention, Converted, c_header, converted
 from mavcal.calib.errors import CalibError
 from mavcal.calib.fit import FitResult, FitStatus
-from mavcal.calib.methods.method import Finding, Method
+from mavcal.calib.methods.method import FindingKind, Method
 from mavcal.calib.recording import Recording
 from mavcal.service.commands.output import EXIT_NO, json_option, write_json
 from mavcal.service.commands.reading import face_option, read_recording, reading_options, split_reading
@@ -107,12 +107,12 @@ def _converted(fit: FitResult, convention: str) -> Converted | None:
 
 def _document(fits: tuple[FitResult, ...], forms: Sequence[Converted | None]) -> dict[str, Any]:
     """The only fit, or the first one with all of them under ``fits``."""
-    from mavcal.calib.report import fit_to_json, plain
+    from mavcal.calib.report import to_json
 
-    documents = [fit_to_json(fit) for fit in fits]
+    documents = to_json(fits)
     for document, form in zip(documents, forms, strict=True):
         if form is not None:
-            document["converted"] = plain(form)
+            document["converted"] = to_json(form)
     return documents[0] if len(documents) == 1 else {**documents[0], "fits": documents}
 
 
@@ -129,9 +129,9 @@ def require_place(out: Path) -> None:
 
 def require_exportable(method: Method, out: Path) -> None:
     """Refuse an export that cannot hold what the method finds, whatever the recording says."""
-    if method.finds is Finding.FIGURES:
+    if method.finds is FindingKind.FIGURES:
         raise click.UsageError(f"--export {out.name}: {method.name} finds {method.finds}. --json tells them")
-    if out.suffix == HEADER and method.finds is not Finding.CORRECTION:
+    if out.suffix == HEADER and method.finds is not FindingKind.CORRECTION:
         raise click.UsageError(
             f"--export {out.name}: {method.name} finds {method.finds}, which a constant array does not hold. "
             "Export parameters (.param), or take --json"
@@ -140,7 +140,7 @@ def require_exportable(method: Method, out: Path) -> None:
 
 def require_correction(method: Method) -> None:
     """Refuse another's form of what is no correction."""
-    if method.finds in {Finding.FIGURES, Finding.MOTORS}:
+    if method.finds in {FindingKind.FIGURES, FindingKind.MOTORS}:
         raise click.UsageError(f"--as: {method.name} finds {method.finds}, which has no other form. --json tells it")
 
 

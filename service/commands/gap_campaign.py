@@ -1,72 +1,60 @@
-"""Running a campaign: cases to files, files to worker processes, answers beside their labels."""
+"""Running a campaign: cases to files, files to child processes, answers beside their labels."""
 
 from __future__ import annotations
 
+import asyncio
 import json
-import queue
-import subprocess
-import sys
 import tempfile
-import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mavcal.calib.blind.answers import Answer
-from mavcal.calib.blind.cases import Case, Tier, make_case
+from mavcal.calib.errors import CalibError
+from mavcal.calib.withheld_check import Case, CaseAnswer, Tier, make_case
+from mavcal.service.children import DIAGNOSE, Children, Limits
+from mavcal.service.errors import ChildEnded
+
+Json = dict[str, Any]
 
 TIMEOUT_S = 300.0
 """Limit for a case of one minute, with room for a busy machine."""
+MEMORY_BYTES = 1 << 32
+"""More than a service gives a diagnosis: a case of a campaign must not fail of it."""
 
 
-class Worker:
-    """One diagnosing process; started again if it dies or hangs."""
+@dataclass(frozen=True)
+class Diagnoser:
+    """Has files diagnosed by processes that see their random names and nothing else."""
 
-    def __init__(self, timeout_s: float = TIMEOUT_S) -> None:
-        self._process: subprocess.Popen[str] | None = None
-        self._timeout_s = timeout_s
+    children: Children
+    limits: Limits
 
-    def ask(self, order: dict[str, Any]) -> dict[str, Any]:
-        """The answer to one order; a process that dies or is silent for too long is an error, and replaced."""
-        process = self._running()
-        assert process.stdin is not None
-        assert process.stdout is not None
-        timer = threading.Timer(self._timeout_s, process.kill)
-        timer.start()
+    async def ask(self, order: Mapping[str, Any]) -> Json:
+        """``{report, seconds}`` or ``{error, seconds}``: whatever goes wrong in the diagnosis is an answer too.
+
+        `order` is that of :func:`service.children.tasks.diagnose`.
+        """
+        began = asyncio.get_running_loop().time()
         try:
-            process.stdin.write(json.dumps(order) + "\n")
-            process.stdin.flush()
-            line = process.stdout.readline()
-        except BrokenPipeError:
-            line = ""
-        finally:
-            timer.cancel()
-        if not line:
-            self.close()
-            said = f"the diagnosis died or took more than {self._timeout_s:.0f} s"
-            return {"error": said, "seconds": self._timeout_s}
-        answer: dict[str, Any] = json.loads(line)
-        return answer
+            done = await self.children.run(DIAGNOSE, order, self.limits)
+        except (CalibError, ChildEnded) as error:
+            spent = asyncio.get_running_loop().time() - began
+            return {"error": f"{type(error).__name__}: {error}", "seconds": spent}
+        return {"report": done["report"], "seconds": done["seconds"]}
 
-    def _running(self) -> subprocess.Popen[str]:
-        if self._process is None or self._process.poll() is not None:
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", "mavcal.service.commands.gap_worker"],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                text=True,
-            )
-        return self._process
 
-    def close(self) -> None:
-        """End the process."""
-        if self._process is not None:
-            self._process.kill()
-            self._process.communicate()
-            self._process = None
+@asynccontextmanager
+async def diagnoser(folder: Path, *, processes: int = 1, timeout_s: float = TIMEOUT_S) -> AsyncIterator[Diagnoser]:
+    """A diagnoser that keeps what it needs in `folder`, which is its own."""
+    children = Children(folder, most=processes)
+    try:
+        yield Diagnoser(children, Limits(MEMORY_BYTES, timeout_s, timeout_s))
+    finally:
+        await children.stop()
 
 
 @dataclass(frozen=True)
@@ -78,60 +66,50 @@ class Plan:
     processes: int
 
 
-def run(plan: Plan, record: Callable[[dict[str, Any]], None]) -> None:
+def run(plan: Plan, record: Callable[[Json], None]) -> None:
     """Diagnose every case; `record` gets ``{label, report, error, seconds}``, one at a time, in no order."""
-    todo: queue.SimpleQueue[tuple[Tier, int]] = queue.SimpleQueue()
-    for case in plan.cases:
-        todo.put(case)
-    lock = threading.Lock()
-    broken: list[Exception] = []
-
-    def drive() -> None:
-        worker = Worker()
-        try:
-            with tempfile.TemporaryDirectory(prefix="mavcal-gap-") as folder:
-                for tier, seed in _drained(todo):
-                    answer = one(worker, make_case(tier, seed), Path(folder), nested=plan.nested)
-                    with lock:
-                        record(answer)
-        except Exception as error:  # noqa: BLE001 - raised again by the caller's thread
-            broken.append(error)
-        finally:
-            worker.close()
-
-    threads = [threading.Thread(target=drive, daemon=True) for _ in range(plan.processes)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    if broken:
-        raise broken[0]
+    asyncio.run(_run(plan, record))
 
 
-def _drained(todo: queue.SimpleQueue[tuple[Tier, int]]) -> Iterator[tuple[Tier, int]]:
-    while True:
-        try:
-            yield todo.get_nowait()
-        except queue.Empty:
-            return
+async def _run(plan: Plan, record: Callable[[Json], None]) -> None:
+    todo = iter(plan.cases)
+    with tempfile.TemporaryDirectory(prefix="mavcal-gap-") as made:
+        folder = Path(made)
+        async with diagnoser(folder / "children", processes=plan.processes) as diagnosing, asyncio.TaskGroup() as group:
+            for _ in range(plan.processes):
+                group.create_task(_drive(diagnosing, todo, folder, record, nested=plan.nested))
 
 
-def one(worker: Worker, case: Case, folder: Path, *, nested: bool) -> dict[str, Any]:
+async def _drive(
+    diagnosing: Diagnoser,
+    todo: Iterator[tuple[Tier, int]],
+    folder: Path,
+    record: Callable[[Json], None],
+    *,
+    nested: bool,
+) -> None:
+    for tier, seed in todo:
+        case = await asyncio.to_thread(make_case, tier, seed)
+        record(await one(diagnosing, case, folder, nested=nested))
+
+
+async def one(diagnosing: Diagnoser, case: Case, folder: Path, *, nested: bool) -> Json:
     """Write the pair of files, have it diagnosed, and put the answer beside the label."""
     paths = {side: folder / f"{case.id}_{side}.npz" for side in ("real", "sim")}
     for side, columns in (("real", case.real), ("sim", case.sim)):
         np.savez(paths[side], allow_pickle=False, **columns)
-    order = {side: str(path) for side, path in paths.items()}
-    answer = worker.ask({**order, "without": list(case.without), "nested": nested})
+    parts = {side: {"path": str(path)} for side, path in paths.items()}
+    order = {**parts, "nominal": [], "without": list(case.without), "nested": nested}
+    answer = await diagnosing.ask(order)
     for path in paths.values():
         path.unlink()
     return {"label": dict(case.label), **answer}
 
 
-def answers(lines: Iterable[str]) -> list[Answer]:
+def answers(lines: Iterable[str]) -> list[CaseAnswer]:
     """What was recorded, a JSON object a line."""
     found = []
     for line in lines:
         row = json.loads(line)
-        found.append(Answer(row["label"], row.get("report") or {}, row.get("error"), float(row["seconds"])))
+        found.append(CaseAnswer(row["label"], row.get("report") or {}, row.get("error"), float(row["seconds"])))
     return found

@@ -24,15 +24,11 @@ TIERS = ("T0", "T1", "T2", "T3", "T4", "T5", "T6", "T7", "T10")
 @click.option("--answers", type=click.Path(path_type=Path, dir_okay=False), help="Keep every answer, a JSON line each.")
 @click.option("--score-only", is_flag=True, help="Score what --answers holds, run nothing.")
 @click.option(
-    "--data",
-    type=click.Path(path_type=Path, exists=True, file_okay=False),
-    help="Instead: the recordings of this folder, as they are and with effects put in.",
-)
-@click.option(
     "--seal", type=click.Path(path_type=Path, dir_okay=False), help="Write the seal of these cases; run none."
 )
 @json_option
 def command(
+    *,
     tiers: tuple[str, ...],
     count: int | None,
     seed: int,
@@ -40,7 +36,6 @@ def command(
     nested: bool,
     answers: Path | None,
     score_only: bool,
-    data: Path | None,
     seal: Path | None,
     as_json: bool,
 ) -> int:
@@ -49,13 +44,10 @@ def command(
     The cases come from a generator that shares no code with the diagnosis, each from its tier and seed. Exit code 1
     unless the 95 % interval of every figure that has a target meets it.
     """
-    from mavcal.calib.blind.cases import Tier
-    from mavcal.calib.blind.seal import PLAN, generator_sha256, scorer_sha256, seeds
+    from mavcal.calib.withheld_check import PLAN, Tier, generator_sha256, scorer_sha256, seeds
 
     if score_only and answers is None:
         raise click.UsageError("--score-only needs --answers FILE")
-    if data is not None:
-        return _on_recordings(data, answers, nested=nested, as_json=as_json)
     chosen = [Tier(t) for t in (tiers or TIERS)]
     try:
         cases = [(tier, s) for tier in chosen for s in seeds(seed, count or PLAN[tier])]
@@ -70,27 +62,8 @@ def command(
     return _report(rows, {"generator_sha256": generator_sha256(), "scorer_sha256": scorer_sha256()}, as_json=as_json)
 
 
-def _on_recordings(data: Path, out: Path | None, *, nested: bool, as_json: bool) -> int:
-    """Every recording once; exit code 1 if one with a known list of effects is not named exactly."""
-    from mavcal.service.commands.gap_real import run
-
-    rows = []
-    for row in run(data, nested=nested):
-        rows.append(row)
-        if out is not None:
-            out.write_text("".join(json.dumps(r) + "\n" for r in rows), encoding="utf-8")
-        if not as_json:
-            said = ", ".join(f"{name}{instances}" for name, instances in row["effects"].items()) or "nothing"
-            more = " + unknown" if row["unknown"] else ""
-            click.echo(f"{row['case']}: {row['known']}\n    {row['error'] or row['verdict']}: {said}{more}")
-    if as_json:
-        write_json({"schema": "gap-selftest-recordings/1", "cases": rows})
-    return EXIT_NO if any(row["exact"] is False for row in rows) else 0
-
-
 def _seal(cases: Sequence[tuple[Any, int]], out: Path, seed: int) -> None:
-    from mavcal.calib.blind.cases import make_label
-    from mavcal.calib.blind.seal import generator_sha256, labels_sha256, scorer_sha256
+    from mavcal.calib.withheld_check import generator_sha256, labels_sha256, make_label, scorer_sha256
 
     labels = []
     counts: dict[str, int] = {}
@@ -110,7 +83,7 @@ def _seal(cases: Sequence[tuple[Any, int]], out: Path, seed: int) -> None:
 
 
 def _run(cases: Sequence[tuple[Any, int]], out: Path | None, *, nested: bool, processes: int) -> list[str]:
-    from mavcal.calib.report import plain
+    from mavcal.calib.report import to_json
     from mavcal.service.commands.gap_campaign import Plan, run
 
     rows: list[str] = []
@@ -118,7 +91,7 @@ def _run(cases: Sequence[tuple[Any, int]], out: Path | None, *, nested: bool, pr
         kept = None if out is None else stack.enter_context(out.open("w", encoding="utf-8"))
 
         def record(answer: dict[str, Any]) -> None:
-            rows.append(json.dumps(plain(answer)))
+            rows.append(json.dumps(to_json(answer)))
             if kept is not None:
                 kept.write(rows[-1] + "\n")
                 kept.flush()
@@ -130,8 +103,7 @@ def _run(cases: Sequence[tuple[Any, int]], out: Path | None, *, nested: bool, pr
 
 
 def _report(rows: Sequence[str], seal: dict[str, str], *, as_json: bool) -> int:
-    from mavcal.calib.blind.score import score
-    from mavcal.calib.blind.seal import labels_sha256
+    from mavcal.calib.withheld_check import labels_sha256, score
     from mavcal.service.commands.gap_campaign import answers
 
     found = answers(rows)

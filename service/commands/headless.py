@@ -138,6 +138,8 @@ def is_of(service: Service, job: Job, vehicle: Vehicle) -> bool:
     """Whether the job is of this vehicle."""
     from mavcal.service.errors import VehicleUnknown
 
+    if job.vehicle_id is None:
+        return False
     with suppress(VehicleUnknown):
         return service.vehicles.get(job.vehicle_id) is vehicle
     return False
@@ -145,14 +147,14 @@ def is_of(service: Service, job: Job, vehicle: Vehicle) -> bool:
 
 def told_of(found: Unfinished) -> dict[str, Any]:
     """A job that was recovered, or could not be, as JSON."""
-    from mavcal.service.jobs.codec import outcome_to_json
+    from mavcal.service.jobs.codec import to_json
 
     return {
         "id": found.job.id,
         "kind": found.job.kind,
         "vehicle_id": found.job.vehicle_id,
         "state": found.job.state.value,
-        "outcome": outcome_to_json(found.job.outcome),
+        "outcome": to_json(found.job.outcome),
         "parameters": [vars(s) for s in found.standing],
     }
 

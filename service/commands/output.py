@@ -23,6 +23,6 @@ def wants_json(arguments: Sequence[str]) -> bool:
 
 def write_json(document: Mapping[str, Any]) -> None:
     """Print one JSON object; what is not finite becomes null."""
-    from mavcal.calib.report import plain  # brings numpy, which help and versions do without
+    from mavcal.calib.report import to_json  # brings numpy, which help and versions do without
 
-    click.echo(json.dumps(plain(document), allow_nan=False))
+    click.echo(json.dumps(to_json(document), allow_nan=False))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +15,7 @@ from mavcal.service.commands.config import load_settings
 from mavcal.service.commands.output import json_option
 from mavcal.service.commands.plan_options import all_plan_options, given
 from mavcal.service.commands.reading import readable_file, reading_options, split_reading
-from mavcal.service.commands.review import Wish, run_job
+from mavcal.service.commands.review import JobWish, run_job
 
 if TYPE_CHECKING:
     from mavcal.service.core import Service
@@ -40,6 +39,7 @@ CHUNK = 1 << 20
 @click.option("--wait", type=float, default=30.0, show_default=True, help="How long to wait for a vehicle, s.")
 @json_option
 def command(
+    *,
     method: str,
     file: str,
     connect: str,
@@ -66,11 +66,9 @@ def command(
 
     async def begin(service: Service, vehicle: Vehicle) -> Job:
         kept = await service.recordings.add(path.name, _chunks(path), reading)
-        fitting = partial(service.recordings.fit_of_vehicle, kept.id, method, chosen)
-        about = {"recording": kept.id, "method": method, "options": chosen}
-        return await service.jobs.adopt(vehicle.id, fitting, about, decided)
+        return await service.jobs.adopt(vehicle.id, kept.id, method, chosen, decided)
 
-    return run_job(settings, begin, Wish(write, require_proof, reboot, wait, as_json))
+    return run_job(settings, begin, JobWish(write, require_proof, reboot, wait, as_json))
 
 
 async def _chunks(path: Path) -> AsyncIterator[bytes]:

@@ -29,7 +29,7 @@ YES = frozenset({"yes", "y"})
 
 
 @dataclass(frozen=True)
-class Wish:
+class JobWish:
     """What a run of a command is to do with its job."""
 
     write: bool
@@ -37,9 +37,11 @@ class Wish:
     reboot: bool = False
     wait_s: float = 30.0
     as_json: bool = False
+    revert: bool = False
+    """What the job has written is taken back."""
 
 
-def run_job(settings: Settings, begin: Begin, wish: Wish) -> int:
+def run_job(settings: Settings, begin: Begin, wish: JobWish) -> int:
     """One job from `begin` to its end; the exit code."""
     from mavcal.service.commands.screen import Screen
     from mavcal.service.logs import configure_logging
@@ -48,10 +50,11 @@ def run_job(settings: Settings, begin: Begin, wish: Wish) -> int:
     job = asyncio.run(_job(settings, begin, wish, Screen()))
     if isinstance(job, int):
         return job
-    return 0 if good(job, wish.write, wish.require_proof) else EXIT_NO
+    reached = taken_back(job) if wish.revert else good(job, wish.write, wish.require_proof)
+    return 0 if reached else EXIT_NO
 
 
-async def _job(settings: Settings, begin: Begin, wish: Wish, screen: Screen) -> Job | int:
+async def _job(settings: Settings, begin: Begin, wish: JobWish, screen: Screen) -> Job | int:
     """The job as it ended, or the exit code of a run that was told to stop."""
     from mavcal.service.commands.headless import earlier, heard, recovered, stoppable
     from mavcal.service.core import running_service
@@ -87,7 +90,7 @@ class _Run:
 
     service: Service
     vehicle: Vehicle
-    wish: Wish
+    wish: JobWish
     screen: Screen
 
     async def of(self, begin: Begin, resolved: Sequence[Unfinished]) -> Job:
@@ -137,7 +140,7 @@ class _Run:
             job = await self._confirmed(job, typed)
         if not self.wish.write or job.plan is None or job.plan.blockers:
             return job
-        await _writable(self.vehicle, self.wish.wait_s)
+        await writable(self.vehicle, self.wish.wait_s)
         after = self.service.store.last_event_id()
         await jobs.apply(job.id, Accept(job.plan.sha256, reboot=self.wish.reboot), None)
         return await follow(self.service, job.id, self.screen, after)
@@ -160,7 +163,7 @@ class _Run:
         return job
 
 
-async def _writable(vehicle: Vehicle, wait: float) -> None:
+async def writable(vehicle: Vehicle, wait: float) -> None:
     """Give the vehicle time to have been disarmed for long enough; what else stands in the way is said by apply."""
     with suppress(TimeoutError):
         async with asyncio.timeout(min(wait, PATIENCE_S)):
@@ -181,6 +184,13 @@ def good(job: Job, write: bool, require_proof: bool) -> bool:
     proved = isinstance(job.outcome, Result) and job.outcome.proof is ProofLevel.FULL
     unneeded = job.plan is not None and job.plan.nothing_to_write
     return job.state is JobState.SUCCEEDED and (proved or unneeded or not require_proof)
+
+
+def taken_back(job: Job) -> bool:
+    """Whether what the job had written is gone."""
+    from mavcal.service.jobs.states import JobState
+
+    return job.state is JobState.REVERTED
 
 
 def show_plan(plan: WritePlan, screen: Screen) -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import signal
 import socket
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import click
 
@@ -83,8 +84,14 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
                 announce(url)
 
     config = server_config(app, settings.limits, lifespan="off")
+    signal.signal(signal.SIGTERM, _ended)  # uvicorn raises SIGTERM once more when everything is closed
     with listener:
         Server(config).run(sockets=[listener])
+
+
+def _ended(_number: int, _frame: object) -> NoReturn:
+    """A service that was asked to end, and has, ends with exit code 0: what started it sees no failure."""
+    sys.exit(0)
 
 
 def _listen(host: str, port: int) -> socket.socket:

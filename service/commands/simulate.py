@@ -34,9 +34,9 @@ def command() -> None:
 @click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
 def vehicle(arguments: tuple[str, ...]) -> int:
     """A simulated ArduPilot or PX4 that speaks MAVLink; `mavcal simulate vehicle --help` lists its options."""
-    from mavcal.service.simvehicle.__main__ import main
+    from mavcal.service.simvehicle import run
 
-    return main(arguments)
+    return run(arguments)
 
 
 def _numbers(count: int) -> Callable[[click.Context, click.Parameter, str | None], tuple[float, ...] | None]:

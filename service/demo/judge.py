@@ -12,7 +12,7 @@ from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.firmware import calibration_in_force
 from mavcal.calib.fit import FitResult, parameter_names
 from mavcal.calib.recording import Sensor
-from mavcal.calib.simulate.scoring import Score, joint_p_value, score
+from mavcal.calib.simulate.scoring import RecoveryScore, joint_p_value, score
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
 Json = Mapping[str, Any]
@@ -38,11 +38,11 @@ class SensorReport:
     cross: float
     """What the firmware cannot hold of the true calibration, same unit."""
     unit: str
-    score: Score
+    score: RecoveryScore
 
 
 @dataclass(frozen=True)
-class Judgement:
+class DemoJudgement:
     """All sensors of one job, or of several together."""
 
     reports: tuple[SensorReport, ...]
@@ -96,7 +96,9 @@ def held(fit: FitResult, autopilot: str) -> tuple[str, ...]:
     return OFFSETS + (SYMMETRIC if fit.sensor == Sensor.MAG else DIAGONAL)
 
 
-def judge(truth: Json, fits: Sequence[FitResult], before: Mapping[str, float], after: Mapping[str, float]) -> Judgement:
+def judge(
+    truth: Json, fits: Sequence[FitResult], before: Mapping[str, float], after: Mapping[str, float]
+) -> DemoJudgement:
     """Compare the calibration in force `before` and `after` (parameter values of the vehicle) with the truth."""
     autopilot = str(truth["autopilot"])
     reports = []
@@ -116,7 +118,7 @@ def judge(truth: Json, fits: Sequence[FitResult], before: Mapping[str, float], a
                 score=score(new, fit, true, names),
             )
         )
-    return Judgement(tuple(reports))
+    return DemoJudgement(tuple(reports))
 
 
 def _largest_error(held_model: TriadModel, true: TriadModel, fit: FitResult, truth: Json) -> float:

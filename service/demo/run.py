@@ -7,22 +7,25 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from mavcal.calib.firmware.values import shown
+from mavcal.calib.fit import FitResult
 from mavcal.calib.logs.tlog import read_tlog
 from mavcal.calib.recording import Sensor
-from mavcal.calib.report import fit_from_json, plain
-from mavcal.service.client import ApiError, ServiceClient
-from mavcal.service.commands.screen import Screen
-from mavcal.service.demo.judge import Judgement, SensorReport, judge
+from mavcal.calib.report import from_json, to_json
+from mavcal.client import ApiProblem, Client, Unreachable
+from mavcal.client.enums import JobState, ProofVerdict
+from mavcal.client.events import ProgressEvent, PromptEvent, StateEvent
+from mavcal.client.jobs import JobModel, PlanModel, PromptModel, ResultModel, SegmentModel
+from mavcal.client.problems import VehicleArmed
+from mavcal.service.demo.judge import DemoJudgement, SensorReport, judge
 from mavcal.service.lifetime import ending_with_us
-from mavcal.service.simvehicle.client import SimulatedVehicle
-from mavcal.service.simvehicle.operator import Operator
+from mavcal.service.simvehicle import Operator, SimulatedVehicle
 
 Json = dict[str, Any]
 
@@ -47,7 +50,32 @@ OPTIONS: Mapping[str, Json] = {
 }
 BARE: Mapping[str, Json] = {"ardupilot": {"INS_GYR_CAL": 0}, "px4": {"IMU_GYRO_CAL_EN": 0}}
 """Settings under which a vehicle keeps what is written: ArduPilot calibrates its gyros at every boot, PX4 always."""
-ENDED = frozenset({"succeeded", "reverted", "failed", "cancelled", "interrupted", "in_doubt"})
+ENDED = frozenset(
+    {
+        JobState.SUCCEEDED,
+        JobState.REVERTED,
+        JobState.FAILED,
+        JobState.CANCELLED,
+        JobState.INTERRUPTED,
+        JobState.IN_DOUBT,
+    }
+)
+
+
+class Narrator(Protocol):
+    """Who is told how it goes."""
+
+    def line(self, text: str = "", *, bold: bool = False) -> None:
+        """A line that stays."""
+        ...
+
+    def prompt(self, text: str) -> None:
+        """What is done with the vehicle now."""
+        ...
+
+    def progress(self, progress: Mapping[str, Any]) -> None:
+        """How far a job is."""
+        ...
 
 
 class DemoError(Exception):
@@ -63,7 +91,7 @@ class DemoResult:
     document: Json
 
 
-def run(autopilot: str, *, seed: int, screen: Screen, keep_open: bool = False, speed: float = SPEED) -> DemoResult:
+def run(autopilot: str, *, seed: int, screen: Narrator, keep_open: bool = False, speed: float = SPEED) -> DemoResult:
     """Calibrate a simulated vehicle and judge the result.
 
     Raises
@@ -77,10 +105,11 @@ def run(autopilot: str, *, seed: int, screen: Screen, keep_open: bool = False, s
         tempfile.TemporaryDirectory(prefix="mavcal-demo-") as folder,
         SimulatedVehicle(autopilot, seed=seed, speed=speed, config=config) as vehicle,
         _service(vehicle.url, Path(folder)) as url,
+        Client(url) as client,
     ):
         screen.line(f"simulated {autopilot}, seed {seed}, {speed:g} times faster than the clock", bold=True)
         screen.line(f"the panel shows it live at {url}")
-        demo = _Demo(vehicle, ServiceClient(url), screen, speed, Path(folder) / "tlogs")
+        demo = _Demo(vehicle, client, screen, speed, Path(folder) / "tlogs")
         demo.calibrate_all()
         result = demo.result(time.monotonic() - began)
         if keep_open:
@@ -90,9 +119,7 @@ def run(autopilot: str, *, seed: int, screen: Screen, keep_open: bool = False, s
 
 
 class _Demo:
-    def __init__(
-        self, vehicle: SimulatedVehicle, client: ServiceClient, screen: Screen, speed: float, tlogs: Path
-    ) -> None:
+    def __init__(self, vehicle: SimulatedVehicle, client: Client, screen: Narrator, speed: float, tlogs: Path) -> None:
         self._speed = speed
         self._tlogs = tlogs
         self._vehicle = vehicle
@@ -100,8 +127,8 @@ class _Demo:
         self._screen = screen
         self._operator = Operator(vehicle, warm_from=START_C, warm_to=END_C)
         self._truth: Json = vehicle.truth()
-        self._judged: list[Judgement] = []
-        self._jobs: list[Json] = []
+        self._judged: list[DemoJudgement] = []
+        self._jobs: list[JobModel] = []
 
     def calibrate_all(self) -> None:
         vehicle_id = self._found()
@@ -109,24 +136,25 @@ class _Demo:
             self._operator.rest()
             before = self._parameters()
             job, truth = self._calibrate(vehicle_id, kind)
-            fits = [fit_from_json(fit) for fit in job["results"]]
+            fits = [from_json(fit.model_dump(mode="json"), FitResult) for fit in job.results]
             judged = judge(truth, fits, before, self._parameters())
             self._judged.append(judged)
             self._jobs.append(job)
             self._show(job, judged)
 
     def result(self, seconds: float) -> DemoResult:
-        whole = Judgement(tuple(r for j in self._judged for r in j.reports))
+        whole = DemoJudgement(tuple(r for j in self._judged for r in j.reports))
         chi2, freedom, p = whole.joint
         reasons: list[str] = []
         small: list[str] = []
         for job in self._jobs:
-            verdicts = job["verification"]["parameters"] if job["verification"] else []
-            unproved = [v for v in verdicts if v["acts_on_stream"] and v["verdict"] != "proved"]
-            small += [v["name"] for v in unproved if v["effect"] < SHOWS * v["sd"]]
-            large = [v["name"] for v in unproved if v["effect"] >= SHOWS * v["sd"]]
+            verdicts = job.verification.parameters if job.verification else []
+            unproved = [v for v in verdicts if v.acts_on_stream and v.verdict != ProofVerdict.PROVED]
+            shown_little = [v.name for v in unproved if v.effect is not None and v.effect < SHOWS * (v.sd or 0.0)]
+            large = [v.name for v in unproved if v.name not in shown_little]
+            small += shown_little
             if large:
-                reasons.append(f"{job['kind']}: not proved on the stream: {', '.join(large)}")
+                reasons.append(f"{job.kind}: not proved on the stream: {', '.join(large)}")
         if not whole.honest:
             reasons.append(
                 f"largest |error|/sd {whole.largest_z:.2f}, p-value {p:.2g}: the stated sd is not true; "
@@ -153,17 +181,18 @@ class _Demo:
             "p_value": p,
             "sensors": [_report_document(r) for r in whole.reports],
             "jobs": [
-                {k: j[k] for k in ("id", "kind", "state", "warnings", "plan", "verification")} for j in self._jobs
+                job.model_dump(mode="json", include={"id", "kind", "state", "warnings", "plan", "verification"})
+                for job in self._jobs
             ],
         }
-        return DemoResult(not reasons, tuple(reasons), plain(document))
+        return DemoResult(not reasons, tuple(reasons), to_json(document))
 
     def _found(self) -> str:
         until = time.monotonic() + 20.0
         while time.monotonic() < until:
-            vehicles = self._client.get("/vehicles")
-            if vehicles and not vehicles[0]["silent"] and vehicles[0]["uid"]:
-                return str(vehicles[0]["id"])
+            vehicles = self._client.list_vehicles()
+            if vehicles and not vehicles[0].silent and vehicles[0].uid:
+                return vehicles[0].id
             time.sleep(0.1)
         raise DemoError("the service did not find the simulated vehicle within 20 s")
 
@@ -171,101 +200,102 @@ class _Demo:
         stored: dict[str, float] = self._vehicle.call("parameters")["stored"]
         return stored
 
-    def _calibrate(self, vehicle_id: str, kind: str) -> tuple[Json, Json]:
+    def _calibrate(self, vehicle_id: str, kind: str) -> tuple[JobModel, Json]:
         """The job as it ended, and the truth of the time in which its samples were taken."""
         self._screen.line()
         self._screen.line(kind, bold=True)
-        body = {"kind": kind, "options": OPTIONS.get(kind, {})}
-        job = self._client.post(f"/vehicles/{vehicle_id}/jobs", body)
-        state = self._follow(job["id"], until={"review"} | ENDED)
-        job = self._client.get(f"/jobs/{job['id']}")
-        if state not in {"review", "succeeded"}:
+        job = self._client.start_job(vehicle_id, kind=kind, options=OPTIONS.get(kind, {}))
+        state = self._follow(job.id, until={JobState.REVIEW} | ENDED)
+        job = self._client.get_job(job.id)
+        if state not in {JobState.REVIEW, JobState.SUCCEEDED} or job.plan is None:
             raise DemoError(_why(job))
-        self._show_plan(job["plan"])
-        truth = self._vehicle.truth(*sampled(self._tlogs, job))  # before a reboot begins the vehicle's time again
-        if state == "succeeded":  # what the vehicle found out by itself is as good: nothing to write
-            return dict(job), truth
+        self._show_plan(job.plan)
+        qualities = [fit.quality for fit in job.results]
+        # Before a reboot begins the vehicle's time again.
+        truth = self._vehicle.truth(*sampled(self._tlogs, job.segments, qualities))
+        if state == JobState.SUCCEEDED:  # what the vehicle found out by itself is as good: nothing to write
+            return job, truth
         self._operator.rest()
         if kind == "thermal":
             self._vehicle.call("temperature", value=PROOF_C)
         self._vehicle.call("speed", value=WRITING_SPEED)
-        self._apply(job)
-        state = self._follow(job["id"], until=set(ENDED), after_review=True)
+        self._apply(job, job.plan.sha256)
+        state = self._follow(job.id, until=ENDED, after_review=True)
         self._vehicle.call("speed", value=self._speed)
-        job = self._client.get(f"/jobs/{job['id']}")
-        if state != "succeeded":
+        job = self._client.get_job(job.id)
+        if state != JobState.SUCCEEDED:
             raise DemoError(_why(job))
-        return dict(job), truth
+        return job, truth
 
-    def _apply(self, job: Json) -> None:
-        digest = job["plan"]["sha256"]
+    def _apply(self, job: JobModel, digest: str) -> None:
         until = time.monotonic() + 10.0
         while True:
             try:
-                self._client.post(
-                    f"/jobs/{job['id']}/apply",
-                    {"plan_sha256": digest, "reboot": True, "prove_s": PROVE_S},
-                    Idempotency_Key=job["id"],
+                self._client.apply_plan(
+                    job.id, plan_sha256=digest, reboot=True, prove_s=PROVE_S, idempotency_key=job.id
                 )
-            except ApiError as error:
-                if error.problem.get("type", "").endswith("vehicle-armed") and time.monotonic() < until:
+            except ApiProblem as error:
+                if isinstance(error, VehicleArmed) and time.monotonic() < until:
                     time.sleep(0.5)  # disarmed for 2 s on the wall clock is a rule
                     continue
-                raise DemoError(f"{job['kind']}: {error}") from error
+                raise DemoError(f"{job.kind}: {error}") from error
             return
 
-    def _follow(self, job_id: str, *, until: set[str] | frozenset[str], after_review: bool = False) -> str:
+    def _follow(self, job_id: str, *, until: Set[JobState], after_review: bool = False) -> JobState:
         """Move the vehicle as the job asks until it reaches one of these states."""
         left_review = not after_review
-        for _id, _name, event in self._client.events(f"/jobs/{job_id}/events"):
-            data = event["data"]
-            if event["kind"] == "prompt" and data and left_review and after_review:
-                self._vehicle.call("speed", value=self._speed)  # a movement takes as long as it takes
-            if event["kind"] == "progress":
-                self._screen.progress(data)
-            elif event["kind"] == "prompt" and data and left_review:
-                self._screen.prompt(data["text"])
-                self._operator.follow(data)
-            elif event["kind"] == "state":
-                left_review = left_review or data["state"] == "applying"
-                if left_review and data["state"] in until:
-                    return str(data["state"])
+        try:
+            for message in self._client.follow_job(job_id):
+                event = message.data
+                if isinstance(event, ProgressEvent):
+                    self._screen.progress(event.data.model_dump())
+                elif isinstance(event, PromptEvent) and isinstance(event.data, PromptModel) and left_review:
+                    if after_review:
+                        self._vehicle.call("speed", value=self._speed)  # a movement takes as long as it takes
+                    self._screen.prompt(event.data.text)
+                    self._operator.follow(event.data.model_dump(mode="json"))
+                elif isinstance(event, StateEvent):
+                    left_review = left_review or event.data.state == JobState.APPLYING
+                    if left_review and event.data.state in until:
+                        return event.data.state
+        except Unreachable as error:
+            raise DemoError(f"the events of job {job_id} ended early: {error}") from error
         raise DemoError(f"the events of job {job_id} ended early")
 
-    def _show_plan(self, plan: Json) -> None:
-        for change in plan["changes"]:
-            old = "-" if change["old"] is None else f"{shown(change['old'], 6)}"
-            sd = "" if change["sd"] is None else f" +- {change['sd']:.2g}"
-            self._screen.line(f"    {change['name']:18} {old:>12} -> {shown(change['new'], 6)}{sd} {change['unit']}")
-        for loss in plan["losses"]:
-            self._screen.line(f"    cannot be held: {loss['text']} ({loss['cost']:.3g} {loss['unit']})")
-        for warning in plan["warnings"]:
+    def _show_plan(self, plan: PlanModel) -> None:
+        for change in plan.changes:
+            old = "-" if change.old is None else f"{shown(change.old, 6)}"
+            sd = "" if change.sd is None else f" +- {change.sd:.2g}"
+            self._screen.line(f"    {change.name:18} {old:>12} -> {shown(change.new, 6)}{sd} {change.unit}")
+        for loss in plan.losses:
+            self._screen.line(f"    cannot be held: {loss.text} ({loss.cost:.3g} {loss.unit})")
+        for warning in plan.warnings:
             self._screen.line(f"    note: {warning}")
 
-    def _show(self, job: Json, judged: Judgement) -> None:
+    def _show(self, job: JobModel, judged: DemoJudgement) -> None:
         for report in judged.reports:
             cross = f"; cannot be held {report.cross:.2g}" if report.cross else ""
             self._screen.line(
                 f"    {report.sensor.value}[{report.instance}] true error {report.before:.4g} -> {report.after:.3g} "
                 f"{report.unit}{cross}; largest |error|/sd {abs(report.score.standardised).max():.2f}"
             )
-        self._screen.line(f"    {job['outcome']['text']}")
+        self._screen.line(f"    {_said(job)}")
 
 
-def sampled(tlogs: Path, job: Mapping[str, Any]) -> tuple[float, float]:
-    """From when to when, in vehicle seconds, the inertial samples of a job were taken.
+def sampled(tlogs: Path, segments: Iterable[SegmentModel], qualities: Sequence[Json]) -> tuple[float, float]:
+    """From when to when, in vehicle seconds, the inertial samples of a job with these fits were taken.
 
     A bias wanders, and on a busy machine minutes of a fast vehicle pass before a capture begins and after it has ended.
     """
     parts = []
-    for span in job["segments"]:
-        with (tlogs / span["path"]).open("rb") as file:
-            file.seek(span["start_byte"])
-            parts.append(file.read(span["end_byte"] - span["start_byte"]))
+    for span in segments:
+        with (tlogs / span.path).open("rb") as file:
+            file.seek(span.start_byte)
+            parts.append(file.read(span.end_byte - span.start_byte))
     inertial = [c for c in read_tlog(b"".join(parts)).channels if c.sensor in {Sensor.ACCEL, Sensor.GYRO} and len(c)]
     first, last = min(float(c.t[0]) for c in inertial), max(float(c.t[-1]) for c in inertial)
-    rests = [(q["began"], q["began"] + q["duration"]) for fit in job["results"] if "began" in (q := fit["quality"])]
-    if rests and len(rests) == len(job["results"]):
+    rests = [(q["began"], q["began"] + q["duration"]) for q in qualities if "began" in q]
+    if rests and len(rests) == len(qualities):
         first, last = max(first, min(began for began, _ in rests)), min(last, max(ended for _, ended in rests))
     return first, last
 
@@ -286,9 +316,15 @@ def _report_document(report: SensorReport) -> Json:
     return {**document, "z": report.score.standardised, "chi2": report.score.chi2, "names": report.score.names}
 
 
-def _why(job: Mapping[str, Any]) -> str:
-    outcome = job["outcome"] or {"cause": "no outcome", "remedy": ""}
-    return f"{job['kind']}: {job['state']}: {outcome.get('cause', outcome.get('text'))} {outcome.get('remedy', '')}"
+def _said(job: JobModel) -> str:
+    """What the job says of its end."""
+    if job.outcome is None:
+        return "no outcome"
+    return job.outcome.text if isinstance(job.outcome, ResultModel) else f"{job.outcome.cause} {job.outcome.remedy}"
+
+
+def _why(job: JobModel) -> str:
+    return f"{job.kind}: {job.state}: {_said(job)}"
 
 
 @contextmanager

@@ -26,9 +26,13 @@
     |   +-- JobUnknown            404
     |   +-- IllegalTransition     409
     |   +-- PlanChanged           409
+    |   +-- NoVehicle             409
+    |   +-- DocumentUnknown       404
     |   +-- PhysicalJobRunning    409
+    |   +-- PreflightRunning      409
     |   +-- NotCancellable        409
     |   +-- NotRevertible         409
+    |   +-- JobCancelled          409
     |   +-- PlanBlocked           409
     |   +-- PlanMissing           404
     |   +-- OtherVehicle          409
@@ -89,18 +93,22 @@ from mavcal.service.errors.jobs import (
     CaptureDisturbed,
     CaptureEnded,
     CaptureLost,
+    DocumentUnknown,
     ExportUnknown,
     IdempotencyConflict,
     IllegalTransition,
+    JobCancelled,
     JobError,
     JobUnknown,
     NotCancellable,
     NotRevertible,
+    NoVehicle,
     OtherVehicle,
     PhysicalJobRunning,
     PlanBlocked,
     PlanChanged,
     PlanMissing,
+    PreflightRunning,
     WriteFailed,
     WriteStopped,
 )
@@ -138,6 +146,7 @@ __all__ = [
     "CommandTimeout",
     "DataDirLocked",
     "DiskFull",
+    "DocumentUnknown",
     "EndpointError",
     "EndpointRefused",
     "ExportUnknown",
@@ -149,11 +158,13 @@ __all__ = [
     "GapsBusy",
     "IdempotencyConflict",
     "IllegalTransition",
+    "JobCancelled",
     "JobError",
     "JobUnknown",
     "LinkDown",
     "LinkError",
     "LinkUnknown",
+    "NoVehicle",
     "NotCancellable",
     "NotRevertible",
     "OtherVehicle",
@@ -166,6 +177,7 @@ __all__ = [
     "PlanChanged",
     "PlanMissing",
     "PortBusy",
+    "PreflightRunning",
     "RecordingUnknown",
     "ServiceError",
     "StoreError",

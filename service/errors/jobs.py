@@ -37,6 +37,21 @@ class PlanChanged(JobError):
     code = "plan-changed"
 
 
+class NoVehicle(JobError):
+    """The job computes something of uploaded files: it has no vehicle to write to."""
+
+    title = "Job of no vehicle"
+    code = "no-vehicle"
+
+
+class DocumentUnknown(JobError):
+    """The job has no document of that name."""
+
+    status_code = 404
+    title = "Document unknown"
+    code = "document-unknown"
+
+
 class PhysicalJobRunning(JobError):
     """The vehicle has a calibration running; wait for it or cancel it."""
 
@@ -51,11 +66,25 @@ class NotCancellable(JobError):
     code = "not-cancellable"
 
 
+class JobCancelled(JobError):
+    """The job was cancelled while its result was waited for."""
+
+    title = "Cancelled"
+    code = "job-cancelled"
+
+
 class NotRevertible(JobError):
     """The job has written nothing that could be taken back."""
 
     title = "Nothing to revert"
     code = "not-revertible"
+
+
+class PreflightRunning(JobError):
+    """The vehicle is being checked; that takes ten seconds."""
+
+    title = "A preflight is running"
+    code = "preflight-running"
 
 
 class PlanBlocked(JobError):

@@ -7,5 +7,5 @@
       ├ adoption            a plan of fits, and a job of an uploaded recording
       ├ runner: capture (watch, digest, spans, streams) ─> fit of the closed segments ─> planning
       └ transaction: write, verify, restart, finish ─ rollback;  journal decides after any interruption
-    port: what is needed of a vehicle;  fleet: the real ones
+    port: what is needed of a vehicle;  vehicle_adapter: the real ones
 """

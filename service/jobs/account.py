@@ -12,7 +12,7 @@ from mavcal.calib.firmware.plan import ParameterKind, Value, Verification, Write
 from mavcal.calib.firmware.values import shown
 from mavcal.service.errors import WriteFailed
 from mavcal.service.jobs.journal import BY_OPERATOR, WriteRecord, same
-from mavcal.service.jobs.model import Failure, Holds, Outcome, Result, Standing
+from mavcal.service.jobs.model import Failure, Holds, Outcome, Result, Standing, Unwritten
 from mavcal.service.jobs.proof import Proof, ProofLevel, proof_of
 from mavcal.service.jobs.states import JobState
 
@@ -48,7 +48,7 @@ def holding(value: Value | None, old: Value, new: Value, kind: ParameterKind) ->
 
 def nothing_sent(code: str, cause: str, remedy: str = "Nothing was written.") -> Account:
     """The write ended before its first PARAM_SET: the vehicle is as it was."""
-    return Account(JobState.REVIEW, Failure(code, cause, remedy))
+    return Account(JobState.REVIEW, Unwritten(code, cause, remedy))
 
 
 def in_doubt(known: Sequence[Standing], cause: str) -> Account:

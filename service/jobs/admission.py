@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import Any
 
+from mavcal.calib.errors import InvalidInputError
 from mavcal.service.errors import (
     IllegalTransition,
+    NoVehicle,
     PhysicalJobRunning,
     PlanBlocked,
     PlanChanged,
@@ -33,6 +36,22 @@ def require_ready(vehicle: JobVehicle, *, busy: bool = False) -> None:
         raise VehicleConflict(now.conflict)
     if now.calibrating and not busy:
         raise VehicleBusy("The vehicle runs a calibration of its own. Let it finish, or cancel it there.")
+
+
+def require_vehicle(job: Job) -> str:
+    """The id of the job's vehicle. Raises NoVehicle if it is of none."""
+    if job.vehicle_id is None:
+        raise NoVehicle(f"job {job.id} ({job.kind}) is of no vehicle: it only computes")
+    return job.vehicle_id
+
+
+def require_finite(options: Mapping[str, Any]) -> None:
+    """Raise InvalidInputError if an option is no number that JSON can carry."""
+    for name, value in options.items():
+        try:
+            json.dumps(value, allow_nan=False)
+        except ValueError:
+            raise InvalidInputError(f"the option {name} is {value}: give a finite number") from None
 
 
 def require_free(vehicle_id: str, jobs: Iterable[Job], *, besides: str = "") -> None:

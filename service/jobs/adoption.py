@@ -10,6 +10,7 @@ from mavcal.calib.errors import CalibError
 from mavcal.calib.firmware.in_force.origin import Origin, unproved
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.recording import Identity
+from mavcal.calib.report import from_json, to_json
 from mavcal.service.errors import ServiceError
 from mavcal.service.jobs.admission import require_ready
 from mavcal.service.jobs.handle import JobHandle
@@ -19,19 +20,13 @@ from mavcal.service.jobs.planning import (
     Planned,
     accel_temperatures,
     checked_plan_options,
-    identity_to_json,
     keep_plan,
     make_plan,
     nothing_to_write,
-    origin_from_json,
-    origin_to_json,
     require_origin,
 )
-from mavcal.service.jobs.port import JobVehicle, VehicleSource
+from mavcal.service.jobs.port import Computations, JobVehicle
 from mavcal.service.jobs.states import JobState
-
-Fitting = Callable[[], Awaitable[tuple[Sequence[FitResult], Origin]]]
-"""Makes the fits of a recording, and says whose sensors they are of."""
 
 
 async def composed(
@@ -57,25 +52,28 @@ async def composed(
     parameters = {name: reading.value for name, reading in read.items()}
     doubt = ""
     if origin is not None:
-        require_origin(origin_from_json(origin), identity, parameters)
-        doubt = unproved(origin_from_json(origin), identity)
+        require_origin(from_json(origin, Origin), identity, parameters)
+        doubt = unproved(from_json(origin, Origin), identity)
     known = accel_temperatures(jobs, vehicle.id, parameters)
     return identity, await asyncio.to_thread(make_plan, results, parameters, identity, options, known, doubt)
 
 
 async def adopted(
     handle: JobHandle,
-    vehicles: VehicleSource,
-    fitting: Fitting,
-    plan_options: Mapping[str, Any],
+    vehicle_of: Callable[[JobHandle], Awaitable[JobVehicle]],
+    computations: Computations,
     jobs: Callable[[], Iterable[Job]],
 ) -> None:
-    """Fit and plan; the job ends in review, succeeded with nothing to write, or failed."""
+    """Fit and plan; the job ends in review, succeeded with nothing to write, or failed.
+
+    `vehicle_of` waits for the vehicle of a job, which after a restart of the service takes a while.
+    """
+    order = handle.job.options
     try:
-        results, origin = await fitting()
-        chosen = checked_plan_options(plan_options, results)
-        kept = origin_to_json(origin)
-        vehicle = vehicles.vehicle(handle.job.vehicle_id)
+        results, origin = await computations.fit_of_vehicle(order["recording"], order["method"], order["options"])
+        chosen = checked_plan_options(handle.job.context.get("plan_options", {}), results)
+        kept = to_json(origin)
+        vehicle = await vehicle_of(handle)
         require_ready(vehicle)
         identity, planned = await composed(vehicle, results, chosen, kept, jobs())
         await keep_plan(handle, planned)
@@ -94,5 +92,5 @@ async def adopted(
         results=tuple(results),
         plan=planned.plan,
         warnings=tuple(dict.fromkeys(told)),
-        context={"identity": identity_to_json(identity), "plan_options": chosen, "origin": kept},
+        context={"identity": to_json(identity), "plan_options": chosen, "origin": kept},
     )

@@ -24,26 +24,26 @@ from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.stream.rates import Assembler
 from mavcal.calib.firmware.values import shown
 from mavcal.calib.logs.tlog import read_tlog
-from mavcal.calib.procedures.context import Answer, ProcedureContext
+from mavcal.calib.procedures.context import OperatorAnswer, ProcedureContext
 from mavcal.calib.procedures.protocol import Done, GaveUp, Step
 from mavcal.calib.procedures.registry import create, specification
 from mavcal.calib.procedures.replay import replay
 from mavcal.calib.recording import Channel, Identity, ParameterEntry, Recording, Sensor
 from mavcal.calib.wire import Frame
 from mavcal.service.errors import CaptureDisturbed, CaptureEnded
-from mavcal.service.jobs.model import Span
+from mavcal.service.jobs.model import LogSpan
 
 POSITION_WAIT_S = 3.0
 """A compass job waits so long for the vehicle's position, in seconds of its clock: the Earth's field depends on it."""
 
 
 @dataclass(frozen=True)
-class FitRequest:
+class JobFitRequest:
     """Everything that the result of a job depends on; can be sent to another process."""
 
     kind: str
     options: Mapping[str, Any]
-    spans: tuple[Span, ...]
+    spans: tuple[LogSpan, ...]
     system: int | None
     created_at: float
     answers: tuple[tuple[float, str], ...] = ()
@@ -82,6 +82,8 @@ class LiveDigest:
         self._parameters = dict(parameters)
         self._kind, self._options, self._created_at = kind, options, created_at
         self._waiting: list[Recording] = []
+        self._scheduled: list[OperatorAnswer] = []
+        """Answers of before a restart, for a procedure that has not begun."""
         self._procedure = None if Sensor.MAG in specification(kind).sensors else create(kind, options, self._context())
         self.last_time = float("-inf")
         """Newest time stamp of an inertial sample, s on the vehicle's clock."""
@@ -133,8 +135,11 @@ class LiveDigest:
 
     def schedule(self, answers: Sequence[tuple[float, str]]) -> None:
         """Answers that were given before the service was restarted."""
-        if self._procedure is not None:
-            self._procedure.schedule([Answer(t, value) for t, value in answers])
+        given = [OperatorAnswer(t, value) for t, value in answers]
+        if self._procedure is None:
+            self._scheduled += given
+        else:
+            self._procedure.schedule(given)
 
     def _begun(self) -> tuple[Step, ...]:
         """Start a compass procedure once the position is known, or was waited for long enough."""
@@ -144,6 +149,7 @@ class LiveDigest:
         if field is None and not self.last_time - begun > POSITION_WAIT_S:
             return ()
         self._procedure = create(self._kind, self._options, self._context(field))
+        self._procedure.schedule(self._scheduled)
         chunks, self._waiting = self._waiting, []
         return tuple(step for chunk in chunks for step in self._procedure.feed(chunk))
 
@@ -202,7 +208,7 @@ def _field_at(position: Channel, at: float) -> EarthField | None:
     return None
 
 
-def fit_segments(request: FitRequest) -> Fitted:
+def fit_segments(request: JobFitRequest) -> Fitted:
     """Replay closed segments through the job's procedure: the result of the job.
 
     Raises
@@ -219,17 +225,17 @@ def fit_segments(request: FitRequest) -> Fitted:
         raise changed(entry.name, before, entry.value)
     parameters = recording.parameters.final()
     context = context_of(request.kind, recording.identity, parameters, field_of(recording, request.created_at))
-    answers = [Answer(t, value) for t, value in request.answers]
+    answers = [OperatorAnswer(t, value) for t, value in request.answers]
     outcome = replay(request.kind, request.options, context, undo(recording), answers)
     return Fitted(outcome, parameters)
 
 
-def recording_of(spans: Sequence[Span], system: int | None) -> Recording:
+def recording_of(spans: Sequence[LogSpan], system: int | None) -> Recording:
     """The recording of consecutive segments of one vehicle, not yet undone. Raises CaptureEnded, UnreadableError."""
     return read_tlog(b"".join(content_of(span) for span in spans), system=system)
 
 
-def content_of(span: Span) -> bytes:
+def content_of(span: LogSpan) -> bytes:
     """The bytes of a closed segment. Raises CaptureEnded if they are not there, or are others than they were."""
     data = read_range(span.path, span.start_byte, span.end_byte)
     if hashlib.sha256(data).hexdigest() != span.sha256:

@@ -12,10 +12,10 @@ from mavcal.calib.errors import CalibError
 from mavcal.calib.firmware.plan import Value
 from mavcal.service.errors import ServiceError
 from mavcal.service.jobs.account import Account, as_heard, in_doubt, nothing_sent
-from mavcal.service.jobs.codec import attempt_to_json
-from mavcal.service.jobs.guard import RESTARTED, Guard
+from mavcal.service.jobs.codec import to_json
+from mavcal.service.jobs.guard import RESTARTED, WriteGuard
 from mavcal.service.jobs.handle import JobHandle
-from mavcal.service.jobs.journal import Step, WriteRecord
+from mavcal.service.jobs.journal import JournalStep, WriteRecord
 from mavcal.service.jobs.model import Attempt, Failure, Holds, Standing, WriteResult
 from mavcal.service.jobs.states import CAPTURING, JobState
 
@@ -39,7 +39,7 @@ def end(handle: JobHandle, told: Account) -> None:
     handle.move_anyway(
         told.state, outcome=told.outcome, standing=told.standing, last_write=attempt, prompt=None, **changes
     )
-    handle.announce("write", attempt_to_json(attempt) or {})
+    handle.announce("write", to_json(attempt))
 
 
 def _said(told: Account) -> tuple[str, str]:
@@ -48,7 +48,7 @@ def _said(told: Account) -> tuple[str, str]:
     return told.outcome.text, ""
 
 
-async def stop(handle: JobHandle, reason: str, heard: Mapping[str, Value], guard: Guard | None) -> None:
+async def stop(handle: JobHandle, reason: str, heard: Mapping[str, Value], guard: WriteGuard | None) -> None:
     """Put the job in doubt: nothing more is sent, and every parameter that may have been is listed.
 
     `guard` is that of the attempt that stopped; None: the service itself was interrupted.
@@ -57,20 +57,20 @@ async def stop(handle: JobHandle, reason: str, heard: Mapping[str, Value], guard
         return
     restarted, silent = guard is not None and guard.restarted, guard is not None and guard.silent
     await handle.record_anyway(
-        Step.STOPPED, reason=reason, restarted=restarted, silent=silent, interrupted=guard is None
+        JournalStep.STOPPED, reason=reason, restarted=restarted, silent=silent, interrupted=guard is None
     )
     doubt = "before the service was interrupted" if guard is None else guard.doubt()
     record = record_of(handle)
     end(handle, in_doubt(_known(handle, record, heard, doubt), _cause(record, reason)))
 
 
-async def look_back(handle: JobHandle, guard: Guard) -> None:
+async def look_back(handle: JobHandle, guard: WriteGuard) -> None:
     """What was certain when the write stopped need not be so any more, say after a restart of the vehicle."""
     doubt, record = guard.doubt(), record_of(handle)
     if doubt is None:
         return
     if guard.restarted and record is not None and not record.restarted:
-        await handle.record_anyway(Step.STOPPED, reason=RESTARTED, restarted=True)
+        await handle.record_anyway(JournalStep.STOPPED, reason=RESTARTED, restarted=True)
         record = record_of(handle)
     before = handle.job
     lost: dict[str, Any] = {"certain": False, "holds": Holds.UNKNOWN}

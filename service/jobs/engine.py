@@ -1,4 +1,4 @@
-"""The job engine: one task a job, one physical job a vehicle, any number of vehicles."""
+"""The job engine: one task a job of any kind, one physical job a vehicle, any number of vehicles."""
 
 from __future__ import annotations
 
@@ -16,49 +16,59 @@ import structlog
 
 from mavcal.calib.firmware.stream.rates import requested_streams
 from mavcal.calib.procedures.registry import specification, validate_options
+from mavcal.calib.report import to_json
 from mavcal.service.errors import (
     AnswerRefused,
     Forbidden,
     IdempotencyConflict,
     IllegalTransition,
-    JobUnknown,
     NotCancellable,
     NotRevertible,
 )
-from mavcal.service.jobs.admission import request_digest, require_acceptable, require_free, require_ready
-from mavcal.service.jobs.adoption import Fitting, adopted, composed
+from mavcal.service.jobs.admission import (
+    request_digest,
+    require_acceptable,
+    require_finite,
+    require_free,
+    require_ready,
+    require_vehicle,
+)
+from mavcal.service.jobs.adoption import adopted, composed
+from mavcal.service.jobs.book import JobBook
+from mavcal.service.jobs.computing import COMPUTED, Computing
 from mavcal.service.jobs.crashpoints import At, CrashPoint, nowhere
 from mavcal.service.jobs.ending import INTERRUPTED, doubt
-from mavcal.service.jobs.feed import EventFeed
 from mavcal.service.jobs.handle import JobHandle
-from mavcal.service.jobs.journal import BY_OPERATOR, Step
+from mavcal.service.jobs.journal import BY_OPERATOR, JournalStep
 from mavcal.service.jobs.model import Accept, Attempt, Failure, Job, WriteResult
 from mavcal.service.jobs.planning import (
     FROM_RECORDING,
     checked_plan_options,
     confirmed,
-    identity_to_json,
     keep_plan,
     require_sensors_of,
 )
-from mavcal.service.jobs.port import VehicleSource
+from mavcal.service.jobs.port import Computations, NoUploads, VehicleSource
+from mavcal.service.jobs.preflight import Preflight, Preflights
 from mavcal.service.jobs.runner import Runner
-from mavcal.service.jobs.salvage import job_of
 from mavcal.service.jobs.settings import JobSettings
 from mavcal.service.jobs.states import CANCELLABLE, CAPTURING, ENDED, WRITING, JobState
-from mavcal.service.jobs.tasks import JobTasks
+from mavcal.service.jobs.tasks import JobTasks, Work
 from mavcal.service.jobs.tidying import Tidying
 from mavcal.service.jobs.transaction import Transaction
-from mavcal.service.jobs.verify import StreamCheck
+from mavcal.service.jobs.verified import history_of, verified_jobs
+from mavcal.service.jobs.verify import StreamProof
 from mavcal.service.jobs.write import Writing, check_plan
 from mavcal.service.store.protocol import Store
-from mavcal.service.store.rows import EventRow
+from mavcal.service.store.rows import EventRow, JobDocument
 
 log = structlog.get_logger(__name__)
 
 
 class JobEngine:
-    """Runs calibrations; every method is called from the event loop.
+    """Runs every job; its methods are called from the event loop.
+
+    Jobs that need a vehicle begin at once, one a vehicle; those that need a processor wait in ``computing``.
 
     Parameters
     ----------
@@ -66,6 +76,8 @@ class JobEngine:
         Holds every job.
     vehicles
         Where jobs find theirs.
+    computations
+        What is done with uploaded recordings. None: there are none.
     settings
         How patient the engine is.
     executor
@@ -82,6 +94,7 @@ class JobEngine:
         self,
         store: Store,
         vehicles: VehicleSource,
+        computations: Computations | None = None,
         *,
         settings: JobSettings | None = None,
         executor: Executor | None = None,
@@ -98,11 +111,14 @@ class JobEngine:
         self._own_executor = ThreadPoolExecutor(2, thread_name_prefix="fit") if executor is None else None
         pool = executor or self._own_executor
         assert pool is not None
+        self._book = JobBook(store, self.settings.progress_s, clock, wall)
         self._runner = Runner(vehicles, self.settings, pool, self.list, reach, clock, wall)
         self._tidying = Tidying(self._runner.vehicle, self.settings.review_s)
-        self._feed = EventFeed(store)
-        self._handles: dict[str, JobHandle] = {}
         self._tasks = JobTasks(self.settings.retry_s, self._recovered, self._ended)
+        self._computations = computations or NoUploads()
+        self.computing = Computing(self._computations, self._book, self._tasks, self.cancel, wall)
+        """Fits and diagnoses of uploads."""
+        self._preflights = Preflights(self.settings, wall, clock)
         self._claims: set[str] = set()
         self._following: asyncio.Task[None] | None = None
 
@@ -113,7 +129,7 @@ class JobEngine:
 
         Interrupted writes come first and alone; the other jobs follow when these have ended, or after a while.
         """
-        handles = [self._hold(job_of(row, self._store)) for row in self._store.jobs()]
+        handles = self._book.load()
         writes = [handle for handle in handles if handle.job.state in WRITING]
         for handle in writes:
             self._taken_up(handle, self._recover)
@@ -148,13 +164,13 @@ class JobEngine:
         await self._transaction(handle).resolve()
 
     def _resume(self, handle: JobHandle) -> None:
-        state = handle.job.state
-        if state in CAPTURING:  # replay what was recorded and go on, if the vehicle is the same boot still
+        state, kind = handle.job.state, handle.job.kind
+        if kind in COMPUTED and state not in ENDED:
+            self.computing.take_up(handle)
+        elif state in CAPTURING:  # replay what was recorded and go on, if the vehicle is the same boot still
             self._tasks.spawn(handle, partial(self._captured, handle))
-        elif state == JobState.FITTING and handle.job.kind == FROM_RECORDING:
-            cause = "The service was stopped while it fitted the recording."
-            outcome = Failure("fit-interrupted", cause, "Ask for the job again; the recording is kept.")
-            handle.move(JobState.FAILED, outcome=outcome)
+        elif state == JobState.FITTING and kind == FROM_RECORDING:
+            self._tasks.spawn(handle, self._adoption(handle))
         elif state == JobState.FITTING:
             self._tasks.spawn(handle, partial(self._runner.fit, handle))
         else:
@@ -163,8 +179,9 @@ class JobEngine:
     async def stop(self) -> None:
         """Stop every task; jobs stay in their states and are taken up at the next start."""
         self._tasks.stopping = True
-        self._feed.close()
+        self._book.close()
         following = [] if self._following is None else [self._following]
+        await self._preflights.stop()
         tasks = [*self._tasks.running.values(), *self._tidying.tasks, *following]
         for task in tasks:
             task.cancel()
@@ -186,19 +203,39 @@ class JobEngine:
 
     def list(self) -> tuple[Job, ...]:
         """Every job, oldest first."""
-        return tuple(handle.job for handle in self._handles.values())
+        return self._book.list()
 
     def get(self, job_id: str) -> Job:
         """The job of that id. Raises JobUnknown."""
-        return self._handle(job_id).job
+        return self._book.handle(job_id).job
+
+    async def document(self, job_id: str, name: str) -> JobDocument:
+        """A document that the job has made. Raises JobUnknown, DocumentUnknown."""
+        return await self._book.document(job_id, name)
 
     def subscribe(self, job_id: str | None = None, after: int = 0) -> AsyncIterator[EventRow]:
         """Events after `after` (a sequence of that job, or an id over all jobs), for ever."""
-        if job_id is not None:
-            self._handle(job_id)
-        return self._feed.subscribe(job_id, after)
+        return self._book.subscribe(job_id, after)
 
     # --- capturing
+
+    async def preflight(self, vehicle_id: str, *, heading: float | None = None) -> Preflight:
+        """Check a vehicle within ten seconds; nothing is written. `heading`: the true one of its nose, deg.
+
+        Raises
+        ------
+        VehicleUnknown, VehicleSilent, VehicleArmed, VehicleConflict, PhysicalJobRunning, PreflightRunning
+        FirmwareError
+            If the autopilot is neither ArduPilot nor PX4.
+        """
+        vehicle = self._vehicles.vehicle(vehicle_id)
+        self._require_free(vehicle.id)
+        require_ready(vehicle, busy=True)  # which is one of the checks
+        with self._preflights.claimed(vehicle.id):
+            await self._tidying.before_capture(vehicle.id)
+            jobs = verified_jobs(self.list(), vehicle.id, vehicle.identity)
+            history = partial(self._store.do, partial(history_of, jobs, self._store))
+            return await self._preflights.run(vehicle, history, heading=heading)
 
     async def submit(
         self,
@@ -224,49 +261,54 @@ class JobEngine:
         context = {"plan_options": checked_plan_options(plan_options or {})}
         require_sensors_of(spec, plan_options or {})
         vehicle = self._vehicles.vehicle(vehicle_id)
-        require_free(vehicle.id, self.list())
+        self._require_free(vehicle.id)
         require_ready(vehicle, busy=True)  # which is waited for
         requested_streams(vehicle.identity.autopilot or "", spec.sensors)
         if vehicle.identity.firmware is None:
             await vehicle.identify()
-            require_free(vehicle.id, self.list())
+            self._require_free(vehicle.id)
         now = self._wall()
         job = Job(
             uuid.uuid4().hex[:12], vehicle.id, spec.kind, dict(chosen), JobState.QUEUED, now, now, context=context
         )
-        handle = await self._new(job)
+        handle = await self._book.new(job)
         self._tasks.spawn(handle, partial(self._captured, handle))
         return handle.job
 
     async def adopt(
         self,
         vehicle_id: str,
-        fitting: Fitting,
+        recording: str,
+        method: str,
         options: Mapping[str, Any],
         plan_options: Mapping[str, Any] | None = None,
     ) -> Job:
-        """A job that is fitting an uploaded recording, and then in review or failed.
-
-        `fitting` makes the fits; `options` say which recording and method.
+        """A job that is fitting an uploaded recording by a method, and then in review or failed.
 
         Raises
         ------
+        RecordingUnknown, InvalidInputError
+            If there is no such recording, method or option of a plan.
         VehicleUnknown, VehicleSilent, VehicleArmed, VehicleBusy, VehicleConflict, PhysicalJobRunning
             As for :meth:`submit`.
         """
-        checked_plan_options(plan_options or {})
+        require_finite(options)
+        self._computations.check(recording, method)
+        context = {"plan_options": checked_plan_options(plan_options or {})}
         vehicle = self._vehicles.vehicle(vehicle_id)
-        require_free(vehicle.id, self.list())
+        self._require_free(vehicle.id)
         require_ready(vehicle)
         now = self._wall()
-        job = Job(uuid.uuid4().hex[:12], vehicle.id, FROM_RECORDING, dict(options), JobState.FITTING, now, now)
-        handle = await self._new(job)
-        self._tasks.spawn(handle, partial(adopted, handle, self._vehicles, fitting, plan_options or {}, self.list))
+        chosen = {"recording": recording, "method": method, "options": dict(options)}
+        state = JobState.FITTING
+        job = Job(uuid.uuid4().hex[:12], vehicle.id, FROM_RECORDING, chosen, state, now, now, context=context)
+        handle = await self._book.new(job)
+        self._tasks.spawn(handle, self._adoption(handle))
         return handle.job
 
     async def cancel(self, job_id: str) -> Job:
         """Cancel a job that has written nothing; what it recorded is kept. Raises NotCancellable."""
-        handle = self._handle(job_id)
+        handle = self._book.handle(job_id)
         state = handle.job.state
         if state not in CANCELLABLE:
             raise NotCancellable(f"job {job_id} is {state}: it cannot be cancelled now")
@@ -276,7 +318,7 @@ class JobEngine:
 
     async def answer(self, job_id: str, value: str) -> Job:
         """Answer the job's prompt. Raises AnswerRefused if it does not accept that."""
-        handle = self._handle(job_id)
+        handle = self._book.handle(job_id)
         prompt = handle.job.prompt
         if prompt is None or not prompt.accepts(value):
             choice = f"it accepts {prompt.choice}" if prompt and prompt.choice else "it asks for no answer now"
@@ -286,7 +328,9 @@ class JobEngine:
 
     async def refit(self, job_id: str) -> Job:
         """Fit what an interrupted job has recorded. Raises IllegalTransition."""
-        handle = self._handle(job_id)
+        handle = self._book.handle(job_id)
+        if handle.job.state != JobState.INTERRUPTED:
+            raise IllegalTransition(f"job {job_id} is {handle.job.state}: only an interrupted job is fitted again")
         handle.move(JobState.FITTING, outcome=None)
         self._tasks.spawn(handle, partial(self._runner.fit, handle))
         return handle.job
@@ -302,18 +346,18 @@ class JobEngine:
         ------
         IllegalTransition, InvalidInputError, FirmwareError, VehicleError
         """
-        handle = self._handle(job_id)
+        handle = self._book.handle(job_id)
         job = handle.job
         if job.state != JobState.REVIEW:
             raise IllegalTransition(f"job {job_id} is {job.state}: only a job in review can be planned again")
         chosen = checked_plan_options(job.context.get("plan_options", {}) if options is None else options, job.results)
-        vehicle = self._vehicles.vehicle(job.vehicle_id)
+        vehicle = self._vehicles.vehicle(require_vehicle(job))
         require_ready(vehicle)
         identity, planned = await composed(vehicle, job.results, chosen, job.context.get("origin"), self.list())
         await keep_plan(handle, planned)
         if handle.job.state != JobState.REVIEW:
             raise IllegalTransition(f"job {job_id} is {handle.job.state}: only a job in review can be planned again")
-        context = {**handle.job.context, "identity": identity_to_json(identity), "plan_options": chosen}
+        context = {**handle.job.context, "identity": to_json(identity), "plan_options": chosen}
         data = {"sha256": planned.plan.sha256}
         fingerprint = planned.plan.fingerprint
         handle.change("plan", data, plan=planned.plan, fingerprint=fingerprint, context=context, outcome=None)
@@ -332,7 +376,7 @@ class JobEngine:
         Forbidden
             If this service never writes.
         """
-        handle = self._handle(job_id)
+        handle = self._book.handle(job_id)
         digest = request_digest(job_id, accept)
         used = None
         if idempotency_key is not None:
@@ -343,21 +387,23 @@ class JobEngine:
             return handle.job
         self._require_writing()
         require_acceptable(handle.job, accept)
-        require_free(handle.job.vehicle_id, self.list(), besides=job_id)
-        require_ready(self._vehicles.vehicle(handle.job.vehicle_id), busy=True)
+        self._require_free(require_vehicle(handle.job), besides=job_id)
+        require_ready(self._vehicles.vehicle(require_vehicle(handle.job)), busy=True)
         await check_plan(self._attempt(dataclasses.replace(handle.job, accept=accept), handle))
         require_acceptable(handle.job, accept)  # it may have been accepted, or planned again, meanwhile
-        require_free(handle.job.vehicle_id, self.list(), besides=job_id)
+        self._require_free(require_vehicle(handle.job), besides=job_id)
         said = {"plan_sha256": accept.plan_sha256, "confirmed": confirmed(handle.job.context.get("plan_options", {}))}
         with self._claimed(job_id):
             await self._audit(accept.actor, "apply", job_id, said)
             # First the journal: from the new state on the job has a task, whatever the store does.
-            await handle.record(Step.ACCEPTED, plan_sha256=accept.plan_sha256, actor=accept.actor, reboot=accept.reboot)
+            await handle.record(
+                JournalStep.ACCEPTED, plan_sha256=accept.plan_sha256, actor=accept.actor, reboot=accept.reboot
+            )
             if idempotency_key is not None:
                 claim = partial(self._store.claim_idempotency_key, idempotency_key, digest, job_id, self._wall())
                 await self._store.do(claim)
             require_acceptable(handle.job, accept)
-            require_free(handle.job.vehicle_id, self.list(), besides=job_id)
+            self._require_free(require_vehicle(handle.job), besides=job_id)
         attempt = Attempt(WriteResult.RUNNING, self._wall())
         handle.move(JobState.APPLYING, accept=accept, outcome=None, verification=None, standing=(), last_write=attempt)
         self._tasks.spawn(handle, partial(self._applied, handle))
@@ -373,23 +419,28 @@ class JobEngine:
             If the job is not ``succeeded``.
         PhysicalJobRunning, VehicleError, Forbidden
         """
-        handle = self._handle(job_id)
+        handle = self._book.handle(job_id)
         if handle.job.state != JobState.SUCCEEDED:
             raise NotRevertible(f"job {job_id} is {handle.job.state}: only a write that succeeded can be taken back")
         self._require_writing()
         if handle.job.accept is None:
             raise NotRevertible(f"job {job_id} found nothing to write: there is nothing to take back")
-        require_free(handle.job.vehicle_id, self.list(), besides=job_id)
-        require_ready(self._vehicles.vehicle(handle.job.vehicle_id))
+        self._require_free(require_vehicle(handle.job), besides=job_id)
+        require_ready(self._vehicles.vehicle(require_vehicle(handle.job)))
         with self._claimed(job_id):
             await self._audit(actor, "revert", job_id, {})
-            await handle.record(Step.ROLL_BACK, because=BY_OPERATOR)
-            require_free(handle.job.vehicle_id, self.list(), besides=job_id)
+            await handle.record(JournalStep.ROLL_BACK, because=BY_OPERATOR)
+            self._require_free(require_vehicle(handle.job), besides=job_id)
         handle.move(JobState.ROLLING_BACK, prompt=None)
         self._tasks.spawn(handle, self._transaction(handle).revert)
         return handle.job
 
     # --- inside
+
+    def _require_free(self, vehicle_id: str, *, besides: str = "") -> None:
+        """Raise PhysicalJobRunning or PreflightRunning if something else claims this vehicle."""
+        require_free(vehicle_id, self.list(), besides=besides)
+        self._preflights.require_idle(vehicle_id)
 
     @contextmanager
     def _claimed(self, job_id: str) -> Iterator[None]:
@@ -410,35 +461,6 @@ class JobEngine:
         if self._read_only:
             raise Forbidden("this service runs with --read-only and never writes: export the plan instead")
 
-    def _handle(self, job_id: str) -> JobHandle:
-        handle = self._handles.get(job_id)
-        if handle is None:
-            raise JobUnknown(f"there is no job {job_id}")
-        return handle
-
-    async def _new(self, job: Job) -> JobHandle:
-        """A job that is in the store, or not there at all. Raises DiskFull."""
-        handle = self._hold(job)
-        try:
-            handle.change("state", {"state": job.state.value, "outcome": None})
-            await handle.kept()
-        except BaseException:
-            del self._handles[job.id]
-            raise
-        return handle
-
-    def _hold(self, job: Job) -> JobHandle:
-        handle = JobHandle(
-            job,
-            self._store,
-            self._feed.publish,
-            progress_s=self.settings.progress_s,
-            wall=self._wall,
-            clock=self._clock,
-        )
-        self._handles[job.id] = handle
-        return handle
-
     def _transaction(self, handle: JobHandle) -> Transaction:
         return Transaction(handle, lambda: self._attempt(handle.job, handle), self.settings.retry_s)
 
@@ -446,8 +468,8 @@ class JobEngine:
         """A context for writing, with the vehicle as it is known now."""
         assert job.plan is not None
         accept = job.accept or Accept(job.plan.sha256)
-        vehicle = self._vehicles.vehicle(job.vehicle_id)
-        check = StreamCheck(handle, vehicle, job.plan, accept.prove_s, self.settings, self._clock)
+        vehicle = self._vehicles.vehicle(require_vehicle(job))
+        check = StreamProof(handle, vehicle, job.plan, accept.prove_s, self.settings, self._clock)
         return Writing(handle, vehicle, job.plan, accept, check, self.settings, self._reach)
 
     async def _applied(self, handle: JobHandle) -> None:
@@ -455,9 +477,13 @@ class JobEngine:
         await self._tidying.before_write(handle)
         await self._transaction(handle).apply()
 
+    def _adoption(self, handle: JobHandle) -> Work:
+        return partial(adopted, handle, self._runner.vehicle, self._computations, self.list)
+
     async def _captured(self, handle: JobHandle) -> None:
         """A capture, after message rates of an earlier job of this vehicle are back, and with its own put back."""
-        await self._tidying.before_capture(handle)
+        await self._preflights.restored(require_vehicle(handle.job))
+        await self._tidying.before_capture(require_vehicle(handle.job))
         await self._runner.calibrate(handle)
 
     def _ended(self, handle: JobHandle) -> None:

@@ -6,7 +6,7 @@ from functools import partial
 
 from mavcal.calib.firmware.plan import Value
 from mavcal.service.jobs.crashpoints import At
-from mavcal.service.jobs.journal import Sent, Step, same
+from mavcal.service.jobs.journal import JournalStep, Sent, same
 from mavcal.service.jobs.write import Writing, check_in_place, current_values
 
 
@@ -20,11 +20,11 @@ async def finish(w: Writing) -> dict[str, Value]:
     done = w.handle.written()
     for index, after in enumerate(w.plan.after):
         if index not in done.commanded:
-            await w.handle.record(Step.COMMAND, index=index, command=after.command)
+            await w.handle.record(JournalStep.COMMAND, index=index, command=after.command)
             w.reach(At.BEFORE_COMMAND)
             await w.guard.run(partial(w.vehicle.command, after.command, after.params))
             w.reach(At.AFTER_COMMAND)
-            await w.handle.record(Step.COMMANDED, index=index)
+            await w.handle.record(JournalStep.COMMANDED, index=index)
     for sent in reversed(done.sent):
         if sent.session and sent.name not in done.restored:
             await _restore(w, sent)
@@ -36,7 +36,7 @@ async def finish(w: Writing) -> dict[str, Value]:
 async def _restore(w: Writing, sent: Sent) -> None:
     value = await w.get(sent.name)
     if same(value, sent.new, sent.kind) and not same(sent.new, sent.old, sent.kind):
-        await w.handle.record(Step.RESTORE, name=sent.name)
+        await w.handle.record(JournalStep.RESTORE, name=sent.name)
         w.reach(At.BEFORE_RESTORE)
         value = await w.set(sent.name, sent.old, sent.kind, instead_of=sent.new)
-    await w.handle.record(Step.RESTORED, name=sent.name, value=value)
+    await w.handle.record(JournalStep.RESTORED, name=sent.name, value=value)

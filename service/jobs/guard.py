@@ -31,7 +31,7 @@ STOPPING = (WriteStopped, VehicleArmed, VehicleBusy, VehicleConflict, VehicleSil
 RESTARTED = "the vehicle restarted by itself"
 
 
-class Guard:
+class WriteGuard:
     """Stops whatever runs under it as soon as the vehicle may not be written to.
 
     It remembers who the vehicle was and how often it had restarted when the guard was set up.

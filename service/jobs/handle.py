@@ -12,10 +12,9 @@ from typing import Any
 import structlog
 
 from mavcal.calib.procedures.protocol import Progress, Prompt
-from mavcal.calib.report import step_to_json
 from mavcal.service.errors import DiskFull
-from mavcal.service.jobs.codec import outcome_to_json, row_from_job
-from mavcal.service.jobs.journal import Step, WriteRecord, fold
+from mavcal.service.jobs.codec import row_from_job, to_json
+from mavcal.service.jobs.journal import JournalStep, WriteRecord, fold
 from mavcal.service.jobs.model import Job, advance
 from mavcal.service.jobs.states import JobState
 from mavcal.service.store.protocol import JobStore
@@ -67,7 +66,7 @@ class JobHandle:
     def move(self, to: JobState, **changes: Any) -> None:
         """Go to another state. Raises IllegalTransition; the job is then as it was."""
         changed = advance(self.job, to, self._wall(), **changes)
-        data = {"state": to.value, "outcome": outcome_to_json(changed.outcome)}
+        data = {"state": to.value, "outcome": to_json(changed.outcome)}
         self._keep(changed, "state", data)
 
     def move_anyway(self, to: JobState, **changes: Any) -> None:
@@ -91,7 +90,7 @@ class JobHandle:
         """Ask the operator something else, or nothing more; not durable, a restarted job asks again."""
         if prompt != self.job.prompt:
             self.job = dataclasses.replace(self.job, prompt=prompt)
-            self._tell("prompt", {} if prompt is None else step_to_json(prompt))
+            self._tell("prompt", {} if prompt is None else to_json(prompt))
 
     def progress(self, progress: Progress) -> None:
         """Announce progress; not durable, and not more often than the settings say."""
@@ -99,9 +98,9 @@ class JobHandle:
         now = self._clock()
         if now >= self._progress_due:
             self._progress_due = now + self.progress_s
-            self._tell("progress", step_to_json(progress))
+            self._tell("progress", to_json(progress))
 
-    async def record(self, step: Step, **data: Any) -> None:
+    async def record(self, step: JournalStep, **data: Any) -> None:
         """Append to the journal; it and every change before it are on the disk when this returns. Raises DiskFull."""
         at = self._wall()
 
@@ -111,7 +110,7 @@ class JobHandle:
 
         await self.store.do(append)
 
-    async def record_anyway(self, step: Step, **data: Any) -> None:
+    async def record_anyway(self, step: JournalStep, **data: Any) -> None:
         """Append to the journal if the store works: for steps that recovery would find out by reading the vehicle."""
         try:
             await self.record(step, **data)

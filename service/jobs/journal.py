@@ -20,7 +20,7 @@ BY_OPERATOR = "the operator asked for it"
 """Why a finished write is taken back, if nothing went wrong."""
 
 
-class Step(StrEnum):
+class JournalStep(StrEnum):
     """What a journal row says. Rows that announce are written before the act, the others after it."""
 
     ACCEPTED = "accepted"  # the operator's accept; begins a transaction
@@ -104,7 +104,7 @@ def fold(rows: Iterable[JournalRow]) -> WriteRecord:
     """What the rows of a job say, oldest first."""
     record = WriteRecord()
     for row in rows:
-        record = _FOLDS[Step(row.step)](record, row.data)
+        record = _FOLDS[JournalStep(row.step)](record, row.data)
     return record
 
 
@@ -208,25 +208,25 @@ def _flag(**flags: Any) -> Any:
     return lambda record, _: dataclasses.replace(record, **flags)
 
 
-_FOLDS: Mapping[Step, Any] = {
-    Step.ACCEPTED: _accepted,
-    Step.STREAMS: _streams,
-    Step.STREAMS_RESTORED: _flag(intervals={}),
-    Step.SNAPSHOT: _flag(),
-    Step.SEND: _send,
-    Step.ECHO: _confirmed,
-    Step.READ_BACK: _flag(read_back=True),
-    Step.REBOOT: _flag(reboot_announced=True),
-    Step.REBOOTED: _flag(rebooted=True),
-    Step.VERIFIED: _flag(verified=True),
-    Step.COMMAND: _flag(),
-    Step.COMMANDED: _commanded,
-    Step.RESTORE: _unconfirmed,
-    Step.RESTORED: _restored,
-    Step.ROLL_BACK: _roll_back,
-    Step.UNDO: _unconfirmed,
-    Step.UNDONE: _undone,
-    Step.LEFT: _left,
-    Step.STOPPED: _stopped,
-    Step.CLOSED: _flag(closed=True),
+_FOLDS: Mapping[JournalStep, Any] = {
+    JournalStep.ACCEPTED: _accepted,
+    JournalStep.STREAMS: _streams,
+    JournalStep.STREAMS_RESTORED: _flag(intervals={}),
+    JournalStep.SNAPSHOT: _flag(),
+    JournalStep.SEND: _send,
+    JournalStep.ECHO: _confirmed,
+    JournalStep.READ_BACK: _flag(read_back=True),
+    JournalStep.REBOOT: _flag(reboot_announced=True),
+    JournalStep.REBOOTED: _flag(rebooted=True),
+    JournalStep.VERIFIED: _flag(verified=True),
+    JournalStep.COMMAND: _flag(),
+    JournalStep.COMMANDED: _commanded,
+    JournalStep.RESTORE: _unconfirmed,
+    JournalStep.RESTORED: _restored,
+    JournalStep.ROLL_BACK: _roll_back,
+    JournalStep.UNDO: _unconfirmed,
+    JournalStep.UNDONE: _undone,
+    JournalStep.LEFT: _left,
+    JournalStep.STOPPED: _stopped,
+    JournalStep.CLOSED: _flag(closed=True),
 }

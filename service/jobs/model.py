@@ -42,6 +42,11 @@ class Failure:
         object.__setattr__(self, "remedy", _stopped(self.remedy[:1].upper() + self.remedy[1:]))
 
 
+@dataclass(frozen=True)
+class Unwritten(Failure):
+    """An accepted plan could not be written: nothing was sent, and the job is in review again."""
+
+
 def _stopped(text: str) -> str:
     """`text` with a full stop, so that another sentence can follow."""
     return text if not text or text[-1] in ".!?" else f"{text}."
@@ -51,7 +56,7 @@ Outcome = Result | Failure
 
 
 @dataclass(frozen=True)
-class Span:
+class LogSpan:
     """A closed span of a telemetry log."""
 
     path: Path
@@ -121,7 +126,7 @@ class Accept:
 
 @dataclass(frozen=True)
 class Job:
-    """One calibration of one vehicle. Times are wall-clock seconds since 1970.
+    """One calibration of one vehicle, or one computation on uploads. Times are wall-clock seconds since 1970.
 
     `results` and `plan` exist from ``review`` on; `verification` from the end of ``verifying`` on; `standing` lists
     parameters whose state is in doubt or was left to a third party; `last_write` is the last attempt to write, also of
@@ -129,7 +134,8 @@ class Job:
     """
 
     id: str
-    vehicle_id: str
+    vehicle_id: str | None
+    """None: the job needs no vehicle."""
     kind: str
     options: Mapping[str, Any]
     state: JobState
@@ -143,7 +149,7 @@ class Job:
     plan: WritePlan | None = None
     accept: Accept | None = None
     verification: Verification | None = None
-    segments: tuple[Span, ...] = ()
+    segments: tuple[LogSpan, ...] = ()
     standing: tuple[Standing, ...] = ()
     last_write: Attempt | None = None
     warnings: tuple[str, ...] = ()

@@ -11,7 +11,7 @@ from mavcal.calib.fit import FitResult
 from mavcal.calib.recording import Sensor
 from mavcal.service.errors import PlanChanged
 from mavcal.service.jobs.model import Job
-from mavcal.service.jobs.port import JobVehicle, Reading
+from mavcal.service.jobs.port import JobVehicle, ParameterReading
 from mavcal.service.jobs.write import read_values
 
 DRIFT_KINDS = frozenset({"thermal"})
@@ -20,7 +20,7 @@ DRIFT_KINDS = frozenset({"thermal"})
 
 async def read_needed(
     vehicle: JobVehicle, sensors: Collection[Sensor], *, drift: bool, told: Callable[[int, int], None] | None = None
-) -> dict[str, Reading]:
+) -> dict[str, ParameterReading]:
     """Every parameter of the vehicle that a job over `sensors` looks at; those that it does not have are left out.
 
     `told` is called with how many were answered, and of how many as far as is known.
@@ -33,7 +33,7 @@ async def read_needed(
     """
     autopilot = vehicle.identity.autopilot or ""
     asked: set[str] = set()
-    found: dict[str, Reading] = {}
+    found: dict[str, ParameterReading] = {}
     while True:
         known = {name: reading.value for name, reading in found.items()}
         missing = needed(autopilot, sensors, known, drift=drift) - asked

@@ -17,7 +17,7 @@ from mavcal.calib.firmware.slots import CALIBRATED
 from mavcal.calib.fit import FitResult
 from mavcal.calib.procedures.spec import ProcedureSpec
 from mavcal.calib.recording import Identity, Sensor
-from mavcal.calib.report import plan_to_json
+from mavcal.calib.report import to_json
 from mavcal.service.errors import CaptureEnded, OtherVehicle
 from mavcal.service.jobs.handle import JobHandle
 from mavcal.service.jobs.journal import same
@@ -127,17 +127,6 @@ def require_origin(origin: Origin, identity: Identity, parameters: Mapping[str, 
         raise OtherVehicle(f"not for this vehicle: {'; '.join(reasons)}")
 
 
-def origin_to_json(origin: Origin) -> dict[str, Any]:
-    """As plain data, for a job's context."""
-    return {**dataclasses.asdict(origin), "mounting": dict(origin.mounting)}
-
-
-def origin_from_json(data: Mapping[str, Any]) -> Origin:
-    """The inverse of :func:`origin_to_json`."""
-    sensors = tuple((str(sensor), int(instance), int(device)) for sensor, instance, device in data["sensors"])
-    return Origin(data["autopilot"], data["uid"], sensors, dict(data["mounting"]))
-
-
 def make_plan(
     results: Sequence[FitResult],
     parameters: Mapping[str, Value],
@@ -159,21 +148,10 @@ def make_plan(
 async def keep_plan(handle: JobHandle, planned: Planned) -> None:
     """Bring plan and snapshot onto the disk. Raises DiskFull."""
     plan, at, store = planned.plan, handle.now(), handle.store
-    body, digest = plan_to_json(plan), snapshot_sha256(planned.composed_on)
+    body, digest = to_json(plan), snapshot_sha256(planned.composed_on)
 
     def keep() -> None:
         store.add_snapshot(handle.id, at, SnapshotPurpose.COMPOSED_ON, digest, planned.composed_on)
         store.add_plan(handle.id, plan.sha256, at, body)
 
     await store.do(keep)
-
-
-def identity_to_json(identity: Identity) -> dict[str, Any]:
-    """As plain data, for a job's context."""
-    return dataclasses.asdict(identity)
-
-
-def identity_from_json(data: Mapping[str, Any]) -> Identity:
-    """The inverse of :func:`identity_to_json`."""
-    firmware = data["firmware"]
-    return Identity(**{**data, "firmware": None if firmware is None else tuple(firmware)})

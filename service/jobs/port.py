@@ -1,20 +1,23 @@
-"""What a job needs of a vehicle: a narrow view of :mod:`service.vehicle` that tests can stand in for."""
+"""What jobs need of vehicles and of uploads: narrow views that tests can stand in for."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
+from mavcal.calib.firmware.in_force.origin import Origin
 from mavcal.calib.firmware.plan import ParameterKind, Value
+from mavcal.calib.fit import FitResult
 from mavcal.calib.recording import Identity
 from mavcal.calib.wire import Frame
-from mavcal.service.errors import DiskFull
+from mavcal.service.errors import DiskFull, RecordingUnknown
+from mavcal.service.store.rows import JobDocument
 
 
 @dataclass(frozen=True)
-class Reading:
+class ParameterReading:
     """A parameter as the vehicle states it."""
 
     name: str
@@ -75,11 +78,11 @@ class JobVehicle(Protocol):
         """Ask who it is. Raises VehicleError if it does not say."""
         ...
 
-    async def read_parameter(self, name: str) -> Reading:
+    async def read_parameter(self, name: str) -> ParameterReading:
         """Ask for one parameter. Raises ParameterMissing or ParameterTimeout."""
         ...
 
-    async def set_parameter(self, name: str, value: Value, kind: ParameterKind) -> Reading:
+    async def set_parameter(self, name: str, value: Value, kind: ParameterKind) -> ParameterReading:
         """Write one parameter and wait for the echo of this very value. Raises ParameterError."""
         ...
 
@@ -115,7 +118,7 @@ class JobVehicle(Protocol):
         """Like `subscribe`, for exactly what the telemetry log holds from the place returned. Raises LinkDown."""
         ...
 
-    def on_parameter(self, callback: Callable[[Reading], None]) -> Callable[[], None]:
+    def on_parameter(self, callback: Callable[[ParameterReading], None]) -> Callable[[], None]:
         """Be called with every PARAM_VALUE heard, asked for or not; returns how to stop."""
         ...
 
@@ -126,6 +129,74 @@ class JobVehicle(Protocol):
     async def sync_tlog(self) -> None:
         """Force the telemetry log to the disk. Raises DiskFull."""
         ...
+
+
+Told = Callable[[str], None]
+"""Hears how far a computation is, in words."""
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What a gap diagnosis found: one sentence, and its report."""
+
+    summary: str
+    documents: tuple[JobDocument, ...]
+
+
+class Computations(Protocol):
+    """What is computed of uploads, outside this process. When a call is cancelled its computation is ended.
+
+    Every method raises RecordingUnknown if an upload does not exist, CalibError for what the computation itself
+    refused, ChildEnded if it used more than it may, ChildrenBusy if too many are waiting.
+    """
+
+    def check(self, recording: str, method: str | None = None) -> None:
+        """Raise RecordingUnknown or InvalidInputError if there is no such upload or method."""
+        ...
+
+    async def fit(
+        self, recording: str, method: str, options: Mapping[str, Any], *, told: Told | None = None
+    ) -> tuple[FitResult, ...]:
+        """One fit a sensor."""
+        ...
+
+    async def fit_of_vehicle(
+        self, recording: str, method: str, options: Mapping[str, Any]
+    ) -> tuple[tuple[FitResult, ...], Origin]:
+        """The same fits, and whose sensors they are of. Raises FirmwareError if the recording does not say."""
+        ...
+
+    async def diagnose(
+        self, real: str, sim: str | None, nominal: Sequence[str], *, told: Told | None = None
+    ) -> Diagnosis:
+        """The sim-to-real gap of an upload."""
+        ...
+
+
+class NoUploads:
+    """The computations of an engine that has no uploads."""
+
+    def check(self, recording: str, method: str | None = None) -> None:
+        """Raise RecordingUnknown."""
+        raise RecordingUnknown(f"there is no recording {recording}: uploads are not kept here")
+
+    async def fit(
+        self, recording: str, method: str, options: Mapping[str, Any], *, told: Told | None = None
+    ) -> tuple[FitResult, ...]:
+        """Raise RecordingUnknown."""
+        raise RecordingUnknown
+
+    async def fit_of_vehicle(
+        self, recording: str, method: str, options: Mapping[str, Any]
+    ) -> tuple[tuple[FitResult, ...], Origin]:
+        """Raise RecordingUnknown."""
+        raise RecordingUnknown
+
+    async def diagnose(
+        self, real: str, sim: str | None, nominal: Sequence[str], *, told: Told | None = None
+    ) -> Diagnosis:
+        """Raise RecordingUnknown."""
+        raise RecordingUnknown
 
 
 class VehicleSource(Protocol):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from mavcal.calib.firmware.plan import SensorVerdict, Verdict, Verification
+from mavcal.calib.firmware.plan import ProofVerdict, SensorVerdict, Verification
 
 
 class ProofLevel(StrEnum):
@@ -41,9 +41,9 @@ def proof_of(verification: Verification | None) -> Proof:
     acting = [p for p in verification.parameters if p.acts_on_stream]
     if not acting:
         return Proof(ProofLevel.NONE, "None of the written parameters shows on a stream; all were read back.")
-    unproved = [Unproved(p.name, p.verdict.value, p.text) for p in acting if p.verdict != Verdict.PROVED]
+    unproved = [Unproved(p.name, p.verdict.value, p.text) for p in acting if p.verdict != ProofVerdict.PROVED]
     proved = len(acting) - len(unproved)
-    counted = [(sum(u.verdict == v for u in unproved), v) for v in Verdict]
+    counted = [(sum(u.verdict == v for u in unproved), v) for v in ProofVerdict]
     rest = [f"{count} {verdict.value.replace('_', ' ')}" for count, verdict in counted if count]
     open_sensors = [c for c in verification.sensors if c.verdict != SensorVerdict.RIGHT]
     if open_sensors:

@@ -11,7 +11,7 @@ from mavcal.service.errors import CommandRefused, CommandTimeout, WriteFailed, W
 from mavcal.service.jobs.crashpoints import At
 from mavcal.service.jobs.guard import STOPPING
 from mavcal.service.jobs.handle import waiting
-from mavcal.service.jobs.journal import Step
+from mavcal.service.jobs.journal import JournalStep
 from mavcal.service.jobs.write import Writing
 
 PREFLIGHT_REBOOT_SHUTDOWN = 246
@@ -46,13 +46,13 @@ async def restart(w: Writing) -> None:
         identity = await w.guard.run(w.vehicle.identify)
     if identity.uid is not None and identity.uid != (w.plan.fingerprint.uid or None):
         raise WriteFailed("another vehicle came back after the restart")
-    await w.handle.record(Step.REBOOTED)
+    await w.handle.record(JournalStep.REBOOTED)
     w.reach(At.REBOOTED)
 
 
 async def _commanded(w: Writing) -> bool:
     """Tell the vehicle to restart; False if it refuses."""
-    await w.handle.record(Step.REBOOT)
+    await w.handle.record(JournalStep.REBOOT)
     w.reach(At.REBOOT_SENT)
     try:
         # A vehicle that restarts at once acknowledges nothing; whether it did is seen later.

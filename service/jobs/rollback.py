@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mavcal.calib.firmware.plan import Value
 from mavcal.service.jobs.crashpoints import At
-from mavcal.service.jobs.journal import Sent, Step, same
+from mavcal.service.jobs.journal import JournalStep, Sent, same
 from mavcal.service.jobs.write import Writing, current_values
 
 
@@ -30,14 +30,14 @@ async def _undo(w: Writing, sent: Sent) -> None:
     """Put one old value back if ours is still there."""
     value = await w.get(sent.name)
     if same(value, sent.old, sent.kind):
-        await w.handle.record_anyway(Step.UNDONE, name=sent.name, value=value)
+        await w.handle.record_anyway(JournalStep.UNDONE, name=sent.name, value=value)
         return
     if not same(value, sent.new, sent.kind):
         await w.ask_who()
-        await w.handle.record_anyway(Step.LEFT, name=sent.name, value=value)
+        await w.handle.record_anyway(JournalStep.LEFT, name=sent.name, value=value)
         return
-    await w.handle.record_anyway(Step.UNDO, name=sent.name)
+    await w.handle.record_anyway(JournalStep.UNDO, name=sent.name)
     w.reach(At.BEFORE_UNDO)
     value = await w.set(sent.name, sent.old, sent.kind, instead_of=sent.new)
     w.reach(At.AFTER_UNDO)
-    await w.handle.record_anyway(Step.UNDONE, name=sent.name, value=value)
+    await w.handle.record_anyway(JournalStep.UNDONE, name=sent.name, value=value)

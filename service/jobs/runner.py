@@ -14,18 +14,18 @@ from mavcal.calib.firmware.plan import Value
 from mavcal.calib.fit import FitStatus
 from mavcal.calib.procedures.protocol import GaveUp
 from mavcal.calib.recording import Identity
+from mavcal.calib.report import from_json, to_json
 from mavcal.service.errors import CaptureDisturbed, CaptureEnded, CaptureLost, ServiceError, VehicleUnknown
+from mavcal.service.jobs.admission import require_vehicle
 from mavcal.service.jobs.capture import Capture
 from mavcal.service.jobs.crashpoints import At, CrashPoint, nowhere
-from mavcal.service.jobs.digest import FitRequest, Fitted, fit_segments
+from mavcal.service.jobs.digest import Fitted, JobFitRequest, fit_segments
 from mavcal.service.jobs.handle import JobHandle
-from mavcal.service.jobs.model import Failure, Job, Span
+from mavcal.service.jobs.model import Failure, Job, LogSpan
 from mavcal.service.jobs.patience import until_idle
 from mavcal.service.jobs.planning import (
     accel_temperatures,
     foresee,
-    identity_from_json,
-    identity_to_json,
     keep_plan,
     make_plan,
     nothing_to_write,
@@ -60,7 +60,7 @@ class Runner:
         try:
             vehicle = await self.vehicle(handle)
             if handle.job.state == JobState.QUEUED:
-                context = {**handle.job.context, "identity": identity_to_json(vehicle.identity)}
+                context = {**handle.job.context, "identity": to_json(vehicle.identity)}
                 handle.move(JobState.RUNNING, context=context)
             await self._capture(handle, vehicle)
         except asyncio.CancelledError:
@@ -95,15 +95,15 @@ class Runner:
                 return
 
     def _foresee(self, job: Job, identity: Identity, parameters: Mapping[str, Value]) -> tuple[str, ...]:
-        known = accel_temperatures(self.jobs(), job.vehicle_id, parameters)
+        known = accel_temperatures(self.jobs(), require_vehicle(job), parameters)
         return foresee(job.kind, identity, parameters, job.context.get("plan_options", {}), known)
 
     async def fit(self, handle: JobHandle) -> None:
         """Fit the closed segments and plan. The job is fitting; it ends in review or failed."""
         job = handle.job
-        identity = identity_from_json(job.context["identity"])
+        identity = from_json(job.context["identity"], Identity)
         answers = tuple((float(t), str(value)) for t, value in job.context.get("answers", ()))
-        request = FitRequest(job.kind, dict(job.options), job.segments, identity.system, job.created_at, answers)
+        request = JobFitRequest(job.kind, dict(job.options), job.segments, identity.system, job.created_at, answers)
         plan_options = job.context.get("plan_options", {})
         try:
             fitted: Fitted = await asyncio.get_running_loop().run_in_executor(self.executor, fit_segments, request)
@@ -111,7 +111,7 @@ class Runner:
             if isinstance(fitted.outcome, GaveUp):
                 raise CaptureEnded(fitted.outcome.cause, remedy=fitted.outcome.remedy)
             results = fitted.outcome.results
-            known = accel_temperatures(self.jobs(), job.vehicle_id, fitted.parameters)
+            known = accel_temperatures(self.jobs(), require_vehicle(job), fitted.parameters)
             planned = await asyncio.to_thread(make_plan, results, fitted.parameters, identity, plan_options, known)
             await keep_plan(handle, planned)
         except CaptureEnded as ended:
@@ -139,7 +139,7 @@ class Runner:
         deadline = self.clock() + self.settings.return_limit_s
         while True:
             try:
-                vehicle = self.source.vehicle(handle.job.vehicle_id)
+                vehicle = self.source.vehicle(require_vehicle(handle.job))
             except VehicleUnknown:
                 pass
             else:
@@ -165,7 +165,7 @@ def _set_aside(handle: JobHandle, disturbed: CaptureDisturbed) -> None:
     handle.change("set_aside", {"segments": len(rows)}, context=context, progress=None)
 
 
-def _spans(handle: JobHandle) -> tuple[Span, ...]:
+def _spans(handle: JobHandle) -> tuple[LogSpan, ...]:
     rows = captured(handle.job, handle.store)
     return tuple(span_of(row) for row in rows if row.end_byte is not None)
 

@@ -7,10 +7,10 @@ from typing import Any
 import structlog
 
 from mavcal.calib.firmware.plan import WritePlan
-from mavcal.calib.report import plan_from_json
+from mavcal.calib.report import from_json
 from mavcal.service.jobs.account import as_heard
 from mavcal.service.jobs.codec import job_from_row
-from mavcal.service.jobs.journal import Step, fold
+from mavcal.service.jobs.journal import JournalStep, fold
 from mavcal.service.jobs.model import Failure, Job, Standing
 from mavcal.service.jobs.states import ENDED, WRITING, JobState
 from mavcal.service.store.protocol import JobStore
@@ -61,9 +61,9 @@ def _bare(row: JobRow, state: JobState, **known: Any) -> Job:
 def _accepted_plan(job_id: str, store: JobStore) -> WritePlan | None:
     """The plan of the newest accept, if the store can still read it."""
     try:
-        accepted = [r.data["plan_sha256"] for r in store.journal(job_id) if r.step == Step.ACCEPTED]
+        accepted = [r.data["plan_sha256"] for r in store.journal(job_id) if r.step == JournalStep.ACCEPTED]
         body = store.plan(job_id, accepted[-1]) if accepted else None
-        return None if body is None else plan_from_json(body)
+        return None if body is None else from_json(body, WritePlan)
     except Exception as error:
         log.error("the plan of a damaged job cannot be read", job=job_id, exc_info=error)
         return None

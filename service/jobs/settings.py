@@ -50,6 +50,8 @@ class JobSettings:
     """How long a capture waits for inertial data while the vehicle's heartbeat is there."""
     review_s: float = 10.0
     """How long a plan may wait for its accept until the vehicle's own message rates are put back."""
+    preflight_s: float = 6.0
+    """Length of a preflight's capture."""
     watch_s: float = 0.1
     """How often preconditions are looked at while something is under way."""
     retry_s: float = 2.0

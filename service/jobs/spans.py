@@ -6,7 +6,7 @@ import asyncio
 import hashlib
 
 from mavcal.service.jobs.digest import read_range
-from mavcal.service.jobs.model import Job, Span
+from mavcal.service.jobs.model import Job, LogSpan
 from mavcal.service.jobs.port import JobVehicle, TlogPosition
 from mavcal.service.store.protocol import JobStore
 from mavcal.service.store.rows import SegmentPurpose, SegmentRow
@@ -26,7 +26,7 @@ async def open_span(store: JobStore, job_id: str, purpose: SegmentPurpose, posit
     return await store.do(lambda: store.open_segment(job_id, purpose, position.path, position.byte))
 
 
-async def close_span(store: JobStore, row: SegmentRow, vehicle: JobVehicle | None) -> Span:
+async def close_span(store: JobStore, row: SegmentRow, vehicle: JobVehicle | None) -> LogSpan:
     """End a segment where its log stands now, on the disk, with its digest.
 
     `vehicle` is None, or has another log, if the segment was left open by a crash: it then ends with its file.
@@ -42,8 +42,8 @@ async def close_span(store: JobStore, row: SegmentRow, vehicle: JobVehicle | Non
     return span_of(await store.do(lambda: store.close_segment(row.id, row.start_byte + len(data), digest)))
 
 
-def span_of(row: SegmentRow) -> Span:
+def span_of(row: SegmentRow) -> LogSpan:
     """A closed row as a span."""
     assert row.end_byte is not None
     assert row.sha256 is not None
-    return Span(row.path, row.start_byte, row.end_byte, row.sha256)
+    return LogSpan(row.path, row.start_byte, row.end_byte, row.sha256)

@@ -33,10 +33,11 @@ _ENDS = {S.FAILED, S.CANCELLED, S.INTERRUPTED}
 
 TRANSITIONS: Mapping[JobState, frozenset[JobState]] = MappingProxyType(
     {
-        S.QUEUED: frozenset({S.RUNNING} | _ENDS),
+        S.QUEUED: frozenset({S.RUNNING, S.FITTING} | _ENDS),  # fitting: a computation on uploads
         S.RUNNING: frozenset({S.WAITING_FOR_OPERATOR, S.FITTING} | _ENDS),
         S.WAITING_FOR_OPERATOR: frozenset({S.RUNNING, S.FITTING} | _ENDS),
-        S.FITTING: frozenset({S.REVIEW, S.SUCCEEDED} | _ENDS),  # succeeded: the vehicle holds the result already
+        # Succeeded: the vehicle holds the result already, or there is none. Queued: the service was stopped meanwhile.
+        S.FITTING: frozenset({S.REVIEW, S.SUCCEEDED, S.QUEUED} | _ENDS),
         S.REVIEW: frozenset({S.APPLYING, S.CANCELLED}),
         # Back to review only while nothing was sent; from the first PARAM_SET on the way out leads through the vehicle.
         S.APPLYING: frozenset({S.REVIEW, S.WAITING_FOR_REBOOT, S.VERIFYING, S.ROLLING_BACK, S.IN_DOUBT}),

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from mavcal.service.errors import ServiceError
 from mavcal.service.jobs.handle import JobHandle, waiting
-from mavcal.service.jobs.journal import Step
+from mavcal.service.jobs.journal import JournalStep
 from mavcal.service.jobs.port import JobVehicle
 
 ASKING_S = 1.0
@@ -25,7 +25,7 @@ async def ask_for_streams(
     async with waiting(handle, f"asking for {len(rates)} messages{measured}", measure_s + ASKING_S):
         before = await vehicle.intervals([message for message in rates if message not in known])
         if before:
-            await handle.record(Step.STREAMS, intervals={str(k): v for k, v in before.items()})
+            await handle.record(JournalStep.STREAMS, intervals={str(k): v for k, v in before.items()})
         warnings = await vehicle.request_streams(rates, measure_s=measure_s, before={**known, **before})
     for warning in warnings:
         handle.warn(warning)
@@ -41,4 +41,4 @@ async def restore_streams(handle: JobHandle, vehicle: JobVehicle) -> None:
     except ServiceError as error:
         handle.warn(f"the message rates could not be put back yet: {error}")
         return
-    await handle.record_anyway(Step.STREAMS_RESTORED)
+    await handle.record_anyway(JournalStep.STREAMS_RESTORED)

@@ -8,6 +8,7 @@ from contextlib import contextmanager, suppress
 
 import structlog
 
+from mavcal.service.jobs.admission import require_vehicle
 from mavcal.service.jobs.handle import JobHandle
 from mavcal.service.jobs.port import JobVehicle
 from mavcal.service.jobs.states import JobState
@@ -38,7 +39,7 @@ class Tidying:
         """Put back what this job has left changed, if anything."""
         if not handle.written().intervals:
             return
-        vehicle_id = handle.job.vehicle_id
+        vehicle_id = require_vehicle(handle.job)
         task = asyncio.create_task(self._put_back(handle), name=f"rates of {handle.id}")
         mine = self._of[vehicle_id] = (handle.id, task)
 
@@ -50,21 +51,21 @@ class Tidying:
 
         task.add_done_callback(done)
 
-    async def before_capture(self, handle: JobHandle) -> None:
+    async def before_capture(self, vehicle_id: str) -> None:
         """Wait until an earlier job of this vehicle has its rates put back, and do not let that wait for an accept."""
-        _, task = self._of.get(handle.job.vehicle_id, ("", None))
+        _, task = self._of.get(vehicle_id, ("", None))
         if task is not None:
             with self.hurrying():
                 await asyncio.wait({task})
 
     async def before_write(self, handle: JobHandle) -> None:
         """Keep the rates of this job's capture, which the write needs too; those of another job are put back first."""
-        job_id, task = self._of.get(handle.job.vehicle_id, ("", None))
+        job_id, task = self._of.get(require_vehicle(handle.job), ("", None))
         if task is not None and job_id == handle.id:
             task.cancel()
             await asyncio.wait({task})
         else:
-            await self.before_capture(handle)
+            await self.before_capture(require_vehicle(handle.job))
 
     @contextmanager
     def hurrying(self) -> Iterator[None]:

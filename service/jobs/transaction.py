@@ -27,9 +27,9 @@ from mavcal.service.jobs.account import Account, as_read, nothing_sent, reverted
 from mavcal.service.jobs.crashpoints import At
 from mavcal.service.jobs.ending import INTERRUPTED, cause_of, end, look_back, record_of, stop
 from mavcal.service.jobs.finish import finish
-from mavcal.service.jobs.guard import STOPPING, Guard
+from mavcal.service.jobs.guard import STOPPING, WriteGuard
 from mavcal.service.jobs.handle import JobHandle, counting, waiting
-from mavcal.service.jobs.journal import BY_OPERATOR, Next, Step, decide
+from mavcal.service.jobs.journal import BY_OPERATOR, JournalStep, Next, decide
 from mavcal.service.jobs.needs import require_absent
 from mavcal.service.jobs.patience import until_idle
 from mavcal.service.jobs.proof import proof_of
@@ -37,7 +37,7 @@ from mavcal.service.jobs.restart import restart
 from mavcal.service.jobs.rollback import roll_back
 from mavcal.service.jobs.states import JobState
 from mavcal.service.jobs.streams import ASKING_S, restore_streams
-from mavcal.service.jobs.write import Settled, Writing, prepare, read_back, read_values, send_all
+from mavcal.service.jobs.write import Settling, Writing, prepare, read_back, read_values, send_all
 
 log = structlog.get_logger(__name__)
 
@@ -54,7 +54,7 @@ class Transaction:
     handle: JobHandle
     attempt: Callable[[], Writing]
     retry_s: float
-    _guard: Guard | None = None
+    _guard: WriteGuard | None = None
     """That of the last attempt: it remembers how the vehicle was."""
 
     async def apply(self) -> None:
@@ -149,7 +149,7 @@ def _nothing_sent(error: Exception) -> Account:
 async def _write(w: Writing) -> None:
     await send_all(w)
     following = Next.REBOOT if w.plan.needs_reboot else Next.VERIFY
-    values = await read_back(w, Settled.SAVED if following == Next.REBOOT else Settled.KEPT)
+    values = await read_back(w, Settling.SAVED if following == Next.REBOOT else Settling.KEPT)
     await _onward(w, following, values)
 
 
@@ -165,13 +165,13 @@ async def _resume(w: Writing) -> None:
     cause = record.rolling_back or record.stopped or INTERRUPTED
     if following == Next.NOTHING_SENT:
         await _rates_back(w)
-        await w.handle.record_anyway(Step.CLOSED)
+        await w.handle.record_anyway(JournalStep.CLOSED)
         end(w.handle, nothing_sent("interrupted", cause, "Nothing was written. Apply the plan again."))
     elif following == Next.ROLL_BACK:
         await _take_back(w, cause)
     else:
         if following == Next.REBOOT:
-            values = await read_back(w, Settled.SAVED)  # what is to survive the restart must be saved
+            values = await read_back(w, Settling.SAVED)  # what is to survive the restart must be saved
         await _onward(w, following, values)
 
 
@@ -180,7 +180,7 @@ async def _onward(w: Writing, following: Next, values: dict[str, Value]) -> None
     if following == Next.REBOOT:
         w.handle.move(JobState.WAITING_FOR_REBOOT, standing=(), outcome=None)
         await restart(w)
-        values = await read_back(w, Settled.RESTARTED)
+        values = await read_back(w, Settling.RESTARTED)
     w.handle.move(JobState.VERIFYING, standing=(), outcome=None)
     if following != Next.FINISH:
         verification = await w.check.after(w.guard, values)
@@ -188,13 +188,13 @@ async def _onward(w: Writing, following: Next, values: dict[str, Value]) -> None
         w.handle.change("verification", seen, verification=verification, prompt=None)
         if verification.must_go:
             raise WriteFailed(verification.must_go)
-        await w.handle.record(Step.VERIFIED)
+        await w.handle.record(JournalStep.VERIFIED)
         w.reach(At.VERIFIED)
     values = await finish(w)
     who = who_else(w.handle.written())
     told = succeeded(as_read(w.plan, w.old_values(), values, who), w.plan, w.handle.job.verification, who)
     await _rates_back(w)
-    await w.handle.record(Step.CLOSED)
+    await w.handle.record(JournalStep.CLOSED)
     w.reach(At.CLOSED)
     end(w.handle, told)
 
@@ -207,13 +207,13 @@ async def _rates_back(w: Writing) -> None:
 async def _take_back(w: Writing, because: str) -> None:
     if w.handle.job.state != JobState.ROLLING_BACK:
         w.handle.move_anyway(JobState.ROLLING_BACK, standing=(), outcome=None, prompt=None)
-    await w.handle.record_anyway(Step.ROLL_BACK, because=because)
+    await w.handle.record_anyway(JournalStep.ROLL_BACK, because=because)
     values = await roll_back(w)
     record = w.handle.written()
     who = who_else(record)
     read = as_read(w.plan, w.old_values(), values, who)
     told = reverted(read, None if because == BY_OPERATOR else because, who, len(record.sent))
     await _rates_back(w)
-    await w.handle.record_anyway(Step.CLOSED)
+    await w.handle.record_anyway(JournalStep.CLOSED)
     w.reach(At.CLOSED)
     end(w.handle, told)

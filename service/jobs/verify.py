@@ -21,7 +21,7 @@ from mavcal.calib.recording import Recording, Sensor, join
 from mavcal.calib.wire import Frame, iter_tlog
 from mavcal.service.errors import CaptureEnded, WriteFailed
 from mavcal.service.jobs.digest import content_of
-from mavcal.service.jobs.guard import Guard
+from mavcal.service.jobs.guard import WriteGuard
 from mavcal.service.jobs.handle import JobHandle, waiting
 from mavcal.service.jobs.port import JobVehicle
 from mavcal.service.jobs.settings import JobSettings
@@ -93,7 +93,7 @@ def _inertial_span(chunk: Recording) -> tuple[float | None, float | None]:
 
 
 @dataclass
-class StreamCheck:
+class StreamProof:
     """See :class:`service.jobs.write.PhysicalCheck`."""
 
     handle: JobHandle
@@ -104,7 +104,7 @@ class StreamCheck:
     clock: Callable[[], float] = time.monotonic
     _before: Recording | None = None
 
-    async def before(self, guard: Guard) -> None:
+    async def before(self, guard: WriteGuard) -> None:
         """Keep a window of the stream under the old parameters, in memory and as a segment."""
         await guard.run(self._streams)
         row = await open_span(self.handle.store, self.handle.id, SegmentPurpose.BEFORE, self.vehicle.tlog_position())
@@ -115,7 +115,7 @@ class StreamCheck:
         finally:
             await asyncio.shield(close_span(self.handle.store, row, self.vehicle))
 
-    async def after(self, guard: Guard, values: Mapping[str, Value]) -> Verification:
+    async def after(self, guard: WriteGuard, values: Mapping[str, Value]) -> Verification:
         """Judge the stream under the new parameters; wait for the movements that prove the rest, if there are any.
 
         Raises
@@ -134,7 +134,7 @@ class StreamCheck:
         finally:
             await asyncio.shield(close_span(self.handle.store, row, self.vehicle))
 
-    async def _judged(self, guard: Guard, before: Recording | None, values: Mapping[str, Value]) -> Verification:
+    async def _judged(self, guard: WriteGuard, before: Recording | None, values: Mapping[str, Value]) -> Verification:
         with Window(self.vehicle, self.settings, self.clock) as window:
             async with waiting(self.handle, "reading the sensors after the write", self.settings.check_s):
                 after = await guard.run(partial(window.extend, self.settings.check_s))

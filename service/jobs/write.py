@@ -18,11 +18,11 @@ from mavcal.calib.firmware.plan import Change, ParameterKind, Value, Verificatio
 from mavcal.calib.firmware.values import shown
 from mavcal.service.errors import ParameterMissing, PlanBlocked, PlanChanged, WriteFailed
 from mavcal.service.jobs.crashpoints import At, CrashPoint, nowhere
-from mavcal.service.jobs.guard import Guard
+from mavcal.service.jobs.guard import WriteGuard
 from mavcal.service.jobs.handle import JobHandle, counting, waiting
-from mavcal.service.jobs.journal import Step, same
+from mavcal.service.jobs.journal import JournalStep, same
 from mavcal.service.jobs.model import Accept
-from mavcal.service.jobs.port import JobVehicle, Reading
+from mavcal.service.jobs.port import JobVehicle, ParameterReading
 from mavcal.service.jobs.settings import JobSettings
 from mavcal.service.store.rows import SnapshotPurpose
 
@@ -33,16 +33,16 @@ READS_IN_FLIGHT = 10
 class PhysicalCheck(Protocol):
     """Looks at the stream before and after a write (DESIGN 6, rule 4)."""
 
-    async def before(self, guard: Guard) -> None:
+    async def before(self, guard: WriteGuard) -> None:
         """Keep a window of the stream under the old parameters."""
         ...
 
-    async def after(self, guard: Guard, values: Mapping[str, Value]) -> Verification:
+    async def after(self, guard: WriteGuard, values: Mapping[str, Value]) -> Verification:
         """Judge the stream under the new parameters, `values`; may ask the operator for movements."""
         ...
 
 
-class Settled(StrEnum):
+class Settling(StrEnum):
     """What is waited for before values are read back, in words."""
 
     SAVED = "waiting until the vehicle has saved"
@@ -63,14 +63,14 @@ class Writing:
     check: PhysicalCheck
     settings: JobSettings = field(default_factory=JobSettings)
     reach: CrashPoint = nowhere
-    guard: Guard = field(init=False)
+    guard: WriteGuard = field(init=False)
     heard: dict[str, Value] = field(init=False, default_factory=dict)
     """Values heard since the last PARAM_SET of each name; not proof, a late echo may be among them."""
 
     def __post_init__(self) -> None:
-        self.guard = Guard(self.vehicle, self.settings.watch_s)
+        self.guard = WriteGuard(self.vehicle, self.settings.watch_s)
 
-    def hear(self, reading: Reading) -> None:
+    def hear(self, reading: ParameterReading) -> None:
         """Take note of a PARAM_VALUE."""
         self.heard[reading.name] = reading.value
 
@@ -87,7 +87,7 @@ class Writing:
         self.heard.pop(name, None)
         foreign: asyncio.Future[Value] = asyncio.get_running_loop().create_future()
 
-        def watch(reading: Reading) -> None:
+        def watch(reading: ParameterReading) -> None:
             known = same(reading.value, value, kind) or same(reading.value, instead_of, kind)
             if reading.name == name and not known and not foreign.done():
                 foreign.set_result(reading.value)
@@ -157,12 +157,12 @@ class Writing:
         kept = self.handle.store.snapshot(self.handle.id, SnapshotPurpose.COMPOSED_ON)
         return {} if kept is None else kept.body
 
-    async def settle(self, until: Settled = Settled.KEPT) -> None:
+    async def settle(self, until: Settling = Settling.KEPT) -> None:
         """Wait under the guard until the vehicle has come so far, by its clock or by ours."""
-        per_autopilot = self.settings.save_s if until == Settled.SAVED else self.settings.settle_s
+        per_autopilot = self.settings.save_s if until == Settling.SAVED else self.settings.settle_s
         needed = per_autopilot.get(self.plan.fingerprint.autopilot, max(per_autopilot.values()))
         now = self.vehicle.condition().boot_time
-        since = 0.0 if until == Settled.RESTARTED else now
+        since = 0.0 if until == Settling.RESTARTED else now
         passed = now - since if now is not None and since is not None else 0.0
         async with waiting(self.handle, until.value, max(needed - passed, 0.0)):
             await self.guard.run(partial(self._settled, needed, since))
@@ -185,7 +185,7 @@ async def read_values(
     *,
     absent: bool = False,
     told: Callable[[int], None] | None = None,
-) -> dict[str, Reading]:
+) -> dict[str, ParameterReading]:
     """Fresh values of `names`, a few requests at a time.
 
     Parameters
@@ -202,7 +202,7 @@ async def read_values(
     ParameterMissing, ParameterTimeout
     """
     gate = asyncio.Semaphore(READS_IN_FLIGHT)
-    found: dict[str, Reading | None] = {}
+    found: dict[str, ParameterReading | None] = {}
 
     async def one(name: str) -> None:
         async with gate:
@@ -225,7 +225,7 @@ async def read_values(
     return {name: reading for name in wanted if (reading := found[name]) is not None}
 
 
-async def check_plan(w: Writing) -> dict[str, Reading]:
+async def check_plan(w: Writing) -> dict[str, ParameterReading]:
     """Make sure that the plan still fits the vehicle; returns fresh readings of everything that it rests on.
 
     Raises
@@ -264,19 +264,19 @@ async def prepare(w: Writing) -> None:
     await _keep_snapshot(w, {change.name: fresh[change.name] for change in w.plan.changes})
 
 
-def _check_kinds(plan: WritePlan, fresh: Mapping[str, Reading]) -> None:
+def _check_kinds(plan: WritePlan, fresh: Mapping[str, ParameterReading]) -> None:
     wrong = [f"{c.name} is {fresh[c.name].kind}, not {c.kind}" for c in plan.changes if fresh[c.name].kind != c.kind]
     if wrong:
         raise PlanChanged(f"the vehicle's types are not those of the plan: {', '.join(wrong)}. Plan again")
 
 
-async def _keep_snapshot(w: Writing, old: Mapping[str, Reading]) -> None:
+async def _keep_snapshot(w: Writing, old: Mapping[str, ParameterReading]) -> None:
     body = {name: {"value": reading.value, "kind": reading.kind.value} for name, reading in old.items()}
     digest = snapshot_sha256({name: reading.value for name, reading in old.items()})
     store = w.handle.store
     at = w.handle.now()
     await store.do(lambda: store.add_snapshot(w.handle.id, at, SnapshotPurpose.BEFORE_WRITE, digest, body))
-    await w.handle.record(Step.SNAPSHOT, sha256=digest)
+    await w.handle.record(JournalStep.SNAPSHOT, sha256=digest)
     w.reach(At.SNAPSHOT_KEPT)
 
 
@@ -289,16 +289,16 @@ async def send_all(w: Writing) -> None:
         told(number, len(w.plan.changes))
         old = before[change.name]
         await w.handle.record(
-            Step.SEND, name=change.name, old=old, new=change.new, kind=change.kind.value, session=change.session
+            JournalStep.SEND, name=change.name, old=old, new=change.new, kind=change.kind.value, session=change.session
         )
         w.reach(At.BEFORE_SEND)
         value = await w.set(change.name, change.new, change.kind, instead_of=old)
         w.reach(At.AFTER_ECHO)
-        await w.handle.record(Step.ECHO, name=change.name, value=value)
+        await w.handle.record(JournalStep.ECHO, name=change.name, value=value)
         w.reach(At.ECHO_KEPT)
 
 
-async def read_back(w: Writing, until: Settled = Settled.KEPT) -> dict[str, Value]:
+async def read_back(w: Writing, until: Settling = Settling.KEPT) -> dict[str, Value]:
     """Wait until the vehicle has come so far, then read everything again.
 
     Raises
@@ -309,7 +309,7 @@ async def read_back(w: Writing, until: Settled = Settled.KEPT) -> dict[str, Valu
     await w.settle(until)
     values = await current_values(w)
     check_in_place(w.plan.changes, values)
-    await w.handle.record(Step.READ_BACK)
+    await w.handle.record(JournalStep.READ_BACK)
     w.reach(At.READ_BACK)
     return values
 

@@ -121,7 +121,13 @@ class Link:
         stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S%fZ")
         self._recorder = TlogRecorder(self._tlog_dir / f"{self.id}-{stamp}.tlog")
         self._reader = Reader(
-            self.id, self._transport, self._recorder, self.ids, self._signing, loop, self._take_reports
+            self.id,
+            self._transport,
+            self._recorder,
+            own=self.ids,
+            signing=self._signing,
+            loop=loop,
+            deliver=self._take_reports,
         )
         self._want()
         self._reader.start()

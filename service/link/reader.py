@@ -68,6 +68,7 @@ class Reader(threading.Thread):
         name: str,
         transport: Transport,
         recorder: TlogRecorder,
+        *,
         own: OwnIdentity,
         signing: SigningConfig | None,
         loop: asyncio.AbstractEventLoop,

@@ -7,4 +7,33 @@ Way of a sample, once per tick of the wall clock: `motion` (attitude, body rate)
 `sensors` (raw = M·true + b + p(T) + noise), `corrections` applies the firmware's own formulas with the parameters
 in force, the personality (`ardupilot`, `px4`) quantises and packs what was asked for, `faults` spoils it, `links`
 sends it. Units inside: s, m/s², rad/s, µT, °C, A; FRD body and NED frames; quaternions w x y z, body to NED.
+
+Whoever is outside imports this package, and none of its modules: the rest of `service`, and tests of other ground
+stations (docs/ground-station.md).
 """
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from mavcal.service.simvehicle.client import SimulatedVehicle, free_udp_port
+from mavcal.service.simvehicle.errors import ControlError, SimulatedVehicleError, StartError
+from mavcal.service.simvehicle.operator import Operator
+
+__all__ = [
+    "ControlError",
+    "Operator",
+    "SimulatedVehicle",
+    "SimulatedVehicleError",
+    "StartError",
+    "free_udp_port",
+    "run",
+]
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Be a simulated vehicle until it is told to stop, as `python -m mavcal.service.simvehicle` is; the exit code."""
+    # Imported here: who starts a vehicle in another process does without its sensors and numpy.
+    from mavcal.service.simvehicle.__main__ import main
+
+    return main(arguments)

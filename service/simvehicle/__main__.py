@@ -9,18 +9,18 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 
-from mavcal.service.simvehicle.config import Autopilot, VehicleConfig, load_config
+from mavcal.service.simvehicle.config import SimAutopilot, VehicleConfig, load_config
 from mavcal.service.simvehicle.errors import SimulatedVehicleError
-from mavcal.service.simvehicle.links import Link, TcpServer, UdpIn, UdpOut
+from mavcal.service.simvehicle.links import SimEndpoint, TcpServer, UdpIn, UdpOut
 from mavcal.service.simvehicle.parameters import load_table
 from mavcal.service.simvehicle.scripts import SCRIPTS
-from mavcal.service.simvehicle.server import Server, make_vehicle
+from mavcal.service.simvehicle.server import SimServer, make_vehicle
 
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     p = argparse.ArgumentParser(prog="python -m mavcal.service.simvehicle", description=__doc__)
-    p.add_argument("--autopilot", choices=[str(a) for a in Autopilot], default=None)
+    p.add_argument("--autopilot", choices=[str(a) for a in SimAutopilot], default=None)
     p.add_argument("--udpout", metavar="HOST:PORT", action="append", default=[], help="send to a ground station")
     p.add_argument("--udpin", metavar="HOST:PORT", action="append", default=[], help="listen for ground stations")
     p.add_argument("--tcp", metavar="HOST:PORT", action="append", default=[], help="serve one TCP client at a time")
@@ -39,7 +39,7 @@ def parser() -> argparse.ArgumentParser:
 def _config(args: argparse.Namespace) -> VehicleConfig:
     config = load_config(args.config)
     if args.autopilot is not None:
-        config = replace(config, autopilot=Autopilot(args.autopilot))
+        config = replace(config, autopilot=SimAutopilot(args.autopilot))
     if args.seed is not None:
         config = replace(config, seed=args.seed)
     if args.system_id is not None:
@@ -47,20 +47,20 @@ def _config(args: argparse.Namespace) -> VehicleConfig:
     return replace(config, sitl=True) if args.sitl else config
 
 
-def _links(args: argparse.Namespace, config: VehicleConfig) -> list[Link]:
-    links: list[Link] = [UdpOut(a) for a in args.udpout]
-    links += [UdpIn(a, first_for_ever=config.autopilot is Autopilot.PX4) for a in args.udpin]
+def _links(args: argparse.Namespace, config: VehicleConfig) -> list[SimEndpoint]:
+    links: list[SimEndpoint] = [UdpOut(a) for a in args.udpout]
+    links += [UdpIn(a, first_for_ever=config.autopilot is SimAutopilot.PX4) for a in args.udpin]
     links += [TcpServer(a) for a in args.tcp]
     return links or [UdpOut("127.0.0.1:14550")]
 
 
-def _server(args: argparse.Namespace) -> Server:
+def _server(args: argparse.Namespace) -> SimServer:
     config = _config(args)
     vehicle = make_vehicle(config)
     if args.params:
         vehicle.load_parameters(load_table(args.params))
     vehicle.preset_parameters(config.parameters)
-    server = Server(vehicle, _links(args, config), args.control, args.speed)
+    server = SimServer(vehicle, _links(args, config), args.control, args.speed)
     if args.script:
         server.run_script(args.script)
     return server

@@ -6,17 +6,16 @@ Six means of |SCAL ∘ (m − OFFS)| = g for six unknowns: no residual is left t
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.service.simvehicle import ardupilot_parameters as names
+from mavcal.service.simvehicle.ardupilot_sensors import ArduPilotSensors
+from mavcal.service.simvehicle.ardupilot_stored import StoredCalibrations
 from mavcal.service.simvehicle.parameters import Value
 from mavcal.service.simvehicle.rotation import Array
-
-if TYPE_CHECKING:
-    from mavcal.service.simvehicle.ardupilot import ArduPilotVehicle
+from mavcal.service.simvehicle.vehicle import FlightController
 
 POSES = ("level", "on its LEFT side", "on its RIGHT side", "nose DOWN", "nose UP", "on its BACK")
 SUCCESS, FAILURE = 16777215.0, 16777216.0
@@ -32,8 +31,8 @@ ITERATIONS = 50
 class AccelCalibration:
     """Asks for six poses in a fixed order, takes a mean of each, and stores what fits."""
 
-    def __init__(self, vehicle: ArduPilotVehicle) -> None:
-        self._vehicle = vehicle
+    def __init__(self, vehicle: FlightController, sensors: ArduPilotSensors, stored: StoredCalibrations) -> None:
+        self._vehicle, self._sensors, self._stored = vehicle, sensors, stored
         self._means: list[list[Array]] = []
         self._sampling = False
         self.running = False
@@ -41,22 +40,22 @@ class AccelCalibration:
     def start(self) -> None:
         """Begin with the first pose: from now on the streams carry uncorrected accelerations."""
         self.running, self._sampling, self._means = True, False, []
-        self._vehicle.sensors.accel_calibrating = True
+        self._sensors.accel_calibrating = True
         self._vehicle.say(f"Place vehicle {POSES[0]} and press any key.", dialect.MAV_SEVERITY_CRITICAL)
         self._ask()
 
     def cancel(self) -> None:
         """A reboot ends it."""
-        self.running = self._vehicle.sensors.accel_calibrating = False
+        self.running = self._sensors.accel_calibrating = False
 
     def answer(self, pose: float) -> None:
         """The ground station says that the vehicle is in a pose: only the one that was asked for counts."""
         if not self.running or self._sampling or pose != len(self._means) + 1:
             return
         self._sampling = True
-        vehicle = self._vehicle
+        vehicle, sensors = self._vehicle, self._sensors
         state = vehicle.world.state(vehicle.time + np.arange(1, SAMPLES + 1) * (SAMPLE_S / SAMPLES))
-        means = [vehicle.sensors.raw(k, state)[0].mean(axis=0) for k in range(len(vehicle.sensors.chips))]
+        means = [sensors.raw(k, state)[0].mean(axis=0) for k in range(len(sensors.chips))]
         vehicle.at(SAMPLE_S, lambda: self._taken(means))
 
     def _taken(self, means: list[Array]) -> None:
@@ -92,18 +91,18 @@ class AccelCalibration:
         return None if any(s is None for s in solutions) else [s for s in solutions if s is not None]
 
     def _finish(self, solutions: list[tuple[Array, Array]] | None) -> None:
-        vehicle = self._vehicle
+        vehicle, count = self._vehicle, len(self._sensors.chips)
         self.cancel()
         if solutions is None:
             vehicle.say("Calibration FAILED", dialect.MAV_SEVERITY_CRITICAL)
             self._command(FAILURE)
             # In memory only: the stored values come back with a reboot.
-            for name, value in self._values([(np.zeros(3), np.ones(3))] * len(vehicle.sensors.chips)).items():
+            for name, value in self._values([(np.zeros(3), np.ones(3))] * count).items():
                 vehicle.table.store(name, value)
             return
-        vehicle.commands.write(self._values(solutions))
-        vehicle.commands.accel_stored()
-        vehicle.commands.require_reboot("Accels calibrated requires reboot")
+        self._stored.write(self._values(solutions))
+        self._stored.mark_accels(count)
+        self._stored.require_reboot("Accels calibrated requires reboot")
         vehicle.say("Calibration successful", dialect.MAV_SEVERITY_CRITICAL)
         self._command(SUCCESS)
 
@@ -114,7 +113,7 @@ class AccelCalibration:
             for axis, o, s in zip("XYZ", offset, scale, strict=True):
                 values[f"{names.accel_offset_name(k)}_{axis}"] = float(o)
                 values[f"{names.accel_scale_name(k)}_{axis}"] = float(s)
-            chip = self._vehicle.sensors.chips[k]
+            chip = self._sensors.chips[k]
             values[names.caltemp_name("ACC", k)] = float(self._vehicle.world.temperature_read(chip, now)[0])
         return values
 

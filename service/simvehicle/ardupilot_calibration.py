@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mavcal.service.simvehicle import ardupilot_parameters as names
+from mavcal.service.simvehicle.ardupilot_sensors import ArduPilotSensors
 from mavcal.service.simvehicle.parameters import Value
 from mavcal.service.simvehicle.rotation import Array
-
-if TYPE_CHECKING:
-    from mavcal.service.simvehicle.ardupilot import ArduPilotVehicle
 
 GYRO_WINDOW_SAMPLES = 50
 GYRO_SAMPLE_S = 0.005
@@ -25,19 +22,19 @@ SLOTS = 3
 G = 9.80665
 
 
-def gyro_offsets(vehicle: ArduPilotVehicle) -> tuple[list[Array], float]:
-    """The offsets that converge first (one per instance, rad/s) and how long that takes from now on, in seconds.
+def gyro_offsets(sensors: ArduPilotSensors, now: float) -> tuple[list[Array], float]:
+    """The offsets that converge first (one per instance, rad/s) and how long that takes from `now` on, in seconds.
 
     Means of 50 samples at 5 ms; done when two successive means agree within 0.1 °/s on every gyro. A steady rate
     converges too: nothing here knows that the vehicle turns.
     """
-    sensors, count = vehicle.sensors, len(vehicle.sensors.chips)
+    count = len(sensors.chips)
     window = GYRO_WINDOW_SAMPLES * GYRO_SAMPLE_S
     last: list[Array] | None = None
     best: tuple[float, list[Array]] = (math.inf, [np.zeros(3)] * count)
     for step in range(int(GYRO_TIMEOUT_S / window)):
-        t = vehicle.time + step * window + np.arange(1, GYRO_WINDOW_SAMPLES + 1) * GYRO_SAMPLE_S
-        state = vehicle.world.state(t)
+        t = now + step * window + np.arange(1, GYRO_WINDOW_SAMPLES + 1) * GYRO_SAMPLE_S
+        state = sensors.world.state(t)
         force = state.force
         if np.linalg.norm(force[-1] - force[0]) > ACCEL_MOVED:
             last = None
@@ -53,7 +50,7 @@ def gyro_offsets(vehicle: ArduPilotVehicle) -> tuple[list[Array], float]:
     return best[1], GYRO_TIMEOUT_S
 
 
-def gyro_values(vehicle: ArduPilotVehicle, offsets: list[Array]) -> dict[str, Value]:
+def gyro_values(sensors: ArduPilotSensors, now: float, offsets: list[Array]) -> dict[str, Value]:
     """What a gyro calibration stores: three slots; absent ones become zero."""
     values: dict[str, Value] = {}
     for slot in range(SLOTS):
@@ -61,18 +58,18 @@ def gyro_values(vehicle: ArduPilotVehicle, offsets: list[Array]) -> dict[str, Va
         base = names.gyro_offset_name(slot)
         for axis, value in zip("XYZ", offsets[slot] if present else np.zeros(3), strict=True):
             values[f"{base}_{axis}"] = float(value)
-        chip = vehicle.sensors.chips[slot] if present else 0
+        chip = sensors.chips[slot] if present else 0
         values[names.id_name("GYR", slot)] = names.GYRO_IDS[chip] if present else 0
         if present:
-            t = np.array([vehicle.time])
-            values[names.caltemp_name("GYR", slot)] = float(vehicle.world.temperature_read(chip, t)[0])
+            t = np.array([now])
+            values[names.caltemp_name("GYR", slot)] = float(sensors.world.temperature_read(chip, t)[0])
     return values
 
 
-def level_trim(vehicle: ArduPilotVehicle) -> tuple[float, float] | None:
+def level_trim(sensors: ArduPilotSensors, now: float) -> tuple[float, float] | None:
     """AHRS_TRIM_X and _Y (rad) of the present pose from the corrected first accelerometer; None beyond 10°."""
-    t = vehicle.time + np.arange(1, 41) * LEVEL_S / 40
-    mean = vehicle.sensors.imu(0, vehicle.world.state(t)).accel.mean(axis=0)
+    t = now + np.arange(1, 41) * LEVEL_S / 40
+    mean = sensors.imu(0, sensors.world.state(t)).accel.mean(axis=0)
     roll = math.atan2(-mean[1], -mean[2])
     pitch = math.atan2(mean[0], math.hypot(mean[1], mean[2]))
     if not (abs(roll) < LEVEL_LIMIT and abs(pitch) < LEVEL_LIMIT):
@@ -80,19 +77,19 @@ def level_trim(vehicle: ArduPilotVehicle) -> tuple[float, float] | None:
     return roll, pitch
 
 
-def simple_accel_values(vehicle: ArduPilotVehicle) -> dict[str, Value]:
+def simple_accel_values(sensors: ArduPilotSensors, now: float) -> dict[str, Value]:
     """One level pose taken as exact: the whole error goes into the offset; scale 1, trim 0."""
     values: dict[str, Value] = {}
-    t = vehicle.time + np.arange(1, 41) * 0.01
-    state = vehicle.world.state(t)
-    for slot in range(len(vehicle.sensors.chips)):
-        mean = vehicle.sensors.raw(slot, state)[0].mean(axis=0)
+    t = now + np.arange(1, 41) * 0.01
+    state = sensors.world.state(t)
+    for slot in range(len(sensors.chips)):
+        mean = sensors.raw(slot, state)[0].mean(axis=0)
         offset = mean - np.array([0.0, 0.0, -G])
         for axis, value in zip("XYZ", offset, strict=True):
             values[f"{names.accel_offset_name(slot)}_{axis}"] = float(value)
             values[f"{names.accel_scale_name(slot)}_{axis}"] = 1.0
-        chip = vehicle.sensors.chips[slot]
-        values[names.caltemp_name("ACC", slot)] = float(vehicle.world.temperature_read(chip, t[-1:])[0])
+        chip = sensors.chips[slot]
+        values[names.caltemp_name("ACC", slot)] = float(sensors.world.temperature_read(chip, t[-1:])[0])
     for axis in "XYZ":
         values[f"AHRS_TRIM_{axis}"] = 0.0
     return values

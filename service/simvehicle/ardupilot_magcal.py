@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.service.simvehicle import ardupilot_parameters as names
+from mavcal.service.simvehicle.ardupilot_sensors import ArduPilotSensors
+from mavcal.service.simvehicle.ardupilot_stored import StoredCalibrations
 from mavcal.service.simvehicle.parameters import Value
 from mavcal.service.simvehicle.rotation import mounting_matrix
-
-if TYPE_CHECKING:
-    from mavcal.service.simvehicle.ardupilot import ArduPilotVehicle
+from mavcal.service.simvehicle.vehicle import FlightController
 
 MOVING_RATE = 0.2  # rad/s: slower motion brings no new samples
 FULL_AFTER_S = 20.0  # of motion
@@ -24,8 +24,8 @@ ACCEPTED, FAILED = 0, 4
 class MagCalibration:
     """Collects while the vehicle moves; then reports, and stores what a perfect fit would find."""
 
-    def __init__(self, vehicle: ArduPilotVehicle) -> None:
-        self._vehicle = vehicle
+    def __init__(self, vehicle: FlightController, sensors: ArduPilotSensors, stored: StoredCalibrations) -> None:
+        self._vehicle, self._sensors, self._stored = vehicle, sensors, stored
         self.running = False
         self._moved_s = 0.0
         self._autosave = False
@@ -33,7 +33,7 @@ class MagCalibration:
 
     def start(self, _mask: int, *, autosave: bool) -> int:
         """MAV_CMD_DO_START_MAG_CAL."""
-        if not self._vehicle.sensors.compasses:
+        if not self._sensors.compasses:
             return FAILED
         self.running, self._moved_s, self._autosave, self._report = True, 0.0, autosave, None
         self._vehicle.at(TICK_S, self._tick)
@@ -68,10 +68,10 @@ class MagCalibration:
 
     def _values(self, instance: int) -> dict[str, Value]:
         """OFS, DIA, ODI that undo this compass's truth, in the body frame."""
-        vehicle = self._vehicle
-        slot = vehicle.sensors.compasses[instance]
-        truth = vehicle.world.truth.mags[slot]
-        rotation = mounting_matrix(vehicle.config.mag_orientations[slot])
+        world = self._sensors.world
+        slot = self._sensors.compasses[instance]
+        truth = world.truth.mags[slot]
+        rotation = mounting_matrix(world.config.mag_orientations[slot])
         correction = rotation @ np.linalg.inv(truth.matrix) @ rotation.T
         offset = -rotation @ truth.offset * MGAUSS_PER_UT
         vectors = {
@@ -86,9 +86,9 @@ class MagCalibration:
         }
 
     def _store(self) -> None:
-        for instance in range(len(self._vehicle.sensors.compasses)):
-            self._vehicle.commands.write(self._values(instance))
-        self._vehicle.commands.require_reboot("Compass calibrated requires reboot")
+        for instance in range(len(self._sensors.compasses)):
+            self._stored.write(self._values(instance))
+        self._stored.require_reboot("Compass calibrated requires reboot")
 
     def progress_message(self) -> Any:
         """MAG_CAL_PROGRESS; None while nothing runs."""

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 
 from mavcal.service.simvehicle.config import MAX_IMUS, VehicleConfig
-from mavcal.service.simvehicle.parameters import AXES, Parameter, ParameterType, Value, float32
+from mavcal.service.simvehicle.parameters import AXES, ParameterType, SimParameter, Value, float32
 
 ACCEL_IDS = (2753028, 2753036, 2753044)
 GYRO_IDS = (2752772, 2752780, 2752788)
@@ -52,7 +52,7 @@ MAV1_RAW_SENS 4 0|MAV1_EXT_STAT 4 0|MAV1_RC_CHAN 4 0|MAV1_POSITION 4 0|MAV1_EXTR
 MAV1_PARAMS 4 0|MAV2_RAW_SENS 4 0|MAV2_EXT_STAT 4 0|MAV2_POSITION 4 0|MAV2_EXTRA1 4 0|MAV2_PARAMS 4 0"""
 
 
-def ardupilot_table(config: VehicleConfig) -> list[Parameter]:
+def ardupilot_table(config: VehicleConfig) -> list[SimParameter]:
     """Every parameter of a never calibrated board, in listing order."""
     return [
         *_ordinary(_BEFORE),
@@ -64,12 +64,12 @@ def ardupilot_table(config: VehicleConfig) -> list[Parameter]:
     ]
 
 
-def further(config: VehicleConfig) -> Iterator[Parameter]:
+def further(config: VehicleConfig) -> Iterator[SimParameter]:
     """Parameters that act on nothing."""
     return (_make(f"XTRA_{number:04}", _F, 0.0) for number in range(config.further_parameters))
 
 
-def hidden_by_group(name: str, value_of: dict[str, Parameter]) -> bool:
+def hidden_by_group(name: str, value_of: dict[str, SimParameter]) -> bool:
     """Whether a parameter is left out of the list because its group is switched off."""
     match = _GROUPS.match(name)
     switch = _SWITCHES.get(match.group(1)) if match else None
@@ -78,18 +78,18 @@ def hidden_by_group(name: str, value_of: dict[str, Parameter]) -> bool:
     return value_of[switch].value == 0
 
 
-def _make(name: str, kind: ParameterType, value: float) -> Parameter:
+def _make(name: str, kind: ParameterType, value: float) -> SimParameter:
     typed: Value = float32(value) if kind is _F else int(value)
-    return Parameter(name, kind, typed, typed)
+    return SimParameter(name, kind, typed, typed)
 
 
-def _ordinary(text: str) -> Iterator[Parameter]:
+def _ordinary(text: str) -> Iterator[SimParameter]:
     for entry in text.replace("\n", "|").split("|"):
         name, kind, value = entry.split()
         yield _make(name, ParameterType(int(kind)), float(value))
 
 
-def _vector(base: str, value: float) -> Iterator[Parameter]:
+def _vector(base: str, value: float) -> Iterator[SimParameter]:
     return (_make(f"{base}_{axis}", _F, value) for axis in AXES)
 
 
@@ -98,7 +98,7 @@ def _digit(instance: int) -> str:
     return "" if instance == 0 else str(instance + 1)
 
 
-def _compass(config: VehicleConfig) -> Iterator[Parameter]:
+def _compass(config: VehicleConfig) -> Iterator[SimParameter]:
     count = config.mag_count
     orientations = config.mag_orientation_parameters or config.mag_orientations
     for k in range(3):
@@ -134,7 +134,7 @@ def _compass(config: VehicleConfig) -> Iterator[Parameter]:
         yield from _vector(f"COMPASS_PMOT{motor}", 0.0)
 
 
-def _ins(config: VehicleConfig) -> Iterator[Parameter]:
+def _ins(config: VehicleConfig) -> Iterator[SimParameter]:
     for k in range(MAX_IMUS):
         present = k < config.imu_count
         yield from _vector(gyro_offset_name(k), 0.0)
@@ -169,7 +169,7 @@ def _ins(config: VehicleConfig) -> Iterator[Parameter]:
         yield from _thermal(f"INS_TCAL{k + 1}")
 
 
-def _thermal(group: str) -> Iterator[Parameter]:
+def _thermal(group: str) -> Iterator[SimParameter]:
     yield _make(f"{group}_ENABLE", _I8, 0)
     yield _make(f"{group}_TMIN", _F, 0)
     yield _make(f"{group}_TMAX", _F, 70)
@@ -178,7 +178,7 @@ def _thermal(group: str) -> Iterator[Parameter]:
             yield from _vector(f"{group}_{sensor}{order}", 0.0)
 
 
-def _ahrs(config: VehicleConfig) -> Iterator[Parameter]:
+def _ahrs(config: VehicleConfig) -> Iterator[SimParameter]:
     yield from _ordinary("AHRS_GPS_GAIN 9 1|AHRS_GPS_USE 2 1|AHRS_YAW_P 9 0.2|AHRS_RP_P 9 0.2|AHRS_WIND_MAX 2 0")
     yield from _vector("AHRS_TRIM", 0.0)
     yield _make("AHRS_ORIENTATION", _I8, config.board_orientation)

@@ -8,8 +8,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.service.simvehicle.parameters import Parameter, ParameterType, Value
-from mavcal.service.simvehicle.vehicle import ANSWER_ROOM, Channel, Vehicle
+from mavcal.service.simvehicle.parameters import ParameterType, SimParameter, Value
+from mavcal.service.simvehicle.vehicle import ANSWER_ROOM, FlightController, MavlinkChannel
 from mavcal.service.simvehicle.wire import Received
 
 NO_INDEX = 65535
@@ -29,10 +29,10 @@ _INTEGER_LIMITS = {
 class ArduPilotParameters:
     """Answers PARAM_REQUEST_LIST, PARAM_REQUEST_READ and PARAM_SET."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: FlightController) -> None:
         self._vehicle = vehicle
-        self._reads: deque[tuple[Channel, str, int]] = deque()
-        self._lists: dict[int, tuple[Channel, int]] = {}
+        self._reads: deque[tuple[MavlinkChannel, str, int]] = deque()
+        self._lists: dict[int, tuple[MavlinkChannel, int]] = {}
         self._unsaved: set[str] = set()
 
     def boot(self) -> None:
@@ -41,7 +41,7 @@ class ArduPilotParameters:
         self._lists.clear()
         self._unsaved.clear()
 
-    def handle(self, channel: Channel, received: Received) -> None:
+    def handle(self, channel: MavlinkChannel, received: Received) -> None:
         """One message of the parameter protocol."""
         message = received.message
         if received.name == "PARAM_REQUEST_LIST":
@@ -51,7 +51,7 @@ class ArduPilotParameters:
         elif received.name == "PARAM_SET":
             self.set(str(message.param_id), float(message.param_value))
 
-    def value_message(self, parameter: Parameter, index: int = NO_INDEX) -> Any:
+    def value_message(self, parameter: SimParameter, index: int = NO_INDEX) -> Any:
         """PARAM_VALUE: whatever the type, the value is cast to float32."""
         count = len(self._vehicle.table.listing())
         return dialect.MAVLink_param_value_message(
@@ -60,7 +60,7 @@ class ArduPilotParameters:
 
     # --- list and read
 
-    def _start_list(self, channel: Channel) -> None:
+    def _start_list(self, channel: MavlinkChannel) -> None:
         vehicle = self._vehicle
         for text in vehicle.banner():
             vehicle.say(text, channel=channel)
@@ -84,7 +84,7 @@ class ArduPilotParameters:
         self._lists[key] = (channel, done)
         self._vehicle.at(LIST_TICK_S, lambda: self._continue_list(key))
 
-    def _queue_read(self, channel: Channel, name: str, index: int) -> None:
+    def _queue_read(self, channel: MavlinkChannel, name: str, index: int) -> None:
         if len(self._reads) >= READ_QUEUE:
             return
         self._reads.append((channel, name, index))
@@ -142,7 +142,7 @@ class ArduPilotParameters:
             self._vehicle.broadcast(self.value_message(self._vehicle.table[name]))
 
 
-def _converted(parameter: Parameter, value: float) -> Value:
+def _converted(parameter: SimParameter, value: float) -> Value:
     if parameter.is_float:
         return value
     low, high = _INTEGER_LIMITS.get(parameter.kind, (0, 4294967295))

@@ -18,7 +18,7 @@ from mavcal.service.simvehicle.magreader import MagReader
 from mavcal.service.simvehicle.parameters import ParameterTable
 from mavcal.service.simvehicle.rotation import Array, mounting_matrix
 from mavcal.service.simvehicle.sensor_faults import SensorFaults
-from mavcal.service.simvehicle.world import State, World
+from mavcal.service.simvehicle.world import MotionState, SimWorld
 
 MGAUSS_PER_UT = 10.0
 COMPASS_PERIOD_S = 0.1  # Copter's battery and compass task
@@ -49,7 +49,7 @@ class ImuReading:
     temperature: Array
 
 
-def compass_reader(world: World) -> MagReader:
+def compass_reader(world: SimWorld) -> MagReader:
     """ArduPilot's compass task; its phase is drawn from the vehicle's seed."""
     phase = float(np.random.default_rng([world.config.seed, 4]).uniform(0.0, COMPASS_PERIOD_S))
     return MagReader(world, COMPASS_PERIOD_S, COMPASS_SUBSAMPLES, phase=phase, late=LOOP_S)
@@ -58,8 +58,8 @@ def compass_reader(world: World) -> MagReader:
 class ArduPilotSensors:
     """Corrected readings of every instance; which chip an instance is was settled at boot."""
 
-    def __init__(self, world: World, table: ParameterTable, faults: SensorFaults) -> None:
-        self._world, self._table, self._faults = world, table, faults
+    def __init__(self, world: SimWorld, table: ParameterTable, faults: SensorFaults) -> None:
+        self.world, self.table, self._faults = world, table, faults
         self.reader = compass_reader(world)
         self.accel_calibrating = False
         self._cache: dict[int, ImuCalibration] = {}
@@ -68,16 +68,16 @@ class ArduPilotSensors:
 
     def detect(self) -> None:
         """Boot: find the chips that are present and not masked, and latch what needs a reboot."""
-        mask = int(self._table.get("INS_ENABLE_MASK", 127))
-        chips = range(len(self._world.truth.accels))
+        mask = int(self.table.get("INS_ENABLE_MASK", 127))
+        chips = range(len(self.world.truth.accels))
         self.chips = [k for k in chips if mask >> k & 1 and not self._faults.absent("accel", k)]
-        self.board = _mounting(self._table.get("AHRS_ORIENTATION"))
-        mags = [k for k in range(len(self._world.truth.mags)) if not self._faults.absent("mag", k)]
+        self.board = _mounting(self.table.get("AHRS_ORIENTATION"))
+        mags = [k for k in range(len(self.world.truth.mags)) if not self._faults.absent("mag", k)]
         by_id = {names.MAG_IDS[k]: k for k in mags}
-        wanted = [int(self._table.get(f"COMPASS_PRIO{k}_ID")) for k in (1, 2, 3)]
+        wanted = [int(self.table.get(f"COMPASS_PRIO{k}_ID")) for k in (1, 2, 3)]
         first = [by_id[i] for i in wanted if i in by_id]
         self.compasses = first + [k for k in mags if k not in first]
-        if not self._table.get("COMPASS_ENABLE", 1.0):
+        if not self.table.get("COMPASS_ENABLE", 1.0):
             self.compasses = []
         self.reader.restart()
 
@@ -87,20 +87,20 @@ class ArduPilotSensors:
         usable = [
             i
             for i in range(len(self.chips))
-            if self._table.get(names.use_name(i), 1.0) and not self._faults.absent("accel", i)
+            if self.table.get(names.use_name(i), 1.0) and not self._faults.absent("accel", i)
         ]
         return usable[0] if usable else 0
 
-    def imu(self, instance: int, state: State, noise_scale: float = 1.0) -> ImuReading:
+    def imu(self, instance: int, state: MotionState, noise_scale: float = 1.0) -> ImuReading:
         """Corrected readings of one instance at the times of a state; zeros where there is no such instance."""
         if instance >= len(self.chips) or self._faults.absent("accel", instance):
             zero = np.zeros((len(state.t), 3))
             return ImuReading(zero, zero, np.zeros(len(state.t)))
         chip = self.chips[instance]
         c = self._calibration(instance)
-        temperature = self._world.temperature_read(chip, state.t)
-        raw_accel = self._world.accel(chip, state, noise_scale)
-        raw_gyro = self._world.gyro(chip, state, noise_scale)
+        temperature = self.world.temperature_read(chip, state.t)
+        raw_accel = self.world.accel(chip, state, noise_scale)
+        raw_gyro = self.world.gyro(chip, state, noise_scale)
         thermal = None if c.accel_thermal is None else c.accel_thermal.correction(temperature, c.accel_caltemp)
         accel = ardupilot_accel(raw_accel, c.accel_offset, c.accel_scale, thermal, self.board)
         if self.accel_calibrating:
@@ -113,21 +113,21 @@ class ArduPilotSensors:
             self._faults.apply("accel", instance, accel), self._faults.apply("gyro", instance, gyro), temperature
         )
 
-    def raw(self, instance: int, state: State) -> tuple[Array, Array]:
+    def raw(self, instance: int, state: MotionState) -> tuple[Array, Array]:
         """Uncorrected accelerometer and gyroscope of an instance, as the onboard calibrations take them."""
         chip = self.chips[instance]
-        return self._world.accel(chip, state), self._world.gyro(chip, state)
+        return self.world.accel(chip, state), self.world.gyro(chip, state)
 
     def _calibration(self, instance: int) -> ImuCalibration:
-        if self._cached_version != self._table.version:
+        if self._cached_version != self.table.version:
             self._cache.clear()
-            self._cached_version = self._table.version
+            self._cached_version = self.table.version
         if instance not in self._cache:
             self._cache[instance] = self._read(instance)
         return self._cache[instance]
 
     def _read(self, instance: int) -> ImuCalibration:
-        t = self._table
+        t = self.table
         return ImuCalibration(
             t.vector(names.accel_offset_name(instance)),
             t.vector(names.accel_scale_name(instance), 1.0),
@@ -139,7 +139,7 @@ class ArduPilotSensors:
         )
 
     def _thermal(self, instance: int, sensor: str) -> ArduPilotThermal | None:
-        group, t = f"INS_TCAL{instance + 1}", self._table
+        group, t = f"INS_TCAL{instance + 1}", self.table
         if t.get(f"{group}_ENABLE") != 1:
             return None
         coefficients = np.stack([t.vector(f"{group}_{sensor}{order}") for order in (1, 2, 3)])
@@ -149,15 +149,15 @@ class ArduPilotSensors:
         """Raw field in the body frame of a priority instance, mGauss, before offsets."""
         chip = self.compasses[instance]
         raw = self.reader.raw(chip, t) * MGAUSS_PER_UT
-        external = self._table.get(names.compass_external_name(chip)) != 0
-        rotation = _mounting(self._table.get(names.compass_name("ORIENT", chip))) if external else self.board
+        external = self.table.get(names.compass_external_name(chip)) != 0
+        rotation = _mounting(self.table.get(names.compass_name("ORIENT", chip))) if external else self.board
         return np.asarray(raw @ rotation.T)
 
     def compass(self, instance: int, t: Array) -> Array:
         """Corrected field of a priority instance at times t, mGauss (N, 3); zeros where there is none."""
         if instance >= len(self.compasses) or self._faults.absent("mag", instance):
             return np.zeros((len(t), 3))
-        slot, table = self.compasses[instance], self._table
+        slot, table = self.compasses[instance], self.table
         corrected = ardupilot_compass(
             self.compass_body(instance, t),
             table.vector(names.compass_name("OFS", slot)),
@@ -169,15 +169,15 @@ class ArduPilotSensors:
         return self._faults.apply("mag", instance, corrected)
 
     def _motor_term(self, slot: int, t: Array) -> Array | None:
-        kind = int(self._table.get("COMPASS_MOTCT"))
+        kind = int(self.table.get("COMPASS_MOTCT"))
         read_at = self.reader.read_at(t)
         if kind == MOTOR_COMPENSATION_THROTTLE:
-            level = self._world.throttle.at(read_at)
+            level = self.world.throttle.at(read_at)
         elif kind == MOTOR_COMPENSATION_CURRENT:
-            level = self._world.current.at(read_at)
+            level = self.world.current.at(read_at)
         else:
             return None
-        return np.asarray(level[:, None] * self._table.vector(names.compass_name("MOT", slot)))
+        return np.asarray(level[:, None] * self.table.vector(names.compass_name("MOT", slot)))
 
 
 def _mounting(orientation: float) -> Array:

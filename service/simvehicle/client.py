@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import os
 import select
@@ -45,6 +44,11 @@ class SimulatedVehicle:
         process: the running process.
 
     Raises StartError if the process does not come up.
+
+    >>> with SimulatedVehicle("px4", seed=3) as vehicle:
+    ...     url, truth = vehicle.url, vehicle.truth()
+    >>> url.startswith("udpin:127.0.0.1:"), len(truth["gyros"][0]["offset"])
+    (True, 3)
     """
 
     def __init__(
@@ -128,6 +132,8 @@ class SimulatedVehicle:
 
     async def acall(self, do: str, **options: Any) -> dict[str, Any]:
         """`call` without blocking an event loop."""
+        import asyncio  # here: the vehicle's own process, which passes this module, does without
+
         return await asyncio.to_thread(self.call, do, **options)
 
     def _read_line(self) -> bytes:

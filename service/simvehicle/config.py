@@ -15,7 +15,7 @@ MAX_IMUS = 3
 MAX_MAGS = 3
 
 
-class Autopilot(StrEnum):
+class SimAutopilot(StrEnum):
     """The firmware that is imitated."""
 
     ARDUPILOT = "ardupilot"
@@ -26,6 +26,7 @@ class Calibration(StrEnum):
     """What the parameters say of the sensors when the vehicle is started for the first time."""
 
     EARLIER = "earlier"  # near the truth, as of a calibration some time ago
+    FRESH = "fresh"  # the truth, as of a calibration just now
     NONE = "none"  # a new board: neutral everywhere
 
 
@@ -33,7 +34,7 @@ class Calibration(StrEnum):
 class VehicleConfig:
     """Everything that is fixed for the life of the process. Units as in the package docstring."""
 
-    autopilot: Autopilot = Autopilot.ARDUPILOT
+    autopilot: SimAutopilot = SimAutopilot.ARDUPILOT
     seed: int = 1
     system_id: int = 1
     imu_count: int = 3
@@ -102,7 +103,7 @@ def _read_json(text: str) -> Mapping[str, Any]:
 def _converted(name: str, value: Any, present: Any) -> Any:
     try:
         if name == "autopilot":
-            return Autopilot(value)
+            return SimAutopilot(value)
         if name == "calibration":
             return Calibration(value)
         if name == "mag_orientation_parameters":

@@ -30,7 +30,7 @@ from typing import Any, Protocol
 from mavcal.service.simvehicle.errors import ControlError
 from mavcal.service.simvehicle.impairment import FaultyLink, Impairment
 from mavcal.service.simvehicle.sensor_faults import SENSORS, SensorFault
-from mavcal.service.simvehicle.vehicle import Vehicle
+from mavcal.service.simvehicle.vehicle import FlightController
 
 DEFAULT_SILENCE_S = 5.0
 DEFAULT_ECHO_DELAY_S = 1.5
@@ -61,7 +61,7 @@ class Site(Protocol):
     """Where faults strike: a vehicle, its links, and room for a twin."""
 
     @property
-    def vehicle(self) -> Vehicle:
+    def vehicle(self) -> FlightController:
         """The vehicle."""
         ...
 

@@ -12,8 +12,8 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from mavcal.service.simvehicle.links import Link
-from mavcal.service.simvehicle.vehicle import Channel
+from mavcal.service.simvehicle.links import SimEndpoint
+from mavcal.service.simvehicle.vehicle import MavlinkChannel
 from mavcal.service.simvehicle.wire import Received
 
 PORT_BUFFER = 512.0  # bytes that wait in the vehicle's port: streams and parameter lists are held back at its brim
@@ -47,7 +47,7 @@ CLEAN = Impairment()
 class FaultyLink:
     """A link seen through its impairments; `channel` is the vehicle's end, `spoilt` counts the frames hit, by kind."""
 
-    def __init__(self, link: Link, seed: int) -> None:
+    def __init__(self, link: SimEndpoint, seed: int) -> None:
         self._link = link
         self._random = random.Random(seed)  # noqa: S311 - reproducible faults, no secrets
         self._held_out: list[tuple[float, int, bytes]] = []
@@ -55,7 +55,7 @@ class FaultyLink:
         self._tickets = itertools.count()
         self.spoilt: Counter[str] = Counter()
         self.incoming, self.outgoing = CLEAN, CLEAN
-        self.channel: Channel | None = None
+        self.channel: MavlinkChannel | None = None
         self.url = link.url
         self._free_out = self._free_in = 0.0  # when the wire has carried what it was given, monotonic
 

@@ -44,7 +44,7 @@ def bound_socket(kind: socket.SocketKind, address: Address) -> socket.socket:
     return sock
 
 
-class Link(ABC):
+class SimEndpoint(ABC):
     """One transport: `url` is what a ground station connects to."""
 
     url: str
@@ -76,7 +76,7 @@ class Link(ABC):
         """Go on from another local address, as a peer behind a new network does."""
 
 
-class UdpOut(Link):
+class UdpOut(SimEndpoint):
     """Sends to a fixed ground station from a port of its own."""
 
     def __init__(self, target: str) -> None:
@@ -111,7 +111,7 @@ class UdpOut(Link):
         self._socket.close()
 
 
-class UdpIn(Link):
+class UdpIn(SimEndpoint):
     """Listens, and answers the ground station that spoke: the first one for ever (PX4), or the latest (ArduPilot)."""
 
     def __init__(self, address: str, *, first_for_ever: bool) -> None:
@@ -146,7 +146,7 @@ class UdpIn(Link):
         self._socket.close()
 
 
-class TcpServer(Link):
+class TcpServer(SimEndpoint):
     """Serves one client at a time: others connect and get nothing until it leaves."""
 
     def __init__(self, address: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mavcal.service.simvehicle.rotation import Array, body_from_ned
-from mavcal.service.simvehicle.world import World
+from mavcal.service.simvehicle.world import SimWorld
 
 KEEP = 64  # readings kept: more than any tick asks for at the highest speed
 
@@ -25,7 +25,9 @@ class MagReader:
         late: by how much a reading comes late at most, s.
     """
 
-    def __init__(self, world: World, period: float, subsamples: int, *, phase: float = 0.0, late: float = 0.0) -> None:
+    def __init__(
+        self, world: SimWorld, period: float, subsamples: int, *, phase: float = 0.0, late: float = 0.0
+    ) -> None:
         self._world, self._period, self._phase, self._late = world, period, phase, late
         self._step = period / subsamples
         self.restart()

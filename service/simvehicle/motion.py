@@ -42,14 +42,14 @@ TREMOR_TONES = 6
 MAX_TILT_FACTOR = 2.0  # a human's error is cut at twice its size
 
 
-class Segment(Protocol):
+class MotionSegment(Protocol):
     """A piece of motion: unit quaternions (N, 4) and body rates (N, 3) at vehicle times (N,)."""
 
     def evaluate(self, t: Array) -> tuple[Array, Array]:
         """Attitude and body rate at times t ≥ the segment's start."""
 
 
-class Still:
+class AtRest:
     """No motion at all."""
 
     def __init__(self, q: Array) -> None:
@@ -95,10 +95,10 @@ def _body_rate(phi: Array, phi_rate: Array) -> Array:
     return np.asarray(phi_rate - a * first + b * np.cross(phi, first))
 
 
-class Transition:
+class AttitudeChange:
     """From one attitude to another about the shortest axis with a minimum-jerk profile, then what follows."""
 
-    def __init__(self, q_from: Array, then: Segment, start: float, duration: float) -> None:
+    def __init__(self, q_from: Array, then: MotionSegment, start: float, duration: float) -> None:
         self._q_from, self._then, self._start, self._duration = q_from, then, start, duration
         q_to = then.evaluate(np.array([start + duration]))[0][0]
         self._vector = vector_from_quaternion(multiply(conjugate(q_from), q_to))
@@ -124,7 +124,7 @@ def _ramped(tau: Array) -> tuple[Array, Array]:
     return elapsed, speed
 
 
-class Turn:
+class TurntableTurn:
     """A turntable: a steady rate about one body axis."""
 
     def __init__(self, q: Array, start: float, axis: Array, rate: float) -> None:
@@ -188,12 +188,12 @@ class Tumble:
         return q, speed[:, None] * rate
 
 
-class Motion:
+class CurrentMotion:
     """What the vehicle is doing now; commands replace the segment from the present vehicle time on."""
 
     def __init__(self, rng: np.random.Generator, yaw_deg: float = 0.0) -> None:
         self._rng = rng
-        self._segment: Segment = Still(quaternion_from_euler(0.0, 0.0, math.radians(yaw_deg)))
+        self._segment: MotionSegment = AtRest(quaternion_from_euler(0.0, 0.0, math.radians(yaw_deg)))
         self.name = "still"
         self._jolts: list[tuple[float, float, Array]] = []
 
@@ -215,7 +215,7 @@ class Motion:
 
     def still(self, t: float) -> None:
         """Stop where the vehicle is, without tremor: it stands on a bench."""
-        self._segment, self.name = Still(self.attitude(t)), "still"
+        self._segment, self.name = AtRest(self.attitude(t)), "still"
 
     def hold(
         self,
@@ -240,10 +240,10 @@ class Motion:
         error = np.clip(self._rng.normal(size=3), -MAX_TILT_FACTOR, MAX_TILT_FACTOR) * math.radians(tilt_deg)
         target = multiply(quaternion_from_euler(*np.radians(euler_deg)), quaternion_from_vector(error))
         reached = t + max(transition_s, 0.0)
-        held: Segment = (
-            Tremor(target, reached, math.radians(tremor_deg), self._rng) if tremor_deg > 0 else Still(target)
+        held: MotionSegment = (
+            Tremor(target, reached, math.radians(tremor_deg), self._rng) if tremor_deg > 0 else AtRest(target)
         )
-        self._segment = Transition(self.attitude(t), held, t, transition_s) if transition_s > 0 else held
+        self._segment = AttitudeChange(self.attitude(t), held, t, transition_s) if transition_s > 0 else held
         self.name = f"hold {pose}"
         return reached
 
@@ -257,7 +257,7 @@ class Motion:
             raise ControlError(f"turn: {turns} turns at {rate_dps} deg/s cannot be made")
         q, rate = self.attitude(t), math.radians(rate_dps)
         whole = None if turns is None else WholeTurns(q, t, vector / length, rate, turns)
-        self._segment = whole or Turn(q, t, vector / length, rate)
+        self._segment = whole or TurntableTurn(q, t, vector / length, rate)
         self.name = "turn"
 
     def tumble(self, t: float, rate_dps: float = 45.0, surge: float = SURGE) -> None:
@@ -274,14 +274,14 @@ class Motion:
 
     def restart(self, elapsed: float) -> None:
         """Vehicle time begins again at zero after `elapsed` seconds: the motion itself goes on undisturbed."""
-        self._segment = Shifted(self._segment, elapsed)
+        self._segment = ClockShifted(self._segment, elapsed)
         self._jolts = [(start - elapsed, duration, peak) for start, duration, peak in self._jolts]
 
 
-class Shifted:
+class ClockShifted:
     """A segment seen by a clock that was set back."""
 
-    def __init__(self, segment: Segment, elapsed: float) -> None:
+    def __init__(self, segment: MotionSegment, elapsed: float) -> None:
         self._segment, self._elapsed = segment, elapsed
 
     def evaluate(self, t: Array) -> tuple[Array, Array]:

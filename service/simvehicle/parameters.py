@@ -34,7 +34,7 @@ Value = float | int
 
 
 @dataclass
-class Parameter:
+class SimParameter:
     """One parameter: its value is a float rounded to float32, or an int."""
 
     name: str
@@ -58,16 +58,16 @@ def float32(value: float) -> float:
 class ParameterTable:
     """All parameters of one vehicle in the order in which they are listed."""
 
-    def __init__(self, parameters: Iterable[Parameter], visible: Callable[[str], bool] = lambda _: True) -> None:
+    def __init__(self, parameters: Iterable[SimParameter], visible: Callable[[str], bool] = lambda _: True) -> None:
         self._by_name = {p.name: p for p in parameters}
         self._visible = visible
         self.saved: dict[str, Value] = {name: p.value for name, p in self._by_name.items()}
         self.version = 0
         self._pinned: dict[str, Value] = {}
-        self._listing: list[Parameter] | None = None
+        self._listing: list[SimParameter] | None = None
         self._index: dict[str, int] = {}
 
-    def replace_all(self, parameters: Iterable[Parameter], *, by_name: bool = False) -> None:
+    def replace_all(self, parameters: Iterable[SimParameter], *, by_name: bool = False) -> None:
         """Hold these parameters instead, in this order or by name; ones that they do not name stay, unlisted."""
         given = {p.name: p for p in parameters}
         for name, parameter in self._by_name.items():
@@ -81,17 +81,17 @@ class ParameterTable:
         self._listing = None
         self.version += 1
 
-    def mapping(self) -> dict[str, Parameter]:
+    def mapping(self) -> dict[str, SimParameter]:
         """The live parameters by name."""
         return self._by_name
 
     def __contains__(self, name: str) -> bool:
         return name in self._by_name
 
-    def __getitem__(self, name: str) -> Parameter:
+    def __getitem__(self, name: str) -> SimParameter:
         return self._by_name[name]
 
-    def __iter__(self) -> Iterator[Parameter]:
+    def __iter__(self) -> Iterator[SimParameter]:
         return iter(self._by_name.values())
 
     def get(self, name: str, default: float = 0.0) -> float:
@@ -105,7 +105,7 @@ class ParameterTable:
         """The values in force of base_X, base_Y, base_Z."""
         return np.array([self.get(f"{base}_{axis}", default) for axis in AXES])
 
-    def store(self, name: str, value: Value) -> Parameter:
+    def store(self, name: str, value: Value) -> SimParameter:
         """Change the value that is read back. The caller has converted it to the parameter's type."""
         parameter = self._by_name[name]
         parameter.value = float32(float(value)) if parameter.is_float else int(value)
@@ -135,7 +135,7 @@ class ParameterTable:
         self._pinned.clear()
         self.version += 1
 
-    def listing(self) -> list[Parameter]:
+    def listing(self) -> list[SimParameter]:
         """The listed parameters in order; hidden ones are left out."""
         if self._listing is None:
             self._listing = [p for p in self._by_name.values() if p.listed and self._visible(p.name)]
@@ -169,19 +169,19 @@ class ParameterTable:
         return crc
 
 
-def int32_bytes(parameter: Parameter) -> bytes:
+def int32_bytes(parameter: SimParameter) -> bytes:
     """The four little-endian bytes of a value in its own type (int32 or float32)."""
     if parameter.is_float:
         return struct.pack("<f", parameter.value)
     return struct.pack("<I", int(parameter.value) & 0xFFFFFFFF)
 
 
-def load_table(path: str) -> list[Parameter]:
+def load_table(path: str) -> list[SimParameter]:
     """Parameters of a `name,value,type` file in its order; type is a MAV_PARAM_TYPE number.
 
     A header line and lines that begin with # are skipped. Raises ConfigurationError naming the broken line.
     """
-    parameters: list[Parameter] = []
+    parameters: list[SimParameter] = []
     try:
         with Path(path).open(newline="", encoding="utf-8") as file:
             for number, row in enumerate(csv.reader(file), start=1):
@@ -195,7 +195,7 @@ def load_table(path: str) -> list[Parameter]:
     return parameters
 
 
-def _parsed_row(path: str, number: int, row: list[str]) -> Parameter:
+def _parsed_row(path: str, number: int, row: list[str]) -> SimParameter:
     try:
         name, text, kind_text = (cell.strip() for cell in row[:3])
         kind = ParameterType(int(kind_text))
@@ -204,4 +204,4 @@ def _parsed_row(path: str, number: int, row: list[str]) -> Parameter:
         raise ConfigurationError(f"{path}, line {number}: needs name,value,type: {error}") from error
     if not 0 < len(name) <= NAME_LENGTH:
         raise ConfigurationError(f"{path}, line {number}: a name has 1 to {NAME_LENGTH} characters, got {name!r}")
-    return Parameter(name, kind, value, value)
+    return SimParameter(name, kind, value, value)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,10 +11,10 @@ from mavcal.service.simvehicle import px4_parameters as names
 from mavcal.service.simvehicle.parameters import Value
 from mavcal.service.simvehicle.px4_memory import SensorMemory
 from mavcal.service.simvehicle.px4_parameters import vector_names
+from mavcal.service.simvehicle.px4_protocol import Px4Parameters
+from mavcal.service.simvehicle.px4_sensors import Px4Sensors
 from mavcal.service.simvehicle.rotation import Array
-
-if TYPE_CHECKING:
-    from mavcal.service.simvehicle.px4 import Px4Vehicle
+from mavcal.service.simvehicle.vehicle import FlightController
 
 GYRO_S = 1.05
 GYRO_SAMPLES = 250
@@ -26,11 +25,11 @@ WAIT_FOR_SIDES_S = 90.0
 G = 9.80665
 
 
-class Px4Calibration:
+class Px4OnboardCalibration:
     """One calibration at a time; everything after the first ACK is text."""
 
-    def __init__(self, vehicle: Px4Vehicle) -> None:
-        self._vehicle = vehicle
+    def __init__(self, vehicle: FlightController, sensors: Px4Sensors, parameters: Px4Parameters) -> None:
+        self._vehicle, self._sensors, self._parameters = vehicle, sensors, parameters
         self.running: str | None = None
         self._until = -math.inf
 
@@ -46,11 +45,11 @@ class Px4Calibration:
     def gyro(self) -> None:
         """Averages 250 samples of every gyroscope, whether or not it turns."""
         self._begin("gyro")
-        vehicle = self._vehicle
+        vehicle, sensors = self._vehicle, self._sensors
         t = vehicle.time + np.arange(1, GYRO_SAMPLES + 1) * (GYRO_S / GYRO_SAMPLES)
         state = vehicle.world.state(t)
-        memories = vehicle.sensors.gyros
-        means = [vehicle.sensors.gyro_before_offset(k, state).mean(axis=0) for k in range(len(memories))]
+        memories = sensors.gyros
+        means = [sensors.gyro_before_offset(k, state).mean(axis=0) for k in range(len(memories))]
         for percent in range(0, 100, 10):
             vehicle.at(0.058 + percent / 10 * STEP_S, self._texter(f"[cal] progress <{percent}>"))
         vehicle.at(GYRO_S, lambda: self._finish(_slots("GYRO", memories, means)))
@@ -58,14 +57,14 @@ class Px4Calibration:
     def level(self) -> None:
         """Half a second of attitude becomes the board offset; the gyroscopes are written on the way."""
         self._begin("level")
-        vehicle = self._vehicle
+        vehicle, sensors = self._vehicle, self._sensors
         state = vehicle.world.state(vehicle.time + np.arange(1, 51) * 0.01)
-        mean = vehicle.sensors.imu(vehicle.sensors.primary, state).accel.mean(axis=0)
+        mean = sensors.imu(sensors.primary, state).accel.mean(axis=0)
         roll = math.degrees(math.atan2(-mean[1], -mean[2]))
         pitch = math.degrees(math.atan2(mean[0], math.hypot(mean[1], mean[2])))
         table = vehicle.table
-        memories = vehicle.sensors.gyros
-        gyro = [vehicle.sensors.gyro_before_offset(k, state).mean(axis=0) for k in range(len(memories))]
+        memories = sensors.gyros
+        gyro = [sensors.gyro_before_offset(k, state).mean(axis=0) for k in range(len(memories))]
         values: dict[str, Value] = {
             "SENS_BOARD_X_OFF": table.get("SENS_BOARD_X_OFF") + roll,
             "SENS_BOARD_Y_OFF": table.get("SENS_BOARD_Y_OFF") + pitch,
@@ -76,13 +75,11 @@ class Px4Calibration:
     def quick_accel(self) -> None:
         """One pose, a few samples: the whole difference from gravity, noise included, becomes the offset."""
         self._begin("accel")
-        vehicle = self._vehicle
+        vehicle, sensors = self._vehicle, self._sensors
         state = vehicle.world.state(vehicle.time + np.arange(1, 4) * 0.004)
-        offsets = [
-            vehicle.world.accel(k, state).mean(axis=0) - state.force[0] for k in range(len(vehicle.sensors.accels))
-        ]
-        values = _slots("ACC", vehicle.sensors.accels, offsets)
-        for memory in vehicle.sensors.accels:
+        offsets = [vehicle.world.accel(k, state).mean(axis=0) - state.force[0] for k in range(len(sensors.accels))]
+        values = _slots("ACC", sensors.accels, offsets)
+        for memory in sensors.accels:
             if memory.slot is not None:
                 values |= dict.fromkeys(vector_names(f"CAL_ACC{memory.slot}", "SCALE"), 1.0)
         vehicle.at(0.01, lambda: self._finish(values))
@@ -117,7 +114,7 @@ class Px4Calibration:
         what = self.running
         if what is None:
             return
-        self._vehicle.parameters.write(values)
+        self._parameters.write(values)
         self._vehicle.at(0.06, self._texter("[cal] progress <100>"))
         self._vehicle.at(DONE_AFTER_S, lambda: self._end(f"[cal] calibration done: {what}"))
 

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.service.simvehicle.px4_calibration import Px4Calibration
-from mavcal.service.simvehicle.vehicle import Channel
+from mavcal.service.simvehicle.px4_calibration import Px4OnboardCalibration
+from mavcal.service.simvehicle.px4_messages import Px4Messages
+from mavcal.service.simvehicle.px4_protocol import Px4Parameters
+from mavcal.service.simvehicle.px4_sensors import Px4Sensors
+from mavcal.service.simvehicle.vehicle import FlightController, MavlinkChannel
 from mavcal.service.simvehicle.wire import Received, command_parameters
-
-if TYPE_CHECKING:
-    from mavcal.service.simvehicle.px4 import Px4Vehicle
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED = 0, 1, 2, 3, 4
 ACCEPT_CODE = 76
 REBOOT_DELAY_S = 0.45
+READY_AFTER_S = 3.9  # after boot HEARTBEAT says UNINIT for so long
 SHUTDOWN_AWAY_S = 1.2  # the simulator build is started again by its script
 NO_ANSWER = (dialect.MAV_CMD_PREFLIGHT_SET_SENSOR_OFFSETS,)
 
@@ -26,10 +27,12 @@ Parameters = list[float]
 class Px4Commands:
     """COMMAND_LONG and COMMAND_INT."""
 
-    def __init__(self, vehicle: Px4Vehicle) -> None:
-        self._vehicle = vehicle
-        self.calibration = Px4Calibration(vehicle)
-        self._handlers: dict[int, Callable[[Channel, Parameters], int | list[int]]] = {
+    def __init__(
+        self, vehicle: FlightController, sensors: Px4Sensors, parameters: Px4Parameters, messages: Px4Messages
+    ) -> None:
+        self._vehicle, self._sensors, self._parameters, self._messages = vehicle, sensors, parameters, messages
+        self.calibration = Px4OnboardCalibration(vehicle, sensors, parameters)
+        self._handlers: dict[int, Callable[[MavlinkChannel, Parameters], int | list[int]]] = {
             dialect.MAV_CMD_PREFLIGHT_CALIBRATION: self._calibrate,
             dialect.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
             dialect.MAV_CMD_GET_MESSAGE_INTERVAL: self._get_interval,
@@ -38,7 +41,7 @@ class Px4Commands:
             dialect.MAV_CMD_COMPONENT_ARM_DISARM: self._arm,
             dialect.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: self._reboot,
             dialect.MAV_CMD_PREFLIGHT_STORAGE: self._storage,
-            dialect.MAV_CMD_RUN_PREARM_CHECKS: lambda _c, _p: REJECTED if self._vehicle.armed else ACCEPTED,
+            dialect.MAV_CMD_RUN_PREARM_CHECKS: self._run_checks,
         }
 
     @property
@@ -46,11 +49,16 @@ class Px4Commands:
         """Whether an onboard calibration runs."""
         return self.calibration.running is not None
 
+    @property
+    def ready(self) -> bool:
+        """Whether preflight checks pass: booted, and every sensor has a slot."""
+        return self._vehicle.time > READY_AFTER_S and self._sensors.calibrated
+
     def boot(self) -> None:
         """Forget what a reboot ends."""
         self.calibration.boot()
 
-    def handle(self, channel: Channel, received: Received) -> None:
+    def handle(self, channel: MavlinkChannel, received: Received) -> None:
         """Execute one command; the answer comes at once, before whatever was started has ended."""
         command = int(received.message.command)
         if command in NO_ANSWER:
@@ -63,35 +71,35 @@ class Px4Commands:
 
     # --- messages
 
-    def _set_interval(self, channel: Channel, p: Parameters) -> int:
+    def _set_interval(self, channel: MavlinkChannel, p: Parameters) -> int:
         if p[2] != 0 or p[3] != 0 or p[6] != 0:
             return FAILED
-        return ACCEPTED if self._vehicle.set_interval(channel, round(p[0]), p[1]) else FAILED
+        return ACCEPTED if self._messages.set_interval(channel, round(p[0]), p[1]) else FAILED
 
-    def _get_interval(self, channel: Channel, p: Parameters) -> int:
-        interval = self._vehicle.interval_us(channel, round(p[0]))
+    def _get_interval(self, channel: MavlinkChannel, p: Parameters) -> int:
+        interval = self._messages.interval_us(channel, round(p[0]))
         self._vehicle.send(channel, dialect.MAVLink_message_interval_message(round(p[0]) & 0xFFFF, interval))
         return ACCEPTED
 
-    def _request_message(self, channel: Channel, p: Parameters) -> int:
+    def _request_message(self, channel: MavlinkChannel, p: Parameters) -> int:
         if round(p[0]) == dialect.MAVLINK_MSG_ID_MESSAGE_INTERVAL:
             return self._get_interval(channel, p[1:])
-        message = self._vehicle.one(round(p[0]))
+        message = self._messages.one(round(p[0]))
         if message is None:
             return DENIED
         self._vehicle.send(channel, message)
         return ACCEPTED
 
-    def _capabilities(self, channel: Channel, _p: Parameters) -> int:
-        self._vehicle.send(channel, self._vehicle.version())
+    def _capabilities(self, channel: MavlinkChannel, _p: Parameters) -> int:
+        self._vehicle.send(channel, self._messages.version())
         return ACCEPTED
 
     # --- arming and restarting
 
-    def _arm(self, _channel: Channel, p: Parameters) -> int:
+    def _arm(self, _channel: MavlinkChannel, p: Parameters) -> int:
         vehicle = self._vehicle
         wanted = p[0] == 1
-        if wanted and (not vehicle.ready or self.calibrating):
+        if wanted and (not self.ready or self.calibrating):
             vehicle.say("Arming denied: Resolve system health failures first\t", dialect.MAV_SEVERITY_CRITICAL)
             return REJECTED
         if wanted != vehicle.armed:
@@ -99,7 +107,21 @@ class Px4Commands:
             vehicle.say(f"{'Armed' if wanted else 'Disarmed'} by external command\t")
         return ACCEPTED
 
-    def _reboot(self, _channel: Channel, p: Parameters) -> int:
+    def arming_faults(self) -> list[str]:
+        """What HealthAndArmingChecks report; empty where arming is allowed."""
+        said = [f"Preflight Fail: {what} uncalibrated" for what in self._sensors.uncalibrated()]
+        if self.calibrating:
+            said.append("Preflight Fail: Calibration in progress")
+        return said or ([] if self.ready else ["Preflight Fail: system is not ready yet"])
+
+    def _run_checks(self, _channel: MavlinkChannel, _p: Parameters) -> int:
+        if self._vehicle.armed:
+            return REJECTED
+        for text in self.arming_faults():
+            self._vehicle.say(f"{text}\t", dialect.MAV_SEVERITY_CRITICAL)
+        return ACCEPTED
+
+    def _reboot(self, _channel: MavlinkChannel, p: Parameters) -> int:
         vehicle = self._vehicle
         if vehicle.armed or p[0] not in (1, 2):
             return DENIED
@@ -111,23 +133,23 @@ class Px4Commands:
         vehicle.at(REBOOT_DELAY_S, lambda: vehicle.reboot(flush=False))
         return ACCEPTED
 
-    def _storage(self, _channel: Channel, p: Parameters) -> int:
+    def _storage(self, _channel: MavlinkChannel, p: Parameters) -> int:
         vehicle = self._vehicle
         if vehicle.armed or self.calibrating:
             return REJECTED
         if p[0] == 0:
-            vehicle.parameters.load()
+            self._parameters.load()
         elif p[0] == 1:
-            vehicle.parameters.save()
+            self._parameters.save()
         elif p[0] in (2, 4):
-            vehicle.parameters.write({parameter.name: parameter.default for parameter in vehicle.table})
+            self._parameters.write({parameter.name: parameter.default for parameter in vehicle.table})
         else:
             return DENIED
         return ACCEPTED
 
     # --- calibration
 
-    def _calibrate(self, _channel: Channel, p: Parameters) -> int | list[int]:
+    def _calibrate(self, _channel: MavlinkChannel, p: Parameters) -> int | list[int]:
         vehicle = self._vehicle
         if vehicle.armed:
             return REJECTED

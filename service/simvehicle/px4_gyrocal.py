@@ -6,17 +6,17 @@ the last parameter change, if the offset would move by more than 0.01 rad/s.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 
 from mavcal.service.simvehicle.parameters import Value
 from mavcal.service.simvehicle.px4_memory import GYRO_OFFSET_THRESHOLD
 from mavcal.service.simvehicle.px4_parameters import vector_names
+from mavcal.service.simvehicle.px4_protocol import Px4Parameters
+from mavcal.service.simvehicle.px4_sensors import Px4Sensors
 from mavcal.service.simvehicle.rotation import Array
-
-if TYPE_CHECKING:
-    from mavcal.service.simvehicle.px4 import Px4Vehicle
+from mavcal.service.simvehicle.vehicle import FlightController
 
 SAMPLE_S = 0.02
 WINDOW_S = 5.0
@@ -28,8 +28,10 @@ TEMPERATURE_CHANGE = 1.0  # °C
 class GyroWriter:
     """Collects raw gyroscope samples while nothing seems to move; writes their mean after five seconds."""
 
-    def __init__(self, vehicle: Px4Vehicle) -> None:
-        self._vehicle = vehicle
+    def __init__(
+        self, vehicle: FlightController, sensors: Px4Sensors, parameters: Px4Parameters, busy: Callable[[], bool]
+    ) -> None:
+        self._vehicle, self._sensors, self._parameters, self._busy = vehicle, sensors, parameters, busy
         self.boot()
 
     def boot(self) -> None:
@@ -42,7 +44,7 @@ class GyroWriter:
         self._began = sample
         self._reference: Array | None = None
         self._temperature: float | None = None
-        self._sums = [np.zeros(3) for _ in self._vehicle.sensors.gyros]
+        self._sums = [np.zeros(3) for _ in self._sensors.gyros]
 
     def advance(self, until: float) -> None:
         """Take the samples up to a time."""
@@ -50,9 +52,8 @@ class GyroWriter:
         if not self._enabled or last < first:
             return
         self._done = last
-        vehicle = self._vehicle
-        changed = int(np.ceil(vehicle.parameters.last_change / SAMPLE_S))
-        if vehicle.armed or vehicle.commands.calibrating or changed > last:
+        changed = int(np.ceil(self._parameters.last_change / SAMPLE_S))
+        if self._vehicle.armed or self._busy() or changed > last:
             self._reset(last)
             return
         if changed > self._began:
@@ -62,12 +63,12 @@ class GyroWriter:
     def _collect(self, first: int, last: int) -> None:
         if last < first:
             return
-        vehicle = self._vehicle
+        world, sensors = self._sensors.world, self._sensors
         samples = list(range(first, last + 1))
-        state = vehicle.world.state(np.array(samples) * SAMPLE_S)
-        accel = vehicle.world.accel(0, state)
-        temperature = vehicle.world.temperature_read(0, state.t)
-        gyros = [vehicle.sensors.gyro_before_offset(k, state) for k in range(len(vehicle.sensors.gyros))]
+        state = world.state(np.array(samples) * SAMPLE_S)
+        accel = world.accel(0, state)
+        temperature = world.temperature_read(0, state.t)
+        gyros = [sensors.gyro_before_offset(k, state) for k in range(len(sensors.gyros))]
         begin = self._last_motion(samples, accel, temperature)
         for k, values in enumerate(gyros):
             self._sums[k] = self._sums[k] + values[begin:].sum(axis=0)
@@ -91,11 +92,11 @@ class GyroWriter:
         """Store every mean that is far enough from what is in memory."""
         count = sample - self._began
         values: dict[str, Value] = {}
-        for memory, total in zip(self._vehicle.sensors.gyros, self._sums, strict=True):
+        for memory, total in zip(self._sensors.gyros, self._sums, strict=True):
             mean = total / count
             if memory.slot is not None and np.linalg.norm(mean - memory.offset) > GYRO_OFFSET_THRESHOLD:
                 base = f"CAL_GYRO{memory.slot}"
                 values |= {n: float(v) for n, v in zip(vector_names(base, "OFF"), mean, strict=True)}
         if values:
-            self._vehicle.parameters.write(values)
+            self._parameters.write(values)
         self._reset(sample)

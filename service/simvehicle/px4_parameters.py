@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 
 from mavcal.service.simvehicle.config import VehicleConfig
-from mavcal.service.simvehicle.parameters import Parameter, ParameterTable, ParameterType, float32
+from mavcal.service.simvehicle.parameters import ParameterTable, ParameterType, SimParameter, float32
 
 ACCEL_IDS = GYRO_IDS = (1310988, 1310996, 1311004)
 MAG_IDS = (197388, 197644, 197900)
@@ -54,7 +54,7 @@ SYS_FAILURE_EN i 0|SYS_HAS_BARO i 1|SYS_HAS_GPS i 1|SYS_HAS_MAG i 1|SYS_HITL i 0
 THR_MDL_FAC f 0|WV_EN i 0|WV_GAIN f 1|WV_ROLL_MIN f 1|WV_YRATE_MAX f 90"""
 
 
-def px4_table(config: VehicleConfig) -> list[Parameter]:
+def px4_table(config: VehicleConfig) -> list[SimParameter]:
     """Every parameter of a board whose sensors have slots but no calibration, sorted by name."""
     entries = [*_ordinary(config), *_inertial(config), *_magnetic(config), *_thermal(), *_baro(), *_further(config)]
     for parameter in entries:
@@ -62,10 +62,10 @@ def px4_table(config: VehicleConfig) -> list[Parameter]:
     return sorted(entries, key=lambda p: p.name)
 
 
-def _further(config: VehicleConfig) -> Iterator[Parameter]:
+def _further(config: VehicleConfig) -> Iterator[SimParameter]:
     """Parameters that act on nothing."""
     for number in range(config.further_parameters):
-        yield Parameter(f"XTRA_{number:04}", ParameterType.REAL32, 0.0, 0.0)
+        yield SimParameter(f"XTRA_{number:04}", ParameterType.REAL32, 0.0, 0.0)
 
 
 def _listed_from_the_start(name: str, *, thermal_runs: bool) -> bool:
@@ -76,15 +76,15 @@ def _listed_from_the_start(name: str, *, thermal_runs: bool) -> bool:
     return match is None or match.group(2) == "ID" or (name.startswith("CAL_MAG") and match.group(2) == "ROT")
 
 
-def _float(name: str, value: float) -> Parameter:
-    return Parameter(name, ParameterType.REAL32, float32(value), float32(value))
+def _float(name: str, value: float) -> SimParameter:
+    return SimParameter(name, ParameterType.REAL32, float32(value), float32(value))
 
 
-def _int(name: str, value: int) -> Parameter:
-    return Parameter(name, ParameterType.INT32, value, value)
+def _int(name: str, value: int) -> SimParameter:
+    return SimParameter(name, ParameterType.INT32, value, value)
 
 
-def _ordinary(config: VehicleConfig) -> Iterator[Parameter]:
+def _ordinary(config: VehicleConfig) -> Iterator[SimParameter]:
     for entry in _ORDINARY.replace("\n", "|").split("|"):
         name, kind, value = entry.split()
         if name == "SENS_BOARD_ROT":
@@ -92,7 +92,7 @@ def _ordinary(config: VehicleConfig) -> Iterator[Parameter]:
         yield _float(name, float(value)) if kind == "f" else _int(name, int(value))
 
 
-def _inertial(config: VehicleConfig) -> Iterator[Parameter]:
+def _inertial(config: VehicleConfig) -> Iterator[SimParameter]:
     for k in range(SLOTS):
         for sensor, ids in (("ACC", ACCEL_IDS), ("GYRO", GYRO_IDS)):
             slot = f"CAL_{sensor}{k}"
@@ -106,7 +106,7 @@ def _inertial(config: VehicleConfig) -> Iterator[Parameter]:
                     yield _float(f"{slot}_{axis}SCALE", 1.0)
 
 
-def _magnetic(config: VehicleConfig) -> Iterator[Parameter]:
+def _magnetic(config: VehicleConfig) -> Iterator[SimParameter]:
     orientations = config.mag_orientation_parameters or config.mag_orientations
     for k in range(SLOTS):
         slot = f"CAL_MAG{k}"
@@ -123,7 +123,7 @@ def _magnetic(config: VehicleConfig) -> Iterator[Parameter]:
     yield _int("CAL_MAG_SIDES", 63)
 
 
-def _thermal() -> Iterator[Parameter]:
+def _thermal() -> Iterator[SimParameter]:
     for sensor, switch in _THERMAL_SWITCH.items():
         yield _int(switch, 0)
         if sensor == "B":
@@ -138,7 +138,7 @@ def _thermal() -> Iterator[Parameter]:
                     yield _float(f"{group}_X{order}_{axis}", 0.0)
 
 
-def _baro() -> Iterator[Parameter]:
+def _baro() -> Iterator[SimParameter]:
     for k in range(SLOTS):
         yield _int(f"CAL_BARO{k}_ID", 0)
         yield _float(f"CAL_BARO{k}_OFF", 0.0)

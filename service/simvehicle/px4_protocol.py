@@ -9,9 +9,9 @@ from collections.abc import Callable
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.service.simvehicle.parameters import Parameter, ParameterTable, ParameterType, Value, int32_bytes
+from mavcal.service.simvehicle.parameters import ParameterTable, ParameterType, SimParameter, Value, int32_bytes
 from mavcal.service.simvehicle.px4_parameters import PRIORITIES, UNINITIALISED, is_volatile
-from mavcal.service.simvehicle.vehicle import ANSWER_ROOM, Channel, Vehicle
+from mavcal.service.simvehicle.vehicle import ANSWER_ROOM, FlightController, MavlinkChannel
 from mavcal.service.simvehicle.wire import Received
 
 NO_INDEX = 65535
@@ -25,11 +25,11 @@ REPEAT_SOON_S, REPEAT_LATE_S, REPEAT_SOON_CHANCE = (0.006, 0.025), (0.025, 0.4),
 class Px4Parameters:
     """Answers the parameter protocol; keeps what is not yet saved."""
 
-    def __init__(self, vehicle: Vehicle, updated: Callable[[], None]) -> None:
+    def __init__(self, vehicle: FlightController, updated: Callable[[], None]) -> None:
         self._vehicle, self._updated = vehicle, updated
         self._random = random.Random(vehicle.config.seed)  # noqa: S311 - reproducible, no secret
         self._unsaved: set[str] = set()
-        self._lists: dict[int, tuple[Channel, int]] = {}
+        self._lists: dict[int, tuple[MavlinkChannel, int]] = {}
         self._last_save = -math.inf
         self._save_due = self._repeat_due = False
         self.frozen = False
@@ -47,7 +47,7 @@ class Px4Parameters:
         self._save_due = self._repeat_due = self.frozen = False
         self.last_change = 0.0
 
-    def handle(self, channel: Channel, received: Received) -> None:
+    def handle(self, channel: MavlinkChannel, received: Received) -> None:
         """One message of the parameter protocol; answered even by a frozen vehicle."""
         message = received.message
         if received.name == "PARAM_REQUEST_LIST":
@@ -59,10 +59,10 @@ class Px4Parameters:
 
     # --- messages
 
-    def _send(self, channel: Channel, parameter: Parameter) -> None:
+    def _send(self, channel: MavlinkChannel, parameter: SimParameter) -> None:
         self._send_raw(channel, parameter.name, int32_bytes(parameter), int(parameter.kind))
 
-    def _send_raw(self, channel: Channel, name: str, value: bytes, kind: int) -> None:
+    def _send_raw(self, channel: MavlinkChannel, name: str, value: bytes, kind: int) -> None:
         vehicle = self._vehicle
         if not vehicle.alive or vehicle.mute:
             return
@@ -71,13 +71,13 @@ class Px4Parameters:
         tail = struct.pack("<HH16sB", count, NO_INDEX if index is None else index, name.encode(), kind)
         channel.transmit(channel.packer.pack_payload(dialect.MAVLink_param_value_message, value + tail))
 
-    def _send_hash(self, channel: Channel) -> None:
+    def _send_hash(self, channel: MavlinkChannel) -> None:
         crc = self._table.hash(is_volatile)
         self._send_raw(channel, HASH_NAME, struct.pack("<I", crc), ParameterType.UINT32)
 
     # --- list and read
 
-    def _start_list(self, channel: Channel) -> None:
+    def _start_list(self, channel: MavlinkChannel) -> None:
         key = id(channel)
         running = key in self._lists
         # −1: the hash goes first; a list asked for during a list begins again without it.
@@ -103,7 +103,7 @@ class Px4Parameters:
         self._lists[key] = (channel, done)
         self._vehicle.at(LIST_TICK_S, lambda: self._continue_list(key))
 
-    def _read(self, channel: Channel, name: str, index: int) -> None:
+    def _read(self, channel: MavlinkChannel, name: str, index: int) -> None:
         listing = self._table.listing()
         if index >= 0:
             if index < len(listing):
@@ -115,7 +115,7 @@ class Px4Parameters:
 
     # --- set
 
-    def _set(self, channel: Channel, name: str, raw: bytes, kind: int) -> None:
+    def _set(self, channel: MavlinkChannel, name: str, raw: bytes, kind: int) -> None:
         shown = struct.unpack("<i" if kind == ParameterType.INT32 else "<f", raw)[0]
         self._vehicle.note_set(name, float(shown))
         if name not in self._table or kind != self._table[name].kind or not self._vehicle.alive:

@@ -15,7 +15,7 @@ from mavcal.service.simvehicle.parameters import ParameterTable
 from mavcal.service.simvehicle.px4_memory import SensorMemory
 from mavcal.service.simvehicle.rotation import Array, matrices_from_quaternions, mounting_matrix, quaternion_from_euler
 from mavcal.service.simvehicle.sensor_faults import SensorFaults
-from mavcal.service.simvehicle.world import State, World
+from mavcal.service.simvehicle.world import MotionState, SimWorld
 
 GAUSS_PER_UT = 0.01
 MAG_PERIOD_S = 0.02  # raw magnetometers are new 50 times a second
@@ -49,18 +49,18 @@ class ThermalSet:
 class Px4Sensors:
     """Corrected readings by uORB instance."""
 
-    def __init__(self, world: World, table: ParameterTable, faults: SensorFaults) -> None:
-        self._world, self._table, self._faults = world, table, faults
+    def __init__(self, world: SimWorld, table: ParameterTable, faults: SensorFaults) -> None:
+        self.world, self._table, self._faults = world, table, faults
         self.reader = MagReader(world, MAG_PERIOD_S, 1)
         self.boot()
 
     def boot(self) -> None:
         """Empty memory, first load, and what only a restart changes."""
-        count = len(self._world.truth.accels)
+        count = len(self.world.truth.accels)
         self.accels = [SensorMemory("ACC", names.ACCEL_IDS[k]) for k in range(count)]
         self.gyros = [SensorMemory("GYRO", names.GYRO_IDS[k]) for k in range(count)]
-        self.mags = [SensorMemory("MAG", names.MAG_IDS[k]) for k in range(len(self._world.truth.mags))]
-        runs = not self._world.config.sitl
+        self.mags = [SensorMemory("MAG", names.MAG_IDS[k]) for k in range(len(self.world.truth.mags))]
+        runs = not self.world.config.sitl
         self.thermal_on = {s: runs and self._table.get(f"TC_{s}_ENABLE") != 0 for s in ("A", "G")}
         self._board = _mounting(int(self._table.get("SENS_BOARD_ROT")))
         self._thermal: dict[tuple[str, int], ThermalSet | None] = {}
@@ -91,6 +91,16 @@ class Px4Sensors:
         coefficients = np.array([[t.get(f"{g}_X{order}_{axis}") for axis in range(3)] for order in range(4)])
         return ThermalSet(coefficients, t.get(f"{g}_TREF", 25.0), t.get(f"{g}_TMIN"), t.get(f"{g}_TMAX", 100.0))
 
+    @property
+    def calibrated(self) -> bool:
+        """Whether every sensor has a slot."""
+        return not self.uncalibrated()
+
+    def uncalibrated(self) -> list[str]:
+        """The sensors without a slot, as the firmware names them."""
+        groups = (("Accel", self.accels), ("Gyro", self.gyros), ("Mag", self.mags))
+        return [f"{name} {k}" for name, group in groups for k, memory in enumerate(group) if memory.slot is None]
+
     def present(self, instance: int) -> bool:
         """Whether vehicle_imu of this instance is published: both halves exist and neither is disabled."""
         if instance >= len(self.accels) or self._faults.absent("accel", instance):
@@ -103,12 +113,12 @@ class Px4Sensors:
         present = [k for k in range(len(self.accels)) if self.present(k)]
         return max(present, key=lambda k: (self.accels[k].priority, -k)) if present else 0
 
-    def imu(self, instance: int, state: State, noise_scale: float = 1.0) -> Px4Reading:
+    def imu(self, instance: int, state: MotionState, noise_scale: float = 1.0) -> Px4Reading:
         """Corrected readings of one instance at the times of a state."""
-        temperature = self._world.temperature_read(instance, state.t)
+        temperature = self.world.temperature_read(instance, state.t)
         a, g = self.accels[instance], self.gyros[instance]
-        raw_accel = self._world.accel(instance, state, noise_scale)
-        raw_gyro = self._world.gyro(instance, state, noise_scale)
+        raw_accel = self.world.accel(instance, state, noise_scale)
+        raw_gyro = self.world.gyro(instance, state, noise_scale)
         accel = px4_accel(raw_accel, a.offset, a.scale, self._tc("A", instance, temperature), self.body_from_sensor)
         gyro = px4_gyro(raw_gyro, g.offset, self._tc("G", instance, temperature), self.body_from_sensor)
         if self._faults.stuck("accel", instance):
@@ -121,10 +131,10 @@ class Px4Sensors:
         thermal = self._thermal.get((sensor, instance))
         return None if thermal is None else thermal.at(temperature)
 
-    def gyro_before_offset(self, instance: int, state: State) -> Array:
+    def gyro_before_offset(self, instance: int, state: MotionState) -> Array:
         """Raw gyroscope minus its thermal term: what the onboard calibrations average."""
-        raw = self._world.gyro(instance, state)
-        thermal = self._tc("G", instance, self._world.temperature_read(instance, state.t))
+        raw = self.world.gyro(instance, state)
+        thermal = self._tc("G", instance, self.world.temperature_read(instance, state.t))
         return raw if thermal is None else raw - thermal
 
     def raw_mag(self, instance: int, t: Array) -> Array:
@@ -153,9 +163,9 @@ class Px4Sensors:
     def _power(self, t: Array, *, armed: bool) -> Array:
         kind = int(self._table.get("CAL_MAG_COMP_TYP"))
         if kind == COMPENSATION_THRUST and armed:
-            return self._world.throttle.at(t)
+            return self.world.throttle.at(t)
         if kind in COMPENSATION_CURRENT:
-            return np.asarray(self._world.current.at(t) / 1000.0)
+            return np.asarray(self.world.current.at(t) / 1000.0)
         return np.zeros(len(t))
 
 

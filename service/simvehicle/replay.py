@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mavcal.service.simvehicle.errors import ConfigurationError
-from mavcal.service.simvehicle.vehicle import Channel, Vehicle
+from mavcal.service.simvehicle.vehicle import FlightController, MavlinkChannel
 from mavcal.service.simvehicle.wire import (
     MAGIC_V1,
     MAGIC_V2,
@@ -26,7 +26,7 @@ TIMESTAMP_LENGTH = 8
 
 
 @dataclass(frozen=True)
-class Frame:
+class ReplayedFrame:
     """One frame of a recording: seconds since its first frame, message id, sending system, bytes."""
 
     t: float
@@ -43,7 +43,7 @@ class Heard:
     received: Received
 
 
-def read_frames(path: Path) -> Iterator[Frame]:
+def read_frames(path: Path) -> Iterator[ReplayedFrame]:
     """Every frame of a recording. Raises ConfigurationError where something else than a frame stands."""
     data = path.read_bytes()
     position, start = 0, None
@@ -58,19 +58,19 @@ def read_frames(path: Path) -> Iterator[Frame]:
         length += SIGNATURE_LENGTH if magic == MAGIC_V2 and data[position + 2] & 1 else 0
         frame = data[position : position + length]
         system = frame[5] if magic == MAGIC_V2 else frame[3]
-        yield Frame((micros - start) * 1e-6, message_id_of(frame), system, frame)
+        yield ReplayedFrame((micros - start) * 1e-6, message_id_of(frame), system, frame)
         position += length
 
 
-def heard(frames: list[Frame], system: int, message_ids: Container[int]) -> list[Heard]:
+def heard(frames: list[ReplayedFrame], system: int, message_ids: Container[int]) -> list[Heard]:
     """The decoded messages of one system, of these ids only; frames that are not in the dialect are left out."""
     chosen = [f for f in frames if f.system == system and f.message_id in message_ids]
     return [Heard(f.t, received) for f in chosen if (received := decode_frame(f.data)) is not None]
 
 
 def replay(
-    vehicle: Vehicle,
-    frames: list[Frame],
+    vehicle: FlightController,
+    frames: list[ReplayedFrame],
     station: int,
     boot_offset: float,
     step: float = 0.005,
@@ -88,7 +88,7 @@ def replay(
     """
     said: list[tuple[float, bytes]] = []
     clock = _Clock(vehicle, boot_offset)
-    vehicle.channels.append(Channel(Packer(vehicle.config.system_id), lambda f: said.append((clock.now, f))))
+    vehicle.channels.append(MavlinkChannel(Packer(vehicle.config.system_id), lambda f: said.append((clock.now, f))))
     vehicle.start()
     clock.run_to(0.0, step)
     said.clear()
@@ -106,7 +106,7 @@ def replay(
 class _Clock:
     """Recording time that goes on through reboots of the vehicle."""
 
-    def __init__(self, vehicle: Vehicle, boot_offset: float) -> None:
+    def __init__(self, vehicle: FlightController, boot_offset: float) -> None:
         self._vehicle = vehicle
         self.now = -boot_offset
 

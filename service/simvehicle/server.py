@@ -11,15 +11,15 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 
-from mavcal.service.simvehicle.config import Autopilot, Calibration, VehicleConfig
+from mavcal.service.simvehicle.config import Calibration, SimAutopilot, VehicleConfig
 from mavcal.service.simvehicle.control import ControlServer
 from mavcal.service.simvehicle.earlier import earlier_calibration
 from mavcal.service.simvehicle.errors import ControlError
 from mavcal.service.simvehicle.faults import Injector
 from mavcal.service.simvehicle.impairment import FaultyLink
-from mavcal.service.simvehicle.links import Link
+from mavcal.service.simvehicle.links import SimEndpoint
 from mavcal.service.simvehicle.scripts import SCRIPTS
-from mavcal.service.simvehicle.vehicle import Channel, Vehicle
+from mavcal.service.simvehicle.vehicle import FlightController, MavlinkChannel
 from mavcal.service.simvehicle.verbs import Verbs
 from mavcal.service.simvehicle.wire import Packer, Received
 
@@ -32,17 +32,17 @@ TWIN_SEED = 1000  # how far a twin's seed is from its vehicle's
 Ready = set[socket.socket | int]
 
 
-def make_vehicle(config: VehicleConfig) -> Vehicle:
+def make_vehicle(config: VehicleConfig) -> FlightController:
     """A vehicle of the configured personality, not yet booted."""
     vehicle = _personality(config)
-    if config.calibration is Calibration.EARLIER:
+    if config.calibration is not Calibration.NONE:
         vehicle.preset_parameters(earlier_calibration(config, vehicle.world.truth))
     return vehicle
 
 
-def _personality(config: VehicleConfig) -> Vehicle:
+def _personality(config: VehicleConfig) -> FlightController:
     # Imported here: each personality only pays for itself.
-    if config.autopilot is Autopilot.ARDUPILOT:
+    if config.autopilot is SimAutopilot.ARDUPILOT:
         from mavcal.service.simvehicle.ardupilot import ArduPilotVehicle
 
         return ArduPilotVehicle(config)
@@ -51,10 +51,10 @@ def _personality(config: VehicleConfig) -> Vehicle:
     return Px4Vehicle(config)
 
 
-class Server:
+class SimServer:
     """One vehicle with its links and its control channel."""
 
-    def __init__(self, vehicle: Vehicle, links: list[Link], control_port: int, speed: float) -> None:
+    def __init__(self, vehicle: FlightController, links: list[SimEndpoint], control_port: int, speed: float) -> None:
         self.vehicle = vehicle
         self.speed = 1.0
         self.set_speed(speed)
@@ -63,16 +63,16 @@ class Server:
         self._stdin: int | None = None
         self._script: Iterator[float] | None = None
         self._script_due = -math.inf
-        self._twins: list[tuple[Vehicle, list[Channel]]] = []
+        self._twins: list[tuple[FlightController, list[MavlinkChannel]]] = []
         self.injector = Injector(self)
         self.links = [self._joined(link) for link in links]
         vehicle.on_set = self.injector.saw_set
         vehicle.on_reboot = self._rebooted
         self.control = ControlServer(control_port, Verbs(self))
 
-    def _joined(self, link: Link) -> FaultyLink:
+    def _joined(self, link: SimEndpoint) -> FaultyLink:
         faulty = FaultyLink(link, self.vehicle.config.seed)
-        channel = Channel(Packer(self.vehicle.config.system_id), faulty.send, faulty.room)
+        channel = MavlinkChannel(Packer(self.vehicle.config.system_id), faulty.send, faulty.room)
         self.vehicle.channels.append(channel)
         faulty.channel = channel
         return faulty
@@ -81,7 +81,7 @@ class Server:
         """A second vehicle of the same system id speaks on every link."""
         config = self.vehicle.config
         twin = make_vehicle(replace(config, seed=config.seed + TWIN_SEED))
-        twin.channels = [Channel(Packer(config.system_id), link.send) for link in self.links]
+        twin.channels = [MavlinkChannel(Packer(config.system_id), link.send) for link in self.links]
         twin.start()
         self._twins.append((twin, twin.channels))
 

@@ -15,7 +15,7 @@ PX4_LEAD_S = 0.0009  # 0.3 of PX4's main-loop delay of 3 ms: how much too early 
 
 
 @dataclass
-class Stream(abc.ABC):
+class PeriodicMessage(abc.ABC):
     """One periodic message of one link.
 
     Attributes:
@@ -34,7 +34,7 @@ class Stream(abc.ABC):
         """The times up to and including `until` at which the message is sent; each is returned once."""
 
 
-class ArduPilotStream(Stream):
+class ArduPilotStream(PeriodicMessage):
     """Interval in whole milliseconds; sent by the first main loop after it has passed, without drift."""
 
     def due(self, until: float) -> list[float]:
@@ -48,7 +48,7 @@ class ArduPilotStream(Stream):
             self.anchor += self.interval
 
 
-class Px4Stream(Stream):
+class Px4Stream(PeriodicMessage):
     """MavlinkStream::update: polled every 4 ms; keeps its phase only while less than 1.5 intervals late."""
 
     def due(self, until: float) -> list[float]:

@@ -19,8 +19,8 @@ from mavcal.service.simvehicle.rotation import (
     quaternion_from_euler,
     shortest_rotation,
 )
-from mavcal.service.simvehicle.vehicle import Vehicle
-from mavcal.service.simvehicle.world import State
+from mavcal.service.simvehicle.vehicle import FlightController
+from mavcal.service.simvehicle.world import MotionState, SimWorld
 
 Builder = Callable[["Block", int], Any]
 
@@ -38,7 +38,7 @@ class Block:
     """The instants of one tick: true state, estimated attitude, motors."""
 
     t: list[float]
-    state: State
+    state: MotionState
     q_estimated: Array
     euler: list[list[float]]
     rate: list[list[float]]
@@ -46,7 +46,9 @@ class Block:
     current: list[float]
 
 
-def make_block(vehicle: Vehicle, state: State, corrected_force: Array, corrected_rate: Array, trim: Array) -> Block:
+def make_block(
+    world: SimWorld, state: MotionState, corrected_force: Array, corrected_rate: Array, trim: Array
+) -> Block:
     """What the estimator makes of corrected readings: heading is the true one, tilt follows the accelerometer."""
     q = estimated_attitude(state, corrected_force, trim)
     return Block(
@@ -55,12 +57,12 @@ def make_block(vehicle: Vehicle, state: State, corrected_force: Array, corrected
         q,
         euler_from_quaternions(q).tolist(),
         as_float32(corrected_rate).tolist(),
-        vehicle.world.throttle.at(state.t).tolist(),
-        vehicle.world.current.at(state.t).tolist(),
+        world.throttle.at(state.t).tolist(),
+        world.current.at(state.t).tolist(),
     )
 
 
-def estimated_attitude(state: State, corrected_force: Array, trim: Array) -> Array:
+def estimated_attitude(state: MotionState, corrected_force: Array, trim: Array) -> Array:
     """Attitude (N, 4) whose down direction is where the corrected accelerometer says it is, minus the level trim."""
     usable = np.isfinite(corrected_force).all(axis=1) & (np.linalg.norm(corrected_force, axis=1) > 1.0)
     seen = np.where(usable[:, None], corrected_force, state.force)
@@ -87,7 +89,7 @@ def microseconds(seconds: float) -> int:
 class Telemetry:
     """Builders of the common messages, by message id."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: FlightController) -> None:
         self._vehicle = vehicle
         self.builders: dict[int, Builder] = {
             dialect.MAVLINK_MSG_ID_SYSTEM_TIME: self._system_time,
@@ -187,7 +189,9 @@ class Telemetry:
         return dialect.MAVLink_extended_sys_state_message(vtol, self.landed_state)
 
     def _vibration(self, block: Block, i: int) -> Any:
-        return dialect.MAVLink_vibration_message(microseconds(block.t[i]), 0.0, 0.0, 0.0, 0, 0, 0)
+        shaking = self._vehicle.world.shaking
+        levels = (0.0, 0.0, shaking.level) if self._vehicle.config.autopilot == "px4" else (shaking.level,) * 3
+        return dialect.MAVLink_vibration_message(microseconds(block.t[i]), *levels, shaking.clips, 0, 0)
 
 
 def _e7(degrees: float) -> int:

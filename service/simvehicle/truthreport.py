@@ -8,11 +8,11 @@ import numpy as np
 
 from mavcal.service.simvehicle.rotation import mounting_matrix
 from mavcal.service.simvehicle.truth import T_REF, SensorTruth
-from mavcal.service.simvehicle.vehicle import Vehicle
-from mavcal.service.simvehicle.world import World
+from mavcal.service.simvehicle.vehicle import FlightController
+from mavcal.service.simvehicle.world import SimWorld
 
 
-def truth_report(vehicle: Vehicle, since: float | None = None, until: float | None = None) -> dict[str, Any]:
+def truth_report(vehicle: FlightController, since: float | None = None, until: float | None = None) -> dict[str, Any]:
     """Sensor truth by instance: raw = matrix · true + offset + polynomial(T − t_ref) + noise.
 
     A bias wanders: the inertial sensors' `offset` is that of this moment, or its mean from `since` to `until` (vehicle
@@ -42,13 +42,15 @@ def truth_report(vehicle: Vehicle, since: float | None = None, until: float | No
     }
 
 
-def _inertial_entry(vehicle: Vehicle, kind: str, k: int, device_id: int, t: np.ndarray[Any, Any]) -> dict[str, Any]:
+def _inertial_entry(
+    vehicle: FlightController, kind: str, k: int, device_id: int, t: np.ndarray[Any, Any]
+) -> dict[str, Any]:
     sensor: SensorTruth = getattr(vehicle.world.truth, kind)[k]
     offset = vehicle.world.bias(kind, k, t).mean(axis=0)
     return {"id": device_id, **sensor.as_dict(), "offset": offset.tolist()}
 
 
-def _mag_entry(world: World, k: int, device_id: int) -> dict[str, Any]:
+def _mag_entry(world: SimWorld, k: int, device_id: int) -> dict[str, Any]:
     sensor = world.truth.mags[k]
     rotation = mounting_matrix(world.config.mag_orientations[k])
     return {

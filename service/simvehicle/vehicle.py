@@ -16,12 +16,12 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.service.simvehicle.config import VehicleConfig
 from mavcal.service.simvehicle.errors import ConfigurationError
-from mavcal.service.simvehicle.parameters import Parameter, ParameterTable
+from mavcal.service.simvehicle.parameters import ParameterTable, SimParameter
 from mavcal.service.simvehicle.rotation import Array, euler_from_quaternions
 from mavcal.service.simvehicle.sensor_faults import SensorFaults
-from mavcal.service.simvehicle.streams import Stream
+from mavcal.service.simvehicle.streams import PeriodicMessage
 from mavcal.service.simvehicle.wire import Packer, Received
-from mavcal.service.simvehicle.world import World
+from mavcal.service.simvehicle.world import SimWorld
 
 MAX_SETS_KEPT = 10_000
 STREAM_ROOM = 192  # bytes that a port must take before the streams of an instant are sent: all of them, or none
@@ -29,7 +29,7 @@ ANSWER_ROOM = 128  # and before a parameter is
 SLICE_S = 0.5  # the longest piece of vehicle time computed in one block
 
 
-class Channel:
+class MavlinkChannel:
     """One link of the vehicle: where frames go, and what was asked for on it."""
 
     def __init__(
@@ -38,21 +38,21 @@ class Channel:
         self.packer = packer
         self.transmit = transmit
         self.room = room
-        self.streams: dict[int, Stream] = {}
+        self.streams: dict[int, PeriodicMessage] = {}
 
     def send(self, message: Any) -> None:
         """Pack and send one message."""
         self.transmit(self.packer.pack(message))
 
 
-class Vehicle(ABC):
+class FlightController(ABC):
     """A flight controller in vehicle time. `advance` moves it; `receive` gives it a message."""
 
     def __init__(self, config: VehicleConfig) -> None:
         self.config = config
-        self.world = World(config)
+        self.world = SimWorld(config)
         self.faults = SensorFaults()
-        self.channels: list[Channel] = []
+        self.channels: list[MavlinkChannel] = []
         self.table = self.make_table()
         self.time = 0.0
         self.boots = 0
@@ -81,7 +81,7 @@ class Vehicle(ABC):
         """What the firmware does at vehicle time zero."""
 
     @abstractmethod
-    def handle(self, channel: Channel, received: Received) -> None:
+    def handle(self, channel: MavlinkChannel, received: Received) -> None:
         """Answer one message that is addressed to this vehicle."""
 
     @abstractmethod
@@ -89,7 +89,7 @@ class Vehicle(ABC):
         """Bring everything that measures by itself up to a time."""
 
     @abstractmethod
-    def emit(self, due: list[tuple[float, int, Channel, int]], times: list[float]) -> None:
+    def emit(self, due: list[tuple[float, int, MavlinkChannel, int]], times: list[float]) -> None:
         """Send the periodic messages (time, order, channel, message id) that fall due; `times` are their instants."""
 
     @abstractmethod
@@ -107,6 +107,10 @@ class Vehicle(ABC):
     @abstractmethod
     def device_ids(self) -> dict[str, tuple[int, ...]]:
         """Ids of the chips: accel, gyro, mag."""
+
+    @abstractmethod
+    def arming_faults(self) -> list[str]:
+        """What it would say against arming now; empty: nothing."""
 
     @abstractmethod
     def foreign_set(self, name: str, value: float) -> None:
@@ -129,7 +133,7 @@ class Vehicle(ABC):
 
     # --- parameters given from outside
 
-    def load_parameters(self, parameters: list[Parameter]) -> None:
+    def load_parameters(self, parameters: list[SimParameter]) -> None:
         """Take the table of another vehicle, in its order, as if it had always been stored here."""
         self.table.replace_all(parameters)
 
@@ -194,7 +198,7 @@ class Vehicle(ABC):
 
     # --- talking
 
-    def send(self, channel: Channel, message: Any) -> None:
+    def send(self, channel: MavlinkChannel, message: Any) -> None:
         """Send on one channel, unless the vehicle is rebooting or silenced."""
         if self.alive and not self.mute:
             channel.send(message)
@@ -204,7 +208,7 @@ class Vehicle(ABC):
         for channel in self.channels:
             self.send(channel, message)
 
-    def say(self, text: str, severity: int = dialect.MAV_SEVERITY_INFO, channel: Channel | None = None) -> None:
+    def say(self, text: str, severity: int = dialect.MAV_SEVERITY_INFO, channel: MavlinkChannel | None = None) -> None:
         """A STATUSTEXT, in chunks of 50 characters where it is longer."""
         raw = text.encode()
         identifier = 0 if len(raw) <= 50 else next(self._tickets) % 65535 + 1
@@ -215,7 +219,7 @@ class Vehicle(ABC):
             else:
                 self.send(channel, message)
 
-    def receive(self, channel: Channel, received: Received) -> None:
+    def receive(self, channel: MavlinkChannel, received: Received) -> None:
         """Take one message; what is addressed to somebody else is ignored."""
         if not self.alive:
             return

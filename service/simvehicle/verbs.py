@@ -10,7 +10,9 @@ import numpy as np
 
 from mavcal.service.simvehicle.errors import ControlError
 from mavcal.service.simvehicle.faults import Injector
+from mavcal.service.simvehicle.rotation import Array, matrices_from_quaternions, quaternion_from_vector
 from mavcal.service.simvehicle.scripts import SCRIPTS
+from mavcal.service.simvehicle.sensor_faults import SENSORS
 from mavcal.service.simvehicle.truthreport import truth_report
 
 Request = Mapping[str, Any]
@@ -75,6 +77,9 @@ class Verbs:
             "temperature": self._temperature,
             "throttle": self._throttle,
             "current": self._current,
+            "add": self._add,
+            "bend": self._bend,
+            "shake": self._shake,
             "arm": lambda _: self._arm(armed=True),
             "disarm": lambda _: self._arm(armed=False),
             "reboot": self._reboot,
@@ -152,6 +157,24 @@ class Verbs:
         self._vehicle.world.current.go(self._vehicle.time, _number(r, "amps"), _number(r, "ramp_s", 0.0))
         return {}
 
+    def _add(self, r: Request) -> Reply:
+        sensor, instance = r.get("sensor"), int(_number(r, "instance", 0.0))
+        if sensor not in SENSORS:
+            raise ControlError(f"unknown sensor {sensor!r}; known: {', '.join(SENSORS)}")
+        self._vehicle.world.added[f"{sensor}s", instance] = _vector(r, "by")
+        return {}
+
+    def _bend(self, r: Request) -> Reply:
+        axis, angle = _vector(r, "axis"), math.radians(_number(r, "deg", 30.0))
+        turn = matrices_from_quaternions(quaternion_from_vector(angle * axis / np.linalg.norm(axis)))
+        self._vehicle.world.bends[int(_number(r, "instance", 0.0))] = turn
+        return {}
+
+    def _shake(self, r: Request) -> Reply:
+        shaking = self._vehicle.world.shaking
+        shaking.level, shaking.clips = _number(r, "level", shaking.level), int(_number(r, "clips", shaking.clips))
+        return {}
+
     def _arm(self, *, armed: bool) -> Reply:
         self._vehicle.armed = armed
         self._vehicle.broadcast(self._vehicle.heartbeat())
@@ -227,6 +250,13 @@ def _number(request: Request, name: str, default: float | None = None) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise ControlError(f"{name} must be a finite number, got {value!r}")
     return float(value)
+
+
+def _vector(request: Request, name: str) -> Array:
+    value = request.get(name)
+    if not isinstance(value, list) or len(value) != 3:
+        raise ControlError(f"{name} must be three numbers, got {value!r}")
+    return np.array([_number({name: number}, name) for number in value])
 
 
 def _json_value(value: float) -> float | str:

@@ -14,7 +14,7 @@ HORIZON_S = 14400
 
 
 @dataclass
-class Wander:
+class RandomWalk:
     """A walk (3,) that starts at zero and grows by one standard deviation a root second."""
 
     rng: np.random.Generator

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavcal.service.simvehicle.config import VehicleConfig
-from mavcal.service.simvehicle.motion import Motion
+from mavcal.service.simvehicle.motion import CurrentMotion
 from mavcal.service.simvehicle.rotation import Array, body_from_ned, mounting_matrix
 from mavcal.service.simvehicle.thermal import Thermal
 from mavcal.service.simvehicle.truth import SensorTruth, draw_truth
-from mavcal.service.simvehicle.wander import Wander
+from mavcal.service.simvehicle.wander import RandomWalk
 
 
 @dataclass
@@ -40,13 +40,21 @@ class Ramp:
         self.start -= elapsed
 
 
+@dataclass
+class VibrationState:
+    """What the vehicle says of its vibration."""
+
+    level: float = 0.1  # m/s²
+    clips: int = 0  # of the first accelerometer since the start
+
+
 WALK_PER_NOISE = 1.7e-3
 """Random walk of a bias in a root second, over the white noise of a sample at 50 Hz: the two are equal in the Allan
 deviation at sqrt(3) N/K = 144 s, as is usual for small MEMS."""
 
 
 @dataclass(frozen=True)
-class State:
+class MotionState:
     """True attitude (N, 4), body rate (N, 3) and body specific force (N, 3) at times (N,)."""
 
     t: Array
@@ -55,32 +63,37 @@ class State:
     force: Array
 
 
-class World:
+class SimWorld:
     """Truth, motion, temperature and motors of one vehicle, and the raw readings that follow from them."""
 
     def __init__(self, config: VehicleConfig) -> None:
         self.config = config
         self.truth = draw_truth(config)
-        self.motion = Motion(np.random.default_rng([config.seed, 1]), config.yaw_deg)
+        self.motion = CurrentMotion(np.random.default_rng([config.seed, 1]), config.yaw_deg)
         self.thermal = Thermal(config.temperature, np.asarray(config.imu_temperature_offsets), config.temperature_lag_s)
         self.throttle = Ramp()
         self.current = Ramp()
+        self.shaking = VibrationState()
+        self.added: dict[tuple[str, int], Array] = {}
+        """What a fault adds to a reading, in the sensor's frame: by "accels", "gyros" or "mags", and instance."""
+        self.bends: dict[int, Array] = {}
+        """How the mount of a compass is bent: a rotation in the body frame."""
         self.field = np.asarray(config.field_ned_ut)
         self.gravity = np.array([0.0, 0.0, -config.gravity])
         self.sensor_from_body = mounting_matrix(config.board_orientation).T
         self.mag_from_body = tuple(mounting_matrix(config.mag_orientations[k]).T for k in range(config.mag_count))
         self._noise = np.random.default_rng([config.seed, 2])
         self._wander = {
-            (truths, k): Wander(np.random.default_rng([config.seed, 3, j, k]))
+            (truths, k): RandomWalk(np.random.default_rng([config.seed, 3, j, k]))
             for j, truths in enumerate(("accels", "gyros"))
             for k in range(config.imu_count)
         }
 
-    def state(self, t: Array) -> State:
+    def state(self, t: Array) -> MotionState:
         """The exact state at ascending times."""
         q, rate = self.motion.evaluate(t)
         force = body_from_ned(q, self.gravity) + self.motion.linear_acceleration(t)
-        return State(t, q, rate, force)
+        return MotionState(t, q, rate, force)
 
     def temperature_read(self, instance: int, t: Array) -> Array:
         """What the driver of an IMU says: the temperature when it was last read."""
@@ -88,11 +101,11 @@ class World:
         read_at = t if period <= 0 else np.floor(t / period) * period
         return self.thermal.imu(instance, read_at)
 
-    def accel(self, instance: int, state: State, noise_scale: float = 1.0) -> Array:
+    def accel(self, instance: int, state: MotionState, noise_scale: float = 1.0) -> Array:
         """Raw accelerometer (N, 3), m/s², in the sensor's frame."""
         return self._inertial("accels", instance, state.force, state.t, noise_scale)
 
-    def gyro(self, instance: int, state: State, noise_scale: float = 1.0) -> Array:
+    def gyro(self, instance: int, state: MotionState, noise_scale: float = 1.0) -> Array:
         """Raw gyroscope (N, 3), rad/s, in the sensor's frame."""
         return self._inertial("gyros", instance, state.rate, state.t, noise_scale)
 
@@ -108,12 +121,15 @@ class World:
     def _inertial(self, kind: str, instance: int, body: Array, t: Array, noise_scale: float) -> Array:
         truth: SensorTruth = getattr(self.truth, kind)[instance]
         raw = truth.distort(body @ self.sensor_from_body.T, self.thermal.imu(instance, t))
+        raw = raw + self.added.get((kind, instance), 0.0)
         return raw + self._wandered(kind, instance, t) + self._noise.normal(0.0, truth.noise * noise_scale, raw.shape)
 
     def mag(self, instance: int, field_body: Array, t: Array, noise_scale: float = 1.0) -> Array:
         """Raw magnetometer (N, 3), µT, in the chip's frame, from the Earth field in the body frame."""
         truth = self.truth.mags[instance]
-        raw = truth.distort(field_body @ self.mag_from_body[instance].T)
+        if instance in self.bends:
+            field_body = field_body @ self.bends[instance].T
+        raw = truth.distort(field_body @ self.mag_from_body[instance].T) + self.added.get(("mags", instance), 0.0)
         raw = raw + self.current.at(t)[:, None] * truth.motor
         return raw + self._noise.normal(0.0, truth.noise * noise_scale, raw.shape)
 

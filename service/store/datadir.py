@@ -46,7 +46,7 @@ class DataDirLock:
             os.close(self._held.pop())
 
 
-RECORDED = ("tlogs/*.tlog", "recordings/*", "gaps/*")
+RECORDED = ("tlogs/*.tlog", "recordings/*")
 """What a database knows of; without it nobody can tell which job it belongs to."""
 
 

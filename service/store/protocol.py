@@ -16,6 +16,7 @@ from mavcal.service.store.chain import ChainCheck
 from mavcal.service.store.rows import (
     AuditRow,
     EventRow,
+    JobDocument,
     JobRow,
     JournalRow,
     Json,
@@ -103,6 +104,18 @@ class JobStore(Protocol):
 
     def segments(self, job_id: str, purpose: SegmentPurpose | None = None) -> tuple[SegmentRow, ...]:
         """The segments of a job, oldest first; None: of every purpose."""
+        ...
+
+    def save_document(self, job_id: str, document: JobDocument) -> None:
+        """Keep a document of a job, in the place of an earlier one of its name."""
+        ...
+
+    def document(self, job_id: str, name: str) -> JobDocument | None:
+        """A document of a job; None: it has none of that name."""
+        ...
+
+    def delete_job(self, job_id: str) -> None:
+        """Forget a job that never wrote, with its events and documents; one that is not there is no error."""
         ...
 
 

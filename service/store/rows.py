@@ -31,7 +31,8 @@ class JobRow:
     """A job as it was last saved."""
 
     id: str
-    vehicle_id: str
+    vehicle_id: str | None
+    """None: the job needs no vehicle."""
     kind: str
     state: str
     created_at: float
@@ -85,6 +86,15 @@ class SegmentRow:
     start_byte: int
     end_byte: int | None
     sha256: str | None
+
+
+@dataclass(frozen=True)
+class JobDocument:
+    """A file that a job has made."""
+
+    name: str
+    media_type: str
+    body: bytes
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from mavcal.service.store.migrate import migrate, migrations
 from mavcal.service.store.rows import (
     AuditRow,
     EventRow,
+    JobDocument,
     JobRow,
     JournalRow,
     Json,
@@ -68,8 +69,8 @@ class SqliteStore:
                     require_database(data_dir, empty=_is_empty(self._db))
                 self._db.execute("PRAGMA journal_mode = WAL")
                 self._db.execute("PRAGMA synchronous = FULL")
-                self._db.execute("PRAGMA foreign_keys = ON")
                 self.version = migrate(self._db, migrations())
+                self._db.execute("PRAGMA foreign_keys = ON")  # after migrations, which may make a table once more
                 # A database in memory belongs to its one connection.
                 self._reader, self._reading = (
                     (self._db, self._lock) if data_dir is None else (_connection(target), threading.RLock())
@@ -215,6 +216,23 @@ class SqliteStore:
         )
         return tuple(_segment(r) for r in rows)
 
+    def save_document(self, job_id: str, document: JobDocument) -> None:
+        """Keep a document of a job, in the place of an earlier one of its name."""
+        values = (job_id, document.name, document.media_type, document.body)
+        self._insert("INSERT OR REPLACE INTO documents VALUES (?, ?, ?, ?)", values)
+
+    def document(self, job_id: str, name: str) -> JobDocument | None:
+        """A document of a job; None: it has none of that name."""
+        rows = self._read("SELECT name, media_type, body FROM documents WHERE job_id = ? AND name = ?", (job_id, name))
+        return JobDocument(rows[0][0], rows[0][1], bytes(rows[0][2])) if rows else None
+
+    def delete_job(self, job_id: str) -> None:
+        """Forget a job that never wrote, with its events and documents; one that is not there is no error."""
+        with self._write(durable=False) as db:
+            db.execute("DELETE FROM documents WHERE job_id = ?", (job_id,))
+            db.execute("DELETE FROM job_events WHERE job_id = ?", (job_id,))
+            db.execute("DELETE FROM jobs WHERE id = ?", (job_id,))
+
     # --- uploads, links, signatures, requests, audit
 
     def add_recording(self, row: RecordingRow) -> None:
@@ -356,6 +374,25 @@ def check_audit_of(data_dir: Path) -> chain.ChainCheck:
     StoreError
         If there is no database, or it has no chain.
     """
+    with _read_only(data_dir) as db:
+        return _checked(db)
+
+
+def jobs_of(data_dir: Path) -> tuple[JobRow, ...]:
+    """Every job of a data directory, oldest first, also while another process owns it.
+
+    Raises
+    ------
+    StoreError
+        If there is no database.
+    """
+    with _read_only(data_dir) as db:
+        return tuple(map(_job, db.execute("SELECT * FROM jobs ORDER BY created_at, rowid")))
+
+
+@contextmanager
+def _read_only(data_dir: Path) -> Iterator[sqlite3.Connection]:
+    """One state of the database of a data directory, whoever owns it."""
     path = data_dir / DATABASE
     if not path.is_file():
         raise StoreError(f"there is no database in {data_dir}: give the --data-dir of the service")
@@ -363,7 +400,7 @@ def check_audit_of(data_dir: Path) -> chain.ChainCheck:
         db = _connection(f"{path.absolute().as_uri()}?mode=ro")
         try:
             db.execute("BEGIN")
-            return _checked(db)
+            yield db
         finally:
             db.close()
 

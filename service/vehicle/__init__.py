@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mavcal.service.vehicle.commands import command
-from mavcal.service.vehicle.encoding import Parameter, ParameterEncoding, ParameterKind
+from mavcal.service.vehicle.encoding import Parameter
 from mavcal.service.vehicle.events import VehicleEvent, VehicleEventKind
 from mavcal.service.vehicle.identity import Autopilot, VehicleIdentity
 from mavcal.service.vehicle.listing import ParameterSet
@@ -18,8 +18,6 @@ __all__ = [
     "Echo",
     "Landed",
     "Parameter",
-    "ParameterEncoding",
-    "ParameterKind",
     "ParameterSet",
     "Parameters",
     "Refusal",

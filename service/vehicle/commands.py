@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from contextlib import AbstractAsyncContextManager
+from typing import Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.wire import Frame, decode
 from mavcal.service.errors import CommandRefused, CommandTimeout, ForbiddenCommand, VehicleSilent
-
-if TYPE_CHECKING:
-    from mavcal.service.vehicle.vehicle import Vehicle
+from mavcal.service.vehicle.addressee import Addressee
 
 ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS, CANCELLED = range(7)
 _RESULTS = {
@@ -92,8 +91,16 @@ def check_allowed(command_id: int, params: Sequence[float]) -> None:
         raise ForbiddenCommand(f"Command {command_id} {tuple(params)} is never sent: {why}.")
 
 
+class Commanded(Addressee, Protocol):
+    """A vehicle that takes commands."""
+
+    def command_lock(self, command_id: int) -> AbstractAsyncContextManager[None]:
+        """An acknowledgement names only the command: one of a kind at a time."""
+        ...
+
+
 async def command(
-    vehicle: Vehicle,
+    vehicle: Commanded,
     command_id: int,
     params: Sequence[float] = (),
     *,
@@ -144,8 +151,8 @@ async def command(
         raise _unanswered(vehicle, command_id, f"asked {retries + 1} times, no acknowledgement")
 
 
-def _match(vehicle: Vehicle, command_id: int) -> Callable[[Frame], int | None]:
-    own = vehicle.link.ids
+def _match(vehicle: Addressee, command_id: int) -> Callable[[Frame], int | None]:
+    own = vehicle.own
 
     def match(frame: Frame) -> int | None:
         ack = decode(frame)
@@ -161,7 +168,7 @@ def _judge(command_id: int, result: int) -> None:
         raise CommandRefused(f"Command {command_id} was {said}.", command=command_id, result=result)
 
 
-def _unanswered(vehicle: Vehicle, command_id: int, why: str) -> CommandTimeout | VehicleSilent:
+def _unanswered(vehicle: Addressee, command_id: int, why: str) -> CommandTimeout | VehicleSilent:
     if vehicle.state.silent(vehicle.clock()):
         return VehicleSilent(f"Command {command_id}: {why}; the vehicle has fallen silent.")
     return CommandTimeout(f"Command {command_id}: {why}, although the vehicle is there.")

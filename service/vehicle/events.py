@@ -4,10 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from mavcal.service.vehicle.vehicle import Vehicle
 
 
 class VehicleEventKind(StrEnum):
@@ -33,5 +29,5 @@ class VehicleEvent:
     """One sentence about a vehicle, for people and for jobs."""
 
     kind: VehicleEventKind
-    vehicle: Vehicle
+    vehicle_id: str
     text: str

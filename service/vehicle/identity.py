@@ -7,8 +7,7 @@ from enum import StrEnum
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.wire import Message
-from mavcal.service.vehicle.encoding import ParameterEncoding
+from mavcal.calib.wire import Message, ParameterEncoding
 
 
 class Autopilot(StrEnum):

@@ -5,17 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.wire import Frame, ParamValue, decode_param_value
+from mavcal.calib.wire import HASH_CHECK, Frame, ParamValue, decode_param_value
 from mavcal.service.errors import ParameterTimeout, VehicleSilent
+from mavcal.service.vehicle.addressee import Addressee
 from mavcal.service.vehicle.encoding import Parameter
-from mavcal.service.vehicle.parameters import HASH_NAME, NO_INDEX
-
-if TYPE_CHECKING:
-    from mavcal.service.vehicle.vehicle import Vehicle
+from mavcal.service.vehicle.parameters import NO_INDEX, Parameters
 
 PIPELINE = 10
 """Reads under way at once: ArduPilot queues 20 and answers 5 at a time, what is beyond is dropped."""
@@ -58,7 +55,7 @@ class _Listing:
         self.restart = False
 
     def take(self, heard: ParamValue) -> None:
-        if heard.param_index == NO_INDEX or heard.name == HASH_NAME or heard.param_index >= heard.param_count:
+        if heard.param_index == NO_INDEX or heard.name == HASH_CHECK or heard.param_index >= heard.param_count:
             return
         if self.count not in (0, heard.param_count) or self.names.get(heard.param_index, heard.name) != heard.name:
             self.restart = True
@@ -75,8 +72,10 @@ class _Listing:
         return self.count > 0 and len(self.names) == self.count and len(set(self.names.values())) == self.count
 
 
-async def list_all(vehicle: Vehicle, progress: Progress | None = None) -> ParameterSet:
-    """Read the whole list; gaps are asked for by index.
+async def list_all(vehicle: Addressee, known: Parameters, progress: Progress | None = None) -> ParameterSet:
+    """Read the whole list into `known`, which hears all that comes; gaps are asked for by index.
+
+    One list at a time: two of them would take each other's values for their own.
 
     Raises
     ------
@@ -85,34 +84,33 @@ async def list_all(vehicle: Vehicle, progress: Progress | None = None) -> Parame
     VehicleSilent
         If the vehicle's heartbeat has ceased.
     """
-    async with vehicle.listing_lock:
-        listing = _Listing()
+    listing = _Listing()
 
-        def match(frame: Frame) -> bool:
-            before = len(listing.names)
-            listing.take(decode_param_value(frame))
-            if progress is not None and len(listing.names) != before:
-                progress(len(listing.names), listing.count)
-            return True
+    def match(frame: Frame) -> bool:
+        before = len(listing.names)
+        listing.take(decode_param_value(frame))
+        if progress is not None and len(listing.names) != before:
+            progress(len(listing.names), listing.count)
+        return True
 
-        with vehicle.waits.expect({dialect.MAVLINK_MSG_ID_PARAM_VALUE}, match) as heard:
-            for _ in range(_LISTS):
-                listing.restart = False
-                vehicle.send(dialect.MAVLink_param_request_list_message(vehicle.system, vehicle.component))
-                quiet = _FIRST_S
-                while not listing.complete and await heard.within(quiet):
-                    quiet = _QUIET_S
-                for _ in range(_READS):
-                    if listing.complete or not listing.count or listing.restart:
-                        break
-                    await _fill(vehicle, listing, heard.within)
-                if listing.complete:
-                    parameters = {name: vehicle.parameters[name] for name in listing.names.values()}
-                    return ParameterSet(MappingProxyType(parameters), vehicle.parameters.hash)
-        raise _incomplete(vehicle, listing)
+    with vehicle.waits.expect({dialect.MAVLINK_MSG_ID_PARAM_VALUE}, match) as heard:
+        for _ in range(_LISTS):
+            listing.restart = False
+            vehicle.send(dialect.MAVLink_param_request_list_message(vehicle.system, vehicle.component))
+            quiet = _FIRST_S
+            while not listing.complete and await heard.within(quiet):
+                quiet = _QUIET_S
+            for _ in range(_READS):
+                if listing.complete or not listing.count or listing.restart:
+                    break
+                await _fill(vehicle, listing, heard.within)
+            if listing.complete:
+                parameters = {name: known[name] for name in listing.names.values()}
+                return ParameterSet(MappingProxyType(parameters), known.hash)
+    raise _incomplete(vehicle, listing)
 
 
-async def _fill(vehicle: Vehicle, listing: _Listing, within: Callable[[float], object]) -> None:
+async def _fill(vehicle: Addressee, listing: _Listing, within: Callable[[float], object]) -> None:
     """Ask once for every missing index, a few at a time."""
     missing = listing.missing
     for start in range(0, len(missing), PIPELINE):
@@ -126,7 +124,7 @@ async def _fill(vehicle: Vehicle, listing: _Listing, within: Callable[[float], o
             patience = _NEXT_S
 
 
-def _incomplete(vehicle: Vehicle, listing: _Listing) -> ParameterTimeout | VehicleSilent:
+def _incomplete(vehicle: Addressee, listing: _Listing) -> ParameterTimeout | VehicleSilent:
     if vehicle.state.silent(vehicle.clock()):
         return VehicleSilent("The parameter list stopped: no heartbeat any more. Check power and link.")
     if not listing.count:

@@ -10,11 +10,21 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.wire import Frame, RawMessage, decode, decode_param_value, param_set
+from mavcal.calib.wire import (
+    HASH_CHECK,
+    Frame,
+    ParameterEncoding,
+    ParamType,
+    RawMessage,
+    decode,
+    decode_param_value,
+    param_set,
+    value_from_bits,
+)
 from mavcal.service.errors import (
     LinkDown,
     ParameterError,
@@ -24,18 +34,15 @@ from mavcal.service.errors import (
     VehicleError,
     VehicleSilent,
 )
+from mavcal.service.vehicle.addressee import Addressee
 from mavcal.service.vehicle.encoding import (
     Parameter,
-    ParameterEncoding,
-    ParameterKind,
     bits_from_value,
     same_value,
-    value_from_bits,
 )
+from mavcal.service.vehicle.identity import VehicleIdentity
+from mavcal.service.vehicle.pace import Pace
 from mavcal.service.vehicle.waits import Expectation
-
-if TYPE_CHECKING:
-    from mavcal.service.vehicle.vehicle import Vehicle
 
 HASH_NAME = "_HASH_CHECK"
 """PX4 sends this as if it were a parameter; it is none, and does not change when calibrations do."""
@@ -75,6 +82,24 @@ class Echo:
     confirmed_by: str
 
 
+class Holder(Addressee, Protocol):
+    """The vehicle that holds the parameters."""
+
+    @property
+    def identity(self) -> VehicleIdentity:
+        """Who it is: this says how it encodes values."""
+        ...
+
+    @property
+    def pace(self) -> Pace:
+        """How fast it answers."""
+        ...
+
+    def require_writable(self, *, name: str = "", sent: int = 0) -> None:
+        """Raise VehicleSilent, VehicleArmed, VehicleConflict or VehicleBusy if it may not be written to."""
+        ...
+
+
 class _Other:
     """The parameter that was asked for behind was answered."""
 
@@ -82,7 +107,7 @@ class _Other:
 class Parameters(Mapping[str, Parameter]):
     """The parameters of one vehicle as last heard; a mapping by name, with the protocol as methods."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: Holder) -> None:
         self._vehicle = vehicle
         self._known: dict[str, Parameter] = {}
         self._listeners: dict[object, ParameterListener] = {}
@@ -133,14 +158,14 @@ class Parameters(Mapping[str, Parameter]):
     def _parameter(self, frame: Frame, now: float) -> Parameter | None:
         """Read a PARAM_VALUE, or None if it is PX4's hash or of a type this protocol does not carry."""
         name, bits, number, count, index = decode_param_value(frame)
-        if name == HASH_NAME:
+        if name == HASH_CHECK:
             self.hash = bits
             return None
         if index != NO_INDEX:
             self.count = count
-        if number not in set(ParameterKind):
+        if number not in set(ParamType):
             return None
-        kind = ParameterKind(number)
+        kind = ParamType(number)
         value = value_from_bits(bits, kind, self.encoding)
         return Parameter(name, value, kind, None if index == NO_INDEX else index, bits, now)
 
@@ -224,7 +249,7 @@ class Parameters(Mapping[str, Parameter]):
             return ParameterMissing(f"This vehicle has no parameter {name}.", name=name)
         return ParameterTimeout(f"{name} was asked for repeatedly and not answered. Is the link too slow?", name=name)
 
-    async def set(self, name: str, value: float, kind: ParameterKind | None = None) -> Echo:
+    async def set(self, name: str, value: float, kind: ParamType | None = None) -> Echo:
         """Write one parameter and wait until the vehicle says that it holds exactly this value.
 
         Before every single PARAM_SET the vehicle must be writable (disarmed, landed, alive, not calibrating).
@@ -283,7 +308,7 @@ class Parameters(Mapping[str, Parameter]):
             error.sent = sent
             raise error from exc
 
-    async def _settle(self, name: str, value: float, bits: bytes, kind: ParameterKind, sent: int) -> Echo:
+    async def _settle(self, name: str, value: float, bits: bytes, kind: ParamType, sent: int) -> Echo:
         """No echo came: ask what the vehicle holds."""
         try:
             held = await self.read(name)
@@ -294,7 +319,7 @@ class Parameters(Mapping[str, Parameter]):
             return Echo(held, sent, "read")
         raise ParameterRejected(f"{name}: {value} was written, the vehicle holds {held.value}.", name=name, sent=sent)
 
-    async def _kind(self, name: str, kind: ParameterKind | None) -> ParameterKind:
+    async def _kind(self, name: str, kind: ParamType | None) -> ParamType:
         known = self._known.get(name)
         if known is None and kind is None:
             known = await self.read(name)
@@ -302,7 +327,7 @@ class Parameters(Mapping[str, Parameter]):
             raise ParameterRejected(
                 f"{name} is of type {known.kind.name} on this vehicle and cannot be written as {kind.name}.", name=name
             )
-        return kind if kind is not None else known.kind if known is not None else ParameterKind.REAL32
+        return kind if kind is not None else known.kind if known is not None else ParamType.REAL32
 
     def _request(self, name: str | None) -> None:
         """Ask for a parameter by name, or for the first of the list."""
@@ -320,10 +345,10 @@ class Parameters(Mapping[str, Parameter]):
         return max(known, min(known * 2.0**attempt, ANSWER_S)) + 0.3 * self._jitter * min(known, ANSWER_S)
 
 
-def _refusal(vehicle: Vehicle, frame: Frame, name: str) -> ParameterError | None:
+def _refusal(vehicle: Addressee, frame: Frame, name: str) -> ParameterError | None:
     """PARAM_ERROR, where a firmware sends it (most do not)."""
     message = decode(frame)
-    if message.param_id != name or message.target_system not in (0, vehicle.link.ids.system):
+    if message.param_id != name or message.target_system not in (0, vehicle.own.system):
         return None
     if message.error == _DOES_NOT_EXIST:
         return ParameterMissing(f"This vehicle has no parameter {name}.", name=name)

@@ -156,14 +156,14 @@ class VehicleRegistry:
             link, system, component, heartbeat, clock=self._clock, announce=self._announce, yield_s=self._yield_s
         )
         self._vehicles[link.id, system, component] = vehicle
-        self._announce(VehicleEvent(VehicleEventKind.FOUND, vehicle, f"Heard {vehicle.id}."))
+        self._announce(vehicle, VehicleEventKind.FOUND, f"Heard {vehicle.id}.")
         self._identify(vehicle)
         return vehicle
 
     def _replace(self, gone: Vehicle) -> Vehicle:
         """Another unit has the address of one that is gone: it gets its own state, parameters and jobs."""
         self._stop_identifying(gone)
-        self._announce(VehicleEvent(VehicleEventKind.REPLACED, gone, gone.give_way()))
+        self._announce(gone, VehicleEventKind.REPLACED, gone.give_way())
         return self._add(gone.link, gone.system, gone.component, gone.heartbeat)
 
     def _link_event(self, link: Link, event: LinkEvent) -> None:
@@ -176,11 +176,12 @@ class VehicleRegistry:
         for vehicle in list(self._vehicles.values()):
             vehicle.tick()
 
-    def _announce(self, event: VehicleEvent) -> None:
-        if event.kind is VehicleEventKind.IDENTIFIED:
-            event.vehicle.id = self._name(event.vehicle)
-        elif event.kind is VehicleEventKind.REBOOTED:
-            self._identify(event.vehicle)
+    def _announce(self, vehicle: Vehicle, kind: VehicleEventKind, text: str) -> None:
+        if kind is VehicleEventKind.IDENTIFIED:
+            vehicle.id = self._name(vehicle)
+        elif kind is VehicleEventKind.REBOOTED:
+            self._identify(vehicle)
+        event = VehicleEvent(kind, vehicle.id, text)
         loop = asyncio.get_running_loop()
         for key in list(self._subscribers):
             loop.call_soon(self._hand_event, key, event)

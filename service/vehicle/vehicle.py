@@ -21,10 +21,10 @@ from mavcal.service.errors import (
     VehicleError,
     VehicleSilent,
 )
-from mavcal.service.link import Batch, Link, LinkEvent, LinkEventKind
+from mavcal.service.link import Batch, Link, LinkEvent, LinkEventKind, OwnIdentity
 from mavcal.service.vehicle import commands
 from mavcal.service.vehicle.boot_time import BOOT_TIME_IDS, boot_time
-from mavcal.service.vehicle.events import VehicleEvent, VehicleEventKind
+from mavcal.service.vehicle.events import VehicleEventKind
 from mavcal.service.vehicle.identity import VehicleIdentity, identity_from_heartbeat, identity_from_version
 from mavcal.service.vehicle.listing import ParameterSet, Progress, list_all
 from mavcal.service.vehicle.pace import Pace
@@ -73,6 +73,8 @@ _IDENTIFY_TRIES = 5
 
 
 FramesCallback = Callable[[Sequence[Frame], Batch], None]
+Announce = Callable[["Vehicle", VehicleEventKind, str], None]
+"""Told which vehicle, what happened to it, and the same in a sentence."""
 
 
 class Vehicle:
@@ -89,7 +91,7 @@ class Vehicle:
         heartbeat: Message,
         *,
         clock: Callable[[], float],
-        announce: Callable[[VehicleEvent], None],
+        announce: Announce,
         yield_s: float = YIELD_S,
     ) -> None:
         self.link = link
@@ -108,8 +110,8 @@ class Vehicle:
         """Whether every parameter was listed since the vehicle started: some are heard without being asked for."""
         self.carried: tuple[float, float] | None = None
         """Bytes per second that the link was seen to carry when more was asked of it, and when; None: never seen."""
-        self.listing_lock = asyncio.Lock()
         self._announce = announce
+        self._listing_lock = asyncio.Lock()
         self._command_locks: dict[int, asyncio.Lock] = {}
         self._subscribers: dict[object, tuple[frozenset[int], FramesCallback, Callable[[], None]]] = {}
         self._conflicts: dict[str, tuple[str, float]] = {}
@@ -125,6 +127,11 @@ class Vehicle:
         """Unique id of another unit that answers here now, while this one has been gone for long enough."""
 
     # --- talking ----------------------------------------------------------------------------------------------------
+
+    @property
+    def own(self) -> OwnIdentity:
+        """The ids that it is spoken to with."""
+        return self.link.ids
 
     def send(self, message: Message | RawMessage) -> None:
         """Send to this vehicle. Raises LinkDown if that is not possible."""
@@ -147,7 +154,8 @@ class Vehicle:
 
     async def list_parameters(self, progress: Progress | None = None) -> ParameterSet:
         """See :func:`service.vehicle.listing.list_all`."""
-        listed = await list_all(self, progress)
+        async with self._listing_lock:
+            listed = await list_all(self, self.parameters, progress)
         self.listed = True
         return listed
 
@@ -391,7 +399,7 @@ class Vehicle:
                 self._tell(VehicleEventKind.TEXT, text.text)
 
     def _tell(self, kind: VehicleEventKind, text: str) -> None:
-        self._announce(VehicleEvent(kind, self, text))
+        self._announce(self, kind, text)
 
 
 def _refuse(found: Writable, name: str, sent: int) -> NoReturn:

@@ -10,7 +10,7 @@ import pytest
 from bench.campaign.judge import Ending, Evidence, Stop, doubt_complaints, judge, stop_complaints
 from bench.campaign.scenario import KINDS, scenarios
 from bench.campaign.truth import Holding, Residual, residuals
-from mavcal.service.simvehicle.client import SimulatedVehicle
+from mavcal.service.simvehicle import SimulatedVehicle
 
 OLD = {"A": 0.0, "B": 1.0, "C": 5.0, "SESSION": 1.0, "STAT_RUNTIME": 7.0}
 CHANGES = [

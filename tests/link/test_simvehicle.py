@@ -15,8 +15,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.service.simvehicle.client import SimulatedVehicle, free_udp_port
-from mavcal.service.simvehicle.errors import ControlError, StartError
+from mavcal.service.simvehicle import ControlError, SimulatedVehicle, StartError, free_udp_port
 from mavcal.service.simvehicle.wire import Packer, Received, Splitter, split_datagram
 from tests.patience import scaled
 

@@ -29,12 +29,12 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.service.simvehicle.client import SimulatedVehicle
+from mavcal.service.simvehicle import SimulatedVehicle
 from mavcal.service.simvehicle.config import load_config
 from mavcal.service.simvehicle.parameters import load_table
-from mavcal.service.simvehicle.replay import Frame, Heard, heard, read_frames, replay
+from mavcal.service.simvehicle.replay import Heard, ReplayedFrame, heard, read_frames, replay
 from mavcal.service.simvehicle.server import make_vehicle
-from mavcal.service.simvehicle.vehicle import Vehicle
+from mavcal.service.simvehicle.vehicle import FlightController
 from mavcal.service.simvehicle.wire import split_datagram
 
 pytestmark = pytest.mark.shared
@@ -64,7 +64,7 @@ def captures(shared_data: Path) -> Path:
     return shared_data / "sitl_captures"
 
 
-def table_file(frames: list[Frame], path: Path) -> Path:
+def table_file(frames: list[ReplayedFrame], path: Path) -> Path:
     """The parameter list of a recording as a name,value,type file."""
     values = heard(frames, 1, {dialect.MAVLINK_MSG_ID_PARAM_VALUE})
     rows = {}
@@ -107,7 +107,7 @@ def sitl_config() -> dict[str, object]:
     }
 
 
-def sitl_vehicle(table: Path) -> Vehicle:
+def sitl_vehicle(table: Path) -> FlightController:
     vehicle = make_vehicle(load_config(sitl_config()))
     vehicle.load_parameters(load_table(str(table)))
     return vehicle
@@ -152,7 +152,9 @@ def assert_same_message(real: Heard, sim: Heard, *, count: bool = True) -> None:
             assert b[field] == expected, (real, sim)
 
 
-def assert_same_answers(frames: list[Frame], said: list[Heard], until: float = 1e9, *, count: bool = True) -> None:
+def assert_same_answers(
+    frames: list[ReplayedFrame], said: list[Heard], until: float = 1e9, *, count: bool = True
+) -> None:
     requests = heard(frames, STATION, REQUESTS)
     real = [h for h in answers(heard(frames, 1, ANSWERS)) if h.t < until]
     sim = [h for h in answers(said) if h.t < until + 0.02][: len(real) + 1]

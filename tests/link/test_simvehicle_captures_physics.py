@@ -17,7 +17,7 @@ from mavcal.service.simvehicle.config import load_config
 from mavcal.service.simvehicle.replay import heard, read_frames
 from mavcal.service.simvehicle.rotation import matrices_from_quaternions, quaternion_from_euler
 from mavcal.service.simvehicle.server import make_vehicle
-from mavcal.service.simvehicle.vehicle import Channel, Vehicle
+from mavcal.service.simvehicle.vehicle import FlightController, MavlinkChannel
 from mavcal.service.simvehicle.wire import Packer, split_datagram
 
 pytestmark = pytest.mark.shared
@@ -30,7 +30,7 @@ def means(messages: list[object]) -> np.ndarray:
     return np.mean([[getattr(m, name) for name in ROWS] for m in messages], axis=0)
 
 
-def streamed(vehicle: Vehicle, message_id: int, euler_deg: list[float], seconds: float) -> np.ndarray:
+def streamed(vehicle: FlightController, message_id: int, euler_deg: list[float], seconds: float) -> np.ndarray:
     """Mean of one stream while a pose is held."""
     sent: list[bytes] = []
     vehicle.channels[0].transmit = sent.append
@@ -42,12 +42,12 @@ def streamed(vehicle: Vehicle, message_id: int, euler_deg: list[float], seconds:
     return means([m for m in messages if m.get_msgId() == message_id])
 
 
-def started(config: dict[str, object], parameters: dict[str, float], message_id: int) -> Vehicle:
+def started(config: dict[str, object], parameters: dict[str, float], message_id: int) -> FlightController:
     vehicle = make_vehicle(load_config({"calibration": "none"} | config))
     vehicle.preset_parameters(parameters)
-    vehicle.channels.append(Channel(Packer(1), lambda _: None))
+    vehicle.channels.append(MavlinkChannel(Packer(1), lambda _: None))
     vehicle.start()
-    vehicle.set_interval(vehicle.channels[0], message_id, 20000)  # type: ignore[attr-defined]
+    vehicle.messages.set_interval(vehicle.channels[0], message_id, 20000)  # type: ignore[attr-defined]
     return vehicle
 
 

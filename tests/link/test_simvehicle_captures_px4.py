@@ -34,9 +34,9 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.service.simvehicle.config import load_config
 from mavcal.service.simvehicle.parameters import load_table
-from mavcal.service.simvehicle.replay import Frame, Heard, heard, read_frames, replay
+from mavcal.service.simvehicle.replay import Heard, ReplayedFrame, heard, read_frames, replay
 from mavcal.service.simvehicle.server import make_vehicle
-from mavcal.service.simvehicle.vehicle import Vehicle
+from mavcal.service.simvehicle.vehicle import FlightController
 
 pytestmark = pytest.mark.shared
 
@@ -60,11 +60,11 @@ def captures(shared_data: Path) -> Path:
     return shared_data / "px4_captures"
 
 
-def load(captures: Path, name: str) -> list[Frame]:
+def load(captures: Path, name: str) -> list[ReplayedFrame]:
     return list(read_frames(captures / f"{name}.tlog"))
 
 
-def boot_time(frames: list[Frame]) -> float:
+def boot_time(frames: list[ReplayedFrame]) -> float:
     """Vehicle time at the recording's first frame, from the first attitude."""
     first = heard(frames[:400], 1, {dialect.MAVLINK_MSG_ID_ATTITUDE})[0]
     return float(first.received.message.time_boot_ms) / 1000.0 - first.t
@@ -95,7 +95,7 @@ def tables(captures: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[int
     return result
 
 
-def sitl_vehicle(table: Path, **changes: object) -> Vehicle:
+def sitl_vehicle(table: Path, **changes: object) -> FlightController:
     """One perfect IMU and one magnetometer with the simulator's noise, level, heading north."""
     config = {
         "autopilot": "px4",
@@ -152,7 +152,7 @@ def described(h: Heard, measured: tuple[str, ...]) -> tuple[object, ...]:
     return (m.param_id, m.param_type, m.param_index, m.param_count, b"" if hidden else h.received.payload[:4])
 
 
-def assert_same_parameters(frames: list[Frame], said: list[Heard], measured: tuple[str, ...] = ()) -> None:
+def assert_same_parameters(frames: list[ReplayedFrame], said: list[Heard], measured: tuple[str, ...] = ()) -> None:
     requests = heard(frames, STATION, REQUESTS)
     real, real_repeats = split_values(heard(frames, 1, {VALUE}), requests)
     sim, sim_repeats = split_values(said, requests)
@@ -189,7 +189,7 @@ COMPARED = {0, 1, 22, 24, 26, 27, 29, 30, 31, 33, 36, 74, 77, 105, 116, 129, 147
 
 def run(
     captures: Path, tables: dict[int, Path], name: str, table: int = 905, step: float = 0.005, **changes: object
-) -> tuple[list[Frame], list[Heard], Vehicle]:
+) -> tuple[list[ReplayedFrame], list[Heard], FlightController]:
     frames = load(captures, name)
     vehicle = sitl_vehicle(tables[table], **changes)
     said = replay(vehicle, frames, STATION, max(boot_time(frames), 6.0), step, COMPARED)

@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from mavcal.service.simvehicle import ControlError
 from mavcal.service.simvehicle.config import load_config
-from mavcal.service.simvehicle.errors import ControlError
-from mavcal.service.simvehicle.links import Link
-from mavcal.service.simvehicle.server import Server, make_vehicle
+from mavcal.service.simvehicle.links import SimEndpoint
+from mavcal.service.simvehicle.server import SimServer, make_vehicle
 from mavcal.service.simvehicle.wire import Packer, Received, split_datagram
 
 TICK_S = 0.005
 RAW_IMU, HIGHRES = 27, 105
 
 
-class ListLink(Link):
+class ListLink(SimEndpoint):
     """What the vehicle sends is kept, what the test puts is received."""
 
     url = "list"
@@ -56,7 +56,7 @@ class Rig:
     def __init__(self, autopilot: str, **config: Any) -> None:
         self.vehicle = make_vehicle(load_config({"autopilot": autopilot, "calibration": "none"} | config))
         self.link = ListLink()
-        self.server = Server(self.vehicle, [self.link], 0, 1.0)
+        self.server = SimServer(self.vehicle, [self.link], 0, 1.0)
         self._packer = Packer(250, 190)
         self.vehicle.start()
         self.run(1.5)

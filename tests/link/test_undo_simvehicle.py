@@ -19,8 +19,8 @@ from mavcal.calib.wire import Frame, FrameParser, encode
 from mavcal.service.simvehicle.config import load_config
 from mavcal.service.simvehicle.server import make_vehicle
 from mavcal.service.simvehicle.truthreport import truth_report
-from mavcal.service.simvehicle.vehicle import Channel as Link
-from mavcal.service.simvehicle.vehicle import Vehicle
+from mavcal.service.simvehicle.vehicle import FlightController
+from mavcal.service.simvehicle.vehicle import MavlinkChannel as Link
 from mavcal.service.simvehicle.wire import Packer, split_datagram
 
 SECONDS = 12.0
@@ -65,7 +65,7 @@ class Wire:
     """Hands frames to a simulated vehicle and keeps what it says."""
 
     def __init__(self, **config: Any) -> None:
-        self.vehicle: Vehicle = make_vehicle(load_config(config))
+        self.vehicle: FlightController = make_vehicle(load_config(config))
         self.said: list[bytes] = []
         self.vehicle.channels.append(Link(Packer(1), self.said.append))
         self.vehicle.start()

@@ -13,13 +13,13 @@ from typing import Any
 import pytest
 
 from mavcal.calib import wire
+from mavcal.calib.wire import ParamType
 from mavcal.service.errors import CommandRefused, EndpointError, LinkDown, ParameterMissing, VehicleArmed
 from mavcal.service.link import Link, LinkState
-from mavcal.service.simvehicle.client import SimulatedVehicle
+from mavcal.service.simvehicle import SimulatedVehicle
 from mavcal.service.vehicle import (
     Autopilot,
     Landed,
-    ParameterKind,
     Vehicle,
     VehicleEvent,
     VehicleEventKind,
@@ -82,11 +82,11 @@ async def test_ardupilot_from_first_heartbeat_to_a_confirmed_write(ground: Groun
         assert vehicle.id == f"uid-{vehicle.identity.uid2}"
         assert ground.registry.get(vehicle.id) is ground.registry.get("l0-1-1") is vehicle
         listed = await vehicle.list_parameters()
-        assert listed["INS_ACCOFFS_X"].kind is ParameterKind.REAL32
+        assert listed["INS_ACCOFFS_X"].kind is ParamType.REAL32
         await ground.until(lambda: vehicle.writable().ok)
         assert vehicle.state.landed is Landed.ON_GROUND
         for axis, value in (("X", 0.11), ("Y", 0.22), ("Z", 0.33)):
-            echo = await vehicle.parameters.set(f"INS_ACCOFFS_{axis}", value, ParameterKind.REAL32)
+            echo = await vehicle.parameters.set(f"INS_ACCOFFS_{axis}", value, ParamType.REAL32)
             assert echo.parameter.bits == struct.pack("<f", value)
         _, stored = sim.parameters()
         assert [stored[f"INS_ACCOFFS_{a}"] for a in "XYZ"] == pytest.approx([0.11, 0.22, 0.33], abs=1e-6)
@@ -105,7 +105,7 @@ async def test_px4_with_its_integers_hash_and_unlisted_names(ground: Ground) -> 
         assert isinstance(listed["CAL_ACC0_ID"].value, int)
         await ground.until(lambda: vehicle.writable().ok)
         for value in (-8388000, -1, 0):
-            echo = await vehicle.parameters.set("CAL_ACC3_ID", value, ParameterKind.INT32)
+            echo = await vehicle.parameters.set("CAL_ACC3_ID", value, ParamType.INT32)
             assert echo.parameter.bits == struct.pack("<i", value)
         report = await request_streams(vehicle, {26: 50.0, 27: 50.0}, measure_s=0.6)
         assert report.rates[26].measured_hz == pytest.approx(50.0, rel=0.1)
@@ -148,7 +148,7 @@ async def test_arming_is_seen_and_stops_every_write(ground: Ground) -> None:
         await sim.acall("arm")
         await ground.until(lambda: vehicle.state.armed)
         with pytest.raises(VehicleArmed) as caught:
-            await vehicle.parameters.set("INS_ACCOFFS_X", 0.5, ParameterKind.REAL32)
+            await vehicle.parameters.set("INS_ACCOFFS_X", 0.5, ParamType.REAL32)
         assert caught.value.sent == 0
         with pytest.raises(CommandRefused):
             await vehicle.command(241, (1,), retries=0)
@@ -179,7 +179,7 @@ async def test_two_vehicles_on_one_link_are_kept_apart(ground: Ground) -> None:
         assert "INS_ACCOFFS_X" not in second.parameters
         assert "CAL_ACC0_ID" in second.parameters
         await ground.until(lambda: first.writable().ok)
-        await first.parameters.set("INS_ACCOFFS_X", 0.5, ParameterKind.REAL32)
+        await first.parameters.set("INS_ACCOFFS_X", 0.5, ParamType.REAL32)
         assert one.parameters()[1]["INS_ACCOFFS_X"] == 0.5
 
 

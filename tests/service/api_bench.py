@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import httpx2
+import httpx
 import uvicorn
 from starlette.types import ASGIApp
 
@@ -32,7 +32,7 @@ UNTOLD = ("Traceback", 'File "', "/tmp", "/home", "/root", "site-packages", ".ve
 class Api:
     """The interface as a client sees it."""
 
-    client: httpx2.AsyncClient
+    client: httpx.AsyncClient
     service: Service
     told: list[str] = field(default_factory=list)
 
@@ -100,7 +100,7 @@ class Api:
         return found
 
 
-def check_answer(response: httpx2.Response, data_dir: Path) -> None:
+def check_answer(response: httpx.Response, data_dir: Path) -> None:
     """What holds for every answer, good or bad."""
     assert response.status_code != 500, response.text
     assert len(response.headers["x-request-id"]) == 16
@@ -127,8 +127,8 @@ async def api(folder: Path, *, headers: Mapping[str, str] | None = None, **setti
     """The application in this process, asked without a socket."""
     app = create_app(settings_in(folder, **settings))
     async with app.router.lifespan_context(app):
-        transport = httpx2.ASGITransport(app, raise_app_exceptions=False)
-        async with httpx2.AsyncClient(transport=transport, base_url=ORIGIN, headers=headers) as client:
+        transport = httpx.ASGITransport(app, raise_app_exceptions=False)
+        async with httpx.AsyncClient(transport=transport, base_url=ORIGIN, headers=headers) as client:
             yield Api(client, app.state.service)
 
 
@@ -159,7 +159,7 @@ async def served(folder: Path, *, prefix: str = "", **settings: Any) -> AsyncIte
                 assert not running.done(), running
                 await asyncio.sleep(0.01)
         port = server.servers[0].sockets[0].getsockname()[1]
-        async with httpx2.AsyncClient(base_url=f"http://127.0.0.1:{port}{prefix}", timeout=scaled(20)) as client:
+        async with httpx.AsyncClient(base_url=f"http://127.0.0.1:{port}{prefix}", timeout=scaled(20)) as client:
             yield Api(client, app.state.service)
     finally:
         server.should_exit = True

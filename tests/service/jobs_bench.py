@@ -11,12 +11,12 @@ from typing import Any
 
 from mavcal.service.jobs.crashpoints import CrashPoint, nowhere
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.fleet import Fleet
 from mavcal.service.jobs.model import Accept, Job
 from mavcal.service.jobs.settings import JobSettings
 from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.vehicle_adapter import RegistryAdapter
 from mavcal.service.link import Link
-from mavcal.service.simvehicle.client import SimulatedVehicle
+from mavcal.service.simvehicle import SimulatedVehicle
 from mavcal.service.store import SqliteStore
 from mavcal.service.vehicle import Vehicle, VehicleRegistry
 from tests.patience import scaled
@@ -70,7 +70,7 @@ async def session(
     registry = VehicleRegistry(yield_s=yield_s)
     link = Link("bench", url, tlog_dir=folder / "tlogs")
     registry.attach(link)
-    engine = JobEngine(store, Fleet(registry), reach=reach, settings=settings)
+    engine = JobEngine(store, RegistryAdapter(registry), reach=reach, settings=settings)
     try:
         await link.open()
         await engine.start()

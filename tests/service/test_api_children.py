@@ -6,7 +6,7 @@ import asyncio
 import os
 from pathlib import Path
 
-import httpx2
+import httpx
 import pytest
 
 from .api_bench import api, served
@@ -72,7 +72,7 @@ async def test_a_fit_that_kills_its_process_is_422_with_the_cause(tmp_path, monk
     async with api(tmp_path) as a:
         row = await upload(a, sphere_csv(60))
         with monkeypatch.context() as patched:
-            patched.setattr("mavcal.service.recordings.FIT", f"{TASKS}:crash")
+            patched.setattr("mavcal.service.computations.FIT", f"{TASKS}:crash")
             problem = await a.post(f"/recordings/{row['id']}/fits", {"method": "mag-sphere"}, 422)
         assert "signal 11" in problem["detail"]
         await a.post(f"/recordings/{row['id']}/fits", {"method": "mag-sphere"}, 200)
@@ -94,11 +94,11 @@ async def test_the_reader_ends_when_the_client_goes_away(hanging):
 
 
 async def test_two_slow_uploads_do_not_starve_a_live_calibration(hanging):
-    from mavcal.service.simvehicle.client import SimulatedVehicle
+    from mavcal.service.simvehicle import SimulatedVehicle
 
     with SimulatedVehicle("ardupilot", speed=20.0, seed=33, config={"thermal": False}) as sim:
         async with served(hanging, connect=(sim.url,)) as a:
-            a.client.timeout = httpx2.Timeout(None)
+            a.client.timeout = httpx.Timeout(None)
             slow = [asyncio.create_task(upload(a, sphere_csv(20), name=f"{i}.csv")) for i in range(2)]
             await reading(hanging, 2)
             vehicle = await a.vehicle()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import socket
 import threading
 import time
@@ -14,10 +15,12 @@ import schemathesis
 import uvicorn
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import seed as seeded
+from openapi_spec_validator import validate
 from schemathesis.generation import GenerationMode
 from schemathesis.specs.openapi.checks import positive_data_acceptance
 
 from mavcal.service.api.document import OPEN
+from mavcal.service.api.problems import explanations
 from mavcal.service.app import create_app
 
 from .api_bench import settings_in
@@ -115,3 +118,66 @@ def test_every_operation_names_its_problems() -> None:
             for status, answer in answers.items():
                 if int(status) >= 400 and path not in {"/readyz", "/problems/{code}"}:
                     assert list(answer["content"]) == ["application/problem+json"], (method, path, status)
+
+
+def described() -> dict[str, Any]:
+    return create_app(settings_in(Path("/nonexistent"))).openapi()
+
+
+def every_operation() -> Iterator[tuple[str, str, dict[str, Any]]]:
+    for path, methods in described()["paths"].items():
+        for method, operation in methods.items():
+            yield path, method, operation
+
+
+def test_the_document_is_valid() -> None:
+    validate(described())
+
+
+def test_every_operation_has_a_name_of_its_own() -> None:
+    names = [operation["operationId"] for _, _, operation in every_operation()]
+    assert len(set(names)) == len(names) > 35
+    assert [name for name in names if not re.fullmatch("[a-z]+(_[a-z]+)+", name)] == []
+    assert {"list_vehicles", "start_job", "follow_job", "answer_job", "get_plan", "apply_plan", "revert_job"} <= {
+        *names
+    }
+
+
+def test_every_operation_has_a_tag_that_is_described_and_a_key() -> None:
+    tags = {tag["name"]: tag["description"] for tag in described()["tags"]}
+    assert described()["components"]["securitySchemes"]["bearer"]["scheme"] == "bearer"
+    for path, _, operation in every_operation():
+        assert set(operation["tags"]) <= tags.keys()
+        assert operation["summary"]
+        assert ("security" in operation) == (path not in OPEN)
+
+
+def test_every_problem_names_the_codes_that_it_may_have() -> None:
+    schemas = described()["components"]["schemas"]
+    known = set(schemas["ProblemCode"]["enum"])
+    assert known == set(explanations())
+    for path, method, operation in every_operation():
+        for status, answer in operation["responses"].items():
+            problem = answer.get("content", {}).get("application/problem+json")
+            if problem is None:
+                assert int(status) < 400 or path in {"/readyz", "/problems/{code}"}
+                continue
+            name = problem["schema"]["$ref"].rsplit("/", 1)[1]
+            assert name == f"Problem{status}", (method, path)
+            own = schemas[name]["allOf"][1]["properties"]
+            assert own["status"] == {"const": int(status)}
+            assert own["code"]["enum"]
+            assert set(own["code"]["enum"]) <= known
+
+
+def test_streams_say_what_they_carry() -> None:
+    schemas = described()["components"]["schemas"]
+    found = {}
+    for _, _, operation in every_operation():
+        content = operation["responses"].get("200", {}).get("content", {})
+        if "text/event-stream" in content:
+            found[operation["operationId"]] = content["text/event-stream"]["schema"]["$ref"].rsplit("/", 1)[1]
+    assert found == {"follow_job": "JobMessage", "follow_vehicle": "VehicleMessage", "follow_events": "Message"}
+    assert schemas["Message"]["discriminator"]["propertyName"] == "event"
+    assert schemas["JobEvent"]["discriminator"]["propertyName"] == "kind"
+    assert schemas["OutcomeModel"]["discriminator"]["propertyName"] == "kind"

@@ -3,29 +3,24 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from pathlib import Path
 from typing import Any
 from urllib.parse import urljoin
 
 import pytest
 
-from mavcal.service.children import Limits
-from mavcal.service.gaps import MOST_WAITING, Gaps, GapState
+from mavcal.service.jobs.computing import MOST_DIAGNOSES
+from mavcal.service.settings import LimitSettings
 from tests.patience import scaled
 from tests.service.gap_tables import write_table
 
-from .api_bench import Api, api
+from .api_bench import Api, api, served
 
 
 async def upload(a: Api, path: Path) -> str:
     content = await asyncio.to_thread(path.read_bytes)
     made = await a.call("POST", "/api/v1/recordings", 201, params={"name": path.name}, content=content)
     return str(made["id"])
-
-
-def own_gaps(a: Api, folder: Path, limits: Limits) -> Gaps:
-    return Gaps(a.service.recordings, folder, children=a.service.children, limits=limits)
 
 
 async def ended(a: Api, gap_id: str) -> Any:
@@ -95,53 +90,49 @@ async def test_an_unknown_id_is_not_found(tmp_path, gap_id):
         await a.get(f"/gaps/{gap_id}/report.html", 404)
 
 
-async def test_too_many_are_refused_and_stopping_ends_them(tmp_path):
+async def test_a_diagnosis_is_a_job_like_others(tmp_path):
+    table = write_table(tmp_path / "real.csv", seconds=10.0)
+    async with served(tmp_path / "data") as a:
+        real = await upload(a, table)
+        job = await a.get(f"/jobs/{(await a.post('/gaps', {'real': real}, 202))['id']}")
+        assert (job["kind"], job["vehicle_id"], job["documents"]) == ("gap", None, [])
+        assert [g["id"] for g in await a.get("/gaps")] == [job["id"]]
+        job = await a.until(job["id"], "succeeded", seconds=60)
+        assert [d["name"] for d in job["documents"]] == ["report.json", "report.html"]
+        assert job["outcome"]["kind"] == "result"
+        page = await a.client.get(f"/{job['documents'][1]['href']}")
+        assert page.headers["content-type"].startswith("text/html")
+        assert "script-src" not in page.headers["content-security-policy"]
+        assert page.text == (await a.client.get(f"/api/v1/gaps/{job['id']}/report.html")).text
+        report = await a.client.get(f"/{job['documents'][0]['href']}")
+        assert report.json() == (await a.get(f"/gaps/{job['id']}"))["report"]
+        await a.get(f"/jobs/{job['id']}/documents/other.txt", 404)
+        await a.get(f"/jobs/{job['id']}/plan", 404)
+        await a.call("DELETE", f"/api/v1/jobs/{job['id']}", 409)
+        events = [data["data"].get("state") for _, _, data in await a.events(f"/jobs/{job['id']}/events", 2)]
+        assert events == ["queued", "fitting"]
+
+
+async def test_too_many_are_refused_and_a_stopped_service_begins_them_again(tmp_path):
     table = write_table(tmp_path / "real.csv", seconds=10.0)
     async with api(tmp_path / "data") as a:
         real = await upload(a, table)
-        for _ in range(MOST_WAITING):
+        for _ in range(MOST_DIAGNOSES):
             await a.post("/gaps", {"real": real}, 202)
         said = await a.post("/gaps", {"real": real}, 429)
         assert said["type"].endswith("gaps-busy")
+        for gap in (await a.get("/gaps"))[1:]:
+            await a.call("DELETE", f"/api/v1/jobs/{gap['id']}", 200)
+        assert [g["state"] for g in await a.get("/gaps")][1:] == ["failed"] * (MOST_DIAGNOSES - 1)
     async with api(tmp_path / "data") as a:
-        states = {g["state"] for g in await a.get("/gaps")}
-        assert states <= {"failed", "done"}
-        assert any("stopped" in (g["error"] or "") for g in await a.get("/gaps"))
+        first = (await a.get("/gaps"))[0]
+        assert (await ended(a, first["id"]))["state"] == "done"
 
 
 async def test_a_diagnosis_that_takes_too_long_is_ended(tmp_path):
     table = write_table(tmp_path / "real.csv")
-    async with api(tmp_path / "data") as a:
+    async with api(tmp_path / "data", limits=LimitSettings(gap_s=1.05)) as a:
         real = await upload(a, table)
-        gaps = own_gaps(a, tmp_path / "own", Limits(2**30, 60.0, 0.05))
-        row = gaps.start(real, None, ())
-        async with asyncio.timeout(scaled(20)):
-            while gaps.get(row.id).state in {GapState.QUEUED, GapState.RUNNING}:  # noqa: ASYNC110 - as a client would
-                await asyncio.sleep(0.05)
-        assert "longer than 0.05 s" in (gaps.get(row.id).error or "")
-
-
-async def test_what_a_crash_left_running_is_failed(tmp_path):
-    async with api(tmp_path) as a:
-        folder = tmp_path / "own"
-        folder.mkdir()
-        left = {"id": "a" * 16, "created_at": 1.0, "real": "r", "sim": None, "nominal": [], "state": "running"}
-        (folder / f"{'a' * 16}.json").write_text(json.dumps({**left, "error": None}))
-        assert own_gaps(a, folder, Limits(2**30, 1.0, 1.0)).get("a" * 16).state is GapState.FAILED
-
-
-@pytest.mark.parametrize("content", [b"", b"[", b"{}", b"null", b"[]", b"\xff", b'{"id": 1}', b"[" * 100_000])
-async def test_a_damaged_record_stops_nothing_and_is_shown_as_failed(tmp_path, content):
-    async with api(tmp_path) as a:
-        folder = a.service.settings.data_dir / "gaps"
-    (folder / f"{'a' * 16}.json").write_bytes(content)
-    done = {"id": "b" * 16, "created_at": 1.0, "real": "r", "sim": None, "nominal": [], "state": "done", "error": None}
-    (folder / f"{'b' * 16}.json").write_text(json.dumps(done))
-    (folder / f"{'b' * 16}.report").write_bytes(content[:1])
-    async with api(tmp_path) as a:
-        states = {g["id"]: g["state"] for g in await a.get("/gaps")}
-        assert states["a" * 16] == "failed"
-        assert "damaged" in (await a.get(f"/gaps/{'a' * 16}"))["error"]
-        found = await a.get(f"/gaps/{'b' * 16}")
-        assert (found["state"], found["report"]) == ("failed", None)
-        await a.get(f"/gaps/{'b' * 16}/report.html", 409)
+        found = await ended(a, (await a.post("/gaps", {"real": real}, 202))["id"])
+        assert found["state"] == "failed"
+        assert "1.05 s" in found["error"] or "processor" in found["error"]

@@ -13,11 +13,13 @@ from urllib.parse import urljoin
 
 import pytest
 import structlog
+from pydantic import TypeAdapter
 
+from mavcal.service.api.models import JobEvent
 from mavcal.service.api.security import digest
 from mavcal.service.logs import configure_logging
 from mavcal.service.settings import ApiKey
-from mavcal.service.simvehicle.client import SimulatedVehicle
+from mavcal.service.simvehicle import SimulatedVehicle
 from tests.patience import scaled
 
 from .api_bench import Api, Json, served
@@ -55,6 +57,9 @@ async def bench(folder: Path, sim: SimulatedVehicle, **settings: Any) -> AsyncIt
 async def reviewed(a: Api, vehicle: Json) -> Json:
     job = await a.post(f"/vehicles/{vehicle['id']}/jobs", GYRO, 202)
     return await a.until(job["id"], "review")
+
+
+JOB_EVENT: TypeAdapter[JobEvent] = TypeAdapter(JobEvent)
 
 
 async def test_a_vehicle_its_parameters_and_its_stream(tmp_path, sim):
@@ -172,6 +177,10 @@ async def events_are_replayed(a: Api, job_id: str) -> None:
     states = ["queued", "running", "fitting", "review", "applying", "verifying", "succeeded"]
     total = len(a.service.store.events(job_id))
     events = await a.events(f"/jobs/{job_id}/events", total)
+    for _, _, event in events:
+        told = JOB_EVENT.validate_python(event)
+        assert JOB_EVENT.dump_python(told, mode="json") == event
+    assert {event["kind"] for _, _, event in events} >= {"state", "progress", "prompt", "verification", "write"}
     assert {name for _, name, _ in events} == {"job"}
     told = [e["data"]["state"] for _, _, e in events if e["kind"] == "state"]
     assert [s for s in told if s in states] == states
@@ -257,9 +266,10 @@ async def test_a_change_by_somebody_else_is_plan_again_and_then_it_works(tmp_pat
         assert problem["title"] == "Plan again"
         assert "INS_ACCOFFS_X" in problem["detail"]
         again = await a.post(f"/jobs/{job['id']}/plan", {}, 200)
-        assert again["plan"]["sha256"] != job["plan"]["sha256"]
+        assert again == await a.get(f"/jobs/{job['id']}/plan")
+        assert again["sha256"] != job["plan"]["sha256"]
         await a.post(f"/jobs/{job['id']}/apply", {"plan_sha256": job["plan"]["sha256"]}, 409)
-        await a.post(f"/jobs/{job['id']}/apply", {"plan_sha256": again["plan"]["sha256"], "prove_s": 0}, 202)
+        await a.post(f"/jobs/{job['id']}/apply", {"plan_sha256": again["sha256"], "prove_s": 0}, 202)
         await a.until(job["id"], "succeeded")
 
 
@@ -274,3 +284,27 @@ async def test_an_armed_vehicle_is_409_and_a_read_only_service_403(tmp_path, sim
                 await asyncio.sleep(0.05)
         problem = await a.post(f"/vehicles/{vehicle['id']}/jobs", GYRO, 409)
         assert problem["type"].endswith("vehicle-armed")
+
+
+async def test_a_write_that_fails_before_it_begins_says_so_in_review_and_can_be_tried_again(tmp_path, sim):
+    async with bench(tmp_path, sim) as (a, vehicle):
+        job = await reviewed(a, vehicle)
+        assert job["outcome"] is None
+        before = stored(sim)
+        body = {"plan_sha256": job["plan"]["sha256"], "prove_s": 0}
+        await a.post(f"/jobs/{job['id']}/apply", body, 202)
+        sim.call("arm")  # while the service still looks at the stream under the old values
+        async with asyncio.timeout(scaled(20)):
+            while (told := await a.get(f"/jobs/{job['id']}"))["last_write"]["result"] == "running":  # noqa: ASYNC110
+                await asyncio.sleep(0.05)
+        assert (told["state"], told["last_write"]["result"], told["last_write"]["sent"]) == ("review", "failed", 0)
+        assert told["outcome"]["kind"] == "write_failed"
+        assert "armed" in told["outcome"]["cause"]
+        assert told["outcome"]["remedy"] == "Nothing was written."
+        events = [row.data for row in a.service.store.events(job["id"]) if row.kind == "state"]
+        assert (events[-1]["state"], events[-1]["outcome"]["kind"]) == ("review", "write_failed")
+        assert stored(sim) == before
+        sim.call("disarm")
+        await a.vehicle()
+        await a.post(f"/jobs/{job['id']}/apply", body, 202)
+        assert (await a.until(job["id"], "succeeded"))["outcome"]["kind"] == "result"

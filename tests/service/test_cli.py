@@ -447,6 +447,7 @@ def test_a_service_starts_answers_and_ends(tmp_path):
             process.terminate()
             _, err = process.communicate(timeout=scaled(15))
     assert "Traceback" not in err
+    assert process.returncode == 0
 
 
 def test_a_calibration_headless_from_end_to_end(tmp_path):

@@ -15,7 +15,7 @@ import pytest
 
 from mavcal.calib.firmware.values import shown
 from mavcal.service.jobs.crashpoints import At
-from mavcal.service.simvehicle.client import SimulatedVehicle
+from mavcal.service.simvehicle import SimulatedVehicle
 
 pytestmark = pytest.mark.timeout(300)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from mavcal.service.simvehicle.client import SimulatedVehicle
+from mavcal.service.simvehicle import SimulatedVehicle
 from mavcal.service.store import SqliteStore
 
 from .test_api_recording_jobs import without_version

@@ -5,11 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mavcal.calib.firmware.plan import Verdict
-from mavcal.calib.report import step_to_json
+from mavcal.calib.firmware.plan import ProofVerdict
+from mavcal.calib.report import to_json
 from mavcal.service.jobs.states import ENDED, JobState
-from mavcal.service.simvehicle.client import SimulatedVehicle
-from mavcal.service.simvehicle.operator import Operator
+from mavcal.service.simvehicle import Operator, SimulatedVehicle
 from tests.patience import scaled
 
 from .jobs_bench import SPEED, Session, session
@@ -21,7 +20,7 @@ async def followed(bench: Session, job_id: str, operator: Operator, *states: Job
         while bench.engine.get(job_id).state not in states:
             prompt = bench.engine.get(job_id).prompt
             if prompt is not None:
-                await asyncio.to_thread(operator.follow, step_to_json(prompt))
+                await asyncio.to_thread(operator.follow, to_json(prompt))
             await asyncio.sleep(0.05)
 
 
@@ -47,4 +46,4 @@ async def test_accelerometers_are_calibrated_and_every_parameter_is_proved(tmp_p
             assert job.verification is not None
             scales = {p.name: p.verdict for p in job.verification.parameters if "SCAL" in p.name or "OFFS" in p.name}
             assert len(scales) == 18
-            assert set(scales.values()) == {Verdict.PROVED}, scales
+            assert set(scales.values()) == {ProofVerdict.PROVED}, scales

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from mavcal.calib.firmware.plan import Verdict
+from mavcal.calib.firmware.plan import ProofVerdict
 from mavcal.service.errors import PhysicalJobRunning, PlanChanged, VehicleArmed
-from mavcal.service.jobs.digest import FitRequest, fit_segments
+from mavcal.service.jobs.digest import JobFitRequest, fit_segments
 from mavcal.service.jobs.model import Accept, Failure, Result
 from mavcal.service.jobs.states import JobState
-from mavcal.service.simvehicle.client import SimulatedVehicle
+from mavcal.service.simvehicle import SimulatedVehicle
 
 from .jobs_bench import GYRO_OFFSETS, SPEED, Session, eventually, session, stored, zero_gyro_offsets
 
@@ -45,7 +45,7 @@ async def test_gyro_from_start_to_proof_and_back(tmp_path: Path, sim: SimulatedV
         assert {c.name for c in job.plan.changes} >= set(GYRO_OFFSETS)
 
         # The result is that of the closed segment: fitted again, the same digits.
-        request = FitRequest(job.kind, job.options, job.segments, bench.vehicle.system, job.created_at)
+        request = JobFitRequest(job.kind, job.options, job.segments, bench.vehicle.system, job.created_at)
         again = fit_segments(request).outcome
         assert [list(fit.values) for fit in again.results] == [list(fit.values) for fit in job.results]  # type: ignore[union-attr]
 
@@ -60,7 +60,7 @@ async def test_gyro_from_start_to_proof_and_back(tmp_path: Path, sim: SimulatedV
         assert isinstance(job.outcome, Result), job.outcome
         assert job.verification is not None
         verdicts = {p.name: p.verdict for p in job.verification.parameters}
-        assert all(verdicts[name] == Verdict.PROVED for name in GYRO_OFFSETS), verdicts
+        assert all(verdicts[name] == ProofVerdict.PROVED for name in GYRO_OFFSETS), verdicts
         now = stored(sim)
         assert all(now[c.name] == c.new for c in job.plan.changes)
 
@@ -70,7 +70,7 @@ async def test_gyro_from_start_to_proof_and_back(tmp_path: Path, sim: SimulatedV
 
         # Nothing is left switched on that was off before.
         await eventually(lambda: not bench.engine._tidying.tasks)
-        assert bench.engine._handles[job.id].written().intervals == {}
+        assert bench.engine._book.handle(job.id).written().intervals == {}
 
 
 async def test_accepted_but_not_applied_is_caught_and_taken_back(tmp_path: Path, sim: SimulatedVehicle) -> None:
@@ -167,11 +167,11 @@ async def test_cancel_is_quick_and_puts_the_streams_back(tmp_path: Path, sim: Si
         with pytest.raises(PhysicalJobRunning):
             await bench.engine.submit(bench.vehicle.id, "gyro")
         await eventually(lambda: bench.engine.get(job.id).prompt is not None)
-        changed = set(bench.engine._handles[job.id].written().intervals)
+        changed = set(bench.engine._book.handle(job.id).written().intervals)
         assert changed
         loop_time = bench.vehicle.clock()
         job = await bench.engine.cancel(job.id)
         assert job.state == JobState.CANCELLED
-        await eventually(lambda: not bench.engine._handles[job.id].written().intervals)
+        await eventually(lambda: not bench.engine._book.handle(job.id).written().intervals)
         assert bench.vehicle.clock() - loop_time < 1.0
         await eventually(lambda: bool(bench.engine.get(job.id).segments))

@@ -13,14 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mavcal.calib.firmware.plan import Verdict
+from mavcal.calib.firmware.plan import ProofVerdict
 from mavcal.calib.fit import FitResult
-from mavcal.calib.report import step_to_json
-from mavcal.service.jobs.digest import FitRequest, fit_segments
+from mavcal.calib.report import to_json
+from mavcal.service.jobs.digest import JobFitRequest, fit_segments
 from mavcal.service.jobs.model import Job
 from mavcal.service.jobs.states import ENDED, JobState
-from mavcal.service.simvehicle.client import SimulatedVehicle
-from mavcal.service.simvehicle.operator import Operator
+from mavcal.service.simvehicle import Operator, SimulatedVehicle
 from tests.patience import scaled
 
 from .jobs_bench import Session, session
@@ -52,7 +51,7 @@ async def captured(bench: Session, kind: str, operator: Operator, **options: Any
     async with asyncio.timeout(scaled(90)):
         while (job := bench.engine.get(job.id)).state not in {JobState.REVIEW, *ENDED}:
             if job.prompt is not None:
-                asked = step_to_json(job.prompt)
+                asked = to_json(job.prompt)
                 await asyncio.to_thread(operator.follow, asked)
                 value = operator.answer(asked)
                 if value is not None and answered != asked:
@@ -66,7 +65,7 @@ async def captured(bench: Session, kind: str, operator: Operator, **options: Any
 def again(bench: Session, job: Job) -> list[list[float]]:
     """The numbers of the closed segments, fitted once more."""
     answers = tuple((float(t), str(v)) for t, v in job.context.get("answers", ()))
-    request = FitRequest(job.kind, job.options, job.segments, bench.vehicle.system, job.created_at, answers)
+    request = JobFitRequest(job.kind, job.options, job.segments, bench.vehicle.system, job.created_at, answers)
     return [list(fit.values) for fit in fit_segments(request).outcome.results]  # type: ignore[union-attr]
 
 
@@ -107,7 +106,7 @@ async def test_accelerometer_on_six_faces_is_written_and_checked(tmp_path: Path,
         job = await bench.until(job.id, *ENDED)
         assert job.state == JobState.SUCCEEDED, job.outcome
         assert job.verification is not None
-        assert Verdict.CONTRADICTED not in {p.verdict for p in job.verification.parameters}
+        assert ProofVerdict.CONTRADICTED not in {p.verdict for p in job.verification.parameters}
 
 
 async def test_compasses_by_six_rings(tmp_path: Path, sim: SimulatedVehicle) -> None:

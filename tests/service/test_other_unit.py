@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from mavcal.service.jobs.journal import Step
+from mavcal.service.jobs.journal import JournalStep
 from mavcal.service.jobs.states import JobState
-from mavcal.service.simvehicle.client import SimulatedVehicle, free_udp_port
+from mavcal.service.simvehicle import SimulatedVehicle, free_udp_port
 from tests.patience import scaled
 
 from .jobs_bench import eventually, session, stored
@@ -53,7 +53,7 @@ async def test_the_write_of_a_unit_that_was_swapped_is_never_finished_on_the_oth
                 assert bench.engine.get(job.id).state is JobState.IN_DOUBT
                 assert stored(second) == before
                 assert second.state()["param_sets"] == 0
-            assert bench.store.journal(job.id)[-1].step == Step.STOPPED
+            assert bench.store.journal(job.id)[-1].step == JournalStep.STOPPED
 
 
 @pytest.mark.long

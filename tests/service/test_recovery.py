@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from mavcal.service.jobs.crashpoints import At
-from mavcal.service.jobs.journal import Step
+from mavcal.service.jobs.journal import JournalStep
 from mavcal.service.jobs.states import ENDED, JobState
-from mavcal.service.simvehicle.client import SimulatedVehicle
+from mavcal.service.simvehicle import SimulatedVehicle
 from tests.patience import scaled
 
 from .jobs_bench import GYRO_OFFSETS, SPEED, session, stored, zero_gyro_offsets
@@ -58,10 +58,10 @@ async def test_killed_in_the_capture_and_in_the_write(tmp_path: Path, sim: Simul
     state, steps = await resumed(tmp_path, sim.url)
     assert state == JobState.REVERTED
     assert stored(sim) == before
-    assert steps[-1] == Step.CLOSED
+    assert steps[-1] == JournalStep.CLOSED
 
     async with session(tmp_path, sim.url) as bench:
-        assert bench.engine._handles[bench.engine.list()[-1].id].written().intervals == {}
+        assert bench.engine._book.handle(bench.engine.list()[-1].id).written().intervals == {}
 
 
 @pytest.mark.long

@@ -17,7 +17,7 @@ from mavcal.calib.firmware import undo
 from mavcal.calib.logs.tables import write_table
 from mavcal.calib.recording import Recording, Segment, Sensor
 from mavcal.service.cli import cli
-from mavcal.service.simvehicle.client import SimulatedVehicle
+from mavcal.service.simvehicle import SimulatedVehicle
 
 from .api_bench import Api, Json, served
 from .jobs_bench import SPEED

@@ -15,7 +15,7 @@ from mavcal.calib import __version__
 from tests.patience import scaled
 
 ROOT = Path(__file__).resolve().parents[2]
-STRANGERS = ("calib", "service")
+STRANGERS = ("calib", "client", "service")
 
 pytestmark = pytest.mark.timeout(300)
 
@@ -58,7 +58,13 @@ def run(fresh: Path, *words: str, seconds: float = 60.0) -> subprocess.Completed
 def test_the_wheel_brings_one_name_and_the_panel(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     assert {name.split("/")[0] for name in names} == {"mavcal", f"mavcal-{__version__}.dist-info"}
-    assert {"mavcal/calib/triad.py", "mavcal/service/cli.py", "mavcal/service/_web/index.html"} <= set(names)
+    assert {
+        "mavcal/calib/triad.py",
+        "mavcal/client/waiting.py",
+        "mavcal/service/cli.py",
+        "mavcal/service/_web/index.html",
+    } <= set(names)
+    assert {"mavcal/calib/gap_report/templates/report.html", "mavcal/service/templates/export.html"} <= set(names)
 
 
 def test_strangers_of_the_old_names_change_nothing(fresh: Path) -> None:

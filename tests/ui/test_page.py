@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from mavcal.service.api.security import digest
-from mavcal.service.simvehicle.client import SimulatedVehicle
+from mavcal.service.simvehicle import SimulatedVehicle
 
 from .browser import CHROMIUM, DRIVER, Browser, browser
 

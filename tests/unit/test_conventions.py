@@ -29,7 +29,7 @@ from mavcal.calib.converted import (
     px4_from_model,
 )
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.fit import FitResult, FitStatus, refused
+from mavcal.calib.fit import FitBuilder, FitResult, FitStatus
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
@@ -187,7 +187,7 @@ def test_what_is_open_or_depends_on_temperature_is_said():
 
 
 def test_no_form():
-    refusal = refused("test", Sensor.MAG, 0, "nothing", unit="uT", n_samples=0)
+    refusal = FitBuilder("test", Sensor.MAG, 0, "uT", 0).refused("nothing")
     with pytest.raises(InvalidInputError, match="refused fit"):
         converted(refusal, "matlab")
     with pytest.raises(InvalidInputError, match="in counts"):

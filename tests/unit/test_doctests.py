@@ -11,10 +11,11 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 SHOWN = sorted(
     path.relative_to(ROOT)
-    for package in ("calib", "service")
+    for package in ("calib", "client", "service")
     for path in (ROOT / package).rglob("*.py")
     if ">>> " in path.read_text(encoding="utf-8")
 )
+PAGES = sorted(path for path in (ROOT / "docs").glob("*.md") if ">>> " in path.read_text(encoding="utf-8"))
 
 
 def test_there_are_examples():
@@ -32,3 +33,10 @@ def test_examples_are_true(path):
         runner.run(test, out=said.append)
     assert tests, f"{path} shows examples in no docstring"
     assert not runner.summarize(verbose=False).failed, "".join(said)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_examples_of_pages_are_true(page):
+    failed, tried = doctest.testfile(str(page), module_relative=False)
+    assert tried > 0
+    assert failed == 0

@@ -1,9 +1,13 @@
-"""Who may import whom: layers of ``calib``, ``service`` above them, and a simulator that knows nothing of either."""
+"""Who may import whom: layers of ``calib``, ``service`` above them, and two enclosures with one door each."""
 
 from __future__ import annotations
 
 import ast
+import importlib
+import re
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -12,19 +16,32 @@ ROOT = Path(__file__).resolve().parents[2]
 
 LAYERS = (
     {"errors"},
-    {"wire", "recording", "triad", "fit", "geometry", "attitude", "c_array", "conventions"},
+    {
+        "wire",
+        "recording",
+        "triad",
+        "fit",
+        "geometry",
+        "attitude",
+        "c_array",
+        "conventions",
+        "option",
+        "pages",
+        "drawing",
+        "converter",
+    },
     {"earth", "stats"},
     {"noise", "accel", "gyro", "thermal", "imu", "mag"},
     {"simulate", "firmware", "converted"},
     {"logs"},
-    {"procedures", "gap", "flight", "blind"},
+    {"procedures", "gap", "flight", "preflight", "blind", "withheld_check"},
     {"report", "methods", "gap_report"},
 )
 """Rooms of ``calib``, lowest first; a room imports its own layer and the ones below, never in a circle."""
 
 ROOMS = set().union(*LAYERS)
 
-PURE = {"numpy", "scipy", "pygeomag", "pyulog", "pymavlink", "fastcrc"}
+PURE = {"numpy", "scipy", "pygeomag", "pyulog", "pymavlink", "fastcrc", "jinja2", "markupsafe", "cattrs"}
 """Packages that ``calib`` may import besides the standard library's harmless part."""
 
 FORBIDDEN = {
@@ -37,10 +54,11 @@ STANDARD = {
     *("__future__", "abc", "array", "ast", "bisect", "collections", "contextlib", "copy", "csv", "dataclasses"),
     *("datetime", "decimal", "enum", "fractions", "functools", "hashlib", "heapq", "hmac", "io", "itertools", "json"),
     *("math", "operator", "pathlib", "re", "statistics", "string", "struct", "textwrap", "types", "typing", "warnings"),
-    *("zipfile", "zlib", "importlib", "numbers", "unicodedata", "html"),
+    *("zipfile", "zlib", "importlib", "numbers", "unicodedata"),
 }
 
 
+@cache
 def modules(package: str) -> dict[str, str]:
     """Dotted name and source of every module below `package`."""
     paths = sorted((ROOT / package).rglob("*.py"))
@@ -49,18 +67,28 @@ def modules(package: str) -> dict[str, str]:
     }
 
 
-def imports(name: str, source: str) -> set[str]:
+@cache
+def nodes(source: str) -> tuple[ast.AST, ...]:
+    return tuple(
+        node
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.Import | ast.ImportFrom | ast.Constant | ast.Call)
+    )
+
+
+@cache
+def imports(name: str, source: str) -> frozenset[str]:
     """Everything that a module imports, relative imports resolved; ``from a import b`` counts as ``a.b``."""
     package = name.split(".")
     found = set()
-    for node in ast.walk(ast.parse(source)):
+    for node in nodes(source):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             base = package[: len(package) - node.level] if node.level else []
             module = ".".join([*base, *([node.module] if node.module else [])])
             found |= {f"{module}.{alias.name}" for alias in node.names}
-    return found
+    return frozenset(found)
 
 
 def room(name: str) -> str | None:
@@ -91,14 +119,49 @@ def impurities(name: str, source: str) -> set[str]:
     }
 
 
-def strangers(name: str, source: str) -> set[str]:
-    """Imports of the simulated vehicle that would make it read the facts with our eyes."""
-    return {
-        i
-        for i in imports(name, source)
-        if (i.split(".")[0] == "mavcal" and not i.startswith("mavcal.service.simvehicle"))
-        or i.startswith("pymavlink.mavutil")
-    }
+@dataclass(frozen=True)
+class Enclosure:
+    """A package that is entered by one module, and itself goes out only for what is listed."""
+
+    package: str
+    door: str
+    may: frozenset[str] = frozenset()
+    """Modules of the project that the package may import."""
+    guests: tuple[str, ...] = ()
+    """Programs of ``bench`` that look inside on purpose."""
+
+    def inside(self, name: str) -> bool:
+        return f"{name}.".startswith(f"{self.package}.")
+
+    def intruding(self, name: str, source: str) -> set[str]:
+        """Imports of a module outside that pass by the door, or that the door does not offer; paths in texts too."""
+        if self.inside(name) or name == self.door or name.startswith(self.guests):
+            return set()
+        offered = {self.door, *(f"{self.door}.{each}" for each in importlib.import_module(self.door).__all__)}
+        texts = [node.value for node in nodes(source) if isinstance(node, ast.Constant)]
+        named = {text for text in texts if isinstance(text, str) and re.fullmatch(r"[\w.]+", text)}
+        ours = (f"{self.package}.", f"{self.door}.")
+        return {i for i in imports(name, source) | named if f"{i}.".startswith(ours)} - offered
+
+    def straying(self, name: str, source: str) -> set[str]:
+        """Imports of a module inside that lie in the project and are not listed."""
+        if not self.inside(name):
+            return set()
+        ours = {i for i in imports(name, source) if i.split(".")[0] == "mavcal" and not self.inside(i)}
+        return {i for i in ours if not any(f"{i}.".startswith(f"{each}.") for each in self.may)}
+
+
+SIMVEHICLE = Enclosure("mavcal.service.simvehicle", "mavcal.service.simvehicle", guests=("mavcal.bench.compass",))
+"""It reads the facts for itself: nothing of ours is on its list."""
+BLIND = Enclosure(
+    "mavcal.calib.blind", "mavcal.calib.withheld_check", frozenset({"mavcal.calib.recording", "mavcal.calib.errors"})
+)
+"""It shares with the diagnosis only the form of a recording."""
+
+
+def outsiders(name: str, source: str) -> set[str]:
+    """Imports of the client that would bring the service, or what calibrates, to whoever only asks."""
+    return {i for i in imports(name, source) if i.split(".")[0] == "mavcal" and not i.startswith("mavcal.client")}
 
 
 def offenders(package: str, rule: Callable[[str, str], set[str]]) -> dict[str, set[str]]:
@@ -120,27 +183,48 @@ def test_calib_is_pure():
 
 def test_calib_does_not_print():
     def prints(_name: str, source: str) -> set[str]:
-        calls = [node.func for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call)]
+        calls = [node.func for node in nodes(source) if isinstance(node, ast.Call)]
         return {f.id for f in calls if isinstance(f, ast.Name) and f.id in {"print", "input"}}
 
     assert offenders("calib", prints) == {}
 
 
-def test_the_simulated_vehicle_reads_the_facts_for_itself():
-    assert offenders("service/simvehicle", strangers) == {}
+@pytest.mark.parametrize("enclosure", [SIMVEHICLE, BLIND], ids=lambda enclosure: enclosure.package)
+def test_an_enclosure_has_one_door(enclosure):
+    for package in ("calib", "service", "bench"):
+        assert offenders(package, enclosure.intruding) == {}
+        assert offenders(package, enclosure.straying) == {}
+
+
+def test_the_simulated_vehicle_frames_its_messages_itself():
+    def through_utilities(name: str, source: str) -> set[str]:
+        return {i for i in imports(name, source) if i.startswith("pymavlink.mavutil")}
+
+    assert offenders("service/simvehicle", through_utilities) == {}
+
+
+def test_the_client_stands_alone():
+    assert offenders("client", outsiders) == {}
 
 
 @pytest.mark.parametrize(
     ("rule", "name", "source"),
     [
-        (climbs, "mavcal.calib.triad", "from mavcal.calib.report import fit_to_json"),
+        (climbs, "mavcal.calib.triad", "from mavcal.calib.report import to_json"),
         (climbs, "mavcal.calib.firmware.px4.parameters", "from ...logs import tlog"),
         (climbs, "mavcal.calib.__init__", "import mavcal.calib.errors"),
         (impurities, "mavcal.calib.accel.poses", "import time"),
         (impurities, "mavcal.calib.wire.frames", "from mavcal.service.errors import LinkError"),
         (impurities, "mavcal.calib.logs.tlog", "from pymavlink.mavutil import mavlink_connection"),
-        (strangers, "mavcal.service.simvehicle.vehicle", "from mavcal.calib.wire import decode"),
-        (strangers, "mavcal.service.simvehicle.vehicle", "from ..link import endpoints"),
+        (SIMVEHICLE.straying, "mavcal.service.simvehicle.vehicle", "from mavcal.calib.wire import decode"),
+        (SIMVEHICLE.straying, "mavcal.service.simvehicle.vehicle", "from ..link import endpoints"),
+        (SIMVEHICLE.intruding, "mavcal.service.demo.run", "from mavcal.service.simvehicle.client import start"),
+        (SIMVEHICLE.intruding, "mavcal.service.demo.run", "from ..simvehicle import server"),
+        (SIMVEHICLE.intruding, "mavcal.service.demo.run", "import_module('mavcal.service.simvehicle.server')"),
+        (BLIND.straying, "mavcal.calib.blind.cases", "from mavcal.calib.gap.diagnose import diagnose"),
+        (BLIND.intruding, "mavcal.calib.gap.diagnose", "from ..blind import cases"),
+        (BLIND.intruding, "mavcal.service.commands.gap", "from mavcal.calib.withheld_check import nothing"),
+        (outsiders, "mavcal.client.models", "from mavcal.service.jobs.states import JobState"),
     ],
 )
 def test_the_rules_see_a_violation(rule, name, source):

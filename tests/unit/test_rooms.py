@@ -1,4 +1,4 @@
-"""Rooms of ``calib`` form no circle, inside a layer as little as between layers."""
+"""No circle ties modules of a package, nor its rooms: in ``calib`` inside a layer as little as between layers."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
+
+from bench import house
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -19,7 +21,7 @@ def sources(package: str) -> dict[str, str]:
 
 
 def imported(source: str, package: str, names: set[str]) -> set[str]:
-    """Modules of `package` that a source imports, by their names below it."""
+    """Modules of `package` and faces of its folders that a source imports, by their names below it."""
     found = set()
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(package):
@@ -40,9 +42,10 @@ def rooms(modules: dict[str, str], package: str) -> dict[str, set[str]]:
     """Each room with the other rooms that it imports."""
     names = set(modules)
     found: dict[str, set[str]] = {room(name, names): set() for name in names}
+    faces = {name.rpartition(".")[0] for name in names} - {""}
     for name, source in modules.items():
         own = room(name, names)
-        found[own] |= {room(other, names) for other in imported(source, package, names)} - {own}
+        found[own] |= {room(other, names) for other in imported(source, package, names | faces)} - {own}
     return found
 
 
@@ -63,6 +66,14 @@ def test_rooms_of_calib_form_no_circle():
     assert circle(found) == []
 
 
+def test_rooms_of_service_form_no_circle():
+    found = rooms(sources("service"), "mavcal.service")
+    assert {"api.models", "commands", "demo", "jobs", "link", "simvehicle", "store", "vehicle", "core"} <= set(found)
+    assert "link" in found["vehicle"]
+    assert "simvehicle" in found["demo"]  # through its face
+    assert circle(found) == []
+
+
 @pytest.mark.parametrize(
     "modules",
     [
@@ -72,7 +83,16 @@ def test_rooms_of_calib_form_no_circle():
             "firmware.compose.draft": "from mavcal.calib.firmware.names import x",
             "firmware.names": "from mavcal.calib.firmware.px4 import facts",
         },
+        {"imu.weigh": "from mavcal.calib.mag import offered", "mag.result": "from mavcal.calib.imu.weigh import x"},
     ],
 )
 def test_a_circle_is_seen(modules):
     assert circle(rooms(modules, "mavcal.calib"))
+
+
+@pytest.mark.parametrize("package", ["calib", "service"])
+def test_no_circle_ties_modules(package):
+    """An import for type checkers alone ties as well: who reads one module of a circle has to read them all."""
+    modules = house.sources(package)
+    assert len(modules) > 100
+    assert house.circles(house.arrows(modules)) == []

@@ -23,7 +23,7 @@ from mavcal.calib.firmware.ardupilot.parameters import UT_PER_MGAUSS
 from mavcal.calib.firmware.compose.announce import lose_compass_mounting
 from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
 from mavcal.calib.firmware.compose.fitted import Pair, body_from_raw, keeps_matrix
-from mavcal.calib.firmware.compose.mounting import Turn, ask_for_mounting, mounting_turn
+from mavcal.calib.firmware.compose.mounting import MountingRotation, ask_for_mounting, mounting_turn
 from mavcal.calib.firmware.limits import COMPASS_OFFS_MAX, COMPASS_SCALE_WINDOW
 from mavcal.calib.firmware.names import Role
 from mavcal.calib.firmware.plan import ParameterKind
@@ -91,7 +91,9 @@ def _is_whole(draft: Draft, about: Subject, fit: FitResult) -> bool:
     return True
 
 
-def _set_rotation(draft: Draft, about: Subject, roles: Mapping[Role, str], turn: Turn, body_from_sensor: Array) -> bool:
+def _set_rotation(
+    draft: Draft, about: Subject, roles: Mapping[Role, str], turn: MountingRotation, body_from_sensor: Array
+) -> bool:
     if int(draft.parameters.get(roles[Role.EXTERNAL], 0)) == 0:
         draft.block(
             f"{about} is internal and follows AHRS_ORIENTATION, but its field is turned by {turn.name} against the "

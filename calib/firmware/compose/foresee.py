@@ -17,7 +17,7 @@ from mavcal.calib.firmware.compose.plan import unwritable
 from mavcal.calib.firmware.in_force.fingerprint import SENSOR_IDS, fingerprint
 from mavcal.calib.firmware.options import ComposeOptions, unknown_keys
 from mavcal.calib.firmware.plan import Value
-from mavcal.calib.fit import AXES, FitResult, FitStatus, parameter_names
+from mavcal.calib.fit import OFFSETS, FitBuilder, FitResult, parameter_names
 from mavcal.calib.recording import Identity, Sensor
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
@@ -59,22 +59,16 @@ def _ids(identity: Identity, parameters: Mapping[str, Value]) -> dict[tuple[Sens
 
 def _drift(sensor: Sensor, instance: int) -> FitResult:
     names = parameter_names(3)
-    shape_only = tuple(f"offset_{axis}" for axis in AXES) if sensor == Sensor.ACCEL else ()
+    shape_only = dict.fromkeys(OFFSETS, "") if sensor == Sensor.ACCEL else {}
     sd = np.zeros(len(names))
     sd[12:] = 1e-9
-    return FitResult(
-        method="foreseen",
-        sensor=sensor,
-        instance=instance,
-        status=FitStatus.PARTIAL if shape_only else FitStatus.OK,
+    unit = "m/s2" if sensor == Sensor.ACCEL else "rad/s"
+    return FitBuilder("foreseen", sensor, instance, unit, 1, temperature=_MEASURED.t_ref).fitted(
+        TriadModel(polynomial=_MEASURED),
+        np.diag(sd**2),
         message="",
-        model=TriadModel(polynomial=_MEASURED),
-        covariance=np.diag(sd**2),
-        unit="m/s2" if sensor == Sensor.ACCEL else "rad/s",
-        n_samples=1,
         n_used=1,
         residual_rms=0.0,
         condition_number=1.0,
         undetermined=shape_only,
-        temperature=_MEASURED.t_ref,
     )

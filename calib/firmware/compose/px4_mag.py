@@ -15,7 +15,7 @@ from mavcal.calib.firmware import losses, names
 from mavcal.calib.firmware.compose.announce import lose_compass_mounting
 from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
 from mavcal.calib.firmware.compose.fitted import Pair, keeps_matrix
-from mavcal.calib.firmware.compose.mounting import Turn, ask_for_mounting, mounting_turn
+from mavcal.calib.firmware.compose.mounting import MountingRotation, ask_for_mounting, mounting_turn
 from mavcal.calib.firmware.compose.px4 import set_row
 from mavcal.calib.firmware.compose.px4_memory import Vector, neutral_model, representable, set_vector
 from mavcal.calib.firmware.limits import COMPASS_SCALE_WINDOW
@@ -124,7 +124,7 @@ def _lose(
         )
 
 
-def _set_rotation(draft: Draft, about: Subject, roles: Mapping[Role, str], turn: Turn) -> bool:
+def _set_rotation(draft: Draft, about: Subject, roles: Mapping[Role, str], turn: MountingRotation) -> bool:
     number = int(draft.parameters.get(roles[Role.ROTATION], -1))
     if number < 0:
         draft.block(

@@ -12,10 +12,17 @@ from numpy.typing import NDArray
 
 from mavcal.calib.firmware.compose.draft import Subject
 from mavcal.calib.firmware.compose.fitted import Pair
-from mavcal.calib.firmware.proof.discrepancy import Capture, Undo, covariance, discrepancy, expected_of, true_magnitude
-from mavcal.calib.firmware.proof.evidence import Evidence, Reading
+from mavcal.calib.firmware.proof.discrepancy import (
+    BeforeAfter,
+    Undo,
+    covariance,
+    discrepancy,
+    expected_of,
+    true_magnitude,
+)
+from mavcal.calib.firmware.proof.evidence import StillMean, StreamEvidence
 from mavcal.calib.firmware.proof.force import Force
-from mavcal.calib.firmware.proof.hypotheses import Hypothesis, Judgement, judge
+from mavcal.calib.firmware.proof.hypotheses import Hypothesis, StreamJudgement, judge
 from mavcal.calib.firmware.proof.known_drift import known_drift
 from mavcal.calib.fit import FitResult
 from mavcal.calib.recording import Sensor
@@ -49,24 +56,24 @@ class Corrections:
             self._models[refused] = self.force.model(self.about, self.every - refused)
         return self._models[refused]
 
-    def raw(self, refused: Hypothesis, readings: Sequence[Reading]) -> Array:
+    def raw(self, refused: Hypothesis, readings: Sequence[StillMean]) -> Array:
         """What the sensor measured at each reading, (K, 3), if `refused` did not take effect."""
         streamed = np.array([r.mean for r in readings]).reshape(-1, 3)
         motor = self.force.motor(self.about, self.every - refused, readings)
         return self.model(refused).invert(streamed - motor, self.temperatures(refused, readings))
 
-    def stream(self, refused: Hypothesis, raw: Array, readings: Sequence[Reading]) -> Array:
+    def stream(self, refused: Hypothesis, raw: Array, readings: Sequence[StillMean]) -> Array:
         """What the vehicle would stream of `raw` (K, 3) under the conditions of `readings`."""
         motor = self.force.motor(self.about, self.every - refused, readings)
         return self.model(refused).apply(raw, self.temperatures(refused, readings)) + motor
 
-    def temperatures(self, refused: Hypothesis, readings: Sequence[Reading]) -> Array | None:
+    def temperatures(self, refused: Hypothesis, readings: Sequence[StillMean]) -> Array | None:
         """Temperatures (K,) of the readings; None where the correction does not need them."""
         if self.model(refused).polynomial is None:
             return None
         return np.array([np.nan if r.temperature is None else r.temperature for r in readings])
 
-    def readable(self, readings: tuple[Reading, ...]) -> tuple[Reading, ...]:
+    def readable(self, readings: tuple[StillMean, ...]) -> tuple[StillMean, ...]:
         """Those of `readings` that can be undone: a correction by temperature needs the temperature."""
         thermal = any(self.model(h).polynomial is not None for h in (ALL_APPLIED, self.every))
         return tuple(r for r in readings if r.temperature is not None or not thermal)
@@ -77,9 +84,9 @@ class StreamCheck:
     """What one sensor's stream says of `names`, the changes that act on it."""
 
     corrections: Corrections
-    capture: Capture
+    capture: BeforeAfter
     names: tuple[str, ...]
-    judgement: Judgement
+    judgement: StreamJudgement
     equality: bool
     """Whether the captures before and after were compared; False: none before, or the vehicle was moved."""
 
@@ -103,12 +110,12 @@ class StreamCheck:
         matrix = self.covariance(self.capture, equality=self.equality)
         return float(np.sqrt(np.diag(matrix).min()))
 
-    def covariance(self, capture: Capture, *, equality: bool) -> Array:
+    def covariance(self, capture: BeforeAfter, *, equality: bool) -> Array:
         """Covariance of the discrepancy of `capture` with everything in force."""
         undo = self._undo(ALL_APPLIED)
         return covariance(capture, self.corrections.model(ALL_APPLIED), undo, equality=equality)
 
-    def distance_in(self, name: str, readings: tuple[Reading, ...]) -> float:
+    def distance_in(self, name: str, readings: tuple[StillMean, ...]) -> float:
         """How many standard deviations `name` would be worth with other readings, held against lengths alone."""
         capture = dataclasses.replace(self.capture, before=None, raw_before=None, after=readings, invariant=readings)
         root = np.linalg.cholesky(self.covariance(capture, equality=False))
@@ -125,8 +132,8 @@ def check_stream(
     names: tuple[str, ...],
     force: Force,
     pair: Pair | None,
-    then: Evidence,
-    now: Evidence,
+    then: StreamEvidence,
+    now: StreamEvidence,
     *,
     restarted: bool,
 ) -> StreamCheck | None:
@@ -152,7 +159,9 @@ def check_stream(
     return None if moved else check
 
 
-def _capture(corrections: Corrections, pair: Pair | None, then: Evidence, now: Evidence, *, restarted: bool) -> Capture:
+def _capture(
+    corrections: Corrections, pair: Pair | None, then: StreamEvidence, now: StreamEvidence, *, restarted: bool
+) -> BeforeAfter:
     about = corrections.about
     in_force = corrections.model(ALL_APPLIED).polynomial
     drift = None if pair is None else pair.drift
@@ -165,7 +174,7 @@ def _capture(corrections: Corrections, pair: Pair | None, then: Evidence, now: E
     expected = None
     if pair is not None and pair.absolute is not None:
         expected = expected_of(pair.at_rest, drift, moves, _magnitude(about.sensor, pair.absolute))
-    return Capture(
+    return BeforeAfter(
         sensor=about.sensor,
         before=before,
         raw_before=None if before is None else corrections.raw(corrections.every, (before,))[0],
@@ -177,7 +186,7 @@ def _capture(corrections: Corrections, pair: Pair | None, then: Evidence, now: E
     )
 
 
-def within(polynomial: ThermalPolynomial | None, readings: tuple[Reading, ...]) -> tuple[Reading, ...]:
+def within(polynomial: ThermalPolynomial | None, readings: tuple[StillMean, ...]) -> tuple[StillMean, ...]:
     """Those of `readings` at temperatures where the drift is known: beyond, the firmware clamps and the sensor goes on.
 
     Readings without a temperature stay: what is not known of them is in the covariance.
@@ -188,7 +197,7 @@ def within(polynomial: ThermalPolynomial | None, readings: tuple[Reading, ...]) 
     return tuple(r for r in readings if r.temperature is None or low <= r.temperature <= high)
 
 
-def out_of_range(about: Subject, force: Force, pair: Pair | None, now: Evidence) -> str:
+def out_of_range(about: Subject, force: Force, pair: Pair | None, now: StreamEvidence) -> str:
     """In words, that every reading of `about` was taken where its drift is not known; empty if not.
 
     Waiting there proves nothing, so the range is said in which it will be provable.
@@ -214,7 +223,9 @@ def _magnitude(sensor: Sensor, fit: FitResult | None) -> float | None:
     return None if not radius or not ratio else float(radius) / float(ratio)
 
 
-def _judge(corrections: Corrections, capture: Capture, names: tuple[str, ...], *, equality: bool) -> Judgement:
+def _judge(
+    corrections: Corrections, capture: BeforeAfter, names: tuple[str, ...], *, equality: bool
+) -> StreamJudgement:
     whole = corrections.model(ALL_APPLIED)
     matrix = covariance(capture, whole, lambda r: corrections.raw(ALL_APPLIED, r), equality=equality)
     whitening = np.linalg.inv(np.linalg.cholesky(matrix))

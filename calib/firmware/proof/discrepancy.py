@@ -22,14 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
-from mavcal.calib.firmware.proof.evidence import Reading
+from mavcal.calib.firmware.proof.evidence import StillMean
 from mavcal.calib.firmware.proof.known_drift import KnownDrift
 from mavcal.calib.fit import FitResult
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
-Undo = Callable[[Sequence[Reading]], Array]
+Undo = Callable[[Sequence[StillMean]], Array]
 """Corrected readings to raw ones (K, 3), under one hypothesis."""
 
 EARTH_RATE: Final = 7.292115e-5  # rad/s (WGS 84); inside a gyroscope's fitted offset, and different in every attitude
@@ -95,14 +95,14 @@ def true_magnitude(sensor: Sensor) -> float | None:
 
 
 @dataclass(frozen=True, eq=False)
-class Capture:
+class BeforeAfter:
     """What one sensor read before (None: not captured) and after the write."""
 
     sensor: Sensor
-    before: Reading | None
+    before: StillMean | None
     raw_before: Array | None
-    after: tuple[Reading, ...]
-    invariant: tuple[Reading, ...]
+    after: tuple[StillMean, ...]
+    invariant: tuple[StillMean, ...]
     """Readings after the write that count for invariance (a turning compass adds its samples)."""
     expected: Expected | None
     drift: KnownDrift
@@ -150,7 +150,7 @@ class Capture:
         return self.sensor == Sensor.GYRO and self.raw_before is None
 
 
-def discrepancy(capture: Capture, undo: Undo, *, equality: bool) -> Array:
+def discrepancy(capture: BeforeAfter, undo: Undo, *, equality: bool) -> Array:
     """The vector that is zero, up to its covariance, if the hypothesis behind `undo` is true."""
     parts = []
     if equality and capture.raw_before is not None and capture.before is not None:
@@ -167,7 +167,7 @@ def discrepancy(capture: Capture, undo: Undo, *, equality: bool) -> Array:
     return np.concatenate(parts) if parts else np.zeros(0)
 
 
-def covariance(capture: Capture, model: TriadModel, undo: Undo, *, equality: bool) -> Array:
+def covariance(capture: BeforeAfter, model: TriadModel, undo: Undo, *, equality: bool) -> Array:
     """Covariance of :func:`discrepancy`, taken where every change is in force (`model`, `undo`)."""
     back = np.asarray(np.linalg.inv(model.matrix), dtype=np.float64)
     blocks = []
@@ -194,7 +194,7 @@ def covariance(capture: Capture, model: TriadModel, undo: Undo, *, equality: boo
     return result
 
 
-def _equality_floor(capture: Capture, back: Array) -> Array:
+def _equality_floor(capture: BeforeAfter, back: Array) -> Array:
     """Noise of the capture before, and what may change between two captures that nobody touched, (3G, 3G).
 
     The capture before, an attitude that has crept and a drift are common to all readings after; scatter is not.
@@ -216,7 +216,7 @@ def _equality_floor(capture: Capture, back: Array) -> Array:
     return np.asarray(floor)
 
 
-def _corrected(expected: Expected, raw: Array, readings: Sequence[Reading]) -> Array:
+def _corrected(expected: Expected, raw: Array, readings: Sequence[StillMean]) -> Array:
     polynomial = expected.model.polynomial
     if polynomial is None:
         return expected.model.apply(raw)
@@ -225,7 +225,7 @@ def _corrected(expected: Expected, raw: Array, readings: Sequence[Reading]) -> A
 
 
 def _invariance_blocks(
-    capture: Capture, expected: Expected, undo: Undo, place: dict[int, int]
+    capture: BeforeAfter, expected: Expected, undo: Undo, place: dict[int, int]
 ) -> list[tuple[Array, Array]]:
     """Rows over the readings and the floor of the invariance part."""
     if capture.sensor == Sensor.GYRO and not capture.zero_rate:

@@ -25,7 +25,7 @@ MOST_MOVING_SAMPLES = 200
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class StillMean:
     """Mean (3,) of a stream with the covariance (3, 3) of that mean, as the vehicle corrected it."""
 
     t: float
@@ -43,22 +43,22 @@ class Reading:
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class StreamEvidence:
     """Readings of every sensor in every still span of one recording."""
 
-    readings: dict[Subject, tuple[Reading, ...]]
-    moving: dict[Subject, tuple[Reading, ...]]
+    readings: dict[Subject, tuple[StillMean, ...]]
+    moving: dict[Subject, tuple[StillMean, ...]]
     """Single samples of a magnetometer that was turned (its field strength holds in any attitude)."""
     raw: frozenset[Subject]
     """Sensors that are streamed without the calibration in force: nothing written can show in them."""
 
 
-def gather(recording: Recording) -> Evidence:
+def gather(recording: Recording) -> StreamEvidence:
     """Read every still span of `recording`."""
     stills = _stills(recording)
     pieces = _pieces(stills)
-    readings: dict[Subject, tuple[Reading, ...]] = {}
-    moving: dict[Subject, tuple[Reading, ...]] = {}
+    readings: dict[Subject, tuple[StillMean, ...]] = {}
+    moving: dict[Subject, tuple[StillMean, ...]] = {}
     raw = set()
     for sensor in (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG):
         for instance in recording.instances(sensor):
@@ -72,7 +72,7 @@ def gather(recording: Recording) -> Evidence:
             readings[about] = _readings(recording, channel, pieces)
             if sensor == Sensor.MAG:
                 moving[about] = _moving(recording, channel, stills)
-    return Evidence(readings, moving, frozenset(raw))
+    return StreamEvidence(readings, moving, frozenset(raw))
 
 
 def _stills(recording: Recording) -> tuple[Still, ...]:
@@ -99,7 +99,7 @@ def _pieces(stills: tuple[Still, ...]) -> dict[Still, int]:
     return pieces
 
 
-def _readings(recording: Recording, channel: Channel, pieces: dict[Still, int]) -> tuple[Reading, ...]:
+def _readings(recording: Recording, channel: Channel, pieces: dict[Still, int]) -> tuple[StillMean, ...]:
     if channel.sensor == Sensor.ACCEL:
         gyros = recording.find(Sensor.GYRO, channel.instance)
         poses = pose_means(channel, tuple(pieces), gyro=gyros[0] if gyros else None)
@@ -113,7 +113,7 @@ def _readings(recording: Recording, channel: Channel, pieces: dict[Still, int]) 
                 means.append((piece.start, piece.end, estimate.mean, estimate.covariance))
     rests = {piece.start: rest for piece, rest in pieces.items()}
     return tuple(
-        Reading(
+        StillMean(
             0.5 * (start + end),
             mean,
             covariance,
@@ -125,7 +125,7 @@ def _readings(recording: Recording, channel: Channel, pieces: dict[Still, int]) 
     )
 
 
-def _moving(recording: Recording, channel: Channel, stills: tuple[Still, ...]) -> tuple[Reading, ...]:
+def _moving(recording: Recording, channel: Channel, stills: tuple[Still, ...]) -> tuple[StillMean, ...]:
     outside = np.ones(len(channel), dtype=bool)
     for still in stills:
         outside &= (channel.t < still.start) | (channel.t > still.end)
@@ -135,7 +135,7 @@ def _moving(recording: Recording, channel: Channel, stills: tuple[Still, ...]) -
     part = part.take(np.unique(np.linspace(0, len(part) - 1, min(len(part), MOST_MOVING_SAMPLES)).astype(np.intp)))
     covariance = channel.quantum**2 / 12.0 * np.eye(3)
     return tuple(
-        Reading(float(t), value, covariance, *_conditions(recording, channel.instance, float(t), float(t)))
+        StillMean(float(t), value, covariance, *_conditions(recording, channel.instance, float(t), float(t)))
         for t, value in zip(part.t, part.values, strict=True)
     )
 

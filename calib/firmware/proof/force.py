@@ -15,7 +15,7 @@ from mavcal.calib.firmware import names
 from mavcal.calib.firmware.ardupilot import parameters as ardupilot
 from mavcal.calib.firmware.compose.draft import Subject
 from mavcal.calib.firmware.plan import Change, Value
-from mavcal.calib.firmware.proof.evidence import Reading
+from mavcal.calib.firmware.proof.evidence import StillMean
 from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import TriadModel
@@ -48,7 +48,7 @@ class Force:
             return ardupilot.calibration_in_force(mixed, about.sensor, about.instance)
         return px4.calibration_in_force(mixed, about.sensor, about.instance, self._memory(about, applied))
 
-    def motor(self, about: Subject, applied: Set[str], readings: Sequence[Reading]) -> Array:
+    def motor(self, about: Subject, applied: Set[str], readings: Sequence[StillMean]) -> Array:
         """What the firmware adds to a compass for its motors at each reading, uT (K, 3)."""
         nothing = np.zeros((len(readings), 3))
         if self.autopilot != "ardupilot" or about.sensor != Sensor.MAG or not readings:

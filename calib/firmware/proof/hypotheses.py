@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from mavcal.calib.firmware.plan import Verdict
+from mavcal.calib.firmware.plan import ProofVerdict
 
 Array = NDArray[np.float64]
 Hypothesis = frozenset[str]
@@ -36,10 +36,10 @@ MOST_EXHAUSTIVE: Final = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Judgement:
+class StreamJudgement:
     """What the streams of one sensor say of the changes that act on it."""
 
-    verdicts: dict[str, Verdict]
+    verdicts: dict[str, ProofVerdict]
     distance: dict[str, float]
     """How many standard deviations apart "applied" and "not applied" are, for each change alone."""
     explained: bool
@@ -63,7 +63,7 @@ def combinations_of(names: Sequence[str]) -> tuple[Hypothesis, ...]:
     return tuple(dict.fromkeys(chosen))
 
 
-def judge(names: Sequence[str], whitened: Callable[[Hypothesis], Array]) -> Judgement:
+def judge(names: Sequence[str], whitened: Callable[[Hypothesis], Array]) -> StreamJudgement:
     """Weigh every combination of `names` by its whitened discrepancy (n,)."""
     hypotheses = combinations_of(names)
     points = np.array([whitened(h) for h in hypotheses])
@@ -73,10 +73,10 @@ def judge(names: Sequence[str], whitened: Callable[[Hypothesis], Array]) -> Judg
     explained = bool((points**2).sum(axis=1).min() <= chdtri(max(points.shape[1], 1), UNEXPLAINED))
     allowed = [h for h, kept in zip(hypotheses, _allowed(points, THRESHOLD), strict=True) if kept]
     verdicts = {n: _verdict(n, distance[n], allowed, explained=explained) for n in names}
-    if Verdict.CONTRADICTED not in verdicts.values():
+    if ProofVerdict.CONTRADICTED not in verdicts.values():
         certain = [h for h, kept in zip(hypotheses, _allowed(points, CERTAIN), strict=True) if kept]
-        verdicts |= dict.fromkeys(_simplest(certain, distance), Verdict.CONTRADICTED)
-    return Judgement(verdicts, distance, explained)
+        verdicts |= dict.fromkeys(_simplest(certain, distance), ProofVerdict.CONTRADICTED)
+    return StreamJudgement(verdicts, distance, explained)
 
 
 def _simplest(allowed: Sequence[Hypothesis], distance: dict[str, float]) -> frozenset[str]:
@@ -102,15 +102,15 @@ def _allowed(points: Array, threshold: float) -> NDArray[np.bool_]:
     return np.asarray(~beaten.any(axis=1))
 
 
-def _verdict(name: str, distance: float, allowed: Sequence[Hypothesis], *, explained: bool) -> Verdict:
+def _verdict(name: str, distance: float, allowed: Sequence[Hypothesis], *, explained: bool) -> ProofVerdict:
     if distance < OBSERVABLE:
-        return Verdict.NOT_OBSERVABLE
+        return ProofVerdict.NOT_OBSERVABLE
     if not explained:
-        return Verdict.CONTRADICTED
+        return ProofVerdict.CONTRADICTED
     refused = [name in hypothesis for hypothesis in allowed]
     if all(refused):
-        return Verdict.CONTRADICTED
-    return Verdict.CONSISTENT if any(refused) else Verdict.PROVED
+        return ProofVerdict.CONTRADICTED
+    return ProofVerdict.CONSISTENT if any(refused) else ProofVerdict.PROVED
 
 
 def _stem(name: str) -> str:

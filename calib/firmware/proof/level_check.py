@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from mavcal.calib.firmware.compose.draft import Subject
 from mavcal.calib.firmware.compose.trim import AHRS_TRIM, force_when_level
-from mavcal.calib.firmware.plan import Change, ParameterVerdict, SensorCheck, SensorVerdict, Verdict, WritePlan
+from mavcal.calib.firmware.plan import Change, ParameterVerdict, ProofVerdict, SensorCheck, SensorVerdict, WritePlan
 from mavcal.calib.firmware.proof.check import ALL_APPLIED, Corrections
-from mavcal.calib.firmware.proof.evidence import Evidence, Reading
+from mavcal.calib.firmware.proof.evidence import StillMean, StreamEvidence
 from mavcal.calib.firmware.proof.force import Force
 from mavcal.calib.firmware.proof.hypotheses import OBSERVABLE, Hypothesis, judge
 from mavcal.calib.firmware.rotations import euler_matrix
@@ -43,11 +43,12 @@ LEVEL_WITHIN: Final[Mapping[str, float]] = {"ardupilot": float(np.radians(0.5)),
 def level_checks(
     plan: WritePlan,
     levels: Sequence[FitResult],
+    force: Force,
+    *,
     before: Recording | None,
     after: Recording,
-    then: Evidence,
-    now: Evidence,
-    force: Force,
+    then: StreamEvidence,
+    now: StreamEvidence,
 ) -> tuple[dict[str, ParameterVerdict], tuple[SensorCheck, ...]]:
     """What ATTITUDE says of ArduPilot's trim by its parameters' names, and whether the vehicle reads level."""
     if not levels:
@@ -66,7 +67,7 @@ def level_checks(
     return verdicts, (_level(about, seen, fit, LEVEL_WITHIN[force.autopilot]),)
 
 
-def _stands(corrections: Corrections, fit: FitResult, reading: Reading) -> bool:
+def _stands(corrections: Corrections, fit: FitResult, reading: StillMean) -> bool:
     """Whether the vehicle stands as it did when `fit` was made: with the old trim it would read what the fit read."""
     raw = corrections.raw(ALL_APPLIED, (reading,))
     old = corrections.stream(corrections.every, raw, (reading,))[0]
@@ -74,8 +75,8 @@ def _stands(corrections: Corrections, fit: FitResult, reading: Reading) -> bool:
 
 
 def _unmoved(
-    corrections: Corrections, earlier: Sequence[Reading], now: Evidence, about: Subject
-) -> tuple[Reading, ...]:
+    corrections: Corrections, earlier: Sequence[StillMean], now: StreamEvidence, about: Subject
+) -> tuple[StillMean, ...]:
     """Readings after the write in the pose of the one before."""
     if not earlier:
         return ()
@@ -84,7 +85,7 @@ def _unmoved(
     return tuple(r for r in later if _angle(corrections.raw(ALL_APPLIED, (r,))[0], raw) <= SAME_POSE)
 
 
-def _downs(recording: Recording, readings: Sequence[Reading]) -> list[Array]:
+def _downs(recording: Recording, readings: Sequence[StillMean]) -> list[Array]:
     """Mean direction of down in the vehicle, (3,), beside each of `readings`."""
     found = []
     for channel in recording.find(Sensor.ATTITUDE, 0)[:1]:
@@ -116,18 +117,21 @@ def _trims(
         effect = abs(float(change.new) - float(change.old or 0.0))
         verdict = judgement.verdicts[change.name]
         if not judgement.explained and judgement.distance[change.name] >= OBSERVABLE:
-            verdict, text = Verdict.NOT_OBSERVABLE, "the attitude has changed otherwise meanwhile: nothing can be told"
+            verdict, text = (
+                ProofVerdict.NOT_OBSERVABLE,
+                "the attitude has changed otherwise meanwhile: nothing can be told",
+            )
         else:
             text = _WORDS[verdict]
         found[change.name] = ParameterVerdict(change.name, verdict, effect, float(ESTIMATOR_SD), "rad", text)
     return found
 
 
-_WORDS: Final[Mapping[Verdict, str]] = {
-    Verdict.PROVED: "the attitude has turned by the change of the trim",
-    Verdict.CONSISTENT: "the attitude agrees with the new value, but also with the old one",
-    Verdict.NOT_OBSERVABLE: "its change is below 3 standard deviations of the attitude",
-    Verdict.CONTRADICTED: "the attitude behaves as if the old value were still in force",
+_WORDS: Final[Mapping[ProofVerdict, str]] = {
+    ProofVerdict.PROVED: "the attitude has turned by the change of the trim",
+    ProofVerdict.CONSISTENT: "the attitude agrees with the new value, but also with the old one",
+    ProofVerdict.NOT_OBSERVABLE: "its change is below 3 standard deviations of the attitude",
+    ProofVerdict.CONTRADICTED: "the attitude behaves as if the old value were still in force",
 }
 
 

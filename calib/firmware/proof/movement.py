@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.firmware.compose.draft import Subject
-from mavcal.calib.firmware.plan import Movement, ParameterVerdict, Verdict
+from mavcal.calib.firmware.plan import Movement, ParameterVerdict, ProofVerdict
 from mavcal.calib.firmware.proof.check import ALL_APPLIED, StreamCheck
-from mavcal.calib.firmware.proof.evidence import Reading
+from mavcal.calib.firmware.proof.evidence import StillMean
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
@@ -40,7 +40,7 @@ NEAR_ENOUGH: Final = 0.12
 
 def movement_for(verdicts: Sequence[ParameterVerdict], checks: Mapping[Subject, StreamCheck]) -> Movement | None:
     """What an operator can do about the parameters that are still open; None if nothing, or if none is."""
-    settled = (Verdict.PROVED, Verdict.CONTRADICTED)
+    settled = (ProofVerdict.PROVED, ProofVerdict.CONTRADICTED)
     open_ones = {v.name for v in verdicts if v.acts_on_stream and v.verdict not in settled}
     seen = {name for check in checks.values() for name in check.names}
     faces: dict[str, None] = {}
@@ -110,7 +110,7 @@ def _choose_faces(check: StreamCheck, names: Sequence[str], faces: dict[str, Non
             faces[best] = None
 
 
-def _face_of(reading: Reading) -> str | None:
+def _face_of(reading: StillMean) -> str | None:
     """The face that a reading shows; None: it is oblique."""
     direction = reading.mean / np.linalg.norm(reading.mean)
     label, _, force = max(FACES, key=lambda face: float(direction @ np.array(face[2])))
@@ -123,7 +123,7 @@ def _worth_turning(check: StreamCheck, names: Sequence[str]) -> bool:
     return any(check.distance_in(name, turn) >= WORTH for name in names)
 
 
-def _reading(check: StreamCheck, direction: Array) -> Reading:
+def _reading(check: StreamCheck, direction: Array) -> StillMean:
     """What would be streamed of a true vector along `direction` in the body, as precisely as now."""
     capture = check.capture
     now = (*capture.after, *capture.invariant)[0]
@@ -136,4 +136,4 @@ def _reading(check: StreamCheck, direction: Array) -> Reading:
     corrected = expected.model.apply(raw, now.temperature)
     raw = expected.model.invert(corrected * size / np.linalg.norm(corrected), now.temperature)
     mean = model.apply(raw, now.temperature)
-    return Reading(now.t, mean, now.covariance, now.temperature, now.current, now.throttle)
+    return StillMean(now.t, mean, now.covariance, now.temperature, now.current, now.throttle)

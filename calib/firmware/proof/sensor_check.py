@@ -28,7 +28,7 @@ from mavcal.calib.firmware.losses import MATRIX, OFFSETS
 from mavcal.calib.firmware.plan import SensorCheck, SensorVerdict, WritePlan
 from mavcal.calib.firmware.proof.check import ALL_APPLIED, Corrections, within
 from mavcal.calib.firmware.proof.discrepancy import BIAS_WALK, EARTH_RATE, MOST_BIAS_WALK, STABILITY, TEMPERATURE_STEP
-from mavcal.calib.firmware.proof.evidence import Evidence, Reading
+from mavcal.calib.firmware.proof.evidence import StillMean, StreamEvidence
 from mavcal.calib.firmware.proof.force import Force
 from mavcal.calib.firmware.proof.known_drift import DRIFT_PER_DEGC, UNKNOWN_TEMPERATURE
 from mavcal.calib.fit import AXES, FitResult
@@ -62,7 +62,7 @@ SAME_POSE: Final = 0.966
 class Deviation:
     """How far one reading is off, how far it may be, and its standard deviation."""
 
-    reading: Reading
+    reading: StillMean
     value: float
     limit: float
     sd: float
@@ -75,7 +75,7 @@ class Deviation:
 
 
 def sensor_checks(
-    plan: WritePlan, pairs: Mapping[Subject, Pair], now: Evidence, force: Force
+    plan: WritePlan, pairs: Mapping[Subject, Pair], now: StreamEvidence, force: Force
 ) -> tuple[SensorCheck, ...]:
     """Judge every inertial sensor whose offset the plan changes and whose fit says where it stands."""
     written = {
@@ -92,11 +92,11 @@ def sensor_checks(
         if judge is not None:
             corrections = Corrections(force, about)
             readings = _usable(about, corrections, pairs[about], now)
-            found.append(_told(about, judge(Given(plan, corrections, fit, pairs[about]), readings)))
+            found.append(_told(about, judge(PlannedSensor(plan, corrections, fit, pairs[about]), readings)))
     return (*found, *_directions([about for about in written if about.sensor == Sensor.ACCEL], now))
 
 
-def _usable(about: Subject, corrections: Corrections, pair: Pair, now: Evidence) -> tuple[Reading, ...]:
+def _usable(about: Subject, corrections: Corrections, pair: Pair, now: StreamEvidence) -> tuple[StillMean, ...]:
     drift = None if pair.drift is None else pair.drift.model.polynomial
     in_force = corrections.model(ALL_APPLIED).polynomial
     readings = corrections.readable(now.readings[about])
@@ -104,7 +104,7 @@ def _usable(about: Subject, corrections: Corrections, pair: Pair, now: Evidence)
 
 
 @dataclass(frozen=True, eq=False)
-class Given:
+class PlannedSensor:
     """One sensor under a plan: how it is corrected and what was fitted of it."""
 
     plan: WritePlan
@@ -118,7 +118,7 @@ class Given:
         return self.corrections.about
 
 
-def _zero(given: Given, readings: Sequence[Reading]) -> tuple[Deviation, ...]:
+def _zero(given: PlannedSensor, readings: Sequence[StillMean]) -> tuple[Deviation, ...]:
     """A gyroscope at rest, by its worst axis that was determined."""
     about, fit = given.about, given.fit
     matrix = given.corrections.model(ALL_APPLIED).matrix
@@ -144,7 +144,7 @@ def _zero(given: Given, readings: Sequence[Reading]) -> tuple[Deviation, ...]:
     return tuple(found)
 
 
-def _gravity(given: Given, readings: Sequence[Reading]) -> tuple[Deviation, ...]:
+def _gravity(given: PlannedSensor, readings: Sequence[StillMean]) -> tuple[Deviation, ...]:
     """The length of what an accelerometer at rest reads."""
     fit, matrix = given.fit, given.fit.model.matrix
     found = []
@@ -170,7 +170,7 @@ def _gravity(given: Given, readings: Sequence[Reading]) -> tuple[Deviation, ...]
     return tuple(found)
 
 
-def _offset(fit: FitResult, reading: Reading) -> tuple[Array, Array]:
+def _offset(fit: FitResult, reading: StillMean) -> tuple[Array, Array]:
     """Offset of the fit at the reading's temperature, with its covariance."""
     polynomial = fit.model.polynomial
     if polynomial is None or reading.temperature is None:
@@ -183,7 +183,7 @@ def _as_fitted(fit: FitResult, raw: Array) -> bool:
     return float(mean @ raw) > SAME_POSE * float(np.linalg.norm(mean) * np.linalg.norm(raw)) > 0.0
 
 
-def _bounds(given: Given, reading: Reading) -> float:
+def _bounds(given: PlannedSensor, reading: StillMean) -> float:
     """What the temperature and the firmware's limits may leave, in the unit of the stream."""
     about, pair = given.about, given.pair
     left = math.fsum(
@@ -204,7 +204,7 @@ def _bounds(given: Given, reading: Reading) -> float:
     return left + min(drift, float(MOST_DRIFT[about.sensor]))
 
 
-def _directions(written: Sequence[Subject], now: Evidence) -> tuple[SensorCheck, ...]:
+def _directions(written: Sequence[Subject], now: StreamEvidence) -> tuple[SensorCheck, ...]:
     """Accelerometers of one board that were calibrated together agree about where down is."""
     found = []
     for k, about in enumerate(written[1:], start=1):
@@ -220,7 +220,7 @@ def _directions(written: Sequence[Subject], now: Evidence) -> tuple[SensorCheck,
     return tuple(found)
 
 
-def _together(a: Sequence[Reading], b: Sequence[Reading]) -> Iterable[tuple[Reading, Reading]]:
+def _together(a: Sequence[StillMean], b: Sequence[StillMean]) -> Iterable[tuple[StillMean, StillMean]]:
     for mine in a:
         same = [r for r in b if abs(r.t - mine.t) < 0.5]
         if same:
@@ -265,7 +265,7 @@ def _groups(deviations: Sequence[Deviation], about: Subject) -> list[list[Deviat
     return groups
 
 
-def _alike(a: Reading, b: Reading, sensor: Sensor) -> bool:
+def _alike(a: StillMean, b: StillMean, sensor: Sensor) -> bool:
     if (
         a.temperature is not None
         and b.temperature is not None

@@ -15,9 +15,9 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware.compose.content import contents
 from mavcal.calib.firmware.compose.draft import Subject
 from mavcal.calib.firmware.compose.fitted import pair_fits
-from mavcal.calib.firmware.plan import ParameterVerdict, Value, Verdict, Verification, WritePlan
+from mavcal.calib.firmware.plan import ParameterVerdict, ProofVerdict, Value, Verification, WritePlan
 from mavcal.calib.firmware.proof.check import StreamCheck, check_stream, out_of_range, strongest
-from mavcal.calib.firmware.proof.evidence import Evidence, gather
+from mavcal.calib.firmware.proof.evidence import StreamEvidence, gather
 from mavcal.calib.firmware.proof.force import force_of
 from mavcal.calib.firmware.proof.level_check import level_checks
 from mavcal.calib.firmware.proof.movement import movement_for
@@ -62,7 +62,7 @@ def verify(
     known = dict(parameters) if parameters is not None else _parameters(before, after)
     force = force_of(plan.fingerprint.autopilot, known, plan.changes)
     now = gather(after)
-    then = gather(before) if before is not None else Evidence({}, {}, frozenset())
+    then = gather(before) if before is not None else StreamEvidence({}, {}, frozenset())
     told = contents([f for f in fits if not f.relative])
     pairs = {p.about: p for p in pair_fits(told.corrections)}
     acting: dict[Subject, tuple[str, ...]] = {}
@@ -79,7 +79,7 @@ def verify(
             checks[about] = check
         elif beyond := out_of_range(about, force, pairs.get(about), now):
             outside[about] = beyond
-    trims, level = level_checks(plan, told.levels, before, after, then, now, force)
+    trims, level = level_checks(plan, told.levels, force, before=before, after=after, then=then, now=now)
     verdicts = tuple(
         trims.get(change.name) or _verdict(change.name, checks, acting, now, outside) for change in plan.changes
     )
@@ -107,7 +107,7 @@ def _verdict(
     name: str,
     checks: Mapping[Subject, StreamCheck],
     acting: Mapping[Subject, tuple[str, ...]],
-    now: Evidence,
+    now: StreamEvidence,
     outside: Mapping[Subject, str],
 ) -> ParameterVerdict:
     check = strongest(checks, name)
@@ -122,23 +122,23 @@ def _verdict(
         text = "the stream of this sensor is raw and does not depend on it; it was read back"
     else:
         text = "no stream depends on it; it was read back"
-    return ParameterVerdict(name, Verdict.NOT_OBSERVABLE, 0.0, 0.0, "", text, acts_on_stream=bool(waiting))
+    return ParameterVerdict(name, ProofVerdict.NOT_OBSERVABLE, 0.0, 0.0, "", text, acts_on_stream=bool(waiting))
 
 
-def _text(verdict: Verdict, check: StreamCheck) -> str:
+def _text(verdict: ProofVerdict, check: StreamCheck) -> str:
     by = "the streams before and after" if check.equality else "the length of its vector at rest"
-    if verdict == Verdict.PROVED:
+    if verdict == ProofVerdict.PROVED:
         return f"{by} agree with the new value and contradict the old one"
-    if verdict == Verdict.CONSISTENT:
+    if verdict == ProofVerdict.CONSISTENT:
         return f"{by} agree with the new value, but also with the old one beside other changes"
-    if verdict == Verdict.NOT_OBSERVABLE:
+    if verdict == ProofVerdict.NOT_OBSERVABLE:
         return f"its effect is below 3 standard deviations of {by} in these attitudes"
     if check.judgement.explained:
         return f"{by} behave as if the old value were still in force"
     return f"{by} agree with neither the new nor the old values: something else changes this sensor's correction"
 
 
-def _why_nothing(waiting: Sequence[Subject], now: Evidence) -> str:
+def _why_nothing(waiting: Sequence[Subject], now: StreamEvidence) -> str:
     streamed = [about for about in waiting if about in now.readings]
     which = ", ".join(map(str, streamed or waiting))
     if not streamed:

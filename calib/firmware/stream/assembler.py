@@ -18,9 +18,10 @@ from mavcal.calib.firmware.stream.messages import INERTIAL
 from mavcal.calib.firmware.stream.payload import gather
 from mavcal.calib.firmware.stream.samples import MessageSamples
 from mavcal.calib.recording import Event, Identity, ParameterEntry, ParameterTimeline, Recording
+from mavcal.calib.wire import HASH_CHECK, ParameterEncoding, ParamType, decode_param_value, value_from_bits
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
     from mavcal.calib.firmware.plan import Value
     from mavcal.calib.wire import Frame
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 PARAM_VALUE: Final = dialect.MAVLINK_MSG_ID_PARAM_VALUE
-HASH_CHECK: Final = "_HASH_CHECK"
-"""PX4's checksum of the list comes as if it were a parameter."""
 GAP_S: Final = 1.0
 """An inertial stream that pauses so long gets a "gap" event."""
 
@@ -45,15 +44,6 @@ CLOCK_IDS: Final = frozenset(
     }
 )
 """Messages whose time stamp is the vehicle's time since boot."""
-
-_INTEGER_CODES: Final = {
-    dialect.MAV_PARAM_TYPE_UINT8: "<u1",
-    dialect.MAV_PARAM_TYPE_INT8: "<i1",
-    dialect.MAV_PARAM_TYPE_UINT16: "<u2",
-    dialect.MAV_PARAM_TYPE_INT16: "<i2",
-    dialect.MAV_PARAM_TYPE_UINT32: "<u4",
-    dialect.MAV_PARAM_TYPE_INT32: "<i4",
-}
 
 
 class Assembler:
@@ -109,8 +99,8 @@ class Assembler:
         order = {key: np.array([i for i, _ in found]) for key, found in groups.items()}
         times = self._read_clock(rows, order)
         entries: list[ParameterEntry] = []
-        if PARAM_VALUE in rows:
-            entries = self._parameters(times.arrival(order[PARAM_VALUE]), rows[PARAM_VALUE])
+        if PARAM_VALUE in groups:
+            entries = self._parameters(times.arrival(order[PARAM_VALUE]), groups[PARAM_VALUE])
         events, channels = times.reboots, []
         for key, table in rows.items():
             if key in self._inertial:
@@ -179,24 +169,17 @@ class Assembler:
         used = [rank for rank, name in enumerate(_COMPASS_USE) if self._compass_use[name] != 0]
         return used[0] if used else message.instance
 
-    def _parameters(self, t: Array, rows: NDArray[Any]) -> list[ParameterEntry]:
+    def _parameters(self, t: Array, found: Sequence[tuple[int, Frame]]) -> list[ParameterEntry]:
         entries = []
-        bits = rows["param_value"].copy()
-        for i, (time, name, kind) in enumerate(
-            zip(t.tolist(), rows["param_id"].tolist(), rows["param_type"].tolist(), strict=True)
-        ):
-            text = name.decode("ascii", "replace")
-            code = _INTEGER_CODES.get(kind)
-            value: float | int = float(bits[i])
-            if code is not None and self._autopilot == "px4":
-                # PX4 puts the integer's own bytes where the float would be
-                value = int(np.frombuffer(bits[i : i + 1].tobytes(), code)[0])
-            elif code is not None and np.isfinite(value):
-                value = round(value)
-            if text != HASH_CHECK:
-                entries.append(ParameterEntry(time, text, value))
-                if text in self._compass_use:
-                    self._compass_use[text] = value
+        encoding = ParameterEncoding.BYTEWISE if self._autopilot == "px4" else ParameterEncoding.CAST
+        for time, (_, frame) in zip(t.tolist(), found, strict=True):
+            name, bits, number, *_ = decode_param_value(frame)
+            kind = ParamType(number) if number in set(ParamType) else ParamType.REAL32
+            value = value_from_bits(bits, kind, encoding)
+            if name != HASH_CHECK:
+                entries.append(ParameterEntry(time, name, value))
+                if name in self._compass_use:
+                    self._compass_use[name] = value
         return entries
 
 
@@ -217,4 +200,4 @@ class _Times:
 
 
 _COMPASS_USE: Final = tuple(ardupilot_compass_names(rank, rank)[Role.USE] for rank in range(ARDUPILOT_COMPASS_SLOTS))
-_GATHERED: Final = CLOCK_IDS | auxiliary.Auxiliary.message_ids | {PARAM_VALUE}
+_GATHERED: Final = CLOCK_IDS | auxiliary.Auxiliary.message_ids

@@ -20,9 +20,13 @@ SCALED_IMU2: Final = dialect.MAVLINK_MSG_ID_SCALED_IMU2
 SCALED_IMU3: Final = dialect.MAVLINK_MSG_ID_SCALED_IMU3
 HIGHRES_IMU: Final = dialect.MAVLINK_MSG_ID_HIGHRES_IMU
 
+COMPASS_WINDOW: Final = MappingProxyType({"ardupilot": 0.1, "px4": 0.0})
+"""What the stream's compass averages over, s: ArduPilot reads at 10 Hz and averages what the sensor gave meanwhile; PX4
+streams single samples."""
+
 
 @dataclass(frozen=True)
-class Reading:
+class MessageSensor:
     """One sensor in a message."""
 
     sensor: Sensor
@@ -56,7 +60,7 @@ class InertialMessage:
     message_id: int
     instance: int
     """Instance of the inertial unit and of the compass; ``by_id``: of the compass only."""
-    readings: tuple[Reading, ...]
+    readings: tuple[MessageSensor, ...]
     read_s: float
     """Period at which the firmware reads the compass, in s; in between the message repeats it."""
     by_id: bool = False
@@ -87,22 +91,22 @@ GAUSS_UT: Final = 100.0
 CDEGC: Final = 0.01
 
 
-def _whole_numbers(inertial: Stage, mag: Stage, temperature: Rounding) -> tuple[Reading, ...]:
+def _whole_numbers(inertial: Stage, mag: Stage, temperature: Rounding) -> tuple[MessageSensor, ...]:
     return (
-        Reading(Sensor.ACCEL, MG, Rounding.TOWARD_ZERO, inertial),
-        Reading(Sensor.GYRO, MRAD_S, Rounding.TOWARD_ZERO, inertial),
-        Reading(Sensor.MAG, MGAUSS_UT, Rounding.TOWARD_ZERO, mag),
-        Reading(Sensor.TEMPERATURE, CDEGC, temperature, Stage.RAW),
+        MessageSensor(Sensor.ACCEL, MG, Rounding.TOWARD_ZERO, inertial),
+        MessageSensor(Sensor.GYRO, MRAD_S, Rounding.TOWARD_ZERO, inertial),
+        MessageSensor(Sensor.MAG, MGAUSS_UT, Rounding.TOWARD_ZERO, mag),
+        MessageSensor(Sensor.TEMPERATURE, CDEGC, temperature, Stage.RAW),
     )
 
 
-def _floats(inertial: Stage, mag: Stage, *, flagged: bool) -> tuple[Reading, ...]:
+def _floats(inertial: Stage, mag: Stage, *, flagged: bool) -> tuple[MessageSensor, ...]:
     # no temperature: the field holds the barometer's or the air data's, never the inertial unit's
     accel, gyro, field = (0b111, 0b111000, 0b111000000) if flagged else (0, 0, 0)
     return (
-        Reading(Sensor.ACCEL, 1.0, Rounding.NONE, inertial, accel),
-        Reading(Sensor.GYRO, 1.0, Rounding.NONE, inertial, gyro),
-        Reading(Sensor.MAG, GAUSS_UT, Rounding.NONE, mag, field),
+        MessageSensor(Sensor.ACCEL, 1.0, Rounding.NONE, inertial, accel),
+        MessageSensor(Sensor.GYRO, 1.0, Rounding.NONE, inertial, gyro),
+        MessageSensor(Sensor.MAG, GAUSS_UT, Rounding.NONE, mag, field),
     )
 
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.firmware.stream.messages import HIGHRES_IMU, InertialMessage, Reading
+from mavcal.calib.firmware.stream.messages import HIGHRES_IMU, InertialMessage, MessageSensor
 from mavcal.calib.recording import Channel, Rounding, Sensor
 
 Array = NDArray[np.float64]
@@ -73,7 +73,7 @@ class MessageSamples:
         self._field, self._field_t = values[-1].copy(), last
         return keep
 
-    def _channel(self, reading: Reading, instance: int, t: Array, values: NDArray[Any], keep: Mask) -> Channel:
+    def _channel(self, reading: MessageSensor, instance: int, t: Array, values: NDArray[Any], keep: Mask) -> Channel:
         raw = values[keep].astype(np.float64)
         zero_bin = None
         if reading.rounding == Rounding.TOWARD_ZERO:
@@ -107,7 +107,7 @@ def _present(columns: dict[Sensor, NDArray[Any]]) -> dict[Sensor, Mask]:
     return present
 
 
-def _columns(rows: NDArray[Any], reading: Reading) -> NDArray[Any]:
+def _columns(rows: NDArray[Any], reading: MessageSensor) -> NDArray[Any]:
     columns = np.empty((len(rows), len(reading.fields)), rows.dtype[reading.fields[0]])
     for i, name in enumerate(reading.fields):
         columns[:, i] = rows[name]

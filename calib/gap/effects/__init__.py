@@ -18,7 +18,7 @@ from mavcal.calib.gap.effects import (
     tone,
     vibration,
 )
-from mavcal.calib.gap.effects.base import Effect, MeanEffect, NoiseEffect, Parameter
+from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, MeanEffect, NoiseEffect
 
 _FAMILIES = (
     limits,
@@ -37,13 +37,13 @@ _FAMILIES = (
 
 
 @cache
-def catalogue() -> tuple[Effect, ...]:
+def catalogue() -> tuple[CatalogueEffect, ...]:
     """Every effect, sensor by sensor within each family."""
     return tuple(effect for family in _FAMILIES for effect in family.EFFECTS)
 
 
 @cache
-def by_id() -> dict[str, Effect]:
+def by_id() -> dict[str, CatalogueEffect]:
     """The catalogue by the effects' ids."""
     return {effect.id: effect for effect in catalogue()}
 
@@ -59,12 +59,12 @@ def forward_models() -> dict[str, tuple[MeanEffect | NoiseEffect, ...]]:
 
 
 @cache
-def parameter_table() -> dict[str, tuple[Parameter, ...]]:
+def parameter_table() -> dict[str, tuple[EffectParameter, ...]]:
     """Names, units and whether the value is a root, by effect: its amplitudes and then its shape (GAP 8).
 
     An effect that is found in the lattice or in the mean has the parameters of both.
     """
-    table: dict[str, tuple[Parameter, ...]] = {}
+    table: dict[str, tuple[EffectParameter, ...]] = {}
     for e in catalogue():
         own = e.parameters + ((e.shape.parameter,) if e.shape is not None else ())
         table[e.id] = tuple(dict.fromkeys((*table.get(e.id, ()), *own)))

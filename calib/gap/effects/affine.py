@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from mavcal.calib.gap.effects.base import Effect, MeanEffect, Parameter
+from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, MeanEffect
 from mavcal.calib.gap.effects.parts import AXES, INERTIAL, TRIADS, TUMBLE, UNIT, axiswise, crossed, moves, per_axis
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.recording import Sensor
@@ -51,7 +51,7 @@ def rotated(trace: Trace, parameters: Array) -> Array:
     return np.asarray(trace.ideal @ (matrix - np.eye(3)).T, dtype=np.float64)
 
 
-def _bias(sensor: Sensor) -> Effect:
+def _bias(sensor: Sensor) -> CatalogueEffect:
     rivals = {
         Sensor.ACCEL: ("accel_vibration_rectification", "accel_scale", "reference_attitude"),
         Sensor.GYRO: ("gyro_g_sensitivity", "gyro_temp_linear", "gyro_vibration_rectification"),
@@ -71,11 +71,11 @@ def _bias(sensor: Sensor) -> Effect:
 def _matrix_part(
     kind: str,
     sensor: Sensor,
-    parameters: tuple[Parameter, ...],
+    parameters: tuple[EffectParameter, ...],
     columns: Callable[[Trace, float], Array],
     rivals: tuple[str, ...],
     exact: Callable[[Trace, Array], Array] | None = None,
-) -> Effect:
+) -> CatalogueEffect:
     about = {Sensor.ACCEL: "attitudes", Sensor.GYRO: "turns", Sensor.MAG: "attitudes"}[sensor]
     return MeanEffect(
         f"{sensor}_{kind}",
@@ -90,8 +90,8 @@ def _matrix_part(
     )
 
 
-def _effects() -> tuple[Effect, ...]:
-    cross = tuple(Parameter(f"misalignment.{AXES[i]}{AXES[j]}", "1") for i, j in OFF_DIAGONAL)
+def _effects() -> tuple[CatalogueEffect, ...]:
+    cross = tuple(EffectParameter(f"misalignment.{AXES[i]}{AXES[j]}", "1") for i, j in OFF_DIAGONAL)
     biases = [_bias(s) for s in INERTIAL]
     scales = [_matrix_part("scale", s, per_axis("scale", "1"), scale_columns, ("bias", "temp_scale")) for s in INERTIAL]
     crossings = [_matrix_part("misalignment", s, cross, misalignment_columns, ("rotation", "bias")) for s in INERTIAL]

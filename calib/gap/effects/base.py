@@ -20,7 +20,7 @@ DRIFTS = ("_random_walk", "_flicker")
 
 
 @dataclass(frozen=True)
-class Parameter:
+class EffectParameter:
     """A parameter in the forward sense: what is added to, or multiplies, the ideal sensor (GAP 8).
 
     `squared`: the contest's linear amplitude is the square of the value that is reported (amplitudes of noise).
@@ -43,7 +43,7 @@ def always(_trace: Trace) -> tuple[str, str] | None:
 
 
 @dataclass(frozen=True)
-class Shape:
+class EffectShape:
     """The one nonlinear parameter of an effect: a delay, a cut-off, a time constant, a moment.
 
     `grid(trace)` gives the values that are tried first (M,), ascending; the contest pays for the search, then refines
@@ -54,7 +54,7 @@ class Shape:
     value; it stays where the search found it.
     """
 
-    parameter: Parameter
+    parameter: EffectParameter
     grid: Callable[[Trace], Array]
     screen: Callable[[Trace, Array], Array] | None = None
     usual: float | None = None
@@ -62,7 +62,7 @@ class Shape:
 
 
 @dataclass(frozen=True)
-class Effect:
+class CatalogueEffect:
     """One entry of the catalogue.
 
     Parameters
@@ -93,11 +93,11 @@ class Effect:
 
     id: str
     sensor: Sensor
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[EffectParameter, ...]
     excited_by: str
     fix: str
     missing: Missing = always
-    shape: Shape | None = None
+    shape: EffectShape | None = None
     rivals: tuple[str, ...] = ()
     shared: bool = False
     repeatable: bool = False
@@ -126,7 +126,7 @@ class Effect:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MeanEffect(Effect):
+class MeanEffect(CatalogueEffect):
     """Moves the mean: measured = ideal + sum_j parameter_j * columns_j.
 
     Parameters
@@ -154,7 +154,7 @@ class MeanEffect(Effect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class NoiseEffect(Effect):
+class NoiseEffect(CatalogueEffect):
     """Adds power: S_k += sum_j parameter_j * density_j(k), amplitudes >= 0 per axis.
 
     `density(trace, omega, theta)` gives (p, K) on DCT frequencies `omega` (rad per sample, 0..pi), in variance of one
@@ -181,7 +181,7 @@ class LatticeEvidence:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LatticeEffect(Effect):
+class LatticeEffect(CatalogueEffect):
     """Seen in repeated, clipped, zeroed or coarsely rounded samples."""
 
     detect: Callable[[Trace], LatticeEvidence | None]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.gap.effects.base import Effect, MeanEffect, Parameter
+from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, MeanEffect
 from mavcal.calib.gap.effects.parts import AXES, TUMBLE, on_each_axis, per_axis, spread
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.recording import Sensor
@@ -53,11 +53,11 @@ def _g_columns(trace: Trace, theta: float) -> Array:
     return on_each_axis(g_sensitivity_signals(trace, theta))
 
 
-EFFECTS: tuple[Effect, ...] = (
+EFFECTS: tuple[CatalogueEffect, ...] = (
     MeanEffect(
         "gyro_g_sensitivity",
         Sensor.GYRO,
-        tuple(Parameter(f"g_sensitivity.{row}{column}", "rad/s/(m/s2)") for column in AXES for row in AXES),
+        tuple(EffectParameter(f"g_sensitivity.{row}{column}", "rad/s/(m/s2)") for column in AXES for row in AXES),
         "attitudes, accelerations",
         TUMBLE,
         _force_moves,

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.gap.effects.base import Effect, MeanEffect, Parameter, Shape
+from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, EffectShape, MeanEffect
 from mavcal.calib.gap.effects.parts import TRIADS, UNIT, axiswise, per_axis
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.recording import Sensor
@@ -90,14 +90,16 @@ def _split(count: Array, total: Array, noise: Array, start: int, end: int, margi
     return float(gain[best]), first + best
 
 
-def _of(sensor: Sensor, form: str, signal: Callable[[Trace, float], Array], screen: Screen, *, still: bool) -> Effect:
+def _of(
+    sensor: Sensor, form: str, signal: Callable[[Trace, float], Array], screen: Screen, *, still: bool
+) -> CatalogueEffect:
     return MeanEffect(
         f"{sensor}_step",
         sensor,
         per_axis("step", UNIT[sensor]),
         "the event itself",
         "the same movement before and after; a log without the event",
-        shape=Shape(Parameter("time_s", "s"), moments, screen, still=still),
+        shape=EffectShape(EffectParameter("time_s", "s"), moments, screen, still=still),
         columns=axiswise(signal),
         signals=signal,
         rivals=(f"{sensor}_random_walk", f"{sensor}_temp_linear"),
@@ -106,7 +108,7 @@ def _of(sensor: Sensor, form: str, signal: Callable[[Trace, float], Array], scre
     )
 
 
-EFFECTS: tuple[Effect, ...] = tuple(
+EFFECTS: tuple[CatalogueEffect, ...] = tuple(
     effect
     for sensor in TRIADS
     for effect in (

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import brentq
 
-from mavcal.calib.gap.effects.base import Effect, LatticeEffect, LatticeEvidence, Parameter
+from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, LatticeEffect, LatticeEvidence
 from mavcal.calib.gap.effects.parts import AXES, TRIADS, UNIT
 from mavcal.calib.gap.levels import levels_of, noise_of
 from mavcal.calib.gap.problem import Trace
@@ -238,13 +238,13 @@ def _evidence(
     return LatticeEvidence(tuple(values), tuple(se), two_delta, rows, text)
 
 
-def _of(sensor: Sensor) -> tuple[Effect, ...]:
+def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
     unit = UNIT[sensor]
     return (
         LatticeEffect(
             f"{sensor}_quantisation",
             sensor,
-            tuple(Parameter(f"lsb.{axis}", unit) for axis in AXES),
+            tuple(EffectParameter(f"lsb.{axis}", unit) for axis in AXES),
             "any recording",
             "raw samples in the log",
             detect=quantisation,
@@ -253,7 +253,7 @@ def _of(sensor: Sensor) -> tuple[Effect, ...]:
         LatticeEffect(
             f"{sensor}_saturation",
             sensor,
-            (Parameter("limit", unit),),
+            (EffectParameter("limit", unit),),
             "readings up to the end of the range",
             "a larger range; less violent movement",
             detect=saturation,
@@ -262,7 +262,7 @@ def _of(sensor: Sensor) -> tuple[Effect, ...]:
         LatticeEffect(
             f"{sensor}_dead_band",
             sensor,
-            tuple(Parameter(f"half_width.{axis}", unit) for axis in AXES),
+            tuple(EffectParameter(f"half_width.{axis}", unit) for axis in AXES),
             "readings about zero",
             "raw samples in the log; slow movement through zero",
             detect=dead_band,
@@ -271,7 +271,7 @@ def _of(sensor: Sensor) -> tuple[Effect, ...]:
         LatticeEffect(
             f"{sensor}_hold",
             sensor,
-            (Parameter("hold_s", "s"), Parameter("repeated", "1")),
+            (EffectParameter("hold_s", "s"), EffectParameter("repeated", "1")),
             "movement, or noise above the levels",
             "log every sample once, with its own time stamp",
             detect=hold,
@@ -280,4 +280,4 @@ def _of(sensor: Sensor) -> tuple[Effect, ...]:
     )
 
 
-EFFECTS: tuple[Effect, ...] = tuple(effect for sensor in TRIADS for effect in _of(sensor))
+EFFECTS: tuple[CatalogueEffect, ...] = tuple(effect for sensor in TRIADS for effect in _of(sensor))

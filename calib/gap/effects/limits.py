@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.gap.effects.base import Effect, MeanEffect, Missing, Parameter, Shape
+from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, EffectShape, MeanEffect, Missing
 from mavcal.calib.gap.effects.parts import TRIADS, UNIT
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.recording import Sensor
@@ -100,7 +100,7 @@ def _crosses_zero(sensor: Sensor) -> Missing:
 _KINDS = (
     (
         "saturation",
-        Parameter("limit", ""),
+        EffectParameter("limit", ""),
         limits,
         clipped_column,
         "readings up to the end of the range",
@@ -109,7 +109,7 @@ _KINDS = (
     ),
     (
         "dead_band",
-        Parameter("half_width", ""),
+        EffectParameter("half_width", ""),
         widths,
         dead_column,
         "readings about zero",
@@ -119,7 +119,7 @@ _KINDS = (
 )
 
 
-def _of(sensor: Sensor) -> tuple[Effect, ...]:
+def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
     return tuple(
         MeanEffect(
             f"{sensor}_{name}",
@@ -128,7 +128,7 @@ def _of(sensor: Sensor) -> tuple[Effect, ...]:
             excites,
             manoeuvre,
             missing(sensor),
-            Shape(replace(parameter, unit=UNIT[sensor]), grid),
+            EffectShape(replace(parameter, unit=UNIT[sensor]), grid),
             columns=column,
             fixed=True,
             rivals=(f"{sensor}_scale" if sensor != Sensor.MAG else "mag_soft_iron",),
@@ -137,4 +137,4 @@ def _of(sensor: Sensor) -> tuple[Effect, ...]:
     )
 
 
-EFFECTS: tuple[Effect, ...] = tuple(effect for sensor in TRIADS for effect in _of(sensor))
+EFFECTS: tuple[CatalogueEffect, ...] = tuple(effect for sensor in TRIADS for effect in _of(sensor))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.affine import constant
-from mavcal.calib.gap.effects.base import Effect, MeanEffect, Missing, Parameter, Shape
+from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, EffectShape, MeanEffect, Missing
 from mavcal.calib.gap.effects.parts import TUMBLE, axiswise, body_from_ned, first_missing, moves, per_axis, spread
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.recording import Sensor
@@ -130,12 +130,12 @@ def _no_path(trace: Trace) -> tuple[str, str] | None:
 
 def _motor_current(
     form: str,
-    parameters: tuple[Parameter, ...],
+    parameters: tuple[EffectParameter, ...],
     excited_by: str,
     missing: Missing,
     signals: Callable[[Trace, float], Array],
-    shape: Shape | None = None,
-) -> Effect:
+    shape: EffectShape | None = None,
+) -> CatalogueEffect:
     """The field of the motors' current as it goes by one signal: the current, or what stands for it."""
     return MeanEffect(
         "mag_motor_current",
@@ -156,11 +156,11 @@ _ATTITUDES = "attitudes about all three axes"
 _CURRENTS = "currents that vary"
 _PER_AMPERE = per_axis("per_ampere", "uT/A")
 _FULL_THROTTLE = per_axis("full_throttle", "uT")
-_LAG = Shape(Parameter("lag_s", "s"), lags)
-_EXPONENT = Shape(Parameter("exponent", "1"), exponents)
+_LAG = EffectShape(EffectParameter("lag_s", "s"), lags)
+_EXPONENT = EffectShape(EffectParameter("exponent", "1"), exponents)
 
 # Of two forms the one with more parameters comes first: a report that has them all is replayed with it.
-EFFECTS: tuple[Effect, ...] = (
+EFFECTS: tuple[CatalogueEffect, ...] = (
     MeanEffect(
         "mag_hard_iron",
         Sensor.MAG,
@@ -174,7 +174,7 @@ EFFECTS: tuple[Effect, ...] = (
     MeanEffect(
         "mag_soft_iron",
         Sensor.MAG,
-        tuple(Parameter(f"soft_iron.{name}", "1") for name in _SYMMETRIC_NAMES),
+        tuple(EffectParameter(f"soft_iron.{name}", "1") for name in _SYMMETRIC_NAMES),
         _ATTITUDES,
         TUMBLE,
         moves(Sensor.MAG),
@@ -187,7 +187,7 @@ EFFECTS: tuple[Effect, ...] = (
     MeanEffect(
         "mag_earth_field",
         Sensor.MAG,
-        tuple(Parameter(f"earth_field.{axis}", "uT") for axis in _NED),
+        tuple(EffectParameter(f"earth_field.{axis}", "uT") for axis in _NED),
         _ATTITUDES,
         f"{TUMBLE}; the same with the sensor turned by 180 degrees in its mounting",
         first_missing((_no_attitude, moves(Sensor.MAG))),
@@ -197,7 +197,7 @@ EFFECTS: tuple[Effect, ...] = (
     MeanEffect(
         "mag_field_gradient",
         Sensor.MAG,
-        tuple(Parameter(f"gradient.{name}", "uT/m") for name in _GRADIENT_NAMES),
+        tuple(EffectParameter(f"gradient.{name}", "uT/m") for name in _GRADIENT_NAMES),
         "a path through the place",
         "fly the same path at two headings, and again elsewhere",
         first_missing((_no_attitude, _no_path)),

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.gap.effects.base import Effect, NoiseEffect
+from mavcal.calib.gap.effects.base import CatalogueEffect, NoiseEffect
 from mavcal.calib.gap.effects.parts import TRIADS, UNIT, per_axis
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.gap.reference.calibrated import filter_gain
@@ -53,7 +53,7 @@ def _long(trace: Trace) -> tuple[str, str] | None:
     return None if duration >= _LONG else (f"{duration:.0f} s of data", ">= 30 s, better ten minutes at rest")
 
 
-def _of(sensor: Sensor) -> tuple[Effect, ...]:
+def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
     unit = UNIT[sensor]
     return (
         NoiseEffect(
@@ -88,4 +88,4 @@ def _of(sensor: Sensor) -> tuple[Effect, ...]:
     )
 
 
-EFFECTS: tuple[Effect, ...] = tuple(effect for sensor in TRIADS for effect in _of(sensor))
+EFFECTS: tuple[CatalogueEffect, ...] = tuple(effect for sensor in TRIADS for effect in _of(sensor))

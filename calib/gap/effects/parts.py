@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from mavcal.calib.gap.effects.base import Missing, Parameter
+from mavcal.calib.gap.effects.base import EffectParameter, Missing
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.recording import Sensor
 
@@ -35,9 +35,9 @@ _TURN = {
 }
 
 
-def per_axis(name: str, unit: str, *, squared: bool = False) -> tuple[Parameter, ...]:
+def per_axis(name: str, unit: str, *, squared: bool = False) -> tuple[EffectParameter, ...]:
     """``name.x name.y name.z``."""
-    return tuple(Parameter(f"{name}.{axis}", unit, squared) for axis in AXES)
+    return tuple(EffectParameter(f"{name}.{axis}", unit, squared) for axis in AXES)
 
 
 def on_each_axis(signals: Array) -> Array:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.affine import rotated, rotation_columns
-from mavcal.calib.gap.effects.base import Effect, MeanEffect
+from mavcal.calib.gap.effects.base import CatalogueEffect, MeanEffect
 from mavcal.calib.gap.effects.parts import per_axis
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.recording import Sensor
@@ -29,7 +29,7 @@ def direction_turned(trace: Trace, parameters: Array) -> Array:
 REFERENCE = "reference_attitude"
 """Its id, by which findings about the reference are told from those about sensors."""
 
-EFFECTS: tuple[Effect, ...] = (
+EFFECTS: tuple[CatalogueEffect, ...] = (
     MeanEffect(
         REFERENCE,
         Sensor.ACCEL,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.gap.effects.affine import scale_columns
-from mavcal.calib.gap.effects.base import Effect, MeanEffect, Missing, Parameter, Shape
+from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, EffectShape, MeanEffect, Missing
 from mavcal.calib.gap.effects.parts import TRIADS, UNIT, axiswise, first_missing, lagged, moves, per_axis
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.recording import Sensor
@@ -153,9 +153,9 @@ def _span(kind: str) -> Missing:
     return missing
 
 
-def _of(sensor: Sensor) -> tuple[Effect, ...]:
+def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
     unit = UNIT[sensor]
-    vanishes = Parameter("t_ref", "degC")
+    vanishes = EffectParameter("t_ref", "degC")
     iron = {Sensor.MAG: "soft_iron"}.get(sensor, "scale")
     offset = {Sensor.MAG: "hard_iron"}.get(sensor, "bias")
 
@@ -170,7 +170,7 @@ def _of(sensor: Sensor) -> tuple[Effect, ...]:
             "temperature that varies",
             _HEAT_AND_COOL,
             _span("temp_linear"),
-            Shape(vanishes, references, best_references(_ones, 1), _USUAL),
+            EffectShape(vanishes, references, best_references(_ones, 1), _USUAL),
             columns=axiswise(above),
             signals=above,
             rivals=ids("temp_poly", "thermal_lag", "random_walk", offset),
@@ -182,7 +182,7 @@ def _of(sensor: Sensor) -> tuple[Effect, ...]:
             "temperature that varies widely",
             _HEAT_AND_COOL,
             _span("temp_poly"),
-            Shape(vanishes, references, best_references(_ones, 3), _USUAL),
+            EffectShape(vanishes, references, best_references(_ones, 3), _USUAL),
             columns=axiswise(powers),
             signals=powers,
             rivals=ids("temp_linear", "thermal_lag", "random_walk"),
@@ -194,7 +194,7 @@ def _of(sensor: Sensor) -> tuple[Effect, ...]:
             "temperature that varies while the vehicle turns",
             "tumble cold and warm",
             first_missing((_span("temp_scale"), moves(sensor))),
-            Shape(vanishes, references, best_references(_ideal, 1), _USUAL),
+            EffectShape(vanishes, references, best_references(_ideal, 1), _USUAL),
             columns=warm_scale_columns,
             rivals=ids(iron, "temp_linear"),
         ),
@@ -205,7 +205,7 @@ def _of(sensor: Sensor) -> tuple[Effect, ...]:
             "temperature that turns round",
             _HEAT_AND_COOL,
             _span("thermal_lag"),
-            Shape(Parameter("lag_s", "s"), lags),
+            EffectShape(EffectParameter("lag_s", "s"), lags),
             columns=axiswise(late),
             signals=late,
             rivals=ids("temp_linear", "temp_poly", "random_walk"),
@@ -214,4 +214,4 @@ def _of(sensor: Sensor) -> tuple[Effect, ...]:
     )
 
 
-EFFECTS: tuple[Effect, ...] = tuple(effect for sensor in TRIADS for effect in _of(sensor))
+EFFECTS: tuple[CatalogueEffect, ...] = tuple(effect for sensor in TRIADS for effect in _of(sensor))

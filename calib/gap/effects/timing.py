@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage
 from scipy.interpolate import BSpline
 
-from mavcal.calib.gap.effects.base import Effect, MeanEffect, Missing, Parameter, Shape
+from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, EffectShape, MeanEffect, Missing
 from mavcal.calib.gap.effects.parts import TRIADS
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.recording import Sensor
@@ -180,7 +180,7 @@ def _lively(sensor: Sensor) -> Missing:
     return missing
 
 
-def _of(sensor: Sensor) -> tuple[Effect, ...]:
+def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
     return (
         MeanEffect(
             f"{sensor}_delay",
@@ -189,7 +189,7 @@ def _of(sensor: Sensor) -> tuple[Effect, ...]:
             "fast movement",
             _SHAKE,
             _lively(sensor),
-            Shape(Parameter("delay_s", "s"), delays),
+            EffectShape(EffectParameter("delay_s", "s"), delays),
             columns=delay_column,
             fixed=True,
             rivals=(f"{sensor}_low_pass", "clock_drift"),
@@ -201,7 +201,7 @@ def _of(sensor: Sensor) -> tuple[Effect, ...]:
             "fast movement; its own noise",
             _SHAKE,
             _lively(sensor),
-            Shape(Parameter("cutoff_hz", "Hz"), cutoffs),
+            EffectShape(EffectParameter("cutoff_hz", "Hz"), cutoffs),
             columns=low_pass_column,
             fixed=True,
             noise_gain=low_pass_gain,
@@ -217,11 +217,11 @@ CLOCK_DRIFT = MeanEffect(
     "fast movement throughout a long recording",
     "a shake at the beginning and another at the end",
     _turns,
-    Shape(Parameter("drift_ppm", "ppm"), drifts),
+    EffectShape(EffectParameter("drift_ppm", "ppm"), drifts),
     shared=True,
     columns=drift_column,
     fixed=True,
     rivals=tuple(f"{sensor}_delay" for sensor in TRIADS),
 )
 
-EFFECTS: tuple[Effect, ...] = (*(effect for sensor in TRIADS for effect in _of(sensor)), CLOCK_DRIFT)
+EFFECTS: tuple[CatalogueEffect, ...] = (*(effect for sensor in TRIADS for effect in _of(sensor)), CLOCK_DRIFT)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
-from mavcal.calib.gap.effects.base import Effect, MeanEffect, Parameter, Shape
+from mavcal.calib.gap.effects.base import CatalogueEffect, EffectParameter, EffectShape, MeanEffect
 from mavcal.calib.gap.effects.parts import TRIADS, UNIT, axiswise, per_axis
 from mavcal.calib.gap.problem import Trace
 from mavcal.calib.recording import Sensor
@@ -51,7 +51,7 @@ def strongest_bins(trace: Trace, residual: Array) -> Array:
     return np.sort(grid[np.argsort(ratio)[-_CANDIDATES:]])
 
 
-def _of(sensor: Sensor) -> Effect:
+def _of(sensor: Sensor) -> CatalogueEffect:
     unit = UNIT[sensor]
     return MeanEffect(
         f"{sensor}_tone",
@@ -59,7 +59,7 @@ def _of(sensor: Sensor) -> Effect:
         per_axis("cos", unit) + per_axis("sin", unit),
         "any recording",
         "sweep the rotor speed: a tone stays, a vibration follows",
-        shape=Shape(Parameter("frequency_hz", "Hz"), bins, strongest_bins),
+        shape=EffectShape(EffectParameter("frequency_hz", "Hz"), bins, strongest_bins),
         columns=axiswise(wave),
         signals=wave,
         repeatable=True,
@@ -67,4 +67,4 @@ def _of(sensor: Sensor) -> Effect:
     )
 
 
-EFFECTS: tuple[Effect, ...] = tuple(_of(sensor) for sensor in TRIADS)
+EFFECTS: tuple[CatalogueEffect, ...] = tuple(_of(sensor) for sensor in TRIADS)

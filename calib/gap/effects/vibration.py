@@ -16,7 +16,14 @@ from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 from scipy.ndimage import uniform_filter1d
 
-from mavcal.calib.gap.effects.base import Effect, MeanEffect, Missing, NoiseEffect, Parameter, Shape
+from mavcal.calib.gap.effects.base import (
+    CatalogueEffect,
+    EffectParameter,
+    EffectShape,
+    MeanEffect,
+    Missing,
+    NoiseEffect,
+)
 from mavcal.calib.gap.effects.noise import white
 from mavcal.calib.gap.effects.parts import INERTIAL, TRIADS, UNIT, axiswise, per_axis
 from mavcal.calib.gap.likelihood import transform
@@ -210,7 +217,7 @@ def _followed(grid: Callable[[Trace], Array]) -> Missing:
     return missing
 
 
-def _wave(kind: str, sensor: Sensor, grid: Callable[[Trace], Array]) -> Effect:
+def _wave(kind: str, sensor: Sensor, grid: Callable[[Trace], Array]) -> CatalogueEffect:
     unit = UNIT[sensor]
     return MeanEffect(
         f"{sensor}_{kind}",
@@ -219,7 +226,7 @@ def _wave(kind: str, sensor: Sensor, grid: Callable[[Trace], Array]) -> Effect:
         "running motors",
         "sweep the rotor speed: an alias moves against it, a tone stays",
         _followed(grid),
-        Shape(Parameter("rotor_order", "100 rotor + order"), grid),
+        EffectShape(EffectParameter("rotor_order", "100 rotor + order"), grid),
         columns=axiswise(turning),
         signals=turning,
         rivals=(f"{sensor}_tone", f"{sensor}_rotor_noise"),
@@ -266,7 +273,7 @@ def _rotor_speed_known(trace: Trace) -> tuple[str, str] | None:
 
 def _line(
     kind: str, sensor: Sensor, grid: Callable[[Trace], Array], missing: Missing, rivals: tuple[str, ...]
-) -> Effect:
+) -> CatalogueEffect:
     screen = strongest_bands if kind == "vibration" else None
     return NoiseEffect(
         f"{sensor}_{kind}",
@@ -275,14 +282,14 @@ def _line(
         "running motors",
         "sweep the rotor speed: an alias moves against it, a tone stays",
         missing,
-        Shape(Parameter("frequency_hz", "Hz"), grid, screen),
+        EffectShape(EffectParameter("frequency_hz", "Hz"), grid, screen),
         density=line,
         variance=while_running,
         rivals=tuple(f"{sensor}_{rival}" for rival in rivals),
     )
 
 
-def _of(sensor: Sensor) -> tuple[Effect, ...]:
+def _of(sensor: Sensor) -> tuple[CatalogueEffect, ...]:
     noise = NoiseEffect(
         f"{sensor}_rotor_noise",
         sensor,
@@ -316,4 +323,4 @@ def _of(sensor: Sensor) -> tuple[Effect, ...]:
     )
 
 
-EFFECTS: tuple[Effect, ...] = tuple(effect for sensor in TRIADS for effect in _of(sensor))
+EFFECTS: tuple[CatalogueEffect, ...] = tuple(effect for sensor in TRIADS for effect in _of(sensor))

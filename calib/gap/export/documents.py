@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mavcal.calib.gap.export.state import Sensors, named, sensors_with
+from mavcal.calib.gap.export.state import SensorEffects, named, sensors_with
 from mavcal.calib.gap.schema import GapReport
 from mavcal.calib.recording import Sensor
 from mavcal.calib.simulate.document import errors_to_json
@@ -58,7 +58,7 @@ _CLASS = {sensor: name for name, sensor in OBJECTS.items()}
 _PROPERTY = {Sensor.ACCEL: "Accelerometer", Sensor.GYRO: "Gyroscope", Sensor.MAG: "Magnetometer"}
 
 
-def _objects(sensors: Sensors, instance: int) -> tuple[list[str], list[str]]:
+def _objects(sensors: SensorEffects, instance: int) -> tuple[list[str], list[str]]:
     lines: list[str] = []
     lost: list[str] = []
     for sensor in _MEASURED:

@@ -14,7 +14,7 @@ from mavcal.calib.gap.export.gazebo import to_sdf
 from mavcal.calib.gap.export.sitl import SitlPatch, older_names, patch
 from mavcal.calib.gap.export.state import doubt_of
 from mavcal.calib.gap.export.vehicle import vehicle_plan
-from mavcal.calib.gap.schema import GapReport, Verdict
+from mavcal.calib.gap.schema import GapReport, GapVerdict
 from mavcal.calib.recording import Recording
 
 
@@ -116,9 +116,9 @@ def exported(
 
 
 _WHY_NOT = {
-    Verdict.NO_GAP: "there is no gap",
-    Verdict.UNKNOWN: "no effect of the catalogue explains the gap",
-    Verdict.NOT_TESTABLE: "these recordings could not be diagnosed",
+    GapVerdict.NO_GAP: "there is no gap",
+    GapVerdict.UNKNOWN: "no effect of the catalogue explains the gap",
+    GapVerdict.NOT_TESTABLE: "these recordings could not be diagnosed",
 }
 
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import AXES
-from mavcal.calib.gap.export.state import Sensors, doubt_of, kind_of, named, sensors_with, value, vector
+from mavcal.calib.gap.export.state import SensorEffects, doubt_of, kind_of, named, sensors_with, value, vector
 from mavcal.calib.gap.schema import EffectEstimate, GapReport
 from mavcal.calib.recording import Sensor
 from mavcal.calib.simulate.recording import SensorSuite
@@ -145,7 +145,7 @@ def _present(known: Mapping[str, float]) -> dict[tuple[Sensor, int], SensorError
     return present
 
 
-def _of_sensor(values: dict[str, float], not_held: list[str], effect: EffectEstimate, sensors: Sensors) -> None:
+def _of_sensor(values: dict[str, float], not_held: list[str], effect: EffectEstimate, sensors: SensorEffects) -> None:
     """The parameters of an effect's families, of the sensors with all effects."""
     families = _FAMILIES.get(effect.id, ())
     for n in effect.instances if families else ():
@@ -176,7 +176,9 @@ def _belongs(name: str, wanted: list[str], sensor: Sensor) -> bool:
     return any(name.startswith(family) and not (family.startswith("SIM_IMUT") and other in name) for family in wanted)
 
 
-def _motor_current(effect: EffectEstimate, sensors: Sensors, report: GapReport) -> tuple[dict[str, float], list[str]]:
+def _motor_current(
+    effect: EffectEstimate, sensors: SensorEffects, report: GapReport
+) -> tuple[dict[str, float], list[str]]:
     """``D^-1 (B + MOT I)``: one vector for all compasses, before the soft iron."""
     if not any(p.name.startswith("per_ampere") for p in effect.params):
         return {}, ["a field that follows the throttle: SIM_MAG_MOT follows the simulated current"]
@@ -186,7 +188,7 @@ def _motor_current(effect: EffectEstimate, sensors: Sensors, report: GapReport) 
     return _three("SIM_MAG_MOT", ahead @ vector(effect, "per_ampere") / UT_PER_MGAUSS), lost
 
 
-def _vibration(effect: EffectEstimate, sensors: Sensors, report: GapReport) -> tuple[dict[str, float], list[str]]:
+def _vibration(effect: EffectEstimate, sensors: SensorEffects, report: GapReport) -> tuple[dict[str, float], list[str]]:
     """A sine on each axis while the motors run; SIM_ACCn_RND is its amplitude, one for the axes that have it."""
     if not any(p.name == "frequency_hz" for p in effect.params):
         return {}, ["a wave that follows one rotor's speed"]
@@ -209,13 +211,13 @@ def _vibration(effect: EffectEstimate, sensors: Sensors, report: GapReport) -> t
     return values, lost
 
 
-def _lever(effect: EffectEstimate, sensors: Sensors, report: GapReport) -> tuple[dict[str, float], list[str]]:
+def _lever(effect: EffectEstimate, sensors: SensorEffects, report: GapReport) -> tuple[dict[str, float], list[str]]:
     missed = sorted(_all(report, Sensor.ACCEL) - set(effect.instances))
     lost = [f"SIM_IMU_POS moves every accelerometer, also {', '.join(map(str, missed))}"] if missed else []
     return _three("SIM_IMU_POS", vector(effect, "lever_arm")), lost
 
 
-def _delay(effect: EffectEstimate, sensors: Sensors, report: GapReport) -> tuple[dict[str, float], list[str]]:
+def _delay(effect: EffectEstimate, sensors: SensorEffects, report: GapReport) -> tuple[dict[str, float], list[str]]:
     delay = 1000.0 * value(effect, "delay_s")
     if delay < 0.0:
         return {}, ["a sensor that is ahead of its reference cannot be simulated"]
@@ -224,12 +226,14 @@ def _delay(effect: EffectEstimate, sensors: Sensors, report: GapReport) -> tuple
     return {"SIM_MAG_DELAY": float(round(delay))}, lost
 
 
-def _field(effect: EffectEstimate, sensors: Sensors, report: GapReport) -> tuple[dict[str, float], list[str]]:
+def _field(effect: EffectEstimate, sensors: SensorEffects, report: GapReport) -> tuple[dict[str, float], list[str]]:
     shift = np.array([value(effect, f"earth_field.{axis}") for axis in "ned"]) / UT_PER_MGAUSS
     return {**_three("SIM_MAG_ALY", shift), "SIM_MAG_ALY_HGT": _FAR}, []
 
 
-def _compass_noise(effect: EffectEstimate, sensors: Sensors, report: GapReport) -> tuple[dict[str, float], list[str]]:
+def _compass_noise(
+    effect: EffectEstimate, sensors: SensorEffects, report: GapReport
+) -> tuple[dict[str, float], list[str]]:
     """Uniform noise of half width a has the variance a^2/3, drawn a hundred times a second."""
     density = vector(effect, "density")
     level = float(np.sqrt(np.mean(density**2)))
@@ -237,14 +241,14 @@ def _compass_noise(effect: EffectEstimate, sensors: Sensors, report: GapReport) 
     return {"SIM_MAG_RND": math.sqrt(3.0 * COMPASS_RATE) * level / UT_PER_MGAUSS}, lost
 
 
-def _turn(effect: EffectEstimate, sensors: Sensors, report: GapReport) -> tuple[dict[str, float], list[str]]:
+def _turn(effect: EffectEstimate, sensors: SensorEffects, report: GapReport) -> tuple[dict[str, float], list[str]]:
     if set(effect.instances) != _all(report, Sensor.ACCEL):
         return {}, ["SIM_ACC_TRIM turns every accelerometer alike"]
     trim = Rotation.from_rotvec(-vector(effect, "rotation"))  # the simulator applies its transpose
     return _three("SIM_ACC_TRIM", np.asarray(trim.as_euler("ZYX")[::-1])), []
 
 
-_Special = Callable[[EffectEstimate, Sensors, GapReport], tuple[dict[str, float], list[str]]]
+_Special = Callable[[EffectEstimate, SensorEffects, GapReport], tuple[dict[str, float], list[str]]]
 _SPECIAL: Mapping[str, _Special] = {
     "mag_motor_current": _motor_current,
     "accel_vibration": _vibration,

@@ -70,7 +70,7 @@ def doubt_of(effect: EffectEstimate) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Sensors:
+class SensorEffects:
     """Every sensor of the vehicle with its effects, by sensor and instance (from 1), and the effects left over."""
 
     errors: Mapping[tuple[Sensor, int], SensorErrors]
@@ -91,7 +91,7 @@ def sensors_with(
     base: Mapping[tuple[Sensor, int], SensorErrors] | None = None,
     *,
     t_ref: float = 35.0,
-) -> Sensors:
+) -> SensorEffects:
     """The sensors that a simulator should have.
 
     Parameters
@@ -114,7 +114,7 @@ def sensors_with(
             groups.setdefault((effect.sensor, instance), []).append(effect)
     known = base or {}
     made = {key: _with(known.get(key, SensorErrors()), found, t_ref) for key, found in groups.items()}
-    return Sensors(made, tuple(rest))
+    return SensorEffects(made, tuple(rest))
 
 
 def _with(base: SensorErrors, effects: Sequence[EffectEstimate], t_ref: float) -> SensorErrors:

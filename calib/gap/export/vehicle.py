@@ -18,9 +18,9 @@ from mavcal.calib.firmware import body_from_sensor, calibration_in_force
 from mavcal.calib.firmware.compose.plan import compose
 from mavcal.calib.firmware.in_force.fingerprint import fingerprint
 from mavcal.calib.firmware.plan import WritePlan
-from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.fit import FitBuilder, FitResult
 from mavcal.calib.gap.export.state import doubt_of, kind_of, named, sensors_with, value
-from mavcal.calib.gap.schema import EffectEstimate, Estimate, GapReport
+from mavcal.calib.gap.schema import EffectEstimate, GapReport, ParameterEstimate
 from mavcal.calib.recording import Recording, Sensor
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
 
@@ -104,20 +104,15 @@ def _fit(
 
     found = model(effects)
     covariance = _covariance(effects, model)
-    return FitResult(
-        method="gap",
-        sensor=sensor,
-        instance=instance,
-        status=FitStatus.OK,
+    n = _samples(report, sensor, number)
+    at = None if found.polynomial is None else t_ref
+    return FitBuilder("gap", sensor, instance, _UNITS[sensor], n, temperature=at).fitted(
+        found,
+        covariance,
         message=f"the calibration in force with {', '.join(e.id for e in effects)} taken away",
-        model=found,
-        covariance=covariance,
-        unit=_UNITS[sensor],
-        n_samples=_samples(report, sensor, number),
-        n_used=_samples(report, sensor, number),
+        n_used=n,
         residual_rms=_residual(report, sensor, number),
         condition_number=1.0,
-        temperature=None if found.polynomial is None else t_ref,
     )
 
 
@@ -183,7 +178,7 @@ def _covariance(effects: Sequence[EffectEstimate], model: Callable[[Sequence[Eff
 
 def _moved(effects: Sequence[EffectEstimate], i: int, j: int, step: float) -> list[EffectEstimate]:
     old = effects[i].params[j]
-    moved: Estimate = replace(old, value=old.value + step)
+    moved: ParameterEstimate = replace(old, value=old.value + step)
     params = (*effects[i].params[:j], moved, *effects[i].params[j + 1 :])
     return [*effects[:i], replace(effects[i], params=params), *effects[i + 1 :]]
 

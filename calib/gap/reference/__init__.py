@@ -1,4 +1,4 @@
-"""From recordings to a :class:`calib.gap.problem.Problem`: every sensor beside what an ideal one would have read.
+"""From recordings to a :class:`calib.gap.problem.GapProblem`: every sensor beside what an ideal one would have read.
 
 Several references may apply (GAP 3.5b); the best one that the recordings offer is taken and named: ``ref_*`` columns or
 a simulator's log of the same trajectory (:mod:`recorded`), a pose that drives an ideal sensor (:mod:`posed`), another

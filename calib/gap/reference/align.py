@@ -29,7 +29,7 @@ _STILL = {Sensor.ACCEL: 0.3, Sensor.GYRO: 0.05, Sensor.MAG: 3.0}  # standard dev
 
 
 @dataclass(frozen=True)
-class Alignment:
+class ClockAlignment:
     """`lag` seconds are to be added to the second clock; `correlation` is that of the movements then, 1 at best."""
 
     lag: float
@@ -76,7 +76,7 @@ def moving_apart(real: Recording, other: Recording) -> bool:
     return bool(found) and max(found) < _APART
 
 
-def aligned_in_any_frame(real: Recording, other: Recording) -> Alignment | None:
+def aligned_in_any_frame(real: Recording, other: Recording) -> ClockAlignment | None:
     """As :func:`aligned`, by the sizes of turn rates and forces, which no frame changes; None where they do not tell.
 
     The correlation is that of the movements in the frame of `other` that fits best.
@@ -90,13 +90,13 @@ def aligned_in_any_frame(real: Recording, other: Recording) -> Alignment | None:
             lag = _best_lag(*sizes).lag
             shared = a.t[(a.t >= b.t[0] + lag) & (a.t <= b.t[-1] + lag)]
             if len(shared) >= 16:
-                return Alignment(
+                return ClockAlignment(
                     lag, turned_correlation(linear(a.t, a.values, shared), linear(b.t + lag, b.values, shared))
                 )
     return None
 
 
-def aligned(real: Recording, other: Recording) -> Alignment | None:
+def aligned(real: Recording, other: Recording) -> ClockAlignment | None:
     """The shift that makes `other` move as `real` does; None if either does not move, or they have no sensor in common.
 
     Turn rates decide, then specific forces, then fields: the first of them that moves in both.
@@ -110,7 +110,7 @@ def aligned(real: Recording, other: Recording) -> Alignment | None:
     return None
 
 
-def _best_lag(a: Signal, b: Signal) -> Alignment:
+def _best_lag(a: Signal, b: Signal) -> ClockAlignment:
     step = 1.0 / _RATE_HZ
     x, y = _sampled(a, step), _sampled(b, step)
     n = min(len(x), len(y))
@@ -126,7 +126,7 @@ def _best_lag(a: Signal, b: Signal) -> Alignment:
         left, here, right = score[best - 1 : best + 2]
         bend = left - 2.0 * here + right
         fine = float(np.clip(0.5 * (left - right) / bend, -0.5, 0.5)) if bend < 0.0 else 0.0
-    return Alignment(float(a.t[0] - b.t[0] + (lags[allowed[best]] + fine) * step), float(score[best]))
+    return ClockAlignment(float(a.t[0] - b.t[0] + (lags[allowed[best]] + fine) * step), float(score[best]))
 
 
 def _sampled(signal: Signal, step: float) -> Array:

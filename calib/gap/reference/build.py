@@ -8,10 +8,10 @@ from dataclasses import replace
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.gap.levels import steps_of, with_simulated_step
-from mavcal.calib.gap.problem import Problem, ReferenceInfo, ReferenceKind, Trace
+from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind, Trace
 from mavcal.calib.gap.reference.calibrated import corrected, not_undone
 from mavcal.calib.gap.reference.checks import Checked, check_vehicles, checked
-from mavcal.calib.gap.reference.choose import Chosen, choose
+from mavcal.calib.gap.reference.choose import ChosenReferences, choose
 from mavcal.calib.gap.reference.chosen import sensors_of
 from mavcal.calib.gap.reference.denoised import error_sd, with_error
 from mavcal.calib.gap.reference.deviation import deviations, simulated_ideal
@@ -19,7 +19,7 @@ from mavcal.calib.gap.reference.driven_noise import as_driven, driven_by
 from mavcal.calib.gap.reference.ideal import Ideal, trace_of
 from mavcal.calib.gap.reference.moments import age_of, louder, settled
 from mavcal.calib.gap.reference.moving import as_heaving, as_moving, movement_of
-from mavcal.calib.gap.reference.noise import Noise, learned, pooled, with_noise
+from mavcal.calib.gap.reference.noise import ResidualSpectrum, learned, pooled, with_noise
 from mavcal.calib.gap.reference.redundant import differences
 from mavcal.calib.gap.reference.which import worse_of
 from mavcal.calib.recording import Channel, Recording, Sensor
@@ -42,7 +42,7 @@ def build(
     *,
     flaws: Callable[[Sequence[Trace]], tuple[Trace, ...]] = tuple,
     flawed: Recording | None = None,
-) -> Problem:
+) -> GapProblem:
     """Every sensor of `real` beside its best reference.
 
     Parameters
@@ -107,7 +107,7 @@ def build(
     )
     duration = max(float(t.t[-1] - t.t[0]) for t in single + pairs)
     single_nominal = tuple(t for t in usual if t.against is None)
-    return Problem(
+    return GapProblem(
         traces, info, duration, warnings=warnings, not_testable=sound.refused, nominal=single_nominal, worse=worse
     )
 
@@ -119,7 +119,7 @@ def ages_of(nominal: Sequence[Trace]) -> dict[Sensor, float]:
     return {sensor: age for sensor, age in found.items() if age > 0.0}
 
 
-def _singles_of(sim: Recording | None, chosen: Chosen | None) -> tuple[Trace, ...]:
+def _singles_of(sim: Recording | None, chosen: ChosenReferences | None) -> tuple[Trace, ...]:
     """Each instance of a simulator's recording against its own reference, where it flew by itself."""
     own = None if chosen is None else next((its for n, its in chosen.nominal if n is sim), None)
     return () if sim is None or own is None else single_traces(sim, sensors_of(sim), own)
@@ -136,8 +136,8 @@ def _louder(trace: Trace, ages: Mapping[Sensor, float], nominal: Sequence[Trace]
 
 
 def _of_one_rate(
-    total: dict[Sensor, Noise], of_readings: Mapping[Sensor, Noise], traces: Sequence[Trace]
-) -> dict[Sensor, Noise]:
+    total: dict[Sensor, ResidualSpectrum], of_readings: Mapping[Sensor, ResidualSpectrum], traces: Sequence[Trace]
+) -> dict[Sensor, ResidualSpectrum]:
     """Without what was learned from readings of another rate: whether these were averaged or picked, nobody knows."""
     rates = {t.sensor: t.fs for t in traces}
     other = {s for s, n in of_readings.items() if s in rates and abs(math.log(rates[s] / n.fs)) > _ONE_RATE}
@@ -157,10 +157,10 @@ def nominal_traces(recording: Recording, ideal: Ideal | None) -> Checked:
     return checked(told_by(single, pairs) + pairs)
 
 
-def noise_of(nominal: Sequence[Trace]) -> tuple[dict[Sensor, Noise], dict[Sensor, Noise]]:
+def noise_of(nominal: Sequence[Trace]) -> tuple[dict[Sensor, ResidualSpectrum], dict[Sensor, ResidualSpectrum]]:
     """By sensor, what nominal recordings leave against the reference, and what their instances leave to each other."""
-    total: dict[Sensor, list[Noise]] = {}
-    own: dict[Sensor, list[Noise]] = {}
+    total: dict[Sensor, list[ResidualSpectrum]] = {}
+    own: dict[Sensor, list[ResidualSpectrum]] = {}
     for trace in nominal:
         if (noise := learned(trace)) is not None:
             (total if trace.against is None else own).setdefault(trace.sensor, []).append(noise)

@@ -22,7 +22,7 @@ from mavcal.calib.gap.reference.checks import check_times
 from mavcal.calib.gap.reference.chosen import comparable, sensors_of
 from mavcal.calib.gap.reference.ideal import Ideal
 from mavcal.calib.gap.reference.notices import notices, why_no_reference
-from mavcal.calib.gap.reference.posed import Array, Cutoffs, Pose, driven, earth_field_of, pose_of
+from mavcal.calib.gap.reference.posed import Array, Cutoffs, PoseTrajectory, driven, earth_field_of, pose_of
 from mavcal.calib.gap.reference.recorded import recorded, simulated, true_attitude
 from mavcal.calib.gap.reference.smoothed import re_estimated
 from mavcal.calib.recording import Recording, Sensor
@@ -32,14 +32,14 @@ DOUBTFUL_DEG = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Chosen:
+class ChosenReferences:
     """The reference of the real recording, and nominal recordings, each with its own; None where it has none."""
 
     ideal: Ideal
     nominal: tuple[tuple[Recording, Ideal | None], ...]
 
 
-def choose(real: Recording, sim: Recording | None, nominal: Sequence[Recording]) -> Chosen | None:
+def choose(real: Recording, sim: Recording | None, nominal: Sequence[Recording]) -> ChosenReferences | None:
     """The best reference that the recordings offer (GAP 3.5b); None: there is none but other instances.
 
     Raises
@@ -59,17 +59,19 @@ def choose(real: Recording, sim: Recording | None, nominal: Sequence[Recording])
     return None
 
 
-def _best(real: Recording, sim: Recording | None, nominal: Sequence[Recording]) -> Chosen | None:
+def _best(real: Recording, sim: Recording | None, nominal: Sequence[Recording]) -> ChosenReferences | None:
     clean = [*nominal, *(() if sim is None else (sim,))]
     ideal = recorded(real)
     if ideal is not None:
-        return Chosen(_completed(ideal, real), tuple((n, _of_nominal(n, real, ideal)) for n in clean))
+        return ChosenReferences(_completed(ideal, real), tuple((n, _of_nominal(n, real, ideal)) for n in clean))
     if sim is not None and (ideal := of_same_trajectory(real, sim)) is not None:
-        return Chosen(ideal, tuple((n, recorded(n) or (ideal if n is sim and ideal.noise else None)) for n in clean))
+        return ChosenReferences(
+            ideal, tuple((n, recorded(n) or (ideal if n is sim and ideal.noise else None)) for n in clean)
+        )
     logged = real.identity.autopilot is not None  # of a vehicle: a simulator's truth is there too slow for a gyroscope
     truth = all(true_attitude(r) is not None for r in (real, *clean))
     if logged and (ideal := re_estimated(real, with_truth=truth)) is not None:
-        return Chosen(_doubted(ideal), tuple((n, re_estimated(n, with_truth=truth)) for n in clean))
+        return ChosenReferences(_doubted(ideal), tuple((n, re_estimated(n, with_truth=truth)) for n in clean))
     if (pose := pose_of(real)) is not None:
         poses = [(n, pose_of(n)) for n in clean]
         if any(p is not None and p.cutoffs != pose.cutoffs for _, p in poses):
@@ -77,9 +79,9 @@ def _best(real: Recording, sim: Recording | None, nominal: Sequence[Recording]) 
             pose, poses = pose_of(real, common) or pose, [(n, pose_of(n, common)) for n in clean]
         earth = earth_of([(n, p) for n, p in poses if p is not None] or [(real, pose)])
         made = tuple((n, None if p is None else driven(p, earth)) for n, p in poses)
-        return Chosen(driven(pose, earth), made)
+        return ChosenReferences(driven(pose, earth), made)
     if not logged and (ideal := re_estimated(real)) is not None:
-        return Chosen(_doubted(ideal), tuple((n, re_estimated(n)) for n in clean))
+        return ChosenReferences(_doubted(ideal), tuple((n, re_estimated(n)) for n in clean))
     return None
 
 
@@ -118,7 +120,7 @@ def posed(real: Recording, nominal: Sequence[Recording]) -> Recording | None:
     return next((n for n in nominal if recorded(n) is None and true_attitude(n) is not None), None)
 
 
-def earth_of(posed: Sequence[tuple[Recording, Pose]]) -> Array | None:
+def earth_of(posed: Sequence[tuple[Recording, PoseTrajectory]]) -> Array | None:
     """The field that the magnetometers of the first of `posed` saw that has any."""
     for recording, pose in posed:
         if magnetometers := [c for c in sensors_of(recording) if c.sensor == Sensor.MAG]:

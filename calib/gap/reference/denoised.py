@@ -20,7 +20,7 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.special import chdtri
 
 from mavcal.calib.gap.reference.grid import grid_of
-from mavcal.calib.gap.reference.noise import Noise, on
+from mavcal.calib.gap.reference.noise import ResidualSpectrum, on
 from mavcal.calib.gap.reference.signal import Signal, linear
 from mavcal.calib.recording import Channel
 
@@ -46,7 +46,7 @@ class Denoised:
     """The movement in some readings, and the noise (variance of one sample) that a sensor like it shows beside it."""
 
     signal: Signal
-    noise: Noise
+    noise: ResidualSpectrum
 
 
 def denoised(channel: Channel) -> Denoised | None:
@@ -72,7 +72,7 @@ def denoised(channel: Channel) -> Denoised | None:
     smooth = idct(spectrum * kept, axis=0, norm="ortho")[grid.point]
     fs = (n - 1) / float(grid.t[-1] - grid.t[0])
     hz = np.sqrt(edges[:-1] * (edges[1:] - 1.0)) * fs / (2.0 * n)
-    return Denoised(Signal(grid.stamps, smooth), Noise(hz, floor * (1.0 + gain), count, fs, smooth=True))
+    return Denoised(Signal(grid.stamps, smooth), ResidualSpectrum(hz, floor * (1.0 + gain), count, fs, smooth=True))
 
 
 def _lines(ratio: Array) -> Array:
@@ -88,18 +88,18 @@ def _lines(ratio: Array) -> Array:
     return gain
 
 
-def with_error(own: Noise, noise: Noise) -> Noise:
+def with_error(own: ResidualSpectrum, noise: ResidualSpectrum) -> ResidualSpectrum:
     """The noise `own` of a sensor, learned elsewhere, with the error of the reference that is in `noise`."""
     error = dataclasses.replace(noise, psd=np.maximum(_error(noise), 1e-9 * noise.psd))
     return dataclasses.replace(own, psd=own.psd + on(error, own.hz, own.fs, own.low_pass_hz))
 
 
-def error_sd(noise: Noise) -> float:
+def error_sd(noise: ResidualSpectrum) -> float:
     """Standard deviation of the noise that is left in the reference, of the axis that has most."""
     return float(np.sqrt((noise.dof @ _error(noise) / noise.dof.sum()).max()))
 
 
-def _error(noise: Noise) -> Array:
+def _error(noise: ResidualSpectrum) -> Array:
     """Power of the noise that is left in the reference: the filter is closed in some band, and there is none of it."""
     return np.asarray(noise.psd - noise.psd.min(axis=0))
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from mavcal.calib.gap.problem import ReferenceInfo, Trace
 from mavcal.calib.gap.reference.calibrated import filter_in_force, sensor_from_corrected
 from mavcal.calib.gap.reference.grid import grid_of
-from mavcal.calib.gap.reference.noise import Noise
+from mavcal.calib.gap.reference.noise import ResidualSpectrum
 from mavcal.calib.gap.reference.signal import Signal, slow
 from mavcal.calib.recording import Channel, Recording, Sensor
 
@@ -46,7 +46,7 @@ class Ideal:
     place: Signal | None = None
     warnings: tuple[str, ...] = ()
     spin: Signal | None = field(default=None)
-    noise: Mapping[Sensor, Noise] = field(default_factory=dict)
+    noise: Mapping[Sensor, ResidualSpectrum] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.spin is None and Sensor.GYRO in self.readings:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.gap.problem import Trace
-from mavcal.calib.gap.reference.noise import Noise, learned, on, pooled
+from mavcal.calib.gap.reference.noise import ResidualSpectrum, learned, on, pooled
 from mavcal.calib.recording import Sensor
 
 Array = NDArray[np.float64]
@@ -23,21 +23,21 @@ _BODY_HZ = 10.0
 """Up to which a vehicle moves as a whole: attitude controllers end there, rotors begin beyond."""
 
 
-def movement_of(traces: Sequence[Trace]) -> dict[Sensor, Noise]:
+def movement_of(traces: Sequence[Trace]) -> dict[Sensor, ResidualSpectrum]:
     """By sensor, the mean spectrum of what ideal sensors read in `traces`, those that are too short left out."""
-    found: dict[Sensor, list[Noise]] = {}
+    found: dict[Sensor, list[ResidualSpectrum]] = {}
     for trace in traces:
         if (spectrum := _movement(trace)) is not None:
             found.setdefault(trace.sensor, []).append(spectrum)
     return {sensor: pooled(spectra) for sensor, spectra in found.items()}
 
 
-def _movement(trace: Trace) -> Noise | None:
+def _movement(trace: Trace) -> ResidualSpectrum | None:
     everywhere = np.ones(len(trace.t), dtype=bool)  # no holes: their edges would be movement
     return learned(dataclasses.replace(trace, measured=trace.ideal, ideal=0.0 * trace.ideal, observed=everywhere))
 
 
-def as_moving(trace: Trace, usual: Mapping[Sensor, Noise]) -> Trace:
+def as_moving(trace: Trace, usual: Mapping[Sensor, ResidualSpectrum]) -> Trace:
     """`trace` with the noise expected that it has for moving more than the `usual` of the nominal recordings.
 
     Of movement and noise together the noise was a share, of at most all: more movement has that share of it. A calmer

@@ -37,7 +37,7 @@ _SEEN = 5.0  # times the filter's cut-off, beyond which too little is left to be
 
 
 @dataclass(frozen=True, eq=False)
-class Noise:
+class ResidualSpectrum:
     """Spectrum of the residual of nominal recordings per DCT bin: `psd` (K, 3) in variance of one sample on `hz` (K,).
 
     `dof` (K,) are the squared coefficients that each band was averaged from; `fs` their sampling rate, `low_pass_hz`
@@ -66,7 +66,7 @@ class Noise:
         chance = chances(self.psd / self.sigma**2, self.dof)
         return self.steady and bool(chance.min() * chance.size > _COLOURED)
 
-    def smoothed(self) -> Noise:
+    def smoothed(self) -> ResidualSpectrum:
         """Few coefficients say little about the lowest bands: white noise, drifts and flicker, and what they miss.
 
         Drifts are a walk and ones that return to their mean, which are level below some frequency (Gauss-Markov).
@@ -88,7 +88,7 @@ class Noise:
             made[:, c] = scale * model * np.where(chances(ratio[:, None], self.dof)[:, 0] < _OFF, shrunk, 1.0)
         return dataclasses.replace(self, psd=made)
 
-    def widened(self) -> Noise:
+    def widened(self) -> ResidualSpectrum:
         """Lines of rotors over the frequencies that they have in other flights, which hover at other speeds."""
         if self.smooth:
             return self
@@ -120,7 +120,7 @@ def chances(ratio: Array, dof: Array) -> Array:
     return np.asarray(2.0 * np.minimum(chdtrc(dof[:, None], total), chdtr(dof[:, None], total)))
 
 
-def learned(trace: Trace) -> Noise | None:
+def learned(trace: Trace) -> ResidualSpectrum | None:
     """The noise in the residual of a nominal `trace`; None if it is too short.
 
     Few holes are filled with zeros; what lies between many is taken as one series, as the likelihood takes it.
@@ -141,7 +141,9 @@ def learned(trace: Trace) -> Noise | None:
     mean = np.column_stack([np.bincount(group, weights=column) for column in power.T]) / count[:, None]
     centre = np.exp(np.bincount(group, weights=np.log(bins)) / count) * trace.fs / (2.0 * n)
     steady = _steady(residual[seen])
-    return Noise(centre, np.maximum(mean, digits_of(trace)), count, trace.fs, trace.low_pass_hz, steady=steady)
+    return ResidualSpectrum(
+        centre, np.maximum(mean, digits_of(trace)), count, trace.fs, trace.low_pass_hz, steady=steady
+    )
 
 
 def _steady(residual: Array) -> bool:
@@ -170,7 +172,7 @@ def _edges(n: int, fs: float) -> NDArray[np.intp]:
     return np.concatenate([[1], even[even < first], np.arange(first, n, widest)]).astype(np.intp)
 
 
-def pooled(noises: Sequence[Noise]) -> Noise:
+def pooled(noises: Sequence[ResidualSpectrum]) -> ResidualSpectrum:
     """The mean of several of them, on the bands of the first."""
     first = noises[0]
     if len(noises) == 1:
@@ -180,7 +182,7 @@ def pooled(noises: Sequence[Noise]) -> Noise:
     return dataclasses.replace(first, psd=np.mean(brought, axis=0), dof=first.dof * len(noises), steady=steady)
 
 
-def with_noise(trace: Trace, total: Noise | None, own: Noise | None) -> Trace:
+def with_noise(trace: Trace, total: ResidualSpectrum | None, own: ResidualSpectrum | None) -> Trace:
     """`trace` with its noise declared.
 
     Parameters
@@ -236,7 +238,7 @@ def _rounding(trace: Trace) -> float:
     return trace.quantum**2 / 12.0 * (1.0 if trace.against is None else 2.0)
 
 
-def on(noise: Noise, hz: Array, fs: float, low_pass_hz: float | None) -> Array:
+def on(noise: ResidualSpectrum, hz: Array, fs: float, low_pass_hz: float | None) -> Array:
     """Its spectrum at `hz` in samples of rate `fs`, behind the filter `low_pass_hz`.
 
     It is carried over as a density, and brought to the other filter as far as it was still to be seen behind its own;

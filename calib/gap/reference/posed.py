@@ -17,7 +17,7 @@ from mavcal.calib.gap.reference.frames import TURNS, correlation, likened, turne
 from mavcal.calib.gap.reference.ideal import Ideal
 from mavcal.calib.gap.reference.recorded import continuous, true_attitude, true_place
 from mavcal.calib.gap.reference.signal import Signal, linear
-from mavcal.calib.gap.reference.smooth import Smoothed, bandwidth, smoothed
+from mavcal.calib.gap.reference.smooth import SmoothedSignal, bandwidth, smoothed
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 
 Array = NDArray[np.float64]
@@ -42,7 +42,7 @@ def _lower(one: float | None, other: float | None) -> float | None:
 
 
 @dataclass(frozen=True, eq=False)
-class Pose:
+class PoseTrajectory:
     """Attitude (N, 4) body to north-east-down on `t`, angular rate (N, 3) in the body, acceleration (N, 3) in NED."""
 
     t: Array
@@ -65,7 +65,7 @@ def rotation(q: Array) -> Rotation:
     return Rotation.from_quat(q[:, [1, 2, 3, 0]])
 
 
-def pose_of(recording: Recording, highest: Cutoffs | None = None) -> Pose | None:
+def pose_of(recording: Recording, highest: Cutoffs | None = None) -> PoseTrajectory | None:
     """The reference pose of `recording`: ``ref_q_*``, or a table's own; None without an attitude.
 
     `highest`: frequencies beyond which nothing is kept, whatever the recording allows; None: there are none.
@@ -81,7 +81,7 @@ def pose_of(recording: Recording, highest: Cutoffs | None = None) -> Pose | None
         if (cutoff := _lower(bandwidth(smooth.t, rate, likened(gyro, rate)), highest.turning)) is not None:
             smooth, q, rate = _turned(attitude, cutoff)
     acceleration, moving = _acceleration(recording, smooth.t, q, highest.moving)
-    return Pose(
+    return PoseTrajectory(
         t=smooth.t,
         attitude=q,
         rate=rate,
@@ -93,7 +93,7 @@ def pose_of(recording: Recording, highest: Cutoffs | None = None) -> Pose | None
     )
 
 
-def _known(attitude: Signal, smooth: Smoothed) -> NDArray[np.bool_]:
+def _known(attitude: Signal, smooth: SmoothedSignal) -> NDArray[np.bool_]:
     """Where an attitude was recorded nearby: what a filter draws across a hole is no pose."""
     known = attitude.known(smooth.t)
     if smooth.cutoff_hz is None or known.all():
@@ -102,7 +102,7 @@ def _known(attitude: Signal, smooth: Smoothed) -> NDArray[np.bool_]:
     return np.asarray(binary_erosion(known, np.ones(2 * count + 1), border_value=1))
 
 
-def _check_convention(smooth: Smoothed, gyro: Array, force: Array | None) -> None:
+def _check_convention(smooth: SmoothedSignal, gyro: Array, force: Array | None) -> None:
     """The quaternion turns as the gyroscope does, unless it was written in another convention.
 
     Some conventions turn as a gyroscope in another frame does: then gravity decides.
@@ -153,7 +153,7 @@ _CONVENTION_HZ = 5.0  # up to which turns are compared
 _ALIKE, _STRANGE = 0.9, 0.3  # correlations from which turns are the same, and below which they have nothing in common
 
 
-def _turned(attitude: Signal, cutoff: float | None) -> tuple[Smoothed, Array, Array]:
+def _turned(attitude: Signal, cutoff: float | None) -> tuple[SmoothedSignal, Array, Array]:
     """Attitudes below `cutoff`, as unit quaternions, and the rates in the body."""
     smooth = smoothed(attitude, cutoff)
     q = smooth.values / np.linalg.norm(smooth.values, axis=1, keepdims=True)
@@ -195,11 +195,11 @@ def _acceleration(recording: Recording, t: Array, q: Array, highest: float | Non
     return None, None
 
 
-def _derivative(smooth: Smoothed, sensor: Sensor) -> Array:
+def _derivative(smooth: SmoothedSignal, sensor: Sensor) -> Array:
     return smooth.first if sensor == Sensor.VELOCITY else smooth.second
 
 
-def driven(pose: Pose, earth: Array | None) -> Ideal:
+def driven(pose: PoseTrajectory, earth: Array | None) -> Ideal:
     """Ideal sensors along `pose`; the magnetometer in the field `earth` (3,), uT, north-east-down, None: unknown.
 
     Without a place or a velocity the vehicle is taken not to accelerate, and the text says so.
@@ -223,7 +223,7 @@ def driven(pose: Pose, earth: Array | None) -> Ideal:
     )
 
 
-def earth_field_of(channels: list[Channel], pose: Pose) -> Array | None:
+def earth_field_of(channels: list[Channel], pose: PoseTrajectory) -> Array | None:
     """The field in NED that magnetometers saw along `pose`, beside an offset of each; None if nothing determines it.
 
     ``m = R_bn B + h``, linear in B and every h; residuals beyond three times their median lose weight, so that what

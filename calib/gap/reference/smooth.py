@@ -23,7 +23,7 @@ A Gaussian (2) takes 16 % there, and every sensor would look louder than its ref
 
 
 @dataclass(frozen=True, eq=False)
-class Smoothed:
+class SmoothedSignal:
     """Values (N, k) and their first two derivatives on a uniform grid `t`; `cutoff_hz` is None if nothing was smoothed.
 
     `noise` (k,) is the standard deviation of what was left out.
@@ -37,7 +37,7 @@ class Smoothed:
     noise: Array
 
 
-def smoothed(signal: Signal, cutoff_hz: float | None = None) -> Smoothed:
+def smoothed(signal: Signal, cutoff_hz: float | None = None) -> SmoothedSignal:
     """Low-passed at `cutoff_hz`; None: as it is.
 
     The filter has no phase, is flat up to its edge and at half amplitude at the cut-off.
@@ -54,7 +54,7 @@ def smoothed(signal: Signal, cutoff_hz: float | None = None) -> Smoothed:
         noise = np.sqrt(((spectrum - kept) ** 2).sum(axis=0) / len(t))
         values = line + idct(kept, axis=0, norm="ortho")
     spline = CubicSpline(t, values, axis=0)
-    return Smoothed(t, values, spline(t, 1), spline(t, 2), cutoff_hz, noise)
+    return SmoothedSignal(t, values, spline(t, 1), spline(t, 2), cutoff_hz, noise)
 
 
 def bandwidth(t: Array, derived: Array, measured: Array) -> float | None:

@@ -25,7 +25,7 @@ from mavcal.calib.gap.reference.posed import GRAVITY_NED, rotation
 from mavcal.calib.gap.reference.recorded import continuous, true_attitude
 from mavcal.calib.gap.reference.signal import Signal, linear, slow
 from mavcal.calib.gap.reference.strapdown import STEPS, Between, Increments
-from mavcal.calib.gap.reference.trajectory import ITERATIONS, LATE_GPS, WALK, Aiding, State, smooth, start_at
+from mavcal.calib.gap.reference.trajectory import ITERATIONS, LATE_GPS, WALK, Aiding, TrajectoryState, smooth, start_at
 from mavcal.calib.recording import Channel, Recording, Sensor
 
 Array = NDArray[np.float64]
@@ -52,14 +52,14 @@ _GAIN_SD, _GAIN_DEFINED = 0.1, 1e-3  # of a magnetometer's mean gain, where that
 
 
 @dataclass(frozen=True, eq=False)
-class Smoothed:
+class SmoothedTrajectory:
     """A trajectory, and the instances that it was made with.
 
     `late` are the seconds by which the firmware's own filters delayed gyroscope and accelerometer: the trajectory is
     free of them, and what an ideal sensor behind the same filters read has them again.
     """
 
-    state: State
+    state: TrajectoryState
     imu: Increments
     instance: int
     mag_instance: int | None
@@ -77,7 +77,7 @@ def re_estimated(recording: Recording, *, with_truth: bool = False) -> Ideal | N
     return None if found is None else _driven(found)
 
 
-def best_trajectory(recording: Recording, *, with_truth: bool = False) -> Smoothed | None:
+def best_trajectory(recording: Recording, *, with_truth: bool = False) -> SmoothedTrajectory | None:
     """The smoothed trajectory with the inertial unit and the magnetometer that fit best; None if there is none."""
     channels = sensors_of(recording)
     velocity = next((s for c in recording.find(Sensor.VELOCITY) if (s := Signal.of(c)) is not None), None)
@@ -108,7 +108,7 @@ def best_trajectory(recording: Recording, *, with_truth: bool = False) -> Smooth
             imu = Increments.of(gyro.shifted(-late[0]), accel.shifted(-late[1]), t, temperature)
             state = smooth(imu, aiding, start_at(t, guess, aiding), _TRIALS if len(units) > 1 else ITERATIONS)
             mag = compass.instance if compass else None
-            made.append(Smoothed(state, imu, unit, mag, truth is not None, (late[0], late[1])))
+            made.append(SmoothedTrajectory(state, imu, unit, mag, truth is not None, (late[0], late[1])))
     best = min(made, key=lambda s: s.state.cost, default=None)
     if best is None:
         return None
@@ -116,7 +116,9 @@ def best_trajectory(recording: Recording, *, with_truth: bool = False) -> Smooth
     return _refined(_first_to_tell(best, close, gyros), aiding)
 
 
-def _first_to_tell(best: Smoothed, close: Sequence[Smoothed], gyros: Mapping[int, Channel]) -> Smoothed:
+def _first_to_tell(
+    best: SmoothedTrajectory, close: Sequence[SmoothedTrajectory], gyros: Mapping[int, Channel]
+) -> SmoothedTrajectory:
     """Of units that fit about as well the one whose gyroscope is not late: no sensor reads what is still to come."""
     for other in close:
         first, second = (Signal.of(gyros[m.instance]) for m in (other, best))
@@ -133,7 +135,7 @@ def _first_to_tell(best: Smoothed, close: Sequence[Smoothed], gyros: Mapping[int
     return best
 
 
-def _refined(found: Smoothed, aiding: Aiding) -> Smoothed:
+def _refined(found: SmoothedTrajectory, aiding: Aiding) -> SmoothedTrajectory:
     """With scales and axes that may differ, and biases that follow the temperature where that says much more.
 
     As it was if they were turned to explain something else, like a crash.
@@ -239,7 +241,7 @@ def _levelled(accel: Channel, aiding: Aiding, start: float) -> Rotation:
     return turn
 
 
-def _driven(found: Smoothed) -> Ideal:
+def _driven(found: SmoothedTrajectory) -> Ideal:
     state, imu = found.state, found.imu
     between = state.between(imu)
     slip = (state.attitude[1:].inv() * state.attitude[:-1] * between.turn).inv().as_rotvec()
@@ -262,7 +264,7 @@ def _driven(found: Smoothed) -> Ideal:
     return Ideal(_info(found), readings, attitude)
 
 
-def _strained(found: Smoothed, between: Between) -> NDArray[np.bool_]:
+def _strained(found: SmoothedTrajectory, between: Between) -> NDArray[np.bool_]:
     """Intervals about which the trajectory and the inertial unit contradict each other: a crash, a clipped sensor."""
     state, imu = found.state, found.imu
     here, there = state.attitude[:-1], state.attitude[1:]
@@ -273,7 +275,7 @@ def _strained(found: Smoothed, between: Between) -> NDArray[np.bool_]:
     return np.asarray(maximum_filter1d(off, 2 * _AROUND + 1) > _STRAIN)
 
 
-def _info(found: Smoothed) -> ReferenceInfo:
+def _info(found: SmoothedTrajectory) -> ReferenceInfo:
     sources = (
         "GPS velocity and the inertial unit"
         if found.mag_instance is None

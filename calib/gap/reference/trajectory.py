@@ -87,7 +87,7 @@ class Aiding:
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class TrajectoryState:
     """Of the nodes `t` (K + 1,): attitude, velocity, biases (K + 1, 3), constants (41,), noise of the aiding."""
 
     t: Array
@@ -135,12 +135,12 @@ def _powers(imu: Increments) -> Array:
     return np.stack([imu.warm, imu.warm**2], axis=1)
 
 
-def start_at(t: Array, attitude: Rotation, aiding: Aiding) -> State:
+def start_at(t: Array, attitude: Rotation, aiding: Aiding) -> TrajectoryState:
     """Where the search starts: the attitudes of the nodes `t`, the velocity of the GPS, no errors."""
     velocity = np.column_stack([np.interp(t, aiding.velocity_t, v) for v in aiding.velocity.T])
     constants = _expected(aiding)
     zero = np.zeros((len(t), 3))
-    return State(t, attitude, velocity, zero, zero, constants, np.full(3, 0.3), 3.0)
+    return TrajectoryState(t, attitude, velocity, zero, zero, constants, np.full(3, 0.3), 3.0)
 
 
 def _expected(aiding: Aiding) -> Array:
@@ -154,12 +154,12 @@ def _expected(aiding: Aiding) -> Array:
 def smooth(
     imu: Increments,
     aiding: Aiding,
-    state: State,
+    state: TrajectoryState,
     iterations: int = ITERATIONS,
     *,
     matrices: bool = False,
     drifts: bool = False,
-) -> State:
+) -> TrajectoryState:
     """The trajectory that agrees best with everything, searched from `state`.
 
     `matrices`: whether scales and axes may differ from the ideal ones, `drifts`: whether biases may follow the
@@ -234,7 +234,7 @@ class _Normal:
         return banded
 
 
-def _normal_equations(imu: Increments, aiding: Aiding, state: State, sd: Array) -> _Normal:
+def _normal_equations(imu: Increments, aiding: Aiding, state: TrajectoryState, sd: Array) -> _Normal:
     normal = _Normal(len(state.t))
     between = state.between(imu)
     _tie(normal, imu, between, state)
@@ -258,7 +258,7 @@ def _normal_equations(imu: Increments, aiding: Aiding, state: State, sd: Array) 
     return normal
 
 
-def _tie(normal: _Normal, imu: Increments, between: Between, state: State) -> None:
+def _tie(normal: _Normal, imu: Increments, between: Between, state: TrajectoryState) -> None:
     """Neighbours: ``x[k+1] = F x[k] + B c + defect + walk``; of the constants c those of the inertial unit."""
     dt = imu.dt
     here, there = state.attitude[:-1], state.attitude[1:]
@@ -299,7 +299,7 @@ def _tie(normal: _Normal, imu: Increments, between: Between, state: State) -> No
     normal.cost += float((weight * defect**2).sum() - np.log(weight).sum())
 
 
-def _observe_velocity(normal: _Normal, dt: float, between: Between, aiding: Aiding, state: State) -> None:
+def _observe_velocity(normal: _Normal, dt: float, between: Between, aiding: Aiding, state: TrajectoryState) -> None:
     node, since = _nodes(aiding.velocity_t - state.constants[LATE_GPS], state.t)
     here = state.attitude[node]
     acceleration = here.apply(between.velocity[np.minimum(node, len(between.velocity) - 1)]) / dt + GRAVITY_NED
@@ -312,7 +312,7 @@ def _observe_velocity(normal: _Normal, dt: float, between: Between, aiding: Aidi
     normal.velocity_residual = residual
 
 
-def _observe_field(normal: _Normal, dt: float, between: Between, aiding: Aiding, state: State) -> None:
+def _observe_field(normal: _Normal, dt: float, between: Between, aiding: Aiding, state: TrajectoryState) -> None:
     node, body_from_ned, rate = _attitudes(aiding.mag_t - state.constants[LATE_MAG], dt, between, state)
     ideal, iron = body_from_ned.apply(state.earth), state.soft_iron
     offset, per_ampere = state.constants[OFFSET], state.constants[PER_AMPERE]
@@ -331,7 +331,9 @@ def _observe_field(normal: _Normal, dt: float, between: Between, aiding: Aiding,
     normal.mag_residual = residual
 
 
-def _observe_truth(normal: _Normal, dt: float, between: Between, truth_t: Array, truth: Rotation, state: State) -> None:
+def _observe_truth(
+    normal: _Normal, dt: float, between: Between, truth_t: Array, truth: Rotation, state: TrajectoryState
+) -> None:
     node, body_from_ned, _ = _attitudes(truth_t, dt, between, state)
     residual = (body_from_ned * truth).as_rotvec()
     by_node = np.zeros((len(node), 3, NODE))
@@ -340,7 +342,9 @@ def _observe_truth(normal: _Normal, dt: float, between: Between, truth_t: Array,
     normal.observe(node, by_node, by_constant, residual, _weights(residual, np.full(3, TRUTH_SD)))
 
 
-def _attitudes(t: Array, dt: float, between: Between, state: State) -> tuple[NDArray[np.intp], Rotation, Array]:
+def _attitudes(
+    t: Array, dt: float, between: Between, state: TrajectoryState
+) -> tuple[NDArray[np.intp], Rotation, Array]:
     """The node before each of `t`, the turn from north-east-down to the body then, and the rate in the body."""
     node, since = _nodes(t, state.t)
     rate = between.turn.as_rotvec()[np.minimum(node, len(between.velocity) - 1)] / dt
@@ -358,7 +362,7 @@ def _weights(residual: Array, sd: Array) -> Array:
     return np.asarray(np.minimum(1.0, _HUBER * sd / np.maximum(np.abs(residual), 1e-12)) / sd**2)
 
 
-def _stepped(state: State, normal: _Normal) -> tuple[State, float]:
+def _stepped(state: TrajectoryState, normal: _Normal) -> tuple[TrajectoryState, float]:
     """The state moved by the solution, with the noise of the aiding learned anew, and how far attitudes moved, rad."""
     nodes, constants = normal.solved(normal.right[:, :, None], normal.right_constants[:, None])
     step = nodes[:, :, 0]

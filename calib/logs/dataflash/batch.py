@@ -48,7 +48,15 @@ def batch_channels(log: Log, parameters: Mapping[str, float]) -> list[Channel]:
                 continue
             chosen = {name: column[of[rows]].astype(np.float64) for name, column in head.items()}
             counts = np.stack([axis[rows] for axis in (x, y, z)], axis=2).astype(np.float64)
-            channel = _channel(sensor, instance, unit, stage, chosen, sequence[rows].astype(np.float64), counts)
+            channel = _channel(
+                sensor,
+                instance,
+                unit,
+                stage=stage,
+                head=chosen,
+                sequence=sequence[rows].astype(np.float64),
+                counts=counts,
+            )
             if len(channel):
                 found.append(channel)
     return found
@@ -58,6 +66,7 @@ def _channel(
     sensor: Sensor,
     instance: int,
     unit: str,
+    *,
     stage: Stage,
     head: Mapping[str, Array],
     sequence: Array,

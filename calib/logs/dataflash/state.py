@@ -67,7 +67,7 @@ def reference_channels(log: Log, clock: Clock) -> list[Channel]:
 
 
 def _made(
-    sensor: Sensor, table: Table, t: Array, values: Array, unit: str, instance: int = 0, quantum: float = 0.0
+    sensor: Sensor, table: Table, t: Array, values: Array, unit: str, *, instance: int = 0, quantum: float = 0.0
 ) -> Channel:
     """A channel of the rows that can be true, in the order of time."""
     with np.errstate(invalid="ignore"):  # damaged bytes may be a signalling NaN
@@ -110,11 +110,11 @@ def _gps(table: Table, clock: Clock, number: int) -> list[Channel]:
         t = clock.times(rows)
         if all(name in rows for name in ("Lat", "Lng", "Alt")):
             place = rows.arrays(("Lat", "Lng", "Alt"))[0]
-            found.append(_made(Sensor.POSITION, rows, t, place, "deg deg m", instance))
+            found.append(_made(Sensor.POSITION, rows, t, place, "deg deg m", instance=instance))
         if all(name in rows for name in ("Spd", "GCrs", "VZ")):
             speed, course, down = rows.arrays(("Spd", "GCrs", "VZ"))[0].T
             velocity = np.column_stack([speed * np.cos(np.radians(course)), speed * np.sin(np.radians(course)), down])
-            found.append(_made(Sensor.VELOCITY, rows, t, velocity, "m/s", instance))
+            found.append(_made(Sensor.VELOCITY, rows, t, velocity, "m/s", instance=instance))
     return found
 
 
@@ -128,7 +128,9 @@ def _currents(log: Log, clock: Clock) -> list[Channel]:
             quantum = 0.01 if table.format.letter("Curr") in WHOLE else 0.0  # cA in old firmwares
             for instance, rows in instances(table, number):
                 current = rows["Curr"] * (quantum or 1.0)
-                found.append(_made(Sensor.CURRENT, rows, clock.times(rows), current, "A", instance, quantum))
+                found.append(
+                    _made(Sensor.CURRENT, rows, clock.times(rows), current, "A", instance=instance, quantum=quantum)
+                )
         if found:
             break
     return found
@@ -146,7 +148,7 @@ def _throttle(log: Log, clock: Clock) -> Channel | None:
             return None
     whole = table.format.letter(column) in WHOLE
     scale = 1000.0 if whole else 100.0 if "NavRoll" in table else 1.0  # planes log per cent
-    return _made(Sensor.THROTTLE, table, clock.times(table), table[column] / scale, "1", 0, 1e-3 if whole else 0.0)
+    return _made(Sensor.THROTTLE, table, clock.times(table), table[column] / scale, "1", quantum=1e-3 if whole else 0.0)
 
 
 def _motors(log: Log, clock: Clock, parameters: Mapping[str, float]) -> Channel | None:
@@ -164,7 +166,7 @@ def _motors(log: Log, clock: Clock, parameters: Mapping[str, float]) -> Channel 
     if not driven.any():
         return None
     values = np.clip((pwm[:, driven] - low) / (high - low), 0.0, 1.0)
-    return _made(Sensor.MOTOR, table, clock.times(table), values, "1", 0, 1.0 / (high - low))
+    return _made(Sensor.MOTOR, table, clock.times(table), values, "1", quantum=1.0 / (high - low))
 
 
 def _motor_outputs(outputs: list[int], parameters: Mapping[str, float]) -> list[int]:

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mavcal.calib.accel.rest_reference import Sensors, angles_of, attitude_from_vectors, fit_rest_reference
+from mavcal.calib.accel.rest_reference import SensorTolerances, angles_of, attitude_from_vectors, fit_rest_reference
 from mavcal.calib.earth import EarthField
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitStatus, parameter_names
@@ -69,7 +69,7 @@ def test_the_stated_uncertainty_holds():
         accel, mag = at_rest(attitude, rng)
         accel = channel(Sensor.ACCEL, accel.values + 0.05 * rng.normal(size=3), "m/s2")
         mag = channel(Sensor.MAG, mag.values + 0.4 * rng.normal(size=3), "uT")
-        fit = fit_rest_reference(accel, mag, sensors=Sensors(0.05, 0.4))
+        fit = fit_rest_reference(accel, mag, sensors=SensorTolerances(0.05, 0.4))
         z.append(
             [
                 (fit.native[f"{name}_deg"] - truth) / fit.quality[f"{name}_sd_deg"]
@@ -142,7 +142,9 @@ def test_refused(values, word):
     assert word in fit.message
 
 
-@pytest.mark.parametrize("options", [{"samples": 1}, {"sensors": Sensors(-1.0)}, {"sensors": Sensors(0.0, math.nan)}])
+@pytest.mark.parametrize(
+    "options", [{"samples": 1}, {"sensors": SensorTolerances(-1.0)}, {"sensors": SensorTolerances(0.0, math.nan)}]
+)
 def test_impossible_options(options):
     accel, mag = at_rest(Rotation.identity(), np.random.default_rng(10))
     with pytest.raises(InvalidInputError):

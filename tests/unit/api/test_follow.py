@@ -8,7 +8,7 @@ from contextlib import aclosing
 import pytest
 
 from mavcal.service.api import follow
-from mavcal.service.api.follow import State, Watch
+from mavcal.service.api.follow import ChangeWatch, State
 from mavcal.service.api.models import LinkModel
 
 STREAMS = 40
@@ -28,7 +28,7 @@ async def test_one_look_serves_every_stream_and_the_last_one_ends_it(monkeypatch
         looks += changed.is_set()
         return [("link", link("down" if changed.is_set() else "up"))]
 
-    watch = Watch(look)
+    watch = ChangeWatch(look)
 
     async def stream() -> list[str]:
         nonlocal heard
@@ -66,5 +66,5 @@ async def test_a_state_that_cannot_be_told_once_does_not_end_the_streams(monkeyp
             raise RuntimeError("a defect")
         return [("link", link("up" if looks < 3 else "down"))]
 
-    async with asyncio.timeout(60), aclosing(Watch(look).changes()) as states:  # type: ignore[type-var]
+    async with asyncio.timeout(60), aclosing(ChangeWatch(look).changes()) as states:  # type: ignore[type-var]
         assert [(await anext(states))[1].state, (await anext(states))[1].state] == ["up", "down"]  # type: ignore[union-attr]

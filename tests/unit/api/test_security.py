@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 from starlette.datastructures import Headers
 
-from mavcal.service.api.security import Guard, check_exposure, digest
+from mavcal.service.api.security import RequestGuard, check_exposure, digest
 from mavcal.service.errors import AuthError, Forbidden
 from mavcal.service.settings import ApiKey, Settings
 
@@ -19,13 +19,13 @@ def test_listening_beyond_loopback_without_keys_is_refused():
 
 @pytest.mark.parametrize("host", ["127.0.0.1:8765", "localhost", "[::1]:80"])
 def test_loopback_names_are_let_in(host):
-    Guard(Settings()).check_origin("POST", Headers({"host": host}))
+    RequestGuard(Settings()).check_origin("POST", Headers({"host": host}))
 
 
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:8765", "", "[", "127.0.0.1.evil.example"])
 def test_a_rebound_name_is_refused(host):
     with pytest.raises(Forbidden):
-        Guard(Settings()).check_origin("GET", Headers({"host": host}))
+        RequestGuard(Settings()).check_origin("GET", Headers({"host": host}))
 
 
 LOCAL = "localhost:8765"
@@ -51,7 +51,7 @@ LOCAL = "localhost:8765"
     ],
 )
 def test_a_page_of_another_origin_changes_nothing(extra):
-    guard = Guard(Settings())
+    guard = RequestGuard(Settings())
     for method in ("POST", "DELETE", "PUT", "PATCH", "TRACE"):
         with pytest.raises(Forbidden):
             guard.check_origin(method, Headers({"host": LOCAL, **extra}))
@@ -70,19 +70,19 @@ def test_a_page_of_another_origin_changes_nothing(extra):
 )
 def test_our_own_page_may_post(scheme, host, origin):
     headers = Headers({"host": host, "origin": origin, "sec-fetch-site": "same-origin"})
-    Guard(Settings()).check_origin("POST", headers, scheme)
+    RequestGuard(Settings()).check_origin("POST", headers, scheme)
 
 
 def test_a_program_that_is_no_browser_may_post():
-    Guard(Settings()).check_origin("POST", Headers({"host": LOCAL}))
-    Guard(Settings()).check_origin("POST", Headers({"host": LOCAL, "sec-fetch-site": "none"}))
+    RequestGuard(Settings()).check_origin("POST", Headers({"host": LOCAL}))
+    RequestGuard(Settings()).check_origin("POST", Headers({"host": LOCAL, "sec-fetch-site": "none"}))
 
 
 def test_the_origin_of_a_proxy_is_let_in_once_it_is_named():
     headers = Headers({"host": LOCAL, "origin": "https://boat.local", "sec-fetch-site": "same-origin"})
     with pytest.raises(Forbidden, match="allowed_origins"):
-        Guard(Settings()).check_origin("POST", headers)
-    guard = Guard(Settings(allowed_origins=("https://boat.local",)))
+        RequestGuard(Settings()).check_origin("POST", headers)
+    guard = RequestGuard(Settings(allowed_origins=("https://boat.local",)))
     guard.check_origin("POST", headers)
     with pytest.raises(Forbidden):
         guard.check_origin("POST", Headers({"host": LOCAL, "origin": "http://boat.local"}))
@@ -104,7 +104,7 @@ def test_what_would_weaken_the_policy_is_no_setting(setting):
 
 def test_a_ticket_works_once_and_not_for_long():
     now = [0.0]
-    guard = Guard(Settings(api_keys=(KEY,)), clock=lambda: now[0])
+    guard = RequestGuard(Settings(api_keys=(KEY,)), clock=lambda: now[0])
     ticket = guard.ticket(KEY)
     assert guard._redeem(ticket) is KEY
     with pytest.raises(AuthError):
@@ -113,3 +113,26 @@ def test_a_ticket_works_once_and_not_for_long():
     now[0] = 31.0
     with pytest.raises(AuthError):
         guard._redeem(late)
+
+
+GUEST = "https://gcs.example"
+
+
+def test_a_page_of_a_guest_origin_may_ask_from_its_own_site():
+    guard = RequestGuard(Settings(cors_origins=(GUEST,)))
+    guard.check_origin("POST", Headers({"host": LOCAL, "origin": GUEST, "sec-fetch-site": "cross-site"}))
+    for origin in ("https://gcs.example.evil.example", "http://gcs.example", f"{GUEST}:8443", "null"):
+        with pytest.raises(Forbidden):
+            guard.check_origin("POST", Headers({"host": LOCAL, "origin": origin}))
+    with pytest.raises(Forbidden):
+        guard.check_origin("POST", Headers({"host": LOCAL, "sec-fetch-site": "cross-site"}))
+    with pytest.raises(Forbidden):
+        guard.check_origin("POST", Headers({"host": "evil.example", "origin": GUEST}))
+
+
+@pytest.mark.parametrize(
+    "origin", ["*", "null", "https://*.example", f"{GUEST}/", "gcs.example", "https://GCS.example"]
+)
+def test_a_guest_origin_is_an_exact_one(origin):
+    with pytest.raises(ValueError, match="cors_origins"):
+        Settings(cors_origins=(origin,))

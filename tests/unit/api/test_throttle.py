@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from mavcal.service.api.throttle import AT_ONCE, EVERY_S, MOST_PEERS, Throttle
-from mavcal.service.testing import ManualClock
+from tests.clock import ManualClock
 
 
 def test_a_peer_fails_a_few_times_and_then_once_in_a_while():

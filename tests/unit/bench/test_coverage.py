@@ -9,10 +9,14 @@ MEASURED = {
     "files": {
         "service/jobs/a.py": {"summary": SUMMARY, "missing_branches": [[2, 5], [1, -1]]},
         "service/jobs/b.py": {"summary": {"num_branches": 0, "covered_branches": 0}, "missing_branches": []},
-        "service/links.py": {"summary": SUMMARY, "missing_branches": [[1, 2]]},
+        "service/link_registry.py": {"summary": SUMMARY, "missing_branches": [[1, 2]]},
     }
 }
-READ = {"service/jobs/a.py": ["if x | y:", "    while z:"], "service/jobs/b.py": [], "service/links.py": ["if q:"]}
+READ = {
+    "service/jobs/a.py": ["if x | y:", "    while z:"],
+    "service/jobs/b.py": [],
+    "service/link_registry.py": ["if q:"],
+}
 
 
 def test_rooms_and_files_are_counted_and_others_left_out():

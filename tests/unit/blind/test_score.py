@@ -4,9 +4,9 @@ from typing import Any
 
 import pytest
 
-from mavcal.calib.blind.answers import Answer, covered, honest_without
+from mavcal.calib.blind.answers import CaseAnswer, covered, honest_without
 from mavcal.calib.blind.cases import KNOWN, LADDER, Tier
-from mavcal.calib.blind.score import Verdict, score
+from mavcal.calib.blind.score import FigureVerdict, score
 
 
 def effect(
@@ -28,7 +28,7 @@ def answer(
     size: float = 500.0,
     strange: tuple[str, ...] = (),
     **label: Any,
-) -> Answer:
+) -> CaseAnswer:
     def entries(names: tuple[str, ...]) -> list[dict[str, Any]]:
         return [
             {
@@ -56,7 +56,7 @@ def answer(
     }
     verdict = "explained" if said else "unknown" if unknown else "no_gap"
     report = {"verdict": verdict, "effects": list(said), "unknown": {"flag": unknown}, "shrink": {"closed": 0.995}}
-    return Answer(full, report, None, 2.0)
+    return CaseAnswer(full, report, None, 2.0)
 
 
 def figure(scores: dict[str, Any], name: str) -> dict[str, Any]:
@@ -72,7 +72,7 @@ def test_singles_are_ranked_by_evidence_and_the_set_is_the_named_and_their_rival
         ]
     )
     top = figure(scores, "single: top-1, lambda >= 100")
-    assert (top["value"], top["n"], top["verdict"]) == (0.5, 2, Verdict.MISSED)
+    assert (top["value"], top["n"], top["verdict"]) == (0.5, 2, FigureVerdict.MISSED)
     assert figure(scores, "single: truth in the reported set")["value"] == 1.0
     assert figure(scores, "single: mean size")["value"] == 2.5
     assert figure(scores, "single: detected")["value"] == pytest.approx(2 / 3)
@@ -144,7 +144,7 @@ def test_an_interval_without_an_end_says_nothing():
 
 
 def test_closed_probabilities_and_errors():
-    failed = Answer(answer(Tier.SINGLE, ("accel_bias",)).label, {}, "ValueError: x", 1.0)
+    failed = CaseAnswer(answer(Tier.SINGLE, ("accel_bias",)).label, {}, "ValueError: x", 1.0)
     good = [answer(Tier.SINGLE, ("accel_bias",), effect("accel_bias", probability=0.97)) for _ in range(30)]
     scores = score([*good, failed])
     assert figure(scores, "held-out gap closed: median")["value"] == 0.995
@@ -154,7 +154,7 @@ def test_closed_probabilities_and_errors():
     assert scores["errors"] == [("ValueError: x", 1)]
 
 
-def singles(right: int, wrong: int) -> list[Answer]:
+def singles(right: int, wrong: int) -> list[CaseAnswer]:
     good = [answer(Tier.SINGLE, ("accel_bias",), effect("accel_bias"))] * right
     return good + [answer(Tier.SINGLE, ("accel_bias",), effect("gyro_noise"))] * wrong
 
@@ -162,17 +162,17 @@ def singles(right: int, wrong: int) -> list[Answer]:
 @pytest.mark.parametrize(
     ("right", "wrong", "verdict"),
     [
-        (20, 0, Verdict.UNDECIDED),  # all of twenty: 0.84 to 1
-        (400, 2, Verdict.REACHED),
-        (390, 8, Verdict.UNDECIDED),  # the point 0.98 is above 0.97, the interval's lower end 0.961 is not
-        (380, 30, Verdict.MISSED),
+        (20, 0, FigureVerdict.UNDECIDED),  # all of twenty: 0.84 to 1
+        (400, 2, FigureVerdict.REACHED),
+        (390, 8, FigureVerdict.UNDECIDED),  # the point 0.98 is above 0.97, the interval's lower end 0.961 is not
+        (380, 30, FigureVerdict.MISSED),
     ],
 )
 def test_a_target_is_judged_by_the_ends_of_the_interval(right, wrong, verdict):
     assert figure(score(singles(right, wrong)), "single: top-1, lambda >= 100")["verdict"] == verdict
 
 
-def nulls(quiet: int, loud: int) -> list[Answer]:
+def nulls(quiet: int, loud: int) -> list[CaseAnswer]:
     return [answer(Tier.NULL, ())] * quiet + [answer(Tier.NULL, (), unknown=True)] * loud
 
 
@@ -190,12 +190,12 @@ def test_what_is_no_proportion_has_an_interval_too():
     f1 = figure(score([*mixed, *half]), "mixed: strict F1")
     assert f1["value"] == pytest.approx(2 * 68 / (2 * 68 + 8))
     assert f1["low"] < f1["value"] < f1["high"]
-    assert f1["verdict"] == Verdict.UNDECIDED
-    slow = [Answer(a.label, a.report, None, 2.0 if k % 10 else 14.9 + k / 10) for k, a in enumerate(mixed)]
-    assert figure(score(slow), "seconds a case: p95")["verdict"] == Verdict.UNDECIDED
+    assert f1["verdict"] == FigureVerdict.UNDECIDED
+    slow = [CaseAnswer(a.label, a.report, None, 2.0 if k % 10 else 14.9 + k / 10) for k, a in enumerate(mixed)]
+    assert figure(score(slow), "seconds a case: p95")["verdict"] == FigureVerdict.UNDECIDED
 
 
-def ladder(step: float, found: int, missed: int) -> list[Answer]:
+def ladder(step: float, found: int, missed: int) -> list[CaseAnswer]:
     return [answer(Tier.LADDER, ("accel_bias",), effect("accel_bias"), size=step)] * found + [
         answer(Tier.LADDER, ("accel_bias",), size=step)
     ] * missed
@@ -216,10 +216,10 @@ def test_every_target_of_the_ladder_is_missed_by_a_diagnosis_that_finds_nothing(
 
 def test_few_intervals_say_nothing_and_one_error_is_a_miss():
     few = [answer(Tier.SINGLE, ("accel_bias",), effect("accel_bias")) for _ in range(20)]
-    assert figure(score(few), "95 % intervals hold")["verdict"] == Verdict.UNDECIDED
-    assert figure(score(few), "failed with an error")["verdict"] == Verdict.REACHED
-    failed = Answer(few[0].label, {}, "ValueError: x", 1.0)
-    assert figure(score([*few, failed]), "failed with an error")["verdict"] == Verdict.MISSED
+    assert figure(score(few), "95 % intervals hold")["verdict"] == FigureVerdict.UNDECIDED
+    assert figure(score(few), "failed with an error")["verdict"] == FigureVerdict.REACHED
+    failed = CaseAnswer(few[0].label, {}, "ValueError: x", 1.0)
+    assert figure(score([*few, failed]), "failed with an error")["verdict"] == FigureVerdict.MISSED
 
 
 def test_no_name_is_its_own_synonym():

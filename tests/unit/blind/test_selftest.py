@@ -10,7 +10,7 @@ from mavcal.calib.blind.cases import FIRST_SEALED, Tier, make_label
 from mavcal.calib.blind.real import KINDS, fast_sd, injected
 from mavcal.calib.blind.seal import labels_sha256
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
-from mavcal.service.commands.gap_campaign import Worker, answers
+from mavcal.service.commands.gap_campaign import answers, diagnoser
 from mavcal.service.commands.gap_selftest import command
 
 
@@ -74,11 +74,12 @@ def test_kept_answers_are_scored_again(tmp_path):
     assert done.return_value == 1  # none failed, and one null is no proof that at most one of a hundred is named
 
 
-def test_a_process_that_dies_is_an_answer_and_the_next_order_gets_a_new_one():
-    worker = Worker()
-    try:
+@pytest.mark.parametrize(
+    ("timeout_s", "error"), [(60.0, "no such file"), (0.01, "longer than 0.01 s")], ids=["refused", "too slow"]
+)
+async def test_what_goes_wrong_is_an_answer_and_the_next_order_is_taken(tmp_path, timeout_s, error):
+    async with diagnoser(tmp_path / "children", timeout_s=timeout_s) as diagnosing:
         for _ in range(2):
-            answer = worker.ask({"real": "/nowhere/at/all.npz", "without": [], "nested": False})
-            assert "died" in answer["error"]
-    finally:
-        worker.close()
+            answer = await diagnosing.ask({"real": {"path": str(tmp_path / "none.npz")}, "sim": None, "nominal": []})
+            assert error in answer["error"].lower()
+            assert answer["seconds"] >= 0.0

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from mavcal.calib.recording import Sensor
-from mavcal.calib.simulate.scoring import Score
-from mavcal.service.demo.judge import Judgement, SensorReport
+from mavcal.calib.simulate.scoring import RecoveryScore
+from mavcal.service.demo.judge import DemoJudgement, SensorReport
 
 
-def judged(errors_over_sd: np.ndarray) -> Judgement:
+def judged(errors_over_sd: np.ndarray) -> DemoJudgement:
     names = tuple(f"offset_{k}" for k in range(len(errors_over_sd)))
-    told = Score(names, errors_over_sd, np.eye(len(names)))
-    return Judgement((SensorReport(Sensor.GYRO, 0, 0.0, 0.0, 0.0, "rad/s", told),))
+    told = RecoveryScore(names, errors_over_sd, np.eye(len(names)))
+    return DemoJudgement((SensorReport(Sensor.GYRO, 0, 0.0, 0.0, 0.0, "rad/s", told),))
 
 
 @pytest.mark.parametrize(("ratio", "honest"), [(0.3, False), (0.6, True), (1.0, True), (1.5, False)])

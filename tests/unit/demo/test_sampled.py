@@ -7,6 +7,7 @@ import struct
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from mavcal.client.jobs import SegmentModel
 from mavcal.service.demo.run import sampled
 
 
@@ -28,8 +29,9 @@ def logged(tmp_path):
     def of(*quality):
         earlier, content = stream(0.0, 5.0), stream(900.0, 960.0)
         (tmp_path / "a.tlog").write_bytes(earlier + content)
-        span = {"path": "a.tlog", "start_byte": len(earlier), "end_byte": len(earlier) + len(content)}
-        return sampled(tmp_path, {"segments": [span], "results": [{"quality": q} for q in quality]})
+        end = len(earlier) + len(content)
+        span = SegmentModel(path="a.tlog", start_byte=len(earlier), end_byte=end, sha256="")
+        return sampled(tmp_path, [span], quality)
 
     return of
 

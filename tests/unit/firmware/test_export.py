@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.errors import FirmwareError, UnreadableError
 from mavcal.calib.firmware.export import (
+    MAV_PARAM_TYPE,
     ParameterFormat,
     number,
     read_export,
@@ -53,6 +55,11 @@ def test_the_three_formats_to_the_letter():
     assert "1\t1\tCAL_ACC0_XOFF\t0.31\t9" in lines[ParameterFormat.PARAMS]
     assert "1\t1\tCAL_ACC0_ID\t16777217\t6" in lines[ParameterFormat.PARAMS]
     assert "# was not listed, sd 1e-09: drift" in lines[ParameterFormat.PARAMS]
+
+
+@pytest.mark.parametrize("kind", list(ParameterKind))
+def test_every_kind_has_its_number_of_the_wire(kind):
+    assert MAV_PARAM_TYPE[kind] == getattr(dialect, f"MAV_PARAM_TYPE_{kind.name}")
 
 
 @given(st.floats(width=32, allow_nan=False, allow_infinity=False))

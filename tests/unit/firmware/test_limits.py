@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from mavcal.calib.firmware.compose.draft import Draft, Rank
-from mavcal.calib.firmware.limits import limit_of
+from mavcal.calib.firmware.limits import (
+    COMPASS_OFFS_MAX,
+    COMPASS_SCALE_WINDOW,
+    LIMITS,
+    THERMAL_SPAN_MIN,
+    TRIM_MAX_RAD,
+    limit_of,
+)
 from mavcal.calib.firmware.names import (
     OFFSET,
     SCALE,
@@ -19,6 +26,47 @@ from mavcal.calib.firmware.names import (
 from mavcal.calib.firmware.options import ComposeOptions
 from mavcal.calib.firmware.plan import Fingerprint
 from mavcal.calib.recording import Sensor
+
+# Where a firmware states a range, it is the one below; the others are ours, with the reason beside them in `limits`.
+STATED = {
+    "INS_ACCOFFS_X": (-3.5, 3.5),  # AP_InertialSensor.cpp, @Range
+    "INS_ACCSCAL_X": (0.8, 1.2),  # AP_InertialSensor.cpp, @Range; AccelCalibrator accepts no other
+    "INS_TCAL1_TMIN": (-70.0, 80.0),  # AP_InertialSensor_tempcal.cpp, @Range
+    "COMPASS_DIA_X": (0.2, 5.0),  # CompassCalibrator::fit_acceptable
+    "COMPASS_ODI_X": (-1.0, 1.0),  # CompassCalibrator::fit_acceptable
+    "AHRS_TRIM_X": (-math.radians(10.0), math.radians(10.0)),  # AP_AHRS_TRIM_LIMIT
+    "CAL_ACC0_XSCALE": (0.1, 3.0),  # PX4's parameter reference, as the next two
+    "CAL_MAG0_XSCALE": (0.1, 3.0),
+    "SENS_BOARD_X_OFF": (-45.0, 45.0),
+}
+OURS = {
+    "INS_GYROFFS_X": (-0.35, 0.35),
+    "INS_ACC1_CALTEMP": (-300.0, 150.0),
+    "CAL_ACC0_XOFF": (-3.5, 3.5),
+    "CAL_GYRO0_XOFF": (-0.35, 0.35),
+    "CAL_MAG0_XOFF": (-1.8, 1.8),
+    "CAL_MAG0_XODIAG": (-1.0, 1.0),
+    "TC_A0_TREF": (-70.0, 150.0),
+    "TC_A0_X0_0": (-3.5, 3.5),
+    "TC_G0_X0_0": (-0.35, 0.35),
+}
+
+
+@pytest.mark.parametrize(("name", "bounds"), (STATED | OURS).items())
+def test_both_bounds_of_every_limit(name, bounds):
+    limit = limit_of(name)
+    assert (limit.low, limit.high) == pytest.approx(bounds, rel=1e-6)
+
+
+def test_no_limit_is_left_untested():
+    assert {limit_of(name) for name in STATED | OURS} == set(LIMITS)
+
+
+def test_what_the_plans_of_other_modules_are_held_to():
+    assert pytest.approx(limit_of("AHRS_TRIM_Y").high, rel=1e-6) == TRIM_MAX_RAD == math.radians(10.0)
+    assert pytest.approx((1 / 1.5, 1.5)) == COMPASS_SCALE_WINDOW  # COMPASS_MAX_SCALE_FACTOR of ArduPilot
+    assert COMPASS_OFFS_MAX == 1800.0  # AP_COMPASS_OFFSETS_MAX_DEFAULT of ArduPilot
+    assert THERMAL_SPAN_MIN == 10.0  # TEMP_RANGE_MIN of AP_InertialSensor_tempcal.cpp
 
 
 @pytest.mark.parametrize("slot", range(5))

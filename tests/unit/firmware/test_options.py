@@ -48,6 +48,16 @@ def test_what_is_no_option_is_refused_by_name(data: dict[str, object], text: str
         compose_options(data)
 
 
+@pytest.mark.parametrize(("degc", "fine"), [(-70.0, True), (150.0, True), (-70.1, False), (150.1, False)])
+def test_a_temperature_is_within_the_range_of_the_sensors(degc: float, fine: bool) -> None:
+    data = {"accel_temperature": {"accel0": degc}}
+    if fine:
+        assert compose_options(data).accel_temperature == {0: degc}
+    else:
+        with pytest.raises(InvalidInputError, match="-70 to 150"):
+            compose_options(data)
+
+
 def test_an_unknown_sensor_is_answered_with_the_list_of_what_there_is() -> None:
     there = [(Sensor.GYRO, 0), (Sensor.ACCEL, 0)]
     assert unknown_keys([parse_key("gyro0")], there) == ""

@@ -10,7 +10,7 @@ import pytest
 from mavcal.calib import logs
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitStatus
-from mavcal.calib.flight.item import Verdict
+from mavcal.calib.flight.item import FlightVerdict
 from mavcal.calib.flight.report import flight_report
 from mavcal.calib.methods import METHODS
 
@@ -85,21 +85,21 @@ def test_flights_of_one_vehicle_are_pooled_and_of_two_are_not(shared_data):
 
 def test_the_bias_of_the_first_unit_is_found_beside_the_second(shared_data):
     found, items = report(shared_data / "sitl_flights" / "bias.bin")
-    assert found.verdict == Verdict.WARN
+    assert found.verdict == FlightVerdict.WARN
     apart = items["accel_consistency", "accel 1, 2"]
     assert apart.numbers["difference"] == pytest.approx([0.3, -0.2, 0.15], abs=5e-4)
     assert "accel 1 is the one that is off" in apart.text
     assert items["gyro_bias_at_rest", "gyro 1"].numbers["bias"] == pytest.approx([0.01, -0.015, 0.008], abs=5e-5)
     assert "gyro 1 is the one that is off" in items["gyro_consistency", "gyro 1, 2"].text
-    assert items["level", "accel 1"].verdict == Verdict.WARN
+    assert items["level", "accel 1"].verdict == FlightVerdict.WARN
     assert {items[n, f"{s} 2"].verdict for n, s in (("gravity_at_rest", "accel"), ("gyro_bias_at_rest", "gyro"))} == {
-        Verdict.PASS
+        FlightVerdict.PASS
     }
 
 
 def test_nothing_is_found_where_nothing_was_injected(shared_data):
     found, items = report(shared_data / "sitl_flights" / "null.bin")
-    assert {item.verdict for item in found.items} <= {Verdict.PASS, Verdict.NOT_TESTABLE}
+    assert {item.verdict for item in found.items} <= {FlightVerdict.PASS, FlightVerdict.NOT_TESTABLE}
     assert items["gravity_at_rest", "accel 1"].numbers["lengths"][0] == pytest.approx(9.8175, abs=5e-4)
     scale = items["accel_scale", "accel 1, 2"]
     assert scale.numbers["scale"] == pytest.approx([1.0, 1.0, 1.0], abs=1e-3)
@@ -120,7 +120,7 @@ def test_the_real_vehicle_with_three_units(shared_data):
     found, items = report(shared_data / "df_log171_triple_imu_mag" / "log171.bin")
     assert [rest.end < 73.0 for rest in found.rests] == [True] * len(found.rests)
     assert items["gravity_at_rest", "accel 3"].value > items["gravity_at_rest", "accel 1"].value
-    assert items["vibration", "accel 1"].verdict == Verdict.NOT_TESTABLE  # low-passed
+    assert items["vibration", "accel 1"].verdict == FlightVerdict.NOT_TESTABLE  # low-passed
 
 
 def test_a_log_without_sensors_is_worth_nothing(shared_data):

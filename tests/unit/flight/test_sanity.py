@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from mavcal.calib.flight.item import Limit, Verdict, judged
+from mavcal.calib.flight.item import FlightLimit, FlightVerdict, judged
 from mavcal.calib.flight.report import flight_report, overview
 from mavcal.calib.recording import Channel, Event, Identity, ParameterTimeline, Recording, Sensor, Stage
 from tests.unit.flight.made import GRAVITY, Unit, log
@@ -29,21 +29,21 @@ def with_attitude(recording, roll=0.0):
 def test_a_bad_unit_is_found_beside_a_good_one_and_named():
     found = items(log([OFF, CLEAN], (30.0, 31.0), seed=1))
     apart = found["accel_consistency", "accel 1, 2"]
-    assert apart.verdict == Verdict.WARN
+    assert apart.verdict == FlightVerdict.WARN
     assert apart.numbers["difference"] == pytest.approx([0.3, -0.2, 0.15], abs=0.003)
     assert "accel 1 is the one that is off" in apart.text
     assert found["gyro_consistency", "gyro 1, 2"].numbers["difference"] == pytest.approx(OFF.gyro, abs=2e-4)
-    assert found["gravity_at_rest", "accel 1"].verdict == Verdict.WARN
-    assert found["gravity_at_rest", "accel 2"].verdict == Verdict.PASS
+    assert found["gravity_at_rest", "accel 1"].verdict == FlightVerdict.WARN
+    assert found["gravity_at_rest", "accel 2"].verdict == FlightVerdict.PASS
     assert found["gyro_bias_at_rest", "gyro 1"].numbers["bias"] == pytest.approx(OFF.gyro, abs=2e-4)
-    assert found["gyro_bias_at_rest", "gyro 2"].verdict == Verdict.PASS
-    assert found["gyro_bias_drift", "gyro 1"].verdict == Verdict.PASS
+    assert found["gyro_bias_at_rest", "gyro 2"].verdict == FlightVerdict.PASS
+    assert found["gyro_bias_drift", "gyro 1"].verdict == FlightVerdict.PASS
 
 
 def test_a_bias_that_moves_in_flight_is_said_with_the_warming():
     warm = log([Unit(gyro_drift=((1e-4, 0.0, 0.0),))], (20.0, 60.0), seed=2)
     drift = items(warm)["gyro_bias_drift", "gyro 1"]
-    assert drift.verdict == Verdict.WARN
+    assert drift.verdict == FlightVerdict.WARN
     assert drift.numbers["change"][0] == pytest.approx(1e-4 * drift.numbers["degrees_c"], rel=0.02)
 
 
@@ -72,7 +72,7 @@ def test_level_is_judged_with_the_trim():
     assert items(plain)["level", "accel 1"].value == pytest.approx(3.0, abs=0.1)
     trim = ParameterTimeline.constant({"AHRS_TRIM_X": np.radians(3.0), "AHRS_TRIM_Y": 0.0})
     assert items(dataclasses.replace(plain, parameters=trim))["level", "accel 1"].value == pytest.approx(0.0, abs=0.1)
-    assert items(tilted)["level", "accel 1"].verdict == Verdict.NOT_TESTABLE
+    assert items(tilted)["level", "accel 1"].verdict == FlightVerdict.NOT_TESTABLE
 
 
 def test_vibration_and_its_tone_though_samples_are_missing():
@@ -88,30 +88,30 @@ def test_vibration_and_its_tone_though_samples_are_missing():
             else kept
         )
     item = items(recording.with_channels(shaken))["vibration", "accel 1"]
-    assert item.verdict == Verdict.PASS
+    assert item.verdict == FlightVerdict.PASS
     assert item.numbers["rms"][0] == pytest.approx(8.0 / np.sqrt(2.0), rel=0.1)
     assert item.numbers["tones"][0]["hz"] == pytest.approx(60.0, abs=1.0)
     violent = [dataclasses.replace(c, values=10.0 * c.values) if c.sensor == Sensor.ACCEL else c for c in shaken]
-    assert items(recording.with_channels(violent))["vibration", "accel 1"].verdict == Verdict.WARN
+    assert items(recording.with_channels(violent))["vibration", "accel 1"].verdict == FlightVerdict.WARN
     filtered = [dataclasses.replace(c, stage=Stage.FILTERED) for c in shaken]
     item = items(recording.with_channels(filtered))["vibration", "accel 1"]
-    assert item.verdict == Verdict.NOT_TESTABLE
+    assert item.verdict == FlightVerdict.NOT_TESTABLE
     assert "low-passed" in item.text
 
 
 def test_clipping_is_counted_by_the_autopilot_or_seen():
     recording = log([CLEAN], (30.0, 31.0), seed=6)
-    assert items(recording)["clipping", "accel 1"].verdict == Verdict.PASS
+    assert items(recording)["clipping", "accel 1"].verdict == FlightVerdict.PASS
     counted = Event(70.0, "clipping", "accelerometer 1 clipped 140 times")
     item = items(dataclasses.replace(recording, events=(*recording.events, counted)))["clipping", "accel 1"]
-    assert (item.verdict, item.value) == (Verdict.FAIL, 140.0)
+    assert (item.verdict, item.value) == (FlightVerdict.FAIL, 140.0)
     hit = [
         dataclasses.replace(c, values=np.where(c.t[:, None] == c.t[3500], 156.9, c.values))
         if c.sensor == Sensor.ACCEL
         else c
         for c in recording.channels
     ]
-    assert items(recording.with_channels(hit))["clipping", "accel 1"].verdict == Verdict.WARN
+    assert items(recording.with_channels(hit))["clipping", "accel 1"].verdict == FlightVerdict.WARN
 
 
 def test_scales_of_redundant_units_are_compared_where_the_flight_excites_them():
@@ -121,17 +121,17 @@ def test_scales_of_redundant_units_are_compared_where_the_flight_excites_them():
         for c in recording.channels
     ]
     item = items(recording.with_channels(scaled))["gyro_scale", "gyro 1, 2"]
-    assert item.verdict == Verdict.WARN
+    assert item.verdict == FlightVerdict.WARN
     assert item.numbers["scale"] == pytest.approx([1.05, 1.0, 1.0], abs=0.003)
     still = log([CLEAN, CLEAN], (30.0, 31.0), seed=7, flight=0.0)
-    assert items(still)["gyro_scale", "gyro 1, 2"].verdict == Verdict.NOT_TESTABLE
+    assert items(still)["gyro_scale", "gyro 1, 2"].verdict == FlightVerdict.NOT_TESTABLE
 
 
 def test_a_finding_is_none_within_twice_its_own_sd():
-    limit = Limit(1.0, 2.0, "1", "a test")
-    assert judged("a", "b", 1.5, limit, "", sd=0.4).verdict == Verdict.PASS
-    assert judged("a", "b", 1.5, limit, "", sd=0.1).verdict == Verdict.WARN
-    assert judged("a", "b", 2.5, limit, "").verdict == Verdict.FAIL
+    limit = FlightLimit(1.0, 2.0, "1", "a test")
+    assert judged("a", "b", 1.5, limit, "", sd=0.4).verdict == FlightVerdict.PASS
+    assert judged("a", "b", 1.5, limit, "", sd=0.1).verdict == FlightVerdict.WARN
+    assert judged("a", "b", 2.5, limit, "").verdict == FlightVerdict.FAIL
 
 
 def test_the_steps_say_what_is_worthwhile_and_why_the_rest_is_not():
@@ -167,7 +167,7 @@ def test_a_log_without_inertial_sensors_is_told_so():
     current = Channel(Sensor.CURRENT, 0, np.arange(5.0), np.ones(5), "A", Stage.RAW, "BAT")
     report = flight_report(Recording((current,), identity=Identity("ardupilot"), source="x.log"))
     assert report is not None
-    assert report.verdict == Verdict.NOT_TESTABLE
+    assert report.verdict == FlightVerdict.NOT_TESTABLE
     assert report.items == ()
     assert not any(step.worthwhile for step in report.steps)
 
@@ -192,4 +192,4 @@ def test_bad_streams_end_in_a_report(spoil):
 
     recording = log([CLEAN, CLEAN], (30.0, 31.0), seed=11)
     document = overview(recording.with_channels(spoilt(c) for c in recording.channels))
-    assert document["flight"]["verdict"] in set(Verdict)
+    assert document["flight"]["verdict"] in set(FlightVerdict)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mavcal.calib.gap.problem import Problem, ReferenceInfo, ReferenceKind, Trace
+from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind, Trace
 from mavcal.calib.recording import Sensor
 
 SIGMA = {Sensor.ACCEL: 0.05, Sensor.GYRO: 0.003, Sensor.MAG: 0.5}
@@ -56,7 +56,7 @@ def problem_of(
     only: int | None = None,
     reference: ReferenceInfo | None = None,
     error: Callable[[dict[str, np.ndarray], Sensor], np.ndarray] | None = None,
-) -> Problem:
+) -> GapProblem:
     """`gap` is added to instance `only`, or to all; `error` is common to all instances: the reference's own."""
     truth = flight(rng)
     ideal = {Sensor.ACCEL: truth["force"], Sensor.GYRO: truth["rate"], Sensor.MAG: truth["field"]}
@@ -73,4 +73,4 @@ def problem_of(
                 measured += gap(trace)
             traces.append(trace)
     info = reference or ReferenceInfo(ReferenceKind.SIM)
-    return Problem(tuple(traces), info, float(truth["t"][-1]))
+    return GapProblem(tuple(traces), info, float(truth["t"][-1]))

@@ -9,7 +9,7 @@ import pytest
 
 from mavcal.calib.gap.bands import assembled, joined, resampled, split
 from mavcal.calib.gap.likelihood import transform
-from mavcal.calib.gap.problem import Problem, ReferenceInfo, ReferenceKind
+from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind
 from mavcal.calib.gap.views import View, views_of
 from mavcal.calib.recording import Sensor
 
@@ -25,7 +25,7 @@ def view_of(seconds: float, *, hole: slice | None = None, fs: float = 200.0) -> 
     if hole is not None:
         seen[hole] = False
     trace = dataclasses.replace(trace, measured=trace.ideal + noise, observed=seen, sigma=np.full(3, SIGMA))
-    (view,) = views_of(Problem((trace,), ReferenceInfo(ReferenceKind.SIM), seconds), {}, {})
+    (view,) = views_of(GapProblem((trace,), ReferenceInfo(ReferenceKind.SIM), seconds), {}, {})
     return view
 
 
@@ -103,6 +103,6 @@ def test_a_reference_that_moves_fast_makes_the_lower_band_wider(bands):
     shaken = trace.ideal + 5.0 * np.cos(2.0 * np.pi * 40.0 * trace.t)[:, None]
     noise = np.random.default_rng(1).normal(0.0, SIGMA, shaken.shape)
     trace = dataclasses.replace(trace, ideal=shaken, measured=shaken + noise, sigma=np.full(3, SIGMA))
-    (view,) = views_of(Problem((trace,), ReferenceInfo(ReferenceKind.SIM), 150.0), {}, {})
+    (view,) = views_of(GapProblem((trace,), ReferenceInfo(ReferenceKind.SIM), 150.0), {}, {})
     lower = split([view])[0]
     assert lower.fs > 80.0 > bands[0].fs

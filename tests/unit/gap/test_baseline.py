@@ -13,7 +13,7 @@ from mavcal.calib.gap.baseline import Baseline, baseline_of, beside
 from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.floors import SMALL
 from mavcal.calib.gap.problem import Floor
-from mavcal.calib.gap.schema import Verdict
+from mavcal.calib.gap.schema import GapVerdict
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import problem_of
 
@@ -51,7 +51,7 @@ def test_the_simulated_flights_own_flaws_are_named_with_their_size(simulated):
 
 def test_what_both_flights_show_is_no_gap(simulated):
     report = diagnose(beside(flight(2, shared), simulated), nested=False)
-    assert report.verdict is Verdict.NO_GAP
+    assert report.verdict is GapVerdict.NO_GAP
     assert report.effects == ()
 
 

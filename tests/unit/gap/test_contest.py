@@ -12,14 +12,14 @@ from scipy.stats import kstest
 from mavcal.calib.gap.bands import split
 from mavcal.calib.gap.contest import Contest, fixed_score, noise_score, one_sided_tail, priced, tail, widest
 from mavcal.calib.gap.effects import by_id, forward_models
-from mavcal.calib.gap.hypotheses import Frame, Hypothesis
+from mavcal.calib.gap.hypotheses import Binning, Hypothesis
 from mavcal.calib.gap.likelihood import transform
 from mavcal.calib.gap.model import refined, setting_of, starting_model
 from mavcal.calib.gap.noise_fit import starting_noise
 from mavcal.calib.gap.power import noncentrality
-from mavcal.calib.gap.problem import Problem, ReferenceInfo, ReferenceKind, Trace
+from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind, Trace
 from mavcal.calib.gap.projection import Beside, Gain
-from mavcal.calib.gap.selection import Chosen, fitted, grown, with_score
+from mavcal.calib.gap.selection import ChosenModel, fitted, grown, with_score
 from mavcal.calib.gap.views import views_of
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
@@ -75,11 +75,11 @@ def test_the_grid_multiplies_the_tail():
 
 
 def test_averages_of_white_noise_have_its_power_over_their_number():
-    frame = Frame(4, 4000)
+    frame = Binning(4, 4000)
     series = np.random.default_rng(0).normal(size=4000)
     assert frame.power(np.ones(4000)) == pytest.approx(np.full(1000, 0.25), rel=2e-3)
     assert np.var(frame.bins(series)) == pytest.approx(0.25, rel=0.15)
-    assert np.array_equal(Frame(1, 4000).bins(series), transform(series))
+    assert np.array_equal(Binning(1, 4000).bins(series), transform(series))
 
 
 def test_the_smallest_effect_that_shows_is_found_half_of_the_time():
@@ -98,7 +98,7 @@ def test_of_two_bands_the_lower_one_stands_for_both_however_loud_the_upper_one_i
     humming = 0.1 * np.sin(2.0 * np.pi * 90.0 * t)[:, None]
     measured = ideal + 0.003 * rng.normal(size=ideal.shape) + humming
     trace = Trace(Sensor.GYRO, (0,), t, measured, ideal, np.ones(len(t), bool), sigma=np.full(3, 0.003))
-    problem = Problem((trace,), ReferenceInfo(ReferenceKind.SIM), 60.0)
+    problem = GapProblem((trace,), ReferenceInfo(ReferenceKind.SIM), 60.0)
     setting = setting_of(split(views_of(problem, {}, {})))
     model = starting_model(setting, starting_noise(setting))
     assert [view.first > 0 for view in setting.views] == [False, True]
@@ -163,7 +163,7 @@ def exchanged(seed, size, kinds=("bias", "scale")):
         scores.append(contest.score(hypothesis, Beside(model)))
         model = with_score(model, scores[-1])
     model, joint, noise = fitted(model)
-    return Chosen(model, joint, noise, tuple(scores), len(kinds), ()), contest
+    return ChosenModel(model, joint, noise, tuple(scores), len(kinds), ()), contest
 
 
 def members(chosen):

@@ -16,8 +16,8 @@ from mavcal.calib.gap.estimates import estimates_of
 from mavcal.calib.gap.hypotheses import hypotheses_of
 from mavcal.calib.gap.model import setting_of, starting_model
 from mavcal.calib.gap.noise_fit import refitted, starting_noise
-from mavcal.calib.gap.problem import Problem, ReferenceInfo, ReferenceKind
-from mavcal.calib.gap.schema import GapReport, Verdict, as_json
+from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind
+from mavcal.calib.gap.schema import GapReport, GapVerdict, as_json
 from mavcal.calib.gap.selection import select
 from mavcal.calib.gap.shrink import dose_of
 from mavcal.calib.gap.views import views_of
@@ -42,7 +42,7 @@ def holds(report: GapReport, effect_id: str, truth: list[float], sd: float = 4.0
 @pytest.mark.parametrize("seed", range(5))
 def test_no_gap_is_found_where_there_is_none(seed):
     report = diagnose(problem_of(np.random.default_rng(seed), (A, G, M)), nested=False)
-    assert report.verdict is Verdict.NO_GAP
+    assert report.verdict is GapVerdict.NO_GAP
     assert report.effects == ()
     assert report.where == ()
     assert not report.unknown.flag
@@ -56,7 +56,7 @@ def test_two_effects_on_two_sensors_are_named_with_their_parameters():
 
     report = diagnose(problem_of(np.random.default_rng(1), (A, G, M), gap))
     assert found(report) == {"mag_motor_current": (1,), "gyro_bias": (1,)}
-    assert report.verdict is Verdict.EXPLAINED
+    assert report.verdict is GapVerdict.EXPLAINED
     holds(report, "mag_motor_current", [0.03, 0.0, -0.02])
     holds(report, "gyro_bias", [0.0, 0.0015, 0.0])
     assert report.shrink is not None
@@ -104,7 +104,7 @@ def test_an_offset_in_hover_is_no_end_of_the_range(seed):
     noise = np.random.default_rng(seed).normal(0.0, 0.05, trace.ideal.shape)
     measured = trace.ideal + noise + np.array([0.0, 0.0, 0.1])
     trace = dataclasses.replace(trace, measured=measured, sigma=np.full(3, 0.05))
-    report = diagnose(Problem((trace,), ReferenceInfo(ReferenceKind.SIM), 40.0), nested=False)
+    report = diagnose(GapProblem((trace,), ReferenceInfo(ReferenceKind.SIM), 40.0), nested=False)
     assert found(report) == {"accel_bias": (1,)}
 
 
@@ -183,7 +183,7 @@ def test_a_wandering_reference_is_a_finding_about_the_reference():
         return np.cross(slow, truth["force"] if sensor is A else truth["field"])
 
     report = diagnose(problem_of(np.random.default_rng(7), (A, M), error=wrong), nested=False)
-    assert report.verdict is Verdict.REFERENCE
+    assert report.verdict is GapVerdict.REFERENCE
     assert report.where
 
 
@@ -197,7 +197,7 @@ def test_a_reference_that_wanders_about_a_turn_is_one_finding():
         )
 
     report = diagnose(problem_of(np.random.default_rng(7), (A, M), error=wrong), nested=False)
-    assert report.verdict is Verdict.REFERENCE
+    assert report.verdict is GapVerdict.REFERENCE
     assert found(report) == {"reference_attitude": (1,)}
 
 
@@ -213,7 +213,7 @@ def test_a_reference_that_moves_faster_than_its_cosines_is_still_one_finding():
         return np.cross(turn, truth["force"] if sensor is A else truth["field"])
 
     report = diagnose(problem_of(rng, (A, M), error=wrong), nested=False)
-    assert report.verdict is Verdict.REFERENCE
+    assert report.verdict is GapVerdict.REFERENCE
 
 
 def test_what_the_catalogue_does_not_have_is_unknown_with_its_shape():
@@ -221,7 +221,7 @@ def test_what_the_catalogue_does_not_have_is_unknown_with_its_shape():
         return np.abs(trace.force[:, :1] - 1.0) * np.array([0.02, 0.0, 0.0])
 
     report = diagnose(problem_of(np.random.default_rng(8), (A,), gap), nested=False)
-    assert report.verdict is Verdict.UNKNOWN
+    assert report.verdict is GapVerdict.UNKNOWN
     assert "a_x on accel.x" in report.unknown.shape
     assert set(as_json(report)["unknown"]) == {"flag", "share", "shape", "hidden_driver"}  # no number nobody calibrated
 
@@ -236,8 +236,8 @@ def test_missing_telemetry_is_not_testable_rather_than_absent():
 
 
 def test_without_a_series_nothing_is_testable():
-    report = diagnose(Problem((), ReferenceInfo(ReferenceKind.SIM), 0.0))
-    assert report.verdict is Verdict.NOT_TESTABLE
+    report = diagnose(GapProblem((), ReferenceInfo(ReferenceKind.SIM), 0.0))
+    assert report.verdict is GapVerdict.NOT_TESTABLE
     assert report.not_testable
 
 

@@ -8,8 +8,8 @@ import pytest
 from mavcal.calib.gap import diagnose
 from mavcal.calib.gap.attribution import Attribution
 from mavcal.calib.gap.doubts import nameless
-from mavcal.calib.gap.problem import Problem
-from mavcal.calib.gap.schema import Verdict
+from mavcal.calib.gap.problem import GapProblem
+from mavcal.calib.gap.schema import GapVerdict
 from mavcal.calib.gap.wander import halved, marginal
 from mavcal.calib.recording import Sensor
 
@@ -38,7 +38,7 @@ def test_a_sensor_that_reads_nothing_has_no_scale_error():
     rng = np.random.default_rng(8)
     problem = problem_of(rng, (Sensor.MAG,), lambda trace: -trace.ideal)
     report = diagnose(problem, nested=False)
-    assert report.verdict is Verdict.NOT_TESTABLE
+    assert report.verdict is GapVerdict.NOT_TESTABLE
     assert not report.effects
     assert any("does not follow" in why.reason for why in report.not_testable)
 
@@ -47,7 +47,7 @@ def test_the_other_sensors_are_diagnosed_without_it():
     rng = np.random.default_rng(9)
     dead = problem_of(rng, (Sensor.MAG,), lambda trace: -trace.ideal)
     late = problem_of(rng, (Sensor.GYRO,), lambda _: np.array([0.01, 0.0, -0.02]))
-    report = diagnose(Problem((*dead.traces, *late.traces), late.reference, late.duration_s), nested=False)
+    report = diagnose(GapProblem((*dead.traces, *late.traces), late.reference, late.duration_s), nested=False)
     assert [e.id for e in report.effects] == ["gyro_bias"]
     assert [n.id for n in report.not_testable].count("mag") == 1
 

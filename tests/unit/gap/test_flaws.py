@@ -12,7 +12,7 @@ from mavcal.calib import gap
 from mavcal.calib.gap.flaws import beside_flaws, flaws_of
 from mavcal.calib.gap.reference import build, posed
 from mavcal.calib.gap.reference.signal import linear
-from mavcal.calib.gap.schema import Verdict
+from mavcal.calib.gap.schema import GapVerdict
 from mavcal.calib.recording import Recording, Sensor
 
 from .reference.test_recorded import RATE, SIGMA, channel
@@ -61,7 +61,7 @@ def test_its_delays_are_found_with_their_size(nominal):
 
 def test_what_both_have_is_no_gap(nominal):
     report = gap.run(recording(2), None, [nominal], nested=False)
-    assert report.verdict is Verdict.NO_GAP
+    assert report.verdict is GapVerdict.NO_GAP
     assert any("taken off" in w and "gyro_delay (delay_s 0.008 s)" in w for w in report.warnings)
 
 

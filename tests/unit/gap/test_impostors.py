@@ -13,7 +13,7 @@ from mavcal.calib.gap.hypotheses import Hypothesis
 from mavcal.calib.gap.impostors import coherent, impostors, returning, unsteady
 from mavcal.calib.gap.model import NoiseTerm, setting_of, starting_model
 from mavcal.calib.gap.noise_fit import refitted, starting_noise, with_term
-from mavcal.calib.gap.problem import Problem, ReferenceInfo, ReferenceKind, Trace
+from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind, Trace
 from mavcal.calib.gap.views import views_of
 from mavcal.calib.recording import Sensor
 
@@ -28,7 +28,7 @@ def model_of(change, *, rounding=0.0, seed=0, n=N, **over):
     if rounding:
         measured = np.round(measured / rounding) * rounding
     trace = Trace(G, (0,), t, measured, ideal, np.ones(n, dtype=bool), **{"sigma": np.full(3, SD), **over})
-    setting = setting_of(views_of(Problem((trace,), ReferenceInfo(ReferenceKind.SIM), n / FS), {}, {}))
+    setting = setting_of(views_of(GapProblem((trace,), ReferenceInfo(ReferenceKind.SIM), n / FS), {}, {}))
     return starting_model(setting, starting_noise(setting))
 
 

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from scipy import signal
 from scipy.spatial.transform import Rotation
 
+from bench.gap_recordings import broad_recording
 from mavcal.calib import gap, logs
 from mavcal.calib.blind.real import halves, injected
-from mavcal.calib.gap.schema import EffectEstimate, GapReport, Verdict
+from mavcal.calib.gap.schema import EffectEstimate, GapReport, GapVerdict
 from mavcal.calib.recording import Channel, Recording, Sensor
-from mavcal.service.commands.gap_real import broad_recording
 
 pytestmark = [pytest.mark.shared, pytest.mark.long, pytest.mark.timeout(600)]
 
@@ -52,7 +52,7 @@ def agrees(effect: EffectEstimate, name: str, known: list[float]) -> None:
 def test_a_flight_against_the_clean_one_shows_what_was_put_in(shared_data: Path, name: str) -> None:
     folder = shared_data / "sitl_flights"
     report = gap.run(logs.read(folder / f"{name}.bin"), logs.read(folder / "null.bin"), nested=False)
-    assert report.verdict is Verdict.EXPLAINED
+    assert report.verdict is GapVerdict.EXPLAINED
     found = {e.id: e for e in report.effects}
     assert set(found) - BESIDE.get(name, set()) == set(FLIGHTS[name])
     for effect_id, (instances, parameter, known) in FLIGHTS[name].items():
@@ -117,7 +117,7 @@ def test_a_vehicle_of_one_unit_shows_it_as_well(shared_data: Path, name: str) ->
     folder = shared_data / "sitl_flights"
     real, sim = (of_one_unit(logs.read(folder / file)) for file in (f"{name}.bin", "null.bin"))
     report = gap.run(real, sim, nested=False)
-    assert report.verdict is Verdict.EXPLAINED
+    assert report.verdict is GapVerdict.EXPLAINED
     found = {e.id: e for e in report.effects}
     assert set(found) - BESIDE.get(name, set()) == set(FLIGHTS[name])
     for effect_id, (_, parameter, known) in FLIGHTS[name].items():
@@ -184,14 +184,14 @@ def test_a_magnet_that_is_put_on_and_taken_off_is_a_step_and_its_opposite(
 def test_of_a_magnet_in_the_room_nothing_is_on_the_sensor(shared_data: Path) -> None:
     report = beside_the_undisturbed(shared_data, "28")
     assert report.effects == ()
-    assert report.verdict is Verdict.UNKNOWN
+    assert report.verdict is GapVerdict.UNKNOWN
     assert "mag" in report.unknown.shape
 
 
 def test_tapping_is_nothing_of_the_catalogue_and_is_seen_where_it_is(shared_data: Path) -> None:
     report = beside_the_undisturbed(shared_data, "24")
     assert report.effects == ()
-    assert report.verdict is Verdict.UNKNOWN
+    assert report.verdict is GapVerdict.UNKNOWN
     assert "Hz on accel" in report.unknown.shape
     assert report.where[0].channel == "accel.z"
 
@@ -201,7 +201,7 @@ def test_half_of_a_nominal_recording_beside_the_other_shows_no_gap(shared_data: 
     first, last = halves(trial(shared_data, "01"))
     real, nominal = (last, first) if second else (first, last)
     report = gap.run(real, None, [nominal], nested=False)
-    assert report.verdict is Verdict.NO_GAP
+    assert report.verdict is GapVerdict.NO_GAP
     assert report.where == ()
 
 

@@ -13,7 +13,7 @@ from mavcal.calib.gap.model import setting_of, starting_model
 from mavcal.calib.gap.noise_fit import refitted, starting_noise
 from mavcal.calib.gap.problem import Flaw
 from mavcal.calib.gap.projection import Beside
-from mavcal.calib.gap.schema import EffectEstimate, Estimate, Evidence
+from mavcal.calib.gap.schema import EffectEstimate, EffectEvidence, ParameterEstimate
 from mavcal.calib.gap.views import views_of
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
@@ -23,9 +23,10 @@ SCALE = np.array([0.04, -0.02, 0.03])
 
 def flaw(part, effect_id="accel_scale", name="scale"):
     estimates = tuple(
-        Estimate(f"{name}.{a}", float(v), 0.001, (v - 0.002, v + 0.002), "") for a, v in zip("xyz", SCALE, strict=True)
+        ParameterEstimate(f"{name}.{a}", float(v), 0.001, (v - 0.002, v + 0.002), "")
+        for a, v in zip("xyz", SCALE, strict=True)
     )
-    return Flaw(EffectEstimate(effect_id, Sensor.ACCEL, (1,), estimates, Evidence(1.0, 3, 0.0, 1.0, 0.0)), part)
+    return Flaw(EffectEstimate(effect_id, Sensor.ACCEL, (1,), estimates, EffectEvidence(1.0, 3, 0.0, 1.0, 0.0)), part)
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import pytest
 from mavcal.calib.gap.leftover import leftover
 from mavcal.calib.gap.model import setting_of, starting_model
 from mavcal.calib.gap.noise_fit import starting_noise
-from mavcal.calib.gap.problem import Problem, ReferenceInfo, ReferenceKind, Trace
+from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind, Trace
 from mavcal.calib.gap.views import views_of
 from mavcal.calib.recording import Sensor
 
@@ -19,7 +19,7 @@ def left_of(change, *, seed=0, **over):
     t = np.arange(N) / FS
     measured = SD * np.random.default_rng(seed).normal(size=(N, 3)) + change(t)
     trace = Trace(G, (0,), t, measured, np.zeros((N, 3)), np.ones(N, dtype=bool), **{"sigma": np.full(3, SD), **over})
-    setting = setting_of(views_of(Problem((trace,), ReferenceInfo(ReferenceKind.SIM), N / FS), {}, {}))
+    setting = setting_of(views_of(GapProblem((trace,), ReferenceInfo(ReferenceKind.SIM), N / FS), {}, {}))
     return leftover(starting_model(setting, starting_noise(setting)))
 
 

@@ -11,7 +11,7 @@ from mavcal.calib.gap.contest import noise_score
 from mavcal.calib.gap.effects import forward_models
 from mavcal.calib.gap.hypotheses import Hypothesis
 from mavcal.calib.gap.louder import (
-    Added,
+    AddedNoise,
     drift_beside_lines,
     line_amplitudes,
     line_power,
@@ -22,7 +22,7 @@ from mavcal.calib.gap.louder import (
 )
 from mavcal.calib.gap.model import Model, NoiseTerm, setting_of, starting_model
 from mavcal.calib.gap.noise_fit import refitted, starting_noise, with_term
-from mavcal.calib.gap.problem import Problem, ReferenceInfo, ReferenceKind
+from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind
 from mavcal.calib.gap.views import views_of
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
@@ -44,9 +44,9 @@ def model_of(seed: int, louder: tuple[int, ...], *, reference: ReferenceInfo = E
     return starting_model(setting, starting_noise(setting))
 
 
-def noise(instances: tuple[int, ...]) -> Added:
+def noise(instances: tuple[int, ...]) -> AddedNoise:
     hypothesis = Hypothesis(forward_models()["gyro_noise"][-1], instances)
-    return Added(hypothesis, np.nan, np.full((1, 3), SIGMA[Sensor.GYRO] ** 2 / 50.0))
+    return AddedNoise(hypothesis, np.nan, np.full((1, 3), SIGMA[Sensor.GYRO] ** 2 / 50.0))
 
 
 @pytest.mark.parametrize("louder", SETS)
@@ -70,7 +70,9 @@ def test_units_with_clocks_of_their_own_shake_at_frequencies_of_their_own(shaken
     setting = setting_of(views_of(problem, {}, {}))
     model = starting_model(setting, starting_noise(setting))
     vibration = forward_models()["gyro_vibration"][-1]
-    lines = [Added(Hypothesis(vibration, named), at_hz, np.full((1, 3), SIGMA[Sensor.GYRO] ** 2)) for named in SETS]
+    lines = [
+        AddedNoise(Hypothesis(vibration, named), at_hz, np.full((1, 3), SIGMA[Sensor.GYRO] ** 2)) for named in SETS
+    ]
     assert [whose(line, model) for line in lines] == [named == shaken for named in SETS]
 
 
@@ -89,7 +91,7 @@ def test_of_a_difference_alone_any_instance_may_be_the_one(seed, louder):
     pair = dataclasses.replace(
         single[0], measured=noisy[0], ideal=noisy[1], against=1, sigma=np.full(3, np.sqrt(2.0) * size)
     )
-    setting = setting_of(views_of(Problem((pair,), ESTIMATOR, 40.0), {}, {}))
+    setting = setting_of(views_of(GapProblem((pair,), ESTIMATOR, 40.0), {}, {}))
     assert [view.weights for view in setting.views] == [{0: 1.0, 1: -1.0}]
     model = starting_model(setting, starting_noise(setting))
     assert all(whose(noise(named), model) for named in SETS)
@@ -110,7 +112,7 @@ def with_learned(model: Model) -> Model:
 
 def test_where_noise_was_learned_from_a_flight_a_little_more_is_no_effect():
     declared, learned = model_of(1, (0, 1)), with_learned(model_of(1, (0, 1)))
-    few, many = (Added(noise((0, 1)).hypothesis, np.nan, k * noise((0, 1)).amplitudes) for k in (0.5, 1.5))
+    few, many = (AddedNoise(noise((0, 1)).hypothesis, np.nan, k * noise((0, 1)).amplitudes) for k in (0.5, 1.5))
     assert stands_out(few, declared)
     assert stands_out(many, declared)
     assert not stands_out(few, learned)
@@ -153,7 +155,7 @@ def test_a_little_broad_noise_beside_a_strong_line_is_its_unsteadiness():
 def test_a_drift_beside_a_strong_line_has_to_be_more_than_its_skirts():
     model, _ = a_line(10.0)
     walk = Hypothesis(forward_models()["gyro_random_walk"][-1], (0,))
-    small, large = (Added(walk, np.nan, np.full((1, 3), (size * SIGMA[Sensor.GYRO]) ** 2)) for size in (1e-4, 1.0))
+    small, large = (AddedNoise(walk, np.nan, np.full((1, 3), (size * SIGMA[Sensor.GYRO]) ** 2)) for size in (1e-4, 1.0))
     assert not drift_beside_lines(small, model)
     assert drift_beside_lines(large, model)
     assert drift_beside_lines(small, model_of(3, ()))

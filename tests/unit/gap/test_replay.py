@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from mavcal.calib.gap.problem import Problem
+from mavcal.calib.gap.problem import GapProblem
 from mavcal.calib.gap.replay import with_effects
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.export.making import effect
@@ -15,7 +15,7 @@ from tests.unit.gap.synthetic import SIGMA, problem_of
 BIAS = np.array([0.3, -0.2, 0.15])
 
 
-def a_problem(instances: int = 1) -> Problem:
+def a_problem(instances: int = 1) -> GapProblem:
     return problem_of(np.random.default_rng(8), (Sensor.ACCEL,), lambda _: BIAS, instances=instances, only=0)
 
 
@@ -30,7 +30,7 @@ def test_what_another_instance_has_counts_against_it() -> None:
     first, second = a_problem(2).traces
     pair = dataclasses.replace(second, ideal=first.measured, against=0)
     problem, _ = with_effects(
-        Problem((pair,), a_problem().reference, 40.0), [effect("accel_bias", (1,), bias=(0.3, -0.2, 0.15))]
+        GapProblem((pair,), a_problem().reference, 40.0), [effect("accel_bias", (1,), bias=(0.3, -0.2, 0.15))]
     )
     np.testing.assert_allclose(problem.traces[0].residual.mean(axis=0), 0.0, atol=0.01)
 
@@ -41,7 +41,7 @@ def test_holes_stay_without_a_residual() -> None:
     seen[100:200] = False
     holed = dataclasses.replace(trace, observed=seen, measured=np.where(seen[:, None], trace.measured, trace.ideal))
     problem, _ = with_effects(
-        Problem((holed,), a_problem().reference, 40.0), [effect("accel_bias", bias=(0.3, -0.2, 0.15))]
+        GapProblem((holed,), a_problem().reference, 40.0), [effect("accel_bias", bias=(0.3, -0.2, 0.15))]
     )
     assert not problem.traces[0].residual[100:200].any()
 

@@ -10,7 +10,7 @@ import pytest
 from mavcal.calib.gap.diagnose import diagnose
 from mavcal.calib.gap.effects import by_id, catalogue
 from mavcal.calib.gap.effects.base import LatticeEffect
-from mavcal.calib.gap.problem import Problem, ReferenceInfo, ReferenceKind
+from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind
 from mavcal.calib.gap.samples import lattice_of, shown_by
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
@@ -35,7 +35,7 @@ def held(one, other):
 
 
 def of(*traces):
-    return Problem(traces, ReferenceInfo(ReferenceKind.REDUNDANT), 40.0)
+    return GapProblem(traces, ReferenceInfo(ReferenceKind.REDUNDANT), 40.0)
 
 
 def named(lattice):

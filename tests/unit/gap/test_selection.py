@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib.gap.attribution import Alternative, Place, _behind, _improved, settled
-from mavcal.calib.gap.contest import Contest, Score
+from mavcal.calib.gap.contest import Contest, ContestScore
 from mavcal.calib.gap.diagnose import _task_of
 from mavcal.calib.gap.effects import catalogue, forward_models
 from mavcal.calib.gap.hypotheses import Hypothesis
@@ -22,7 +22,7 @@ from tests.unit.gap.synthetic import SIGMA, problem_of
 
 def scored(delta, df):
     hypothesis = Hypothesis(forward_models()["accel_bias"][-1], (0,))
-    return Score(hypothesis, math.nan, delta, df, 1, 0.0, delta, np.zeros(df))
+    return ContestScore(hypothesis, math.nan, delta, df, 1, 0.0, delta, np.zeros(df))
 
 
 def test_of_causes_that_differ_by_a_second_order_the_one_with_fewer_numbers_is_believed():

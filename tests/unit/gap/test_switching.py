@@ -14,7 +14,7 @@ from mavcal.calib.gap.effects import forward_models
 from mavcal.calib.gap.hypotheses import Hypothesis
 from mavcal.calib.gap.model import NoiseTerm, Term, setting_of, starting_model, with_residual
 from mavcal.calib.gap.noise_fit import refitted, starting_noise, with_term
-from mavcal.calib.gap.problem import Problem, ReferenceInfo, ReferenceKind, Trace
+from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind, Trace
 from mavcal.calib.gap.switching import switching, two_levels
 from mavcal.calib.gap.views import views_of
 from mavcal.calib.recording import Sensor
@@ -36,7 +36,7 @@ def drifting(change, seed=0):
     ideal = 0.3 * np.sin(0.7 * t)[:, None] * [1.0, -0.5, 0.2]
     measured = ideal + SD * rng.normal(size=ideal.shape) + change
     trace = Trace(G, (0,), t, measured, ideal, np.ones(N, dtype=bool), sigma=np.full(3, SD))
-    setting = setting_of(views_of(Problem((trace,), ReferenceInfo(ReferenceKind.SIM), N / FS), {}, {}))
+    setting = setting_of(views_of(GapProblem((trace,), ReferenceInfo(ReferenceKind.SIM), N / FS), {}, {}))
     start = refitted(starting_model(setting, starting_noise(setting)))
     term = NoiseTerm(Hypothesis(forward_models()["gyro_random_walk"][-1], (0,)), np.nan)
     walking = refitted(with_term(start.model, term))

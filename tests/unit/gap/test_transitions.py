@@ -21,11 +21,11 @@ from mavcal.calib.gap.model import (
     starting_model,
     with_residual,
 )
-from mavcal.calib.gap.noise_fit import NoiseFit, starting_noise
+from mavcal.calib.gap.noise_fit import FittedNoise, starting_noise
 from mavcal.calib.gap.normal import solved
-from mavcal.calib.gap.schema import Verdict
-from mavcal.calib.gap.selection import Chosen
-from mavcal.calib.gap.transitions import Transition, levels_apart, passing, transitions
+from mavcal.calib.gap.schema import GapVerdict
+from mavcal.calib.gap.selection import ChosenModel
+from mavcal.calib.gap.transitions import JumpSpan, levels_apart, passing, transitions
 from mavcal.calib.gap.views import views_of
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import problem_of
@@ -135,7 +135,7 @@ def test_a_step_between_levels_that_do_not_fit_it_is_no_surer_than_they_differ()
     assert levels_apart(right, right.terms[0]).max() < 0.03
     assert levels_apart(wrong, wrong.terms[0])[0] == pytest.approx(0.3, abs=0.03)
     start = dataclasses.replace(wrong, terms=())
-    chosen = Chosen(wrong, _joint(wrong), NoiseFit(start, {}), (), 1, ())
+    chosen = ChosenModel(wrong, _joint(wrong), FittedNoise(start, {}), (), 1, ())
     errors = [p.se for p in estimates_of(chosen, wrong.terms[0])]
     assert errors[0] == pytest.approx(0.3, abs=0.03)
     assert max(errors[1:3]) < 0.02
@@ -167,7 +167,7 @@ def test_what_passes_by_is_not_forgotten_with_its_samples():
     assert report.unknown.flag
     assert "passes on accel" in report.unknown.shape
     assert not any(e.id == "accel_step" for e in report.effects)
-    assert report.verdict is Verdict.UNKNOWN
+    assert report.verdict is GapVerdict.UNKNOWN
 
 
 @pytest.mark.parametrize(("gain", "says"), [(0.0, 1), (150.0, 1), (250.0, 0)])
@@ -177,7 +177,7 @@ def test_jumps_that_became_a_walk_are_nothing_that_passes(gain, says):
     setting = setting_of(views_of(problem, {}, {}))
     walk = Hypothesis(next(e for e in catalogue() if e.id == "gyro_random_walk"), (0,))
     model = starting_model(setting, starting_noise(setting))
-    left_out = (Transition(Sensor.GYRO, 10.0, 12.0, nats=100.0),)
+    left_out = (JumpSpan(Sensor.GYRO, 10.0, 12.0, nats=100.0),)
     assert len(passing(left_out, model)) == 1
     model = dataclasses.replace(model, noise_terms=(NoiseTerm(walk, np.nan),))
     assert len(passing(left_out, model, {walk.key: gain})) == says

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mavcal.calib import gap, logs
-from mavcal.calib.gap.schema import Verdict
+from mavcal.calib.gap.schema import GapVerdict
 
 pytestmark = [pytest.mark.shared, pytest.mark.long]
 
@@ -16,4 +16,4 @@ FLIGHTS = ("00000005.BIN", "00000010.BIN")
 def test_two_flights_at_25_hz_show_no_gap(shared_data, real, sim):
     folder = shared_data / "sitl_baseline"
     report = gap.run(logs.read(folder / real), logs.read(folder / sim), nested=False)
-    assert report.verdict is Verdict.NO_GAP
+    assert report.verdict is GapVerdict.NO_GAP

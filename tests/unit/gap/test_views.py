@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from mavcal.calib.gap.problem import Problem, ReferenceInfo, ReferenceKind
+from mavcal.calib.gap.problem import GapProblem, ReferenceInfo, ReferenceKind
 from mavcal.calib.gap.views import between, views_of
 from mavcal.calib.recording import Sensor
 from tests.unit.gap.synthetic import SIGMA, problem_of
@@ -35,7 +35,7 @@ def test_a_difference_counts_once_and_only_where_no_other_series_tells():
     problem = problem_of(np.random.default_rng(2), (Sensor.ACCEL,), instances=2)
     pair = dataclasses.replace(problem.traces[0], ideal=problem.traces[1].measured, against=1)
     assert len(views_of(dataclasses.replace(problem, traces=(*problem.traces, pair)), {}, {})) == 2
-    (only,) = views_of(Problem((pair,), ESTIMATOR, 40.0), {}, {})
+    (only,) = views_of(GapProblem((pair,), ESTIMATOR, 40.0), {}, {})
     assert only.weights == {0: 1.0, 1: -1.0}
 
 

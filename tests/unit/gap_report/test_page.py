@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from mavcal.calib.gap.schema import (
-    Finding,
     GapReport,
+    GapVerdict,
+    LocatedGap,
     MultipleTesting,
     NotTestable,
     Power,
@@ -21,10 +22,8 @@ from mavcal.calib.gap.schema import (
     SeriesFit,
     Shrink,
     Unknown,
-    Verdict,
 )
 from mavcal.calib.gap_report import gap_to_html, verdict_sentence
-from mavcal.calib.gap_report.chart import Chart, heat, limits_of, thinned, ticks
 from mavcal.calib.gap_report.series_plots import allan, spectrum, spectrum_plot
 from mavcal.calib.gap_report.table_plots import waterfall
 from mavcal.calib.gap_report.words import regime
@@ -53,7 +52,7 @@ def a_report() -> GapReport:
     rival = Rival("mag_hard_iron", 0.86, 48.0, EVIL)
     motor = dataclasses.replace(effect("mag_motor_current", per_ampere=(0.1, -0.2, 0.05)), confusable_with=(rival,))
     cells = tuple(
-        Finding(f"mag.{axis}", 1, Regime(kind, (low, low + 3.0), unit), nats, 1.0, "uT", 1e-9)
+        LocatedGap(f"mag.{axis}", 1, Regime(kind, (low, low + 3.0), unit), nats, 1.0, "uT", 1e-9)
         for axis, nats in (("x", 0.4), ("y", 2.0))
         for kind, low, unit in (("all", 0.0, ""), ("current", 2.0, "A"), ("current", 5.0, "A"), ("band", 0.0, "Hz"))
     )
@@ -102,8 +101,8 @@ def test_nothing_from_a_file_reaches_the_page_as_markup_and_nothing_is_fetched()
     assert not re.search(r"(src|href)\s*=|url\(|@import|https?:", page)
 
 
-@pytest.mark.parametrize("verdict", list(Verdict))
-def test_a_report_without_anything_is_still_a_page(verdict: Verdict) -> None:
+@pytest.mark.parametrize("verdict", list(GapVerdict))
+def test_a_report_without_anything_is_still_a_page(verdict: GapVerdict) -> None:
     bare = dataclasses.replace(report(), verdict=verdict)
     page = gap_to_html(bare)
     assert verdict_sentence(bare).split(".")[0] in page
@@ -131,34 +130,6 @@ def test_spectrum_and_allan_deviation_of_white_noise() -> None:
     tau, deviation = allan(noise, 100.0)
     first = tau < 1.0
     np.testing.assert_allclose(deviation[first], 0.2 / np.sqrt(100.0 * tau[first]), rtol=0.1)
-
-
-def test_thinning_keeps_the_peaks() -> None:
-    values = np.zeros(100_000)
-    values[54_321] = 7.0
-    t, kept = thinned(np.arange(100_000.0), values)
-    assert len(t) <= 620
-    assert kept.max() == 7.0
-    assert (np.diff(t) > 0).all()
-
-
-@pytest.mark.parametrize(
-    ("limits", "log", "labels"),
-    [((0.0, 10.0), False, ["0", "2", "4", "6", "8", "10"]), ((1.0, 1000.0), True, ["1", "10", "100", "1000"]),
-     ((0.8, 3.0), True, ["1", "2"]), ((0.2, 0.31), True, ["0.2"])],
-)  # fmt: skip
-def test_ticks_are_round(limits: tuple[float, float], log: bool, labels: list[str]) -> None:
-    assert [label for _, label in ticks(limits, log=log)] == labels
-
-
-def test_limits_are_never_empty() -> None:
-    for values in ([], [np.nan], [3.0], [0.0], [-1.0, 5.0]):
-        for log in (False, True):
-            low, high = limits_of(values, log=log)
-            assert low < high
-    chart = Chart("t", "x", "y", (0.0, 1.0), limits_of([2.0]))
-    chart.line([0, 0.5, 1], [2.0, np.nan, 2.0], "--before")
-    ElementTree.fromstring(chart.drawn())
 
 
 def test_what_is_less_likely_than_something_else_is_not_found():
@@ -199,16 +170,8 @@ def test_no_word_runs_out_of_its_picture():
         assert [words for right, width, words in placed(picture) if right > width] == []
 
 
-def test_names_of_conditions_have_room_above_the_map():
-    name = "rotor speed of motor 4 118..120 Hz"
-    root = ElementTree.fromstring(heat(["accel.x 1"], [name], [(0, 0, 1.0, "")], "map"))
-    turned = next(g for g in root.findall("g") if name in "".join(g.itertext()))
-    y = float(turned.attrib["transform"].split("translate(")[1].split(")")[0].split()[1])
-    assert y > 0.866 * 5.6 * len(name)
-
-
 def test_a_condition_that_never_changes_has_one_number():
-    assert regime(Finding("accel.x", 1, Regime("throttle", (0.0, 0.0), ""), 1.0, 1.0, "m/s2", 1e-9)) == "throttle 0"
+    assert regime(LocatedGap("accel.x", 1, Regime("throttle", (0.0, 0.0), ""), 1.0, 1.0, "m/s2", 1e-9)) == "throttle 0"
 
 
 def test_numbers_without_a_unit_have_none():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib.imu.poses import find_poses, measure
-from mavcal.calib.imu.static import ACCEL_LADDER, GYRO_LADDER, Watch, candidates, steady
+from mavcal.calib.imu.static import ACCEL_LADDER, GYRO_LADDER, ScatterWindows, candidates, steady
 
 G = 9.80665
 
@@ -22,7 +22,7 @@ def test_the_poses_are_found_between_the_movements(recorded):
 
 
 def test_the_ladder_gives_every_set_of_spans_once(recorded):
-    watch = Watch.of(*recorded(np.random.default_rng(2), poses=6), G)
+    watch = ScatterWindows.of(*recorded(np.random.default_rng(2), poses=6), G)
     found = [spans.tobytes() for spans in candidates(watch)]
     assert 1 <= len(found) <= len(ACCEL_LADDER) * len(GYRO_LADDER)
 
@@ -45,7 +45,7 @@ def test_a_pose_whose_halves_differ_is_none(recorded):
 def test_a_slow_tilt_is_not_still(recorded):
     accel, gyro = recorded(np.random.default_rng(5), poses=4, accel_sd=0.003)
     tilting = accel.values + np.linspace(0.0, 6.0, len(accel))[:, None] * [1.0, 0.0, 0.0]
-    watch = Watch.of(dataclasses.replace(accel, values=tilting), gyro, G)
+    watch = ScatterWindows.of(dataclasses.replace(accel, values=tilting), gyro, G)
     assert not watch.still(2.0, 2.0).any()
 
 

@@ -13,27 +13,27 @@ from mavcal.calib.firmware.plan import (
     Change,
     ParameterKind,
     ParameterVerdict,
+    ProofVerdict,
     Value,
-    Verdict,
     Verification,
     WritePlan,
     snapshot_sha256,
 )
 from mavcal.calib.recording import Sensor
 from mavcal.service.jobs.crashpoints import At, nowhere
-from mavcal.service.jobs.guard import Guard
+from mavcal.service.jobs.guard import WriteGuard
 from mavcal.service.jobs.handle import JobHandle
-from mavcal.service.jobs.journal import Step
+from mavcal.service.jobs.journal import JournalStep
 from mavcal.service.jobs.model import Accept, Job
-from mavcal.service.jobs.port import Reading
+from mavcal.service.jobs.port import ParameterReading
 from mavcal.service.jobs.settings import JobSettings
 from mavcal.service.jobs.states import JobState
 from mavcal.service.jobs.transaction import Transaction
 from mavcal.service.jobs.write import Writing
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import SnapshotPurpose
-from mavcal.service.testing import FakeVehicle
 from tests.patience import scaled
+from tests.unit.jobs.fakes import FakeVehicle
 
 QUICK = JobSettings(
     settle_s={"ardupilot": 0.0, "px4": 0.0},
@@ -61,14 +61,14 @@ class FakeCheck:
 
     deaf: set[str] = field(default_factory=set)
 
-    async def before(self, guard: Guard) -> None:
+    async def before(self, guard: WriteGuard) -> None:
         guard.check()
 
-    async def after(self, guard: Guard, values: Mapping[str, Value]) -> Verification:
+    async def after(self, guard: WriteGuard, values: Mapping[str, Value]) -> Verification:
         guard.check()
 
-        def verdict(name: str) -> Verdict:
-            return Verdict.CONTRADICTED if name in self.deaf else Verdict.PROVED
+        def verdict(name: str) -> ProofVerdict:
+            return ProofVerdict.CONTRADICTED if name in self.deaf else ProofVerdict.PROVED
 
         return Verification(tuple(ParameterVerdict(n, verdict(n), 1.0, 0.1, "", "") for n in values if n in NEW))
 
@@ -104,7 +104,7 @@ class Bench:
     accept: Accept
     check: FakeCheck
     reach: Callable[[At], None] = nowhere
-    before: dict[str, Reading] = field(init=False)
+    before: dict[str, ParameterReading] = field(init=False)
 
     def __post_init__(self) -> None:
         self.before = dict(self.vehicle.parameters)
@@ -121,7 +121,7 @@ class Bench:
         return self.handle.job.state
 
     async def apply(self) -> None:
-        await self.handle.record(Step.ACCEPTED)
+        await self.handle.record(JournalStep.ACCEPTED)
         await self.transaction.apply()
 
     def restarted(self) -> Bench:

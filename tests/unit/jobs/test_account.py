@@ -11,8 +11,8 @@ from mavcal.calib.firmware.plan import (
     Fingerprint,
     ParameterKind,
     ParameterVerdict,
+    ProofVerdict,
     Value,
-    Verdict,
     Verification,
     WritePlan,
 )
@@ -28,7 +28,7 @@ from mavcal.service.jobs.account import (
     succeeded,
     who_else,
 )
-from mavcal.service.jobs.journal import BY_OPERATOR, Step, fold
+from mavcal.service.jobs.journal import BY_OPERATOR, JournalStep, fold
 from mavcal.service.jobs.model import Failure, Holds, Result
 from mavcal.service.jobs.states import JobState
 
@@ -86,9 +86,9 @@ def test_what_is_said_of_a_rollback_and_its_list_never_contradict(kinds: list[st
         assert told.outcome.cause == "accepted but without effect on the stream."
 
 
-@given(kinds=READINGS, who=st.sampled_from([SOMEBODY, EITHER]), verdict=st.sampled_from([*Verdict, None]))
+@given(kinds=READINGS, who=st.sampled_from([SOMEBODY, EITHER]), verdict=st.sampled_from([*ProofVerdict, None]))
 def test_what_is_said_of_a_success_and_its_list_never_contradict(
-    kinds: list[str], who: str, verdict: Verdict | None
+    kinds: list[str], who: str, verdict: ProofVerdict | None
 ) -> None:
     plan = plan_of(len(kinds), session=True)
     checked = None if verdict is None else Verification((ParameterVerdict("P0", verdict, 1.0, 0.1, "", "why"),))
@@ -99,13 +99,13 @@ def test_what_is_said_of_a_success_and_its_list_never_contradict(
     told = succeeded(read(kinds, plan, who), plan, checked, who)
     assert isinstance(told.outcome, Result)
     assert {s.name for s in told.standing} == ({"P0"} if kinds[0] != "old" else set())
-    assert (told.outcome.proof == "full") == (verdict == Verdict.PROVED)
+    assert (told.outcome.proof == "full") == (verdict == ProofVerdict.PROVED)
     assert told.outcome.proof_reason in told.outcome.text
 
 
 @given(sent=st.lists(st.booleans(), min_size=1, max_size=5), doubt=st.sampled_from([None, "before it fell silent"]))
 def test_a_doubt_lists_what_was_sent_and_claims_nothing(sent: list[bool], doubt: str | None) -> None:
-    steps: list[tuple[Step, dict[str, Any]]] = [ACCEPTED]
+    steps: list[tuple[JournalStep, dict[str, Any]]] = [ACCEPTED]
     for i, confirmed in enumerate(sent):
         steps += [send(f"P{i}"), echo(f"P{i}")] if confirmed else [send(f"P{i}")]
     told = in_doubt(as_heard(fold(rows(*steps)), {}, doubt), "the vehicle is armed")
@@ -116,7 +116,7 @@ def test_a_doubt_lists_what_was_sent_and_claims_nothing(sent: list[bool], doubt:
     assert "back" not in text_of(told).replace("taken back by itself", "")
 
 
-STOPPED, BACKWARD = Step.STOPPED, Step.ROLL_BACK
+STOPPED, BACKWARD = JournalStep.STOPPED, JournalStep.ROLL_BACK
 
 
 @pytest.mark.parametrize(
@@ -127,12 +127,12 @@ STOPPED, BACKWARD = Step.STOPPED, Step.ROLL_BACK
         (((STOPPED, {"reason": "armed", "restarted": False, "interrupted": False}),), SOMEBODY),
         (((STOPPED, {"reason": "restarted", "restarted": True}),), EITHER),
         (((STOPPED, {"reason": "interrupted", "interrupted": True}),), EITHER),
-        (((Step.REBOOTED, {}),), EITHER),
+        (((JournalStep.REBOOTED, {}),), EITHER),
         (((BACKWARD, {"because": BY_OPERATOR}),), EITHER),  # it may have restarted any number of times since
-        ((send("S", 0, 1, session=True), (Step.UNDONE, {"name": "S", "value": 1})), EITHER),
+        ((send("S", 0, 1, session=True), (JournalStep.UNDONE, {"name": "S", "value": 1})), EITHER),
     ],
 )
-def test_who_may_have_set_a_value(steps: tuple[tuple[Step, dict[str, Any]], ...], who: str) -> None:
+def test_who_may_have_set_a_value(steps: tuple[tuple[JournalStep, dict[str, Any]], ...], who: str) -> None:
     assert who_else(fold(rows(ACCEPTED, send("A"), echo("A"), *steps))) == who
 
 
@@ -149,7 +149,7 @@ def test_standing_is_certain_only_where_the_vehicle_confirmed_and_nothing_else_w
 def test_nothing_is_certain_once_the_vehicle_may_calibrate_by_itself_again() -> None:
     steps = (ACCEPTED, send("S", 0, 1, session=True), echo("S", 0), send("A"), echo("A"))
     assert {s.name: s.certain for s in as_heard(fold(rows(*steps)), {})} == {"S": True, "A": True}
-    back = fold(rows(*steps, (Step.UNDONE, {"name": "S", "value": 1})))
+    back = fold(rows(*steps, (JournalStep.UNDONE, {"name": "S", "value": 1})))
     by_name = {s.name: s for s in as_heard(back, {})}
     assert (by_name["S"].certain, by_name["A"].certain) == (True, False)
     assert "since S was put back" in by_name["A"].note

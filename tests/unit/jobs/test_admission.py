@@ -20,7 +20,7 @@ from mavcal.service.errors import (
 from mavcal.service.jobs.admission import request_digest, require_acceptable, require_free, require_ready
 from mavcal.service.jobs.model import Accept, Job
 from mavcal.service.jobs.states import JobState
-from mavcal.service.testing import FakeVehicle
+from tests.unit.jobs.fakes import FakeVehicle
 
 from .conftest import OLD, make_plan
 

@@ -1,15 +1,20 @@
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import pytest
 
-from mavcal.calib.procedures.protocol import Done, Pose, Prompt
+from mavcal.calib.errors import ProcedureError
+from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt, Step
 from mavcal.calib.procedures.registry import validate_options
 from mavcal.calib.recording import Identity
+from mavcal.calib.wire import Frame
 from mavcal.service.errors import CaptureEnded
+from mavcal.service.jobs import capture as capture_module
 from mavcal.service.jobs.capture import Capture, _asks
 from mavcal.service.jobs.digest import LiveDigest
 from mavcal.service.jobs.handle import JobHandle
@@ -18,9 +23,9 @@ from mavcal.service.jobs.states import JobState
 from mavcal.service.jobs.watch import CaptureWatch
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import SegmentPurpose
-from mavcal.service.testing import FakeVehicle
+from tests.unit.jobs.fakes import FakeVehicle
 
-from .conftest import QUICK
+from .conftest import QUICK, until
 
 
 class SlowToStart(FakeVehicle):
@@ -48,6 +53,36 @@ async def test_an_answer_that_comes_too_late_is_told_and_not_replayed() -> None:
     assert capture._answered(digest) == []
     assert "the answer came too late" in handle.job.warnings[0]
     assert "answers" not in handle.job.context
+    store.close()
+
+
+class Choosy:
+    """A digest that is at 3 s of its vehicle's time and takes one answer only."""
+
+    time = 3.0
+    taken: str
+
+    def __init__(self, taken: str) -> None:
+        self.taken = taken
+
+    def answer(self, value: str) -> tuple[Step, ...]:
+        if value != self.taken:
+            raise ProcedureError(f"{value} is not asked for")
+        return (Prompt("next", "Go on."),)
+
+
+async def test_an_answer_behind_one_that_came_too_late_is_taken() -> None:
+    store = SqliteStore(None)
+    vehicle = FakeVehicle.with_floats({})
+    handle = JobHandle(Job("one", vehicle.id, "gyro", {}, JobState.RUNNING, 0.0, 0.0), store, lambda _: None)
+    handle.change("state", {})
+    for value in ("late", "now"):
+        handle.answers.put_nowait(value)
+    steps = Capture(handle, vehicle, QUICK)._answered(cast(LiveDigest, Choosy("now")))
+    assert [step.step for step in steps if isinstance(step, Prompt)] == ["next"]
+    assert handle.job.context["answers"] == [[3.0, "now"]]
+    assert len(handle.job.warnings) == 1
+    assert handle.answers.empty()
     store.close()
 
 
@@ -126,3 +161,49 @@ async def test_a_calibration_that_changed_unheard_is_found_by_reading_it_again(
 )
 def test_an_operator_is_waited_for_only_where_there_is_something_to_do(prompt: Prompt, asks: bool) -> None:
     assert _asks(prompt) == asks
+
+
+class Scripted:
+    """A digest that asks the operator for something when it is fed, and is done a turn later."""
+
+    time = 3.0
+    warnings = ("too warm",)
+    outcome: Done | None = None
+    fed = 0
+
+    def answer(self, _value: str) -> tuple[Step, ...]:
+        return (Progress(1.0, 2.0, "", "half of it"),)
+
+    def feed(self, frames: Sequence[Frame]) -> tuple[Step, ...]:
+        self.fed += len(frames)
+        self.outcome = Done((), "enough")
+        return (Prompt("turn", "Turn it.", rotate=True),)
+
+
+class Unworried(CaptureWatch):
+    def look(self, digest: LiveDigest | None = None) -> None:
+        """Nothing stands in the way."""
+
+
+async def test_what_a_procedure_says_reaches_whoever_watches_the_job(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(capture_module, "BATCH_S", 0.0)
+    store = SqliteStore(None)
+    vehicle = FakeVehicle.with_floats({})
+    handle = JobHandle(Job("one", vehicle.id, "gyro", {}, JobState.RUNNING, 0.0, 0.0), store, lambda _: None)
+    handle.change("state", {})
+    capture, digest = Capture(handle, vehicle, QUICK), Scripted()
+    watch = Unworried(vehicle, QUICK, capture.clock, handle.warn)
+    handle.answers.put_nowait("half")
+    working = asyncio.create_task(capture._until_done(cast(LiveDigest, digest), watch))
+    await until(lambda: handle.job.progress is not None)
+    assert handle.job.progress == Progress(1.0, 2.0, "", "half of it")
+    assert handle.job.warnings == ("too warm",)
+    assert (handle.job.state, handle.job.prompt) == (JobState.RUNNING, None)
+    capture._take([cast(Frame, object())] * 3, None)
+    assert (await working).because == "enough"
+    assert digest.fed == 3
+    assert (handle.job.state, handle.job.prompt) == (
+        JobState.WAITING_FOR_OPERATOR,
+        Prompt("turn", "Turn it.", rotate=True),
+    )
+    store.close()

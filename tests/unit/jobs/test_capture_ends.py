@@ -16,7 +16,7 @@ from mavcal.service.jobs.model import Job
 from mavcal.service.jobs.states import JobState
 from mavcal.service.jobs.watch import CaptureWatch
 from mavcal.service.store import SqliteStore
-from mavcal.service.testing import FakeVehicle
+from tests.unit.jobs.fakes import FakeVehicle
 
 from .conftest import QUICK
 

@@ -27,7 +27,7 @@ from mavcal.service.jobs.states import JobState
 from mavcal.service.jobs.watch import CaptureWatch
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import SegmentPurpose, SegmentRow
-from mavcal.service.testing import FakeVehicle
+from tests.unit.jobs.fakes import FakeVehicle
 
 from .conftest import QUICK
 

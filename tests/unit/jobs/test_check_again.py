@@ -17,14 +17,14 @@ from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import TriadModel
 from mavcal.calib.wire import FrameParser
 from mavcal.service.errors import WriteStopped
-from mavcal.service.jobs.guard import Guard
-from mavcal.service.jobs.verify import HOLD_STILL, StreamCheck
+from mavcal.service.jobs.guard import WriteGuard
+from mavcal.service.jobs.verify import HOLD_STILL, StreamProof
 from mavcal.service.simvehicle.config import load_config
 from mavcal.service.simvehicle.server import make_vehicle
-from mavcal.service.simvehicle.vehicle import Channel
+from mavcal.service.simvehicle.vehicle import MavlinkChannel
 from mavcal.service.simvehicle.wire import Packer
-from mavcal.service.testing import FakeVehicle
 from tests.patience import scaled
+from tests.unit.jobs.fakes import FakeVehicle
 
 from .conftest import QUICK, Bench, MakeBench
 
@@ -45,10 +45,10 @@ class Rig:
         self.values = {n: float(v) + error for n, v in zip(NAMES, self.offset, strict=True)}
         self.vehicle.preset_parameters(self.values)
         self.bench, self.said, self.parser = bench, [], FrameParser()
-        self.vehicle.channels.append(Channel(Packer(1), self.said.append))
+        self.vehicle.channels.append(MavlinkChannel(Packer(1), self.said.append))
         self.vehicle.start()
         for message in (RAW_IMU, HIGHRES_IMU):
-            self.vehicle.set_interval(self.vehicle.channels[0], message, 20000)  # type: ignore[attr-defined]
+            self.vehicle.messages.set_interval(self.vehicle.channels[0], message, 20000)  # type: ignore[attr-defined]
         self.vehicle.advance(5.0)
         self.said.clear()
         bench.handle.progress_s = 0.002  # the vehicle's seconds pass in milliseconds here
@@ -85,15 +85,15 @@ class Rig:
         self.bench.handle.change("results", {}, results=(self.fit(),))
         known = {p.name: p.value for p in self.vehicle.table}
         rules = dataclasses.replace(QUICK, **settings)  # type: ignore[arg-type]
-        check = StreamCheck(self.bench.handle, self.bench.vehicle, self.plan(), 0.0, rules)
+        check = StreamProof(self.bench.handle, self.bench.vehicle, self.plan(), 0.0, rules)
         pumping = asyncio.create_task(self.pump())
         try:
             self.vehicle.preset_parameters(dict.fromkeys(NAMES, 0.0))
-            await check.before(Guard(self.bench.vehicle, 0.01))
+            await check.before(WriteGuard(self.bench.vehicle, 0.01))
             self.vehicle.preset_parameters(self.values)
             self.disturb()
             self.began = self.vehicle.time
-            return await check.after(Guard(self.bench.vehicle, 0.01), known)
+            return await check.after(WriteGuard(self.bench.vehicle, 0.01), known)
         finally:
             pumping.cancel()
 
@@ -152,8 +152,8 @@ async def test_a_vehicle_that_arms_while_its_streams_are_asked_for_stops_the_wri
 ) -> None:
     bench = make_bench()
     vehicle = Deaf(bench.vehicle.parameters)
-    check = StreamCheck(bench.handle, vehicle, bench.plan, 0.0, QUICK)
-    guard = Guard(vehicle, 0.01)
+    check = StreamProof(bench.handle, vehicle, bench.plan, 0.0, QUICK)
+    guard = WriteGuard(vehicle, 0.01)
     looking = asyncio.create_task(check.before(guard) if when == "before" else check.after(guard, {}))
     await asyncio.sleep(0.03)
     assert not looking.done()

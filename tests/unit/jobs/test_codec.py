@@ -16,9 +16,9 @@ from mavcal.calib.firmware.plan import (
     Movement,
     ParameterKind,
     ParameterVerdict,
+    ProofVerdict,
     SensorCheck,
     SensorVerdict,
-    Verdict,
     Verification,
     WritePlan,
 )
@@ -26,8 +26,20 @@ from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.procedures.protocol import Number, Pose, Progress, Prompt
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import TriadModel
-from mavcal.service.jobs.codec import attempt_to_json, job_from_row, outcome_to_json, row_from_job
-from mavcal.service.jobs.model import Accept, Attempt, Failure, Holds, Job, Outcome, Result, Span, Standing, WriteResult
+from mavcal.service.jobs.codec import job_from_row, row_from_job, to_json
+from mavcal.service.jobs.model import (
+    Accept,
+    Attempt,
+    Failure,
+    Holds,
+    Job,
+    LogSpan,
+    Outcome,
+    Result,
+    Standing,
+    Unwritten,
+    WriteResult,
+)
 from mavcal.service.jobs.proof import ProofLevel, Unproved
 from mavcal.service.jobs.states import JobState
 from mavcal.service.store.rows import JobRow
@@ -40,9 +52,10 @@ PROMPT = Prompt(
 )  # fmt: skip
 PROGRESS = Progress(1.0, 6.0, "poses", "recording", eta=12.5, detail={"mask": 3})
 RESULT = Result("It is written.", ProofLevel.PARTIAL, "Not all.", (Unproved("X", "consistent", "turn it"),))
+UNWRITTEN = Unwritten("vehicle-armed", "the vehicle is armed", "Nothing was written.")
 FAILURE = Failure("in-doubt", "the vehicle fell silent", "switch it on")
 VERIFICATION = Verification(
-    (ParameterVerdict("X", Verdict.CONSISTENT, 0.5, 0.1, "rad/s", "says so", acts_on_stream=False),),
+    (ParameterVerdict("X", ProofVerdict.CONSISTENT, 0.5, 0.1, "rad/s", "says so", acts_on_stream=False),),
     Movement("Turn it.", ("left",), turn=True, temperature=20.0),
     (SensorCheck("gyro_zero", Sensor.GYRO, 1, 0.1, 0.2, "rad/s", 0.01, SensorVerdict.RIGHT, "at rest"),),
     ("X",),
@@ -75,7 +88,7 @@ def full() -> Job:
         plan=WritePlan(FINGERPRINT, "0" * 64, (change,), warnings=("careful",)),
         accept=Accept("1" * 64, reboot=True, prove_s=7.0, actor="somebody"),
         verification=VERIFICATION,
-        segments=(Span(Path("a.tlog"), 3, 9, "2" * 64),),
+        segments=(LogSpan(Path("a.tlog"), 3, 9, "2" * 64),),
         standing=(Standing("X", 0.0, 0.5, 0.25, certain=True, note="set by hand", holds=Holds.OTHER),),
         last_write=Attempt(WriteResult.IN_DOUBT, 3.5, "it fell silent", "switch it on", 1),
         warnings=("a", "b"),
@@ -106,7 +119,7 @@ def test_a_job_of_which_nothing_is_known_yet_comes_back_so() -> None:
     assert job_from_row(through_json(job)) == job
 
 
-@pytest.mark.parametrize("outcome", [RESULT, FAILURE, Result("Nothing to write."), None])
+@pytest.mark.parametrize("outcome", [RESULT, FAILURE, UNWRITTEN, Result("Nothing to write."), None])
 def test_an_outcome_comes_back_with_what_the_stream_proves(outcome: Outcome | None) -> None:
     assert job_from_row(through_json(dataclasses.replace(full(), outcome=outcome))).outcome == outcome
 
@@ -119,28 +132,35 @@ def test_a_step_of_another_kind_is_no_prompt_and_no_progress(field: str, wrong: 
 
 
 def test_an_outcome_is_told_with_its_kind_and_its_proof() -> None:
-    assert outcome_to_json(None) is None
-    assert outcome_to_json(RESULT) == {
+    assert to_json(None) is None
+    assert to_json(RESULT) == {
         "kind": "result",
         "text": "It is written.",
         "proof": "partial",
         "proof_reason": "Not all.",
-        "unproved": ({"name": "X", "verdict": "consistent", "why": "turn it"},),
+        "unproved": [{"name": "X", "verdict": "consistent", "why": "turn it"}],
     }
-    assert outcome_to_json(FAILURE) == {
+    assert to_json(FAILURE) == {
         "kind": "failure",
         "code": "in-doubt",
         "cause": "the vehicle fell silent.",
         "remedy": "Switch it on.",
         "proof": "none",
         "proof_reason": "the vehicle fell silent.",
-        "unproved": (),
+        "unproved": [],
     }
+    told = to_json(UNWRITTEN)
+    assert told is not None
+    assert (told["kind"], told["cause"], told["remedy"]) == (
+        "write_failed",
+        "the vehicle is armed.",
+        "Nothing was written.",
+    )
 
 
 def test_an_attempt_is_told_as_plain_data() -> None:
-    assert attempt_to_json(None) is None
-    told = attempt_to_json(full().last_write)
+    assert to_json(None) is None
+    told = to_json(full().last_write)
     assert told == {
         "result": "in_doubt", "at": 3.5, "cause": "it fell silent", "remedy": "switch it on", "sent": 1
     }  # fmt: skip

@@ -1,47 +1,61 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib import wire
+from mavcal.calib.earth import earth_field
 from mavcal.calib.errors import ProcedureError
-from mavcal.calib.procedures.protocol import GaveUp
+from mavcal.calib.procedures.context import OperatorAnswer
+from mavcal.calib.procedures.protocol import GaveUp, Step
 from mavcal.calib.procedures.registry import validate_options
+from mavcal.calib.procedures.ticked import TickedProcedure
 from mavcal.calib.recording import Channel, Identity, Recording, Sensor, Stage
 from mavcal.service.errors import CaptureDisturbed, CaptureEnded
-from mavcal.service.jobs.digest import FitRequest, LiveDigest, changed, content_of, context_of, field_of, fit_segments
-from mavcal.service.jobs.model import Span
+from mavcal.service.jobs import digest as digest_module
+from mavcal.service.jobs.digest import (
+    JobFitRequest,
+    LiveDigest,
+    changed,
+    content_of,
+    context_of,
+    field_of,
+    fit_segments,
+)
+from mavcal.service.jobs.model import LogSpan
 
 CONTENT = bytes(range(256)) * 8
 
 
 @pytest.fixture
-def span(tmp_path: Path) -> Span:
+def span(tmp_path: Path) -> LogSpan:
     path = tmp_path / "a.tlog"
     path.write_bytes(b"before" + CONTENT + b"behind")
-    return Span(path, 6, 6 + len(CONTENT), hashlib.sha256(CONTENT).hexdigest())
+    return LogSpan(path, 6, 6 + len(CONTENT), hashlib.sha256(CONTENT).hexdigest())
 
 
-def test_a_segment_is_read_as_it_was_closed(span: Span) -> None:
+def test_a_segment_is_read_as_it_was_closed(span: LogSpan) -> None:
     assert content_of(span) == CONTENT
 
 
-def test_a_segment_that_has_changed_by_one_bit_is_not_fitted(span: Span) -> None:
+def test_a_segment_that_has_changed_by_one_bit_is_not_fitted(span: LogSpan) -> None:
     damaged = bytearray(span.path.read_bytes())
     damaged[100] ^= 1
     span.path.write_bytes(damaged)
     with pytest.raises(CaptureEnded, match="not what it was"):
         content_of(span)
     with pytest.raises(CaptureEnded, match="not what it was"):
-        fit_segments(FitRequest("gyro", {}, (span,), 1, 0.0))
+        fit_segments(JobFitRequest("gyro", {}, (span,), 1, 0.0))
 
 
-def test_a_segment_that_was_cut_off_or_has_gone_is_not_fitted(span: Span) -> None:
+def test_a_segment_that_was_cut_off_or_has_gone_is_not_fitted(span: LogSpan) -> None:
     span.path.write_bytes(span.path.read_bytes()[:-100])
     with pytest.raises(CaptureEnded, match="not what it was"):
         content_of(span)
@@ -86,6 +100,22 @@ def test_the_field_is_that_of_the_day() -> None:
     assert 0.0 < abs(first.declination - later.declination) < 0.01
 
 
+@pytest.mark.parametrize(
+    ("day", "year"),
+    [
+        (datetime(2026, 1, 1, tzinfo=UTC), 2026.0),
+        (datetime(2025, 12, 31, 23, tzinfo=UTC), 2025.0 + 364 / 365.25),
+        (datetime(2024, 12, 31, tzinfo=UTC), 2024.0 + 365 / 365.25),  # of a leap year
+        (datetime(2026, 7, 2, tzinfo=UTC), 2026.0 + 182 / 365.25),
+    ],
+)
+def test_a_day_is_its_share_of_the_year(day: datetime, year: float) -> None:
+    there = (52.5, 13.4, 40.0)
+    found = field_of(position(there), day.timestamp())
+    assert found is not None
+    np.testing.assert_array_equal(found.north_east_down, earth_field(*there, year).north_east_down)
+
+
 def test_a_parameter_that_changed_is_named_with_both_values_and_who_may_have_done_it() -> None:
     text = str(changed("INS_GYROFFS_X", 0.5, 0.25))
     assert (
@@ -125,9 +155,9 @@ def test_a_segment_in_which_a_calibration_changed_is_not_fitted(tmp_path: Path) 
     )
     path = tmp_path / "b.tlog"
     path.write_bytes(data)
-    span = Span(path, 0, len(data), hashlib.sha256(data).hexdigest())
+    span = LogSpan(path, 0, len(data), hashlib.sha256(data).hexdigest())
     with pytest.raises(CaptureEnded, match=r"INS_GYROFFS_X changed from 0\.5 to 0\.25"):
-        fit_segments(FitRequest("gyro", {}, (span,), 1, 0.0))
+        fit_segments(JobFitRequest("gyro", {}, (span,), 1, 0.0))
 
 
 def test_a_procedure_expects_the_sensors_that_stream_and_no_others() -> None:
@@ -158,7 +188,7 @@ def test_a_segment_is_refused_for_a_changed_gyro_offset_only_where_the_gyro_is_m
     frames = heard(beat, param_value("INS_GYROFFS_X", 0.5), param_value("INS_GYROFFS_X", 0.25))
     data = b"".join(int(1e6 * k).to_bytes(8, "big") + frame.raw for k, frame in enumerate(frames))
     path.write_bytes(data)
-    request = FitRequest(kind, {}, (Span(path, 0, len(data), hashlib.sha256(data).hexdigest()),), 1, 0.0)
+    request = JobFitRequest(kind, {}, (LogSpan(path, 0, len(data), hashlib.sha256(data).hexdigest()),), 1, 0.0)
     if refused:
         with pytest.raises(CaptureEnded, match="INS_GYROFFS_X changed"):
             fit_segments(request)
@@ -180,8 +210,41 @@ def test_a_compass_waits_for_its_position_and_takes_answers_only_then() -> None:
     assert digest.outcome is None
     assert digest.warnings == ()
     assert digest.answer("finish") == ()
-    digest.schedule([(1.0, "finish")])
     at_rest = LiveDigest("gyro", validate_options("gyro", {}), ARDUPILOT, {"INS_GYR_ID": 1, "INS_ACC_ID": 2}, 0.0)
     assert at_rest.outcome is None
     with pytest.raises(ProcedureError):
         at_rest.answer("left")
+
+
+class Listening:
+    """A procedure that keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.scheduled: list[OperatorAnswer] = []
+
+    def schedule(self, answers: Sequence[OperatorAnswer]) -> None:
+        self.scheduled += answers
+
+    def feed(self, _chunk: Recording) -> tuple[Step, ...]:
+        return ()
+
+
+def test_a_compass_that_begins_later_has_the_answers_of_before_a_restart(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The operator who has ended it is not asked again."""
+    procedure = Listening()
+    monkeypatch.setattr(digest_module, "create", lambda *_: procedure)
+    monkeypatch.setattr(digest_module, "POSITION_WAIT_S", -1.0)
+    digest = LiveDigest("mag", validate_options("mag", {}), ARDUPILOT, {}, 0.0)
+    digest.schedule([(1.5, "finish")])
+    assert procedure.scheduled == []
+    digest.last_time = 1.0
+    digest.feed(())
+    assert procedure.scheduled == [OperatorAnswer(1.5, "finish")]
+
+
+def test_answers_of_before_a_restart_are_handed_on_with_their_times() -> None:
+    digest = LiveDigest("gyro", validate_options("gyro", {}), ARDUPILOT, {"INS_GYR_ID": 1}, 0.0)
+    procedure = Listening()
+    digest._procedure = cast(TickedProcedure, procedure)
+    digest.schedule([(1.5, "finish"), (2.5, "skip")])
+    assert procedure.scheduled == [OperatorAnswer(1.5, "finish"), OperatorAnswer(2.5, "skip")]

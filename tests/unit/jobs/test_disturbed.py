@@ -16,7 +16,7 @@ from mavcal.service.jobs.spans import captured
 from mavcal.service.jobs.states import CAPTURING, JobState
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import SegmentPurpose, SegmentRow
-from mavcal.service.testing import FakeFleet, FakeVehicle
+from tests.unit.jobs.fakes import FakeRegistry, FakeVehicle
 
 from .conftest import OLD, QUICK, until
 
@@ -57,7 +57,7 @@ def capturing(tmp_path: Path) -> Begin:
         vehicle = FakeVehicle.with_floats(OLD, tlog=tmp_path / "a.tlog")
         vehicle.tlog.touch()
         store = SqliteStore(None)
-        engine = JobEngine(store, FakeFleet({vehicle.id: vehicle}), settings=PATIENT)
+        engine = JobEngine(store, FakeRegistry({vehicle.id: vehicle}), settings=PATIENT)
         await engine.start()
         try:
             job = await engine.submit(vehicle.id, kind)

@@ -10,10 +10,10 @@ from mavcal.calib.procedures.protocol import Prompt
 from mavcal.service.errors import WriteFailed
 from mavcal.service.jobs.account import RESOLVE, Account, nothing_sent
 from mavcal.service.jobs.ending import broke, cause_of, doubt, end, look_back, record_of, stop
-from mavcal.service.jobs.guard import RESTARTED, Guard
+from mavcal.service.jobs.guard import RESTARTED, WriteGuard
 from mavcal.service.jobs.handle import JobHandle
-from mavcal.service.jobs.journal import Step
-from mavcal.service.jobs.model import Accept, Failure, Holds, Result, Standing, WriteResult
+from mavcal.service.jobs.journal import JournalStep
+from mavcal.service.jobs.model import Accept, Failure, Holds, Result, Standing, Unwritten, WriteResult
 from mavcal.service.jobs.states import JobState
 from mavcal.service.store.rows import EventRow
 
@@ -26,7 +26,7 @@ def events(bench: Bench, kind: str) -> list[EventRow]:
     return [row for row in bench.store.events("j1") if row.kind == kind]
 
 
-def rows(bench: Bench, step: Step) -> list[Any]:
+def rows(bench: Bench, step: JournalStep) -> list[Any]:
     return [row.data for row in bench.store.journal("j1") if row.step == step]
 
 
@@ -37,9 +37,9 @@ def failure(bench: Bench) -> Failure:
 
 async def one_sent(bench: Bench) -> None:
     """One parameter was sent and confirmed."""
-    await bench.handle.record(Step.ACCEPTED)
-    await bench.handle.record(Step.SEND, name=X, old=0.0, new=0.5, kind="real32", session=False)
-    await bench.handle.record(Step.ECHO, name=X, value=0.5)
+    await bench.handle.record(JournalStep.ACCEPTED)
+    await bench.handle.record(JournalStep.SEND, name=X, old=0.0, new=0.5, kind="real32", session=False)
+    await bench.handle.record(JournalStep.ECHO, name=X, value=0.5)
 
 
 def standing(bench: Bench) -> Standing:
@@ -106,20 +106,20 @@ async def test_a_stop_says_what_was_sent_and_how_far_that_is_certain(
     bench: Bench, change: dict[str, Any], certain: bool, holds: Holds, note: str, restarted: bool, silent: bool
 ) -> None:
     await one_sent(bench)
-    guard = Guard(bench.vehicle, 0.001)
+    guard = WriteGuard(bench.vehicle, 0.001)
     bench.vehicle.change_state(**change)
     await stop(bench.handle, "it was enough", {X: 0.5}, guard)
     assert bench.state == JobState.IN_DOUBT
     assert standing(bench) == Standing(X, 0.0, 0.5, 0.5, certain, note, holds)
     assert failure(bench) == Failure("in-doubt", "it was enough", RESOLVE)
-    (row,) = rows(bench, Step.STOPPED)
+    (row,) = rows(bench, JournalStep.STOPPED)
     assert row == {"reason": "it was enough", "restarted": restarted, "silent": silent, "interrupted": False}
 
 
 async def test_an_interrupted_service_is_certain_of_nothing(bench: Bench) -> None:
     await one_sent(bench)
     await stop(bench.handle, "interrupted", {}, None)
-    (row,) = rows(bench, Step.STOPPED)
+    (row,) = rows(bench, JournalStep.STOPPED)
     assert (row["restarted"], row["silent"], row["interrupted"]) == (False, False, True)
     assert standing(bench).note == "before the service was interrupted"
     assert not standing(bench).certain
@@ -127,11 +127,11 @@ async def test_an_interrupted_service_is_certain_of_nothing(bench: Bench) -> Non
 
 async def test_the_first_reason_stays(bench: Bench) -> None:
     await one_sent(bench)
-    await bench.handle.record(Step.STOPPED, reason="the vehicle is armed")
+    await bench.handle.record(JournalStep.STOPPED, reason="the vehicle is armed")
     await stop(bench.handle, "its consequence", {}, None)
     assert failure(bench).cause == "the vehicle is armed."
     await stop(bench.handle, "a third one", {}, None)  # it is in doubt already: nothing more to say
-    assert len(rows(bench, Step.STOPPED)) == 2
+    assert len(rows(bench, JournalStep.STOPPED)) == 2
     await bench.store.do(lambda: None)
     assert len(events(bench, "write")) == 1
 
@@ -163,7 +163,7 @@ async def test_without_a_journal_all_of_the_plan_may_have_been_sent(bench: Bench
 
 async def test_a_restart_afterwards_takes_the_certainty_away_once(bench: Bench) -> None:
     await one_sent(bench)
-    guard = Guard(bench.vehicle, 0.001)
+    guard = WriteGuard(bench.vehicle, 0.001)
     bench.vehicle.change_state(armed=True)
     await stop(bench.handle, "the vehicle is armed", {X: 0.5}, guard)
     await look_back(bench.handle, guard)
@@ -175,7 +175,7 @@ async def test_a_restart_afterwards_takes_the_certainty_away_once(bench: Bench) 
             X, 0.0, 0.5, 0.5, certain=False, note="before the vehicle restarted", holds=Holds.UNKNOWN
         )
         assert failure(bench) == Failure("in-doubt", "the vehicle is armed", RESOLVE)
-    assert rows(bench, Step.STOPPED)[1:] == [{"reason": RESTARTED, "restarted": True}]
+    assert rows(bench, JournalStep.STOPPED)[1:] == [{"reason": RESTARTED, "restarted": True}]
     await bench.store.do(lambda: None)
     (event,) = events(bench, "standing")
     assert event.data == {"note": "before the vehicle restarted"}
@@ -183,18 +183,18 @@ async def test_a_restart_afterwards_takes_the_certainty_away_once(bench: Bench) 
 
 async def test_a_silence_afterwards_is_no_restart(bench: Bench) -> None:
     await one_sent(bench)
-    guard = Guard(bench.vehicle, 0.001)
+    guard = WriteGuard(bench.vehicle, 0.001)
     await stop(bench.handle, "enough", {X: 0.5}, guard)
     bench.handle.job = replace(bench.handle.job, standing=(replace(standing(bench), note="said before"),))
     bench.vehicle.change_state(silent=True)
     await look_back(bench.handle, guard)
     assert (standing(bench).certain, standing(bench).note) == (False, "said before")
-    assert len(rows(bench, Step.STOPPED)) == 1
+    assert len(rows(bench, JournalStep.STOPPED)) == 1
 
 
 async def test_what_was_uncertain_keeps_its_note(bench: Bench) -> None:
     await one_sent(bench)
-    guard = Guard(bench.vehicle, 0.001)
+    guard = WriteGuard(bench.vehicle, 0.001)
     await stop(bench.handle, "interrupted", {}, None)
     bench.vehicle.change_state(silent=True)
     await look_back(bench.handle, guard)
@@ -207,11 +207,11 @@ async def test_what_was_uncertain_keeps_its_note(bench: Bench) -> None:
 
 
 async def test_a_write_without_a_task_that_has_sent_nothing_goes_back_to_review(bench: Bench) -> None:
-    await bench.handle.record(Step.ACCEPTED)
+    await bench.handle.record(JournalStep.ACCEPTED)
     await doubt(bench.handle, "interrupted by a defect")
     assert bench.state == JobState.REVIEW
     remedy = "Nothing was written. Apply the plan again."
-    assert failure(bench) == Failure("interrupted", "interrupted by a defect", remedy)
+    assert failure(bench) == Unwritten("interrupted", "interrupted by a defect", remedy)
 
 
 @pytest.mark.parametrize("state", [JobState.APPLYING, JobState.ROLLING_BACK])

@@ -11,6 +11,7 @@ import pytest
 from mavcal.calib.errors import CalibError, FirmwareError, InvalidInputError
 from mavcal.calib.procedures.protocol import Prompt
 from mavcal.calib.recording import Identity
+from mavcal.calib.report import to_json
 from mavcal.service.errors import (
     AnswerRefused,
     Forbidden,
@@ -30,22 +31,26 @@ from mavcal.service.errors import (
 )
 from mavcal.service.jobs.codec import job_from_row, row_from_job
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.journal import BY_OPERATOR, Step
+from mavcal.service.jobs.journal import BY_OPERATOR, JournalStep
 from mavcal.service.jobs.model import Accept, Failure, Job
-from mavcal.service.jobs.planning import identity_to_json
 from mavcal.service.jobs.states import JobState
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import SnapshotPurpose
-from mavcal.service.testing import FakeFleet, FakeVehicle
+from tests.unit.jobs.fakes import FakeRegistry, FakeVehicle
 
+from .computations import FakeComputations
 from .conftest import OLD, QUICK, make_plan, until
 
-CONTEXT = {"identity": identity_to_json(Identity("ardupilot", 2, (4, 7, 0), "00112233", 1, 1))}
+CONTEXT = {"identity": to_json(Identity("ardupilot", 2, (4, 7, 0), "00112233", 1, 1))}
 
 
 @asynccontextmanager
 async def running(
-    vehicle: FakeVehicle, *jobs: Job, read_only: bool = False, store: SqliteStore | None = None
+    vehicle: FakeVehicle,
+    *jobs: Job,
+    read_only: bool = False,
+    store: SqliteStore | None = None,
+    computations: FakeComputations | None = None,
 ) -> AsyncIterator[JobEngine]:
     store = store or SqliteStore(None)
     for job in jobs:
@@ -53,7 +58,7 @@ async def running(
         if job.plan is not None:
             digest = job.plan.snapshot_sha256
             store.add_snapshot(job.id, 0.0, SnapshotPurpose.COMPOSED_ON, digest, vehicle.values())
-    engine = JobEngine(store, FakeFleet({vehicle.id: vehicle}), settings=QUICK, read_only=read_only)
+    engine = JobEngine(store, FakeRegistry({vehicle.id: vehicle}), computations, settings=QUICK, read_only=read_only)
     await engine.start()
     try:
         yield engine
@@ -76,9 +81,9 @@ def sent_one(store: SqliteStore, vehicle: FakeVehicle, job: Job) -> None:
     store.save_job(row_from_job(job))
     store.add_snapshot(job.id, 0.0, SnapshotPurpose.BEFORE_WRITE, "0" * 64, body)
     sent = {"name": first.name, "old": first.old, "new": first.new, "kind": "real32", "session": False}
-    store.add_journal(job.id, 0.0, Step.ACCEPTED, {})
-    store.add_journal(job.id, 0.0, Step.SEND, sent)
-    store.add_journal(job.id, 0.0, Step.ECHO, {"name": first.name, "value": first.new})
+    store.add_journal(job.id, 0.0, JournalStep.ACCEPTED, {})
+    store.add_journal(job.id, 0.0, JournalStep.SEND, sent)
+    store.add_journal(job.id, 0.0, JournalStep.ECHO, {"name": first.name, "value": first.new})
     vehicle.store(first.name, first.new)
 
 
@@ -133,7 +138,7 @@ async def test_a_foreign_autopilot_is_refused_at_once(vehicle: FakeVehicle) -> N
 async def test_one_physical_job_a_vehicle_and_any_number_of_vehicles(vehicle: FakeVehicle) -> None:
     other = FakeVehicle.with_floats(OLD, id="vehicle-2")
     store = SqliteStore(None)
-    engine = JobEngine(store, FakeFleet({vehicle.id: vehicle, other.id: other}), settings=QUICK)
+    engine = JobEngine(store, FakeRegistry({vehicle.id: vehicle, other.id: other}), settings=QUICK)
     await engine.start()
     first = await engine.submit(vehicle.id, "gyro")
     with pytest.raises(PhysicalJobRunning, match=first.id):
@@ -234,7 +239,7 @@ async def test_an_idempotency_key_writes_once(vehicle: FakeVehicle) -> None:
             await engine.apply("j1", replace(accept, reboot=True), "key")
         with pytest.raises(IllegalTransition):
             await engine.apply("j1", accept, "another key")
-        assert [row.step for row in store.journal("j1")].count(Step.ACCEPTED) == 1
+        assert [row.step for row in store.journal("j1")].count(JournalStep.ACCEPTED) == 1
         assert [row.action for row in store.audit()] == ["apply"]
 
 
@@ -282,7 +287,7 @@ async def test_an_accept_that_cannot_be_is_refused_before_the_vehicle_is_asked(v
 
 async def test_an_answer_that_the_prompt_takes_reaches_the_job_and_another_does_not(vehicle: FakeVehicle) -> None:
     async with running(vehicle, reviewed(vehicle)) as engine:
-        handle = engine._handle("j1")
+        handle = engine._book.handle("j1")
         with pytest.raises(AnswerRefused, match="it asks for no answer now"):
             await engine.answer("j1", "finish")
         handle.prompt(Prompt("prove", "Hold it.", answers=("finish",)))
@@ -299,7 +304,7 @@ async def test_who_takes_a_write_back_is_on_the_disk_before_it_begins(vehicle: F
     async with running(vehicle, done, store=store) as engine:
         sent_one(store, vehicle, done)
         assert (await engine.revert("j1", "a person")).state == JobState.ROLLING_BACK
-        (row,) = [row for row in store.journal("j1") if row.step == Step.ROLL_BACK]
+        (row,) = [row for row in store.journal("j1") if row.step == JournalStep.ROLL_BACK]
         assert row.data["because"] == BY_OPERATOR
         await until(lambda: engine.get("j1").state == JobState.REVERTED)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -16,6 +15,7 @@ from mavcal.calib.firmware.plan import Agreement
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.procedures.protocol import Prompt
 from mavcal.calib.recording import Identity, Sensor
+from mavcal.calib.report import from_json, to_json
 from mavcal.calib.triad import TriadModel
 from mavcal.service.errors import (
     Forbidden,
@@ -24,17 +24,20 @@ from mavcal.service.errors import (
     NotRevertible,
     OtherVehicle,
     PhysicalJobRunning,
+    RecordingUnknown,
     VehicleArmed,
 )
 from mavcal.service.jobs import adoption
+from mavcal.service.jobs import engine as engine_module
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.journal import Step
+from mavcal.service.jobs.journal import JournalStep
 from mavcal.service.jobs.model import Accept, Failure, Result
-from mavcal.service.jobs.planning import FROM_RECORDING, Planned, identity_from_json, origin_to_json
-from mavcal.service.jobs.states import JobState
+from mavcal.service.jobs.planning import FROM_RECORDING, Planned
+from mavcal.service.jobs.states import WRITING, JobState
 from mavcal.service.store.rows import SnapshotPurpose
-from mavcal.service.testing import FakeVehicle
+from tests.unit.jobs.fakes import FakeVehicle
 
+from .computations import FakeComputations
 from .conftest import OLD, make_plan, until
 from .test_engine import CONTEXT, reviewed, running
 from .test_engine_life import Idle, bare, kept, started
@@ -87,7 +90,7 @@ async def test_only_one_of_two_jobs_begins_while_the_vehicle_is_asked_who_it_is(
 
 async def test_a_job_keeps_what_was_asked_for(vehicle: FakeVehicle) -> None:
     async with started(kept(vehicle), vehicle) as engine:
-        engine._wall = lambda: 55.0
+        engine._wall = engine._book._wall = lambda: 55.0
         engine._runner.calibrate = Idle()  # type: ignore[method-assign]
         job = await engine.submit(vehicle.id, "gyro", {"uncertainty": 0.01}, {"only": ["gyro0"]})
         assert (job.vehicle_id, job.kind, job.state) == (vehicle.id, "gyro", JobState.QUEUED)
@@ -117,11 +120,21 @@ async def test_a_cancelled_job_asks_for_nothing_and_has_no_task(vehicle: FakeVeh
 
     async with started(kept(vehicle, bare(JobState.QUEUED)), vehicle, prepare) as engine:
         await until(lambda: idle.begun == ["j1"])
-        engine._handle("j1").prompt(Prompt("turn", "Turn it."))
+        engine._book.handle("j1").prompt(Prompt("turn", "Turn it."))
         job = await engine.cancel("j1")
         assert (job.state, job.prompt) == (JobState.CANCELLED, None)
         assert job.outcome == Failure("cancelled", "The operator cancelled it.", "")
         await until(lambda: engine._tasks.running == {})
+
+
+@pytest.mark.parametrize("state", sorted(set(JobState) - {JobState.INTERRUPTED} - WRITING))
+async def test_only_an_interrupted_job_is_fitted_again(vehicle: FakeVehicle, state: JobState) -> None:
+    async with started(kept(vehicle), vehicle) as engine:
+        engine._book._hold(bare(state))
+        with pytest.raises(IllegalTransition, match="only an interrupted job"):
+            await engine.refit("j1")
+        assert engine._tasks.running == {}
+        assert engine.get("j1").state == state
 
 
 async def test_a_job_that_is_fitted_again_has_no_outcome_and_is_fitted(vehicle: FakeVehicle) -> None:
@@ -131,6 +144,27 @@ async def test_a_job_that_is_fitted_again_has_no_outcome_and_is_fitted(vehicle: 
         engine._runner.fit = fitting  # type: ignore[method-assign]
         assert (await engine.refit("j1")).outcome is None
         await until(lambda: fitting.begun == ["j1"])
+
+
+async def test_every_request_is_answered_with_the_job_as_it_is_then(vehicle: FakeVehicle) -> None:
+    jobs = (
+        bare(JobState.WAITING_FOR_OPERATOR, id="asked"),
+        bare(JobState.RUNNING, id="stopped"),
+        bare(JobState.INTERRUPTED, id="fitted"),
+    )
+
+    def prepare(engine: JobEngine) -> None:
+        engine._runner.calibrate = engine._runner.fit = Idle()  # type: ignore[method-assign]
+
+    async with started(kept(vehicle, *jobs), vehicle, prepare) as engine:
+        engine._book.handle("asked").prompt(Prompt("turn", "Turn it.", answers=("finish",)))
+        for told, job_id in (
+            (await engine.answer("asked", "finish"), "asked"),
+            (await engine.cancel("stopped"), "stopped"),
+            (await engine.refit("fitted"), "fitted"),
+        ):
+            assert told is engine.get(job_id)
+        assert engine._book.handle("asked").answers.get_nowait() == "finish"
 
 
 # --- writing
@@ -144,7 +178,7 @@ async def test_two_accepts_at_once_are_one_write(vehicle: FakeVehicle) -> None:
         engine._applied = Idle()  # type: ignore[method-assign]
         both = await asyncio.gather(engine.apply("j1", accept), engine.apply("j1", accept), return_exceptions=True)
         assert sorted(type(one).__name__ for one in both) == ["IllegalTransition", "Job"]
-        assert [row.step for row in engine._store.journal("j1")].count(Step.ACCEPTED) == 1
+        assert [row.step for row in engine._store.journal("j1")].count(JournalStep.ACCEPTED) == 1
         assert len(engine._store.audit()) == 1
 
 
@@ -168,7 +202,7 @@ async def test_a_write_neither_begins_nor_is_taken_back_where_it_may_not(vehicle
     error: type[Exception] = PhysicalJobRunning if others else VehicleArmed
     async with running(vehicle, job, done) as engine:
         for other in others:
-            engine._hold(other)
+            engine._book._hold(other)
         if trouble == "armed":
             vehicle.change_state(armed=True)
         with pytest.raises(error):
@@ -177,6 +211,47 @@ async def test_a_write_neither_begins_nor_is_taken_back_where_it_may_not(vehicle
             await engine.revert("j2")
         assert engine._store.audit() == ()
         assert (engine.get("j1").state, engine.get("j2").state) == (JobState.REVIEW, JobState.SUCCEEDED)
+
+
+@pytest.mark.parametrize(
+    ("request_", "moment", "steps"),
+    [
+        ("apply", "checked", []),
+        ("apply", "audited", [JournalStep.ACCEPTED]),
+        ("revert", "audited", [JournalStep.ROLL_BACK]),
+    ],
+)
+async def test_another_job_that_begins_meanwhile_has_the_vehicle(
+    vehicle: FakeVehicle, monkeypatch: pytest.MonkeyPatch, request_: str, moment: str, steps: list[JournalStep]
+) -> None:
+    """Reading the vehicle and waiting for the disk take their time: who is there first is asked again after each."""
+    job = reviewed(vehicle)
+    assert job.plan is not None
+    accept = Accept(job.plan.sha256)
+    state = JobState.REVIEW
+    if request_ == "revert":
+        state = JobState.SUCCEEDED
+        job = replace(job, state=state, accept=accept)
+    async with running(vehicle, job) as engine:
+        audit = engine._audit
+
+        async def checked(*_: Any) -> None:
+            if moment == "checked":
+                engine._book._hold(bare(JobState.RUNNING, id="j3"))
+
+        async def audited(*told: Any) -> None:
+            await audit(*told)
+            if moment == "audited":
+                engine._book._hold(bare(JobState.RUNNING, id="j3"))
+
+        monkeypatch.setattr(engine_module, "check_plan", checked)
+        engine._audit = audited  # type: ignore[method-assign]
+        with pytest.raises(PhysicalJobRunning, match="j3"):
+            await (engine.apply("j1", accept) if request_ == "apply" else engine.revert("j1"))
+        assert engine.get("j1").state == state
+        assert [row.step for row in engine._store.journal("j1")] == steps
+        assert len(engine._store.audit()) == len(steps)
+        assert engine._tasks.running == {}
 
 
 async def test_what_wrote_nothing_cannot_be_taken_back(vehicle: FakeVehicle) -> None:
@@ -199,14 +274,11 @@ async def test_a_read_only_service_says_why_it_writes_nothing(vehicle: FakeVehic
 # --- a recording's job
 
 
-async def foreign() -> tuple[tuple[FitResult, ...], Origin]:
-    return (), Origin("px4", "other", (), {})
-
-
 async def test_a_recording_of_another_vehicle_fails_its_job_and_says_what_to_do(vehicle: FakeVehicle) -> None:
-    async with running(vehicle) as engine:
-        job = await engine.adopt(vehicle.id, foreign, {"recording": "a"})
-        assert (job.kind, job.state, job.options) == (FROM_RECORDING, JobState.FITTING, {"recording": "a"})
+    async with running(vehicle, computations=FakeComputations()) as engine:
+        job = await engine.adopt(vehicle.id, "a", "gyro-rest", {"window": 3})
+        assert (job.kind, job.state) == (FROM_RECORDING, JobState.FITTING)
+        assert job.options == {"recording": "a", "method": "gyro-rest", "options": {"window": 3}}
         await until(lambda: engine.get(job.id).state == JobState.FAILED)
         outcome = engine.get(job.id).outcome
         assert isinstance(outcome, Failure)
@@ -222,15 +294,14 @@ def gyro_fit(status: FitStatus = FitStatus.OK, instance: int = 0, **changes: Any
     return replace(fit, **changes)
 
 
-async def fitted(results: Sequence[FitResult]) -> tuple[Sequence[FitResult], Origin]:
-    return results, Origin("ardupilot", "00112233", (("gyro", 0, 1000),), {})
+OURS = Origin("ardupilot", "00112233", (("gyro", 0, 1000),), {})
 
 
 async def test_a_recording_becomes_a_plan_to_look_at_with_all_that_its_fits_say(vehicle: FakeVehicle) -> None:
     refused = gyro_fit(FitStatus.REFUSED, 1, message="it was moved", warnings=("too warm",))
     results = (gyro_fit(message="fine", warnings=("too short", "too warm")), refused)
-    async with running(vehicle) as engine:
-        job = await engine.adopt(vehicle.id, lambda: fitted(results), {}, {"keep_gyro_at_boot": True})
+    async with running(vehicle, computations=FakeComputations(results, OURS)) as engine:
+        job = await engine.adopt(vehicle.id, "a", "gyro-rest", {}, {"keep_gyro_at_boot": True})
         await until(lambda: engine.get(job.id).state != JobState.FITTING)
         ended = engine.get(job.id)
         assert (ended.state, ended.outcome) == (JobState.REVIEW, None)
@@ -240,8 +311,8 @@ async def test_a_recording_becomes_a_plan_to_look_at_with_all_that_its_fits_say(
         assert [change.name for change in ended.plan.changes] == ["INS_GYROFFS_X", "INS_GYROFFS_Y"]
         assert ended.fingerprint == ended.plan.fingerprint
         assert ended.context["plan_options"] == {"keep_gyro_at_boot": True}
-        assert ended.context["origin"] == origin_to_json((await fitted(()))[1])
-        assert identity_from_json(ended.context["identity"]) == vehicle.identity
+        assert ended.context["origin"] == to_json(OURS)
+        assert from_json(ended.context["identity"], Identity) == vehicle.identity
         assert engine._store.plan(job.id, ended.plan.sha256) is not None
         kept_on = engine._store.snapshot(job.id, SnapshotPurpose.COMPOSED_ON)
         assert kept_on is not None
@@ -253,8 +324,8 @@ async def test_a_recording_that_agrees_with_what_is_in_force_ends_with_nothing_t
 ) -> None:
     plan = replace(make_plan(vehicle), changes=(), agreements=(Agreement(Sensor.GYRO, 0, 0.4, "gyro 1 agrees"),))
     monkeypatch.setattr(adoption, "make_plan", lambda *_: Planned(plan, vehicle.values()))
-    async with running(vehicle) as engine:
-        job = await engine.adopt(vehicle.id, lambda: fitted((gyro_fit(),)), {})
+    async with running(vehicle, computations=FakeComputations((gyro_fit(),), OURS)) as engine:
+        job = await engine.adopt(vehicle.id, "a", "gyro-rest", {})
         await until(lambda: engine.get(job.id).state != JobState.FITTING)
         ended = engine.get(job.id)
         assert ended.state == JobState.SUCCEEDED
@@ -263,24 +334,30 @@ async def test_a_recording_that_agrees_with_what_is_in_force_ends_with_nothing_t
 
 
 async def test_a_recording_is_not_adopted_where_a_job_could_not_begin(vehicle: FakeVehicle) -> None:
-    async with running(vehicle) as engine:
+    async with running(vehicle, computations=FakeComputations()) as engine:
         with pytest.raises(InvalidInputError):
-            await engine.adopt(vehicle.id, foreign, {}, {"keep_gyros": True})
+            await engine.adopt(vehicle.id, "a", "gyro-rest", {}, {"keep_gyros": True})
+        with pytest.raises(InvalidInputError):
+            await engine.adopt(vehicle.id, "a", "no-method", {})
+        with pytest.raises(InvalidInputError, match="the option window is nan"):
+            await engine.adopt(vehicle.id, "a", "gyro-rest", {"window": float("nan")})
+        with pytest.raises(RecordingUnknown):
+            await engine.adopt(vehicle.id, "z", "gyro-rest", {})
         vehicle.change_state(armed=True)
         with pytest.raises(VehicleArmed):
-            await engine.adopt(vehicle.id, foreign, {})
-        engine._hold(bare(JobState.RUNNING))
+            await engine.adopt(vehicle.id, "a", "gyro-rest", {})
+        engine._book._hold(bare(JobState.RUNNING))
         with pytest.raises(PhysicalJobRunning):
-            await engine.adopt(vehicle.id, foreign, {})
+            await engine.adopt(vehicle.id, "a", "gyro-rest", {})
 
 
 async def test_a_vehicle_that_is_armed_meanwhile_is_not_planned_for(vehicle: FakeVehicle) -> None:
-    async def arming() -> tuple[tuple[FitResult, ...], Origin]:
+    work = FakeComputations((gyro_fit(),), OURS)
+    work.go.clear()
+    async with running(vehicle, computations=work) as engine:
+        job = await engine.adopt(vehicle.id, "a", "gyro-rest", {})
         vehicle.change_state(armed=True)
-        return await foreign()
-
-    async with running(vehicle) as engine:
-        job = await engine.adopt(vehicle.id, arming, {})
+        work.go.set()
         await until(lambda: engine.get(job.id).state == JobState.FAILED)
         outcome = engine.get(job.id).outcome
         assert isinstance(outcome, Failure)
@@ -300,11 +377,11 @@ async def test_a_plan_made_again_replaces_the_old_one_and_is_kept(vehicle: FakeV
         assert (again.state, again.outcome) == (JobState.REVIEW, None)
         assert again.fingerprint == again.plan.fingerprint
         assert again.context["plan_options"] == {"keep_gyro_at_boot": True}
-        assert identity_from_json(again.context["identity"]) == vehicle.identity
+        assert from_json(again.context["identity"], Identity) == vehicle.identity
         assert engine._store.plan("j1", again.plan.sha256) is not None
         same = await engine.plan_again("j1")
         assert same.context["plan_options"] == {"keep_gyro_at_boot": True}
-        await engine._handle("j1").kept()
+        await engine._book.handle("j1").kept()
         told = [e.data for e in engine._store.events("j1") if e.kind == "plan"]
         assert told[0] == {"sha256": again.plan.sha256}
 

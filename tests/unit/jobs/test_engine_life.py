@@ -14,15 +14,16 @@ from mavcal.service.errors import JobUnknown
 from mavcal.service.jobs.codec import row_from_job
 from mavcal.service.jobs.engine import JobEngine
 from mavcal.service.jobs.handle import JobHandle
-from mavcal.service.jobs.journal import Step
+from mavcal.service.jobs.journal import JournalStep
 from mavcal.service.jobs.model import Accept, Failure, Job
 from mavcal.service.jobs.planning import FROM_RECORDING
 from mavcal.service.jobs.settings import JobSettings
 from mavcal.service.jobs.states import JobState
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import SnapshotPurpose
-from mavcal.service.testing import FakeFleet, FakeVehicle
+from tests.unit.jobs.fakes import FakeRegistry, FakeVehicle
 
+from .computations import FakeComputations
 from .conftest import OLD, QUICK, until
 from .test_engine import CONTEXT, reviewed, sent_one
 
@@ -58,9 +59,13 @@ Prepare = Callable[[JobEngine], None]
 
 @asynccontextmanager
 async def started(
-    store: SqliteStore, vehicle: FakeVehicle, prepare: Prepare = lambda _: None, settings: JobSettings = QUICK
+    store: SqliteStore,
+    vehicle: FakeVehicle,
+    prepare: Prepare = lambda _: None,
+    settings: JobSettings = QUICK,
+    computations: FakeComputations | None = None,
 ) -> AsyncIterator[JobEngine]:
-    engine = JobEngine(store, FakeFleet({vehicle.id: vehicle}), settings=settings)
+    engine = JobEngine(store, FakeRegistry({vehicle.id: vehicle}), computations, settings=settings)
     prepare(engine)
     await engine.start()
     try:
@@ -100,15 +105,16 @@ async def test_a_fit_that_was_interrupted_is_made_again(vehicle: FakeVehicle) ->
         assert capturing.begun == []
 
 
-async def test_the_fit_of_an_uploaded_recording_is_not_made_again_and_says_so(vehicle: FakeVehicle) -> None:
-    job = bare(JobState.FITTING, kind=FROM_RECORDING)
-    async with started(kept(vehicle, job), vehicle) as engine:
-        ended = engine.get("j1")
-        assert ended.state == JobState.FAILED
-        cause = "The service was stopped while it fitted the recording."
-        remedy = "Ask for the job again; the recording is kept."
-        assert ended.outcome == Failure("fit-interrupted", cause, remedy)
-        assert engine._tasks.running == {}
+async def test_the_fit_of_an_uploaded_recording_is_made_again(vehicle: FakeVehicle) -> None:
+    options = {"recording": "a", "method": "gyro-rest", "options": {}}
+    job = bare(JobState.FITTING, kind=FROM_RECORDING, options=options)
+    work = FakeComputations()
+    async with started(kept(vehicle, job), vehicle, computations=work) as engine:
+        await until(lambda: engine.get("j1").state == JobState.FAILED)
+        assert work.ended == 1
+        outcome = engine.get("j1").outcome
+        assert isinstance(outcome, Failure)
+        assert outcome.code == "other-vehicle"
 
 
 @pytest.mark.parametrize("state", [JobState.REVIEW, JobState.FAILED, JobState.SUCCEEDED, JobState.CANCELLED])
@@ -116,11 +122,11 @@ async def test_rates_that_a_job_has_left_changed_are_put_back_at_the_start(
     vehicle: FakeVehicle, state: JobState
 ) -> None:
     store = kept(vehicle, bare(state))
-    store.add_journal("j1", 0.0, Step.STREAMS, {"intervals": {"27": 4000}})
+    store.add_journal("j1", 0.0, JournalStep.STREAMS, {"intervals": {"27": 4000}})
     async with started(store, vehicle, settings=replace(QUICK, review_s=0.01)) as engine:
         await until(lambda: vehicle.message_intervals == {27: 4000})
         await engine.tidied()
-        assert store.journal("j1")[-1].step == Step.STREAMS_RESTORED
+        assert store.journal("j1")[-1].step == JournalStep.STREAMS_RESTORED
         assert engine.get("j1").state == state
 
 
@@ -187,9 +193,9 @@ async def test_a_write_without_a_plan_stays_in_doubt_and_has_no_task(vehicle: Fa
 
 async def test_a_stopped_service_leaves_its_jobs_as_they_are(vehicle: FakeVehicle) -> None:
     store = kept(vehicle, bare(JobState.RUNNING))
-    store.add_journal("j1", 0.0, Step.STREAMS, {"intervals": {"27": 4000}})
+    store.add_journal("j1", 0.0, JournalStep.STREAMS, {"intervals": {"27": 4000}})
     capturing = Idle()
-    engine = JobEngine(store, FakeFleet({vehicle.id: vehicle}), settings=QUICK)
+    engine = JobEngine(store, FakeRegistry({vehicle.id: vehicle}), settings=QUICK)
     engine._runner.calibrate = capturing  # type: ignore[method-assign]
     await engine.start()
     await until(lambda: capturing.begun == ["j1"])
@@ -210,7 +216,7 @@ async def test_a_service_that_stops_while_writes_are_alone_takes_nothing_else_up
     write = reviewed(vehicle, state=JobState.APPLYING)
     store = kept(vehicle, write, bare(JobState.RUNNING, id="j2", vehicle_id="other"))
     sent_one(store, vehicle, write)
-    engine = JobEngine(store, FakeFleet({vehicle.id: vehicle}), settings=QUICK)
+    engine = JobEngine(store, FakeRegistry({vehicle.id: vehicle}), settings=QUICK)
     capturing = Idle()
     engine._runner.calibrate = capturing  # type: ignore[method-assign]
     await engine.start()
@@ -236,7 +242,7 @@ async def test_progress_of_a_job_that_is_over_is_dropped_but_for_the_last(vehicl
 
     async with started(store, vehicle, prepare) as engine:
         await until(lambda: not engine._tasks.running)
-        await engine._handle("j1").kept()
+        await engine._book.handle("j1").kept()
         left = [event.data for event in store.events("j1") if event.kind == "progress"]
         assert left == [{"current": 4}]
 
@@ -258,7 +264,7 @@ async def test_an_accepted_write_begins_with_an_attempt_that_runs(vehicle: FakeV
         assert now.last_write is not None
         assert (now.last_write.result, now.last_write.at, now.last_write.sent) == ("running", 77.0, 0)
         (step,) = store.journal("j1")
-        assert step.step == Step.ACCEPTED
+        assert step.step == JournalStep.ACCEPTED
         assert step.data == {"plan_sha256": job.plan.sha256, "actor": "a person", "reboot": True}
         (said,) = store.audit()
         assert (said.at, said.actor, said.action, said.subject) == (77.0, "a person", "apply", "j1")
@@ -284,7 +290,7 @@ async def test_who_takes_a_write_back_is_in_the_audit(vehicle: FakeVehicle) -> N
     store = kept(vehicle, done)
     sent_one(store, vehicle, done)
     async with started(store, vehicle) as engine:
-        engine._handle("j1").job = replace(engine.get("j1"), prompt=None)
+        engine._book.handle("j1").job = replace(engine.get("j1"), prompt=None)
         await engine.revert("j1", "a person")
         (said,) = store.audit()
         assert (said.actor, said.action, said.subject, said.detail) == ("a person", "revert", "j1", {})

@@ -20,7 +20,7 @@ from mavcal.service.jobs.model import Accept, Job
 from mavcal.service.jobs.states import ENDED, WRITING, JobState
 from mavcal.service.jobs.write import Writing
 from mavcal.service.store import SqliteStore
-from mavcal.service.testing import FakeFleet, FakeVehicle
+from tests.unit.jobs.fakes import FakeRegistry, FakeVehicle
 
 from .conftest import NEW, OLD, QUICK, FakeCheck, float32
 from .test_engine import reviewed
@@ -94,7 +94,7 @@ class Engine(JobEngine):
     check: FakeCheck = field(default_factory=FakeCheck)
 
     def __init__(self, store: SqliteStore, vehicle: FakeVehicle, reach: Callable[[At], None], check: FakeCheck) -> None:
-        super().__init__(store, FakeFleet({vehicle.id: vehicle}), settings=QUICK, reach=reach)
+        super().__init__(store, FakeRegistry({vehicle.id: vehicle}), settings=QUICK, reach=reach)
         self.check = check
 
     def _attempt(self, job: Job, handle: JobHandle) -> Writing:

@@ -132,3 +132,30 @@ async def test_an_event_that_was_never_announced_is_read_from_the_store(watched:
     watched.tell("b")
     await until(lambda: watched.ids == [2, 3, 4])
     await ended(reading, watched)
+
+
+@pytest.mark.parametrize("job_id", ["a", None])
+async def test_a_reader_gets_only_what_comes_behind_its_place(watched: Watched, job_id: str | None) -> None:
+    """Also of events that are in memory alone: its place may be ahead of the store, say of one that was put back."""
+    reading = asyncio.create_task(watched.follow(job_id, after=2))
+    await until(lambda: bool(watched.feed._news))
+    for _ in range(4):
+        watched.tell("a")
+    await until(lambda: len(watched.read) >= 2)
+    await ended(reading, watched)
+    assert watched.ids == [3, 4]
+
+
+async def test_no_more_events_are_in_memory_than_twice_the_recent_ones(
+    watched: Watched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(feed_module, "RECENT", 3)
+    reading = asyncio.create_task(watched.follow(None))
+    sizes = []
+    for k in range(20):
+        watched.tell("a")
+        await until(lambda: len(watched.read) == k + 1)  # noqa: B023
+        sizes.append(len(watched.feed._recent))
+    await ended(reading, watched)
+    assert max(sizes) < 6
+    assert min(sizes[5:]) >= 3

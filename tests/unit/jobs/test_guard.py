@@ -7,8 +7,8 @@ import pytest
 
 from mavcal.calib.recording import Identity
 from mavcal.service.errors import WriteStopped
-from mavcal.service.jobs.guard import Guard
-from mavcal.service.testing import FakeVehicle
+from mavcal.service.jobs.guard import WriteGuard
+from tests.unit.jobs.fakes import FakeVehicle
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def vehicle() -> FakeVehicle:
 def test_what_stops_a_write_and_what_it_puts_in_doubt(
     vehicle: FakeVehicle, trouble: dict[str, Any], reason: str | None, doubt: str | None
 ) -> None:
-    guard = Guard(vehicle, 0.001)
+    guard = WriteGuard(vehicle, 0.001)
     vehicle.change_state(**trouble)
     if reason is None:
         guard.check()
@@ -48,7 +48,7 @@ def test_what_stops_a_write_and_what_it_puts_in_doubt(
 
 
 def test_another_unit_under_the_same_address_stops_a_write(vehicle: FakeVehicle) -> None:
-    guard = Guard(vehicle, 0.001)
+    guard = WriteGuard(vehicle, 0.001)
     vehicle.identity = Identity("ardupilot", 2, (4, 7, 0), "ffff", 1, 1)
     with pytest.raises(WriteStopped, match="another vehicle answers"):
         guard.check()
@@ -56,13 +56,13 @@ def test_another_unit_under_the_same_address_stops_a_write(vehicle: FakeVehicle)
 
 
 def test_a_restart_is_the_reason_and_not_what_it_brings_about(vehicle: FakeVehicle) -> None:
-    guard = Guard(vehicle, 0.001)
+    guard = WriteGuard(vehicle, 0.001)
     vehicle.change_state(reboots=1, silent=True, calibrating=True, peer="127.0.0.1:9", obstacles=("unknown ground",))
     assert guard.reason() == "the vehicle restarted by itself"
 
 
 def test_an_awaited_restart_brings_its_own_address(vehicle: FakeVehicle) -> None:
-    guard = Guard(vehicle, 0.001)
+    guard = WriteGuard(vehicle, 0.001)
     vehicle.change_state(reboots=1, peer="127.0.0.1:14560")
     guard.expect_restart()
     guard.check()
@@ -72,7 +72,7 @@ def test_an_awaited_restart_brings_its_own_address(vehicle: FakeVehicle) -> None
 
 
 async def test_what_waits_for_an_answer_is_abandoned_as_soon_as_the_peer_moves(vehicle: FakeVehicle) -> None:
-    guard = Guard(vehicle, 30.0)  # only the news of a frame may wake it
+    guard = WriteGuard(vehicle, 30.0)  # only the news of a frame may wake it
     abandoned = asyncio.Event()
 
     async def forever() -> None:

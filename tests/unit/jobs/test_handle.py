@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import cast
 
 import pytest
 
+from mavcal.calib.procedures.protocol import Progress
+from mavcal.service.errors import DiskFull
 from mavcal.service.jobs import handle as handle_module
+from mavcal.service.jobs.codec import job_from_row
 from mavcal.service.jobs.handle import JobHandle, counting
 from mavcal.service.jobs.model import Job
 from mavcal.service.jobs.states import JobState
@@ -38,6 +42,23 @@ def test_what_is_counted_estimates_the_rest_from_the_pace_so_far(
     assert progress.text == "reading: 10 of 40"
 
 
+async def test_progress_is_announced_as_soon_as_it_may_be_and_not_before() -> None:
+    store = SqliteStore(None)
+    now = [10.0]
+    job = Job("j1", "v", "gyro", {}, JobState.RUNNING, 0.0, 0.0)
+    handle = JobHandle(job, store, lambda _: None, progress_s=0.5, clock=lambda: now[0])
+    handle.change("state", {})
+    for k, at in enumerate((10.0, 10.25, 10.5, 10.75, 11.25)):
+        now[0] = at
+        handle.progress(Progress(float(k), 9.0, "", ""))
+        assert handle.job.progress is not None
+        assert handle.job.progress.current == k  # who asks is told each
+    await handle.kept()
+    told = [event.data["current"] for event in store.events("j1") if event.kind == "progress"]
+    store.close()
+    assert told == [0, 2, 4]
+
+
 def test_a_warning_is_kept_once_and_a_prompt_replaces_another(handle: JobHandle) -> None:
     handle.warn("slow")
     handle.warn("slow")
@@ -45,3 +66,19 @@ def test_a_warning_is_kept_once_and_a_prompt_replaces_another(handle: JobHandle)
     assert handle.job.warnings == ("slow", "slower")
     handle.prompt(None)
     assert handle.job.prompt is None
+
+
+async def test_a_change_counts_as_kept_only_when_it_is_on_the_disk(handle: JobHandle) -> None:
+    """What found the disk full is tried again, and who waits for it is told as long as it fails."""
+    store = cast(SqliteStore, handle.store)
+    pages = store._db.execute("PRAGMA page_count").fetchone()[0]
+    store._db.execute(f"PRAGMA max_page_count = {pages}")
+    handle.change("note", {}, context={"filler": "x" * 100_000})
+    with pytest.raises(DiskFull):
+        await handle.kept()
+    store._db.execute("PRAGMA max_page_count = 100000")
+    await handle.kept()
+    row = store.job("j1")
+    assert row is not None
+    assert job_from_row(row).context == handle.job.context
+    assert [event.kind for event in store.events("j1")] == ["state", "note"]

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from mavcal.calib.firmware.plan import Change, Fingerprint, ParameterKind, Value, WritePlan
-from mavcal.service.jobs.journal import Next, Step, decide, fold, same
+from mavcal.service.jobs.journal import JournalStep, Next, decide, fold, same
 from mavcal.service.store.rows import JournalRow
 
 REAL = ParameterKind.REAL32
@@ -20,20 +20,20 @@ def plan(*, session: bool = False, reboot: bool = False) -> WritePlan:
     return WritePlan(Fingerprint("px4", "u", "1", ()), "0" * 64, changes if session else changes[1:])
 
 
-def rows(*steps: tuple[Step, dict[str, Any]]) -> list[JournalRow]:
+def rows(*steps: tuple[JournalStep, dict[str, Any]]) -> list[JournalRow]:
     return [JournalRow(i, "j", 0.0, step.value, data) for i, (step, data) in enumerate(steps)]
 
 
-def send(name: str, new: Value = 0.5, old: Value = 0.0, *, session: bool = False) -> tuple[Step, dict[str, Any]]:
+def send(name: str, new: Value = 0.5, old: Value = 0.0, *, session: bool = False) -> tuple[JournalStep, dict[str, Any]]:
     kind = "int32" if session else "real32"
-    return Step.SEND, {"name": name, "old": old, "new": new, "kind": kind, "session": session}
+    return JournalStep.SEND, {"name": name, "old": old, "new": new, "kind": kind, "session": session}
 
 
-def echo(name: str, value: Value = 0.5) -> tuple[Step, dict[str, Any]]:
-    return Step.ECHO, {"name": name, "value": value}
+def echo(name: str, value: Value = 0.5) -> tuple[JournalStep, dict[str, Any]]:
+    return JournalStep.ECHO, {"name": name, "value": value}
 
 
-ACCEPTED: tuple[Step, dict[str, Any]] = (Step.ACCEPTED, {})
+ACCEPTED: tuple[JournalStep, dict[str, Any]] = (JournalStep.ACCEPTED, {})
 ALL = (ACCEPTED, send("A"), echo("A"), send("B", 0.25), echo("B", 0.25))
 NEW = {"A": 0.5, "B": 0.25}
 
@@ -42,55 +42,67 @@ NEW = {"A": 0.5, "B": 0.25}
     ("steps", "values", "expected"),
     [
         ((ACCEPTED,), {}, Next.NOTHING_SENT),
-        ((ACCEPTED, (Step.SNAPSHOT, {"sha256": "0"})), {}, Next.NOTHING_SENT),
+        ((ACCEPTED, (JournalStep.SNAPSHOT, {"sha256": "0"})), {}, Next.NOTHING_SENT),
         ((ACCEPTED, send("A")), {"A": 0.0}, Next.ROLL_BACK),
         ((ACCEPTED, send("A")), {"A": 0.5}, Next.ROLL_BACK),  # B was never sent
         (ALL, NEW, Next.VERIFY),
         (ALL[:-1], NEW, Next.VERIFY),  # the echo was lost with the crash; the vehicle says it is there
         (ALL, {"A": 0.5, "B": 0.0}, Next.ROLL_BACK),
         (ALL, {"A": 0.5, "B": 0.7}, Next.ROLL_BACK),  # somebody else's value
-        ((*ALL, (Step.ROLL_BACK, {"because": "x"})), NEW, Next.ROLL_BACK),  # never forward again
-        ((*ALL, (Step.VERIFIED, {})), NEW, Next.FINISH),
-        ((*ALL, (Step.VERIFIED, {})), {"A": 0.5, "B": 0.7}, Next.ROLL_BACK),
+        ((*ALL, (JournalStep.ROLL_BACK, {"because": "x"})), NEW, Next.ROLL_BACK),  # never forward again
+        ((*ALL, (JournalStep.VERIFIED, {})), NEW, Next.FINISH),
+        ((*ALL, (JournalStep.VERIFIED, {})), {"A": 0.5, "B": 0.7}, Next.ROLL_BACK),
     ],
 )
-def test_what_follows(steps: tuple[tuple[Step, dict[str, Any]], ...], values: dict[str, Value], expected: Next) -> None:
+def test_what_follows(
+    steps: tuple[tuple[JournalStep, dict[str, Any]], ...], values: dict[str, Value], expected: Next
+) -> None:
     assert decide(fold(rows(*steps)), plan(), values) == expected
 
 
 def test_a_reboot_is_asked_for_once() -> None:
     assert decide(fold(rows(*ALL)), plan(reboot=True), NEW) == Next.REBOOT
-    assert decide(fold(rows(*ALL, (Step.REBOOT, {}))), plan(reboot=True), NEW) == Next.REBOOT
-    assert decide(fold(rows(*ALL, (Step.REBOOT, {}), (Step.REBOOTED, {}))), plan(reboot=True), NEW) == Next.VERIFY
+    assert decide(fold(rows(*ALL, (JournalStep.REBOOT, {}))), plan(reboot=True), NEW) == Next.REBOOT
+    assert (
+        decide(fold(rows(*ALL, (JournalStep.REBOOT, {}), (JournalStep.REBOOTED, {}))), plan(reboot=True), NEW)
+        == Next.VERIFY
+    )
 
 
 def test_a_session_setting_may_be_back_once_the_write_is_verified() -> None:
     steps = (ACCEPTED, send("S", 0, 1, session=True), echo("S", 0), *ALL[1:])
     back = {**NEW, "S": 1}
     assert decide(fold(rows(*steps)), plan(session=True), back) == Next.ROLL_BACK
-    assert decide(fold(rows(*steps, (Step.VERIFIED, {}))), plan(session=True), back) == Next.FINISH
-    third = fold(rows(*steps, (Step.VERIFIED, {}), (Step.RESTORED, {"name": "S", "value": 7})))
+    assert decide(fold(rows(*steps, (JournalStep.VERIFIED, {}))), plan(session=True), back) == Next.FINISH
+    third = fold(rows(*steps, (JournalStep.VERIFIED, {}), (JournalStep.RESTORED, {"name": "S", "value": 7})))
     assert decide(third, plan(session=True), {**NEW, "S": 7}) == Next.FINISH
 
 
 def test_a_new_accept_begins_anew_but_owes_the_message_rates() -> None:
-    record = fold(rows((Step.STREAMS, {"intervals": {"26": 0}}), *ALL, (Step.ROLL_BACK, {"because": "x"}), ACCEPTED))
+    record = fold(
+        rows((JournalStep.STREAMS, {"intervals": {"26": 0}}), *ALL, (JournalStep.ROLL_BACK, {"because": "x"}), ACCEPTED)
+    )
     assert (record.sent, record.rolling_back) == ((), None)
     assert record.intervals == {26: 0}
 
 
 def test_the_first_rates_are_the_ones_to_restore() -> None:
     record = fold(
-        rows((Step.STREAMS, {"intervals": {"26": 0}}), (Step.STREAMS, {"intervals": {"26": 20000, "27": -1}}))
+        rows(
+            (JournalStep.STREAMS, {"intervals": {"26": 0}}),
+            (JournalStep.STREAMS, {"intervals": {"26": 20000, "27": -1}}),
+        )
     )
     assert record.intervals == {26: 0, 27: -1}
-    assert fold(rows((Step.STREAMS, {"intervals": {"26": 0}}), (Step.STREAMS_RESTORED, {}))).intervals == {}
+    assert (
+        fold(rows((JournalStep.STREAMS, {"intervals": {"26": 0}}), (JournalStep.STREAMS_RESTORED, {}))).intervals == {}
+    )
 
 
 def test_the_first_reason_of_a_stop_stays_but_silence_was_a_restart() -> None:
-    silent = (Step.STOPPED, {"reason": "silent", "silent": True})
-    restarted = (Step.STOPPED, {"reason": "restarted", "restarted": True})
-    armed = (Step.STOPPED, {"reason": "armed", "restarted": False})
+    silent = (JournalStep.STOPPED, {"reason": "silent", "silent": True})
+    restarted = (JournalStep.STOPPED, {"reason": "restarted", "restarted": True})
+    armed = (JournalStep.STOPPED, {"reason": "armed", "restarted": False})
     assert fold(rows(*ALL, silent, restarted, armed)).stopped == "restarted"
     assert fold(rows(*ALL, armed, restarted)).stopped == "armed"
     assert fold(rows(*ALL, armed, restarted)).restarted

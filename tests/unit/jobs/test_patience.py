@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from mavcal.calib.procedures.protocol import Prompt
 from mavcal.calib.recording import Identity
 from mavcal.service.errors import VehicleBusy
 from mavcal.service.jobs.handle import JobHandle
@@ -13,7 +14,7 @@ from mavcal.service.jobs.patience import until_idle
 from mavcal.service.jobs.settings import JobSettings
 from mavcal.service.jobs.states import JobState
 from mavcal.service.store import SqliteStore
-from mavcal.service.testing import FakeVehicle
+from tests.unit.jobs.fakes import FakeVehicle
 
 from .conftest import QUICK, MakeBench, until
 
@@ -61,6 +62,14 @@ async def test_a_px4_that_has_just_started_is_left_alone(handle: JobHandle) -> N
     assert handle.job.progress.target == handle.job.progress.current + 7.0
     vehicle.change_state(boot_time=10.5)
     await waiting
+
+
+async def test_who_waits_for_nothing_leaves_the_prompt_as_it_is(handle: JobHandle) -> None:
+    asked = Prompt("turn", "Turn it.", rotate=True)
+    handle.prompt(asked)
+    await until_idle(handle, FakeVehicle({}), QUICK)
+    assert handle.job.prompt == asked
+    assert handle.job.progress is None
 
 
 async def test_a_write_waits_for_it_and_then_goes_on(make_bench: MakeBench) -> None:

@@ -13,6 +13,7 @@ from mavcal.calib.firmware.slots import CALIBRATED
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.procedures.registry import PROCEDURES, specification
 from mavcal.calib.recording import Identity, Sensor
+from mavcal.calib.report import from_json, to_json
 from mavcal.calib.triad import TriadModel
 from mavcal.service.errors import CaptureEnded, OtherVehicle
 from mavcal.service.jobs.model import Job
@@ -22,11 +23,7 @@ from mavcal.service.jobs.planning import (
     checked_plan_options,
     confirmed,
     foresee,
-    identity_from_json,
-    identity_to_json,
     nothing_to_write,
-    origin_from_json,
-    origin_to_json,
     require_origin,
     require_sensors_of,
 )
@@ -43,8 +40,8 @@ def test_plan_options_are_those_of_composing() -> None:
 
 def test_identity_survives() -> None:
     identity = Identity("px4", 2, (1, 16, 0), "abc", 1, 1)
-    assert identity_from_json(identity_to_json(identity)) == identity
-    assert identity_from_json(identity_to_json(Identity())) == Identity()
+    assert from_json(to_json(identity), Identity) == identity
+    assert from_json(to_json(Identity()), Identity) == Identity()
 
 
 def accel_job(state: JobState, *, at: float = 1.0, temperature: float = 31.0) -> Job:
@@ -150,7 +147,7 @@ def test_a_job_of_another_sensor_says_nothing_of_accelerometers_and_a_log_may() 
 
 def test_where_a_recording_comes_from_survives_and_is_held_to() -> None:
     origin = Origin("px4", "0002aa", (("gyro", 0, 7),), {"SENS_BOARD_ROT": 0})
-    again = origin_from_json(json.loads(json.dumps(origin_to_json(origin))))
+    again = from_json(json.loads(json.dumps(to_json(origin))), Origin)
     assert again == origin
     require_origin(origin, PX4, {"CAL_GYRO0_ID": 7, "SENS_BOARD_ROT": 0})
     with pytest.raises(OtherVehicle, match="not for this vehicle: gyro 1 had the device id 7"):

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from mavcal.calib.firmware.plan import ParameterVerdict, SensorCheck, SensorVerdict, Verdict, Verification
+from mavcal.calib.firmware.plan import ParameterVerdict, ProofVerdict, SensorCheck, SensorVerdict, Verification
 from mavcal.calib.recording import Sensor
 from mavcal.service.api.views import job_model
 from mavcal.service.commands.review import good as is_good
@@ -11,10 +11,10 @@ from mavcal.service.jobs.model import Attempt, Failure, Job, Outcome, Result, Wr
 from mavcal.service.jobs.proof import ProofLevel, Unproved, proof_of
 from mavcal.service.jobs.states import JobState
 
-P, C, N = Verdict.PROVED, Verdict.CONSISTENT, Verdict.NOT_OBSERVABLE
+P, C, N = ProofVerdict.PROVED, ProofVerdict.CONSISTENT, ProofVerdict.NOT_OBSERVABLE
 
 
-def checked(*verdicts: Verdict, silent: int = 0) -> Verification:
+def checked(*verdicts: ProofVerdict, silent: int = 0) -> Verification:
     acting = [ParameterVerdict(f"A{i}", v, 1.0, 0.1, "", f"because {v}") for i, v in enumerate(verdicts)]
     flags = [ParameterVerdict(f"F{i}", N, 0.0, 0.0, "", "a flag", acts_on_stream=False) for i in range(silent)]
     return Verification((*acting, *flags))

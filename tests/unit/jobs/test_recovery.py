@@ -9,7 +9,7 @@ import pytest
 from mavcal.calib.firmware.plan import ParameterKind
 from mavcal.calib.procedures.protocol import Prompt
 from mavcal.service.jobs.codec import row_from_job
-from mavcal.service.jobs.journal import Sent, Step
+from mavcal.service.jobs.journal import JournalStep, Sent
 from mavcal.service.jobs.model import Failure, Holds, Job, Result, Standing
 from mavcal.service.jobs.recovery import Unfinished, beginning, ending, left_over
 from mavcal.service.jobs.states import JobState
@@ -77,8 +77,8 @@ def test_only_jobs_that_claim_a_vehicle_are_left_over_with_what_their_journal_sa
     for job in jobs:
         store.save_job(row_from_job(job))
     sent = {"name": "X", "old": 1.0, "new": 2.0, "kind": "real32", "session": False}
-    store.add_journal("j1", 0.0, Step.ACCEPTED, {})
-    store.add_journal("j1", 0.0, Step.SEND, sent)
+    store.add_journal("j1", 0.0, JournalStep.ACCEPTED, {})
+    store.add_journal("j1", 0.0, JournalStep.SEND, sent)
     (found,) = left_over(store, jobs)
     assert (found.job.id, found.names, found.writing, found.ended) == ("j1", "X", True, False)
     (standing,) = found.standing

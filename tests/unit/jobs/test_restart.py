@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
+from collections.abc import Sequence
 
 import pytest
 
 from mavcal.calib.recording import Identity
 from mavcal.service.errors import WriteFailed, WriteStopped
-from mavcal.service.jobs.journal import Step
+from mavcal.service.jobs.journal import JournalStep
 from mavcal.service.jobs.restart import PREFLIGHT_REBOOT_SHUTDOWN, restart
+from mavcal.service.vehicle.commands import check_allowed
 
 from .conftest import Bench, MakeBench, until
 
@@ -42,7 +44,7 @@ async def test_an_accepted_restart_is_commanded_and_waited_for(make_bench: MakeB
     assert not working.done()
     restarted(bench)
     await working
-    assert [s for s in steps(bench) if s.startswith("reboot")] == [Step.REBOOT, Step.REBOOTED]
+    assert [s for s in steps(bench) if s.startswith("reboot")] == [JournalStep.REBOOT, JournalStep.REBOOTED]
 
 
 async def test_without_an_accept_the_operator_is_asked_and_nothing_is_commanded(make_bench: MakeBench) -> None:
@@ -55,7 +57,7 @@ async def test_without_an_accept_the_operator_is_asked_and_nothing_is_commanded(
     restarted(bench)
     await working
     assert bench.handle.job.prompt is None
-    assert Step.REBOOT not in steps(bench)
+    assert JournalStep.REBOOT not in steps(bench)
 
 
 async def test_a_vehicle_that_refuses_to_restart_has_the_operator_asked(make_bench: MakeBench) -> None:
@@ -87,7 +89,7 @@ async def test_another_vehicle_that_comes_back_is_not_written_to(make_bench: Mak
     restarted(bench)
     with pytest.raises(WriteFailed, match="another vehicle came back"):
         await working
-    assert Step.REBOOTED not in steps(bench)
+    assert JournalStep.REBOOTED not in steps(bench)
 
 
 async def test_one_that_does_not_say_who_it_is_is_taken_for_the_same(make_bench: MakeBench) -> None:
@@ -112,3 +114,20 @@ async def test_one_that_never_restarts_stops_the_write(make_bench: MakeBench) ->
     bench = make_bench(reboot=True)
     with pytest.raises(WriteStopped, match="did not restart within 0 s"):
         await restart(bench.attempt())
+
+
+async def test_what_is_commanded_is_a_plain_restart_of_the_autopilot_which_the_guard_of_commands_lets_through(
+    make_bench: MakeBench,
+) -> None:
+    """MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: 1 restarts it; other arguments mean another unit, or the bootloader."""
+    bench = make_bench(reboot=True)
+    sent: list[tuple[int, tuple[float, ...]]] = []
+
+    async def command(number: int, params: Sequence[float]) -> None:
+        check_allowed(number, params)
+        sent.append((number, tuple(params)))
+        restarted(bench)
+
+    bench.vehicle.command = command  # type: ignore[method-assign]
+    await restart(bench.attempt())
+    assert sent == [(246, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))]

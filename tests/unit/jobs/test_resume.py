@@ -13,11 +13,12 @@ from mavcal.calib.procedures.protocol import Prompt
 from mavcal.calib.recording import Identity
 from mavcal.service.errors import VehicleUnknown
 from mavcal.service.jobs.crashpoints import At
-from mavcal.service.jobs.journal import BY_OPERATOR, Step
+from mavcal.service.jobs.journal import BY_OPERATOR, JournalStep
 from mavcal.service.jobs.model import Failure, Result
 from mavcal.service.jobs.states import JobState
 from mavcal.service.jobs.transaction import Transaction
 from mavcal.service.jobs.write import Writing
+from tests.patience import scaled
 
 from .conftest import NEW, OLD, QUICK, Bench, Killed, MakeBench, float32, until
 
@@ -134,7 +135,7 @@ async def test_nothing_that_was_sent_is_closed_in_the_journal_and_back_in_review
 @pytest.mark.parametrize("sent", [False, True])
 async def test_rates_are_put_back_before_a_write_is_closed(make_bench: MakeBench, sent: bool) -> None:
     bench = make_bench()
-    bench.store.add_journal("j1", 0.0, Step.STREAMS, {"intervals": {"27": 4000}})
+    bench.store.add_journal("j1", 0.0, JournalStep.STREAMS, {"intervals": {"27": 4000}})
     bench.vehicle.message_intervals[27] = 20000
     again = await crashed(bench, At.ECHO_KEPT if sent else At.SNAPSHOT_KEPT)
     await again.transaction.resolve()
@@ -145,7 +146,7 @@ async def test_rates_are_put_back_before_a_write_is_closed(make_bench: MakeBench
 
 async def test_rates_are_put_back_after_a_good_write(make_bench: MakeBench) -> None:
     bench = make_bench()
-    bench.store.add_journal("j1", 0.0, Step.STREAMS, {"intervals": {"27": 4000}})
+    bench.store.add_journal("j1", 0.0, JournalStep.STREAMS, {"intervals": {"27": 4000}})
     await bench.apply()
     assert bench.vehicle.message_intervals == {27: 4000}
     assert steps(bench)[-2:] == ["streams_restored", "closed"]
@@ -156,14 +157,14 @@ async def test_a_write_that_is_taken_back_is_closed(make_bench: MakeBench) -> No
     await again.transaction.resolve()
     assert again.state == JobState.REVERTED
     assert again.held() == BEFORE
-    (row,) = [row for row in again.store.journal("j1") if row.step == Step.ROLL_BACK]
+    (row,) = [row for row in again.store.journal("j1") if row.step == JournalStep.ROLL_BACK]
     assert row.data["because"] == "the service was interrupted while it wrote"
     assert steps(again)[-1] == "closed"
 
 
 async def test_a_cause_that_was_noted_first_is_that_of_the_taking_back(make_bench: MakeBench) -> None:
     again = await crashed(make_bench(), At.ECHO_KEPT)
-    again.store.add_journal("j1", 0.0, Step.STOPPED, {"reason": "the vehicle is armed"})
+    again.store.add_journal("j1", 0.0, JournalStep.STOPPED, {"reason": "the vehicle is armed"})
     await again.transaction.resolve()
     assert isinstance(again.handle.job.outcome, Failure)
     assert again.handle.job.outcome.cause == "the vehicle is armed."
@@ -172,7 +173,7 @@ async def test_a_cause_that_was_noted_first_is_that_of_the_taking_back(make_benc
 async def test_a_taking_back_that_the_operator_asked_for_is_gone_on_with_as_such(make_bench: MakeBench) -> None:
     bench = make_bench()
     await bench.apply()
-    await bench.handle.record(Step.ROLL_BACK, because=BY_OPERATOR)
+    await bench.handle.record(JournalStep.ROLL_BACK, because=BY_OPERATOR)
     bench.handle.move(JobState.ROLLING_BACK)
     again = bench.restarted()
     again.handle.move(JobState.IN_DOUBT)
@@ -250,7 +251,7 @@ async def test_a_defect_while_a_write_is_taken_up_does_not_strand_it(make_bench:
 async def test_a_taking_back_whose_vehicle_has_gone_is_in_doubt_and_made_later(make_bench: MakeBench) -> None:
     bench = make_bench()
     await bench.apply()
-    await bench.handle.record(Step.ROLL_BACK, because=BY_OPERATOR)
+    await bench.handle.record(JournalStep.ROLL_BACK, because=BY_OPERATOR)
     bench.handle.move(JobState.ROLLING_BACK)
     seen: list[JobState] = []
 
@@ -324,3 +325,11 @@ async def test_a_doubt_is_over_when_it_is_taken_up(make_bench: MakeBench) -> Non
     await again.transaction.resolve()
     assert seen == [(JobState.VERIFYING, None, ())]
     assert again.state == JobState.SUCCEEDED
+
+
+async def test_a_write_that_is_resolved_waits_for_nothing_more(make_bench: MakeBench) -> None:
+    """The pause is for the next try; its task claims the vehicle as long as it lasts."""
+    again = await crashed(make_bench(), At.ECHO_KEPT)
+    async with asyncio.timeout(scaled(20.0)):
+        await Transaction(again.handle, again.attempt, 3600.0).resolve()
+    assert again.state == JobState.REVERTED

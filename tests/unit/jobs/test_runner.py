@@ -13,17 +13,17 @@ import pytest
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.procedures.protocol import GaveUp
 from mavcal.calib.recording import Identity
+from mavcal.calib.report import to_json
 from mavcal.service.errors import CaptureEnded, CaptureLost, CommandTimeout
 from mavcal.service.jobs import runner as runner_module
 from mavcal.service.jobs.digest import Fitted
 from mavcal.service.jobs.handle import JobHandle
 from mavcal.service.jobs.model import Failure, Job
-from mavcal.service.jobs.planning import identity_to_json
 from mavcal.service.jobs.runner import KEPT, Runner
 from mavcal.service.jobs.states import JobState
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import SegmentPurpose
-from mavcal.service.testing import FakeFleet, FakeVehicle
+from tests.unit.jobs.fakes import FakeRegistry, FakeVehicle
 
 from .conftest import QUICK, until
 
@@ -53,15 +53,15 @@ def store() -> Iterator[SqliteStore]:
 
 
 def job(store: SqliteStore, state: JobState) -> JobHandle:
-    context = {"identity": identity_to_json(IDENTITY)}
+    context = {"identity": to_json(IDENTITY)}
     handle = JobHandle(Job("j1", "vehicle-1", "gyro", {}, state, 0.0, 0.0, context=context), store, lambda _: None)
     handle.change("state", {})
     return handle
 
 
-def runner(fitted: Any = None, fleet: FakeFleet | None = None) -> Runner:
+def runner(fitted: Any = None, registry: FakeRegistry | None = None) -> Runner:
     vehicle = FakeVehicle({})
-    return Runner(fleet or FakeFleet({vehicle.id: vehicle}), QUICK, AtOnce(fitted), tuple)
+    return Runner(registry or FakeRegistry({vehicle.id: vehicle}), QUICK, AtOnce(fitted), tuple)
 
 
 @pytest.mark.parametrize(
@@ -108,13 +108,13 @@ async def test_a_capture_that_fails_ends_the_job_in_its_own_way(
 
 
 async def test_a_vehicle_is_waited_for_until_it_is_heard(store: SqliteStore) -> None:
-    fleet = FakeFleet()
+    registry = FakeRegistry()
     handle = job(store, JobState.RUNNING)
-    waiting = asyncio.create_task(runner(fleet=fleet).vehicle(handle))
+    waiting = asyncio.create_task(runner(registry=registry).vehicle(handle))
     await asyncio.sleep(0.01)
     vehicle = FakeVehicle({})
     vehicle.change_state(silent=True)
-    fleet.vehicles[vehicle.id] = vehicle
+    registry.vehicles[vehicle.id] = vehicle
     await asyncio.sleep(0.01)
     assert not waiting.done()
     vehicle.change_state(silent=False)
@@ -123,7 +123,7 @@ async def test_a_vehicle_is_waited_for_until_it_is_heard(store: SqliteStore) -> 
 
 async def test_one_that_never_comes_back_is_given_up_and_the_recording_kept(store: SqliteStore) -> None:
     now = [0.0]
-    waited = runner(fleet=FakeFleet())
+    waited = runner(registry=FakeRegistry())
     waited.clock = lambda: now[0]
     task = asyncio.create_task(waited.vehicle(job(store, JobState.RUNNING)))
     await asyncio.sleep(0.01)

@@ -14,21 +14,22 @@ from mavcal.calib.firmware.plan import Agreement
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.procedures.protocol import Done, Progress, Prompt
 from mavcal.calib.recording import Identity, Sensor
+from mavcal.calib.report import from_json, to_json
 from mavcal.calib.triad import TriadModel
 from mavcal.service.errors import CaptureDisturbed
 from mavcal.service.jobs import runner as runner_module
-from mavcal.service.jobs.digest import FitRequest, Fitted
+from mavcal.service.jobs.digest import Fitted, JobFitRequest
 from mavcal.service.jobs.handle import JobHandle
 from mavcal.service.jobs.model import Result
-from mavcal.service.jobs.planning import Planned, identity_from_json, identity_to_json
+from mavcal.service.jobs.planning import Planned
 from mavcal.service.jobs.port import Condition
 from mavcal.service.jobs.runner import Runner
 from mavcal.service.jobs.spans import SET_ASIDE
 from mavcal.service.jobs.states import JobState
-from mavcal.service.jobs.write import Settled, Writing, read_back
+from mavcal.service.jobs.write import Settling, Writing, read_back
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import SegmentPurpose, SnapshotPurpose
-from mavcal.service.testing import FakeFleet, FakeVehicle
+from tests.unit.jobs.fakes import FakeRegistry, FakeVehicle
 
 from .conftest import OLD, QUICK, MakeBench, make_plan, until
 from .test_runner import IDENTITY, AtOnce, job, runner, store
@@ -60,7 +61,7 @@ async def test_a_capture_that_is_done_is_fitted_with_what_it_recorded(
 ) -> None:
     handle = job(store, JobState.QUEUED)
     vehicle = FakeVehicle({}, identity=Identity("ardupilot", 2, (4, 6, 0), "77", 1, 1))
-    runs = runner(fleet=FakeFleet({vehicle.id: vehicle}))
+    runs = runner(registry=FakeRegistry({vehicle.id: vehicle}))
     states: list[JobState] = []
 
     async def record(_self: object) -> None:
@@ -78,7 +79,7 @@ async def test_a_capture_that_is_done_is_fitted_with_what_it_recorded(
     assert states == [JobState.RUNNING, JobState.FITTING]
     assert [(span.start_byte, span.end_byte) for span in handle.job.segments] == [(4, 10)]
     assert handle.job.prompt is None
-    assert identity_from_json(handle.job.context["identity"]) == vehicle.identity
+    assert from_json(handle.job.context["identity"], Identity) == vehicle.identity
 
 
 async def test_a_capture_that_goes_on_keeps_the_identity_of_its_beginning(
@@ -86,7 +87,7 @@ async def test_a_capture_that_goes_on_keeps_the_identity_of_its_beginning(
 ) -> None:
     handle = job(store, JobState.RUNNING)
     vehicle = FakeVehicle({}, identity=Identity("ardupilot", 2, (4, 6, 0), "77", 1, 1))
-    runs = runner(fleet=FakeFleet({vehicle.id: vehicle}))
+    runs = runner(registry=FakeRegistry({vehicle.id: vehicle}))
 
     async def nothing(*_: object) -> None:
         return None
@@ -94,7 +95,7 @@ async def test_a_capture_that_goes_on_keeps_the_identity_of_its_beginning(
     monkeypatch.setattr(runner_module.Capture, "run", nothing)
     monkeypatch.setattr(runs, "fit", nothing)
     await runs.calibrate(handle)
-    assert handle.job.context == {"identity": identity_to_json(IDENTITY)}
+    assert handle.job.context == {"identity": to_json(IDENTITY)}
 
 
 async def test_a_fit_is_asked_for_with_all_that_it_depends_on_and_becomes_a_plan(store: SqliteStore) -> None:
@@ -105,13 +106,13 @@ async def test_a_fit_is_asked_for_with_all_that_it_depends_on_and_becomes_a_plan
     )
     asking = Asking(Fitted(Done(results, "enough"), dict(PARAMETERS)))
     vehicle = FakeVehicle({})
-    runs = Runner(FakeFleet({vehicle.id: vehicle}), QUICK, asking, tuple)
+    runs = Runner(FakeRegistry({vehicle.id: vehicle}), QUICK, asking, tuple)
     context = {**handle.job.context, "answers": [[1.5, "finish"]], "plan_options": {"keep_gyro_at_boot": True}}
     handle.change("x", {}, context=context, warnings=("said before",), options={"a": 1})
     handle.prompt(Prompt("wait", "Wait."))
     await runs.fit(handle)
     (request,) = asking.requests
-    assert request == FitRequest("gyro", {"a": 1}, (), IDENTITY.system, 0.0, ((1.5, "finish"),))
+    assert request == JobFitRequest("gyro", {"a": 1}, (), IDENTITY.system, 0.0, ((1.5, "finish"),))
     now = handle.job
     assert (now.state, now.outcome, now.prompt) == (JobState.REVIEW, None, None)
     assert now.results == results
@@ -162,7 +163,7 @@ async def test_a_rest_that_begins_again_forgets_its_answers_and_what_it_showed(
     monkeypatch.setattr(runs, "fit", nothing)
     await runs.calibrate(handle)
     assert handle.job.context == {
-        "identity": identity_to_json(IDENTITY), "plan_options": {}, SET_ASIDE: rows[0].id
+        "identity": to_json(IDENTITY), "plan_options": {}, SET_ASIDE: rows[0].id
     }  # fmt: skip
     assert handle.job.progress is None
     assert handle.job.warnings == ("it calibrated itself: the capture begins again",)
@@ -172,8 +173,8 @@ async def test_a_rest_that_begins_again_forgets_its_answers_and_what_it_showed(
     assert told == {"segments": 1}
 
 
-@pytest.mark.parametrize("stage", [Settled.KEPT, Settled.SAVED])
-async def test_nothing_is_read_back_before_the_vehicle_has_saved(make_bench: MakeBench, stage: Settled) -> None:
+@pytest.mark.parametrize("stage", [Settling.KEPT, Settling.SAVED])
+async def test_nothing_is_read_back_before_the_vehicle_has_saved(make_bench: MakeBench, stage: Settling) -> None:
     bench = make_bench()
     bench.vehicle.change_state(boot_time=100.0)
     settings = replace(QUICK, settle_s={"ardupilot": 9.0}, save_s={"ardupilot": 9.0})
@@ -200,21 +201,21 @@ async def test_nothing_is_read_back_before_the_vehicle_has_saved(make_bench: Mak
 async def test_what_a_write_waits_for_is_saving_where_a_restart_follows(
     make_bench: MakeBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    waited: list[Settled] = []
+    waited: list[Settling] = []
     settle = Writing.settle
 
-    async def noted(self: Writing, until_then: Settled = Settled.KEPT) -> None:
+    async def noted(self: Writing, until_then: Settling = Settling.KEPT) -> None:
         waited.append(until_then)
         await settle(self, until_then)
 
     monkeypatch.setattr(Writing, "settle", noted)
     await make_bench().apply()
-    assert waited[0] == Settled.KEPT
-    assert Settled.SAVED not in waited
+    assert waited[0] == Settling.KEPT
+    assert Settling.SAVED not in waited
     waited.clear()
     bench = make_bench(reboot=True, accept_reboot=False)
     running = asyncio.create_task(bench.apply())
     await until(lambda: bench.state == JobState.WAITING_FOR_REBOOT)
     bench.vehicle.change_state(reboots=1)
     await running
-    assert waited[:2] == [Settled.SAVED, Settled.RESTARTED]
+    assert waited[:2] == [Settling.SAVED, Settling.RESTARTED]

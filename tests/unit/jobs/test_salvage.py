@@ -10,16 +10,16 @@ from pathlib import Path
 
 import pytest
 
-from mavcal.calib.report import plan_to_json
+from mavcal.calib.report import to_json
 from mavcal.service.errors import PhysicalJobRunning
 from mavcal.service.jobs.codec import row_from_job
 from mavcal.service.jobs.engine import JobEngine
-from mavcal.service.jobs.journal import Step
+from mavcal.service.jobs.journal import JournalStep
 from mavcal.service.jobs.model import Job
 from mavcal.service.jobs.states import JobState
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import SnapshotPurpose
-from mavcal.service.testing import FakeFleet, FakeVehicle
+from tests.unit.jobs.fakes import FakeRegistry, FakeVehicle
 
 from .conftest import NEW, OLD, QUICK, float32, make_plan, until
 
@@ -41,11 +41,11 @@ def half_written(folder: Path, vehicle: FakeVehicle, *, keep_plan: bool = True) 
         old[change.name] = {"value": change.old, "kind": change.kind.value}
     store.add_snapshot("w1", 1.0, SnapshotPurpose.BEFORE_WRITE, "0" * 64, old)
     if keep_plan:
-        store.add_plan("w1", plan.sha256, 1.0, plan_to_json(plan))
-    store.add_journal("w1", 1.0, Step.ACCEPTED, {"plan_sha256": plan.sha256, "actor": "a", "reboot": False})
+        store.add_plan("w1", plan.sha256, 1.0, to_json(plan))
+    store.add_journal("w1", 1.0, JournalStep.ACCEPTED, {"plan_sha256": plan.sha256, "actor": "a", "reboot": False})
     first = plan.changes[0]
     announced = {"name": first.name, "old": first.old, "new": first.new, "kind": first.kind.value, "session": False}
-    store.add_journal("w1", 1.0, Step.SEND, announced)
+    store.add_journal("w1", 1.0, JournalStep.SEND, announced)
     store.close()
     vehicle.store(first.name, first.new)
 
@@ -61,7 +61,7 @@ def damage(folder: Path, job_id: str, body: bytes) -> None:
 @asynccontextmanager
 async def started(folder: Path, vehicle: FakeVehicle) -> AsyncIterator[JobEngine]:
     store = SqliteStore(folder)
-    engine = JobEngine(store, FakeFleet({vehicle.id: vehicle}), settings=QUICK)
+    engine = JobEngine(store, FakeRegistry({vehicle.id: vehicle}), settings=QUICK)
     try:
         await engine.start()
         yield engine
@@ -113,7 +113,7 @@ async def test_an_interrupted_write_is_finished_before_any_other_job_goes_on(tmp
     half_written(tmp_path, vehicle)
     store = SqliteStore(tmp_path)
     store.save_job(row_from_job(Job("f1", "vehicle-2", "gyro", {}, JobState.FITTING, 2.0, 2.0, context={})))
-    engine = JobEngine(store, FakeFleet({vehicle.id: vehicle}), settings=QUICK)
+    engine = JobEngine(store, FakeRegistry({vehicle.id: vehicle}), settings=QUICK)
     seen: list[JobState] = []
     engine._runner.fit = lambda handle: _noted(seen, engine)  # type: ignore[method-assign]
     await engine.start()

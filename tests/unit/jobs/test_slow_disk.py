@@ -11,10 +11,10 @@ from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 
 from mavcal.service.jobs.handle import JobHandle
-from mavcal.service.jobs.journal import Step
+from mavcal.service.jobs.journal import JournalStep
 from mavcal.service.jobs.states import JobState
 from mavcal.service.store import SqliteStore
-from mavcal.service.testing import FakeVehicle
+from tests.unit.jobs.fakes import FakeVehicle
 
 from .conftest import NEW, OLD, MakeBench, float32, until
 from .test_engine import reviewed, running
@@ -67,7 +67,7 @@ async def test_no_commit_of_a_write_waits_on_the_event_loop(make_bench: MakeBenc
     assert bench.state == JobState.SUCCEEDED
     assert store.threads
     assert threading.get_ident() not in store.threads
-    assert store.journal("j1")[-1].step == Step.CLOSED
+    assert store.journal("j1")[-1].step == JournalStep.CLOSED
 
 
 async def test_no_request_for_a_job_waits_for_the_disk_on_the_event_loop(tmp_path: Path) -> None:
@@ -107,7 +107,7 @@ async def test_a_parameter_is_sent_only_when_its_announcement_is_on_the_disk(
 
 async def test_what_was_begun_is_finished_before_a_cancelled_step_ends(make_bench: MakeBench, tmp_path: Path) -> None:
     bench = make_bench(store=SlowStore(tmp_path))
-    recording = asyncio.create_task(bench.handle.record(Step.STREAMS, intervals={"30": 0}))
+    recording = asyncio.create_task(bench.handle.record(JournalStep.STREAMS, intervals={"30": 0}))
     await asyncio.sleep(0)
     recording.cancel()
     await asyncio.wait({recording})
@@ -127,7 +127,7 @@ async def test_a_change_that_found_the_disk_full_is_kept_before_the_next_step(ma
     assert kept is not None
     assert kept.state == "applying"
     store._db.execute("PRAGMA max_page_count = 100000")
-    await bench.handle.record(Step.VERIFIED)
+    await bench.handle.record(JournalStep.VERIFIED)
     kept = store.job("j1")
     assert kept is not None
     assert kept.state == "verifying"

@@ -14,7 +14,7 @@ from mavcal.service.jobs.spans import close_span, open_span
 from mavcal.service.jobs.states import JobState
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import SegmentPurpose
-from mavcal.service.testing import FakeVehicle
+from tests.unit.jobs.fakes import FakeVehicle
 
 
 @pytest.mark.parametrize(("log", "end"), [("same.tlog", 6), ("new.tlog", 10)])

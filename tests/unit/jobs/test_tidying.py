@@ -9,13 +9,13 @@ import pytest
 
 from mavcal.service.errors import CommandTimeout
 from mavcal.service.jobs.handle import JobHandle
-from mavcal.service.jobs.journal import Step
+from mavcal.service.jobs.journal import JournalStep
 from mavcal.service.jobs.model import Job
 from mavcal.service.jobs.states import JobState
 from mavcal.service.jobs.streams import ask_for_streams, restore_streams
 from mavcal.service.jobs.tidying import Tidying
 from mavcal.service.store import SqliteStore
-from mavcal.service.testing import FakeVehicle
+from tests.unit.jobs.fakes import FakeVehicle
 
 from .conftest import until
 
@@ -87,18 +87,20 @@ async def test_a_review_that_is_not_accepted_has_them_put_back() -> None:
     changed.store.close()
 
 
-async def test_another_jobs_capture_and_write_do_not_wait_for_the_accept(changed: Changed) -> None:
-    for begin in (changed.tidying.before_capture, changed.tidying.before_write):
-        first = await changed.asked(f"first {begin.__name__}")
-        changed.tidying.begin(first)
-        await begin(changed.job(f"second {begin.__name__}", JobState.RUNNING))
-        assert changed.put_back
+@pytest.mark.parametrize("begin", ["capture", "write"])
+async def test_another_jobs_capture_and_write_do_not_wait_for_the_accept(changed: Changed, begin: str) -> None:
+    changed.tidying.begin(await changed.asked("first"))
+    if begin == "capture":
+        await changed.tidying.before_capture("v")
+    else:
+        await changed.tidying.before_write(changed.job("second", JobState.RUNNING))
+    assert changed.put_back
 
 
 async def test_a_job_that_changed_nothing_leaves_nothing_to_do(changed: Changed) -> None:
     changed.tidying.begin(changed.job("one"))
     assert changed.tidying.tasks == set()
-    await changed.tidying.before_capture(changed.job("two"))
+    await changed.tidying.before_capture("v")
 
 
 async def test_rates_that_cannot_be_put_back_are_said_and_kept_for_later(changed: Changed) -> None:
@@ -127,4 +129,4 @@ async def test_warnings_of_a_slow_link_are_kept(changed: Changed) -> None:
     handle = changed.job("one")
     await ask_for_streams(handle, changed.vehicle, {27: 50.0})
     assert handle.job.warnings == ("the link is slow",)
-    assert [row.step for row in changed.store.journal("one")] == [Step.STREAMS]
+    assert [row.step for row in changed.store.journal("one")] == [JournalStep.STREAMS]

@@ -12,9 +12,9 @@ from mavcal.calib.firmware.plan import ParameterKind
 from mavcal.calib.recording import Identity
 from mavcal.service.errors import DiskFull
 from mavcal.service.jobs.crashpoints import At
-from mavcal.service.jobs.journal import BY_OPERATOR, Step
-from mavcal.service.jobs.model import Failure, Result
-from mavcal.service.jobs.port import Reading
+from mavcal.service.jobs.journal import BY_OPERATOR, JournalStep
+from mavcal.service.jobs.model import Failure, Result, Unwritten
+from mavcal.service.jobs.port import ParameterReading
 from mavcal.service.jobs.states import JobState
 
 from .conftest import NEW, OLD, QUICK, Bench, Killed, MakeBench, float32, until
@@ -67,17 +67,17 @@ async def test_nothing_is_sent_to_a_vehicle_that_is_not_ready(make_bench: MakeBe
     await bench.apply()
     assert bench.state == JobState.REVIEW
     assert bench.vehicle.sets == []
-    assert isinstance(bench.handle.job.outcome, Failure)
+    assert isinstance(bench.handle.job.outcome, Unwritten)
     assert bench.handle.job.outcome.code == ("vehicle-busy" if "calibrating" in trouble else "write-stopped")
 
 
 async def test_a_parameter_that_counted_as_absent_but_is_there_stops_the_write(make_bench: MakeBench) -> None:
     bench = make_bench()
-    bench.vehicle.parameters["INS_TCAL1_ENABLE"] = Reading("INS_TCAL1_ENABLE", 1.0, ParameterKind.REAL32)
+    bench.vehicle.parameters["INS_TCAL1_ENABLE"] = ParameterReading("INS_TCAL1_ENABLE", 1.0, ParameterKind.REAL32)
     await bench.apply()
     assert bench.state == JobState.REVIEW
     assert bench.vehicle.sets == []
-    assert isinstance(bench.handle.job.outcome, Failure)
+    assert isinstance(bench.handle.job.outcome, Unwritten)
     assert bench.handle.job.outcome.code == "plan-changed"
     assert bench.handle.job.outcome.cause.startswith("INS_TCAL1_ENABLE did not answer when")
 
@@ -94,7 +94,7 @@ async def test_a_plan_for_something_else_is_not_written(make_bench: MakeBench, c
     await bench.apply()
     assert bench.state == JobState.REVIEW
     assert bench.vehicle.sets == []
-    assert isinstance(bench.handle.job.outcome, Failure)
+    assert isinstance(bench.handle.job.outcome, Unwritten)
     assert bench.handle.job.outcome.code == "plan-changed"
     assert "lan again" in bench.handle.job.outcome.cause
 
@@ -367,7 +367,7 @@ async def test_a_session_setting_that_somebody_else_set_is_named_in_a_success(ma
 async def test_revert_of_a_finished_write(make_bench: MakeBench) -> None:
     bench = make_bench()
     await bench.apply()
-    await bench.handle.record(Step.ROLL_BACK, because=BY_OPERATOR)
+    await bench.handle.record(JournalStep.ROLL_BACK, because=BY_OPERATOR)
     bench.handle.move(JobState.ROLLING_BACK)
     await bench.transaction.revert()
     assert bench.state == JobState.REVERTED
@@ -527,4 +527,4 @@ def test_settings_give_each_autopilot_time_to_save() -> None:
 def test_every_step_is_understood_by_recovery() -> None:
     from mavcal.service.jobs.journal import _FOLDS
 
-    assert set(_FOLDS) == set(Step)
+    assert set(_FOLDS) == set(JournalStep)

@@ -11,7 +11,7 @@ from mavcal.calib.firmware.proof.movement import FACES
 from mavcal.calib.procedures.protocol import Pose
 from mavcal.service.errors import CaptureEnded
 from mavcal.service.jobs.verify import POLL_S, Window, proving
-from mavcal.service.testing import FakeVehicle
+from tests.unit.jobs.fakes import FakeVehicle
 
 from .conftest import QUICK
 

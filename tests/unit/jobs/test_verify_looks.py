@@ -18,33 +18,36 @@ from mavcal.calib.firmware.plan import (
     Movement,
     ParameterKind,
     ParameterVerdict,
+    ProofVerdict,
     SensorCheck,
     SensorVerdict,
     Value,
-    Verdict,
     Verification,
 )
 from mavcal.calib.procedures.protocol import Progress, Prompt
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from mavcal.service.errors import CaptureEnded, WriteFailed
 from mavcal.service.jobs import verify as verify_module
-from mavcal.service.jobs.guard import Guard
+from mavcal.service.jobs.guard import WriteGuard
 from mavcal.service.jobs.settings import JobSettings
-from mavcal.service.jobs.verify import ATTITUDE_HZ, FINISH, HOLD_STILL, STEP_S, StreamCheck, Window, proving
+from mavcal.service.jobs.verify import ATTITUDE_HZ, FINISH, HOLD_STILL, STEP_S, StreamProof, Window, proving
 from mavcal.service.store.rows import SegmentPurpose
 
 from .conftest import QUICK, Bench, MakeBench
 
 ATTITUDE = 30
-PROVED = Verification((ParameterVerdict("X", Verdict.PROVED, 1.0, 0.1, "", ""),))
+PROVED = Verification((ParameterVerdict("X", ProofVerdict.PROVED, 1.0, 0.1, "", ""),))
 UNSEEN = replace(PROVED, unseen=("X", "Y"))
 REFUTED = replace(
     PROVED,
     sensors=(SensorCheck("gyro_zero", Sensor.GYRO, 0, 1.0, 0.1, "", 0.1, SensorVerdict.WRONG, "gyro 1 reads wrong"),),
 )
-GONE = Verification((ParameterVerdict("X", Verdict.CONTRADICTED, 1.0, 0.1, "", ""),), unseen=("Y",))
+GONE = Verification((ParameterVerdict("X", ProofVerdict.CONTRADICTED, 1.0, 0.1, "", ""),), unseen=("Y",))
 OPEN = Verification(
-    (ParameterVerdict("X", Verdict.PROVED, 1.0, 0.1, "", ""), ParameterVerdict("Y", Verdict.CONSISTENT, 1, 1, "", "")),
+    (
+        ParameterVerdict("X", ProofVerdict.PROVED, 1.0, 0.1, "", ""),
+        ParameterVerdict("Y", ProofVerdict.CONSISTENT, 1, 1, "", ""),
+    ),
     Movement("Turn it.", turn=True),
 )
 
@@ -81,7 +84,7 @@ class Looks:
 
     async def judged(self) -> Verification:
         handle = self.bench.handle
-        check = StreamCheck(handle, self.bench.vehicle, self.bench.plan, self.prove_s, self.settings)
+        check = StreamProof(handle, self.bench.vehicle, self.bench.plan, self.prove_s, self.settings)
         left = list(self.verdicts)
         looks = self
 
@@ -99,7 +102,7 @@ class Looks:
         self.monkeypatch.setattr(handle, "progress", self.told.append)
         prompt = handle.prompt
         self.monkeypatch.setattr(handle, "prompt", lambda p: (self.asked.append(p), prompt(p)))
-        return await check.after(Guard(self.bench.vehicle, 0.01), {})
+        return await check.after(WriteGuard(self.bench.vehicle, 0.01), {})
 
     @property
     def seen(self) -> list[Progress]:
@@ -197,10 +200,10 @@ async def test_without_a_stream_the_write_cannot_be_checked_and_its_segment_is_c
     async def none(_window: Window, _seconds: float) -> Recording:
         raise CaptureEnded("the vehicle sends no inertial data", remedy="")
 
-    check = StreamCheck(one.bench.handle, one.bench.vehicle, one.bench.plan, 0.0, one.settings)
+    check = StreamProof(one.bench.handle, one.bench.vehicle, one.bench.plan, 0.0, one.settings)
     monkeypatch.setattr(Window, "extend", none)
     with pytest.raises(WriteFailed, match="cannot be checked: the vehicle sends no inertial data"):
-        await check.after(Guard(one.bench.vehicle, 0.01), {})
+        await check.after(WriteGuard(one.bench.vehicle, 0.01), {})
     (row,) = one.bench.store.segments("j1", SegmentPurpose.AFTER)
     assert row.end_byte is not None
 
@@ -228,9 +231,9 @@ async def test_each_window_has_its_streams_asked_for_and_the_attitude_where_a_tr
 
     monkeypatch.setattr(verify_module, "ask_for_streams", streams)
     monkeypatch.setattr(Window, "extend", extend)
-    check = StreamCheck(one.bench.handle, one.bench.vehicle, plan, 0.0, one.settings)
+    check = StreamProof(one.bench.handle, one.bench.vehicle, plan, 0.0, one.settings)
     monkeypatch.setattr(check, "_verify", verdict)
-    guard = Guard(one.bench.vehicle, 0.01)
+    guard = WriteGuard(one.bench.vehicle, 0.01)
     await (check.before(guard) if stage == "before" else check.after(guard, {}))
     (rates,) = asked
     assert rates.get(ATTITUDE) == (ATTITUDE_HZ if trim else None)
@@ -243,7 +246,7 @@ async def test_each_window_has_its_streams_asked_for_and_the_attitude_where_a_tr
 async def test_after_a_crash_the_window_before_the_write_is_read_from_the_log(looks: MakeLooks) -> None:
     one = looks(PROVED)
     vehicle = one.bench.vehicle
-    check = StreamCheck(one.bench.handle, vehicle, one.bench.plan, 0.0, one.settings)
+    check = StreamProof(one.bench.handle, vehicle, one.bench.plan, 0.0, one.settings)
     assert check._recorded() is None
     data = b"".join(record(100.0 + k) for k in range(4))
     vehicle.tlog.write_bytes(b"before" + data)
@@ -271,7 +274,7 @@ async def test_the_parameters_a_check_knows_are_those_of_the_plan_and_then_those
         return PROVED
 
     monkeypatch.setattr(verify_module, "verify", judge)
-    check = StreamCheck(one.bench.handle, one.bench.vehicle, one.bench.plan, 0.0, one.settings)
+    check = StreamProof(one.bench.handle, one.bench.vehicle, one.bench.plan, 0.0, one.settings)
     after = with_sensors(Sensor.GYRO, Sensor.ACCEL, Sensor.MAG)
     await check._verify(None, after, {"INS_GYROFFS_X": 0.25})
     await check._verify(after, after, {})

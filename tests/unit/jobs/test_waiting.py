@@ -12,7 +12,7 @@ from mavcal.calib.procedures.protocol import Progress
 from mavcal.service.jobs.handle import JobHandle, waiting
 from mavcal.service.jobs.port import Condition
 from mavcal.service.jobs.states import JobState
-from mavcal.service.jobs.write import Settled, Writing
+from mavcal.service.jobs.write import Settling, Writing
 from tests.unit.jobs.conftest import QUICK, Bench, MakeBench, until
 
 
@@ -60,13 +60,13 @@ async def test_a_wait_of_unknown_length_shows_its_limit(make_bench: MakeBench) -
 @pytest.mark.parametrize(
     ("until_then", "begins", "too_soon", "enough"),
     [
-        (Settled.SAVED, 100.0, 102.9, 103.0),
-        (Settled.KEPT, 100.0, 105.9, 106.0),
-        (Settled.RESTARTED, 3.0, 5.9, 6.0),
+        (Settling.SAVED, 100.0, 102.9, 103.0),
+        (Settling.KEPT, 100.0, 105.9, 106.0),
+        (Settling.RESTARTED, 3.0, 5.9, 6.0),
     ],
 )
 async def test_saving_takes_its_time_from_the_last_write_and_after_a_restart_from_the_start(
-    make_bench: MakeBench, until_then: Settled, begins: float, too_soon: float, enough: float
+    make_bench: MakeBench, until_then: Settling, begins: float, too_soon: float, enough: float
 ) -> None:
     bench = make_bench()
     settings = dataclasses.replace(QUICK, settle_s={"ardupilot": 6.0}, save_s={"ardupilot": 3.0})

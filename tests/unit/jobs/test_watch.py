@@ -13,7 +13,8 @@ from mavcal.service.jobs.settings import JobSettings
 from mavcal.service.jobs.states import JobState
 from mavcal.service.jobs.watch import CaptureWatch, LinkWatch
 from mavcal.service.store import SqliteStore
-from mavcal.service.testing import FakeVehicle, ManualClock
+from tests.clock import ManualClock
+from tests.unit.jobs.fakes import FakeVehicle
 
 
 @dataclass

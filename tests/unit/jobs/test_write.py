@@ -18,11 +18,11 @@ from mavcal.service.errors import (
     WriteStopped,
 )
 from mavcal.service.jobs.crashpoints import At
-from mavcal.service.jobs.journal import Step
-from mavcal.service.jobs.port import Condition, Reading
+from mavcal.service.jobs.journal import JournalStep
+from mavcal.service.jobs.port import Condition, ParameterReading
 from mavcal.service.jobs.write import (
     READS_IN_FLIGHT,
-    Settled,
+    Settling,
     Writing,
     check_in_place,
     check_plan,
@@ -32,7 +32,7 @@ from mavcal.service.jobs.write import (
     send_all,
 )
 from mavcal.service.store.rows import SnapshotPurpose
-from mavcal.service.testing import FakeVehicle
+from tests.unit.jobs.fakes import FakeVehicle
 
 from .conftest import NEW, OLD, QUICK, Bench, MakeBench, float32, until
 
@@ -65,7 +65,7 @@ class Hanging(FakeVehicle):
 
     said: list[str]
 
-    async def set_parameter(self, name: str, value: Value, kind: ParameterKind) -> Reading:
+    async def set_parameter(self, name: str, value: Value, kind: ParameterKind) -> ParameterReading:
         self.said.append("set")
         try:
             return await asyncio.get_running_loop().create_future()
@@ -98,7 +98,7 @@ async def settled_s(vehicle: FakeVehicle, work: Coroutine[Any, Any, object]) -> 
     return loop.time() - began
 
 
-def rows(bench: Bench, step: Step) -> list[Any]:
+def rows(bench: Bench, step: JournalStep) -> list[Any]:
     return [row.data for row in bench.store.journal("j1") if row.step == step]
 
 
@@ -108,7 +108,7 @@ def rows(bench: Bench, step: Step) -> list[Any]:
 async def test_what_was_heard_before_is_forgotten_when_a_parameter_is_set(make_bench: MakeBench) -> None:
     bench = make_bench()
     w = bench.attempt()
-    w.hear(Reading(X, 7.0, REAL))
+    w.hear(ParameterReading(X, 7.0, REAL))
     assert w.heard == {X: 7.0}
     assert await set_x(w) == 0.5
     assert w.heard == {}
@@ -120,13 +120,13 @@ async def test_what_was_heard_before_is_forgotten_when_a_parameter_is_set(make_b
 @pytest.mark.parametrize("value", [0.0, 0.5])
 async def test_the_old_and_the_new_value_are_nobody_elses(make_bench: MakeBench, value: float) -> None:
     bench = make_bench()
-    bench.vehicle.before_set = lambda _: bench.vehicle._tell(Reading(X, value, REAL))
+    bench.vehicle.before_set = lambda _: bench.vehicle._tell(ParameterReading(X, value, REAL))
     assert await set_x(bench.attempt()) == 0.5
 
 
 async def test_another_parameters_value_is_nobody_elses(make_bench: MakeBench) -> None:
     bench = make_bench()
-    bench.vehicle.before_set = lambda _: bench.vehicle._tell(Reading("INS_GYROFFS_Y", 9.0, REAL))
+    bench.vehicle.before_set = lambda _: bench.vehicle._tell(ParameterReading("INS_GYROFFS_Y", 9.0, REAL))
     assert await set_x(bench.attempt()) == 0.5
 
 
@@ -135,8 +135,8 @@ async def test_a_repetition_is_given_up_before_somebody_else_is_asked_for(make_b
     vehicle = hanging(bench)
     setting = asyncio.ensure_future(set_x(bench.attempt()))
     await until(lambda: vehicle.said == ["set"])
-    vehicle._tell(Reading(X, 9.0, REAL))
-    vehicle._tell(Reading(X, 8.0, REAL))  # the first one counts
+    vehicle._tell(ParameterReading(X, 9.0, REAL))
+    vehicle._tell(ParameterReading(X, 8.0, REAL))  # the first one counts
     with pytest.raises(WriteFailed, match=f"somebody else set {X} to 9 meanwhile"):
         await setting
     assert sorted(vehicle.said) == ["asked who", "given up", "set"]
@@ -225,7 +225,7 @@ async def test_the_old_values_are_kept_under_their_digest_before_anything_is_sen
     assert kept is not None
     assert kept.body[X] == {"value": 0.0, "kind": "real32"}
     assert kept.sha256 == snapshot_sha256(old)
-    assert rows(bench, Step.SNAPSHOT) == [{"sha256": snapshot_sha256(old)}]
+    assert rows(bench, JournalStep.SNAPSHOT) == [{"sha256": snapshot_sha256(old)}]
     assert reached == [At.SNAPSHOT_KEPT]
     assert bench.vehicle.sets == []
 
@@ -236,16 +236,16 @@ async def test_the_old_values_are_kept_under_their_digest_before_anything_is_sen
 @pytest.mark.parametrize(
     ("until_", "autopilot", "expected"),
     [
-        (Settled.SAVED, "ardupilot", 50.0),
-        (Settled.SAVED, "px4", 20.0),
-        (Settled.KEPT, "ardupilot", 400.0),
-        (Settled.KEPT, "px4", 900.0),
-        (Settled.KEPT, "unheard of", 900.0),
-        (Settled.RESTARTED, "ardupilot", 300.0),  # less by the 100 s that have passed since
+        (Settling.SAVED, "ardupilot", 50.0),
+        (Settling.SAVED, "px4", 20.0),
+        (Settling.KEPT, "ardupilot", 400.0),
+        (Settling.KEPT, "px4", 900.0),
+        (Settling.KEPT, "unheard of", 900.0),
+        (Settling.RESTARTED, "ardupilot", 300.0),  # less by the 100 s that have passed since
     ],
 )
 async def test_how_long_it_settles_hangs_on_what_is_waited_for(
-    make_bench: MakeBench, until_: Settled, autopilot: str, expected: float
+    make_bench: MakeBench, until_: Settling, autopilot: str, expected: float
 ) -> None:
     bench = make_bench()
     bench.vehicle.change_state(boot_time=100.0)
@@ -305,7 +305,7 @@ class Busy(FakeVehicle):
 
     under_way = most = 0
 
-    async def read_parameter(self, name: str) -> Reading:
+    async def read_parameter(self, name: str) -> ParameterReading:
         self.under_way += 1
         self.most = max(self.most, self.under_way)
         try:
@@ -403,11 +403,11 @@ async def test_every_parameter_is_announced_sent_and_confirmed_in_the_plans_orde
     assert bench.handle.job.progress is not None
     assert bench.handle.job.progress.text == "writing: 3 of 4"
     assert reached == [At.BEFORE_SEND, At.AFTER_ECHO, At.ECHO_KEPT] * 4
-    sent = rows(bench, Step.SEND)
+    sent = rows(bench, JournalStep.SEND)
     new = {"FLAG": 0.0, **{name: float32(value) for name, value in NEW.items()}}
     assert [(d["name"], d["old"], d["new"]) for d in sent] == [(n, float32(OLD[n]), v) for n, v in new.items()]
     assert [(d["kind"], d["session"]) for d in sent] == [("real32", True)] + [("real32", False)] * 3
-    assert [(d["name"], d["value"]) for d in rows(bench, Step.ECHO)] == list(new.items())
+    assert [(d["name"], d["value"]) for d in rows(bench, JournalStep.ECHO)] == list(new.items())
 
 
 async def test_a_vehicle_that_may_not_be_written_to_is_found_before_the_announcement(make_bench: MakeBench) -> None:
@@ -417,7 +417,7 @@ async def test_a_vehicle_that_may_not_be_written_to_is_found_before_the_announce
     bench.vehicle.change_state(armed=True)
     with pytest.raises(WriteStopped, match="armed"):
         await send_all(w)
-    assert rows(bench, Step.SEND) == []
+    assert rows(bench, JournalStep.SEND) == []
 
 
 async def test_what_was_read_back_is_in_the_journal(make_bench: MakeBench) -> None:
@@ -428,13 +428,13 @@ async def test_what_was_read_back_is_in_the_journal(make_bench: MakeBench) -> No
     await prepare(w)
     with pytest.raises(WriteFailed, match=f"the read-back differs: {X} holds 0 instead of 0.00999999978"):
         await read_back(w)
-    assert rows(bench, Step.READ_BACK) == []
+    assert rows(bench, JournalStep.READ_BACK) == []
     await send_all(w)
     reached.clear()
     assert await read_back(w) == bench.held()
     assert bench.handle.job.progress is not None
     assert bench.handle.job.progress.text == "reading back: 3 of 3"
-    assert len(rows(bench, Step.READ_BACK)) == 1
+    assert len(rows(bench, JournalStep.READ_BACK)) == 1
     assert reached == [At.READ_BACK]
 
 

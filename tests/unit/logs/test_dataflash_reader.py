@@ -168,6 +168,16 @@ class TestState:
         assert recording.channel(Sensor.ROTOR_SPEED).values.tolist() == [[10.0, 20.0], [11.0, 20.0]]
         assert recording.channel(Sensor.CURRENT).values.mean() == pytest.approx(15.0, abs=2.0)
 
+    @pytest.mark.parametrize("functions", [(73, 74), (70,)], ids=["a boat of two throttles", "a plane of one"])
+    def test_without_motor_outputs_the_throttles_drive(self, functions):
+        """SERVOn_FUNCTION is an SRV_Channel function: 70 throttle, 73 and 74 the left and the right one."""
+        outputs = {f"C{k}": 1000 + 200 * k for k in range(1, 7)}
+        data = with_rows((RCOU, {"TimeUS": times(6, 6.1), **outputs}))
+        names = {f"SERVO{k}_FUNCTION": 26.0 for k in (1, 2, 4, 6)}  # ground steering, say: k_steering
+        names |= {f"SERVO{n}_FUNCTION": float(f) for n, f in zip((3, 5), functions, strict=False)}
+        recording = read_dataflash(made.head({**made.PARAMETERS, **names}) + data[len(HEAD) :])
+        assert recording.channel(Sensor.MOTOR).values[0].tolist() == [0.6, 1.0][: len(functions)]
+
     def test_a_simulator_s_truth_is_the_reference(self):
         data = with_rows(
             (SIM, {"TimeUS": times(6), "Q1": 1.0, "Lat": 10_000_000, "Alt": 5.0}),

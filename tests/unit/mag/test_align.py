@@ -17,7 +17,7 @@ from mavcal.calib.earth import EarthField
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
 from mavcal.calib.fit import FitStatus
 from mavcal.calib.mag.align import Vertical, fit_alignment
-from mavcal.calib.mag.align_solve import Noise, align
+from mavcal.calib.mag.align_solve import AlignmentNoise, align
 from mavcal.calib.mag.align_start import linear_start
 
 G = 9.80665
@@ -125,7 +125,9 @@ def test_the_second_route_is_maximum_likelihood_with_every_attitude_as_an_unknow
     _, samples, accel = seen(attitudes, rng)
     down = -accel / np.linalg.norm(accel, axis=1)[:, None]
     field = (samples - OFFSET) / STRENGTH
-    found = align(field, down, linear_start(field, down), Noise(NOISE / STRENGTH, TREMOR), Noise(0.0, 0.0))
+    found = align(
+        field, down, linear_start(field, down), AlignmentNoise(NOISE / STRENGTH, TREMOR), AlignmentNoise(0.0, 0.0)
+    )
 
     def residuals(x: Any) -> Any:
         B, b, dip = x[:9].reshape(3, 3), x[9:12], x[12]
@@ -158,7 +160,7 @@ def test_the_bias_of_curvature_is_taken_out() -> None:
         rng = np.random.default_rng(seed)
         _, samples, accel = seen(anywhere(10_000, rng), rng, noise=1.0)
         field, down = (samples - OFFSET) / STRENGTH, -accel / np.linalg.norm(accel, axis=1)[:, None]
-        found = align(field, down, linear_start(field, down), None, Noise(0.0, 0.0))
+        found = align(field, down, linear_start(field, down), None, AlignmentNoise(0.0, 0.0))
         sd = math.sqrt(np.linalg.inv(found.information)[12, 12])
         z.append((found.unknowns[12] - math.sin(DIP)) / sd)
     assert abs(np.mean(z)) < 3.0 / math.sqrt(len(z))
@@ -304,4 +306,4 @@ def test_refused(samples: Any) -> None:
 def test_no_start_is_typed() -> None:
     down = np.tile([0.0, 0.0, 1.0], (50, 1))
     with pytest.raises(UndeterminedError):
-        align(np.full((50, 3), 0.1), down, linear_start(np.zeros((50, 3)), down), None, Noise(0.0, 0.0))
+        align(np.full((50, 3), 0.1), down, linear_start(np.zeros((50, 3)), down), None, AlignmentNoise(0.0, 0.0))

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
-from mavcal.calib.mag.orientation import RIGHT_ANGLES, Verdict, find_orientation, interpolated, rotation_matrix
+from mavcal.calib.mag.orientation import RIGHT_ANGLES, MountingVerdict, find_orientation, interpolated, rotation_matrix
 
 DIP = math.radians(66.0)
 NORTH_EAST_DOWN = 49.0 * np.array([math.cos(DIP), 0.0, math.sin(DIP)])
@@ -43,7 +43,7 @@ def test_every_mounting_is_found(mounting: Any, dip_known: bool) -> None:
     mag, accel = moved(np.random.default_rng(1), 300)
     found = find_orientation(mag @ mounting.matrix, accel, inclination=DIP if dip_known else None)
     assert found.best.name == mounting.name
-    assert found.verdict == (Verdict.AS_STATED if mounting.name == "none" else Verdict.ROTATED)
+    assert found.verdict == (MountingVerdict.AS_STATED if mounting.name == "none" else MountingVerdict.ROTATED)
     assert found.log_likelihood_margin > 10.0
     assert next(iter(found.rms)) == mounting.name
 
@@ -51,7 +51,7 @@ def test_every_mounting_is_found(mounting: Any, dip_known: bool) -> None:
 def test_turns_on_the_level_do_not_tell_a_yaw() -> None:
     mag, accel = moved(np.random.default_rng(2), 300, tilt_deg=2.0)
     found = find_orientation(mag @ rotation_matrix(0, 0, 90), accel, inclination=DIP)
-    assert found.verdict == Verdict.AMBIGUOUS
+    assert found.verdict == MountingVerdict.AMBIGUOUS
     assert "tilt" in found.message
     assert found.misalignment_deg is None
 
@@ -59,27 +59,27 @@ def test_turns_on_the_level_do_not_tell_a_yaw() -> None:
 def test_moderate_tilt_is_enough_when_the_dip_is_known() -> None:
     mag, accel = moved(np.random.default_rng(3), 500, tilt_deg=45.0)
     found = find_orientation(mag @ rotation_matrix(180, 0, 0), accel, inclination=DIP)
-    assert (found.verdict, found.best.name) == (Verdict.ROTATED, "roll_180")
+    assert (found.verdict, found.best.name) == (MountingVerdict.ROTATED, "roll_180")
 
 
 def test_a_mounting_between_right_angles_is_not_rounded() -> None:
     mag, accel = moved(np.random.default_rng(4), 300)
     found = find_orientation(mag @ rotation_matrix(0, 0, 45), accel, inclination=DIP)
-    assert found.verdict in (Verdict.AMBIGUOUS, Verdict.UNEXPLAINED)
+    assert found.verdict in (MountingVerdict.AMBIGUOUS, MountingVerdict.UNEXPLAINED)
 
 
 def test_a_field_that_has_nothing_to_do_with_the_vertical_is_not_explained() -> None:
     rng = np.random.default_rng(5)
     mag, accel = moved(rng, 300)
     found = find_orientation(rng.permutation(mag), accel, inclination=DIP)
-    assert found.verdict == Verdict.UNEXPLAINED
+    assert found.verdict == MountingVerdict.UNEXPLAINED
 
 
 def test_small_misalignment_is_reported_with_its_uncertainty() -> None:
     mag, accel = moved(np.random.default_rng(6), 2000)
     small = Rotation.from_rotvec(np.radians([1.0, -2.0, 3.0])).as_matrix()
     found = find_orientation(mag @ small, accel, inclination=DIP)
-    assert found.verdict == Verdict.AS_STATED
+    assert found.verdict == MountingVerdict.AS_STATED
     assert found.misalignment_deg is not None
     assert found.misalignment_sd_deg is not None
     error = np.array(found.misalignment_deg) - [1.0, -2.0, 3.0]

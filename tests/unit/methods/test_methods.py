@@ -12,7 +12,7 @@ from mavcal.calib.logs import read, read_tlog
 from mavcal.calib.logs.tables import NO_TIME
 from mavcal.calib.methods import METHODS
 from mavcal.calib.recording import Channel, Event, ParameterTimeline, Recording, Segment, Sensor, Stage
-from mavcal.calib.report import fit_to_json
+from mavcal.calib.report import to_json
 
 G = 9.80665
 ACCELCAL = np.array(
@@ -65,7 +65,7 @@ def test_the_rows_of_accelcal_without_time():
     assert fit.native["A"][0][0] == pytest.approx(1.0017879105, abs=1e-9)
     assert fit.native["b"][2] == pytest.approx(0.0778741103, abs=1e-9)
     assert fit.relative  # a table does not say which calibration was in force
-    json.dumps(fit_to_json(fit), allow_nan=False)
+    json.dumps(to_json(fit), allow_nan=False)
 
 
 def test_labelled_segments_are_faces():
@@ -228,9 +228,9 @@ def test_gravity_of_the_place():
     [
         ("gyro-rest", {"speed": 1}, "no option speed; it takes instance"),
         ("accel-six-face", {"convention": "up"}, "one of specific-force, accelcal"),
-        ("thermal-poly", {"degree": "three"}, "degree must be a number"),
-        ("thermal-poly", {"tref": float("nan")}, "tref must be a number"),
-        ("accel-multi", {"cross_sd": True}, "cross_sd must be a number"),
+        ("thermal-poly", {"degree": "three"}, "degree must be a whole number"),
+        ("thermal-poly", {"tref": float("nan")}, "tref must be a finite number"),
+        ("accel-multi", {"cross_sd": True}, "cross_sd must be a finite number"),
         ("thermal-linear", {"through": "1,2"}, "three numbers X,Y,Z"),
         ("thermal-linear", {"through": "1,2,nan"}, "three numbers X,Y,Z"),
     ],

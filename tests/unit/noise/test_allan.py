@@ -15,7 +15,7 @@ from mavcal.calib.methods import METHODS
 from mavcal.calib.noise.allan import FLICKER, fit_noise, octaves, overlapping_deviation
 from mavcal.calib.noise.allan_fit import fit_allan
 from mavcal.calib.recording import Channel, Event, Recording, Sensor, Stage
-from mavcal.calib.report import fit_to_json
+from mavcal.calib.report import to_json
 
 RATE = 50.0
 
@@ -138,7 +138,7 @@ def test_the_table_and_the_json():
     assert fit.native["holds"]["N"][0][0] == pytest.approx(1 / RATE)
     assert fit.quality["attitude_sd_deg_per_min"] == pytest.approx(np.degrees(0.01 * np.sqrt(60.0)), rel=0.2)
     assert fit.quality["p_value"] > 1e-3
-    document = json.loads(json.dumps(fit_to_json(fit), allow_nan=False))
+    document = json.loads(json.dumps(to_json(fit), allow_nan=False))
     assert len(document["native"]["tau"]) == len(document["native"]["adev"][2])
 
 

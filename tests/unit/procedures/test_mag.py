@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from mavcal.calib.earth import EarthField
-from mavcal.calib.procedures.context import Answer, ProcedureContext
+from mavcal.calib.procedures.context import OperatorAnswer, ProcedureContext
 from mavcal.calib.procedures.mag import SPEC, MagProcedure
 from mavcal.calib.procedures.protocol import Done, GaveUp, Progress, Prompt
 from mavcal.calib.recording import Identity, Sensor
@@ -133,7 +133,7 @@ def test_the_operator_may_finish_early_and_the_result_says_so(clean):
     assert "operator" in procedure.outcome.because
     assert any("ended by the operator" in w for w in procedure.outcome.results[0].warnings)
     again = MagProcedure(SPEC.validated({"uncertainty": 0.02}), CONTEXT)
-    again.schedule([Answer(procedure.time, "finish")])
+    again.schedule([OperatorAnswer(procedure.time, "finish")])
     again.feed(recording)
     np.testing.assert_array_equal(again.outcome.results[0].values, procedure.outcome.results[0].values)
 

@@ -91,13 +91,13 @@ def test_replayed_and_live_give_the_same_digits(bench, chunks):
         live.feed(part)
     replayed = replay("gyro", {}, CONTEXT, recording)
     assert isinstance(replayed, Done)
-    assert report.fit_to_json(live.outcome.results[0]) == report.fit_to_json(replayed.results[0])
+    assert report.to_json(live.outcome.results[0]) == report.to_json(replayed.results[0])
 
 
 def test_what_a_procedure_says_is_json(bench):
     procedure = create("gyro", {}, CONTEXT)
     for step in procedure.feed(bench().hold(20.0).record()):
-        json.dumps(report.step_to_json(step), allow_nan=False)
+        json.dumps(report.to_json(step), allow_nan=False)
 
 
 def test_an_ended_or_dumb_procedure_takes_no_answers(bench):

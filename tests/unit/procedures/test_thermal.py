@@ -207,3 +207,29 @@ def test_a_temperature_that_is_repeated_does_not_grow_old(bench):
         d = (np.linspace(22.0, 44.0, 23)[:, None] - 35.0)[..., None] ** np.arange(1, 4)
         error = (d * (fit.model.polynomial.coefficients - truth)).sum(axis=2)
         assert np.abs(error - error.mean(axis=0)).max() < 0.1 * np.abs(truth[:, 0]).max()  # a tenth of a degree
+
+
+@pytest.mark.parametrize("rest", [0.4, 5.0, 30.0, 115.0])
+def test_how_long_it_rests_before_it_warms_up_changes_no_drift(bench, rest):
+    def curve(t):
+        return 58.0 - 38.0 * np.exp(-np.maximum(t - t[0] - rest, 0.0) / 60.0)
+
+    made = bench(
+        temperature=curve,
+        accels=(replace(bench().accels[0], thermal=ACCEL_DRIFT, noise=1e-3),),
+        gyros=(replace(bench().gyros[0], thermal=GYRO_DRIFT, noise=5e-5),),
+        rate=25.0,
+    ).hold(rest + 120.0)
+    recording = made.record()
+    slow = recording.channel(Sensor.TEMPERATURE)
+    t = recording.channel(Sensor.ACCEL).t
+    sent = replace(slow, t=t, values=slow.values[np.searchsorted(slow.t, t, side="right") - 1])
+    others = [c for c in recording.channels if c.sensor != Sensor.TEMPERATURE]
+    procedure, _ = run(recording.with_channels([*others, sent]))
+    for fit in procedure.outcome.results:
+        truth = ACCEL_DRIFT if fit.sensor == Sensor.ACCEL else GYRO_DRIFT
+        d = (np.linspace(20.0, 50.0, 31)[:, None] - 35.0)[..., None] ** np.arange(1, 4)
+        error = (d * (fit.model.polynomial.coefficients - truth)).sum(axis=2)
+        off = np.abs(error - error.mean(axis=0)).max(axis=0) / np.abs(truth[:, 0])
+        assert (deviations(fit, truth) < 4.5).all()
+        assert off.max() < 0.05, off  # degC

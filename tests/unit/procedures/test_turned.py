@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from mavcal.calib.errors import ProcedureError
 from mavcal.calib.fit import FitStatus
-from mavcal.calib.procedures.context import Answer, ProcedureContext
+from mavcal.calib.procedures.context import OperatorAnswer, ProcedureContext
 from mavcal.calib.procedures.poses import APART, angle, suggest
 from mavcal.calib.procedures.protocol import Done, GaveUp, Prompt
 from mavcal.calib.procedures.registry import create
@@ -40,7 +40,7 @@ def on_thread(bench, ways=(1, -1, 1, -1), turns=3.0, rate=90.0):
 
 def run(kind, bench, answers=(), **options):
     procedure = create(kind, options, CONTEXT)
-    procedure.schedule([Answer(t, value) for t, value in answers])
+    procedure.schedule([OperatorAnswer(t, value) for t, value in answers])
     steps = [*procedure.feed(bench.record()), *procedure.end()]
     return procedure.outcome, [s for s in steps if isinstance(s, Prompt)]
 
@@ -128,7 +128,7 @@ def test_without_a_compass_the_number_is_asked_for_and_replayed():
     live.answer("3")
     (fit,) = live.outcome.results
     assert abs(fit.model.matrix[2, 2] - np.linalg.inv(SKEW)[2, 2]) < 4.0 * fit.sd[11] + 1e-4
-    again = replay("gyro-thread", {"angle_sd": 0.5}, CONTEXT, bench.record(), [Answer(at, "3")])
+    again = replay("gyro-thread", {"angle_sd": 0.5}, CONTEXT, bench.record(), [OperatorAnswer(at, "3")])
     np.testing.assert_array_equal(again.results[0].values, fit.values)
     never = replay("gyro-thread", {}, CONTEXT, bench.record())
     assert "the number of turns was not stated" in never.cause

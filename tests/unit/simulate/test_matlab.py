@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.recording import Rounding, Sensor
-from mavcal.calib.report import plain
+from mavcal.calib.report import to_json
 from mavcal.calib.simulate import SensorErrors, from_matlab, to_matlab
 
 SENSORS = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
@@ -115,7 +115,7 @@ def test_there_and_back_reads_the_same(bias, slope, cross, t_ref, sensor, frame)
     )
     made = to_matlab(errors, sensor, frame=frame)
     assert made.not_held == ()
-    stored = json.loads(json.dumps(plain(made.values), allow_nan=False))
+    stored = json.loads(json.dumps(to_json(made.values), allow_nan=False))
     again = from_matlab(stored, sensor, frame=frame)
     x, force = np.array([[1.0, -2.0, 3.0]]), np.array([[0.1, 0.2, -9.8]])
     for temperature in (0.0, 25.0, 60.0):

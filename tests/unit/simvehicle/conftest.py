@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.service.simvehicle.config import load_config
 from mavcal.service.simvehicle.server import make_vehicle
-from mavcal.service.simvehicle.vehicle import Channel, Vehicle
+from mavcal.service.simvehicle.vehicle import FlightController, MavlinkChannel
 from mavcal.service.simvehicle.wire import Packer, Received, split_datagram
 
 CLEAN = {"offset": [0, 0, 0], "matrix": np.eye(3).tolist(), "polynomial": np.zeros((3, 3)).tolist()}
@@ -21,12 +21,12 @@ QUIET = {"accel_noise": 0.0, "gyro_noise": 0.0, "mag_noise": 0.0}
 class Bench:
     """One vehicle and the ground station's end of its links."""
 
-    def __init__(self, vehicle: Vehicle, links: int = 1) -> None:
+    def __init__(self, vehicle: FlightController, links: int = 1) -> None:
         self.vehicle = vehicle
         self.heard: list[list[Received]] = [[] for _ in range(links)]
         self._station = Packer(250, 190)
         for inbox in self.heard:
-            vehicle.channels.append(Channel(Packer(vehicle.config.system_id), self._listener(inbox)))
+            vehicle.channels.append(MavlinkChannel(Packer(vehicle.config.system_id), self._listener(inbox)))
         vehicle.start()
 
     @staticmethod

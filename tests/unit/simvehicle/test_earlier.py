@@ -11,12 +11,12 @@ from mavcal.service.simvehicle.config import load_config
 from mavcal.service.simvehicle.earlier import earlier_calibration
 from mavcal.service.simvehicle.errors import ConfigurationError
 from mavcal.service.simvehicle.server import make_vehicle
-from mavcal.service.simvehicle.vehicle import Vehicle
+from mavcal.service.simvehicle.vehicle import FlightController
 
 NEUTRAL_ONE = re.compile(r"SCAL|SCALE|DIA_|DIA2|DIA3")
 
 
-def vehicle(autopilot: str, **config: object) -> Vehicle:
+def vehicle(autopilot: str, **config: object) -> FlightController:
     return make_vehicle(load_config({"autopilot": autopilot} | config))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mavcal.service.simvehicle.errors import ControlError
-from mavcal.service.simvehicle.motion import FACES, Motion
+from mavcal.service.simvehicle.motion import FACES, CurrentMotion
 from mavcal.service.simvehicle.rotation import (
     body_from_ned,
     conjugate,
@@ -22,7 +22,7 @@ from mavcal.service.simvehicle.rotation import (
 
 GRAVITY = np.array([0.0, 0.0, -9.80665])
 
-Command = Callable[[Motion], object]
+Command = Callable[[CurrentMotion], object]
 COMMANDS: dict[str, Command] = {
     "still": lambda m: m.still(1.0),
     "hold": lambda m: m.hold(1.0, "left", 3.0, 0.2),
@@ -32,8 +32,8 @@ COMMANDS: dict[str, Command] = {
 }
 
 
-def moving(command: Command, seed: int = 3) -> Motion:
-    motion = Motion(np.random.default_rng(seed))
+def moving(command: Command, seed: int = 3) -> CurrentMotion:
+    motion = CurrentMotion(np.random.default_rng(seed))
     motion.hold(0.0, [20.0, -10.0, 40.0], transition_s=0.0)
     command(motion)
     return motion
@@ -54,7 +54,7 @@ def test_the_rate_is_the_exact_derivative_of_the_attitude(name: str) -> None:
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_attitudes_are_unit_and_continuous_across_a_command(name: str) -> None:
-    motion = Motion(np.random.default_rng(3))
+    motion = CurrentMotion(np.random.default_rng(3))
     motion.tumble(0.0)
     before = motion.attitude(1.0)
     COMMANDS[name](motion)
@@ -68,7 +68,7 @@ def test_attitudes_are_unit_and_continuous_across_a_command(name: str) -> None:
     [("level", 2, -1), ("back", 2, 1), ("left", 1, 1), ("right", 1, -1), ("nose_down", 0, -1), ("nose_up", 0, 1)],
 )
 def test_faces_point_gravity_along_their_axis(face: str, axis: int, sign: int) -> None:
-    motion = Motion(np.random.default_rng(1))
+    motion = CurrentMotion(np.random.default_rng(1))
     motion.hold(0.0, face, transition_s=0.5)
     q, rate = motion.evaluate(np.array([2.0]))
     expected = np.zeros(3)
@@ -80,7 +80,7 @@ def test_faces_point_gravity_along_their_axis(face: str, axis: int, sign: int) -
 def test_a_hand_errs_by_a_few_degrees_and_trembles() -> None:
     errors, tremors = [], []
     for seed in range(30):
-        motion = Motion(np.random.default_rng(seed))
+        motion = CurrentMotion(np.random.default_rng(seed))
         reached = motion.hold(0.0, "level", tilt_deg=3.0, tremor_deg=0.2)
         q, _ = motion.evaluate(np.linspace(reached + 1, reached + 5, 400))
         vectors = np.degrees([vector_from_quaternion(x) for x in q])
@@ -91,7 +91,7 @@ def test_a_hand_errs_by_a_few_degrees_and_trembles() -> None:
 
 
 def test_tumbling_keeps_its_pace_and_covers_the_sphere() -> None:
-    motion = Motion(np.random.default_rng(1))
+    motion = CurrentMotion(np.random.default_rng(1))
     motion.tumble(0.0, 45.0)
     q, rate = motion.evaluate(np.arange(0.6, 60, 0.1))
     speed = np.degrees(np.linalg.norm(rate, axis=1))
@@ -106,7 +106,7 @@ def test_tumbling_keeps_its_pace_and_covers_the_sphere() -> None:
 
 @pytest.mark.parametrize(("rate", "turns"), [(90.0, 3.0), (-45.0, 0.5), (360.0, 0.1)])
 def test_turns_on_a_thread_are_as_many_as_asked_for_and_end_at_rest(rate: float, turns: float) -> None:
-    motion = Motion(np.random.default_rng(1))
+    motion = CurrentMotion(np.random.default_rng(1))
     motion.turn(1.0, [0, 0, 1], rate, turns=turns)
     t = np.linspace(1.0, 20.0, 40_000)
     _, rates = motion.evaluate(t)
@@ -119,11 +119,11 @@ def test_turns_on_a_thread_are_as_many_as_asked_for_and_end_at_rest(rate: float,
 def test_turns_that_cannot_be_made_are_refused() -> None:
     for rate, turns in ((90.0, 0.0), (0.0, 1.0), (90.0, -2.0)):
         with pytest.raises(ControlError, match="cannot be made"):
-            Motion(np.random.default_rng(1)).turn(1.0, [0, 0, 1], rate, turns=turns)
+            CurrentMotion(np.random.default_rng(1)).turn(1.0, [0, 0, 1], rate, turns=turns)
 
 
 def test_a_turntable_turns_about_the_body_axis_at_the_asked_rate() -> None:
-    motion = Motion(np.random.default_rng(1))
+    motion = CurrentMotion(np.random.default_rng(1))
     motion.hold(0.0, "left", transition_s=0.0)
     motion.turn(1.0, [0, 2, 0], -90.0)
     _, rate = motion.evaluate(np.array([5.0]))
@@ -131,14 +131,14 @@ def test_a_turntable_turns_about_the_body_axis_at_the_asked_rate() -> None:
 
 
 def test_a_jolt_is_a_short_force_and_no_motion() -> None:
-    motion = Motion(np.random.default_rng(1))
+    motion = CurrentMotion(np.random.default_rng(1))
     motion.jolt(1.0, [5.0, 0.0, 0.0], 0.2)
     force = motion.linear_acceleration(np.array([0.9, 1.1, 1.3]))
     assert force[:, 0] == pytest.approx([0.0, 5.0, 0.0])
 
 
 def test_a_reboot_sets_the_clock_back_and_leaves_the_motion() -> None:
-    motion = Motion(np.random.default_rng(1))
+    motion = CurrentMotion(np.random.default_rng(1))
     motion.tumble(0.0)
     before = motion.attitude(12.5)
     motion.restart(10.0)
@@ -148,12 +148,12 @@ def test_a_reboot_sets_the_clock_back_and_leaves_the_motion() -> None:
 @pytest.mark.parametrize("pose", ["upside_down", [1.0, 2.0]])
 def test_an_unknown_pose_is_refused_with_what_is_known(pose: object) -> None:
     with pytest.raises(ControlError, match="hold"):
-        Motion(np.random.default_rng(1)).hold(0.0, pose)  # type: ignore[arg-type]
+        CurrentMotion(np.random.default_rng(1)).hold(0.0, pose)  # type: ignore[arg-type]
 
 
 def test_a_zero_axis_is_refused() -> None:
     with pytest.raises(ControlError, match="axis"):
-        Motion(np.random.default_rng(1)).turn(0.0, [0, 0, 0], 10.0)
+        CurrentMotion(np.random.default_rng(1)).turn(0.0, [0, 0, 0], 10.0)
 
 
 def test_euler_angles_and_matrices_agree() -> None:

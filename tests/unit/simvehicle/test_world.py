@@ -11,7 +11,7 @@ from mavcal.service.simvehicle.errors import ConfigurationError
 from mavcal.service.simvehicle.parameters import load_table
 from mavcal.service.simvehicle.thermal import Thermal
 from mavcal.service.simvehicle.truth import draw_truth
-from mavcal.service.simvehicle.world import World
+from mavcal.service.simvehicle.world import SimWorld
 
 
 def test_a_seed_gives_the_same_truth_again_and_another_gives_another() -> None:
@@ -40,7 +40,7 @@ def test_truth_is_within_its_documented_ranges() -> None:
 
 def test_raw_is_matrix_times_true_plus_offset_plus_polynomial() -> None:
     config = load_config({"accel_noise": 0.0, "gyro_noise": 0.0, "temperature": 50.0, "seed": 7})
-    world = World(config)
+    world = SimWorld(config)
     state = world.state(np.array([1.0]))
     truth, d = world.truth.accels[0], 15.0
     p = truth.polynomial @ [d, d * d, d**3]
@@ -51,19 +51,19 @@ def test_raw_is_matrix_times_true_plus_offset_plus_polynomial() -> None:
 
 
 def test_noise_has_the_configured_size() -> None:
-    world = World(load_config({"accel_noise": 0.05, "thermal": False}))
+    world = SimWorld(load_config({"accel_noise": 0.05, "thermal": False}))
     state = world.state(np.linspace(0, 1, 20000))
     assert world.accel(1, state).std(axis=0) == pytest.approx([0.05] * 3, rel=0.03)
 
 
 def test_thermal_off_leaves_the_sensors_alone() -> None:
-    cold, hot = (World(load_config({"thermal": False, "accel_noise": 0.0, "temperature": t})) for t in (0.0, 60.0))
+    cold, hot = (SimWorld(load_config({"thermal": False, "accel_noise": 0.0, "temperature": t})) for t in (0.0, 60.0))
     a, b = (w.accel(0, w.state(np.zeros(1))) for w in (cold, hot))
     assert a == pytest.approx(b)
 
 
 def test_motors_disturb_the_magnetometers_in_proportion_to_the_current() -> None:
-    world = World(load_config({"mag_noise": 0.0}))
+    world = SimWorld(load_config({"mag_noise": 0.0}))
     field = np.array([[10.0, 0.0, 0.0]])
     still = world.mag(0, field, np.zeros(1))
     world.current.go(0.0, 20.0)
@@ -72,14 +72,14 @@ def test_motors_disturb_the_magnetometers_in_proportion_to_the_current() -> None
 
 def test_a_magnetometer_sees_the_field_in_its_own_frame() -> None:
     clean = {"offset": [0, 0, 0], "matrix": np.eye(3).tolist()}
-    world = World(load_config({"mag_noise": 0.0, "mag_orientations": [0, 2, 0], "truth": {"mags": clean}}))
+    world = SimWorld(load_config({"mag_noise": 0.0, "mag_orientations": [0, 2, 0], "truth": {"mags": clean}}))
     field = np.array([[10.0, 0.0, 5.0]])
     # Mounted with its x axis to the right: forward is along its −y.
     assert world.mag(1, field, np.zeros(1))[0] == pytest.approx([0.0, -10.0, 5.0])
 
 
 def test_a_ramp_moves_in_a_straight_line() -> None:
-    world = World(VehicleConfig())
+    world = SimWorld(VehicleConfig())
     world.throttle.go(1.0, 0.5, 2.0)
     assert world.throttle.at(np.array([0.5, 1.0, 2.0, 3.0, 9.0])) == pytest.approx([0.0, 0.0, 0.25, 0.5, 0.5])
 
@@ -102,7 +102,7 @@ def test_a_lagging_imu_solves_its_differential_equation() -> None:
 
 
 def test_the_world_goes_on_through_a_reboot() -> None:
-    world = World(VehicleConfig(accel_noise=0.0))
+    world = SimWorld(VehicleConfig(accel_noise=0.0))
     world.motion.tumble(0.0)
     world.thermal.warm_up(0.0, 20.0, 60.0, 30.0)
     before = world.accel(0, world.state(np.array([20.0])))
@@ -125,7 +125,7 @@ def test_the_world_goes_on_through_a_reboot() -> None:
 )
 def test_a_wrong_configuration_is_named(entry: dict[str, object], reason: str) -> None:
     with pytest.raises(ConfigurationError, match=reason):
-        World(load_config(entry))
+        SimWorld(load_config(entry))
 
 
 def test_a_configuration_may_be_text_or_a_file(tmp_path: Path) -> None:

@@ -69,6 +69,50 @@ def test_the_covariance_of_least_squares_holds_under_a_random_walk(walk, least, 
     assert least < np.mean(np.square(normalised)) < most
 
 
+def warm_ups(walk: float, seeds: int, *, ratios=(1.0, 1.0, 1.0)) -> np.ndarray:
+    """Errors of cubics in their own sd, three axes a warm-up one way, under white noise and walks."""
+    rng = np.random.default_rng(11)
+    blocks, fine, samples = 64, 20, 700.0
+    time = np.linspace(0.0, 700.0, blocks * fine)
+    warmth = 75.0 - 53.0 * np.exp(-time / 300.0)
+    x = (warmth - warmth.mean()) / (0.5 * np.ptp(warmth))
+    powers = x[:, None] ** np.arange(4)
+    design = powers.reshape(blocks, fine, 4).mean(axis=1)
+    gram = powers.T @ powers * (blocks * samples / len(powers))
+    middles = time.reshape(blocks, fine).mean(axis=1)
+    steps = walk * np.array(ratios) * np.sqrt(700.0 / len(time))
+    errors = []
+    for _ in range(seeds):
+        wander = np.cumsum(rng.normal(size=(len(time), 3)) * steps, axis=0).reshape(blocks, fine, 3).mean(axis=1)
+        y = wander + rng.normal(size=(blocks, 3)) / np.sqrt(samples)
+        found = coloured_covariance(design, y, np.full(blocks, samples), middles, gram=gram)
+        sd = np.sqrt(np.einsum("kpp->kp", found.covariances))
+        errors.append(np.linalg.lstsq(design, y, rcond=None)[0].T[:, 1:] / sd[:, 1:])
+    return np.array(errors)
+
+
+@pytest.mark.parametrize(("walk", "ratios"), [(0.005, (1.0, 1.0, 1.0)), (0.006, (0.7, 1.0, 1.4))])
+def test_the_worst_walk_hides_in_no_drift_of_a_warm_up(walk, ratios):
+    """The axes of a sensor tell each other: alone, one in forty of such drifts was off by more than 4.5 sd."""
+    errors = warm_ups(walk, 500, ratios=ratios)
+    assert np.mean(np.abs(errors).max(axis=2) > 4.5) < 0.01
+    assert np.mean(errors**2) < 1.6
+
+
+def test_white_noise_is_not_taken_for_a_walk_three_times_over():
+    assert 0.3 < np.mean(warm_ups(0.0, 300) ** 2) < 1.2
+
+
+def test_an_axis_that_reads_nothing_has_no_say():
+    rng = np.random.default_rng(12)
+    design = np.column_stack([np.ones(40), np.linspace(-1.0, 1.0, 40)])
+    y = np.column_stack([rng.normal(size=40), np.full(40, 0.3), np.full(40, 0.3)])
+    counts, time, gram = np.full(40, 10.0), np.arange(40.0), 10.0 * design.T @ design
+    alone = coloured_covariance(design, y[:, :1], counts, time, gram=gram)
+    beside = coloured_covariance(design, y, counts, time, gram=gram)
+    np.testing.assert_allclose(beside.covariances[0], alone.covariances[0])
+
+
 def test_what_white_error_bars_would_miss_is_reported():
     found = regression(np.random.default_rng(6), walk=30.0)[1]
     assert found.whiteness[0] < 1e-3

@@ -30,7 +30,7 @@ def test_the_lock_survives_the_deletion_of_its_file(tmp_path: Path, removed: lis
     store.close()
 
 
-@pytest.mark.parametrize("recorded", ["tlogs/udpin.tlog", "recordings/0a.bin", "gaps/0a.json"])
+@pytest.mark.parametrize("recorded", ["tlogs/udpin.tlog", "recordings/0a.bin"])
 @pytest.mark.parametrize("database", [None, b""])
 def test_an_empty_database_beside_recordings_is_an_error_with_a_remedy(
     tmp_path: Path, recorded: str, database: bytes | None

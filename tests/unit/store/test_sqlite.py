@@ -9,7 +9,8 @@ import pytest
 from mavcal.service.errors import DataDirLocked, DiskFull, StoreError
 from mavcal.service.store import SqliteStore, Store
 from mavcal.service.store.migrate import Migration, migrate, migrations
-from mavcal.service.store.rows import JobRow, LinkRow, RecordingRow, SegmentPurpose, SnapshotPurpose
+from mavcal.service.store.rows import JobDocument, JobRow, LinkRow, RecordingRow, SegmentPurpose, SnapshotPurpose
+from mavcal.service.store.sqlite import DATABASE
 
 DIGEST = "a" * 64
 
@@ -40,6 +41,30 @@ def test_jobs_by_vehicle_and_state(store: Store) -> None:
     assert [j.id for j in store.jobs(vehicle_id="v1")] == ["a", "c"]
     assert [j.id for j in store.jobs(states={"review", "failed"})] == ["c"]
     assert store.jobs(states=set()) == ()
+
+
+def test_a_job_without_a_vehicle_is_of_none(store: Store) -> None:
+    none = JobRow("j1", None, "gap", "queued", 1.0, 1.0, {})
+    store.save_job(none)
+    store.save_job(row("j2"))
+    assert store.job("j1") == none
+    assert [j.id for j in store.jobs(vehicle_id="v1")] == ["j2"]
+
+
+def test_a_document_is_kept_replaced_and_forgotten_with_its_job(store: Store) -> None:
+    store.save_job(row(), event=("state", {}))
+    store.save_job(row("j2"), event=("state", {}))
+    for job_id, body in (("j1", b"old"), ("j1", b"\x00new"), ("j2", b"other")):
+        store.save_document(job_id, JobDocument("report.html", "text/html", body))
+    assert store.document("j1", "report.html") == JobDocument("report.html", "text/html", b"\x00new")
+    assert store.document("j1", "report.json") is None
+    store.delete_job("j1")
+    assert (store.job("j1"), store.document("j1", "report.html"), store.events("j1")) == (None, None, ())
+    assert store.document("j2", "report.html") == JobDocument("report.html", "text/html", b"other")
+    assert [event.job_id for event in store.events()] == ["j2"]
+    store.delete_job("j1")
+    with pytest.raises(StoreError):
+        store.save_document("j1", JobDocument("report.html", "text/html", b""))
 
 
 def test_unknown_state_is_refused_by_the_schema(store: Store) -> None:
@@ -188,6 +213,28 @@ def test_a_full_disk_is_said_and_leaves_nothing_behind(tmp_path: Path) -> None:
     store._db.execute("PRAGMA max_page_count = 1000000")
     store.save_job(row("j2"))  # goes on once there is space
     store.close()
+
+
+def test_jobs_of_an_older_schema_keep_all_that_belongs_to_them(tmp_path: Path) -> None:
+    path = tmp_path / DATABASE
+    db = sqlite3.connect(path, isolation_level=None)
+    migrate(db, migrations()[:2])
+    db.execute("INSERT INTO jobs VALUES ('j1', 'v1', 'gyro', 'verifying', 1.0, 2.0, '{}')")
+    db.execute("INSERT INTO job_events VALUES (7, 'j1', 3, 2.0, 'state', '{}')")
+    db.execute("INSERT INTO journal VALUES (5, 'j1', 2.0, 'sent', '{}')")
+    db.close()
+    store = SqliteStore(tmp_path)
+    try:
+        assert store.version == len(migrations())
+        assert store.job("j1") == JobRow("j1", "v1", "gyro", "verifying", 1.0, 2.0, {})
+        assert [(e.id, e.sequence) for e in store.events("j1")] == [(7, 3)]
+        assert [j.step for j in store.journal("j1")] == ["sent"]
+        assert store._db.execute("PRAGMA foreign_key_check").fetchall() == []
+        assert store._db.execute("PRAGMA foreign_keys").fetchone() == (1,)
+        with pytest.raises(StoreError, match="FOREIGN KEY"):
+            store.add_event("j9", 0.0, "state", {})
+    finally:
+        store.close()
 
 
 def test_migrations_are_numbered_without_gaps_and_a_failed_one_leaves_nothing() -> None:

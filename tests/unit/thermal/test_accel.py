@@ -14,7 +14,7 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitStatus
 from mavcal.calib.methods import METHODS
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
-from mavcal.calib.report import fit_to_json
+from mavcal.calib.report import to_json
 from mavcal.calib.stats.stillness import Still, find_still
 from mavcal.calib.thermal.accel import fit_accel_thermal
 
@@ -177,7 +177,7 @@ def test_through_the_method_with_json():
     assert fit.status == FitStatus.OK
     assert np.abs((fit.values - TRUTH)[FREE] / fit.sd[FREE]).max() < 4.5
     assert 0.0 < fit.quality["attitude_sd_deg"] < 0.5
-    json.dumps(fit_to_json(fit), allow_nan=False)
+    json.dumps(to_json(fit), allow_nan=False)
     with pytest.raises(InvalidInputError, match="--map temperature"):
         METHODS["accel-thermal"].run(Recording((accel,)))
 

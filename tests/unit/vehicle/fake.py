@@ -11,21 +11,14 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib import wire
 from mavcal.service.link import Batch, Link, LinkStatistics, OwnIdentity, parse_endpoint
-from mavcal.service.vehicle import Vehicle, VehicleEvent
+from mavcal.service.vehicle import Vehicle, VehicleEvent, VehicleEventKind
+from tests.clock import ManualClock
 
 T = TypeVar("T")
 Reply = wire.RawMessage | Any
 Responder = Callable[[Any], Iterable[Reply]]
 
 AP_CAPABILITIES, PX4_CAPABILITIES = 2, 2 | 16
-
-
-class ManualClock:
-    def __init__(self) -> None:
-        self.now = 1000.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 class FakeLink:
@@ -104,15 +97,13 @@ class FakeVehicle:
     """A :class:`Vehicle` with its link and clock; disarmed on the ground for long, unless told otherwise."""
 
     def __init__(self, autopilot: int = 3, capabilities: int = AP_CAPABILITIES, *, ready: bool = True) -> None:
-        self.clock = ManualClock()
+        self.clock = ManualClock(1000.0)
         self.link = FakeLink()
         self.link.vehicle = self
         self.events: list[VehicleEvent] = []
         self.autopilot = autopilot
         self.alive = True
-        self.vehicle = Vehicle(
-            cast(Link, self.link), 1, 1, heartbeat(autopilot), clock=self.clock, announce=self.events.append
-        )
+        self.vehicle = Vehicle(cast(Link, self.link), 1, 1, heartbeat(autopilot), clock=self.clock, announce=self.told)
         self._beat_at = 0.0
         self.hear(version(capabilities=capabilities))
         if ready:
@@ -120,6 +111,9 @@ class FakeVehicle:
                 self.hear(heartbeat(autopilot), landed())
                 self.clock.now += 1.0
             self.hear(heartbeat(autopilot), landed())
+
+    def told(self, vehicle: Vehicle, kind: VehicleEventKind, text: str) -> None:
+        self.events.append(VehicleEvent(kind, vehicle.id, text))
 
     def hear(self, *messages: Reply) -> None:
         frames = []

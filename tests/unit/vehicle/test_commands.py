@@ -73,6 +73,18 @@ async def test_an_unanswered_command_is_repeated_and_counted(ardupilot: FakeVehi
         await ardupilot.run(command(ardupilot.vehicle, 401))
 
 
+async def test_a_vehicle_asks_as_often_and_as_patiently_as_the_command_by_itself(ardupilot: FakeVehicle) -> None:
+    took = []
+    for ask in (command(ardupilot.vehicle, 401), ardupilot.vehicle.command(401)):
+        ardupilot.link.sent.clear()
+        began = ardupilot.clock.now
+        with pytest.raises(CommandTimeout, match="asked 3 times"):
+            await ardupilot.run(ask)
+        took.append(ardupilot.clock.now - began)
+        assert len(sent(ardupilot, 401)) == 3
+    assert took == pytest.approx([4.5, 4.5], abs=0.2)  # 1.5 s each time
+
+
 async def test_in_progress_is_waited_out_without_repeating(ardupilot: FakeVehicle) -> None:
     answering(ardupilot, 5)
     task = asyncio.ensure_future(command(ardupilot.vehicle, 241, (1,), timeout=2.0))

@@ -7,17 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mavcal.calib.wire import ParameterEncoding, ParamType, value_from_bits
 from mavcal.service.errors import ParameterRejected
-from mavcal.service.vehicle.encoding import (
-    ParameterEncoding,
-    ParameterKind,
-    bits_from_value,
-    same_value,
-    value_from_bits,
-)
+from mavcal.service.vehicle.encoding import bits_from_value, same_value
 
 CAST, BYTES = ParameterEncoding.CAST, ParameterEncoding.BYTEWISE
-REAL, INT32, INT8 = ParameterKind.REAL32, ParameterKind.INT32, ParameterKind.INT8
+REAL, INT32, INT8 = ParamType.REAL32, ParamType.INT32, ParamType.INT8
 
 
 @given(st.integers(-(2**31), 2**31 - 1))
@@ -45,7 +40,7 @@ def test_every_float32_survives_either_way(value: float) -> None:
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("kind", [REAL, INT32])
-def test_what_is_not_finite_is_refused_by_name(value: float, kind: ParameterKind) -> None:
+def test_what_is_not_finite_is_refused_by_name(value: float, kind: ParamType) -> None:
     with pytest.raises(ParameterRejected, match="P") as caught:
         bits_from_value("P", value, kind, CAST)
     assert caught.value.name == "P"

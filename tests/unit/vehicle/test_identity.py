@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from mavcal.calib import wire
-from mavcal.service.vehicle import Autopilot, ParameterEncoding
+from mavcal.calib.wire import ParameterEncoding
+from mavcal.service.vehicle import Autopilot
 from mavcal.service.vehicle.identity import VehicleIdentity, identity_from_heartbeat, identity_from_version
 from tests.unit.vehicle.fake import AP_CAPABILITIES, PX4_CAPABILITIES, heartbeat, version
 
@@ -36,6 +37,10 @@ def test_a_unique_id_of_zeros_is_none() -> None:
         (Autopilot.ARDUPILOT, 2 | 16, ParameterEncoding.BYTEWISE),  # a newer ArduPilot that opted in
         (Autopilot.PX4, 131072, ParameterEncoding.CAST),
         (Autopilot.PX4, 16 | 131072, ParameterEncoding.BYTEWISE),
+        (Autopilot.PX4, 2, ParameterEncoding.BYTEWISE),  # neither encoding is named: the autopilot's own
+        (Autopilot.PX4, 0, ParameterEncoding.BYTEWISE),
+        (Autopilot.ARDUPILOT, 0, ParameterEncoding.CAST),
+        (Autopilot.OTHER, 0, ParameterEncoding.CAST),
         (Autopilot.PX4, None, ParameterEncoding.BYTEWISE),
         (Autopilot.OTHER, None, ParameterEncoding.CAST),
     ],

@@ -5,11 +5,10 @@ from __future__ import annotations
 import pytest
 
 from mavcal.calib import wire
-from mavcal.calib.wire import ParamValue, decode_param_value
+from mavcal.calib.wire import HASH_CHECK, ParamType, ParamValue, decode_param_value
 from mavcal.service.errors import ParameterTimeout, VehicleSilent
-from mavcal.service.vehicle.encoding import Parameter, ParameterKind
+from mavcal.service.vehicle.encoding import Parameter
 from mavcal.service.vehicle.listing import ParameterSet, _incomplete, _Listing
-from mavcal.service.vehicle.parameters import HASH_NAME
 from tests.unit.vehicle.fake import FakeVehicle, param_value, real
 
 
@@ -27,7 +26,7 @@ def listed(*values: ParamValue) -> _Listing:
 
 
 @pytest.mark.parametrize(
-    "value", [heard("A", 65535), heard(HASH_NAME, 0), heard("A", 2), heard("A", 3)], ids=["no index", "hash", "2", "3"]
+    "value", [heard("A", 65535), heard(HASH_CHECK, 0), heard("A", 2), heard("A", 3)], ids=["no index", "hash", "2", "3"]
 )
 def test_what_has_no_place_in_the_list_is_not_counted(value: ParamValue) -> None:
     listing = listed(value)
@@ -45,6 +44,11 @@ def test_a_list_is_complete_when_every_index_has_a_name_of_its_own() -> None:
     assert not listed().complete
 
 
+def test_a_list_of_one_parameter_is_complete() -> None:
+    listing = listed(heard("A", 0, count=1))
+    assert (listing.missing, listing.complete) == ([], True)
+
+
 @pytest.mark.parametrize("other", [heard("B", 1, count=3), heard("C", 0)])
 def test_a_list_that_changes_while_it_comes_begins_anew(other: ParamValue) -> None:
     listing = listed(heard("A", 0), other)
@@ -54,7 +58,7 @@ def test_a_list_that_changes_while_it_comes_begins_anew(other: ParamValue) -> No
 
 
 def test_a_set_of_parameters_is_asked_by_name() -> None:
-    one = Parameter("A", 1.0, ParameterKind.REAL32, 0, real(1.0), 0.0)
+    one = Parameter("A", 1.0, ParamType.REAL32, 0, real(1.0), 0.0)
     found = ParameterSet({"A": one}, None)
     assert (len(found), found["A"], "A" in found, "B" in found) == (1, one, True, False)
 

@@ -10,6 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib import wire
+from mavcal.calib.wire import HASH_CHECK, ParameterEncoding, ParamType, value_from_bits
 from mavcal.service.errors import (
     LinkDown,
     ParameterMissing,
@@ -18,14 +19,14 @@ from mavcal.service.errors import (
     VehicleError,
     VehicleSilent,
 )
-from mavcal.service.vehicle import ParameterKind, commands
-from mavcal.service.vehicle.encoding import ParameterEncoding, same_value, value_from_bits
-from mavcal.service.vehicle.parameters import HASH_NAME, NO_INDEX, TRIES
+from mavcal.service.vehicle import commands
+from mavcal.service.vehicle.encoding import same_value
+from mavcal.service.vehicle.parameters import NO_INDEX, TRIES
 from mavcal.service.vehicle.streams import _Request
 from tests.unit.vehicle.fake import FakeVehicle, heartbeat, param_value, real
 from tests.unit.vehicle.test_parameters import NAME, Firmware, three
 
-REAL32 = ParameterKind.REAL32
+REAL32 = ParamType.REAL32
 
 
 async def test_a_parameter_is_asked_for_by_name_and_the_first_of_the_list_by_its_place(ardupilot: FakeVehicle) -> None:
@@ -111,7 +112,7 @@ async def test_what_is_heard_keeps_its_place_and_the_length_of_the_list(ardupilo
     assert parameters["B"].index is None
     ardupilot.hear(param_value("C", real(3.0), kind=10))  # a double does not fit
     assert (list(parameters), len(parameters)) == (["A", "B"], 2)
-    ardupilot.hear(param_value(HASH_NAME, b"\x01\x02\x03\x04", kind=5))
+    ardupilot.hear(param_value(HASH_CHECK, b"\x01\x02\x03\x04", kind=5))
     assert parameters.hash == b"\x01\x02\x03\x04"
     parameters.forget()
     assert (list(parameters), parameters.count, parameters.hash) == ([], None, None)
@@ -131,8 +132,8 @@ async def test_whoever_no_longer_listens_may_say_so_twice(ardupilot: FakeVehicle
 # --- values
 
 
-@pytest.mark.parametrize("kind", [ParameterKind.INT8, ParameterKind.UINT16, ParameterKind.INT32, ParameterKind.UINT32])
-def test_a_cast_integer_is_read_as_the_nearest_one(kind: ParameterKind) -> None:
+@pytest.mark.parametrize("kind", [ParamType.INT8, ParamType.UINT16, ParamType.INT32, ParamType.UINT32])
+def test_a_cast_integer_is_read_as_the_nearest_one(kind: ParamType) -> None:
     assert value_from_bits(real(2.6), kind, ParameterEncoding.CAST) == 3
     assert isinstance(value_from_bits(real(2.0), kind, ParameterEncoding.CAST), int)
     assert kind.integer

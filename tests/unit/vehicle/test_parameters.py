@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from mavcal.calib.wire import ParamType
 from mavcal.service.errors import (
     ParameterMissing,
     ParameterRejected,
@@ -18,7 +19,6 @@ from mavcal.service.errors import (
     VehicleSilent,
 )
 from mavcal.service.link import LinkEvent, LinkEventKind
-from mavcal.service.vehicle import ParameterKind
 from tests.unit.vehicle.fake import FakeVehicle, delay_answers, heartbeat, param_value, real
 
 NAME = "INS_ACCOFFS_Y"
@@ -66,7 +66,7 @@ def three(fake: FakeVehicle) -> Firmware:
 
 async def test_a_write_is_rounded_to_float32_and_confirmed_by_its_echo(ardupilot: FakeVehicle) -> None:
     three(ardupilot)
-    echo = await ardupilot.run(ardupilot.vehicle.parameters.set(NAME, 0.1, ParameterKind.REAL32))
+    echo = await ardupilot.run(ardupilot.vehicle.parameters.set(NAME, 0.1, ParamType.REAL32))
     assert echo.parameter.bits == struct.pack("<f", 0.1)
     assert echo.parameter.value == struct.unpack("<f", struct.pack("<f", 0.1))[0]
     assert (echo.sent, echo.confirmed_by) == (1, "echo")
@@ -87,8 +87,8 @@ async def test_the_old_value_in_the_echo_of_a_vectors_neighbour_is_not_taken(ard
         return [stale] if sent < 3 else [stale, *firmware.respond(message)]
 
     ardupilot.link.respond = respond
-    await ardupilot.run(ardupilot.vehicle.parameters.set("INS_ACCOFFS_X", 0.25, ParameterKind.REAL32))
-    echo = await ardupilot.run(ardupilot.vehicle.parameters.set(NAME, 0.25, ParameterKind.REAL32))
+    await ardupilot.run(ardupilot.vehicle.parameters.set("INS_ACCOFFS_X", 0.25, ParamType.REAL32))
+    echo = await ardupilot.run(ardupilot.vehicle.parameters.set(NAME, 0.25, ParamType.REAL32))
     assert echo.parameter.value == 0.25
     assert echo.sent == 2
 
@@ -96,14 +96,14 @@ async def test_the_old_value_in_the_echo_of_a_vectors_neighbour_is_not_taken(ard
 async def test_a_lost_echo_is_made_up_for_by_a_read(ardupilot: FakeVehicle) -> None:
     firmware = three(ardupilot)
     firmware.silent_echo = True
-    echo = await ardupilot.run(ardupilot.vehicle.parameters.set(NAME, -1.5, ParameterKind.REAL32))
+    echo = await ardupilot.run(ardupilot.vehicle.parameters.set(NAME, -1.5, ParamType.REAL32))
     assert (echo.sent, echo.confirmed_by, echo.parameter.value) == (3, "read", -1.5)
 
 
 async def test_a_write_that_the_vehicle_ignores_is_told_with_what_it_holds(ardupilot: FakeVehicle) -> None:
     three(ardupilot).deaf_to_sets = True
     with pytest.raises(ParameterRejected, match=r"0\.7 was written, the vehicle holds 0\.5") as caught:
-        await ardupilot.run(ardupilot.vehicle.parameters.set(NAME, 0.7, ParameterKind.REAL32))
+        await ardupilot.run(ardupilot.vehicle.parameters.set(NAME, 0.7, ParamType.REAL32))
     assert caught.value.sent == 3
 
 
@@ -216,14 +216,14 @@ async def test_a_stream_of_other_values_does_not_end_a_read(ardupilot: FakeVehic
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e39])
 async def test_what_is_no_float32_is_never_sent(ardupilot: FakeVehicle, value: float) -> None:
     with pytest.raises(ParameterRejected):
-        await ardupilot.run(ardupilot.vehicle.parameters.set(NAME, value, ParameterKind.REAL32))
+        await ardupilot.run(ardupilot.vehicle.parameters.set(NAME, value, ParamType.REAL32))
     assert ardupilot.link.sent_of("PARAM_SET") == []
 
 
 @pytest.mark.parametrize("value", [-1, -8388000, 1310988, 16777217])
 async def test_px4_integers_arrive_bit_by_bit(px4: FakeVehicle, value: int) -> None:
     Firmware(px4, {"CAL_ACC3_ID": (struct.pack("<i", 0), 6)})
-    echo = await px4.run(px4.vehicle.parameters.set("CAL_ACC3_ID", value, ParameterKind.INT32))
+    echo = await px4.run(px4.vehicle.parameters.set("CAL_ACC3_ID", value, ParamType.INT32))
     assert echo.parameter.value == value
     assert echo.parameter.bits == struct.pack("<i", value)
     assert px4.vehicle.parameters["CAL_ACC3_ID"].value == value
@@ -233,13 +233,13 @@ async def test_ardupilot_integers_travel_as_floats_and_only_exact_ones(ardupilot
     Firmware(ardupilot, {"COMPASS_DEV_ID": (real(97539), 6), "INS_USE": (real(1), 2)})
     parameters = ardupilot.vehicle.parameters
     assert (await ardupilot.run(parameters.read("COMPASS_DEV_ID"))).value == 97539
-    assert (await ardupilot.run(parameters.set("INS_USE", 0, ParameterKind.INT8))).parameter.bits == real(0)
+    assert (await ardupilot.run(parameters.set("INS_USE", 0, ParamType.INT8))).parameter.bits == real(0)
     with pytest.raises(ParameterRejected, match="exactly"):
-        await ardupilot.run(parameters.set("COMPASS_DEV_ID", 16777217, ParameterKind.INT32))
+        await ardupilot.run(parameters.set("COMPASS_DEV_ID", 16777217, ParamType.INT32))
     with pytest.raises(ParameterRejected, match="does not fit"):
-        await ardupilot.run(parameters.set("INS_USE", 0.7, ParameterKind.INT8))
+        await ardupilot.run(parameters.set("INS_USE", 0.7, ParamType.INT8))
     with pytest.raises(ParameterRejected, match="does not fit"):
-        await ardupilot.run(parameters.set("INS_USE", 300, ParameterKind.INT8))
+        await ardupilot.run(parameters.set("INS_USE", 300, ParamType.INT8))
 
 
 async def test_a_write_of_the_wrong_type_is_refused_before_it_is_sent(px4: FakeVehicle) -> None:
@@ -247,9 +247,9 @@ async def test_a_write_of_the_wrong_type_is_refused_before_it_is_sent(px4: FakeV
     Firmware(px4, {"SENS_IMU_AUTOCAL": (struct.pack("<i", 1), 6)})
     await px4.run(px4.vehicle.parameters.read("SENS_IMU_AUTOCAL"))
     with pytest.raises(ParameterRejected, match="INT32"):
-        await px4.run(px4.vehicle.parameters.set("SENS_IMU_AUTOCAL", 1.0, ParameterKind.REAL32))
+        await px4.run(px4.vehicle.parameters.set("SENS_IMU_AUTOCAL", 1.0, ParamType.REAL32))
     echo = await px4.run(px4.vehicle.parameters.set("SENS_IMU_AUTOCAL", 0))
-    assert echo.parameter.kind is ParameterKind.INT32
+    assert echo.parameter.kind is ParamType.INT32
     assert len(px4.link.sent_of("PARAM_SET")) == 1
 
 
@@ -267,7 +267,7 @@ async def test_param_error_is_believed_where_it_comes(ardupilot: FakeVehicle) ->
     with pytest.raises(ParameterMissing):
         await ardupilot.run(ardupilot.vehicle.parameters.read("GONE"))
     with pytest.raises(ParameterRejected, match="read only") as caught:
-        await ardupilot.run(ardupilot.vehicle.parameters.set("LOCKED", 1.0, ParameterKind.REAL32))
+        await ardupilot.run(ardupilot.vehicle.parameters.set("LOCKED", 1.0, ParamType.REAL32))
     assert caught.value.sent == 1
     assert ardupilot.clock.now - began < 1.0
 
@@ -278,7 +278,7 @@ async def test_arming_in_the_middle_stops_the_writing(ardupilot: FakeVehicle) ->
 
     ardupilot.link.respond = respond
     with pytest.raises(VehicleArmed, match="sent 1 times") as caught:
-        await ardupilot.run(ardupilot.vehicle.parameters.set(NAME, 1.0, ParameterKind.REAL32))
+        await ardupilot.run(ardupilot.vehicle.parameters.set(NAME, 1.0, ParamType.REAL32))
     assert caught.value.sent == 1
     assert len(ardupilot.link.sent_of("PARAM_SET")) == 1
 
@@ -286,7 +286,7 @@ async def test_arming_in_the_middle_stops_the_writing(ardupilot: FakeVehicle) ->
 async def test_nothing_is_sent_while_it_is_not_certain_who_listens(ardupilot: FakeVehicle) -> None:
     ardupilot.vehicle.link_event(LinkEvent(LinkEventKind.DUPLICATE_SYSTEM, "two senders", 1, 1))
     with pytest.raises(VehicleConflict, match="two senders"):
-        await ardupilot.run(ardupilot.vehicle.parameters.set(NAME, 1.0, ParameterKind.REAL32))
+        await ardupilot.run(ardupilot.vehicle.parameters.set(NAME, 1.0, ParamType.REAL32))
     assert ardupilot.link.sent_of("PARAM_SET") == []
     ardupilot.vehicle.link_event(LinkEvent(LinkEventKind.DUPLICATE_SYSTEM, "others", 2, 1))
     ardupilot.advance(31.0)
@@ -401,7 +401,7 @@ async def test_a_refusal_for_another_station_is_not_ours(ardupilot: FakeVehicle,
 
     ardupilot.link.respond = respond
     with pytest.raises(ParameterRejected, match="read only" if taken else "the vehicle holds 0.5"):
-        await ardupilot.run(ardupilot.vehicle.parameters.set(NAME, 1.0, ParameterKind.REAL32))
+        await ardupilot.run(ardupilot.vehicle.parameters.set(NAME, 1.0, ParamType.REAL32))
     assert (len(ardupilot.link.sent_of("PARAM_SET")) == 1) == taken
 
 
@@ -419,4 +419,4 @@ async def test_a_refusal_of_another_parameter_is_not_this_ones(ardupilot: FakeVe
 async def test_the_type_of_a_parameter_is_asked_for_where_it_is_not_known(px4: FakeVehicle) -> None:
     Firmware(px4, {"CAL_GYRO0_ID": (struct.pack("<i", 7), 6)})
     echo = await px4.run(px4.vehicle.parameters.set("CAL_GYRO0_ID", 1310988))
-    assert (echo.parameter.value, echo.parameter.kind) == (1310988, ParameterKind.INT32)
+    assert (echo.parameter.value, echo.parameter.kind) == (1310988, ParamType.INT32)

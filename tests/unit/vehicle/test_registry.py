@@ -11,7 +11,8 @@ from mavcal.calib import wire
 from mavcal.service.errors import LinkDown, VehicleConflict, VehicleUnknown
 from mavcal.service.link import Batch, Link, LinkEvent, LinkEventKind
 from mavcal.service.vehicle import VehicleEventKind, VehicleRegistry
-from tests.unit.vehicle.fake import FakeLink, ManualClock, ack, heartbeat, param_value, real, version
+from tests.clock import ManualClock
+from tests.unit.vehicle.fake import FakeLink, ack, heartbeat, param_value, real, version
 
 
 class Air(FakeLink):
@@ -42,7 +43,7 @@ class Air(FakeLink):
 
 @pytest.fixture
 async def registry() -> AsyncIterator[VehicleRegistry]:
-    made = VehicleRegistry(clock=ManualClock())
+    made = VehicleRegistry(clock=ManualClock(1000.0))
     yield made
     made.close()
 
@@ -176,6 +177,20 @@ async def test_our_own_ids_heard_from_elsewhere_forbid_writing_to_anybody(regist
     for told in air.told:
         told(LinkEvent(LinkEventKind.OWN_IDS_HEARD, "somebody speaks with our ids", 253, 190))
     assert all(v.conflicts == ("somebody speaks with our ids",) for v in registry.all())
+
+
+async def test_an_event_of_a_link_reaches_only_the_vehicles_on_it(registry: VehicleRegistry) -> None:
+    airs = {name: attached(registry, name) for name in ("one", "two")}
+    for air in airs.values():
+        air.say(heartbeat())
+    for kind, text in (
+        (LinkEventKind.OWN_IDS_HEARD, "somebody speaks with our ids"),
+        (LinkEventKind.DUPLICATE_SYSTEM, "two of system 1"),
+    ):
+        for told in airs["one"].told:
+            told(LinkEvent(kind, text, 1, 1))
+    doubts = {vehicle.link.id: vehicle.conflicts for vehicle in registry.all()}
+    assert doubts == {"one": ("somebody speaks with our ids", "two of system 1"), "two": ()}
 
 
 async def test_waiting_for_a_vehicle_ends_when_it_is_identified(registry: VehicleRegistry) -> None:

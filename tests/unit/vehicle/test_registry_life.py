@@ -11,7 +11,8 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from mavcal.service.errors import LinkDown
 from mavcal.service.link import Link
 from mavcal.service.vehicle import VehicleEvent, VehicleEventKind, VehicleRegistry
-from tests.unit.vehicle.fake import ManualClock, heartbeat, version
+from tests.clock import ManualClock
+from tests.unit.vehicle.fake import heartbeat, version
 from tests.unit.vehicle.test_registry import Air, attached, registry
 
 __all__ = ["registry"]
@@ -69,7 +70,7 @@ async def test_a_vehicle_that_is_found_is_told_of_and_asked_who_it_is(registry: 
     air.say(heartbeat())
     assert asking(registry) == 1
     await turns()
-    assert (heard[0].kind, heard[0].text) == (VehicleEventKind.FOUND, "Heard air-1-1.")
+    assert heard[0] == VehicleEvent(VehicleEventKind.FOUND, "air-1-1", "Heard air-1-1.")
     asked = [m.param1 for m in air.sent if m.get_type() == "COMMAND_LONG" and m.command == 512]
     assert dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION in asked
     air.say(version())
@@ -79,6 +80,8 @@ async def test_a_vehicle_that_is_found_is_told_of_and_asked_who_it_is(registry: 
     vehicle.tick()
     await turns()
     assert asking(registry) == 0  # it has answered, and is asked no more
+    (known,) = [event for event in heard if event.kind is VehicleEventKind.IDENTIFIED]
+    assert known.vehicle_id == vehicle.id != "air-1-1"  # the event carries the name that it gave
 
 
 async def test_a_link_that_is_detached_is_asked_nothing_more(registry: VehicleRegistry) -> None:
@@ -96,12 +99,28 @@ async def test_only_the_latest_question_who_a_vehicle_is_goes_on(registry: Vehic
     air.say(heartbeat())
     (vehicle,) = registry.all()
     (first,) = registry._identifying.values()
-    registry._announce(VehicleEvent(VehicleEventKind.REBOOTED, vehicle, "It restarted."))
+    registry._announce(vehicle, VehicleEventKind.REBOOTED, "It restarted.")
     (second,) = registry._identifying.values()
     await turns()
     assert first.cancelled()
     assert not second.done()
     assert asking(registry) == 1  # the end of the first question does not forget the second one
+
+
+async def test_a_unit_that_gave_way_is_asked_nothing_more(registry: VehicleRegistry) -> None:
+    air = attached(registry)
+    air.say(heartbeat())
+    air.say(version(uid2=b"\x01"))
+    (first,) = registry.all()
+    registry._announce(first, VehicleEventKind.REBOOTED, "It restarted.")
+    (question,) = registry._identifying.values()
+    cast(ManualClock, first.clock).now += 31.0
+    air.say(version(uid2=b"\x02"), at=first.clock())
+    (second,) = registry.all()
+    assert second is not first
+    assert list(registry._identifying) == [second]
+    await turns()
+    assert question.cancelled()
 
 
 async def test_a_vehicle_that_does_not_answer_is_asked_again_later_and_not_at_once(

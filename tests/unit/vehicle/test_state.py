@@ -8,6 +8,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from mavcal.service.vehicle.calibration import CalibrationSign
 from mavcal.service.vehicle.state import (
     KEPT_TEXTS,
+    SILENT_S,
     Landed,
     Refusal,
     VehicleState,
@@ -79,6 +80,15 @@ def test_silence_starts_the_two_seconds_again() -> None:
     assert writable(state, 111.9).refusals == (Refusal.ARMED,)
     state = told(heartbeat(), state=state, at=111.0)
     assert writable(state, 112.1).ok
+
+
+def test_a_gap_between_heartbeats_is_silence_only_beyond_its_limit() -> None:
+    """What was no silence while it lasted is none afterwards: the two seconds go on."""
+    at_limit, beyond = 103.0 + SILENT_S, 103.0 + SILENT_S + 0.01  # the last heartbeat came at 103
+    assert not READY.silent(at_limit)
+    assert told(heartbeat(), state=READY, at=at_limit).disarmed_since == READY.disarmed_since
+    assert READY.silent(beyond)
+    assert told(heartbeat(), state=READY, at=beyond).disarmed_since == beyond
 
 
 def test_a_frozen_vehicle_that_still_answers_is_silent() -> None:

@@ -95,11 +95,12 @@ async def test_a_refused_stream_is_in_the_report_and_not_put_back(ardupilot: Fak
     assert set(report.previous) == {IMU}
 
 
-async def test_a_link_that_holds_everything_up_is_asked_for_less(ardupilot: FakeVehicle) -> None:
+@pytest.mark.parametrize("measure_s", [2.0, 0.9])
+async def test_a_link_that_holds_everything_up_is_asked_for_less(ardupilot: FakeVehicle, measure_s: float) -> None:
     streamer = Streamer(ardupilot)
     streamer.share = 0.4
     ardupilot.link.bytes_per_s = 1500.0
-    report = await ardupilot.run(request_streams(ardupilot.vehicle, {IMU: 50.0, IMU2: 50.0}))
+    report = await ardupilot.run(request_streams(ardupilot.vehicle, {IMU: 50.0, IMU2: 50.0}, measure_s=measure_s))
     assert report.capacity_bytes_per_s == 1500.0
     first, second = requests(ardupilot)[:2], requests(ardupilot)[2:]
     assert first == [(IMU, 20_000), (IMU2, 20_000)]
@@ -109,13 +110,16 @@ async def test_a_link_that_holds_everything_up_is_asked_for_less(ardupilot: Fake
     assert streamer.intervals == {IMU: -1, IMU2: 40_000}
 
 
-async def test_a_link_that_is_just_full_is_relieved_so_that_answers_come(ardupilot: FakeVehicle) -> None:
+@pytest.mark.parametrize("measure_s", [2.0, 0.9])
+async def test_a_link_that_is_just_full_is_relieved_so_that_answers_come(
+    ardupilot: FakeVehicle, measure_s: float
+) -> None:
     """Every sample arrives, and each answer waits behind them: reading a parameter takes seconds then."""
     streamer = Streamer(ardupilot)
     ardupilot.link.bytes_per_s = 4000.0
     busy = lambda: any(0 < interval <= 20_000 for interval in streamer.intervals.values())  # noqa: E731
     delay_answers(ardupilot, lambda: 1.2 if busy() else 0.0)
-    report = await ardupilot.run(request_streams(ardupilot.vehicle, {IMU: 50.0, IMU2: 50.0}))
+    report = await ardupilot.run(request_streams(ardupilot.vehicle, {IMU: 50.0, IMU2: 50.0}, measure_s=measure_s))
     assert report.capacity_bytes_per_s == 4000.0
     assert all(interval > 20_000 for interval in streamer.intervals.values())
     # and what was seen is remembered for the next request
@@ -141,6 +145,18 @@ async def test_a_port_that_fills_slowly_is_relieved_before_it_is_full(ardupilot:
     report = await ardupilot.run(request_streams(ardupilot.vehicle, {IMU: 50.0, IMU2: 50.0}))
     assert report.capacity_bytes_per_s == 4000.0
     assert all(interval > 20_000 for interval in streamer.intervals.values())
+
+
+@pytest.mark.parametrize("measure_s", [2.0, 0.9])
+async def test_a_vehicle_that_always_answers_slowly_is_asked_for_no_less(
+    ardupilot: FakeVehicle, measure_s: float
+) -> None:
+    streamer = Streamer(ardupilot)
+    ardupilot.link.bytes_per_s = 4000.0
+    delay_answers(ardupilot, lambda: 0.8)
+    report = await ardupilot.run(request_streams(ardupilot.vehicle, {IMU: 50.0, IMU2: 50.0}, measure_s=measure_s))
+    assert streamer.intervals == {IMU: 20_000, IMU2: 20_000}
+    assert report.capacity_bytes_per_s is None
 
 
 async def test_answers_that_are_as_late_with_fewer_samples_slow_nothing_down(ardupilot: FakeVehicle) -> None:

@@ -100,6 +100,13 @@ async def test_the_time_is_asked_for_where_no_stream_tells_it(ardupilot: FakeVeh
     assert asked(ardupilot, system_time) == 3
 
 
+async def test_the_time_is_asked_for_with_the_first_heartbeat() -> None:
+    found = FakeVehicle(ready=False)
+    assert asked(found, dialect.MAVLINK_MSG_ID_SYSTEM_TIME) == 0
+    found.hear(heartbeat())
+    assert asked(found, dialect.MAVLINK_MSG_ID_SYSTEM_TIME) == 1
+
+
 async def test_its_state_is_asked_for_when_it_has_grown_old(ardupilot: FakeVehicle) -> None:
     ardupilot.link.sent.clear()
     ardupilot.vehicle.tick()
@@ -265,3 +272,13 @@ async def test_who_it_is_is_asked_every_five_seconds_of_a_vehicle_that_has_said_
         counts.append(asked(ardupilot, who))
     assert counts[-1] == 2
     assert counts[3] == 0
+
+
+async def test_who_it_is_is_asked_again_as_soon_as_five_seconds_have_passed(ardupilot: FakeVehicle) -> None:
+    ardupilot.vehicle.tick()
+    ardupilot.link.sent.clear()
+    counts = []
+    for _ in range(4):
+        ardupilot.advance(2.5)
+        counts.append(asked(ardupilot, dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION))
+    assert counts == [0, 1, 1, 2]

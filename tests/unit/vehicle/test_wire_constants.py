@@ -6,22 +6,23 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from mavcal.calib.wire import ParameterEncoding, ParamType
 from mavcal.service.errors import ParameterRejected
 from mavcal.service.jobs import guard, restart
-from mavcal.service.vehicle.encoding import ParameterEncoding, ParameterKind, bits_from_value
+from mavcal.service.vehicle.encoding import bits_from_value
 
 DTYPES = {
-    ParameterKind.UINT8: np.uint8,
-    ParameterKind.INT8: np.int8,
-    ParameterKind.UINT16: np.uint16,
-    ParameterKind.INT16: np.int16,
-    ParameterKind.UINT32: np.uint32,
-    ParameterKind.INT32: np.int32,
+    ParamType.UINT8: np.uint8,
+    ParamType.INT8: np.int8,
+    ParamType.UINT16: np.uint16,
+    ParamType.INT16: np.int16,
+    ParamType.UINT32: np.uint32,
+    ParamType.INT32: np.int32,
 }
 
 
 @pytest.mark.parametrize("kind", DTYPES)
-def test_an_integer_is_taken_up_to_its_limits_and_not_beyond(kind: ParameterKind) -> None:
+def test_an_integer_is_taken_up_to_its_limits_and_not_beyond(kind: ParamType) -> None:
     info = np.iinfo(DTYPES[kind])
     for value in (int(info.min), int(info.max)):
         bits = bits_from_value("P", value, kind, ParameterEncoding.BYTEWISE)
@@ -33,8 +34,8 @@ def test_an_integer_is_taken_up_to_its_limits_and_not_beyond(kind: ParameterKind
 
 
 def test_kinds_have_the_numbers_of_mavlink() -> None:
-    assert {kind.name: int(kind) for kind in ParameterKind} == {
-        kind.name: getattr(dialect, f"MAV_PARAM_TYPE_{kind.name}") for kind in ParameterKind
+    assert {kind.name: int(kind) for kind in ParamType} == {
+        kind.name: getattr(dialect, f"MAV_PARAM_TYPE_{kind.name}") for kind in ParamType
     }
 
 

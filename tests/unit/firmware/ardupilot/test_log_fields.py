@@ -1,6 +1,12 @@
 from __future__ import annotations
 
-from mavcal.calib.firmware.ardupilot.log_fields import COMPASS, INERTIAL, MOTOR_FUNCTIONS, implied_parameters
+from mavcal.calib.firmware.ardupilot.log_fields import (
+    COMPASS,
+    INERTIAL,
+    MOTOR_FUNCTIONS,
+    THROTTLE_FUNCTIONS,
+    implied_parameters,
+)
 
 OLD, NEW = (3, 2, 9), (3, 3, 0)
 OFFSETS = {"COMPASS_OFS_X": 1.0, "COMPASS_OFS2_X": 2.0}
@@ -39,3 +45,8 @@ def test_motors_are_found_by_the_functions_that_ardupilot_gives_their_outputs() 
     """SERVOn_FUNCTION: Motor1 to Motor8 are 33 to 40, Motor9 to Motor12 are 82 to 85."""
     assert [MOTOR_FUNCTIONS[f] for f in (*range(33, 41), *range(82, 86))] == list(range(12))
     assert len(MOTOR_FUNCTIONS) == 12
+
+
+def test_throttles_are_the_outputs_that_ardupilot_names_so() -> None:
+    """SRV_Channel.h: k_throttle is 70, k_throttleLeft 73, k_throttleRight 74."""
+    assert set(THROTTLE_FUNCTIONS) == {70, 73, 74}

@@ -21,7 +21,7 @@ from mavcal.calib.firmware.losses import rotation_angle, split
 from mavcal.calib.firmware.names import ardupilot_imu_names
 from mavcal.calib.firmware.options import ComposeOptions
 from mavcal.calib.firmware.plan import Change, ParameterKind
-from mavcal.calib.firmware.proof.evidence import Reading
+from mavcal.calib.firmware.proof.evidence import StillMean
 from mavcal.calib.firmware.proof.force import force_of
 from mavcal.calib.firmware.rotations import euler_matrix
 from mavcal.calib.fit import AXES, FitStatus
@@ -196,8 +196,8 @@ class TestForce:
         )
         force = force_of("ardupilot", known, changes)
         readings = [
-            Reading(1.0, np.zeros(3), np.eye(3), None, current=2.0),
-            Reading(2.0, np.zeros(3), np.eye(3), None, current=3.0),
+            StillMean(1.0, np.zeros(3), np.eye(3), None, current=2.0),
+            StillMean(2.0, np.zeros(3), np.eye(3), None, current=3.0),
         ]
         every = {c.name for c in changes}
         np.testing.assert_allclose(force.motor(MAG, every, readings), [[2, 4, 0], [3, 6, 0]])

@@ -321,3 +321,26 @@ def test_a_compass_without_a_row_keeps_no_other_from_its_calibration(px4_paramet
     assert plan.blockers == ()
     assert {"CAL_MAG0_XOFF", "CAL_MAG0_YOFF"} <= {c.name for c in plan.changes}
     assert not any(c.name.startswith("CAL_MAG3") for c in plan.changes)
+
+
+@pytest.mark.parametrize(("limit", "blocked"), [(1800.0, False), (1799.9, True)])
+def test_an_offset_as_long_as_ardupilot_allows_is_written(
+    ardupilot_parameters, ardupilot_fingerprint, make_fit, limit, blocked
+):
+    """ArduPilot refuses to arm beyond COMPASS_OFFS_MAX, and not at it."""
+    fit = mag_fit(make_fit, offset=[0.0, 180.0, 0.0], matrix=np.eye(3))
+    plan = compose([fit], ardupilot_parameters | {"COMPASS_OFFS_MAX": limit}, ardupilot_fingerprint)
+    assert bool(plan.blockers) is blocked
+
+
+@pytest.mark.parametrize("known", [{"radius": 24.0, "field_ratio": 0.96}, {"radius": 25.0, "field_ratio": 1.0}])
+def test_what_px4_drops_costs_its_share_of_the_field_and_of_50_ut_where_none_is_known(
+    px4_parameters, px4_fingerprint, make_fit, known
+):
+    def cost(quality):
+        fit = mag_fit(make_fit, quality=quality, matrix=np.diag([1.004, 0.997, 1.0]))
+        (loss,) = compose([fit], px4_parameters, px4_fingerprint).losses
+        return loss.cost
+
+    assert cost(known) == pytest.approx(0.5 * cost({}))  # a field of 25 uT
+    assert cost({}) == pytest.approx(0.004 * 50.0, rel=0.01)

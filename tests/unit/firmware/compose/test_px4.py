@@ -231,6 +231,22 @@ def test_a_fine_offset_before_a_compensation_that_a_restart_starts_is_held_by_it
     np.testing.assert_allclose(model.apply(raw, np.array([rest.temperature])), [[0, 0, -9.8]], atol=1e-6)
 
 
+def test_an_offset_too_fine_for_the_memory_goes_into_the_thermal_constant_that_a_restart_starts(
+    px4_parameters, px4_fingerprint, make_fit
+):
+    """At the reference temperature of the drift the compensation takes nothing of it: all of it must find a place."""
+    offset = [0.004, -0.003, 0.005]
+    rest = make_fit(Sensor.ACCEL, offset=offset, offset_sd=1e-3, temperature=cubic().t_ref)
+    plan = compose([rest, shape(make_fit)], px4_parameters, px4_fingerprint)
+    constants = [c for c in plan.changes if c.name.startswith("TC_A0_X0_")]
+    assert [c.new for c in constants] == pytest.approx(offset, rel=1e-6)
+    assert [c.sd for c in constants] == pytest.approx([1e-3] * 3)
+    assert not any(c.name.startswith("CAL_ACC0_") and c.name.endswith("OFF") for c in plan.changes)
+    assert not [loss for loss in plan.losses if loss.what == "offset"]
+    model = rebooted(plan, px4_parameters, Sensor.ACCEL)
+    np.testing.assert_allclose(model.apply([offset], np.array([cubic().t_ref])), np.zeros((1, 3)), atol=1e-8)
+
+
 def test_an_offset_of_unknown_temperature_is_refused_while_the_compensation_runs(
     px4_parameters, px4_fingerprint, make_fit
 ):

@@ -8,7 +8,7 @@ from mavcal.calib.firmware.in_force.needed import needed
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.recording import Sensor
-from mavcal.service.simvehicle.config import Autopilot, VehicleConfig
+from mavcal.service.simvehicle.config import SimAutopilot, VehicleConfig
 from mavcal.service.simvehicle.server import make_vehicle
 
 IN_FORCE = {"ardupilot": ardupilot.calibration_in_force, "px4": px4.calibration_in_force}
@@ -17,7 +17,7 @@ IDS = {"ardupilot": ardupilot.sensor_ids, "px4": px4.sensor_ids}
 
 def held(autopilot: str, **changes: float) -> dict[str, Value]:
     """Every parameter of a vehicle, hidden ones too."""
-    vehicle = make_vehicle(VehicleConfig(autopilot=Autopilot(autopilot)))
+    vehicle = make_vehicle(VehicleConfig(autopilot=SimAutopilot(autopilot)))
     values: dict[str, Value] = {p.name: p.value for p in vehicle.table}
     assert changes.keys() <= values.keys()
     return {**values, **changes}

@@ -6,7 +6,7 @@ import pytest
 
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware.in_force.origin import differences, origin_of, unproved
-from mavcal.calib.fit import FitStatus, refused
+from mavcal.calib.fit import FitBuilder, FitStatus
 from mavcal.calib.recording import Identity, ParameterTimeline, Recording, Sensor
 from tests.unit.logs.ulog_file import PARAMETERS
 
@@ -17,7 +17,7 @@ def fits(*sensors):
     return [dataclasses.replace(FIT, sensor=sensor) for sensor in sensors]
 
 
-FIT = dataclasses.replace(refused("x", Sensor.GYRO, 0, "", unit="rad/s", n_samples=0), status=FitStatus.OK)
+FIT = dataclasses.replace(FitBuilder("x", Sensor.GYRO, 0, "rad/s", 0).refused(""), status=FitStatus.OK)
 
 
 def origin(*sensors, parameters=PARAMETERS, identity=BOARD):

@@ -10,7 +10,7 @@ from mavcal.calib.firmware.ardupilot import parameters as ardupilot
 from mavcal.calib.firmware.compose.content import contents
 from mavcal.calib.firmware.compose.plan import ComposeOptions, compose
 from mavcal.calib.firmware.compose.trim import force_when_level, trim_from_force
-from mavcal.calib.firmware.plan import Change, Fingerprint, ParameterKind, Verdict, WritePlan
+from mavcal.calib.firmware.plan import Change, Fingerprint, ParameterKind, ProofVerdict, WritePlan
 from mavcal.calib.firmware.proof.verify import verify
 from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.fit import parameter_names
@@ -78,8 +78,8 @@ def test_px4_values_that_its_memory_does_not_take_are_contradicted(px4_parameter
     fit = make_fit(Sensor.ACCEL, offset=[0.31, -0.22, 0.17], matrix=np.diag([1.021, 0.984, 1.013]), matrix_sd=1e-4)
     plan = compose([fit], px4_parameters, px4_fingerprint)
     found, _ = run(px4, plan, [fit], truths, px4_parameters, every(plan))
-    assert found["CAL_ACC0_XOFF"] == found["CAL_ACC0_YOFF"] == Verdict.PROVED
-    assert Verdict.CONTRADICTED not in found.values()
+    assert found["CAL_ACC0_XOFF"] == found["CAL_ACC0_YOFF"] == ProofVerdict.PROVED
+    assert ProofVerdict.CONTRADICTED not in found.values()
 
     stale = px4.calibration_in_force(px4_parameters, Sensor.ACCEL, 0)
     _, result = run(px4, plan, [fit], truths, px4_parameters, every(plan), memory={Sensor.ACCEL: stale})
@@ -93,7 +93,7 @@ def test_px4_restart_that_did_not_happen_is_seen(px4_parameters, px4_fingerprint
     plan = compose([fit], parameters, px4_fingerprint)
     assert plan.needs_reboot
     found, _ = run(px4, plan, [fit], truths, parameters, every(plan))
-    assert [found[f"CAL_GYRO0_{a}OFF"] for a in "XYZ"] == [Verdict.PROVED] * 3
+    assert [found[f"CAL_GYRO0_{a}OFF"] for a in "XYZ"] == [ProofVerdict.PROVED] * 3
     stale = px4.calibration_in_force(parameters, Sensor.GYRO, 0)
     _, result = run(px4, plan, [fit], truths, parameters, every(plan), memory={Sensor.GYRO: stale})
     assert set(result.contradicted) == {f"CAL_GYRO0_{a}OFF" for a in "XYZ"}
@@ -109,7 +109,7 @@ def test_px4_streams_its_magnetometer_raw_so_nothing_can_be_seen(px4_parameters,
     plan = compose([fit], px4_parameters, px4_fingerprint)
     truths = PERFECT | {Sensor.MAG: BODY}
     found, result = run(px4, plan, [fit], truths, px4_parameters, every(plan), mag_stage=Stage.RAW)
-    assert set(found.values()) == {Verdict.NOT_OBSERVABLE}
+    assert set(found.values()) == {ProofVerdict.NOT_OBSERVABLE}
     assert not any(p.acts_on_stream for p in result.parameters)
     assert not result.proved
     assert result.movement is None
@@ -135,8 +135,8 @@ def test_a_compass_at_rest_proves_its_offsets_and_asks_to_be_turned(
     fit, plan = mag_plan(ardupilot_parameters, ardupilot_fingerprint, make_fit)
     truths = PERFECT | {Sensor.MAG: BODY}
     found, result = run(ardupilot, plan, [fit], truths, ardupilot_parameters, every(plan))
-    assert found["COMPASS_OFS_X"] == found["COMPASS_OFS_Y"] == Verdict.PROVED
-    assert found["COMPASS_SCALE"] == Verdict.NOT_OBSERVABLE
+    assert found["COMPASS_OFS_X"] == found["COMPASS_OFS_Y"] == ProofVerdict.PROVED
+    assert found["COMPASS_SCALE"] == ProofVerdict.NOT_OBSERVABLE
     assert not {p.name: p.acts_on_stream for p in result.parameters}["COMPASS_SCALE"]
     assert not result.contradicted
 
@@ -159,7 +159,7 @@ def test_a_compass_that_is_turned_shows_the_strength_of_the_field_everywhere(
     stored = ardupilot_parameters | {c.name: c.new for c in plan.changes}
     result = verify(plan, [fit], None, Recording((turned,)), parameters=stored)
     assert set(result.contradicted) == bad
-    assert sum(p.verdict == Verdict.PROVED for p in result.parameters) == 9 - len(bad)
+    assert sum(p.verdict == ProofVerdict.PROVED for p in result.parameters) == 9 - len(bad)
     assert result.proved == (not bad)
 
 
@@ -172,13 +172,13 @@ def test_thermal_compensation_away_from_its_reference(ardupilot_parameters, ardu
     fit = make_fit(Sensor.GYRO, offset=truth.offset, polynomial=CURVE, polynomial_sd=1e-6, offset_sd=2e-5)
     plan = compose([fit], ardupilot_parameters, ardupilot_fingerprint)
     found, _ = run(ardupilot, plan, [fit], truths, ardupilot_parameters, every(plan), temperature=55.0)
-    assert found["INS_GYROFFS_X"] == found["INS_TCAL1_ENABLE"] == found["INS_TCAL1_GYR1_X"] == Verdict.PROVED
-    assert found["INS_TCAL1_GYR3_X"] == Verdict.NOT_OBSERVABLE
+    assert found["INS_GYROFFS_X"] == found["INS_TCAL1_ENABLE"] == found["INS_TCAL1_GYR1_X"] == ProofVerdict.PROVED
+    assert found["INS_TCAL1_GYR3_X"] == ProofVerdict.NOT_OBSERVABLE
 
     found, _ = run(
         ardupilot, plan, [fit], truths, ardupilot_parameters, every(plan) - {"INS_TCAL1_ENABLE"}, temperature=55.0
     )
-    assert found["INS_TCAL1_ENABLE"] == Verdict.CONTRADICTED
+    assert found["INS_TCAL1_ENABLE"] == ProofVerdict.CONTRADICTED
 
 
 def test_the_shape_of_an_accelerometer_is_judged_between_the_captures(
@@ -191,10 +191,10 @@ def test_the_shape_of_an_accelerometer_is_judged_between_the_captures(
     fit = make_fit(Sensor.ACCEL, polynomial=curve, polynomial_sd=1e-6, undetermined=undetermined)
     plan = compose([fit], parameters, ardupilot_fingerprint)
     found, result = run(ardupilot, plan, [fit], truths, parameters, every(plan), temperature=55.0)
-    assert found["INS_TCAL1_ENABLE"] == found["INS_TCAL1_ACC1_X"] == Verdict.PROVED
+    assert found["INS_TCAL1_ENABLE"] == found["INS_TCAL1_ACC1_X"] == ProofVerdict.PROVED
     assert not result.contradicted
     found, _ = run(ardupilot, plan, [fit], truths, parameters, every(plan) - {"INS_TCAL1_ENABLE"}, temperature=55.0)
-    assert found["INS_TCAL1_ENABLE"] == Verdict.CONTRADICTED
+    assert found["INS_TCAL1_ENABLE"] == ProofVerdict.CONTRADICTED
 
 
 def test_px4_level_trim_turns_every_stream(px4_parameters, px4_fingerprint, make_fit):
@@ -202,7 +202,7 @@ def test_px4_level_trim_turns_every_stream(px4_parameters, px4_fingerprint, make
     fit = make_fit(Sensor.ACCEL, method="level", native=native)
     plan = compose([fit], px4_parameters, px4_fingerprint)
     found, result = run(px4, plan, [fit], PERFECT, px4_parameters, every(plan))
-    assert set(found.values()) == {Verdict.PROVED}
+    assert set(found.values()) == {ProofVerdict.PROVED}
     assert result.proved
     _, result = run(px4, plan, [fit], PERFECT, px4_parameters, set())
     assert set(result.contradicted) == every(plan)
@@ -232,7 +232,7 @@ def test_px4_level_trim_is_proved_while_an_accelerometer_calibration_is_in_force
     truths = PERFECT | {Sensor.ACCEL: truth}
     found, result = run(px4, plan, [fit], truths, parameters, every(plan), down=board)
     assert set(found) == {"SENS_BOARD_X_OFF", "SENS_BOARD_Y_OFF"}
-    assert set(found.values()) == {Verdict.PROVED}
+    assert set(found.values()) == {ProofVerdict.PROVED}
     assert result.proved
     _, result = run(px4, plan, [fit], truths, parameters, set(), down=board)
     assert set(result.contradicted) == every(plan)
@@ -278,7 +278,7 @@ def test_ardupilot_level_trim_is_in_no_stream(ardupilot_parameters, ardupilot_fi
     native = {"roll": 0.03, "pitch": -0.02, "roll_sd": 1e-4, "pitch_sd": 1e-4}
     plan = compose([make_fit(Sensor.ACCEL, method="level", native=native)], ardupilot_parameters, ardupilot_fingerprint)
     found, result = run(ardupilot, plan, [], PERFECT, ardupilot_parameters, every(plan))
-    assert set(found.values()) == {Verdict.NOT_OBSERVABLE}
+    assert set(found.values()) == {ProofVerdict.NOT_OBSERVABLE}
     assert not any(p.acts_on_stream for p in result.parameters)
 
 
@@ -289,20 +289,20 @@ def test_px4_device_id_and_gyro(px4_parameters, px4_fingerprint, make_fit):
     options = ComposeOptions(device_ids={(Sensor.GYRO, 0): 1310988})
     plan = compose([fit], parameters, px4_fingerprint, options=options)
     found, _ = run(px4, plan, [fit], truths, parameters, every(plan))
-    assert [found[f"CAL_GYRO0_{a}OFF"] for a in "XYZ"] == [Verdict.PROVED] * 3
+    assert [found[f"CAL_GYRO0_{a}OFF"] for a in "XYZ"] == [ProofVerdict.PROVED] * 3
 
 
 # what a real PX4 did with each write (data/px4_captures/README.txt), and what the stream can say of it: an offset of
 # 0.009 m/s2 across gravity is no more than a table that someone leans on, whether it was applied or not
 REAL_PX4 = (
-    ("CAL_ACC0_XOFF", 0.009, Verdict.NOT_OBSERVABLE),
-    ("CAL_ACC0_XOFF", 0.05, Verdict.PROVED),
-    ("CAL_ACC0_XOFF", 0.057, Verdict.NOT_OBSERVABLE),
-    ("CAL_ACC0_XOFF", 0.0, Verdict.PROVED),
-    ("CAL_ACC0_ZSCALE", 1.008, Verdict.CONTRADICTED),
-    ("CAL_ACC0_ZSCALE", 1.02, Verdict.PROVED),
-    ("CAL_ACC0_ZSCALE", 1.0, Verdict.PROVED),
-    ("CAL_GYRO0_XOFF", 0.008, Verdict.CONTRADICTED),
+    ("CAL_ACC0_XOFF", 0.009, ProofVerdict.NOT_OBSERVABLE),
+    ("CAL_ACC0_XOFF", 0.05, ProofVerdict.PROVED),
+    ("CAL_ACC0_XOFF", 0.057, ProofVerdict.NOT_OBSERVABLE),
+    ("CAL_ACC0_XOFF", 0.0, ProofVerdict.PROVED),
+    ("CAL_ACC0_ZSCALE", 1.008, ProofVerdict.CONTRADICTED),
+    ("CAL_ACC0_ZSCALE", 1.02, ProofVerdict.PROVED),
+    ("CAL_ACC0_ZSCALE", 1.0, ProofVerdict.PROVED),
+    ("CAL_GYRO0_XOFF", 0.008, ProofVerdict.CONTRADICTED),
 )
 
 
@@ -330,7 +330,7 @@ def test_beyond_the_calibrated_temperatures_nothing_is_waited_for(
     truths = {Sensor.ACCEL: TriadModel(), Sensor.GYRO: truth}
     _, result = run(ardupilot, plan, [fit], truths, ardupilot_parameters, every(plan), temperature=66.0)
     acting = [p for p in result.parameters if p.acts_on_stream]
-    assert {p.verdict for p in acting} == {Verdict.NOT_OBSERVABLE}
+    assert {p.verdict for p in acting} == {ProofVerdict.NOT_OBSERVABLE}
     assert all("it will be provable below 60 degC" in p.text for p in acting)
     assert result.movement is None
     assert result.settled

@@ -7,7 +7,7 @@ import pytest
 
 from mavcal.calib.firmware.compose.draft import Subject
 from mavcal.calib.firmware.proof.check import within
-from mavcal.calib.firmware.proof.evidence import Reading, gather
+from mavcal.calib.firmware.proof.evidence import StillMean, gather
 from mavcal.calib.firmware.proof.known_drift import KnownDrift
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
 from mavcal.calib.triad import ThermalPolynomial
@@ -16,7 +16,7 @@ CURVE = ThermalPolynomial(35.0, 20.0, 50.0, [[1e-3], [0.0], [0.0]])
 
 
 def reading(temperature):
-    return Reading(0.0, np.zeros(3), np.eye(3), temperature)
+    return StillMean(0.0, np.zeros(3), np.eye(3), temperature)
 
 
 @pytest.mark.parametrize(

@@ -5,20 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mavcal.calib.firmware.proof.discrepancy import BIAS_WALK, MOST_BIAS_WALK, RESTART_S, Capture, covariance
-from mavcal.calib.firmware.proof.evidence import Reading
+from mavcal.calib.firmware.proof.discrepancy import BIAS_WALK, MOST_BIAS_WALK, RESTART_S, BeforeAfter, covariance
+from mavcal.calib.firmware.proof.evidence import StillMean
 from mavcal.calib.firmware.proof.known_drift import known_drift
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import TriadModel
 
 
-def gyro(before: float, after: float, *, restarted: bool) -> Capture:
-    then, now = (Reading(t, np.zeros(3), 1e-16 * np.eye(3), 30.0, rest=0) for t in (before, after))
+def gyro(before: float, after: float, *, restarted: bool) -> BeforeAfter:
+    then, now = (StillMean(t, np.zeros(3), 1e-16 * np.eye(3), 30.0, rest=0) for t in (before, after))
     drift = known_drift(Sensor.GYRO, None, None)
-    return Capture(Sensor.GYRO, then, np.zeros(3), (now,), (now,), None, drift, restarted)
+    return BeforeAfter(Sensor.GYRO, then, np.zeros(3), (now,), (now,), None, drift, restarted)
 
 
-def allowed(capture: Capture) -> float:
+def allowed(capture: BeforeAfter) -> float:
     matrix = covariance(capture, TriadModel(), lambda r: np.zeros((len(r), 3)), equality=True)
     return float(np.sqrt(matrix[0, 0]))
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from mavcal.calib.firmware.proof.discrepancy import (
-    Capture,
+    BeforeAfter,
     Expected,
     covariance,
     discrepancy,
     expected_of,
     true_magnitude,
 )
-from mavcal.calib.firmware.proof.evidence import Reading
+from mavcal.calib.firmware.proof.evidence import StillMean
 from mavcal.calib.firmware.proof.known_drift import known_drift
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
@@ -69,14 +69,14 @@ class Case:
         believed = moves if fit is None or drift is None else self._curve(moves, fit[12:])
         expected = expected_of(dataclasses.replace(self.at_rest, model=model), drift, believed, self.magnitude)
         after = tuple(
-            Reading(100.0 + 10.0 * k, means[1 + k], self.spreads[1 + k], heat, rest=rest, temperature_sd=0.1 * k)
+            StillMean(100.0 + 10.0 * k, means[1 + k], self.spreads[1 + k], heat, rest=rest, temperature_sd=0.1 * k)
             for k, (heat, rest) in enumerate(zip(self.heats, RESTS, strict=False))
         )
         first = 1 + len(after)
-        moving = tuple(Reading(200.0, means[k], self.spreads[k], 35.0) for k in range(first, first + self.moving))
-        then = Reading(90.0, means[0], self.spreads[0], 29.0, rest=0) if self.before else None
+        moving = tuple(StillMean(200.0, means[k], self.spreads[k], 35.0) for k in range(first, first + self.moving))
+        then = StillMean(90.0, means[0], self.spreads[0], 29.0, rest=0) if self.before else None
         raw = WHOLE.invert(means[0]) if self.before else None
-        return Capture(self.sensor, then, raw, after, (*after, *moving), expected, moves, restarted=False)
+        return BeforeAfter(self.sensor, then, raw, after, (*after, *moving), expected, moves, restarted=False)
 
     @staticmethod
     def _curve(moves, change):

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mavcal.calib.firmware.plan import Verdict
+from mavcal.calib.firmware.plan import ProofVerdict
 from mavcal.calib.firmware.proof.hypotheses import combinations_of, judge
 
 
@@ -49,7 +49,7 @@ def test_how_far_apart_the_two_are_is_said():
     found = weigh([0.0, 0.0], {"A": [3.0, 4.0], "B": [0.0, 0.0]})
     assert found.distance == {"A": 5.0, "B": 0.0}
     assert found.explained
-    assert found.verdicts == {"A": Verdict.PROVED, "B": Verdict.NOT_OBSERVABLE}
+    assert found.verdicts == {"A": ProofVerdict.PROVED, "B": ProofVerdict.NOT_OBSERVABLE}
 
 
 def test_what_no_combination_explains_is_contradicted_where_it_shows():
@@ -58,7 +58,7 @@ def test_what_no_combination_explains_is_contradicted_where_it_shows():
     assert not weigh([3.90], {"A": [20.0]}).explained
     far = weigh([4.5, 0.0], {"A": [0.0, 20.0], "B": [0.0, 0.5]})
     assert not far.explained
-    assert far.verdicts == {"A": Verdict.CONTRADICTED, "B": Verdict.NOT_OBSERVABLE}
+    assert far.verdicts == {"A": ProofVerdict.CONTRADICTED, "B": ProofVerdict.NOT_OBSERVABLE}
 
 
 def test_two_that_look_alike_cannot_be_told_apart():

@@ -10,7 +10,7 @@ import pytest
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.firmware.compose.plan import compose
 from mavcal.calib.firmware.compose.trim import force_when_level
-from mavcal.calib.firmware.plan import SensorVerdict, Verdict
+from mavcal.calib.firmware.plan import ProofVerdict, SensorVerdict
 from mavcal.calib.firmware.proof.verify import verify
 from mavcal.calib.geometry import quaternion_from_euler
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
@@ -59,7 +59,7 @@ def judged(levelled, trim, *, pose=(ROLL, PITCH), seed=0, error=(0.0, 0.0)):
 @pytest.mark.parametrize("seed", range(20))
 def test_ardupilots_trim_is_proved_by_the_attitude(levelled, seed):
     result = judged(levelled, (ROLL, PITCH), seed=seed, error=(0.002, -0.003))
-    assert {p.verdict for p in result.parameters} == {Verdict.PROVED}
+    assert {p.verdict for p in result.parameters} == {ProofVerdict.PROVED}
     assert result.proved
     (check,) = result.sensors
     assert (check.id, check.verdict) == ("level", SensorVerdict.RIGHT)
@@ -74,7 +74,7 @@ def test_a_trim_that_did_not_take_effect_is_named(levelled, applied, refused):
 
 def test_a_vehicle_that_was_moved_proves_no_level_and_refutes_none(levelled):
     result = judged(levelled, (ROLL, PITCH), pose=(0.2, 0.1))
-    assert {p.verdict for p in result.parameters} == {Verdict.NOT_OBSERVABLE}
+    assert {p.verdict for p in result.parameters} == {ProofVerdict.NOT_OBSERVABLE}
     (check,) = result.sensors
     assert check.verdict == SensorVerdict.NOT_OBSERVABLE
     assert result.must_go == ""
@@ -106,7 +106,7 @@ def test_without_a_rest_before_the_write_no_trim_is_judged(levelled):
     )
     after = standing(rng, ROLL, PITCH, (ROLL, PITCH), start=9.0)
     result = verify(plan, fits, Recording(channels), after, parameters=stored)
-    assert {p.verdict for p in result.parameters} == {Verdict.NOT_OBSERVABLE}
+    assert {p.verdict for p in result.parameters} == {ProofVerdict.NOT_OBSERVABLE}
     assert result.must_go == ""
 
 
@@ -116,5 +116,5 @@ def test_an_attitude_that_turned_by_itself_tells_nothing_of_a_trim(levelled):
     before = standing(rng, ROLL, PITCH, tuple(OLD.values()))
     after = standing(rng, ROLL, PITCH, (ROLL, PITCH), start=9.0, error=(0.2, -0.3))
     result = verify(plan, fits, before, after, parameters=stored)
-    assert {p.verdict for p in result.parameters} == {Verdict.NOT_OBSERVABLE}
+    assert {p.verdict for p in result.parameters} == {ProofVerdict.NOT_OBSERVABLE}
     assert {p.text for p in result.parameters} == {"the attitude has changed otherwise meanwhile: nothing can be told"}

@@ -10,9 +10,9 @@ import pytest
 from mavcal.calib.firmware.compose.draft import Subject
 from mavcal.calib.firmware.compose.fitted import Pair
 from mavcal.calib.firmware.names import ardupilot_imu_names
-from mavcal.calib.firmware.plan import Change, ParameterKind, ParameterVerdict, Verdict
+from mavcal.calib.firmware.plan import Change, ParameterKind, ParameterVerdict, ProofVerdict
 from mavcal.calib.firmware.proof.check import check_stream
-from mavcal.calib.firmware.proof.evidence import Evidence, Reading
+from mavcal.calib.firmware.proof.evidence import StillMean, StreamEvidence
 from mavcal.calib.firmware.proof.force import force_of
 from mavcal.calib.firmware.proof.movement import movement_for
 from mavcal.calib.recording import Sensor
@@ -22,12 +22,12 @@ ACCEL, GYRO, MAG = (Subject(s, 0) for s in (Sensor.ACCEL, Sensor.GYRO, Sensor.MA
 LEVEL = (0.0, 0.0, -G)
 
 
-def verdict(name, found=Verdict.NOT_OBSERVABLE, *, acts=True):
+def verdict(name, found=ProofVerdict.NOT_OBSERVABLE, *, acts=True):
     return ParameterVerdict(name, found, 0.0, 0.0, "", "", acts_on_stream=acts)
 
 
 def reading(mean, sd, *, temperature=32.0, rest=0):
-    return Reading(5.0, np.array(mean, dtype=np.float64), sd**2 * np.eye(3), temperature, rest=rest)
+    return StillMean(5.0, np.array(mean, dtype=np.float64), sd**2 * np.eye(3), temperature, rest=rest)
 
 
 def checked(about, parameters, changes, fit, readings, *, before=()):
@@ -35,7 +35,10 @@ def checked(about, parameters, changes, fit, readings, *, before=()):
     planned = tuple(Change(name, old, new, ParameterKind.REAL32, "") for name, (old, new) in changes.items())
     force = force_of("ardupilot", parameters, planned)
     pair = None if fit is None else Pair(about, fit, None)
-    then, now = Evidence({about: tuple(before)}, {}, frozenset()), Evidence({about: tuple(readings)}, {}, frozenset())
+    then, now = (
+        StreamEvidence({about: tuple(before)}, {}, frozenset()),
+        StreamEvidence({about: tuple(readings)}, {}, frozenset()),
+    )
     check = check_stream(about, tuple(changes), force, pair, then, now, restarted=False)
     assert check is not None
     return check
@@ -91,9 +94,13 @@ def test_all_six_poses_shown_leave_nothing_to_wish(accel):
 
 def test_only_what_is_open_and_acts_counts(accel):
     check = accel(0.003)
-    for found, acts in ((Verdict.PROVED, True), (Verdict.CONTRADICTED, True), (Verdict.CONSISTENT, False)):
+    for found, acts in (
+        (ProofVerdict.PROVED, True),
+        (ProofVerdict.CONTRADICTED, True),
+        (ProofVerdict.CONSISTENT, False),
+    ):
         assert movement_for([verdict("INS_ACCSCAL_X", found, acts=acts)], {ACCEL: check}) is None
-    assert movement_for([verdict("INS_ACCSCAL_X", Verdict.CONSISTENT)], {ACCEL: check}).faces == ("nose_down",)
+    assert movement_for([verdict("INS_ACCSCAL_X", ProofVerdict.CONSISTENT)], {ACCEL: check}).faces == ("nose_down",)
 
 
 def test_a_sensor_that_was_not_seen_needs_a_rest_and_the_others_their_poses(accel):

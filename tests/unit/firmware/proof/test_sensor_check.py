@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib.firmware.compose.plan import compose
-from mavcal.calib.firmware.plan import SensorVerdict, Verdict
+from mavcal.calib.firmware.plan import ProofVerdict, SensorVerdict
 from mavcal.calib.firmware.proof.verify import verify
 from mavcal.calib.recording import Sensor, join
 from mavcal.calib.triad import TriadModel
@@ -46,7 +46,7 @@ def test_gyro_offsets_of_another_vehicle_are_refuted_although_they_act(
     _, fits, plan = gyro_case(make_fit, ardupilot_parameters, ardupilot_fingerprint, [0.01, -0.02, 0.005])
     mine = {Sensor.GYRO: TriadModel([0.012, -0.013, 0.004])}
     result = written(plan, fits, mine, ardupilot_parameters)
-    assert {p.verdict for p in result.parameters if "OFFS" in p.name} == {Verdict.PROVED}
+    assert {p.verdict for p in result.parameters if "OFFS" in p.name} == {ProofVerdict.PROVED}
     assert not result.proved
     (check,) = result.refuted
     assert (check.id, check.verdict) == ("gyro_zero", SensorVerdict.WRONG)

@@ -10,7 +10,7 @@ import pytest
 from mavcal.calib.firmware.compose.draft import Subject
 from mavcal.calib.firmware.compose.fitted import Pair
 from mavcal.calib.firmware.plan import Change, Loss, ParameterKind, SensorVerdict, WritePlan
-from mavcal.calib.firmware.proof.evidence import Evidence, Reading
+from mavcal.calib.firmware.proof.evidence import StillMean, StreamEvidence
 from mavcal.calib.firmware.proof.force import force_of
 from mavcal.calib.firmware.proof.sensor_check import sensor_checks
 from mavcal.calib.recording import Sensor
@@ -26,7 +26,7 @@ CURVE = ThermalPolynomial(25.0, 10.0, 60.0, [[1e-4, 0.0], [0.0, 1e-6], [0.0, 0.0
 
 
 def reading(mean, *, t=5.0, temperature=32.0, covariance=SPREAD):
-    return Reading(t, np.array(mean, dtype=np.float64), covariance, temperature, rest=0)
+    return StillMean(t, np.array(mean, dtype=np.float64), covariance, temperature, rest=0)
 
 
 def checks(parameters, fits, readings, *, losses=(), drift=None, raw=(), changed=None):
@@ -38,7 +38,7 @@ def checks(parameters, fits, readings, *, losses=(), drift=None, raw=(), changed
     plan = WritePlan(None, "", changes, losses=tuple(losses))
     pairs = {about: Pair(about, fit, drift) for about, fit in fits.items()}
     force = force_of("ardupilot", parameters, changes)
-    return sensor_checks(plan, pairs, Evidence(readings, {}, frozenset(raw)), force)
+    return sensor_checks(plan, pairs, StreamEvidence(readings, {}, frozenset(raw)), force)
 
 
 def gyro_check(parameters, fit, *readings, **more):
@@ -95,7 +95,7 @@ class TestGyro:
         (check,) = sensor_checks(
             WritePlan(None, "", changes),
             {GYRO: Pair(GYRO, None, drift)},
-            Evidence({GYRO: (now,)}, {}, frozenset()),
+            StreamEvidence({GYRO: (now,)}, {}, frozenset()),
             force_of("ardupilot", ardupilot_parameters, changes),
         )
         sd = np.sqrt(1e-8 + (1e-5 * 10) ** 2 + (1e-6 * 100) ** 2 + 5e-5**2)
@@ -146,7 +146,7 @@ class TestGyro:
         change = Change("COMPASS_OFS_X", 0.0, 0.5, ParameterKind.REAL32, "", sensor=Sensor.MAG)
         force = force_of("ardupilot", ardupilot_parameters, (change,))
         pairs = {mag: Pair(mag, make_fit(Sensor.MAG), None)}
-        seen = Evidence({mag: (reading([40, 0, 0]),)}, {}, frozenset())
+        seen = StreamEvidence({mag: (reading([40, 0, 0]),)}, {}, frozenset())
         assert sensor_checks(WritePlan(None, "", (change,)), pairs, seen, force) == ()
 
 

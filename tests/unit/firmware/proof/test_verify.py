@@ -8,7 +8,7 @@ import pytest
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.firmware.ardupilot import parameters as ardupilot
 from mavcal.calib.firmware.compose.plan import compose
-from mavcal.calib.firmware.plan import Verdict
+from mavcal.calib.firmware.plan import ProofVerdict
 from mavcal.calib.firmware.proof.verify import verify
 from mavcal.calib.recording import Channel, ParameterTimeline, Recording, Rounding, Sensor, Stage
 from mavcal.calib.triad import TriadModel
@@ -77,11 +77,11 @@ def test_gyro_offsets_in_force_are_proved(ardupilot_parameters, ardupilot_finger
     for before in (True, False):
         found, verification = verdicts(plan, fits, sensors, ardupilot_parameters, names_of(plan), before=before)
         assert {n: v for n, v in found.items() if "OFFS" in n} == dict.fromkeys(
-            (f"INS_GYROFFS_{a}" for a in "XYZ"), Verdict.PROVED
+            (f"INS_GYROFFS_{a}" for a in "XYZ"), ProofVerdict.PROVED
         )
         caltemp = next(p for p in verification.parameters if p.name == "INS_GYR1_CALTEMP")
         assert not caltemp.acts_on_stream
-        assert caltemp.verdict == Verdict.NOT_OBSERVABLE
+        assert caltemp.verdict == ProofVerdict.NOT_OBSERVABLE
         assert verification.proved
         assert verification.movement is None
         x = next(p for p in verification.parameters if p.name == "INS_GYROFFS_X")
@@ -99,14 +99,14 @@ def test_gyro_offsets_that_were_accepted_but_not_applied_are_named(
         found, verification = verdicts(plan, fits, sensors, ardupilot_parameters, names_of(plan) - bad, before=before)
         assert set(verification.contradicted) == bad
         assert not verification.proved
-        assert all(v == Verdict.PROVED for n, v in found.items() if "OFFS" in n and n not in bad)
+        assert all(v == ProofVerdict.PROVED for n, v in found.items() if "OFFS" in n and n not in bad)
 
 
 def test_a_truncated_stream_proves_what_is_larger_than_its_bins(ardupilot_parameters, ardupilot_fingerprint, make_fit):
     sensors, fits, plan = gyro_case(make_fit, ardupilot_parameters, ardupilot_fingerprint, [0.01, -0.02, 0.0004])
     found, _ = verdicts(plan, fits, sensors, ardupilot_parameters, names_of(plan), quantum=1e-3)
-    assert found["INS_GYROFFS_X"] == found["INS_GYROFFS_Y"] == Verdict.PROVED
-    assert found["INS_GYROFFS_Z"] == Verdict.NOT_OBSERVABLE
+    assert found["INS_GYROFFS_X"] == found["INS_GYROFFS_Y"] == ProofVerdict.PROVED
+    assert found["INS_GYROFFS_Z"] == ProofVerdict.NOT_OBSERVABLE
 
 
 TRUTH = TriadModel([0.3, -0.2, 0.15], [[1.01, 0.002, 0], [0.002, 0.98, -0.001], [0, -0.001, 1.015]])
@@ -117,8 +117,8 @@ def test_one_level_pose_proves_the_offsets_and_asks_for_the_faces_that_prove_the
 ):
     sensors, fits, plan = accel_case(make_fit, ardupilot_parameters, ardupilot_fingerprint, TRUTH)
     found, verification = verdicts(plan, fits, sensors, ardupilot_parameters, names_of(plan))
-    assert found["INS_ACCOFFS_X"] == found["INS_ACCOFFS_Y"] == Verdict.PROVED
-    assert found["INS_ACCSCAL_X"] == found["INS_ACCSCAL_Y"] == Verdict.NOT_OBSERVABLE
+    assert found["INS_ACCOFFS_X"] == found["INS_ACCOFFS_Y"] == ProofVerdict.PROVED
+    assert found["INS_ACCSCAL_X"] == found["INS_ACCSCAL_Y"] == ProofVerdict.NOT_OBSERVABLE
     assert verification.contradicted == ()
     assert "nose" in verification.movement.text
     assert "side" in verification.movement.text
@@ -146,8 +146,8 @@ def test_a_vehicle_that_was_moved_between_the_captures_is_judged_by_lengths(
 ):
     sensors, fits, plan = accel_case(make_fit, ardupilot_parameters, ardupilot_fingerprint, TRUTH)
     found, verification = verdicts(plan, fits, sensors, ardupilot_parameters, names_of(plan), poses=(LEFT,))
-    assert found["INS_ACCOFFS_Y"] in (Verdict.PROVED, Verdict.CONSISTENT)
-    assert found["INS_ACCOFFS_X"] == Verdict.NOT_OBSERVABLE
+    assert found["INS_ACCOFFS_Y"] in (ProofVerdict.PROVED, ProofVerdict.CONSISTENT)
+    assert found["INS_ACCOFFS_X"] == ProofVerdict.NOT_OBSERVABLE
     assert verification.contradicted == ()
 
 
@@ -171,7 +171,7 @@ def test_nothing_streamed_is_not_observable(ardupilot_parameters, ardupilot_fing
     _, fits, plan = gyro_case(make_fit, ardupilot_parameters, ardupilot_fingerprint, [0.01, -0.02, 0.005])
     empty = Recording((), ParameterTimeline.constant(ardupilot_parameters))
     verification = verify(plan, fits, None, empty)
-    assert {p.verdict for p in verification.parameters} == {Verdict.NOT_OBSERVABLE}
+    assert {p.verdict for p in verification.parameters} == {ProofVerdict.NOT_OBSERVABLE}
     assert not verification.proved
     assert verification.movement.text.startswith("Hold the vehicle still")
 
@@ -188,8 +188,8 @@ def test_power_and_false_alarms(ardupilot_parameters, ardupilot_fingerprint, mak
         found, _ = verdicts(
             plan, fits, sensors, ardupilot_parameters, names_of(plan) - {"INS_GYROFFS_X"}, seed=seed, hold=2.0
         )
-        caught += found["INS_GYROFFS_X"] == Verdict.CONTRADICTED
-        claimed += found["INS_GYROFFS_X"] == Verdict.PROVED
+        caught += found["INS_GYROFFS_X"] == ProofVerdict.CONTRADICTED
+        claimed += found["INS_GYROFFS_X"] == ProofVerdict.PROVED
         _, verification = verdicts(plan, fits, sensors, ardupilot_parameters, names_of(plan), seed=seed, hold=2.0)
         alarms += len(verification.contradicted)
     assert claimed == 0
@@ -212,5 +212,5 @@ def test_nobody_is_sent_to_move_a_vehicle_for_changes_that_no_pose_shows(
     truth = TriadModel([1e-4, -1e-4, 1e-4], np.diag([1 + 1e-5, 1 - 1e-5, 1 + 1e-5]))
     sensors, fits, plan = accel_case(make_fit, ardupilot_parameters, ardupilot_fingerprint, truth)
     found, verification = verdicts(plan, fits, sensors, ardupilot_parameters, names_of(plan))
-    assert set(found.values()) == {Verdict.NOT_OBSERVABLE}
+    assert set(found.values()) == {ProofVerdict.NOT_OBSERVABLE}
     assert verification.movement is None

@@ -12,9 +12,9 @@ from mavcal.calib.firmware.compose.draft import Subject
 from mavcal.calib.firmware.compose.fitted import Pair
 from mavcal.calib.firmware.compose.plan import compose
 from mavcal.calib.firmware.compose.trim import force_when_level
-from mavcal.calib.firmware.plan import Change, Fingerprint, ParameterKind, SensorVerdict, Verdict, WritePlan
+from mavcal.calib.firmware.plan import Change, Fingerprint, ParameterKind, ProofVerdict, SensorVerdict, WritePlan
 from mavcal.calib.firmware.proof.check import Corrections, StreamCheck, check_stream, out_of_range, within
-from mavcal.calib.firmware.proof.evidence import Evidence, Reading
+from mavcal.calib.firmware.proof.evidence import StillMean, StreamEvidence
 from mavcal.calib.firmware.proof.force import force_of
 from mavcal.calib.firmware.proof.level_check import level_checks
 from mavcal.calib.firmware.proof.verify import verify
@@ -50,17 +50,17 @@ def said(case, *, before=True, applied=True, fits=True, sensors=None, later=None
 @pytest.mark.parametrize(("before", "by"), [(True, BEFORE_AND_AFTER), (False, LENGTH)])
 def test_each_verdict_has_its_sentence(case, before, by):
     found, result = said(case, before=before)
-    assert found[X] == (Verdict.PROVED, f"{by} agree with the new value and contradict the old one", True)
+    assert found[X] == (ProofVerdict.PROVED, f"{by} agree with the new value and contradict the old one", True)
     small = found["INS_GYROFFS_Z"]
     assert small == (
-        Verdict.NOT_OBSERVABLE,
+        ProofVerdict.NOT_OBSERVABLE,
         f"its effect is below 3 standard deviations of {by} in these attitudes",
         True,
     )
     assert found["INS_GYR1_CALTEMP"][1:] == ("no stream depends on it; it was read back", False)
     assert result.unseen == ()
     refused, _ = said(case, before=before, applied=False)
-    assert refused[X] == (Verdict.CONTRADICTED, f"{by} behave as if the old value were still in force", True)
+    assert refused[X] == (ProofVerdict.CONTRADICTED, f"{by} behave as if the old value were still in force", True)
     other, _ = said(case, before=before, sensors={Sensor.GYRO: TriadModel([0.3, -0.2, 0.1])})
     assert other[X][1].startswith(f"{by} agree with neither the new nor the old values")
 
@@ -69,12 +69,12 @@ def test_what_was_not_seen_says_why(case):
     _, _, _, parameters = case
     accel = stream(np.random.default_rng(2), {Sensor.ACCEL: TriadModel()}, parameters, start=10.0)
     found, result = said(case, later=accel)
-    assert found[X] == (Verdict.NOT_OBSERVABLE, "gyro 1 was not streamed after the write", True)
+    assert found[X] == (ProofVerdict.NOT_OBSERVABLE, "gyro 1 was not streamed after the write", True)
     assert found["INS_GYR1_CALTEMP"][2] is False
     assert X in result.unseen
     assert "INS_GYR1_CALTEMP" not in result.unseen
     short, result = said(case, hold=0.3)
-    assert short[X] == (Verdict.NOT_OBSERVABLE, "the vehicle was not still long enough to read gyro 1", True)
+    assert short[X] == (ProofVerdict.NOT_OBSERVABLE, "the vehicle was not still long enough to read gyro 1", True)
     assert X in result.unseen
     blind, result = said(case, before=False, fits=False)
     assert blind[X][1].startswith("gyro 1 was moved between the captures, or its temperature was not streamed")
@@ -90,7 +90,7 @@ def test_a_raw_stream_does_not_depend_on_what_is_written(case):
     )
     found, _ = said(case, later=raw)
     assert found[X] == (
-        Verdict.NOT_OBSERVABLE,
+        ProofVerdict.NOT_OBSERVABLE,
         "the stream of this sensor is raw and does not depend on it; it was read back",
         False,
     )
@@ -113,7 +113,7 @@ CURVE = ThermalPolynomial(25.0, 10.0, 60.0, [[1e-4, 0.0], [0.0, 1e-6], [0.0, 0.0
 
 
 def reading(temperature, mean=(0.0, 0.0, 0.0), **more):
-    return Reading(5.0, np.array(mean), 1e-8 * np.eye(3), temperature, rest=0, **more)
+    return StillMean(5.0, np.array(mean), 1e-8 * np.eye(3), temperature, rest=0, **more)
 
 
 class TestRange:
@@ -140,7 +140,7 @@ class TestRange:
     )
     def test_where_it_will_be_provable_is_said(self, ardupilot_parameters, make_fit, heats, words):
         force = force_of("ardupilot", ardupilot_parameters, ())
-        now = Evidence({GYRO: tuple(reading(h) for h in heats)}, {}, frozenset())
+        now = StreamEvidence({GYRO: tuple(reading(h) for h in heats)}, {}, frozenset())
         pair = Pair(GYRO, None, make_fit(Sensor.GYRO, polynomial=CURVE))
         assert out_of_range(GYRO, force, pair, now) == words
         assert out_of_range(GYRO, force, None, now) == ""
@@ -151,7 +151,7 @@ class TestCheck:
         planned = tuple(Change(n, old, new, ParameterKind.REAL32, "") for n, (old, new) in changes.items())
         force = force_of("ardupilot", parameters, planned)
         about = Subject(fit.sensor, fit.instance)
-        then, seen = (Evidence({about: tuple(rs)}, {}, frozenset()) for rs in (before, now))
+        then, seen = (StreamEvidence({about: tuple(rs)}, {}, frozenset()) for rs in (before, now))
         found = check_stream(about, tuple(changes), force, Pair(about, fit, None), then, seen, restarted=False)
         assert isinstance(found, StreamCheck)
         return found
@@ -203,14 +203,16 @@ class TestLevel:
         other = make_fit(Sensor.ACCEL, 1, method="level", native=native)
         parameters = dict.fromkeys(("AHRS_TRIM_X", "AHRS_TRIM_Y"), 0.0) | self.calibration(autopilot)
         force = force_of(autopilot, parameters, ())
-        now = Evidence(
-            {ACCEL: (Reading(5.0, force_when_level(*stands), 1e-8 * np.eye(3), 32.0, rest=0),)}, {}, frozenset()
+        now = StreamEvidence(
+            {ACCEL: (StillMean(5.0, force_when_level(*stands), 1e-8 * np.eye(3), 32.0, rest=0),)}, {}, frozenset()
         )
         t = np.linspace(4.0, 5.9, rows)
         q = quaternion_from_euler(*(np.full(rows, a) for a in (*attitude, 0.7)))
         after = Recording((Channel(Sensor.ATTITUDE, 0, t, q, "1", Stage.RAW, "ATTITUDE"),))
         plan = WritePlan(Fingerprint(autopilot, "", "", ()), "", ())
-        _, (check,) = level_checks(plan, [other, fit], None, after, Evidence({}, {}, frozenset()), now, force)
+        _, (check,) = level_checks(
+            plan, [other, fit], force, before=None, after=after, then=StreamEvidence({}, {}, frozenset()), now=now
+        )
         return check
 
     @staticmethod
@@ -261,9 +263,9 @@ class TestLevel:
 
     def test_without_a_level_job_there_is_nothing_to_check(self, ardupilot_parameters):
         plan = WritePlan(Fingerprint("ardupilot", "", "", ()), "", ())
-        nothing = Evidence({}, {}, frozenset())
+        nothing = StreamEvidence({}, {}, frozenset())
         force = force_of("ardupilot", ardupilot_parameters, ())
-        assert level_checks(plan, [], None, Recording(()), nothing, nothing, force) == ({}, ())
+        assert level_checks(plan, [], force, before=None, after=Recording(()), then=nothing, now=nothing) == ({}, ())
 
 
 def test_two_sensors_on_the_same_vehicle_are_checked_each_by_itself(
@@ -278,4 +280,4 @@ def test_two_sensors_on_the_same_vehicle_are_checked_each_by_itself(
     before = stream(rng, truth, ardupilot_parameters, (LEVEL,))
     after = stream(rng, truth, now, (LEVEL,), start=10.0)
     result = verify(plan, fits, before, after, parameters=now)
-    assert {p.name: p.verdict for p in result.parameters}[X] == Verdict.PROVED
+    assert {p.name: p.verdict for p in result.parameters}[X] == ProofVerdict.PROVED

@@ -241,6 +241,25 @@ def test_instances_are_rows_of_the_calibration_then_topics_in_their_order():
     assert [rows.primary(s) for s in (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)] == [0, 0, 0]
 
 
+@pytest.mark.parametrize(
+    ("kind", "sensor", "topic_name"),
+    [
+        ("ACC", Sensor.ACCEL, "sensor_accel"),
+        ("GYRO", Sensor.GYRO, "sensor_gyro"),
+        ("MAG", Sensor.MAG, "sensor_mag"),
+    ],
+)
+def test_the_first_row_is_the_primary_one_where_nothing_names_another(kind, sensor, topic_name):
+    """No device id stands for "not said", however small the ids of a log are."""
+    ids = (2, 1, 3)
+    devices = {f"CAL_{kind}{k}_ID": device for k, device in enumerate(ids)}
+    topics = {(topic_name, k): driver(device, [1_000_000], [[1, 2, 3]]) for k, device in enumerate(ids)}
+    for parameters in (devices, devices | {f"CAL_{kind}_PRIME": 0}, devices | {f"CAL_{kind}_PRIME": 99}):
+        assert Rows(topics, parameters).primary(sensor) == 0
+    for instance, device in enumerate(ids):
+        assert Rows(topics, devices | {f"CAL_{kind}_PRIME": device}).primary(sensor) == instance
+
+
 BOARD = {f"SENS_BOARD_{a}_OFF": 0.0 for a in "XYZ"} | {"SENS_BOARD_ROT": 2}
 OWN = {f"CAL_{s}{k}_ROT": -1 for s in ("ACC", "GYRO") for k in range(4)}
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from mavcal.calib.gap.effects import parameter_table
-from mavcal.calib.gap.schema import EffectEstimate, Estimate, Evidence, GapReport, Inputs, Verdict
+from mavcal.calib.gap.schema import EffectEstimate, EffectEvidence, GapReport, GapVerdict, Inputs, ParameterEstimate
 from mavcal.calib.recording import Sensor
 
 
@@ -22,16 +22,16 @@ def effect(id_: str, instances: tuple[int, ...] = (1,), **groups: object) -> Eff
     table = parameter_table()[id_]
     assert set(given) <= {p.name for p in table}, "the catalogue names the parameters"
     params = tuple(_estimate(p.name, given.get(p.name, 0.0), p.unit) for p in table)
-    evidence = Evidence(100.0, len(params), 1e-9, 0.99, 0.5)
+    evidence = EffectEvidence(100.0, len(params), 1e-9, 0.99, 0.5)
     sensor = Sensor.ACCEL if id_ == "reference_attitude" else Sensor(id_.split("_", 1)[0])
     return EffectEstimate(id_, sensor, instances, params, evidence)
 
 
-def _estimate(name: str, value: float, unit: str) -> Estimate:
+def _estimate(name: str, value: float, unit: str) -> ParameterEstimate:
     se = 0.01 * abs(value) + 1e-6
-    return Estimate(name, value, se, (value - 1.96 * se, value + 1.96 * se), unit)
+    return ParameterEstimate(name, value, se, (value - 1.96 * se, value + 1.96 * se), unit)
 
 
 def report(*effects: EffectEstimate) -> GapReport:
     inputs = Inputs("ab" * 32, None, 200.0, 70.0, "sim", 0.0, "ref_* columns", {}, "cd" * 32)
-    return GapReport(inputs, Verdict.EXPLAINED if effects else Verdict.NO_GAP, effects=effects)
+    return GapReport(inputs, GapVerdict.EXPLAINED if effects else GapVerdict.NO_GAP, effects=effects)

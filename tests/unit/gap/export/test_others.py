@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib.gap.export import ENDINGS, Target, exported, target_of
-from mavcal.calib.gap.schema import Verdict
+from mavcal.calib.gap.schema import GapVerdict
 from mavcal.calib.recording import Recording
 
 from .making import effect, report
@@ -71,7 +71,7 @@ def test_endings_say_whom_a_file_is_for(suffix: str) -> None:
 
 def test_nothing_is_exported_where_nothing_was_found() -> None:
     bare = report()
-    assert bare.verdict is Verdict.NO_GAP
+    assert bare.verdict is GapVerdict.NO_GAP
     for target in Target:
         with pytest.raises(ValueError, match="there is no gap"):
             exported(bare, Recording(()), target)

@@ -8,7 +8,7 @@ import pytest
 from bench.gap_picture import CLEAN, REAL, recorded
 from mavcal.calib import gap
 from mavcal.calib.gap.export import Target, exported
-from mavcal.calib.gap.schema import GapReport, Verdict
+from mavcal.calib.gap.schema import GapReport, GapVerdict
 from mavcal.calib.gap.verify import verified_json, verify
 from mavcal.calib.recording import Recording, Sensor
 from mavcal.calib.simulate import SensorErrors, SensorSuite
@@ -47,7 +47,7 @@ def again(text: str, suffix: str) -> SensorSuite:
 def test_the_simulator_with_the_export_has_the_same_gap(
     report: GapReport, real: Recording, target: Target, suffix: str
 ) -> None:
-    assert report.verdict is Verdict.EXPLAINED
+    assert report.verdict is GapVerdict.EXPLAINED
     made = exported(report, real, target)
     assert made.not_held == ()
     simulated = recorded(again(made.text, suffix), 31, seconds=SECONDS)

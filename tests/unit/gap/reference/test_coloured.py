@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from mavcal.calib.gap.likelihood import flicker, random_walk
-from mavcal.calib.gap.reference.noise import Noise, chances, learned
+from mavcal.calib.gap.reference.noise import ResidualSpectrum, chances, learned
 
 from .test_noise import trace, walk, white
 
@@ -82,7 +82,7 @@ def test_a_drift_that_returns_to_its_mean_is_not_carried_on_as_a_walk(seed):
 def test_flicker_of_the_fit_is_what_the_noise_has():
     hz = np.geomspace(0.01, 50.0, 40)
     truth = 1e-4 + 1e-5 * flicker(2.0 * np.pi * hz / 100.0)
-    exact = Noise(hz, np.column_stack([truth] * 3), np.full(40, 50.0), 100.0)
+    exact = ResidualSpectrum(hz, np.column_stack([truth] * 3), np.full(40, 50.0), 100.0)
     assert exact.smoothed().psd == pytest.approx(exact.psd, rel=0.02)
 
 
@@ -91,7 +91,7 @@ def test_a_line_is_widened_to_the_speeds_of_other_flights_and_slow_noise_is_not(
     psd = np.ones((200, 3))
     fast, slow = int(np.argmin(np.abs(hz - 20.0))), int(np.argmin(np.abs(hz - 1.0)))
     psd[[fast, slow]] = 100.0
-    wide = Noise(hz, psd, np.full(200, 50.0), 100.0).widened()
+    wide = ResidualSpectrum(hz, psd, np.full(200, 50.0), 100.0).widened()
     ratio = np.abs(np.log(hz / hz[fast]))
     assert (wide.psd[ratio < 0.07] == 100.0).all()
     assert (wide.psd[(ratio > 0.09) & (hz > 5.0)] == 1.0).all()

@@ -1,0 +1,45 @@
+"""The tables of docs/preflight.md, from what they are about."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from bench.preflight.campaign import Row
+from mavcal.calib.preflight import limits as named
+from mavcal.calib.preflight.check import ASKS
+
+
+def checks() -> str:
+    """Every check with its question."""
+    return _lines(("id", "what it asks"), [(f"`{of}`", asks) for of, asks in ASKS.items()])
+
+
+def limits() -> str:
+    """Every limit with its source."""
+    rows = [(of, f"{limit.value:g} {limit.unit}".rstrip(), limit.source) for of, limit in named.ALL.items()]
+    return _lines(("check", "limit", "why"), rows)
+
+
+def table(found: Sequence[Row]) -> str:
+    """What the bench found."""
+    rows = []
+    for row in found:
+        most = "; ".join(f"{checks} {count}" for checks, count in row.failed.most_common(3))
+        name = "healthy" if row.fault is None else row.fault.words
+        right = "everything passes" if row.fault is None else " or ".join(sorted(row.fault.right))
+        rows.append((name, right, f"{row.right} of {row.runs}", most, "yes" if row.met else "NO"))
+    return _lines(("vehicle", "right", "right, alone", "failed (of healthy: no pass)", "met"), rows)
+
+
+def put(page: str, **tables: str) -> str:
+    """`page` with the tables between their marks replaced."""
+    for name, text in tables.items():
+        begin, end = f"<!-- {name} -->\n", f"<!-- /{name} -->"
+        before, _, rest = page.partition(begin)
+        _, _, after = rest.partition(end)
+        page = f"{before}{begin}{text}\n{end}{after}"
+    return page
+
+
+def _lines(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *rows))

@@ -1,0 +1,71 @@
+"""What every picture is made of: words, a frame, and a style of its own where no page lends it one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Protocol
+
+import numpy as np
+from markupsafe import Markup
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+SHEET = Markup(
+    "text{font-size:10.5px;fill:#1d2b36} .title{font-size:12.5px;font-weight:600} .grid{fill:none;stroke:#dfe5ea} "
+    ".edge{fill:none;stroke:#6b7a86}"
+)
+"""The style of a file; a page has its own rules for the same classes."""
+
+
+class Picture(Protocol):
+    """Something that is drawn into a frame."""
+
+    @property
+    def width(self) -> int:
+        """Of the frame."""
+        ...
+
+    @property
+    def height(self) -> int:
+        """Of the frame."""
+        ...
+
+    def body(self) -> Markup:
+        """Everything within the frame."""
+        ...
+
+
+def text(x: float, y: float, words: str, *, anchor: str = "start", kind: str = "") -> Markup:
+    """Words at a place; `kind` is a class of the style sheet."""
+    style = Markup(' class="{}"').format(kind) if kind else ""
+    return Markup('<text x="{:.1f}" y="{:.1f}" text-anchor="{}"{}>{}</text>').format(x, y, anchor, style, words)
+
+
+def dotted(x: Array, y: Array, colour: str, *, size: float, opacity: float = 0.75) -> Markup:
+    """A dot at each place, all of them one path."""
+    path = "".join(f"M{a:.1f} {b:.1f}h0" for a, b in zip(x, y, strict=True))
+    return Markup(
+        '<path d="{}" fill="none" style="stroke:{}" stroke-width="{:g}" stroke-linecap="round" opacity="{:g}"/>'
+    ).format(path, colour, 2 * size, opacity)
+
+
+def svg(width: float, height: float, parts: Iterable[Markup], title: str) -> Markup:
+    """A picture inside a page, with its words for those who cannot see it."""
+    return Markup('<svg viewBox="0 0 {:.0f} {:.0f}" width="{:.0f}" role="img" aria-label="{}">{}</svg>').format(
+        width, height, width, title, Markup().join(parts)
+    )
+
+
+def side_by_side(pictures: Sequence[Picture], told: str) -> Markup:
+    """A file with pictures in a row; `told` is what a reader without eyes is told."""
+    width, height = sum(p.width for p in pictures), max(p.height for p in pictures)
+    at, groups = 0, []
+    for picture in pictures:
+        groups.append(Markup('<g transform="translate({} 0)">{}</g>').format(at, picture.body()))
+        at += picture.width
+    return Markup(
+        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {0} {1}" width="{0}" height="{1}" '
+        'font-family="Helvetica, Arial, sans-serif" role="img" aria-label="{2}"><style>{3}</style>'
+        '<rect width="{0}" height="{1}" fill="#ffffff"/>{4}</svg>\n'
+    ).format(width, height, told, SHEET, Markup().join(groups))

@@ -1,0 +1,173 @@
+"""What a check says, and the one rule by which a value with its uncertainty is judged against a limit."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+SURE = 3.0
+"""Standard deviations by which a value must lie beyond its limit to fail; nearer to it, it is a warning."""
+
+
+class Verdict(StrEnum):
+    """What a check, or a whole report, comes to."""
+
+    PASS = "pass"  # noqa: S105 - no password
+    WARN = "warn"  # beyond the limit, but not beyond doubt; or a matter of judgement
+    FAIL = "fail"
+    UNKNOWN = "unknown"  # the check cannot be made; its reason says why
+
+
+class CheckId(StrEnum):
+    """Stable names of the checks; the comment of each is its line in docs/preflight.md."""
+
+    GYRO_REST = "gyro_rest"
+    GYRO_NOISE = "gyro_noise"
+    ACCEL_FORCE = "accel_force"
+    COMPASS_FIELD = "compass_field"
+    COMPASS_DIRECTION = "compass_direction"
+    TEMPERATURE = "temperature"
+    CALIBRATION_AGE = "calibration_age"
+    SENSOR_IDS = "sensor_ids"
+    PARAMETERS_CHANGED = "parameters_changed"
+    MOTOR_COMPENSATION = "motor_compensation"
+    VIBRATION = "vibration"
+    ONBOARD_CALIBRATION = "onboard_calibration"
+    ARMING_CHECKS = "arming_checks"
+    VEHICLE_PREARM = "vehicle_prearm"
+
+
+ASKS = {
+    CheckId.GYRO_REST: "Does every gyroscope read zero at rest?",
+    CheckId.GYRO_NOISE: "Is every gyroscope as quiet as it should be at rest?",
+    CheckId.ACCEL_FORCE: "Does every accelerometer read g, and the same vector as the others?",
+    CheckId.COMPASS_FIELD: "Does every compass read the strength of the Earth's field?",
+    CheckId.COMPASS_DIRECTION: "Do dip and heading of every compass agree with the model, the others and the vehicle?",
+    CheckId.TEMPERATURE: "Are the inertial units inside the temperatures that their calibration covers?",
+    CheckId.CALIBRATION_AGE: "How old is the last verified calibration?",
+    CheckId.SENSOR_IDS: "Are the sensors those that were calibrated?",
+    CheckId.PARAMETERS_CHANGED: "Are the calibration parameters those that were verified?",
+    CheckId.MOTOR_COMPENSATION: "Can the motor compensation of the compasses be right?",
+    CheckId.VIBRATION: "Is the vehicle quiet, and has no accelerometer clipped since the start?",
+    CheckId.ONBOARD_CALIBRATION: "Does the vehicle run no calibration of its own?",
+    CheckId.ARMING_CHECKS: "Are the vehicle's own arming checks switched on?",
+    CheckId.VEHICLE_PREARM: "Would the vehicle arm now, by its own checks?",
+}
+"""The question that each check answers."""
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One number that a check rests on, and the most that it may be.
+
+    `sd` holds the noise of the capture and what else limits the number; `of` says what was measured.
+    """
+
+    of: str
+    value: float
+    sd: float
+    limit: float
+    unit: str
+
+    @property
+    def verdict(self) -> Verdict:
+        """Fail only beyond doubt; a value that is too uncertain to tell a failure from a pass says nothing."""
+        if self.value - SURE * self.sd > self.limit:
+            return Verdict.FAIL
+        if SURE * self.sd > self.limit:
+            return Verdict.UNKNOWN
+        return Verdict.WARN if self.value > self.limit else Verdict.PASS
+
+    @property
+    def text(self) -> str:
+        """The number as a line of evidence."""
+        return f"{self.of}: {self.value:.3g} ± {self.sd:.2g} {self.unit}, limit {self.limit:g} {self.unit}"
+
+
+@dataclass(frozen=True)
+class Check:
+    """One check. `value`, `sd`, `limit` and `unit` are those of its worst number; None: it has none."""
+
+    id: CheckId
+    verdict: Verdict
+    value: float | None
+    sd: float | None
+    limit: float | None
+    unit: str
+    reason: str
+    remedy: str = ""
+    evidence: tuple[str, ...] = ()
+
+    def because_of(self, cause: CheckId) -> Check:
+        """The same failure as a consequence of another check's: the sensor cannot be judged before that is mended."""
+        reason = f"{self.reason} This follows from {cause}, which failed."
+        remedy = f"Mend {cause} first, then check again."
+        return dataclasses.replace(self, verdict=Verdict.UNKNOWN, reason=reason, remedy=remedy)
+
+
+@dataclass(frozen=True)
+class Report:
+    """Every check, in the order of :class:`CheckId`."""
+
+    checks: tuple[Check, ...]
+
+    @property
+    def verdict(self) -> Verdict:
+        """Of the whole: any failure fails it, then warnings count, then what could not be checked."""
+        found = {check.verdict for check in self.checks}
+        order = (Verdict.FAIL, Verdict.WARN, Verdict.UNKNOWN)
+        return next((verdict for verdict in order if verdict in found), Verdict.PASS)
+
+    @property
+    def summary(self) -> str:
+        """One sentence: fit, or what stands against it."""
+        named = {v: [c.id.value for c in self.checks if c.verdict == v] for v in Verdict}
+        if self.verdict == Verdict.PASS:
+            return f"All {len(self.checks)} checks pass: this vehicle would arm now."
+        said = [f"{', '.join(ids)} {words}" for v, words in _WORDS if (ids := named[v])]
+        return f"{len(named[Verdict.PASS])} of {len(self.checks)} checks pass; {'; '.join(said)}."
+
+    def check(self, of: CheckId) -> Check:
+        """The check of that id."""
+        return next(check for check in self.checks if check.id == of)
+
+
+_WORDS = (
+    (Verdict.FAIL, "failed"),
+    (Verdict.WARN, "deserve a look"),
+    (Verdict.UNKNOWN, "could not be checked"),
+)
+
+
+def unknown(of: CheckId, reason: str, remedy: str = "", evidence: Sequence[str] = ()) -> Check:
+    """A check that cannot be made."""
+    return Check(of, Verdict.UNKNOWN, None, None, None, "", reason, remedy, tuple(evidence))
+
+
+def judged(of: CheckId, measures: Sequence[Measure], *, good: str, remedy: str, notes: Sequence[str] = ()) -> Check:
+    """The check whose numbers these are; the worst one decides. `good` is the reason of a pass.
+
+    A number that is too uncertain to say anything leaves the check unknown only if no other one decides it.
+    """
+    worst = max(measures, key=_badness)
+    verdict = worst.verdict
+    evidence = (*(m.text for m in measures), *notes)
+    said = {
+        Verdict.PASS: good,
+        Verdict.WARN: f"{_number(worst)}: beyond the limit of {worst.limit:g} {worst.unit}, not beyond doubt.",
+        Verdict.FAIL: f"{_number(worst)}: beyond the limit of {worst.limit:g} {worst.unit}.",
+        Verdict.UNKNOWN: f"{_number(worst)}: too uncertain to compare with {worst.limit:g} {worst.unit}.",
+    }
+    help_ = "" if verdict == Verdict.PASS else remedy
+    return Check(of, verdict, worst.value, worst.sd, worst.limit, worst.unit, said[verdict], help_, evidence)
+
+
+def _badness(measure: Measure) -> tuple[int, float]:
+    order = (Verdict.PASS, Verdict.UNKNOWN, Verdict.WARN, Verdict.FAIL)
+    return order.index(measure.verdict), measure.value / measure.limit if measure.limit > 0.0 else measure.value
+
+
+def _number(measure: Measure) -> str:
+    return f"{measure.of} is {measure.value:.3g} ± {measure.sd:.2g} {measure.unit}"

@@ -1,0 +1,93 @@
+"""A few seconds of frames to a snapshot: what to ask the vehicle for, and what came of it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from mavcal.calib.errors import CalibError
+from mavcal.calib.firmware import Assembler, calibration_in_force, requested_streams
+from mavcal.calib.firmware.plan import Value
+from mavcal.calib.preflight.snapshot import OwnView, Shaking
+from mavcal.calib.recording import Channel, Identity, Recording, Sensor, Stage
+from mavcal.calib.wire import Frame, decode
+
+VIBRATION = dialect.MAVLINK_MSG_ID_VIBRATION
+SYS_STATUS = dialect.MAVLINK_MSG_ID_SYS_STATUS
+PREARM = dialect.MAV_SYS_STATUS_PREARM_CHECK
+SENSORS = frozenset({Sensor.ACCEL, Sensor.GYRO, Sensor.MAG})
+STATE_HZ = 2.0
+ATTITUDE_HZ = 5.0
+AGAINST = ("PreArm:", "Preflight Fail", "Arming denied", "Arm:")
+"""How both firmwares begin a text that says what stands against arming."""
+
+
+def preflight_streams(autopilot: str) -> dict[int, float]:
+    """Rates in Hz by message id. Raises FirmwareError if the autopilot is neither ArduPilot nor PX4."""
+    wanted = requested_streams(autopilot, SENSORS)
+    wanted[dialect.MAVLINK_MSG_ID_ATTITUDE] = ATTITUDE_HZ
+    return wanted | {VIBRATION: STATE_HZ, SYS_STATUS: STATE_HZ}
+
+
+def wanted_messages(identity: Identity) -> frozenset[int]:
+    """The messages that are worth keeping."""
+    return Assembler(identity).message_ids | {VIBRATION, SYS_STATUS}
+
+
+@dataclasses.dataclass(frozen=True)
+class Collected:
+    """What the frames said."""
+
+    recording: Recording
+    """Corrected, in the body frame."""
+    shaking: Shaking | None
+    view: OwnView
+    current_known: bool | None
+
+
+def collect(frames: Sequence[Frame], identity: Identity, parameters: Mapping[str, Value], *, asked: bool) -> Collected:
+    """Read `frames` of one vehicle, in their order; `asked`: it took the request to run its checks before."""
+    assembler = Assembler(identity, parameters)
+    recording = assembler.feed([(None, frame) for frame in frames])
+    shaking = _shaking(_last(frames, VIBRATION), identity.autopilot or "")
+    texts = [e.text for e in recording.events if e.kind == "text" and e.text.startswith(AGAINST)]
+    status = _last(frames, SYS_STATUS)
+    view = OwnView(asked=asked, texts=tuple(dict.fromkeys(text.strip() for text in texts)))
+    if status is not None:
+        there = int(status.onboard_control_sensors_present) & int(status.onboard_control_sensors_enabled)
+        ready = bool(int(status.onboard_control_sensors_health) & PREARM)
+        view = dataclasses.replace(view, present=bool(there & PREARM), ready=ready)
+        if not view.present:
+            view = dataclasses.replace(view, ready=None)
+    current = None if status is None else int(status.current_battery) >= 0
+    corrected = recording.with_channels(_corrected(c, identity, parameters) for c in recording.channels)
+    return Collected(corrected, shaking, view, current)
+
+
+def _corrected(channel: Channel, identity: Identity, parameters: Mapping[str, Value]) -> Channel:
+    """PX4 streams its compasses as they are: the calibration in force makes of them what the vehicle uses."""
+    if channel.stage != Stage.RAW or channel.sensor != Sensor.MAG:
+        return channel
+    try:
+        model = calibration_in_force(identity.autopilot, parameters, Sensor.MAG, channel.instance)
+    except CalibError:
+        return channel
+    # still at rest: a rotated bin has no zero of its own, and the motors are off
+    return dataclasses.replace(channel, values=model.apply(channel.values), stage=Stage.CORRECTED, zero_bin=None)
+
+
+def _shaking(message: Any, autopilot: str) -> Shaking | None:
+    """Levels in m/s2: PX4's x and y are of the gyroscopes (its VIBRATION.hpp)."""
+    if message is None:
+        return None
+    levels = (message.vibration_x, message.vibration_y, message.vibration_z)
+    clips = (message.clipping_0, message.clipping_1, message.clipping_2)
+    return Shaking(levels[2:] if autopilot == "px4" else levels, clips)
+
+
+def _last(frames: Sequence[Frame], message_id: int) -> Any:
+    found = next((frame for frame in reversed(frames) if frame.message_id == message_id), None)
+    return None if found is None else decode(found)

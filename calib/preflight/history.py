@@ -1,0 +1,228 @@
+"""What the parameters say beside earlier verified calibrations: age, sensors, changes, temperature, motors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavcal.calib.errors import FirmwareError
+from mavcal.calib.firmware import calibration_names, sensor_ids
+from mavcal.calib.firmware.in_force.fingerprint import REWRITTEN
+from mavcal.calib.firmware.names import Role
+from mavcal.calib.firmware.plan import Value
+from mavcal.calib.firmware.values import shown
+from mavcal.calib.preflight import limits
+from mavcal.calib.preflight.check import Check, CheckId, Measure, Verdict, judged, unknown
+from mavcal.calib.preflight.snapshot import Snapshot, VerifiedCalibration
+from mavcal.calib.recording import Sensor
+
+_CALIBRATE = "Calibrate with --apply: a calibration counts from its verification on."
+_NONE_KNOWN = "No verified calibration of this vehicle is known here."
+_DAY_S = 86400.0
+_UNKNOWN_TEMPERATURE = -70.0
+"""ArduPilot's CALTEMP at and below this says that the temperature is not known (its default is -300)."""
+_SAME = 1e-6
+"""Relative: parameters are float32 on the wire."""
+
+
+@dataclass(frozen=True)
+class Changed:
+    """A calibration parameter that is not what was verified; `now` None: the vehicle does not have it any more."""
+
+    name: str
+    sensor: Sensor | None
+    then: Value
+    now: Value | None
+
+    @property
+    def text(self) -> str:
+        """As a line of evidence."""
+        now = "not there" if self.now is None else shown(self.now, 6)
+        return f"{self.name}: {shown(self.then, 6)} -> {now}"
+
+
+def calibration_age(snapshot: Snapshot) -> Check:
+    """Days since the oldest sensor was verified last."""
+    newest = {sensor: entry.at for entry in snapshot.history for sensor in sorted(entry.sensors)}
+    if not newest:
+        return unknown(CheckId.CALIBRATION_AGE, _NONE_KNOWN, _CALIBRATE)
+    limit = limits.CALIBRATION_AGE
+    measures = [
+        Measure(f"age of the {sensor} calibration", max(snapshot.now - at, 0.0) / _DAY_S, 0.0, limit.value, limit.unit)
+        for sensor, at in newest.items()
+    ]
+    good = f"The oldest verified calibration is {max(m.value for m in measures):.0f} d old."
+    check = judged(CheckId.CALIBRATION_AGE, measures, good=good, remedy="Calibrate again.")
+    if check.verdict != Verdict.FAIL:
+        return check
+    return Check(**{**vars(check), "verdict": Verdict.WARN})  # age alone makes no sensor wrong
+
+
+def ids_changed(snapshot: Snapshot) -> dict[Sensor, tuple[str, ...]]:
+    """The sensors that are not those that were verified last, with what changed.
+
+    A device id names bus, address and type of a part, so an equal board has equal ids: only the autopilot's own unique
+    id tells them apart. Ids that are all gone were reset, which is a matter of the parameters.
+    """
+    now: dict[Sensor, set[int]] = {}
+    for (sensor, _), device in sensor_ids(snapshot.identity.autopilot, snapshot.parameters).items():
+        now.setdefault(sensor, set()).add(device)
+    found: dict[Sensor, tuple[str, ...]] = {}
+    for sensor, entry in _last(snapshot.history).items():
+        then = {device for key, device in entry.device_ids.items() if key.rstrip("0123456789") == sensor}
+        there = now.get(sensor, set())
+        if not then:
+            there = then  # ArduPilot keeps an id only once the calibration is stored: none was known yet
+        said = [f"{sensor} {device} was verified and is gone" for device in sorted(then - there) if there]
+        said += [f"{sensor} {device} was never verified" for device in sorted(there - then)]
+        if None not in (entry.uid, snapshot.identity.uid) and entry.uid != snapshot.identity.uid:
+            said.append(f"{sensor} was verified on the autopilot {entry.uid}, and this is {snapshot.identity.uid}")
+        if said:
+            found[sensor] = tuple(said)
+    return found
+
+
+def sensor_check(snapshot: Snapshot) -> Check:
+    """Device ids against those of the last verified calibration."""
+    if not snapshot.history:
+        return unknown(CheckId.SENSOR_IDS, _NONE_KNOWN, _CALIBRATE)
+    said = [line for lines in ids_changed(snapshot).values() for line in lines]
+    good = "Every sensor is the one that was calibrated."
+    remedy = "Calibrate the sensors that are new: the calibration of another part does not fit them."
+    return _counted(CheckId.SENSOR_IDS, said, "sensors", good, remedy)
+
+
+def changes(snapshot: Snapshot) -> tuple[Changed, ...]:
+    """Calibration parameters of unchanged sensors that are not what was verified."""
+    found, swapped = [], ids_changed(snapshot)
+    for sensor, entry in _last(snapshot.history).items():
+        if sensor in swapped:
+            continue  # a new part's own calibration is no change of the old one's
+        for name in sorted(entry.parameters):
+            if sensor_of(name) != sensor or _rewritten(name, snapshot.parameters):
+                continue
+            then, now = entry.parameters[name], snapshot.parameters.get(name)
+            if _is_id(name) and now:
+                continue  # another part is a matter of the sensor's id
+            if now is None and not snapshot.complete:
+                continue
+            if now is None or not math.isclose(float(then), float(now), rel_tol=_SAME, abs_tol=1e-12):
+                found.append(Changed(name, sensor, then, now))
+    return tuple(found)
+
+
+def parameters_changed(snapshot: Snapshot) -> Check:
+    """Parameters changed since the last verified calibration."""
+    if not snapshot.history:
+        return unknown(CheckId.PARAMETERS_CHANGED, _NONE_KNOWN, _CALIBRATE)
+    said = [change.text for change in changes(snapshot)]
+    if not said and not snapshot.complete:
+        reason = "The parameters could not all be read in time, and those that were are as verified."
+        return unknown(CheckId.PARAMETERS_CHANGED, reason, "Check again on a faster link.")
+    good = "Every calibration parameter is as it was verified."
+    remedy = "Put the verified values back, which are listed as evidence, or calibrate again."
+    return _counted(CheckId.PARAMETERS_CHANGED, said, "parameters", good, remedy)
+
+
+def _counted(of: CheckId, said: Sequence[str], what: str, good: str, remedy: str) -> Check:
+    if not said:
+        return Check(of, Verdict.PASS, 0.0, 0.0, 0.0, "", good)
+    reason = f"{len(said)} {what} are not as verified: {'; '.join(said[:3])}{' …' if len(said) > 3 else ''}."
+    return Check(of, Verdict.FAIL, float(len(said)), 0.0, 0.0, "", reason, remedy, tuple(said))
+
+
+def _last(history: Sequence[VerifiedCalibration]) -> dict[Sensor, VerifiedCalibration]:
+    """The newest calibration of each sensor."""
+    return {sensor: entry for entry in history for sensor in sorted(entry.sensors)}
+
+
+def sensor_of(name: str) -> Sensor | None:
+    """The sensor that a calibration parameter corrects; None: none alone, or no calibration parameter."""
+    for sensor, prefixes in _PREFIXES.items():
+        if name.startswith(prefixes) or (name[:3] == "INS" and any(f"_{part}" in name for part in _AP[sensor])):
+            return sensor
+    return None
+
+
+_PREFIXES = {
+    Sensor.ACCEL: ("CAL_ACC", "TC_A"),
+    Sensor.GYRO: ("CAL_GYRO", "TC_G"),
+    Sensor.MAG: ("COMPASS_", "CAL_MAG"),
+}
+_AP: Mapping[Sensor, tuple[str, ...]] = {Sensor.ACCEL: ("ACC",), Sensor.GYRO: ("GYR",), Sensor.MAG: ()}
+
+
+def _is_id(name: str) -> bool:
+    return name.endswith("_ID") or "DEV_ID" in name or "PRIO" in name
+
+
+def _rewritten(name: str, parameters: Mapping[str, Value]) -> bool:
+    """Whether the vehicle writes it by itself, at every start or at rest."""
+    by_itself = (
+        bool(parameters.get("INS_GYR_CAL", 1)) if name.startswith("INS") else bool(parameters.get("IMU_GYRO_CAL_EN", 1))
+    )
+    return name in REWRITTEN and by_itself
+
+
+# --- temperature
+
+
+@dataclass(frozen=True)
+class Covered:
+    """The temperatures that a calibration covers, degC, and how that is known."""
+
+    low: float
+    high: float
+    how: str
+
+
+def covered(snapshot: Snapshot, instance: int) -> Covered | None:
+    """The temperatures that the calibration in force of an accelerometer covers; None: nothing says."""
+    parameters = snapshot.parameters
+    try:
+        names = calibration_names(snapshot.identity.autopilot, parameters, Sensor.ACCEL, instance)
+    except FirmwareError:
+        return None
+
+    def of(role: Role) -> float | None:
+        value = parameters.get(names.get(role, ""))
+        return None if value is None else float(value)
+
+    low, high = of(Role.THERMAL_MIN), of(Role.THERMAL_MAX)
+    if of(Role.THERMAL_ENABLE) == 1.0 and low is not None and high is not None and low < high:
+        return Covered(low, high, "the temperature calibration in force")
+    at = of(Role.TEMPERATURE)
+    how = "the temperature of its calibration"
+    if at is None or at <= _UNKNOWN_TEMPERATURE:
+        last = _last(snapshot.history).get(Sensor.ACCEL)
+        at, how = None if last is None else last.temperatures.get(instance), "the temperature of the verified job"
+    if at is None:
+        return None
+    span = limits.TEMPERATURE_SPAN.value
+    return Covered(at - span, at + span, f"{how}, {at:.0f} degC, give or take {span:.0f}")
+
+
+def temperature(snapshot: Snapshot) -> Check:
+    """Temperature of every inertial unit against what its calibration covers."""
+    measures, notes = [], []
+    for instance in snapshot.recording.instances(Sensor.TEMPERATURE):
+        now = float(np.median(snapshot.recording.channel(Sensor.TEMPERATURE, instance).values[:, 0]))
+        span = covered(snapshot, instance)
+        if span is None:
+            notes.append(f"unit {instance + 1} is at {now:.1f} degC; nothing says what its calibration covers")
+            continue
+        middle, half = 0.5 * (span.low + span.high), 0.5 * (span.high - span.low)
+        name = (
+            f"temperature of unit {instance + 1} ({now:.1f} degC) from the middle of {span.low:.0f} to {span.high:.0f}"
+        )
+        measures.append(Measure(name, abs(now - middle), limits.TEMPERATURE_SD, half, "degC"))
+        notes.append(f"unit {instance + 1}: {span.how}")
+    if not measures:
+        why = f"{'; '.join(notes)}." if notes else "No temperature of an inertial unit was heard."
+        return unknown(CheckId.TEMPERATURE, why[:1].upper() + why[1:], _CALIBRATE)
+    remedy = "Let the vehicle come to these temperatures, or calibrate over temperature."
+    good = "Every inertial unit is inside the temperatures that its calibration covers."
+    return judged(CheckId.TEMPERATURE, measures, good=good, remedy=remedy, notes=notes)

@@ -1,0 +1,116 @@
+"""What the vehicle says of itself: shaking, a calibration of its own, its arming checks and whether they pass."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from mavcal.calib.firmware.plan import Value
+from mavcal.calib.preflight import limits
+from mavcal.calib.preflight.check import Check, CheckId, Measure, Verdict, judged, unknown
+from mavcal.calib.preflight.snapshot import OwnView, Shaking
+
+_ALL_CHECKS = 1
+"""ARMING_CHECK of ArduPilot before 4.7: a mask of what is checked, 1 for everything. ARMING_SKIPCHK, since then, is a
+mask of what is skipped; both names with what they mean from the parameter documentation."""
+PARAMETERS = {
+    "ardupilot": ("ARMING_CHECK", "ARMING_SKIPCHK", "COMPASS_ENABLE"),
+    "px4": ("COM_ARM_MAG_STR", "COM_ARM_MAG_ANG", "SYS_HAS_MAG"),
+}
+"""What :func:`arming_checks` looks at, by autopilot."""
+_WORDS = {
+    CheckId.ACCEL_FORCE: ("accel", "imu"),
+    CheckId.GYRO_REST: ("gyro",),
+    CheckId.COMPASS_FIELD: ("compass", "mag"),
+    CheckId.ONBOARD_CALIBRATION: ("calibration running", "calibrating"),
+}
+
+
+def vibration(shaking: Shaking | None) -> Check:
+    """Level now, and clips since the start."""
+    if shaking is None:
+        return unknown(CheckId.VIBRATION, "The vehicle does not say how it vibrates (VIBRATION).")
+    level, clips = limits.VIBRATION, limits.CLIPPING
+    worst = max(shaking.levels, default=0.0)
+    measures = [Measure("vibration", worst, 0.05 * worst, level.value, level.unit)]
+    for i, count in enumerate(shaking.clips):
+        measures.append(Measure(f"clips of accelerometer {i + 1} since the start", count, 0.0, clips.value, clips.unit))
+    good = "The vehicle is quiet, and its accelerometers have hardly clipped since the start."
+    remedy = "Balance propellers and fasten or damp the autopilot; restart it to clear the counters."
+    return judged(CheckId.VIBRATION, measures, good=good, remedy=remedy)
+
+
+def onboard_calibration(view: OwnView) -> Check:
+    """A running calibration streams uncorrected values and refuses arming."""
+    of = CheckId.ONBOARD_CALIBRATION
+    if view.calibrating is None:
+        return unknown(of, "The vehicle did not say whether it calibrates by itself.")
+    if view.calibrating:
+        reason = "The vehicle runs a calibration of its own."
+        return Check(of, Verdict.FAIL, None, None, None, "", reason, "Let it finish, or cancel it there.")
+    return Check(of, Verdict.PASS, None, None, None, "", "The vehicle runs no calibration of its own.")
+
+
+def arming_checks(autopilot: str, parameters: Mapping[str, Value]) -> Check:
+    """Whether a parameter switches the vehicle's checks off: disabled is not pass."""
+    of = CheckId.ARMING_CHECKS
+    known = [name for name in PARAMETERS.get(autopilot, ()) if name in parameters]
+    if not known:
+        return unknown(of, "No parameter tells whether the vehicle checks itself before arming.")
+    said = switched_off(autopilot, parameters)
+    if said:
+        reason = f"The vehicle does not check all of itself before arming: {'; '.join(said)}. Disabled is not pass."
+        return Check(of, Verdict.WARN, None, None, None, "", reason, "Switch the checks on again.", tuple(said))
+    return Check(of, Verdict.PASS, None, None, None, "", "No arming check is switched off.")
+
+
+def switched_off(autopilot: str, parameters: Mapping[str, Value]) -> list[str]:
+    """Sentences on every check that a parameter switches off."""
+    value = {name: int(parameters[name]) for name in PARAMETERS.get(autopilot, ()) if name in parameters}
+    said = []
+    if autopilot == "ardupilot":
+        if value.get("ARMING_CHECK", _ALL_CHECKS) != _ALL_CHECKS:
+            said.append(f"ARMING_CHECK is {value['ARMING_CHECK']}, 1 is everything")
+        if value.get("ARMING_SKIPCHK", 0) != 0:
+            said.append(f"ARMING_SKIPCHK is {value['ARMING_SKIPCHK']}, 0 skips nothing")
+        if value.get("COMPASS_ENABLE", 1) == 0:
+            said.append("COMPASS_ENABLE is 0")
+    else:
+        if value.get("COM_ARM_MAG_STR", 1) == 0:
+            said.append("COM_ARM_MAG_STR is 0: the strength of the field is not checked")
+        if value.get("COM_ARM_MAG_ANG", 60) < 0:
+            said.append("COM_ARM_MAG_ANG is negative: compasses are not compared")
+        if value.get("SYS_HAS_MAG", 1) == 0:
+            said.append("SYS_HAS_MAG is 0")
+    return said
+
+
+def vehicle_prearm(view: OwnView, autopilot: str, parameters: Mapping[str, Value], failed: Sequence[CheckId]) -> Check:
+    """Its own verdict, in its own words. `failed` are our checks that failed: what follows from them is not counted."""
+    of = CheckId.VEHICLE_PREARM
+    if view.texts or view.ready is False:
+        own = "; ".join(f"'{text}'" for text in view.texts) or "it says that it is not ready, and not why"
+        reason, remedy = f"The vehicle would not arm now: {own}.", "Do what the vehicle asks for, then check again."
+        if view.texts and all(_explained(text, failed) for text in view.texts):
+            reason += f" This follows from {', '.join(failed)}."
+            return Check(of, Verdict.WARN, None, None, None, "", reason, "Mend that first.", view.texts)
+        return Check(of, Verdict.FAIL, None, None, None, "", reason, remedy, view.texts)
+    if view.ready is None or not view.present:
+        why = "SYS_STATUS was not heard" if view.ready is None else "SYS_STATUS does not carry the prearm check"
+        return unknown(of, f"The vehicle does not say whether it would arm: {why}.")
+    if autopilot == "ardupilot" and _nothing_checked(parameters):
+        return unknown(of, "Its arming checks are switched off, so its yes says nothing.", "Switch them on again.")
+    asked = "its own checks, run now, pass" if view.asked else "its own checks pass"
+    return Check(of, Verdict.PASS, None, None, None, "", f"This vehicle would arm now: {asked}.")
+
+
+def _nothing_checked(parameters: Mapping[str, Value]) -> bool:
+    return int(parameters.get("ARMING_CHECK", _ALL_CHECKS)) == 0 or int(parameters.get("ARMING_SKIPCHK", 0)) == -1
+
+
+def _explained(text: str, failed: Sequence[CheckId]) -> bool:
+    """Whether a check of ours that failed is about what this text complains of."""
+    about = {of for of, words in _WORDS.items() if any(word in text.lower() for word in words)}
+    general = {CheckId.PARAMETERS_CHANGED, CheckId.SENSOR_IDS, CheckId.TEMPERATURE}
+    if CheckId.COMPASS_FIELD in about:
+        about.add(CheckId.COMPASS_DIRECTION)
+    return bool(about) and bool((about | general) & set(failed))

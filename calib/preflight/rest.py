@@ -1,0 +1,88 @@
+"""What the inertial units read at rest: means with their uncertainty, noise, and whether it was rest at all."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.preflight.limits import MOVING_FORCE, MOVING_RATE_DEG_S
+from mavcal.calib.recording import Channel, Recording, Sensor
+from mavcal.calib.stats.quantisation import mean_of
+from mavcal.calib.stats.windows import finite_rows, without_spikes
+
+Array = NDArray[np.float64]
+
+_BLOCK_S = 0.5
+_LEAST = 20
+"""Samples below which nothing is said about a sensor."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mean:
+    """A sensor's mean (3,) over the capture, its standard deviations (3,), and the noise of a sample (3,)."""
+
+    value: Array
+    sd: Array
+    noise: Array
+    change: float
+    """Largest change of a mean over half a second from the whole one."""
+
+    @property
+    def norm(self) -> float:
+        """Length of the mean."""
+        return float(np.linalg.norm(self.value))
+
+    @property
+    def norm_sd(self) -> float:
+        """Standard deviation of the length: along the mean, or all of it where the mean is zero."""
+        length = self.norm
+        if length <= 3.0 * float(np.linalg.norm(self.sd)):
+            return float(np.linalg.norm(self.sd))
+        return float(np.linalg.norm(self.sd * self.value / length))
+
+
+@dataclass(frozen=True)
+class Silent:
+    """A sensor of which too little came to say anything."""
+
+    why: str
+
+
+def mean_at_rest(recording: Recording, sensor: Sensor, instance: int) -> Mean | Silent:
+    """What one sensor read over the capture."""
+    found = [c for c in recording.find(sensor, instance) if len(c)]
+    if not found:
+        return Silent(f"{sensor} {instance + 1} was not heard")
+    channel = recording.channel(sensor, instance)
+    channel = channel.take(finite_rows(channel.values))
+    channel = channel.take(without_spikes(channel.values))
+    if len(channel) < _LEAST:
+        return Silent(f"only {len(channel)} samples of {sensor} {instance + 1} came")
+    fitted = mean_of(channel)
+    sd = np.sqrt(np.diag(fitted.covariance))
+    return Mean(fitted.mean, sd, fitted.sd, _change(channel))
+
+
+def moved(gyros: Mapping[int, Mean], accels: Mapping[int, Mean]) -> str | None:
+    """Why this was no rest; None: it was. What only one of several units shows is its fault, not a movement."""
+    rate = min((math.degrees(m.change) for m in gyros.values()), default=0.0)
+    force = min((m.change for m in accels.values()), default=0.0)
+    if rate > MOVING_RATE_DEG_S:
+        return f"the vehicle was moved: its rate changed by {rate:.1f} deg/s meanwhile"
+    if force > MOVING_FORCE:
+        return f"the vehicle was moved or shaken: its specific force changed by {force:.2f} m/s2 meanwhile"
+    return None
+
+
+def _change(channel: Channel) -> float:
+    """Largest distance of a block's mean from the whole mean."""
+    blocks = np.floor((channel.t - channel.t[0]) / _BLOCK_S).astype(int)
+    counts = np.bincount(blocks)
+    sums = np.stack([np.bincount(blocks, weights=column) for column in channel.values.T], axis=1)
+    full = counts >= 0.5 * np.median(counts[counts > 0])
+    means = sums[full] / counts[full][:, None]
+    return float(np.linalg.norm(means - channel.values.mean(axis=0), axis=1).max())

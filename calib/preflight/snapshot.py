@@ -1,0 +1,85 @@
+"""What a preflight looks at."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from mavcal.calib.firmware.plan import Value
+from mavcal.calib.recording import Identity, Recording, Sensor
+
+
+@dataclass(frozen=True)
+class VerifiedCalibration:
+    """A calibration that was written and verified, or measured and found in force."""
+
+    job: str
+    at: float
+    """When, wall-clock seconds since 1970."""
+    sensors: frozenset[Sensor]
+    device_ids: Mapping[str, int]
+    """As of :class:`calib.firmware.plan.Fingerprint`: ``accel0`` ..."""
+    parameters: Mapping[str, Value]
+    """Every calibration parameter as it stood afterwards."""
+    temperatures: Mapping[int, float] = field(default_factory=dict)
+    """At which the accelerometers were calibrated, degC by instance."""
+    uid: str | None = None
+    """Of the autopilot; None: not known."""
+
+
+@dataclass(frozen=True)
+class Shaking:
+    """The message VIBRATION: levels in m/s2 and clips since the start, of every unit."""
+
+    levels: tuple[float, ...]
+    clips: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class OwnView:
+    """What the vehicle says of itself. None: it did not say."""
+
+    present: bool | None = None
+    """Whether SYS_STATUS has the bit of the prearm check among what is present and switched on."""
+    ready: bool | None = None
+    """That bit among what is healthy."""
+    asked: bool = False
+    """Whether it took the request to run its checks."""
+    texts: tuple[str, ...] = ()
+    """What it said against arming since then."""
+    calibrating: bool | None = None
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """A few seconds of one vehicle at rest.
+
+    Parameters
+    ----------
+    recording
+        Inertial units and compasses as the vehicle uses them: corrected, in its body frame.
+    identity, parameters
+        Whose, and its calibration and arming parameters.
+    now
+        Wall-clock time, s since 1970.
+    history
+        VerifiedCalibration calibrations of this vehicle, oldest first.
+    heading
+        True heading of the nose that the operator knows, deg; None: not known.
+    current_known
+        Whether a battery current was heard; None: no battery message at all.
+    """
+
+    recording: Recording
+    identity: Identity
+    parameters: Mapping[str, Value]
+    now: float
+    history: tuple[VerifiedCalibration, ...] = ()
+    shaking: Shaking | None = None
+    view: OwnView = OwnView()
+    heading: float | None = None
+    current_known: bool | None = None
+    rewritten: tuple[str, ...] = ()
+    """Calibration parameters that took another value meanwhile."""
+    complete: bool = True
+    """Whether every parameter was read: one that is not there then is one that the vehicle does not have."""

@@ -1,0 +1,64 @@
+"""Parameter values on the wire: four bytes that mean different things to different firmwares.
+
+ArduPilot casts every value to float32; PX4 copies the bytes of an int32 into the float field. Values are kept as
+their four bytes, because the pattern of an integer may be that of a NaN, which does not survive a Python float.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from enum import IntEnum, StrEnum
+from typing import Final
+
+HASH_CHECK: Final = "_HASH_CHECK"
+"""PX4's checksum of the list comes as if it were a parameter; it is none, and no calibration changes it."""
+
+
+class ParameterEncoding(StrEnum):
+    """How a value fills the float field of PARAM_VALUE and PARAM_SET."""
+
+    CAST = "cast"  # converted to float32: integers are exact up to 2**24
+    BYTEWISE = "bytewise"  # the bytes of the integer itself
+
+
+class ParamType(IntEnum):
+    """MAV_PARAM_TYPE, the ones that fit four bytes."""
+
+    UINT8 = 1
+    INT8 = 2
+    UINT16 = 3
+    INT16 = 4
+    UINT32 = 5
+    INT32 = 6
+    REAL32 = 9
+
+    @property
+    def integer(self) -> bool:
+        """True for everything but REAL32."""
+        return self is not ParamType.REAL32
+
+    @property
+    def layout(self) -> str:
+        """Format for :mod:`struct` of a value that fills the field with its own bytes."""
+        return _LAYOUT[self]
+
+
+_LAYOUT: Final = {
+    ParamType.UINT8: "<Bxxx",
+    ParamType.INT8: "<bxxx",
+    ParamType.UINT16: "<Hxx",
+    ParamType.INT16: "<hxx",
+    ParamType.UINT32: "<I",
+    ParamType.INT32: "<i",
+    ParamType.REAL32: "<f",
+}
+
+
+def value_from_bits(bits: bytes, kind: ParamType, encoding: ParameterEncoding) -> float | int:
+    """Read a value. A cast integer that is no number reads as NaN, so that it equals nothing."""
+    if encoding is ParameterEncoding.BYTEWISE or kind is ParamType.REAL32:
+        value: float | int = struct.unpack(kind.layout, bits)[0]
+        return value
+    number: float = struct.unpack("<f", bits)[0]
+    return round(number) if math.isfinite(number) else math.nan

@@ -1,0 +1,56 @@
+"""How answers are read, by their shape."""
+
+# Written by scripts/generate-client from docs/openapi.json. Do not edit.
+
+from __future__ import annotations
+
+from pydantic import TypeAdapter
+
+from mavcal.client.events import JobMessage, Message, VehicleMessage
+from mavcal.client.jobs import JobModel, PlanModel
+from mavcal.client.models import (
+    AuditCheck,
+    AuditPage,
+    FitsModel,
+    GapModel,
+    GapSummary,
+    HealthModel,
+    InfoModel,
+    JobSummary,
+    LinkModel,
+    ParameterModel,
+    PreflightModel,
+    ProcedureModel,
+    ReadinessModel,
+    RecordingModel,
+    RegistrationModel,
+    TicketModel,
+    VehicleModel,
+)
+
+AUDIT_CHECK: TypeAdapter[AuditCheck] = TypeAdapter(AuditCheck)
+AUDIT_PAGE: TypeAdapter[AuditPage] = TypeAdapter(AuditPage)
+FITS_MODEL: TypeAdapter[FitsModel] = TypeAdapter(FitsModel)
+GAP_MODEL: TypeAdapter[GapModel] = TypeAdapter(GapModel)
+GAP_SUMMARY: TypeAdapter[GapSummary] = TypeAdapter(GapSummary)
+HEALTH_MODEL: TypeAdapter[HealthModel] = TypeAdapter(HealthModel)
+INFO_MODEL: TypeAdapter[InfoModel] = TypeAdapter(InfoModel)
+JOB_MESSAGE: TypeAdapter[JobMessage] = TypeAdapter(JobMessage)
+JOB_MODEL: TypeAdapter[JobModel] = TypeAdapter(JobModel)
+LINK_MODEL: TypeAdapter[LinkModel] = TypeAdapter(LinkModel)
+MESSAGE: TypeAdapter[Message] = TypeAdapter(Message)
+PLAN_MODEL: TypeAdapter[PlanModel] = TypeAdapter(PlanModel)
+PREFLIGHT_MODEL: TypeAdapter[PreflightModel] = TypeAdapter(PreflightModel)
+READINESS_MODEL: TypeAdapter[ReadinessModel] = TypeAdapter(ReadinessModel)
+RECORDING_MODEL: TypeAdapter[RecordingModel] = TypeAdapter(RecordingModel)
+REGISTRATION_MODEL: TypeAdapter[RegistrationModel] = TypeAdapter(RegistrationModel)
+TICKET_MODEL: TypeAdapter[TicketModel] = TypeAdapter(TicketModel)
+VEHICLE_MESSAGE: TypeAdapter[VehicleMessage] = TypeAdapter(VehicleMessage)
+VEHICLE_MODEL: TypeAdapter[VehicleModel] = TypeAdapter(VehicleModel)
+GAP_SUMMARY_LIST: TypeAdapter[list[GapSummary]] = TypeAdapter(list[GapSummary])
+JOB_SUMMARY_LIST: TypeAdapter[list[JobSummary]] = TypeAdapter(list[JobSummary])
+LINK_MODEL_LIST: TypeAdapter[list[LinkModel]] = TypeAdapter(list[LinkModel])
+PARAMETER_MODEL_LIST: TypeAdapter[list[ParameterModel]] = TypeAdapter(list[ParameterModel])
+PROCEDURE_MODEL_LIST: TypeAdapter[list[ProcedureModel]] = TypeAdapter(list[ProcedureModel])
+RECORDING_MODEL_LIST: TypeAdapter[list[RecordingModel]] = TypeAdapter(list[RecordingModel])
+VEHICLE_MODEL_LIST: TypeAdapter[list[VehicleModel]] = TypeAdapter(list[VehicleModel])

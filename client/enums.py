@@ -1,0 +1,182 @@
+"""Choices, by the words that go over HTTP."""
+
+# Written by scripts/generate-client from docs/openapi.json. Do not edit.
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class Autopilot(StrEnum):
+    """The firmware family."""
+
+    ARDUPILOT = "ardupilot"
+    PX4 = "px4"
+    OTHER = "other"
+
+
+class CheckId(StrEnum):
+    """Stable names of the checks; the comment of each is its line in docs/preflight.md."""
+
+    GYRO_REST = "gyro_rest"
+    GYRO_NOISE = "gyro_noise"
+    ACCEL_FORCE = "accel_force"
+    COMPASS_FIELD = "compass_field"
+    COMPASS_DIRECTION = "compass_direction"
+    TEMPERATURE = "temperature"
+    CALIBRATION_AGE = "calibration_age"
+    SENSOR_IDS = "sensor_ids"
+    PARAMETERS_CHANGED = "parameters_changed"
+    MOTOR_COMPENSATION = "motor_compensation"
+    VIBRATION = "vibration"
+    ONBOARD_CALIBRATION = "onboard_calibration"
+    ARMING_CHECKS = "arming_checks"
+    VEHICLE_PREARM = "vehicle_prearm"
+
+
+class FitStatus(StrEnum):
+    """What may be done with a fit."""
+
+    OK = "ok"
+    PARTIAL = "partial"
+    REFUSED = "refused"
+
+
+class Fixable(StrEnum):
+    """Kinds of jobs that want nothing but a vehicle at rest."""
+
+    GYRO = "gyro"
+    LEVEL = "level"
+
+
+class Holds(StrEnum):
+    """Which value a parameter holds."""
+
+    OLD = "old"
+    NEW = "new"
+    OTHER = "other"
+    UNKNOWN = "unknown"
+
+
+class JobState(StrEnum):
+    """Where a job is."""
+
+    QUEUED = "queued"
+    RUNNING = "running"
+    WAITING_FOR_OPERATOR = "waiting_for_operator"
+    FITTING = "fitting"
+    REVIEW = "review"
+    APPLYING = "applying"
+    WAITING_FOR_REBOOT = "waiting_for_reboot"
+    VERIFYING = "verifying"
+    SUCCEEDED = "succeeded"
+    ROLLING_BACK = "rolling_back"
+    REVERTED = "reverted"
+    IN_DOUBT = "in_doubt"
+    FAILED = "failed"
+    CANCELLED = "cancelled"
+    INTERRUPTED = "interrupted"
+
+
+class Landed(StrEnum):
+    """EXTENDED_SYS_STATE.landed_state."""
+
+    UNDEFINED = "undefined"
+    ON_GROUND = "on_ground"
+    IN_AIR = "in_air"
+    TAKEOFF = "takeoff"
+    LANDING = "landing"
+
+
+class LinkState(StrEnum):
+    """Where a link stands; the reason is a sentence beside it."""
+
+    CONNECTING = "connecting"
+    UP = "up"
+    DOWN = "down"
+    CLOSED = "closed"
+
+
+class ParameterKind(StrEnum):
+    """The type that a parameter has on the wire."""
+
+    REAL32 = "real32"
+    INT32 = "int32"
+    INT16 = "int16"
+    INT8 = "int8"
+    UINT8 = "uint8"
+    UINT16 = "uint16"
+    UINT32 = "uint32"
+
+
+class Pose(StrEnum):
+    """The six faces, in the order and meaning of MAVLink's ``ACCELCAL_VEHICLE_POS`` (1..6), and oblique poses."""
+
+    LEVEL = "level"
+    LEFT = "left"
+    RIGHT = "right"
+    NOSE_DOWN = "nose_down"
+    NOSE_UP = "nose_up"
+    BACK = "back"
+    OBLIQUE = "oblique"
+
+
+class ProofLevel(StrEnum):
+    """How much of what acts on a stream the stream has proved."""
+
+    FULL = "full"
+    PARTIAL = "partial"
+    NONE = "none"
+
+
+class ProofVerdict(StrEnum):
+    """What the stream says of one written parameter."""
+
+    PROVED = "proved"
+    CONSISTENT = "consistent"
+    NOT_OBSERVABLE = "not_observable"
+    CONTRADICTED = "contradicted"
+
+
+class Sensor(StrEnum):
+    """What a channel measures; the comment gives the columns and the unit."""
+
+    ACCEL = "accel"
+    GYRO = "gyro"
+    MAG = "mag"
+    TEMPERATURE = "temperature"
+    CURRENT = "current"
+    THROTTLE = "throttle"
+    MOTOR = "motor"
+    ROTOR_SPEED = "rotor_speed"
+    ATTITUDE = "attitude"
+    POSITION = "position"
+    VELOCITY = "velocity"
+    PLACE = "place"
+
+
+class SensorVerdict(StrEnum):
+    """Whether a sensor reads, after a write, what it should."""
+
+    RIGHT = "right"
+    WRONG = "wrong"
+    NOT_OBSERVABLE = "not_observable"
+
+
+class Verdict(StrEnum):
+    """What a check, or a whole report, comes to."""
+
+    PASS = "pass"
+    WARN = "warn"
+    FAIL = "fail"
+    UNKNOWN = "unknown"
+
+
+class WriteResult(StrEnum):
+    """What the last attempt to write has come to."""
+
+    RUNNING = "running"
+    FAILED = "failed"
+    IN_DOUBT = "in_doubt"
+    REVERTED = "reverted"
+    SUCCEEDED = "succeeded"

@@ -1,0 +1,239 @@
+"""What the event streams carry."""
+
+# Written by scripts/generate-client from docs/openapi.json. Do not edit.
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from mavcal.client.base import Answer, Number
+from mavcal.client.enums import JobState, ProofLevel
+from mavcal.client.jobs import OutcomeModel, ProgressModel, PromptModel, WriteModel
+from mavcal.client.models import LinkModel, VehicleModel
+
+
+class AnswerData(Answer):
+    """What was answered."""
+
+    value: str
+
+
+class AnswerEvent(Answer):
+    """The operator answered a prompt."""
+
+    job_id: str
+    sequence: int
+    """Of the events of this job, from 1."""
+    at: Number
+    """Wall-clock time, s since 1970."""
+    kind: Literal["answer"]
+    data: AnswerData
+
+
+class StateData(Answer):
+    """The state that a job has come to."""
+
+    state: JobState
+    outcome: OutcomeModel | None
+
+
+class StateEvent(Answer):
+    """The job has come to another state."""
+
+    job_id: str
+    sequence: int
+    """Of the events of this job, from 1."""
+    at: Number
+    """Wall-clock time, s since 1970."""
+    kind: Literal["state"]
+    data: StateData
+
+
+class Nothing(Answer):
+    """An empty object."""
+
+
+class PromptEvent(Answer):
+    """The operator is asked to do something else, or nothing more."""
+
+    job_id: str
+    sequence: int
+    """Of the events of this job, from 1."""
+    at: Number
+    """Wall-clock time, s since 1970."""
+    kind: Literal["prompt"]
+    data: PromptModel | Nothing
+    """An empty object: nothing is asked any more."""
+
+
+class ProgressEvent(Answer):
+    """How far the job is."""
+
+    job_id: str
+    sequence: int
+    """Of the events of this job, from 1."""
+    at: Number
+    """Wall-clock time, s since 1970."""
+    kind: Literal["progress"]
+    data: ProgressModel
+
+
+class WarningData(Answer):
+    """A warning."""
+
+    text: str
+
+
+class WarningEvent(Answer):
+    """The job has one warning more."""
+
+    job_id: str
+    sequence: int
+    """Of the events of this job, from 1."""
+    at: Number
+    """Wall-clock time, s since 1970."""
+    kind: Literal["warning"]
+    data: WarningData
+
+
+class SegmentsEvent(Answer):
+    """The recording of the job is closed."""
+
+    job_id: str
+    sequence: int
+    """Of the events of this job, from 1."""
+    at: Number
+    """Wall-clock time, s since 1970."""
+    kind: Literal["segments"]
+    data: Nothing
+
+
+class SetAsideData(Answer):
+    """What was set aside."""
+
+    segments: int
+    """Spans of the recording."""
+
+
+class SetAsideEvent(Answer):
+    """What was recorded so far is not used: the vehicle was disturbed, and the capture begins again."""
+
+    job_id: str
+    sequence: int
+    """Of the events of this job, from 1."""
+    at: Number
+    """Wall-clock time, s since 1970."""
+    kind: Literal["set_aside"]
+    data: SetAsideData
+
+
+class PlanData(Answer):
+    """The new plan."""
+
+    sha256: str
+
+
+class PlanEvent(Answer):
+    """The job was planned again."""
+
+    job_id: str
+    sequence: int
+    """Of the events of this job, from 1."""
+    at: Number
+    """Wall-clock time, s since 1970."""
+    kind: Literal["plan"]
+    data: PlanData
+
+
+class WriteEvent(Answer):
+    """A write has ended."""
+
+    job_id: str
+    sequence: int
+    """Of the events of this job, from 1."""
+    at: Number
+    """Wall-clock time, s since 1970."""
+    kind: Literal["write"]
+    data: WriteModel
+
+
+class VerificationData(Answer):
+    """What the stream has proved."""
+
+    proved: bool
+    proof: ProofLevel
+
+
+class VerificationEvent(Answer):
+    """The stream was checked after the write."""
+
+    job_id: str
+    sequence: int
+    """Of the events of this job, from 1."""
+    at: Number
+    """Wall-clock time, s since 1970."""
+    kind: Literal["verification"]
+    data: VerificationData
+
+
+class StandingData(Answer):
+    """Why it is not certain."""
+
+    note: str
+
+
+class StandingEvent(Answer):
+    """What was known of the parameters of an interrupted write is not certain any more."""
+
+    job_id: str
+    sequence: int
+    """Of the events of this job, from 1."""
+    at: Number
+    """Wall-clock time, s since 1970."""
+    kind: Literal["standing"]
+    data: StandingData
+
+
+JobEvent = Annotated[
+    StateEvent
+    | PromptEvent
+    | ProgressEvent
+    | AnswerEvent
+    | WarningEvent
+    | SegmentsEvent
+    | SetAsideEvent
+    | PlanEvent
+    | WriteEvent
+    | VerificationEvent
+    | StandingEvent,
+    Field(discriminator="kind"),
+]
+"""One of JobEvent."""
+
+
+class JobMessage(Answer):
+    """Something happened to a job. `id` continues the stream: it is sent again as `Last-Event-ID`."""
+
+    event: Literal["job"]
+    id: str
+    data: JobEvent
+
+
+class LinkMessage(Answer):
+    """The present state of a link."""
+
+    event: Literal["link"]
+    data: LinkModel
+
+
+class VehicleMessage(Answer):
+    """The present state of a vehicle."""
+
+    event: Literal["vehicle"]
+    data: VehicleModel
+
+
+Message = Annotated[JobMessage | VehicleMessage | LinkMessage, Field(discriminator="event")]
+"""One of Message."""

@@ -1,0 +1,316 @@
+"""What the service answers with besides jobs."""
+
+# Written by scripts/generate-client from docs/openapi.json. Do not edit.
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from mavcal.client.base import Answer, Number
+from mavcal.client.enums import Autopilot, CheckId, Fixable, JobState, Landed, LinkState, ParameterKind, Sensor, Verdict
+from mavcal.client.jobs import FitModel, OutcomeModel, ProgressModel, PromptModel, WriteModel
+
+
+class AuditCheck(Answer):
+    """Whether the audit trail is as it was written."""
+
+    intact: bool
+    rows: int
+    head: str
+    """Digest of the newest row; kept elsewhere it vouches for all rows up to it."""
+    broken_at: int | None
+    """First row that does not fit."""
+
+
+class AuditModel(Answer):
+    """Who asked for what."""
+
+    id: int
+    at: Number
+    """Wall-clock time, s since 1970."""
+    actor: str
+    action: str
+    subject: str
+    detail: dict[str, Any]
+    sha256: str | None
+    """Covers this row and all before it; null: from before there was a chain."""
+
+
+class AuditPage(Answer):
+    """Rows of the audit trail, oldest first."""
+
+    rows: list[AuditModel]
+    next: int | None
+    """`after` of the next page; null: this is the last one."""
+
+
+class CheckModel(Answer):
+    """One check; value, sd and limit are those of its worst number, null where it has none."""
+
+    id: CheckId
+    verdict: Verdict
+    value: Number | None
+    sd: Number | None
+    """Standard deviation of `value`: noise and whatever else limits it."""
+    limit: Number | None
+    unit: str
+    reason: str
+    remedy: str
+    """What helps; empty where nothing has to be done."""
+    evidence: list[str]
+    """Every number and fact that the check rests on."""
+
+
+class FitsModel(Answer):
+    """Fits of an uploaded recording."""
+
+    method: str
+    fits: list[FitModel]
+    """One a sensor, as in `mavcal fit --json`."""
+
+
+class FixModel(Answer):
+    """A calibration that was run before the checks."""
+
+    kind: Fixable
+    job_id: str
+    state: JobState
+    text: str
+    """What came of it."""
+
+
+class GapModel(Answer):
+    """A diagnosis with its report."""
+
+    id: str
+    href: str
+    """Its address, relative to the root of the service."""
+    state: Literal["queued", "running", "done", "failed"]
+    error: str | None
+    """Why it failed."""
+    created_at: Number
+    """Wall-clock time, s since 1970."""
+    real: str
+    sim: str | None
+    nominal: list[str]
+    report: dict[str, Any] | None
+    """As `mavcal gap --json`; null until it is done."""
+    page: str | None
+    """Address of the report as a page, relative to the root of the service."""
+
+
+class GapSummary(Answer):
+    """A diagnosis in a list."""
+
+    id: str
+    href: str
+    """Its address, relative to the root of the service."""
+    state: Literal["queued", "running", "done", "failed"]
+    error: str | None
+    """Why it failed."""
+    created_at: Number
+    """Wall-clock time, s since 1970."""
+    real: str
+    sim: str | None
+    nominal: list[str]
+
+
+class HealthModel(Answer):
+    """The process answers."""
+
+    status: Literal["ok"]
+
+
+class HoldsModel(Answer):
+    """What one autopilot keeps of a procedure's result."""
+
+    writes: list[str]
+    """Parameters."""
+    cannot_represent: list[str]
+
+
+class InfoModel(Answer):
+    """Name and versions."""
+
+    name: str
+    version: str
+    python: str
+
+
+class JobSummary(Answer):
+    """A job in a list."""
+
+    id: str
+    href: str
+    """Its address, relative to the root of the service."""
+    vehicle_id: str | None
+    """Null: the job computes something of uploads and needs no vehicle."""
+    kind: str
+    state: JobState
+    created_at: Number
+    """Wall-clock time, s since 1970."""
+    updated_at: Number
+    """Wall-clock time, s since 1970."""
+    progress: ProgressModel | None
+    prompt: PromptModel | None
+    """What the operator is asked to do; null: nothing now."""
+    outcome: OutcomeModel | None
+    """Null while the job goes on, and while a plan waits that was not tried yet."""
+    last_write: WriteModel | None
+    """Null: nothing was accepted yet."""
+
+
+class LinkModel(Answer):
+    """A link."""
+
+    id: str
+    url: str
+    state: LinkState
+    reason: str
+    """Why it is in that state."""
+    vehicles: list[str]
+    """Ids of the vehicles heard on it."""
+    crc_errors: int
+    """Damaged frames, which cannot be attributed to a sender."""
+
+
+class OptionModel(Answer):
+    """A number or a switch that may be set when a job is started."""
+
+    name: str
+    default: bool | Number
+    help: str
+    unit: str
+    """Empty: a switch, or a pure number."""
+    low: Number | None
+    """Least value, in `unit`; null: without a limit."""
+    high: Number | None
+    """Greatest value, in `unit`; null: without a limit."""
+
+
+class ParameterModel(Answer):
+    """A parameter as the vehicle states it."""
+
+    name: str
+    value: Number | None
+    """Null: not a finite number."""
+    kind: ParameterKind
+
+
+class PreflightModel(Answer):
+    """Whether a vehicle is fit to fly, as far as its sensors and their calibration go."""
+
+    vehicle_id: str
+    at: Number
+    """Wall-clock time, s since 1970."""
+    seconds: Number
+    """How long it took."""
+    verdict: Verdict
+    """Any failure fails the whole; then warnings count, then what is unknown."""
+    summary: str
+    checks: list[CheckModel]
+    notes: list[str]
+    """What stood in the way of looking."""
+    fixed: list[FixModel]
+
+
+class ProcedureModel(Answer):
+    """A procedure: what it needs, ends on, writes and cannot represent."""
+
+    kind: str
+    title: str
+    sensors: list[Sensor]
+    """These must stream."""
+    helpful: list[Sensor]
+    """Used where they stream."""
+    options: list[OptionModel]
+    needs: str
+    ends_on: str
+    autopilots: dict[str, HoldsModel]
+    duration_s: Number
+    """Typical length with the default options, s of the vehicle's clock."""
+
+
+class ReadinessModel(Answer):
+    """Whether jobs can be run."""
+
+    status: Literal["ready", "not ready"]
+    reason: str = ""
+    """What keeps jobs from being run."""
+
+
+class RecordingModel(Answer):
+    """An uploaded recording."""
+
+    id: str
+    href: str
+    """Its address, relative to the root of the service."""
+    name: str
+    size: int
+    """Bytes."""
+    sha256: str
+    uploaded_at: Number
+    """Wall-clock time, s since 1970."""
+    inspection: dict[str, Any]
+    """What is in it, as `mavcal inspect --json`."""
+
+
+class RegistrationModel(Answer):
+    """How BlueOS lists a service."""
+
+    name: str
+    description: str
+    icon: str
+    company: str
+    version: str
+    webpage: str
+    api: str
+    works_in_relative_paths: bool
+    new_page: bool
+
+
+class TicketModel(Answer):
+    """A ticket for one event stream."""
+
+    ticket: str
+    """Empty: the service runs without keys, and asks for none."""
+    valid_s: Number
+    """How long it is good, s."""
+
+
+class VehicleModel(Answer):
+    """A vehicle in one page."""
+
+    id: str
+    link: str
+    """Id of the link on which it is heard."""
+    system: int
+    """MAVLink system id."""
+    component: int
+    """MAVLink component id."""
+    autopilot: Autopilot
+    firmware: str
+    """Version of the firmware; empty: not known yet."""
+    uid: str | None
+    """Hardware id, hexadecimal; null: not known."""
+    armed: bool
+    landed: Landed
+    silent: bool
+    """No heartbeat for 3 s."""
+    writable: bool
+    """Whether parameters may be written now."""
+    obstacles: list[str]
+    """Why nothing may be written now."""
+    evidence: list[str]
+    """What the state rests on."""
+    texts: list[str]
+    """The last things that the vehicle said."""
+    received: int
+    """Messages received."""
+    lost: int
+    """Messages lost."""
+    loss: Number
+    """Lost share of everything sent, 0..1."""
+    bytes_per_s: Number
+    parameters_known: int
+    """How many parameters were heard."""

@@ -1,0 +1,317 @@
+"""The client that waits for each answer: one method for each operation."""
+
+# Written by scripts/generate-client from docs/openapi.json. Do not edit.
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any, Literal
+
+from mavcal.client import answers
+from mavcal.client.base import Number
+from mavcal.client.events import JobMessage, Message, VehicleMessage
+from mavcal.client.jobs import JobModel, PlanModel
+from mavcal.client.models import (
+    AuditCheck,
+    AuditPage,
+    FitsModel,
+    GapModel,
+    GapSummary,
+    HealthModel,
+    InfoModel,
+    JobSummary,
+    LinkModel,
+    ParameterModel,
+    PreflightModel,
+    ProcedureModel,
+    ReadinessModel,
+    RecordingModel,
+    RegistrationModel,
+    TicketModel,
+    VehicleModel,
+)
+from mavcal.client.requests import PlanOptions, ReadingOptions
+from mavcal.client.transport import Transport, segment
+
+
+class Client(Transport):
+    """Asks a service, and waits for each answer."""
+
+    def list_links(self) -> list[LinkModel]:
+        """Every open link."""
+        return self._ask("GET", "/api/v1/links", answers.LINK_MODEL_LIST)
+
+    def open_link(self, *, url: str) -> LinkModel:
+        """Open a link; one that is open already is returned as it is."""
+        return self._ask("POST", "/api/v1/links", answers.LINK_MODEL, body={"url": url})
+
+    def get_link(self, link_id: str) -> LinkModel:
+        """One link."""
+        return self._ask("GET", f"/api/v1/links/{segment(link_id)}", answers.LINK_MODEL)
+
+    def close_link(self, link_id: str) -> None:
+        """Close a link; its recording stays."""
+        self._text("DELETE", f"/api/v1/links/{segment(link_id)}")
+
+    def list_vehicles(self) -> list[VehicleModel]:
+        """Every vehicle that was heard."""
+        return self._ask("GET", "/api/v1/vehicles", answers.VEHICLE_MODEL_LIST)
+
+    def get_vehicle(self, vehicle_id: str) -> VehicleModel:
+        """One vehicle."""
+        return self._ask("GET", f"/api/v1/vehicles/{segment(vehicle_id)}", answers.VEHICLE_MODEL)
+
+    def list_parameters(self, vehicle_id: str, *, refresh: bool | None = None) -> list[ParameterModel]:
+        """Every parameter of the vehicle as heard last; `refresh` lists them again first."""
+        return self._ask(
+            "GET",
+            f"/api/v1/vehicles/{segment(vehicle_id)}/parameters",
+            answers.PARAMETER_MODEL_LIST,
+            query={"refresh": refresh},
+        )
+
+    def follow_vehicle(self, vehicle_id: str) -> Iterator[VehicleMessage]:
+        """The vehicle's state, once a second, as long as its link is open."""
+        return self._follow(f"/api/v1/vehicles/{segment(vehicle_id)}/stream", answers.VEHICLE_MESSAGE)
+
+    def run_preflight(
+        self, vehicle_id: str, *, heading: Number | None = None, fix: list[Literal["gyro", "level"]] | None = None
+    ) -> PreflightModel:
+        """Check a vehicle that stands still, within ten seconds; 409 while it is armed, silent, or has a job
+        running.
+        """
+        return self._ask(
+            "POST",
+            f"/api/v1/vehicles/{segment(vehicle_id)}/preflight",
+            answers.PREFLIGHT_MODEL,
+            body={"heading": heading, "fix": fix},
+        )
+
+    def list_procedures(self) -> list[ProcedureModel]:
+        """What can be calibrated, what each procedure needs, ends on, writes and cannot represent."""
+        return self._ask("GET", "/api/v1/procedures", answers.PROCEDURE_MODEL_LIST)
+
+    def start_job(
+        self,
+        vehicle_id: str,
+        *,
+        kind: str,
+        options: dict[str, Number | bool] | None = None,
+        plan_options: PlanOptions | None = None,
+    ) -> JobModel:
+        """Start a calibration; 409 if that vehicle has one running."""
+        return self._ask(
+            "POST",
+            f"/api/v1/vehicles/{segment(vehicle_id)}/jobs",
+            answers.JOB_MODEL,
+            body={"kind": kind, "options": options, "plan_options": plan_options},
+        )
+
+    def list_jobs(
+        self,
+        *,
+        vehicle_id: str | None = None,
+        kind: str | None = None,
+        order: Literal["oldest", "newest"] | None = None,
+        limit: int | None = None,
+        after: str | None = None,
+    ) -> list[JobSummary]:
+        """Jobs of every kind, a page at a time. A header `Link` with `rel="next"` leads to the next page, if any."""
+        return self._ask(
+            "GET",
+            "/api/v1/jobs",
+            answers.JOB_SUMMARY_LIST,
+            query={"vehicle_id": vehicle_id, "kind": kind, "order": order, "limit": limit, "after": after},
+        )
+
+    def get_job(self, job_id: str) -> JobModel:
+        """One job with its results."""
+        return self._ask("GET", f"/api/v1/jobs/{segment(job_id)}", answers.JOB_MODEL)
+
+    def cancel_job(self, job_id: str) -> JobModel:
+        """Cancel a job that has not written anything."""
+        return self._ask("DELETE", f"/api/v1/jobs/{segment(job_id)}", answers.JOB_MODEL)
+
+    def answer_job(self, job_id: str, *, value: str) -> JobModel:
+        """Answer the prompt of a job."""
+        return self._ask("POST", f"/api/v1/jobs/{segment(job_id)}/answers", answers.JOB_MODEL, body={"value": value})
+
+    def get_plan(self, job_id: str) -> PlanModel:
+        """What would be written, why, and what it costs."""
+        return self._ask("GET", f"/api/v1/jobs/{segment(job_id)}/plan", answers.PLAN_MODEL)
+
+    def renew_plan(self, job_id: str, *, plan_options: PlanOptions | None = None) -> PlanModel:
+        """Plan again on the vehicle's present parameters: what `apply` asks for when something has changed.
+
+        `plan_options` decide about the plan in place of what was decided before; without them it stays so.
+        """
+        return self._ask(
+            "POST", f"/api/v1/jobs/{segment(job_id)}/plan", answers.PLAN_MODEL, body={"plan_options": plan_options}
+        )
+
+    def refit_job(self, job_id: str) -> JobModel:
+        """Fit what an interrupted job has recorded."""
+        return self._ask("POST", f"/api/v1/jobs/{segment(job_id)}/refit", answers.JOB_MODEL)
+
+    def apply_plan(
+        self,
+        job_id: str,
+        *,
+        plan_sha256: str,
+        idempotency_key: str | None = None,
+        reboot: bool | None = None,
+        prove_s: Number | None = None,
+    ) -> JobModel:
+        """Accept the plan with this digest and write it; 409 if it is no longer the plan to be written."""
+        return self._ask(
+            "POST",
+            f"/api/v1/jobs/{segment(job_id)}/apply",
+            answers.JOB_MODEL,
+            header={"idempotency-key": idempotency_key},
+            body={"plan_sha256": plan_sha256, "reboot": reboot, "prove_s": prove_s},
+        )
+
+    def revert_job(self, job_id: str) -> JobModel:
+        """Take back what a job has written, where it still stands."""
+        return self._ask("POST", f"/api/v1/jobs/{segment(job_id)}/revert", answers.JOB_MODEL)
+
+    def export_job(self, job_id: str, form: Literal["param", "parm", "params", "json", "csv", "html"]) -> str:
+        """The result as a file: param, parm, params, json, csv or html."""
+        return self._text("GET", f"/api/v1/jobs/{segment(job_id)}/export.{segment(form)}")
+
+    def get_document(self, job_id: str, name: str) -> str:
+        """A document that the job has made, such as the report of a diagnosis."""
+        return self._text("GET", f"/api/v1/jobs/{segment(job_id)}/documents/{segment(name)}")
+
+    def follow_job(self, job_id: str, *, last_event_id: int | None = None) -> Iterator[JobMessage]:
+        """Everything that happens to a job, from its beginning or from Last-Event-ID on."""
+        return self._follow(
+            f"/api/v1/jobs/{segment(job_id)}/events", answers.JOB_MESSAGE, last_event_id=last_event_id, resume=True
+        )
+
+    def follow_events(self, *, last_event_id: int | None = None) -> Iterator[Message]:
+        """Everything that happens: to any job, from now or from Last-Event-ID on, and to vehicles and links.
+
+        Events named `job` have ids and are replayed; `vehicle` and `link` carry the present state as soon as it
+        changes.
+        """
+        return self._follow("/api/v1/events", answers.MESSAGE, last_event_id=last_event_id, resume=True)
+
+    def list_recordings(self) -> list[RecordingModel]:
+        """Every uploaded recording."""
+        return self._ask("GET", "/api/v1/recordings", answers.RECORDING_MODEL_LIST)
+
+    def upload_recording(
+        self, content: bytes | Iterable[bytes], *, name: str, reading: ReadingOptions | None = None
+    ) -> RecordingModel:
+        """Upload a recording as the body of the request."""
+        return self._ask(
+            "POST",
+            "/api/v1/recordings",
+            answers.RECORDING_MODEL,
+            query={"name": name, "reading": reading},
+            content=content,
+        )
+
+    def get_recording(self, recording_id: str) -> RecordingModel:
+        """One uploaded recording, and what is in it."""
+        return self._ask("GET", f"/api/v1/recordings/{segment(recording_id)}", answers.RECORDING_MODEL)
+
+    def fit_recording(self, recording_id: str, *, method: str, options: dict[str, Any] | None = None) -> FitsModel:
+        """Run one method on an uploaded recording and wait for it; `POST /fits` does not wait.
+
+        It is a job of kind `fit`, whose address is in Location. It is cancelled when the client goes away.
+        """
+        return self._ask(
+            "POST",
+            f"/api/v1/recordings/{segment(recording_id)}/fits",
+            answers.FITS_MODEL,
+            body={"method": method, "options": options},
+        )
+
+    def start_fit(self, *, method: str, recording: str, options: dict[str, Any] | None = None) -> JobModel:
+        """A job that runs one method on an uploaded recording: followed, cancelled and listed as every other job."""
+        return self._ask(
+            "POST",
+            "/api/v1/fits",
+            answers.JOB_MODEL,
+            body={"method": method, "options": options, "recording": recording},
+        )
+
+    def plan_recording(
+        self,
+        recording_id: str,
+        *,
+        method: str,
+        vehicle_id: str,
+        options: dict[str, Any] | None = None,
+        plan_options: PlanOptions | None = None,
+    ) -> JobModel:
+        """A job that fits an uploaded recording; then it is in review, or failed if it is not of this vehicle's
+        sensors.
+
+        What it plans is accepted, written, proved and taken back as every other job's.
+        """
+        return self._ask(
+            "POST",
+            f"/api/v1/recordings/{segment(recording_id)}/jobs",
+            answers.JOB_MODEL,
+            body={"method": method, "options": options, "vehicle_id": vehicle_id, "plan_options": plan_options},
+        )
+
+    def list_gaps(self) -> list[GapSummary]:
+        """Every diagnosis, oldest first, without its report."""
+        return self._ask("GET", "/api/v1/gaps", answers.GAP_SUMMARY_LIST)
+
+    def diagnose_gap(self, *, real: str, sim: str | None = None, nominal: list[str] | None = None) -> GapSummary:
+        """Diagnose the sim-to-real gap of an uploaded recording; 429 if too many diagnoses are waiting."""
+        return self._ask(
+            "POST", "/api/v1/gaps", answers.GAP_SUMMARY, body={"real": real, "sim": sim, "nominal": nominal}
+        )
+
+    def get_gap(self, gap_id: str) -> GapModel:
+        """Where a diagnosis stands, and its report once it is done."""
+        return self._ask("GET", f"/api/v1/gaps/{segment(gap_id)}", answers.GAP_MODEL)
+
+    def get_gap_report(self, gap_id: str) -> str:
+        """The report as a page; 409 while there is none."""
+        return self._text("GET", f"/api/v1/gaps/{segment(gap_id)}/report.html")
+
+    def get_health(self) -> HealthModel:
+        """Whether the process answers."""
+        return self._ask("GET", "/healthz", answers.HEALTH_MODEL)
+
+    def get_readiness(self) -> ReadinessModel:
+        """Whether jobs can be run: the store takes writes and nothing stands in the way."""
+        return self._ask("GET", "/readyz", answers.READINESS_MODEL, also=(503,))
+
+    def get_metrics(self) -> str:
+        """Counters in the format of Prometheus."""
+        return self._text("GET", "/metrics")
+
+    def get_info(self) -> InfoModel:
+        """Name and versions."""
+        return self._ask("GET", "/info", answers.INFO_MODEL)
+
+    def get_registration(self) -> RegistrationModel:
+        """How BlueOS lists the service."""
+        return self._ask("GET", "/register_service", answers.REGISTRATION_MODEL)
+
+    def explain_problem(self, code: str) -> str:
+        """What a problem code means; the `type` of a problem document leads here."""
+        return self._text("GET", f"/problems/{segment(code)}", also=(404,))
+
+    def make_ticket(self) -> TicketModel:
+        """Make a ticket for one event stream.
+
+        A browser's EventSource cannot send headers: give it `?ticket=...` instead.
+        """
+        return self._ask("POST", "/api/v1/tickets", answers.TICKET_MODEL)
+
+    def list_audit(self, *, after: int | None = None, limit: int | None = None) -> AuditPage:
+        """Who asked for what, oldest first, a page at a time."""
+        return self._ask("GET", "/api/v1/audit", answers.AUDIT_PAGE, query={"after": after, "limit": limit})
+
+    def check_audit(self) -> AuditCheck:
+        """Check the hash chain of the audit trail."""
+        return self._ask("GET", "/api/v1/audit/check", answers.AUDIT_CHECK)

@@ -1,0 +1,39 @@
+"""Diagnoses of the sim-to-real gap."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, Field
+
+from mavcal.service.api.models.base import Json, Request, Stamp
+
+
+class GapRequest(Request):
+    """Diagnose the sim-to-real gap of uploaded recordings."""
+
+    real: str = Field(description="id of the recording whose gap is asked for")
+    sim: str | None = Field(default=None, description="id of a simulator's recording, of the same flight or such a one")
+    nominal: list[str] = Field(
+        default_factory=list, max_length=8, description="ids of recordings without an effect, for noise and field"
+    )
+
+
+class GapSummary(BaseModel):
+    """A diagnosis in a list."""
+
+    id: str
+    href: str = Field(description="its address, relative to the root of the service")
+    state: Literal["queued", "running", "done", "failed"]
+    error: str | None = Field(description="why it failed")
+    created_at: Stamp
+    real: str
+    sim: str | None
+    nominal: list[str]
+
+
+class GapModel(GapSummary):
+    """A diagnosis with its report."""
+
+    report: Json | None = Field(description="as `mavcal gap --json`; null until it is done")
+    page: str | None = Field(description="address of the report as a page, relative to the root of the service")

@@ -1,0 +1,146 @@
+"""Jobs: what is asked of them, where they stand, and what came of them."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, Field
+from typing_extensions import TypeAliasType
+
+from mavcal.service.api.models.base import Json, Number, Request, Stamp
+from mavcal.service.api.models.fits import FitModel
+from mavcal.service.api.models.plans import PlanModel, PlanOptions, VerificationModel
+from mavcal.service.api.models.steps import ProgressModel, PromptModel
+from mavcal.service.jobs.model import Holds, WriteResult
+from mavcal.service.jobs.proof import ProofLevel
+from mavcal.service.jobs.states import JobState
+
+
+class JobRequest(Request):
+    """Start a calibration."""
+
+    kind: str = Field(description="a kind of `/procedures`, such as gyro, accel or mag-rings", examples=["gyro"])
+    options: dict[str, float | bool] = Field(default_factory=dict, description="options of that procedure")
+    plan_options: PlanOptions = Field(default_factory=PlanOptions, description="options of the plan")
+
+
+class AnswerRequest(Request):
+    """Answer the prompt of a job."""
+
+    value: str = Field(description="one of the answers that the prompt offers", examples=["finish"])
+
+
+class UnprovedModel(BaseModel):
+    """A parameter that no stream has proved, or a sensor that could not be seen to read right with the new values."""
+
+    name: str
+    verdict: Literal["consistent", "not_observable", "contradicted", "wrong"]
+    why: str
+
+
+class _Proof(BaseModel):
+    proof: ProofLevel = Field(description="how much of what shows on a stream the stream has proved after the write")
+    proof_reason: str
+    unproved: list[UnprovedModel]
+
+
+class ResultModel(_Proof):
+    """The job reached its goal."""
+
+    kind: Literal["result"]
+    text: str
+
+
+class FailureModel(_Proof):
+    """The job did not reach its goal."""
+
+    kind: Literal["failure"]
+    code: str
+    cause: str
+    remedy: str
+
+
+class WriteFailedModel(_Proof):
+    """The plan that was accepted could not be written. Nothing was sent, and the job is in review again."""
+
+    kind: Literal["write_failed"]
+    code: str
+    cause: str
+    remedy: str
+
+
+OutcomeModel = TypeAliasType(
+    "OutcomeModel", Annotated[ResultModel | FailureModel | WriteFailedModel, Field(discriminator="kind")]
+)
+
+
+class StandingModel(BaseModel):
+    """What is known of one parameter that a job has written, or may have."""
+
+    name: str
+    old: Number | None = Field(description="the value before the write; null: not known")
+    new: Number | None = Field(description="the value that was to be written")
+    value: Number | None = Field(description="the last value heard; null: none since the last PARAM_SET left")
+    certain: bool = Field(description="false: it may have changed since")
+    note: str
+    holds: Holds
+
+
+class WriteModel(BaseModel):
+    """The last attempt to write a job's plan; the event `write` carries the same when it ends."""
+
+    result: WriteResult = Field(description="failed: nothing was sent, and the job is in review again")
+    at: Stamp
+    cause: str
+    remedy: str
+    sent: int = Field(description="parameters for which a PARAM_SET may have left")
+
+
+class SegmentModel(BaseModel):
+    """A span of a telemetry log."""
+
+    path: str = Field(description="name of the log")
+    start_byte: int
+    end_byte: int
+    sha256: str = Field(description="digest of these bytes")
+
+
+class DocumentModel(BaseModel):
+    """A file that a job has made."""
+
+    name: str = Field(examples=["report.json", "report.html"])
+    href: str = Field(description="its address, relative to the root of the service")
+
+
+class JobSummary(BaseModel):
+    """A job in a list."""
+
+    id: str
+    href: str = Field(description="its address, relative to the root of the service")
+    vehicle_id: str | None = Field(description="null: the job computes something of uploads and needs no vehicle")
+    kind: str
+    state: JobState
+    created_at: Stamp
+    updated_at: Stamp
+    progress: ProgressModel | None
+    prompt: PromptModel | None = Field(description="what the operator is asked to do; null: nothing now")
+    outcome: OutcomeModel | None = Field(
+        description="null while the job goes on, and while a plan waits that was not tried yet"
+    )
+    last_write: WriteModel | None = Field(description="null: nothing was accepted yet")
+
+
+class JobModel(JobSummary):
+    """A job with its results."""
+
+    options: Json
+    plan_options: Json = Field(description="what the operator decided about the plan: given fields of PlanOptions")
+    warnings: list[str]
+    results: list[FitModel] = Field(description="one fit a sensor instance, as in `mavcal fit --json`")
+    plan: PlanModel | None
+    verification: VerificationModel | None
+    standing: list[StandingModel] = Field(
+        description="parameters in doubt (all that were sent, or may have been), or left to a third party"
+    )
+    documents: list[DocumentModel] = Field(description="what the job has made beside its results")
+    segments: list[SegmentModel] = Field(description="what the fit was made of")

@@ -1,0 +1,49 @@
+"""Uploaded recordings."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, BeforeValidator, Field
+
+from mavcal.service.api.models.base import Json, Request, Stamp
+from mavcal.service.api.models.fits import FitRequest
+from mavcal.service.api.models.plans import PlanOptions
+
+
+class RecordingJobRequest(FitRequest):
+    """Plan the fits of an uploaded recording for a connected vehicle."""
+
+    vehicle_id: str = Field(description="the vehicle that the recording is of")
+    plan_options: PlanOptions = Field(default_factory=PlanOptions, description="options of the plan")
+
+
+def _column(value: object) -> object:
+    return str(value) if type(value) is int else value  # a 0-based number names a column, too
+
+
+class ReadingOptions(Request):
+    """How an uploaded file is to be read; as the options of `mavcal fit`."""
+
+    mapping: dict[str, Annotated[str, BeforeValidator(_column)]] = Field(
+        default_factory=dict, description="canonical column: header name or 0-based number, with an optional *factor"
+    )
+    world: Literal["ned", "enu"] = "ned"
+    body: Literal["frd", "flu"] = "frd"
+    rate: float | None = Field(default=None, gt=0.0, allow_inf_nan=False, description="makes `t`, Hz")
+    unit_accel: str = "si"
+    unit_gyro: str = "si"
+    unit_mag: str = "uT"
+    system: int | None = Field(default=None, ge=1, le=255, description="of a telemetry log: which vehicle")
+
+
+class RecordingModel(BaseModel):
+    """An uploaded recording."""
+
+    id: str
+    href: str = Field(description="its address, relative to the root of the service")
+    name: str
+    size: int = Field(description="bytes")
+    sha256: str
+    uploaded_at: Stamp
+    inspection: Json = Field(description="what is in it, as `mavcal inspect --json`")

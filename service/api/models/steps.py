@@ -1,0 +1,84 @@
+"""What can be calibrated, and what a procedure says while it runs."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, Field
+
+from mavcal.calib.procedures.protocol import Pose
+from mavcal.calib.recording import Sensor
+from mavcal.service.api.models.base import Json, Number, Vector
+
+
+class OptionModel(BaseModel):
+    """A number or a switch that may be set when a job is started."""
+
+    name: str
+    default: bool | Number
+    help: str
+    unit: str = Field(description="empty: a switch, or a pure number")
+    low: Number | None = Field(description="least value, in `unit`; null: without a limit")
+    high: Number | None = Field(description="greatest value, in `unit`; null: without a limit")
+
+
+class HoldsModel(BaseModel):
+    """What one autopilot keeps of a procedure's result."""
+
+    writes: list[str] = Field(description="parameters")
+    cannot_represent: list[str]
+
+
+class ProcedureModel(BaseModel):
+    """A procedure: what it needs, ends on, writes and cannot represent."""
+
+    kind: str
+    title: str
+    sensors: list[Sensor] = Field(description="these must stream")
+    helpful: list[Sensor] = Field(description="used where they stream")
+    options: list[OptionModel]
+    needs: str
+    ends_on: str
+    autopilots: dict[str, HoldsModel]
+    duration_s: float = Field(description="typical length with the default options, s of the vehicle's clock")
+
+
+class NumberModel(BaseModel):
+    """A number that the operator is asked for; the answer is the number as text."""
+
+    name: str
+    unit: str
+    low: Number = Field(description="least value, in `unit`")
+    high: Number = Field(description="greatest value, in `unit`")
+
+
+class PromptModel(BaseModel):
+    """What the operator is asked to do now."""
+
+    type: Literal["prompt"]
+    step: str = Field(description="hold_still, pose, rotate, warm_up, confirm, place, turn or state")
+    text: str
+    pose: Pose | None = Field(description="the pose that is asked for; null: any, or none")
+    remaining: list[Pose] = Field(description="poses still missing; their order is free")
+    hold_s: Number | None = Field(description="how long to hold still, s")
+    rotate: bool
+    direction: Vector | None = Field(description="body direction (front, right, down) that should point down")
+    temperature: Number | None = Field(description="bring the sensors to about this, degC; null: any")
+    detected: Pose | None = Field(description="the pose that the vehicle is in")
+    stable: bool = Field(description="whether it is at rest there")
+    answers: list[str] = Field(description="answers that are accepted; empty: the data answer")
+    axis: Vector | None = Field(description="turn about this body axis (front, right, down), right-handed")
+    turns: Number | None = Field(description="how many turns to make; null: until the prompt changes")
+    number: NumberModel | None = Field(description="a number that is asked for beside `answers`")
+
+
+class ProgressModel(BaseModel):
+    """The field list of a progress bar."""
+
+    type: Literal["progress"]
+    current: Number = Field(description="in `unit`")
+    target: Number = Field(description="in `unit`")
+    unit: str
+    text: str
+    eta: Number | None = Field(description="s of the vehicle's clock; null: cannot be said yet")
+    detail: Json | None = Field(description="numbers for a panel")

@@ -1,0 +1,42 @@
+"""Vehicles and their parameters."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, Field
+
+from mavcal.calib.firmware.plan import ParameterKind
+from mavcal.service.api.models.base import Number
+from mavcal.service.vehicle.identity import Autopilot
+from mavcal.service.vehicle.state import Landed
+
+
+class VehicleModel(BaseModel):
+    """A vehicle in one page."""
+
+    id: str
+    link: str = Field(description="id of the link on which it is heard")
+    system: int = Field(description="MAVLink system id")
+    component: int = Field(description="MAVLink component id")
+    autopilot: Autopilot
+    firmware: str = Field(description="version of the firmware; empty: not known yet")
+    uid: str | None = Field(description="hardware id, hexadecimal; null: not known")
+    armed: bool
+    landed: Landed
+    silent: bool = Field(description="no heartbeat for 3 s")
+    writable: bool = Field(description="whether parameters may be written now")
+    obstacles: list[str] = Field(description="why nothing may be written now")
+    evidence: list[str] = Field(description="what the state rests on")
+    texts: list[str] = Field(description="the last things that the vehicle said")
+    received: int = Field(description="messages received")
+    lost: int = Field(description="messages lost")
+    loss: float = Field(description="lost share of everything sent, 0..1")
+    bytes_per_s: float
+    parameters_known: int = Field(description="how many parameters were heard")
+
+
+class ParameterModel(BaseModel):
+    """A parameter as the vehicle states it."""
+
+    name: str
+    value: Number | None = Field(description="null: not a finite number")
+    kind: ParameterKind

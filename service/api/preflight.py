@@ -1,0 +1,27 @@
+"""The route of preflights."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter, Depends, Request
+
+from mavcal.service.api.dependencies import ServiceDep
+from mavcal.service.api.models import PreflightModel, PreflightRequest
+from mavcal.service.api.security import ActorDep, Scope, require
+from mavcal.service.api.views import preflight_model
+from mavcal.service.jobs.fixing import Fix, Fixable, fixed
+
+router = APIRouter(tags=["vehicles"])
+OPERATE = Depends(require(Scope.OPERATE))
+
+
+@router.post("/vehicles/{vehicle_id}/preflight", operation_id="run_preflight", dependencies=[OPERATE])
+async def run(
+    vehicle_id: str, body: PreflightRequest, request: Request, service: ServiceDep, actor: ActorDep
+) -> PreflightModel:
+    """Check a vehicle that stands still, within ten seconds; 409 while it is armed, silent, or has a job running."""
+    service.vehicles.get(vehicle_id)
+    mended: tuple[Fix, ...] = ()
+    if body.fix:
+        await require(Scope.WRITE_PARAMS)(request)
+        mended = await fixed(service.jobs, vehicle_id, [Fixable(kind) for kind in body.fix], actor=actor)
+    return preflight_model(await service.jobs.preflight(vehicle_id, heading=body.heading), mended)

@@ -1,0 +1,167 @@
+"""``mavcal preflight``: is this vehicle fit to fly, as far as its sensors and their calibration go?"""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from mavcal.service.commands.config import load_settings
+from mavcal.service.commands.output import EXIT_NO, json_option, write_json
+from mavcal.service.errors import ServiceError
+
+if TYPE_CHECKING:
+    from mavcal.service.api.models import CheckModel, PreflightModel
+    from mavcal.service.commands.headless import Earlier
+    from mavcal.service.commands.screen import Screen
+    from mavcal.service.core import Service
+    from mavcal.service.settings import Settings
+
+EXIT_UNSURE = 3
+"""Nothing failed, but a check warns or could not be made."""
+FIXABLE = ("gyro", "level")
+"""Those of ``service.jobs.fixing``, stated here so that help does without it (a test compares them)."""
+
+
+@click.command()
+@click.option(
+    "--connect",
+    "urls",
+    required=True,
+    multiple=True,
+    metavar="URL",
+    help="Endpoint of a vehicle, as udpin:0.0.0.0:14550; several are checked side by side.",
+)
+@click.option("--heading", type=click.FloatRange(0.0, 360.0), default=None, help="True heading of the nose, deg.")
+@click.option("--fix", default=None, metavar="KIND[,KIND]", help="Calibrate this first: gyro, level. Needs --apply.")
+@click.option("--apply", "write", is_flag=True, help="With --fix: write the result to the vehicle.")
+@click.option("--data-dir", type=click.Path(path_type=Path), default=None, help="Where everything is kept.")
+@click.option("--wait", type=float, default=30.0, show_default=True, help="How long to wait for a vehicle, s.")
+@json_option
+def command(
+    *,
+    urls: tuple[str, ...],
+    heading: float | None,
+    fix: str | None,
+    write: bool,
+    data_dir: Path | None,
+    wait: float,
+    as_json: bool,
+) -> int:
+    """Check vehicles that stand still, within ten seconds; nothing is written without --fix and --apply.
+
+    Exit code 0: every check passes. 1: a check failed, or a vehicle is armed, silent or busy. 3: nothing failed, but
+    a check warns or could not be made.
+    """
+    from mavcal.service.commands.screen import Screen
+    from mavcal.service.logs import configure_logging
+
+    kinds = tuple(kind.strip() for kind in fix.split(",")) if fix else ()
+    unknown = sorted(set(kinds) - set(FIXABLE))
+    if unknown:
+        raise click.UsageError(f"--fix cannot do {', '.join(unknown)}: only {', '.join(FIXABLE)} need no hands")
+    if bool(kinds) != write:
+        raise click.UsageError("--fix writes to the vehicle: give --apply too, or neither of them")
+    settings = load_settings(data_dir=data_dir, connect=())
+    configure_logging(as_json=settings.log_json)
+    found = asyncio.run(_preflights(settings, _Wish(tuple(dict.fromkeys(urls)), kinds, heading, wait), Screen()))
+    if isinstance(found, int):
+        return found
+    if len(found) == 1 and isinstance(found[0], ServiceError):
+        raise found[0]
+    if as_json:
+        write_json(_document(found, urls))
+    else:
+        for one, url in zip(found, dict.fromkeys(urls), strict=True):
+            show(one, url if len(found) > 1 else "")
+    return _exit_code(found)
+
+
+@dataclass(frozen=True)
+class _Wish:
+    urls: tuple[str, ...]
+    kinds: tuple[str, ...]
+    heading: float | None
+    wait_s: float
+
+
+async def _preflights(settings: Settings, wish: _Wish, screen: Screen) -> list[PreflightModel | ServiceError] | int:
+    """The report of every vehicle or why there is none; or the exit code of a run that was told to stop."""
+    from mavcal.service.commands.headless import earlier, stoppable
+    from mavcal.service.core import running_service
+
+    with stoppable() as caught:
+        try:
+            async with running_service(settings) as service:
+                left = earlier(service)
+                async with asyncio.TaskGroup() as group:
+                    tasks = [group.create_task(_one(service, left, url, wish, screen)) for url in wish.urls]
+                return [task.result() for task in tasks]
+        except asyncio.CancelledError:
+            if not caught:
+                raise
+            return 128 + caught[0]
+
+
+async def _one(service: Service, left: Earlier, url: str, wish: _Wish, screen: Screen) -> PreflightModel | ServiceError:
+    from mavcal.service.api.views import preflight_model
+    from mavcal.service.commands.headless import heard, recovered
+    from mavcal.service.jobs.fixing import Fixable, fixed
+
+    try:
+        vehicle = await heard(service, url, wish.wait_s, screen)
+        screen.line(f"{vehicle.identity.autopilot} {vehicle.identity.version_text} as {vehicle.id}")
+        await recovered(service, vehicle, left, screen)
+        kinds = [Fixable(kind) for kind in wish.kinds]
+        mended = await fixed(service.jobs, vehicle.id, kinds, actor="command line")
+        for fix in mended:
+            screen.line(f"    {fix.kind.value}: {fix.state.value}: {fix.text}")
+        return preflight_model(await service.jobs.preflight(vehicle.id, heading=wish.heading), mended)
+    except ServiceError as error:
+        return error
+
+
+def _exit_code(found: list[PreflightModel | ServiceError]) -> int:
+    """That of the worst vehicle."""
+    verdicts = {"fail" if isinstance(one, ServiceError) else one.verdict.value for one in found}
+    return EXIT_NO if "fail" in verdicts else EXIT_UNSURE if verdicts - {"pass"} else 0
+
+
+def _document(found: list[PreflightModel | ServiceError], urls: tuple[str, ...]) -> dict[str, Any]:
+    """One report; of several vehicles, all of them by endpoint."""
+    if len(found) == 1 and not isinstance(found[0], ServiceError):
+        return found[0].model_dump()
+    told = [
+        {"error": {"code": one.code, "detail": str(one)}} if isinstance(one, ServiceError) else one.model_dump()
+        for one in found
+    ]
+    return {"vehicles": [{"connect": url, **one} for url, one in zip(dict.fromkeys(urls), told, strict=True)]}
+
+
+def show(found: PreflightModel | ServiceError, title: str = "") -> None:
+    """The report as a table, with what helps below each check that does not pass."""
+    if title:
+        click.secho(title, bold=True)
+    if isinstance(found, ServiceError):
+        click.secho(f"FAIL: {found}", bold=True)
+        return
+    width = max(len(check.id.value) for check in found.checks)
+    for check in found.checks:
+        number = _number(check)
+        click.echo(f"{check.verdict.value.upper():8}{check.id.value:{width}}  {number}{check.reason}")
+        if check.remedy:
+            click.echo(f"{'':{width + 10}}-> {check.remedy}")
+    for note in found.notes:
+        click.echo(f"note: {note}")
+    click.secho(f"{found.verdict.value.upper()}: {found.summary} ({found.seconds:.1f} s)", bold=True)
+
+
+def _number(check: CheckModel) -> str:
+    """Value, uncertainty and limit of a check that passes; the reasons of the others say them."""
+    if check.value is None or not check.limit or check.verdict.value != "pass":
+        return ""
+    sd = "" if not check.sd else f" ± {check.sd:.1g}"
+    return f"[{check.value:.3g}{sd} of {check.limit:.3g} {check.unit}] ".replace(" ] ", "] ")

@@ -1,0 +1,91 @@
+"""``mavcal status``: who is at the other end of these links, how it is, and what was calibrated last."""
+
+from __future__ import annotations
+
+import asyncio
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from mavcal.service.commands.config import load_settings
+from mavcal.service.commands.output import EXIT_NO, json_option, write_json
+from mavcal.service.errors import ServiceError
+
+if TYPE_CHECKING:
+    from mavcal.service.api.models import JobSummary, VehicleModel
+    from mavcal.service.commands.screen import Screen
+    from mavcal.service.core import Service
+    from mavcal.service.settings import Settings
+
+
+@click.command()
+@click.option("--connect", "urls", required=True, multiple=True, metavar="URL", help="Endpoint of a vehicle; several.")
+@click.option("--data-dir", type=click.Path(path_type=Path), default=None, help="Where everything is kept.")
+@click.option("--wait", type=float, default=30.0, show_default=True, help="How long to wait for a vehicle, s.")
+@json_option
+def command(*, urls: tuple[str, ...], data_dir: Path | None, wait: float, as_json: bool) -> int:
+    """Say of each vehicle who it is, whether it may be written to, and what was calibrated last.
+
+    Nothing is asked of it but who it is. Exit code 1 if a vehicle was not heard.
+    """
+    from mavcal.service.commands.screen import Screen
+    from mavcal.service.logs import configure_logging
+
+    settings = load_settings(data_dir=data_dir, connect=())
+    configure_logging(as_json=settings.log_json)
+    found = asyncio.run(_status(settings, tuple(dict.fromkeys(urls)), wait, Screen()))
+    if as_json:
+        write_json({"vehicles": found})
+    else:
+        for one in found:
+            _show(one)
+    return EXIT_NO if any("error" in one for one in found) else 0
+
+
+async def _status(settings: Settings, urls: tuple[str, ...], wait: float, screen: Screen) -> list[dict[str, Any]]:
+    from mavcal.service.core import running_service
+
+    async with running_service(settings) as service, asyncio.TaskGroup() as group:
+        tasks = [group.create_task(_one(service, url, wait, screen)) for url in urls]
+    return [task.result() for task in tasks]
+
+
+async def _one(service: Service, url: str, wait: float, screen: Screen) -> dict[str, Any]:
+    from mavcal.service.api.views import job_summary, vehicle_model
+    from mavcal.service.commands.headless import heard
+    from mavcal.service.jobs.states import JobState
+
+    try:
+        vehicle = await heard(service, url, wait, screen)
+    except ServiceError as error:
+        return {"connect": url, "error": {"code": error.code, "detail": str(error)}}
+    ours = [job for job in service.jobs.list() if job.vehicle_id == vehicle.id]
+    done = {job.kind: job_summary(job) for job in ours if job.state == JobState.SUCCEEDED}
+    told = {kind: _last(job) for kind, job in done.items()}
+    return {"connect": url, **_plain(vehicle_model(vehicle)), "calibrated": told}
+
+
+def _plain(model: VehicleModel) -> dict[str, Any]:
+    return model.model_dump(mode="json")
+
+
+def _last(job: JobSummary) -> dict[str, Any]:
+    return {"job": job.id, "at": job.updated_at}
+
+
+def _show(one: dict[str, Any]) -> None:
+    click.secho(one["connect"], bold=True)
+    if "error" in one:
+        click.echo(f"  {one['error']['detail']}")
+        return
+    click.echo(f"  {one['autopilot']} {one['firmware']} as {one['id']}")
+    click.echo(f"  {'armed' if one['armed'] else 'disarmed'}, {one['landed']}, {one['loss']:.1%} of its messages lost")
+    for obstacle in one["obstacles"]:
+        click.echo(f"  not to be written to: {obstacle}")
+    for kind, last in one["calibrated"].items():
+        when = datetime.fromtimestamp(last["at"], UTC).strftime("%Y-%m-%d %H:%M")
+        click.echo(f"  {kind} calibrated {when} UTC by job {last['job']}")
+    if not one["calibrated"]:
+        click.echo("  no calibration of it is known here")

@@ -1,0 +1,114 @@
+"""What is computed of uploads: fits and gap diagnoses, each in a child process with limits."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from mavcal.calib.errors import CalibError, FirmwareError, InvalidInputError
+from mavcal.calib.firmware.in_force.origin import Origin
+from mavcal.calib.fit import FitResult
+from mavcal.calib.methods import METHODS
+from mavcal.calib.report import from_json
+from mavcal.service.children import DIAGNOSE, FIT, Children, Limits
+from mavcal.service.errors import UploadError
+from mavcal.service.jobs.port import Diagnosis, Told
+from mavcal.service.recordings import Recordings, without_path
+from mavcal.service.store.rows import JobDocument, RecordingRow
+
+Json = dict[str, Any]
+
+REPORT, PAGE = "report.json", "report.html"
+"""Documents of a gap diagnosis: the report, and the same as a page."""
+
+
+class UploadComputations:
+    """The :class:`~service.jobs.port.Computations` on the uploads of one data directory.
+
+    Parameters
+    ----------
+    recordings
+        The uploads.
+    children
+        Where the work is done.
+    of_fits, of_gaps
+        What a fit and a diagnosis may take.
+    """
+
+    def __init__(self, recordings: Recordings, children: Children, of_fits: Limits, of_gaps: Limits) -> None:
+        self._recordings = recordings
+        self._children = children
+        self._of_fits, self._of_gaps = of_fits, of_gaps
+
+    def check(self, recording: str, method: str | None = None) -> None:
+        """Raise RecordingUnknown or InvalidInputError if there is no such upload or method."""
+        self._recordings.get(recording)
+        if method is not None and method not in METHODS:
+            raise InvalidInputError(f"there is no method {method!r}; there are {', '.join(METHODS)}")
+
+    async def fit(
+        self, recording: str, method: str, options: Mapping[str, Any], *, told: Told | None = None
+    ) -> tuple[FitResult, ...]:
+        """One fit a sensor; errors as in the protocol."""
+        return (await self._fit(recording, method, options, origin=False, told=told))[0]
+
+    async def fit_of_vehicle(
+        self, recording: str, method: str, options: Mapping[str, Any]
+    ) -> tuple[tuple[FitResult, ...], Origin]:
+        """The same fits, and whose sensors they are of. Raises FirmwareError if the recording does not say."""
+        fits, origin = await self._fit(recording, method, options, origin=True, told=None)
+        if origin is None:
+            raise FirmwareError("the recording does not say whose sensors it is of")
+        return fits, origin
+
+    async def diagnose(
+        self, real: str, sim: str | None, nominal: Sequence[str], *, told: Told | None = None
+    ) -> Diagnosis:
+        """The sim-to-real gap of an upload; errors as in the protocol."""
+        uploads = [self._recordings.get(i) for i in (real, *(() if sim is None else (sim,)), *nominal)]
+        parts = [_part(upload) for upload in uploads]
+        order: Json = {
+            "real": parts[0],
+            "sim": None if sim is None else parts[1],
+            "nominal": parts[1 if sim is None else 2 :],
+            "title": f"Sim-to-real gap of {uploads[0].name}",
+        }
+        try:
+            done = await self._children.run(DIAGNOSE, order, self._of_gaps, told=told)
+        except CalibError as error:
+            raise type(error)(_with_names(str(error), uploads)) from error
+        report = json.dumps(done["report"], allow_nan=False).encode()
+        documents = (
+            JobDocument(REPORT, "application/json", report),
+            JobDocument(PAGE, "text/html", str(done["page"]).encode()),
+        )
+        return Diagnosis(str(done["summary"]), documents)
+
+    async def _fit(
+        self, recording: str, method: str, options: Mapping[str, Any], *, origin: bool, told: Told | None
+    ) -> tuple[tuple[FitResult, ...], Origin | None]:
+        self.check(recording, method)
+        row = self._recordings.get(recording)
+        order: Json = {**_part(row), "method": method, "options": dict(options), "origin": origin}
+        try:
+            done = await self._children.run(FIT, order, self._of_fits, told=told)
+        except CalibError as error:
+            raise type(error)(_with_names(str(error), [row])) from error
+        whose = done["origin"]
+        return tuple(from_json(fit, FitResult) for fit in done["fits"]), None if whose is None else from_json(
+            whose, Origin
+        )
+
+
+def _part(row: RecordingRow) -> Json:
+    reading = row.body.get("reading")
+    if not isinstance(reading, dict):
+        raise UploadError(f"the record of {row.name} on the disk is damaged: upload the file again")
+    return {"path": str(row.path), "reading": reading, "sha256": row.sha256}
+
+
+def _with_names(text: str, uploads: Sequence[RecordingRow]) -> str:
+    for upload in uploads:
+        text = without_path(text, upload.path, upload.name)
+    return text

@@ -1,0 +1,135 @@
+"""The links that are open, remembered over restarts."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from mavcal.service.errors import EndpointError, LinkUnknown
+from mavcal.service.link import Link, OwnIdentity, SigningConfig, parse_endpoint
+from mavcal.service.link.allowed import Allowed
+from mavcal.service.settings import MavlinkSettings
+from mavcal.service.store.protocol import Store
+from mavcal.service.store.rows import LinkRow
+
+LONGEST_URL = 1000
+LONGEST_PLAIN = 64
+"""Characters of an endpoint in the name of its link."""
+
+Attach = Callable[[Link], None]
+
+
+class LinkRegistry:
+    """Opens and closes links; `attach` is told of each before it is opened, `detach` after it was closed."""
+
+    def __init__(
+        self,
+        store: Store,
+        tlog_dir: Path,
+        settings: MavlinkSettings,
+        *,
+        allowed: Allowed,
+        attach: Attach,
+        detach: Attach,
+    ) -> None:
+        self._store = store
+        self._tlog_dir = tlog_dir
+        self._settings = settings
+        self._allowed = allowed
+        self._attach = attach
+        self._detach = detach
+        self._links: dict[str, Link] = {}
+
+    def all(self) -> tuple[Link, ...]:
+        """Every open link, in the order of opening."""
+        return tuple(self._links.values())
+
+    def get(self, link_id: str) -> Link:
+        """The link of that id.
+
+        Raises
+        ------
+        LinkUnknown
+            If there is none.
+        """
+        link = self._links.get(link_id)
+        if link is None:
+            raise LinkUnknown(f"there is no link {link_id}; GET /api/v1/links lists them")
+        return link
+
+    async def open(self, url: str, *, remember: bool = True, trusted: bool = False) -> Link:
+        """Open a link; one that is open already is returned as it is. `trusted`: named by who runs the service.
+
+        Raises
+        ------
+        EndpointRefused
+            If it is not trusted, and not allowed.
+        EndpointError, PortBusy
+            If this endpoint can never work as it is.
+        """
+        if len(url) > LONGEST_URL or not url.isprintable():
+            raise EndpointError(f"an endpoint has at most {LONGEST_URL} printable characters")
+        endpoint = parse_endpoint(url)
+        if not trusted:
+            endpoint = self._allowed.endpoint(endpoint)
+        link_id = _slug(str(endpoint))
+        if link_id in self._links:
+            return self._links[link_id]
+        link = Link(
+            link_id,
+            endpoint,
+            tlog_dir=self._tlog_dir,
+            ids=OwnIdentity(system=self._settings.system, component=self._settings.component),
+            signing=self._signing(link_id),
+            store_timestamp=lambda timestamp: self._keep_timestamp(link_id, timestamp),
+        )
+        self._links[link_id] = link
+        self._attach(link)
+        try:
+            await link.open()
+        except BaseException:
+            del self._links[link_id]
+            self._detach(link)
+            raise
+        if remember:
+            row = LinkRow(link_id, str(endpoint), time.time())
+            await self._store.do(lambda: self._store.save_link(row))
+        return link
+
+    async def close(self, link_id: str) -> None:
+        """Close a link for good. Raises LinkUnknown if there is none of that id."""
+        link = self.get(link_id)
+        await self._store.do(lambda: self._store.delete_link(link_id))
+        await self._end(link)
+
+    async def close_all(self) -> None:
+        """Close every link; they are opened again at the next start."""
+        for link in self.all():
+            await self._end(link)
+
+    async def _end(self, link: Link) -> None:
+        del self._links[link.id]
+        await link.close()
+        self._detach(link)
+
+    def _keep_timestamp(self, link_id: str, timestamp: int) -> None:
+        self._store.soon(lambda: self._store.save_signing_timestamp(link_id, timestamp))
+
+    def _signing(self, link_id: str) -> SigningConfig | None:
+        key = self._settings.signing_key
+        if key is None:
+            return None
+        known = self._store.signing_timestamp(link_id)
+        return SigningConfig(bytes.fromhex(key.get_secret_value()), timestamp=known)
+
+
+def _slug(endpoint: str) -> str:
+    """A name for files and addresses: ``udpin-0.0.0.0-14550``; no two endpoints share one."""
+    plain = re.sub(r"[^A-Za-z0-9.]", "-", endpoint)
+    if len(plain) <= LONGEST_PLAIN and plain == endpoint.replace(":", "-"):
+        return plain
+    digest = hashlib.sha256(endpoint.encode()).hexdigest()[:12]
+    return f"{re.sub('-+', '-', plain)[:LONGEST_PLAIN].strip('-.')}-{digest}"

@@ -1,0 +1,181 @@
+"""What ArduPilot sends: its messages, and the streams that carry them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from mavcal.service.simvehicle.ardupilot_readings import Readings
+from mavcal.service.simvehicle.ardupilot_sensors import ArduPilotSensors
+from mavcal.service.simvehicle.streams import ardupilot_interval_ms, ardupilot_stream
+from mavcal.service.simvehicle.telemetry import Block, Telemetry, microseconds, milliseconds, pressure_hpa
+from mavcal.service.simvehicle.vehicle import FlightController, MavlinkChannel
+
+CAPABILITIES = 64495
+VERSION = 0x04070000
+GIT_HASH = b"90700977"
+HIGHRES_FIELDS = 0x1FFF
+SENSORS_HEALTH = 1196530703
+SENSORS_PRESENT = 1399979023
+SENSORS_ENABLED = 1380031503
+RAW_SENSORS_GROUP = (
+    dialect.MAVLINK_MSG_ID_RAW_IMU,
+    dialect.MAVLINK_MSG_ID_SCALED_IMU2,
+    dialect.MAVLINK_MSG_ID_SCALED_IMU3,
+    dialect.MAVLINK_MSG_ID_SCALED_PRESSURE,
+)
+STREAM_GROUPS: dict[int, tuple[int, ...]] = {
+    dialect.MAV_DATA_STREAM_RAW_SENSORS: RAW_SENSORS_GROUP,
+    dialect.MAV_DATA_STREAM_EXTENDED_STATUS: (
+        dialect.MAVLINK_MSG_ID_SYS_STATUS,
+        dialect.MAVLINK_MSG_ID_GPS_RAW_INT,
+    ),
+    dialect.MAV_DATA_STREAM_POSITION: (
+        dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+        dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+    ),
+    dialect.MAV_DATA_STREAM_RAW_CONTROLLER: (dialect.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW,),
+    dialect.MAV_DATA_STREAM_EXTRA1: (dialect.MAVLINK_MSG_ID_ATTITUDE, dialect.MAVLINK_MSG_ID_SIMSTATE),
+    dialect.MAV_DATA_STREAM_EXTRA2: (dialect.MAVLINK_MSG_ID_VFR_HUD,),
+    dialect.MAV_DATA_STREAM_EXTRA3: (
+        dialect.MAVLINK_MSG_ID_SYSTEM_TIME,
+        dialect.MAVLINK_MSG_ID_BATTERY_STATUS,
+        dialect.MAVLINK_MSG_ID_VIBRATION,
+    ),
+}
+
+
+Builder = Callable[[Readings, int], Any]
+
+
+class ArduPilotMessages:
+    """Builds every message of this autopilot, on its stream or one at a time.
+
+    `momentary` are the builders of messages that do not come from the sensors, by message id.
+    """
+
+    def __init__(
+        self,
+        vehicle: FlightController,
+        sensors: ArduPilotSensors,
+        telemetry: Telemetry,
+        momentary: Mapping[int, Callable[[], Any]],
+    ) -> None:
+        self._vehicle, self._sensors, self._telemetry = vehicle, sensors, telemetry
+        self._builders: dict[int, Builder] = {
+            dialect.MAVLINK_MSG_ID_RAW_IMU: self._raw_imu,
+            dialect.MAVLINK_MSG_ID_SCALED_IMU: self._scaled_imu(dialect.MAVLink_scaled_imu_message, 0),
+            dialect.MAVLINK_MSG_ID_SCALED_IMU2: self._scaled_imu(dialect.MAVLink_scaled_imu2_message, 1),
+            dialect.MAVLINK_MSG_ID_SCALED_IMU3: self._scaled_imu(dialect.MAVLink_scaled_imu3_message, 2),
+            dialect.MAVLINK_MSG_ID_HIGHRES_IMU: self._highres_imu,
+            dialect.MAVLINK_MSG_ID_SIMSTATE: self._simstate,
+            dialect.MAVLINK_MSG_ID_SYS_STATUS: lambda r, i: self._sys_status(r.block.current[i]),
+            dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION: _of_instant(self.version),
+            dialect.MAVLINK_MSG_ID_HEARTBEAT: _of_instant(vehicle.heartbeat),
+            **{k: _of_block(builder) for k, builder in telemetry.builders.items()},
+            **{k: _of_instant(builder) for k, builder in momentary.items()},
+        }
+
+    def emit(self, due: list[tuple[float, int, MavlinkChannel, int]], times: list[float]) -> None:
+        """Send the messages (time, order, channel, message id) that fall due; `times` are their instants."""
+        readings = Readings(self._sensors, times)
+        position = {moment: i for i, moment in enumerate(times)}
+        for moment, _, channel, message_id in due:
+            message = self._builders[message_id](readings, position[moment])
+            if message is not None:
+                channel.send(message)
+
+    def version(self) -> Any:
+        """AUTOPILOT_VERSION."""
+        return self._telemetry.autopilot_version(CAPABILITIES, VERSION, GIT_HASH)
+
+    # --- streams
+
+    def set_interval(self, channel: MavlinkChannel, message_id: int, interval_us: float) -> tuple[bool, str]:
+        """SET_MESSAGE_INTERVAL of a known message: whether it is granted, and a text that says why not."""
+        if interval_us <= 0:
+            channel.streams.pop(message_id, None)
+            return True, ""
+        interval_ms = ardupilot_interval_ms(interval_us, self._vehicle.table.get("SCHED_LOOP_RATE", 400.0))
+        if interval_ms is None:
+            return False, f"Requested rate for message ID {message_id} too fast. Increase SCHED_LOOP_RATE"
+        channel.streams[message_id] = ardupilot_stream(message_id, interval_ms, self._vehicle.time)
+        return True, ""
+
+    def knows(self, message_id: int) -> bool:
+        """Whether this message can be sent at all."""
+        return message_id in self._builders
+
+    def interval_us(self, channel: MavlinkChannel, message_id: int) -> int:
+        """What MESSAGE_INTERVAL says: 0 for a message that is unknown, −1 for one that is off."""
+        if message_id not in self._builders:
+            return 0
+        stream = channel.streams.get(message_id)
+        return -1 if stream is None else stream.interval_us
+
+    def one(self, message_id: int) -> Any:
+        """One message of this instant, for REQUEST_MESSAGE; None if it cannot be sent."""
+        builder = self._builders.get(message_id)
+        return None if builder is None else builder(Readings(self._sensors, [self._vehicle.time]), 0)
+
+    def request_data_stream(self, channel: MavlinkChannel, message: Any) -> None:
+        """REQUEST_DATA_STREAM: one group of messages, or all of them, at one rate."""
+        groups = STREAM_GROUPS if message.req_stream_id == dialect.MAV_DATA_STREAM_ALL else [message.req_stream_id]
+        for group in groups:
+            for message_id in STREAM_GROUPS.get(group, ()):
+                if not message.start_stop or message.req_message_rate == 0:
+                    channel.streams.pop(message_id, None)
+                    continue
+                interval_ms = max(1000 // int(message.req_message_rate), 1)
+                channel.streams[message_id] = ardupilot_stream(message_id, interval_ms, self._vehicle.time)
+
+    # --- messages
+
+    def _sys_status(self, amps: float) -> Any:
+        volts = self._telemetry.battery_volts(amps)
+        # the bit of the arming checks; always healthy while armed (GCS.cpp, update_sensor_status_flags)
+        ready = self._vehicle.armed or not self._vehicle.arming_faults()
+        health = SENSORS_HEALTH | dialect.MAV_SYS_STATUS_PREARM_CHECK if ready else SENSORS_HEALTH
+        return dialect.MAVLink_sys_status_message(
+            SENSORS_PRESENT, SENSORS_ENABLED, health, 100, int(volts * 1000), int(amps * 100), 95,
+            0, 0, 0, 0, 0, 0, 0, 0, 0,
+        )  # fmt: skip
+
+    def _raw_imu(self, r: Readings, i: int) -> Any:
+        accel, gyro, mag, temperature = r.integers(0)
+        return dialect.MAVLink_raw_imu_message(
+            microseconds(r.block.t[i]), *accel[i], *gyro[i], *mag[i], 0, temperature[i]
+        )
+
+    def _scaled_imu(self, message_class: Any, instance: int) -> Builder:
+        def build(r: Readings, i: int) -> Any:
+            accel, gyro, mag, temperature = r.integers(instance)
+            return message_class(milliseconds(r.block.t[i]), *accel[i], *gyro[i], *mag[i], temperature[i])
+
+        return build
+
+    def _highres_imu(self, r: Readings, i: int) -> Any:
+        accel, gyro, mag = r.floats()
+        pressure = pressure_hpa(self._vehicle.config.altitude_m)
+        temperature = self._telemetry.baro_temperature(r.block.t[i])
+        return dialect.MAVLink_highres_imu_message(
+            microseconds(r.block.t[i]), *accel[i], *gyro[i], *mag[i], pressure, 0.0, 0.0, temperature,
+            HIGHRES_FIELDS, self._sensors.primary,
+        )  # fmt: skip
+
+    def _simstate(self, r: Readings, i: int) -> Any:
+        state = r.state
+        roll, pitch, yaw = r.true_euler()[i]
+        force, rate = state.force[i].tolist(), state.rate[i].tolist()
+        lat, lon = round(self._vehicle.config.latitude_deg * 1e7), round(self._vehicle.config.longitude_deg * 1e7)
+        return dialect.MAVLink_simstate_message(roll, pitch, yaw, *force, *rate, lat, lon)
+
+
+def _of_block(builder: Callable[[Block, int], Any]) -> Builder:
+    return lambda readings, i: builder(readings.block, i)
+
+
+def _of_instant(builder: Callable[[], Any]) -> Builder:
+    return lambda _readings, _i: builder()

@@ -1,0 +1,47 @@
+"""What an exchange of messages needs of the vehicle that it is held with."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from mavcal.calib.wire import Message, RawMessage
+from mavcal.service.link import OwnIdentity
+from mavcal.service.vehicle.state import VehicleState
+from mavcal.service.vehicle.waits import Waits
+
+
+class Addressee(Protocol):
+    """A vehicle to whom one speaks, whose answers can be waited for, and whose silence can be seen."""
+
+    @property
+    def system(self) -> int:
+        """Its system id."""
+        ...
+
+    @property
+    def component(self) -> int:
+        """Its component id."""
+        ...
+
+    @property
+    def own(self) -> OwnIdentity:
+        """The ids that it is spoken to with, and answers."""
+        ...
+
+    @property
+    def waits(self) -> Waits:
+        """What is waited for of it."""
+        ...
+
+    @property
+    def state(self) -> VehicleState:
+        """The latest state."""
+        ...
+
+    def clock(self) -> float:
+        """Monotonic time, s."""
+        ...
+
+    def send(self, message: Message | RawMessage) -> None:
+        """Send to it. Raises LinkDown if that is not possible."""
+        ...

@@ -1,0 +1,105 @@
+"""The types for browsers hold, and a code generator of another language reads the document without a warning.
+
+Both need npm, and the packages from the network or its cache; without them the tests skip.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests.patience import scaled
+
+ROOT = Path(__file__).resolve().parents[2]
+TYPES = ROOT / "web" / "mavcal.d.ts"
+TYPESCRIPT, GENERATOR = "typescript@5", "openapi-typescript@7"
+MODERN = [
+    "--target",
+    "es2022",
+    "--module",
+    "esnext",
+    "--moduleResolution",
+    "bundler",
+    "--lib",
+    "dom,dom.iterable,es2022",
+]
+PAGE = [*MODERN, "--allowJs", "--checkJs"]
+
+pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
+
+
+class Npm:
+    """Commands of npm packages, in a folder of their own."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def run(self, *words: str) -> subprocess.CompletedProcess[str]:
+        packages = [f"--package={name}" for name in (TYPESCRIPT, GENERATOR)]
+        command = ["npm", "exec", "--yes", "--loglevel=error", *packages, "--", *words]
+        return subprocess.run(
+            command, cwd=self.folder, capture_output=True, text=True, check=False, timeout=scaled(240.0)
+        )
+
+    def compile(self, name: str, text: str) -> subprocess.CompletedProcess[str]:
+        """The verdict of the strict compiler on a program."""
+        (self.folder / name).write_text(text)
+        return self.run("tsc", "--noEmit", "--strict", *MODERN, name)
+
+
+@pytest.fixture(scope="module")
+def npm(tmp_path_factory: pytest.TempPathFactory) -> Npm:
+    if shutil.which("npm") is None:
+        pytest.skip("there is no npm")
+    npm = Npm(tmp_path_factory.mktemp("npm"))
+    asked = npm.run("tsc", "--version")
+    if asked.returncode:
+        pytest.skip(f"npm cannot get TypeScript here: {asked.stderr.strip()[-200:]}")
+    return npm
+
+
+PROGRAM = """
+import type {{ JobEvent, JobModel, Message, Operations }} from "{types}";
+
+export function told(event: JobEvent): string {{
+  switch (event.kind) {{
+    case "state": return event.data.state;
+    case "warning": return event.data.text;
+    case "write": return event.data.{cause};
+    default: return event.kind;
+  }}
+}}
+export const cause = (job: JobModel): string | null =>
+  job.outcome === null ? null : job.outcome.kind === "result" ? job.outcome.text : job.outcome.cause;
+export const id = (message: Message): string => message.event === "job" ? message.id : message.data.id;
+export const body: Operations["apply_plan"]["body"] = {{ plan_sha256: "0" }};
+"""
+
+
+def test_a_program_is_checked_against_the_types(npm: Npm) -> None:
+    types = str(TYPES).removesuffix(".d.ts")
+    good = npm.compile("good.ts", PROGRAM.format(types=types, cause="cause"))
+    assert good.returncode == 0, good.stdout
+    bad = npm.compile("bad.ts", PROGRAM.format(types=types, cause="reason"))
+    assert "'reason' does not exist on type 'WriteModel'" in bad.stdout
+
+
+def test_the_panel_names_only_fields_that_there_are(npm: Npm) -> None:
+    checked = npm.run("tsc", "--noEmit", *PAGE, str(ROOT / "web" / "main.js"))
+    assert checked.returncode == 0, checked.stdout
+    shutil.copytree(ROOT / "web", npm.folder / "web")
+    page = npm.folder / "web" / "render.js"
+    page.write_text(page.read_text().replace("plan.needs_reboot", "plan.needs_restart"))
+    assert "needs_restart" in npm.run("tsc", "--noEmit", *PAGE, "web/main.js").stdout
+
+
+def test_a_generator_of_another_language_reads_the_document_without_a_warning(npm: Npm) -> None:
+    done = npm.run("openapi-typescript", str(ROOT / "docs" / "openapi.json"), "-o", "made.ts")
+    assert done.returncode == 0, done.stderr
+    assert "warn" not in (done.stdout + done.stderr).lower()
+    made = (npm.folder / "made.ts").read_text()
+    assert "apply_plan: {" in made
+    assert npm.compile("whole.ts", made).returncode == 0

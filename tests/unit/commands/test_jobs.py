@@ -1,0 +1,55 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from mavcal.service.cli import cli
+from mavcal.service.commands.jobs import table
+from mavcal.service.store import SqliteStore
+from mavcal.service.store.rows import JobRow
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    store = SqliteStore(tmp_path)
+    gap = {"options": {"real": "0123456789abcdef"}, "outcome": {"kind": "result", "text": "The gap is explained."}}
+    failed = {"options": {}, "outcome": {"kind": "failure", "cause": "The vehicle was moved."}}
+    store.save_job(JobRow("j1", "v1", "gyro", "failed", 60.0, 61.0, failed))
+    store.save_job(JobRow("j2", None, "gap", "succeeded", 120.0, 121.0, gap))
+    store.save_job(JobRow("j3", "v1", "gyro", "review", 180.0, 181.0, {"options": {}, "outcome": None}))
+    store.close()
+    return tmp_path
+
+
+def shown(folder: Path, *arguments: str) -> str:
+    result = CliRunner().invoke(cli, ["jobs", "--data-dir", str(folder), *arguments], standalone_mode=False)
+    assert result.exception is None, result.exception
+    return result.output
+
+
+def test_jobs_of_every_kind_are_listed_newest_first(folder: Path) -> None:
+    assert shown(folder).splitlines() == [
+        "job  kind  state      of                  begun (UTC)       outcome",
+        "j3   gyro  review     v1                  1970-01-01 00:03",
+        "j2   gap   succeeded  recording 01234567  1970-01-01 00:02  The gap is explained.",
+        "j1   gyro  failed     v1                  1970-01-01 00:01  The vehicle was moved.",
+    ]
+
+
+def test_kind_state_and_number_choose(folder: Path) -> None:
+    def ids(*arguments: str) -> list[str]:
+        return [job["id"] for job in json.loads(shown(folder, "--json", *arguments))["jobs"]]
+
+    assert ids("--kind", "gyro") == ["j3", "j1"]
+    assert ids("--state", "failed") == ["j1"]
+    assert ids("--limit", "2") == ["j3", "j2"]
+    assert json.loads(shown(folder, "--json", "--limit", "1"))["older"] == 2
+    assert "2 older jobs are not shown" in shown(folder, "--limit", "1")
+    assert shown(folder, "--kind", "none").startswith("job  kind")
+
+
+def test_a_table_of_nothing_is_its_head() -> None:
+    assert table([("a", "b")]) == ["a  b"]

@@ -1,0 +1,85 @@
+"""The rule by which a value with its uncertainty is judged, and what a report comes to."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from bench.preflight.page import checks, limits
+from mavcal.calib.preflight import limits as named
+from mavcal.calib.preflight.check import ASKS, Check, CheckId, Measure, Report, Verdict, judged, unknown
+
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "preflight.md"
+
+
+def measure(value: float, sd: float, limit: float = 1.0) -> Measure:
+    return Measure("it", value, sd, limit, "deg")
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "verdict"),
+    [
+        (0.5, 0.1, Verdict.PASS),
+        (1.2, 0.1, Verdict.WARN),
+        (1.31, 0.1, Verdict.FAIL),
+        (0.5, 0.4, Verdict.UNKNOWN),
+        (2.5, 0.4, Verdict.FAIL),
+    ],
+)
+def test_a_value_fails_only_beyond_doubt(value: float, sd: float, verdict: Verdict) -> None:
+    assert measure(value, sd).verdict == verdict
+
+
+def test_the_worst_number_decides_and_all_are_evidence() -> None:
+    check = judged(CheckId.GYRO_REST, [measure(0.1, 0.01), measure(3.0, 0.1)], good="fine", remedy="mend it")
+    assert (check.verdict, check.value, check.sd, check.remedy) == (Verdict.FAIL, 3.0, 0.1, "mend it")
+    assert len(check.evidence) == 2
+
+
+def test_a_pass_has_no_remedy() -> None:
+    check = judged(CheckId.GYRO_REST, [measure(0.1, 0.01)], good="fine", remedy="mend it")
+    assert (check.verdict, check.reason, check.remedy) == (Verdict.PASS, "fine", "")
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "whole"),
+    [
+        ((Verdict.PASS, Verdict.UNKNOWN, Verdict.WARN, Verdict.FAIL), Verdict.FAIL),
+        ((Verdict.PASS, Verdict.UNKNOWN, Verdict.WARN), Verdict.WARN),
+        ((Verdict.PASS, Verdict.UNKNOWN), Verdict.UNKNOWN),
+        ((Verdict.PASS,), Verdict.PASS),
+    ],
+)
+def test_the_verdict_of_the_whole(verdicts: tuple[Verdict, ...], whole: Verdict) -> None:
+    found = tuple(Check(CheckId.VIBRATION, verdict, None, None, None, "", "") for verdict in verdicts)
+    assert Report(found).verdict == whole
+
+
+def test_a_consequence_is_not_a_failure_of_its_own() -> None:
+    check = judged(CheckId.ACCEL_FORCE, [measure(3.0, 0.1)], good="fine", remedy="mend it")
+    told = check.because_of(CheckId.SENSOR_IDS)
+    assert told.verdict == Verdict.UNKNOWN
+    assert "sensor_ids" in told.reason
+    assert told.value == 3.0
+
+
+def test_the_summary_names_what_failed() -> None:
+    failed = judged(CheckId.ACCEL_FORCE, [measure(3.0, 0.1)], good="", remedy="")
+    assert "accel_force failed" in Report((failed, unknown(CheckId.VIBRATION, "not heard"))).summary
+
+
+def test_the_page_lists_every_check_and_limit_as_the_code_has_them() -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    assert checks() in page
+    assert limits() in page
+    assert set(ASKS) == set(CheckId)
+    assert {name.split(",")[0] for name in named.ALL} <= {of.value for of in CheckId}
+
+
+def test_the_page_holds_a_bench_that_reached_its_targets() -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    bench = page.partition("<!-- bench -->")[2]
+    assert len(re.findall(r"\| yes \|", bench)) >= 10
+    assert "| NO |" not in bench

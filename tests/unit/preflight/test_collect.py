@@ -1,0 +1,77 @@
+"""Frames of a vehicle to what a preflight looks at."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from mavcal.calib.preflight.collect import PREARM, SYS_STATUS, VIBRATION, collect, preflight_streams, wanted_messages
+from mavcal.calib.recording import Identity, Sensor, Stage
+from mavcal.calib.wire import Frame, FrameParser
+
+ARDUPILOT = Identity("ardupilot", system=1, component=1)
+PX4 = Identity("px4", system=1, component=1)
+
+
+def frames(*messages: Any) -> list[Frame]:
+    packer = dialect.MAVLink(None, srcSystem=1, srcComponent=1)
+    parser = FrameParser()
+    return [frame for message in messages for frame in parser.feed(message.pack(packer))]
+
+
+def status(present: int, health: int, current: int = 10) -> Any:
+    return dialect.MAVLink_sys_status_message(present, present, health, 0, 12000, current, 90, 0, 0, 0, 0, 0, 0, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("present", "health", "expected"),
+    [(PREARM, PREARM, (True, True)), (PREARM, 0, (True, False)), (0, PREARM, (False, None))],
+)
+def test_the_bit_of_the_arming_checks(present: int, health: int, expected: tuple[bool, bool | None]) -> None:
+    view = collect(frames(status(present, health)), ARDUPILOT, {}, asked=True).view
+    assert (view.present, view.ready) == expected
+
+
+def test_texts_against_arming_are_kept_whole_and_once() -> None:
+    text = dialect.MAVLink_statustext_message(2, b"PreArm: 3D Accel calibration needed", 0, 0)
+    other = dialect.MAVLink_statustext_message(6, b"ArduCopter V4.6.0", 0, 0)
+    found = collect(frames(text, other, text), ARDUPILOT, {}, asked=True)
+    assert found.view.texts == ("PreArm: 3D Accel calibration needed",)
+
+
+def test_vibration_of_px4_is_its_z_alone() -> None:
+    message = dialect.MAVLink_vibration_message(0, 7.0, 8.0, 9.0, 1, 2, 3)
+    assert collect(frames(message), ARDUPILOT, {}, asked=True).shaking.levels == (7.0, 8.0, 9.0)
+    found = collect(frames(message), PX4, {}, asked=True).shaking
+    assert found is not None
+    assert (found.levels, found.clips) == ((9.0,), (1, 2, 3))
+
+
+def test_whether_a_current_is_measured() -> None:
+    assert collect(frames(status(0, 0, -1)), ARDUPILOT, {}, asked=True).current_known is False
+    assert collect(frames(status(0, 0, 0)), ARDUPILOT, {}, asked=True).current_known is True
+    assert collect([], ARDUPILOT, {}, asked=True).current_known is None
+
+
+def test_a_raw_compass_of_px4_is_corrected() -> None:
+    parameters: dict[str, float | int] = {"SENS_BOARD_ROT": 0, "CAL_MAG0_ID": 5, "CAL_MAG0_ROT": -1}
+    parameters |= {f"SENS_BOARD_{axis}_OFF": 0.0 for axis in "XYZ"}
+    parameters |= {f"CAL_MAG0_{axis}{what}": value for axis in "XYZ" for what, value in
+                   (("OFF", 0.1), ("SCALE", 1.0), ("ODIAG", 0.0), ("COMP", 0.0))}  # fmt: skip
+    parameters |= {f"CAL_MAG{k}_ID": 0 for k in (1, 2, 3)} | {"CAL_MAG0_PRIO": 50, "CAL_MAG_COMP_TYP": 0}
+    parameters |= {f"CAL_MAG0_{angle}": 0.0 for angle in ("ROLL", "PITCH", "YAW")}
+    message = dialect.MAVLink_scaled_imu_message(100, 0, 0, -1000, 0, 0, 0, 300, 0, 400, 2500)
+    channel = collect(frames(message), PX4, parameters, asked=True).recording.find(Sensor.MAG)[0]
+    assert channel.stage == Stage.CORRECTED
+    np.testing.assert_allclose(channel.values[0], [20.05, -10.0, 30.05], atol=1e-6)
+
+
+@pytest.mark.parametrize("identity", [ARDUPILOT, PX4])
+def test_what_is_asked_for_is_listened_to(identity: Identity) -> None:
+    assert {VIBRATION, SYS_STATUS} <= preflight_streams(identity.autopilot or "").keys()
+    heard = wanted_messages(identity)
+    silent = {dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE}  # of the vehicle's state, which listens by itself
+    assert preflight_streams(identity.autopilot or "").keys() - silent <= heard

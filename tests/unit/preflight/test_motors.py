@@ -1,0 +1,46 @@
+"""Motor compensation that cannot be right."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from bench.preflight.vehicle import healthy
+from mavcal.calib.firmware.plan import Value
+from mavcal.calib.preflight.check import Verdict
+from mavcal.calib.preflight.motors import motor_compensation
+from mavcal.calib.preflight.snapshot import Snapshot
+
+ARDUPILOT, PX4 = 2, 3
+
+
+def snapshot(seed: int, **parameters: Value) -> Snapshot:
+    vehicle = healthy(seed)
+    vehicle.parameters.update(parameters)
+    return vehicle.snapshot()
+
+
+def test_none_is_fine() -> None:
+    assert motor_compensation(snapshot(ARDUPILOT), 50.0).verdict == Verdict.PASS
+
+
+def test_switched_on_without_a_vector() -> None:
+    assert motor_compensation(snapshot(ARDUPILOT, COMPASS_MOTCT=2), 50.0).verdict == Verdict.WARN
+
+
+@pytest.mark.parametrize(("per_ampere", "verdict"), [(2.0, Verdict.PASS), (20.0, Verdict.FAIL)])
+def test_beside_the_field(per_ampere: float, verdict: Verdict) -> None:
+    check = motor_compensation(snapshot(ARDUPILOT, COMPASS_MOTCT=2, COMPASS_MOT_X=per_ampere), 50.0)
+    assert check.verdict == verdict
+    assert check.value == pytest.approx(per_ampere * 0.1 * 30.0 / 50.0)
+
+
+def test_px4_counts_in_gauss_per_kiloampere() -> None:
+    check = motor_compensation(snapshot(PX4, CAL_MAG_COMP_TYP=2, CAL_MAG0_XCOMP=2.0), 50.0)
+    assert check.value == pytest.approx(2.0 * 100.0 * 0.03 / 50.0)
+
+
+def test_by_current_without_a_sensor_of_current() -> None:
+    found = dataclasses.replace(snapshot(ARDUPILOT, COMPASS_MOTCT=2, COMPASS_MOT_X=1.0), current_known=False)
+    assert motor_compensation(found, 50.0).verdict == Verdict.FAIL

@@ -1,0 +1,1353 @@
+// Written by scripts/generate-client from docs/openapi.json. Do not edit.
+//
+// Types of what the service takes and tells. A program that uses it needs no more than fetch and EventSource.
+
+/** A MAVLink command that is sent when every parameter was read back. */
+export interface AfterWriteModel {
+  /** MAV_CMD. */
+  command: number;
+  /** Its seven parameters. */
+  params: [number, number, number, number, number, number, number];
+  why: string;
+}
+
+/** A sensor that is left as it is: the fit agrees with what is in force. */
+export interface AgreementModel {
+  sensor: Sensor;
+  instance: number;
+  /** Root mean square of the change, in standard deviations. */
+  deviation: number;
+  text: string;
+}
+
+/** What was answered. */
+export interface AnswerData {
+  value: string;
+}
+
+/** The operator answered a prompt. */
+export interface AnswerEvent {
+  job_id: string;
+  /** Of the events of this job, from 1. */
+  sequence: number;
+  /** Wall-clock time, s since 1970. */
+  at: number;
+  kind: "answer";
+  data: AnswerData;
+}
+
+/** Answer the prompt of a job. */
+export interface AnswerRequest {
+  /** One of the answers that the prompt offers. */
+  value: string;
+}
+
+/** Accept a plan. */
+export interface ApplyRequest {
+  /** Digest of the plan that is accepted. */
+  plan_sha256: string;
+  /** Restart the vehicle if the plan needs it. */
+  reboot?: boolean;
+  /** How long to wait for movements that prove the rest, s. */
+  prove_s?: number;
+}
+
+/** Whether the audit trail is as it was written. */
+export interface AuditCheck {
+  intact: boolean;
+  rows: number;
+  /** Digest of the newest row; kept elsewhere it vouches for all rows up to it. */
+  head: string;
+  /** First row that does not fit. */
+  broken_at: number | null;
+}
+
+/** Who asked for what. */
+export interface AuditModel {
+  id: number;
+  /** Wall-clock time, s since 1970. */
+  at: number;
+  actor: string;
+  action: string;
+  subject: string;
+  detail: Record<string, unknown>;
+  /** Covers this row and all before it; null: from before there was a chain. */
+  sha256: string | null;
+}
+
+/** Rows of the audit trail, oldest first. */
+export interface AuditPage {
+  rows: AuditModel[];
+  /** `after` of the next page; null: this is the last one. */
+  next: number | null;
+}
+
+/** The firmware family. */
+export type Autopilot = "ardupilot" | "px4" | "other";
+
+/** One parameter to be set. */
+export interface ChangeModel {
+  name: string;
+  /** In `unit`; null: hidden, the vehicle did not list it. */
+  old: number | null;
+  /** In `unit`. */
+  new: number;
+  kind: ParameterKind;
+  why: string;
+  /** Standard deviation of `new`, in `unit`; null: not an estimate. */
+  sd: number | null;
+  /** Unit of the parameter; empty: a pure number. */
+  unit: string;
+  sensor: Sensor | null;
+  /** Which sensor of its kind, from 0. */
+  instance: number;
+  needs_reboot: boolean;
+  /** A setting of this session, put back when the job ends. */
+  session: boolean;
+}
+
+/** Stable names of the checks; the comment of each is its line in docs/preflight.md. */
+export type CheckId = "gyro_rest" | "gyro_noise" | "accel_force" | "compass_field" | "compass_direction" | "temperature" | "calibration_age" | "sensor_ids" | "parameters_changed" | "motor_compensation" | "vibration" | "onboard_calibration" | "arming_checks" | "vehicle_prearm";
+
+/** One check; value, sd and limit are those of its worst number, null where it has none. */
+export interface CheckModel {
+  id: CheckId;
+  verdict: Verdict;
+  value: number | null;
+  /** Standard deviation of `value`: noise and whatever else limits it. */
+  sd: number | null;
+  limit: number | null;
+  unit: string;
+  reason: string;
+  /** What helps; empty where nothing has to be done. */
+  remedy: string;
+  /** Every number and fact that the check rests on. */
+  evidence: string[];
+}
+
+/** A file that a job has made. */
+export interface DocumentModel {
+  name: string;
+  /** Its address, relative to the root of the service. */
+  href: string;
+}
+
+/** The job did not reach its goal. */
+export interface FailureModel {
+  /** How much of what shows on a stream the stream has proved after the write. */
+  proof: ProofLevel;
+  proof_reason: string;
+  unproved: UnprovedModel[];
+  kind: "failure";
+  code: string;
+  cause: string;
+  remedy: string;
+}
+
+/** What is wrong with one field of a request. */
+export interface FieldError {
+  field: string;
+  message: string;
+}
+
+/** Whose plan it is: any difference means that it has to be made again. */
+export interface FingerprintModel {
+  autopilot: string;
+  /** Hardware id, hexadecimal. */
+  uid: string;
+  firmware: string;
+  /** Device ids of the sensors, by parameter. */
+  device_ids: [string, number][];
+}
+
+/** Fit an uploaded recording as a job. */
+export interface FitJobRequest {
+  /** A method of `mavcal fit --help`. */
+  method: string;
+  /** Options of that method. */
+  options?: Record<string, unknown>;
+  /** Id of the recording. */
+  recording: string;
+}
+
+/** The calibration of one sensor with its uncertainty, and what the data do not say about it. */
+export interface FitModel {
+  method: string;
+  sensor: Sensor;
+  /** Which sensor of its kind, from 0. */
+  instance: number;
+  status: FitStatus;
+  message: string;
+  n_samples: number;
+  n_used: number;
+  /** Fitted on top of a calibration that is not known; never absolute values. */
+  relative: boolean;
+  model: SensorModel;
+  /** Standard deviations in the shape of `model`; 0: held fixed. */
+  sd: SensorModel;
+  /** The method's own form. */
+  native: Record<string, unknown>;
+  /** In `unit`. */
+  residual_rms: number | null;
+  /** Unit of the offset. */
+  unit: string;
+  condition_number: number | null;
+  /** Names of parameters that the data do not determine. */
+  undetermined: string[];
+  /** For each of these: the movement that would determine it. */
+  movements: Record<string, string>;
+  warnings: string[];
+  /** Numbers about the data. */
+  quality: Record<string, unknown>;
+  /** Mean temperature of the sensor, degC; null: not known. */
+  temperature: number | null;
+  /** Square, in the order of `parameters`. */
+  covariance: ((number | null)[])[];
+  /** Every parameter with its value, standard deviation and unit. */
+  parameters: FitParameterModel[];
+}
+
+/** One parameter of a fit. */
+export interface FitParameterModel {
+  /** Offset_x, matrix_xy, poly1_x ... */
+  name: string;
+  value: number | null;
+  /** Standard deviation, in `unit`; 0: held fixed; null: not determined. */
+  sd: number | null;
+  /** Empty: a pure number. */
+  unit: string;
+}
+
+/** Fit an uploaded recording. */
+export interface FitRequest {
+  /** A method of `mavcal fit --help`. */
+  method: string;
+  /** Options of that method. */
+  options?: Record<string, unknown>;
+}
+
+/** What may be done with a fit. */
+export type FitStatus = "ok" | "partial" | "refused";
+
+/** Fits of an uploaded recording. */
+export interface FitsModel {
+  method: string;
+  /** One a sensor, as in `mavcal fit --json`. */
+  fits: FitModel[];
+}
+
+/** A calibration that was run before the checks. */
+export interface FixModel {
+  kind: Fixable;
+  job_id: string;
+  state: JobState;
+  /** What came of it. */
+  text: string;
+}
+
+/** Kinds of jobs that want nothing but a vehicle at rest. */
+export type Fixable = "gyro" | "level";
+
+/** A diagnosis with its report. */
+export interface GapModel {
+  id: string;
+  /** Its address, relative to the root of the service. */
+  href: string;
+  state: "queued" | "running" | "done" | "failed";
+  /** Why it failed. */
+  error: string | null;
+  /** Wall-clock time, s since 1970. */
+  created_at: number;
+  real: string;
+  sim: string | null;
+  nominal: string[];
+  /** As `mavcal gap --json`; null until it is done. */
+  report: Record<string, unknown> | null;
+  /** Address of the report as a page, relative to the root of the service. */
+  page: string | null;
+}
+
+/** Diagnose the sim-to-real gap of uploaded recordings. */
+export interface GapRequest {
+  /** Id of the recording whose gap is asked for. */
+  real: string;
+  /** Id of a simulator's recording, of the same flight or such a one. */
+  sim?: string | null;
+  /** Ids of recordings without an effect, for noise and field. */
+  nominal?: string[];
+}
+
+/** A diagnosis in a list. */
+export interface GapSummary {
+  id: string;
+  /** Its address, relative to the root of the service. */
+  href: string;
+  state: "queued" | "running" | "done" | "failed";
+  /** Why it failed. */
+  error: string | null;
+  /** Wall-clock time, s since 1970. */
+  created_at: number;
+  real: string;
+  sim: string | null;
+  nominal: string[];
+}
+
+/** The process answers. */
+export interface HealthModel {
+  status: "ok";
+}
+
+/** Which value a parameter holds. */
+export type Holds = "old" | "new" | "other" | "unknown";
+
+/** What one autopilot keeps of a procedure's result. */
+export interface HoldsModel {
+  /** Parameters. */
+  writes: string[];
+  cannot_represent: string[];
+}
+
+/** Name and versions. */
+export interface InfoModel {
+  name: string;
+  version: string;
+  python: string;
+}
+
+export type JobEvent = StateEvent | PromptEvent | ProgressEvent | AnswerEvent | WarningEvent | SegmentsEvent | SetAsideEvent | PlanEvent | WriteEvent | VerificationEvent | StandingEvent;
+
+/** Something happened to a job. `id` continues the stream: it is sent again as `Last-Event-ID`. */
+export interface JobMessage {
+  event: "job";
+  id: string;
+  data: JobEvent;
+}
+
+/** A job with its results. */
+export interface JobModel {
+  id: string;
+  /** Its address, relative to the root of the service. */
+  href: string;
+  /** Null: the job computes something of uploads and needs no vehicle. */
+  vehicle_id: string | null;
+  kind: string;
+  state: JobState;
+  /** Wall-clock time, s since 1970. */
+  created_at: number;
+  /** Wall-clock time, s since 1970. */
+  updated_at: number;
+  progress: ProgressModel | null;
+  /** What the operator is asked to do; null: nothing now. */
+  prompt: PromptModel | null;
+  /** Null while the job goes on, and while a plan waits that was not tried yet. */
+  outcome: OutcomeModel | null;
+  /** Null: nothing was accepted yet. */
+  last_write: WriteModel | null;
+  options: Record<string, unknown>;
+  /** What the operator decided about the plan: given fields of PlanOptions. */
+  plan_options: Record<string, unknown>;
+  warnings: string[];
+  /** One fit a sensor instance, as in `mavcal fit --json`. */
+  results: FitModel[];
+  plan: PlanModel | null;
+  verification: VerificationModel | null;
+  /** Parameters in doubt (all that were sent, or may have been), or left to a third party. */
+  standing: StandingModel[];
+  /** What the job has made beside its results. */
+  documents: DocumentModel[];
+  /** What the fit was made of. */
+  segments: SegmentModel[];
+}
+
+/** Start a calibration. */
+export interface JobRequest {
+  /** A kind of `/procedures`, such as gyro, accel or mag-rings. */
+  kind: string;
+  /** Options of that procedure. */
+  options?: Record<string, number | boolean>;
+  /** Options of the plan. */
+  plan_options?: PlanOptions;
+}
+
+/** Where a job is. */
+export type JobState = "queued" | "running" | "waiting_for_operator" | "fitting" | "review" | "applying" | "waiting_for_reboot" | "verifying" | "succeeded" | "rolling_back" | "reverted" | "in_doubt" | "failed" | "cancelled" | "interrupted";
+
+/** A job in a list. */
+export interface JobSummary {
+  id: string;
+  /** Its address, relative to the root of the service. */
+  href: string;
+  /** Null: the job computes something of uploads and needs no vehicle. */
+  vehicle_id: string | null;
+  kind: string;
+  state: JobState;
+  /** Wall-clock time, s since 1970. */
+  created_at: number;
+  /** Wall-clock time, s since 1970. */
+  updated_at: number;
+  progress: ProgressModel | null;
+  /** What the operator is asked to do; null: nothing now. */
+  prompt: PromptModel | null;
+  /** Null while the job goes on, and while a plan waits that was not tried yet. */
+  outcome: OutcomeModel | null;
+  /** Null: nothing was accepted yet. */
+  last_write: WriteModel | null;
+}
+
+/** EXTENDED_SYS_STATE.landed_state. */
+export type Landed = "undefined" | "on_ground" | "in_air" | "takeoff" | "landing";
+
+/** The present state of a link. */
+export interface LinkMessage {
+  event: "link";
+  data: LinkModel;
+}
+
+/** A link. */
+export interface LinkModel {
+  id: string;
+  url: string;
+  state: LinkState;
+  /** Why it is in that state. */
+  reason: string;
+  /** Ids of the vehicles heard on it. */
+  vehicles: string[];
+  /** Damaged frames, which cannot be attributed to a sender. */
+  crc_errors: number;
+}
+
+/** Open a link. */
+export interface LinkRequest {
+  /** An endpoint such as udpin:0.0.0.0:14550. */
+  url: string;
+}
+
+/** Where a link stands; the reason is a sentence beside it. */
+export type LinkState = "connecting" | "up" | "down" | "closed";
+
+/** A part of the fit that this firmware cannot hold. */
+export interface LossModel {
+  sensor: Sensor;
+  instance: number;
+  what: string;
+  /** Largest effect of leaving it out, over all directions, in `unit`. */
+  cost: number;
+  unit: string;
+  text: string;
+}
+
+export type Message = JobMessage | VehicleMessage | LinkMessage;
+
+/** What would prove the parameters that are still open. */
+export interface MovementModel {
+  text: string;
+  /** Poses to be held still. */
+  faces: string[];
+  /** Turn the vehicle through all directions. */
+  turn: boolean;
+  /** Bring the sensors to about this, degC; null: any. */
+  temperature: number | null;
+}
+
+/** An empty object. */
+export interface Nothing {
+}
+
+/** A number that the operator is asked for; the answer is the number as text. */
+export interface NumberModel {
+  name: string;
+  unit: string;
+  /** Least value, in `unit`. */
+  low: number;
+  /** Greatest value, in `unit`. */
+  high: number;
+}
+
+/** A number or a switch that may be set when a job is started. */
+export interface OptionModel {
+  name: string;
+  default: boolean | number;
+  help: string;
+  /** Empty: a switch, or a pure number. */
+  unit: string;
+  /** Least value, in `unit`; null: without a limit. */
+  low: number | null;
+  /** Greatest value, in `unit`; null: without a limit. */
+  high: number | null;
+}
+
+export type OutcomeModel = ResultModel | FailureModel | WriteFailedModel;
+
+/** The type that a parameter has on the wire. */
+export type ParameterKind = "real32" | "int32" | "int16" | "int8" | "uint8" | "uint16" | "uint32";
+
+/** A parameter as the vehicle states it. */
+export interface ParameterModel {
+  name: string;
+  /** Null: not a finite number. */
+  value: number | null;
+  kind: ParameterKind;
+}
+
+/** What the stream says of one written parameter. */
+export interface ParameterVerdictModel {
+  name: string;
+  verdict: ProofVerdict;
+  /** How far the stream would be off without this parameter, in `unit`; null: not finite. */
+  effect: number | null;
+  /** Standard deviation of the check, in `unit`; null: not finite. */
+  sd: number | null;
+  unit: string;
+  text: string;
+  /** False: no stream depends on it; it is judged by read-back alone. */
+  acts_on_stream: boolean;
+}
+
+/** The new plan. */
+export interface PlanData {
+  sha256: string;
+}
+
+/** The job was planned again. */
+export interface PlanEvent {
+  job_id: string;
+  /** Of the events of this job, from 1. */
+  sequence: number;
+  /** Wall-clock time, s since 1970. */
+  at: number;
+  kind: "plan";
+  data: PlanData;
+}
+
+/** What would be written, in this order, why, and what it costs. */
+export interface PlanModel {
+  fingerprint: FingerprintModel;
+  /** Digest of the parameters that the plan rests on. */
+  snapshot_sha256: string;
+  changes: ChangeModel[];
+  losses: LossModel[];
+  after: AfterWriteModel[];
+  warnings: string[];
+  /** Why nothing of it may be written; empty: it may be. */
+  blockers: string[];
+  agreements: AgreementModel[];
+  needs_reboot: boolean;
+  /** Digest of the plan; whoever accepts it quotes this. */
+  sha256: string;
+}
+
+/** What the operator decides about a plan; sensors are named gyro0 (the first gyro), accel1, mag0. */
+export interface PlanOptions {
+  /** Plan for these sensors alone; empty: for all that were fitted. */
+  only?: string[];
+  /** ArduPilot: keep the gyro offsets (INS_GYR_CAL = 0). */
+  keep_gyro_at_boot?: boolean;
+  /** ArduPilot: mark the sensors as calibrated. */
+  mark_calibrated?: boolean;
+  /** Carry the level trim over to a new accelerometer calibration. */
+  adjust_level?: boolean;
+  /** A compass really is mounted as the job found it. */
+  confirm_mounting?: boolean;
+  /** A recording without a board id is of this vehicle; the audit keeps it. */
+  confirm_other_unit?: boolean;
+  /** PX4: device id of a sensor without a row, by sensor. */
+  device_ids?: Record<string, number>;
+  /** PX4: degC at which CAL_ACC in force was taken, by sensor. */
+  accel_temperature?: Record<string, number>;
+}
+
+/** Plan again. */
+export interface PlanRequest {
+  /** In place of those of before; null: as before. */
+  plan_options?: PlanOptions | null;
+}
+
+/** How the offset follows the temperature T: the sum over k of coefficients[axis][k-1] * (T - t_ref)^k. */
+export interface PolynomialModel {
+  /** DegC. */
+  t_ref: number;
+  /** DegC; null: without a limit. */
+  t_min: number | null;
+  /** DegC; null: without a limit. */
+  t_max: number | null;
+  /** A row an axis, from the first power on, in the unit of the fit / degC^k; null: not determined. */
+  coefficients: ((number | null)[])[];
+}
+
+/** The six faces, in the order and meaning of MAVLink's ``ACCELCAL_VEHICLE_POS`` (1..6), and oblique poses. */
+export type Pose = "level" | "left" | "right" | "nose_down" | "nose_up" | "back" | "oblique";
+
+/** Whether a vehicle is fit to fly, as far as its sensors and their calibration go. */
+export interface PreflightModel {
+  vehicle_id: string;
+  /** Wall-clock time, s since 1970. */
+  at: number;
+  /** How long it took. */
+  seconds: number;
+  /** Any failure fails the whole; then warnings count, then what is unknown. */
+  verdict: Verdict;
+  summary: string;
+  checks: CheckModel[];
+  /** What stood in the way of looking. */
+  notes: string[];
+  fixed: FixModel[];
+}
+
+/** Check a vehicle that stands still. */
+export interface PreflightRequest {
+  /** True heading of its nose, deg, if it is known. */
+  heading?: number | null;
+  /** Calibrations that need no hands, to be run and written before it is checked; needs the scope write-params, and takes up to a minute each. */
+  fix?: ("gyro" | "level")[];
+}
+
+/** A problem document (RFC 9457). */
+export interface Problem {
+  /** Address of the page that explains it, relative to the address of the request; it ends in `code`. */
+  type: string;
+  code: ProblemCode;
+  title: string;
+  status: number;
+  /** What happened, and what helps. */
+  detail: string;
+  /** Under which the log of the service tells more. */
+  request_id: string;
+  /** Of an invalid request. */
+  errors?: FieldError[] | null;
+}
+
+/** What kind of problem it is. */
+export type ProblemCode = "answer-refused" | "authentication-required" | "capture-disturbed" | "capture-ended" | "capture-interrupted" | "command-forbidden" | "command-refused" | "command-timeout" | "data-dir-locked" | "disk-full" | "document-unknown" | "endpoint-refused" | "endpoint-unknown" | "export-unknown" | "file-not-processed" | "files-busy" | "gap-error" | "gap-unfinished" | "gap-unknown" | "gaps-busy" | "http" | "idempotency-key-reused" | "illegal-transition" | "internal-error" | "invalid-input" | "job-cancelled" | "job-error" | "job-unknown" | "link-down" | "link-error" | "link-unknown" | "no-vehicle" | "not-allowed" | "not-cancellable" | "not-found" | "not-revertible" | "other-vehicle" | "parameter-error" | "parameter-missing" | "parameter-rejected" | "parameter-timeout" | "physical-job-running" | "plan-blocked" | "plan-changed" | "plan-missing" | "port-busy" | "preflight-running" | "recording-unknown" | "store-error" | "too-many-attempts" | "too-many-streams" | "upload-too-large" | "upload-unreadable" | "validation" | "vehicle-armed" | "vehicle-busy" | "vehicle-conflict" | "vehicle-error" | "vehicle-silent" | "vehicle-unknown" | "write-failed" | "write-stopped";
+
+/** A procedure: what it needs, ends on, writes and cannot represent. */
+export interface ProcedureModel {
+  kind: string;
+  title: string;
+  /** These must stream. */
+  sensors: Sensor[];
+  /** Used where they stream. */
+  helpful: Sensor[];
+  options: OptionModel[];
+  needs: string;
+  ends_on: string;
+  autopilots: Record<string, HoldsModel>;
+  /** Typical length with the default options, s of the vehicle's clock. */
+  duration_s: number;
+}
+
+/** How far the job is. */
+export interface ProgressEvent {
+  job_id: string;
+  /** Of the events of this job, from 1. */
+  sequence: number;
+  /** Wall-clock time, s since 1970. */
+  at: number;
+  kind: "progress";
+  data: ProgressModel;
+}
+
+/** The field list of a progress bar. */
+export interface ProgressModel {
+  type: "progress";
+  /** In `unit`. */
+  current: number;
+  /** In `unit`. */
+  target: number;
+  unit: string;
+  text: string;
+  /** S of the vehicle's clock; null: cannot be said yet. */
+  eta: number | null;
+  /** Numbers for a panel. */
+  detail: Record<string, unknown> | null;
+}
+
+/** The operator is asked to do something else, or nothing more. */
+export interface PromptEvent {
+  job_id: string;
+  /** Of the events of this job, from 1. */
+  sequence: number;
+  /** Wall-clock time, s since 1970. */
+  at: number;
+  kind: "prompt";
+  /** An empty object: nothing is asked any more. */
+  data: PromptModel | Nothing;
+}
+
+/** What the operator is asked to do now. */
+export interface PromptModel {
+  type: "prompt";
+  /** Hold_still, pose, rotate, warm_up, confirm, place, turn or state. */
+  step: string;
+  text: string;
+  /** The pose that is asked for; null: any, or none. */
+  pose: Pose | null;
+  /** Poses still missing; their order is free. */
+  remaining: Pose[];
+  /** How long to hold still, s. */
+  hold_s: number | null;
+  rotate: boolean;
+  /** Body direction (front, right, down) that should point down. */
+  direction: [number, number, number] | null;
+  /** Bring the sensors to about this, degC; null: any. */
+  temperature: number | null;
+  /** The pose that the vehicle is in. */
+  detected: Pose | null;
+  /** Whether it is at rest there. */
+  stable: boolean;
+  /** Answers that are accepted; empty: the data answer. */
+  answers: string[];
+  /** Turn about this body axis (front, right, down), right-handed. */
+  axis: [number, number, number] | null;
+  /** How many turns to make; null: until the prompt changes. */
+  turns: number | null;
+  /** A number that is asked for beside `answers`. */
+  number: NumberModel | null;
+}
+
+/** How much of what acts on a stream the stream has proved. */
+export type ProofLevel = "full" | "partial" | "none";
+
+/** What the stream says of one written parameter. */
+export type ProofVerdict = "proved" | "consistent" | "not_observable" | "contradicted";
+
+/** Whether jobs can be run. */
+export interface ReadinessModel {
+  status: "ready" | "not ready";
+  /** What keeps jobs from being run. */
+  reason?: string;
+}
+
+/** How an uploaded file is to be read; as the options of `mavcal fit`. */
+export interface ReadingOptions {
+  /** Canonical column: header name or 0-based number, with an optional *factor. */
+  mapping?: Record<string, string>;
+  world?: "ned" | "enu";
+  body?: "frd" | "flu";
+  /** Makes `t`, Hz. */
+  rate?: number | null;
+  unit_accel?: string;
+  unit_gyro?: string;
+  unit_mag?: string;
+  /** Of a telemetry log: which vehicle. */
+  system?: number | null;
+}
+
+/** Plan the fits of an uploaded recording for a connected vehicle. */
+export interface RecordingJobRequest {
+  /** A method of `mavcal fit --help`. */
+  method: string;
+  /** Options of that method. */
+  options?: Record<string, unknown>;
+  /** The vehicle that the recording is of. */
+  vehicle_id: string;
+  /** Options of the plan. */
+  plan_options?: PlanOptions;
+}
+
+/** An uploaded recording. */
+export interface RecordingModel {
+  id: string;
+  /** Its address, relative to the root of the service. */
+  href: string;
+  name: string;
+  /** Bytes. */
+  size: number;
+  sha256: string;
+  /** Wall-clock time, s since 1970. */
+  uploaded_at: number;
+  /** What is in it, as `mavcal inspect --json`. */
+  inspection: Record<string, unknown>;
+}
+
+/** How BlueOS lists a service. */
+export interface RegistrationModel {
+  name: string;
+  description: string;
+  icon: string;
+  company: string;
+  version: string;
+  webpage: string;
+  api: string;
+  works_in_relative_paths: boolean;
+  new_page: boolean;
+}
+
+/** The job reached its goal. */
+export interface ResultModel {
+  /** How much of what shows on a stream the stream has proved after the write. */
+  proof: ProofLevel;
+  proof_reason: string;
+  unproved: UnprovedModel[];
+  kind: "result";
+  text: string;
+}
+
+/** A span of a telemetry log. */
+export interface SegmentModel {
+  /** Name of the log. */
+  path: string;
+  start_byte: number;
+  end_byte: number;
+  /** Digest of these bytes. */
+  sha256: string;
+}
+
+/** The recording of the job is closed. */
+export interface SegmentsEvent {
+  job_id: string;
+  /** Of the events of this job, from 1. */
+  sequence: number;
+  /** Wall-clock time, s since 1970. */
+  at: number;
+  kind: "segments";
+  data: Nothing;
+}
+
+/** What a channel measures; the comment gives the columns and the unit. */
+export type Sensor = "accel" | "gyro" | "mag" | "temperature" | "current" | "throttle" | "motor" | "rotor_speed" | "attitude" | "position" | "velocity" | "place";
+
+/** What a sensor reads after the write beside what it should. */
+export interface SensorCheckModel {
+  /** Gyro_zero, accel_gravity, accel_direction or level. */
+  id: string;
+  sensor: Sensor;
+  instance: number;
+  /** How far it is off, in `unit`; null: not observed. */
+  value: number | null;
+  /** The most that noise, drift and the fit explain, in `unit`. */
+  limit: number | null;
+  unit: string;
+  /** Standard deviation of `value`, in `unit`. */
+  sd: number | null;
+  verdict: SensorVerdict;
+  text: string;
+}
+
+/** Corrected = matrix (measured - offset - polynomial(T)). */
+export interface SensorModel {
+  /** X y z, in the unit of the fit; null: not determined. */
+  offset: (number | null)[];
+  /** Three rows; null: not determined. */
+  matrix: ((number | null)[])[];
+  polynomial: PolynomialModel | null;
+}
+
+/** Whether a sensor reads, after a write, what it should. */
+export type SensorVerdict = "right" | "wrong" | "not_observable";
+
+/** What was set aside. */
+export interface SetAsideData {
+  /** Spans of the recording. */
+  segments: number;
+}
+
+/** What was recorded so far is not used: the vehicle was disturbed, and the capture begins again. */
+export interface SetAsideEvent {
+  job_id: string;
+  /** Of the events of this job, from 1. */
+  sequence: number;
+  /** Wall-clock time, s since 1970. */
+  at: number;
+  kind: "set_aside";
+  data: SetAsideData;
+}
+
+/** Why it is not certain. */
+export interface StandingData {
+  note: string;
+}
+
+/** What was known of the parameters of an interrupted write is not certain any more. */
+export interface StandingEvent {
+  job_id: string;
+  /** Of the events of this job, from 1. */
+  sequence: number;
+  /** Wall-clock time, s since 1970. */
+  at: number;
+  kind: "standing";
+  data: StandingData;
+}
+
+/** What is known of one parameter that a job has written, or may have. */
+export interface StandingModel {
+  name: string;
+  /** The value before the write; null: not known. */
+  old: number | null;
+  /** The value that was to be written. */
+  new: number | null;
+  /** The last value heard; null: none since the last PARAM_SET left. */
+  value: number | null;
+  /** False: it may have changed since. */
+  certain: boolean;
+  note: string;
+  holds: Holds;
+}
+
+/** The state that a job has come to. */
+export interface StateData {
+  state: JobState;
+  outcome: OutcomeModel | null;
+}
+
+/** The job has come to another state. */
+export interface StateEvent {
+  job_id: string;
+  /** Of the events of this job, from 1. */
+  sequence: number;
+  /** Wall-clock time, s since 1970. */
+  at: number;
+  kind: "state";
+  data: StateData;
+}
+
+/** A ticket for one event stream. */
+export interface TicketModel {
+  /** Empty: the service runs without keys, and asks for none. */
+  ticket: string;
+  /** How long it is good, s. */
+  valid_s: number;
+}
+
+/** A parameter that no stream has proved, or a sensor that could not be seen to read right with the new values. */
+export interface UnprovedModel {
+  name: string;
+  verdict: "consistent" | "not_observable" | "contradicted" | "wrong";
+  why: string;
+}
+
+/** The present state of a vehicle. */
+export interface VehicleMessage {
+  event: "vehicle";
+  data: VehicleModel;
+}
+
+/** A vehicle in one page. */
+export interface VehicleModel {
+  id: string;
+  /** Id of the link on which it is heard. */
+  link: string;
+  /** MAVLink system id. */
+  system: number;
+  /** MAVLink component id. */
+  component: number;
+  autopilot: Autopilot;
+  /** Version of the firmware; empty: not known yet. */
+  firmware: string;
+  /** Hardware id, hexadecimal; null: not known. */
+  uid: string | null;
+  armed: boolean;
+  landed: Landed;
+  /** No heartbeat for 3 s. */
+  silent: boolean;
+  /** Whether parameters may be written now. */
+  writable: boolean;
+  /** Why nothing may be written now. */
+  obstacles: string[];
+  /** What the state rests on. */
+  evidence: string[];
+  /** The last things that the vehicle said. */
+  texts: string[];
+  /** Messages received. */
+  received: number;
+  /** Messages lost. */
+  lost: number;
+  /** Lost share of everything sent, 0..1. */
+  loss: number;
+  bytes_per_s: number;
+  /** How many parameters were heard. */
+  parameters_known: number;
+}
+
+/** What a check, or a whole report, comes to. */
+export type Verdict = "pass" | "warn" | "fail" | "unknown";
+
+/** What the stream has proved. */
+export interface VerificationData {
+  proved: boolean;
+  proof: ProofLevel;
+}
+
+/** The stream was checked after the write. */
+export interface VerificationEvent {
+  job_id: string;
+  /** Of the events of this job, from 1. */
+  sequence: number;
+  /** Wall-clock time, s since 1970. */
+  at: number;
+  kind: "verification";
+  data: VerificationData;
+}
+
+/** The physical check of a plan: do the parameters act, and do the sensors read right with them. */
+export interface VerificationModel {
+  parameters: ParameterVerdictModel[];
+  /** What would prove the rest; null: nothing would. */
+  movement: MovementModel | null;
+  sensors: SensorCheckModel[];
+  /** Parameters whose sensor was not streamed or never at rest. */
+  unseen: string[];
+  /** Every parameter that acts on a stream is proved, and no sensor reads wrong. */
+  proved: boolean;
+  /** Parameters that were accepted and did not take effect. */
+  contradicted: string[];
+  /** Sensors that read wrong although their parameters act. */
+  refuted: string[];
+}
+
+/** A warning. */
+export interface WarningData {
+  text: string;
+}
+
+/** The job has one warning more. */
+export interface WarningEvent {
+  job_id: string;
+  /** Of the events of this job, from 1. */
+  sequence: number;
+  /** Wall-clock time, s since 1970. */
+  at: number;
+  kind: "warning";
+  data: WarningData;
+}
+
+/** A write has ended. */
+export interface WriteEvent {
+  job_id: string;
+  /** Of the events of this job, from 1. */
+  sequence: number;
+  /** Wall-clock time, s since 1970. */
+  at: number;
+  kind: "write";
+  data: WriteModel;
+}
+
+/** The plan that was accepted could not be written. Nothing was sent, and the job is in review again. */
+export interface WriteFailedModel {
+  /** How much of what shows on a stream the stream has proved after the write. */
+  proof: ProofLevel;
+  proof_reason: string;
+  unproved: UnprovedModel[];
+  kind: "write_failed";
+  code: string;
+  cause: string;
+  remedy: string;
+}
+
+/** The last attempt to write a job's plan; the event `write` carries the same when it ends. */
+export interface WriteModel {
+  /** Failed: nothing was sent, and the job is in review again. */
+  result: WriteResult;
+  /** Wall-clock time, s since 1970. */
+  at: number;
+  cause: string;
+  remedy: string;
+  /** Parameters for which a PARAM_SET may have left. */
+  sent: number;
+}
+
+/** What the last attempt to write has come to. */
+export type WriteResult = "running" | "failed" | "in_doubt" | "reverted" | "succeeded";
+
+/** Every operation by its id: what it takes and what it answers with. */
+export interface Operations {
+  /** Every open link. */
+  list_links: {
+    method: "GET";
+    path: "/api/v1/links";
+    answer: LinkModel[];
+  };
+  /** Open a link; one that is open already is returned as it is. */
+  open_link: {
+    method: "POST";
+    path: "/api/v1/links";
+    body: LinkRequest;
+    answer: LinkModel;
+  };
+  /** One link. */
+  get_link: {
+    method: "GET";
+    path: "/api/v1/links/{link_id}";
+    parameters: { link_id: string };
+    answer: LinkModel;
+  };
+  /** Close a link; its recording stays. */
+  close_link: {
+    method: "DELETE";
+    path: "/api/v1/links/{link_id}";
+    parameters: { link_id: string };
+    answer: null;
+  };
+  /** Every vehicle that was heard. */
+  list_vehicles: {
+    method: "GET";
+    path: "/api/v1/vehicles";
+    answer: VehicleModel[];
+  };
+  /** One vehicle. */
+  get_vehicle: {
+    method: "GET";
+    path: "/api/v1/vehicles/{vehicle_id}";
+    parameters: { vehicle_id: string };
+    answer: VehicleModel;
+  };
+  /** Every parameter of the vehicle as heard last; `refresh` lists them again first. */
+  list_parameters: {
+    method: "GET";
+    path: "/api/v1/vehicles/{vehicle_id}/parameters";
+    parameters: { vehicle_id: string };
+    query: { refresh?: boolean };
+    answer: ParameterModel[];
+  };
+  /** The vehicle's state, once a second, as long as its link is open. */
+  follow_vehicle: {
+    method: "GET";
+    path: "/api/v1/vehicles/{vehicle_id}/stream";
+    parameters: { vehicle_id: string };
+    message: VehicleMessage;
+  };
+  /** Check a vehicle that stands still, within ten seconds; 409 while it is armed, silent, or has a job running. */
+  run_preflight: {
+    method: "POST";
+    path: "/api/v1/vehicles/{vehicle_id}/preflight";
+    parameters: { vehicle_id: string };
+    body: PreflightRequest;
+    answer: PreflightModel;
+  };
+  /** What can be calibrated, what each procedure needs, ends on, writes and cannot represent. */
+  list_procedures: {
+    method: "GET";
+    path: "/api/v1/procedures";
+    answer: ProcedureModel[];
+  };
+  /** Start a calibration; 409 if that vehicle has one running. */
+  start_job: {
+    method: "POST";
+    path: "/api/v1/vehicles/{vehicle_id}/jobs";
+    parameters: { vehicle_id: string };
+    body: JobRequest;
+    answer: JobModel;
+  };
+  /** Jobs of every kind, a page at a time. A header `Link` with `rel="next"` leads to the next page, if any. */
+  list_jobs: {
+    method: "GET";
+    path: "/api/v1/jobs";
+    query: { vehicle_id?: string | null; kind?: string | null; order?: "oldest" | "newest"; limit?: number; after?: string | null };
+    answer: JobSummary[];
+  };
+  /** One job with its results. */
+  get_job: {
+    method: "GET";
+    path: "/api/v1/jobs/{job_id}";
+    parameters: { job_id: string };
+    answer: JobModel;
+  };
+  /** Cancel a job that has not written anything. */
+  cancel_job: {
+    method: "DELETE";
+    path: "/api/v1/jobs/{job_id}";
+    parameters: { job_id: string };
+    answer: JobModel;
+  };
+  /** Answer the prompt of a job. */
+  answer_job: {
+    method: "POST";
+    path: "/api/v1/jobs/{job_id}/answers";
+    parameters: { job_id: string };
+    body: AnswerRequest;
+    answer: JobModel;
+  };
+  /** What would be written, why, and what it costs. */
+  get_plan: {
+    method: "GET";
+    path: "/api/v1/jobs/{job_id}/plan";
+    parameters: { job_id: string };
+    answer: PlanModel;
+  };
+  /** Plan again on the vehicle's present parameters: what `apply` asks for when something has changed. */
+  renew_plan: {
+    method: "POST";
+    path: "/api/v1/jobs/{job_id}/plan";
+    parameters: { job_id: string };
+    body: PlanRequest;
+    answer: PlanModel;
+  };
+  /** Fit what an interrupted job has recorded. */
+  refit_job: {
+    method: "POST";
+    path: "/api/v1/jobs/{job_id}/refit";
+    parameters: { job_id: string };
+    answer: JobModel;
+  };
+  /** Accept the plan with this digest and write it; 409 if it is no longer the plan to be written. */
+  apply_plan: {
+    method: "POST";
+    path: "/api/v1/jobs/{job_id}/apply";
+    parameters: { job_id: string };
+    header: { "idempotency-key"?: string | null };
+    body: ApplyRequest;
+    answer: JobModel;
+  };
+  /** Take back what a job has written, where it still stands. */
+  revert_job: {
+    method: "POST";
+    path: "/api/v1/jobs/{job_id}/revert";
+    parameters: { job_id: string };
+    answer: JobModel;
+  };
+  /** The result as a file: param, parm, params, json, csv or html. */
+  export_job: {
+    method: "GET";
+    path: "/api/v1/jobs/{job_id}/export.{form}";
+    parameters: { job_id: string; form: "param" | "parm" | "params" | "json" | "csv" | "html" };
+    answer: string;
+  };
+  /** A document that the job has made, such as the report of a diagnosis. */
+  get_document: {
+    method: "GET";
+    path: "/api/v1/jobs/{job_id}/documents/{name}";
+    parameters: { job_id: string; name: string };
+    answer: string;
+  };
+  /** Everything that happens to a job, from its beginning or from Last-Event-ID on. */
+  follow_job: {
+    method: "GET";
+    path: "/api/v1/jobs/{job_id}/events";
+    parameters: { job_id: string };
+    header: { "Last-Event-ID"?: number | null };
+    message: JobMessage;
+  };
+  /** Everything that happens: to any job, from now or from Last-Event-ID on, and to vehicles and links. */
+  follow_events: {
+    method: "GET";
+    path: "/api/v1/events";
+    header: { "Last-Event-ID"?: number | null };
+    message: Message;
+  };
+  /** Every uploaded recording. */
+  list_recordings: {
+    method: "GET";
+    path: "/api/v1/recordings";
+    answer: RecordingModel[];
+  };
+  /** Upload a recording as the body of the request. */
+  upload_recording: {
+    method: "POST";
+    path: "/api/v1/recordings";
+    query: { name: string; reading?: ReadingOptions };
+    body: Blob;
+    answer: RecordingModel;
+  };
+  /** One uploaded recording, and what is in it. */
+  get_recording: {
+    method: "GET";
+    path: "/api/v1/recordings/{recording_id}";
+    parameters: { recording_id: string };
+    answer: RecordingModel;
+  };
+  /** Run one method on an uploaded recording and wait for it; `POST /fits` does not wait. */
+  fit_recording: {
+    method: "POST";
+    path: "/api/v1/recordings/{recording_id}/fits";
+    parameters: { recording_id: string };
+    body: FitRequest;
+    answer: FitsModel;
+  };
+  /** A job that runs one method on an uploaded recording: followed, cancelled and listed as every other job. */
+  start_fit: {
+    method: "POST";
+    path: "/api/v1/fits";
+    body: FitJobRequest;
+    answer: JobModel;
+  };
+  /** A job that fits an uploaded recording; then it is in review, or failed if it is not of this vehicle's sensors. */
+  plan_recording: {
+    method: "POST";
+    path: "/api/v1/recordings/{recording_id}/jobs";
+    parameters: { recording_id: string };
+    body: RecordingJobRequest;
+    answer: JobModel;
+  };
+  /** Every diagnosis, oldest first, without its report. */
+  list_gaps: {
+    method: "GET";
+    path: "/api/v1/gaps";
+    answer: GapSummary[];
+  };
+  /** Diagnose the sim-to-real gap of an uploaded recording; 429 if too many diagnoses are waiting. */
+  diagnose_gap: {
+    method: "POST";
+    path: "/api/v1/gaps";
+    body: GapRequest;
+    answer: GapSummary;
+  };
+  /** Where a diagnosis stands, and its report once it is done. */
+  get_gap: {
+    method: "GET";
+    path: "/api/v1/gaps/{gap_id}";
+    parameters: { gap_id: string };
+    answer: GapModel;
+  };
+  /** The report as a page; 409 while there is none. */
+  get_gap_report: {
+    method: "GET";
+    path: "/api/v1/gaps/{gap_id}/report.html";
+    parameters: { gap_id: string };
+    answer: string;
+  };
+  /** Whether the process answers. */
+  get_health: {
+    method: "GET";
+    path: "/healthz";
+    answer: HealthModel;
+  };
+  /** Whether jobs can be run: the store takes writes and nothing stands in the way. */
+  get_readiness: {
+    method: "GET";
+    path: "/readyz";
+    answer: ReadinessModel;
+  };
+  /** Counters in the format of Prometheus. */
+  get_metrics: {
+    method: "GET";
+    path: "/metrics";
+    answer: string;
+  };
+  /** Name and versions. */
+  get_info: {
+    method: "GET";
+    path: "/info";
+    answer: InfoModel;
+  };
+  /** How BlueOS lists the service. */
+  get_registration: {
+    method: "GET";
+    path: "/register_service";
+    answer: RegistrationModel;
+  };
+  /** What a problem code means; the `type` of a problem document leads here. */
+  explain_problem: {
+    method: "GET";
+    path: "/problems/{code}";
+    parameters: { code: string };
+    answer: string;
+  };
+  /** Make a ticket for one event stream. */
+  make_ticket: {
+    method: "POST";
+    path: "/api/v1/tickets";
+    answer: TicketModel;
+  };
+  /** Who asked for what, oldest first, a page at a time. */
+  list_audit: {
+    method: "GET";
+    path: "/api/v1/audit";
+    query: { after?: number; limit?: number };
+    answer: AuditPage;
+  };
+  /** Check the hash chain of the audit trail. */
+  check_audit: {
+    method: "GET";
+    path: "/api/v1/audit/check";
+    answer: AuditCheck;
+  };
+}
