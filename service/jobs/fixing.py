@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
+from mavcal.calib.firmware.options import key_text
 from mavcal.service.jobs.engine import JobEngine
 from mavcal.service.jobs.model import Accept, Failure, Job
 from mavcal.service.jobs.states import ENDED, JobState
@@ -47,16 +48,44 @@ async def fixed(engine: JobEngine, vehicle_id: str, kinds: Sequence[Fixable], *,
     done: list[Fix] = []
     for kind in dict.fromkeys(kinds):
         job = await engine.submit(vehicle_id, kind.value)
-        job = await _settled(engine, job.id)
-        if job.state == JobState.REVIEW and job.plan is not None and not job.plan.blockers:
+        job, left = await _without_restart(engine, await _settled(engine, job.id))
+        if job.state == JobState.REVIEW and job.plan is not None and not job.plan.blockers and not left.all:
             accept = Accept(job.plan.sha256, prove_s=0.0, actor=actor)
             await engine.apply(job.id, accept)
             job = await _settled(engine, job.id)
-        done.append(Fix(kind, job.id, job.state, _told(job)))
+        done.append(Fix(kind, job.id, job.state, " ".join(filter(None, (_told(job, left), left.text)))))
         if job.state != JobState.SUCCEEDED:
             break
     await engine.tidied()
     return tuple(done)
+
+
+@dataclass(frozen=True)
+class _LeftOut:
+    """Sensors that stay as they are, because their change would act only after a restart of the vehicle."""
+
+    keys: tuple[str, ...] = ()
+    all: bool = False
+
+    @property
+    def text(self) -> str:
+        if not self.keys:
+            return ""
+        stays = "stays as it is: its" if len(self.keys) == 1 else "stay as they are: their"
+        return f"{', '.join(self.keys)} {stays} change would act only after a restart."
+
+
+async def _without_restart(engine: JobEngine, job: Job) -> tuple[Job, _LeftOut]:
+    """The job, planned for those sensors alone whose change acts at once: nobody is there to restart a vehicle."""
+    if job.state != JobState.REVIEW or job.plan is None or not job.plan.needs_reboot:
+        return job, _LeftOut()
+    sensors = {(c.sensor, c.instance): key_text(c.sensor, c.instance) for c in job.plan.changes if c.sensor is not None}
+    late = {(c.sensor, c.instance) for c in job.plan.changes if c.needs_reboot}
+    at_once = [text for key, text in sensors.items() if key not in late]
+    left = _LeftOut(tuple(text for key, text in sensors.items() if key in late), all=not at_once)
+    if at_once:
+        job = await engine.plan_again(job.id, {**job.context.get("plan_options", {}), "only": at_once})
+    return job, left
 
 
 async def _settled(engine: JobEngine, job_id: str) -> Job:
@@ -66,7 +95,9 @@ async def _settled(engine: JobEngine, job_id: str) -> Job:
     return engine.get(job_id)
 
 
-def _told(job: Job) -> str:
+def _told(job: Job, left: _LeftOut) -> str:
+    if left.all:
+        return "Nothing was written."
     if isinstance(job.outcome, Failure):
         return f"{job.outcome.cause} {job.outcome.remedy}".strip()
     if job.outcome is not None:

@@ -22,6 +22,16 @@ def preflight(url: str, folder: Path, *more: str) -> subprocess.CompletedProcess
     return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
 
 
+FIX_GYRO = ("--fix", "gyro", "--apply", "--json")
+
+
+def json_fixes(done: subprocess.CompletedProcess[str]) -> list[dict[str, Any]]:
+    told = json.loads(done.stdout)
+    assert "fixed" in told, (told, done.stderr)
+    fixes: list[dict[str, Any]] = told["fixed"]
+    return fixes
+
+
 def test_the_kinds_that_need_no_hands_are_the_same_everywhere() -> None:
     assert tuple(Fixable) == FIXABLE
 
@@ -43,13 +53,30 @@ def test_a_gyroscope_that_is_off_fails_and_is_mended(autopilot: str, tmp_path: P
         assert first.returncode == 1, first.stderr
         assert [c["id"] for c in told["checks"] if c["verdict"] == "fail"] == ["gyro_rest"]
         assert told["seconds"] < 10.0
-        second = preflight(sim.url, tmp_path, "--fix", "gyro", "--apply", "--json")
+        second = preflight(sim.url, tmp_path, *FIX_GYRO)
         told = json.loads(second.stdout)
-        assert [fix["state"] for fix in told["fixed"]] == ["succeeded"], told
+        assert [fix["state"] for fix in told.get("fixed", [])] == ["succeeded"], (told, second.stderr)
         verdicts = {c["id"]: c["verdict"] for c in told["checks"]}
         assert verdicts["gyro_rest"] == "pass"
         assert verdicts["calibration_age"] == verdicts["sensor_ids"] == "pass"  # the job that mended it is known now
         assert second.returncode in (0, EXIT_UNSURE), second.stdout
+
+
+def test_a_change_that_needs_a_restart_is_left_out(tmp_path: Path) -> None:
+    """PX4's memory takes no gyroscope offset that differs by less than 0.01 rad/s before it restarts."""
+    config = {"calibration": "fresh", "imu_count": 2, "parameters": {"IMU_GYRO_CAL_EN": 0.0}}
+    with SimulatedVehicle("px4", seed=8, speed=4.0, config=config) as sim:
+        sim.call("add", sensor="gyro", instance=0, by=[0.0, 0.004, 0.0])
+        sim.call("add", sensor="gyro", instance=1, by=[0.02, 0.0, 0.0])
+        before, [found] = sim.parameters()[0], json_fixes(preflight(sim.url, tmp_path, *FIX_GYRO))
+        after = sim.parameters()[0]
+        assert found["state"] == "succeeded", found
+        assert found["text"].endswith("gyro0 stays as it is: its change would act only after a restart.")
+        assert {name for name in after if after[name] != before[name]} >= {"CAL_GYRO1_XOFF"}
+        assert all(after[f"CAL_GYRO0_{axis}OFF"] == before[f"CAL_GYRO0_{axis}OFF"] for axis in "XYZ")
+        [found] = json_fixes(preflight(sim.url, tmp_path, *FIX_GYRO))  # gyro 1 is in order by now: nothing acts at once
+        assert found["state"] == "review", found
+        assert found["text"] == "Nothing was written. gyro0 stays as it is: its change would act only after a restart."
 
 
 def test_the_table_names_what_helps(tmp_path: Path) -> None:
