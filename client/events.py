@@ -25,7 +25,7 @@ class AnswerEvent(Answer):
 
     job_id: str
     sequence: int
-    """Of the events of this job, from 1."""
+    """Number among the events of this job, from 1."""
     at: Number
     """Wall-clock time, s since 1970."""
     kind: Literal["answer"]
@@ -44,7 +44,7 @@ class StateEvent(Answer):
 
     job_id: str
     sequence: int
-    """Of the events of this job, from 1."""
+    """Number among the events of this job, from 1."""
     at: Number
     """Wall-clock time, s since 1970."""
     kind: Literal["state"]
@@ -60,7 +60,7 @@ class PromptEvent(Answer):
 
     job_id: str
     sequence: int
-    """Of the events of this job, from 1."""
+    """Number among the events of this job, from 1."""
     at: Number
     """Wall-clock time, s since 1970."""
     kind: Literal["prompt"]
@@ -73,7 +73,7 @@ class ProgressEvent(Answer):
 
     job_id: str
     sequence: int
-    """Of the events of this job, from 1."""
+    """Number among the events of this job, from 1."""
     at: Number
     """Wall-clock time, s since 1970."""
     kind: Literal["progress"]
@@ -91,7 +91,7 @@ class WarningEvent(Answer):
 
     job_id: str
     sequence: int
-    """Of the events of this job, from 1."""
+    """Number among the events of this job, from 1."""
     at: Number
     """Wall-clock time, s since 1970."""
     kind: Literal["warning"]
@@ -103,7 +103,7 @@ class SegmentsEvent(Answer):
 
     job_id: str
     sequence: int
-    """Of the events of this job, from 1."""
+    """Number among the events of this job, from 1."""
     at: Number
     """Wall-clock time, s since 1970."""
     kind: Literal["segments"]
@@ -122,7 +122,7 @@ class SetAsideEvent(Answer):
 
     job_id: str
     sequence: int
-    """Of the events of this job, from 1."""
+    """Number among the events of this job, from 1."""
     at: Number
     """Wall-clock time, s since 1970."""
     kind: Literal["set_aside"]
@@ -140,7 +140,7 @@ class PlanEvent(Answer):
 
     job_id: str
     sequence: int
-    """Of the events of this job, from 1."""
+    """Number among the events of this job, from 1."""
     at: Number
     """Wall-clock time, s since 1970."""
     kind: Literal["plan"]
@@ -152,7 +152,7 @@ class WriteEvent(Answer):
 
     job_id: str
     sequence: int
-    """Of the events of this job, from 1."""
+    """Number among the events of this job, from 1."""
     at: Number
     """Wall-clock time, s since 1970."""
     kind: Literal["write"]
@@ -171,7 +171,7 @@ class VerificationEvent(Answer):
 
     job_id: str
     sequence: int
-    """Of the events of this job, from 1."""
+    """Number among the events of this job, from 1."""
     at: Number
     """Wall-clock time, s since 1970."""
     kind: Literal["verification"]
@@ -189,7 +189,7 @@ class StandingEvent(Answer):
 
     job_id: str
     sequence: int
-    """Of the events of this job, from 1."""
+    """Number among the events of this job, from 1."""
     at: Number
     """Wall-clock time, s since 1970."""
     kind: Literal["standing"]

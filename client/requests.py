@@ -45,4 +45,4 @@ class ReadingOptions(Request):
     unit_gyro: str = "si"
     unit_mag: str = "uT"
     system: int | None = None
-    """Of a telemetry log: which vehicle."""
+    """Which vehicle of a telemetry log."""

@@ -52,7 +52,7 @@ class ApiKey(_Part):
     name: str = Field(min_length=1, description="who holds it; appears in the audit record")
     sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$", description="digest of the key (`mavcal config key`)")]
     scopes: frozenset[Literal["read", "operate", "write-params", "admin"]] = Field(
-        default=frozenset({"read"}), description="of `read`, `operate`, `write-params`, `admin`"
+        default=frozenset({"read"}), description="any of `read`, `operate`, `write-params`, `admin`"
     )
 
 
@@ -87,7 +87,7 @@ class LinkSettings(_Part):
     """Which endpoints may be opened over HTTP; those of `connect` and of the command line may be any."""
 
     allowed: tuple[Annotated[str, AfterValidator(checked_entry)], ...] = Field(
-        default=DEFAULT, description="of `serial`, `sim`, `loopback`, `private`, `any`, networks, hosts, devices"
+        default=DEFAULT, description="any of `serial`, `sim`, `loopback`, `private`, `any`, networks, hosts, devices"
     )
     folders: tuple[Annotated[Path, AfterValidator(_absolute)], ...] = Field(
         default=(), description="folders whose recordings `file:` may replay, beside the service's telemetry logs"

@@ -28,7 +28,7 @@ export interface AnswerData {
 /** The operator answered a prompt. */
 export interface AnswerEvent {
   job_id: string;
-  /** Of the events of this job, from 1. */
+  /** Number among the events of this job, from 1. */
   sequence: number;
   /** Wall-clock time, s since 1970. */
   at: number;
@@ -511,7 +511,7 @@ export interface PlanData {
 /** The job was planned again. */
 export interface PlanEvent {
   job_id: string;
-  /** Of the events of this job, from 1. */
+  /** Number among the events of this job, from 1. */
   sequence: number;
   /** Wall-clock time, s since 1970. */
   at: number;
@@ -612,7 +612,7 @@ export interface Problem {
   detail: string;
   /** Under which the log of the service tells more. */
   request_id: string;
-  /** Of an invalid request. */
+  /** Fields of an invalid request. */
   errors?: FieldError[] | null;
 }
 
@@ -638,7 +638,7 @@ export interface ProcedureModel {
 /** How far the job is. */
 export interface ProgressEvent {
   job_id: string;
-  /** Of the events of this job, from 1. */
+  /** Number among the events of this job, from 1. */
   sequence: number;
   /** Wall-clock time, s since 1970. */
   at: number;
@@ -664,7 +664,7 @@ export interface ProgressModel {
 /** The operator is asked to do something else, or nothing more. */
 export interface PromptEvent {
   job_id: string;
-  /** Of the events of this job, from 1. */
+  /** Number among the events of this job, from 1. */
   sequence: number;
   /** Wall-clock time, s since 1970. */
   at: number;
@@ -728,7 +728,7 @@ export interface ReadingOptions {
   unit_accel?: string;
   unit_gyro?: string;
   unit_mag?: string;
-  /** Of a telemetry log: which vehicle. */
+  /** Which vehicle of a telemetry log. */
   system?: number | null;
 }
 
@@ -795,7 +795,7 @@ export interface SegmentModel {
 /** The recording of the job is closed. */
 export interface SegmentsEvent {
   job_id: string;
-  /** Of the events of this job, from 1. */
+  /** Number among the events of this job, from 1. */
   sequence: number;
   /** Wall-clock time, s since 1970. */
   at: number;
@@ -844,7 +844,7 @@ export interface SetAsideData {
 /** What was recorded so far is not used: the vehicle was disturbed, and the capture begins again. */
 export interface SetAsideEvent {
   job_id: string;
-  /** Of the events of this job, from 1. */
+  /** Number among the events of this job, from 1. */
   sequence: number;
   /** Wall-clock time, s since 1970. */
   at: number;
@@ -860,7 +860,7 @@ export interface StandingData {
 /** What was known of the parameters of an interrupted write is not certain any more. */
 export interface StandingEvent {
   job_id: string;
-  /** Of the events of this job, from 1. */
+  /** Number among the events of this job, from 1. */
   sequence: number;
   /** Wall-clock time, s since 1970. */
   at: number;
@@ -892,7 +892,7 @@ export interface StateData {
 /** The job has come to another state. */
 export interface StateEvent {
   job_id: string;
-  /** Of the events of this job, from 1. */
+  /** Number among the events of this job, from 1. */
   sequence: number;
   /** Wall-clock time, s since 1970. */
   at: number;
@@ -970,7 +970,7 @@ export interface VerificationData {
 /** The stream was checked after the write. */
 export interface VerificationEvent {
   job_id: string;
-  /** Of the events of this job, from 1. */
+  /** Number among the events of this job, from 1. */
   sequence: number;
   /** Wall-clock time, s since 1970. */
   at: number;
@@ -1002,7 +1002,7 @@ export interface WarningData {
 /** The job has one warning more. */
 export interface WarningEvent {
   job_id: string;
-  /** Of the events of this job, from 1. */
+  /** Number among the events of this job, from 1. */
   sequence: number;
   /** Wall-clock time, s since 1970. */
   at: number;
@@ -1013,7 +1013,7 @@ export interface WarningEvent {
 /** A write has ended. */
 export interface WriteEvent {
   job_id: string;
-  /** Of the events of this job, from 1. */
+  /** Number among the events of this job, from 1. */
   sequence: number;
   /** Wall-clock time, s since 1970. */
   at: number;

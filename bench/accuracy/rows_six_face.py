@@ -112,7 +112,7 @@ def _read(rng: np.random.Generator, truth: Array, count: int, sd: float) -> Face
 
 
 def _information(truth: Array, count: int, sd: float) -> Array:
-    """Of the twelve numbers: what the bins say of every face's mean, the noise of every axis unknown."""
+    """Information on the twelve numbers: what the bins say of every face's mean, the noise of every axis unknown."""
     offset, matrix = truth[:3], truth[3:].reshape(3, 3)
     total = np.zeros((12, 12))
     for force in TRUTHS:

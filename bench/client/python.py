@@ -210,7 +210,7 @@ def _method(operation: Operation, *, asynchronous: bool) -> list[str]:
 
 
 def _further(operation: Operation) -> Iterable[str]:
-    """What a call carries besides its address."""
+    """Arguments of a call besides its address."""
     for place in ("query", "header", "body"):
         chosen = [p for p in operation.parameters if p.place == place and p.wire != "Last-Event-ID"]
         if chosen or (place == "body" and operation.body is not None):

@@ -115,7 +115,7 @@ def _fill(node: ast.AST, span: range, outside: range, found: dict[int, Place], *
 
 
 def _own_lines(statement: ast.stmt) -> range:
-    """Of a compound statement only its head."""
+    """A compound statement counts with its head alone."""
     body = getattr(statement, "body", None) or getattr(statement, "cases", None)
     last = statement.end_lineno or statement.lineno
     if body:

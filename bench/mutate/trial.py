@@ -1,4 +1,4 @@
-"""One mutant against its tests: a child of a warm process loads the changed module in the place of the real one."""
+"""One mutant against its tests: a child of a warm process loads the changed module instead of the real one."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ def limits() -> str:
 
 
 def table(found: Sequence[Row]) -> str:
-    """What the bench found."""
+    """The page of what the bench found."""
     rows = []
     for row in found:
         most = "; ".join(f"{checks} {count}" for checks, count in row.failed.most_common(3))

@@ -32,7 +32,7 @@ NOW = 1798000000.0  # December 2026
 YEAR = 2026.95
 DAY_S = 86400.0
 
-# What a calibration leaves over, one standard deviation an axis; noise of a sample.
+# Residual of a calibration per axis (1 sd), and the noise of a sample.
 GYRO_LEFT, ACCEL_LEFT, MAG_LEFT = np.radians(0.05), 0.015, 0.4
 GLUED = np.radians(0.1)
 GYRO_NOISE, ACCEL_NOISE, MAG_NOISE = 1e-3, 0.02, 0.2

@@ -20,7 +20,7 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 12, 40, 38
 
 @dataclass
 class Chart:
-    """One pair of axes; a logarithmic axis takes positive numbers. What is outside of them is cut off."""
+    """One pair of axes; a logarithmic axis takes positive numbers. Lines outside of them are cut off."""
 
     title: str
     x_label: str

@@ -1,4 +1,4 @@
-"""What every picture is made of: words, a frame, and a style of its own where no page lends it one."""
+"""Parts of every picture: words, a frame, and a style of its own where no page lends it one."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ class Picture(Protocol):
 
     @property
     def width(self) -> int:
-        """Of the frame."""
+        """Width of the frame."""
         ...
 
     @property
     def height(self) -> int:
-        """Of the frame."""
+        """Height of the frame."""
         ...
 
     def body(self) -> Markup:

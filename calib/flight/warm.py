@@ -56,7 +56,7 @@ class RestTemperatures:
 
     @property
     def duration(self) -> float:
-        """Of the rests, s."""
+        """Duration of the rests, s."""
         return sum(rest.duration for rest in self.rests)
 
     @property

@@ -70,7 +70,7 @@ _TOGETHER = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Attribution:
-    """Of one effect: what it gains as the last one, its share of all gains, rivals, and probability."""
+    """What one effect gains as the last one, its share of all gains, rivals, and probability."""
 
     key: Key
     gain: float
@@ -90,7 +90,7 @@ class Attribution:
 
 @dataclass(frozen=True, eq=False)
 class Alternative:
-    """Another hypothesis in the place of an effect; `kappa` is 0 where it is too far behind to be listed."""
+    """Another hypothesis instead of an effect; `kappa` is 0 where it is too far behind to be listed."""
 
     score: ContestScore
     kappa: float
@@ -98,7 +98,7 @@ class Alternative:
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """Of one effect every other hypothesis in its place, and the penalised evidence of its `own`."""
+    """Every other hypothesis instead of one effect, and the penalised evidence of its `own`."""
 
     others: tuple[Alternative, ...]
     own: float
@@ -276,7 +276,7 @@ def _likeliest_shape(others: Sequence[Alternative]) -> str:
 
 
 def _place(chosen: ChosenModel, contest: Contest, term: Term | NoiseTerm, known: Sequence[Alternative]) -> Place:
-    """Every other hypothesis in the place of `term`, of which some are `known`."""
+    """Every other hypothesis instead of `term`, of which some are `known`."""
     model = chosen.model
     key = term.hypothesis.key
     if isinstance(term, NoiseTerm):

@@ -136,7 +136,7 @@ class Contest:
         return found if refine else replace(found, sure=not refinable(found))
 
     def scores(self, hypotheses: Sequence[Hypothesis], beside: Beside) -> list[ContestScore]:
-        """Of several on their grids; those that are not `sure` are to be asked for alone before they count.
+        """Scores of several on their grids; those that are not `sure` are to be asked for alone before they count.
 
         A free amplitude gains more at its best shape than on the grid, and no less than an effect that is nothing but a
         shape: both are close, and most are never looked at again.
@@ -177,7 +177,7 @@ class Contest:
         return score if tone_beside_lines(hypothesis, found.beta, beside.model) else replace(score, p=1.0)
 
     def _fixed_score(self, hypothesis: Hypothesis, grid: Array, beside: Beside, *, refine: bool) -> ContestScore:
-        """Of an effect that has nothing but a shape; without `refine` what a free amplitude gains, which is no less."""
+        """Score of an effect that is only a shape; without `refine` what a free amplitude gains, which is no less."""
         columns = [self.columns(hypothesis, float(theta), beside.model) for theta in grid]
         gains = beside.free_and_fixed_gains(columns)
         free, best = float(gains[:, 0].max()), int(np.argmax(gains[:, 1]))

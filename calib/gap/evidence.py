@@ -135,7 +135,7 @@ def _only_one(gram: Array, right: Array) -> float:
 
 
 def _price_of_one(count: int) -> float:
-    """Of the claim that one amplitude of so many is all there is."""
+    """Price of the claim that one amplitude of so many is all there is."""
     return 2.0 * math.log(2.0 * count)
 
 

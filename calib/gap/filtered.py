@@ -55,7 +55,7 @@ def told_by_noise(hypothesis: Hypothesis, theta: float, model: Model) -> float:
 
 
 def _compared(model: Model, v: int, c: int, gains: Array) -> Array:
-    """Of axis `c` of series `v` beside filters (R, K): numbers, log ratios, and misfit without and with, (R, 4)."""
+    """Axis `c` of series `v` beside filters (R, K): numbers, log ratios, and misfit without and with, (R, 4)."""
     view, bins = model.setting.views[v], model.setting.bins[v]
     fast = bins.mean(view.omega) > _ABOVE * np.pi
     power = model.noise[3 * v + c].power

@@ -288,7 +288,7 @@ def summed(columns: Callable[[Trace, float], Array], hypothesis: Hypothesis, the
 
 @lru_cache(maxsize=8)
 def _over_trace(columns: Callable[[Trace, float], Array], trace: Trace, theta: float) -> Array:
-    """Of a whole trace; kept for a moment, since blocks of it are asked for one after the other."""
+    """Columns of a whole trace; kept for a moment, since blocks of it are asked for one after the other."""
     return columns(trace, theta)
 
 

@@ -72,7 +72,7 @@ def leftover(
 
 
 def _excesses(model: Model, v: int, bandwidth_hz: float) -> list[_Excess]:
-    """Of a series, what noise alone does not explain: in bands of an axis, else in more of it, else for a while."""
+    """What noise alone does not explain: in bands of an axis, else in more of it, else for a while."""
     # The error of the reference is known only up to the last of its cosines.
     followed = model.ridge.columns.parts if model.ridge is not None else {}
     axes = [c for c in range(3) if 3 * v + c not in followed]

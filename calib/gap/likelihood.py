@@ -50,7 +50,7 @@ def transform(series: Array) -> Array:
 
 
 def frequencies(n: int) -> Array:
-    """Of the bins of the transform of `n` samples, rad per sample; the bin of the mean counts as 0.55 bins."""
+    """Frequencies of the bins of the transform of `n` samples, rad per sample; the mean counts as 0.55 bins."""
     k = np.arange(n, dtype=np.float64)
     k[0] = _FIRST
     return np.pi * k / n

@@ -175,7 +175,7 @@ def line_amplitudes(term: NoiseTerm, model: Model) -> tuple[Array, Array]:
             rest = noise.power - noise.amplitudes.get(term.name(0), 0.0) * density
             total[c] += float((spectra[c] ** 2 - rest)[near].sum())
             size[c] += float(density[near].sum())
-            # Of a normal y: var y^2 = 2 s^4 = 2/3 E y^4.
+            # A normal y has var y^2 = 2 s^4 = 2/3 E y^4.
             scatter[c] += float((spectra[c] ** 4)[near].sum()) * 2.0 / 3.0
     size = np.maximum(size, np.finfo(float).tiny)
     return np.maximum(total / size, 0.0), np.sqrt(scatter) / size

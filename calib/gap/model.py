@@ -73,7 +73,7 @@ class Term:
 
     @property
     def effect(self) -> MeanEffect:
-        """Of the catalogue."""
+        """The effect as the catalogue has it."""
         assert isinstance(self.hypothesis.effect, MeanEffect)
         return self.hypothesis.effect
 
@@ -100,7 +100,7 @@ class NoiseTerm:
     theta: float
 
     def name(self, j: int) -> str:
-        """Of its j-th density."""
+        """Name of its j-th density."""
         effect_id, instances = self.hypothesis.key
         return f"{effect_id}{list(instances)}#{j}"
 
@@ -298,7 +298,7 @@ def _with_last(own: Part | None, last: Part | None, row: int) -> Part:
 
 
 def _derivative(term: Term, view: View, j: int, limits: tuple[float, float]) -> Array:
-    """Of the prediction by value j, central."""
+    """Derivative of the prediction by value j, central."""
     is_shape = term.effect.shape is not None and j == len(term.values) - 1
     span = limits[1] - limits[0] if is_shape else 1.0
     size = max(1e-4 * span, 1e-3 * abs(term.values[j])) if is_shape else 1e-5

@@ -57,7 +57,7 @@ def learned_once(setting: Setting, axes: Sequence[int]) -> set[int]:
 
 
 def starting_noise(setting: Setting) -> tuple[AxisNoise, ...]:
-    """Of every axis, before any effect: declared, or a white start whose parts are fitted later."""
+    """Noise of every axis before any effect: declared, or a white start whose parts are fitted later."""
     noise = []
     for view in setting.views:
         base = declared(view)

@@ -68,13 +68,13 @@ def predictive_loss(fitted: Model, block: Model) -> float:
 
 
 def _information(model: Model) -> tuple[Array, Array]:
-    """Of all values of a model's terms, and the right side beside it."""
+    """Information on all values of a model's terms, and the right side beside it."""
     normal = normal_equations([jacobian(t, model.setting) for t in model.terms], model.y, model.weight)
     return normal.gram, normal.right
 
 
 def _precision(fitted: Model, known: Array, shown: Array) -> Array:
-    """Of the prior of every value: amplitudes have one of their own size, shapes none."""
+    """Precision of the prior of every value: amplitudes have one of their own size, shapes none."""
     ends = np.cumsum([0, *(len(term.values) for term in fitted.terms)])
     error = 1.0 / np.sqrt(np.maximum(np.diag(known + shown), np.finfo(float).tiny))
     values = np.concatenate([term.values for term in fitted.terms])

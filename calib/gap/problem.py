@@ -151,7 +151,7 @@ class Trace:
 
     @property
     def unit(self) -> str:
-        """Of the readings."""
+        """Unit of the readings."""
         return {Sensor.ACCEL: "m/s2", Sensor.GYRO: "rad/s", Sensor.MAG: "uT"}[self.sensor]
 
 

@@ -21,7 +21,7 @@ _LEFT = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Gain:
-    """Of a group of columns: twice the gain of log-likelihood, degrees of freedom, amplitudes, and evidence.
+    """What a group of columns brings: twice the gain of log-likelihood, degrees of freedom, amplitudes, and evidence.
 
     `idle`: of how many amplitudes the data do not tell.
     """

@@ -81,7 +81,7 @@ class ChosenModel:
 
 
 def largest_gain(chosen: ChosenModel, contest: Contest) -> float:
-    """Of the effects in a model, each beside all the others."""
+    """Largest gain of the effects in a model, each beside all the others."""
     return max((gain for gain, _, _ in last_gains(chosen.model, contest).values()), default=0.0)
 
 
@@ -414,7 +414,7 @@ def last_gains(model: Model, contest: Contest) -> dict[Key, tuple[float, int, in
 
 
 def _mean_gains(model: Model, contest: Contest) -> dict[Key, tuple[float, int, int]]:
-    """Of the terms on the mean, from one set of normal equations.
+    """Gains of the terms on the mean, from one set of normal equations.
 
     A term is given back to the residual and fitted by its own columns beside everything that the others estimate.
     """
@@ -471,7 +471,7 @@ def objective(chosen: ChosenModel) -> float:
 
 
 def price_of_all(scores: Iterable[ContestScore]) -> float:
-    """Of some effects together."""
+    """Price of some effects together."""
     return sum(s.price + ONE_MORE for s in scores)
 
 

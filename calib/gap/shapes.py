@@ -241,7 +241,7 @@ def _linear(trace: Trace, named: Collection[str]) -> Iterator[_Group]:
 
 
 def _products(trace: Trace) -> Iterator[_Group]:
-    """Of two vectors, and of a scalar with the sensor's own ideal reading: axes that turn or stretch with it."""
+    """Products of two vectors, and of a scalar with the sensor's own ideal reading: axes that turn or stretch."""
     vectors = dict(_vectors(trace))
     for one, other in (("a", "a"), ("w", "w"), ("a", "w")):
         if one in vectors and other in vectors:
@@ -272,7 +272,7 @@ def _driven(trace: Trace) -> Iterator[_Group]:
 
 
 def _own(trace: Trace) -> Iterator[_Group]:
-    """Of each axis' own ideal reading: low orders, the direction of its change, and dead travels."""
+    """Shapes of each axis' own ideal reading: low orders, the direction of its change, and dead travels."""
     x = trace.ideal
     size = np.sqrt((x**2).mean(axis=0)) + 1e-300
     slope = np.gradient(x, axis=0)
@@ -319,7 +319,7 @@ def _travels(x: Array) -> Array:
 
 
 def _periodic(trace: Trace, tone: Term) -> Iterator[_Group]:
-    """Of a wave that was found: what it has if it is periodic and no sine, or something that switches on and off."""
+    """Shapes of a wave that was found: it is periodic and no sine, or it switches on and off."""
     hz = tone.theta
     phase = 2.0 * np.pi * hz * (trace.t - trace.t[0])
     orders = [k for k in _HARMONICS if k * hz < _HIGHEST * trace.fs]

@@ -44,7 +44,7 @@ from mavcal.calib.gap.selection import ChosenModel, Gains, last_gains, select
 Array = NDArray[np.float64]
 
 _BLOCKS = 8
-"""Of a recording, each of which is held out once."""
+"""Blocks of a recording, each of which is held out once."""
 _LONG = 40_000
 _FEW = 4
 """Blocks where a series is longer than `_LONG` samples: each repeats the selection."""

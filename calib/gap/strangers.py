@@ -154,15 +154,15 @@ class _Worth:
 
     @property
     def whole(self) -> float:
-        """Of all effects."""
+        """Worth of all effects."""
         return sum(self.nats.values())
 
     def on(self, sensor: Sensor) -> float:
-        """Of the effects that are seen on a sensor."""
+        """Worth of the effects that are seen on a sensor."""
         return sum(n for key, n in self.nats.items() if sensor in self.seen[key])
 
     def but(self, keys: Collection[Key]) -> _Worth:
-        """Of some of them alone."""
+        """Worth of some of them alone."""
         return _Worth({key: n for key, n in self.nats.items() if key in keys}, self.seen)
 
     def shares(self, part: _Worth) -> tuple[float, float]:

@@ -124,7 +124,7 @@ def _without(noise: AxisNoise, names: Collection[str]) -> Array:
 
 
 def two_levels(x: Array, variance: Array) -> tuple[Array, Array]:
-    """Of each column of `x` (n, p) twice the log-likelihood ratio of a Markov chain of two levels against zero.
+    """For each column of `x` (n, p), twice the log-likelihood ratio of a Markov chain of two levels against zero.
 
     Beside it (p,) the expected number of jumps. `variance` (p,): of the white noise. Levels and chances of a jump are
     estimated (Baum & Welch; Rabiner 1989, III).
@@ -171,7 +171,7 @@ def _round(x: Array, variance: Array, levels: Array, jump: Array) -> tuple[Array
 
 
 def _products(steps: Array) -> tuple[Array, Array]:
-    """Of matrices (n, p, 2, 2) all products from the first on, their largest entries one, and their log scales (n, p).
+    """All products of matrices (n, p, 2, 2) from the first on, their largest entries one, and their log scales (n, p).
 
     By doubling (Hillis & Steele 1986): log2(n) steps over whole arrays instead of n over small ones.
     """

@@ -1,7 +1,7 @@
 """What no effect of the catalogue explains, as competitors that pay for their freedom.
 
 The catalogue is tried first and alone. Shapes (:mod:`calib.gap.shapes`) are then held against it in three places:
-beside its model, in the place of all that it has on a sensor, and in the place of each of its effects; the best of them
+beside its model, instead of all that it has on a sensor, and instead of each of its effects; the best of them
 join the contest. (What is said of them, and of all else that is unknown: :mod:`calib.gap.strangers`.)
 """
 
@@ -114,7 +114,7 @@ def _best(places: Sequence[_Place]) -> list[_Place]:
 def _instead_of_all(
     chosen: ChosenModel, shapes: Sequence[ShapeHypothesis], scorer: Contest, start: Model
 ) -> list[_Place]:
-    """Shapes in the place of all effects of a sensor."""
+    """Shapes instead of all effects of a sensor."""
     found = []
     before = refitted(start).deviance
     for sensor in {term.hypothesis.effect.sensor for term in chosen.model.members}:
@@ -127,7 +127,7 @@ def _instead_of_all(
 
 
 def _instead_of_each(chosen: ChosenModel, shapes: Sequence[ShapeHypothesis], scorer: Contest) -> list[_Place]:
-    """Shapes in the place of each effect."""
+    """Shapes instead of each effect."""
     found = []
     level = sum(chosen.noise.deviance.values())
     for term in chosen.model.members:

@@ -52,7 +52,7 @@ def usual_tone(term: Term, nominal: Iterable[Trace]) -> bool:
 
 
 def _amplitude(trace: Trace, hz: float) -> float:
-    """Of the wave of that frequency in the residual of `trace`, over all axes."""
+    """Amplitude of the wave of that frequency in the residual of `trace`, over all axes."""
     return float(np.sqrt((_projected(trace, hz) ** 2).sum()))
 
 

@@ -114,7 +114,7 @@ def wandering(chosen: ChosenModel, contest: Contest, start: Model, alpha: float)
 def _instead(chosen: ChosenModel) -> tuple[_ProcessFit, float]:
     """The best process, and by how much a model with it is better, its own price apart: at least, infinite if unknown.
 
-    It stands in the place of all drifts that could be its own, and of every effect that it explains better. What drifts
+    It stands for all drifts that could be its own, and of every effect that it explains better. What drifts
     have beyond its last cosine is counted only later (:func:`with_tail`).
     """
     bare, scores = chosen.model, {s.hypothesis.key: s for s in chosen.scores}

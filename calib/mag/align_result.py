@@ -48,7 +48,7 @@ class AlignFit:
 
     @property
     def noise_sd(self) -> float:
-        """Of one axis of the field, in the unit of the samples."""
+        """Noise of one axis of the field, in the unit of the samples."""
         return self.alignment.noise.field * self.scale
 
     @property
@@ -58,7 +58,7 @@ class AlignFit:
 
     @property
     def sine(self) -> float:
-        """Of the dip."""
+        """Sine of the dip."""
         return float(self.alignment.unknowns[12])
 
     def model(self, strength: float | None) -> tuple[TriadModel, Array]:

@@ -29,7 +29,7 @@ from mavcal.calib.mag.shape_fit import Asked, ShapeSolution, cloud_of, minimum, 
 Array = NDArray[np.float64]
 
 SOFT_IRON_SD = 0.1
-"""Of each relative term of soft iron, believed of any compass: a vehicle with 20 % is two standard deviations out."""
+"""Prior of each relative term of soft iron, believed of any compass: a vehicle with 20 % is two sd out."""
 
 _SCALES = (1.0, 10**-0.5, 0.1, 10**-1.5, 0.01)  # of that; a thousandth of the field is a compass without soft iron
 _ROUNDS = 2  # the likelihood is quadratic about the likeliest scale, not about the first one

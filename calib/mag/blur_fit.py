@@ -47,11 +47,11 @@ GAIN_SD = 0.03
 square counts."""
 
 LAG_SD = 0.01
-"""Of the lag, s: a 20 Hz low-pass of second order delays the gyro by sqrt(2)/(2 pi 20 Hz) = 11 ms, a message interval
+"""Prior of the lag, s: a 20 Hz low-pass of second order delays the gyro by sqrt(2)/(2 pi 20 Hz) = 11 ms, an interval
 of 20 ms the compass by 10 ms on average, in opposite senses."""
 
 SCALE_SD, ASKEW_SD = 0.01, 0.02
-"""Of a gyro's scale factor, relative (MEMS data sheets say 1 to 3 %), and of the angles between its axes and the
+"""Priors of a gyro's scale factor, relative (MEMS data sheets say 1 to 3 %), and of the angles between its axes and the
 compass's, rad: a sensor is soldered or stuck square to a degree."""
 
 _WINDOW_SD = 2.0 / (10.0 * math.sqrt(12.0))
@@ -77,9 +77,9 @@ class _Timing:
     left_open: Array
     """Covariance (9, 9) of the ellipsoid's numbers that comes from what is not known of them."""
     precision: Array | None = None
-    """Of the samples; None: they are alike."""
+    """Precision of the samples; None: they are alike."""
     least_variance: float = 0.0
-    """Of the residual of a sample with precision one; only where they are not alike."""
+    """Variance of the residual of a sample with precision one; only where they are not alike."""
 
 
 def fit_ellipsoid_deblurred(

@@ -32,7 +32,7 @@ SoftIron = Literal["auto", "held", "free"]
 METHOD = "mag-flight"
 SOFT_IRON: tuple[SoftIron, ...] = ("auto", "held", "free")
 _BELIEVED = 0.7
-"""Of the sd before the data: an entry of the matrix that keeps more than this of it was not seen by the flight."""
+"""Share of the sd before the data: an entry of the matrix that keeps more than this was not seen by the flight."""
 _ROUGHEST = 0.15  # of the field: residuals with which nothing is calibrated
 _MOST_OUTLIERS = 0.3
 _COARSE_DEG = 3.0

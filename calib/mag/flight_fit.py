@@ -29,11 +29,11 @@ from mavcal.calib.mag.flight_problem import (
 Array = NDArray[np.float64]
 
 SOFT_IRON_SD = 0.1
-"""Of the entries of the matrix, before the data: the largest that is tried."""
+"""Prior of the entries of the matrix, before the data: the largest that is tried."""
 LEAST_SOFT_IRON_SD = 0.01
 """The smallest: no compass is better known."""
 DIRECTION_SD = math.radians(0.5)
-"""Of the Earth's field about the model's, by the crust and by the site."""
+"""Direction of the Earth's field about the model's, by the crust and by the site."""
 GYRO_BIAS_SD = 0.1  # rad/s
 GYRO_SCALE_SD = 0.01
 DELAY_SD = 0.05  # s

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 ANGLE_WALK = math.radians(0.15)
 """rad/sqrt(s): what a MEMS gyroscope, sampled at 50 Hz or more on a shaking airframe, loses."""
 BENT_SD = 0.003
-"""Of an angle turned between two knots: cross axis errors, which no parameter here follows."""
+"""Error of an angle turned between two knots: cross axis errors, which no parameter here follows."""
 BIAS_WALK = 2e-4
 """rad/s per sqrt(s): how a gyroscope's offset wanders while it warms up: 0.1 deg/s in a minute."""
 TILT_SD = math.radians(2.0)
@@ -263,7 +263,7 @@ def attitudes(attitude: Channel, t: Array) -> Array:
 
 
 def _information(knots: Array) -> Array:
-    """Of the log's attitude at every knot (J, 3): errors that last `CORRELATION_S` count once in that time."""
+    """Information on the log's attitude at every knot (J, 3): errors that last `CORRELATION_S` count once."""
     step = float(knots[1] - knots[0])
     spread = max(2.0 * CORRELATION_S / step, 1.0)
     return np.tile(1.0 / (spread * np.array([TILT_SD, TILT_SD, HEADING_SD]) ** 2), (len(knots), 1))

@@ -59,7 +59,7 @@ class Layout:
 
     @property
     def scale(self) -> slice:
-        """Of the gyroscope, less one."""
+        """Scale factor of the gyroscope, less one."""
         return self._after(0, 3)
 
     @property
@@ -69,12 +69,12 @@ class Layout:
 
     @property
     def delay(self) -> slice:
-        """Of the compass against the gyroscope, s."""
+        """Delay of the compass against the gyroscope, s."""
         return self._after(6, 7)
 
     @property
     def blur(self) -> slice:
-        """Of the compass beside its averaging, s2: half the variance of what is averaged over."""
+        """Blur of the compass beside its averaging, s2: half the variance of what is averaged over."""
         return self._after(7, 8)
 
     @property
@@ -84,7 +84,7 @@ class Layout:
 
     @property
     def mounting(self) -> slice:
-        """Of the compass in the body, rad: ``Q = exp([mounting])``."""
+        """Mounting of the compass in the body, rad: ``Q = exp([mounting])``."""
         return self._after(10, 13)
 
     @property
@@ -271,7 +271,7 @@ class _Normal:
 
 
 def _inverse(information: Array) -> Array:
-    """Of a symmetric positive matrix, scaled first."""
+    """Inverse of a symmetric positive matrix, scaled first."""
     scale = np.sqrt(np.clip(np.diag(information), 1e-300, None))
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     if values[0] < 1e-13 * values[-1]:
@@ -332,7 +332,7 @@ def _normal(flight: Flight, prior: FlightPrior, x: Array, knots: Array) -> _Norm
 
 
 def _derivatives(flight: Flight, x: Array, knots: Array) -> tuple[Array, Array, Array]:
-    """Of the reading by the attitude's error (N, 3, 3) and by the others (N, 3, G), and the residuals (N, 3)."""
+    """Derivatives of the reading by attitude error (N, 3, 3) and the others (N, 3, G), and the residuals (N, 3)."""
     model, path = _Model.of(flight, x, knots), flight.path
     layout, count = model.layout, len(flight.y)
     delayed = np.eye(3) + x[layout.delay][0] * _cross_matrices(path.rates)

@@ -46,7 +46,7 @@ _UNKNOWN = 0.05  # of the field over the range of the drive: a term that is no b
 _DISAGREES = 4.0  # sd between what the gyroscope and what the logged attitude make of the motors
 _NEVER_CALIBRATED = 0.5  # of the field: offset beside a calibration in force that has none
 _SOFT_IRON_SD = 0.05
-"""Of the matrix beside the one in force: a nuisance here."""
+"""Prior of the matrix beside the one in force: a nuisance here."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ class Candidate:
 
     @property
     def covariance(self) -> Array:
-        """Of the term (3 p, 3 p), drive by drive."""
+        """Covariance of the term (3 p, 3 p), drive by drive."""
         size = self.term.size
         motor = self.found.layout.motor
         return np.asarray(self.found.solved.covariance[motor, motor][:size, :size])

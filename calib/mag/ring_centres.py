@@ -205,7 +205,7 @@ def _spans(angle: Array) -> Array:
 
 
 def _extremes_covariance(ring: Ring, circle: Circle | None, back: Array, noise_sd: float) -> Array:
-    """Of the middle between two extremes of noise: ``pi^2 / (24 ln n)`` of its variance (Gumbel), n samples near each.
+    """Covariance of the middle between two extremes of noise: ``pi^2 / (24 ln n)`` of its variance (Gumbel), n near.
 
     Along the plane only those within a standard deviation of the extreme compete, ``n sqrt(2 s / R) / pi`` of them.
     """

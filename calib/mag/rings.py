@@ -235,7 +235,7 @@ def _residuals(rings: Sequence[Ring], circles: Sequence[Circle | None], matrix: 
 def _covariance(
     centres: Sequence[Centre], faces: Array, columns: Array, closure: Array, variance: float | None, fixture_sd: float
 ) -> Array:
-    """Of the centres (3 K, 3 K): noise of each, and a tilt that all rings of a face share.
+    """Covariance of the centres (3 K, 3 K): noise of each, and a tilt that all rings of a face share.
 
     `variance` None: no ring has samples enough to tell its noise; the disagreement of the centres tells it.
     """

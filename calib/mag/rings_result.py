@@ -51,7 +51,7 @@ class RingsFit:
     """(N, 2): distances from plane and circle."""
     dof: int
     noise_sd: float | None
-    """Of one axis of a sample; None: the rings have too few samples to tell."""
+    """Noise of one axis of a sample; None: the rings have too few samples to tell."""
     variance_inflation: float
     uneven: tuple[int, ...]
     fixture_sd: float

@@ -16,7 +16,7 @@ PLANAR = 0.02
 """Thickness of a cloud, relative to its width, below which it counts as a plane: +-2.5 degrees of tilt give this."""
 
 LEAST_VARIANCE = 1e-32
-"""Of residuals relative to the radius, squared: exact data have a rounding error at least."""
+"""Variance of residuals relative to the radius, squared: exact data have a rounding error at least."""
 
 NEARLY_PLANAR = 0.1
 """Thickness below which a fit that fails is put down to the movement being flat."""

@@ -34,12 +34,12 @@ class Asked:
     robust: bool | None = None
     prior_sd: float | None = None
     cross_sd: float | None = None
-    """Of the three cross terms; None: as `prior_sd`."""
+    """Prior of the three cross terms; None: as `prior_sd`."""
     model: MagModel = MagModel.SYMMETRIC
     precision: Array | None = None
-    """Of the samples, as :class:`calib.mag.samples.Cloud` has it."""
+    """Precision of the samples, as :class:`calib.mag.samples.Cloud` has it."""
     least_variance: float = 0.0
-    """Of the residuals, in the unit of the samples squared: how well they fit does not make them better than that."""
+    """Variance of the residuals, in squared units of the samples: a good fit does not make them better than that."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -115,7 +115,7 @@ class Report:
 
     @property
     def verdict(self) -> Verdict:
-        """Of the whole: any failure fails it, then warnings count, then what could not be checked."""
+        """The whole report: any failure fails it, then warnings count, then what could not be checked."""
         found = {check.verdict for check in self.checks}
         order = (Verdict.FAIL, Verdict.WARN, Verdict.UNKNOWN)
         return next((verdict for verdict in order if verdict in found), Verdict.PASS)

@@ -24,7 +24,7 @@ class VerifiedCalibration:
     temperatures: Mapping[int, float] = field(default_factory=dict)
     """At which the accelerometers were calibrated, degC by instance."""
     uid: str | None = None
-    """Of the autopilot; None: not known."""
+    """Unique id of the autopilot; None: not known."""
 
 
 @dataclass(frozen=True)

@@ -147,7 +147,7 @@ class MagProcedure(TickedProcedure):
             self._tracks[instance].add(channel.values, motion)
 
     def _motion(self, t: Array) -> BodyMotion | None:
-        """Of the body at the compass times `t`, from the last ticks; None: the inertial samples are missing."""
+        """Motion of the body at the compass times `t`, from the last ticks; None: the inertial samples are missing."""
         accel_t, accel = self._lately((Sensor.ACCEL, self._inertial[0]))
         gyro_t, gyro = self._lately((Sensor.GYRO, self._inertial[1]))
         if len(accel_t) < 2 or len(gyro_t) < 2:

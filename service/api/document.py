@@ -66,7 +66,7 @@ class Problem(BaseModel):
     status: int
     detail: str = Field(description="what happened, and what helps")
     request_id: str = Field(description="under which the log of the service tells more")
-    errors: list[FieldError] | None = Field(default=None, description="of an invalid request")
+    errors: list[FieldError] | None = Field(default=None, description="fields of an invalid request")
 
 
 def document(app: FastAPI) -> Json:

@@ -62,7 +62,7 @@ def _cells(row: JobRow) -> tuple[str, ...]:
 
 
 def _about(row: JobRow) -> str:
-    """The vehicle, or the recording in the place of one."""
+    """The vehicle, or the recording instead of one."""
     options: Mapping[str, Any] = row.body.get("options") or {}
     upload = options.get("recording") or options.get("real") or ""
     return row.vehicle_id or f"recording {str(upload)[:_SHOWN_RECORDING]}"

@@ -107,7 +107,7 @@ class JobStore(Protocol):
         ...
 
     def save_document(self, job_id: str, document: JobDocument) -> None:
-        """Keep a document of a job, in the place of an earlier one of its name."""
+        """Keep a document of a job, instead of an earlier one of its name."""
         ...
 
     def document(self, job_id: str, name: str) -> JobDocument | None:

@@ -217,7 +217,7 @@ class SqliteStore:
         return tuple(_segment(r) for r in rows)
 
     def save_document(self, job_id: str, document: JobDocument) -> None:
-        """Keep a document of a job, in the place of an earlier one of its name."""
+        """Keep a document of a job, instead of an earlier one of its name."""
         values = (job_id, document.name, document.media_type, document.body)
         self._insert("INSERT OR REPLACE INTO documents VALUES (?, ?, ?, ?)", values)
 

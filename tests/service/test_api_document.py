@@ -67,7 +67,7 @@ NOT_CHECKED = [positive_data_acceptance]
 
 
 def ask(operation: Any, address: str, headers: dict[str, str], mode: GenerationMode, times: int) -> set[int]:
-    """Ask some generated requests; the statuses of the answers, each of which is as documented."""
+    """Ask some generated requests; each answer has a documented status."""
     statuses: set[int] = set()
 
     @seeded(20_260_000)

@@ -122,7 +122,7 @@ def test_a_number_that_is_asked_for_is_typed_and_kept_while_the_prompt_changes(w
         window.until(NEWEST, "State the true rate")
         window.type(f"{NEWEST} input", "45")
         v.call("hold", pose="level", tilt_deg=0.0, tremor_deg=0.0)
-        window.until(NEWEST, "At rest: leave it alone. State the true rate")  # the card was drawn anew
+        window.until(NEWEST, "At rest: leave it alone. State the true rate")  # the card was drawn again
         assert window.run(f"return document.querySelector('{NEWEST} input').value") == "45"
         window.click("Answer", NEWEST)
         window.until(NEWEST, "Turn it clockwise (seen from above) at 45 deg/s")

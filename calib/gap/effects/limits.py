@@ -38,7 +38,7 @@ def dead_column(trace: Trace, width: float) -> Array:
 
 
 def _noise(trace: Trace) -> float:
-    """Of one sample: the quietest axis'."""
+    """Noise of one sample: the quietest axis'."""
     if trace.sigma is not None:
         return float(np.min(trace.sigma))
     steps = np.diff(trace.residual[trace.observed], axis=0)
@@ -46,7 +46,7 @@ def _noise(trace: Trace) -> float:
 
 
 def _at_energies(values: Array, energy: Array, noise: float) -> Array:
-    """Of ascending `values`, those at which the rising `energy` they take reaches steps of a constant ratio."""
+    """The ascending `values` at which the rising `energy` they take reaches steps of a constant ratio."""
     seen = _LEAST * noise**2
     top = float(energy[-1])
     if not (noise > 0.0 and top > seen):

@@ -159,7 +159,7 @@ _FULL_THROTTLE = per_axis("full_throttle", "uT")
 _LAG = EffectShape(EffectParameter("lag_s", "s"), lags)
 _EXPONENT = EffectShape(EffectParameter("exponent", "1"), exponents)
 
-# Of two forms the one with more parameters comes first: a report that has them all is replayed with it.
+# The form with more parameters comes first: a report that has them all is replayed with it.
 EFFECTS: tuple[CatalogueEffect, ...] = (
     MeanEffect(
         "mag_hard_iron",

@@ -152,7 +152,7 @@ def _reference(effects: Sequence[EffectEstimate], force: TriadModel) -> float:
 
 
 def _covariance(effects: Sequence[EffectEstimate], model: Callable[[Sequence[EffectEstimate]], TriadModel]) -> Array:
-    """Of the model's values: the effects' standard errors through central differences.
+    """Covariance of the model's values: the effects' standard errors through central differences.
 
     Raises
     ------

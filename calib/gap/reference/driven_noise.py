@@ -22,13 +22,13 @@ from mavcal.calib.recording import Sensor
 Array = NDArray[np.float64]
 
 _CHANCE = 1e-4
-"""Of steady noise that seems to follow the motors."""
+"""Chance of steady noise that seems to follow the motors."""
 _FEWEST = 64  # samples that say something of noise
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Driven:
-    """Of the difference of two instances: variance (3,) at a motor power of one, and its mean power in the flight."""
+    """Noise of the difference of two instances: variance (3,) at motor power one, and its mean power in the flight."""
 
     variance: Array
     power: float

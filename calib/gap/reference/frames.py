@@ -59,6 +59,6 @@ def likened(measured: Array, ideal: Array) -> Array:
 
 
 def correlation(a: Array, b: Array) -> float:
-    """Of two movements (N, 3) as a whole, 1 at best; their means are not taken off."""
+    """Correlation of two movements (N, 3) as a whole, 1 at best; their means are not taken off."""
     size = float(np.sqrt((a**2).sum() * (b**2).sum()))
     return float((a * b).sum()) / size if size > 0.0 else 0.0

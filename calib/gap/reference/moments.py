@@ -22,7 +22,7 @@ from mavcal.calib.gap.reference.noise import with_more
 Array = NDArray[np.float64]
 
 _CHANCE = 1e-4
-"""Of steady noise that seems to follow the change of the reading."""
+"""Chance of steady noise that seems to follow the change of the reading."""
 _FEWEST = 64  # samples that say something of noise
 
 

@@ -55,7 +55,7 @@ class ResidualSpectrum:
 
     @property
     def sigma(self) -> Array:
-        """Of one sample, if it is white, (3,)."""
+        """Noise of one sample, if it is white, (3,)."""
         return np.asarray(np.sqrt(self.dof @ self.psd / self.dof.sum()))
 
     @property

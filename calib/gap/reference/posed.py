@@ -61,7 +61,7 @@ class PoseTrajectory:
 
 
 def rotation(q: Array) -> Rotation:
-    """Of quaternions w x y z, of any length."""
+    """Rotation of quaternions w x y z, of any length."""
     return Rotation.from_quat(q[:, [1, 2, 3, 0]])
 
 

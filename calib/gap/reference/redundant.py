@@ -24,7 +24,7 @@ _EDGE_S = 0.5  # from the ends of a trajectory, where the filters of the units r
 
 
 def differences(real: Recording, ideal: Ideal | None, single: tuple[Trace, ...]) -> tuple[Trace, ...]:
-    """Of every sensor with several instances, each of them against the one that is most like its reference.
+    """Every instance of a sensor that has several, against the one that is most like its reference.
 
     That one is found from the `single` traces; without them it is the one that is nearest to all others. Of two
     without a single trace nothing says which is at fault: the first is held against the second.

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 _OPEN = 0.9  # cut-offs beyond this share of the Nyquist frequency are none
 _LOWEST_HZ = 1.0  # of a cut-off
 _STEEP = 8
-"""Of the filter's edge: half an octave below its cut-off it takes away 4 %, an octave below 0.3 %.
+"""Steepness of the filter's edge: half an octave below its cut-off it takes away 4 %, an octave below 0.3 %.
 
 A Gaussian (2) takes 16 % there, and every sensor would look louder than its reference.
 """

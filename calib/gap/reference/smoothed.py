@@ -119,7 +119,7 @@ def best_trajectory(recording: Recording, *, with_truth: bool = False) -> Smooth
 def _first_to_tell(
     best: SmoothedTrajectory, close: Sequence[SmoothedTrajectory], gyros: Mapping[int, Channel]
 ) -> SmoothedTrajectory:
-    """Of units that fit about as well the one whose gyroscope is not late: no sensor reads what is still to come."""
+    """Among units that fit about as well, the one whose gyroscope is not late: no sensor reads the future."""
     for other in close:
         first, second = (Signal.of(gyros[m.instance]) for m in (other, best))
         if first is None or second is None or other is best:

@@ -22,7 +22,7 @@ _WARMS = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Increments:
-    """Of one inertial unit: angle and velocity (K, STEPS, 3) over the steps of each of K intervals of `dt` seconds.
+    """Increments of one inertial unit: angle and velocity (K, STEPS, 3) over the steps of K intervals of `dt` seconds.
 
     `sampling` (2,) are the standard deviations of angle and velocity over an interval that come of sampling alone: how
     much the sums change when every second sample is left out. It bounds the error, since sampled turns and vibrations
@@ -94,7 +94,7 @@ def _warm(temperature: Array | None, count: int) -> Array:
 
 
 def _integrals(signal: Signal, edges: Array) -> Array:
-    """Of every column between consecutive `edges`, straight lines between the samples, held at the ends."""
+    """Integral of every column between consecutive `edges`, straight lines between the samples, held at the ends."""
     t, values = signal.t, signal.values
     area = np.vstack([np.zeros(3), np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(t)[:, None], axis=0)])
     inside = np.clip(edges, t[0], t[-1])

@@ -42,14 +42,14 @@ LEAST_MAG_SD = 0.5
 WALK = np.repeat([3e-4, 0.02, 1e-5, 3e-4], 3)
 BIAS = np.repeat([0.05, 0.2], 3)
 TRUTH_SD = np.radians(0.05)
-"""Of a simulator's attitude: that of the moment at which it was written."""
+"""Standard deviation of a simulator's attitude: that of the moment at which it was written."""
 _CAUTION = 3.0
 """By which the errors of the aiding are larger, where the attitude's own is judged: they are not independent."""
 _LOST = np.repeat([1.0, 10.0], 3)
 """What attitude (rad) and velocity (m/s) may do over an interval without samples."""
 _DRIFT = np.repeat([0.01, 0.003, 0.1, 0.03], 3)
 CONSTANT = np.concatenate([np.repeat([5.0, 1.0, 1.0], 3), [0.15, 0.05], np.full(6, 0.1), np.full(12, 0.03), _DRIFT])
-"""Of what does not change, a priori; the Earth's field has the standard deviation that its source has."""
+"""Standard deviations of what does not change, a priori; the Earth's field has that of its source."""
 _NOTHING, _IMPLAUSIBLE = 1e-6, 5.0
 """A priori of what may not differ; standard deviations from which on nobody believes that it does."""
 
@@ -88,7 +88,7 @@ class Aiding:
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryState:
-    """Of the nodes `t` (K + 1,): attitude, velocity, biases (K + 1, 3), constants (41,), noise of the aiding."""
+    """State at the nodes `t` (K + 1,): attitude, velocity, biases (K + 1, 3), constants (41,), noise of the aiding."""
 
     t: Array
     attitude: Rotation

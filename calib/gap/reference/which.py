@@ -88,7 +88,7 @@ def _slow(one: Trace, other: Trace) -> tuple[int, ...] | None:
 
 @dataclass(frozen=True)
 class _Band:
-    """Of two instances in a band: power of their mean and of their difference, and the product of both, a number."""
+    """Two instances in a band: power of their mean and of their difference, and the product of both, a number."""
 
     mean: float
     difference: float
@@ -144,5 +144,5 @@ def _known(one: Trace, other: Trace) -> NDArray[np.bool_]:
 
 
 def _spectra(series: Array) -> Array:
-    """Of a series (n, 3), by axis (3, n)."""
+    """Spectra of a series (n, 3), by axis (3, n)."""
     return transform(np.ascontiguousarray(series.T))

@@ -18,7 +18,7 @@ from mavcal.service.jobs.states import JobState
 
 class _Event(BaseModel):
     job_id: str
-    sequence: int = Field(description="of the events of this job, from 1")
+    sequence: int = Field(description="number among the events of this job, from 1")
     at: Stamp
 
 

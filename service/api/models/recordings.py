@@ -34,7 +34,7 @@ class ReadingOptions(Request):
     unit_accel: str = "si"
     unit_gyro: str = "si"
     unit_mag: str = "uT"
-    system: int | None = Field(default=None, ge=1, le=255, description="of a telemetry log: which vehicle")
+    system: int | None = Field(default=None, ge=1, le=255, description="which vehicle of a telemetry log")
 
 
 class RecordingModel(BaseModel):

@@ -21,7 +21,7 @@ QUADRATIC = ThermalWish(2, 35.0, 10.0)
 
 
 def errors(fit, truth):
-    """Of the polynomial, in standard deviations."""
+    """Errors of the polynomial, in standard deviations."""
     degree = fit.model.polynomial.coefficients.shape[1]
     wanted = np.zeros((3, degree))
     wanted[:, : len(truth)] = np.array(truth).T

@@ -49,7 +49,7 @@ def test_gain_beside_another_effect_is_the_ratio_of_least_squares():
 
 
 def test_what_grows_to_the_end_of_a_recording_counts_to_its_end():
-    # Of the samples that noise is fitted to the mean may leave out next to nothing, or a drift is called noise.
+    # The mean may leave out next to nothing of the samples that noise is fitted to, or a drift is called noise.
     rng = np.random.default_rng(5)
     problem = problem_of(rng, (Sensor.ACCEL,))
     (trace,) = problem.traces
@@ -167,7 +167,7 @@ def exchanged(seed, size, kinds=("bias", "scale")):
 
 
 def members(chosen):
-    """Of the model, which are those that have a score."""
+    """Members of the model: those that have a score."""
     inside = [term.hypothesis.effect.id for term in chosen.model.members]
     assert sorted(s.hypothesis.effect.id for s in chosen.scores) == sorted(inside)
     return set(inside)

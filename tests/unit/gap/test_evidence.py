@@ -119,7 +119,7 @@ def test_what_fits_anything_is_believed_after_a_named_cause():
     assert named == price_of_kind("accel_noise") == 0.0
     assert 0.0 < price_of_kind("reference_attitude") < price_of_kind("gyro_random_walk")
     warm = {price_of_kind(f"gyro_{kind}") for kind in ("temp_linear", "temp_poly", "temp_scale", "thermal_lag")}
-    assert len(warm) == 1, "kinds of one cause are held against each other on equal terms"
+    assert len(warm) == 1, "kinds of one cause are compared on equal terms"
     assert 0.0 < warm.pop() < price_of_kind("reference_attitude")
     driver, line, time = (price_of_kind(f"unknown:{family}:anything") for family in ("driven", "line", "time"))
     assert 0.0 < driver < line == price_of_kind("gyro_flicker") < time

@@ -91,7 +91,7 @@ PUT_IN: list[dict[str, Change]] = [
 
 @pytest.mark.parametrize("changes", PUT_IN, ids=[" ".join(c) for c in PUT_IN])
 def test_what_is_put_into_a_flight_is_found_beside_its_own(shared_data: Path, changes: dict[str, Change]) -> None:
-    """Of one unit or of all: then the trajectory that is re-estimated must not take it for its own."""
+    """Put into one unit or into all: then the trajectory that is re-estimated must not take it for its own."""
     folder = shared_data / "sitl_flights"
     real = logs.read(folder / "mix.bin")
     for sensor, instances, change in changes.values():

@@ -76,7 +76,7 @@ def test_an_instance_with_a_reference_is_not_found_again_in_a_difference(coarser
 
 
 def looked_at(*traces):
-    """Instances, what they are held against, and whether it is they that are measured, as detectors see them."""
+    """Instances, what they are compared with, and whether it is they that are measured, as detectors see them."""
     seen = []
 
     def detect(trace):

@@ -94,7 +94,7 @@ def test_a_mean_is_no_second_order_of_what_shakes():
 
 @pytest.mark.parametrize("honest", [True, False])
 def test_an_exchange_that_does_not_keep_its_promise_is_taken_back(honest):
-    """A rival is scored beside the others as they are fitted; what it says then must still hold once all are anew."""
+    """A rival is scored beside the others as they are fitted; its score must still hold once all are fitted again."""
     task, _, drifts = paths()
     keys = {t.hypothesis.effect.id: t.hypothesis.key for t in drifts.model.members}
     rivals = {h.effect.id: h for h in task.contest.hypotheses}

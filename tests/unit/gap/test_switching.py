@@ -1,4 +1,4 @@
-"""Readings that switch to and fro between two levels, in the place of a drift or of an effect that comes and goes."""
+"""Readings that switch to and fro between two levels, instead of a drift or of an effect that comes and goes."""
 
 from __future__ import annotations
 

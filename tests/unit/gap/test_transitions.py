@@ -172,7 +172,7 @@ def test_what_passes_by_is_not_forgotten_with_its_samples():
 
 @pytest.mark.parametrize(("gain", "says"), [(0.0, 1), (150.0, 1), (250.0, 0)])
 def test_jumps_that_became_a_walk_are_nothing_that_passes(gain, says):
-    """Of two jumps in whose place a walk stands it is the walk that says more than they did; a weaker one does not."""
+    """A walk that replaces two jumps says more than they did; a weaker one does not."""
     problem = problem_of(np.random.default_rng(4), (Sensor.GYRO,))
     setting = setting_of(views_of(problem, {}, {}))
     walk = Hypothesis(next(e for e in catalogue() if e.id == "gyro_random_walk"), (0,))

@@ -1,4 +1,4 @@
-"""Computations that a test decides about, in the place of child processes."""
+"""Computations that a test decides about, instead of child processes."""
 
 from __future__ import annotations
 

@@ -72,7 +72,7 @@ async def test_an_attempt_that_ends_is_a_field_and_an_event_and_a_state(
     job = bench.handle.job
     assert (job.state, job.outcome, job.standing) == (account.state, account.outcome, account.standing)
     assert job.prompt is None
-    assert (job.accept is not None) is accepted  # a job in review is accepted anew
+    assert (job.accept is not None) is accepted  # a job in review is accepted again
     attempt = job.last_write
     assert attempt is not None
     assert (attempt.result, attempt.cause, attempt.remedy, attempt.sent) == (result, cause, remedy, account.sent)

@@ -30,7 +30,7 @@ AFTER = {name: float32(value) for name, value in NEW.items()}
 
 
 class UnforeseenError(Exception):
-    """Of no tree that the service knows."""
+    """An error of no tree that the service knows."""
 
 
 ERRORS: tuple[Callable[[], BaseException], ...] = (

@@ -78,7 +78,7 @@ def test_the_digits_of_the_exact_columns() -> None:
 
 
 def test_the_digits_of_the_published_variant() -> None:
-    """METHODS S3: each column by its dominant component; rows in the place of columns would give the transpose."""
+    """METHODS S3: each column by its dominant component; rows instead of columns would give the transpose."""
     D = by_dominant(V)
     np.testing.assert_allclose(D, [[1.0, 0.2, 0.25], [4 / 11, 1.0, 1 / 3], [3 / 11, 0.1, 1.0]], atol=1e-15)
     assert np.linalg.det(D) == pytest.approx(0.853030303, abs=5e-10)

@@ -19,7 +19,7 @@ from mavcal.calib.procedures.replay import replay
 from mavcal.calib.recording import Identity, Sensor
 
 TRUTH = 1e-6 * np.array([[357, -263, 149], [2.1, -3.3, 1.7], [0.0, 0.0, 0.0]]).T
-"""Of the first gyro about 35 degC, rad/s per degC, degC^2, degC^3; the second one does not drift."""
+"""Drift of the first gyro about 35 degC, rad/s per degC, degC^2, degC^3; the second one does not drift."""
 
 
 @pytest.fixture(scope="module")

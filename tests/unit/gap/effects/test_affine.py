@@ -1,4 +1,4 @@
-"""Bias, scale, misalignment, rotation: against the sensor equation written out anew."""
+"""Bias, scale, misalignment, rotation: against the sensor equation written out a second time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Magnetometers: against the field equation written out anew."""
+"""Magnetometers: against the field equation written out a second time."""
 
 from __future__ import annotations
 

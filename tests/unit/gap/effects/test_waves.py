@@ -18,7 +18,7 @@ SIGMA = {Sensor.ACCEL: 0.3, Sensor.GYRO: 0.02}
 
 
 def wave(trace, rotor, order, lead):
-    """Of amplitude one at the mean speed; integrated by a sum of trapezoids over half samples."""
+    """A wave of amplitude one at the mean speed; integrated by a sum of trapezoids over half samples."""
     speed = trace.rotor_hz[:, rotor - 1]
     fine = np.interp(np.arange(2 * len(speed) - 1) / 2.0, np.arange(len(speed)), speed)
     turns = np.append(0.0, np.cumsum(0.5 * (fine[1:] + fine[:-1])))[::2] / (2.0 * trace.fs)

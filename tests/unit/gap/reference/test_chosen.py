@@ -1,4 +1,4 @@
-"""Two recordings are held against each other at the stage that both have."""
+"""Two recordings are compared at the stage that both have."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Of two instances the one that has it: more noise in a band, or a level of its own, however the vehicle moves."""
+"""Which of two instances has it: more noise in a band, or a level of its own, however the vehicle moves."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def coloured(rng, size):
 
 
 def instances(seed, sigma=EQUAL, added=(0.0, 0.0), *, rate=RATE):
-    """Of a sensor that move together, each with white noise of `sigma`, against one reference that is not exact.
+    """Instances of a sensor that move together, each with white noise `sigma`, against one inexact reference.
 
     `added`: the size of more noise, or (ROWS, 3) that an instance reads beside it.
     """
