@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from pydantic import TypeAdapter
 
-from mavcal.client.events import JobMessage, Message, VehicleMessage
+from mavcal.client.events import JobMessage, LiveMessage, Message, VehicleMessage
 from mavcal.client.jobs import JobModel, PlanModel
 from mavcal.client.models import (
     AuditCheck,
@@ -26,6 +26,7 @@ from mavcal.client.models import (
     RegistrationModel,
     TicketModel,
     VehicleModel,
+    VehicleSensorsModel,
 )
 
 AUDIT_CHECK: TypeAdapter[AuditCheck] = TypeAdapter(AuditCheck)
@@ -38,6 +39,7 @@ INFO_MODEL: TypeAdapter[InfoModel] = TypeAdapter(InfoModel)
 JOB_MESSAGE: TypeAdapter[JobMessage] = TypeAdapter(JobMessage)
 JOB_MODEL: TypeAdapter[JobModel] = TypeAdapter(JobModel)
 LINK_MODEL: TypeAdapter[LinkModel] = TypeAdapter(LinkModel)
+LIVE_MESSAGE: TypeAdapter[LiveMessage] = TypeAdapter(LiveMessage)
 MESSAGE: TypeAdapter[Message] = TypeAdapter(Message)
 PLAN_MODEL: TypeAdapter[PlanModel] = TypeAdapter(PlanModel)
 PREFLIGHT_MODEL: TypeAdapter[PreflightModel] = TypeAdapter(PreflightModel)
@@ -47,6 +49,7 @@ REGISTRATION_MODEL: TypeAdapter[RegistrationModel] = TypeAdapter(RegistrationMod
 TICKET_MODEL: TypeAdapter[TicketModel] = TypeAdapter(TicketModel)
 VEHICLE_MESSAGE: TypeAdapter[VehicleMessage] = TypeAdapter(VehicleMessage)
 VEHICLE_MODEL: TypeAdapter[VehicleModel] = TypeAdapter(VehicleModel)
+VEHICLE_SENSORS_MODEL: TypeAdapter[VehicleSensorsModel] = TypeAdapter(VehicleSensorsModel)
 GAP_SUMMARY_LIST: TypeAdapter[list[GapSummary]] = TypeAdapter(list[GapSummary])
 JOB_SUMMARY_LIST: TypeAdapter[list[JobSummary]] = TypeAdapter(list[JobSummary])
 LINK_MODEL_LIST: TypeAdapter[list[LinkModel]] = TypeAdapter(list[LinkModel])

@@ -7,6 +7,14 @@ from __future__ import annotations
 from enum import StrEnum
 
 
+class Airframe(StrEnum):
+    """The shape that a picture of a vehicle has."""
+
+    MULTIROTOR = "multirotor"
+    PLANE = "plane"
+    BOAT = "boat"
+
+
 class Autopilot(StrEnum):
     """The firmware family."""
 

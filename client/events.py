@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from mavcal.client.base import Answer, Number
-from mavcal.client.enums import JobState, ProofLevel
+from mavcal.client.enums import JobState, ProofLevel, Sensor
 from mavcal.client.jobs import OutcomeModel, ProgressModel, PromptModel, WriteModel
 from mavcal.client.models import LinkModel, VehicleModel
 
@@ -226,6 +226,41 @@ class LinkMessage(Answer):
 
     event: Literal["link"]
     data: LinkModel
+
+
+class SamplesModel(Answer):
+    """New samples of one sensor."""
+
+    sensor: Sensor
+    instance: int
+    """Which sensor of its kind, from 0."""
+    unit: str
+    source: str
+    """The message that carries it."""
+    t: list[Number]
+    """The vehicle's clock, s."""
+    values: list[list[Number | None]]
+    """A column an axis, in `unit`; null: not a finite number."""
+
+
+class LiveModel(Answer):
+    """Samples since the last message."""
+
+    channels: list[SamplesModel]
+    """As they are streamed; one a sensor and instance."""
+    bare: list[SamplesModel]
+    """Compasses without the calibration in force, where that is known."""
+    attitude: list[Number] | None
+    """Quaternion w x y z, body (front right down) to north-east-down; null: none has come."""
+    model_field_ut: Number | None
+    """Strength of the Earth's field by the World Magnetic Model, uT; null: the position is not known."""
+
+
+class LiveMessage(Answer):
+    """What came from the sensors of a vehicle, ten times a second."""
+
+    event: Literal["samples"]
+    data: LiveModel
 
 
 class VehicleMessage(Answer):

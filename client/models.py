@@ -7,7 +7,18 @@ from __future__ import annotations
 from typing import Any, Literal
 
 from mavcal.client.base import Answer, Number
-from mavcal.client.enums import Autopilot, CheckId, Fixable, JobState, Landed, LinkState, ParameterKind, Sensor, Verdict
+from mavcal.client.enums import (
+    Airframe,
+    Autopilot,
+    CheckId,
+    Fixable,
+    JobState,
+    Landed,
+    LinkState,
+    ParameterKind,
+    Sensor,
+    Verdict,
+)
 from mavcal.client.jobs import FitModel, OutcomeModel, ProgressModel, PromptModel, WriteModel
 
 
@@ -269,6 +280,26 @@ class RegistrationModel(Answer):
     new_page: bool
 
 
+class SensorStateModel(Answer):
+    """How one kind of calibration stands."""
+
+    kind: str
+    """The procedure that would calibrate it."""
+    verdict: Verdict
+    label: str
+    """The verdict in one or two words."""
+    text: str
+    """When it was calibrated, at what temperature, how good it is."""
+    advice: str
+    """What it needs; empty: nothing."""
+    at: Number | None
+    """When it was calibrated, wall-clock time, s since 1970; null: never here."""
+    job: str | None
+    """The job that did; null: never here."""
+    temperature: Number | None
+    """Of the calibration, degC; null: not known."""
+
+
 class TicketModel(Answer):
     """A ticket for one event stream."""
 
@@ -289,6 +320,8 @@ class VehicleModel(Answer):
     component: int
     """MAVLink component id."""
     autopilot: Autopilot
+    airframe: Airframe
+    """The shape that a picture of it should have, from its MAV_TYPE."""
     firmware: str
     """Version of the firmware; empty: not known yet."""
     uid: str | None
@@ -314,3 +347,11 @@ class VehicleModel(Answer):
     bytes_per_s: Number
     parameters_known: int
     """How many parameters were heard."""
+
+
+class VehicleSensorsModel(Answer):
+    """The four kinds of calibration of a vehicle, and what it needs now."""
+
+    verdict: Verdict
+    summary: str
+    sensors: list[SensorStateModel]

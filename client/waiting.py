@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from mavcal.client import answers
 from mavcal.client.base import Number
-from mavcal.client.events import JobMessage, Message, VehicleMessage
+from mavcal.client.events import JobMessage, LiveMessage, Message, VehicleMessage
 from mavcal.client.jobs import JobModel, PlanModel
 from mavcal.client.models import (
     AuditCheck,
@@ -29,6 +29,7 @@ from mavcal.client.models import (
     RegistrationModel,
     TicketModel,
     VehicleModel,
+    VehicleSensorsModel,
 )
 from mavcal.client.requests import PlanOptions, ReadingOptions
 from mavcal.client.transport import Transport, segment
@@ -70,9 +71,17 @@ class Client(Transport):
             query={"refresh": refresh},
         )
 
+    def list_sensors(self, vehicle_id: str) -> VehicleSensorsModel:
+        """How the calibrations of a vehicle stand, and what it needs now; asks the vehicle for nothing."""
+        return self._ask("GET", f"/api/v1/vehicles/{segment(vehicle_id)}/sensors", answers.VEHICLE_SENSORS_MODEL)
+
     def follow_vehicle(self, vehicle_id: str) -> Iterator[VehicleMessage]:
         """The vehicle's state, once a second, as long as its link is open."""
         return self._follow(f"/api/v1/vehicles/{segment(vehicle_id)}/stream", answers.VEHICLE_MESSAGE)
+
+    def follow_samples(self, vehicle_id: str) -> Iterator[LiveMessage]:
+        """What the sensors read, ten times a second, as the vehicle streams it; asks the vehicle for nothing."""
+        return self._follow(f"/api/v1/vehicles/{segment(vehicle_id)}/samples", answers.LIVE_MESSAGE)
 
     def run_preflight(
         self, vehicle_id: str, *, heading: Number | None = None, fix: list[Literal["gyro", "level"]] | None = None

@@ -18,6 +18,7 @@ from prometheus_client.registry import Collector
 
 from mavcal.service.children import Children, Limits
 from mavcal.service.computations import UploadComputations
+from mavcal.service.hand import AutoHand
 from mavcal.service.jobs.computing import uploads_of
 from mavcal.service.jobs.crashpoints import CrashPoint, nowhere
 from mavcal.service.jobs.engine import JobEngine
@@ -105,6 +106,7 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
         await jobs.start()
         await _open_links(links, settings, store)
         started.push_async_callback(_cancelled, asyncio.create_task(_retention(store, settings, jobs, links).run()))
+        started.push_async_callback(_cancelled, asyncio.create_task(AutoHand(vehicles.all, jobs.list).run()))
         yield Service(settings, store, links, vehicles, jobs, recordings, children)
 
 

@@ -20,6 +20,9 @@ export interface AgreementModel {
   text: string;
 }
 
+/** The shape that a picture of a vehicle has. */
+export type Airframe = "multirotor" | "plane" | "boat";
+
 /** What was answered. */
 export interface AnswerData {
   value: string;
@@ -425,6 +428,24 @@ export interface LinkRequest {
 /** Where a link stands; the reason is a sentence beside it. */
 export type LinkState = "connecting" | "up" | "down" | "closed";
 
+/** What came from the sensors of a vehicle, ten times a second. */
+export interface LiveMessage {
+  event: "samples";
+  data: LiveModel;
+}
+
+/** Samples since the last message. */
+export interface LiveModel {
+  /** As they are streamed; one a sensor and instance. */
+  channels: SamplesModel[];
+  /** Compasses without the calibration in force, where that is known. */
+  bare: SamplesModel[];
+  /** Quaternion w x y z, body (front right down) to north-east-down; null: none has come. */
+  attitude: [number, number, number, number] | null;
+  /** Strength of the Earth's field by the World Magnetic Model, uT; null: the position is not known. */
+  model_field_ut: number | null;
+}
+
 /** A part of the fit that this firmware cannot hold. */
 export interface LossModel {
   sensor: Sensor;
@@ -782,6 +803,20 @@ export interface ResultModel {
   text: string;
 }
 
+/** New samples of one sensor. */
+export interface SamplesModel {
+  sensor: Sensor;
+  /** Which sensor of its kind, from 0. */
+  instance: number;
+  unit: string;
+  /** The message that carries it. */
+  source: string;
+  /** The vehicle's clock, s. */
+  t: number[];
+  /** A column an axis, in `unit`; null: not a finite number. */
+  values: ((number | null)[])[];
+}
+
 /** A span of a telemetry log. */
 export interface SegmentModel {
   /** Name of the log. */
@@ -830,6 +865,25 @@ export interface SensorModel {
   /** Three rows; null: not determined. */
   matrix: ((number | null)[])[];
   polynomial: PolynomialModel | null;
+}
+
+/** How one kind of calibration stands. */
+export interface SensorStateModel {
+  /** The procedure that would calibrate it. */
+  kind: string;
+  verdict: Verdict;
+  /** The verdict in one or two words. */
+  label: string;
+  /** When it was calibrated, at what temperature, how good it is. */
+  text: string;
+  /** What it needs; empty: nothing. */
+  advice: string;
+  /** When it was calibrated, wall-clock time, s since 1970; null: never here. */
+  at: number | null;
+  /** The job that did; null: never here. */
+  job: string | null;
+  /** Of the calibration, degC; null: not known. */
+  temperature: number | null;
 }
 
 /** Whether a sensor reads, after a write, what it should. */
@@ -931,6 +985,8 @@ export interface VehicleModel {
   /** MAVLink component id. */
   component: number;
   autopilot: Autopilot;
+  /** The shape that a picture of it should have, from its MAV_TYPE. */
+  airframe: Airframe;
   /** Version of the firmware; empty: not known yet. */
   firmware: string;
   /** Hardware id, hexadecimal; null: not known. */
@@ -956,6 +1012,13 @@ export interface VehicleModel {
   bytes_per_s: number;
   /** How many parameters were heard. */
   parameters_known: number;
+}
+
+/** The four kinds of calibration of a vehicle, and what it needs now. */
+export interface VehicleSensorsModel {
+  verdict: Verdict;
+  summary: string;
+  sensors: SensorStateModel[];
 }
 
 /** What a check, or a whole report, comes to. */
@@ -1098,12 +1161,26 @@ export interface Operations {
     query: { refresh?: boolean };
     answer: ParameterModel[];
   };
+  /** How the calibrations of a vehicle stand, and what it needs now; asks the vehicle for nothing. */
+  list_sensors: {
+    method: "GET";
+    path: "/api/v1/vehicles/{vehicle_id}/sensors";
+    parameters: { vehicle_id: string };
+    answer: VehicleSensorsModel;
+  };
   /** The vehicle's state, once a second, as long as its link is open. */
   follow_vehicle: {
     method: "GET";
     path: "/api/v1/vehicles/{vehicle_id}/stream";
     parameters: { vehicle_id: string };
     message: VehicleMessage;
+  };
+  /** What the sensors read, ten times a second, as the vehicle streams it; asks the vehicle for nothing. */
+  follow_samples: {
+    method: "GET";
+    path: "/api/v1/vehicles/{vehicle_id}/samples";
+    parameters: { vehicle_id: string };
+    message: LiveMessage;
   };
   /** Check a vehicle that stands still, within ten seconds; 409 while it is armed, silent, or has a job running. */
   run_preflight: {

@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from bench.client import python, typescript
+from bench.client import javascript, python, sections, typescript
 from bench.client.spec import Document
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -17,7 +17,9 @@ def generated() -> dict[Path, str]:
     """The text of every generated file, by its place below the root."""
     document = Document(json.loads((ROOT / "docs" / "openapi.json").read_text(encoding="utf-8")))
     modules = {Path("client") / name: formatted(text, name) for name, text in python.emit(document).items()}
-    return {**modules, Path("web") / "mavcal.d.ts": typescript.emit(document)}
+    web = {"mavcal.d.ts": typescript.emit(document), "operations.js": javascript.emit(document)}
+    web["scene/sections.js"] = sections.emit()
+    return {**modules, **{Path("web") / name: text for name, text in web.items()}}
 
 
 def formatted(text: str, name: str) -> str:

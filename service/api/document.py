@@ -9,7 +9,7 @@ from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 from pydantic import BaseModel, Field, TypeAdapter
 
-from mavcal.service.api.models import Message, ReadingOptions
+from mavcal.service.api.models import LiveMessage, Message, ReadingOptions
 from mavcal.service.api.problems import codes, explanations
 
 Json = dict[str, Any]
@@ -36,7 +36,12 @@ BEARER = {
     "(links, jobs, answers, uploads), `write-params` (apply and revert), `admin`. "
     "On loopback the service may run without keys.",
 }
-STREAMS = {"follow_job": "JobMessage", "follow_vehicle": "VehicleMessage", "follow_events": "Message"}
+STREAMS = {
+    "follow_job": "JobMessage",
+    "follow_vehicle": "VehicleMessage",
+    "follow_samples": "LiveMessage",
+    "follow_events": "Message",
+}
 """What each message of an event stream is; its lines `event`, `id` and `data` are the fields of the schema."""
 
 
@@ -111,7 +116,7 @@ def statuses(path: str, method: str, operation: Json) -> list[int]:
         f"{KEYED}/jobs/"
     ):
         found |= {404, 409}
-    if path.endswith(("/parameters", "/events", "/stream")):
+    if path.endswith(("/parameters", "/events", "/stream", "/samples")):
         found |= {503}
     return sorted(found)
 
@@ -146,6 +151,7 @@ def _further_schemas() -> Json:
     _, found = TypeAdapter.json_schemas(
         [
             ("message", "serialization", TypeAdapter(Message)),
+            ("live", "serialization", TypeAdapter(LiveMessage)),
             ("problem", "serialization", TypeAdapter(Problem)),
             ("reading", "validation", TypeAdapter(ReadingOptions)),
         ],

@@ -22,7 +22,7 @@ UPLOADS = "/recordings"
 LEAST_BYTES_PER_S = 1000
 CLOSE = {"Connection": "close"}
 """What is left of the body is not read."""
-STREAMS = ("/events", "/stream")
+STREAMS = ("/events", "/stream", "/samples")
 """Event streams end so."""
 
 

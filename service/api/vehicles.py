@@ -10,9 +10,10 @@ from fastapi import APIRouter, Depends
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from mavcal.service.api.dependencies import ServiceDep
-from mavcal.service.api.models import ParameterModel, VehicleModel
+from mavcal.service.api.models import ParameterModel, VehicleModel, VehicleSensorsModel
 from mavcal.service.api.security import Scope, require
-from mavcal.service.api.views import parameter_model, vehicle_model
+from mavcal.service.api.views import parameter_model, sensors_model, vehicle_model
+from mavcal.service.standing import states_of
 from mavcal.service.vehicle import Vehicle
 
 router = APIRouter(tags=["vehicles"])
@@ -47,6 +48,12 @@ async def parameters(found: VehicleDep, refresh: bool = False) -> list[Parameter
     if refresh or not found.listed:
         await found.list_parameters()
     return [parameter_model(p) for _, p in sorted(found.parameters.items())]
+
+
+@router.get("/vehicles/{vehicle_id}/sensors", operation_id="list_sensors", dependencies=[READ])
+async def sensors(vehicle_id: str, service: ServiceDep) -> VehicleSensorsModel:
+    """How the calibrations of a vehicle stand, and what it needs now; asks the vehicle for nothing."""
+    return sensors_model(await states_of(service, vehicle_id))
 
 
 @router.get(

@@ -9,6 +9,7 @@ from typing import Any
 from fastapi import Response
 
 from mavcal.calib.firmware.plan import ParameterKind, WritePlan
+from mavcal.calib.preflight.states import SensorState, summary
 from mavcal.calib.procedures.spec import ProcedureSpec
 from mavcal.service.api.models import (
     GapModel,
@@ -22,7 +23,9 @@ from mavcal.service.api.models import (
     PreflightModel,
     ProcedureModel,
     RecordingModel,
+    SensorStateModel,
     VehicleModel,
+    VehicleSensorsModel,
 )
 from mavcal.service.jobs.codec import to_json
 from mavcal.service.jobs.fixing import Fix
@@ -64,6 +67,13 @@ def job_model(job: Job) -> JobModel:
     )
 
 
+def sensors_model(states: Sequence[SensorState]) -> VehicleSensorsModel:
+    """How the calibrations of a vehicle stand."""
+    verdict, text = summary(states)
+    sensors = [SensorStateModel(**vars(state)) for state in states]
+    return VehicleSensorsModel(verdict=verdict, summary=text, sensors=sensors)
+
+
 def plan_model(plan: WritePlan) -> PlanModel:
     """A plan."""
     return PlanModel.model_validate(to_json(plan))
@@ -103,6 +113,7 @@ def vehicle_model(vehicle: Vehicle) -> VehicleModel:
         system=vehicle.system,
         component=vehicle.component,
         autopilot=identity.autopilot,
+        airframe=identity.airframe,
         firmware=identity.version_text,
         uid=identity.uid2,
         armed=bool(state.armed),

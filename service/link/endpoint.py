@@ -46,7 +46,7 @@ _NETWORK = {EndpointKind.UDPIN, EndpointKind.UDPOUT, EndpointKind.TCP, EndpointK
 _OPTIONS = {
     EndpointKind.UDPOUT: {"local_port"},
     EndpointKind.FILE: {"speed"},
-    EndpointKind.SIM: {"seed", "speed", "system_id", "script", "config", "params"},
+    EndpointKind.SIM: {"seed", "speed", "system_id", "script", "config", "params", "hand"},
 }
 """What may follow a ``?``. A PX4 answers one client port for ever: ``local_port`` keeps ours the same."""
 

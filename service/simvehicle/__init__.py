@@ -16,11 +16,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mavcal.service.simvehicle.client import SimulatedVehicle, free_udp_port
+from mavcal.service.simvehicle.client import ControlChannel, SimulatedVehicle, free_udp_port
 from mavcal.service.simvehicle.errors import ControlError, SimulatedVehicleError, StartError
 from mavcal.service.simvehicle.operator import Operator
 
 __all__ = [
+    "ControlChannel",
     "ControlError",
     "Operator",
     "SimulatedVehicle",

@@ -23,6 +23,58 @@ CALL_TIMEOUT_S = 10.0
 STOP_TIMEOUT_S = 5.0
 
 
+class ControlChannel:
+    """The control channel of a running simulated vehicle: one request, one reply.
+
+    Raises ControlError if the vehicle cannot be reached.
+    """
+
+    def __init__(self, address: str) -> None:
+        host, _, port = address.rpartition(":")
+        try:
+            self._socket: socket.socket | None = socket.create_connection((host, int(port)), timeout=CALL_TIMEOUT_S)
+        except OSError as error:
+            raise ControlError(f"the simulated vehicle at {address} cannot be reached: {error}") from error
+        self._buffer = b""
+        self._next_id = 0
+        self._lock = threading.Lock()
+
+    def call(self, do: str, **options: Any) -> dict[str, Any]:
+        """One request; its reply without `id` and `ok`.
+
+        Raises ControlError if the vehicle refuses it, or has gone.
+        """
+        with self._lock:
+            if self._socket is None:
+                raise ControlError("the simulated vehicle has been stopped")
+            self._next_id += 1
+            request = {"id": self._next_id, "do": do, **options}
+            try:
+                self._socket.sendall(json.dumps(request).encode() + b"\n")
+                reply = json.loads(self._read_line(self._socket))
+            except (OSError, ValueError) as error:
+                raise ControlError(f"the simulated vehicle does not answer {do!r}: {error}") from error
+        if not reply.pop("ok"):
+            raise ControlError(reply["error"])
+        reply.pop("id")
+        return dict(reply)
+
+    def close(self) -> None:
+        """Let go; harmless if repeated."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def _read_line(self, connected: socket.socket) -> bytes:
+        while b"\n" not in self._buffer:
+            data = connected.recv(1 << 16)
+            if not data:
+                raise OSError("connection closed")
+            self._buffer += data
+        line, _, self._buffer = self._buffer.partition(b"\n")
+        return line
+
+
 class SimulatedVehicle:
     """A simulated flight controller in its own process; a context manager that ends it.
 
@@ -82,14 +134,10 @@ class SimulatedVehicle:
             cwd=Path(__file__).parents[3],
             env={**os.environ, "PYTHONUNBUFFERED": "1"},
         )
-        self._control: socket.socket | None = None
-        self._buffer = b""
-        self._next_id = 0
-        self._lock = threading.Lock()
+        self._control: ControlChannel | None = None
         try:
             ready = self._await_ready()
-            host, _, port = ready["control"].rpartition(":")
-            self._control = socket.create_connection((host, int(port)), timeout=CALL_TIMEOUT_S)
+            self._control = ControlChannel(ready["control"])
         except BaseException:
             self.stop()
             raise
@@ -117,34 +165,13 @@ class SimulatedVehicle:
         """
         if self._control is None:
             raise ControlError("the simulated vehicle has been stopped")
-        with self._lock:
-            self._next_id += 1
-            request = {"id": self._next_id, "do": do, **options}
-            try:
-                self._control.sendall(json.dumps(request).encode() + b"\n")
-                reply = json.loads(self._read_line())
-            except (OSError, ValueError) as error:
-                raise ControlError(f"the simulated vehicle does not answer {do!r}: {error}") from error
-        if not reply.pop("ok"):
-            raise ControlError(reply["error"])
-        reply.pop("id")
-        return dict(reply)
+        return self._control.call(do, **options)
 
     async def acall(self, do: str, **options: Any) -> dict[str, Any]:
         """`call` without blocking an event loop."""
         import asyncio  # here: the vehicle's own process, which passes this module, does without
 
         return await asyncio.to_thread(self.call, do, **options)
-
-    def _read_line(self) -> bytes:
-        assert self._control is not None
-        while b"\n" not in self._buffer:
-            data = self._control.recv(1 << 16)
-            if not data:
-                raise OSError("connection closed")
-            self._buffer += data
-        line, _, self._buffer = self._buffer.partition(b"\n")
-        return line
 
     def truth(self, since: float | None = None, until: float | None = None) -> dict[str, Any]:
         """The whole truth of the sensors at this moment, or in the mean of a span of vehicle seconds of this boot.

@@ -7,11 +7,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
-
-from mavcal.service.simvehicle.client import SimulatedVehicle
+from typing import Any, Protocol
 
 FACES = ("level", "left", "right", "nose_down", "nose_up", "back")
+
+
+class Movable(Protocol):
+    """A simulated vehicle that takes requests."""
+
+    def call(self, do: str, **options: Any) -> dict[str, Any]:
+        """One request, and its reply."""
+        ...
 
 
 class Operator:
@@ -28,7 +34,7 @@ class Operator:
 
     def __init__(
         self,
-        vehicle: SimulatedVehicle,
+        vehicle: Movable,
         *,
         warm_from: float = 20.0,
         warm_to: float = 62.0,

@@ -18,6 +18,20 @@ class Autopilot(StrEnum):
     OTHER = "other"
 
 
+class Airframe(StrEnum):
+    """The shape that a picture of a vehicle has."""
+
+    MULTIROTOR = "multirotor"
+    PLANE = "plane"
+    BOAT = "boat"  # and whatever else stays on the ground
+
+
+_PLANES = {
+    dialect.MAV_TYPE_FIXED_WING,
+    dialect.MAV_TYPE_FLAPPING_WING,
+    *range(dialect.MAV_TYPE_VTOL_DUOROTOR, dialect.MAV_TYPE_VTOL_RESERVED5 + 1),
+}
+_ON_THE_GROUND = {dialect.MAV_TYPE_GROUND_ROVER, dialect.MAV_TYPE_SURFACE_BOAT, dialect.MAV_TYPE_SUBMARINE}
 _AUTOPILOTS = {
     dialect.MAV_AUTOPILOT_ARDUPILOTMEGA: Autopilot.ARDUPILOT,
     dialect.MAV_AUTOPILOT_PX4: Autopilot.PX4,
@@ -59,6 +73,13 @@ class VehicleIdentity:
     def known(self) -> bool:
         """True once AUTOPILOT_VERSION has come."""
         return self.capabilities is not None
+
+    @property
+    def airframe(self) -> Airframe:
+        """The shape that a picture of it has: a multirotor, if nothing else is known."""
+        if self.vehicle_type in _PLANES:
+            return Airframe.PLANE
+        return Airframe.BOAT if self.vehicle_type in _ON_THE_GROUND else Airframe.MULTIROTOR
 
     @property
     def encoding(self) -> ParameterEncoding:

@@ -63,6 +63,7 @@ from mavcal.service.api.models.jobs import (
     WriteModel,
 )
 from mavcal.service.api.models.links import LinkModel, LinkRequest
+from mavcal.service.api.models.live import LiveMessage, LiveModel, SamplesModel
 from mavcal.service.api.models.plans import (
     AfterWriteModel,
     AgreementModel,
@@ -80,6 +81,7 @@ from mavcal.service.api.models.plans import (
 )
 from mavcal.service.api.models.preflight import CheckModel, FixModel, PreflightModel, PreflightRequest
 from mavcal.service.api.models.recordings import ReadingOptions, RecordingJobRequest, RecordingModel
+from mavcal.service.api.models.sensors import SensorStateModel, VehicleSensorsModel
 from mavcal.service.api.models.steps import (
     HoldsModel,
     NumberModel,
@@ -126,6 +128,8 @@ __all__ = [
     "LinkMessage",
     "LinkModel",
     "LinkRequest",
+    "LiveMessage",
+    "LiveModel",
     "LossModel",
     "Message",
     "MovementModel",
@@ -154,10 +158,12 @@ __all__ = [
     "RecordingModel",
     "RegistrationModel",
     "ResultModel",
+    "SamplesModel",
     "SegmentModel",
     "SegmentsEvent",
     "SensorCheckModel",
     "SensorModel",
+    "SensorStateModel",
     "SetAsideData",
     "SetAsideEvent",
     "StandingData",
@@ -169,6 +175,7 @@ __all__ = [
     "UnprovedModel",
     "VehicleMessage",
     "VehicleModel",
+    "VehicleSensorsModel",
     "VerificationData",
     "VerificationEvent",
     "VerificationModel",

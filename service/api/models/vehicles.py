@@ -6,7 +6,7 @@ from pydantic import BaseModel, Field
 
 from mavcal.calib.firmware.plan import ParameterKind
 from mavcal.service.api.models.base import Number
-from mavcal.service.vehicle.identity import Autopilot
+from mavcal.service.vehicle.identity import Airframe, Autopilot
 from mavcal.service.vehicle.state import Landed
 
 
@@ -18,6 +18,7 @@ class VehicleModel(BaseModel):
     system: int = Field(description="MAVLink system id")
     component: int = Field(description="MAVLink component id")
     autopilot: Autopilot
+    airframe: Airframe = Field(description="the shape that a picture of it should have, from its MAV_TYPE")
     firmware: str = Field(description="version of the firmware; empty: not known yet")
     uid: str | None = Field(description="hardware id, hexadecimal; null: not known")
     armed: bool

@@ -1,0 +1,88 @@
+"""What the sensors of a vehicle read now, in small batches, for whoever watches."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator, Sequence
+from dataclasses import dataclass
+
+from mavcal.calib.firmware.in_force.undo import Undo
+from mavcal.calib.firmware.stream.assembler import Assembler
+from mavcal.calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib.wire import Frame
+from mavcal.service.errors import DiskFull
+from mavcal.service.jobs.digest import field_of
+from mavcal.service.jobs.vehicle_adapter import VehicleAdapter
+from mavcal.service.vehicle import Vehicle
+
+BATCH_S = 0.1
+"""How often a batch is made, s of the wall's clock."""
+SHOWN = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG, Sensor.TEMPERATURE)
+
+Quaternion = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class LiveBatch:
+    """Samples that have come since the last batch."""
+
+    channels: tuple[Channel, ...]
+    """As they are streamed; one channel a sensor and instance."""
+    bare: tuple[Channel, ...]
+    """Compasses without the calibration in force; none where that is not known."""
+    attitude: Quaternion | None
+    """Newest attitude, w x y z, body to north-east-down; None: none has come."""
+    field: float | None
+    """Strength of the Earth's field by the World Magnetic Model, uT; None: the position is not known."""
+
+
+async def live_batches(vehicle: Vehicle) -> AsyncIterator[LiveBatch]:
+    """What the vehicle streams, as it comes, until the reader stops; a batch of nothing while nothing comes.
+
+    Raises
+    ------
+    FirmwareError
+        If the autopilot is neither ArduPilot nor PX4.
+    """
+    adapter = VehicleAdapter(vehicle)
+    known = {name: parameter.value for name, parameter in vehicle.parameters.items()}
+    assembler, undo = Assembler(adapter.identity, known), Undo(adapter.identity, known)
+    frames: list[Frame] = []
+
+    def take(heard: Sequence[Frame], _disk: DiskFull | None) -> None:
+        frames.extend(heard)
+
+    field: float | None = None
+    attitude: Quaternion | None = None
+    forget = adapter.subscribe(assembler.message_ids, take)
+    try:
+        while True:
+            await asyncio.sleep(BATCH_S)
+            heard, frames[:] = frames[:], []
+            chunk = await asyncio.to_thread(assembler.feed, [(None, frame) for frame in heard])
+            attitude = _newest_attitude(chunk) or attitude
+            if field is None and (model := field_of(chunk, time.time())) is not None:
+                field = model.norm
+            compasses = tuple(c for c in undo.feed(chunk).channels if c.sensor == Sensor.MAG and c.stage == Stage.RAW)
+            yield LiveBatch(_one_a_sensor(chunk), compasses, attitude, field)
+    finally:
+        forget()
+
+
+def _one_a_sensor(chunk: Recording) -> tuple[Channel, ...]:
+    """Of several messages that carry one sensor, the one with the most samples."""
+    best: dict[tuple[Sensor, int], Channel] = {}
+    for channel in chunk.channels:
+        key = channel.sensor, channel.instance
+        if channel.sensor in SHOWN and len(channel) and (key not in best or len(channel) > len(best[key])):
+            best[key] = channel
+    return tuple(best[key] for key in sorted(best))
+
+
+def _newest_attitude(chunk: Recording) -> Quaternion | None:
+    found = [c for c in chunk.channels if c.sensor == Sensor.ATTITUDE and len(c)]
+    if not found:
+        return None
+    w, x, y, z = max(found, key=lambda channel: float(channel.t[-1])).values[-1].tolist()
+    return w, x, y, z

@@ -1,0 +1,84 @@
+// <attitude-scene>: the vehicle as it is held now, beside a ghost of the pose that is asked for.
+// With the attribute `flat` it is drawn without WebGL: browsers allow few such pictures at a time.
+
+import { angle, blend, IDENTITY } from "./rotation.js";
+import { CanvasRenderer } from "./canvas.js";
+import { colorsOf } from "./colors.js";
+
+/** @import { Quaternion } from "./rotation.js" */
+
+const FOLLOW = 0.25; // share of the way to the newest attitude, a frame
+const NEAR = 0.002; // rad
+
+export class AttitudeScene extends HTMLElement {
+  constructor() {
+    super();
+    this._airframe = "multirotor";
+    /** @type {Quaternion} */
+    this._attitude = IDENTITY;
+    /** @type {Quaternion | null} */
+    this._wanted = null;
+    /** @type {Quaternion | null} */
+    this._ghost = null;
+    /** @type {{ draw: Function, dispose: () => void } | undefined} */
+    this._renderer = undefined;
+    this._frame = 0;
+  }
+
+  connectedCallback() {
+    this._sizes = new ResizeObserver(() => this._soon());
+    this._sizes.observe(this);
+    this._start();
+  }
+
+  disconnectedCallback() {
+    this._sizes?.disconnect();
+    cancelAnimationFrame(this._frame);
+    this._frame = 0;
+    this._renderer?.dispose();
+    this._renderer = undefined;
+  }
+
+  /** What is shown; null: not known yet. @param {{ airframe: string, attitude: Quaternion | null, ghost: Quaternion | null }} scene */
+  set scene({ airframe, attitude, ghost }) {
+    this._airframe = airframe;
+    this._wanted = attitude;
+    this._ghost = ghost;
+    if (!this._seen && attitude) this._attitude = attitude;
+    this._seen ||= attitude !== null;
+    this._soon();
+  }
+
+  async _start() {
+    try {
+      if (this.hasAttribute("flat") || !webgl()) throw new Error("drawn flat");
+      const { ThreeRenderer } = await import("./three.js");
+      if (!this.isConnected || this._renderer) return;
+      this._renderer = new ThreeRenderer(this);
+    } catch {
+      if (!this.isConnected || this._renderer) return;
+      this._renderer = new CanvasRenderer(this);
+    }
+    this._soon();
+  }
+
+  _soon() {
+    if (!this._frame && this._renderer) this._frame = requestAnimationFrame(() => this._draw());
+  }
+
+  _draw() {
+    this._frame = 0;
+    if (this._wanted) this._attitude = blend(this._attitude, this._wanted, FOLLOW);
+    this._renderer?.draw({ airframe: this._airframe, attitude: this._attitude, ghost: this._ghost }, colorsOf(this));
+    if (this._wanted && angle(this._attitude, this._wanted) > NEAR) this._soon();
+  }
+}
+
+let able = /** @type {boolean | undefined} */ (undefined);
+
+function webgl() {
+  able ??= document.createElement("canvas").getContext("webgl2") !== null;
+  return able;
+}
+
+customElements.define("attitude-scene", AttitudeScene);

@@ -1,0 +1,92 @@
+// Home: who is there, and what each vehicle needs now.
+
+import { h } from "../core/dom.js";
+import { to } from "../core/route.js";
+import { ask } from "../core/service.js";
+import { AUTOPILOTS, kindName, LANDED, STATES } from "../core/words.js";
+import { badge, table } from "./parts.js";
+import { sensorStates, tiles, worst } from "./tiles.js";
+
+/** @import { VehicleModel } from "../mavcal.d.ts" */
+/** @typedef {typeof import("../core/store.js").store} Store */
+
+const CARDS = 6; // more than so many vehicles are a table
+
+/** @param {Store} store */
+export function home(store) {
+  const vehicles = [...store.vehicles.values()].sort((a, b) => vehicleName(a).localeCompare(vehicleName(b)));
+  if (!vehicles.length) return nobody(store);
+  return h("div", {},
+    h("h1", { class: "hidden" }, "Vehicles"),
+    vehicles.length > CARDS ? list(store, vehicles) : h("div", { class: "cards" }, vehicles.map((vehicle) => card(store, vehicle))));
+}
+
+/** What a vehicle is called. @param {VehicleModel} vehicle */
+export const vehicleName = (vehicle) => vehicle.name || `${AUTOPILOTS[vehicle.autopilot]} ${vehicle.system}`;
+
+/** @param {VehicleModel} vehicle @returns {["good" | "warn" | "bad", string]} */
+export function condition(vehicle) {
+  if (vehicle.silent) return ["bad", "silent"];
+  if (vehicle.armed) return ["warn", "armed"];
+  return vehicle.landed === "in_air" ? ["warn", "in the air"] : ["good", "disarmed"];
+}
+
+/** @param {VehicleModel} vehicle @returns {["good" | "warn" | "bad", string]} */
+export function linkQuality(vehicle) {
+  const share = 100 * vehicle.loss;
+  const text = `link: ${share < 0.05 ? "no" : share.toFixed(1).replace(".0", "")}${share < 0.05 ? "" : " %"} loss`;
+  return [share < 2 ? "good" : share < 10 ? "warn" : "bad", text];
+}
+
+/** What stands first: the running job, or what the vehicle needs. @param {Store} store @param {VehicleModel} vehicle */
+export function firstLine(store, vehicle) {
+  const job = store.running(vehicle.id);
+  if (job) {
+    return h("a", { class: "first-line busy", href: to("job", job.id) },
+      `${kindName(job.kind)}: ${STATES[job.state].toLowerCase()}. Open it.`);
+  }
+  const waiting = store.newest().find((other) => other.vehicle_id === vehicle.id && other.state === "review");
+  if (waiting) return h("a", { class: "first-line warn", href: to("job", waiting.id) }, `${kindName(waiting.kind)} is ready for your review. Open it.`);
+  if (vehicle.silent) return h("p", { class: "first-line bad" }, "No message for 3 s. Check its power and the link.");
+  const states = sensorStates(store, vehicle);
+  return h("p", { class: `first-line ${worst(states)}` }, states?.summary ?? "Reading its calibration …");
+}
+
+/** @param {Store} store @param {VehicleModel} vehicle */
+function card(store, vehicle) {
+  return h("article", { class: "card vehicle-card", key: vehicle.id, "aria-label": vehicleName(vehicle) },
+    h("div", { class: "title" },
+      h("h2", {}, h("a", { href: to("vehicle", vehicle.id) }, vehicleName(vehicle))),
+      h("p", { class: "badges" }, badge(...condition(vehicle)), badge(...linkQuality(vehicle)))),
+    h("p", { class: "quiet small" }, `${AUTOPILOTS[vehicle.autopilot]} ${vehicle.firmware} · ${LANDED[vehicle.landed]}`),
+    firstLine(store, vehicle),
+    tiles(store, vehicle));
+}
+
+/** @param {Store} store @param {VehicleModel[]} vehicles */
+function list(store, vehicles) {
+  const rows = vehicles.map((vehicle) => [
+    h("a", { href: to("vehicle", vehicle.id) }, vehicleName(vehicle)),
+    badge(...condition(vehicle)),
+    badge(...linkQuality(vehicle)),
+    firstLine(store, vehicle),
+  ]);
+  return table(["vehicle", "state", "link", "needs now"], rows, "Vehicles");
+}
+
+/** @param {Store} store */
+function nobody(store) {
+  const links = [...store.links.values()];
+  return h("section", { class: "card empty" },
+    h("h1", {}, store.ready ? "No vehicle has been heard yet" : "Looking for vehicles …"),
+    links.length
+      ? h("ul", { class: "plain" }, links.map((link) => h("li", {}, `${link.url}: ${link.state}${link.reason ? `, ${link.reason}` : ""}`)))
+      : h("p", {}, "Connect one in Setup, or look around with a simulated vehicle that follows the prompts by itself."),
+    h("div", { class: "actions" },
+      h("a", { class: "button primary", href: to("setup") }, "Connect a vehicle"),
+      ["ardupilot", "px4"].map((kind) => h("button", {
+        onclick: () => store.act(async () => {
+          await ask("open_link", { body: { url: `sim:${kind}?hand=auto` } });
+          await store.refresh();
+        }) }, `Try a simulated ${AUTOPILOTS[kind]}`))));
+}

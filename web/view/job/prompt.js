@@ -1,0 +1,59 @@
+// The prompt: what to do now, in letters that are read from three metres.
+
+import { h } from "../../core/dom.js";
+import { ask } from "../../core/service.js";
+import { POSES, sentence, span, STATES, words } from "../../core/words.js";
+import { bar } from "../parts.js";
+
+/** @import { JobModel, NumberModel } from "../../mavcal.d.ts" */
+/** @typedef {typeof import("../../core/store.js").store} Store */
+
+/** @type {Partial<Record<JobModel["state"], string>>} */
+const WITHOUT_PROMPT = {
+  queued: "Waits for its turn.",
+  running: "Hold still: the first samples come in.",
+  fitting: "Computes the result from what was recorded.",
+  applying: "Writes to the vehicle. Leave it as it is.",
+  waiting_for_reboot: "Waits for the vehicle to come back after its restart.",
+  verifying: "Checks on the vehicle that the new values are right. Keep it still.",
+  rolling_back: "Takes the new values back.",
+  in_doubt: "The write was interrupted. Keep the vehicle disarmed and connected: mavcal finishes by itself.",
+};
+
+/** @param {Store} store @param {JobModel} job */
+export function promptPart(store, job) {
+  const prompt = job.prompt;
+  const text = prompt?.text || WITHOUT_PROMPT[job.state] || STATES[job.state];
+  const progress = job.progress;
+  return h("section", { class: `prompt ${prompt?.stable ? "stable" : ""}`, "aria-live": "assertive", "aria-label": "What to do now" },
+    h("p", { class: "say" }, sentence(text)),
+    seen(job),
+    prompt?.number ? numberForm(store, job, prompt.number) : null,
+    progress ? h("div", { class: "advance", "aria-live": "off" },
+      bar(progress.current, progress.target, progress.text),
+      h("p", { class: "quiet small" }, [progress.text, progress.eta === null ? "" : `about ${span(progress.eta)} left`].filter(Boolean).join(" · "))) : null);
+}
+
+/** What the vehicle itself shows. @param {JobModel} job */
+function seen({ prompt }) {
+  if (!prompt?.detected) return null;
+  const pose = POSES[prompt.detected];
+  return h("p", { class: `seen ${prompt.stable ? "good" : "quiet"}` },
+    prompt.stable ? `✓ ${pose}: hold it` : `Seen: ${pose.toLowerCase()}, still moving`);
+}
+
+/** @param {Store} store @param {JobModel} job @param {NumberModel} number */
+function numberForm(store, job, number) {
+  const name = words(number.name);
+  return h("form", { class: "number-form", key: number.name, onsubmit: (/** @type {Event} */ event) => {
+    event.preventDefault();
+    const field = /** @type {HTMLInputElement} */ (/** @type {HTMLFormElement} */ (event.target).elements.namedItem("number"));
+    store.act(async () => {
+      await ask("answer_job", { parameters: { job_id: job.id }, body: { value: field.value } });
+      await store.load(job.id);
+    });
+  } },
+  h("label", { for: "number" }, `${sentence(name)}, ${number.low} to ${number.high} ${number.unit}`),
+  h("input", { id: "number", name: "number", type: "number", inputmode: "decimal", min: number.low, max: number.high, step: "any", required: true }),
+  h("button", { type: "submit", class: "primary" }, "Answer"));
+}

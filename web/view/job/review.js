@@ -1,0 +1,127 @@
+// The review that one can read: what was wrong, what it will be, what stands against it; the parameters folded below.
+
+import { h } from "../../core/dom.js";
+import { ask, save } from "../../core/service.js";
+import { number, rough, sentence, unitName, words } from "../../core/words.js";
+import { badge, quiet, table, VERDICT_TONES } from "../parts.js";
+
+/** @import { ChangeModel, JobModel, PlanModel, ReviewModel } from "../../mavcal.d.ts" */
+/** @typedef {typeof import("../../core/store.js").store} Store */
+
+/** @param {Store} store @param {JobModel} job */
+function reviewOf(store, job) {
+  return store.answer(`review ${job.id} ${job.plan?.sha256 ?? ""}`, () => ask("get_review", { parameters: { job_id: job.id } }), 1e9);
+}
+
+/** @param {Store} store @param {JobModel} job */
+export function review(store, job) {
+  const plan = job.plan;
+  if (!plan) return quiet("There is no plan: see the reason above.");
+  const found = reviewOf(store, job);
+  return h("section", { class: "review", "aria-label": "Review" },
+    found ? headline(found) : quiet("Reading the review …"),
+    plan.blockers.map((text, i) => h("p", { class: "notice", role: "alert", key: `b${i}` }, `Nothing will be written: ${text}`)),
+    found ? criteria(found) : null,
+    picture(store, job),
+    plan.warnings.length ? h("ul", { class: "plan-warnings" }, plan.warnings.map((text) => h("li", { class: "warn" }, sentence(text)))) : null,
+    plan.agreements.length ? h("ul", {}, plan.agreements.map((agreement) => h("li", { class: "quiet" }, sentence(agreement.text)))) : null,
+    losses(plan),
+    choices(store, job, plan),
+    h("details", { class: "card" }, h("summary", {}, `${plan.changes.length} parameters: old, new, uncertainty`), changes(plan)),
+    exports(store, job));
+}
+
+/** @param {ReviewModel} found */
+function headline(found) {
+  return h("div", { class: "headline" },
+    h("h2", {}, found.headline),
+    found.sensors.length > 1 ? h("ul", { class: "plain" }, found.sensors.map((sensor) =>
+      h("li", { key: `${sensor.sensor}${sensor.instance}` }, h("strong", {}, `${unitName(sensor.sensor, sensor.instance)}: `), sensor.text))) : null);
+}
+
+/** @param {ReviewModel} found */
+function criteria(found) {
+  return h("ul", { class: "plain criteria" }, found.criteria.map((criterion) =>
+    h("li", { key: criterion.id }, badge(VERDICT_TONES[criterion.verdict], words(criterion.verdict)),
+      h("span", {}, criterion.text), criterion.remedy ? h("span", { class: "quiet" }, criterion.remedy) : null)));
+}
+
+/** The same picture as in the export: before and after. @param {Store} store @param {JobModel} job */
+function picture(store, job) {
+  const svg = store.answer(`picture ${job.id}`, () => ask("get_picture", { parameters: { job_id: job.id } }), 1e9);
+  if (!svg) return null;
+  return h("figure", { class: "before-after" },
+    h("img", { src: `data:image/svg+xml;charset=utf-8,${encodeURIComponent(svg)}`, alt: "The sensor before and after this calibration" }));
+}
+
+/** @param {PlanModel} plan */
+function losses(plan) {
+  if (!plan.losses.length) return null;
+  return h("details", { class: "card" }, h("summary", {}, "What this autopilot cannot hold"),
+    h("ul", {}, plan.losses.map((loss) => h("li", {}, `${sentence(loss.text)} Cost: ${rough(loss.cost)} ${loss.unit}.`))));
+}
+
+/** Which sensors, and what else the person decides; each choice makes the plan again. @param {Store} store @param {JobModel} job @param {PlanModel} plan */
+function choices(store, job, plan) {
+  const options = /** @type {Record<string, any>} */ (job.plan_options);
+  const sensors = [...new Set(job.results.map((fit) => `${fit.sensor}${fit.instance}`))];
+  const only = /** @type {string[]} */ (options.only?.length ? options.only : sensors);
+  /** @type {(change: Record<string, any>) => void} */
+  const again = (change) => store.act(async () => {
+    await ask("renew_plan", { parameters: { job_id: job.id }, body: { plan_options: { ...options, ...change } } });
+    await store.load(job.id);
+  });
+  /** @type {(name: string, text: string, on: boolean, change: Record<string, any>, off?: boolean) => any} */
+  const box = (name, text, on, change, off = false) => h("label", { class: "choice", key: name },
+    h("input", { type: "checkbox", checked: on, disabled: off, onchange: () => again(change) }), text);
+  const gyro = job.results.some((fit) => fit.sensor === "gyro") && plan.fingerprint.autopilot === "ardupilot";
+  return h("fieldset", { class: "choices" }, h("legend", {}, "What is written"),
+    sensors.length > 1 ? job.results.map(({ sensor, instance }) => {
+      const name = `${sensor}${instance}`;
+      const on = only.includes(name);
+      return box(name, unitName(sensor, instance), on, { only: on ? only.filter((other) => other !== name) : [...only, name] }, on && only.length === 1);
+    }) : null,
+    gyro ? box("keep", "Keep the gyro offsets at the next start (INS_GYR_CAL = 0)", options.keep_gyro_at_boot === true, { keep_gyro_at_boot: options.keep_gyro_at_boot !== true }) : null,
+    plan.blockers.some((text) => text.includes("mount")) ? box("mounting", "The compass really is mounted as found", options.confirm_mounting === true, { confirm_mounting: options.confirm_mounting !== true }) : null,
+    h("button", { class: "plain small", onclick: () => again({}) }, "Plan again on the present parameters"));
+}
+
+/** @param {PlanModel} plan */
+function changes(plan) {
+  return table(["parameter", ">now", ">new", ">± sd", "unit", "why"],
+    plan.changes.map((change) => [change.name, number(change.old, 6), number(change.new, 6), rough(change.sd), change.unit, change.why]), "Parameters");
+}
+
+/** @param {Store} store @param {JobModel} job */
+function exports(store, job) {
+  const forms = /** @type {const} */ (["param", "params", "json", "csv", "html"]);
+  return h("div", { class: "actions small" }, h("span", { class: "quiet" }, "Save as"), forms.map((form) =>
+    h("button", { class: "plain", key: form, onclick: () => store.act(() => save("export_job", { parameters: { job_id: job.id, form } }, `mavcal-${job.id}.${form}`)) }, `.${form}`)));
+}
+
+/** While and after it is written: each parameter, and what the stream proves of it. @param {Store} store @param {JobModel} job */
+export function written(store, job) {
+  const { plan, verification } = job;
+  if (!plan || !plan.changes.length) return null;
+  const verdicts = new Map((verification?.parameters ?? []).map((p) => [p.name, p]));
+  const sent = job.last_write?.sent ?? 0;
+  /** @type {(change: ChangeModel, i: number) => any} */
+  const state = (change, i) => {
+    const verdict = verdicts.get(change.name);
+    if (verdict) {
+      const tone = { proved: "good", consistent: "warn", not_observable: "warn", contradicted: "bad" }[verdict.verdict];
+      return badge(/** @type {any} */ (tone), words(verdict.verdict));
+    }
+    if (job.state === "applying") return i < sent ? badge("good", "written") : badge("busy", "waits");
+    return null;
+  };
+  const running = ["applying", "verifying", "waiting_for_reboot", "rolling_back"].includes(job.state);
+  return h("div", { key: "written" },
+    verification?.sensors.length ? h("ul", { class: "plain criteria" }, verification.sensors.map((check) =>
+      h("li", { key: check.id + check.instance }, badge(check.verdict === "right" ? "good" : check.verdict === "wrong" ? "bad" : "warn", words(check.verdict)), h("span", {}, check.text)))) : null,
+    verification?.movement ? h("p", { class: "quiet" }, `To prove the rest: ${verification.movement.text}`) : null,
+    h("details", { class: "card", open: running }, h("summary", {}, `${plan.changes.length} parameters`),
+      table(["parameter", ">before", ">new", "state"], plan.changes.map((change, i) =>
+        [change.name, number(change.old, 6), number(change.new, 6), state(change, i)]), "Parameters")),
+    exports(store, job));
+}

@@ -1,0 +1,75 @@
+// One log: what is in it, what is worth fitting, plots, and what came of the fits.
+
+import { h } from "../core/dom.js";
+import { go, to } from "../core/route.js";
+import { ask } from "../core/service.js";
+import { number, sentence, size, words } from "../core/words.js";
+import { quiet, table, title } from "./parts.js";
+import { vehicleName } from "./home.js";
+
+/** @import { RecordingModel } from "../mavcal.d.ts" */
+/** @typedef {typeof import("../core/store.js").store} Store */
+
+/** @param {Store} store */
+export function logRoom(store) {
+  const { id } = store.place;
+  const recording = store.answer(`recording ${id}`, () => ask("get_recording", { parameters: { recording_id: id } }), 1e9);
+  if (!recording) return h("div", { class: "card" }, quiet("Reading this log …"));
+  const found = /** @type {Record<string, any>} */ (recording.inspection);
+  return h("div", {},
+    title(recording.name, h("a", { class: "button", href: to("gap") }, "Compare with a simulator")),
+    h("p", { class: "quiet small" }, [size(recording.size), found.duration ? `${number(found.duration, 4)} s` : "", found.autopilot ?? ""].filter(Boolean).join(" · ")),
+    listed("What stands out", found.findings ?? found.sanity ?? []),
+    plots(store, id),
+    fits(store, recording, found),
+    channels(found));
+}
+
+/** @param {string} head @param {any[]} items */
+function listed(head, items) {
+  if (!items.length) return null;
+  return h("section", { class: "card" }, h("h2", {}, head), h("ul", {}, items.map((item, i) =>
+    h("li", { key: `${i}` }, typeof item === "string" ? sentence(item) : sentence(item.text ?? JSON.stringify(item))))));
+}
+
+/** The sensors over the log. @param {Store} store @param {string} id */
+function plots(store, id) {
+  const series = store.answer(`series ${id}`, () => ask("get_series", { parameters: { recording_id: id } }), 1e9);
+  if (!series) return quiet("Drawing its sensors …");
+  return h("details", { class: "card", open: true }, h("summary", {}, "Its sensors over time"),
+    h("div", { class: "charts" }, series.map((one) => h("figure", { key: `${one.sensor}${one.instance}` },
+      h("figcaption", {}, `${sentence(words(one.sensor))} ${one.instance + 1}`, h("span", { class: "quiet small" }, ` ${one.source}`)),
+      h("line-chart", { role: "img", "aria-label": `${words(one.sensor)} ${one.instance + 1} over time`, chart: {
+        x: one.t, unit: one.unit, xUnit: "s",
+        lines: one.values.map((y, i) => ({ name: one.values.length > 1 ? "xyz"[i] : "", color: one.values.length > 1 ? "xyz"[i] : "accent", y })) } })))));
+}
+
+/** @param {Store} store @param {RecordingModel} recording @param {Record<string, any>} found */
+function fits(store, recording, found) {
+  const worth = /** @type {{ method: string, why?: string }[]} */ ((found.fits ?? found.methods ?? []).map((/** @type {any} */ fit) =>
+    (typeof fit === "string" ? { method: fit } : fit)));
+  if (!worth.length) return quiet("Nothing in it can be fitted.");
+  const vehicles = [...store.vehicles.values()];
+  /** @type {(method: string) => void} */
+  const fit = (method) => store.act(async () => {
+    const job = await ask("start_fit", { body: { recording: recording.id, method } });
+    await store.load(job.id);
+    go("job", job.id);
+  });
+  /** @type {(method: string, vehicle: string) => void} */
+  const plan = (method, vehicle) => store.act(async () => {
+    const job = await ask("plan_recording", { parameters: { recording_id: recording.id }, body: { method, vehicle_id: vehicle } });
+    await store.load(job.id);
+    go("job", job.id);
+  });
+  return h("section", { class: "card" }, h("h2", {}, "What is worth fitting"), h("ul", { class: "plain methods" }, worth.map(({ method, why }) =>
+    h("li", { key: method }, h("div", {}, h("strong", {}, method), why ? h("p", { class: "quiet small" }, sentence(why)) : null),
+      h("div", { class: "actions" }, h("button", { class: "primary", onclick: () => fit(method) }, "Fit"),
+        vehicles.map((vehicle) => h("button", { key: vehicle.id, onclick: () => plan(method, vehicle.id) }, `Plan for ${vehicleName(vehicle)}`)))))));
+}
+
+/** @param {Record<string, any>} found */
+function channels(found) {
+  const rows = /** @type {any[]} */ (found.channels ?? []).map((c) => [`${words(c.sensor)} ${c.instance + 1}`, c.source, number(c.rate, 4), c.n ?? c.samples ?? "", c.gaps ?? ""]);
+  return rows.length ? h("details", { class: "card" }, h("summary", {}, `${rows.length} channels`), table(["sensor", "source", ">Hz", ">samples", ">gaps"], rows, "Channels")) : null;
+}
