@@ -27,6 +27,7 @@ from mavcal.client.models import (
     ReadinessModel,
     RecordingModel,
     RegistrationModel,
+    SeriesModel,
     TicketModel,
     VehicleModel,
     VehicleSensorsModel,
@@ -227,6 +228,10 @@ class AsyncClient(AsyncTransport):
     async def get_recording(self, recording_id: str) -> RecordingModel:
         """One uploaded recording, and what is in it."""
         return await self._ask("GET", f"/api/v1/recordings/{segment(recording_id)}", answers.RECORDING_MODEL)
+
+    async def list_series(self, recording_id: str) -> list[SeriesModel]:
+        """The sensors of an uploaded recording over its time, thinned for a picture."""
+        return await self._ask("GET", f"/api/v1/recordings/{segment(recording_id)}/series", answers.SERIES_MODEL_LIST)
 
     async def fit_recording(
         self, recording_id: str, *, method: str, options: dict[str, Any] | None = None

@@ -300,6 +300,21 @@ class SensorStateModel(Answer):
     """Of the calibration, degC; null: not known."""
 
 
+class SeriesModel(Answer):
+    """One sensor over a recording; thinned, so that its extremes stay."""
+
+    sensor: Sensor
+    instance: int
+    """Which sensor of its kind, from 0."""
+    unit: str
+    source: str
+    """The message or column that carries it."""
+    t: list[Number]
+    """S since the recording began."""
+    values: list[list[Number | None]]
+    """A row an axis, in `unit`; null: not a finite number."""
+
+
 class TicketModel(Answer):
     """A ticket for one event stream."""
 

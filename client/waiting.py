@@ -27,6 +27,7 @@ from mavcal.client.models import (
     ReadinessModel,
     RecordingModel,
     RegistrationModel,
+    SeriesModel,
     TicketModel,
     VehicleModel,
     VehicleSensorsModel,
@@ -225,6 +226,10 @@ class Client(Transport):
     def get_recording(self, recording_id: str) -> RecordingModel:
         """One uploaded recording, and what is in it."""
         return self._ask("GET", f"/api/v1/recordings/{segment(recording_id)}", answers.RECORDING_MODEL)
+
+    def list_series(self, recording_id: str) -> list[SeriesModel]:
+        """The sensors of an uploaded recording over its time, thinned for a picture."""
+        return self._ask("GET", f"/api/v1/recordings/{segment(recording_id)}/series", answers.SERIES_MODEL_LIST)
 
     def fit_recording(self, recording_id: str, *, method: str, options: dict[str, Any] | None = None) -> FitsModel:
         """Run one method on an uploaded recording and wait for it; `POST /fits` does not wait.

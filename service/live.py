@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from mavcal.calib.firmware.in_force.undo import Undo
 from mavcal.calib.firmware.stream.assembler import Assembler
 from mavcal.calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib.tilt import TiltFilter
 from mavcal.calib.wire import Frame
 from mavcal.service.errors import DiskFull
 from mavcal.service.jobs.digest import field_of
@@ -32,7 +33,8 @@ class LiveBatch:
     bare: tuple[Channel, ...]
     """Compasses without the calibration in force; none where that is not known."""
     attitude: Quaternion | None
-    """Newest attitude, w x y z, body to north-east-down; None: none has come."""
+    """Newest attitude, w x y z, body to north-east-down: the vehicle's own, or else of gravity and rates with a free
+    heading; None: neither has come."""
     field: float | None
     """Strength of the Earth's field by the World Magnetic Model, uT; None: the position is not known."""
 
@@ -54,18 +56,21 @@ async def live_batches(vehicle: Vehicle) -> AsyncIterator[LiveBatch]:
         frames.extend(heard)
 
     field: float | None = None
-    attitude: Quaternion | None = None
+    own: Quaternion | None = None
+    tilt = TiltFilter()
     forget = adapter.subscribe(assembler.message_ids, take)
     try:
         while True:
             await asyncio.sleep(BATCH_S)
             heard, frames[:] = frames[:], []
             chunk = await asyncio.to_thread(assembler.feed, [(None, frame) for frame in heard])
-            attitude = _newest_attitude(chunk) or attitude
+            streamed = _one_a_sensor(chunk)
+            _incline(tilt, streamed)
+            own = _newest_attitude(chunk) or own
             if field is None and (model := field_of(chunk, time.time())) is not None:
                 field = model.norm
             compasses = tuple(c for c in undo.feed(chunk).channels if c.sensor == Sensor.MAG and c.stage == Stage.RAW)
-            yield LiveBatch(_one_a_sensor(chunk), compasses, attitude, field)
+            yield LiveBatch(streamed, compasses, own or tilt.attitude, field)
     finally:
         forget()
 
@@ -78,6 +83,14 @@ def _one_a_sensor(chunk: Recording) -> tuple[Channel, ...]:
         if channel.sensor in SHOWN and len(channel) and (key not in best or len(channel) > len(best[key])):
             best[key] = channel
     return tuple(best[key] for key in sorted(best))
+
+
+def _incline(tilt: TiltFilter, streamed: Sequence[Channel]) -> None:
+    """Let the filter see the first inertial unit."""
+    found = {c.sensor: c for c in reversed(streamed) if c.sensor in {Sensor.ACCEL, Sensor.GYRO}}
+    if len(found) == 2:
+        accel, gyro = found[Sensor.ACCEL], found[Sensor.GYRO]
+        tilt.feed(float(gyro.t[-1]), accel.values.mean(axis=0), gyro.values.mean(axis=0))
 
 
 def _newest_attitude(chunk: Recording) -> Quaternion | None:

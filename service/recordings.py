@@ -15,7 +15,7 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from mavcal.calib.errors import CalibError
-from mavcal.service.children import INSPECT, Children, Limits
+from mavcal.service.children import INSPECT, SERIES, Children, Limits
 from mavcal.service.errors import DiskFull, RecordingUnknown, UploadError, UploadTooLarge
 from mavcal.service.store.protocol import Store
 from mavcal.service.store.rows import RecordingRow
@@ -84,6 +84,24 @@ class Recordings:
         row = RecordingRow(recording_id, time.time(), shown, path, size, sha256, body)
         await self._store.do(lambda: self._store.add_recording(row))
         return row
+
+    async def series(self, recording_id: str) -> list[dict[str, Any]]:
+        """The sensors of an upload over its time, thinned for a picture.
+
+        Raises
+        ------
+        RecordingUnknown
+            If there is none.
+        ChildEnded, ChildrenBusy
+            Reading it took more than it may, or too many files are waiting.
+        """
+        row = self.get(recording_id)
+        order = {"path": str(row.path), "reading": dict(row.body.get("reading") or {})}
+        try:
+            found: list[dict[str, Any]] = (await self._children.run(SERIES, order, self._limits))["series"]
+        except CalibError as error:
+            raise UploadError(without_path(str(error), row.path, row.name)) from error
+        return found
 
     async def _receive(self, path: Path, chunks: AsyncIterator[bytes]) -> tuple[int, str]:
         size, digest = 0, hashlib.sha256()

@@ -889,6 +889,20 @@ export interface SensorStateModel {
 /** Whether a sensor reads, after a write, what it should. */
 export type SensorVerdict = "right" | "wrong" | "not_observable";
 
+/** One sensor over a recording; thinned, so that its extremes stay. */
+export interface SeriesModel {
+  sensor: Sensor;
+  /** Which sensor of its kind, from 0. */
+  instance: number;
+  unit: string;
+  /** The message or column that carries it. */
+  source: string;
+  /** S since the recording began. */
+  t: number[];
+  /** A row an axis, in `unit`; null: not a finite number. */
+  values: ((number | null)[])[];
+}
+
 /** What was set aside. */
 export interface SetAsideData {
   /** Spans of the recording. */
@@ -1320,6 +1334,13 @@ export interface Operations {
     path: "/api/v1/recordings/{recording_id}";
     parameters: { recording_id: string };
     answer: RecordingModel;
+  };
+  /** The sensors of an uploaded recording over its time, thinned for a picture. */
+  list_series: {
+    method: "GET";
+    path: "/api/v1/recordings/{recording_id}/series";
+    parameters: { recording_id: string };
+    answer: SeriesModel[];
   };
   /** Run one method on an uploaded recording and wait for it; `POST /fits` does not wait. */
   fit_recording: {

@@ -33,6 +33,7 @@ export const OPERATIONS = {
   list_recordings: ["GET", "/api/v1/recordings"],
   upload_recording: ["POST", "/api/v1/recordings"],
   get_recording: ["GET", "/api/v1/recordings/{recording_id}"],
+  list_series: ["GET", "/api/v1/recordings/{recording_id}/series"],
   fit_recording: ["POST", "/api/v1/recordings/{recording_id}/fits"],
   start_fit: ["POST", "/api/v1/fits"],
   plan_recording: ["POST", "/api/v1/recordings/{recording_id}/jobs"],

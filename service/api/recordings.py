@@ -20,6 +20,7 @@ from mavcal.service.api.models import (
     ReadingOptions,
     RecordingJobRequest,
     RecordingModel,
+    SeriesModel,
 )
 from mavcal.service.api.security import Scope, require
 from mavcal.service.api.views import job_model, job_summary, recording_model
@@ -62,6 +63,13 @@ async def recordings(service: ServiceDep) -> list[RecordingModel]:
 async def recording(recording_id: str, service: ServiceDep) -> RecordingModel:
     """One uploaded recording, and what is in it."""
     return recording_model(service.recordings.get(recording_id))
+
+
+@router.get("/recordings/{recording_id}/series", operation_id="list_series", dependencies=[READ])
+async def series(recording_id: str, request: Request, service: ServiceDep) -> list[SeriesModel]:
+    """The sensors of an uploaded recording over its time, thinned for a picture."""
+    found = await while_connected(request, service.recordings.series(recording_id))
+    return [SeriesModel.model_validate(one) for one in found]
 
 
 @router.post("/recordings/{recording_id}/fits", operation_id="fit_recording", dependencies=[OPERATE])

@@ -10,6 +10,6 @@ from __future__ import annotations
 
 from mavcal.service.children.limits import Limits
 from mavcal.service.children.pool import Children
-from mavcal.service.children.tasks import DIAGNOSE, FIT, INSPECT
+from mavcal.service.children.tasks import DIAGNOSE, FIT, INSPECT, SERIES
 
-__all__ = ["DIAGNOSE", "FIT", "INSPECT", "Children", "Limits"]
+__all__ = ["DIAGNOSE", "FIT", "INSPECT", "SERIES", "Children", "Limits"]

@@ -18,6 +18,7 @@ Tell = Callable[[str], None]
 INSPECT = "mavcal.service.children.tasks:inspect"
 FIT = "mavcal.service.children.tasks:fit"
 DIAGNOSE = "mavcal.service.children.tasks:diagnose"
+SERIES = "mavcal.service.children.tasks:series"
 
 FIRST = ("mavcal.calib.logs", "mavcal.calib.flight.report", "mavcal.calib.report")
 LATER = (*MODULES, "mavcal.calib.gap", "mavcal.calib.gap.schema", "mavcal.calib.gap_report")
@@ -48,6 +49,16 @@ def fit(order: Mapping[str, Any], tell: Tell) -> Json:
     fits = METHODS[order["method"]].run(recording, order["options"])
     origin = to_json(origin_of(recording, fits)) if order["origin"] else None
     return {"fits": to_json(fits), "origin": origin}
+
+
+def series(order: Mapping[str, Any], tell: Tell) -> Json:
+    """The sensors of the recording ``{path, reading}`` as series for a picture."""
+    from mavcal.calib import logs
+    from mavcal.calib.flight.series import series_of
+    from mavcal.calib.report import to_json
+
+    tell("reading")
+    return {"series": to_json(series_of(logs.read(Path(order["path"]), **order["reading"])))}
 
 
 def diagnose(order: Mapping[str, Any], tell: Tell) -> Json:

@@ -23,6 +23,7 @@ LAYERS = (
         "fit",
         "geometry",
         "attitude",
+        "tilt",
         "c_array",
         "conventions",
         "option",

@@ -34,7 +34,7 @@ function listed(head, items) {
 
 /** The sensors over the log. @param {Store} store @param {string} id */
 function plots(store, id) {
-  const series = store.answer(`series ${id}`, () => ask("get_series", { parameters: { recording_id: id } }), 1e9);
+  const series = store.answer(`series ${id}`, () => ask("list_series", { parameters: { recording_id: id } }), 1e9);
   if (!series) return quiet("Drawing its sensors …");
   return h("details", { class: "card", open: true }, h("summary", {}, "Its sensors over time"),
     h("div", { class: "charts" }, series.map((one) => h("figure", { key: `${one.sensor}${one.instance}` },

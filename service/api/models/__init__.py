@@ -80,7 +80,7 @@ from mavcal.service.api.models.plans import (
     VerificationModel,
 )
 from mavcal.service.api.models.preflight import CheckModel, FixModel, PreflightModel, PreflightRequest
-from mavcal.service.api.models.recordings import ReadingOptions, RecordingJobRequest, RecordingModel
+from mavcal.service.api.models.recordings import ReadingOptions, RecordingJobRequest, RecordingModel, SeriesModel
 from mavcal.service.api.models.sensors import SensorStateModel, VehicleSensorsModel
 from mavcal.service.api.models.steps import (
     HoldsModel,
@@ -164,6 +164,7 @@ __all__ = [
     "SensorCheckModel",
     "SensorModel",
     "SensorStateModel",
+    "SeriesModel",
     "SetAsideData",
     "SetAsideEvent",
     "StandingData",

@@ -6,7 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, BeforeValidator, Field
 
-from mavcal.service.api.models.base import Json, Request, Stamp
+from mavcal.calib.recording import Sensor
+from mavcal.service.api.models.base import Json, Number, Request, Stamp
 from mavcal.service.api.models.fits import FitRequest
 from mavcal.service.api.models.plans import PlanOptions
 
@@ -47,3 +48,14 @@ class RecordingModel(BaseModel):
     sha256: str
     uploaded_at: Stamp
     inspection: Json = Field(description="what is in it, as `mavcal inspect --json`")
+
+
+class SeriesModel(BaseModel):
+    """One sensor over a recording; thinned, so that its extremes stay."""
+
+    sensor: Sensor
+    instance: int = Field(description="which sensor of its kind, from 0")
+    unit: str
+    source: str = Field(description="the message or column that carries it")
+    t: list[Number] = Field(description="s since the recording began")
+    values: list[list[Number | None]] = Field(description="a row an axis, in `unit`; null: not a finite number")
