@@ -24,6 +24,7 @@ from mavcal.client.models import (
     ReadinessModel,
     RecordingModel,
     RegistrationModel,
+    ReviewModel,
     SeriesModel,
     TicketModel,
     VehicleModel,
@@ -47,6 +48,7 @@ PREFLIGHT_MODEL: TypeAdapter[PreflightModel] = TypeAdapter(PreflightModel)
 READINESS_MODEL: TypeAdapter[ReadinessModel] = TypeAdapter(ReadinessModel)
 RECORDING_MODEL: TypeAdapter[RecordingModel] = TypeAdapter(RecordingModel)
 REGISTRATION_MODEL: TypeAdapter[RegistrationModel] = TypeAdapter(RegistrationModel)
+REVIEW_MODEL: TypeAdapter[ReviewModel] = TypeAdapter(ReviewModel)
 TICKET_MODEL: TypeAdapter[TicketModel] = TypeAdapter(TicketModel)
 VEHICLE_MESSAGE: TypeAdapter[VehicleMessage] = TypeAdapter(VehicleMessage)
 VEHICLE_MODEL: TypeAdapter[VehicleModel] = TypeAdapter(VehicleModel)

@@ -72,6 +72,19 @@ class CheckModel(Answer):
     """Every number and fact that the check rests on."""
 
 
+class CriterionModel(Answer):
+    """What speaks for or against a plan."""
+
+    id: str
+    verdict: Verdict
+    value: Number | None
+    limit: Number | None
+    unit: str
+    text: str
+    remedy: str
+    """What helps; empty: nothing has to be done."""
+
+
 class FitsModel(Answer):
     """Fits of an uploaded recording."""
 
@@ -278,6 +291,32 @@ class RegistrationModel(Answer):
     api: str
     works_in_relative_paths: bool
     new_page: bool
+
+
+class SensorEffectModel(Answer):
+    """What a plan does for one sensor."""
+
+    sensor: Sensor
+    instance: int
+    """Which sensor of its kind, from 0."""
+    quantity: str
+    """What is off: heading, rate at rest, specific force, level or drift."""
+    unit: str
+    before: Number | None
+    """Largest error with the calibration in force, in `unit`; null: what is in force is not known."""
+    after: Number
+    """One standard deviation of what is left, with what cannot be stored, in `unit`."""
+    text: str
+
+
+class ReviewModel(Answer):
+    """What a plan does, and what speaks for and against it."""
+
+    headline: str
+    sensors: list[SensorEffectModel]
+    criteria: list[CriterionModel]
+    picture: str | None
+    """Address of the picture of before and after, relative to the root of the service; null: none."""
 
 
 class SensorStateModel(Answer):

@@ -27,6 +27,7 @@ from mavcal.client.models import (
     ReadinessModel,
     RecordingModel,
     RegistrationModel,
+    ReviewModel,
     SeriesModel,
     TicketModel,
     VehicleModel,
@@ -206,6 +207,14 @@ class Client(Transport):
         changes.
         """
         return self._follow("/api/v1/events", answers.MESSAGE, last_event_id=last_event_id, resume=True)
+
+    def get_review(self, job_id: str) -> ReviewModel:
+        """What the plan of a job does, and what speaks for and against it; 409 while there is no plan."""
+        return self._ask("GET", f"/api/v1/jobs/{segment(job_id)}/review", answers.REVIEW_MODEL)
+
+    def get_picture(self, job_id: str) -> str:
+        """Each sensor before and after the plan; 409 while there is no plan, or nothing of it can be drawn."""
+        return self._text("GET", f"/api/v1/jobs/{segment(job_id)}/picture.svg")
 
     def list_recordings(self) -> list[RecordingModel]:
         """Every uploaded recording."""

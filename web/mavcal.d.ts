@@ -128,6 +128,18 @@ export interface CheckModel {
   evidence: string[];
 }
 
+/** What speaks for or against a plan. */
+export interface CriterionModel {
+  id: string;
+  verdict: Verdict;
+  value: number | null;
+  limit: number | null;
+  unit: string;
+  text: string;
+  /** What helps; empty: nothing has to be done. */
+  remedy: string;
+}
+
 /** A file that a job has made. */
 export interface DocumentModel {
   name: string;
@@ -803,6 +815,15 @@ export interface ResultModel {
   text: string;
 }
 
+/** What a plan does, and what speaks for and against it. */
+export interface ReviewModel {
+  headline: string;
+  sensors: SensorEffectModel[];
+  criteria: CriterionModel[];
+  /** Address of the picture of before and after, relative to the root of the service; null: none. */
+  picture: string | null;
+}
+
 /** New samples of one sensor. */
 export interface SamplesModel {
   sensor: Sensor;
@@ -855,6 +876,21 @@ export interface SensorCheckModel {
   /** Standard deviation of `value`, in `unit`. */
   sd: number | null;
   verdict: SensorVerdict;
+  text: string;
+}
+
+/** What a plan does for one sensor. */
+export interface SensorEffectModel {
+  sensor: Sensor;
+  /** Which sensor of its kind, from 0. */
+  instance: number;
+  /** What is off: heading, rate at rest, specific force, level or drift. */
+  quantity: string;
+  unit: string;
+  /** Largest error with the calibration in force, in `unit`; null: what is in force is not known. */
+  before: number | null;
+  /** One standard deviation of what is left, with what cannot be stored, in `unit`. */
+  after: number;
   text: string;
 }
 
@@ -1313,6 +1349,20 @@ export interface Operations {
     path: "/api/v1/events";
     header: { "Last-Event-ID"?: number | null };
     message: Message;
+  };
+  /** What the plan of a job does, and what speaks for and against it; 409 while there is no plan. */
+  get_review: {
+    method: "GET";
+    path: "/api/v1/jobs/{job_id}/review";
+    parameters: { job_id: string };
+    answer: ReviewModel;
+  };
+  /** Each sensor before and after the plan; 409 while there is no plan, or nothing of it can be drawn. */
+  get_picture: {
+    method: "GET";
+    path: "/api/v1/jobs/{job_id}/picture.svg";
+    parameters: { job_id: string };
+    answer: string;
   };
   /** Every uploaded recording. */
   list_recordings: {

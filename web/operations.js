@@ -30,6 +30,8 @@ export const OPERATIONS = {
   get_document: ["GET", "/api/v1/jobs/{job_id}/documents/{name}"],
   follow_job: ["GET", "/api/v1/jobs/{job_id}/events"],
   follow_events: ["GET", "/api/v1/events"],
+  get_review: ["GET", "/api/v1/jobs/{job_id}/review"],
+  get_picture: ["GET", "/api/v1/jobs/{job_id}/picture.svg"],
   list_recordings: ["GET", "/api/v1/recordings"],
   upload_recording: ["POST", "/api/v1/recordings"],
   get_recording: ["GET", "/api/v1/recordings/{recording_id}"],

@@ -59,7 +59,7 @@ def heading_sd_deg(
     x, y = horizontal * np.cos(_HEADINGS), -horizontal * np.sin(_HEADINGS)
     level_field = np.stack([x, y, zero + strength * math.sin(dip)], axis=1)
     level_gradient = np.stack([y, -x, zero], axis=1) / horizontal**2
-    attitudes = np.array([level_from_body @ rotation for level_from_body in _tilts(tilt)])
+    attitudes = np.array([level_from_body @ rotation for level_from_body in heading_tilts(tilt)])
     field = np.einsum("ni,aij->anj", level_field, attitudes).reshape(-1, 3)
     gradient = np.einsum("ni,aij->anj", level_gradient, attitudes).reshape(-1, 3)
     inner = field @ np.linalg.inv(model.matrix).T
@@ -69,7 +69,7 @@ def heading_sd_deg(
     return math.degrees(math.sqrt(max(float(variance.max()), 0.0)))
 
 
-def _tilts(tilt: float) -> list[Array]:
+def heading_tilts(tilt: float) -> list[Array]:
     """Level, and rolled and pitched by `tilt` to either side: ``level_from_body``."""
     if tilt == 0.0:
         return [np.eye(3)]

@@ -11,7 +11,9 @@ from fastapi import Response
 from mavcal.calib.firmware.plan import ParameterKind, WritePlan
 from mavcal.calib.preflight.states import SensorState, summary
 from mavcal.calib.procedures.spec import ProcedureSpec
+from mavcal.calib.review.headline import text_of
 from mavcal.service.api.models import (
+    CriterionModel,
     GapModel,
     GapSummary,
     JobModel,
@@ -23,6 +25,8 @@ from mavcal.service.api.models import (
     PreflightModel,
     ProcedureModel,
     RecordingModel,
+    ReviewModel,
+    SensorEffectModel,
     SensorStateModel,
     VehicleModel,
     VehicleSensorsModel,
@@ -33,6 +37,7 @@ from mavcal.service.jobs.model import Failure, Job
 from mavcal.service.jobs.preflight import Preflight
 from mavcal.service.jobs.states import JobState
 from mavcal.service.link import Link
+from mavcal.service.reviews import Review
 from mavcal.service.store.rows import EventRow, JobDocument, RecordingRow
 from mavcal.service.vehicle.encoding import Parameter
 from mavcal.service.vehicle.registry import VehicleRegistry
@@ -77,6 +82,27 @@ def sensors_model(states: Sequence[SensorState]) -> VehicleSensorsModel:
 def plan_model(plan: WritePlan) -> PlanModel:
     """A plan."""
     return PlanModel.model_validate(to_json(plan))
+
+
+def review_model(job: Job, review: Review) -> ReviewModel:
+    """The review of a plan."""
+    return ReviewModel(
+        headline=review.headline,
+        sensors=[
+            SensorEffectModel(
+                sensor=effect.sensor,
+                instance=effect.instance,
+                quantity=effect.quantity,
+                unit=effect.unit,
+                before=effect.before,
+                after=effect.after,
+                text=text_of(effect),
+            )
+            for effect in review.effects
+        ],
+        criteria=[CriterionModel(**vars(criterion)) for criterion in review.criteria],
+        picture=None if review.picture is None else f"api/v1/jobs/{job.id}/picture.svg",
+    )
 
 
 def event_model(event: EventRow) -> Json:

@@ -36,7 +36,7 @@ LAYERS = (
     {"simulate", "firmware", "converted"},
     {"logs"},
     {"procedures", "gap", "flight", "preflight", "blind", "withheld_check"},
-    {"report", "methods", "gap_report"},
+    {"report", "methods", "gap_report", "review"},
 )
 """Rooms of ``calib``, lowest first; a room imports its own layer and the ones below, never in a circle."""
 

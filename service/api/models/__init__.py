@@ -81,6 +81,7 @@ from mavcal.service.api.models.plans import (
 )
 from mavcal.service.api.models.preflight import CheckModel, FixModel, PreflightModel, PreflightRequest
 from mavcal.service.api.models.recordings import ReadingOptions, RecordingJobRequest, RecordingModel, SeriesModel
+from mavcal.service.api.models.reviews import CriterionModel, ReviewModel, SensorEffectModel
 from mavcal.service.api.models.sensors import SensorStateModel, VehicleSensorsModel
 from mavcal.service.api.models.steps import (
     HoldsModel,
@@ -104,6 +105,7 @@ __all__ = [
     "AuditPage",
     "ChangeModel",
     "CheckModel",
+    "CriterionModel",
     "DocumentModel",
     "FailureModel",
     "FingerprintModel",
@@ -158,10 +160,12 @@ __all__ = [
     "RecordingModel",
     "RegistrationModel",
     "ResultModel",
+    "ReviewModel",
     "SamplesModel",
     "SegmentModel",
     "SegmentsEvent",
     "SensorCheckModel",
+    "SensorEffectModel",
     "SensorModel",
     "SensorStateModel",
     "SeriesModel",

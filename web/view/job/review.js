@@ -22,7 +22,7 @@ export function review(store, job) {
     found ? headline(found) : quiet("Reading the review …"),
     plan.blockers.map((text, i) => h("p", { class: "notice", role: "alert", key: `b${i}` }, `Nothing will be written: ${text}`)),
     found ? criteria(found) : null,
-    picture(store, job),
+    found?.picture ? picture(store, job) : null,
     plan.warnings.length ? h("ul", { class: "plan-warnings" }, plan.warnings.map((text) => h("li", { class: "warn" }, sentence(text)))) : null,
     plan.agreements.length ? h("ul", {}, plan.agreements.map((agreement) => h("li", { class: "quiet" }, sentence(agreement.text)))) : null,
     losses(plan),

@@ -1,0 +1,10 @@
+"""A plan as a person reads it: what is wrong now, what it will be, what stands against it, and a picture of both."""
+
+from __future__ import annotations
+
+from mavcal.calib.review.criteria import Criterion, criteria_of
+from mavcal.calib.review.effect import Curve, SensorEffect, effects_of
+from mavcal.calib.review.headline import headline_of
+from mavcal.calib.review.picture import picture_of
+
+__all__ = ["Criterion", "Curve", "SensorEffect", "criteria_of", "effects_of", "headline_of", "picture_of"]

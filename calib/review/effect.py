@@ -1,0 +1,226 @@
+"""How far a sensor is off with the calibration in force, and how far it will be with the planned one.
+
+Both are corrections of the same raw readings, so what is compared is ``old(new^-1(truth)) - truth``. The truths are a
+level turn and tilts for a compass, all directions of gravity for an accelerometer, and rest for a gyro. What the planned
+calibration leaves is the uncertainty of its fit and what the firmware cannot hold of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.errors import CalibError
+from mavcal.calib.firmware import calibration_in_force
+from mavcal.calib.firmware.plan import Value, WritePlan
+from mavcal.calib.fit import FitResult
+from mavcal.calib.mag.heading import DEFAULT_INCLINATION, STEEPEST, TILT
+from mavcal.calib.mag.heading import heading_tilts as tilts
+from mavcal.calib.recording import Sensor
+from mavcal.calib.triad import TriadModel
+
+Array = NDArray[np.float64]
+
+DIRECTIONS: Final = 200
+"""Directions of gravity that stand for all of them."""
+UNITS: Final = {Sensor.GYRO: "deg/s", Sensor.ACCEL: "m/s²", Sensor.MAG: "deg"}
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """What is drawn: errors before over something, and the standard deviation that is left; both (N,) or (N, 3)."""
+
+    x: Array
+    x_label: str
+    before: Array
+    after_sd: Array
+    label: str
+
+
+@dataclass(frozen=True, eq=False)
+class SensorEffect:
+    """What a plan does for one sensor."""
+
+    sensor: Sensor
+    instance: int
+    quantity: str
+    """What is off: heading, rate at rest, specific force, level, drift."""
+    unit: str
+    before: float | None
+    """Largest error with the calibration in force; None: what is in force is not known."""
+    after: float
+    """What is left: one standard deviation of the fit and what the firmware cannot hold, together."""
+    curve: Curve | None
+
+
+def effects_of(fits: Sequence[FitResult], plan: WritePlan, parameters: Mapping[str, Value]) -> tuple[SensorEffect, ...]:
+    """One effect for each fitted sensor that the plan changes; `parameters` are those that it was composed on."""
+    changed = {(change.sensor, change.instance) for change in plan.changes if change.sensor is not None}
+    after = dict(parameters) | {change.name: change.new for change in plan.changes if not change.session}
+    effects = []
+    for fit in fits:
+        if (fit.sensor, fit.instance) not in changed and not _is_level(fit):
+            continue
+        old, new = (_in_force(plan, held, fit) for held in (parameters, after))
+        effects.append(_effect(fit, plan, old, new))
+    return tuple(effect for effect in effects if effect is not None)
+
+
+def _in_force(plan: WritePlan, parameters: Mapping[str, Value], fit: FitResult) -> TriadModel | None:
+    try:
+        return calibration_in_force(plan.fingerprint.autopilot, parameters, fit.sensor, fit.instance)
+    except CalibError:  # a sensor without a calibration: nothing is in force
+        return None
+
+
+def _is_level(fit: FitResult) -> bool:
+    return {"roll", "pitch"} <= set(fit.native)
+
+
+def _effect(fit: FitResult, plan: WritePlan, old: TriadModel | None, new: TriadModel | None) -> SensorEffect | None:
+    if _is_level(fit):
+        return _level(fit)
+    if fit.model.polynomial is not None:
+        return _drift(fit, plan, old, new)
+    if fit.sensor == Sensor.MAG:
+        return _heading(fit, plan, old, new)
+    if fit.sensor in {Sensor.ACCEL, Sensor.GYRO}:
+        return _vector(fit, plan, old, new)
+    return None
+
+
+def _level(fit: FitResult) -> SensorEffect:
+    """Roll and pitch of the trim: what was measured is what is off."""
+    off = math.degrees(math.hypot(float(fit.native["roll"]), float(fit.native["pitch"])))
+    sd = math.degrees(max(float(fit.native["roll_sd"]), float(fit.native["pitch_sd"])))
+    return SensorEffect(fit.sensor, fit.instance, "level", "deg", off, sd, None)
+
+
+def _heading(fit: FitResult, plan: WritePlan, old: TriadModel | None, new: TriadModel | None) -> SensorEffect:
+    sd = float(fit.quality.get("heading_sd_deg") or math.nan)
+    headings = np.radians(np.arange(0.0, 360.0, 5.0))
+    before, curve = None, None
+    if old is not None and new is not None:
+        dip = math.radians(float(fit.quality.get("heading_dip_deg") or math.degrees(DEFAULT_INCLINATION)))
+        strength = float(fit.quality.get("radius") or 50.0)
+        errors = heading_errors(old, new, strength, dip, headings)
+        before = float(np.abs(errors).max())
+        level = np.full(len(headings), sd)
+        curve = Curve(np.degrees(headings), "heading, deg", errors[0], level, "heading error, deg")
+    return SensorEffect(fit.sensor, fit.instance, "heading", "deg", before, _left(fit, plan, sd, "deg"), curve)
+
+
+def heading_errors(old: TriadModel, new: TriadModel, strength: float, dip: float, headings: Array) -> Array:
+    """Heading by `old` less that by `new`, deg, (tilts, N): level first, then rolled and pitched.
+
+    ``heading = atan2(-c_y, c_x)`` of the corrected field turned level.
+    """
+    dip = math.copysign(min(abs(dip), STEEPEST), dip)
+    horizontal = strength * math.cos(dip)
+    x, y = horizontal * np.cos(headings), -horizontal * np.sin(headings)
+    level_field = np.stack([x, y, np.full(len(headings), strength * math.sin(dip))], axis=1)
+    rows = []
+    for level_from_body in tilts(TILT):
+        raw = new.invert(level_field @ level_from_body)
+        seen = old.apply(raw) @ level_from_body.T
+        errors = np.arctan2(-seen[:, 1], seen[:, 0]) - headings
+        rows.append(np.degrees(np.angle(np.exp(1j * errors))))
+    return np.array(rows)
+
+
+def _vector(fit: FitResult, plan: WritePlan, old: TriadModel | None, new: TriadModel | None) -> SensorEffect:
+    """Rate of a gyro at rest, or specific force of an accelerometer over all directions."""
+    gyro = fit.sensor == Sensor.GYRO
+    factor = math.degrees(1.0) if gyro else 1.0
+    truths = np.zeros((1, 3)) if gyro else STANDARD_GRAVITY * _sphere(DIRECTIONS)
+    quantity, unit = ("rate at rest", "deg/s") if gyro else ("specific force", "m/s²")
+    sds = factor * _corrected_sd(fit, truths)
+    sd = float(np.linalg.norm(sds, axis=1).max()) if not gyro else float(sds.max())
+    before, curve = None, None
+    if old is not None and new is not None:
+        at = _temperature(fit, old, new)
+        errors = factor * (old.apply(new.invert(truths, at), at) - truths)
+        before = float((np.abs(errors) if gyro else np.linalg.norm(errors, axis=1)).max())
+        faces = np.zeros((1, 3)) if gyro else STANDARD_GRAVITY * np.vstack([np.eye(3), -np.eye(3)])
+        shown = factor * (old.apply(new.invert(faces, at), at) - faces)
+        if gyro:
+            curve = Curve(np.arange(3.0), "axis", shown[0], sds[0], f"rate at rest, {unit}")
+        else:
+            lengths = factor * (np.linalg.norm(old.apply(new.invert(faces, at), at), axis=1) - STANDARD_GRAVITY)
+            left = np.linalg.norm(factor * _corrected_sd(fit, faces), axis=1)
+            curve = Curve(np.arange(6.0), "face", lengths, left, f"|f| - g, {unit}")
+    return SensorEffect(fit.sensor, fit.instance, quantity, unit, before, _left(fit, plan, sd, unit), curve)
+
+
+def _drift(fit: FitResult, plan: WritePlan, old: TriadModel | None, new: TriadModel | None) -> SensorEffect | None:
+    """Largest change of the offset over the calibrated temperatures that is not corrected now."""
+    measured = fit.model.polynomial
+    assert measured is not None
+    gyro = fit.sensor == Sensor.GYRO
+    factor, unit = (math.degrees(1.0), "deg/s") if gyro else (1.0, "m/s²")
+    at = np.linspace(measured.t_min, measured.t_max, 60)
+    sd = factor * _curve_sd(fit, at)
+    before, curve = None, None
+    if new is not None:
+        corrected = np.zeros((len(at), 3)) if old is None or old.polynomial is None else old.bias(at)
+        errors = factor * (measured(at) - (corrected - corrected.mean(axis=0)))
+        errors -= errors[int(np.argmin(np.abs(at - measured.t_ref)))]
+        before = float(np.abs(errors).max())
+        curve = Curve(at, "temperature, °C", errors, sd, f"change with temperature, {unit}")
+    return SensorEffect(fit.sensor, fit.instance, "drift", unit, before, _left(fit, plan, float(sd.max()), unit), curve)
+
+
+def _left(fit: FitResult, plan: WritePlan, sd: float, unit: str) -> float:
+    """The uncertainty of the fit together with what the firmware cannot hold, where that has the same unit."""
+    spelled = {unit, unit.replace("²", "2")}
+    costs = [
+        loss.cost
+        for loss in plan.losses
+        if (loss.sensor, loss.instance) == (fit.sensor, fit.instance) and loss.unit in spelled
+    ]
+    return float(np.hypot(sd if math.isfinite(sd) else 0.0, max(costs, default=0.0)))
+
+
+def _temperature(fit: FitResult, old: TriadModel, new: TriadModel) -> float | None:
+    if old.polynomial is None and new.polynomial is None:
+        return None
+    return 25.0 if fit.temperature is None else fit.temperature
+
+
+def _corrected_sd(fit: FitResult, truths: Array) -> Array:
+    """Standard deviation (N, 3) of the corrected reading at each truth: ``dc = dC C^-1 c - C db``."""
+    model, covariance = fit.model, fit.covariance[:12, :12]
+    inner = truths @ np.linalg.inv(model.matrix).T
+    rows = np.zeros((len(truths), 3, 12))
+    rows[:, :, :3] = -model.matrix
+    for axis in range(3):
+        rows[:, axis, 3 + 3 * axis : 6 + 3 * axis] = inner
+    variance = np.einsum("nij,jk,nik->ni", rows, covariance, rows)
+    return np.asarray(np.sqrt(np.clip(variance, 0.0, None)))
+
+
+def _curve_sd(fit: FitResult, at: Array) -> Array:
+    """Standard deviation (N,) of the drift about the reference, of the worst axis."""
+    curve = fit.model.polynomial
+    assert curve is not None
+    terms = curve.coefficients.shape[1]
+    powers = np.stack([(at - curve.t_ref) ** (k + 1) for k in range(terms)], axis=1)
+    sds = []
+    for axis in range(3):
+        first = 12 + axis * terms
+        block = fit.covariance[first : first + terms, first : first + terms]
+        sds.append(np.sqrt(np.clip(np.einsum("ij,jk,ik->i", powers, block, powers), 0.0, None)))
+    return np.asarray(np.max(sds, axis=0))
+
+
+def _sphere(count: int) -> Array:
+    """Unit vectors (count, 3) spread evenly (Fibonacci)."""
+    i = np.arange(count) + 0.5
+    polar, around = np.arccos(1.0 - 2.0 * i / count), math.pi * (1.0 + math.sqrt(5.0)) * i
+    return np.stack([np.cos(around) * np.sin(polar), np.sin(around) * np.sin(polar), np.cos(polar)], axis=1)

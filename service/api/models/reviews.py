@@ -1,0 +1,46 @@
+"""A plan as a person reads it."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, Field
+
+from mavcal.calib.preflight.check import Verdict
+from mavcal.calib.recording import Sensor
+from mavcal.service.api.models.base import Number
+
+
+class SensorEffectModel(BaseModel):
+    """What a plan does for one sensor."""
+
+    sensor: Sensor
+    instance: int = Field(description="which sensor of its kind, from 0")
+    quantity: str = Field(description="what is off: heading, rate at rest, specific force, level or drift")
+    unit: str
+    before: Number | None = Field(
+        description="largest error with the calibration in force, in `unit`; null: what is in force is not known"
+    )
+    after: Number = Field(description="one standard deviation of what is left, with what cannot be stored, in `unit`")
+    text: str
+
+
+class CriterionModel(BaseModel):
+    """What speaks for or against a plan."""
+
+    id: str
+    verdict: Verdict
+    value: Number | None
+    limit: Number | None
+    unit: str
+    text: str
+    remedy: str = Field(description="what helps; empty: nothing has to be done")
+
+
+class ReviewModel(BaseModel):
+    """What a plan does, and what speaks for and against it."""
+
+    headline: str
+    sensors: list[SensorEffectModel]
+    criteria: list[CriterionModel]
+    picture: str | None = Field(
+        description="address of the picture of before and after, relative to the root of the service; null: none"
+    )

@@ -1,0 +1,46 @@
+"""The plan of a job as a person reads it."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass
+
+from markupsafe import Markup
+
+from mavcal.calib.firmware.plan import WritePlan
+from mavcal.calib.review import Criterion, SensorEffect, criteria_of, effects_of, headline_of, picture_of
+from mavcal.service.errors import PlanMissing
+from mavcal.service.jobs.model import Job
+from mavcal.service.store.protocol import JobStore
+from mavcal.service.store.rows import SnapshotPurpose
+
+
+@dataclass(frozen=True, eq=False)
+class Review:
+    """What a plan does, what speaks for and against it, and the picture of both; None: there is nothing to draw."""
+
+    headline: str
+    effects: tuple[SensorEffect, ...]
+    criteria: tuple[Criterion, ...]
+    picture: Markup | None
+
+
+async def review_of(job: Job, store: JobStore) -> Review:
+    """The review of a job's plan, on the parameters that it was composed on.
+
+    Raises
+    ------
+    PlanMissing
+        If the job has no plan.
+    """
+    if job.plan is None:
+        raise PlanMissing(f"job {job.id} is {job.state} and has no plan to review")
+    return await asyncio.to_thread(reviewed, job, job.plan, store)
+
+
+def reviewed(job: Job, plan: WritePlan, store: JobStore) -> Review:
+    """The same; reads the store, so not for the event loop."""
+    kept = store.snapshot(job.id, SnapshotPurpose.COMPOSED_ON)
+    effects = effects_of(job.results, plan, {} if kept is None else kept.body)
+    headline = headline_of(effects)
+    return Review(headline, effects, criteria_of(job.results, plan, job.options), picture_of(effects, headline))
