@@ -214,9 +214,9 @@ class AsyncClient(AsyncTransport):
         """What the plan of a job does, and what speaks for and against it; 409 while there is no plan."""
         return await self._ask("GET", f"/api/v1/jobs/{segment(job_id)}/review", answers.REVIEW_MODEL)
 
-    async def get_picture(self, job_id: str) -> str:
+    async def get_picture(self, job_id: str, *, columns: int | None = None) -> str:
         """Each sensor before and after the plan; 409 while there is no plan, or nothing of it can be drawn."""
-        return await self._text("GET", f"/api/v1/jobs/{segment(job_id)}/picture.svg")
+        return await self._text("GET", f"/api/v1/jobs/{segment(job_id)}/picture.svg", query={"columns": columns})
 
     async def list_recordings(self) -> list[RecordingModel]:
         """Every uploaded recording."""

@@ -212,9 +212,9 @@ class Client(Transport):
         """What the plan of a job does, and what speaks for and against it; 409 while there is no plan."""
         return self._ask("GET", f"/api/v1/jobs/{segment(job_id)}/review", answers.REVIEW_MODEL)
 
-    def get_picture(self, job_id: str) -> str:
+    def get_picture(self, job_id: str, *, columns: int | None = None) -> str:
         """Each sensor before and after the plan; 409 while there is no plan, or nothing of it can be drawn."""
-        return self._text("GET", f"/api/v1/jobs/{segment(job_id)}/picture.svg")
+        return self._text("GET", f"/api/v1/jobs/{segment(job_id)}/picture.svg", query={"columns": columns})
 
     def list_recordings(self) -> list[RecordingModel]:
         """Every uploaded recording."""

@@ -11,6 +11,7 @@ from mavcal.calib.firmware.plan import WritePlan
 from mavcal.calib.review import Criterion, SensorEffect, criteria_of, effects_of, headline_of, picture_of
 from mavcal.service.errors import PlanMissing
 from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.states import JobState
 from mavcal.service.store.protocol import JobStore
 from mavcal.service.store.rows import SnapshotPurpose
 
@@ -25,8 +26,8 @@ class Review:
     picture: Markup | None
 
 
-async def review_of(job: Job, store: JobStore) -> Review:
-    """The review of a job's plan, on the parameters that it was composed on.
+async def review_of(job: Job, store: JobStore, *, columns: int | None = None) -> Review:
+    """The review of a job's plan, on the parameters that it was composed on; `columns` charts of its picture a row.
 
     Raises
     ------
@@ -35,12 +36,14 @@ async def review_of(job: Job, store: JobStore) -> Review:
     """
     if job.plan is None:
         raise PlanMissing(f"job {job.id} is {job.state} and has no plan to review")
-    return await asyncio.to_thread(reviewed, job, job.plan, store)
+    return await asyncio.to_thread(reviewed, job, job.plan, store, columns)
 
 
-def reviewed(job: Job, plan: WritePlan, store: JobStore) -> Review:
+def reviewed(job: Job, plan: WritePlan, store: JobStore, columns: int | None = None) -> Review:
     """The same; reads the store, so not for the event loop."""
     kept = store.snapshot(job.id, SnapshotPurpose.COMPOSED_ON)
     effects = effects_of(job.results, plan, {} if kept is None else kept.body)
-    headline = headline_of(effects)
-    return Review(headline, effects, criteria_of(job.results, plan, job.options), picture_of(effects, headline))
+    headline = headline_of(effects, done=job.state == JobState.SUCCEEDED)
+    return Review(
+        headline, effects, criteria_of(job.results, plan, job.options), picture_of(effects, headline, columns)
+    )

@@ -1362,6 +1362,7 @@ export interface Operations {
     method: "GET";
     path: "/api/v1/jobs/{job_id}/picture.svg";
     parameters: { job_id: string };
+    query: { columns?: number | null };
     answer: string;
   };
   /** Every uploaded recording. */

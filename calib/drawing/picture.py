@@ -57,15 +57,20 @@ def svg(width: float, height: float, parts: Iterable[Markup], title: str) -> Mar
     )
 
 
-def side_by_side(pictures: Sequence[Picture], told: str) -> Markup:
-    """A file with pictures in a row; `told` is what a reader without eyes is told."""
-    width, height = sum(p.width for p in pictures), max(p.height for p in pictures)
-    at, groups = 0, []
-    for picture in pictures:
-        groups.append(Markup('<g transform="translate({} 0)">{}</g>').format(at, picture.body()))
-        at += picture.width
+def side_by_side(pictures: Sequence[Picture], told: str, *, columns: int | None = None) -> Markup:
+    """A file with pictures in rows of `columns` (None: one row); `told` is what a reader without eyes is told."""
+    across = columns or len(pictures)
+    rows = [pictures[i : i + across] for i in range(0, len(pictures), across)]
+    width = max(sum(p.width for p in row) for row in rows)
+    y, groups = 0, []
+    for row in rows:
+        x = 0
+        for picture in row:
+            groups.append(Markup('<g transform="translate({} {})">{}</g>').format(x, y, picture.body()))
+            x += picture.width
+        y += max(p.height for p in row)
     return Markup(
         '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {0} {1}" width="{0}" height="{1}" '
         'font-family="Helvetica, Arial, sans-serif" role="img" aria-label="{2}"><style>{3}</style>'
         '<rect width="{0}" height="{1}" fill="#ffffff"/>{4}</svg>\n'
-    ).format(width, height, told, SHEET, Markup().join(groups))
+    ).format(width, y, told, SHEET, Markup().join(groups))

@@ -1,8 +1,8 @@
 """How far a sensor is off with the calibration in force, and how far it will be with the planned one.
 
 Both are corrections of the same raw readings, so what is compared is ``old(new^-1(truth)) - truth``. The truths are a
-level turn and tilts for a compass, all directions of gravity for an accelerometer, and rest for a gyro. What the planned
-calibration leaves is the uncertainty of its fit and what the firmware cannot hold of it.
+level turn and tilts for a compass, all directions of gravity for an accelerometer, and rest for a gyro. What the
+planned calibration leaves is the uncertainty of its fit and what the firmware cannot hold of it.
 """
 
 from __future__ import annotations

@@ -18,19 +18,23 @@ _SUBJECT: Final = {
 }
 
 
-def headline_of(effects: Sequence[SensorEffect]) -> str:
-    """One sentence about the sensor that gains most; of a plan without effects, that it changes no sensor."""
+def headline_of(effects: Sequence[SensorEffect], *, done: bool = False) -> str:
+    """One sentence about the sensor that gains most. `done`: the plan has been written."""
     if not effects:
         return "This plan changes no sensor."
     known = [effect for effect in effects if effect.before is not None]
     if not known:
         worst = max(effects, key=lambda effect: effect.after)
-        return f"{_SUBJECT[worst.quantity]} will be known to {amount(worst.after, worst.unit)}."
+        known_to = "is known" if done else "will be known"
+        return f"{_SUBJECT[worst.quantity]} {known_to} to {amount(worst.after, worst.unit)}."
     first = max(known, key=lambda effect: (effect.before or 0.0) / max(effect.after, 1e-9))
     same = [effect for effect in known if effect.quantity == first.quantity and effect.unit == first.unit]
     before, after = max(effect.before or 0.0 for effect in same), max(effect.after for effect in same)
     now, then = amount(before, first.unit), amount(after, first.unit)
-    return f"{_SUBJECT[first.quantity]} is wrong by up to {now}, and will be good to {then}."
+    subject = _SUBJECT[first.quantity]
+    if done:
+        return f"{subject} was wrong by up to {now}, and is good to {then} now."
+    return f"{subject} is wrong by up to {now}, and will be good to {then}."
 
 
 def text_of(effect: SensorEffect) -> str:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Depends, Response
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Query, Response
 
 from mavcal.service.api.dependencies import ServiceDep
 from mavcal.service.api.jobs import JobDep
@@ -14,6 +16,7 @@ from mavcal.service.reviews import review_of
 
 router = APIRouter(tags=["jobs"])
 READ = Depends(require(Scope.READ))
+Columns = Annotated[int | None, Query(ge=1, le=9, description="charts a row; none: all in one row")]
 
 
 @router.get("/jobs/{job_id}/review", operation_id="get_review", dependencies=[READ])
@@ -29,9 +32,9 @@ async def review(job: JobDep, service: ServiceDep) -> ReviewModel:
     responses={200: {"content": {"image/svg+xml": {"schema": {"type": "string"}}}}},
     dependencies=[READ],
 )
-async def picture(job: JobDep, service: ServiceDep) -> Response:
+async def picture(job: JobDep, service: ServiceDep, columns: Columns = None) -> Response:
     """Each sensor before and after the plan; 409 while there is no plan, or nothing of it can be drawn."""
-    found = await review_of(job, service.store)
+    found = await review_of(job, service.store, columns=columns)
     if found.picture is None:
         raise PlanMissing(f"the plan of job {job.id} has no picture: what is in force is not known")
     return Response(str(found.picture), media_type="image/svg+xml")

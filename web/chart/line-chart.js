@@ -1,5 +1,6 @@
 // <line-chart>: lines against a common axis. uPlot draws them where it is installed, a few lines of our own elsewhere.
 
+import { uPlot } from "../core/vendor.js";
 import { colorsOf } from "../scene/colors.js";
 import { drawPlain } from "./plain.js";
 
@@ -7,15 +8,6 @@ import { drawPlain } from "./plain.js";
  * @typedef {{ name: string, color: string, y: (number | null)[] }} Line
  * @typedef {{ x: number[], lines: Line[], unit: string, xUnit: string, log?: boolean }} Chart
  */
-
-/** @type {Promise<any> | undefined} */
-let uplot;
-
-/** uPlot, or undefined where it is not installed. */
-function loaded() {
-  uplot ??= import("../vendor/uPlot.esm.js").then((module) => module.default, () => undefined);
-  return uplot;
-}
 
 export class LineChart extends HTMLElement {
   constructor() {
@@ -31,8 +23,8 @@ export class LineChart extends HTMLElement {
   connectedCallback() {
     this._sizes = new ResizeObserver(() => { this._form = ""; this._soon(); });
     this._sizes.observe(this);
-    loaded().then((found) => {
-      this._maker = found ?? null;
+    uPlot().then((found) => {
+      this._maker = found;
       this._soon();
     });
   }

@@ -1,6 +1,7 @@
 // <attitude-scene>: the vehicle as it is held now, beside a ghost of the pose that is asked for.
 // With the attribute `flat` it is drawn without WebGL: browsers allow few such pictures at a time.
 
+import { three } from "../core/vendor.js";
 import { angle, blend, IDENTITY } from "./rotation.js";
 import { CanvasRenderer } from "./canvas.js";
 import { colorsOf } from "./colors.js";
@@ -23,6 +24,7 @@ export class AttitudeScene extends HTMLElement {
     /** @type {{ draw: Function, dispose: () => void } | undefined} */
     this._renderer = undefined;
     this._frame = 0;
+    this._seen = false;
   }
 
   connectedCallback() {
@@ -52,9 +54,10 @@ export class AttitudeScene extends HTMLElement {
   async _start() {
     try {
       if (this.hasAttribute("flat") || !webgl()) throw new Error("drawn flat");
-      const { ThreeRenderer } = await import("./three.js");
+      const [library, { ThreeRenderer }] = await Promise.all([three(), import("./three.js")]);
+      if (!library) throw new Error("three.js is not installed");
       if (!this.isConnected || this._renderer) return;
-      this._renderer = new ThreeRenderer(this);
+      this._renderer = new ThreeRenderer(library, this);
     } catch {
       if (!this.isConnected || this._renderer) return;
       this._renderer = new CanvasRenderer(this);

@@ -1,6 +1,5 @@
 // Draws scenes with three.js. Loaded only when a scene is shown; without it, or without WebGL, canvas.js draws.
 
-import * as THREE from "../vendor/three.module.js";
 import { airframe } from "./airframes.js";
 import { EYE } from "./eye.js";
 
@@ -14,8 +13,9 @@ import { EYE } from "./eye.js";
 const world = ([north, east, down]) => [east, -down, -north];
 
 export class ThreeRenderer {
-  /** @param {HTMLElement} host */
-  constructor(host) {
+  /** @param {any} THREE the library @param {HTMLElement} host */
+  constructor(THREE, host) {
+    this._three = THREE;
     this._host = host;
     this._renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true });
     host.append(this._renderer.domElement);
@@ -65,9 +65,10 @@ export class ThreeRenderer {
 
   /** @param {string} name @param {Colors} colors */
   _build(name, colors) {
+    const THREE = this._three;
     for (const group of [this._vehicle, this._ghost, this._ground]) group.clear();
     for (const paint of /** @type {const} */ (["hull", "trim", "nose"])) {
-      const shape = geometry(name, paint);
+      const shape = geometry(THREE, name, paint);
       if (!shape) continue;
       this._vehicle.add(new THREE.Mesh(shape, new THREE.MeshLambertMaterial({ color: colors[paint], side: THREE.DoubleSide })));
       const veil = new THREE.MeshBasicMaterial({ color: colors.ghost, transparent: true, opacity: 0.18, depthWrite: false, side: THREE.DoubleSide });
@@ -90,8 +91,8 @@ function turn(group, [w, x, y, z]) {
   group.quaternion.set(...world([x, y, z]), w);
 }
 
-/** @param {string} name @param {string} wanted */
-function geometry(name, wanted) {
+/** @param {any} THREE @param {string} name @param {string} wanted */
+function geometry(THREE, name, wanted) {
   /** @type {number[]} */
   const points = [];
   for (const { paint, corners } of airframe(name)) {

@@ -50,13 +50,13 @@ function fits(store, recording, found) {
     (typeof fit === "string" ? { method: fit } : fit)));
   if (!worth.length) return quiet("Nothing in it can be fitted.");
   const vehicles = [...store.vehicles.values()];
-  /** @type {(method: string) => void} */
+  /** @type {(method: string) => Promise<any>} */
   const fit = (method) => store.act(async () => {
     const job = await ask("start_fit", { body: { recording: recording.id, method } });
     await store.load(job.id);
     go("job", job.id);
   });
-  /** @type {(method: string, vehicle: string) => void} */
+  /** @type {(method: string, vehicle: string) => Promise<any>} */
   const plan = (method, vehicle) => store.act(async () => {
     const job = await ask("plan_recording", { parameters: { recording_id: recording.id }, body: { method, vehicle_id: vehicle } });
     await store.load(job.id);

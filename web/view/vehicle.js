@@ -42,7 +42,7 @@ function calibration(store, vehicle) {
 /** @param {Store} store @param {VehicleModel} vehicle */
 function preflight(store, vehicle) {
   const held = store.keep(`preflight ${vehicle.id}`, () => ({ running: false, report: /** @type {PreflightModel | undefined} */ (undefined) }));
-  /** @type {(fix: ("gyro" | "level")[]) => void} */
+  /** @type {(fix: ("gyro" | "level")[]) => Promise<any>} */
   const look = (fix) => store.act(async () => {
     held.running = true;
     store.changed();

@@ -10,7 +10,7 @@ import { badge, quiet, table, VERDICT_TONES } from "../parts.js";
 
 /** @param {Store} store @param {JobModel} job */
 function reviewOf(store, job) {
-  return store.answer(`review ${job.id} ${job.plan?.sha256 ?? ""}`, () => ask("get_review", { parameters: { job_id: job.id } }), 1e9);
+  return store.answer(`review ${job.id} ${job.plan?.sha256 ?? ""} ${job.state}`, () => ask("get_review", { parameters: { job_id: job.id } }), 1e9);
 }
 
 /** @param {Store} store @param {JobModel} job */
@@ -39,16 +39,24 @@ function headline(found) {
       h("li", { key: `${sensor.sensor}${sensor.instance}` }, h("strong", {}, `${unitName(sensor.sensor, sensor.instance)}: `), sensor.text))) : null);
 }
 
-/** @param {ReviewModel} found */
+/** What passes is folded; what does not stands open with its remedy. @param {ReviewModel} found */
 function criteria(found) {
-  return h("ul", { class: "plain criteria" }, found.criteria.map((criterion) =>
+  const passed = found.criteria.filter((criterion) => criterion.verdict === "pass");
+  const others = found.criteria.filter((criterion) => criterion.verdict !== "pass");
+  /** @type {(these: typeof passed) => any} */
+  const list = (these) => h("ul", { class: "plain criteria" }, these.map((criterion) =>
     h("li", { key: criterion.id }, badge(VERDICT_TONES[criterion.verdict], words(criterion.verdict)),
-      h("span", {}, criterion.text), criterion.remedy ? h("span", { class: "quiet" }, criterion.remedy) : null)));
+      h("span", {}, sentence(criterion.text)), criterion.remedy ? h("span", { class: "quiet" }, criterion.remedy) : null)));
+  return h("div", {}, others.length ? list(others) : null,
+    passed.length ? h("details", { class: "card" },
+      h("summary", {}, badge("good", `${passed.length} of ${found.criteria.length} criteria pass`)), list(passed)) : null);
 }
 
 /** The same picture as in the export: before and after. @param {Store} store @param {JobModel} job */
 function picture(store, job) {
-  const svg = store.answer(`picture ${job.id}`, () => ask("get_picture", { parameters: { job_id: job.id } }), 1e9);
+  const columns = window.innerWidth < 700 ? 1 : window.innerWidth < 1400 ? 2 : 3;
+  const svg = store.answer(`picture ${job.id} ${columns} ${job.plan?.sha256}`, () =>
+    ask("get_picture", { parameters: { job_id: job.id }, query: { columns } }), 1e9);
   if (!svg) return null;
   return h("figure", { class: "before-after" },
     h("img", { src: `data:image/svg+xml;charset=utf-8,${encodeURIComponent(svg)}`, alt: "The sensor before and after this calibration" }));
@@ -66,7 +74,7 @@ function choices(store, job, plan) {
   const options = /** @type {Record<string, any>} */ (job.plan_options);
   const sensors = [...new Set(job.results.map((fit) => `${fit.sensor}${fit.instance}`))];
   const only = /** @type {string[]} */ (options.only?.length ? options.only : sensors);
-  /** @type {(change: Record<string, any>) => void} */
+  /** @type {(change: Record<string, any>) => Promise<any>} */
   const again = (change) => store.act(async () => {
     await ask("renew_plan", { parameters: { job_id: job.id }, body: { plan_options: { ...options, ...change } } });
     await store.load(job.id);
@@ -103,6 +111,7 @@ function exports(store, job) {
 export function written(store, job) {
   const { plan, verification } = job;
   if (!plan || !plan.changes.length) return null;
+  const found = job.state === "succeeded" ? reviewOf(store, job) : undefined;
   const verdicts = new Map((verification?.parameters ?? []).map((p) => [p.name, p]));
   const sent = job.last_write?.sent ?? 0;
   /** @type {(change: ChangeModel, i: number) => any} */
@@ -117,6 +126,8 @@ export function written(store, job) {
   };
   const running = ["applying", "verifying", "waiting_for_reboot", "rolling_back"].includes(job.state);
   return h("div", { key: "written" },
+    found ? headline(found) : null,
+    found?.picture ? picture(store, job) : null,
     verification?.sensors.length ? h("ul", { class: "plain criteria" }, verification.sensors.map((check) =>
       h("li", { key: check.id + check.instance }, badge(check.verdict === "right" ? "good" : check.verdict === "wrong" ? "bad" : "warn", words(check.verdict)), h("span", {}, check.text)))) : null,
     verification?.movement ? h("p", { class: "quiet" }, `To prove the rest: ${verification.movement.text}`) : null,

@@ -86,7 +86,7 @@ function dock(store, job) {
     CANCELLABLE.has(job.state) ? h("button", { class: "danger", onclick: doing(() => ask("cancel_job", { parameters })) },
       job.state === "review" ? "Discard" : "Cancel") : null,
     job.state === "succeeded" && job.plan?.changes.length && job.vehicle_id ? takeBack(store, job, doing) : null,
-  ].filter((button) => button !== null);
+  ].flat().filter((button) => button !== null);
   return buttons.length ? h("div", { class: "dock", key: "dock" }, buttons) : null;
 }
 
