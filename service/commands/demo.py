@@ -22,18 +22,20 @@ from mavcal.service.commands.output import EXIT_NO, json_option, write_json
     help="Vehicle seconds in a second; less on a busy machine.",
 )
 @click.option("--keep-open", is_flag=True, help="Keep the service and its panel running afterwards.")
+@click.option("--verbose", is_flag=True, help="Show every prompt, parameter and warning.")
 @json_option
-def command(autopilot: str, seed: int | None, speed: float, keep_open: bool, as_json: bool) -> int:
+def command(*, autopilot: str, seed: int | None, speed: float, keep_open: bool, verbose: bool, as_json: bool) -> int:
     """Calibrate a simulated vehicle end to end and compare with its truth.
 
     Exit code 0 only if every parameter is proved on the vehicle and the stated uncertainties are true.
     """
-    from mavcal.service.commands.screen import Screen
     from mavcal.service.demo.run import DemoError, run
+    from mavcal.service.demo.screen import DemoScreen
 
     drawn = secrets.randbelow(1_000_000) if seed is None else seed
     try:
-        result = run(autopilot, seed=drawn, screen=Screen(quiet=as_json), keep_open=keep_open, speed=speed)
+        screen = DemoScreen(quiet=as_json, verbose=verbose)
+        result = run(autopilot, seed=drawn, screen=screen, keep_open=keep_open, speed=speed)
     except DemoError as error:
         click.echo(f"mavcal: {error} (seed {drawn})", err=True)
         if as_json:

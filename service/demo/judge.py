@@ -39,6 +39,8 @@ class SensorReport:
     """What the firmware cannot hold of the true calibration, same unit."""
     unit: str
     score: RecoveryScore
+    drift: bool = False
+    """Whether it is the change with temperature that was calibrated."""
 
 
 @dataclass(frozen=True)
@@ -116,6 +118,7 @@ def judge(
                 cross=_cross_cost(true, fit, truth),
                 unit=fit.unit,
                 score=score(new, fit, true, names),
+                drift=fit.model.polynomial is not None,
             )
         )
     return DemoJudgement(tuple(reports))

@@ -30,6 +30,7 @@ from mavcal.service.simvehicle import Operator, SimulatedVehicle
 Json = dict[str, Any]
 
 KINDS = ("gyro", "accel", "mag", "thermal")
+NAMES = {"gyro": "Gyro", "accel": "Accelerometer", "mag": "Compass", "thermal": "Temperature"}
 SPEED = 30.0
 """Vehicle seconds per wall second."""
 WRITING_SPEED = 4.0
@@ -67,6 +68,22 @@ class Narrator(Protocol):
 
     def line(self, text: str = "", *, bold: bool = False) -> None:
         """A line that stays."""
+        ...
+
+    def detail(self, text: str) -> None:
+        """A line for those who want to see every step."""
+        ...
+
+    def begin(self, name: str) -> None:
+        """A calibration begins."""
+        ...
+
+    def end(self, text: str, *, good: bool) -> None:
+        """It has ended, with this result."""
+        ...
+
+    def table(self, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+        """Columns under their names."""
         ...
 
     def prompt(self, text: str) -> None:
@@ -107,13 +124,17 @@ def run(autopilot: str, *, seed: int, screen: Narrator, keep_open: bool = False,
         _service(vehicle.url, Path(folder)) as url,
         Client(url) as client,
     ):
-        screen.line(f"simulated {autopilot}, seed {seed}, {speed:g} times faster than the clock", bold=True)
-        screen.line(f"the panel shows it live at {url}")
+        name = {"ardupilot": "ArduPilot", "px4": "PX4"}[autopilot]
+        screen.line(
+            f"A simulated {name} with sensors of its own errors (seed {seed}, {speed:g} times real time)", bold=True
+        )
+        screen.line(f"Live in the panel: {url}")
+        screen.line()
         demo = _Demo(vehicle, client, screen, speed, Path(folder) / "tlogs")
         demo.calibrate_all()
         result = demo.result(time.monotonic() - began)
         if keep_open:
-            screen.line(f"\nthe panel stays at {url}; stop with Ctrl-C")
+            screen.line(f"\nThe panel stays at {url}. Stop it with Ctrl-C.")
             _wait_for_interrupt()
     return result
 
@@ -161,13 +182,16 @@ class _Demo:
                 f"farthest off: {', '.join(whole.farthest)}"
             )
         self._screen.line()
-        self._screen.line(
-            f"{freedom} parameters written: largest |error|/sd {whole.largest_z:.2f}, "
-            f"chi2 {chi2:.1f}, p-value {p:.3g}; {seconds:.0f} s",
-            bold=True,
-        )
+        self._screen.table(("sensor", "true error before", "after", "unit"), _rows(whole.reports))
+        self._screen.line()
         self._screen.line(_verdict(reasons, small), bold=True)
-        self._screen.line("panel: mavcal serve --connect sim:ardupilot, then http://127.0.0.1:8765/")
+        self._screen.line(
+            f"The stated uncertainties are {'true' if whole.honest else 'not true'}: among {freedom} parameters the "
+            f"largest error is {whole.largest_z:.1f} of its standard deviations (P {p:.2g}). {seconds:.0f} s."
+        )
+        self._screen.line(
+            f"Now you: mavcal serve --connect sim:{self._truth['autopilot']}, then open http://127.0.0.1:8765/"
+        )
         document = {
             "ok": not reasons,
             "reasons": reasons,
@@ -202,8 +226,7 @@ class _Demo:
 
     def _calibrate(self, vehicle_id: str, kind: str) -> tuple[JobModel, Json]:
         """The job as it ended, and the truth of the time in which its samples were taken."""
-        self._screen.line()
-        self._screen.line(kind, bold=True)
+        self._screen.begin(NAMES[kind])
         job = self._client.start_job(vehicle_id, kind=kind, options=OPTIONS.get(kind, {}))
         state = self._follow(job.id, until={JobState.REVIEW} | ENDED)
         job = self._client.get_job(job.id)
@@ -266,20 +289,45 @@ class _Demo:
         for change in plan.changes:
             old = "-" if change.old is None else f"{shown(change.old, 6)}"
             sd = "" if change.sd is None else f" +- {change.sd:.2g}"
-            self._screen.line(f"    {change.name:18} {old:>12} -> {shown(change.new, 6)}{sd} {change.unit}")
+            self._screen.detail(f"{change.name:18} {old:>12} -> {shown(change.new, 6)}{sd} {change.unit}")
         for loss in plan.losses:
-            self._screen.line(f"    cannot be held: {loss.text} ({loss.cost:.3g} {loss.unit})")
+            self._screen.detail(f"cannot be held: {loss.text} ({loss.cost:.3g} {loss.unit})")
         for warning in plan.warnings:
-            self._screen.line(f"    note: {warning}")
+            self._screen.detail(f"note: {warning}")
 
     def _show(self, job: JobModel, judged: DemoJudgement) -> None:
         for report in judged.reports:
             cross = f"; cannot be held {report.cross:.2g}" if report.cross else ""
-            self._screen.line(
-                f"    {report.sensor.value}[{report.instance}] true error {report.before:.4g} -> {report.after:.3g} "
+            self._screen.detail(
+                f"{report.sensor.value}[{report.instance}] true error {report.before:.4g} -> {report.after:.3g} "
                 f"{report.unit}{cross}; largest |error|/sd {abs(report.score.standardised).max():.2f}"
             )
-        self._screen.line(f"    {_said(job)}")
+        self._screen.detail(_said(job))
+        self._screen.end(_ended(job), good=job.state == JobState.SUCCEEDED)
+
+
+def _ended(job: JobModel) -> str:
+    """A calibration in a few words."""
+    if job.verification is None or job.plan is None:
+        return "nothing to write: what is in force is right"
+    acting = [v for v in job.verification.parameters if v.acts_on_stream]
+    proved = sum(v.verdict == ProofVerdict.PROVED for v in acting)
+    return f"{len(job.plan.changes)} parameters written, {proved} of {len(acting)} that show on the stream are proved"
+
+
+def _rows(reports: Sequence[SensorReport]) -> list[tuple[str, str, str, str]]:
+    """A row a sensor; of a kind of drift the worst sensor."""
+    rows: list[tuple[str, str, str, str]] = []
+    drifts: dict[str, SensorReport] = {}
+    for report in reports:
+        name = {"accel": "accelerometer", "mag": "compass"}.get(report.sensor.value, report.sensor.value)
+        if report.drift:
+            worst = drifts.get(name)
+            drifts[name] = report if worst is None or report.before > worst.before else worst
+        else:
+            rows.append((f"{name} {report.instance + 1}", f"{report.before:.3g}", f"{report.after:.2g}", report.unit))
+    rows += [(f"{name}, over temperature", f"{r.before:.3g}", f"{r.after:.2g}", r.unit) for name, r in drifts.items()]
+    return rows
 
 
 def sampled(tlogs: Path, segments: Iterable[SegmentModel], qualities: Sequence[Json]) -> tuple[float, float]:

@@ -1,0 +1,97 @@
+"""The demonstration on a terminal: one live bar a calibration, a table at the end; every step if it is asked for."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import click
+
+WIDTH = 24
+NAME = 14
+
+
+class DemoScreen:
+    """Writes to stderr, so that stdout stays for the answer.
+
+    Parameters
+    ----------
+    quiet
+        Say nothing.
+    verbose
+        Say every prompt, parameter and warning too.
+    """
+
+    def __init__(self, *, quiet: bool = False, verbose: bool = False) -> None:
+        self._quiet = quiet
+        self._verbose = verbose and not quiet
+        self._terminal = sys.stderr.isatty()
+        self._name = ""
+        self._open = False
+        self._asked = ""
+
+    def line(self, text: str = "", *, bold: bool = False) -> None:
+        """A line that stays."""
+        if not self._quiet:
+            self._close()
+            click.secho(text, err=True, bold=bold)
+
+    def detail(self, text: str) -> None:
+        """A line for those who want to see every step."""
+        if self._verbose:
+            self.line(f"    {text}")
+
+    def begin(self, name: str) -> None:
+        """A calibration begins."""
+        self._name, self._asked = name, ""
+        if self._verbose:
+            self.line()
+            self.line(name, bold=True)
+        else:
+            self._bar(0.0, "starts")
+
+    def end(self, text: str, *, good: bool) -> None:
+        """It has ended, with this result."""
+        if self._quiet:
+            return
+        if self._terminal and not self._verbose:
+            click.echo("\r" + " " * 118 + "\r", nl=False, err=True)
+            self._open = False
+        self._close()
+        sign = click.style("ok" if good else "!!", fg="green" if good else "red", bold=True)
+        click.echo(f"  {self._name:<{NAME}} {sign}  {text}", err=True)
+
+    def prompt(self, text: str) -> None:
+        """What is done with the vehicle now; said once, although its details may change."""
+        if self._verbose and text != self._asked:
+            self.line(f"  > {text}", bold=True)
+        self._asked = text
+
+    def progress(self, progress: Mapping[str, Any]) -> None:
+        """How far the calibration is."""
+        target = progress["target"] or 1.0
+        self._bar(min(max(progress["current"] / target, 0.0), 1.0), progress["text"])
+
+    def table(self, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+        """Columns under their names: the first one left, numbers right."""
+        widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
+        for at, row in enumerate([head, *rows]):
+            cells = [
+                f"{row[0]:<{widths[0]}}",
+                *(f"{cell:>{width}}" for cell, width in zip(row[1:], widths[1:], strict=True)),
+            ]
+            self.line("  " + "   ".join(cells), bold=at == 0)
+
+    def _bar(self, share: float, text: str) -> None:
+        if self._quiet or not self._terminal:
+            return
+        bar = "#" * round(share * WIDTH)
+        shown = f"  {self._name:<{NAME}} [{bar:<{WIDTH}}] {text}"
+        click.echo(f"\r{shown[:118]:<118}", nl=False, err=True)
+        self._open = True
+
+    def _close(self) -> None:
+        if self._open:
+            click.echo(err=True)
+            self._open = False
