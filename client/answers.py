@@ -18,6 +18,7 @@ from mavcal.client.models import (
     InfoModel,
     JobSummary,
     LinkModel,
+    MethodModel,
     ParameterModel,
     PreflightModel,
     ProcedureModel,
@@ -56,6 +57,7 @@ VEHICLE_SENSORS_MODEL: TypeAdapter[VehicleSensorsModel] = TypeAdapter(VehicleSen
 GAP_SUMMARY_LIST: TypeAdapter[list[GapSummary]] = TypeAdapter(list[GapSummary])
 JOB_SUMMARY_LIST: TypeAdapter[list[JobSummary]] = TypeAdapter(list[JobSummary])
 LINK_MODEL_LIST: TypeAdapter[list[LinkModel]] = TypeAdapter(list[LinkModel])
+METHOD_MODEL_LIST: TypeAdapter[list[MethodModel]] = TypeAdapter(list[MethodModel])
 PARAMETER_MODEL_LIST: TypeAdapter[list[ParameterModel]] = TypeAdapter(list[ParameterModel])
 PROCEDURE_MODEL_LIST: TypeAdapter[list[ProcedureModel]] = TypeAdapter(list[ProcedureModel])
 RECORDING_MODEL_LIST: TypeAdapter[list[RecordingModel]] = TypeAdapter(list[RecordingModel])

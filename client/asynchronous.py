@@ -21,6 +21,7 @@ from mavcal.client.models import (
     InfoModel,
     JobSummary,
     LinkModel,
+    MethodModel,
     ParameterModel,
     PreflightModel,
     ProcedureModel,
@@ -233,6 +234,10 @@ class AsyncClient(AsyncTransport):
             query={"name": name, "reading": reading},
             content=content,
         )
+
+    async def list_methods(self) -> list[MethodModel]:
+        """The methods that fit an uploaded recording."""
+        return await self._ask("GET", "/api/v1/methods", answers.METHOD_MODEL_LIST)
 
     async def get_recording(self, recording_id: str) -> RecordingModel:
         """One uploaded recording, and what is in it."""

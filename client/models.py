@@ -198,6 +198,14 @@ class LinkModel(Answer):
     """Damaged frames, which cannot be attributed to a sender."""
 
 
+class MethodModel(Answer):
+    """A method that fits a recording."""
+
+    name: str
+    summary: str
+    """What it finds, of what."""
+
+
 class OptionModel(Answer):
     """A number or a switch that may be set when a job is started."""
 

@@ -21,6 +21,7 @@ from mavcal.client.models import (
     InfoModel,
     JobSummary,
     LinkModel,
+    MethodModel,
     ParameterModel,
     PreflightModel,
     ProcedureModel,
@@ -231,6 +232,10 @@ class Client(Transport):
             query={"name": name, "reading": reading},
             content=content,
         )
+
+    def list_methods(self) -> list[MethodModel]:
+        """The methods that fit an uploaded recording."""
+        return self._ask("GET", "/api/v1/methods", answers.METHOD_MODEL_LIST)
 
     def get_recording(self, recording_id: str) -> RecordingModel:
         """One uploaded recording, and what is in it."""

@@ -471,6 +471,13 @@ export interface LossModel {
 
 export type Message = JobMessage | VehicleMessage | LinkMessage;
 
+/** A method that fits a recording. */
+export interface MethodModel {
+  name: string;
+  /** What it finds, of what. */
+  summary: string;
+}
+
 /** What would prove the parameters that are still open. */
 export interface MovementModel {
   text: string;
@@ -1378,6 +1385,12 @@ export interface Operations {
     query: { name: string; reading?: ReadingOptions };
     body: Blob;
     answer: RecordingModel;
+  };
+  /** The methods that fit an uploaded recording. */
+  list_methods: {
+    method: "GET";
+    path: "/api/v1/methods";
+    answer: MethodModel[];
   };
   /** One uploaded recording, and what is in it. */
   get_recording: {

@@ -34,6 +34,7 @@ export const OPERATIONS = {
   get_picture: ["GET", "/api/v1/jobs/{job_id}/picture.svg"],
   list_recordings: ["GET", "/api/v1/recordings"],
   upload_recording: ["POST", "/api/v1/recordings"],
+  list_methods: ["GET", "/api/v1/methods"],
   get_recording: ["GET", "/api/v1/recordings/{recording_id}"],
   list_series: ["GET", "/api/v1/recordings/{recording_id}/series"],
   fit_recording: ["POST", "/api/v1/recordings/{recording_id}/fits"],

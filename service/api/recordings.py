@@ -8,6 +8,7 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from pydantic import ValidationError
 
 from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.methods.names import ENTRIES
 from mavcal.calib.report import to_json
 from mavcal.service.api.addresses import relative
 from mavcal.service.api.dependencies import ServiceDep
@@ -17,6 +18,7 @@ from mavcal.service.api.models import (
     FitRequest,
     FitsModel,
     JobModel,
+    MethodModel,
     ReadingOptions,
     RecordingJobRequest,
     RecordingModel,
@@ -51,6 +53,12 @@ async def upload(
     model = recording_model(row)
     response.headers["Location"] = relative(request, model.href)
     return model
+
+
+@router.get("/methods", operation_id="list_methods", dependencies=[READ])
+async def methods() -> list[MethodModel]:
+    """The methods that fit an uploaded recording."""
+    return [MethodModel(name=name, summary=entry.summary) for name, entry in ENTRIES.items()]
 
 
 @router.get("/recordings", operation_id="list_recordings", dependencies=[READ])

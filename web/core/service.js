@@ -36,6 +36,9 @@ export function useKey(key) {
   sessionStorage.setItem(KEY, key);
 }
 
+/** Whether a key is in use: what the browser fetches by itself does not carry it. */
+export const hasKey = () => sessionStorage.getItem(KEY) !== null;
+
 /** @returns {Record<string, string>} */
 function authorization() {
   const key = sessionStorage.getItem(KEY);

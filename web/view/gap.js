@@ -2,8 +2,8 @@
 
 import { h } from "../core/dom.js";
 import { go, to } from "../core/route.js";
-import { ask, save } from "../core/service.js";
-import { ago, number, sentence, STATES, tone } from "../core/words.js";
+import { address, ask, hasKey, save } from "../core/service.js";
+import { ago, sentence, STATES, tone } from "../core/words.js";
 import { badge, bar, quiet, title } from "./parts.js";
 import { dropZone } from "./logs.js";
 
@@ -54,20 +54,21 @@ function diagnosis(store, id) {
       h("button", { class: "danger", onclick: () => store.act(async () => { await ask("cancel_job", { parameters: { job_id: id } }); store.forget(`gap ${id}`); }) }, "Cancel"));
   }
   if (gap.state === "failed") return h("section", { class: "outcome bad" }, h("h2", {}, "No diagnosis"), h("p", {}, sentence(gap.error ?? "")), h("a", { class: "button", href: to("gap") }, "Back"));
-  return report(store, id, /** @type {Record<string, any>} */ (gap.report ?? {}), job?.state ?? "succeeded");
+  return report(store, id);
 }
 
-/** @param {Store} store @param {string} id @param {Record<string, any>} report @param {import("../mavcal.d.ts").JobState} state */
-function report(store, id, report, state) {
-  const effects = /** @type {any[]} */ (report.effects ?? []);
-  const page = store.answer(`gap page ${id}`, () => ask("get_gap_report", { parameters: { gap_id: id } }), 1e9);
+/** Where, which, how far: the sentence of the diagnosis, and its report. @param {Store} store @param {string} id */
+function report(store, id) {
+  const job = store.full.get(id) ?? void store.answer(`gap job ${id}`, () => store.load(id), 1e9);
+  const told = job?.outcome?.kind === "result" ? job.outcome.text : "";
+  const name = (/** @type {string} */ end) => `gap-${id}.${end}`;
   return h("div", {},
-    title(sentence(report.headline ?? report.summary ?? report.verdict ?? "Diagnosis"), badge(tone(state), STATES[state])),
-    effects.length ? h("ul", { class: "plain checks" }, effects.map((effect, i) => h("li", { key: `${i}` },
-      h("strong", {}, sentence(effect.title ?? effect.name ?? effect.effect ?? "")), h("p", {}, effect.text ?? ""),
-      effect.probability !== undefined ? h("span", { class: "quiet small" }, `P ${number(effect.probability, 2)}`) : null))) : null,
-    page ? h("iframe", { class: "report", title: "The whole report", sandbox: "", srcdoc: page }) : quiet("Reading the report …"),
+    title("Diagnosis", badge(tone("succeeded"), STATES.succeeded)),
+    h("p", { class: "first-line" }, told ? sentence(told) : "Reading the report …"),
+    hasKey() ? quiet("Save the report to read it: a frame cannot carry your key.")
+      : h("iframe", { class: "report", title: "The whole report", sandbox: "", src: address("get_gap_report", { parameters: { gap_id: id } }) }),
     h("div", { class: "actions" },
-      h("button", { onclick: () => store.act(() => save("get_gap_report", { parameters: { gap_id: id } }, `gap-${id}.html`)) }, "Save the report"),
+      h("button", { class: "primary", onclick: () => store.act(() => save("get_gap_report", { parameters: { gap_id: id } }, name("html"))) }, "Save the report"),
+      h("button", { onclick: () => store.act(() => save("get_gap", { parameters: { gap_id: id } }, name("json"))) }, "Save as JSON"),
       h("a", { class: "button", href: to("gap") }, "Another diagnosis")));
 }

@@ -4,7 +4,7 @@ import { h } from "../core/dom.js";
 import { go, to } from "../core/route.js";
 import { ask } from "../core/service.js";
 import { number, sentence, size, words } from "../core/words.js";
-import { quiet, table, title } from "./parts.js";
+import { badge, quiet, table, title } from "./parts.js";
 import { vehicleName } from "./home.js";
 
 /** @import { RecordingModel } from "../mavcal.d.ts" */
@@ -18,18 +18,21 @@ export function logRoom(store) {
   const found = /** @type {Record<string, any>} */ (recording.inspection);
   return h("div", {},
     title(recording.name, h("a", { class: "button", href: to("gap") }, "Compare with a simulator")),
-    h("p", { class: "quiet small" }, [size(recording.size), found.duration ? `${number(found.duration, 4)} s` : "", found.autopilot ?? ""].filter(Boolean).join(" · ")),
-    listed("What stands out", found.findings ?? found.sanity ?? []),
+    h("p", { class: "quiet small" }, [size(recording.size), found.duration ? `${number(found.duration, 4)} s` : "", found.identity?.autopilot ?? ""].filter(Boolean).join(" · ")),
+    sanity(found.flight ?? null),
     plots(store, id),
     fits(store, recording, found),
     channels(found));
 }
 
-/** @param {string} head @param {any[]} items */
-function listed(head, items) {
-  if (!items.length) return null;
-  return h("section", { class: "card" }, h("h2", {}, head), h("ul", {}, items.map((item, i) =>
-    h("li", { key: `${i}` }, typeof item === "string" ? sentence(item) : sentence(item.text ?? JSON.stringify(item))))));
+/** The sanity of the inertial sensors. @param {Record<string, any> | null} flight */
+function sanity(flight) {
+  if (!flight) return null;
+  const tones = { pass: "good", warn: "warn", fail: "bad" };
+  const items = /** @type {any[]} */ (flight.items);
+  return h("section", { class: "card" }, h("h2", {}, "What stands out"), items.length ? h("ul", { class: "plain checks" }, items.map((item, i) =>
+    h("li", { key: `${i}` }, badge(/** @type {any} */ (tones)[item.verdict] ?? "unknown", words(item.verdict)),
+      h("div", {}, h("strong", {}, `${sentence(words(item.name))}, ${item.subject}`), h("p", {}, sentence(item.text)))))) : quiet("Nothing does."));
 }
 
 /** The sensors over the log. @param {Store} store @param {string} id */
@@ -46,9 +49,9 @@ function plots(store, id) {
 
 /** @param {Store} store @param {RecordingModel} recording @param {Record<string, any>} found */
 function fits(store, recording, found) {
-  const worth = /** @type {{ method: string, why?: string }[]} */ ((found.fits ?? found.methods ?? []).map((/** @type {any} */ fit) =>
-    (typeof fit === "string" ? { method: fit } : fit)));
-  if (!worth.length) return quiet("Nothing in it can be fitted.");
+  const steps = /** @type {{ method: string, worthwhile: boolean, reason: string }[]} */ (found.next ?? []);
+  const worth = steps.filter((step) => step.worthwhile);
+  const others = store.answer("methods", () => ask("list_methods"), 1e9) ?? [];
   const vehicles = [...store.vehicles.values()];
   /** @type {(method: string) => Promise<any>} */
   const fit = (method) => store.act(async () => {
@@ -62,14 +65,23 @@ function fits(store, recording, found) {
     await store.load(job.id);
     go("job", job.id);
   });
-  return h("section", { class: "card" }, h("h2", {}, "What is worth fitting"), h("ul", { class: "plain methods" }, worth.map(({ method, why }) =>
-    h("li", { key: method }, h("div", {}, h("strong", {}, method), why ? h("p", { class: "quiet small" }, sentence(why)) : null),
-      h("div", { class: "actions" }, h("button", { class: "primary", onclick: () => fit(method) }, "Fit"),
-        vehicles.map((vehicle) => h("button", { key: vehicle.id, onclick: () => plan(method, vehicle.id) }, `Plan for ${vehicleName(vehicle)}`)))))));
+  const buttons = (/** @type {string} */ method) => h("div", { class: "actions" },
+    h("button", { class: "primary", "aria-label": `Fit ${method}`, onclick: () => fit(method) }, "Fit"),
+    vehicles.map((vehicle) => h("button", { key: vehicle.id, onclick: () => plan(method, vehicle.id) }, `Plan for ${vehicleName(vehicle)}`)));
+  const chosen = store.keep("method", () => ({ name: "" }));
+  return h("section", { class: "card" }, h("h2", {}, "What is worth fitting"),
+    worth.length ? h("ul", { class: "plain methods" }, worth.map(({ method, reason }) =>
+      h("li", { key: method }, h("div", {}, h("strong", {}, method), h("p", { class: "quiet small" }, sentence(reason))), buttons(method)))) : null,
+    steps.length > worth.length ? h("details", {}, h("summary", {}, "What is not, and why"), h("ul", { class: "small" },
+      steps.filter((step) => !step.worthwhile).map(({ method, reason }) => h("li", { key: method }, `${method}: ${reason}`)))) : null,
+    h("div", { class: "row-form" }, h("label", { for: "method" }, "Any other method"),
+      h("select", { id: "method", onchange: (/** @type {Event} */ event) => { chosen.name = /** @type {HTMLSelectElement} */ (event.target).value; store.changed(); } },
+        h("option", { value: "" }, "Choose one"), others.map(({ name, summary }) => h("option", { value: name, selected: chosen.name === name }, `${name}: ${summary}`))),
+      chosen.name ? buttons(chosen.name) : null));
 }
 
 /** @param {Record<string, any>} found */
 function channels(found) {
-  const rows = /** @type {any[]} */ (found.channels ?? []).map((c) => [`${words(c.sensor)} ${c.instance + 1}`, c.source, number(c.rate, 4), c.n ?? c.samples ?? "", c.gaps ?? ""]);
+  const rows = /** @type {any[]} */ (found.channels ?? []).map((c) => [`${words(c.sensor)} ${c.instance + 1}`, c.source, number(c.rate, 4), c.samples, c.n_gaps]);
   return rows.length ? h("details", { class: "card" }, h("summary", {}, `${rows.length} channels`), table(["sensor", "source", ">Hz", ">samples", ">gaps"], rows, "Channels")) : null;
 }

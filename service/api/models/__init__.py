@@ -80,7 +80,13 @@ from mavcal.service.api.models.plans import (
     VerificationModel,
 )
 from mavcal.service.api.models.preflight import CheckModel, FixModel, PreflightModel, PreflightRequest
-from mavcal.service.api.models.recordings import ReadingOptions, RecordingJobRequest, RecordingModel, SeriesModel
+from mavcal.service.api.models.recordings import (
+    MethodModel,
+    ReadingOptions,
+    RecordingJobRequest,
+    RecordingModel,
+    SeriesModel,
+)
 from mavcal.service.api.models.reviews import CriterionModel, ReviewModel, SensorEffectModel
 from mavcal.service.api.models.sensors import SensorStateModel, VehicleSensorsModel
 from mavcal.service.api.models.steps import (
@@ -134,6 +140,7 @@ __all__ = [
     "LiveModel",
     "LossModel",
     "Message",
+    "MethodModel",
     "MovementModel",
     "Nothing",
     "NumberModel",

@@ -59,3 +59,10 @@ class SeriesModel(BaseModel):
     source: str = Field(description="the message or column that carries it")
     t: list[Number] = Field(description="s since the recording began")
     values: list[list[Number | None]] = Field(description="a row an axis, in `unit`; null: not a finite number")
+
+
+class MethodModel(BaseModel):
+    """A method that fits a recording."""
+
+    name: str
+    summary: str = Field(description="what it finds, of what")
