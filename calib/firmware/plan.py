@@ -70,7 +70,7 @@ class Agreement:
     sensor: Sensor
     instance: int
     deviation: float
-    """Root mean square of the change over its independent parts, each in its standard deviation."""
+    """Root mean square of the change over its independent parts, each in the standard deviation of the change."""
     text: str
 
 
