@@ -15,7 +15,7 @@ from mavcal.calib.procedures.frames import in_force
 from mavcal.calib.procedures.holds import Hold
 from mavcal.calib.procedures.motion import StillnessVerdict
 from mavcal.calib.procedures.poses import angle, down
-from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt
+from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import annotated
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
@@ -82,9 +82,11 @@ class LevelProcedure(TickedProcedure):
         if not verdict.still:
             self._hold, self._why, self._judge_at = Hold(), verdict.why, 0.0
             self._restless += end - start
-            self._say(Prompt("hold_still", f"Not at rest: {verdict.what}. Leave the vehicle alone.", Pose.LEVEL))
+            self._say(
+                Prompt(PromptStep.HOLD_STILL, f"Not at rest: {verdict.what}. Leave the vehicle alone.", Pose.LEVEL)
+            )
         elif verdict.counted:
-            self._say(Prompt("hold_still", "At rest: leave the vehicle alone.", Pose.LEVEL, stable=True))
+            self._say(Prompt(PromptStep.HOLD_STILL, "At rest: leave the vehicle alone.", Pose.LEVEL, stable=True))
             self._hold.add(frame, end - start)
             if self._hold.seconds >= SHORTEST and self._hold.seconds >= self._judge_at:
                 self._judge_at = self._hold.seconds + 1.0
@@ -157,7 +159,7 @@ class LevelProcedure(TickedProcedure):
         )
 
 
-_PROMPT = Prompt("hold_still", "Put the vehicle level on a level surface and do not touch it.", Pose.LEVEL)
+_PROMPT = Prompt(PromptStep.HOLD_STILL, "Put the vehicle level on a level surface and do not touch it.", Pose.LEVEL)
 
 
 def roll_pitch(force: Array) -> tuple[float, float]:

@@ -21,7 +21,7 @@ from mavcal.calib.option import Option
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.frames import body_from_sensor, in_force
 from mavcal.calib.procedures.mag_track import BodyMotion, MagTrack
-from mavcal.calib.procedures.protocol import Done, Progress, Prompt
+from mavcal.calib.procedures.protocol import Done, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import annotated, share_of_information
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
@@ -278,7 +278,7 @@ class MagProcedure(TickedProcedure):
     def _ask(self) -> None:
         usable = any(t.predicted <= max(USABLE, self._target) for t in self._tracks.values())
         answers = ("finish",) if usable else ()
-        self._say(Prompt("rotate", self._text, rotate=True, direction=self._direction, answers=answers))
+        self._say(Prompt(PromptStep.ROTATE, self._text, rotate=True, direction=self._direction, answers=answers))
 
     def _tell(self) -> None:
         if not self._tracks:

@@ -16,7 +16,7 @@ from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.drift_fit import DriftPool, fit_drift
 from mavcal.calib.procedures.motion import Disturbance, StillnessVerdict
 from mavcal.calib.procedures.pool import Tail
-from mavcal.calib.procedures.protocol import Done, Progress, Prompt
+from mavcal.calib.procedures.protocol import Done, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import annotated
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
@@ -253,7 +253,7 @@ class ThermalProcedure(TickedProcedure):
             )
         if not still:
             text = f"Do not touch it: {self._what}. {text}"
-        self._say(Prompt("warm_up", text, stable=still, answers=answers))
+        self._say(Prompt(PromptStep.WARM_UP, text, stable=still, answers=answers))
 
     def _tell(self, verdict: StillnessVerdict) -> None:
         span, target, rate = self._warmth.span, float(self.options["span"]), self._warmth.rate

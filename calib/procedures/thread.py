@@ -26,7 +26,7 @@ from mavcal.calib.procedures.motion import RESTING, StillLimits, StillnessVerdic
 from mavcal.calib.procedures.placing import facing, shown_down
 from mavcal.calib.procedures.pool import Pool
 from mavcal.calib.procedures.poses import DOWN, TEXTS
-from mavcal.calib.procedures.protocol import Done, Number, Pose, Progress, Prompt
+from mavcal.calib.procedures.protocol import Done, Number, Pose, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import annotated, mean_temperature, refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
@@ -205,7 +205,7 @@ class GyroThreadProcedure(TickedProcedure):
         seen = ", ".join(f"{abs(w.angle) / (2.0 * math.pi):.1f}" for w in self._wound)
         self._say(
             Prompt(
-                "state",
+                PromptStep.STATE,
                 f"How many whole turns were made each way? No compass counted them; the gyro saw {seen}.",
                 stable=True,
                 number=_TURNS,
@@ -241,7 +241,7 @@ class GyroThreadProcedure(TickedProcedure):
     # -- telling ---------------------------------------------------------------------------------------------------
 
     def _rest_prompt(self) -> Prompt:
-        return Prompt("hold_still", f"{self._note}Hang the vehicle up and let it come to rest.")
+        return Prompt(PromptStep.HOLD_STILL, f"{self._note}Hang the vehicle up and let it come to rest.")
 
     def _turn_prompt(self, *, stable: bool) -> Prompt:
         down = self._down if self._axis is None else self._axis
@@ -254,7 +254,7 @@ class GyroThreadProcedure(TickedProcedure):
             if not stable
             else "Let it go on, and come to rest."
         )
-        return Prompt("turn", text, self._face, stable=stable, axis=(x, y, z), turns=turns)
+        return Prompt(PromptStep.TURN, text, self._face, stable=stable, axis=(x, y, z), turns=turns)
 
     def _tell(self) -> None:
         since = self.time - max(self._last_taken, self._began)

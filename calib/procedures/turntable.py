@@ -21,7 +21,7 @@ from mavcal.calib.procedures.motion import StillnessVerdict
 from mavcal.calib.procedures.placing import Facing, facing, shown_down
 from mavcal.calib.procedures.pool import joined
 from mavcal.calib.procedures.poses import DOWN, TEXTS
-from mavcal.calib.procedures.protocol import Done, Number, Pose, Progress, Prompt
+from mavcal.calib.procedures.protocol import Done, Number, Pose, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import annotated, mean_or_none, refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
@@ -129,8 +129,8 @@ class GyroTurntableProcedure(TickedProcedure):
     def _rest_prompt(self, *, resting: bool) -> Prompt:
         text = "At rest: leave it alone." if resting else "Fix the vehicle on the turntable and leave it at rest."
         if self._rate:
-            return Prompt("hold_still", text, stable=resting)
-        return Prompt("state", f"{text} State the true rate of the turntable.", stable=resting, number=_RATE)
+            return Prompt(PromptStep.HOLD_STILL, text, stable=resting)
+        return Prompt(PromptStep.STATE, f"{text} State the true rate of the turntable.", stable=resting, number=_RATE)
 
     def _rest(self, frame: TickChannels, spin: Spin, verdict: StillnessVerdict) -> None:
         """A rest, before anything turns: its offset is what turns are told by."""
@@ -203,7 +203,7 @@ class GyroTurntableProcedure(TickedProcedure):
         else:
             face = _FACES[self._left[0].axis][0]
             text = f"{self._note}Stop the turntable, and fix the vehicle on it square {TEXTS[face]}."
-            self._say(Prompt("place", text, pose=face, remaining=(face,)))
+            self._say(Prompt(PromptStep.PLACE, text, pose=face, remaining=(face,)))
 
     def _turn_prompt(self, at: Facing, turned: Turned, *, stable: bool) -> Prompt:
         x, y, z = (float(v) + 0.0 for v in turned.vector)  # no negative zeros
@@ -213,7 +213,7 @@ class GyroTurntableProcedure(TickedProcedure):
             if stable
             else f"Turn it {seen} (seen from above) at {math.degrees(self._rate):g} deg/s."
         )
-        return Prompt("turn", self._note + text, at.face, detected=at.face, stable=stable, axis=(x, y, z))
+        return Prompt(PromptStep.TURN, self._note + text, at.face, detected=at.face, stable=stable, axis=(x, y, z))
 
     # -- judging ---------------------------------------------------------------------------------------------------
 
