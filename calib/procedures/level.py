@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from mavcal.calib.firmware.limits import TRIM_MAX_RAD
 from mavcal.calib.firmware.storable import LEVEL
 from mavcal.calib.fit import FitBuilder, FitResult
 from mavcal.calib.option import Option
@@ -42,9 +43,6 @@ SPEC = ProcedureSpec(
 
 SHORTEST = 3.0
 """Least time at rest, s."""
-
-STEEPEST = math.radians(10.0)
-"""A board is not mounted askew by more; the vehicle stands on a slope. ArduPilot refuses the same (4.1)."""
 
 GRAVITY_WITHIN = 0.3
 """A calibrated accelerometer at rest reads gravity within this, m/s2; one further off tilts the level by degrees."""
@@ -131,7 +129,7 @@ class LevelProcedure(TickedProcedure):
                 )
                 return
         tilt = max(angle(down(f), np.array([0.0, 0.0, 1.0])) for f in forces.values())
-        if tilt > STEEPEST:
+        if tilt > TRIM_MAX_RAD:
             self._give_up(
                 f"the vehicle is tilted by {math.degrees(tilt):.0f} deg; a level trim beyond 10 deg is refused",
                 "put it upright on a level surface; if it stands level, set the board's orientation first",

@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from mavcal.calib.firmware import turning_spoils
 from mavcal.calib.firmware.storable import GYRO
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.gyro import fit_thread
@@ -31,7 +32,7 @@ from mavcal.calib.procedures.results import annotated, mean_temperature, refusal
 from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.procedures.ticked import TickedProcedure
-from mavcal.calib.procedures.turning import OVERWRITES, TURNING, Spin, SpinWatch, way
+from mavcal.calib.procedures.turning import TURNING, Spin, SpinWatch, way
 from mavcal.calib.recording import Array, Segment, Sensor
 
 SPEC = ProcedureSpec(
@@ -105,8 +106,8 @@ class GyroThreadProcedure(TickedProcedure):
         self._level = {i: body_from_sensor(self.context, Sensor.ACCEL, i) for i in self.present(Sensor.ACCEL)}
         self._body = {i: body_from_sensor(self.context, Sensor.GYRO, i) for i in self.present(Sensor.GYRO)}
         self._spins = SpinWatch(self._body)
-        if self.context.parameters.get("IMU_GYRO_CAL_EN") == 1:
-            self._warn(OVERWRITES)
+        if spoilt := turning_spoils(self.context.parameters):
+            self._warn(spoilt)
         self._say(self._rest_prompt())
 
     def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:

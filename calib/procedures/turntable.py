@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from mavcal.calib.firmware import turning_spoils
 from mavcal.calib.firmware.storable import GYRO
 from mavcal.calib.fit import AXES, FitResult, FitStatus
 from mavcal.calib.gyro import PLAUSIBLE_BIAS, fit_turntable
@@ -27,7 +28,7 @@ from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.procedures.steady import Stretch
 from mavcal.calib.procedures.ticked import TickedProcedure
-from mavcal.calib.procedures.turning import OVERWRITES, TURNING, Spin, SpinWatch, Turned, way
+from mavcal.calib.procedures.turning import TURNING, Spin, SpinWatch, Turned, way
 from mavcal.calib.recording import Segment, Sensor
 
 SPEC = ProcedureSpec(
@@ -94,8 +95,8 @@ class GyroTurntableProcedure(TickedProcedure):
         self._level = {i: body_from_sensor(self.context, Sensor.ACCEL, i) for i in self.present(Sensor.ACCEL)}
         self._body = {i: body_from_sensor(self.context, Sensor.GYRO, i) for i in self.present(Sensor.GYRO)}
         self._spins = SpinWatch(self._body)
-        if self.context.parameters.get("IMU_GYRO_CAL_EN") == 1:
-            self._warn(OVERWRITES)
+        if spoilt := turning_spoils(self.context.parameters):
+            self._warn(spoilt)
         if not self._axes:
             self._give_up("no axis is asked for", "set at least one of the options x, y and z")
         self._next_round()
