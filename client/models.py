@@ -16,16 +16,18 @@ class AuditCheck(Answer):
 
     intact: bool
     rows: int
+    """How many there are."""
     head: str
     """Digest of the newest row; kept elsewhere it vouches for all rows up to it."""
     broken_at: int | None
-    """First row that does not fit."""
+    """First row that does not fit; null: all do."""
 
 
 class AuditModel(Answer):
     """Who asked for what."""
 
     id: int
+    """Rows are numbered in the order of their coming."""
     at: Number
     """Wall-clock time, s since 1970."""
     actor: str
@@ -50,10 +52,13 @@ class CheckModel(Answer):
     id: CheckId
     verdict: Verdict
     value: Number | None
+    """In `unit`."""
     sd: Number | None
-    """Standard deviation of `value`: noise and whatever else limits it."""
+    """Standard deviation of `value`, in `unit`: noise and whatever else limits it."""
     limit: Number | None
+    """In `unit`."""
     unit: str
+    """Empty: a pure number, or none."""
     reason: str
     remedy: str
     """What helps; empty where nothing has to be done."""
@@ -85,7 +90,8 @@ class GapModel(Answer):
     id: str
     href: str
     """Its address, relative to the root of the service."""
-    state: Literal["queued", "running", "done", "failed"]
+    state: JobState
+    """That of the job, whose id is the same."""
     error: str | None
     """Why it failed."""
     created_at: Number
@@ -94,7 +100,7 @@ class GapModel(Answer):
     sim: str | None
     nominal: list[str]
     report: dict[str, Any] | None
-    """As `mavcal gap --json`; null until it is done."""
+    """As `mavcal gap --json`; null until it has succeeded."""
     page: str | None
     """Address of the report as a page, relative to the root of the service."""
 
@@ -105,7 +111,8 @@ class GapSummary(Answer):
     id: str
     href: str
     """Its address, relative to the root of the service."""
-    state: Literal["queued", "running", "done", "failed"]
+    state: JobState
+    """That of the job, whose id is the same."""
     error: str | None
     """Why it failed."""
     created_at: Number
@@ -158,6 +165,8 @@ class JobSummary(Answer):
     """Null while the job goes on, and while a plan waits that was not tried yet."""
     last_write: WriteModel | None
     """Null: nothing was accepted yet."""
+    options: dict[str, Any]
+    """Of the procedure or method, and of what uploads."""
 
 
 class LinkModel(Answer):
@@ -179,6 +188,7 @@ class OptionModel(Answer):
 
     name: str
     default: bool | Number
+    """In `unit`."""
     help: str
     unit: str
     """Empty: a switch, or a pure number."""
@@ -193,7 +203,7 @@ class ParameterModel(Answer):
 
     name: str
     value: Number | None
-    """Null: not a finite number."""
+    """In the unit that the firmware documents; null: not a finite number."""
     kind: ParameterKind
 
 
@@ -204,7 +214,7 @@ class PreflightModel(Answer):
     at: Number
     """Wall-clock time, s since 1970."""
     seconds: Number
-    """How long it took."""
+    """How long it took, s."""
     verdict: Verdict
     """Any failure fails the whole; then warnings count, then what is unknown."""
     summary: str
@@ -312,5 +322,6 @@ class VehicleModel(Answer):
     loss: Number
     """Lost share of everything sent, 0..1."""
     bytes_per_s: Number
+    """Received, over the last seconds."""
     parameters_known: int
     """How many parameters were heard."""
