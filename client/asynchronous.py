@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from mavcal.client import answers
 from mavcal.client.base import Number
+from mavcal.client.enums import JobState
 from mavcal.client.events import JobMessage, LiveMessage, Message, VehicleMessage
 from mavcal.client.jobs import JobModel, PlanModel
 from mavcal.client.models import (
@@ -124,6 +125,7 @@ class AsyncClient(AsyncTransport):
         *,
         vehicle_id: str | None = None,
         kind: str | None = None,
+        state: JobState | None = None,
         order: Literal["oldest", "newest"] | None = None,
         limit: int | None = None,
         after: str | None = None,
@@ -133,7 +135,14 @@ class AsyncClient(AsyncTransport):
             "GET",
             "/api/v1/jobs",
             answers.JOB_SUMMARY_LIST,
-            query={"vehicle_id": vehicle_id, "kind": kind, "order": order, "limit": limit, "after": after},
+            query={
+                "vehicle_id": vehicle_id,
+                "kind": kind,
+                "state": state,
+                "order": order,
+                "limit": limit,
+                "after": after,
+            },
         )
 
     async def get_job(self, job_id: str) -> JobModel:

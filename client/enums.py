@@ -129,6 +129,23 @@ class Pose(StrEnum):
     OBLIQUE = "oblique"
 
 
+class PromptStep(StrEnum):
+    """What a prompt is about, for programs: those of a capture, then those of a write."""
+
+    HOLD_STILL = "hold_still"
+    POSE = "pose"
+    PLACE = "place"
+    ROTATE = "rotate"
+    TURN = "turn"
+    WARM_UP = "warm_up"
+    STATE = "state"
+    PROVE = "prove"
+    REBOOT = "reboot"
+    WAIT = "wait"
+    BUSY = "busy"
+    SILENT = "silent"
+
+
 class ProofLevel(StrEnum):
     """How much of what acts on a stream the stream has proved."""
 
@@ -161,6 +178,15 @@ class Sensor(StrEnum):
     POSITION = "position"
     VELOCITY = "velocity"
     PLACE = "place"
+
+
+class SensorCheckId(StrEnum):
+    """What a sensor should read after a write."""
+
+    GYRO_ZERO = "gyro_zero"
+    ACCEL_GRAVITY = "accel_gravity"
+    ACCEL_DIRECTION = "accel_direction"
+    LEVEL = "level"
 
 
 class SensorVerdict(StrEnum):

@@ -15,9 +15,11 @@ from mavcal.client.enums import (
     JobState,
     ParameterKind,
     Pose,
+    PromptStep,
     ProofLevel,
     ProofVerdict,
     Sensor,
+    SensorCheckId,
     SensorVerdict,
     WriteResult,
 )
@@ -38,6 +40,7 @@ class AgreementModel(Answer):
 
     sensor: Sensor
     instance: int
+    """Which sensor of its kind, from 0."""
     deviation: Number
     """Root mean square of the change, in standard deviations."""
     text: str
@@ -109,11 +112,11 @@ class PolynomialModel(Answer):
     """How the offset follows the temperature T: the sum over k of coefficients[axis][k-1] * (T - t_ref)^k."""
 
     t_ref: Number
-    """DegC."""
+    """degC."""
     t_min: Number | None
-    """DegC; null: without a limit."""
+    """degC; null: without a limit."""
     t_max: Number | None
-    """DegC; null: without a limit."""
+    """degC; null: without a limit."""
     coefficients: list[list[Number | None]]
     """A row an axis, from the first power on, in the unit of the fit / degC^k; null: not determined."""
 
@@ -122,9 +125,9 @@ class SensorModel(Answer):
     """Corrected = matrix (measured - offset - polynomial(T))."""
 
     offset: list[Number | None]
-    """X y z, in the unit of the fit; null: not determined."""
+    """x y z, in the unit of the fit; null: not determined."""
     matrix: list[list[Number | None]]
-    """Three rows; null: not determined."""
+    """Three rows of pure numbers; null: not determined."""
     polynomial: PolynomialModel | None
 
 
@@ -132,8 +135,9 @@ class FitParameterModel(Answer):
     """One parameter of a fit."""
 
     name: str
-    """Offset_x, matrix_xy, poly1_x ..."""
+    """offset_x, matrix_xy, poly1_x ..."""
     value: Number | None
+    """In `unit`; null: not determined."""
     sd: Number | None
     """Standard deviation, in `unit`; 0: held fixed; null: not determined."""
     unit: str
@@ -150,7 +154,9 @@ class FitModel(Answer):
     status: FitStatus
     message: str
     n_samples: int
+    """How many samples were given."""
     n_used: int
+    """How many of them were used."""
     relative: bool
     """Fitted on top of a calibration that is not known; never absolute values."""
     model: SensorModel
@@ -163,6 +169,7 @@ class FitModel(Answer):
     unit: str
     """Unit of the offset."""
     condition_number: Number | None
+    """Of the problem in scaled unknowns; a pure number."""
     undetermined: list[str]
     """Names of parameters that the data do not determine."""
     movements: dict[str, str]
@@ -173,7 +180,7 @@ class FitModel(Answer):
     temperature: Number | None
     """Mean temperature of the sensor, degC; null: not known."""
     covariance: list[list[Number | None]]
-    """Square, in the order of `parameters`."""
+    """Square, in the order of `parameters` and in products of their units."""
     parameters: list[FitParameterModel]
     """Every parameter with its value, standard deviation and unit."""
 
@@ -189,7 +196,7 @@ class ProgressModel(Answer):
     unit: str
     text: str
     eta: Number | None
-    """S of the vehicle's clock; null: cannot be said yet."""
+    """s of the vehicle's clock; null: cannot be said yet."""
     detail: dict[str, Any] | None
     """Numbers for a panel."""
 
@@ -209,8 +216,7 @@ class PromptModel(Answer):
     """What the operator is asked to do now."""
 
     type: Literal["prompt"]
-    step: str
-    """Hold_still, pose, rotate, warm_up, confirm, place, turn or state."""
+    step: PromptStep
     text: str
     pose: Pose | None
     """The pose that is asked for; null: any, or none."""
@@ -220,7 +226,7 @@ class PromptModel(Answer):
     """How long to hold still, s."""
     rotate: bool
     direction: list[Number] | None
-    """Body direction (front, right, down) that should point down."""
+    """Body direction (front, right, down) that should point down; a unit vector."""
     temperature: Number | None
     """Bring the sensors to about this, degC; null: any."""
     detected: Pose | None
@@ -230,7 +236,7 @@ class PromptModel(Answer):
     answers: list[str]
     """Answers that are accepted; empty: the data answer."""
     axis: list[Number] | None
-    """Turn about this body axis (front, right, down), right-handed."""
+    """Turn about this body axis (front, right, down), right-handed; a unit vector."""
     turns: Number | None
     """How many turns to make; null: until the prompt changes."""
     number: NumberModel | None
@@ -283,6 +289,7 @@ class LossModel(Answer):
 
     sensor: Sensor
     instance: int
+    """Which sensor of its kind, from 0."""
     what: str
     cost: Number
     """Largest effect of leaving it out, over all directions, in `unit`."""
@@ -338,10 +345,10 @@ class MovementModel(Answer):
 class SensorCheckModel(Answer):
     """What a sensor reads after the write beside what it should."""
 
-    id: str
-    """Gyro_zero, accel_gravity, accel_direction or level."""
+    id: SensorCheckId
     sensor: Sensor
     instance: int
+    """Which sensor of its kind, from 0."""
     value: Number | None
     """How far it is off, in `unit`; null: not observed."""
     limit: Number | None
@@ -375,11 +382,11 @@ class StandingModel(Answer):
 
     name: str
     old: Number | None
-    """The value before the write; null: not known."""
+    """The value before the write, in the unit of the parameter; null: not known."""
     new: Number | None
-    """The value that was to be written."""
+    """The value that was to be written, in the same unit."""
     value: Number | None
-    """The last value heard; null: none since the last PARAM_SET left."""
+    """The last value heard, in the same unit; null: none since the last PARAM_SET left."""
     certain: bool
     """False: it may have changed since."""
     note: str
@@ -392,7 +399,9 @@ class SegmentModel(Answer):
     path: str
     """Name of the log."""
     start_byte: int
+    """Of the log, from 0."""
     end_byte: int
+    """The byte behind the last one."""
     sha256: str
     """Digest of these bytes."""
 
@@ -419,6 +428,7 @@ class JobModel(Answer):
     last_write: WriteModel | None
     """Null: nothing was accepted yet."""
     options: dict[str, Any]
+    """Of the procedure or method, and of what uploads."""
     plan_options: dict[str, Any]
     """What the operator decided about the plan: given fields of PlanOptions."""
     warnings: list[str]

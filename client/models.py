@@ -27,16 +27,18 @@ class AuditCheck(Answer):
 
     intact: bool
     rows: int
+    """How many there are."""
     head: str
     """Digest of the newest row; kept elsewhere it vouches for all rows up to it."""
     broken_at: int | None
-    """First row that does not fit."""
+    """First row that does not fit; null: all do."""
 
 
 class AuditModel(Answer):
     """Who asked for what."""
 
     id: int
+    """Rows are numbered in the order of their coming."""
     at: Number
     """Wall-clock time, s since 1970."""
     actor: str
@@ -61,10 +63,13 @@ class CheckModel(Answer):
     id: CheckId
     verdict: Verdict
     value: Number | None
+    """In `unit`."""
     sd: Number | None
-    """Standard deviation of `value`: noise and whatever else limits it."""
+    """Standard deviation of `value`, in `unit`: noise and whatever else limits it."""
     limit: Number | None
+    """In `unit`."""
     unit: str
+    """Empty: a pure number, or none."""
     reason: str
     remedy: str
     """What helps; empty where nothing has to be done."""
@@ -109,7 +114,8 @@ class GapModel(Answer):
     id: str
     href: str
     """Its address, relative to the root of the service."""
-    state: Literal["queued", "running", "done", "failed"]
+    state: JobState
+    """That of the job, whose id is the same."""
     error: str | None
     """Why it failed."""
     created_at: Number
@@ -118,7 +124,7 @@ class GapModel(Answer):
     sim: str | None
     nominal: list[str]
     report: dict[str, Any] | None
-    """As `mavcal gap --json`; null until it is done."""
+    """As `mavcal gap --json`; null until it has succeeded."""
     page: str | None
     """Address of the report as a page, relative to the root of the service."""
 
@@ -129,7 +135,8 @@ class GapSummary(Answer):
     id: str
     href: str
     """Its address, relative to the root of the service."""
-    state: Literal["queued", "running", "done", "failed"]
+    state: JobState
+    """That of the job, whose id is the same."""
     error: str | None
     """Why it failed."""
     created_at: Number
@@ -182,6 +189,8 @@ class JobSummary(Answer):
     """Null while the job goes on, and while a plan waits that was not tried yet."""
     last_write: WriteModel | None
     """Null: nothing was accepted yet."""
+    options: dict[str, Any]
+    """Of the procedure or method, and of what uploads."""
 
 
 class LinkModel(Answer):
@@ -211,6 +220,7 @@ class OptionModel(Answer):
 
     name: str
     default: bool | Number
+    """In `unit`."""
     help: str
     unit: str
     """Empty: a switch, or a pure number."""
@@ -225,7 +235,7 @@ class ParameterModel(Answer):
 
     name: str
     value: Number | None
-    """Null: not a finite number."""
+    """In the unit that the firmware documents; null: not a finite number."""
     kind: ParameterKind
 
 
@@ -236,7 +246,7 @@ class PreflightModel(Answer):
     at: Number
     """Wall-clock time, s since 1970."""
     seconds: Number
-    """How long it took."""
+    """How long it took, s."""
     verdict: Verdict
     """Any failure fails the whole; then warnings count, then what is unknown."""
     summary: str
@@ -357,7 +367,7 @@ class SeriesModel(Answer):
     source: str
     """The message or column that carries it."""
     t: list[Number]
-    """S since the recording began."""
+    """s since the recording began."""
     values: list[list[Number | None]]
     """A row an axis, in `unit`; null: not a finite number."""
 
@@ -407,6 +417,7 @@ class VehicleModel(Answer):
     loss: Number
     """Lost share of everything sent, 0..1."""
     bytes_per_s: Number
+    """Received, over the last seconds."""
     parameters_known: int
     """How many parameters were heard."""
 

@@ -10,7 +10,7 @@ import click
 
 from mavcal import calib
 from mavcal.calib.errors import CalibError
-from mavcal.service.commands.output import EXIT_NO, EXIT_USAGE, wants_json, write_json
+from mavcal.service.commands.output import EXIT_NO, EXIT_USAGE, AnsweredNo, wants_json, write_json
 from mavcal.service.errors import JobError, LinkDown, ServiceError, VehicleError
 from mavcal.service.lifetime import follow
 
@@ -23,7 +23,10 @@ COMMANDS = {
     "accept": "Write the plan of a job that waits in review.",
     "revert": "Take back what a job has written.",
     "status": "Say who is at the other end of a link, and what was calibrated last.",
-    "jobs": "List the jobs of a data directory, of every kind.",
+    "jobs": "List the jobs of a data directory or of a running service, of every kind.",
+    "follow": "Show what happens to a job of a running service, and answer its prompts.",
+    "answer": "Answer the prompt of a job of a running service.",
+    "cancel": "Cancel a job of a running service.",
     "recover": "Finish or take back a write that was interrupted.",
     "fit": "Run one method on a recording.",
     "inspect": "Tell what is in a recording.",
@@ -79,6 +82,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message(), err=True)
         sys.exit(EXIT_USAGE)
+    except AnsweredNo as error:
+        _complain(arguments, error.code, error.message)
+        sys.exit(error.ends_with)
     except click.ClickException as error:
         _complain(arguments, "usage", error.format_message())
         sys.exit(EXIT_USAGE)

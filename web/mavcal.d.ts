@@ -14,6 +14,7 @@ export interface AfterWriteModel {
 /** A sensor that is left as it is: the fit agrees with what is in force. */
 export interface AgreementModel {
   sensor: Sensor;
+  /** Which sensor of its kind, from 0. */
   instance: number;
   /** Root mean square of the change, in standard deviations. */
   deviation: number;
@@ -58,15 +59,17 @@ export interface ApplyRequest {
 /** Whether the audit trail is as it was written. */
 export interface AuditCheck {
   intact: boolean;
+  /** How many there are. */
   rows: number;
   /** Digest of the newest row; kept elsewhere it vouches for all rows up to it. */
   head: string;
-  /** First row that does not fit. */
+  /** First row that does not fit; null: all do. */
   broken_at: number | null;
 }
 
 /** Who asked for what. */
 export interface AuditModel {
+  /** Rows are numbered in the order of their coming. */
   id: number;
   /** Wall-clock time, s since 1970. */
   at: number;
@@ -116,10 +119,13 @@ export type CheckId = "gyro_rest" | "gyro_noise" | "accel_force" | "compass_fiel
 export interface CheckModel {
   id: CheckId;
   verdict: Verdict;
+  /** In `unit`. */
   value: number | null;
-  /** Standard deviation of `value`: noise and whatever else limits it. */
+  /** Standard deviation of `value`, in `unit`: noise and whatever else limits it. */
   sd: number | null;
+  /** In `unit`. */
   limit: number | null;
+  /** Empty: a pure number, or none. */
   unit: string;
   reason: string;
   /** What helps; empty where nothing has to be done. */
@@ -193,7 +199,9 @@ export interface FitModel {
   instance: number;
   status: FitStatus;
   message: string;
+  /** How many samples were given. */
   n_samples: number;
+  /** How many of them were used. */
   n_used: number;
   /** Fitted on top of a calibration that is not known; never absolute values. */
   relative: boolean;
@@ -206,6 +214,7 @@ export interface FitModel {
   residual_rms: number | null;
   /** Unit of the offset. */
   unit: string;
+  /** Of the problem in scaled unknowns; a pure number. */
   condition_number: number | null;
   /** Names of parameters that the data do not determine. */
   undetermined: string[];
@@ -216,7 +225,7 @@ export interface FitModel {
   quality: Record<string, unknown>;
   /** Mean temperature of the sensor, degC; null: not known. */
   temperature: number | null;
-  /** Square, in the order of `parameters`. */
+  /** Square, in the order of `parameters` and in products of their units. */
   covariance: ((number | null)[])[];
   /** Every parameter with its value, standard deviation and unit. */
   parameters: FitParameterModel[];
@@ -224,8 +233,9 @@ export interface FitModel {
 
 /** One parameter of a fit. */
 export interface FitParameterModel {
-  /** Offset_x, matrix_xy, poly1_x ... */
+  /** offset_x, matrix_xy, poly1_x ... */
   name: string;
+  /** In `unit`; null: not determined. */
   value: number | null;
   /** Standard deviation, in `unit`; 0: held fixed; null: not determined. */
   sd: number | null;
@@ -268,7 +278,8 @@ export interface GapModel {
   id: string;
   /** Its address, relative to the root of the service. */
   href: string;
-  state: "queued" | "running" | "done" | "failed";
+  /** That of the job, whose id is the same. */
+  state: JobState;
   /** Why it failed. */
   error: string | null;
   /** Wall-clock time, s since 1970. */
@@ -276,7 +287,7 @@ export interface GapModel {
   real: string;
   sim: string | null;
   nominal: string[];
-  /** As `mavcal gap --json`; null until it is done. */
+  /** As `mavcal gap --json`; null until it has succeeded. */
   report: Record<string, unknown> | null;
   /** Address of the report as a page, relative to the root of the service. */
   page: string | null;
@@ -297,7 +308,8 @@ export interface GapSummary {
   id: string;
   /** Its address, relative to the root of the service. */
   href: string;
-  state: "queued" | "running" | "done" | "failed";
+  /** That of the job, whose id is the same. */
+  state: JobState;
   /** Why it failed. */
   error: string | null;
   /** Wall-clock time, s since 1970. */
@@ -358,6 +370,7 @@ export interface JobModel {
   outcome: OutcomeModel | null;
   /** Null: nothing was accepted yet. */
   last_write: WriteModel | null;
+  /** Of the procedure or method, and of what uploads. */
   options: Record<string, unknown>;
   /** What the operator decided about the plan: given fields of PlanOptions. */
   plan_options: Record<string, unknown>;
@@ -407,6 +420,8 @@ export interface JobSummary {
   outcome: OutcomeModel | null;
   /** Null: nothing was accepted yet. */
   last_write: WriteModel | null;
+  /** Of the procedure or method, and of what uploads. */
+  options: Record<string, unknown>;
 }
 
 /** EXTENDED_SYS_STATE.landed_state. */
@@ -461,6 +476,7 @@ export interface LiveModel {
 /** A part of the fit that this firmware cannot hold. */
 export interface LossModel {
   sensor: Sensor;
+  /** Which sensor of its kind, from 0. */
   instance: number;
   what: string;
   /** Largest effect of leaving it out, over all directions, in `unit`. */
@@ -506,6 +522,7 @@ export interface NumberModel {
 /** A number or a switch that may be set when a job is started. */
 export interface OptionModel {
   name: string;
+  /** In `unit`. */
   default: boolean | number;
   help: string;
   /** Empty: a switch, or a pure number. */
@@ -524,7 +541,7 @@ export type ParameterKind = "real32" | "int32" | "int16" | "int8" | "uint8" | "u
 /** A parameter as the vehicle states it. */
 export interface ParameterModel {
   name: string;
-  /** Null: not a finite number. */
+  /** In the unit that the firmware documents; null: not a finite number. */
   value: number | null;
   kind: ParameterKind;
 }
@@ -604,11 +621,11 @@ export interface PlanRequest {
 
 /** How the offset follows the temperature T: the sum over k of coefficients[axis][k-1] * (T - t_ref)^k. */
 export interface PolynomialModel {
-  /** DegC. */
+  /** degC. */
   t_ref: number;
-  /** DegC; null: without a limit. */
+  /** degC; null: without a limit. */
   t_min: number | null;
-  /** DegC; null: without a limit. */
+  /** degC; null: without a limit. */
   t_max: number | null;
   /** A row an axis, from the first power on, in the unit of the fit / degC^k; null: not determined. */
   coefficients: ((number | null)[])[];
@@ -622,7 +639,7 @@ export interface PreflightModel {
   vehicle_id: string;
   /** Wall-clock time, s since 1970. */
   at: number;
-  /** How long it took. */
+  /** How long it took, s. */
   seconds: number;
   /** Any failure fails the whole; then warnings count, then what is unknown. */
   verdict: Verdict;
@@ -647,6 +664,7 @@ export interface Problem {
   type: string;
   code: ProblemCode;
   title: string;
+  /** That of the answer. */
   status: number;
   /** What happened, and what helps. */
   detail: string;
@@ -695,7 +713,7 @@ export interface ProgressModel {
   target: number;
   unit: string;
   text: string;
-  /** S of the vehicle's clock; null: cannot be said yet. */
+  /** s of the vehicle's clock; null: cannot be said yet. */
   eta: number | null;
   /** Numbers for a panel. */
   detail: Record<string, unknown> | null;
@@ -716,8 +734,7 @@ export interface PromptEvent {
 /** What the operator is asked to do now. */
 export interface PromptModel {
   type: "prompt";
-  /** Hold_still, pose, rotate, warm_up, confirm, place, turn or state. */
-  step: string;
+  step: PromptStep;
   text: string;
   /** The pose that is asked for; null: any, or none. */
   pose: Pose | null;
@@ -726,7 +743,7 @@ export interface PromptModel {
   /** How long to hold still, s. */
   hold_s: number | null;
   rotate: boolean;
-  /** Body direction (front, right, down) that should point down. */
+  /** Body direction (front, right, down) that should point down; a unit vector. */
   direction: [number, number, number] | null;
   /** Bring the sensors to about this, degC; null: any. */
   temperature: number | null;
@@ -736,13 +753,16 @@ export interface PromptModel {
   stable: boolean;
   /** Answers that are accepted; empty: the data answer. */
   answers: string[];
-  /** Turn about this body axis (front, right, down), right-handed. */
+  /** Turn about this body axis (front, right, down), right-handed; a unit vector. */
   axis: [number, number, number] | null;
   /** How many turns to make; null: until the prompt changes. */
   turns: number | null;
   /** A number that is asked for beside `answers`. */
   number: NumberModel | null;
 }
+
+/** What a prompt is about, for programs: those of a capture, then those of a write. */
+export type PromptStep = "hold_still" | "pose" | "place" | "rotate" | "turn" | "warm_up" | "state" | "prove" | "reboot" | "wait" | "busy" | "silent";
 
 /** How much of what acts on a stream the stream has proved. */
 export type ProofLevel = "full" | "partial" | "none";
@@ -849,7 +869,9 @@ export interface SamplesModel {
 export interface SegmentModel {
   /** Name of the log. */
   path: string;
+  /** Of the log, from 0. */
   start_byte: number;
+  /** The byte behind the last one. */
   end_byte: number;
   /** Digest of these bytes. */
   sha256: string;
@@ -869,11 +891,14 @@ export interface SegmentsEvent {
 /** What a channel measures; the comment gives the columns and the unit. */
 export type Sensor = "accel" | "gyro" | "mag" | "temperature" | "current" | "throttle" | "motor" | "rotor_speed" | "attitude" | "position" | "velocity" | "place";
 
+/** What a sensor should read after a write. */
+export type SensorCheckId = "gyro_zero" | "accel_gravity" | "accel_direction" | "level";
+
 /** What a sensor reads after the write beside what it should. */
 export interface SensorCheckModel {
-  /** Gyro_zero, accel_gravity, accel_direction or level. */
-  id: string;
+  id: SensorCheckId;
   sensor: Sensor;
+  /** Which sensor of its kind, from 0. */
   instance: number;
   /** How far it is off, in `unit`; null: not observed. */
   value: number | null;
@@ -903,9 +928,9 @@ export interface SensorEffectModel {
 
 /** Corrected = matrix (measured - offset - polynomial(T)). */
 export interface SensorModel {
-  /** X y z, in the unit of the fit; null: not determined. */
+  /** x y z, in the unit of the fit; null: not determined. */
   offset: (number | null)[];
-  /** Three rows; null: not determined. */
+  /** Three rows of pure numbers; null: not determined. */
   matrix: ((number | null)[])[];
   polynomial: PolynomialModel | null;
 }
@@ -940,7 +965,7 @@ export interface SeriesModel {
   unit: string;
   /** The message or column that carries it. */
   source: string;
-  /** S since the recording began. */
+  /** s since the recording began. */
   t: number[];
   /** A row an axis, in `unit`; null: not a finite number. */
   values: ((number | null)[])[];
@@ -982,11 +1007,11 @@ export interface StandingEvent {
 /** What is known of one parameter that a job has written, or may have. */
 export interface StandingModel {
   name: string;
-  /** The value before the write; null: not known. */
+  /** The value before the write, in the unit of the parameter; null: not known. */
   old: number | null;
-  /** The value that was to be written. */
+  /** The value that was to be written, in the same unit. */
   new: number | null;
-  /** The last value heard; null: none since the last PARAM_SET left. */
+  /** The last value heard, in the same unit; null: none since the last PARAM_SET left. */
   value: number | null;
   /** False: it may have changed since. */
   certain: boolean;
@@ -1066,6 +1091,7 @@ export interface VehicleModel {
   lost: number;
   /** Lost share of everything sent, 0..1. */
   loss: number;
+  /** Received, over the last seconds. */
   bytes_per_s: number;
   /** How many parameters were heard. */
   parameters_known: number;
@@ -1265,7 +1291,7 @@ export interface Operations {
   list_jobs: {
     method: "GET";
     path: "/api/v1/jobs";
-    query: { vehicle_id?: string | null; kind?: string | null; order?: "oldest" | "newest"; limit?: number; after?: string | null };
+    query: { vehicle_id?: string | null; kind?: string | null; state?: JobState | null; order?: "oldest" | "newest"; limit?: number; after?: string | null };
     answer: JobSummary[];
   };
   /** One job with its results. */

@@ -183,7 +183,9 @@ def is_code(name: str) -> bool:
 
 
 def sentence(text: str) -> str:
-    """`text` as a sentence, on one line."""
+    """`text` as a sentence, on one line. What is written as a name or a unit keeps its letters."""
     line = " ".join(text.split())
-    line = line[:1].upper() + line[1:]
+    first = re.split(r"[\s,;:]", line, maxsplit=1)[0]
+    if re.fullmatch("a|[a-z]{2,}(-[a-z]+)*", first):
+        line = line[:1].upper() + line[1:]
     return line if not line or line[-1] in ".!?" else f"{line}."

@@ -7,7 +7,7 @@ The knowledge of each firmware lies in its own modules; what is exported here as
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import ModuleType
+from types import MappingProxyType, ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from mavcal.calib.triad import TriadModel
 
 __all__ = [
     "CALIBRATION_PREFIXES",
+    "TITLES",
     "Assembler",
     "Undo",
     "body_from_sensor",
@@ -32,10 +33,13 @@ __all__ = [
     "calibration_names",
     "requested_streams",
     "sensor_ids",
+    "turning_spoils",
     "undo",
 ]
 
 _MODULES = {"ardupilot": ardupilot, "px4": px4}
+TITLES = MappingProxyType({"ardupilot": "ArduPilot", "px4": "PX4"})
+"""The autopilots whose calibrations are known, as a person calls them."""
 
 
 def _of(autopilot: str | None) -> ModuleType:
@@ -76,3 +80,16 @@ def body_from_sensor(
     """``R_body_from_sensor``, shape (3, 3): undone samples are in the sensor's frame, poses are the body's."""
     turn: NDArray[np.float64] = _of(autopilot).mounting(parameters, sensor, instance)
     return turn
+
+
+def turning_spoils(parameters: Mapping[str, Value]) -> str:
+    """Why a steady turn makes the vehicle change its gyro offsets, and what helps; empty: it does not.
+
+    What changes its offsets in the middle of a capture spoils it.
+    """
+    if parameters.get("IMU_GYRO_CAL_EN") != 1:
+        return ""
+    return (
+        "PX4 estimates its gyro offsets by itself and takes a steady turn for one (IMU_GYRO_CAL_EN = 1); a capture in "
+        "which it does so is refused: set it to 0 and restart the vehicle first"
+    )

@@ -64,10 +64,14 @@ COMPASS_SCALE_WINDOW: Final = (1.0 / 1.5, 1.5)
 """ArduPilot uses COMPASS_SCALE, and accepts a field strength, inside this factor only (AP_Compass.cpp)."""
 COMPASS_OFFS_MAX: Final = 1800.0
 """Default of COMPASS_OFFS_MAX, mGauss; length of the offset vector at which arming is refused."""
+COMPASS_OFFSET_MAX_UT: Final = 0.1 * COMPASS_OFFS_MAX
+"""The same in uT: a compass with a larger offset has a magnet beside it, whatever firmware it serves."""
 TRIM_MAX_RAD: Final = 0.17453292519943295
 """Largest level trim that ArduPilot measures itself (10 deg); beyond it the board is not mounted level."""
 THERMAL_SPAN_MIN: Final = 10.0
 """Smallest range of temperature over which a polynomial is stored, degC (ArduPilot's own learning asks the same)."""
+THERMAL_DEGREE: Final = 3
+"""Degree of the polynomial that both firmwares store."""
 
 
 def limit_of(name: str) -> ParameterLimit | None:

@@ -70,7 +70,7 @@ class Agreement:
     sensor: Sensor
     instance: int
     deviation: float
-    """Root mean square of the change over its independent parts, each in its standard deviation."""
+    """Root mean square of the change over its independent parts, each in the standard deviation of the change."""
     text: str
 
 
@@ -186,12 +186,20 @@ class SensorVerdict(StrEnum):
     NOT_OBSERVABLE = "not_observable"  # it was never at rest, or nothing says what it should read
 
 
+class SensorCheckId(StrEnum):
+    """What a sensor should read after a write."""
+
+    GYRO_ZERO = "gyro_zero"  # nothing, at rest
+    ACCEL_GRAVITY = "accel_gravity"  # gravity, at rest
+    ACCEL_DIRECTION = "accel_direction"  # the same direction as another unit of its board
+    LEVEL = "level"  # no tilt, where the vehicle stands level
+
+
 @dataclass(frozen=True)
 class SensorCheck:
     """What one sensor reads after the write beside what it should: zero, gravity, another unit's direction, level."""
 
-    id: str
-    """``gyro_zero``, ``accel_gravity``, ``accel_direction`` or ``level``."""
+    id: SensorCheckId
     sensor: Sensor
     instance: int
     value: float | None

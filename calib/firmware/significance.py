@@ -1,8 +1,9 @@
-"""Whether a change is larger than the uncertainty of what asks for it.
+"""Whether a change is larger than its own uncertainty.
 
-The whole change is judged at once: with ``d`` the change and ``C`` the covariance of the estimate, ``d^T C^+ d`` lies
-below the 95 % quantile of chi-squared with as many degrees of freedom as `C` has independent parts. A change that the
-estimate calls certain (zero variance) always counts.
+What is in force was estimated once as well, at best as well as now. So a change ``d`` has twice the covariance ``C`` of
+the present estimate: two calibrations of one sensor differ by that much. The whole change is judged at once: it is none
+while ``d^T (2 C)^+ d`` lies below the 95 % quantile of chi-squared with as many degrees of freedom as `C` has
+independent parts. A change that the estimate calls certain (zero variance) always counts.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ Judged = tuple[Array, Array]
 
 CONFIDENCE: Final = 0.95
 """A change inside this region of confidence is no change."""
+ESTIMATES: Final = 2.0
+"""A change is the difference of so many estimates: the present one and the one in force."""
 SAME: Final = 1e-6
 """Error of an element that the fit holds fixed: rounding to single precision."""
 
@@ -43,13 +46,13 @@ def agreed(sensor: Sensor, instance: int, name: str, judged: Sequence[Judged | N
 
 
 def within(judged: Sequence[Judged | None]) -> float | None:
-    """Root mean square of the whole change in standard deviations; None: it is larger than its uncertainty."""
+    """Root mean square of the whole change in its standard deviations; None: it is larger than its uncertainty."""
     squares, parts = 0.0, 0
     for item in judged:
         found = None if item is None else _distance(*item)
         if found is None:
             return None
-        squares, parts = squares + found[0], parts + found[1]
+        squares, parts = squares + found[0] / ESTIMATES, parts + found[1]
     if parts == 0 or squares > float(chdtri(parts, 1.0 - CONFIDENCE)):
         return None
     return math.sqrt(squares / parts)

@@ -19,7 +19,7 @@ from mavcal.calib.procedures.motion import HELD, Disturbance, StillLimits, Still
 from mavcal.calib.procedures.placing import shown_down
 from mavcal.calib.procedures.pose_fit import Assessment, assess
 from mavcal.calib.procedures.poses import FACES, TEXTS, angle, in_words, recognise, remaining, suggest
-from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt
+from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import annotated
 from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
@@ -193,7 +193,7 @@ class AccelProcedure(TickedProcedure):
             text = f"{self._note}Hold the vehicle still, tilted: {in_words(towards)} pointing down."
         self._say(
             Prompt(
-                "pose",
+                PromptStep.POSE,
                 text,
                 remaining=left,
                 pose=None if faces or not left else Pose.OBLIQUE,

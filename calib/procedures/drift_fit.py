@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcal.calib.firmware.limits import THERMAL_DEGREE
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.recording import Array, Channel, Sensor
@@ -20,9 +21,6 @@ from mavcal.calib.thermal.thermometer import Thermometer
 from mavcal.calib.triad import ThermalPolynomial
 
 _KEPT = frozenset({Sensor.ACCEL, Sensor.GYRO})
-
-DEGREE = 3
-"""Order of the polynomial that both firmwares store."""
 
 SHORTEST = 10.0
 """A still span shorter than this is left out where the pose changes between spans, s."""
@@ -72,7 +70,7 @@ def fit_drift(pool: DriftPool, sensor: Sensor, instance: int, *, relative: bool)
     assert channel is not None
     if sensor == Sensor.ACCEL and len(np.unique(span)) > 1:
         return fit_posed(channel, data, span, relative=relative)
-    return fit_drift_data(channel, data, data.samples, degree=DEGREE, relative=relative)
+    return fit_drift_data(channel, data, data.samples, degree=THERMAL_DEGREE, relative=relative)
 
 
 def fit_posed(
@@ -80,7 +78,7 @@ def fit_posed(
     data: DriftData,
     number: NDArray[np.intp],
     *,
-    degree: int = DEGREE,
+    degree: int = THERMAL_DEGREE,
     t_ref: float = 35.0,
     min_span: float = 10.0,
     lag: bool = True,

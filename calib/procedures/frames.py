@@ -35,4 +35,4 @@ def body_from_sensor(context: ProcedureContext, sensor: Sensor, instance: int) -
 
 
 def _told(context: ProcedureContext) -> bool:
-    return not context.relative and context.identity.autopilot in ("ardupilot", "px4")
+    return not context.relative and context.identity.autopilot in firmware.TITLES

@@ -18,7 +18,7 @@ from mavcal.calib.option import Option
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.motion import StillnessVerdict, statistics
 from mavcal.calib.procedures.pool import Pool, Tail
-from mavcal.calib.procedures.protocol import Done, Progress, Prompt
+from mavcal.calib.procedures.protocol import Done, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import annotated, mean_temperature, share_of_information
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
@@ -80,7 +80,7 @@ class GyroProcedure(TickedProcedure):
         self._quick = self._best = math.inf
 
     def _on_start(self, present: set[Instance]) -> None:
-        self._say(Prompt("hold_still", "Put the vehicle on a firm surface and do not touch it."))
+        self._say(Prompt(PromptStep.HOLD_STILL, "Put the vehicle on a firm surface and do not touch it."))
 
     def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
         verdict = self._watch.update(frame)
@@ -96,7 +96,7 @@ class GyroProcedure(TickedProcedure):
         self._why = why
         self._watch.reset()
         self._begin_rest()
-        self._say(Prompt("hold_still", f"Not at rest: {what}. Leave the vehicle alone on a firm surface."))
+        self._say(Prompt(PromptStep.HOLD_STILL, f"Not at rest: {what}. Leave the vehicle alone on a firm surface."))
         if self.elapsed >= self.options["patience"]:
             self._give_up(
                 f"no rest that is long enough within {self.elapsed:.0f} s: {why}",
@@ -104,7 +104,7 @@ class GyroProcedure(TickedProcedure):
             )
 
     def _collect(self, frame: TickChannels, seconds: float) -> None:
-        self._say(Prompt("hold_still", "At rest: leave the vehicle alone.", stable=True))
+        self._say(Prompt(PromptStep.HOLD_STILL, "At rest: leave the vehicle alone.", stable=True))
         kept = self._tail.push(frame)
         if kept is None:
             return

@@ -27,7 +27,7 @@ from mavcal.calib.procedures.frames import body_from_sensor
 from mavcal.calib.procedures.motion import RESTING, StillWatch
 from mavcal.calib.procedures.pool import Pool
 from mavcal.calib.procedures.pose_fit import Assessment
-from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt
+from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import annotated, mean_temperature, refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
@@ -172,7 +172,9 @@ class ImuProcedure(AccelProcedure):
         self._finish(Done(tuple(annotated(f, self.context, self.warnings) for f in fits), because))
 
 
-_REST = Prompt("place", "Put the vehicle down level on a firm surface and leave it alone.", Pose.LEVEL, hold_s=REST_S)
+_REST = Prompt(
+    PromptStep.PLACE, "Put the vehicle down level on a firm surface and leave it alone.", Pose.LEVEL, hold_s=REST_S
+)
 
 
 def _scale_sd(fit: FitResult) -> float:

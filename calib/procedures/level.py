@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from mavcal.calib.firmware.limits import TRIM_MAX_RAD
 from mavcal.calib.firmware.storable import LEVEL
 from mavcal.calib.fit import FitBuilder, FitResult
 from mavcal.calib.option import Option
@@ -15,7 +16,7 @@ from mavcal.calib.procedures.frames import in_force
 from mavcal.calib.procedures.holds import Hold
 from mavcal.calib.procedures.motion import StillnessVerdict
 from mavcal.calib.procedures.poses import angle, down
-from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt
+from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import annotated
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
@@ -42,9 +43,6 @@ SPEC = ProcedureSpec(
 
 SHORTEST = 3.0
 """Least time at rest, s."""
-
-STEEPEST = math.radians(10.0)
-"""A board is not mounted askew by more; the vehicle stands on a slope. ArduPilot refuses the same (4.1)."""
 
 GRAVITY_WITHIN = 0.3
 """A calibrated accelerometer at rest reads gravity within this, m/s2; one further off tilts the level by degrees."""
@@ -82,9 +80,11 @@ class LevelProcedure(TickedProcedure):
         if not verdict.still:
             self._hold, self._why, self._judge_at = Hold(), verdict.why, 0.0
             self._restless += end - start
-            self._say(Prompt("hold_still", f"Not at rest: {verdict.what}. Leave the vehicle alone.", Pose.LEVEL))
+            self._say(
+                Prompt(PromptStep.HOLD_STILL, f"Not at rest: {verdict.what}. Leave the vehicle alone.", Pose.LEVEL)
+            )
         elif verdict.counted:
-            self._say(Prompt("hold_still", "At rest: leave the vehicle alone.", Pose.LEVEL, stable=True))
+            self._say(Prompt(PromptStep.HOLD_STILL, "At rest: leave the vehicle alone.", Pose.LEVEL, stable=True))
             self._hold.add(frame, end - start)
             if self._hold.seconds >= SHORTEST and self._hold.seconds >= self._judge_at:
                 self._judge_at = self._hold.seconds + 1.0
@@ -129,7 +129,7 @@ class LevelProcedure(TickedProcedure):
                 )
                 return
         tilt = max(angle(down(f), np.array([0.0, 0.0, 1.0])) for f in forces.values())
-        if tilt > STEEPEST:
+        if tilt > TRIM_MAX_RAD:
             self._give_up(
                 f"the vehicle is tilted by {math.degrees(tilt):.0f} deg; a level trim beyond 10 deg is refused",
                 "put it upright on a level surface; if it stands level, set the board's orientation first",
@@ -157,7 +157,7 @@ class LevelProcedure(TickedProcedure):
         )
 
 
-_PROMPT = Prompt("hold_still", "Put the vehicle level on a level surface and do not touch it.", Pose.LEVEL)
+_PROMPT = Prompt(PromptStep.HOLD_STILL, "Put the vehicle level on a level surface and do not touch it.", Pose.LEVEL)
 
 
 def roll_pitch(force: Array) -> tuple[float, float]:

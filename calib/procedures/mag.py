@@ -12,6 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from mavcal.calib.firmware.limits import COMPASS_OFFSET_MAX_UT
 from mavcal.calib.firmware.storable import MAG
 from mavcal.calib.firmware.stream.messages import COMPASS_WINDOW
 from mavcal.calib.fit import FitResult, FitStatus
@@ -21,7 +22,7 @@ from mavcal.calib.option import Option
 from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.frames import body_from_sensor, in_force
 from mavcal.calib.procedures.mag_track import BodyMotion, MagTrack
-from mavcal.calib.procedures.protocol import Done, Progress, Prompt
+from mavcal.calib.procedures.protocol import Done, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import annotated, share_of_information
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
@@ -61,9 +62,6 @@ BACKOFF = 1.3
 
 FIELD_WITHIN = 0.2
 """Departure of the field strength from the model, relative, that is told at once."""
-
-LARGEST_OFFSET = 180.0
-"""uT. ArduPilot's COMPASS_OFFS_MAX: a compass with a larger offset cannot be used, there is a magnet at it."""
 
 HARD_IRON_AFTER = 5.0
 """Time over which the raw field must stay that large, s."""
@@ -173,7 +171,7 @@ class MagProcedure(TickedProcedure):
             return
         field = self.context.earth_field.norm if self.context.earth_field is not None else 65.0
         for instance, track in list(self._tracks.items()):
-            if track.nearest - 1.3 * field > LARGEST_OFFSET:
+            if track.nearest - 1.3 * field > COMPASS_OFFSET_MAX_UT:
                 reason = (
                     f"{label(Sensor.MAG, instance)} reads {track.nearest:.0f} uT at least, where the Earth gives "
                     f"{field:.0f} uT: a magnet or magnetised steel is at the sensor"
@@ -278,7 +276,7 @@ class MagProcedure(TickedProcedure):
     def _ask(self) -> None:
         usable = any(t.predicted <= max(USABLE, self._target) for t in self._tracks.values())
         answers = ("finish",) if usable else ()
-        self._say(Prompt("rotate", self._text, rotate=True, direction=self._direction, answers=answers))
+        self._say(Prompt(PromptStep.ROTATE, self._text, rotate=True, direction=self._direction, answers=answers))
 
     def _tell(self) -> None:
         if not self._tracks:

@@ -22,7 +22,7 @@ from mavcal.calib.procedures.frames import body_from_sensor, in_force
 from mavcal.calib.procedures.holds import Hold
 from mavcal.calib.procedures.motion import StillnessVerdict
 from mavcal.calib.procedures.placing import facing, shown_down
-from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt
+from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import annotated, share_of_information
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
@@ -98,7 +98,7 @@ class AccelOneAxisProcedure(TickedProcedure):
             self._begin_again(f"no axis is vertical: the nearest is {math.degrees(at.off):.0f} deg off")
             self._say(dataclasses.replace(_PROMPT, text=f"No axis is vertical. {_PROMPT.text}"))
             return
-        self._say(Prompt("place", "At rest: leave the vehicle alone.", at.face, detected=at.face, stable=True))
+        self._say(Prompt(PromptStep.PLACE, "At rest: leave the vehicle alone.", at.face, detected=at.face, stable=True))
         self._hold.add(frame, seconds)
         if self._hold.seconds >= self._judge_at:
             self._judge_at = self._hold.seconds + 1.0
@@ -161,7 +161,7 @@ class AccelOneAxisProcedure(TickedProcedure):
 
 
 _PROMPT = Prompt(
-    "place",
+    PromptStep.PLACE,
     "Put the vehicle on a level surface on any one of its faces and do not touch it.",
     Pose.LEVEL,
 )

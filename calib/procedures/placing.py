@@ -10,7 +10,7 @@ import numpy as np
 
 from mavcal.calib.procedures.motion import StillWatch
 from mavcal.calib.procedures.poses import DOWN, FACES, TEXTS, WEIGHTLESS, angle, down
-from mavcal.calib.procedures.protocol import Pose, Prompt
+from mavcal.calib.procedures.protocol import Pose, Prompt, PromptStep
 from mavcal.calib.recording import Array, Sensor
 
 SQUARE_WITHIN = math.radians(12.0)
@@ -58,4 +58,4 @@ def place(faces: tuple[Pose, ...], note: str, *, suffix: str = "") -> Prompt:
     """The prompt to put the vehicle down on the first of `faces`, or any other of them."""
     order = ", in any order" if len(faces) > 1 else ""
     text = f"{note}Put the vehicle down square {', '.join(TEXTS[f] for f in faces)}{order}{suffix}, and let go."
-    return Prompt("place", text, pose=faces[0], remaining=faces, hold_s=PLACED_S)
+    return Prompt(PromptStep.PLACE, text, pose=faces[0], remaining=faces, hold_s=PLACED_S)

@@ -47,13 +47,28 @@ class Number:
         return number if math.isfinite(number) and self.low <= number <= self.high else None
 
 
+class PromptStep(StrEnum):
+    """What a prompt is about, for programs: those of a capture, then those of a write."""
+
+    HOLD_STILL = "hold_still"
+    POSE = "pose"  # hold it in a pose
+    PLACE = "place"  # put it down square on a face and let go
+    ROTATE = "rotate"  # about all axes
+    TURN = "turn"  # about `axis`, steadily
+    WARM_UP = "warm_up"
+    STATE = "state"  # a `number` is asked for
+    PROVE = "prove"  # make the movement that proves the rest
+    REBOOT = "reboot"  # restart the vehicle
+    WAIT = "wait"  # nothing is asked: the vehicle, or what stands in the way, takes its time
+    BUSY = "busy"  # the vehicle does something of its own; its data are not used meanwhile
+    SILENT = "silent"  # the vehicle is not heard
+
+
 @dataclass(frozen=True)
 class Prompt:
     """What the operator is asked to do now; a panel draws it, a voice says it."""
 
-    step: str
-    """Machine-stable name: ``hold_still``, ``pose``, ``rotate``, ``warm_up``, ``confirm``; ``place`` (put it down
-    square on a face and let go), ``turn`` (about `axis`, steadily), ``state`` (a `number` is asked for)."""
+    step: PromptStep
     text: str
     pose: Pose | None = None
     """The pose that is asked for; None: any, or none."""

@@ -26,7 +26,7 @@ from mavcal.calib.procedures.motion import StillnessVerdict as Stillness
 from mavcal.calib.procedures.placing import Facing, facing, place, shown_down
 from mavcal.calib.procedures.pose_fit import CHANCE
 from mavcal.calib.procedures.poses import DOWN, FACES, TEXTS
-from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt
+from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import annotated, refusals
 from mavcal.calib.procedures.ring_track import ONCE_AROUND, RingTrack, mounting_in
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
@@ -133,7 +133,9 @@ class MagRingsProcedure(TickedProcedure):
             "Go on turning, once around." if moving else "Turn it slowly about the vertical, once around, as it stands."
         )
         x, y, z = DOWN[at.face]
-        return Prompt("turn", self._note + text, at.face, self._left(), detected=at.face, stable=moving, axis=(x, y, z))
+        return Prompt(
+            PromptStep.TURN, self._note + text, at.face, self._left(), detected=at.face, stable=moving, axis=(x, y, z)
+        )
 
     def _turned(self, frame: TickChannels, spin: Spin, at: Facing) -> None:
         if self._ring is None:

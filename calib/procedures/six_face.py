@@ -24,7 +24,7 @@ from mavcal.calib.procedures.motion import StillnessVerdict
 from mavcal.calib.procedures.placing import facing, place, shown_down
 from mavcal.calib.procedures.pose_fit import CHANCE
 from mavcal.calib.procedures.poses import DOWN, FACES, TEXTS
-from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt
+from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import annotated, mean_or_none, refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
@@ -102,7 +102,15 @@ class AccelSixFaceProcedure(TickedProcedure):
             return
         self._hold = self._hold or Hold(direction)
         self._say(
-            Prompt("place", "At rest: leave it alone.", at.face, self._left(), SHORTEST, detected=at.face, stable=True)
+            Prompt(
+                PromptStep.PLACE,
+                "At rest: leave it alone.",
+                at.face,
+                self._left(),
+                SHORTEST,
+                detected=at.face,
+                stable=True,
+            )
         )
         self._hold.add(frame, seconds)
         # the offset is a mean of six faces, so each may be known worse by the root of that

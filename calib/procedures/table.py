@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+from mavcal.calib.firmware import TITLES
 from mavcal.calib.option import Option
 from mavcal.calib.procedures.registry import PROCEDURES
 from mavcal.calib.procedures.spec import ProcedureSpec
-
-_AUTOPILOTS = {"ardupilot": "ArduPilot", "px4": "PX4"}
 
 _HEAD = """# Procedures
 
@@ -34,7 +33,7 @@ def _section(spec: ProcedureSpec) -> str:
     lines += ["| option | default | limits | meaning |", "|---|---|---|---|"]
     lines += [_option(option) for option in spec.options]
     lines += ["", "| | writes | cannot represent |", "|---|---|---|"]
-    for key, name in _AUTOPILOTS.items():
+    for key, name in TITLES.items():
         holds = spec.autopilots[key]
         writes, cannot = ("; ".join(items) or "nothing" for items in (holds.writes, holds.cannot_represent))
         lines.append(f"| {name} | {writes} | {cannot} |")

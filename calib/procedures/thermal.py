@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
+from mavcal.calib.firmware.limits import THERMAL_SPAN_MIN
 from mavcal.calib.firmware.storable import DRIFT
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.option import Option
@@ -16,7 +17,7 @@ from mavcal.calib.procedures.context import ProcedureContext
 from mavcal.calib.procedures.drift_fit import DriftPool, fit_drift
 from mavcal.calib.procedures.motion import Disturbance, StillnessVerdict
 from mavcal.calib.procedures.pool import Tail
-from mavcal.calib.procedures.protocol import Done, Progress, Prompt
+from mavcal.calib.procedures.protocol import Done, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import annotated
 from mavcal.calib.procedures.roster import Instance, TickChannels, label
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
@@ -61,9 +62,6 @@ SPEC = ProcedureSpec(
 
 GUARD_TICKS = 4
 """A second before a movement was noticed does not count."""
-
-NARROWEST = 10.0
-"""Range of temperature below which no drift is fitted, degC: both firmwares ask for more."""
 
 STILL_COLD = 1.0
 """Range below which the temperature has not moved at all, degC."""
@@ -143,12 +141,12 @@ class ThermalProcedure(TickedProcedure):
     def _judge(self) -> None:
         span, settled = self._warmth.span, self._warmth.settled(self.options["settled"])
         covered = span >= self.options["span"] and (settled or not self.options["extend"])
-        if covered or (settled and span >= NARROWEST):
+        if covered or (settled and span >= THERMAL_SPAN_MIN):
             if self.time >= self._next_fit:
                 self._next_fit = self.time + max(5.0, FIT_AGAIN * self.elapsed)
                 why = "the temperature has settled" if settled else "the asked-for span is covered"
                 self._try(why, last=settled)
-        elif settled and self._warmth.moved >= NARROWEST:
+        elif settled and self._warmth.moved >= THERMAL_SPAN_MIN:
             self._give_up(
                 f"the temperature moved by {self._warmth.moved:.1f} degC and settled, but the vehicle was still for "
                 f"{span:.1f} degC of it only: {self._why}",
@@ -156,7 +154,8 @@ class ThermalProcedure(TickedProcedure):
             )
         elif settled and self._warmth.moved >= STILL_COLD:
             self._give_up(
-                f"the temperature settled after {self._warmth.moved:.1f} degC; a drift needs {NARROWEST:.0f} degC",
+                f"the temperature settled after {self._warmth.moved:.1f} degC; "
+                f"a drift needs {THERMAL_SPAN_MIN:.0f} degC",
                 "cool the vehicle down first (a freezer bag, a cold room) and start again while it is cold",
             )
         elif self._warmth.moved < STILL_COLD and self.elapsed >= self.options["patience"]:
@@ -209,9 +208,9 @@ class ThermalProcedure(TickedProcedure):
 
     def _on_answer(self, value: str) -> None:
         """``finish``: the operator takes the range that is covered."""
-        if self._warmth.span < NARROWEST:
+        if self._warmth.span < THERMAL_SPAN_MIN:
             self._give_up(
-                f"the operator ended it after {self._warmth.span:.1f} degC; a drift needs {NARROWEST:.0f} degC",
+                f"the operator ended it after {self._warmth.span:.1f} degC; a drift needs {THERMAL_SPAN_MIN:.0f} degC",
                 "start with a colder vehicle and let it warm up longer",
             )
             return
@@ -244,7 +243,7 @@ class ThermalProcedure(TickedProcedure):
     # -- telling ---------------------------------------------------------------------------------------------------
 
     def _ask(self, *, still: bool) -> None:
-        answers = ("finish",) if self._warmth.span >= NARROWEST else ()
+        answers = ("finish",) if self._warmth.span >= THERMAL_SPAN_MIN else ()
         text = "Leave the vehicle alone while its temperature changes."
         if self._warmth.span >= self.options["span"]:
             text = (
@@ -253,7 +252,7 @@ class ThermalProcedure(TickedProcedure):
             )
         if not still:
             text = f"Do not touch it: {self._what}. {text}"
-        self._say(Prompt("warm_up", text, stable=still, answers=answers))
+        self._say(Prompt(PromptStep.WARM_UP, text, stable=still, answers=answers))
 
     def _tell(self, verdict: StillnessVerdict) -> None:
         span, target, rate = self._warmth.span, float(self.options["span"]), self._warmth.rate

@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from mavcal.calib.firmware import turning_spoils
 from mavcal.calib.firmware.storable import GYRO
 from mavcal.calib.fit import FitResult, FitStatus
 from mavcal.calib.gyro import fit_thread
@@ -26,12 +27,12 @@ from mavcal.calib.procedures.motion import RESTING, StillLimits, StillnessVerdic
 from mavcal.calib.procedures.placing import facing, shown_down
 from mavcal.calib.procedures.pool import Pool
 from mavcal.calib.procedures.poses import DOWN, TEXTS
-from mavcal.calib.procedures.protocol import Done, Number, Pose, Progress, Prompt
+from mavcal.calib.procedures.protocol import Done, Number, Pose, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import annotated, mean_temperature, refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.procedures.ticked import TickedProcedure
-from mavcal.calib.procedures.turning import OVERWRITES, TURNING, Spin, SpinWatch, way
+from mavcal.calib.procedures.turning import TURNING, Spin, SpinWatch, way
 from mavcal.calib.recording import Array, Segment, Sensor
 
 SPEC = ProcedureSpec(
@@ -105,8 +106,8 @@ class GyroThreadProcedure(TickedProcedure):
         self._level = {i: body_from_sensor(self.context, Sensor.ACCEL, i) for i in self.present(Sensor.ACCEL)}
         self._body = {i: body_from_sensor(self.context, Sensor.GYRO, i) for i in self.present(Sensor.GYRO)}
         self._spins = SpinWatch(self._body)
-        if self.context.parameters.get("IMU_GYRO_CAL_EN") == 1:
-            self._warn(OVERWRITES)
+        if spoilt := turning_spoils(self.context.parameters):
+            self._warn(spoilt)
         self._say(self._rest_prompt())
 
     def _on_tick(self, start: float, end: float, frame: TickChannels) -> None:
@@ -205,7 +206,7 @@ class GyroThreadProcedure(TickedProcedure):
         seen = ", ".join(f"{abs(w.angle) / (2.0 * math.pi):.1f}" for w in self._wound)
         self._say(
             Prompt(
-                "state",
+                PromptStep.STATE,
                 f"How many whole turns were made each way? No compass counted them; the gyro saw {seen}.",
                 stable=True,
                 number=_TURNS,
@@ -241,7 +242,7 @@ class GyroThreadProcedure(TickedProcedure):
     # -- telling ---------------------------------------------------------------------------------------------------
 
     def _rest_prompt(self) -> Prompt:
-        return Prompt("hold_still", f"{self._note}Hang the vehicle up and let it come to rest.")
+        return Prompt(PromptStep.HOLD_STILL, f"{self._note}Hang the vehicle up and let it come to rest.")
 
     def _turn_prompt(self, *, stable: bool) -> Prompt:
         down = self._down if self._axis is None else self._axis
@@ -254,7 +255,7 @@ class GyroThreadProcedure(TickedProcedure):
             if not stable
             else "Let it go on, and come to rest."
         )
-        return Prompt("turn", text, self._face, stable=stable, axis=(x, y, z), turns=turns)
+        return Prompt(PromptStep.TURN, text, self._face, stable=stable, axis=(x, y, z), turns=turns)
 
     def _tell(self) -> None:
         since = self.time - max(self._last_taken, self._began)

@@ -21,12 +21,6 @@ WOBBLE = 0.25
 WOBBLE_AT_LEAST = math.radians(5.0)
 """The same for slow turns, rad/s: a hand's wobble."""
 
-OVERWRITES = (
-    "PX4 estimates its gyro offsets by itself and takes a steady turn for one (IMU_GYRO_CAL_EN = 1); a capture in "
-    "which it does so is refused: set it to 0 and restart the vehicle first"
-)
-"""What is told where PX4's own estimation runs while the vehicle is turned."""
-
 
 @dataclass(frozen=True, eq=False)
 class Spin:

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from mavcal.calib.firmware import turning_spoils
 from mavcal.calib.firmware.storable import GYRO
 from mavcal.calib.fit import AXES, FitResult, FitStatus
 from mavcal.calib.gyro import PLAUSIBLE_BIAS, fit_turntable
@@ -21,13 +22,13 @@ from mavcal.calib.procedures.motion import StillnessVerdict
 from mavcal.calib.procedures.placing import Facing, facing, shown_down
 from mavcal.calib.procedures.pool import joined
 from mavcal.calib.procedures.poses import DOWN, TEXTS
-from mavcal.calib.procedures.protocol import Done, Number, Pose, Progress, Prompt
+from mavcal.calib.procedures.protocol import Done, Number, Pose, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.results import annotated, mean_or_none, refusals
 from mavcal.calib.procedures.roster import Instance, TickChannels
 from mavcal.calib.procedures.spec import Options, ProcedureSpec
 from mavcal.calib.procedures.steady import Stretch
 from mavcal.calib.procedures.ticked import TickedProcedure
-from mavcal.calib.procedures.turning import OVERWRITES, TURNING, Spin, SpinWatch, Turned, way
+from mavcal.calib.procedures.turning import TURNING, Spin, SpinWatch, Turned, way
 from mavcal.calib.recording import Segment, Sensor
 
 SPEC = ProcedureSpec(
@@ -94,8 +95,8 @@ class GyroTurntableProcedure(TickedProcedure):
         self._level = {i: body_from_sensor(self.context, Sensor.ACCEL, i) for i in self.present(Sensor.ACCEL)}
         self._body = {i: body_from_sensor(self.context, Sensor.GYRO, i) for i in self.present(Sensor.GYRO)}
         self._spins = SpinWatch(self._body)
-        if self.context.parameters.get("IMU_GYRO_CAL_EN") == 1:
-            self._warn(OVERWRITES)
+        if spoilt := turning_spoils(self.context.parameters):
+            self._warn(spoilt)
         if not self._axes:
             self._give_up("no axis is asked for", "set at least one of the options x, y and z")
         self._next_round()
@@ -129,8 +130,8 @@ class GyroTurntableProcedure(TickedProcedure):
     def _rest_prompt(self, *, resting: bool) -> Prompt:
         text = "At rest: leave it alone." if resting else "Fix the vehicle on the turntable and leave it at rest."
         if self._rate:
-            return Prompt("hold_still", text, stable=resting)
-        return Prompt("state", f"{text} State the true rate of the turntable.", stable=resting, number=_RATE)
+            return Prompt(PromptStep.HOLD_STILL, text, stable=resting)
+        return Prompt(PromptStep.STATE, f"{text} State the true rate of the turntable.", stable=resting, number=_RATE)
 
     def _rest(self, frame: TickChannels, spin: Spin, verdict: StillnessVerdict) -> None:
         """A rest, before anything turns: its offset is what turns are told by."""
@@ -203,7 +204,7 @@ class GyroTurntableProcedure(TickedProcedure):
         else:
             face = _FACES[self._left[0].axis][0]
             text = f"{self._note}Stop the turntable, and fix the vehicle on it square {TEXTS[face]}."
-            self._say(Prompt("place", text, pose=face, remaining=(face,)))
+            self._say(Prompt(PromptStep.PLACE, text, pose=face, remaining=(face,)))
 
     def _turn_prompt(self, at: Facing, turned: Turned, *, stable: bool) -> Prompt:
         x, y, z = (float(v) + 0.0 for v in turned.vector)  # no negative zeros
@@ -213,7 +214,7 @@ class GyroTurntableProcedure(TickedProcedure):
             if stable
             else f"Turn it {seen} (seen from above) at {math.degrees(self._rate):g} deg/s."
         )
-        return Prompt("turn", self._note + text, at.face, detected=at.face, stable=stable, axis=(x, y, z))
+        return Prompt(PromptStep.TURN, self._note + text, at.face, detected=at.face, stable=stable, axis=(x, y, z))
 
     # -- judging ---------------------------------------------------------------------------------------------------
 

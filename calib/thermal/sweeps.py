@@ -12,7 +12,6 @@ from itertools import pairwise
 import numpy as np
 from numpy.polynomial import polynomial as power
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitResult, FitStatus
@@ -65,6 +64,8 @@ class Die:
         if seconds <= 0.0:
             return np.asarray(np.interp(time, self.time, self.temperature - seconds * self.rate), dtype=np.float64)
         step = self.time[1] - self.time[0]
+        from scipy.signal import lfilter  # it brings scipy.stats: a second of processor time that a start does without
+
         decay = math.exp(-step / seconds)
         # exact for a temperature that is a straight line between two points of the grid
         here = 1.0 - seconds / step * (1.0 - decay)

@@ -19,15 +19,26 @@ from mavcal.calib.wire.codec import (
     raw_message,
 )
 from mavcal.calib.wire.frames import CRC_EXTRA, Frame, FrameParser
-from mavcal.calib.wire.parameters import HASH_CHECK, ParameterEncoding, ParamType, value_from_bits
+from mavcal.calib.wire.parameters import (
+    HASH_CHECK,
+    NO_INDEX,
+    HeardValue,
+    ParameterEncoding,
+    ParamType,
+    heard_value,
+    usual_encoding,
+    value_from_bits,
+)
 from mavcal.calib.wire.signing import SignatureState, Signing, check_signature, sign
 from mavcal.calib.wire.tlog import TlogReader, iter_tlog, tlog_record
 
 __all__ = [
     "CRC_EXTRA",
     "HASH_CHECK",
+    "NO_INDEX",
     "Frame",
     "FrameParser",
+    "HeardValue",
     "Message",
     "ParamType",
     "ParamValue",
@@ -40,6 +51,7 @@ __all__ = [
     "decode",
     "decode_param_value",
     "encode",
+    "heard_value",
     "iter_tlog",
     "padded_payload",
     "param_bytes",
@@ -47,5 +59,6 @@ __all__ = [
     "raw_message",
     "sign",
     "tlog_record",
+    "usual_encoding",
     "value_from_bits",
 ]

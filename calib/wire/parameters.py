@@ -8,11 +8,19 @@ from __future__ import annotations
 
 import math
 import struct
+from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 from typing import Final
 
+from mavcal.calib.wire.codec import decode_param_value
+from mavcal.calib.wire.frames import Frame
+
 HASH_CHECK: Final = "_HASH_CHECK"
 """PX4's checksum of the list comes as if it were a parameter; it is none, and no calibration changes it."""
+
+
+NO_INDEX: Final = 65535
+"""The index of a value that was not sent as part of a list."""
 
 
 class ParameterEncoding(StrEnum):
@@ -62,3 +70,33 @@ def value_from_bits(bits: bytes, kind: ParamType, encoding: ParameterEncoding) -
         return value
     number: float = struct.unpack("<f", bits)[0]
     return round(number) if math.isfinite(number) else math.nan
+
+
+def usual_encoding(autopilot: str | None) -> ParameterEncoding:
+    """How a vehicle of this autopilot fills the field, where its own capabilities do not say it."""
+    return ParameterEncoding.BYTEWISE if autopilot == "px4" else ParameterEncoding.CAST
+
+
+@dataclass(frozen=True)
+class HeardValue:
+    """What a PARAM_VALUE says, wherever it was heard: on a link or in a recording of one."""
+
+    name: str
+    bits: bytes
+    kind: ParamType | None
+    """None: a type that four bytes do not hold; nobody knows the value."""
+    value: float | int
+    """NaN where the type is not known."""
+    count: int
+    index: int | None
+    """Its place in the vehicle's list; None: it came without one."""
+
+
+def heard_value(frame: Frame, encoding: ParameterEncoding) -> HeardValue | None:
+    """Read a PARAM_VALUE; None: it is the checksum of the list, and no parameter."""
+    name, bits, number, count, index = decode_param_value(frame)
+    if name == HASH_CHECK:
+        return None
+    kind = ParamType(number) if number in set(ParamType) else None
+    value = math.nan if kind is None else value_from_bits(bits, kind, encoding)
+    return HeardValue(name, bits, kind, value, count, None if index == NO_INDEX else index)

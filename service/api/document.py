@@ -36,6 +36,12 @@ BEARER = {
     "(links, jobs, answers, uploads), `write-params` (apply and revert), `admin`. "
     "On loopback the service may run without keys.",
 }
+TICKET = {
+    "type": "apiKey",
+    "in": "query",
+    "name": "ticket",
+    "description": "A ticket of `POST /tickets` for one stream: a browser's EventSource cannot send headers.",
+}
 STREAMS = {
     "follow_job": "JobMessage",
     "follow_vehicle": "VehicleMessage",
@@ -46,7 +52,10 @@ STREAMS = {
 
 
 HEADERS = {
-    "Location": ("open_link", "start_job", "upload_recording", "plan_recording", "diagnose_gap"),
+    "Location": (
+        *("open_link", "start_job", "upload_recording", "plan_recording"),
+        *("fit_recording", "start_fit", "diagnose_gap"),
+    ),
     "Link": ("list_jobs",),
 }
 """Operations whose answer carries a header that a client needs: where what was made is, or the next page."""
@@ -68,7 +77,7 @@ class Problem(BaseModel):
     )
     code: str = Field(description="what kind of problem it is, for programs")
     title: str
-    status: int
+    status: int = Field(description="that of the answer")
     detail: str = Field(description="what happened, and what helps")
     request_id: str = Field(description="under which the log of the service tells more")
     errors: list[FieldError] | None = Field(default=None, description="fields of an invalid request")
@@ -88,7 +97,7 @@ def document(app: FastAPI) -> Json:
     for name in ERROR_SCHEMAS:
         schemas.pop(name, None)
     schemas.update(_further_schemas())
-    made["components"]["securitySchemes"] = {"bearer": BEARER}
+    made["components"]["securitySchemes"] = {"bearer": BEARER, "ticket": TICKET}
     for path, methods in made["paths"].items():
         for method, operation in methods.items():
             _complete(path, method, operation)
@@ -132,6 +141,7 @@ def _complete(path: str, method: str, operation: Json) -> None:
     if path not in OPEN:
         operation["security"] = [{"bearer": []}, {}]  # none, where the service runs without keys
     if (message := STREAMS.get(operation["operationId"])) is not None:
+        operation["security"].insert(1, {"ticket": []})
         ok = operation["responses"]["200"]
         ok["description"] = "A stream of messages; each is as the schema says"
         ok["content"] = {"text/event-stream": {"schema": {"$ref": REF.format(model=message)}}}

@@ -109,8 +109,8 @@ async def ticket(request: Request) -> TicketModel:
 @router.get("/api/v1/audit", operation_id="list_audit", dependencies=[ADMIN])
 async def audit(
     service: ServiceDep,
-    after: Annotated[int, Query(ge=0, le=2**62)] = 0,
-    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+    after: Annotated[int, Query(ge=0, le=2**62, description="id of the last row of the page before")] = 0,
+    limit: Annotated[int, Query(ge=1, le=1000, description="most rows of a page")] = 100,
 ) -> AuditPage:
     """Who asked for what, oldest first, a page at a time."""
     rows = await service.store.do(lambda: service.store.audit(after=after, limit=limit + 1))

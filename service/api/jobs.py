@@ -36,13 +36,16 @@ from mavcal.service.api.views import (
 from mavcal.service.errors import PlanMissing
 from mavcal.service.exports import MEDIA_TYPES, export
 from mavcal.service.jobs.model import Accept, Job
+from mavcal.service.jobs.states import JobState
 
 router = APIRouter(tags=["jobs"])
 READ = Depends(require(Scope.READ))
 OPERATE = Depends(require(Scope.OPERATE))
 WRITE = Depends(require(Scope.WRITE_PARAMS))
 
-LastEventId = Annotated[int | None, Header(alias="Last-Event-ID", ge=0, le=2**62)]
+LastEventId = Annotated[
+    int | None, Header(alias="Last-Event-ID", ge=0, le=2**62, description="id of the last message that was heard")
+]
 
 
 def _job(job_id: str, service: ServiceDep) -> Job:
@@ -83,16 +86,18 @@ async def jobs(
     *,
     vehicle_id: str | None = None,
     kind: Annotated[str | None, Query(max_length=100, description="such as gyro, fit or gap")] = None,
+    state: JobState | None = None,
     order: Literal["oldest", "newest"] = "oldest",
-    limit: Annotated[int, Query(ge=1, le=1000)] = 1000,
+    limit: Annotated[int, Query(ge=1, le=1000, description="most jobs of a page")] = 1000,
     after: Annotated[str | None, Query(max_length=100, description="id of the last job of the page before")] = None,
 ) -> list[JobSummary]:
     """Jobs of every kind, a page at a time. A header `Link` with `rel="next"` leads to the next page, if any."""
-    found = [job for job in service.jobs.list() if vehicle_id in {None, job.vehicle_id} and kind in {None, job.kind}]
+    wanted = {"vehicle_id": vehicle_id, "kind": kind, "state": state}
+    given = {name: value for name, value in wanted.items() if value is not None}
+    found = [job for job in service.jobs.list() if all(getattr(job, name) == value for name, value in given.items())]
     page, more = page_of(found if order == "oldest" else found[::-1], after, limit)
     if more:
-        asked = {"vehicle_id": vehicle_id, "kind": kind, "order": order, "limit": limit, "after": page[-1].id}
-        query = urlencode({name: value for name, value in asked.items() if value is not None}, errors="replace")
+        query = urlencode({**given, "order": order, "limit": limit, "after": page[-1].id}, errors="replace")
         response.headers["Link"] = f'<jobs?{query}>; rel="next"'
     return [job_summary(job) for job in page]
 

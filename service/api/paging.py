@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TypeVar
 
 from mavcal.service.errors import JobUnknown
 from mavcal.service.jobs.model import Job
+from mavcal.service.store.rows import JobRow
+
+Listed = TypeVar("Listed", Job, JobRow)
 
 
-def page_of(jobs: Sequence[Job], after: str | None, limit: int) -> tuple[Sequence[Job], bool]:
+def page_of(jobs: Sequence[Listed], after: str | None, limit: int) -> tuple[Sequence[Listed], bool]:
     """The jobs behind the one with the id `after`, at most `limit`, and whether there are more.
 
     Raises

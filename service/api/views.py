@@ -35,7 +35,6 @@ from mavcal.service.jobs.codec import to_json
 from mavcal.service.jobs.fixing import Fix
 from mavcal.service.jobs.model import Failure, Job
 from mavcal.service.jobs.preflight import Preflight
-from mavcal.service.jobs.states import JobState
 from mavcal.service.link import Link
 from mavcal.service.reviews import Review
 from mavcal.service.store.rows import EventRow, JobDocument, RecordingRow
@@ -56,7 +55,6 @@ def job_model(job: Job) -> JobModel:
     return JobModel.model_validate(
         _summary(job)
         | {
-            "options": dict(job.options),
             "plan_options": to_json(job.context.get("plan_options", {})),
             "warnings": list(job.warnings),
             "results": to_json(job.results),
@@ -217,15 +215,11 @@ def document_response(document: JobDocument) -> Response:
     return Response(document.body, media_type=document.media_type)
 
 
-_GAP_STATES = {JobState.QUEUED: "queued", JobState.FITTING: "running", JobState.SUCCEEDED: "done"}
-"""A job that ended in any other way has failed."""
-
-
 def _gap(job: Job) -> Json:
     return {
         "id": job.id,
         "href": f"api/v1/gaps/{job.id}",
-        "state": _GAP_STATES.get(job.state, "failed"),
+        "state": job.state,
         "error": job.outcome.cause if isinstance(job.outcome, Failure) else None,
         "created_at": job.created_at,
         "real": job.options.get("real", ""),
@@ -247,4 +241,5 @@ def _summary(job: Job) -> Json:
         "prompt": to_json(job.prompt),
         "outcome": to_json(job.outcome),
         "last_write": to_json(job.last_write),
+        "options": dict(job.options),
     }

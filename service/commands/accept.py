@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from mavcal.service.commands.config import load_settings
-from mavcal.service.commands.output import json_option
+from mavcal.service.commands.output import EXIT_NO, json_option, write_json
 from mavcal.service.commands.plan_options import all_plan_options, given
-from mavcal.service.commands.review import JobWish, run_job
+from mavcal.service.commands.remote import async_service_at, followed, may_be_remote, one_of, show_came_of
+from mavcal.service.commands.review import JobWish, run_job, show_plan
 
 if TYPE_CHECKING:
+    from mavcal.client import AsyncClient
+    from mavcal.client.jobs import JobModel
+    from mavcal.service.commands.screen import Screen
     from mavcal.service.core import Service
     from mavcal.service.jobs.model import Job
     from mavcal.service.vehicle import Vehicle
@@ -20,7 +25,8 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("job_id", metavar="JOB")
-@click.option("--connect", required=True, metavar="URL", help="Endpoint of the vehicle, as udpin:0.0.0.0:14550.")
+@click.option("--connect", default=None, metavar="URL", help="Endpoint of the vehicle, as udpin:0.0.0.0:14550.")
+@may_be_remote
 @click.option("--require-proof", is_flag=True, help="Exit code 1 unless the streams prove all of it.")
 @click.option("--reboot", is_flag=True, help="Restart the vehicle if the plan needs it.")
 @all_plan_options
@@ -30,7 +36,9 @@ if TYPE_CHECKING:
 def command(
     *,
     job_id: str,
-    connect: str,
+    connect: str | None,
+    url: str | None,
+    key_file: Path | None,
     require_proof: bool,
     reboot: bool,
     data_dir: Path | None,
@@ -38,13 +46,18 @@ def command(
     as_json: bool,
     **more: Any,
 ) -> int:
-    """Write what job JOB of this data directory has planned, and prove it.
+    """Write what job JOB of this data directory, or of a running service, has planned, and prove it.
 
     The plan is made again from the job's fits and the vehicle's present parameters. Options of the plan are added to
     those that the job had. Exit code 1 if the write did not succeed.
     """
-    settings = load_settings(data_dir=data_dir, connect=(connect,))
+    one_of(connect, url)
     decided = given(more)
+    wish = JobWish(write=True, require_proof=require_proof, reboot=reboot, wait_s=wait, as_json=as_json)
+    if url is not None:
+        return asyncio.run(_at_service(url, key_file, job_id, decided, wish))
+    assert connect is not None
+    settings = load_settings(data_dir=data_dir, connect=(connect,))
 
     async def begin(service: Service, vehicle: Vehicle) -> Job:
         from mavcal.service.commands.headless import is_of
@@ -55,5 +68,41 @@ def command(
             raise OtherVehicle(f"job {job_id} is of {job.vehicle_id}, but {connect} leads to {vehicle.id}")
         return await service.jobs.plan_again(job_id, {**job.context.get("plan_options", {}), **decided})
 
-    wish = JobWish(write=True, require_proof=require_proof, reboot=reboot, wait_s=wait, as_json=as_json)
     return run_job(settings, begin, wish)
+
+
+async def _at_service(url: str, key_file: Path | None, job_id: str, decided: dict[str, Any], wish: JobWish) -> int:
+    """Have a running service plan again and write; the exit code."""
+    from mavcal.service.commands.screen import Screen
+
+    screen = Screen()
+    async with async_service_at(url, key_file) as client:
+        job = await _accepted(client, job_id, decided, wish, screen)
+    show_came_of(job, screen)
+    if wish.as_json:
+        write_json(job.model_dump(mode="json"))
+    return 0 if _good(job, wish) else EXIT_NO
+
+
+async def _accepted(
+    client: AsyncClient, job_id: str, decided: dict[str, Any], wish: JobWish, screen: Screen
+) -> JobModel:
+    from mavcal.client.requests import PlanOptions
+
+    job = await client.get_job(job_id)
+    plan = await client.renew_plan(job_id, plan_options=PlanOptions(**{**job.plan_options, **decided}))
+    show_plan(plan, screen)
+    job = await client.get_job(job_id)
+    if plan.blockers or not plan.changes:
+        return job
+    await client.apply_plan(job_id, plan_sha256=plan.sha256, reboot=wish.reboot)
+    return await followed(client, job_id, screen, since=job.updated_at)
+
+
+def _good(job: JobModel, wish: JobWish) -> bool:
+    """As :func:`review.good`, of a job that a service tells about."""
+    from mavcal.client.enums import JobState, ProofLevel
+
+    proved = job.outcome is not None and job.outcome.kind == "result" and job.outcome.proof == ProofLevel.FULL
+    unneeded = job.plan is not None and not job.plan.changes
+    return job.state == JobState.SUCCEEDED and (proved or unneeded or not wish.require_proof)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from mavcal.service.jobs.model import Job
     from mavcal.service.jobs.recovery import Unfinished
     from mavcal.service.link import Link
-    from mavcal.service.store.rows import EventRow
     from mavcal.service.vehicle import Vehicle
 
 QUIET_S = 3.0
@@ -73,7 +72,7 @@ async def follow(service: Service, job_id: str, screen: Screen, after: int = 0, 
             async for event in service.jobs.subscribe(None, after):
                 if event.job_id != job_id:
                     continue
-                show_event(event, screen)
+                show_event(event.kind, event.data, screen)
                 job = service.jobs.get(job_id)
                 if job.state in ENDED | {JobState.REVIEW}:
                     return job
@@ -86,14 +85,14 @@ async def follow(service: Service, job_id: str, screen: Screen, after: int = 0, 
     return service.jobs.get(job_id)
 
 
-def show_event(event: EventRow, screen: Screen) -> None:
+def show_event(kind: str, data: Mapping[str, Any], screen: Screen) -> None:
     """One event of a job, if it is one that a person reads."""
-    if event.kind == "prompt" and event.data:
-        screen.prompt(event.data["text"])
-    elif event.kind == "progress":
-        screen.progress(event.data)
-    elif event.kind == "warning":
-        screen.line(f"    note: {event.data['text']}")
+    if kind == "prompt" and data:
+        screen.prompt(data["text"])
+    elif kind == "progress":
+        screen.progress(data)
+    elif kind == "warning":
+        screen.line(f"    note: {data['text']}")
 
 
 @dataclass(frozen=True)

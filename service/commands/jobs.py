@@ -1,8 +1,9 @@
-"""``mavcal jobs``: the jobs of a data directory, whoever runs it."""
+"""``mavcal jobs``: the jobs of a data directory, whoever runs it, or of a running service."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,35 +12,64 @@ import click
 
 from mavcal.service.commands.config import load_settings
 from mavcal.service.commands.output import json_option, write_json
+from mavcal.service.commands.remote import may_be_remote, service_at
 
 if TYPE_CHECKING:
     from mavcal.service.store.rows import JobRow
 
 HEAD = ("job", "kind", "state", "of", "begun (UTC)", "outcome")
+MOST = 1000
+"""Jobs of a page, as over HTTP."""
 _SHOWN_RECORDING = 8
 """Digits of a recording's id that tell it from others in a list."""
 
 
+@dataclass(frozen=True)
+class _Wish:
+    """Which jobs are asked for."""
+
+    kind: str | None
+    state: str | None
+    limit: int
+    after: str | None
+
+
 @click.command()
 @click.option("--data-dir", type=click.Path(path_type=Path), default=None, help="Where the service keeps everything.")
+@may_be_remote
 @click.option("--kind", default=None, help="Only jobs of this kind: gyro, accel, fit, gap ...")
 @click.option("--state", default=None, help="Only jobs in this state: review, failed, in_doubt ...")
-@click.option("--limit", type=click.IntRange(1), default=20, show_default=True, help="At most so many, newest first.")
+@click.option("--limit", type=click.IntRange(1, MOST), default=20, show_default=True, help="At most so many.")
+@click.option("--after", default=None, metavar="JOB", help="Go on behind the last job of the page before.")
 @json_option
-def command(data_dir: Path | None, kind: str | None, state: str | None, limit: int, as_json: bool) -> int:
-    """List calibrations, fits and diagnoses, newest first. The service may go on meanwhile."""
-    from mavcal.service.store.sqlite import jobs_of
+def command(
+    *,
+    data_dir: Path | None,
+    url: str | None,
+    key_file: Path | None,
+    kind: str | None,
+    state: str | None,
+    limit: int,
+    after: str | None,
+    as_json: bool,
+) -> int:
+    """List calibrations, fits and diagnoses, newest first, a page at a time.
 
-    rows = jobs_of(load_settings(data_dir=data_dir).data_dir)[::-1]
-    found = [row for row in rows if kind in {None, row.kind} and state in {None, row.state}]
-    shown = found[:limit]
+    Without --url the data directory is read; a service may go on with it meanwhile.
+    """
+    wish = _Wish(kind, _state(state), limit, after)
+    if url is None:
+        shown, more = _of_folder(load_settings(data_dir=data_dir).data_dir, wish)
+    else:
+        shown, more = _of_service(url, key_file, wish)
+    following = shown[-1]["id"] if more else None
     if as_json:
-        write_json({"jobs": [_document(row) for row in shown], "older": len(found) - len(shown)})
+        write_json({"jobs": shown, "next": following})
         return 0
     for line in table([HEAD, *map(_cells, shown)]):
         click.echo(line)
-    if len(found) > len(shown):
-        click.echo(f"{len(found) - len(shown)} older jobs are not shown: give a larger --limit")
+    if following is not None:
+        click.echo(f"there are older jobs: --after {following} lists them")
     return 0
 
 
@@ -49,20 +79,60 @@ def table(rows: list[tuple[str, ...]]) -> list[str]:
     return ["  ".join((*map(str.ljust, row[:-1], widths), row[-1])).rstrip() for row in rows]
 
 
-def _document(row: JobRow) -> dict[str, Any]:
-    told = {name: row.body.get(name) for name in ("options", "outcome")}
-    times = {"created_at": row.created_at, "updated_at": row.updated_at}
-    return {"id": row.id, "vehicle_id": row.vehicle_id, "kind": row.kind, "state": row.state, **times, **told}
+def _state(name: str | None) -> str | None:
+    from mavcal.service.jobs.states import JobState
+
+    if name is not None and name not in list(JobState):
+        raise click.UsageError(f"--state {name!r} is none of {', '.join(JobState)}")
+    return name
 
 
-def _cells(row: JobRow) -> tuple[str, ...]:
-    outcome = row.body.get("outcome") or {}
-    begun = datetime.fromtimestamp(row.created_at, UTC).strftime("%Y-%m-%d %H:%M")
-    return row.id, row.kind, row.state, _about(row), begun, outcome.get("text") or outcome.get("cause") or ""
+def _of_service(url: str, key_file: Path | None, wish: _Wish) -> tuple[list[dict[str, Any]], bool]:
+    """A page of jobs as the service tells them, and whether there are more."""
+    from mavcal.client.enums import JobState
+
+    state = None if wish.state is None else JobState(wish.state)
+    with service_at(url, key_file) as client:
+        found = client.list_jobs(kind=wish.kind, state=state, order="newest", limit=wish.limit, after=wish.after)
+        more = len(found) == wish.limit and bool(
+            client.list_jobs(kind=wish.kind, state=state, order="newest", limit=1, after=found[-1].id)
+        )
+    return [job.model_dump(mode="json") for job in found], more
 
 
-def _about(row: JobRow) -> str:
+def _of_folder(data_dir: Path, wish: _Wish) -> tuple[list[dict[str, Any]], bool]:
+    """The same of a data directory."""
+    from mavcal.service.api.paging import page_of
+    from mavcal.service.store.sqlite import jobs_of
+
+    rows = [r for r in jobs_of(data_dir)[::-1] if wish.kind in {None, r.kind} and wish.state in {None, r.state}]
+    page, more = page_of(rows, wish.after, wish.limit)
+    return [_told(row) for row in page], more
+
+
+def _told(row: JobRow) -> dict[str, Any]:
+    """As over HTTP. A row whose body is damaged says what its columns say."""
+    from mavcal.calib.errors import CalibError
+    from mavcal.service.api.views import job_summary
+    from mavcal.service.jobs.codec import job_from_row
+    from mavcal.service.jobs.model import Job
+    from mavcal.service.jobs.states import JobState
+
+    try:
+        job = job_from_row(row)
+    except CalibError:
+        job = Job(row.id, row.vehicle_id, row.kind, {}, JobState(row.state), row.created_at, row.updated_at)
+    return job_summary(job).model_dump(mode="json")
+
+
+def _cells(job: Mapping[str, Any]) -> tuple[str, ...]:
+    outcome = job["outcome"] or {}
+    begun = datetime.fromtimestamp(job["created_at"], UTC).strftime("%Y-%m-%d %H:%M")
+    said = outcome.get("text") or outcome.get("cause") or ""
+    return job["id"], job["kind"], job["state"], _about(job), begun, said
+
+
+def _about(job: Mapping[str, Any]) -> str:
     """The vehicle, or the recording instead of one."""
-    options: Mapping[str, Any] = row.body.get("options") or {}
-    upload = options.get("recording") or options.get("real") or ""
-    return row.vehicle_id or f"recording {str(upload)[:_SHOWN_RECORDING]}"
+    upload = job["options"].get("recording") or job["options"].get("real") or ""
+    return job["vehicle_id"] or f"recording {str(upload)[:_SHOWN_RECORDING]}"

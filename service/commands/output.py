@@ -13,6 +13,15 @@ EXIT_NO = 1
 EXIT_USAGE = 2
 """Wrong use or unreadable input."""
 
+
+class AnsweredNo(click.ClickException):
+    """A running service refused what was asked, or did not answer; `code` says to programs why."""
+
+    def __init__(self, code: str, detail: str, exit_code: int = EXIT_NO) -> None:
+        super().__init__(detail)
+        self.code, self.ends_with = code, exit_code
+
+
 json_option = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 
 

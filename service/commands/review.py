@@ -12,6 +12,7 @@ from mavcal.service.commands.output import EXIT_NO, write_json
 
 if TYPE_CHECKING:
     from mavcal.calib.firmware.plan import WritePlan
+    from mavcal.client.jobs import PlanModel
     from mavcal.service.commands.keyboard import Keyboard
     from mavcal.service.commands.screen import Screen
     from mavcal.service.core import Service
@@ -193,7 +194,7 @@ def taken_back(job: Job) -> bool:
     return job.state is JobState.REVERTED
 
 
-def show_plan(plan: WritePlan, screen: Screen) -> None:
+def show_plan(plan: WritePlan | PlanModel, screen: Screen) -> None:
     """What is written, what is not, and what has to be confirmed first."""
     from mavcal.calib.firmware.options import confirmations
     from mavcal.calib.firmware.values import shown

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
-from mavcal.calib.procedures.protocol import Progress, Prompt
+from mavcal.calib.procedures.protocol import Progress, Prompt, PromptStep
 from mavcal.service.errors import VehicleBusy
 from mavcal.service.jobs.handle import JobHandle
 from mavcal.service.jobs.port import JobVehicle
@@ -28,7 +28,7 @@ async def until_idle(handle: JobHandle, vehicle: JobVehicle, settings: JobSettin
         if waited > settings.busy_s:
             raise VehicleBusy(f"{reason}, and has not ended within {settings.busy_s:.0f} s")
         text = f"Waiting: {reason}. Keep the vehicle still; this waits for at most {settings.busy_s:.0f} s."
-        handle.prompt(Prompt("busy", text))
+        handle.prompt(Prompt(PromptStep.BUSY, text))
         target = settings.busy_s if left is None else waited + left
         handle.progress(Progress(waited, target, "s", reason, eta=left))
         shown = True

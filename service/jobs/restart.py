@@ -6,7 +6,7 @@ import asyncio
 from contextlib import suppress
 from functools import partial
 
-from mavcal.calib.procedures.protocol import Prompt
+from mavcal.calib.procedures.protocol import Prompt, PromptStep
 from mavcal.service.errors import CommandRefused, CommandTimeout, WriteFailed, WriteStopped
 from mavcal.service.jobs.crashpoints import At
 from mavcal.service.jobs.guard import STOPPING
@@ -17,7 +17,7 @@ from mavcal.service.jobs.write import Writing
 PREFLIGHT_REBOOT_SHUTDOWN = 246
 REBOOT_AUTOPILOT = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
-ASK = Prompt("reboot", "Restart the vehicle: switch it off and on again. The new values act only then.")
+ASK = Prompt(PromptStep.REBOOT, "Restart the vehicle: switch it off and on again. The new values act only then.")
 
 
 async def restart(w: Writing) -> None:

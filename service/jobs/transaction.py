@@ -21,7 +21,7 @@ from functools import partial
 import structlog
 
 from mavcal.calib.firmware.plan import Value
-from mavcal.calib.procedures.protocol import Prompt
+from mavcal.calib.procedures.protocol import Prompt, PromptStep
 from mavcal.service.errors import DiskFull, ServiceError, WriteFailed, WriteStopped
 from mavcal.service.jobs.account import Account, as_read, nothing_sent, reverted, succeeded, who_else
 from mavcal.service.jobs.crashpoints import At
@@ -120,7 +120,7 @@ class Transaction:
         """Say what keeps this write from being finished or taken back."""
         text = f"Waiting to finish this write or to take it back: {reason}"
         with suppress(DiskFull):  # the vehicle comes first
-            self.handle.prompt(Prompt("wait", text if text.endswith(".") else f"{text}."))
+            self.handle.prompt(Prompt(PromptStep.WAIT, text if text.endswith(".") else f"{text}."))
 
     async def _stopped(self, w: Writing, error: Exception) -> None:
         record = record_of(self.handle)

@@ -16,7 +16,7 @@ from mavcal.calib.firmware.proof.verify import verify
 from mavcal.calib.firmware.slots import CALIBRATED
 from mavcal.calib.firmware.stream.auxiliary import ATTITUDE
 from mavcal.calib.firmware.stream.rates import Assembler, requested_streams
-from mavcal.calib.procedures.protocol import Pose, Progress, Prompt
+from mavcal.calib.procedures.protocol import Pose, Progress, Prompt, PromptStep
 from mavcal.calib.recording import Recording, Sensor, join
 from mavcal.calib.wire import Frame, iter_tlog
 from mavcal.service.errors import CaptureEnded, WriteFailed
@@ -35,7 +35,7 @@ STEP_S = 2.0
 """A movement is judged again after so much more of the vehicle's time."""
 POLL_S = 0.02
 ATTITUDE_HZ = 10.0
-HOLD_STILL = Prompt("hold_still", "Leave the vehicle alone: its sensors are read at rest.", answers=(FINISH,))
+HOLD_STILL = Prompt(PromptStep.HOLD_STILL, "Leave the vehicle alone: its sensors are read at rest.", answers=(FINISH,))
 
 
 @dataclass
@@ -217,7 +217,7 @@ class StreamProof:
 def proving(movement: Movement) -> Prompt:
     """The prompt for a movement that proves the rest."""
     return Prompt(
-        "prove",
+        PromptStep.PROVE,
         movement.text,
         remaining=tuple(Pose(face) for face in movement.faces),
         rotate=movement.turn,

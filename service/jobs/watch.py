@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from mavcal.calib.procedures.protocol import Prompt
+from mavcal.calib.procedures.protocol import Prompt, PromptStep
 from mavcal.service.errors import CaptureDisturbed, CaptureEnded, CaptureLost
 from mavcal.service.jobs.digest import LiveDigest
 from mavcal.service.jobs.handle import JobHandle
@@ -35,11 +35,11 @@ class LinkWatch:
         silent = self._vehicle.condition().silent
         if silent and self._since is None:
             self._since, self._before = self._clock(), self._handle.job.prompt
-            self._handle.prompt(Prompt("silent", self._text()))
+            self._handle.prompt(Prompt(PromptStep.SILENT, self._text()))
         elif not silent and self._since is not None:
             away, self._since = self._clock() - self._since, None
             self._handle.warn(f"the vehicle was silent for about {away + HEARTBEATS_S:.0f} s and is heard again")
-            if self._handle.job.prompt is not None and self._handle.job.prompt.step == "silent":
+            if self._handle.job.prompt is not None and self._handle.job.prompt.step is PromptStep.SILENT:
                 self._handle.prompt(self._before)
 
     def _text(self) -> str:

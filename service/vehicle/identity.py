@@ -7,7 +7,7 @@ from enum import StrEnum
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.wire import Message, ParameterEncoding
+from mavcal.calib.wire import Message, ParameterEncoding, usual_encoding
 
 
 class Autopilot(StrEnum):
@@ -89,7 +89,7 @@ class VehicleIdentity:
                 return ParameterEncoding.BYTEWISE
             if self.capabilities & _CAST:
                 return ParameterEncoding.CAST
-        return ParameterEncoding.BYTEWISE if self.autopilot is Autopilot.PX4 else ParameterEncoding.CAST
+        return usual_encoding(self.autopilot)
 
 
 def identity_from_heartbeat(message: Message) -> VehicleIdentity:

@@ -8,11 +8,11 @@ from types import MappingProxyType
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.wire import HASH_CHECK, Frame, ParamValue, decode_param_value
+from mavcal.calib.wire import HASH_CHECK, NO_INDEX, Frame, ParamValue, decode_param_value
 from mavcal.service.errors import ParameterTimeout, VehicleSilent
 from mavcal.service.vehicle.addressee import Addressee
 from mavcal.service.vehicle.encoding import Parameter
-from mavcal.service.vehicle.parameters import NO_INDEX, Parameters
+from mavcal.service.vehicle.parameters import Parameters
 
 PIPELINE = 10
 """Reads under way at once: ArduPilot queues 20 and answers 5 at a time, what is beyond is dropped."""
@@ -105,7 +105,7 @@ async def list_all(vehicle: Addressee, known: Parameters, progress: Progress | N
                     break
                 await _fill(vehicle, listing, heard.within)
             if listing.complete:
-                parameters = {name: known[name] for name in listing.names.values()}
+                parameters = {name: known[name] for name in listing.names.values() if name in known}  # of known types
                 return ParameterSet(MappingProxyType(parameters), known.hash)
     raise _incomplete(vehicle, listing)
 

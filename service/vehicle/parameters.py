@@ -15,15 +15,14 @@ from typing import Protocol
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.wire import (
-    HASH_CHECK,
     Frame,
     ParameterEncoding,
     ParamType,
     RawMessage,
     decode,
-    decode_param_value,
+    heard_value,
+    param_bytes,
     param_set,
-    value_from_bits,
 )
 from mavcal.service.errors import (
     LinkDown,
@@ -44,9 +43,6 @@ from mavcal.service.vehicle.identity import VehicleIdentity
 from mavcal.service.vehicle.pace import Pace
 from mavcal.service.vehicle.waits import Expectation
 
-HASH_NAME = "_HASH_CHECK"
-"""PX4 sends this as if it were a parameter; it is none, and does not change when calibrations do."""
-NO_INDEX = 65535
 ANSWER_S = 1.0
 READ_LEAST_S = 0.5
 """A vehicle whose answers come at once is asked again after so long: on a bad link it is loss, and asking is cheap."""
@@ -157,17 +153,15 @@ class Parameters(Mapping[str, Parameter]):
 
     def _parameter(self, frame: Frame, now: float) -> Parameter | None:
         """Read a PARAM_VALUE, or None if it is PX4's hash or of a type this protocol does not carry."""
-        name, bits, number, count, index = decode_param_value(frame)
-        if name == HASH_CHECK:
-            self.hash = bits
+        heard = heard_value(frame, self.encoding)
+        if heard is None:
+            self.hash = param_bytes(frame)
             return None
-        if index != NO_INDEX:
-            self.count = count
-        if number not in set(ParamType):
+        if heard.index is not None:
+            self.count = heard.count
+        if heard.kind is None:
             return None
-        kind = ParamType(number)
-        value = value_from_bits(bits, kind, self.encoding)
-        return Parameter(name, value, kind, None if index == NO_INDEX else index, bits, now)
+        return Parameter(heard.name, heard.value, heard.kind, heard.index, heard.bits, now)
 
     def forget(self) -> None:
         """Nothing is known any more: the vehicle has restarted."""

@@ -201,5 +201,8 @@ async def test_jobs_are_listed_a_page_at_a_time(tmp_path: Path) -> None:
                 seen += [j["id"] for j in response.json()]
                 url = str(response.url.join(response.links["next"]["url"])) if "next" in response.links else ""
             assert seen == expected
+        assert [j["id"] for j in await a.get("/jobs", params={"state": "failed", "limit": 2})] == ["j0", "j1"]
+        assert await a.get("/jobs", params={"state": "review"}) == []
+        await a.get("/jobs", 422, params={"state": "done"})
         await a.get("/jobs", 404, params={"after": "nothing"})
         await a.get("/jobs", 422, params={"limit": 0})

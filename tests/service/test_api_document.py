@@ -170,6 +170,62 @@ def test_every_problem_names_the_codes_that_it_may_have() -> None:
             assert set(own["code"]["enum"]) <= known
 
 
+def numeric(schema: dict[str, Any]) -> bool:
+    """Whether a value of this schema may be a number, or a list of numbers."""
+    options = [schema, *schema.get("anyOf", ()), schema.get("items", {})]
+    return any({"number", "integer"} & {option.get("type")} for option in options if isinstance(option, dict))
+
+
+def test_every_number_says_what_it_counts_or_in_which_unit() -> None:
+    document = described()
+    fields = {
+        f"{name}.{field}": schema
+        for name, model in document["components"]["schemas"].items()
+        for field, schema in model.get("properties", {}).items()
+    }
+    parameters = {
+        f"{operation['operationId']}.{parameter['name']}": {**parameter.get("schema", {}), **parameter}
+        for _, _, operation in every_operation()
+        for parameter in operation.get("parameters", ())
+    }
+    numbers = {name: schema for name, schema in (fields | parameters).items() if numeric(schema)}
+    assert len(numbers) > 80
+    assert [name for name, schema in numbers.items() if not schema.get("description")] == []
+
+
+def test_what_is_one_of_a_few_words_says_which() -> None:
+    schemas = described()["components"]["schemas"]
+    words = {
+        f"{name}.{field}": schema
+        for name, model in schemas.items()
+        for field, schema in model.get("properties", {}).items()
+        if field in {"state", "step", "verdict", "status", "holds", "result", "proof", "landed", "autopilot"}
+    }
+    assert len(words) > 15
+    loose = [
+        name
+        for name, schema in words.items()
+        if schema.get("type") == "string" and not {"enum", "const"} & schema.keys()
+    ]
+    assert loose == ["FingerprintModel.autopilot"]  # as the plan was made for it, whatever that was
+
+
+def test_a_stream_takes_a_ticket_and_nothing_else_does() -> None:
+    scheme = described()["components"]["securitySchemes"]["ticket"]
+    assert (scheme["in"], scheme["name"]) == ("query", "ticket")
+    taking = [o["operationId"] for _, _, o in every_operation() if {"ticket": []} in o.get("security", ())]
+    assert sorted(taking) == ["follow_events", "follow_job", "follow_samples", "follow_vehicle"]
+
+
+def test_whatever_is_begun_names_its_address() -> None:
+    begun = {
+        o["operationId"]: o["responses"] for _, _, o in every_operation() if {"201", "202"} & o["responses"].keys()
+    }
+    acts = {"refit_job", "apply_plan", "revert_job", "make_ticket"}  # on a job whose address was asked, or nowhere
+    without = {name for name, of in begun.items() if "headers" not in (of.get("201") or of["202"])}
+    assert without == acts
+
+
 def test_streams_say_what_they_carry() -> None:
     schemas = described()["components"]["schemas"]
     found = {}

@@ -25,7 +25,7 @@ async def upload(a: Api, path: Path) -> str:
 
 async def ended(a: Api, gap_id: str) -> Any:
     async with asyncio.timeout(scaled(60)):
-        while (found := await a.get(f"/gaps/{gap_id}"))["state"] not in {"done", "failed"}:  # noqa: ASYNC110 - over HTTP
+        while (found := await a.get(f"/gaps/{gap_id}"))["state"] not in {"succeeded", "failed"}:  # noqa: ASYNC110 - over HTTP
             await asyncio.sleep(0.1)
     return found
 
@@ -41,14 +41,14 @@ async def test_a_gap_is_diagnosed_and_its_page_served(tmp_path):
         await a.get(f"/gaps/{started['id']}/report.html", 409)
         found = await ended(a, started["id"])
         assert found == await a.call("GET", where, 200)
-        assert found["state"] == "done"
+        assert found["state"] == "succeeded"
         assert found["report"]["schema"] == "gap/1"
         assert [e["id"] for e in found["report"]["effects"]] == ["accel_bias"]
         page = await a.client.get(f"/{found['page']}")
         assert page.headers["content-type"].startswith("text/html")
         assert "Sim-to-real gap of real.csv" in page.text
     async with api(tmp_path / "data") as a:  # after a restart it is still there
-        assert [g["state"] for g in await a.get("/gaps")] == ["done"]
+        assert [g["state"] for g in await a.get("/gaps")] == ["succeeded"]
         assert (await a.get(f"/gaps/{started['id']}"))["report"] == found["report"]
 
 
@@ -123,10 +123,10 @@ async def test_too_many_are_refused_and_a_stopped_service_begins_them_again(tmp_
         assert said["type"].endswith("gaps-busy")
         for gap in (await a.get("/gaps"))[1:]:
             await a.call("DELETE", f"/api/v1/jobs/{gap['id']}", 200)
-        assert [g["state"] for g in await a.get("/gaps")][1:] == ["failed"] * (MOST_DIAGNOSES - 1)
+        assert [g["state"] for g in await a.get("/gaps")][1:] == ["cancelled"] * (MOST_DIAGNOSES - 1)
     async with api(tmp_path / "data") as a:
         first = (await a.get("/gaps"))[0]
-        assert (await ended(a, first["id"]))["state"] == "done"
+        assert (await ended(a, first["id"]))["state"] == "succeeded"
 
 
 async def test_a_diagnosis_that_takes_too_long_is_ended(tmp_path):

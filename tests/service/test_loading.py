@@ -42,6 +42,14 @@ def test_the_help_of_fit_names_every_method_and_its_purpose():
         assert text in said
 
 
+def test_a_service_starts_without_what_only_fits_and_diagnoses_need():
+    listing = "import sys, mavcal.service.app; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", listing], capture_output=True, text=True, check=True, timeout=60)
+    loaded = set(done.stdout.split())
+    assert "mavcal.service.core" in loaded
+    assert not {"scipy.stats", "scipy.signal", "mavcal.calib.gap.diagnose", "mavcal.calib.blind"} & loaded
+
+
 def test_planning_loads_no_method_for_its_help():
     said, modules = loaded("plan", "--help")
     assert "mag-ellipsoid" in said

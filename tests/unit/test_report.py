@@ -19,12 +19,13 @@ from mavcal.calib.firmware.plan import (
     ParameterVerdict,
     ProofVerdict,
     SensorCheck,
+    SensorCheckId,
     SensorVerdict,
     Verification,
     WritePlan,
 )
 from mavcal.calib.fit import FitBuilder, FitResult, FitStatus
-from mavcal.calib.procedures.protocol import Done, GaveUp, Number, Pose, Progress, Prompt
+from mavcal.calib.procedures.protocol import Done, GaveUp, Number, Pose, Progress, Prompt, PromptStep
 from mavcal.calib.recording import Sensor
 from mavcal.calib.report import from_json, to_json
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
@@ -148,8 +149,20 @@ def test_an_altered_plan_is_not_read():
 def test_a_verification_survives_text():
     movement = Movement("turn it", faces=("left",), turn=True, temperature=20.0)
     sensors = (
-        SensorCheck("gyro_zero", Sensor.GYRO, 1, 0.01, 0.002, "rad/s", 1e-4, SensorVerdict.WRONG, "gyro 2 turns"),
-        SensorCheck("accel_gravity", Sensor.ACCEL, 0, None, None, "m/s2", None, SensorVerdict.NOT_OBSERVABLE, "moved"),
+        SensorCheck(
+            SensorCheckId.GYRO_ZERO, Sensor.GYRO, 1, 0.01, 0.002, "rad/s", 1e-4, SensorVerdict.WRONG, "gyro 2 turns"
+        ),
+        SensorCheck(
+            SensorCheckId.ACCEL_GRAVITY,
+            Sensor.ACCEL,
+            0,
+            None,
+            None,
+            "m/s2",
+            None,
+            SensorVerdict.NOT_OBSERVABLE,
+            "moved",
+        ),
     )
     verdict = ParameterVerdict("A", ProofVerdict.CONTRADICTED, 0.1, 0.01, "m/s2", "t")
     check = Verification((verdict,), movement, sensors)
@@ -165,10 +178,10 @@ def test_a_verification_survives_text():
 @pytest.mark.parametrize(
     "step",
     [
-        Prompt("pose", "Hold it", pose=Pose.LEFT, remaining=(Pose.LEFT, Pose.BACK), direction=(0.0, 1.0, 0.0)),
-        Prompt("confirm", "Ready?", answers=("finish",), stable=True, detected=Pose.LEVEL),
-        Prompt("turn", "Turn it", pose=Pose.LEVEL, axis=(0.0, 0.0, -1.0), turns=10.0),
-        Prompt("state", "How fast?", number=Number("rate", "deg/s", 1.0, 1000.0)),
+        Prompt(PromptStep.POSE, "Hold it", pose=Pose.LEFT, remaining=(Pose.LEFT, Pose.BACK), direction=(0.0, 1.0, 0.0)),
+        Prompt(PromptStep.HOLD_STILL, "Ready?", answers=("finish",), stable=True, detected=Pose.LEVEL),
+        Prompt(PromptStep.TURN, "Turn it", pose=Pose.LEVEL, axis=(0.0, 0.0, -1.0), turns=10.0),
+        Prompt(PromptStep.STATE, "How fast?", number=Number("rate", "deg/s", 1.0, 1000.0)),
         Progress(1.0, 2.0, "s", "half", eta=None, detail={"mask": [1, 2]}),
         GaveUp("nothing moved", "move it"),
     ],
@@ -180,10 +193,10 @@ def test_steps_survive_text(step):
 
 
 def test_a_prompt_of_before_numbers_were_asked_for_is_still_read():
-    data = to_json(Prompt("confirm", "Ready?", answers=("finish",)))
+    data = to_json(Prompt(PromptStep.HOLD_STILL, "Ready?", answers=("finish",)))
     for name in ("axis", "turns", "number"):
         del data[name]
-    assert from_json(data, Prompt) == Prompt("confirm", "Ready?", answers=("finish",))
+    assert from_json(data, Prompt) == Prompt(PromptStep.HOLD_STILL, "Ready?", answers=("finish",))
 
 
 def test_done_carries_its_fits():

@@ -1,8 +1,9 @@
-"""A call says what it passes: nobody counts to the seventh argument."""
+"""A call says what it passes, nobody counts to the seventh argument; and who makes a fit's result does little else."""
 
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -28,7 +29,7 @@ def crowded(source: str) -> Iterator[str]:
             yield f"line {node.lineno}, {getattr(node, 'name', 'lambda')}: {', '.join(names)}"
 
 
-@pytest.mark.parametrize("package", ["calib", "service"])
+@pytest.mark.parametrize("package", ["calib", "client", "service"])
 def test_no_function_takes_more_than_six_arguments_by_place(package):
     found = {
         str(path.relative_to(ROOT)): bad
@@ -52,3 +53,35 @@ def test_no_function_takes_more_than_six_arguments_by_place(package):
 )
 def test_the_rule_sees_a_violation(source, count):
     assert len(list(crowded(source))) == count
+
+
+LONGEST = 50
+"""Lines of code of a function that makes the result of a fit, its signature and its docstring not counted."""
+
+
+def makes_a_result(function: Function) -> bool:
+    names = (getattr(c.func, "id", getattr(c.func, "attr", "")) for c in ast.walk(function) if isinstance(c, ast.Call))
+    return bool({"FitResult", "FitBuilder", "fitted"} & set(names))
+
+
+def long_fits(source: str) -> Iterator[str]:
+    """Functions that make the result of a fit and have more than :data:`LONGEST` lines of code."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and makes_a_result(node):
+            code = node.body[1:] if ast.get_docstring(node) is not None else node.body
+            lines = (code[-1].end_lineno or 0) - code[0].lineno + 1 if code else 0
+            if lines > LONGEST:
+                yield f"line {node.lineno}, {node.name}: {lines} lines"
+
+
+def test_a_result_is_made_by_the_builder_in_a_short_function():
+    sources = {p.relative_to(ROOT).as_posix(): p.read_text(encoding="utf-8") for p in (ROOT / "calib").rglob("*.py")}
+    assert {name: found for name, source in sources.items() if (found := list(long_fits(source)))} == {}
+    by_hand = [name for name, source in sources.items() if re.search(r"\bFitResult\(", source)]
+    assert by_hand == ["calib/fit.py"]
+
+
+def test_a_long_fit_is_seen():
+    body = "\n".join(f"    x{i} = {i}" for i in range(LONGEST))
+    assert list(long_fits(f"def fit():\n{body}\n    return made.fitted(x0)"))
+    assert not list(long_fits(f"def fit():\n{body}\n    return x0"))

@@ -17,7 +17,15 @@ from numpy.typing import NDArray
 
 from mavcal.calib.firmware.compose.draft import Subject
 from mavcal.calib.firmware.compose.trim import AHRS_TRIM, force_when_level
-from mavcal.calib.firmware.plan import Change, ParameterVerdict, ProofVerdict, SensorCheck, SensorVerdict, WritePlan
+from mavcal.calib.firmware.plan import (
+    Change,
+    ParameterVerdict,
+    ProofVerdict,
+    SensorCheck,
+    SensorCheckId,
+    SensorVerdict,
+    WritePlan,
+)
 from mavcal.calib.firmware.proof.check import ALL_APPLIED, Corrections
 from mavcal.calib.firmware.proof.evidence import StillMean, StreamEvidence
 from mavcal.calib.firmware.proof.force import Force
@@ -147,7 +155,15 @@ def _level(about: Subject, downs: Sequence[Array], fit: FitResult, within: float
     if not downs:
         text = "the vehicle does not stand, or show its attitude, as it did when its level was measured"
         return SensorCheck(
-            "level", about.sensor, about.instance, None, None, "rad", None, SensorVerdict.NOT_OBSERVABLE, text
+            SensorCheckId.LEVEL,
+            about.sensor,
+            about.instance,
+            None,
+            None,
+            "rad",
+            None,
+            SensorVerdict.NOT_OBSERVABLE,
+            text,
         )
     off = min(_angle(d, np.array([0.0, 0.0, 1.0])) for d in downs)
     limit = within + 5.0 * sd
@@ -155,7 +171,7 @@ def _level(about: Subject, downs: Sequence[Array], fit: FitResult, within: float
     text = f"the vehicle reads {math.degrees(off):.2f} deg off level where its level was measured"
     text += f"; {'at most' if wrong else 'the limit is'} {math.degrees(limit):.2f} deg"
     verdict = SensorVerdict.WRONG if wrong else SensorVerdict.RIGHT
-    return SensorCheck("level", about.sensor, about.instance, off, limit, "rad", sd, verdict, text)
+    return SensorCheck(SensorCheckId.LEVEL, about.sensor, about.instance, off, limit, "rad", sd, verdict, text)
 
 
 def _angle(a: Array, b: Array) -> float:

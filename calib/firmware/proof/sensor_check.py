@@ -25,7 +25,7 @@ from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.firmware.compose.draft import Subject
 from mavcal.calib.firmware.compose.fitted import Pair, offset_at
 from mavcal.calib.firmware.losses import MATRIX, OFFSETS
-from mavcal.calib.firmware.plan import SensorCheck, SensorVerdict, WritePlan
+from mavcal.calib.firmware.plan import SensorCheck, SensorCheckId, SensorVerdict, WritePlan
 from mavcal.calib.firmware.proof.check import ALL_APPLIED, Corrections, within
 from mavcal.calib.firmware.proof.discrepancy import BIAS_WALK, EARTH_RATE, MOST_BIAS_WALK, STABILITY, TEMPERATURE_STEP
 from mavcal.calib.firmware.proof.evidence import StillMean, StreamEvidence
@@ -216,7 +216,7 @@ def _directions(written: Sequence[Subject], now: StreamEvidence) -> tuple[Sensor
             sd = math.sqrt(max(np.trace(mine.covariance) + np.trace(other.covariance), 0.0)) / STANDARD_GRAVITY
             words = f"{about} and {first} differ by {math.degrees(angle):.1f} deg about which way is down"
             deviations.append(Deviation(mine, angle, APART + SURE * sd, sd, words))
-        found.append(_told(written[k], tuple(deviations), id_="accel_direction"))
+        found.append(_told(written[k], tuple(deviations), id_=SensorCheckId.ACCEL_DIRECTION))
     return tuple(found)
 
 
@@ -227,16 +227,16 @@ def _together(a: Sequence[StillMean], b: Sequence[StillMean]) -> Iterable[tuple[
             yield mine, same[0]
 
 
-_IDS: Final = {Sensor.ACCEL: "accel_gravity", Sensor.GYRO: "gyro_zero"}
-_UNITS: Final[Mapping[str, tuple[str, Callable[[float], str]]]] = {
-    "gyro_zero": ("rad/s", lambda v: f"{math.degrees(v):.3f} deg/s"),
-    "accel_gravity": ("m/s2", lambda v: f"{v:.3f} m/s2"),
-    "accel_direction": ("rad", lambda v: f"{math.degrees(v):.1f} deg"),
-    "level": ("rad", lambda v: f"{math.degrees(v):.2f} deg"),
+_IDS: Final = {Sensor.ACCEL: SensorCheckId.ACCEL_GRAVITY, Sensor.GYRO: SensorCheckId.GYRO_ZERO}
+_UNITS: Final[Mapping[SensorCheckId, tuple[str, Callable[[float], str]]]] = {
+    SensorCheckId.GYRO_ZERO: ("rad/s", lambda v: f"{math.degrees(v):.3f} deg/s"),
+    SensorCheckId.ACCEL_GRAVITY: ("m/s2", lambda v: f"{v:.3f} m/s2"),
+    SensorCheckId.ACCEL_DIRECTION: ("rad", lambda v: f"{math.degrees(v):.1f} deg"),
+    SensorCheckId.LEVEL: ("rad", lambda v: f"{math.degrees(v):.2f} deg"),
 }
 
 
-def _told(about: Subject, deviations: Sequence[Deviation], id_: str = "") -> SensorCheck:
+def _told(about: Subject, deviations: Sequence[Deviation], id_: SensorCheckId | None = None) -> SensorCheck:
     name = id_ or _IDS[about.sensor]
     unit, words = _UNITS[name]
     if not deviations:

@@ -18,7 +18,7 @@ from mavcal.calib.firmware.stream.messages import INERTIAL
 from mavcal.calib.firmware.stream.payload import gather
 from mavcal.calib.firmware.stream.samples import MessageSamples
 from mavcal.calib.recording import Event, Identity, ParameterEntry, ParameterTimeline, Recording
-from mavcal.calib.wire import HASH_CHECK, ParameterEncoding, ParamType, decode_param_value, value_from_bits
+from mavcal.calib.wire import heard_value, usual_encoding
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -171,15 +171,14 @@ class Assembler:
 
     def _parameters(self, t: Array, found: Sequence[tuple[int, Frame]]) -> list[ParameterEntry]:
         entries = []
-        encoding = ParameterEncoding.BYTEWISE if self._autopilot == "px4" else ParameterEncoding.CAST
+        encoding = usual_encoding(self._autopilot)
         for time, (_, frame) in zip(t.tolist(), found, strict=True):
-            name, bits, number, *_ = decode_param_value(frame)
-            kind = ParamType(number) if number in set(ParamType) else ParamType.REAL32
-            value = value_from_bits(bits, kind, encoding)
-            if name != HASH_CHECK:
-                entries.append(ParameterEntry(time, name, value))
-                if name in self._compass_use:
-                    self._compass_use[name] = value
+            heard = heard_value(frame, encoding)
+            if heard is None or heard.kind is None:
+                continue
+            entries.append(ParameterEntry(time, heard.name, heard.value))
+            if heard.name in self._compass_use:
+                self._compass_use[heard.name] = heard.value
         return entries
 
 

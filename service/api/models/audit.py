@@ -10,7 +10,7 @@ from mavcal.service.api.models.base import Json, Stamp
 class AuditModel(BaseModel):
     """Who asked for what."""
 
-    id: int
+    id: int = Field(description="rows are numbered in the order of their coming")
     at: Stamp
     actor: str
     action: str
@@ -30,6 +30,6 @@ class AuditCheck(BaseModel):
     """Whether the audit trail is as it was written."""
 
     intact: bool
-    rows: int
+    rows: int = Field(description="how many there are")
     head: str = Field(description="digest of the newest row; kept elsewhere it vouches for all rows up to it")
-    broken_at: int | None = Field(description="first row that does not fit")
+    broken_at: int | None = Field(description="first row that does not fit; null: all do")

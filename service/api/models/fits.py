@@ -37,7 +37,7 @@ class SensorModel(BaseModel):
     """corrected = matrix (measured - offset - polynomial(T))."""
 
     offset: list[Number | None] = Field(description="x y z, in the unit of the fit; null: not determined")
-    matrix: list[list[Number | None]] = Field(description="three rows; null: not determined")
+    matrix: list[list[Number | None]] = Field(description="three rows of pure numbers; null: not determined")
     polynomial: PolynomialModel | None
 
 
@@ -45,7 +45,7 @@ class FitParameterModel(BaseModel):
     """One parameter of a fit."""
 
     name: str = Field(description="offset_x, matrix_xy, poly1_x ...")
-    value: Number | None
+    value: Number | None = Field(description="in `unit`; null: not determined")
     sd: Number | None = Field(description="standard deviation, in `unit`; 0: held fixed; null: not determined")
     unit: str = Field(description="empty: a pure number")
 
@@ -58,21 +58,23 @@ class FitModel(BaseModel):
     instance: int = Field(description="which sensor of its kind, from 0")
     status: FitStatus
     message: str
-    n_samples: int
-    n_used: int
+    n_samples: int = Field(description="how many samples were given")
+    n_used: int = Field(description="how many of them were used")
     relative: bool = Field(description="fitted on top of a calibration that is not known; never absolute values")
     model: SensorModel
     sd: SensorModel = Field(description="standard deviations in the shape of `model`; 0: held fixed")
     native: Json = Field(description="the method's own form")
     residual_rms: Number | None = Field(description="in `unit`")
     unit: str = Field(description="unit of the offset")
-    condition_number: Number | None
+    condition_number: Number | None = Field(description="of the problem in scaled unknowns; a pure number")
     undetermined: list[str] = Field(description="names of parameters that the data do not determine")
     movements: dict[str, str] = Field(description="for each of these: the movement that would determine it")
     warnings: list[str]
     quality: Json = Field(description="numbers about the data")
     temperature: Number | None = Field(description="mean temperature of the sensor, degC; null: not known")
-    covariance: list[list[Number | None]] = Field(description="square, in the order of `parameters`")
+    covariance: list[list[Number | None]] = Field(
+        description="square, in the order of `parameters` and in products of their units"
+    )
 
     @computed_field(description="every parameter with its value, standard deviation and unit")  # type: ignore[prop-decorator]
     @property

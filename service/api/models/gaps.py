@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 from pydantic import BaseModel, Field
 
 from mavcal.service.api.models.base import Json, Request, Stamp
+from mavcal.service.jobs.states import JobState
 
 
 class GapRequest(Request):
@@ -24,7 +23,7 @@ class GapSummary(BaseModel):
 
     id: str
     href: str = Field(description="its address, relative to the root of the service")
-    state: Literal["queued", "running", "done", "failed"]
+    state: JobState = Field(description="that of the job, whose id is the same")
     error: str | None = Field(description="why it failed")
     created_at: Stamp
     real: str
@@ -35,5 +34,5 @@ class GapSummary(BaseModel):
 class GapModel(GapSummary):
     """A diagnosis with its report."""
 
-    report: Json | None = Field(description="as `mavcal gap --json`; null until it is done")
+    report: Json | None = Field(description="as `mavcal gap --json`; null until it has succeeded")
     page: str | None = Field(description="address of the report as a page, relative to the root of the service")

@@ -78,9 +78,11 @@ class StandingModel(BaseModel):
     """What is known of one parameter that a job has written, or may have."""
 
     name: str
-    old: Number | None = Field(description="the value before the write; null: not known")
-    new: Number | None = Field(description="the value that was to be written")
-    value: Number | None = Field(description="the last value heard; null: none since the last PARAM_SET left")
+    old: Number | None = Field(description="the value before the write, in the unit of the parameter; null: not known")
+    new: Number | None = Field(description="the value that was to be written, in the same unit")
+    value: Number | None = Field(
+        description="the last value heard, in the same unit; null: none since the last PARAM_SET left"
+    )
     certain: bool = Field(description="false: it may have changed since")
     note: str
     holds: Holds
@@ -100,8 +102,8 @@ class SegmentModel(BaseModel):
     """A span of a telemetry log."""
 
     path: str = Field(description="name of the log")
-    start_byte: int
-    end_byte: int
+    start_byte: int = Field(description="of the log, from 0")
+    end_byte: int = Field(description="the byte behind the last one")
     sha256: str = Field(description="digest of these bytes")
 
 
@@ -128,12 +130,12 @@ class JobSummary(BaseModel):
         description="null while the job goes on, and while a plan waits that was not tried yet"
     )
     last_write: WriteModel | None = Field(description="null: nothing was accepted yet")
+    options: Json = Field(description="of the procedure or method, and of what uploads")
 
 
 class JobModel(JobSummary):
     """A job with its results."""
 
-    options: Json
     plan_options: Json = Field(description="what the operator decided about the plan: given fields of PlanOptions")
     warnings: list[str]
     results: list[FitModel] = Field(description="one fit a sensor instance, as in `mavcal fit --json`")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import BaseModel, Field
 
-from mavcal.calib.firmware.plan import ParameterKind, ProofVerdict, SensorVerdict
+from mavcal.calib.firmware.plan import ParameterKind, ProofVerdict, SensorCheckId, SensorVerdict
 from mavcal.calib.recording import Sensor
 from mavcal.service.api.models.base import Json, Number, Request
 
@@ -75,7 +75,7 @@ class LossModel(BaseModel):
     """A part of the fit that this firmware cannot hold."""
 
     sensor: Sensor
-    instance: int
+    instance: int = Field(description="which sensor of its kind, from 0")
     what: str
     cost: Number = Field(description="largest effect of leaving it out, over all directions, in `unit`")
     unit: str
@@ -94,7 +94,7 @@ class AgreementModel(BaseModel):
     """A sensor that is left as it is: the fit agrees with what is in force."""
 
     sensor: Sensor
-    instance: int
+    instance: int = Field(description="which sensor of its kind, from 0")
     deviation: Number = Field(description="root mean square of the change, in standard deviations")
     text: str
 
@@ -140,9 +140,9 @@ class MovementModel(BaseModel):
 class SensorCheckModel(BaseModel):
     """What a sensor reads after the write beside what it should."""
 
-    id: str = Field(description="gyro_zero, accel_gravity, accel_direction or level")
+    id: SensorCheckId
     sensor: Sensor
-    instance: int
+    instance: int = Field(description="which sensor of its kind, from 0")
     value: Number | None = Field(description="how far it is off, in `unit`; null: not observed")
     limit: Number | None = Field(description="the most that noise, drift and the fit explain, in `unit`")
     unit: str

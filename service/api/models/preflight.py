@@ -30,10 +30,10 @@ class CheckModel(BaseModel):
 
     id: CheckId
     verdict: Verdict
-    value: float | None
-    sd: float | None = Field(description="standard deviation of `value`: noise and whatever else limits it")
-    limit: float | None
-    unit: str
+    value: float | None = Field(description="in `unit`")
+    sd: float | None = Field(description="standard deviation of `value`, in `unit`: noise and whatever else limits it")
+    limit: float | None = Field(description="in `unit`")
+    unit: str = Field(description="empty: a pure number, or none")
     reason: str
     remedy: str = Field(description="what helps; empty where nothing has to be done")
     evidence: list[str] = Field(description="every number and fact that the check rests on")
@@ -53,7 +53,7 @@ class PreflightModel(BaseModel):
 
     vehicle_id: str
     at: Stamp
-    seconds: float = Field(description="how long it took")
+    seconds: float = Field(description="how long it took, s")
     verdict: Verdict = Field(description="any failure fails the whole; then warnings count, then what is unknown")
     summary: str
     checks: list[CheckModel]

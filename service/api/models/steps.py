@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import BaseModel, Field
 
-from mavcal.calib.procedures.protocol import Pose
+from mavcal.calib.procedures.protocol import Pose, PromptStep
 from mavcal.calib.recording import Sensor
 from mavcal.service.api.models.base import Json, Number, Vector
 
@@ -15,7 +15,7 @@ class OptionModel(BaseModel):
     """A number or a switch that may be set when a job is started."""
 
     name: str
-    default: bool | Number
+    default: bool | Number = Field(description="in `unit`")
     help: str
     unit: str = Field(description="empty: a switch, or a pure number")
     low: Number | None = Field(description="least value, in `unit`; null: without a limit")
@@ -56,18 +56,22 @@ class PromptModel(BaseModel):
     """What the operator is asked to do now."""
 
     type: Literal["prompt"]
-    step: str = Field(description="hold_still, pose, rotate, warm_up, confirm, place, turn or state")
+    step: PromptStep
     text: str
     pose: Pose | None = Field(description="the pose that is asked for; null: any, or none")
     remaining: list[Pose] = Field(description="poses still missing; their order is free")
     hold_s: Number | None = Field(description="how long to hold still, s")
     rotate: bool
-    direction: Vector | None = Field(description="body direction (front, right, down) that should point down")
+    direction: Vector | None = Field(
+        description="body direction (front, right, down) that should point down; a unit vector"
+    )
     temperature: Number | None = Field(description="bring the sensors to about this, degC; null: any")
     detected: Pose | None = Field(description="the pose that the vehicle is in")
     stable: bool = Field(description="whether it is at rest there")
     answers: list[str] = Field(description="answers that are accepted; empty: the data answer")
-    axis: Vector | None = Field(description="turn about this body axis (front, right, down), right-handed")
+    axis: Vector | None = Field(
+        description="turn about this body axis (front, right, down), right-handed; a unit vector"
+    )
     turns: Number | None = Field(description="how many turns to make; null: until the prompt changes")
     number: NumberModel | None = Field(description="a number that is asked for beside `answers`")
 

@@ -31,7 +31,7 @@ class VehicleModel(BaseModel):
     received: int = Field(description="messages received")
     lost: int = Field(description="messages lost")
     loss: float = Field(description="lost share of everything sent, 0..1")
-    bytes_per_s: float
+    bytes_per_s: float = Field(description="received, over the last seconds")
     parameters_known: int = Field(description="how many parameters were heard")
 
 
@@ -39,5 +39,5 @@ class ParameterModel(BaseModel):
     """A parameter as the vehicle states it."""
 
     name: str
-    value: Number | None = Field(description="null: not a finite number")
+    value: Number | None = Field(description="in the unit that the firmware documents; null: not a finite number")
     kind: ParameterKind

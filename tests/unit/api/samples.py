@@ -18,12 +18,13 @@ from mavcal.calib.firmware.plan import (
     ParameterVerdict,
     ProofVerdict,
     SensorCheck,
+    SensorCheckId,
     SensorVerdict,
     Verification,
     WritePlan,
 )
 from mavcal.calib.fit import FitResult, FitStatus
-from mavcal.calib.procedures.protocol import Number, Pose, Progress, Prompt
+from mavcal.calib.procedures.protocol import Number, Pose, Progress, Prompt, PromptStep
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import ThermalPolynomial, TriadModel
 from mavcal.service.jobs.model import Accept, Attempt, Failure, Holds, Job, LogSpan, Result, Standing, WriteResult
@@ -32,7 +33,8 @@ from mavcal.service.jobs.states import JobState
 
 FINGERPRINT = Fingerprint("px4", "0002aa", "1.17.0", (("CAL_GYRO0_ID", 7), ("CAL_ACC0_ID", 8)))
 PROMPT = Prompt(
-    "pose", "Put it on its left side.", pose=Pose.LEFT, remaining=(Pose.LEFT, Pose.BACK), hold_s=2.0, rotate=True,
+    PromptStep.POSE, "Put it on its left side.",
+    pose=Pose.LEFT, remaining=(Pose.LEFT, Pose.BACK), hold_s=2.0, rotate=True,
     direction=(0.0, 1.0, 0.0), temperature=25.0, detected=Pose.LEVEL, stable=True, answers=("finish",),
     axis=(0.0, 0.0, 1.0), turns=3.0, number=Number("rate", "deg/s", 1.0, 90.0),
 )  # fmt: skip
@@ -46,8 +48,8 @@ VERIFICATION = Verification(
     ),
     Movement("Turn it.", ("left",), turn=True, temperature=20.0),
     (
-        SensorCheck("gyro_zero", Sensor.GYRO, 1, 0.1, 0.2, "rad/s", 0.01, SensorVerdict.RIGHT, "at rest"),
-        SensorCheck("level", Sensor.ACCEL, 0, None, None, "rad", None, SensorVerdict.WRONG, "off"),
+        SensorCheck(SensorCheckId.GYRO_ZERO, Sensor.GYRO, 1, 0.1, 0.2, "rad/s", 0.01, SensorVerdict.RIGHT, "at rest"),
+        SensorCheck(SensorCheckId.LEVEL, Sensor.ACCEL, 0, None, None, "rad", None, SensorVerdict.WRONG, "off"),
     ),
     ("X",),
 )

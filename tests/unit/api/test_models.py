@@ -50,7 +50,9 @@ def without(text_of: str, added: str) -> str:
 def test_a_job_is_told_as_before_to_the_byte(name: str) -> None:
     job = getattr(samples, name)()
     assert without(job_model(job).model_dump_json(), "parameters") == text(json.loads(BEFORE[name]))
-    assert job_summary(job).model_dump_json() == BEFORE[f"{name}_summary"]
+    told = json.loads(job_summary(job).model_dump_json())
+    assert told.pop("options") == json.loads(BEFORE[name])["options"]
+    assert text(told) == BEFORE[f"{name}_summary"]
 
 
 def test_fits_are_told_as_before_to_the_byte() -> None:

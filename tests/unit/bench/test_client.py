@@ -65,3 +65,20 @@ def test_a_schema_as_a_type(schema, kind) -> None:
 
 def test_a_sentence() -> None:
     assert sentence("in  `unit`;\n null: none") == "In `unit`; null: none."
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("how many there\n are", "How many there are."),
+        ("a row an axis", "A row an axis."),
+        ("wall-clock time, s", "Wall-clock time, s."),
+        ("degC; null: any", "degC; null: any."),
+        ("s of the vehicle's clock", "s of the vehicle's clock."),
+        ("offset_x, matrix_xy", "offset_x, matrix_xy."),
+        ("`after` of the next page", "`after` of the next page."),
+        ("Done?", "Done?"),
+    ],
+)
+def test_a_description_is_a_sentence_whose_names_and_units_keep_their_letters(text: str, told: str) -> None:
+    assert sentence(text) == told

@@ -3,9 +3,11 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import click
 import pytest
 from click.testing import CliRunner
 
+from mavcal.client.models import JobSummary
 from mavcal.service.cli import cli
 from mavcal.service.commands.jobs import table
 from mavcal.service.store import SqliteStore
@@ -16,7 +18,8 @@ from mavcal.service.store.rows import JobRow
 def folder(tmp_path: Path) -> Path:
     store = SqliteStore(tmp_path)
     gap = {"options": {"real": "0123456789abcdef"}, "outcome": {"kind": "result", "text": "The gap is explained."}}
-    failed = {"options": {}, "outcome": {"kind": "failure", "cause": "The vehicle was moved."}}
+    moved = {"kind": "failure", "code": "moved", "cause": "The vehicle was moved.", "remedy": "Leave it alone."}
+    failed = {"options": {}, "outcome": moved}
     store.save_job(JobRow("j1", "v1", "gyro", "failed", 60.0, 61.0, failed))
     store.save_job(JobRow("j2", None, "gap", "succeeded", 120.0, 121.0, gap))
     store.save_job(JobRow("j3", "v1", "gyro", "review", 180.0, 181.0, {"options": {}, "outcome": None}))
@@ -46,9 +49,36 @@ def test_kind_state_and_number_choose(folder: Path) -> None:
     assert ids("--kind", "gyro") == ["j3", "j1"]
     assert ids("--state", "failed") == ["j1"]
     assert ids("--limit", "2") == ["j3", "j2"]
-    assert json.loads(shown(folder, "--json", "--limit", "1"))["older"] == 2
-    assert "2 older jobs are not shown" in shown(folder, "--limit", "1")
+    assert json.loads(shown(folder, "--json", "--limit", "1"))["next"] == "j3"
+    assert "there are older jobs: --after j3 lists them" in shown(folder, "--limit", "1")
+    assert ids("--limit", "2", "--after", "j3") == ["j2", "j1"]
+    assert "older" not in shown(folder, "--limit", "2", "--after", "j3")
     assert shown(folder, "--kind", "none").startswith("job  kind")
+
+
+def test_a_job_is_told_as_over_http(folder: Path) -> None:
+    (job,) = json.loads(shown(folder, "--json", "--kind", "gap"))["jobs"]
+    assert set(job) == set(JobSummary.model_fields)
+    assert job["options"] == {"real": "0123456789abcdef"}
+
+
+def test_a_job_whose_record_is_damaged_is_listed_all_the_same(folder: Path) -> None:
+    store = SqliteStore(folder)
+    store.save_job(JobRow("j4", "v1", "gyro", "failed", 240.0, 241.0, {"outcome": {"kind": "failure"}}))
+    store.close()
+    assert shown(folder, "--limit", "1").splitlines()[1].split() == [
+        "j4",
+        "gyro",
+        "failed",
+        "v1",
+        "1970-01-01",
+        "00:04",
+    ]
+
+
+def test_a_state_that_there_is_not_is_wrong_use(folder: Path) -> None:
+    result = CliRunner().invoke(cli, ["jobs", "--data-dir", str(folder), "--state", "done"], standalone_mode=False)
+    assert isinstance(result.exception, click.UsageError)
 
 
 def test_a_table_of_nothing_is_its_head() -> None:

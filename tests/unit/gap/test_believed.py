@@ -15,6 +15,24 @@ WEAKEST, STRONGEST = BINS[0][0], BINS[-1][1]
 """Severities of the check, whose cases the probabilities were fitted to."""
 
 
+FITTED = {
+    (1.0, 10.0, False): 0.890903,
+    (1.0, 200.0, False): 0.964471,
+    (1.0, 1e6, False): 0.989013,
+    (0.5, 200.0, False): 0.593702,
+    (0.5, 200.0, True): 0.473218,
+    (1.0, 10.0, True): 0.5,
+    (1.0, 1e6, True): 0.916827,
+}
+"""The formula of the module by hand, with the constants that were fitted; others ask for a fit to new cases."""
+
+
+@pytest.mark.parametrize(("asked", "chance"), FITTED.items(), ids=str)
+def test_the_constants_are_those_that_were_fitted(asked, chance):
+    among_rivals, gain, unknown = asked
+    assert believed(among_rivals, gain, beside_unknown=unknown) == pytest.approx(chance, abs=1e-5)
+
+
 def odds(*arguments, **options):
     chance = believed(*arguments, **options)
     return math.log(chance / (1.0 - chance))

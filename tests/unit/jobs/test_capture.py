@@ -9,7 +9,7 @@ from typing import cast
 import pytest
 
 from mavcal.calib.errors import ProcedureError
-from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt, Step
+from mavcal.calib.procedures.protocol import Done, Pose, Progress, Prompt, PromptStep, Step
 from mavcal.calib.procedures.registry import validate_options
 from mavcal.calib.recording import Identity
 from mavcal.calib.wire import Frame
@@ -68,7 +68,7 @@ class Choosy:
     def answer(self, value: str) -> tuple[Step, ...]:
         if value != self.taken:
             raise ProcedureError(f"{value} is not asked for")
-        return (Prompt("next", "Go on."),)
+        return (Prompt(PromptStep.POSE, "Go on."),)
 
 
 async def test_an_answer_behind_one_that_came_too_late_is_taken() -> None:
@@ -79,7 +79,7 @@ async def test_an_answer_behind_one_that_came_too_late_is_taken() -> None:
     for value in ("late", "now"):
         handle.answers.put_nowait(value)
     steps = Capture(handle, vehicle, QUICK)._answered(cast(LiveDigest, Choosy("now")))
-    assert [step.step for step in steps if isinstance(step, Prompt)] == ["next"]
+    assert [step.step for step in steps if isinstance(step, Prompt)] == ["pose"]
     assert handle.job.context["answers"] == [[3.0, "now"]]
     assert len(handle.job.warnings) == 1
     assert handle.answers.empty()
@@ -150,13 +150,13 @@ async def test_a_calibration_that_changed_unheard_is_found_by_reading_it_again(
 @pytest.mark.parametrize(
     ("prompt", "asks"),
     [
-        (Prompt("rest", "Leave it alone."), False),
-        (Prompt("turn", "Turn it.", rotate=True), True),
-        (Prompt("turn", "Turn it.", rotate=True, stable=True), True),
-        (Prompt("pose", "Put it.", remaining=(Pose.LEFT,)), True),
-        (Prompt("pose", "Put it.", pose=Pose.LEFT), True),
-        (Prompt("pose", "Hold it.", pose=Pose.LEFT, stable=True), False),
-        (Prompt("pose", "Hold it.", remaining=(Pose.LEFT,), stable=True), False),
+        (Prompt(PromptStep.HOLD_STILL, "Leave it alone."), False),
+        (Prompt(PromptStep.TURN, "Turn it.", rotate=True), True),
+        (Prompt(PromptStep.TURN, "Turn it.", rotate=True, stable=True), True),
+        (Prompt(PromptStep.POSE, "Put it.", remaining=(Pose.LEFT,)), True),
+        (Prompt(PromptStep.POSE, "Put it.", pose=Pose.LEFT), True),
+        (Prompt(PromptStep.POSE, "Hold it.", pose=Pose.LEFT, stable=True), False),
+        (Prompt(PromptStep.POSE, "Hold it.", remaining=(Pose.LEFT,), stable=True), False),
     ],
 )
 def test_an_operator_is_waited_for_only_where_there_is_something_to_do(prompt: Prompt, asks: bool) -> None:
@@ -177,7 +177,7 @@ class Scripted:
     def feed(self, frames: Sequence[Frame]) -> tuple[Step, ...]:
         self.fed += len(frames)
         self.outcome = Done((), "enough")
-        return (Prompt("turn", "Turn it.", rotate=True),)
+        return (Prompt(PromptStep.TURN, "Turn it.", rotate=True),)
 
 
 class Unworried(CaptureWatch):
@@ -204,6 +204,6 @@ async def test_what_a_procedure_says_reaches_whoever_watches_the_job(monkeypatch
     assert digest.fed == 3
     assert (handle.job.state, handle.job.prompt) == (
         JobState.WAITING_FOR_OPERATOR,
-        Prompt("turn", "Turn it.", rotate=True),
+        Prompt(PromptStep.TURN, "Turn it.", rotate=True),
     )
     store.close()

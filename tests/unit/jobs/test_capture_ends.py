@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from mavcal.calib.procedures.protocol import Done, GaveUp, Progress, Prompt
+from mavcal.calib.procedures.protocol import Done, GaveUp, Progress, Prompt, PromptStep
 from mavcal.calib.procedures.registry import validate_options
 from mavcal.service.errors import CaptureEnded, DiskFull
 from mavcal.service.jobs.capture import Capture
@@ -79,7 +79,7 @@ async def test_a_vehicle_that_was_armed_comes_before_what_the_procedure_makes_of
 
 async def test_prompts_and_progress_are_shown_and_the_job_waits_where_something_is_asked(capture: Capture) -> None:
     handle = capture.handle
-    turn, rest = Prompt("turn", "Turn it.", rotate=True), Prompt("rest", "Leave it alone.")
+    turn, rest = Prompt(PromptStep.TURN, "Turn it.", rotate=True), Prompt(PromptStep.HOLD_STILL, "Leave it alone.")
     progress = Progress(1.0, 2.0, "s", "recording")
     capture._told([turn, progress])
     assert (handle.job.prompt, handle.job.progress) == (turn, progress)

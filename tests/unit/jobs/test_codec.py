@@ -18,12 +18,13 @@ from mavcal.calib.firmware.plan import (
     ParameterVerdict,
     ProofVerdict,
     SensorCheck,
+    SensorCheckId,
     SensorVerdict,
     Verification,
     WritePlan,
 )
 from mavcal.calib.fit import FitResult, FitStatus
-from mavcal.calib.procedures.protocol import Number, Pose, Progress, Prompt
+from mavcal.calib.procedures.protocol import Number, Pose, Progress, Prompt, PromptStep
 from mavcal.calib.recording import Sensor
 from mavcal.calib.triad import TriadModel
 from mavcal.service.jobs.codec import job_from_row, row_from_job, to_json
@@ -46,7 +47,8 @@ from mavcal.service.store.rows import JobRow
 
 FINGERPRINT = Fingerprint("px4", "0002aa", "1.17.0", (("CAL_GYRO0_ID", 7), ("CAL_ACC0_ID", 8)))
 PROMPT = Prompt(
-    "pose", "Put it on its left side.", pose=Pose.LEFT, remaining=(Pose.LEFT, Pose.BACK), hold_s=2.0, rotate=True,
+    PromptStep.POSE, "Put it on its left side.",
+    pose=Pose.LEFT, remaining=(Pose.LEFT, Pose.BACK), hold_s=2.0, rotate=True,
     direction=(0.0, 1.0, 0.0), temperature=25.0, detected=Pose.LEVEL, stable=True, answers=("finish",),
     axis=(0.0, 0.0, 1.0), turns=3.0, number=Number("rate", "deg/s", 1.0, 90.0),
 )  # fmt: skip
@@ -57,7 +59,7 @@ FAILURE = Failure("in-doubt", "the vehicle fell silent", "switch it on")
 VERIFICATION = Verification(
     (ParameterVerdict("X", ProofVerdict.CONSISTENT, 0.5, 0.1, "rad/s", "says so", acts_on_stream=False),),
     Movement("Turn it.", ("left",), turn=True, temperature=20.0),
-    (SensorCheck("gyro_zero", Sensor.GYRO, 1, 0.1, 0.2, "rad/s", 0.01, SensorVerdict.RIGHT, "at rest"),),
+    (SensorCheck(SensorCheckId.GYRO_ZERO, Sensor.GYRO, 1, 0.1, 0.2, "rad/s", 0.01, SensorVerdict.RIGHT, "at rest"),),
     ("X",),
 )
 

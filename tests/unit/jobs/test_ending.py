@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from mavcal.calib.errors import CalibError
-from mavcal.calib.procedures.protocol import Prompt
+from mavcal.calib.procedures.protocol import Prompt, PromptStep
 from mavcal.service.errors import WriteFailed
 from mavcal.service.jobs.account import RESOLVE, Account, nothing_sent
 from mavcal.service.jobs.ending import broke, cause_of, doubt, end, look_back, record_of, stop
@@ -50,7 +50,7 @@ def standing(bench: Bench) -> Standing:
 @pytest.fixture
 def bench(make_bench: MakeBench) -> Bench:
     made = make_bench()
-    made.handle.job = replace(made.handle.job, accept=Accept("x"), prompt=Prompt("busy", "Wait."))
+    made.handle.job = replace(made.handle.job, accept=Accept("x"), prompt=Prompt(PromptStep.BUSY, "Wait."))
     return made
 
 

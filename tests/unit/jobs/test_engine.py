@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from mavcal.calib.errors import CalibError, FirmwareError, InvalidInputError
-from mavcal.calib.procedures.protocol import Prompt
+from mavcal.calib.procedures.protocol import Prompt, PromptStep
 from mavcal.calib.recording import Identity
 from mavcal.calib.report import to_json
 from mavcal.service.errors import (
@@ -290,7 +290,7 @@ async def test_an_answer_that_the_prompt_takes_reaches_the_job_and_another_does_
         handle = engine._book.handle("j1")
         with pytest.raises(AnswerRefused, match="it asks for no answer now"):
             await engine.answer("j1", "finish")
-        handle.prompt(Prompt("prove", "Hold it.", answers=("finish",)))
+        handle.prompt(Prompt(PromptStep.PROVE, "Hold it.", answers=("finish",)))
         with pytest.raises(AnswerRefused, match="does not take 'begin': it accepts"):
             await engine.answer("j1", "begin")
         assert handle.answers.empty()

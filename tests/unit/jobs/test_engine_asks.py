@@ -13,7 +13,7 @@ from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware.in_force.origin import Origin
 from mavcal.calib.firmware.plan import Agreement
 from mavcal.calib.fit import FitResult, FitStatus
-from mavcal.calib.procedures.protocol import Prompt
+from mavcal.calib.procedures.protocol import Prompt, PromptStep
 from mavcal.calib.recording import Identity, Sensor
 from mavcal.calib.report import from_json, to_json
 from mavcal.calib.triad import TriadModel
@@ -120,7 +120,7 @@ async def test_a_cancelled_job_asks_for_nothing_and_has_no_task(vehicle: FakeVeh
 
     async with started(kept(vehicle, bare(JobState.QUEUED)), vehicle, prepare) as engine:
         await until(lambda: idle.begun == ["j1"])
-        engine._book.handle("j1").prompt(Prompt("turn", "Turn it."))
+        engine._book.handle("j1").prompt(Prompt(PromptStep.TURN, "Turn it."))
         job = await engine.cancel("j1")
         assert (job.state, job.prompt) == (JobState.CANCELLED, None)
         assert job.outcome == Failure("cancelled", "The operator cancelled it.", "")
@@ -157,7 +157,7 @@ async def test_every_request_is_answered_with_the_job_as_it_is_then(vehicle: Fak
         engine._runner.calibrate = engine._runner.fit = Idle()  # type: ignore[method-assign]
 
     async with started(kept(vehicle, *jobs), vehicle, prepare) as engine:
-        engine._book.handle("asked").prompt(Prompt("turn", "Turn it.", answers=("finish",)))
+        engine._book.handle("asked").prompt(Prompt(PromptStep.TURN, "Turn it.", answers=("finish",)))
         for told, job_id in (
             (await engine.answer("asked", "finish"), "asked"),
             (await engine.cancel("stopped"), "stopped"),

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from mavcal.calib.procedures.protocol import Prompt
+from mavcal.calib.procedures.protocol import Prompt, PromptStep
 from mavcal.calib.recording import Identity
 from mavcal.service.errors import VehicleBusy
 from mavcal.service.jobs.handle import JobHandle
@@ -65,7 +65,7 @@ async def test_a_px4_that_has_just_started_is_left_alone(handle: JobHandle) -> N
 
 
 async def test_who_waits_for_nothing_leaves_the_prompt_as_it_is(handle: JobHandle) -> None:
-    asked = Prompt("turn", "Turn it.", rotate=True)
+    asked = Prompt(PromptStep.TURN, "Turn it.", rotate=True)
     handle.prompt(asked)
     await until_idle(handle, FakeVehicle({}), QUICK)
     assert handle.job.prompt == asked

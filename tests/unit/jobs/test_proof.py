@@ -2,7 +2,14 @@ from __future__ import annotations
 
 import pytest
 
-from mavcal.calib.firmware.plan import ParameterVerdict, ProofVerdict, SensorCheck, SensorVerdict, Verification
+from mavcal.calib.firmware.plan import (
+    ParameterVerdict,
+    ProofVerdict,
+    SensorCheck,
+    SensorCheckId,
+    SensorVerdict,
+    Verification,
+)
 from mavcal.calib.recording import Sensor
 from mavcal.service.api.views import job_model
 from mavcal.service.commands.review import good as is_good
@@ -44,7 +51,9 @@ def test_how_far_a_write_is_proved(verification: Verification | None, level: str
 
 def test_a_sensor_that_was_not_seen_to_read_right_leaves_the_proof_open() -> None:
     def gyro(verdict: SensorVerdict) -> SensorCheck:
-        return SensorCheck("gyro_zero", Sensor.GYRO, 1, None, None, "rad/s", None, verdict, "it was never at rest")
+        return SensorCheck(
+            SensorCheckId.GYRO_ZERO, Sensor.GYRO, 1, None, None, "rad/s", None, verdict, "it was never at rest"
+        )
 
     right = Verification(checked(P).parameters, sensors=(gyro(SensorVerdict.RIGHT),))
     assert proof_of(right).level == ProofLevel.FULL

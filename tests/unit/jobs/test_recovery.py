@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from mavcal.calib.firmware.plan import ParameterKind
-from mavcal.calib.procedures.protocol import Prompt
+from mavcal.calib.procedures.protocol import Prompt, PromptStep
 from mavcal.service.jobs.codec import row_from_job
 from mavcal.service.jobs.journal import JournalStep, Sent
 from mavcal.service.jobs.model import Failure, Holds, Job, Result, Standing
@@ -48,7 +48,7 @@ def test_doubt_names_each_parameter(standing: Standing, says: str) -> None:
 def test_why_it_is_in_doubt_is_the_prompt_or_else_the_outcome() -> None:
     failed = replace(JOB, outcome=Failure("silent", "it fell silent", "Switch it on."))
     assert ending(Unfinished(failed, (), ()))[0] == "job j1 (gyro) is in doubt: It fell silent. Switch it on."
-    asked = replace(failed, prompt=Prompt("reboot", "Restart it."))
+    asked = replace(failed, prompt=Prompt(PromptStep.REBOOT, "Restart it."))
     assert ending(Unfinished(asked, (), ()))[0] == "job j1 (gyro) is in doubt: Restart it."
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from mavcal.calib.firmware.plan import Movement, Verification
-from mavcal.calib.procedures.protocol import Prompt
+from mavcal.calib.procedures.protocol import Prompt, PromptStep
 from mavcal.calib.recording import Identity
 from mavcal.service.errors import VehicleUnknown
 from mavcal.service.jobs.crashpoints import At
@@ -202,7 +202,7 @@ async def test_what_is_waited_for_is_told_until_the_write_is_at_its_end(make_ben
     resolving = asyncio.create_task(again.transaction.resolve())
     await until(lambda: again.handle.job.prompt is not None)
     text = "Waiting to finish this write or to take it back: the vehicle is armed."
-    assert again.handle.job.prompt == Prompt("wait", text)
+    assert again.handle.job.prompt == Prompt(PromptStep.WAIT, text)
     again.vehicle.change_state(armed=False, conflict="Two vehicles answer.")
     await until(lambda: again.handle.job.prompt is not None and "Two" in again.handle.job.prompt.text)
     assert again.handle.job.prompt is not None
@@ -283,7 +283,7 @@ async def test_a_vehicle_that_has_gone_before_anything_was_sent_leaves_the_plan_
 
 async def test_the_check_and_its_proof_are_kept_with_the_job(make_bench: MakeBench) -> None:
     bench = make_bench()
-    bench.handle.prompt(Prompt("prove", "Turn it."))
+    bench.handle.prompt(Prompt(PromptStep.PROVE, "Turn it."))
     await bench.apply()
     job = bench.handle.job
     assert job.verification is not None

@@ -12,7 +12,7 @@ import pytest
 
 from mavcal.calib.firmware.plan import Agreement
 from mavcal.calib.fit import FitResult, FitStatus
-from mavcal.calib.procedures.protocol import Done, Progress, Prompt
+from mavcal.calib.procedures.protocol import Done, Progress, Prompt, PromptStep
 from mavcal.calib.recording import Identity, Sensor
 from mavcal.calib.report import from_json, to_json
 from mavcal.calib.triad import TriadModel
@@ -66,7 +66,7 @@ async def test_a_capture_that_is_done_is_fitted_with_what_it_recorded(
 
     async def record(_self: object) -> None:
         states.append(handle.job.state)
-        handle.prompt(Prompt("turn", "Turn it."))
+        handle.prompt(Prompt(PromptStep.TURN, "Turn it."))
         row = store.open_segment("j1", SegmentPurpose.CAPTURE, Path("a.tlog"), 4)
         store.close_segment(row.id, 10, "0" * 64)
 
@@ -109,7 +109,7 @@ async def test_a_fit_is_asked_for_with_all_that_it_depends_on_and_becomes_a_plan
     runs = Runner(FakeRegistry({vehicle.id: vehicle}), QUICK, asking, tuple)
     context = {**handle.job.context, "answers": [[1.5, "finish"]], "plan_options": {"keep_gyro_at_boot": True}}
     handle.change("x", {}, context=context, warnings=("said before",), options={"a": 1})
-    handle.prompt(Prompt("wait", "Wait."))
+    handle.prompt(Prompt(PromptStep.WAIT, "Wait."))
     await runs.fit(handle)
     (request,) = asking.requests
     assert request == JobFitRequest("gyro", {"a": 1}, (), IDENTITY.system, 0.0, ((1.5, "finish"),))

@@ -136,6 +136,29 @@ async def test_stored_but_without_effect_is_found_by_the_stream(make_bench: Make
     assert "INS_GYROFFS_Y" in bench.handle.job.outcome.cause
 
 
+@pytest.mark.parametrize("worse", [KeyError("x"), AssertionError(), ExceptionGroup("several", [KeyError("y")])])
+async def test_what_nobody_foresaw_while_rolling_back_leaves_no_method_and_is_tried_again(
+    make_bench: MakeBench, worse: Exception
+) -> None:
+    """The transaction itself goes on, without a supervisor that takes the job up once more."""
+    bench = make_bench()
+    bench.check.deaf.add("INS_GYROFFS_Y")
+    broken, states = iter([worse]), []
+
+    def break_once(at: At) -> None:
+        if at == At.ROLLBACK_BEGUN:
+            states.append(bench.state)
+            for error in broken:
+                raise error
+
+    bench.reach = break_once
+    await bench.apply()
+    assert states == [JobState.ROLLING_BACK, JobState.ROLLING_BACK]
+    assert JournalStep.STOPPED in [row.step for row in bench.store.journal("j1")]
+    assert bench.state == JobState.REVERTED
+    assert bench.held() == BEFORE
+
+
 async def test_a_refused_command_takes_everything_back(make_bench: MakeBench) -> None:
     bench = make_bench()
     bench.vehicle.refused_commands.add(241)

@@ -20,6 +20,7 @@ from mavcal.calib.firmware.plan import (
     ParameterVerdict,
     ProofVerdict,
     SensorCheck,
+    SensorCheckId,
     SensorVerdict,
     Value,
     Verification,
@@ -40,7 +41,11 @@ PROVED = Verification((ParameterVerdict("X", ProofVerdict.PROVED, 1.0, 0.1, "", 
 UNSEEN = replace(PROVED, unseen=("X", "Y"))
 REFUTED = replace(
     PROVED,
-    sensors=(SensorCheck("gyro_zero", Sensor.GYRO, 0, 1.0, 0.1, "", 0.1, SensorVerdict.WRONG, "gyro 1 reads wrong"),),
+    sensors=(
+        SensorCheck(
+            SensorCheckId.GYRO_ZERO, Sensor.GYRO, 0, 1.0, 0.1, "", 0.1, SensorVerdict.WRONG, "gyro 1 reads wrong"
+        ),
+    ),
 )
 GONE = Verification((ParameterVerdict("X", ProofVerdict.CONTRADICTED, 1.0, 0.1, "", ""),), unseen=("Y",))
 OPEN = Verification(

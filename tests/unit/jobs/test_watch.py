@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from mavcal.calib.procedures.protocol import Prompt
+from mavcal.calib.procedures.protocol import Prompt, PromptStep
 from mavcal.service.errors import CaptureEnded, CaptureLost
 from mavcal.service.jobs.handle import JobHandle
 from mavcal.service.jobs.model import Job
@@ -111,7 +111,7 @@ def test_a_silent_vehicle_is_said_in_the_prompt_and_its_return_too() -> None:
     store, vehicle, clock = SqliteStore(None), FakeVehicle({}), ManualClock()
     handle = JobHandle(Job("one", vehicle.id, "gyro", {}, JobState.RUNNING, 0.0, 0.0), store, lambda _: None)
     handle.change("state", {})
-    asked = Prompt("hold_still", "Do not touch it.")
+    asked = Prompt(PromptStep.HOLD_STILL, "Do not touch it.")
     handle.prompt(asked)
     watch = LinkWatch(handle, vehicle, JobSettings(gap_limit_s=60.0), clock)
     watch.look()
@@ -140,11 +140,11 @@ def test_a_prompt_that_changed_meanwhile_is_not_replaced_when_the_vehicle_is_hea
     store, vehicle, clock = SqliteStore(None), FakeVehicle({}), ManualClock()
     handle = JobHandle(Job("one", vehicle.id, "gyro", {}, JobState.RUNNING, 0.0, 0.0), store, lambda _: None)
     handle.change("state", {})
-    handle.prompt(Prompt("hold_still", "Do not touch it."))
+    handle.prompt(Prompt(PromptStep.HOLD_STILL, "Do not touch it."))
     watch = LinkWatch(handle, vehicle, JobSettings(gap_limit_s=60.0), clock)
     vehicle.change_state(silent=True)
     watch.look()
-    turn = Prompt("turn", "Turn it on its side.")
+    turn = Prompt(PromptStep.TURN, "Turn it on its side.")
     handle.prompt(turn)
     vehicle.change_state(silent=False)
     watch.look()

@@ -75,3 +75,18 @@ def test_a_trail_from_before_the_chain_is_covered_by_its_first_row(tmp_path: Pat
     store._db.executescript("DROP TRIGGER audit_is_append_only; UPDATE audit SET actor = 'c' WHERE id = 1")
     assert store.check_audit().broken_at == 3
     store.close()
+
+
+@pytest.mark.parametrize(("gone", "broken_at"), [(1, 2), (2, 3)])
+def test_a_row_that_is_missing_from_before_the_chain_is_noticed(tmp_path: Path, gone: int, broken_at: int) -> None:
+    """No digest tells: these rows have none, and no row after them is chained yet."""
+    db = sqlite3.connect(tmp_path / "mavcal.sqlite3", isolation_level=None)
+    migrate(db, migrations()[:1])
+    for action in ("apply", "revert", "apply"):
+        db.execute("INSERT INTO audit VALUES (NULL, 1.0, 'a', ?, 'j1', '{}')", (action,))
+    db.close()
+    store = SqliteStore(tmp_path)
+    assert store.check_audit().intact
+    store._db.executescript(f"DROP TRIGGER audit_is_kept; DELETE FROM audit WHERE id = {gone}")
+    assert store.check_audit().broken_at == broken_at
+    store.close()

@@ -64,6 +64,13 @@ class Watched(SqliteStore):
         super()._commit(durable)
 
 
+def test_a_store_commits_to_the_disk_from_its_opening_on(tmp_path: Path) -> None:
+    """A migration is the first thing that is committed, before any row is."""
+    store = Watched(tmp_path)
+    assert store._db.execute("PRAGMA synchronous").fetchone() == (2,)
+    store.close()
+
+
 def test_every_commit_but_those_of_events_is_on_the_disk_when_it_returns(tmp_path: Path) -> None:
     store = Watched(tmp_path)
     for use in (

@@ -10,7 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib import wire
-from mavcal.calib.wire import HASH_CHECK, ParameterEncoding, ParamType, value_from_bits
+from mavcal.calib.wire import HASH_CHECK, NO_INDEX, ParameterEncoding, ParamType, value_from_bits
 from mavcal.service.errors import (
     LinkDown,
     ParameterMissing,
@@ -21,7 +21,7 @@ from mavcal.service.errors import (
 )
 from mavcal.service.vehicle import commands
 from mavcal.service.vehicle.encoding import same_value
-from mavcal.service.vehicle.parameters import NO_INDEX, TRIES
+from mavcal.service.vehicle.parameters import TRIES
 from mavcal.service.vehicle.streams import _Request
 from tests.unit.vehicle.fake import FakeVehicle, heartbeat, param_value, real
 from tests.unit.vehicle.test_parameters import NAME, Firmware, three

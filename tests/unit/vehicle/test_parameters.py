@@ -420,3 +420,10 @@ async def test_the_type_of_a_parameter_is_asked_for_where_it_is_not_known(px4: F
     Firmware(px4, {"CAL_GYRO0_ID": (struct.pack("<i", 7), 6)})
     echo = await px4.run(px4.vehicle.parameters.set("CAL_GYRO0_ID", 1310988))
     assert (echo.parameter.value, echo.parameter.kind) == (1310988, ParamType.INT32)
+
+
+async def test_a_listed_parameter_of_a_type_that_nobody_can_read_is_left_out(ardupilot: FakeVehicle) -> None:
+    firmware = three(ardupilot)
+    firmware.table["LOG_WIDE"] = (real(1.5), 10)  # a double does not fit into the field
+    found = await ardupilot.run(ardupilot.vehicle.list_parameters())
+    assert sorted(found.parameters) == sorted(set(firmware.table) - {"LOG_WIDE"})

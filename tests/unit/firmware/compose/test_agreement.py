@@ -58,19 +58,22 @@ def test_a_repeated_calibration_writes_nothing_and_says_by_how_much_it_differs(v
     assert not again.needs_reboot
     (agrees,) = again.agreements
     parts = {Sensor.GYRO: 3, Sensor.ACCEL: 6, Sensor.MAG: 9}[sensor]
-    assert agrees.deviation == pytest.approx(np.sqrt(0.5 / parts), rel=1e-2)
+    assert agrees.deviation == pytest.approx(np.sqrt(0.25 / parts), rel=1e-2)
     assert f"{sensor} 1 agrees with what is in force: differs by {agrees.deviation:.1f} sd" in again.warnings[0]
 
-    off = compose([moved(fit, [5.0, 0.0, 0.0])], now, fingerprint)
+    off = compose([moved(fit, [7.0, 0.0, 0.0])], now, fingerprint)
     assert {c.sensor for c in off.changes if not c.session} == {sensor}
     assert not off.agreements
 
 
-@pytest.mark.parametrize(("deviations", "agrees"), [([1.6] * 3, True), ([1.62] * 3, False), ([2.79, 0, 0], True)])
+@pytest.mark.parametrize(
+    ("deviations", "agrees"),
+    [([2.27] * 3, True), ([2.29] * 3, False), ([3.94, 0, 0], True), ([3.96, 0, 0], False)],
+)
 def test_the_whole_change_is_judged_against_the_95_percent_region(
     ardupilot_parameters, ardupilot_fingerprint, make_fit, deviations, agrees
 ):
-    """7.815 is the 95 % quantile of chi-squared with three degrees of freedom: 3 x 1.614^2, or 2.796^2."""
+    """7.815 is the 95 % quantile of chi-squared with three degrees of freedom; twice that is 3 x 2.283^2, or 3.953^2."""
     fit = fit_of(make_fit, Sensor.GYRO)
     now = written(compose([fit], ardupilot_parameters, ardupilot_fingerprint), ardupilot_parameters)
     plan = compose([moved(fit, deviations)], now, ardupilot_fingerprint)
@@ -82,7 +85,7 @@ def test_the_covariance_decides_and_not_the_single_deviations(ardupilot_paramete
     now = written(compose([fit], ardupilot_parameters, ardupilot_fingerprint), ardupilot_parameters)
     tied = fit.covariance.copy()
     tied[0, 1] = tied[1, 0] = 0.99 * tied[0, 0]
-    along, across = ([2.0, 2.0, 0.0], [2.0, -2.0, 0.0])
+    along, across = ([2.5, 2.5, 0.0], [2.5, -2.5, 0.0])
     plans = [
         compose([dataclasses.replace(moved(fit, d), covariance=tied)], now, ardupilot_fingerprint)
         for d in (along, across)

@@ -75,7 +75,7 @@ def test_every_element_is_weighed_by_its_own_sd(ardupilot_parameters, make_fit, 
     found = judged(parameters, Pair(Subject(sensor, 0), fit_of(make_fit, sensor, change), None))
     assert found is not None
     counts = element < COUNT[sensor]
-    assert found.deviation == pytest.approx(0.5 / np.sqrt(COUNT[sensor]) if counts else 0.0, rel=2e-2, abs=2e-3)
+    assert found.deviation == pytest.approx(0.5 / np.sqrt(2.0 * COUNT[sensor]) if counts else 0.0, rel=2e-2, abs=2e-3)
     assert found.text.startswith(f"{sensor} 1 agrees")
 
 
@@ -167,7 +167,7 @@ class TestDrift:
         moved = np.array([a - 20 * b + 300 * c, b - 30 * c, c])
         offset = -(-10 * a + 100 * b - 1000 * c)
         sds = 1e-4 * 10.0 ** -np.arange(3)
-        deviation = np.sqrt((((moved / sds[:, None]) ** 2).sum() + ((-offset / 1e-3) ** 2).sum()) / 12)
+        deviation = np.sqrt((((moved / sds[:, None]) ** 2).sum() + ((-offset / 1e-3) ** 2).sum()) / 24)
         assert found is not None
         assert found.deviation == pytest.approx(deviation, rel=1e-3)
 
@@ -180,7 +180,7 @@ class TestDrift:
         moved = np.array([a - 20 * b + 300 * c, b - 30 * c, c])
         sds = 1e-4 * 10.0 ** -np.arange(3)
         assert found is not None
-        assert found.deviation == pytest.approx(np.sqrt(((moved / sds[:, None]) ** 2).sum() / 12), rel=1e-3)
+        assert found.deviation == pytest.approx(np.sqrt(((moved / sds[:, None]) ** 2).sum() / 24), rel=1e-3)
 
     def test_without_a_temperature_an_offset_beside_a_curve_cannot_be_judged(self, ardupilot_parameters, make_fit):
         rest = make_fit(Sensor.GYRO, offset=[0.01, 0.02, 0.03], offset_sd=1e-3, temperature=None)

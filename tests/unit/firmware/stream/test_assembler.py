@@ -47,8 +47,10 @@ def test_each_firmware_fills_the_field_in_its_own_way(autopilot: str, value: flo
     assert recorded(autopilot, param_value(bits, wire.ParamType.INT32)) == [value]
 
 
-def test_a_type_that_does_not_fit_the_field_reads_as_a_float() -> None:
-    assert recorded("px4", param_value(struct.pack("<f", 1.5), 10)) == [1.5]
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+@pytest.mark.parametrize("kind", [0, 7, 8, 10, 255])
+def test_a_type_that_does_not_fit_the_field_has_no_value(autopilot: str, kind: int) -> None:
+    assert recorded(autopilot, param_value(struct.pack("<f", 1.5), kind)) == []
 
 
 def test_the_checksum_of_the_list_is_no_parameter() -> None:

@@ -1,0 +1,143 @@
+"""Commands that ask a running service: ``follow``, ``answer``, ``cancel``, and others with --url."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.running import RunningService, service
+from mavcal.service.api.security import digest
+from mavcal.service.simvehicle import SimulatedVehicle
+from tests.patience import patience, scaled
+
+from .deployed import clean_environment, started
+from .jobs_bench import stored
+
+ROOT = Path(__file__).resolve().parents[2]
+pytestmark = pytest.mark.timeout(300)
+
+
+@pytest.fixture(scope="module")
+def sim() -> Iterator[SimulatedVehicle]:
+    config = {"thermal": False, "parameters": {"INS_GYR_CAL": 0}}
+    with SimulatedVehicle("ardupilot", seed=11, speed=20, config=config) as vehicle:
+        vehicle.call("still")
+        yield vehicle
+
+
+@pytest.fixture(scope="module")
+def running(sim: SimulatedVehicle, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningService]:
+    with service(sim.url, tmp_path_factory.mktemp("remote") / "data") as found:
+        found.found()
+        yield found
+
+
+def mavcal(*arguments: str) -> tuple[int, dict[str, Any], str]:
+    """Exit code, JSON and stderr of a command."""
+    done = subprocess.run(
+        [sys.executable, "-m", "mavcal", *arguments, "--json"],
+        cwd=ROOT, capture_output=True, text=True, check=False, timeout=scaled(100.0),
+    )  # fmt: skip
+    assert "Traceback" not in done.stderr, done.stderr
+    return done.returncode, json.loads(done.stdout), done.stderr
+
+
+def begun(running: RunningService, kind: str, **options: float) -> str:
+    return running.client.start_job(running.found(), kind=kind, options=dict(options)).id
+
+
+def asks(running: RunningService, job_id: str, text: str) -> None:
+    limit = patience(30.0)
+    while (prompt := running.client.get_job(job_id).prompt) is None or text not in prompt.answers:
+        assert not limit.over, prompt
+
+
+def test_a_job_is_followed_accepted_and_taken_back(running: RunningService, sim: SimulatedVehicle) -> None:
+    before = stored(sim)
+    job_id = begun(running, "gyro")
+    code, told, said = mavcal("follow", job_id, "--url", running.url)
+    assert (code, told["state"]) == (0, "review"), said
+    assert "do not touch it" in said
+    assert "its plan waits: `mavcal accept` writes it" in said
+    assert mavcal("follow", job_id, "--url", running.url)[:2] == (0, told)  # at once: nothing goes on
+    assert stored(sim) == before
+    code, told, said = mavcal("accept", job_id, "--url", running.url, "--only", "gyro0")
+    assert (code, told["state"], told["plan_options"]) == (0, "succeeded", {"only": ["gyro0"]}), said
+    assert "INS_GYROFFS_X" in said
+    assert "do not touch it" not in said  # of the capture, which is over
+    assert stored(sim) != before
+    code, told, said = mavcal("revert", job_id, "--url", running.url)
+    assert (code, told["state"]) == (0, "reverted"), said
+    assert stored(sim) == before
+    code, told, _ = mavcal("revert", job_id, "--url", running.url)
+    assert (code, told["error"]["code"]) == (1, "not-revertible")
+
+
+def test_a_prompt_is_answered_and_a_job_is_cancelled(running: RunningService) -> None:
+    job_id = begun(running, "accel")
+    code, told, _ = mavcal("answer", job_id, "nonsense", "--url", running.url)
+    assert (code, told["error"]["code"]) == (1, "answer-refused")
+    code, told, said = mavcal("cancel", job_id, "--url", running.url)
+    assert (code, told["id"], told["state"]) == (0, job_id, "cancelled")
+    assert said.startswith("cancelled")
+    code, told, _ = mavcal("cancel", job_id, "--url", running.url)
+    assert (code, told["error"]["code"]) == (1, "not-cancellable")
+    code, told, said = mavcal("follow", job_id, "--url", running.url)
+    assert (code, told["state"]) == (1, "cancelled")
+
+
+def test_what_the_prompt_offers_is_an_answer(running: RunningService, sim: SimulatedVehicle) -> None:
+    sim.call("tumble", rate_dps=45.0)
+    job_id = begun(running, "mag", uncertainty=0.02, patience=3600)
+    asks(running, job_id, "finish")
+    code, told, said = mavcal("answer", job_id, "finish", "--url", running.url)
+    assert (code, told["id"]) == (0, job_id), said
+    assert mavcal("follow", job_id, "--url", running.url)[1]["state"] == "review"
+    sim.call("still")
+
+
+def test_a_service_and_its_folder_list_the_same_a_page_at_a_time(running: RunningService) -> None:
+    ids = [running.client.cancel_job(begun(running, "accel")).id for _ in range(3)][::-1]
+    places = (("--url", running.url), ("--data-dir", str(running.data_dir)))
+    whole, folder = (mavcal("jobs", "--kind", "accel", "--state", "cancelled", *place)[1] for place in places)
+    assert whole == folder
+    assert [job["id"] for job in whole["jobs"]][:3] == ids
+    for place in places:
+        _, first, _ = mavcal("jobs", "--limit", "2", *place)
+        assert ([job["id"] for job in first["jobs"]], first["next"]) == (ids[:2], ids[1])
+        _, second, _ = mavcal("jobs", "--limit", "1000", "--after", ids[1], *place)
+        assert (second["jobs"][0]["id"], second["next"]) == (ids[2], None)
+        code, told, _ = mavcal("jobs", "--after", "nothing", *place)
+        assert (code, told["error"]["code"]) == (1, "job-unknown")
+
+
+def test_who_is_not_there_and_what_is_no_address_is_said(tmp_path: Path) -> None:
+    code, told, _ = mavcal("cancel", "j1", "--url", "http://127.0.0.1:1")
+    assert (code, told["error"]["code"]) == (1, "unreachable")
+    for url in ("127.0.0.1:8765", "udpin:0.0.0.0:14550", "http://", "http://[::1"):
+        assert mavcal("jobs", "--url", url)[0] == 2
+    (tmp_path / "two").write_text("a b\n")
+    assert mavcal("jobs", "--url", "http://127.0.0.1:1", "--key-file", str(tmp_path / "two"))[0] == 2
+    for command in ("accept", "revert"):
+        assert mavcal(command, "j1")[0] == 2
+        assert mavcal(command, "j1", "--connect", "sim:px4", "--url", "http://127.0.0.1:1")[0] == 2
+
+
+def test_a_key_lets_in_and_none_does_not(tmp_path: Path) -> None:
+    keys = json.dumps([{"name": "me", "sha256": digest("secret"), "scopes": ["read"]}])
+    environment = clean_environment() | {"MAVCAL_API_KEYS": keys, "MAVCAL_DATA_DIR": str(tmp_path / "data")}
+    command = [sys.executable, "-m", "mavcal", "serve", "--port", "0"]
+    (tmp_path / "key").write_text("secret\n")
+    with started(command, environment | {"PYTHONPATH": str(ROOT)}, tmp_path) as served:
+        code, told, _ = mavcal("jobs", "--url", served.url)
+        assert (code, told["error"]["code"]) == (2, "authentication-required")
+        place = ("--url", served.url, "--key-file", str(tmp_path / "key"))
+        assert mavcal("jobs", *place)[:2] == (0, {"jobs": [], "next": None})
+        code, told, _ = mavcal("cancel", "j1", *place)
+        assert (code, told["error"]["code"]) == (2, "not-allowed")
