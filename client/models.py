@@ -83,7 +83,9 @@ class CriterionModel(Answer):
     id: str
     verdict: Verdict
     value: Number | None
+    """In `unit`; null: it has none."""
     limit: Number | None
+    """In `unit`; null: it has none."""
     unit: str
     text: str
     remedy: str

@@ -138,7 +138,9 @@ export interface CheckModel {
 export interface CriterionModel {
   id: string;
   verdict: Verdict;
+  /** In `unit`; null: it has none. */
   value: number | null;
+  /** In `unit`; null: it has none. */
   limit: number | null;
   unit: string;
   text: string;

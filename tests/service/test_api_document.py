@@ -233,7 +233,12 @@ def test_streams_say_what_they_carry() -> None:
         content = operation["responses"].get("200", {}).get("content", {})
         if "text/event-stream" in content:
             found[operation["operationId"]] = content["text/event-stream"]["schema"]["$ref"].rsplit("/", 1)[1]
-    assert found == {"follow_job": "JobMessage", "follow_vehicle": "VehicleMessage", "follow_events": "Message"}
+    assert found == {
+        "follow_job": "JobMessage",
+        "follow_vehicle": "VehicleMessage",
+        "follow_samples": "LiveMessage",
+        "follow_events": "Message",
+    }
     assert schemas["Message"]["discriminator"]["propertyName"] == "event"
     assert schemas["JobEvent"]["discriminator"]["propertyName"] == "kind"
     assert schemas["OutcomeModel"]["discriminator"]["propertyName"] == "kind"

@@ -28,8 +28,8 @@ class CriterionModel(BaseModel):
 
     id: str
     verdict: Verdict
-    value: Number | None
-    limit: Number | None
+    value: Number | None = Field(description="in `unit`; null: it has none")
+    limit: Number | None = Field(description="in `unit`; null: it has none")
     unit: str
     text: str
     remedy: str = Field(description="what helps; empty: nothing has to be done")
