@@ -12,6 +12,7 @@ import time
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from typing import Any
 
 from mavcal.calib.firmware.in_force.needed import needed
 from mavcal.calib.firmware.plan import Value
@@ -27,6 +28,9 @@ from mavcal.service.jobs.port import JobVehicle, ParameterReading
 from mavcal.service.jobs.settings import JobSettings
 from mavcal.service.jobs.write import read_values
 from mavcal.service.vehicle.commands import RUN_PREARM_CHECKS
+
+History = Callable[[JobVehicle], Awaitable[tuple[VerifiedCalibration, ...]]]
+"""The verified calibrations of a vehicle, oldest first."""
 
 DEADLINE_S = 8.5
 """From the start to the last sample: what is left of ten seconds puts the streams back and computes."""
@@ -80,17 +84,23 @@ class Preflights:
         self._capture_s = settings.preflight_s
         self._wall, self._clock = wall, clock
         self._running: set[str] = set()
-        self._restoring: dict[str, asyncio.Task[None]] = {}
+        self._looks: dict[str, asyncio.Task[Preflight]] = {}
+        """Those that give way."""
+        self._restoring: dict[str, asyncio.Task[Any]] = {}
 
     def require_idle(self, vehicle_id: str) -> None:
-        """Raise PreflightRunning while this vehicle is looked at."""
+        """Raise PreflightRunning while somebody has this vehicle looked at; a look that nobody asked for gives way."""
+        look = self._looks.pop(vehicle_id, None)
+        if look is not None:
+            look.cancel()
+            self._restoring[vehicle_id] = look
         if vehicle_id in self._running:
             raise PreflightRunning
 
     async def run(
         self,
         vehicle: JobVehicle,
-        history: Callable[[], Awaitable[tuple[VerifiedCalibration, ...]]],
+        history: History,
         *,
         heading: float | None = None,
     ) -> Preflight:
@@ -107,7 +117,7 @@ class Preflights:
         began, at, heard = self._clock(), self._wall(), _Heard()
         if vehicle.identity.firmware is None:
             await vehicle.identify()
-        known = await history()
+        known = await history(vehicle)
         forget = vehicle.subscribe(wanted_messages(vehicle.identity), heard.take)
         listening = vehicle.on_parameter(heard.hear)
         reading = asyncio.create_task(self._read(vehicle, known))
@@ -134,6 +144,20 @@ class Preflights:
         report = await asyncio.to_thread(preflight, dataclasses.replace(snapshot, view=view))
         seconds = self._clock() - began
         return Preflight(vehicle.id, vehicle.identity, at, seconds, report, tuple(heard.notes))
+
+    async def look(self, vehicle: JobVehicle, history: History) -> Preflight | None:
+        """As :meth:`run`, of a vehicle that nobody claims; None: somebody did meanwhile, and goes first."""
+        look = asyncio.create_task(self.run(vehicle, history), name=f"look at {vehicle.id}")
+        self._looks[vehicle.id] = look
+        try:
+            await asyncio.wait({look})
+        finally:
+            if self._looks.get(vehicle.id) is look:
+                del self._looks[vehicle.id]
+            if not look.done():
+                look.cancel()
+                self._restoring[vehicle.id] = look
+        return None if look.cancelled() else look.result()
 
     @contextmanager
     def claimed(self, vehicle_id: str) -> Iterator[None]:
@@ -190,8 +214,7 @@ class Preflights:
 
     async def restored(self, vehicle_id: str) -> None:
         """Wait until the rates of an earlier preflight are back."""
-        task = self._restoring.pop(vehicle_id, None)
-        if task is not None:
+        while (task := self._restoring.pop(vehicle_id, None)) is not None:
             await asyncio.wait({task})
 
     async def stop(self) -> None:
