@@ -78,7 +78,8 @@ def ids_changed(snapshot: Snapshot) -> dict[Sensor, tuple[str, ...]]:
         there = now.get(sensor, set())
         if not then:
             there = then  # ArduPilot keeps an id only once the calibration is stored: none was known yet
-        said = [f"{sensor} {device} was verified and is gone" for device in sorted(then - there) if there]
+        gone = sorted(then - there) if there and snapshot.complete else []  # an id that was not read is not gone
+        said = [f"{sensor} {device} was verified and is gone" for device in gone]
         said += [f"{sensor} {device} was never verified" for device in sorted(there - then)]
         if None not in (entry.uid, snapshot.identity.uid) and entry.uid != snapshot.identity.uid:
             said.append(f"{sensor} was verified on the autopilot {entry.uid}, and this is {snapshot.identity.uid}")
@@ -97,7 +98,11 @@ def sensor_check(snapshot: Snapshot) -> Check:
     ids = sensor_ids(snapshot.identity.autopilot, snapshot.parameters)
     notes = [f"{sensor} {i + 1} has the device id {device}" for (sensor, i), device in sorted(ids.items())]
     notes.append(f"unique id of the autopilot: {snapshot.identity.uid or 'not said'}")
-    return _counted(CheckId.SENSOR_IDS, said, "sensors", good, remedy, (*notes, *_compared(snapshot)))
+    notes += _compared(snapshot)
+    if not said and not snapshot.complete:
+        reason = "The device ids could not all be read in time, and those that were are as verified."
+        return unknown(CheckId.SENSOR_IDS, reason, "Check again on a faster link.", notes)
+    return _counted(CheckId.SENSOR_IDS, said, "sensors", good, remedy, notes)
 
 
 def changes(snapshot: Snapshot) -> tuple[Changed, ...]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from mavcal.service.commands.config import load_settings
+from mavcal.service.commands.every import Acted, Whom, all_option, connect_option, one_of, run_every
 from mavcal.service.commands.output import json_option
 from mavcal.service.commands.review import JobWish, run_job
 
@@ -18,16 +19,30 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("job_id", metavar="JOB")
-@click.option("--connect", required=True, metavar="URL", help="Endpoint of the vehicle, as udpin:0.0.0.0:14550.")
+@click.argument("job_id", metavar="[JOB]", required=False)
+@connect_option
+@all_option
 @click.option("--data-dir", type=click.Path(path_type=Path), default=None, help="Where everything is kept.")
 @click.option("--wait", type=float, default=30.0, show_default=True, help="How long to wait for a vehicle, s.")
 @json_option
-def command(*, job_id: str, connect: str, data_dir: Path | None, wait: float, as_json: bool) -> int:
-    """Put back the values that job JOB of this data directory has replaced.
+def command(
+    *, job_id: str | None, urls: tuple[str, ...], every: bool, data_dir: Path | None, wait: float, as_json: bool
+) -> int:
+    """Put back the values that job JOB of this data directory has replaced; with --all, the last write of each vehicle.
 
-    A parameter that somebody else has set since is left alone and named. Exit code 1 if the job was not taken back.
+    A parameter that somebody else has set since is left alone and named. Exit code 1 if a job was not taken back; a
+    vehicle to which nothing was written is no failure.
     """
+    if (job_id is None) != every:
+        raise click.UsageError("name the JOB, or give --all to take back the last write of every vehicle")
+    if every:
+        whom = Whom(urls, every, wait)
+
+        async def act(service: Service, vehicle: Vehicle) -> Acted:
+            return await _last_write(service, vehicle, wait)
+
+        return run_every(whom.settings(data_dir), whom, act, as_json=as_json)
+    connect, name = one_of(urls), str(job_id)
     settings = load_settings(data_dir=data_dir, connect=(connect,))
 
     async def begin(service: Service, vehicle: Vehicle) -> Job:
@@ -35,10 +50,32 @@ def command(*, job_id: str, connect: str, data_dir: Path | None, wait: float, as
         from mavcal.service.commands.review import writable
         from mavcal.service.errors import OtherVehicle
 
-        job = service.jobs.get(job_id)
+        job = service.jobs.get(name)
         if not is_of(service, job, vehicle):
-            raise OtherVehicle(f"job {job_id} is of {job.vehicle_id}, but {connect} leads to {vehicle.id}")
+            raise OtherVehicle(f"job {name} is of {job.vehicle_id}, but {connect} leads to {vehicle.id}")
         await writable(vehicle, wait)
-        return await service.jobs.revert(job_id)
+        return await service.jobs.revert(name)
 
     return run_job(settings, begin, JobWish(write=True, wait_s=wait, as_json=as_json, revert=True))
+
+
+async def _last_write(service: Service, vehicle: Vehicle, wait: float) -> Acted:
+    """Take back the newest job that has written to this vehicle."""
+    from mavcal.service.commands.headless import is_of
+    from mavcal.service.commands.review import taken_back, writable
+    from mavcal.service.jobs.fixing import settled
+    from mavcal.service.jobs.states import JobState
+
+    written = [job for job in service.jobs.list() if job.state is JobState.SUCCEEDED and job.accept is not None]
+    ours = [job for job in written if is_of(service, job, vehicle)]
+    if not ours:
+        return Acted(
+            good=True, text="nothing was written to it by a job of this data directory", document={"job": None}
+        )
+    newest = max(ours, key=lambda job: job.updated_at)
+    await writable(vehicle, wait)
+    await service.jobs.revert(newest.id)
+    job = await settled(service.jobs, newest.id)
+    said = "" if job.outcome is None else getattr(job.outcome, "text", "") or getattr(job.outcome, "cause", "")
+    told = {"job": job.id, "kind": job.kind, "state": job.state.value, "text": said}
+    return Acted(taken_back(job), f"job {job.id} ({job.kind}) is {job.state.value}: {said}", told)
