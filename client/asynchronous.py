@@ -88,6 +88,21 @@ class AsyncClient(AsyncTransport):
             body={"heading": heading, "fix": fix},
         )
 
+    async def restore_calibration(
+        self, vehicle_id: str, *, only: list[str] | None = None, mark_calibrated: bool | None = None
+    ) -> JobModel:
+        """Plan to put the last verified calibration of this unit back, mapped by device id; `apply` writes the
+        plan.
+
+        409 if no calibration of this very unit was verified here.
+        """
+        return await self._ask(
+            "POST",
+            f"/api/v1/vehicles/{segment(vehicle_id)}/restore",
+            answers.JOB_MODEL,
+            body={"only": only, "mark_calibrated": mark_calibrated},
+        )
+
     async def list_procedures(self) -> list[ProcedureModel]:
         """What can be calibrated, what each procedure needs, ends on, writes and cannot represent."""
         return await self._ask("GET", "/api/v1/procedures", answers.PROCEDURE_MODEL_LIST)
@@ -172,6 +187,7 @@ class AsyncClient(AsyncTransport):
         idempotency_key: str | None = None,
         reboot: bool | None = None,
         prove_s: Number | None = None,
+        preflight: bool | None = None,
     ) -> JobModel:
         """Accept the plan with this digest and write it; 409 if it is no longer the plan to be written."""
         return await self._ask(
@@ -179,7 +195,7 @@ class AsyncClient(AsyncTransport):
             f"/api/v1/jobs/{segment(job_id)}/apply",
             answers.JOB_MODEL,
             header={"idempotency-key": idempotency_key},
-            body={"plan_sha256": plan_sha256, "reboot": reboot, "prove_s": prove_s},
+            body={"plan_sha256": plan_sha256, "reboot": reboot, "prove_s": prove_s, "preflight": preflight},
         )
 
     async def revert_job(self, job_id: str) -> JobModel:

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from mavcal.client.base import Answer, Number
 from mavcal.client.enums import JobState, ProofLevel
-from mavcal.client.jobs import OutcomeModel, ProgressModel, PromptModel, WriteModel
+from mavcal.client.jobs import OutcomeModel, ProgressModel, PromptModel, VehicleReadinessModel, WriteModel
 from mavcal.client.models import LinkModel, VehicleModel
 
 
@@ -196,6 +196,18 @@ class StandingEvent(Answer):
     data: StandingData
 
 
+class ReadinessEvent(Answer):
+    """The vehicle was looked at after a write."""
+
+    job_id: str
+    sequence: int
+    """Number among the events of this job, from 1."""
+    at: Number
+    """Wall-clock time, s since 1970."""
+    kind: Literal["readiness"]
+    data: VehicleReadinessModel
+
+
 JobEvent = Annotated[
     StateEvent
     | PromptEvent
@@ -207,7 +219,8 @@ JobEvent = Annotated[
     | PlanEvent
     | WriteEvent
     | VerificationEvent
-    | StandingEvent,
+    | StandingEvent
+    | ReadinessEvent,
     Field(discriminator="kind"),
 ]
 """One of JobEvent."""

@@ -165,6 +165,12 @@ class NotRevertible(ApiProblem):
     """Nothing to revert (409). The job has written nothing that could be taken back."""
 
 
+class NothingVerified(ApiProblem):
+    """Nothing verified (409). No verified calibration of this very unit is known here, so there is nothing to
+    restore.
+    """
+
+
 class OtherVehicle(ApiProblem):
     """Not of this vehicle (409). The recording is not of this vehicle's sensors."""
 
@@ -318,6 +324,7 @@ PROBLEMS: Mapping[str, type[ApiProblem]] = {
     "not-cancellable": NotCancellable,
     "not-found": NotFound,
     "not-revertible": NotRevertible,
+    "nothing-verified": NothingVerified,
     "other-vehicle": OtherVehicle,
     "parameter-error": ParameterError,
     "parameter-missing": ParameterMissing,

@@ -21,6 +21,7 @@ COMMANDS = {
     "calibrate": "Calibrate one sensor of a vehicle, headless.",
     "plan": "Plan the fit of a recording for a connected vehicle, and write it.",
     "accept": "Write the plan of a job that waits in review.",
+    "restore": "Put the last verified calibration back, say after a firmware change.",
     "revert": "Take back what a job has written.",
     "status": "Say who is at the other end of a link, and what was calibrated last.",
     "jobs": "List the jobs of a data directory or of a running service, of every kind.",

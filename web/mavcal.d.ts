@@ -51,6 +51,8 @@ export interface ApplyRequest {
   reboot?: boolean;
   /** How long to wait for movements that prove the rest, s. */
   prove_s?: number;
+  /** Look at the vehicle for some seconds afterwards and say whether it would arm now. */
+  preflight?: boolean;
 }
 
 /** Whether the audit trail is as it was written. */
@@ -326,7 +328,7 @@ export interface InfoModel {
   python: string;
 }
 
-export type JobEvent = StateEvent | PromptEvent | ProgressEvent | AnswerEvent | WarningEvent | SegmentsEvent | SetAsideEvent | PlanEvent | WriteEvent | VerificationEvent | StandingEvent;
+export type JobEvent = StateEvent | PromptEvent | ProgressEvent | AnswerEvent | WarningEvent | SegmentsEvent | SetAsideEvent | PlanEvent | WriteEvent | VerificationEvent | StandingEvent | ReadinessEvent;
 
 /** Something happened to a job. `id` continues the stream: it is sent again as `Last-Event-ID`. */
 export interface JobMessage {
@@ -364,6 +366,8 @@ export interface JobModel {
   results: FitModel[];
   plan: PlanModel | null;
   verification: VerificationModel | null;
+  /** Would the vehicle arm now; null until it was looked at after a write that succeeded. */
+  readiness: VehicleReadinessModel | null;
   /** Parameters in doubt (all that were sent, or may have been), or left to a third party. */
   standing: StandingModel[];
   /** What the job has made beside its results. */
@@ -635,7 +639,7 @@ export interface Problem {
 }
 
 /** What kind of problem it is. */
-export type ProblemCode = "answer-refused" | "authentication-required" | "capture-disturbed" | "capture-ended" | "capture-interrupted" | "command-forbidden" | "command-refused" | "command-timeout" | "data-dir-locked" | "disk-full" | "document-unknown" | "endpoint-refused" | "endpoint-unknown" | "export-unknown" | "file-not-processed" | "files-busy" | "gap-error" | "gap-unfinished" | "gap-unknown" | "gaps-busy" | "http" | "idempotency-key-reused" | "illegal-transition" | "internal-error" | "invalid-input" | "job-cancelled" | "job-error" | "job-unknown" | "link-down" | "link-error" | "link-unknown" | "no-vehicle" | "not-allowed" | "not-cancellable" | "not-found" | "not-revertible" | "other-vehicle" | "parameter-error" | "parameter-missing" | "parameter-rejected" | "parameter-timeout" | "physical-job-running" | "plan-blocked" | "plan-changed" | "plan-missing" | "port-busy" | "preflight-running" | "recording-unknown" | "store-error" | "too-many-attempts" | "too-many-streams" | "upload-too-large" | "upload-unreadable" | "validation" | "vehicle-armed" | "vehicle-busy" | "vehicle-conflict" | "vehicle-error" | "vehicle-silent" | "vehicle-unknown" | "write-failed" | "write-stopped";
+export type ProblemCode = "answer-refused" | "authentication-required" | "capture-disturbed" | "capture-ended" | "capture-interrupted" | "command-forbidden" | "command-refused" | "command-timeout" | "data-dir-locked" | "disk-full" | "document-unknown" | "endpoint-refused" | "endpoint-unknown" | "export-unknown" | "file-not-processed" | "files-busy" | "gap-error" | "gap-unfinished" | "gap-unknown" | "gaps-busy" | "http" | "idempotency-key-reused" | "illegal-transition" | "internal-error" | "invalid-input" | "job-cancelled" | "job-error" | "job-unknown" | "link-down" | "link-error" | "link-unknown" | "no-vehicle" | "not-allowed" | "not-cancellable" | "not-found" | "not-revertible" | "nothing-verified" | "other-vehicle" | "parameter-error" | "parameter-missing" | "parameter-rejected" | "parameter-timeout" | "physical-job-running" | "plan-blocked" | "plan-changed" | "plan-missing" | "port-busy" | "preflight-running" | "recording-unknown" | "store-error" | "too-many-attempts" | "too-many-streams" | "upload-too-large" | "upload-unreadable" | "validation" | "vehicle-armed" | "vehicle-busy" | "vehicle-conflict" | "vehicle-error" | "vehicle-silent" | "vehicle-unknown" | "write-failed" | "write-stopped";
 
 /** A procedure: what it needs, ends on, writes and cannot represent. */
 export interface ProcedureModel {
@@ -730,6 +734,17 @@ export type ProofLevel = "full" | "partial" | "none";
 /** What the stream says of one written parameter. */
 export type ProofVerdict = "proved" | "consistent" | "not_observable" | "contradicted";
 
+/** The vehicle was looked at after a write. */
+export interface ReadinessEvent {
+  job_id: string;
+  /** Number among the events of this job, from 1. */
+  sequence: number;
+  /** Wall-clock time, s since 1970. */
+  at: number;
+  kind: "readiness";
+  data: VehicleReadinessModel;
+}
+
 /** Whether jobs can be run. */
 export interface ReadinessModel {
   status: "ready" | "not ready";
@@ -790,6 +805,14 @@ export interface RegistrationModel {
   api: string;
   works_in_relative_paths: boolean;
   new_page: boolean;
+}
+
+/** Put the last verified calibration back. */
+export interface RestoreRequest {
+  /** These sensors alone, as gyro0 or accel1; empty: all, and what belongs to the board. */
+  only?: string[];
+  /** ArduPilot: mark the sensors as calibrated. */
+  mark_calibrated?: boolean;
 }
 
 /** The job reached its goal. */
@@ -984,6 +1007,16 @@ export interface VehicleModel {
   parameters_known: number;
 }
 
+/** What a preflight after the write says; the event `readiness` carries the same. */
+export interface VehicleReadinessModel {
+  /** That of the preflight; unknown: the vehicle could not be looked at. */
+  verdict: Verdict;
+  /** This vehicle would arm now, or what stands against it in its own words. */
+  text: string;
+  /** Every check that does not pass, failures first. */
+  against: string[];
+}
+
 /** What a check, or a whole report, comes to. */
 export type Verdict = "pass" | "warn" | "fail" | "unknown";
 
@@ -1138,6 +1171,14 @@ export interface Operations {
     parameters: { vehicle_id: string };
     body: PreflightRequest;
     answer: PreflightModel;
+  };
+  /** Plan to put the last verified calibration of this unit back, mapped by device id; `apply` writes the plan. */
+  restore_calibration: {
+    method: "POST";
+    path: "/api/v1/vehicles/{vehicle_id}/restore";
+    parameters: { vehicle_id: string };
+    body: RestoreRequest;
+    answer: JobModel;
   };
   /** What can be calibrated, what each procedure needs, ends on, writes and cannot represent. */
   list_procedures: {

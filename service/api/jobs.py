@@ -152,7 +152,7 @@ async def apply(
 ) -> JobModel:
     """Accept the plan with this digest and write it; 409 if it is no longer the plan to be written."""
     accept = Accept(body.plan_sha256, reboot=body.reboot, prove_s=body.prove_s, actor=actor)
-    return job_model(await service.jobs.apply(job_id, accept, idempotency_key))
+    return job_model(await service.jobs.apply(job_id, accept, idempotency_key, look=body.preflight))
 
 
 @router.post("/jobs/{job_id}/revert", operation_id="revert_job", status_code=202, dependencies=[WRITE])

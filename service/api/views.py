@@ -28,6 +28,7 @@ from mavcal.service.jobs.codec import to_json
 from mavcal.service.jobs.fixing import Fix
 from mavcal.service.jobs.model import Failure, Job
 from mavcal.service.jobs.preflight import Preflight
+from mavcal.service.jobs.ready import readiness_of
 from mavcal.service.link import Link
 from mavcal.service.store.rows import EventRow, JobDocument, RecordingRow
 from mavcal.service.vehicle.encoding import Parameter
@@ -52,6 +53,7 @@ def job_model(job: Job) -> JobModel:
             "results": to_json(job.results),
             "plan": to_json(job.plan),
             "verification": to_json(job.verification),
+            "readiness": to_json(readiness_of(job)),
             "standing": to_json(job.standing),
             "documents": [
                 {"name": name, "href": f"api/v1/jobs/{job.id}/documents/{name}"}

@@ -36,6 +36,7 @@
     |   +-- PlanBlocked           409
     |   +-- PlanMissing           404
     |   +-- OtherVehicle          409
+    |   +-- NothingVerified       409
     |   +-- ExportUnknown         404
     |   +-- IdempotencyConflict   409
     |   +-- AnswerRefused         409
@@ -101,6 +102,7 @@ from mavcal.service.errors.jobs import (
     JobError,
     JobUnknown,
     NotCancellable,
+    NothingVerified,
     NotRevertible,
     NoVehicle,
     OtherVehicle,
@@ -167,6 +169,7 @@ __all__ = [
     "NoVehicle",
     "NotCancellable",
     "NotRevertible",
+    "NothingVerified",
     "OtherVehicle",
     "ParameterError",
     "ParameterMissing",

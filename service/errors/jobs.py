@@ -101,6 +101,13 @@ class OtherVehicle(JobError):
     code = "other-vehicle"
 
 
+class NothingVerified(JobError):
+    """No verified calibration of this very unit is known here, so there is nothing to restore."""
+
+    title = "Nothing verified"
+    code = "nothing-verified"
+
+
 class PlanMissing(JobError):
     """The job has no plan."""
 

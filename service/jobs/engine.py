@@ -8,13 +8,14 @@ import time
 import uuid
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Any
 
 import structlog
 
 from mavcal.calib.firmware.stream.rates import requested_streams
+from mavcal.calib.preflight.snapshot import VerifiedCalibration
 from mavcal.calib.procedures.registry import specification, validate_options
 from mavcal.calib.report import to_json
 from mavcal.service.errors import (
@@ -24,6 +25,7 @@ from mavcal.service.errors import (
     IllegalTransition,
     NotCancellable,
     NotRevertible,
+    VehicleUnknown,
 )
 from mavcal.service.jobs.admission import (
     request_digest,
@@ -43,13 +45,16 @@ from mavcal.service.jobs.journal import BY_OPERATOR, JournalStep
 from mavcal.service.jobs.model import Accept, Attempt, Failure, Job, WriteResult
 from mavcal.service.jobs.planning import (
     FROM_RECORDING,
+    RESTORE,
     checked_plan_options,
     confirmed,
     keep_plan,
     require_sensors_of,
 )
-from mavcal.service.jobs.port import Computations, NoUploads, VehicleSource
+from mavcal.service.jobs.port import Computations, JobVehicle, NoUploads, VehicleSource
 from mavcal.service.jobs.preflight import Preflight, Preflights
+from mavcal.service.jobs.ready import look_after
+from mavcal.service.jobs.restoring import planned_restore, require_restorable, restored
 from mavcal.service.jobs.runner import Runner
 from mavcal.service.jobs.settings import JobSettings
 from mavcal.service.jobs.states import CANCELLABLE, CAPTURING, ENDED, WRITING, JobState
@@ -169,7 +174,7 @@ class JobEngine:
             self.computing.take_up(handle)
         elif state in CAPTURING:  # replay what was recorded and go on, if the vehicle is the same boot still
             self._tasks.spawn(handle, partial(self._captured, handle))
-        elif state == JobState.FITTING and kind == FROM_RECORDING:
+        elif state == JobState.FITTING and kind in (FROM_RECORDING, RESTORE):
             self._tasks.spawn(handle, self._adoption(handle))
         elif state == JobState.FITTING:
             self._tasks.spawn(handle, partial(self._runner.fit, handle))
@@ -181,11 +186,11 @@ class JobEngine:
         self._tasks.stopping = True
         self._book.close()
         following = [] if self._following is None else [self._following]
-        await self._preflights.stop()
         tasks = [*self._tasks.running.values(), *self._tidying.tasks, *following]
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
+        await self._preflights.stop()
         if self._own_executor is not None:
             self._own_executor.shutdown(wait=False, cancel_futures=True)
 
@@ -233,9 +238,28 @@ class JobEngine:
         require_ready(vehicle, busy=True)  # which is one of the checks
         with self._preflights.claimed(vehicle.id):
             await self._tidying.before_capture(vehicle.id)
-            jobs = verified_jobs(self.list(), vehicle.id, vehicle.identity)
-            history = partial(self._store.do, partial(history_of, jobs, self._store))
-            return await self._preflights.run(vehicle, history, heading=heading)
+            return await self._preflights.run(vehicle, self._history, heading=heading)
+
+    async def restore(self, vehicle_id: str, plan_options: Mapping[str, Any] | None = None) -> Job:
+        """A job that plans to put the last verified calibration back, mapped by device id; then in review or failed.
+
+        Raises
+        ------
+        NothingVerified
+            If no calibration was verified, or it is not surely of this very unit.
+        InvalidInputError, VehicleUnknown, VehicleSilent, VehicleArmed, VehicleBusy, PhysicalJobRunning
+            As for :meth:`adopt`.
+        """
+        context = {"plan_options": checked_plan_options(plan_options or {})}
+        vehicle = self._vehicles.vehicle(vehicle_id)
+        require_ready(vehicle)
+        await require_restorable(vehicle, self._history)
+        self._require_free(vehicle.id)
+        now = self._wall()
+        job = Job(uuid.uuid4().hex[:12], vehicle.id, RESTORE, {}, JobState.FITTING, now, now, context=context)
+        handle = await self._book.new(job)
+        self._tasks.spawn(handle, self._adoption(handle))
+        return handle.job
 
     async def submit(
         self,
@@ -350,10 +374,14 @@ class JobEngine:
         job = handle.job
         if job.state != JobState.REVIEW:
             raise IllegalTransition(f"job {job_id} is {job.state}: only a job in review can be planned again")
-        chosen = checked_plan_options(job.context.get("plan_options", {}) if options is None else options, job.results)
+        results = None if job.kind == RESTORE else job.results
+        chosen = checked_plan_options(job.context.get("plan_options", {}) if options is None else options, results)
         vehicle = self._vehicles.vehicle(require_vehicle(job))
         require_ready(vehicle)
-        identity, planned = await composed(vehicle, job.results, chosen, job.context.get("origin"), self.list())
+        if job.kind == RESTORE:
+            identity, planned = await planned_restore(vehicle, await self._history(vehicle), chosen)
+        else:
+            identity, planned = await composed(vehicle, job.results, chosen, job.context.get("origin"), self.list())
         await keep_plan(handle, planned)
         if handle.job.state != JobState.REVIEW:
             raise IllegalTransition(f"job {job_id} is {handle.job.state}: only a job in review can be planned again")
@@ -363,8 +391,12 @@ class JobEngine:
         handle.change("plan", data, plan=planned.plan, fingerprint=fingerprint, context=context, outcome=None)
         return handle.job
 
-    async def apply(self, job_id: str, accept: Accept, idempotency_key: str | None = None) -> Job:
+    async def apply(
+        self, job_id: str, accept: Accept, idempotency_key: str | None = None, *, look: bool = False
+    ) -> Job:
         """Write the job's plan; returns as soon as the plan is found to fit the vehicle still.
+
+        `look`: look at the vehicle afterwards, and keep in the job whether it would arm now.
 
         Raises
         ------
@@ -406,7 +438,7 @@ class JobEngine:
             self._require_free(require_vehicle(handle.job), besides=job_id)
         attempt = Attempt(WriteResult.RUNNING, self._wall())
         handle.move(JobState.APPLYING, accept=accept, outcome=None, verification=None, standing=(), last_write=attempt)
-        self._tasks.spawn(handle, partial(self._applied, handle))
+        self._tasks.spawn(handle, partial(self._applied, handle, look=look))
         self._reach(At.ACCEPTED)
         return handle.job
 
@@ -472,12 +504,23 @@ class JobEngine:
         check = StreamProof(handle, vehicle, job.plan, accept.prove_s, self.settings, self._clock)
         return Writing(handle, vehicle, job.plan, accept, check, self.settings, self._reach)
 
-    async def _applied(self, handle: JobHandle) -> None:
+    async def _applied(self, handle: JobHandle, *, look: bool) -> None:
         """The write, once nobody puts message rates back any more: it needs the same ones as the capture."""
+        await self._preflights.restored(require_vehicle(handle.job))
         await self._tidying.before_write(handle)
         await self._transaction(handle).apply()
+        if look:
+            with suppress(VehicleUnknown):
+                vehicle = self._vehicles.vehicle(require_vehicle(handle.job))
+                await look_after(handle, vehicle, self._preflights, self._history)
+
+    async def _history(self, vehicle: JobVehicle) -> tuple[VerifiedCalibration, ...]:
+        jobs = verified_jobs(self.list(), vehicle.id, vehicle.identity)
+        return await self._store.do(partial(history_of, jobs, self._store))
 
     def _adoption(self, handle: JobHandle) -> Work:
+        if handle.job.kind == RESTORE:
+            return partial(restored, handle, self._runner.vehicle, self._history)
         return partial(adopted, handle, self._runner.vehicle, self._computations, self.list)
 
     async def _captured(self, handle: JobHandle) -> None:

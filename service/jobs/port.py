@@ -104,6 +104,13 @@ class JobVehicle(Protocol):
         """
         ...
 
+    def demand_streams(self, rates: Mapping[int, float]) -> float:
+        """Ask for messages at rates in Hz, or what the link carries of them, without waiting for any answer.
+
+        Returns how many times longer it takes to collect as many samples; 1: the link carries everything.
+        """
+        ...
+
     async def set_intervals(self, intervals: Mapping[int, int]) -> None:
         """Put message intervals back, us. Raises CommandTimeout naming those that were not confirmed, LinkDown."""
         ...

@@ -10,9 +10,10 @@ from mavcal.calib.wire import Frame, ParamType
 from mavcal.service.errors import CommandTimeout, DiskFull
 from mavcal.service.jobs.port import Condition, FramesCallback, ParameterReading, TlogPosition
 from mavcal.service.link import Batch
+from mavcal.service.link.capacity import slowdown
 from mavcal.service.vehicle import Vehicle, VehicleRegistry
 from mavcal.service.vehicle.encoding import Parameter
-from mavcal.service.vehicle.streams import DEFAULT_INTERVAL, StreamReport, get_interval, request_streams
+from mavcal.service.vehicle.streams import DEFAULT_INTERVAL, StreamReport, demand_streams, get_interval, request_streams
 
 SLOW = 1.2
 """From here on a job takes so much longer that it is said."""
@@ -90,6 +91,10 @@ class VehicleAdapter:
         if report.slowdown <= SLOW:
             return ()
         return (f"the link is slow: collecting the samples takes {report.slowdown:.1f} times as long",)
+
+    def demand_streams(self, rates: Mapping[int, float]) -> float:
+        """See JobVehicle."""
+        return slowdown(rates, demand_streams(self._vehicle, rates))
 
     async def set_intervals(self, intervals: Mapping[int, int]) -> None:
         """See JobVehicle."""

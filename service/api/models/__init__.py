@@ -16,6 +16,7 @@ from mavcal.service.api.models.events import (
     PlanEvent,
     ProgressEvent,
     PromptEvent,
+    ReadinessEvent,
     SegmentsEvent,
     SetAsideData,
     SetAsideEvent,
@@ -59,6 +60,7 @@ from mavcal.service.api.models.jobs import (
     SegmentModel,
     StandingModel,
     UnprovedModel,
+    VehicleReadinessModel,
     WriteFailedModel,
     WriteModel,
 )
@@ -78,7 +80,7 @@ from mavcal.service.api.models.plans import (
     SensorCheckModel,
     VerificationModel,
 )
-from mavcal.service.api.models.preflight import CheckModel, FixModel, PreflightModel, PreflightRequest
+from mavcal.service.api.models.preflight import CheckModel, FixModel, PreflightModel, PreflightRequest, RestoreRequest
 from mavcal.service.api.models.recordings import ReadingOptions, RecordingJobRequest, RecordingModel
 from mavcal.service.api.models.steps import (
     HoldsModel,
@@ -148,11 +150,13 @@ __all__ = [
     "ProgressModel",
     "PromptEvent",
     "PromptModel",
+    "ReadinessEvent",
     "ReadinessModel",
     "ReadingOptions",
     "RecordingJobRequest",
     "RecordingModel",
     "RegistrationModel",
+    "RestoreRequest",
     "ResultModel",
     "SegmentModel",
     "SegmentsEvent",
@@ -169,6 +173,7 @@ __all__ = [
     "UnprovedModel",
     "VehicleMessage",
     "VehicleModel",
+    "VehicleReadinessModel",
     "VerificationData",
     "VerificationEvent",
     "VerificationModel",

@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from typing_extensions import TypeAliasType
 
 from mavcal.service.api.models.base import Stamp
-from mavcal.service.api.models.jobs import OutcomeModel, WriteModel
+from mavcal.service.api.models.jobs import OutcomeModel, VehicleReadinessModel, WriteModel
 from mavcal.service.api.models.links import LinkModel
 from mavcal.service.api.models.steps import ProgressModel, PromptModel
 from mavcal.service.api.models.vehicles import VehicleModel
@@ -149,6 +149,13 @@ class StandingEvent(_Event):
     data: StandingData
 
 
+class ReadinessEvent(_Event):
+    """The vehicle was looked at after a write."""
+
+    kind: Literal["readiness"]
+    data: VehicleReadinessModel
+
+
 JobEvent = TypeAliasType(
     "JobEvent",
     Annotated[
@@ -162,7 +169,8 @@ JobEvent = TypeAliasType(
         | PlanEvent
         | WriteEvent
         | VerificationEvent
-        | StandingEvent,
+        | StandingEvent
+        | ReadinessEvent,
         Field(discriminator="kind"),
     ],
 )
