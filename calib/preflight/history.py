@@ -161,10 +161,12 @@ def _is_id(name: str) -> bool:
 
 def _rewritten(name: str, parameters: Mapping[str, Value]) -> bool:
     """Whether the vehicle writes it by itself, at every start or at rest."""
-    by_itself = (
-        bool(parameters.get("INS_GYR_CAL", 1)) if name.startswith("INS") else bool(parameters.get("IMU_GYRO_CAL_EN", 1))
-    )
-    return name in REWRITTEN and by_itself
+    return name in REWRITTEN and calibrates_gyros("ardupilot" if name.startswith("INS") else "px4", parameters)
+
+
+def calibrates_gyros(autopilot: str, parameters: Mapping[str, Value]) -> bool:
+    """Whether the vehicle calibrates its gyroscopes by itself, ArduPilot at every start, PX4 at rest."""
+    return bool(parameters.get("INS_GYR_CAL" if autopilot == "ardupilot" else "IMU_GYRO_CAL_EN", 1))
 
 
 # --- temperature
@@ -181,9 +183,17 @@ class Covered:
 
 def covered(snapshot: Snapshot, instance: int) -> Covered | None:
     """The temperatures that the calibration in force of an accelerometer covers; None: nothing says."""
-    parameters = snapshot.parameters
+    last = _last(snapshot.history).get(Sensor.ACCEL)
+    measured = None if last is None else last.temperatures.get(instance)
+    return covered_by(snapshot.identity.autopilot, snapshot.parameters, Sensor.ACCEL, instance, measured)
+
+
+def covered_by(
+    autopilot: str | None, parameters: Mapping[str, Value], sensor: Sensor, instance: int, measured: float | None
+) -> Covered | None:
+    """The temperatures that these parameters cover; `measured`: of the verified job, degC. None: nothing says."""
     try:
-        names = calibration_names(snapshot.identity.autopilot, parameters, Sensor.ACCEL, instance)
+        names = calibration_names(autopilot, parameters, sensor, instance)
     except FirmwareError:
         return None
 
@@ -197,8 +207,7 @@ def covered(snapshot: Snapshot, instance: int) -> Covered | None:
     at = of(Role.TEMPERATURE)
     how = "the temperature of its calibration"
     if at is None or at <= _UNKNOWN_TEMPERATURE:
-        last = _last(snapshot.history).get(Sensor.ACCEL)
-        at, how = None if last is None else last.temperatures.get(instance), "the temperature of the verified job"
+        at, how = measured, "the temperature of the verified job"
     if at is None:
         return None
     span = limits.TEMPERATURE_SPAN.value

@@ -50,6 +50,7 @@ from mavcal.service.jobs.planning import (
 )
 from mavcal.service.jobs.port import Computations, NoUploads, VehicleSource
 from mavcal.service.jobs.preflight import Preflight, Preflights
+from mavcal.service.jobs.record import JobRecord, NoRecord
 from mavcal.service.jobs.runner import Runner
 from mavcal.service.jobs.settings import JobSettings
 from mavcal.service.jobs.states import CANCELLABLE, CAPTURING, ENDED, WRITING, JobState
@@ -86,8 +87,8 @@ class JobEngine:
         Nothing is ever written to a vehicle.
     clock, wall
         Monotonic time for time-outs; wall time for stamps.
-    reach
-        Called at every instant at which a crash would leave another state behind (tests).
+    reach, record
+        Called where a crash would leave another state behind (tests); told of what jobs and preflights came to.
     """
 
     def __init__(
@@ -102,12 +103,13 @@ class JobEngine:
         clock: Callable[[], float] = time.monotonic,
         wall: Callable[[], float] = time.time,
         reach: CrashPoint = nowhere,
+        record: JobRecord | None = None,
     ) -> None:
         self.settings = settings or JobSettings()
         self._store = store
         self._vehicles = vehicles
         self._read_only = read_only
-        self._wall, self._clock, self._reach = wall, clock, reach
+        self._wall, self._clock, self._reach, self._record = wall, clock, reach, record or NoRecord()
         self._own_executor = ThreadPoolExecutor(2, thread_name_prefix="fit") if executor is None else None
         pool = executor or self._own_executor
         assert pool is not None
@@ -235,7 +237,7 @@ class JobEngine:
             await self._tidying.before_capture(vehicle.id)
             jobs = verified_jobs(self.list(), vehicle.id, vehicle.identity)
             history = partial(self._store.do, partial(history_of, jobs, self._store))
-            return await self._preflights.run(vehicle, history, heading=heading)
+            return await self._record.keep_preflight(await self._preflights.run(vehicle, history, heading=heading))
 
     async def submit(
         self,
@@ -300,8 +302,9 @@ class JobEngine:
         require_ready(vehicle)
         now = self._wall()
         chosen = {"recording": recording, "method": method, "options": dict(options)}
-        state = JobState.FITTING
-        job = Job(uuid.uuid4().hex[:12], vehicle.id, FROM_RECORDING, chosen, state, now, now, context=context)
+        job = Job(
+            uuid.uuid4().hex[:12], vehicle.id, FROM_RECORDING, chosen, JobState.FITTING, now, now, context=context
+        )
         handle = await self._book.new(job)
         self._tasks.spawn(handle, self._adoption(handle))
         return handle.job
@@ -488,6 +491,7 @@ class JobEngine:
 
     def _ended(self, handle: JobHandle) -> None:
         """A job's task is over."""
+        self._record.job_ended(handle.job)
         if handle.job.state in ENDED | {JobState.REVIEW}:
             self._tidy(handle)
             self._store.soon(partial(self._store.drop_events, handle.id, "progress", keep=1))
