@@ -23,6 +23,7 @@ COMMANDS = {
     "accept": "Write the plan of a job that waits in review.",
     "revert": "Take back what a job has written.",
     "status": "Say who is at the other end of a link, and what was calibrated last.",
+    "fleet": "List every unit: preflights, ages, drifts, and who should be calibrated again.",
     "jobs": "List the jobs of a data directory, of every kind.",
     "recover": "Finish or take back a write that was interrupted.",
     "fit": "Run one method on a recording.",

@@ -23,6 +23,8 @@ FALSE_ALARMS: Final = 0.01
 """Groups of healthy sensors in which one is called odd."""
 LEAST = 6
 """Sensors below which a group says nothing of its own spread."""
+FARTHEST: Final = 1e9
+"""Distance of a sensor that differs from others which are all alike."""
 _MAD = 1.4826
 
 _SIZES: Final = (*range(LEAST, 22), 25, 31, 41, 51, 75, 101, 151, 201, 501, 1001)
@@ -53,7 +55,7 @@ def distances(values: Array, floor: float = 0.0) -> Array:
     """Robust distance from the median, shape of `values` (..., n, 3); `floor`: least spread that is believed."""
     away = np.abs(values - np.median(values, axis=-2, keepdims=True))
     spread = np.maximum(_MAD * np.median(away, axis=-2, keepdims=True), floor)
-    return np.asarray(np.divide(away, spread, out=np.full_like(away, np.inf), where=spread > 0.0) * (away > 0.0))
+    return np.asarray(np.divide(away, spread, out=np.where(away > 0.0, FARTHEST, 0.0), where=spread > 0.0))
 
 
 def limit_of(n: int) -> float:
@@ -82,7 +84,7 @@ def oddness(biases: Sequence[Sequence[float]], sd: Sequence[float]) -> tuple[Odd
     values = np.array(biases, dtype=np.float64)
     if not (np.isfinite(values).all() and np.isfinite(sd).all()):
         raise InvalidInputError("biases and standard deviations that are compared must be finite")
-    found = np.nan_to_num(distances(values, float(np.median(sd))), nan=0.0, posinf=1e9)
+    found = distances(values, float(np.median(sd)))
     limit = limit_of(n)
     worst = found.argmax(axis=1)
     return tuple(Oddness(float(row[axis]), limit, int(axis), n) for row, axis in zip(found, worst, strict=True))

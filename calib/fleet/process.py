@@ -6,7 +6,7 @@ known; it is integrated over on a grid, with the marginal likelihood of all thre
 log-uniform in their size, and leans to the walk, which foretells worse.
 
 What is believed of the drift beforehand decides what a few measurements foretell (decision 22). With any drift as
-likely as any other none is ever zero, and every sensor leaves its limit; with one of unknown typical size, zero is near.
+likely as any other none is ever zero, and every sensor leaves its limit. With one of unknown typical size zero is near.
 """
 
 from __future__ import annotations

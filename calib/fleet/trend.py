@@ -167,8 +167,15 @@ def _days_ahead(drawn: Draws, corrected: Array, limit: float, rng: np.random.Gen
     walked = np.cumsum(steps[:, :, None] * rng.standard_normal((len(drawn.walk), len(_AHEAD_D) - 1, 3)), axis=1)
     off = (drawn.now - corrected)[:, None, :] + _AHEAD_D[None, :, None] * drawn.per_day[:, None, :]
     off[:, 1:] += walked
-    beyond = np.linalg.norm(off, axis=2) > limit
-    return np.sort(np.where(beyond.any(axis=1), _AHEAD_D[beyond.argmax(axis=1)], np.inf))
+    distance = np.linalg.norm(off, axis=2)
+    beyond = distance > limit
+    after = beyond.argmax(axis=1)
+    before = np.maximum(after - 1, 0)
+    each = np.arange(len(after))
+    near, far = distance[each, before], distance[each, after]
+    part = np.divide(limit - near, far - near, out=np.zeros_like(near), where=(after > 0) & (far > near))
+    left = _AHEAD_D[before] + part * (_AHEAD_D[after] - _AHEAD_D[before])
+    return np.sort(np.where(beyond.any(axis=1), left, np.inf))
 
 
 def _leaving(away: Sequence[Array], last: float) -> Leaving:

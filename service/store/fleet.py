@@ -96,7 +96,8 @@ def read_fleet(read: Read, unit_id: str | None = None) -> FleetRows:
     of = (unit_id, unit_id)  # null: of all
     units = read("SELECT * FROM fleet_units WHERE CAST(? AS TEXT) IS NULL OR unit_id = ? ORDER BY unit_id", of)
     sensors = read(
-        "SELECT * FROM sensor_records WHERE CAST(? AS TEXT) IS NULL OR unit_id = ? ORDER BY at, source_id, sensor, instance",
+        "SELECT * FROM sensor_records WHERE CAST(? AS TEXT) IS NULL OR unit_id = ? "
+        "ORDER BY at, source_id, sensor, instance",
         of,
     )
     preflights = read(
