@@ -9,7 +9,7 @@ import numpy as np
 
 from mavcal.calib.errors import CalibError
 from mavcal.calib.firmware import calibration_in_force, sensor_ids
-from mavcal.calib.preflight.history import calibrates_gyros
+from mavcal.calib.preflight.history import calibrates_gyros, sensor_of
 from mavcal.calib.preflight.rest import Mean, Silent, mean_at_rest, moved
 from mavcal.calib.preflight.snapshot import Snapshot
 from mavcal.calib.recording import Recording, Sensor
@@ -74,8 +74,9 @@ def _of(means: Mapping[tuple[Sensor, int], Mean], sensor: Sensor) -> dict[int, M
 
 
 def _raw(snapshot: Snapshot, sensor: Sensor, instance: int, mean: Mean, at: float | None) -> Triple | None:
-    if sensor != Sensor.GYRO or snapshot.rewritten:
-        return None  # calibrated while it was looked at: it has two biases
+    calibrated_meanwhile = any(sensor_of(name) == sensor for name in snapshot.rewritten)
+    if sensor != Sensor.GYRO or calibrated_meanwhile:
+        return None
     try:
         model = calibration_in_force(snapshot.identity.autopilot, snapshot.parameters, sensor, instance)
         return _triple(model.invert(mean.value, at))

@@ -9,6 +9,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,9 @@ from .api_bench import Api, Json, api, served
 from .jobs_bench import SPEED, zero_gyro_offsets
 
 GYRO = {"kind": "gyro", "options": {"uncertainty": 0.02}}
-QUIET = {"parameters": {"IMU_GYRO_CAL_EN": 0.0}}
+
+
+ITS_OWN_HANDS_OFF = {"parameters": {"IMU_GYRO_CAL_EN": 0.0}}
 """A PX4 that leaves its gyroscopes as they were calibrated."""
 
 
@@ -31,24 +34,26 @@ QUIET = {"parameters": {"IMU_GYRO_CAL_EN": 0.0}}
 def sims() -> Iterator[tuple[SimulatedVehicle, SimulatedVehicle]]:
     with (
         SimulatedVehicle("ardupilot", speed=SPEED, seed=31, config={"thermal": False}) as one,
-        SimulatedVehicle("px4", speed=SPEED, seed=32, config={"thermal": False, **QUIET}) as other,
+        SimulatedVehicle("px4", speed=SPEED, seed=32, config={"thermal": False, **ITS_OWN_HANDS_OFF}) as other,
     ):
         zero_gyro_offsets(one)
         yield one, other
 
 
 async def vehicles(a: Api, count: int) -> list[Json]:
-    """All of them, as soon as each is identified and may be written to; ArduPilot first."""
+    """All of them in the order of their links, as soon as each is identified and may be written to."""
+    found: list[Json] = []
     async with asyncio.timeout(scaled(30)):
-        while len(found := [v for v in await a.get("/vehicles") if v["uid"] and v["writable"]]) < count:
+        while len(found) < count:
+            found = [v for v in await a.get("/vehicles") if v["uid"] and v["writable"]]
             await asyncio.sleep(0.05)
-    return sorted(found, key=lambda v: str(v["autopilot"]))
+    return sorted(found, key=lambda v: str(v["link"]))
 
 
 async def calibrated(a: Api, vehicle: Json) -> Json:
     job = await a.post(f"/vehicles/{vehicle['id']}/jobs", GYRO, 202)
     job = await a.until(job["id"], "review", seconds=60)
-    body = {"plan_sha256": job["plan"]["sha256"], "prove_s": 0}
+    body = {"plan_sha256": job["plan"]["sha256"], "prove_s": 0, "reboot": True}
     await a.post(f"/jobs/{job['id']}/apply", body, 202)
     return await a.until(job["id"], "succeeded", seconds=60)
 
@@ -92,7 +97,7 @@ async def test_two_vehicles_with_a_calibration_each(
                 assert sensor["type"] in ("SITL", "simulated")
                 assert sensor["age_days"] < 1.0
                 assert sensor["drift"]["unit"] == "deg/s"
-                assert [o["quantity"] for o in sensor["drift"]["open"]][0] == "time"
+                assert sensor["drift"]["open"][0]["quantity"] == "time"
                 offset = job["results"][sensor["instance"]]["model"]["offset"]
                 assert sensor["bias"] == pytest.approx([57.29578 * x for x in offset], rel=1e-5)
             assert row["connected"]
@@ -274,7 +279,7 @@ async def test_a_key_that_is_bound_to_tags_sees_and_touches_its_vehicles_alone(
         )
         fit = await a.post("/fits", {"method": "mag-sphere", "recording": upload["id"]}, 202)
         for job in (ours, theirs):
-            await a.until(job["id"], "review", seconds=60)
+            await a.until(job["id"], "review", "succeeded", seconds=60)
         seen = {"vehicle_id": boat["id"], "unit_id": boat["id"], "job_id": ours["id"], "link_id": boat["link"]}
         hidden = {"vehicle_id": plane["id"], "unit_id": plane["id"], "job_id": theirs["id"], "gap_id": theirs["id"],
                   "recording_id": upload["id"], "link_id": plane["link"]}  # fmt: skip
@@ -330,18 +335,20 @@ async def by_list(a: Api, boat: Json, ours: Json) -> None:
 
 
 async def by_stream(a: Api, boat: Json, plane: Json, ours: Json, theirs: Json) -> None:
-    events = await a.events("/events", 6, last_event_id=0, **{})
+    events = await a.events("/events", 6, last_event_id=0)
     assert events
     headers = {"Authorization": "Bearer boats", "Last-Event-ID": "0"}
     text = ""
-    with pytest.raises(TimeoutError):
-        async with (
-            asyncio.timeout(scaled(2)),
-            a.client.stream("GET", "/api/v1/events", headers=headers) as response,
-        ):
+
+    async def read() -> None:
+        nonlocal text
+        async with a.client.stream("GET", "/api/v1/events", headers=headers) as response:
             assert response.status_code == 200
             async for line in response.aiter_lines():
                 text += line
+
+    with suppress(TimeoutError):
+        await asyncio.wait_for(read(), scaled(2))
     for here, elsewhere in ((boat["id"], plane["id"]), (ours["id"], theirs["id"]), (boat["link"], plane["link"])):
         assert f'"{here}"' in text
         assert f'"{elsewhere}"' not in text
