@@ -10,7 +10,14 @@ from mavcal.calib.preflight.snapshot import Snapshot
 from mavcal.calib.recording import Channel, Identity, Recording, Sensor, Stage
 
 IDS = {"INS_GYR_ID": 2752772, "INS_ACC_ID": 2753028}
-PARAMETERS = {**IDS, "INS_GYROFFS_X": 0.01, "INS_GYROFFS_Y": -0.02, "INS_GYROFFS_Z": 0.0, "INS_GYR_CAL": 0}
+PARAMETERS = {
+    **IDS,
+    "AHRS_ORIENTATION": 0,
+    "INS_GYROFFS_X": 0.01,
+    "INS_GYROFFS_Y": -0.02,
+    "INS_GYROFFS_Z": 0.0,
+    "INS_GYR_CAL": 0,
+}
 
 
 def channel(sensor: Sensor, mean: tuple[float, ...], unit: str, noise: float = 1e-4) -> Channel:
