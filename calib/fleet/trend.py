@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,7 +109,7 @@ def bias_trend(observations: Sequence[BiasObservation], limit: float) -> Trend:
     per_degc = None if wide.per_degc is None else _slopes(wide.per_degc)
     leaving = None
     if applied:
-        away = [_days_ahead(found, np.array(reference.bias), limit, rng) for found in drawn.values()]
+        away = [_days_ahead(found, np.array(reference.bias), limit) for found in drawn.values()]
         leaving = _leaving(away, seen[-1].at)
     else:
         left_open = (*left_open, Open(Quantity.LEAVING, "No calibration is in force whose limit it could leave."))
@@ -161,13 +162,20 @@ def _slopes(drawn: Array) -> tuple[Slope, Slope, Slope]:
     return x, y, z
 
 
-def _days_ahead(drawn: Draws, corrected: Array, limit: float, rng: np.random.Generator) -> Array:
+@cache
+def _paths() -> Array:
+    """A random walk of variance one a day for each draw, shape (draws, days, 3): the same for every sensor."""
+    steps = np.random.default_rng(_SEED + 1).standard_normal((_DRAWS, len(_AHEAD_D) - 1, 3))
+    walked = np.cumsum(np.sqrt(np.diff(_AHEAD_D))[:, None] * steps, axis=1)
+    return np.concatenate([np.zeros((_DRAWS, 1, 3)), walked], axis=1)
+
+
+def _days_ahead(drawn: Draws, corrected: Array, limit: float) -> Array:
     """First day after the last measurement on which a path of each draw is beyond the limit, ascending; inf: none."""
-    steps = np.sqrt(drawn.walk[:, None] * np.diff(_AHEAD_D))
-    walked = np.cumsum(steps[:, :, None] * rng.standard_normal((len(drawn.walk), len(_AHEAD_D) - 1, 3)), axis=1)
-    off = (drawn.now - corrected)[:, None, :] + _AHEAD_D[None, :, None] * drawn.per_day[:, None, :]
-    off[:, 1:] += walked
-    distance = np.linalg.norm(off, axis=2)
+    off = np.sqrt(drawn.walk)[:, None, None] * _paths()
+    off += _AHEAD_D[None, :, None] * drawn.per_day[:, None, :]
+    off += (drawn.now - corrected)[:, None, :]
+    distance = np.sqrt(np.einsum("dta,dta->dt", off, off))
     beyond = distance > limit
     after = beyond.argmax(axis=1)
     before = np.maximum(after - 1, 0)

@@ -48,6 +48,7 @@ def _where(command: Command) -> Command:
 @click.pass_context
 def command(
     ctx: click.Context,
+    /,
     *,
     data_dir: Path | None,
     url: str | None,
