@@ -25,6 +25,8 @@ LEAN = np.array([0.01, 0.01, 0.03, 0.1, 0.85])
 """Prior of the shares."""
 SIZES = np.geomspace(0.1, 20.0, 17)
 """Standard deviation of what scatters, in those of the residuals."""
+LEAST_NOISE = 0.02
+"""A measurement is no better than that, in residuals: a smaller one would only make the matrices worse."""
 DRIFTS, LEAST_DRIFT, MOST_DRIFT = 10, 0.03, 10.0
 """Grid of the typical change over the whole span: from so many residuals to so many times what a plain line finds."""
 
@@ -75,7 +77,7 @@ def draw(seen: Measured, belief: Belief, rng: np.random.Generator, count: int) -
     gap = span / (len(days) - 1)
     walks = np.minimum(days[:, None], days) - days[0]
     size, change = _scales(design, bias, sd)
-    noise = np.maximum(sd, 1e-3 * size) ** 2
+    noise = np.maximum(sd, LEAST_NOISE * size) ** 2
     shares, sizes = (grid.ravel() for grid in np.meshgrid(SHARES, SIZES * size, indexing="ij"))
     shaped = shares[:, None, None] * walks / gap + (1.0 - shares)[:, None, None] * np.eye(len(days))
     covariance = sizes[:, None, None] ** 2 * shaped + np.diag(noise)
@@ -85,7 +87,7 @@ def draw(seen: Measured, belief: Belief, rng: np.random.Generator, count: int) -
     weight, best, spread = _lines(design, bias - bias[-1], covariance, solved, precisions)
     drawn = rng.choice(weight.size, size=count, p=weight.ravel() / weight.sum())
     cell = drawn // len(precisions)
-    factor = np.linalg.cholesky(spread.reshape(-1, *spread.shape[2:])[drawn])
+    factor = np.linalg.cholesky(spread).reshape(-1, *spread.shape[2:])[drawn]
     unknown = best.reshape(-1, *best.shape[2:])[drawn] + factor @ rng.standard_normal((count, design.shape[1], 3))
     unknown[:, 0] += bias[-1]
     # the walk at the last measurement, given the line
@@ -107,6 +109,7 @@ def _lines(
     prior[:, 1, 1] = precisions
     information = (design.T @ solved @ design)[:, None] + prior
     spread = np.linalg.inv(information)
+    spread = 0.5 * (spread + np.swapaxes(spread, -1, -2))
     towards = (design.T @ solved @ bias)[:, None]
     best = spread @ towards
     misfit = np.einsum("ia,cij,ja->c", bias, solved, bias)[:, None] - np.einsum("cdua,cdua->cd", best, towards)

@@ -30,7 +30,9 @@ LEAST_SPREAD_DEGC = 5.0
 LEAST_SPAN_D = 1.0
 MOST = 64
 """Measurements that one trend takes; calibrations first, then the newest of the others."""
-_DRAWS, _SEED = 400, 21
+_DRAWS, _SEED = 4000, 21
+_PATHS = 400
+"""Draws whose future is followed; the quantiles of slopes rest on all of them."""
 _AHEAD_D = np.concatenate([[0.0], np.geomspace(0.5, HORIZON_D, 96)])
 
 
@@ -164,17 +166,17 @@ def _slopes(drawn: Array) -> tuple[Slope, Slope, Slope]:
 
 @cache
 def _paths() -> Array:
-    """A random walk of variance one a day for each draw, shape (draws, days, 3): the same for every sensor."""
-    steps = np.random.default_rng(_SEED + 1).standard_normal((_DRAWS, len(_AHEAD_D) - 1, 3))
+    """A random walk of variance one a day for each followed draw, shape (400, days, 3): the same for every sensor."""
+    steps = np.random.default_rng(_SEED + 1).standard_normal((_PATHS, len(_AHEAD_D) - 1, 3))
     walked = np.cumsum(np.sqrt(np.diff(_AHEAD_D))[:, None] * steps, axis=1)
-    return np.concatenate([np.zeros((_DRAWS, 1, 3)), walked], axis=1)
+    return np.concatenate([np.zeros((_PATHS, 1, 3)), walked], axis=1)
 
 
 def _days_ahead(drawn: Draws, corrected: Array, limit: float) -> Array:
     """First day after the last measurement on which a path of each draw is beyond the limit, ascending; inf: none."""
-    off = np.sqrt(drawn.walk)[:, None, None] * _paths()
-    off += _AHEAD_D[None, :, None] * drawn.per_day[:, None, :]
-    off += (drawn.now - corrected)[:, None, :]
+    off = np.sqrt(drawn.walk[:_PATHS])[:, None, None] * _paths()
+    off += _AHEAD_D[None, :, None] * drawn.per_day[:_PATHS, None, :]
+    off += (drawn.now[:_PATHS] - corrected)[:, None, :]
     distance = np.sqrt(np.einsum("dta,dta->dt", off, off))
     beyond = distance > limit
     after = beyond.argmax(axis=1)

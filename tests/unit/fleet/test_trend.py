@@ -202,3 +202,29 @@ def test_intervals_are_in_order_and_finite(biases: list[float]) -> None:
         for one in slopes:
             assert np.isfinite([one.low, one.value, one.high]).all()
             assert one.low <= one.value <= one.high
+
+
+@given(biases=BIASES, sd=st.sampled_from([1e-12, 1e-6, 1e-3, 1.0]))
+def test_any_ratio_of_noise_to_scatter_can_be_read(biases: list[float], sd: float) -> None:
+    observations = [dataclasses.replace(seen(40.0 * i, x), sd=(sd, sd, sd)) for i, x in enumerate(biases)]
+    trend = bias_trend(observations, 0.5)
+    assert trend.per_year is not None
+    assert np.isfinite([v for one in trend.per_year for v in (one.low, one.value, one.high)]).all()
+
+
+def test_the_interval_of_a_slope_holds_as_often_as_stated() -> None:
+    """Random walks without drift, temperatures beside them: 90 % of the axes within three deviations."""
+    rng = np.random.default_rng(5)
+    held = []
+    for _ in range(60):
+        days = np.concatenate([[0.0], np.cumsum(rng.uniform(30.0, 180.0, 5))])
+        steps = np.sqrt(np.diff(days))[:, None] * rng.standard_normal((5, 3))
+        walk = np.concatenate([np.zeros((1, 3)), 1e-3 * np.cumsum(steps, axis=0)])
+        observations = [
+            BiasObservation(day * DAY_S, (w[0], w[1], w[2]), (1e-5,) * 3, t)
+            for day, w, t in zip(days.tolist(), walk.tolist(), rng.uniform(10.0, 45.0, 6).tolist(), strict=True)
+        ]
+        trend = bias_trend(observations, 0.5)
+        assert trend.per_degc is not None
+        held += [one.low <= 0.0 <= one.high for one in trend.per_degc]
+    assert np.mean(held) == pytest.approx(0.9, abs=3.0 * np.sqrt(0.09 / len(held)))
