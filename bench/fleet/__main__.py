@@ -1,4 +1,4 @@
-"""``python -m bench.fleet [--runs 400] [--groups 2000] [--seed 1] [--limits] [--write]``.
+"""``python -m bench.fleet [--runs 400] [--groups 1500] [--seed 1] [--limits] [--write]``.
 
 How often the intervals of a drift hold the truth, sensor by sensor whose bias wanders in a known way; how often a group
 of healthy sensors is called odd, and how often one that is off is found. Exit code 1: fewer than stated.
@@ -28,7 +28,7 @@ GROUPS = (6, 12, 31, 101)
 def main() -> int:
     parser = argparse.ArgumentParser(prog="bench.fleet", description=__doc__)
     parser.add_argument("--runs", type=int, default=400, help="sensors of each kind")
-    parser.add_argument("--groups", type=int, default=2000, help="groups of each size")
+    parser.add_argument("--groups", type=int, default=1500, help="groups of each size")
     parser.add_argument("--seed", type=int, default=1, help="first seed")
     parser.add_argument("--limits", action="store_true", help="print the limits by size of a group, and nothing else")
     parser.add_argument("--write", action="store_true", help="write the tables into docs/fleet.md")
