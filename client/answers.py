@@ -12,6 +12,7 @@ from mavcal.client.models import (
     AuditCheck,
     AuditPage,
     FitsModel,
+    FleetUnitModel,
     GapModel,
     GapSummary,
     HealthModel,
@@ -25,12 +26,14 @@ from mavcal.client.models import (
     RecordingModel,
     RegistrationModel,
     TicketModel,
+    UnitHistoryModel,
     VehicleModel,
 )
 
 AUDIT_CHECK: TypeAdapter[AuditCheck] = TypeAdapter(AuditCheck)
 AUDIT_PAGE: TypeAdapter[AuditPage] = TypeAdapter(AuditPage)
 FITS_MODEL: TypeAdapter[FitsModel] = TypeAdapter(FitsModel)
+FLEET_UNIT_MODEL: TypeAdapter[FleetUnitModel] = TypeAdapter(FleetUnitModel)
 GAP_MODEL: TypeAdapter[GapModel] = TypeAdapter(GapModel)
 GAP_SUMMARY: TypeAdapter[GapSummary] = TypeAdapter(GapSummary)
 HEALTH_MODEL: TypeAdapter[HealthModel] = TypeAdapter(HealthModel)
@@ -45,8 +48,10 @@ READINESS_MODEL: TypeAdapter[ReadinessModel] = TypeAdapter(ReadinessModel)
 RECORDING_MODEL: TypeAdapter[RecordingModel] = TypeAdapter(RecordingModel)
 REGISTRATION_MODEL: TypeAdapter[RegistrationModel] = TypeAdapter(RegistrationModel)
 TICKET_MODEL: TypeAdapter[TicketModel] = TypeAdapter(TicketModel)
+UNIT_HISTORY_MODEL: TypeAdapter[UnitHistoryModel] = TypeAdapter(UnitHistoryModel)
 VEHICLE_MESSAGE: TypeAdapter[VehicleMessage] = TypeAdapter(VehicleMessage)
 VEHICLE_MODEL: TypeAdapter[VehicleModel] = TypeAdapter(VehicleModel)
+FLEET_UNIT_MODEL_LIST: TypeAdapter[list[FleetUnitModel]] = TypeAdapter(list[FleetUnitModel])
 GAP_SUMMARY_LIST: TypeAdapter[list[GapSummary]] = TypeAdapter(list[GapSummary])
 JOB_SUMMARY_LIST: TypeAdapter[list[JobSummary]] = TypeAdapter(list[JobSummary])
 LINK_MODEL_LIST: TypeAdapter[list[LinkModel]] = TypeAdapter(list[LinkModel])

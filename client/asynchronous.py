@@ -16,6 +16,7 @@ from mavcal.client.models import (
     AuditCheck,
     AuditPage,
     FitsModel,
+    FleetUnitModel,
     GapModel,
     GapSummary,
     HealthModel,
@@ -29,6 +30,7 @@ from mavcal.client.models import (
     RecordingModel,
     RegistrationModel,
     TicketModel,
+    UnitHistoryModel,
     VehicleModel,
 )
 from mavcal.client.requests import PlanOptions, ReadingOptions
@@ -305,6 +307,86 @@ class AsyncClient(AsyncTransport):
     async def get_gap_report(self, gap_id: str) -> str:
         """The report as a page; 409 while there is none."""
         return await self._text("GET", f"/api/v1/gaps/{segment(gap_id)}/report.html")
+
+    async def list_fleet(
+        self,
+        *,
+        order: Literal["name", "verdict", "age", "leaving", "seen"] | None = None,
+        descending: bool | None = None,
+        limit: int | None = None,
+        after: str | None = None,
+        verdict: list[Literal["pass", "warn", "fail", "unknown", "none"]] | None = None,
+        tag: str | None = None,
+        min_age_days: Number | None = None,
+        sensor: str | None = None,
+        needs_recalibration: bool | None = None,
+        odd: bool | None = None,
+    ) -> list[FleetUnitModel]:
+        """Every unit of which something is known, a page at a time.
+
+        A header `Link` with `rel="next"` leads to the next page, if any.
+        """
+        return await self._ask(
+            "GET",
+            "/api/v1/fleet",
+            answers.FLEET_UNIT_MODEL_LIST,
+            query={
+                "order": order,
+                "descending": descending,
+                "limit": limit,
+                "after": after,
+                "verdict": verdict,
+                "tag": tag,
+                "min_age_days": min_age_days,
+                "sensor": sensor,
+                "needs_recalibration": needs_recalibration,
+                "odd": odd,
+            },
+        )
+
+    async def export_fleet(
+        self,
+        *,
+        order: Literal["name", "verdict", "age", "leaving", "seen"] | None = None,
+        descending: bool | None = None,
+        verdict: list[Literal["pass", "warn", "fail", "unknown", "none"]] | None = None,
+        tag: str | None = None,
+        min_age_days: Number | None = None,
+        sensor: str | None = None,
+        needs_recalibration: bool | None = None,
+        odd: bool | None = None,
+    ) -> str:
+        """The same as a table, one row a unit, all of them."""
+        return await self._text(
+            "GET",
+            "/api/v1/fleet.csv",
+            query={
+                "order": order,
+                "descending": descending,
+                "verdict": verdict,
+                "tag": tag,
+                "min_age_days": min_age_days,
+                "sensor": sensor,
+                "needs_recalibration": needs_recalibration,
+                "odd": odd,
+            },
+        )
+
+    async def get_unit(self, unit_id: str) -> FleetUnitModel:
+        """One unit."""
+        return await self._ask("GET", f"/api/v1/fleet/{segment(unit_id)}", answers.FLEET_UNIT_MODEL)
+
+    async def change_unit(
+        self, unit_id: str, *, name: str | None = None, tags: list[str] | None = None
+    ) -> FleetUnitModel:
+        """Give a unit a name, tags, or both; they stay with its hardware id."""
+        return await self._ask(
+            "PATCH", f"/api/v1/fleet/{segment(unit_id)}", answers.FLEET_UNIT_MODEL, body={"name": name, "tags": tags}
+        )
+
+    async def get_unit_history(self, unit_id: str) -> UnitHistoryModel:
+        """Every calibration of each sensor with its numbers, and what preflights read, oldest first."""
+        return await self._ask("GET", f"/api/v1/fleet/{segment(unit_id)}/history", answers.UNIT_HISTORY_MODEL)
 
     async def get_health(self) -> HealthModel:
         """Whether the process answers."""

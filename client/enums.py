@@ -97,6 +97,13 @@ class LinkState(StrEnum):
     CLOSED = "closed"
 
 
+class ObservationSource(StrEnum):
+    """Where a measurement comes from."""
+
+    JOB = "job"
+    PREFLIGHT = "preflight"
+
+
 class ParameterKind(StrEnum):
     """The type that a parameter has on the wire."""
 
@@ -153,6 +160,23 @@ class ProofVerdict(StrEnum):
     CONSISTENT = "consistent"
     NOT_OBSERVABLE = "not_observable"
     CONTRADICTED = "contradicted"
+
+
+class Quantity(StrEnum):
+    """What a trend may leave undetermined."""
+
+    TIME = "time"
+    TEMPERATURE = "temperature"
+    LEAVING = "leaving"
+
+
+class ReasonCode(StrEnum):
+    """Why a unit should be calibrated again."""
+
+    NEVER = "never"
+    AGE = "age"
+    DRIFT = "drift"
+    PREFLIGHT = "preflight"
 
 
 class Sensor(StrEnum):

@@ -239,6 +239,10 @@ class TooManyStreams(ApiProblem):
     """
 
 
+class UnitUnknown(ApiProblem):
+    """Unit unknown (404). No such unit. GET /api/v1/fleet lists those of which something is known."""
+
+
 class UploadTooLarge(ApiProblem):
     """Upload too large (413). The uploaded file is larger than this service accepts."""
 
@@ -340,6 +344,7 @@ PROBLEMS: Mapping[str, type[ApiProblem]] = {
     "store-error": StoreError,
     "too-many-attempts": TooManyAttempts,
     "too-many-streams": TooManyStreams,
+    "unit-unknown": UnitUnknown,
     "upload-too-large": UploadTooLarge,
     "upload-unreadable": UploadUnreadable,
     "validation": Validation,

@@ -24,6 +24,7 @@ COMMANDS = {
     "restore": "Put the last verified calibration back, say after a firmware change.",
     "revert": "Take back what a job has written.",
     "status": "Say who is at the other end of a link, and what was calibrated last.",
+    "fleet": "List every unit: preflights, ages, drifts, and who should be calibrated again.",
     "jobs": "List the jobs of a data directory or of a running service, of every kind.",
     "follow": "Show what happens to a job of a running service, and answer its prompts.",
     "answer": "Answer the prompt of a job of a running service.",

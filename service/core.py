@@ -18,6 +18,7 @@ from prometheus_client.registry import Collector
 
 from mavcal.service.children import Children, Limits
 from mavcal.service.computations import UploadComputations
+from mavcal.service.fleet.book import FleetBook
 from mavcal.service.jobs.computing import uploads_of
 from mavcal.service.jobs.crashpoints import CrashPoint, nowhere
 from mavcal.service.jobs.engine import JobEngine
@@ -48,6 +49,7 @@ class Service:
     jobs: JobEngine
     recordings: Recordings
     children: Children
+    fleet: FleetBook
 
     def obstacle(self) -> str | None:
         """Why no job could be run now; None: nothing stands in the way."""
@@ -90,8 +92,15 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
         store, folder / "recordings", limit_bytes=limits.upload_bytes, children=children, limits=of_files
     )
     computations = UploadComputations(recordings, children, of_files, of_gaps)
+    fleet = FleetBook(store, vehicles)
     jobs = JobEngine(
-        store, RegistryAdapter(vehicles), computations, executor=executor, read_only=settings.read_only, reach=reach
+        store,
+        RegistryAdapter(vehicles),
+        computations,
+        executor=executor,
+        read_only=settings.read_only,
+        reach=reach,
+        record=fleet,
     )
     async with AsyncExitStack() as started:
         # Interrupted writes first: nothing that comes later can keep them from being finished or taken back.
@@ -103,9 +112,11 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
         started.push_async_callback(children.stop)
         started.push_async_callback(jobs.stop)
         await jobs.start()
+        await fleet.take_up(jobs.list())
+        started.callback(fleet.close)
         await _open_links(links, settings, store)
         started.push_async_callback(_cancelled, asyncio.create_task(_retention(store, settings, jobs, links).run()))
-        yield Service(settings, store, links, vehicles, jobs, recordings, children)
+        yield Service(settings, store, links, vehicles, jobs, recordings, children, fleet)
 
 
 def _retention(store: Store, settings: Settings, jobs: JobEngine, links: LinkRegistry) -> Retention:

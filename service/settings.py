@@ -9,7 +9,7 @@ from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, SecretStr
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, SecretStr, model_validator
 from pydantic_settings import (
     BaseSettings,
     PydanticBaseSettingsSource,
@@ -19,6 +19,8 @@ from pydantic_settings import (
 
 from mavcal.service.reach import DEFAULT, checked_entry
 
+TAG = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,39}$"
+"""A tag of a vehicle."""
 ORIGIN = r"^https?://(\[[0-9a-f:]+\]|[a-z0-9.-]+)(:[0-9]{1,5})?$"
 """One exact origin, as browsers send it; no pattern, no path."""
 
@@ -54,6 +56,15 @@ class ApiKey(_Part):
     scopes: frozenset[Literal["read", "operate", "write-params", "admin"]] = Field(
         default=frozenset({"read"}), description="any of `read`, `operate`, `write-params`, `admin`"
     )
+    tags: frozenset[Annotated[str, Field(pattern=TAG)]] = Field(
+        default=frozenset(), description="only vehicles with one of these tags are seen and touched; none: all"
+    )
+
+    @model_validator(mode="after")
+    def _admin_sees_all(self) -> ApiKey:
+        if self.tags and "admin" in self.scopes:
+            raise ValueError("a key with the scope admin sees every vehicle: give it no tags, or other scopes")
+        return self
 
 
 def _absolute(path: Path) -> Path:

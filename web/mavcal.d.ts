@@ -133,11 +133,38 @@ export interface CheckModel {
   evidence: string[];
 }
 
+/** The temperatures that a calibration covers, degC. */
+export interface CoveredModel {
+  low: number;
+  high: number;
+  how: string;
+}
+
 /** A file that a job has made. */
 export interface DocumentModel {
   name: string;
   /** Its address, relative to the root of the service. */
   href: string;
+}
+
+/** How a bias drifts. Slopes are along the sensor's axes; null: not determined, `open` says why. */
+export interface DriftModel {
+  /** Measurements that it rests on. */
+  n: number;
+  unit: string;
+  /** How far the bias may be from what corrects it, in `unit`. */
+  limit: number;
+  per_year: SlopeModel[] | null;
+  per_degc: SlopeModel[] | null;
+  leaving: LeavingModel | null;
+  open: OpenModel[];
+}
+
+/** A check of the last preflight that did not pass. */
+export interface FailedCheckModel {
+  id: CheckId;
+  verdict: Verdict;
+  reason: string;
 }
 
 /** The job did not reach its goal. */
@@ -259,6 +286,59 @@ export interface FixModel {
 
 /** Kinds of jobs that want nothing but a vehicle at rest. */
 export type Fixable = "gyro" | "level";
+
+/** One sensor of a unit as it is known now. */
+export interface FleetSensorModel {
+  sensor: Sensor;
+  instance: number;
+  /** 0: not known. */
+  device_id: number;
+  /** Name of the part; empty: not known. */
+  type: string;
+  /** Bus and address of the part; empty: not known. */
+  bus: string;
+  /** Of the last verified calibration, s since 1970; null: none known. */
+  calibrated_at: number | null;
+  age_days: number | null;
+  /** The job that calibrated it last. */
+  job_id: string | null;
+  covered: CoveredModel | null;
+  /** As it was measured last, in the unit of `drift`; null: never absolutely. */
+  bias: [number, number, number] | null;
+  /** At which that was, degC. */
+  temperature: number | null;
+  drift: DriftModel;
+  /** Null: fewer than six sensors of its type are known. */
+  oddness: OddnessModel | null;
+}
+
+/** A unit in one row. */
+export interface FleetUnitModel {
+  /** `uid-` and its hardware id, or where it was heard. */
+  unit: string;
+  href: string;
+  /** What people call it; empty: nothing. */
+  name: string;
+  tags: string[];
+  autopilot: string;
+  firmware: string;
+  /** On a link of this service now. */
+  connected: boolean;
+  /** No heartbeat for 3 s; null: not connected. */
+  silent: boolean | null;
+  /** When it was identified last, s since 1970; null: not known. */
+  seen_at: number | null;
+  preflight: UnitPreflightModel | null;
+  /** Of its oldest calibration; null: a sensor has none. */
+  age_days: number | null;
+  /** The same by kind of sensor. */
+  ages: Record<string, number | null>;
+  /** Of the sensor that leaves its limit first. */
+  leaving: LeavingModel | null;
+  needs_recalibration: boolean;
+  reasons: ReasonModel[];
+  sensors: FleetSensorModel[];
+}
 
 /** A diagnosis with its report. */
 export interface GapModel {
@@ -416,6 +496,15 @@ export interface JobSummary {
 /** EXTENDED_SYS_STATE.landed_state. */
 export type Landed = "undefined" | "on_ground" | "in_air" | "takeoff" | "landing";
 
+/** When a bias leaves its limit; null: not within ten years from the last measurement. */
+export interface LeavingModel {
+  /** With 90 % it leaves between here and `latest`, s since 1970. */
+  earliest: number | null;
+  /** As likely before as after, s since 1970. */
+  middle: number | null;
+  latest: number | null;
+}
+
 /** The present state of a link. */
 export interface LinkMessage {
   event: "link";
@@ -481,6 +570,27 @@ export interface NumberModel {
   low: number;
   /** Greatest value, in `unit`. */
   high: number;
+}
+
+/** Where a measurement comes from. */
+export type ObservationSource = "job" | "preflight";
+
+/** How far a sensor is from the middle of its type, in robust standard deviations of its worst axis. */
+export interface OddnessModel {
+  distance: number;
+  /** A healthy group has one sensor beyond it in 1 of 100 groups. */
+  limit: number;
+  /** 0, 1 or 2. */
+  axis: number;
+  /** Sensors of this type that are known. */
+  group: number;
+  odd: boolean;
+}
+
+/** What the measurements do not determine. */
+export interface OpenModel {
+  quantity: Quantity;
+  why: string;
 }
 
 /** A number or a switch that may be set when a job is started. */
@@ -639,7 +749,7 @@ export interface Problem {
 }
 
 /** What kind of problem it is. */
-export type ProblemCode = "answer-refused" | "authentication-required" | "capture-disturbed" | "capture-ended" | "capture-interrupted" | "command-forbidden" | "command-refused" | "command-timeout" | "data-dir-locked" | "disk-full" | "document-unknown" | "endpoint-refused" | "endpoint-unknown" | "export-unknown" | "file-not-processed" | "files-busy" | "gap-error" | "gap-unfinished" | "gap-unknown" | "gaps-busy" | "http" | "idempotency-key-reused" | "illegal-transition" | "internal-error" | "invalid-input" | "job-cancelled" | "job-error" | "job-unknown" | "link-down" | "link-error" | "link-unknown" | "no-vehicle" | "not-allowed" | "not-cancellable" | "not-found" | "not-revertible" | "nothing-verified" | "other-vehicle" | "parameter-error" | "parameter-missing" | "parameter-rejected" | "parameter-timeout" | "physical-job-running" | "plan-blocked" | "plan-changed" | "plan-missing" | "port-busy" | "preflight-running" | "recording-unknown" | "store-error" | "too-many-attempts" | "too-many-streams" | "upload-too-large" | "upload-unreadable" | "validation" | "vehicle-armed" | "vehicle-busy" | "vehicle-conflict" | "vehicle-error" | "vehicle-silent" | "vehicle-unknown" | "write-failed" | "write-stopped";
+export type ProblemCode = "answer-refused" | "authentication-required" | "capture-disturbed" | "capture-ended" | "capture-interrupted" | "command-forbidden" | "command-refused" | "command-timeout" | "data-dir-locked" | "disk-full" | "document-unknown" | "endpoint-refused" | "endpoint-unknown" | "export-unknown" | "file-not-processed" | "files-busy" | "gap-error" | "gap-unfinished" | "gap-unknown" | "gaps-busy" | "http" | "idempotency-key-reused" | "illegal-transition" | "internal-error" | "invalid-input" | "job-cancelled" | "job-error" | "job-unknown" | "link-down" | "link-error" | "link-unknown" | "no-vehicle" | "not-allowed" | "not-cancellable" | "not-found" | "not-revertible" | "nothing-verified" | "other-vehicle" | "parameter-error" | "parameter-missing" | "parameter-rejected" | "parameter-timeout" | "physical-job-running" | "plan-blocked" | "plan-changed" | "plan-missing" | "port-busy" | "preflight-running" | "recording-unknown" | "store-error" | "too-many-attempts" | "too-many-streams" | "unit-unknown" | "upload-too-large" | "upload-unreadable" | "validation" | "vehicle-armed" | "vehicle-busy" | "vehicle-conflict" | "vehicle-error" | "vehicle-silent" | "vehicle-unknown" | "write-failed" | "write-stopped";
 
 /** A procedure: what it needs, ends on, writes and cannot represent. */
 export interface ProcedureModel {
@@ -734,6 +844,9 @@ export type ProofLevel = "full" | "partial" | "none";
 /** What the stream says of one written parameter. */
 export type ProofVerdict = "proved" | "consistent" | "not_observable" | "contradicted";
 
+/** What a trend may leave undetermined. */
+export type Quantity = "time" | "temperature" | "leaving";
+
 /** The vehicle was looked at after a write. */
 export interface ReadinessEvent {
   job_id: string;
@@ -765,6 +878,18 @@ export interface ReadingOptions {
   unit_mag?: string;
   /** Which vehicle of a telemetry log. */
   system?: number | null;
+}
+
+/** Why a unit should be calibrated again. */
+export type ReasonCode = "never" | "age" | "drift" | "preflight";
+
+/** Why a unit should be calibrated again. */
+export interface ReasonModel {
+  code: ReasonCode;
+  /** Null: the unit as a whole. */
+  sensor: Sensor | null;
+  instance: number | null;
+  text: string;
 }
 
 /** Plan the fits of an uploaded recording for a connected vehicle. */
@@ -880,6 +1005,32 @@ export interface SensorModel {
   polynomial: PolynomialModel | null;
 }
 
+/** One sensor as a job or a preflight measured it once. */
+export interface SensorRecordModel {
+  sensor: Sensor;
+  instance: number;
+  device_id: number;
+  type: string;
+  /** Wall-clock time, s since 1970. */
+  at: number;
+  source: ObservationSource;
+  /** The job, whose calibration can be compared and restored. */
+  source_id: string;
+  /** Kind of the job; `rest`: a preflight. */
+  what: string;
+  /** The sensor was corrected by this from then on. */
+  applied: boolean;
+  proved: boolean;
+  unit: string;
+  /** Raw, in `unit`. */
+  bias: [number, number, number] | null;
+  sd: [number, number, number] | null;
+  /** Of a preflight: rate or specific force as the vehicle used it, in `unit`. */
+  norm: number | null;
+  temperature: number | null;
+  covered: CoveredModel | null;
+}
+
 /** Whether a sensor reads, after a write, what it should. */
 export type SensorVerdict = "right" | "wrong" | "not_observable";
 
@@ -898,6 +1049,13 @@ export interface SetAsideEvent {
   at: number;
   kind: "set_aside";
   data: SetAsideData;
+}
+
+/** A slope along one axis, with the interval that holds it with 90 %. */
+export interface SlopeModel {
+  value: number;
+  low: number;
+  high: number;
 }
 
 /** Why it is not certain. */
@@ -954,6 +1112,30 @@ export interface TicketModel {
   ticket: string;
   /** How long it is good, s. */
   valid_s: number;
+}
+
+/** Everything that was measured of a unit's sensors, oldest first, with their drifts. */
+export interface UnitHistoryModel {
+  unit: FleetUnitModel;
+  records: SensorRecordModel[];
+}
+
+/** The last preflight of a unit. */
+export interface UnitPreflightModel {
+  /** Wall-clock time, s since 1970. */
+  at: number;
+  age_s: number;
+  verdict: Verdict;
+  summary: string;
+  failed: FailedCheckModel[];
+}
+
+/** A name, tags, or both; what is left out stays as it is. */
+export interface UnitRequest {
+  /** What people call it; empty: nothing any more. */
+  name?: string | null;
+  /** All of its tags; a key that is bound to tags may not change them. */
+  tags?: string[] | null;
 }
 
 /** A parameter that no stream has proved, or a sensor that could not be seen to read right with the new values. */
@@ -1360,6 +1542,42 @@ export interface Operations {
     path: "/api/v1/gaps/{gap_id}/report.html";
     parameters: { gap_id: string };
     answer: string;
+  };
+  /** Every unit of which something is known, a page at a time. */
+  list_fleet: {
+    method: "GET";
+    path: "/api/v1/fleet";
+    query: { order?: "name" | "verdict" | "age" | "leaving" | "seen"; descending?: boolean; limit?: number; after?: string | null; verdict?: ("pass" | "warn" | "fail" | "unknown" | "none")[] | null; tag?: string | null; min_age_days?: number | null; sensor?: string | null; needs_recalibration?: boolean | null; odd?: boolean | null };
+    answer: FleetUnitModel[];
+  };
+  /** The same as a table, one row a unit, all of them. */
+  export_fleet: {
+    method: "GET";
+    path: "/api/v1/fleet.csv";
+    query: { order?: "name" | "verdict" | "age" | "leaving" | "seen"; descending?: boolean; verdict?: ("pass" | "warn" | "fail" | "unknown" | "none")[] | null; tag?: string | null; min_age_days?: number | null; sensor?: string | null; needs_recalibration?: boolean | null; odd?: boolean | null };
+    answer: string;
+  };
+  /** One unit. */
+  get_unit: {
+    method: "GET";
+    path: "/api/v1/fleet/{unit_id}";
+    parameters: { unit_id: string };
+    answer: FleetUnitModel;
+  };
+  /** Give a unit a name, tags, or both; they stay with its hardware id. */
+  change_unit: {
+    method: "PATCH";
+    path: "/api/v1/fleet/{unit_id}";
+    parameters: { unit_id: string };
+    body: UnitRequest;
+    answer: FleetUnitModel;
+  };
+  /** Every calibration of each sensor with its numbers, and what preflights read, oldest first. */
+  get_unit_history: {
+    method: "GET";
+    path: "/api/v1/fleet/{unit_id}/history";
+    parameters: { unit_id: string };
+    answer: UnitHistoryModel;
   };
   /** Whether the process answers. */
   get_health: {

@@ -16,7 +16,7 @@ from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.values import shown
 from mavcal.calib.preflight import limits
 from mavcal.calib.preflight.check import Check, CheckId, Measure, Verdict, judged, unknown
-from mavcal.calib.preflight.expected import SHARED, ExpectedCalibration, expected, last_of_each
+from mavcal.calib.preflight.expected import GYRO_SWITCH, SHARED, ExpectedCalibration, expected, last_of_each
 from mavcal.calib.preflight.snapshot import Snapshot
 from mavcal.calib.recording import Sensor
 
@@ -175,6 +175,11 @@ _PREFIXES = {
 _AP: Mapping[Sensor, tuple[str, ...]] = {Sensor.ACCEL: ("ACC",), Sensor.GYRO: ("GYR",), Sensor.MAG: ()}
 
 
+def calibrates_gyros(autopilot: str, parameters: Mapping[str, Value]) -> bool:
+    """Whether the vehicle calibrates its gyroscopes by itself, ArduPilot at every start, PX4 at rest."""
+    return bool(parameters.get(GYRO_SWITCH.get(autopilot, ""), 1))
+
+
 # --- temperature
 
 
@@ -189,9 +194,17 @@ class Covered:
 
 def covered(snapshot: Snapshot, instance: int) -> Covered | None:
     """The temperatures that the calibration in force of an accelerometer covers; None: nothing says."""
-    parameters = snapshot.parameters
+    last = last_of_each(snapshot.history).get(Sensor.ACCEL)
+    measured = None if last is None else last.temperatures.get(instance)
+    return covered_by(snapshot.identity.autopilot, snapshot.parameters, Sensor.ACCEL, instance, measured)
+
+
+def covered_by(
+    autopilot: str | None, parameters: Mapping[str, Value], sensor: Sensor, instance: int, measured: float | None
+) -> Covered | None:
+    """The temperatures that these parameters cover; `measured`: of the verified job, degC. None: nothing says."""
     try:
-        names = calibration_names(snapshot.identity.autopilot, parameters, Sensor.ACCEL, instance)
+        names = calibration_names(autopilot, parameters, sensor, instance)
     except FirmwareError:
         return None
 
@@ -205,8 +218,7 @@ def covered(snapshot: Snapshot, instance: int) -> Covered | None:
     at = of(Role.TEMPERATURE)
     how = "the temperature of its calibration"
     if at is None or at <= _UNKNOWN_TEMPERATURE:
-        last = last_of_each(snapshot.history).get(Sensor.ACCEL)
-        at, how = None if last is None else last.temperatures.get(instance), "the temperature of the verified job"
+        at, how = measured, "the temperature of the verified job"
     if at is None:
         return None
     span = limits.TEMPERATURE_SPAN.value

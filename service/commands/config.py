@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from pydantic_settings import SettingsError
 
 from mavcal.service.commands.output import json_option, write_json
-from mavcal.service.settings import Settings
+from mavcal.service.settings import ApiKey, Settings
 
 
 @click.group()
@@ -46,8 +46,9 @@ def schema(as_json: bool) -> None:
 @click.option(
     "--scope", multiple=True, default=("read",), show_default=True, help="read, operate, write-params, admin."
 )
+@click.option("--tag", multiple=True, help="Only vehicles with one of these tags are seen and touched; none: all.")
 @json_option
-def key(name: str, scope: tuple[str, ...], as_json: bool) -> None:
+def key(name: str, scope: tuple[str, ...], tag: tuple[str, ...], as_json: bool) -> None:
     """Make an API key: the key once, and the lines for ``mavcal.toml`` that let it in."""
     from mavcal.service.api.security import Scope, digest
 
@@ -55,7 +56,11 @@ def key(name: str, scope: tuple[str, ...], as_json: bool) -> None:
     if unknown:
         raise click.BadParameter(f"no scope {', '.join(sorted(unknown))}; there are {', '.join(Scope)}")
     token = secrets.token_urlsafe(32)
-    entry = {"name": name, "sha256": digest(token), "scopes": sorted(scope)}
+    entry = {"name": name, "sha256": digest(token), "scopes": sorted(scope)} | ({"tags": sorted(tag)} if tag else {})
+    try:
+        ApiKey.model_validate(entry)
+    except ValidationError as error:
+        raise click.UsageError("; ".join(e["msg"] for e in error.errors())) from None
     if as_json:
         write_json({"key": token, "entry": entry})
         return

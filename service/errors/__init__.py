@@ -12,6 +12,7 @@
     +-- VehicleError              503
     |   +-- VehicleSilent         503
     |   +-- VehicleUnknown        404
+    |   +-- UnitUnknown           404
     |   +-- VehicleArmed          409
     |   +-- VehicleBusy           409
     |   +-- VehicleConflict       409
@@ -128,6 +129,7 @@ from mavcal.service.errors.vehicles import (
     ParameterRejected,
     ParameterTimeout,
     PortBusy,
+    UnitUnknown,
     VehicleArmed,
     VehicleBusy,
     VehicleConflict,
@@ -186,6 +188,7 @@ __all__ = [
     "StoreError",
     "TooManyAttempts",
     "TooManyStreams",
+    "UnitUnknown",
     "UploadError",
     "UploadTooLarge",
     "VehicleArmed",

@@ -80,6 +80,14 @@ class VehicleUnknown(VehicleError):
     code = "vehicle-unknown"
 
 
+class UnitUnknown(VehicleError):
+    """No such unit. GET /api/v1/fleet lists those of which something is known."""
+
+    status_code = 404
+    title = "Unit unknown"
+    code = "unit-unknown"
+
+
 class VehicleArmed(VehicleError):
     """The vehicle is armed, or was a moment ago. Disarm it, on the ground, and wait 2 s."""
 

@@ -54,6 +54,7 @@ from mavcal.service.jobs.planning import (
 from mavcal.service.jobs.port import Computations, JobVehicle, NoUploads, VehicleSource
 from mavcal.service.jobs.preflight import Preflight, Preflights
 from mavcal.service.jobs.ready import look_after
+from mavcal.service.jobs.record import JobRecord, NoRecord
 from mavcal.service.jobs.restoring import planned_restore, require_restorable, restored
 from mavcal.service.jobs.runner import Runner
 from mavcal.service.jobs.settings import JobSettings
@@ -91,8 +92,8 @@ class JobEngine:
         Nothing is ever written to a vehicle.
     clock, wall
         Monotonic time for time-outs; wall time for stamps.
-    reach
-        Called at every instant at which a crash would leave another state behind (tests).
+    reach, record
+        Called where a crash would leave another state behind (tests); told of what jobs and preflights came to.
     """
 
     def __init__(
@@ -107,12 +108,13 @@ class JobEngine:
         clock: Callable[[], float] = time.monotonic,
         wall: Callable[[], float] = time.time,
         reach: CrashPoint = nowhere,
+        record: JobRecord | None = None,
     ) -> None:
         self.settings = settings or JobSettings()
         self._store = store
         self._vehicles = vehicles
         self._read_only = read_only
-        self._wall, self._clock, self._reach = wall, clock, reach
+        self._wall, self._clock, self._reach, self._record = wall, clock, reach, record or NoRecord()
         self._own_executor = ThreadPoolExecutor(2, thread_name_prefix="fit") if executor is None else None
         pool = executor or self._own_executor
         assert pool is not None
@@ -238,7 +240,9 @@ class JobEngine:
         require_ready(vehicle, busy=True)  # which is one of the checks
         with self._preflights.claimed(vehicle.id):
             await self._tidying.before_capture(vehicle.id)
-            return await self._preflights.run(vehicle, self._history, heading=heading)
+            return await self._record.keep_preflight(
+                await self._preflights.run(vehicle, self._history, heading=heading)
+            )
 
     async def restore(self, vehicle_id: str, plan_options: Mapping[str, Any] | None = None) -> Job:
         """A job that plans to put the last verified calibration back, mapped by device id; then in review or failed.
@@ -324,8 +328,9 @@ class JobEngine:
         require_ready(vehicle)
         now = self._wall()
         chosen = {"recording": recording, "method": method, "options": dict(options)}
-        state = JobState.FITTING
-        job = Job(uuid.uuid4().hex[:12], vehicle.id, FROM_RECORDING, chosen, state, now, now, context=context)
+        job = Job(
+            uuid.uuid4().hex[:12], vehicle.id, FROM_RECORDING, chosen, JobState.FITTING, now, now, context=context
+        )
         handle = await self._book.new(job)
         self._tasks.spawn(handle, self._adoption(handle))
         return handle.job
@@ -531,6 +536,7 @@ class JobEngine:
 
     def _ended(self, handle: JobHandle) -> None:
         """A job's task is over."""
+        self._record.job_ended(handle.job)
         if handle.job.state in ENDED | {JobState.REVIEW}:
             self._tidy(handle)
             self._store.soon(partial(self._store.drop_events, handle.id, "progress", keep=1))

@@ -19,6 +19,7 @@ from mavcal.calib.firmware.plan import Value
 from mavcal.calib.preflight.check import Report
 from mavcal.calib.preflight.collect import SENSORS, collect, preflight_streams, wanted_messages
 from mavcal.calib.preflight.own import PARAMETERS
+from mavcal.calib.preflight.readings import RestReading, rest_readings
 from mavcal.calib.preflight.run import preflight
 from mavcal.calib.preflight.snapshot import Snapshot, VerifiedCalibration
 from mavcal.calib.recording import Identity
@@ -62,6 +63,8 @@ class Preflight:
     seconds: float
     report: Report
     notes: tuple[str, ...] = ()
+    readings: tuple[RestReading, ...] = ()
+    """What the inertial units read, for the fleet."""
 
 
 @dataclass
@@ -163,8 +166,9 @@ class Preflights:
         )
         view = dataclasses.replace(snapshot.view, calibrating=calibrating)
         report = await asyncio.to_thread(preflight, dataclasses.replace(snapshot, view=view))
+        readings = await asyncio.to_thread(rest_readings, snapshot)
         seconds = self._clock() - began
-        return Preflight(vehicle.id, vehicle.identity, at, seconds, report, tuple(heard.notes))
+        return Preflight(vehicle.id, vehicle.identity, at, seconds, report, tuple(heard.notes), readings=readings)
 
     async def look(self, vehicle: JobVehicle, history: History) -> Preflight | None:
         """As :meth:`run`, of a vehicle that nobody claims; None: somebody did meanwhile, and goes first."""

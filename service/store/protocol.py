@@ -16,16 +16,20 @@ from mavcal.service.store.chain import ChainCheck
 from mavcal.service.store.rows import (
     AuditRow,
     EventRow,
+    FleetRows,
     JobDocument,
     JobRow,
     JournalRow,
     Json,
     LinkRow,
+    PreflightRow,
     RecordingRow,
     SegmentPurpose,
     SegmentRow,
+    SensorRow,
     SnapshotPurpose,
     SnapshotRow,
+    UnitRow,
 )
 
 T = TypeVar("T")
@@ -119,7 +123,46 @@ class JobStore(Protocol):
         ...
 
 
-class Store(JobStore, Protocol):
+class FleetStore(Protocol):
+    """Units, what was measured of their sensors, and their last preflights."""
+
+    def fleet(self, unit_id: str | None = None) -> FleetRows:
+        """Everything about every unit, or about one."""
+        ...
+
+    def unit(self, unit_id: str) -> UnitRow | None:
+        """A unit, or None."""
+        ...
+
+    def save_unit(self, row: UnitRow) -> None:
+        """Insert or replace a unit."""
+        ...
+
+    def see_unit(self, unit_id: str, autopilot: str, firmware: str, at: float) -> None:
+        """Keep what a unit said of itself; its name and tags stay."""
+        ...
+
+    def add_sensor_records(self, source_id: str, rows: Collection[SensorRow], *, keep: int = 0) -> None:
+        """Keep what one job or preflight measured; the same one twice is one.
+
+        `keep` not 0: of the preflights of that unit only so many are kept, the newest.
+        """
+        ...
+
+    def drop_sensor_records(self, source_id: str) -> None:
+        """Forget what a job measured; one that is not there is no error."""
+        ...
+
+    def fleet_sources(self) -> frozenset[str]:
+        """Jobs and preflights whose measurements were taken."""
+        ...
+
+    def save_preflight(self, row: PreflightRow) -> None:
+        """Keep the last preflight of a unit, instead of the one before."""
+        ...
+
+
+class Store(JobStore, FleetStore, Protocol):
     """Everything durable."""
 
     def add_recording(self, row: RecordingRow) -> None:

@@ -19,11 +19,13 @@ from typing import Any, TypeVar
 from mavcal.service.errors import DiskFull, StoreError
 from mavcal.service.store import chain
 from mavcal.service.store.datadir import DataDirLock, require_database
+from mavcal.service.store.fleet import FleetTables, read_fleet
 from mavcal.service.store.line import WriteLine
 from mavcal.service.store.migrate import migrate, migrations
 from mavcal.service.store.rows import (
     AuditRow,
     EventRow,
+    FleetRows,
     JobDocument,
     JobRow,
     JournalRow,
@@ -35,6 +37,7 @@ from mavcal.service.store.rows import (
     SnapshotPurpose,
     SnapshotRow,
 )
+from mavcal.service.store.text import dump, object_of
 
 T = TypeVar("T")
 
@@ -45,7 +48,7 @@ ENDED = ("succeeded", "reverted", "failed", "cancelled", "interrupted")
 _DISK_TROUBLE = {sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN}
 
 
-class SqliteStore:
+class SqliteStore(FleetTables):
     """Durable state of one data directory; None keeps it in memory (for tests and one-off commands).
 
     Raises
@@ -105,7 +108,7 @@ class SqliteStore:
             db.execute(
                 "INSERT INTO jobs VALUES (?, ?, ?, ?, ?, ?, ?) ON CONFLICT (id) DO UPDATE SET "
                 "state = excluded.state, updated_at = excluded.updated_at, body = excluded.body",
-                (row.id, row.vehicle_id, row.kind, row.state, row.created_at, row.updated_at, _dump(row.body)),
+                (row.id, row.vehicle_id, row.kind, row.state, row.created_at, row.updated_at, dump(row.body)),
             )
             return None if event is None else _insert_event(db, row.id, row.updated_at, *event)
 
@@ -140,7 +143,7 @@ class SqliteStore:
                 "SELECT * FROM job_events WHERE job_id = ? AND sequence > ? ORDER BY sequence LIMIT ?",
                 (job_id, after, limit),
             )
-        return tuple(EventRow(r[0], r[1], r[2], r[3], r[4], _object(r[5])) for r in rows)
+        return tuple(EventRow(r[0], r[1], r[2], r[3], r[4], object_of(r[5])) for r in rows)
 
     def last_event_id(self) -> int:
         """The id of the newest event of any job; 0: there is none."""
@@ -160,7 +163,7 @@ class SqliteStore:
 
     def add_journal(self, job_id: str, at: float, step: str, data: Json) -> JournalRow:
         """Append a step to the journal of a job."""
-        row = self._insert("INSERT INTO journal VALUES (NULL, ?, ?, ?, ?)", (job_id, at, step, _dump(data)))
+        row = self._insert("INSERT INTO journal VALUES (NULL, ?, ?, ?, ?)", (job_id, at, step, dump(data)))
         return JournalRow(row, job_id, at, step, data)
 
     def journal(self, job_id: str) -> tuple[JournalRow, ...]:
@@ -170,7 +173,7 @@ class SqliteStore:
 
     def add_snapshot(self, job_id: str, at: float, purpose: SnapshotPurpose, sha256: str, body: Json) -> SnapshotRow:
         """Keep parameters as they were read."""
-        values = (job_id, at, purpose.value, sha256, _dump(body))
+        values = (job_id, at, purpose.value, sha256, dump(body))
         row = self._insert("INSERT INTO snapshots VALUES (NULL, ?, ?, ?, ?, ?)", values)
         return SnapshotRow(row, job_id, at, purpose, sha256, body)
 
@@ -185,7 +188,7 @@ class SqliteStore:
     def add_plan(self, job_id: str, sha256: str, at: float, body: Json) -> None:
         """Keep a plan under its digest; the same plan twice is one."""
         with self._write() as db:
-            db.execute("INSERT OR IGNORE INTO plans VALUES (?, ?, ?, ?)", (sha256, job_id, at, _dump(body)))
+            db.execute("INSERT OR IGNORE INTO plans VALUES (?, ?, ?, ?)", (sha256, job_id, at, dump(body)))
 
     def plan(self, job_id: str, sha256: str) -> Json | None:
         """A plan of that job by its digest."""
@@ -237,7 +240,7 @@ class SqliteStore:
 
     def add_recording(self, row: RecordingRow) -> None:
         """Keep an uploaded log."""
-        values = (row.id, row.at, row.name, str(row.path), row.size, row.sha256, _dump(row.body))
+        values = (row.id, row.at, row.name, str(row.path), row.size, row.sha256, dump(row.body))
         self._insert("INSERT INTO recordings VALUES (?, ?, ?, ?, ?, ?, ?)", values)
 
     def recording(self, recording_id: str) -> RecordingRow | None:
@@ -321,7 +324,7 @@ class SqliteStore:
                 previous = chain.check(map(_audit, db.execute("SELECT * FROM audit ORDER BY id")), newest[0]).head
             row = AuditRow(1 if newest is None else newest[0] + 1, at, actor, action, subject, detail)
             row = replace(row, sha256=chain.link(previous, row))
-            values = (row.id, at, actor, action, subject, _dump(detail), row.sha256)
+            values = (row.id, at, actor, action, subject, dump(detail), row.sha256)
             db.execute("INSERT INTO audit VALUES (?, ?, ?, ?, ?, ?, ?)", values)
             return row
 
@@ -390,6 +393,12 @@ def jobs_of(data_dir: Path) -> tuple[JobRow, ...]:
         return tuple(map(_job, db.execute("SELECT * FROM jobs ORDER BY created_at, rowid")))
 
 
+def fleet_of(data_dir: Path) -> FleetRows:
+    """Every unit of a data directory, also while another process owns it. Raises StoreError: there is no database."""
+    with _read_only(data_dir) as db:
+        return read_fleet(lambda sql, values: db.execute(sql, values).fetchall())
+
+
 @contextmanager
 def _read_only(data_dir: Path) -> Iterator[sqlite3.Connection]:
     """One state of the database of a data directory, whoever owns it."""
@@ -436,7 +445,7 @@ def _insert_event(db: sqlite3.Connection, job_id: str, at: float, kind: str, dat
     row = db.execute(
         "INSERT INTO job_events (job_id, sequence, at, kind, data) VALUES (?1, "
         "(SELECT coalesce(max(sequence), 0) + 1 FROM job_events WHERE job_id = ?1), ?2, ?3, ?4) RETURNING id, sequence",
-        (job_id, at, kind, _dump(data)),
+        (job_id, at, kind, dump(data)),
     ).fetchone()
     return EventRow(row[0], job_id, row[1], at, kind, data)
 
@@ -445,25 +454,12 @@ def _text(data: bytes) -> str:
     return data.decode("utf-8", "replace")  # a damaged text is one bad row, not a failed query
 
 
-def _dump(value: Json) -> str:
-    return json.dumps(value, allow_nan=False, separators=(",", ":"))
-
-
 def _job(row: tuple[Any, ...]) -> JobRow:
-    return JobRow(row[0], row[1], row[2], row[3], row[4], row[5], _object(row[6]))
-
-
-def _object(text: str) -> Json:
-    """The JSON object of a damaged row is empty: one row must not hide the others."""
-    try:
-        value = json.loads(text)
-    except ValueError:
-        return {}
-    return value if isinstance(value, dict) else {}
+    return JobRow(row[0], row[1], row[2], row[3], row[4], row[5], object_of(row[6]))
 
 
 def _audit(row: tuple[Any, ...]) -> AuditRow:
-    return AuditRow(row[0], row[1], row[2], row[3], row[4], _object(row[5]), row[6])
+    return AuditRow(row[0], row[1], row[2], row[3], row[4], object_of(row[5]), row[6])
 
 
 def _segment(row: tuple[Any, ...]) -> SegmentRow:
@@ -471,4 +467,4 @@ def _segment(row: tuple[Any, ...]) -> SegmentRow:
 
 
 def _recording(row: tuple[Any, ...]) -> RecordingRow:
-    return RecordingRow(row[0], row[1], row[2], Path(row[3]), row[4], row[5], _object(row[6]))
+    return RecordingRow(row[0], row[1], row[2], Path(row[3]), row[4], row[5], object_of(row[6]))
