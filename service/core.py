@@ -29,7 +29,8 @@ from mavcal.service.link_registry import LinkRegistry
 from mavcal.service.recordings import Recordings
 from mavcal.service.retention import Retention
 from mavcal.service.settings import Settings
-from mavcal.service.store import SqliteStore, Store
+from mavcal.service.store import Store
+from mavcal.service.storing import open_store
 from mavcal.service.vehicle import VehicleRegistry
 
 log = structlog.get_logger(__name__)
@@ -74,7 +75,7 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
     EndpointError, PortBusy
         If an endpoint of the settings can never work as it is.
     """
-    store = SqliteStore(settings.data_dir)
+    store = open_store(settings)
     executor = ThreadPoolExecutor(max_workers=2, thread_name_prefix="fit")  # of live jobs alone
     vehicles = VehicleRegistry(yield_s=settings.mavlink.yield_s)
     tlogs = settings.data_dir / "tlogs"
@@ -87,7 +88,7 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
     of_files = Limits(limits.file_memory_bytes, limits.file_cpu_s, limits.file_wall_s)
     of_gaps = Limits(limits.file_memory_bytes, limits.gap_s, limits.gap_s)
     recordings = Recordings(
-        store, folder / "recordings", limit_bytes=limits.upload_bytes, children=children, limits=of_files
+        store, settings.uploads, limit_bytes=limits.upload_bytes, children=children, limits=of_files
     )
     computations = UploadComputations(recordings, children, of_files, of_gaps)
     jobs = JobEngine(

@@ -28,9 +28,9 @@ _SHOWN_RECORDING = 8
 @json_option
 def command(data_dir: Path | None, kind: str | None, state: str | None, limit: int, as_json: bool) -> int:
     """List calibrations, fits and diagnoses, newest first. The service may go on meanwhile."""
-    from mavcal.service.store.sqlite import jobs_of
+    from mavcal.service.storing import jobs_of
 
-    rows = jobs_of(load_settings(data_dir=data_dir).data_dir)[::-1]
+    rows = jobs_of(load_settings(data_dir=data_dir))[::-1]
     found = [row for row in rows if kind in {None, row.kind} and state in {None, row.state}]
     shown = found[:limit]
     if as_json:
