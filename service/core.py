@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import structlog
 from prometheus_client import CollectorRegistry
@@ -32,6 +33,9 @@ from mavcal.service.settings import Settings
 from mavcal.service.store import Store
 from mavcal.service.storing import open_store
 from mavcal.service.vehicle import VehicleRegistry
+
+if TYPE_CHECKING:
+    from mavcal.service.instances.instance import Instance
 
 log = structlog.get_logger(__name__)
 
@@ -80,8 +84,15 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
     vehicles = VehicleRegistry(yield_s=settings.mavlink.yield_s)
     tlogs = settings.data_dir / "tlogs"
     allowed = Allowed(settings.links.allowed, (tlogs, *settings.links.folders))
+    instance = _instance(settings, store)
     links = LinkRegistry(
-        store, tlogs, settings.mavlink, allowed=allowed, attach=vehicles.attach, detach=vehicles.detach
+        store,
+        tlogs,
+        settings.mavlink,
+        allowed=allowed,
+        attach=vehicles.attach,
+        detach=vehicles.detach,
+        ownership=None if instance is None else instance.links,
     )
     folder, limits = settings.data_dir, settings.limits
     children = Children(folder / "children", most=limits.file_processes)
@@ -92,11 +103,19 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
     )
     computations = UploadComputations(recordings, children, of_files, of_gaps)
     jobs = JobEngine(
-        store, RegistryAdapter(vehicles), computations, executor=executor, read_only=settings.read_only, reach=reach
+        store,
+        RegistryAdapter(vehicles) if instance is None else RegistryAdapter(vehicles, instance.jobs.doubted),
+        computations,
+        ownership=None if instance is None else instance.jobs,
+        executor=executor,
+        read_only=settings.read_only,
+        reach=reach,
     )
     async with AsyncExitStack() as started:
         # Interrupted writes first: nothing that comes later can keep them from being finished or taken back.
         started.callback(store.close)
+        if instance is not None:
+            started.callback(instance.close)
         started.callback(executor.shutdown, wait=False, cancel_futures=True)
         started.callback(vehicles.close)
         started.push_async_callback(links.close_all)
@@ -104,9 +123,27 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
         started.push_async_callback(children.stop)
         started.push_async_callback(jobs.stop)
         await jobs.start()
-        await _open_links(links, settings, store)
+        if instance is None:
+            await _open_links(links, settings, store)
+        else:
+            await started.enter_async_context(instance.taking_part(jobs, links, vehicles))
         started.push_async_callback(_cancelled, asyncio.create_task(_retention(store, settings, jobs, links).run()))
         yield Service(settings, store, links, vehicles, jobs, recordings, children)
+
+
+def _instance(settings: Settings, store: Store) -> Instance | None:
+    """Our part among other instances, if the settings name a database that they share."""
+    if settings.database_url is None:
+        return None
+    from mavcal.service.instances.instance import Instance
+    from mavcal.service.store.sql import SqlStore
+
+    assert isinstance(store, SqlStore)
+    try:
+        return Instance(settings, store)
+    except BaseException:
+        store.close()
+        raise
 
 
 def _retention(store: Store, settings: Settings, jobs: JobEngine, links: LinkRegistry) -> Retention:

@@ -8,6 +8,7 @@
     |   +-- EndpointError         422
     |   |   +-- EndpointRefused   403
     |   +-- LinkUnknown           404
+    |   +-- LinkElsewhere         409
     |   +-- PortBusy              409
     +-- VehicleError              503
     |   +-- VehicleSilent         503
@@ -24,6 +25,7 @@
     |       +-- ParameterRejected 409
     +-- JobError                  409
     |   +-- JobUnknown            404
+    |   +-- JobElsewhere          409
     |   +-- IllegalTransition     409
     |   +-- PlanChanged           409
     |   +-- NoVehicle             409
@@ -47,6 +49,7 @@
     +-- StoreError                500
     |   +-- DiskFull              507
     |   +-- DataDirLocked         409
+    |   +-- LeaseLost             409
     +-- AuthError                 401
     |   +-- Forbidden             403
     |   +-- TooManyAttempts       429   carries how long to wait
@@ -81,6 +84,7 @@ from mavcal.service.errors.host import (
     GapsBusy,
     GapUnfinished,
     GapUnknown,
+    LeaseLost,
     RecordingUnknown,
     StoreError,
     TooManyAttempts,
@@ -98,6 +102,7 @@ from mavcal.service.errors.jobs import (
     IdempotencyConflict,
     IllegalTransition,
     JobCancelled,
+    JobElsewhere,
     JobError,
     JobUnknown,
     NotCancellable,
@@ -119,6 +124,7 @@ from mavcal.service.errors.vehicles import (
     EndpointRefused,
     ForbiddenCommand,
     LinkDown,
+    LinkElsewhere,
     LinkError,
     LinkUnknown,
     ParameterError,
@@ -159,9 +165,12 @@ __all__ = [
     "IdempotencyConflict",
     "IllegalTransition",
     "JobCancelled",
+    "JobElsewhere",
     "JobError",
     "JobUnknown",
+    "LeaseLost",
     "LinkDown",
+    "LinkElsewhere",
     "LinkError",
     "LinkUnknown",
     "NoVehicle",

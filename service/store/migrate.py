@@ -23,9 +23,9 @@ class Migration:
     sql: str
 
 
-def migrations(instead: str = "") -> tuple[Migration, ...]:
-    """Every migration of this version, in order; `instead` names the folder of those that replace some."""
-    folder = resources.files("mavcal.service.store") / "migrations"
+def migrations(instead: str = "", *, package: str = "mavcal.service.store") -> tuple[Migration, ...]:
+    """Every migration of a package, in order; `instead` names the folder of those that replace some."""
+    folder = resources.files(package) / "migrations"
     files = _files(folder) | (_files(folder / instead) if instead else {})
     found = []
     for name, entry in files.items():

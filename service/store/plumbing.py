@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 import json
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 from mavcal.service.store.database import Database, Row, Session
 from mavcal.service.store.datadir import DataDirLock
@@ -15,6 +16,8 @@ from mavcal.service.store.line import WriteLine
 from mavcal.service.store.rows import AuditRow, EventRow, JobRow, Json, RecordingRow, SegmentPurpose, SegmentRow
 
 T = TypeVar("T")
+
+Fence = Callable[[Session], None]
 
 
 class SqlRows:
@@ -24,11 +27,21 @@ class SqlRows:
         self._line = WriteLine()
         self._database = database
         self._owned = owned
+        self._fence: Fence | None = None
 
     @property
     def version(self) -> int:
         """Number of the schema."""
         return self._database.version
+
+    def fenced(self, fence: Fence) -> Self:
+        """The same store, in which `fence` is called at the beginning of every transaction, and refuses it by raising.
+
+        Only the store itself is closed.
+        """
+        behind = copy.copy(self)
+        behind._fence = fence
+        return behind
 
     def close(self) -> None:
         """Close the store and give the data directory back."""
@@ -62,6 +75,8 @@ class SqlRows:
         with database.alone(), database.errors():
             database.begin(durable=durable)
             try:
+                if self._fence is not None:
+                    self._fence(database)
                 yield database
                 self._commit(durable)
             except BaseException:

@@ -21,8 +21,8 @@ from psycopg import conninfo, pq
 from mavcal.service.errors import DiskFull, StoreError
 from mavcal.service.store.database import Row
 from mavcal.service.store.datadir import DataDirLock
-from mavcal.service.store.migrate import migrations, outstanding
-from mavcal.service.store.schema import FUNCTIONS, to_postgres
+from mavcal.service.store.migrate import Migration, migrations, outstanding
+from mavcal.service.store.schema import to_postgres
 from mavcal.service.store.sql import SqlStore
 
 log = structlog.get_logger(__name__)
@@ -62,11 +62,13 @@ class PostgresDatabase:
     ----------
     url
         A libpq URL or connection string.
+    part, steps
+        Which part of the schema it brings up to date, and how. Parts have numbers of their own.
     """
 
     audit_end = "SELECT newest FROM audit_end"
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, url: str, part: str, steps: tuple[Migration, ...]) -> None:
         self._url = _with_patience(url)
         self._lock, self._reading = threading.RLock(), threading.RLock()
         self._writer = _Executes(self._connected())
@@ -74,7 +76,7 @@ class PostgresDatabase:
         with self.errors():
             try:
                 self._warn_of_settings()
-                self.version = self._migrated()
+                self.version = self._migrated(part, steps)
             except BaseException:
                 self._writer.connection.close()
                 raise
@@ -167,22 +169,20 @@ class PostgresDatabase:
         if said[1] == "off":
             log.warning("the database runs with fsync = off: a loss of power loses journals of writes")
 
-    def _migrated(self) -> int:
-        steps = migrations("postgres")
+    def _migrated(self, part: str, steps: tuple[Migration, ...]) -> int:
         with self._lock:
             self.begin(durable=True)
             try:
                 self.execute("SELECT pg_advisory_xact_lock(?)", (SCHEMA_LOCK,))
-                self.execute("CREATE TABLE IF NOT EXISTS schema_version (version BIGINT NOT NULL)")
-                known = self.execute("SELECT version FROM schema_version")
+                self.execute("CREATE TABLE IF NOT EXISTS schema_version (part TEXT PRIMARY KEY, version BIGINT)")
+                known = self.execute("SELECT version FROM schema_version WHERE part = ?", (part,))
                 version = int(known[0][0]) if known else 0
                 if not known:
-                    self._writer.connection.execute(FUNCTIONS)
-                    self.execute("INSERT INTO schema_version VALUES (0)")
+                    self.execute("INSERT INTO schema_version VALUES (?, 0)", (part,))
                 for step in outstanding(version, steps):
                     self._writer.connection.execute(to_postgres(step.sql))
                     version = step.number
-                    self.execute("UPDATE schema_version SET version = ?", (version,))
+                    self.execute("UPDATE schema_version SET version = ? WHERE part = ?", (version, part))
                 self.commit()
             except BaseException:
                 self.rollback()
@@ -206,7 +206,7 @@ class PostgresStore(SqlStore):
     def __init__(self, url: str, data_dir: Path | None) -> None:
         owned = None if data_dir is None else DataDirLock(data_dir)
         try:
-            database = PostgresDatabase(url)
+            database = PostgresDatabase(url, "store", migrations("postgres"))
         except BaseException:
             if owned is not None:
                 owned.release()

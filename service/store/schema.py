@@ -16,12 +16,6 @@ WORDS = (
 )
 _TABLE = re.compile(r"(CREATE TABLE \w+ \(.*?)\n\) STRICT;", re.DOTALL)
 
-FUNCTIONS = """
-CREATE FUNCTION json_valid(body TEXT) RETURNS BOOLEAN LANGUAGE plpgsql IMMUTABLE AS
-$$ BEGIN PERFORM body::json; RETURN TRUE; EXCEPTION WHEN invalid_text_representation THEN RETURN FALSE; END $$;
-"""
-"""Functions of SQLite that our migrations call."""
-
 
 def to_postgres(sql: str) -> str:
     """A migration as PostgreSQL reads it."""

@@ -171,14 +171,14 @@ async def test_a_job_that_cannot_be_taken_up_does_not_strand_the_next_one(vehicl
 
     def prepare(engine: JobEngine) -> None:
         engine._runner.calibrate = capturing  # type: ignore[method-assign]
-        resume = engine._resume
+        resume = engine._resumption._resume
 
         def broken(handle: JobHandle) -> None:
             if handle.id == "j1":
                 raise RuntimeError("of any kind")
             resume(handle)
 
-        engine._resume = broken  # type: ignore[method-assign]
+        engine._resumption._resume = broken  # type: ignore[method-assign]
 
     async with started(kept(vehicle, first, second), vehicle, prepare) as engine:
         await until(lambda: capturing.begun == ["j2"])
