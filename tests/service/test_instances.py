@@ -15,6 +15,8 @@ import pytest
 
 from mavcal.service.core import Service, running_service
 from mavcal.service.errors import JobElsewhere, LinkElsewhere, VehicleConflict
+from mavcal.service.instances.leases import Leases, Owner
+from mavcal.service.instances.ownership import vehicle_subject
 from mavcal.service.jobs.crashpoints import At
 from mavcal.service.jobs.journal import JournalStep
 from mavcal.service.jobs.states import ENDED, JobState
@@ -30,6 +32,15 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.fixture
 def sim() -> Iterator[SimulatedVehicle]:
     with SimulatedVehicle("ardupilot", speed=SPEED, seed=12, config={"thermal": False}) as vehicle:
+        vehicle.call("still")
+        yield vehicle
+
+
+@pytest.fixture
+def two_links() -> Iterator[SimulatedVehicle]:
+    """A vehicle that two instances hear at the same time."""
+    links, config = ["udpin", "udpin"], {"thermal": False}
+    with SimulatedVehicle("ardupilot", link=links, speed=SPEED, seed=12, config=config) as vehicle:
         vehicle.call("still")
         yield vehicle
 
@@ -92,16 +103,18 @@ async def test_an_instance_killed_in_mid_write_is_followed_by_another_that_takes
 @pytest.mark.long
 @pytest.mark.timeout(240)
 async def test_an_owner_that_stood_still_writes_nothing_more_once_it_is_not_the_owner(
-    tmp_path: Path, database_url: str, sim: SimulatedVehicle
+    tmp_path: Path, database_url: str, two_links: SimulatedVehicle
 ) -> None:
     """It stands still right after it announced a PARAM_SET in the journal, and goes on when another has taken over."""
+    sim = two_links
     zero_gyro_offsets(sim)
     before = stored(sim)
     async with (
-        process(tmp_path, database_url, sim.url, "apply", At.BEFORE_SEND, 4, "SIGSTOP") as first,
-        running_service(settings(tmp_path, database_url, sim.url, name="b")) as second,
+        process(tmp_path, database_url, sim.urls[0], "apply", At.BEFORE_SEND, 4, "SIGSTOP") as first,
+        running_service(settings(tmp_path, database_url, name="b")) as second,
     ):
         job_id = await jobs_of(second)
+        await second.links.open(sim.urls[1], trusted=True)
         await until(second, job_id, JobState.REVERTED)
         assert stored(sim) == before
         journal = [row.id for row in second.store.journal(job_id)]
@@ -135,17 +148,23 @@ async def test_an_instance_that_stops_in_order_is_followed_at_once_and_jobs_go_o
         assert (await second.jobs.cancel(job.id)).state == JobState.CANCELLED
 
 
-async def test_a_vehicle_that_two_instances_hear_belongs_to_one(
+@pytest.mark.long
+async def test_a_vehicle_that_another_instance_owns_is_left_alone_although_it_is_heard(
     tmp_path: Path, database_url: str, sim: SimulatedVehicle
 ) -> None:
-    async with (
-        running_service(settings(tmp_path, database_url, name="a")) as first,
-        running_service(settings(tmp_path, database_url, name="b")) as second,
-    ):
-        await first.links.open(sim.url, trusted=True)
-        vehicle_id = await owned(first)
-        second.links._ownership = first.links._ownership  # as if it had another link to the same vehicle
-        await second.links.open(sim.url, trusted=True)
-        await eventually(lambda: any(v.id == vehicle_id for v in second.vehicles.all()))
+    other = Leases(database_url, Owner("other", "b", "http://b:8765/"), 600.0)
+    async with running_service(settings(tmp_path, database_url, name="a")) as service:
+        link = await service.links.open(sim.url, trusted=True)
+        vehicle_id = await owned(service)
+        subject = vehicle_subject(vehicle_id)
+        assert not other.acquire(subject)
+        await service.links.close(link.id)
+        await eventually(lambda: other.acquire(subject), 30.0)  # left, since it is not heard any more
+        await service.links.open(sim.url, trusted=True)
+        await eventually(lambda: any(v.id == vehicle_id and v.writable().ok for v in service.vehicles.all()))
         with pytest.raises(VehicleConflict, match="another instance"):
-            await second.jobs.submit(vehicle_id, "gyro")
+            await service.jobs.submit(vehicle_id, "gyro")
+        other.release(subject)
+        await owned(service)
+        assert (await service.jobs.submit(vehicle_id, "gyro")).vehicle_id == vehicle_id
+    other.close()
