@@ -24,6 +24,7 @@ from mavcal.service.jobs.crashpoints import CrashPoint, nowhere
 from mavcal.service.jobs.engine import JobEngine
 from mavcal.service.jobs.model import Failure
 from mavcal.service.jobs.salvage import CODE as UNREADABLE
+from mavcal.service.jobs.settings import JobSettings
 from mavcal.service.jobs.vehicle_adapter import RegistryAdapter
 from mavcal.service.link.allowed import Allowed
 from mavcal.service.link_registry import LinkRegistry
@@ -36,8 +37,12 @@ from mavcal.service.vehicle import VehicleRegistry
 
 if TYPE_CHECKING:
     from mavcal.service.instances.instance import Instance
+    from mavcal.service.workers.remote import RemoteChildren
 
 log = structlog.get_logger(__name__)
+
+SPREAD = JobSettings(fits_at_once=64, diagnoses_at_once=16)
+"""Where workers compute, only they say how much is done at a time."""
 
 LEAST_FREE_BYTES = 64 * 2**20
 
@@ -101,12 +106,14 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
     recordings = Recordings(
         store, settings.uploads, limit_bytes=limits.upload_bytes, children=children, limits=of_files
     )
-    computations = UploadComputations(recordings, children, of_files, of_gaps)
+    workers = None if settings.database_url is None else _workers(settings)
+    computations = UploadComputations(recordings, workers or children, of_files, of_gaps)
     jobs = JobEngine(
         store,
         RegistryAdapter(vehicles) if instance is None else RegistryAdapter(vehicles, instance.jobs.doubted),
         computations,
         ownership=None if instance is None else instance.jobs,
+        settings=JobSettings() if workers is None else SPREAD,
         executor=executor,
         read_only=settings.read_only,
         reach=reach,
@@ -121,6 +128,9 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
         started.push_async_callback(links.close_all)
         started.callback(recordings.close)
         started.push_async_callback(children.stop)
+        if workers is not None:
+            await workers.start()
+            started.push_async_callback(workers.stop)
         started.push_async_callback(jobs.stop)
         await jobs.start()
         if instance is None:
@@ -144,6 +154,13 @@ def _instance(settings: Settings, store: Store) -> Instance | None:
     except BaseException:
         store.close()
         raise
+
+
+def _workers(settings: Settings) -> RemoteChildren:
+    from mavcal.service.workers.remote import RemoteChildren
+
+    assert settings.database_url is not None
+    return RemoteChildren(settings.database_url.get_secret_value(), settings.uploads, settings.fleet.lease_s)
 
 
 def _retention(store: Store, settings: Settings, jobs: JobEngine, links: LinkRegistry) -> Retention:

@@ -6,6 +6,7 @@ What PostgreSQL needs is imported only where the settings name a database.
 from __future__ import annotations
 
 from contextlib import closing
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 from mavcal.service.errors import StoreError
@@ -45,13 +46,26 @@ def postgres_store(settings: Settings, data_dir: Path | None) -> PostgresStore:
     StoreError
         If the settings name no database, the extra ``fleet`` is not installed, or the database cannot be used.
     """
+    url = require_fleet(settings)
+    from mavcal.service.store.postgres import PostgresStore
+
+    return PostgresStore(url, data_dir)
+
+
+def require_fleet(settings: Settings) -> str:
+    """The URL of the database that instances share.
+
+    Raises
+    ------
+    StoreError
+        If the settings name none, or the extra ``fleet`` is not installed.
+    """
     if settings.database_url is None:
         raise StoreError("no database is named: set `database_url` (MAVCAL_DATABASE_URL) to a PostgreSQL database")
-    try:
-        from mavcal.service.store.postgres import PostgresStore
-    except ImportError as error:
-        raise StoreError(f"PostgreSQL needs the extra `fleet`: pip install 'mavcal[fleet]' ({error})") from error
-    return PostgresStore(settings.database_url.get_secret_value(), data_dir)
+    missing = [name for name in ("psycopg", "procrastinate") if find_spec(name) is None]
+    if missing:
+        raise StoreError(f"PostgreSQL needs the extra `fleet` ({', '.join(missing)}): pip install 'mavcal[fleet]'")
+    return settings.database_url.get_secret_value()
 
 
 def check_audit_of(settings: Settings) -> ChainCheck:

@@ -33,7 +33,7 @@ from mavcal.service.jobs.admission import (
 )
 from mavcal.service.jobs.adoption import adopted, composed
 from mavcal.service.jobs.book import JobBook
-from mavcal.service.jobs.computing import COMPUTED, Computing
+from mavcal.service.jobs.computing import COMPUTED, FIT, GAP, Computing
 from mavcal.service.jobs.crashpoints import At, CrashPoint, nowhere
 from mavcal.service.jobs.ending import INTERRUPTED, doubt
 from mavcal.service.jobs.handle import JobHandle
@@ -118,7 +118,8 @@ class JobEngine:
         self._tidying = Tidying(self._runner.vehicle, self.settings.review_s)
         self._tasks = JobTasks(self.settings.retry_s, self._recovered, self._ended)
         self._computations = computations or NoUploads()
-        self.computing = Computing(self._computations, self._book, self._tasks, self.cancel, wall)
+        lanes = {FIT: self.settings.fits_at_once, GAP: self.settings.diagnoses_at_once}
+        self.computing = Computing(self._computations, self._book, self._tasks, self.cancel, wall, lanes=lanes)
         """Fits and diagnoses of uploads."""
         self._preflights = Preflights(self.settings, wall, clock)
         self._claims: set[str] = set()

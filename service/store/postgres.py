@@ -10,6 +10,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -180,7 +181,7 @@ class PostgresDatabase:
                 if not known:
                     self.execute("INSERT INTO schema_version VALUES (?, 0)", (part,))
                 for step in outstanding(version, steps):
-                    self._writer.connection.execute(to_postgres(step.sql))
+                    self._writer.connection.execute(step.sql)
                     version = step.number
                     self.execute("UPDATE schema_version SET version = ? WHERE part = ?", (version, part))
                 self.commit()
@@ -206,12 +207,16 @@ class PostgresStore(SqlStore):
     def __init__(self, url: str, data_dir: Path | None) -> None:
         owned = None if data_dir is None else DataDirLock(data_dir)
         try:
-            database = PostgresDatabase(url, "store", migrations("postgres"))
+            database = PostgresDatabase(url, "store", _steps())
         except BaseException:
             if owned is not None:
                 owned.release()
             raise
         super().__init__(database, owned)
+
+
+def _steps() -> tuple[Migration, ...]:
+    return tuple(replace(step, sql=to_postgres(step.sql)) for step in migrations("postgres"))
 
 
 @contextmanager

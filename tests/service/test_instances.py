@@ -53,7 +53,7 @@ async def process(
     command = [sys.executable, "-W", "error", "-m", "tests.service.instance_process", str(folder), url, link, action]
     command += [point.value, str(occurrence), how]
     with (folder / "a.log").open("wb") as log:
-        running = subprocess.Popen(command, cwd=ROOT, stderr=log, stdout=log)
+        running = subprocess.Popen(command, cwd=ROOT, stderr=log, stdout=log)  # noqa: ASYNC220 - it returns at once
         try:
             yield running
         finally:

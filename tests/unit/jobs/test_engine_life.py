@@ -220,8 +220,7 @@ async def test_a_service_that_stops_while_writes_are_alone_takes_nothing_else_up
     capturing = Idle()
     engine._runner.calibrate = capturing  # type: ignore[method-assign]
     await engine.start()
-    following = engine._following
-    assert following is not None
+    (following,) = engine._resumption.waiting
     await until(lambda: engine.get("j1").state == JobState.IN_DOUBT)
     await engine.stop()
     assert following.cancelled()
