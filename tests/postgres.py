@@ -104,12 +104,13 @@ class Server:
         """How a database is reached."""
         return f"postgresql://mavcal:{self._password}@127.0.0.1:{self.port}/{database}"
 
-    def database(self) -> str:
-        """The URL of a new, empty database."""
+    def database(self, *, template: str | None = None) -> str:
+        """The URL of a new database, empty or a copy of another one."""
         self._made += 1
         name = f"test_{self._made}"
+        copied = "" if template is None else f" TEMPLATE {template}"
         with psycopg.connect(self.url("postgres"), autocommit=True) as connection:
-            connection.execute(f"CREATE DATABASE {name}")  # type: ignore[arg-type]
+            connection.execute(f"CREATE DATABASE {name}{copied}")
         return self.url(name)
 
     def kill(self) -> None:

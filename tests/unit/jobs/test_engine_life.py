@@ -19,8 +19,9 @@ from mavcal.service.jobs.model import Accept, Failure, Job
 from mavcal.service.jobs.planning import FROM_RECORDING
 from mavcal.service.jobs.settings import JobSettings
 from mavcal.service.jobs.states import JobState
-from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import SnapshotPurpose
+from mavcal.service.store.sql import SqlStore
+from tests.stores import new_store
 from tests.unit.jobs.fakes import FakeRegistry, FakeVehicle
 
 from .computations import FakeComputations
@@ -44,8 +45,8 @@ def vehicle() -> FakeVehicle:
     return FakeVehicle.with_floats(OLD)
 
 
-def kept(vehicle: FakeVehicle, *jobs: Job) -> SqliteStore:
-    store = SqliteStore(None)
+def kept(vehicle: FakeVehicle, *jobs: Job) -> SqlStore:
+    store = new_store()
     for job in jobs:
         store.save_job(row_from_job(job))
         if job.plan is not None:
@@ -59,7 +60,7 @@ Prepare = Callable[[JobEngine], None]
 
 @asynccontextmanager
 async def started(
-    store: SqliteStore,
+    store: SqlStore,
     vehicle: FakeVehicle,
     prepare: Prepare = lambda _: None,
     settings: JobSettings = QUICK,
@@ -162,7 +163,7 @@ async def test_a_write_that_stays_in_doubt_does_not_keep_the_others_for_ever(veh
 
     async with started(store, vehicle, prepare, replace(QUICK, recovery_alone_s=0.02)) as engine:
         await until(lambda: capturing.begun == ["j2"])
-        assert engine.get("j1").state == JobState.IN_DOUBT
+        await until(lambda: engine.get("j1").state == JobState.IN_DOUBT)
 
 
 async def test_a_job_that_cannot_be_taken_up_does_not_strand_the_next_one(vehicle: FakeVehicle) -> None:
