@@ -125,6 +125,10 @@ class JobCancelled(ApiProblem):
     """Cancelled (409). The job was cancelled while its result was waited for."""
 
 
+class JobElsewhere(ApiProblem):
+    """Job elsewhere (409). The job belongs to another instance of the service. Ask that one."""
+
+
 class JobError(ApiProblem):
     """Job error (409). The job cannot do that."""
 
@@ -133,8 +137,16 @@ class JobUnknown(ApiProblem):
     """Job unknown (404). No such job. GET /api/v1/jobs lists them."""
 
 
+class LeaseLost(ApiProblem):
+    """Owned elsewhere (409). Another instance of the service owns that now: nothing more is written for it here."""
+
+
 class LinkDown(ApiProblem):
     """Link down (503). The link is down; it reconnects by itself once the other side is there again."""
+
+
+class LinkElsewhere(ApiProblem):
+    """Link elsewhere (409). Another instance of the service has this link open. Ask that one."""
 
 
 class LinkError(ApiProblem):
@@ -318,9 +330,12 @@ PROBLEMS: Mapping[str, type[ApiProblem]] = {
     "internal-error": InternalError,
     "invalid-input": InvalidInput,
     "job-cancelled": JobCancelled,
+    "job-elsewhere": JobElsewhere,
     "job-error": JobError,
     "job-unknown": JobUnknown,
+    "lease-lost": LeaseLost,
     "link-down": LinkDown,
+    "link-elsewhere": LinkElsewhere,
     "link-error": LinkError,
     "link-unknown": LinkUnknown,
     "no-vehicle": NoVehicle,

@@ -17,6 +17,7 @@ from mavcal.service.lifetime import follow
 COMMANDS = {
     "demo": "Calibrate a simulated vehicle end to end and compare with its truth.",
     "serve": "Run the service and its panel.",
+    "worker": "Compute fits and diagnoses for a fleet on PostgreSQL.",
     "preflight": "Check in ten seconds whether a vehicle is fit to fly.",
     "calibrate": "Calibrate one sensor of a vehicle, headless.",
     "plan": "Plan the fit of a recording for a connected vehicle, and write it.",

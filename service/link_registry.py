@@ -7,9 +7,10 @@ import re
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Protocol
 
 from mavcal.service.errors import EndpointError, LinkUnknown
-from mavcal.service.link import Link, OwnIdentity, SigningConfig, parse_endpoint
+from mavcal.service.link import Endpoint, Link, OwnIdentity, SigningConfig, parse_endpoint
 from mavcal.service.link.allowed import Allowed
 from mavcal.service.settings import MavlinkSettings
 from mavcal.service.store.protocol import Store
@@ -20,6 +21,28 @@ LONGEST_PLAIN = 64
 """Characters of an endpoint in the name of its link."""
 
 Attach = Callable[[Link], None]
+
+
+class LinkOwnership(Protocol):
+    """Which links are ours to open."""
+
+    async def claim(self, link_id: str) -> None:
+        """Make it ours. Raises LinkElsewhere."""
+        ...
+
+    async def release(self, link_id: str) -> None:
+        """Leave it to others."""
+        ...
+
+
+class EveryLink:
+    """One process owns every link."""
+
+    async def claim(self, link_id: str) -> None:
+        """Nothing: it is ours."""
+
+    async def release(self, link_id: str) -> None:
+        """Nothing: there is nobody else."""
 
 
 class LinkRegistry:
@@ -34,6 +57,7 @@ class LinkRegistry:
         allowed: Allowed,
         attach: Attach,
         detach: Attach,
+        ownership: LinkOwnership | None = None,
     ) -> None:
         self._store = store
         self._tlog_dir = tlog_dir
@@ -41,6 +65,7 @@ class LinkRegistry:
         self._allowed = allowed
         self._attach = attach
         self._detach = detach
+        self._ownership = ownership or EveryLink()
         self._links: dict[str, Link] = {}
 
     def all(self) -> tuple[Link, ...]:
@@ -67,16 +92,18 @@ class LinkRegistry:
         ------
         EndpointRefused
             If it is not trusted, and not allowed.
+        LinkElsewhere
+            If another instance of the service has it open.
         EndpointError, PortBusy
             If this endpoint can never work as it is.
         """
-        if len(url) > LONGEST_URL or not url.isprintable():
-            raise EndpointError(f"an endpoint has at most {LONGEST_URL} printable characters")
-        endpoint = parse_endpoint(url)
+        endpoint = _parsed(url)
         if not trusted:
             endpoint = self._allowed.endpoint(endpoint)
         link_id = _slug(str(endpoint))
-        if link_id in self._links:
+        if link_id not in self._links:
+            await self._ownership.claim(link_id)
+        if link_id in self._links:  # also if another call was faster meanwhile
             return self._links[link_id]
         link = Link(
             link_id,
@@ -93,6 +120,7 @@ class LinkRegistry:
         except BaseException:
             del self._links[link_id]
             self._detach(link)
+            await self._ownership.release(link_id)
             raise
         if remember:
             row = LinkRow(link_id, str(endpoint), time.time())
@@ -104,6 +132,12 @@ class LinkRegistry:
         link = self.get(link_id)
         await self._store.do(lambda: self._store.delete_link(link_id))
         await self._end(link)
+        await self._ownership.release(link_id)
+
+    async def leave(self, link_id: str) -> None:
+        """Close a link that is another instance's now; one that is not open is no error."""
+        if link_id in self._links:
+            await self._end(self._links[link_id])
 
     async def close_all(self) -> None:
         """Close every link; they are opened again at the next start."""
@@ -124,6 +158,17 @@ class LinkRegistry:
             return None
         known = self._store.signing_timestamp(link_id)
         return SigningConfig(bytes.fromhex(key.get_secret_value()), timestamp=known)
+
+
+def link_id_of(url: str) -> str:
+    """The id of the link with that endpoint. Raises EndpointError."""
+    return _slug(str(_parsed(url)))
+
+
+def _parsed(url: str) -> Endpoint:
+    if len(url) > LONGEST_URL or not url.isprintable():
+        raise EndpointError(f"an endpoint has at most {LONGEST_URL} printable characters")
+    return parse_endpoint(url)
 
 
 def _slug(endpoint: str) -> str:

@@ -147,6 +147,20 @@ class RetentionSettings(_Part):
     keys: int = Field(default=100_000, gt=0, description="most Idempotency-Keys")
 
 
+class FleetSettings(_Part):
+    """What several instances and workers on one PostgreSQL database agree on."""
+
+    name: str = Field(default="", description="how this instance is named in the fleet; none: its host and port")
+    url: str | None = Field(
+        default=None,
+        pattern=r"^https?://[^/\s]+.*$",
+        description="address under which clients reach this instance, as `http://a:8765/`; told to who asks another",
+    )
+    lease_s: float = Field(
+        default=15.0, ge=2.0, le=300.0, description="silence of an instance after which others take its links over, s"
+    )
+
+
 class Settings(BaseSettings):
     """Everything that can be set."""
 
@@ -158,6 +172,14 @@ class Settings(BaseSettings):
     port: int = Field(default=8765, ge=0, le=65535, description="port to listen on; 0 takes a free one")
     data_dir: Annotated[Path, AfterValidator(_absolute)] = Field(
         default_factory=default_data_dir, description="where everything is kept; one process owns it"
+    )
+    database_url: SecretStr | None = Field(
+        default=None,
+        description="PostgreSQL database of a fleet, as `postgresql://user:key@host/name`; none: SQLite in `data_dir`",
+    )
+    uploads_dir: Annotated[Path, AfterValidator(_absolute)] | None = Field(
+        default=None,
+        description="folder of uploaded recordings, shared by all instances and workers; none: in `data_dir`",
     )
     connect: tuple[str, ...] = Field(default=(), description="endpoints opened at the start, as `udpin:0.0.0.0:14550`")
     read_only: bool = Field(default=False, description="never write to a vehicle, whatever is asked")
@@ -181,6 +203,7 @@ class Settings(BaseSettings):
     mavlink: MavlinkSettings = Field(default_factory=MavlinkSettings, description="who we are on the wire")
     links: LinkSettings = Field(default_factory=LinkSettings, description="which endpoints may be opened over HTTP")
     limits: LimitSettings = Field(default_factory=LimitSettings, description="what one client may cost")
+    fleet: FleetSettings = Field(default_factory=FleetSettings, description="several instances on one database")
     retention: RetentionSettings = Field(
         default_factory=RetentionSettings, description="what is forgotten in time; never the evidence of a job"
     )
@@ -196,6 +219,11 @@ class Settings(BaseSettings):
     ) -> tuple[PydanticBaseSettingsSource, ...]:
         """Keyword before environment before file."""
         return init_settings, env_settings, TomlConfigSettingsSource(settings_cls)
+
+    @property
+    def uploads(self) -> Path:
+        """Folder of uploaded recordings."""
+        return self.uploads_dir or self.data_dir / "recordings"
 
     @property
     def beyond_loopback(self) -> bool:

@@ -59,7 +59,7 @@ class FleetSource(Protocol):
 def opened(data_dir: Path | None, url: str | None, key_file: Path | None) -> Iterator[FleetSource]:
     """The source that the options name."""
     if url is None:
-        yield LocalFleet(load_settings(data_dir=data_dir).data_dir)
+        yield LocalFleet(load_settings(data_dir=data_dir))
         return
     if data_dir is not None:
         raise click.UsageError("give --data-dir or --url, not both")
@@ -80,8 +80,8 @@ def opened(data_dir: Path | None, url: str | None, key_file: Path | None) -> Ite
 class LocalFleet:
     """A data directory. Reading goes on beside a running service; changing does not."""
 
-    def __init__(self, data_dir: Path) -> None:
-        self._data_dir = data_dir
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
 
     def units(self, query: FleetQuery) -> list[Json]:
         """See FleetSource."""
@@ -108,7 +108,7 @@ class LocalFleet:
 
         from mavcal.service.api.models import UnitRequest
         from mavcal.service.fleet.book import renamed
-        from mavcal.service.store import SqliteStore
+        from mavcal.service.storing import open_store
 
         try:
             asked = UnitRequest(name=name, tags=None if tags is None else list(tags))
@@ -116,7 +116,7 @@ class LocalFleet:
             raise click.UsageError("; ".join(e["msg"] for e in error.errors())) from None
         self.unit(unit_id)
         try:
-            store = SqliteStore(self._data_dir)
+            store = open_store(self._settings)
         except DataDirLocked as error:
             raise DataDirLocked(f"{error}, or give the running service's --url") from error
         try:
@@ -129,9 +129,9 @@ class LocalFleet:
 
     def _chosen(self, query: FleetQuery) -> Any:
         from mavcal.service.fleet.view import Choice, FleetOrder, chosen, fleet_units
-        from mavcal.service.store.sqlite import fleet_of
+        from mavcal.service.storing import fleet_of
 
-        units = fleet_units(fleet_of(self._data_dir), {}, time.time())
+        units = fleet_units(fleet_of(self._settings), {}, time.time())
         choice = Choice(
             frozenset(query.verdict),
             query.tag,

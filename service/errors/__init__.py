@@ -8,6 +8,7 @@
     |   +-- EndpointError         422
     |   |   +-- EndpointRefused   403
     |   +-- LinkUnknown           404
+    |   +-- LinkElsewhere         409
     |   +-- PortBusy              409
     +-- VehicleError              503
     |   +-- VehicleSilent         503
@@ -25,6 +26,7 @@
     |       +-- ParameterRejected 409
     +-- JobError                  409
     |   +-- JobUnknown            404
+    |   +-- JobElsewhere          409
     |   +-- IllegalTransition     409
     |   +-- PlanChanged           409
     |   +-- NoVehicle             409
@@ -49,6 +51,7 @@
     +-- StoreError                500
     |   +-- DiskFull              507
     |   +-- DataDirLocked         409
+    |   +-- LeaseLost             409
     +-- AuthError                 401
     |   +-- Forbidden             403
     |   +-- TooManyAttempts       429   carries how long to wait
@@ -83,6 +86,7 @@ from mavcal.service.errors.host import (
     GapsBusy,
     GapUnfinished,
     GapUnknown,
+    LeaseLost,
     RecordingUnknown,
     StoreError,
     TooManyAttempts,
@@ -100,6 +104,7 @@ from mavcal.service.errors.jobs import (
     IdempotencyConflict,
     IllegalTransition,
     JobCancelled,
+    JobElsewhere,
     JobError,
     JobUnknown,
     NotCancellable,
@@ -122,6 +127,7 @@ from mavcal.service.errors.vehicles import (
     EndpointRefused,
     ForbiddenCommand,
     LinkDown,
+    LinkElsewhere,
     LinkError,
     LinkUnknown,
     ParameterError,
@@ -163,9 +169,12 @@ __all__ = [
     "IdempotencyConflict",
     "IllegalTransition",
     "JobCancelled",
+    "JobElsewhere",
     "JobError",
     "JobUnknown",
+    "LeaseLost",
     "LinkDown",
+    "LinkElsewhere",
     "LinkError",
     "LinkUnknown",
     "NoVehicle",

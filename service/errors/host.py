@@ -30,6 +30,14 @@ class DataDirLocked(StoreError):
     code = "data-dir-locked"
 
 
+class LeaseLost(StoreError):
+    """Another instance of the service owns that now: nothing more is written for it here."""
+
+    status_code = 409
+    title = "Owned elsewhere"
+    code = "lease-lost"
+
+
 class AuthError(ServiceError):
     """Give a valid API key."""
 

@@ -23,6 +23,13 @@ class JobUnknown(JobError):
     code = "job-unknown"
 
 
+class JobElsewhere(JobError):
+    """The job belongs to another instance of the service. Ask that one."""
+
+    title = "Job elsewhere"
+    code = "job-elsewhere"
+
+
 class IllegalTransition(JobError):
     """The job's state does not allow this step."""
 

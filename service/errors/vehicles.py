@@ -46,6 +46,14 @@ class LinkUnknown(LinkError):
     code = "link-unknown"
 
 
+class LinkElsewhere(LinkError):
+    """Another instance of the service has this link open. Ask that one."""
+
+    status_code = 409
+    title = "Link elsewhere"
+    code = "link-elsewhere"
+
+
 class PortBusy(LinkError):
     """Another program uses this port. Stop it, or let it forward to another port and connect to that one."""
 

@@ -6,13 +6,11 @@ import asyncio
 import dataclasses
 import time
 import uuid
-from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Any
-
-import structlog
 
 from mavcal.calib.firmware.stream.rates import requested_streams
 from mavcal.calib.preflight.snapshot import VerifiedCalibration
@@ -37,12 +35,13 @@ from mavcal.service.jobs.admission import (
 )
 from mavcal.service.jobs.adoption import adopted, composed
 from mavcal.service.jobs.book import JobBook
-from mavcal.service.jobs.computing import COMPUTED, Computing
+from mavcal.service.jobs.computing import COMPUTED, FIT, GAP, Computing
 from mavcal.service.jobs.crashpoints import At, CrashPoint, nowhere
 from mavcal.service.jobs.ending import INTERRUPTED, doubt
 from mavcal.service.jobs.handle import JobHandle
 from mavcal.service.jobs.journal import BY_OPERATOR, JournalStep
 from mavcal.service.jobs.model import Accept, Attempt, Failure, Job, WriteResult
+from mavcal.service.jobs.ownership import Alone, Ownership
 from mavcal.service.jobs.planning import (
     FROM_RECORDING,
     RESTORE,
@@ -56,9 +55,10 @@ from mavcal.service.jobs.preflight import Preflight, Preflights
 from mavcal.service.jobs.ready import look_after
 from mavcal.service.jobs.record import JobRecord, NoRecord
 from mavcal.service.jobs.restoring import planned_restore, require_restorable, restored
+from mavcal.service.jobs.resumption import Resumption
 from mavcal.service.jobs.runner import Runner
 from mavcal.service.jobs.settings import JobSettings
-from mavcal.service.jobs.states import CANCELLABLE, CAPTURING, ENDED, WRITING, JobState
+from mavcal.service.jobs.states import CANCELLABLE, CAPTURING, ENDED, JobState
 from mavcal.service.jobs.tasks import JobTasks, Work
 from mavcal.service.jobs.tidying import Tidying
 from mavcal.service.jobs.transaction import Transaction
@@ -66,9 +66,7 @@ from mavcal.service.jobs.verified import history_of, verified_jobs
 from mavcal.service.jobs.verify import StreamProof
 from mavcal.service.jobs.write import Writing, check_plan
 from mavcal.service.store.protocol import Store
-from mavcal.service.store.rows import EventRow, JobDocument
-
-log = structlog.get_logger(__name__)
+from mavcal.service.store.rows import EventRow, JobDocument, JobRow
 
 
 class JobEngine:
@@ -86,6 +84,8 @@ class JobEngine:
         What is done with uploaded recordings. None: there are none.
     settings
         How patient the engine is.
+    ownership
+        Which jobs are ours. None: all of them.
     executor
         Where closed segments are fitted; any ``concurrent.futures.Executor``. None: two threads of its own.
     read_only
@@ -103,6 +103,7 @@ class JobEngine:
         computations: Computations | None = None,
         *,
         settings: JobSettings | None = None,
+        ownership: Ownership | None = None,
         executor: Executor | None = None,
         read_only: bool = False,
         clock: Callable[[], float] = time.monotonic,
@@ -118,48 +119,47 @@ class JobEngine:
         self._own_executor = ThreadPoolExecutor(2, thread_name_prefix="fit") if executor is None else None
         pool = executor or self._own_executor
         assert pool is not None
-        self._book = JobBook(store, self.settings.progress_s, clock, wall)
+        self._ownership = ownership or Alone(store)
+        self._book = JobBook(store, self._ownership, self.settings.progress_s, clock, wall)
         self._runner = Runner(vehicles, self.settings, pool, self.list, reach, clock, wall)
         self._tidying = Tidying(self._runner.vehicle, self.settings.review_s)
         self._tasks = JobTasks(self.settings.retry_s, self._recovered, self._ended)
         self._computations = computations or NoUploads()
-        self.computing = Computing(self._computations, self._book, self._tasks, self.cancel, wall)
+        lanes = {FIT: self.settings.fits_at_once, GAP: self.settings.diagnoses_at_once}
+        self.computing = Computing(self._computations, self._book, self._tasks, self.cancel, wall, lanes=lanes)
         """Fits and diagnoses of uploads."""
         self._preflights = Preflights(self.settings, wall, clock)
         self._claims: set[str] = set()
-        self._following: asyncio.Task[None] | None = None
+        self._resumption = Resumption(
+            self._tasks, self.settings.recovery_alone_s, recover=self._recover, resume=self._resume
+        )
 
     # --- life
 
     async def start(self) -> None:
         """Take up every job of the store where it was left, however the service ended.
 
-        Interrupted writes come first and alone; the other jobs follow when these have ended, or after a while.
+        Interrupted writes come first and alone; the other jobs follow when these have ended, or after a while. One of
+        several instances takes up nothing yet: :meth:`take_over` follows for what it comes to own.
         """
-        handles = self._book.load()
-        writes = [handle for handle in handles if handle.job.state in WRITING]
-        for handle in writes:
-            self._taken_up(handle, self._recover)
-        others = [handle for handle in handles if handle not in writes]
-        if self._tasks.running:
-            self._following = asyncio.create_task(self._follow(tuple(self._tasks.running.values()), others))
+        if self._ownership.shared:
+            self._book.watch()
         else:
-            self._take_up(others)
+            self._resumption.begin(self._book.load())
 
-    async def _follow(self, writes: Sequence[asyncio.Task[None]], others: Sequence[JobHandle]) -> None:
-        await asyncio.wait(writes, timeout=self.settings.recovery_alone_s)
-        self._take_up(others)
+    def take_over(self, rows: Iterable[JobRow]) -> None:
+        """Take up jobs that this instance owns from now on."""
+        self._resumption.begin(self._book.take(rows))
 
-    def _take_up(self, handles: Iterable[JobHandle]) -> None:
-        for handle in handles:
-            self._taken_up(handle, self._resume)
+    def give_up(self, of: Callable[[Job], bool]) -> None:
+        """Stop what is done for these jobs, which are not ours any more; nothing more is sent or kept for them."""
+        for handle in self._book.drop(of):
+            self._tasks.cancel(handle.id)
 
-    def _taken_up(self, handle: JobHandle, how: Callable[[JobHandle], None]) -> None:
-        """Take one job up; what is wrong with it must not keep the others waiting."""
-        try:
-            how(handle)
-        except Exception:  # of any kind: one job must not strand the writes after it; logged with its trace
-            log.exception("job not taken up", job=handle.id, state=handle.job.state)
+    @property
+    def book(self) -> JobBook:
+        """Every job; one of several instances tells it what the others have done."""
+        return self._book
 
     def _recover(self, handle: JobHandle) -> None:
         """Finish or take back an interrupted write: the journal and the vehicle decide."""
@@ -187,8 +187,7 @@ class JobEngine:
         """Stop every task; jobs stay in their states and are taken up at the next start."""
         self._tasks.stopping = True
         self._book.close()
-        following = [] if self._following is None else [self._following]
-        tasks = [*self._tasks.running.values(), *self._tidying.tasks, *following]
+        tasks = [*self._tasks.running.values(), *self._tidying.tasks, *self._resumption.waiting]
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
@@ -214,7 +213,7 @@ class JobEngine:
 
     def get(self, job_id: str) -> Job:
         """The job of that id. Raises JobUnknown."""
-        return self._book.handle(job_id).job
+        return self._book.job(job_id)
 
     async def document(self, job_id: str, name: str) -> JobDocument:
         """A document that the job has made. Raises JobUnknown, DocumentUnknown."""
@@ -535,7 +534,10 @@ class JobEngine:
         await self._runner.calibrate(handle)
 
     def _ended(self, handle: JobHandle) -> None:
-        """A job's task is over."""
+        """A job's task is over; one that was given up is another's to tidy."""
+        if not self._book.holds(handle):
+            return
+        self._ownership.ended(handle.job)
         self._record.job_ended(handle.job)
         if handle.job.state in ENDED | {JobState.REVIEW}:
             self._tidy(handle)

@@ -4,32 +4,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Collection
-from contextlib import AbstractContextManager
-from typing import Any, Protocol
 
+from mavcal.service.store.database import Row, Session
+from mavcal.service.store.plumbing import SqlRows, dump, object_of
 from mavcal.service.store.rows import FleetRows, PreflightRow, SensorRow, UnitRow
-from mavcal.service.store.text import dump, object_of
 
-Row = tuple[Any, ...]
 Read = Callable[[str, Row], list[Row]]
 
 
-class _Connection(Protocol):
-    """What a transaction is written with."""
-
-    def execute(self, sql: str, parameters: Any = ..., /) -> Any:
-        """Run one statement."""
-        ...
-
-
-class FleetTables:
+class FleetTables(SqlRows):
     """The part of a store that holds the fleet; see :class:`service.store.protocol.FleetStore`."""
-
-    def _read(self, sql: str, values: Row = ()) -> list[Row]:
-        raise NotImplementedError
-
-    def _write(self, *, durable: bool = True) -> AbstractContextManager[_Connection]:
-        raise NotImplementedError
 
     def fleet(self, unit_id: str | None = None) -> FleetRows:
         """Everything about every unit, or about one."""
@@ -110,12 +94,12 @@ def read_fleet(read: Read, unit_id: str | None = None) -> FleetRows:
     )
 
 
-def _keep_newest(db: _Connection, unit_id: str, keep: int) -> None:
+def _keep_newest(db: Session, unit_id: str, keep: int) -> None:
     old = db.execute(
         "SELECT source_id, max(at) AS newest FROM sensor_records WHERE unit_id = ? AND source = 'preflight' "
         "GROUP BY source_id ORDER BY newest DESC, source_id",
         (unit_id,),
-    ).fetchall()[keep:]
+    )[keep:]
     for source_id, _ in old:
         db.execute("DELETE FROM sensor_records WHERE source_id = ?", (source_id,))
         db.execute("DELETE FROM fleet_sources WHERE source_id = ?", (source_id,))
