@@ -16,6 +16,7 @@ from mavcal.client.models import (
     GapSummary,
     HealthModel,
     InfoModel,
+    ItemModel,
     JobSummary,
     LinkModel,
     ParameterModel,
@@ -48,6 +49,7 @@ TICKET_MODEL: TypeAdapter[TicketModel] = TypeAdapter(TicketModel)
 VEHICLE_MESSAGE: TypeAdapter[VehicleMessage] = TypeAdapter(VehicleMessage)
 VEHICLE_MODEL: TypeAdapter[VehicleModel] = TypeAdapter(VehicleModel)
 GAP_SUMMARY_LIST: TypeAdapter[list[GapSummary]] = TypeAdapter(list[GapSummary])
+ITEM_MODEL_LIST: TypeAdapter[list[ItemModel]] = TypeAdapter(list[ItemModel])
 JOB_SUMMARY_LIST: TypeAdapter[list[JobSummary]] = TypeAdapter(list[JobSummary])
 LINK_MODEL_LIST: TypeAdapter[list[LinkModel]] = TypeAdapter(list[LinkModel])
 PARAMETER_MODEL_LIST: TypeAdapter[list[ParameterModel]] = TypeAdapter(list[ParameterModel])

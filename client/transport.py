@@ -168,8 +168,8 @@ class Transport:
         response = self._sent(method, path, also, **_request(query, header, body, content))
         return _read(answer, response.content)
 
-    def _text(self, method: str, path: str, *, also: tuple[int, ...] = ()) -> str:
-        return self._sent(method, path, also).text
+    def _text(self, method: str, path: str, *, query: Query | None = None, also: tuple[int, ...] = ()) -> str:
+        return self._sent(method, path, also, **_request(query, None, None, None)).text
 
     def _sent(self, method: str, path: str, also: tuple[int, ...], **request: Any) -> httpx.Response:
         if self._http.is_closed:
@@ -270,8 +270,8 @@ class AsyncTransport:
         response = await self._sent(method, path, also, **_request(query, header, body, content))
         return _read(answer, response.content)
 
-    async def _text(self, method: str, path: str, *, also: tuple[int, ...] = ()) -> str:
-        return (await self._sent(method, path, also)).text
+    async def _text(self, method: str, path: str, *, query: Query | None = None, also: tuple[int, ...] = ()) -> str:
+        return (await self._sent(method, path, also, **_request(query, None, None, None))).text
 
     async def _sent(self, method: str, path: str, also: tuple[int, ...], **request: Any) -> httpx.Response:
         if self._http.is_closed:

@@ -16,8 +16,10 @@ from prometheus_client import CollectorRegistry
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from mavcal.service.campaigns.begin import CampaignDesk, works
 from mavcal.service.children import Children, Limits
 from mavcal.service.computations import UploadComputations
+from mavcal.service.jobs.campaigns import CAMPAIGN, uploads_of_campaign
 from mavcal.service.jobs.computing import uploads_of
 from mavcal.service.jobs.crashpoints import CrashPoint, nowhere
 from mavcal.service.jobs.engine import JobEngine
@@ -48,6 +50,7 @@ class Service:
     jobs: JobEngine
     recordings: Recordings
     children: Children
+    campaigns: CampaignDesk
 
     def obstacle(self) -> str | None:
         """Why no job could be run now; None: nothing stands in the way."""
@@ -90,9 +93,10 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
         store, folder / "recordings", limit_bytes=limits.upload_bytes, children=children, limits=of_files
     )
     computations = UploadComputations(recordings, children, of_files, of_gaps)
-    jobs = JobEngine(
-        store, RegistryAdapter(vehicles), computations, executor=executor, read_only=settings.read_only, reach=reach
-    )
+    source = RegistryAdapter(vehicles)
+    jobs = JobEngine(store, source, computations, executor=executor, read_only=settings.read_only, reach=reach)
+    jobs.campaigns.works |= works(jobs, source, computations)
+    campaigns = CampaignDesk(jobs, computations, settings.read_only)
     async with AsyncExitStack() as started:
         # Interrupted writes first: nothing that comes later can keep them from being finished or taken back.
         started.callback(store.close)
@@ -105,7 +109,7 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
         await jobs.start()
         await _open_links(links, settings, store)
         started.push_async_callback(_cancelled, asyncio.create_task(_retention(store, settings, jobs, links).run()))
-        yield Service(settings, store, links, vehicles, jobs, recordings, children)
+        yield Service(settings, store, links, vehicles, jobs, recordings, children, campaigns)
 
 
 def _retention(store: Store, settings: Settings, jobs: JobEngine, links: LinkRegistry) -> Retention:
@@ -113,7 +117,8 @@ def _retention(store: Store, settings: Settings, jobs: JobEngine, links: LinkReg
         """Uploads that a plan or a diagnosis rests on, or that a fit still needs."""
         if any(isinstance(job.outcome, Failure) and job.outcome.code == UNREADABLE for job in jobs.list()):
             return {row.id for row in store.recordings()}  # nobody knows what a damaged job rests on
-        return {upload for job in jobs.list() for upload in uploads_of(job)}
+        of_campaigns = (uploads_of_campaign(job, store) for job in jobs.list() if job.kind == CAMPAIGN)
+        return {upload for job in jobs.list() for upload in uploads_of(job)}.union(*of_campaigns)
 
     def open_files() -> set[Path]:
         return {link.tlog.path for link in links.all()}

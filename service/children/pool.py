@@ -59,6 +59,8 @@ class Children:
     def __init__(self, folder: Path, *, most: int, first: Sequence[str] = FIRST, later: Sequence[str] = LATER) -> None:
         self._folder = folder
         self._modules = ",".join(first), ",".join(later)
+        self.most = most
+        """Children at a time."""
         self._slots = asyncio.Semaphore(most)
         self._asked = 0
         self._running: dict[str, _Running] = {}

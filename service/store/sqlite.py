@@ -35,6 +35,7 @@ from mavcal.service.store.rows import (
     SnapshotPurpose,
     SnapshotRow,
 )
+from mavcal.service.store.sqlitems import SqlItems
 
 T = TypeVar("T")
 
@@ -45,7 +46,7 @@ ENDED = ("succeeded", "reverted", "failed", "cancelled", "interrupted")
 _DISK_TROUBLE = {sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN}
 
 
-class SqliteStore:
+class SqliteStore(SqlItems):
     """Durable state of one data directory; None keeps it in memory (for tests and one-off commands).
 
     Raises
@@ -231,6 +232,7 @@ class SqliteStore:
         with self._write(durable=False) as db:
             db.execute("DELETE FROM documents WHERE job_id = ?", (job_id,))
             db.execute("DELETE FROM job_events WHERE job_id = ?", (job_id,))
+            db.execute("DELETE FROM campaign_items WHERE job_id = ?", (job_id,))
             db.execute("DELETE FROM jobs WHERE id = ?", (job_id,))
 
     # --- uploads, links, signatures, requests, audit

@@ -1,0 +1,78 @@
+"""Items of campaigns, in statements that every database takes.
+
+An item that a loss of power takes back is done again. A killed process loses none, and a calibration that an item has
+begun is a job of its own; so these rows are not forced to the disk.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Sequence
+from contextlib import AbstractContextManager
+from typing import Any
+
+from mavcal.service.store.rows import ItemRow, Json
+
+_ITEM = "job_id, number, subject, outcome, body"
+
+
+class SqlItems:
+    """See :class:`service.store.protocol.JobStore`; a store lends its way to read and to write."""
+
+    def _read(self, sql: str, values: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+        raise NotImplementedError
+
+    def _write(self, *, durable: bool = True) -> AbstractContextManager[Any]:
+        raise NotImplementedError
+
+    def add_items(self, rows: Sequence[ItemRow]) -> None:
+        """Keep the items of a campaign, all or none."""
+        with self._write() as db:
+            for row in rows:
+                db.execute(f"INSERT INTO campaign_items ({_ITEM}) VALUES (?, ?, ?, ?, ?)", _values(row))  # noqa: S608
+
+    def save_item(self, row: ItemRow) -> None:
+        """Keep what has become of an item. Not forced to the disk."""
+        sql = "UPDATE campaign_items SET outcome = ?, body = ? WHERE job_id = ? AND number = ?"
+        with self._write(durable=False) as db:
+            db.execute(sql, (row.outcome, _dump(row.body), row.job_id, row.number))
+
+    def items(
+        self, job_id: str, *, after: int = 0, limit: int = 1000, outcomes: Collection[str] | None = None
+    ) -> tuple[ItemRow, ...]:
+        """Items of a campaign behind a number, in their order; `outcomes` None: of every outcome."""
+        chosen = None if outcomes is None else sorted(outcomes)
+        if chosen == []:
+            return ()
+        among = "" if chosen is None else f" AND outcome IN ({', '.join('?' * len(chosen))})"
+        sql = f"SELECT {_ITEM} FROM campaign_items WHERE job_id = ? AND number > ?{among} ORDER BY number LIMIT ?"  # noqa: S608
+        return tuple(map(item_row, self._read(sql, (job_id, after, *(chosen or ()), limit))))
+
+    def item_counts(self, job_id: str) -> dict[str, int]:
+        """How many items of a campaign have each outcome; outcomes that none has are left out."""
+        sql = "SELECT outcome, count(*) FROM campaign_items WHERE job_id = ? GROUP BY outcome ORDER BY outcome"
+        return {str(outcome): int(count) for outcome, count in self._read(sql, (job_id,))}
+
+    def change_outcomes(self, job_id: str, outcomes: Collection[str], to: str) -> None:
+        """Give all items of these outcomes another one."""
+        chosen = sorted(outcomes)
+        sql = f"UPDATE campaign_items SET outcome = ? WHERE job_id = ? AND outcome IN ({', '.join('?' * len(chosen))})"  # noqa: S608
+        with self._write(durable=False) as db:
+            db.execute(sql, (to, job_id, *chosen))
+
+
+def item_row(row: tuple[Any, ...]) -> ItemRow:
+    """Reads an item; the body of a damaged row is empty."""
+    try:
+        body = json.loads(row[4])
+    except ValueError:
+        body = {}
+    return ItemRow(row[0], row[1], row[2], row[3], body if isinstance(body, dict) else {})
+
+
+def _values(row: ItemRow) -> tuple[Any, ...]:
+    return row.job_id, row.number, row.subject, row.outcome, _dump(row.body)
+
+
+def _dump(value: Json) -> str:
+    return json.dumps(value, allow_nan=False, separators=(",", ":"))
