@@ -19,6 +19,7 @@ COMMANDS = {
     "serve": "Run the service and its panel.",
     "preflight": "Check in ten seconds whether a vehicle is fit to fly.",
     "calibrate": "Calibrate one sensor of a vehicle, headless.",
+    "campaign": "Check, calibrate, fit or diagnose many vehicles or logs as one job.",
     "plan": "Plan the fit of a recording for a connected vehicle, and write it.",
     "accept": "Write the plan of a job that waits in review.",
     "revert": "Take back what a job has written.",

@@ -26,9 +26,15 @@ def lines(items: Iterable[Item]) -> str:
 
 def _cells(item: Item) -> tuple[str, ...]:
     texts = (item.subject, item.name, item.outcome.value, item.code, item.text, item.job_id or "")
-    both = item.began_at is not None and item.ended_at is not None
-    seconds = f"{item.ended_at - item.began_at:.3f}" if both else ""  # type: ignore[operator]
-    return (str(item.number), *map(_inert, texts), _utc(item.began_at), _utc(item.ended_at), seconds)
+    return (str(item.number), *map(_inert, texts), _utc(item.began_at), _utc(item.ended_at), _seconds(item))
+
+
+def _seconds(item: Item) -> str:
+    """How long its work took; where a worker measured that, without the wait for the worker."""
+    measured = (item.result or {}).get("seconds")
+    if measured is None and item.began_at is not None and item.ended_at is not None:
+        measured = item.ended_at - item.began_at
+    return "" if measured is None else f"{measured:.3f}"
 
 
 def _inert(text: str) -> str:

@@ -62,7 +62,9 @@ def _cells(row: JobRow) -> tuple[str, ...]:
 
 
 def _about(row: JobRow) -> str:
-    """The vehicle, or the recording instead of one."""
+    """The vehicle, or what the job is about instead of one."""
     options: Mapping[str, Any] = row.body.get("options") or {}
+    if "task" in options:
+        return str(options["task"])
     upload = options.get("recording") or options.get("real") or ""
     return row.vehicle_id or f"recording {str(upload)[:_SHOWN_RECORDING]}"

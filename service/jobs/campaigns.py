@@ -198,6 +198,16 @@ class Campaigns:
         self._spawn(handle)
         return handle.job
 
+    async def interrupt(self, job_id: str) -> Job:
+        """Stop a running campaign so that it can be resumed; jobs that it has begun go on. Raises JobUnknown."""
+        handle = self._book.handle(job_id)
+        task = self._tasks.running.get(job_id)
+        if handle.job.kind == CAMPAIGN and handle.job.state == JobState.RUNNING and task is not None:
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+            self._interrupt(handle, "campaign-interrupted", "The campaign was stopped.")
+        return handle.job
+
     def _spawn(self, handle: JobHandle) -> None:
         self._tasks.spawn(handle, partial(self._run, handle))
 

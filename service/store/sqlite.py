@@ -24,6 +24,7 @@ from mavcal.service.store.migrate import migrate, migrations
 from mavcal.service.store.rows import (
     AuditRow,
     EventRow,
+    ItemRow,
     JobDocument,
     JobRow,
     JournalRow,
@@ -35,13 +36,16 @@ from mavcal.service.store.rows import (
     SnapshotPurpose,
     SnapshotRow,
 )
-from mavcal.service.store.sqlitems import SqlItems
+from mavcal.service.store.sqlitems import SqlItems, item_row, select_items
 
 T = TypeVar("T")
 
 DATABASE = "mavcal.sqlite3"
 ENDED = ("succeeded", "reverted", "failed", "cancelled", "interrupted")
 """States of jobs in which nothing goes on by itself; as in :mod:`service.jobs.states`, which a test compares."""
+
+MOST_ITEMS = 1_000_000
+"""Items that are read of a campaign at a time; it has fewer."""
 
 _DISK_TROUBLE = {sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN}
 
@@ -390,6 +394,19 @@ def jobs_of(data_dir: Path) -> tuple[JobRow, ...]:
     """
     with _read_only(data_dir) as db:
         return tuple(map(_job, db.execute("SELECT * FROM jobs ORDER BY created_at, rowid")))
+
+
+def items_of(data_dir: Path, job_id: str, outcomes: Collection[str] | None = None) -> tuple[ItemRow, ...]:
+    """The items of a campaign, also while another process owns the data directory.
+
+    Raises
+    ------
+    StoreError
+        If there is no database.
+    """
+    with _read_only(data_dir) as db:
+        sql, values = select_items(job_id, limit=MOST_ITEMS, outcomes=outcomes)
+        return tuple(map(item_row, db.execute(sql, values)))
 
 
 @contextmanager

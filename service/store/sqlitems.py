@@ -41,12 +41,7 @@ class SqlItems:
         self, job_id: str, *, after: int = 0, limit: int = 1000, outcomes: Collection[str] | None = None
     ) -> tuple[ItemRow, ...]:
         """Items of a campaign behind a number, in their order; `outcomes` None: of every outcome."""
-        chosen = None if outcomes is None else sorted(outcomes)
-        if chosen == []:
-            return ()
-        among = "" if chosen is None else f" AND outcome IN ({', '.join('?' * len(chosen))})"
-        sql = f"SELECT {_ITEM} FROM campaign_items WHERE job_id = ? AND number > ?{among} ORDER BY number LIMIT ?"  # noqa: S608
-        return tuple(map(item_row, self._read(sql, (job_id, after, *(chosen or ()), limit))))
+        return tuple(map(item_row, self._read(*select_items(job_id, after=after, limit=limit, outcomes=outcomes))))
 
     def item_counts(self, job_id: str) -> dict[str, int]:
         """How many items of a campaign have each outcome; outcomes that none has are left out."""
@@ -59,6 +54,16 @@ class SqlItems:
         sql = f"UPDATE campaign_items SET outcome = ? WHERE job_id = ? AND outcome IN ({', '.join('?' * len(chosen))})"  # noqa: S608
         with self._write(durable=False) as db:
             db.execute(sql, (to, job_id, *chosen))
+
+
+def select_items(
+    job_id: str, *, after: int = 0, limit: int = 1000, outcomes: Collection[str] | None = None
+) -> tuple[str, tuple[Any, ...]]:
+    """The statement behind :meth:`SqlItems.items`, and its values."""
+    chosen = [] if outcomes is None else sorted(outcomes)
+    among = "" if outcomes is None else f" AND outcome IN ({', '.join('?' * len(chosen)) or 'NULL'})"
+    sql = f"SELECT {_ITEM} FROM campaign_items WHERE job_id = ? AND number > ?{among} ORDER BY number LIMIT ?"  # noqa: S608
+    return sql, (job_id, after, *chosen, limit)
 
 
 def item_row(row: tuple[Any, ...]) -> ItemRow:
