@@ -20,13 +20,15 @@ from typing import Any
 
 from mavcal.calib.errors import CalibError
 from mavcal.service.children import Children, Limits
+from mavcal.service.children.limits import die_with_parent
 from mavcal.service.errors import ServiceError
-from mavcal.service.lifetime import ENDS_WITH, follow
+from mavcal.service.lifetime import ENDS_WITH, alive, follow
 
 Json = dict[str, Any]
 
 MOST_CHILDREN = 64
 """Children of one process; its executor has fewer workers than that."""
+_PREFIX = "mavcal-children-"
 STOP_S = 10.0
 """How long the children of a process may take to end."""
 
@@ -50,6 +52,7 @@ def computed(task: str, order: Mapping[str, Any], limits: Limits) -> Json:
 
 def with_parent(pid: int) -> None:
     """Begins a process of a pool: it ends with the one that it works for, however that ends."""
+    die_with_parent(pid)  # at once, on Linux, even if nobody has asked yet what became of that one
     follow({ENDS_WITH: str(pid)})
 
 
@@ -67,7 +70,8 @@ class _Worker:
 
     def __init__(self) -> None:
         self.pid = os.getpid()
-        self._folder = Path(tempfile.mkdtemp(prefix="mavcal-children-"))
+        _sweep(Path(tempfile.gettempdir()))
+        self._folder = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{self.pid}-"))
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, name="children", daemon=True)
         self._thread.start()
@@ -75,6 +79,13 @@ class _Worker:
 
     async def _made(self) -> Children:
         return Children(self._folder / "orders", most=MOST_CHILDREN)
+
+    async def _stopped(self) -> None:
+        """End the children, and let whoever waits for one hear of it."""
+        await self._children.stop()
+        others = asyncio.all_tasks() - {asyncio.current_task()}
+        if others:
+            await asyncio.wait(others, timeout=STOP_S)
 
     def run(self, task: str, order: Mapping[str, Any], limits: Limits) -> Json:
         """The result of one task; errors as of :meth:`service.children.Children.run`."""
@@ -84,11 +95,19 @@ class _Worker:
         """End every child, the nursery and the thread."""
         if self.pid != os.getpid():  # of the process that this one was forked from
             return
-        asyncio.run_coroutine_threadsafe(self._children.stop(), self._loop).result(STOP_S)
+        asyncio.run_coroutine_threadsafe(self._stopped(), self._loop).result(2 * STOP_S)
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(STOP_S)
         self._loop.close()
         shutil.rmtree(self._folder, ignore_errors=True)
+
+
+def _sweep(folder: Path) -> None:
+    """Remove what killed processes have left."""
+    for left in folder.glob(f"{_PREFIX}*"):
+        pid = left.name.removeprefix(_PREFIX).partition("-")[0]
+        if pid.isdecimal() and not alive(int(pid)):
+            shutil.rmtree(left, ignore_errors=True)
 
 
 _lock = threading.Lock()
