@@ -17,6 +17,7 @@ from mavcal.client.models import (
     GapSummary,
     HealthModel,
     InfoModel,
+    ItemModel,
     JobSummary,
     LinkModel,
     ParameterModel,
@@ -53,6 +54,7 @@ VEHICLE_MESSAGE: TypeAdapter[VehicleMessage] = TypeAdapter(VehicleMessage)
 VEHICLE_MODEL: TypeAdapter[VehicleModel] = TypeAdapter(VehicleModel)
 FLEET_UNIT_MODEL_LIST: TypeAdapter[list[FleetUnitModel]] = TypeAdapter(list[FleetUnitModel])
 GAP_SUMMARY_LIST: TypeAdapter[list[GapSummary]] = TypeAdapter(list[GapSummary])
+ITEM_MODEL_LIST: TypeAdapter[list[ItemModel]] = TypeAdapter(list[ItemModel])
 JOB_SUMMARY_LIST: TypeAdapter[list[JobSummary]] = TypeAdapter(list[JobSummary])
 LINK_MODEL_LIST: TypeAdapter[list[LinkModel]] = TypeAdapter(list[LinkModel])
 PARAMETER_MODEL_LIST: TypeAdapter[list[ParameterModel]] = TypeAdapter(list[ParameterModel])

@@ -58,6 +58,21 @@ class Holds(StrEnum):
     UNKNOWN = "unknown"
 
 
+class ItemOutcome(StrEnum):
+    """What became of an item."""
+
+    WAITING = "waiting"
+    RUNNING = "running"
+    DONE = "done"
+    WARNED = "warned"
+    REVIEW = "review"
+    REFUSED = "refused"
+    SKIPPED = "skipped"
+    FAILED = "failed"
+    IN_DOUBT = "in_doubt"
+    CANCELLED = "cancelled"
+
+
 class JobState(StrEnum):
     """Where a job is."""
 

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from mavcal.client.base import Answer, Number
-from mavcal.client.enums import JobState, ProofLevel
+from mavcal.client.enums import ItemOutcome, JobState, ProofLevel
 from mavcal.client.jobs import OutcomeModel, ProgressModel, PromptModel, VehicleReadinessModel, WriteModel
 from mavcal.client.models import LinkModel, VehicleModel
 
@@ -30,6 +30,32 @@ class AnswerEvent(Answer):
     """Wall-clock time, s since 1970."""
     kind: Literal["answer"]
     data: AnswerData
+
+
+class ItemData(Answer):
+    """What became of an item."""
+
+    number: int
+    """Its place in the campaign, from 1."""
+    subject: str
+    """Id of the vehicle or upload, or the file."""
+    outcome: ItemOutcome
+    code: str
+    text: str
+    job_id: str | None
+    """The job that was begun for it."""
+
+
+class ItemEvent(Answer):
+    """An item of the campaign has ended."""
+
+    job_id: str
+    sequence: int
+    """Number among the events of this job, from 1."""
+    at: Number
+    """Wall-clock time, s since 1970."""
+    kind: Literal["item"]
+    data: ItemData
 
 
 class StateData(Answer):
@@ -220,7 +246,8 @@ JobEvent = Annotated[
     | WriteEvent
     | VerificationEvent
     | StandingEvent
-    | ReadinessEvent,
+    | ReadinessEvent
+    | ItemEvent,
     Field(discriminator="kind"),
 ]
 """One of JobEvent."""

@@ -11,6 +11,7 @@ from mavcal.client.enums import (
     Autopilot,
     CheckId,
     Fixable,
+    ItemOutcome,
     JobState,
     Landed,
     LinkState,
@@ -21,7 +22,7 @@ from mavcal.client.enums import (
     Sensor,
     Verdict,
 )
-from mavcal.client.jobs import FitModel, OutcomeModel, ProgressModel, PromptModel, WriteModel
+from mavcal.client.jobs import DocumentModel, FitModel, OutcomeModel, ProgressModel, PromptModel, WriteModel
 
 
 class AuditCheck(Answer):
@@ -301,6 +302,52 @@ class InfoModel(Answer):
     python: str
 
 
+class PreflightModel(Answer):
+    """Whether a vehicle is fit to fly, as far as its sensors and their calibration go."""
+
+    vehicle_id: str
+    at: Number
+    """Wall-clock time, s since 1970."""
+    seconds: Number
+    """How long it took, s."""
+    verdict: Verdict
+    """Any failure fails the whole; then warnings count, then what is unknown."""
+    summary: str
+    checks: list[CheckModel]
+    notes: list[str]
+    """What stood in the way of looking."""
+    fixed: list[FixModel]
+
+
+class ItemModel(Answer):
+    """One vehicle or upload of a campaign."""
+
+    number: int
+    """Its place in the campaign, from 1."""
+    subject: str
+    """Id of the vehicle or upload; for a campaign of a command, the file."""
+    name: str
+    """File name of an upload; empty otherwise."""
+    outcome: ItemOutcome
+    code: str
+    """The outcome in one word: a problem code, the verdict of a preflight or a diagnosis, or the state of the job
+    when the item ended.
+    """
+    text: str
+    job_id: str | None
+    """The job that was begun for it; null: it needed none."""
+    job_state: JobState | None
+    """The present state of that job; null: there is none, or not any more."""
+    began_at: Number | None
+    ended_at: Number | None
+    preflight: PreflightModel | None
+    """Of a campaign of preflights."""
+    fits: list[FitModel]
+    """Of a campaign of fits: one fit a sensor instance."""
+    documents: list[DocumentModel]
+    """Of a campaign of diagnoses: each report."""
+
+
 class JobSummary(Answer):
     """A job in a list."""
 
@@ -362,23 +409,6 @@ class ParameterModel(Answer):
     value: Number | None
     """In the unit that the firmware documents; null: not a finite number."""
     kind: ParameterKind
-
-
-class PreflightModel(Answer):
-    """Whether a vehicle is fit to fly, as far as its sensors and their calibration go."""
-
-    vehicle_id: str
-    at: Number
-    """Wall-clock time, s since 1970."""
-    seconds: Number
-    """How long it took, s."""
-    verdict: Verdict
-    """Any failure fails the whole; then warnings count, then what is unknown."""
-    summary: str
-    checks: list[CheckModel]
-    notes: list[str]
-    """What stood in the way of looking."""
-    fixed: list[FixModel]
 
 
 class ProcedureModel(Answer):

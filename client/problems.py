@@ -17,6 +17,10 @@ class AuthenticationRequired(ApiProblem):
     """Authentication required (401). Give a valid API key."""
 
 
+class CampaignsBusy(ApiProblem):
+    """Too many campaigns (429). Too many campaigns are running; try again when one has ended."""
+
+
 class CaptureDisturbed(ApiProblem):
     """Capture disturbed (409). The vehicle changed its own calibration while the capture ran."""
 
@@ -306,6 +310,7 @@ class WriteStopped(ApiProblem):
 PROBLEMS: Mapping[str, type[ApiProblem]] = {
     "answer-refused": AnswerRefused,
     "authentication-required": AuthenticationRequired,
+    "campaigns-busy": CampaignsBusy,
     "capture-disturbed": CaptureDisturbed,
     "capture-ended": CaptureEnded,
     "capture-interrupted": CaptureInterrupted,

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from mavcal.client import answers
 from mavcal.client.base import Number
-from mavcal.client.enums import JobState
+from mavcal.client.enums import ItemOutcome, JobState
 from mavcal.client.events import JobMessage, Message, VehicleMessage
 from mavcal.client.jobs import JobModel, PlanModel
 from mavcal.client.models import (
@@ -21,6 +21,7 @@ from mavcal.client.models import (
     GapSummary,
     HealthModel,
     InfoModel,
+    ItemModel,
     JobSummary,
     LinkModel,
     ParameterModel,
@@ -381,6 +382,102 @@ class Client(Transport):
     def get_unit_history(self, unit_id: str) -> UnitHistoryModel:
         """Every calibration of each sensor with its numbers, and what preflights read, oldest first."""
         return self._ask("GET", f"/api/v1/fleet/{segment(unit_id)}/history", answers.UNIT_HISTORY_MODEL)
+
+    def start_preflight_campaign(
+        self, *, vehicles: list[str] | Literal["all"], at_once: int | None = None, tag: str | None = None
+    ) -> JobModel:
+        """Check many vehicles as one job. A vehicle that is armed, silent or busy is skipped, and its item says so."""
+        return self._ask(
+            "POST",
+            "/api/v1/campaigns/preflight",
+            answers.JOB_MODEL,
+            body={"at_once": at_once, "vehicles": vehicles, "tag": tag},
+        )
+
+    def start_calibration_campaign(
+        self,
+        *,
+        vehicles: list[str] | Literal["all"],
+        kind: str,
+        at_once: int | None = None,
+        tag: str | None = None,
+        options: dict[str, Number | bool] | None = None,
+        plan_options: PlanOptions | None = None,
+        apply: bool | None = None,
+        reboot: bool | None = None,
+    ) -> JobModel:
+        """Calibrate many vehicles as one job, which begins a job for each. Without `apply` their plans wait in
+        review.
+        """
+        return self._ask(
+            "POST",
+            "/api/v1/campaigns/calibrate",
+            answers.JOB_MODEL,
+            body={
+                "at_once": at_once,
+                "vehicles": vehicles,
+                "tag": tag,
+                "kind": kind,
+                "options": options,
+                "plan_options": plan_options,
+                "apply": apply,
+                "reboot": reboot,
+            },
+        )
+
+    def start_fit_campaign(
+        self,
+        *,
+        recordings: list[str] | Literal["all"],
+        method: str,
+        at_once: int | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> JobModel:
+        """Run one method on many uploads as one job; the fits are in its items."""
+        return self._ask(
+            "POST",
+            "/api/v1/campaigns/fit",
+            answers.JOB_MODEL,
+            body={"at_once": at_once, "recordings": recordings, "method": method, "options": options},
+        )
+
+    def start_gap_campaign(
+        self,
+        *,
+        recordings: list[str] | Literal["all"],
+        at_once: int | None = None,
+        sim: str | None = None,
+        nominal: list[str] | None = None,
+    ) -> JobModel:
+        """Diagnose the sim-to-real gap of many uploads as one job; the reports are documents of its items."""
+        return self._ask(
+            "POST",
+            "/api/v1/campaigns/gap",
+            answers.JOB_MODEL,
+            body={"at_once": at_once, "recordings": recordings, "sim": sim, "nominal": nominal},
+        )
+
+    def list_items(
+        self,
+        job_id: str,
+        *,
+        outcome: list[ItemOutcome] | None = None,
+        after: int | None = None,
+        limit: int | None = None,
+    ) -> list[ItemModel]:
+        """Items of a campaign, a page at a time; other jobs have none. A header `Link` leads to the next page, if
+        any.
+        """
+        return self._ask(
+            "GET",
+            f"/api/v1/jobs/{segment(job_id)}/items",
+            answers.ITEM_MODEL_LIST,
+            query={"outcome": outcome, "after": after, "limit": limit},
+        )
+
+    def export_items(self, job_id: str, form: Literal["csv"], *, outcome: list[ItemOutcome] | None = None) -> str:
+        """The outcome of a campaign as a table: one line an item."""
+        return self._text("GET", f"/api/v1/jobs/{segment(job_id)}/items.{segment(form)}", query={"outcome": outcome})
 
     def get_health(self) -> HealthModel:
         """Whether the process answers."""

@@ -20,6 +20,7 @@ COMMANDS = {
     "worker": "Compute fits and diagnoses for a fleet on PostgreSQL.",
     "preflight": "Check in ten seconds whether a vehicle is fit to fly.",
     "calibrate": "Calibrate one sensor of a vehicle, headless.",
+    "campaign": "Check, calibrate, fit or diagnose many vehicles or logs as one job.",
     "plan": "Plan the fit of a recording for a connected vehicle, and write it.",
     "accept": "Write the plan of a job that waits in review.",
     "restore": "Put the last verified calibration back, say after a firmware change.",

@@ -41,6 +41,11 @@ class UploadComputations:
         self._children = children
         self._of_fits, self._of_gaps = of_fits, of_gaps
 
+    @property
+    def at_once(self) -> int:
+        """How many are computed at a time."""
+        return self._children.most
+
     def check(self, recording: str, method: str | None = None) -> None:
         """Raise RecordingUnknown or InvalidInputError if there is no such upload or method."""
         self._recordings.get(recording)

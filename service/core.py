@@ -17,9 +17,11 @@ from prometheus_client import CollectorRegistry
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from mavcal.service.campaigns.begin import CampaignDesk, works
 from mavcal.service.children import Children, Limits
 from mavcal.service.computations import UploadComputations
 from mavcal.service.fleet.book import FleetBook
+from mavcal.service.jobs.campaigns import CAMPAIGN, uploads_of_campaign
 from mavcal.service.jobs.computing import uploads_of
 from mavcal.service.jobs.crashpoints import CrashPoint, nowhere
 from mavcal.service.jobs.engine import JobEngine
@@ -60,6 +62,7 @@ class Service:
     recordings: Recordings
     children: Children
     fleet: FleetBook
+    campaigns: CampaignDesk
 
     def obstacle(self) -> str | None:
         """Why no job could be run now; None: nothing stands in the way."""
@@ -111,9 +114,10 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
     workers = None if settings.database_url is None else _workers(settings)
     computations = UploadComputations(recordings, workers or children, of_files, of_gaps)
     fleet = FleetBook(store, vehicles)
+    source = RegistryAdapter(vehicles) if instance is None else RegistryAdapter(vehicles, instance.jobs.doubted)
     jobs = JobEngine(
         store,
-        RegistryAdapter(vehicles) if instance is None else RegistryAdapter(vehicles, instance.jobs.doubted),
+        source,
         computations,
         ownership=None if instance is None else instance.jobs,
         settings=JobSettings() if workers is None else SPREAD,
@@ -122,6 +126,8 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
         reach=reach,
         record=fleet,
     )
+    jobs.campaigns.works |= works(jobs, source, computations)
+    campaigns = CampaignDesk(jobs, computations, settings.read_only)
     async with AsyncExitStack() as started:
         # Interrupted writes first: nothing that comes later can keep them from being finished or taken back.
         started.callback(store.close)
@@ -144,7 +150,7 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
         else:
             await started.enter_async_context(instance.taking_part(jobs, links, vehicles))
         started.push_async_callback(_cancelled, asyncio.create_task(_retention(store, settings, jobs, links).run()))
-        yield Service(settings, store, links, vehicles, jobs, recordings, children, fleet)
+        yield Service(settings, store, links, vehicles, jobs, recordings, children, fleet, campaigns)
 
 
 def _instance(settings: Settings, store: Store) -> Instance | None:
@@ -174,7 +180,8 @@ def _retention(store: Store, settings: Settings, jobs: JobEngine, links: LinkReg
         """Uploads that a plan or a diagnosis rests on, or that a fit still needs."""
         if any(isinstance(job.outcome, Failure) and job.outcome.code == UNREADABLE for job in jobs.list()):
             return {row.id for row in store.recordings()}  # nobody knows what a damaged job rests on
-        return {upload for job in jobs.list() for upload in uploads_of(job)}
+        of_campaigns = (uploads_of_campaign(job, store) for job in jobs.list() if job.kind == CAMPAIGN)
+        return {upload for job in jobs.list() for upload in uploads_of(job)}.union(*of_campaigns)
 
     def open_files() -> set[Path]:
         return {link.tlog.path for link in links.all()}

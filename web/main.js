@@ -108,8 +108,8 @@ function draw() {
   newest.forEach((job, i) => showProgress(page("jobs").children[i], job));
 }
 
-const OF_UPLOADS = { fit: "Fit of a recording", gap: "Gap diagnosis", recording: "Calibration from a recording" };
-const title = (kind) => procedures.find((procedure) => procedure.kind === kind)?.title ?? OF_UPLOADS[kind] ?? kind;
+const OTHERS = { fit: "Fit of a recording", gap: "Gap diagnosis", recording: "Calibration from a recording", campaign: "Campaign" };
+const title = (kind) => procedures.find((procedure) => procedure.kind === kind)?.title ?? OTHERS[kind] ?? kind;
 const byId = (items) => new Map(items.map((item) => [item.id, item]));
 
 async function refresh() {
@@ -137,7 +137,7 @@ async function told(name, data) {
   if (name === "job") {
     const known = jobs.get(data.job_id);
     if (data.kind === "progress" && known) jobs.set(known.id, { ...known, progress: data.data });
-    else jobs.set(data.job_id, await api.job(data.job_id));
+    else if (data.kind !== "item") jobs.set(data.job_id, await api.job(data.job_id));
   }
   draw();
 }

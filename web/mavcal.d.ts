@@ -90,6 +90,26 @@ export interface AuditPage {
 /** The firmware family. */
 export type Autopilot = "ardupilot" | "px4" | "other";
 
+/** Calibrate many vehicles. */
+export interface CalibrationCampaignRequest {
+  /** Most items of this campaign at a time; null: its queue alone bounds it. */
+  at_once?: number | null;
+  /** Ids of `/vehicles`, or `all` that are heard now. */
+  vehicles: string[] | "all";
+  /** Only those that carry this tag; null: whatever they carry. */
+  tag?: string | null;
+  /** A kind of `/procedures`, such as gyro or level. */
+  kind: string;
+  /** Options of that procedure. */
+  options?: Record<string, number | boolean>;
+  /** Options of every plan; confirmations are said of one plan and refused. */
+  plan_options?: PlanOptions;
+  /** Accept and write every plan that nothing stands against; needs the scope write-params. */
+  apply?: boolean;
+  /** With `apply`: restart a vehicle whose plan needs it; else that plan stays in review. */
+  reboot?: boolean;
+}
+
 /** One parameter to be set. */
 export interface ChangeModel {
   name: string;
@@ -193,6 +213,18 @@ export interface FingerprintModel {
   firmware: string;
   /** Device ids of the sensors, by parameter. */
   device_ids: [string, number][];
+}
+
+/** Fit many uploads. */
+export interface FitCampaignRequest {
+  /** Most items of this campaign at a time; null: its queue alone bounds it. */
+  at_once?: number | null;
+  /** Ids of `/recordings`, or `all` that are there now. */
+  recordings: string[] | "all";
+  /** A method of `mavcal fit --help`. */
+  method: string;
+  /** Options of that method. */
+  options?: Record<string, unknown>;
 }
 
 /** Fit an uploaded recording as a job. */
@@ -340,6 +372,18 @@ export interface FleetUnitModel {
   sensors: FleetSensorModel[];
 }
 
+/** Diagnose the sim-to-real gap of many uploads. */
+export interface GapCampaignRequest {
+  /** Most items of this campaign at a time; null: its queue alone bounds it. */
+  at_once?: number | null;
+  /** Ids of `/recordings`, or `all` that are there now, without `sim` and `nominal`. */
+  recordings: string[] | "all";
+  /** Id of a simulator's recording, for all of them. */
+  sim?: string | null;
+  /** Ids of recordings without an effect. */
+  nominal?: string[];
+}
+
 /** A diagnosis with its report. */
 export interface GapModel {
   id: string;
@@ -408,7 +452,60 @@ export interface InfoModel {
   python: string;
 }
 
-export type JobEvent = StateEvent | PromptEvent | ProgressEvent | AnswerEvent | WarningEvent | SegmentsEvent | SetAsideEvent | PlanEvent | WriteEvent | VerificationEvent | StandingEvent | ReadinessEvent;
+/** What became of an item. */
+export interface ItemData {
+  /** Its place in the campaign, from 1. */
+  number: number;
+  /** Id of the vehicle or upload, or the file. */
+  subject: string;
+  outcome: ItemOutcome;
+  code: string;
+  text: string;
+  /** The job that was begun for it. */
+  job_id: string | null;
+}
+
+/** An item of the campaign has ended. */
+export interface ItemEvent {
+  job_id: string;
+  /** Number among the events of this job, from 1. */
+  sequence: number;
+  /** Wall-clock time, s since 1970. */
+  at: number;
+  kind: "item";
+  data: ItemData;
+}
+
+/** One vehicle or upload of a campaign. */
+export interface ItemModel {
+  /** Its place in the campaign, from 1. */
+  number: number;
+  /** Id of the vehicle or upload; for a campaign of a command, the file. */
+  subject: string;
+  /** File name of an upload; empty otherwise. */
+  name: string;
+  outcome: ItemOutcome;
+  /** The outcome in one word: a problem code, the verdict of a preflight or a diagnosis, or the state of the job when the item ended. */
+  code: string;
+  text: string;
+  /** The job that was begun for it; null: it needed none. */
+  job_id: string | null;
+  /** The present state of that job; null: there is none, or not any more. */
+  job_state: JobState | null;
+  began_at: number | null;
+  ended_at: number | null;
+  /** Of a campaign of preflights. */
+  preflight: PreflightModel | null;
+  /** Of a campaign of fits: one fit a sensor instance. */
+  fits: FitModel[];
+  /** Of a campaign of diagnoses: each report. */
+  documents: DocumentModel[];
+}
+
+/** What became of an item. */
+export type ItemOutcome = "waiting" | "running" | "done" | "warned" | "review" | "refused" | "skipped" | "failed" | "in_doubt" | "cancelled";
+
+export type JobEvent = StateEvent | PromptEvent | ProgressEvent | AnswerEvent | WarningEvent | SegmentsEvent | SetAsideEvent | PlanEvent | WriteEvent | VerificationEvent | StandingEvent | ReadinessEvent | ItemEvent;
 
 /** Something happened to a job. `id` continues the stream: it is sent again as `Last-Event-ID`. */
 export interface JobMessage {
@@ -708,6 +805,16 @@ export interface PolynomialModel {
 /** The six faces, in the order and meaning of MAVLink's ``ACCELCAL_VEHICLE_POS`` (1..6), and oblique poses. */
 export type Pose = "level" | "left" | "right" | "nose_down" | "nose_up" | "back" | "oblique";
 
+/** Check many vehicles. */
+export interface PreflightCampaignRequest {
+  /** Most items of this campaign at a time; null: its queue alone bounds it. */
+  at_once?: number | null;
+  /** Ids of `/vehicles`, or `all` that are heard now. */
+  vehicles: string[] | "all";
+  /** Only those that carry this tag; null: whatever they carry. */
+  tag?: string | null;
+}
+
 /** Whether a vehicle is fit to fly, as far as its sensors and their calibration go. */
 export interface PreflightModel {
   vehicle_id: string;
@@ -749,7 +856,7 @@ export interface Problem {
 }
 
 /** What kind of problem it is. */
-export type ProblemCode = "answer-refused" | "authentication-required" | "capture-disturbed" | "capture-ended" | "capture-interrupted" | "command-forbidden" | "command-refused" | "command-timeout" | "data-dir-locked" | "disk-full" | "document-unknown" | "endpoint-refused" | "endpoint-unknown" | "export-unknown" | "file-not-processed" | "files-busy" | "gap-error" | "gap-unfinished" | "gap-unknown" | "gaps-busy" | "http" | "idempotency-key-reused" | "illegal-transition" | "internal-error" | "invalid-input" | "job-cancelled" | "job-elsewhere" | "job-error" | "job-unknown" | "lease-lost" | "link-down" | "link-elsewhere" | "link-error" | "link-unknown" | "no-vehicle" | "not-allowed" | "not-cancellable" | "not-found" | "not-revertible" | "nothing-verified" | "other-vehicle" | "parameter-error" | "parameter-missing" | "parameter-rejected" | "parameter-timeout" | "physical-job-running" | "plan-blocked" | "plan-changed" | "plan-missing" | "port-busy" | "preflight-running" | "recording-unknown" | "store-error" | "too-many-attempts" | "too-many-streams" | "unit-unknown" | "upload-too-large" | "upload-unreadable" | "validation" | "vehicle-armed" | "vehicle-busy" | "vehicle-conflict" | "vehicle-error" | "vehicle-silent" | "vehicle-unknown" | "write-failed" | "write-stopped";
+export type ProblemCode = "answer-refused" | "authentication-required" | "campaigns-busy" | "capture-disturbed" | "capture-ended" | "capture-interrupted" | "command-forbidden" | "command-refused" | "command-timeout" | "data-dir-locked" | "disk-full" | "document-unknown" | "endpoint-refused" | "endpoint-unknown" | "export-unknown" | "file-not-processed" | "files-busy" | "gap-error" | "gap-unfinished" | "gap-unknown" | "gaps-busy" | "http" | "idempotency-key-reused" | "illegal-transition" | "internal-error" | "invalid-input" | "job-cancelled" | "job-elsewhere" | "job-error" | "job-unknown" | "lease-lost" | "link-down" | "link-elsewhere" | "link-error" | "link-unknown" | "no-vehicle" | "not-allowed" | "not-cancellable" | "not-found" | "not-revertible" | "nothing-verified" | "other-vehicle" | "parameter-error" | "parameter-missing" | "parameter-rejected" | "parameter-timeout" | "physical-job-running" | "plan-blocked" | "plan-changed" | "plan-missing" | "port-busy" | "preflight-running" | "recording-unknown" | "store-error" | "too-many-attempts" | "too-many-streams" | "unit-unknown" | "upload-too-large" | "upload-unreadable" | "validation" | "vehicle-armed" | "vehicle-busy" | "vehicle-conflict" | "vehicle-error" | "vehicle-silent" | "vehicle-unknown" | "write-failed" | "write-stopped";
 
 /** A procedure: what it needs, ends on, writes and cannot represent. */
 export interface ProcedureModel {
@@ -1578,6 +1685,50 @@ export interface Operations {
     path: "/api/v1/fleet/{unit_id}/history";
     parameters: { unit_id: string };
     answer: UnitHistoryModel;
+  };
+  /** Check many vehicles as one job. A vehicle that is armed, silent or busy is skipped, and its item says so. */
+  start_preflight_campaign: {
+    method: "POST";
+    path: "/api/v1/campaigns/preflight";
+    body: PreflightCampaignRequest;
+    answer: JobModel;
+  };
+  /** Calibrate many vehicles as one job, which begins a job for each. Without `apply` their plans wait in review. */
+  start_calibration_campaign: {
+    method: "POST";
+    path: "/api/v1/campaigns/calibrate";
+    body: CalibrationCampaignRequest;
+    answer: JobModel;
+  };
+  /** Run one method on many uploads as one job; the fits are in its items. */
+  start_fit_campaign: {
+    method: "POST";
+    path: "/api/v1/campaigns/fit";
+    body: FitCampaignRequest;
+    answer: JobModel;
+  };
+  /** Diagnose the sim-to-real gap of many uploads as one job; the reports are documents of its items. */
+  start_gap_campaign: {
+    method: "POST";
+    path: "/api/v1/campaigns/gap";
+    body: GapCampaignRequest;
+    answer: JobModel;
+  };
+  /** Items of a campaign, a page at a time; other jobs have none. A header `Link` leads to the next page, if any. */
+  list_items: {
+    method: "GET";
+    path: "/api/v1/jobs/{job_id}/items";
+    parameters: { job_id: string };
+    query: { outcome?: ItemOutcome[] | null; after?: number; limit?: number };
+    answer: ItemModel[];
+  };
+  /** The outcome of a campaign as a table: one line an item. */
+  export_items: {
+    method: "GET";
+    path: "/api/v1/jobs/{job_id}/items.{form}";
+    parameters: { job_id: string; form: "csv" };
+    query: { outcome?: ItemOutcome[] | null };
+    answer: string;
   };
   /** Whether the process answers. */
   get_health: {

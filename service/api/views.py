@@ -13,6 +13,7 @@ from mavcal.calib.procedures.spec import ProcedureSpec
 from mavcal.service.api.models import (
     GapModel,
     GapSummary,
+    ItemModel,
     JobModel,
     JobSummary,
     LinkModel,
@@ -24,8 +25,9 @@ from mavcal.service.api.models import (
     RecordingModel,
     VehicleModel,
 )
-from mavcal.service.jobs.codec import to_json
+from mavcal.service.jobs.codec import from_json, to_json
 from mavcal.service.jobs.fixing import Fix
+from mavcal.service.jobs.items import Item
 from mavcal.service.jobs.model import Failure, Job
 from mavcal.service.jobs.preflight import Preflight
 from mavcal.service.jobs.ready import readiness_of
@@ -161,6 +163,24 @@ def recording_model(row: RecordingRow) -> RecordingModel:
         sha256=row.sha256,
         uploaded_at=row.at,
         inspection=to_json(inspection) if isinstance(inspection, dict) else {},
+    )
+
+
+def item_model(item: Item, campaign_id: str, job: Job | None) -> ItemModel:
+    """An item of a campaign, and where the job stands that was begun for it; None: there is none (any more)."""
+    result = item.result or {}
+    found = result.get("preflight")
+    href = f"api/v1/jobs/{campaign_id}/documents"
+    return ItemModel.model_validate(
+        {name: getattr(item, name) for name in ("number", "subject", "name", "outcome", "code", "text", "job_id")}
+        | {
+            "job_state": None if job is None else job.state,
+            "began_at": item.began_at,
+            "ended_at": item.ended_at,
+            "preflight": None if found is None else preflight_model(from_json(found, Preflight), ()),
+            "fits": result.get("fits", []),
+            "documents": [{"name": name, "href": f"{href}/{name}"} for name in result.get("documents", ())],
+        }
     )
 
 

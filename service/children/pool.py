@@ -40,6 +40,11 @@ _STDERR_TOLD = 4000
 class Runs(Protocol):
     """Whoever runs tasks of :mod:`service.children.tasks` within limits."""
 
+    @property
+    def most(self) -> int:
+        """How many of a campaign are asked for at a time."""
+        ...
+
     async def run(self, task: str, order: Mapping[str, Any], limits: Limits, *, told: Told | None = None) -> Json:
         """See :meth:`Children.run`."""
         ...
@@ -67,6 +72,8 @@ class Children:
     def __init__(self, folder: Path, *, most: int, first: Sequence[str] = FIRST, later: Sequence[str] = LATER) -> None:
         self._folder = folder
         self._modules = ",".join(first), ",".join(later)
+        self.most = most
+        """Children at a time."""
         self._slots = asyncio.Semaphore(most)
         self._asked = 0
         self._running: dict[str, _Running] = {}

@@ -8,12 +8,15 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import click
 
 from mavcal.service.commands.config import load_settings
 from mavcal.service.errors import DataDirLocked, LinkDown, UnitUnknown
+
+if TYPE_CHECKING:
+    from mavcal.service.settings import Settings
 
 Json = dict[str, Any]
 

@@ -134,6 +134,8 @@ def _cells(job: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _about(job: Mapping[str, Any]) -> str:
-    """The vehicle, or the recording instead of one."""
+    """The vehicle, or what the job is about instead of one."""
+    if "task" in job["options"]:
+        return str(job["options"]["task"])
     upload = job["options"].get("recording") or job["options"].get("real") or ""
     return job["vehicle_id"] or f"recording {str(upload)[:_SHOWN_RECORDING]}"

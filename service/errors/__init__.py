@@ -60,6 +60,7 @@
     |   +-- UploadTooLarge        413
     +-- ChildEnded                422
     +-- ChildrenBusy              429
+    +-- CampaignsBusy             429
     +-- RecordingUnknown          404
     +-- GapError                  409
         +-- GapUnknown            404
@@ -77,6 +78,7 @@ from mavcal.service.errors.base import (
 )
 from mavcal.service.errors.host import (
     AuthError,
+    CampaignsBusy,
     ChildEnded,
     ChildrenBusy,
     DataDirLocked,
@@ -147,6 +149,7 @@ from mavcal.service.errors.vehicles import (
 __all__ = [
     "AnswerRefused",
     "AuthError",
+    "CampaignsBusy",
     "CaptureDisturbed",
     "CaptureEnded",
     "CaptureLost",

@@ -149,3 +149,11 @@ class GapsBusy(GapError):
     status_code = 429
     title = "Too many diagnoses"
     code = "gaps-busy"
+
+
+class CampaignsBusy(ServiceError):
+    """Too many campaigns are running; try again when one has ended."""
+
+    status_code = 429
+    title = "Too many campaigns"
+    code = "campaigns-busy"

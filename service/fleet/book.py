@@ -96,6 +96,11 @@ class FleetBook:
 
     # --- names and tags
 
+    async def tagged(self, tag: str) -> frozenset[str]:
+        """Ids of the units that carry a tag."""
+        rows = await self._store.do(self._store.fleet)
+        return frozenset(unit.id for unit in rows.units if tag in unit.tags)
+
     async def rename(self, unit_id: str, *, name: str | None = None, tags: Collection[str] | None = None) -> UnitRow:
         """Give a unit a name or tags; None: as before.
 

@@ -35,6 +35,7 @@ from mavcal.service.jobs.admission import (
 )
 from mavcal.service.jobs.adoption import adopted, composed
 from mavcal.service.jobs.book import JobBook
+from mavcal.service.jobs.campaigns import CAMPAIGN, Campaigns
 from mavcal.service.jobs.computing import COMPUTED, FIT, GAP, Computing
 from mavcal.service.jobs.crashpoints import At, CrashPoint, nowhere
 from mavcal.service.jobs.ending import INTERRUPTED, doubt
@@ -128,6 +129,8 @@ class JobEngine:
         lanes = {FIT: self.settings.fits_at_once, GAP: self.settings.diagnoses_at_once}
         self.computing = Computing(self._computations, self._book, self._tasks, self.cancel, wall, lanes=lanes)
         """Fits and diagnoses of uploads."""
+        self.campaigns = Campaigns(self._book, self._tasks, clock, wall)
+        """Jobs for many vehicles or logs; what they do is put in before :meth:`start`."""
         self._preflights = Preflights(self.settings, wall, clock)
         self._claims: set[str] = set()
         self._resumption = Resumption(
@@ -174,6 +177,8 @@ class JobEngine:
         state, kind = handle.job.state, handle.job.kind
         if kind in COMPUTED and state not in ENDED:
             self.computing.take_up(handle)
+        elif kind == CAMPAIGN:
+            self.campaigns.take_up(handle)
         elif state in CAPTURING:  # replay what was recorded and go on, if the vehicle is the same boot still
             self._tasks.spawn(handle, partial(self._captured, handle))
         elif state == JobState.FITTING and kind in (FROM_RECORDING, RESTORE):
@@ -270,8 +275,12 @@ class JobEngine:
         kind: str,
         options: Mapping[str, Any] | None = None,
         plan_options: Mapping[str, Any] | None = None,
+        *,
+        begun_by: Mapping[str, Any] | None = None,
     ) -> Job:
         """Start a calibration; `options` are the procedure's, `plan_options` those of composing its plan.
+
+        `begun_by` goes to its context: the campaign that began it.
 
         Raises
         ------
@@ -285,7 +294,7 @@ class JobEngine:
         """
         spec = specification(kind)
         chosen = validate_options(kind, options or {})
-        context = {"plan_options": checked_plan_options(plan_options or {})}
+        context = {**(begun_by or {}), "plan_options": checked_plan_options(plan_options or {})}
         require_sensors_of(spec, plan_options or {})
         vehicle = self._vehicles.vehicle(vehicle_id)
         self._require_free(vehicle.id)
@@ -369,10 +378,7 @@ class JobEngine:
         """Compose the plan of a job in review again, on the vehicle's present parameters.
 
         `options` are those of :data:`calib.firmware.options.PLAN_OPTIONS`; None: as before.
-
-        Raises
-        ------
-        IllegalTransition, InvalidInputError, FirmwareError, VehicleError
+        Raises IllegalTransition, InvalidInputError, FirmwareError, VehicleError.
         """
         handle = self._book.handle(job_id)
         job = handle.job
@@ -449,11 +455,7 @@ class JobEngine:
     async def revert(self, job_id: str, actor: str = "operator") -> Job:
         """Take back what a job has written, where it still stands.
 
-        Raises
-        ------
-        NotRevertible
-            If the job is not ``succeeded``.
-        PhysicalJobRunning, VehicleError, Forbidden
+        Raises NotRevertible if the job is not ``succeeded``; PhysicalJobRunning, VehicleError, Forbidden.
         """
         handle = self._book.handle(job_id)
         if handle.job.state != JobState.SUCCEEDED:

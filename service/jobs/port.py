@@ -157,6 +157,11 @@ class Computations(Protocol):
     refused, ChildEnded if it used more than it may, ChildrenBusy if too many are waiting.
     """
 
+    @property
+    def at_once(self) -> int:
+        """How many are computed at a time; further ones wait."""
+        ...
+
     def check(self, recording: str, method: str | None = None) -> None:
         """Raise RecordingUnknown or InvalidInputError if there is no such upload or method."""
         ...
@@ -182,6 +187,8 @@ class Computations(Protocol):
 
 class NoUploads:
     """The computations of an engine that has no uploads."""
+
+    at_once = 1
 
     def check(self, recording: str, method: str | None = None) -> None:
         """Raise RecordingUnknown."""

@@ -1,13 +1,13 @@
 """What the service asks of durable state.
 
-Every method that changes something returns only when the change would survive a loss of power, except
-:meth:`Store.add_event`, whose rows are lost first. Methods may be called from any thread;
+Every method that changes something returns only when the change would survive a loss of power, except those that say
+otherwise: events, and what has become of a campaign's items. Methods may be called from any thread;
 from an event loop those that write go through :meth:`JobStore.do` or :meth:`JobStore.soon`, which keep their order.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Protocol, TypeVar
@@ -17,6 +17,7 @@ from mavcal.service.store.rows import (
     AuditRow,
     EventRow,
     FleetRows,
+    ItemRow,
     JobDocument,
     JobRow,
     JournalRow,
@@ -116,6 +117,28 @@ class JobStore(Protocol):
 
     def document(self, job_id: str, name: str) -> JobDocument | None:
         """A document of a job; None: it has none of that name."""
+        ...
+
+    def add_items(self, rows: Sequence[ItemRow]) -> None:
+        """Keep the items of a campaign, all or none."""
+        ...
+
+    def save_item(self, row: ItemRow) -> None:
+        """Keep what has become of an item. Not forced to the disk: a loss of power may take the last ones back."""
+        ...
+
+    def items(
+        self, job_id: str, *, after: int = 0, limit: int = 1000, outcomes: Collection[str] | None = None
+    ) -> tuple[ItemRow, ...]:
+        """Items of a campaign behind a number, in their order; `outcomes` None: of every outcome."""
+        ...
+
+    def item_counts(self, job_id: str) -> dict[str, int]:
+        """How many items of a campaign have each outcome; outcomes that none has are left out."""
+        ...
+
+    def change_outcomes(self, job_id: str, outcomes: Collection[str], to: str) -> None:
+        """Give all items of these outcomes another one. Not forced to the disk."""
         ...
 
     def delete_job(self, job_id: str) -> None:

@@ -98,6 +98,17 @@ class JobDocument:
 
 
 @dataclass(frozen=True)
+class ItemRow:
+    """One vehicle or log of a campaign; `number` counts from 1 in the order in which they are begun."""
+
+    job_id: str
+    number: int
+    subject: str
+    outcome: str
+    body: Json
+
+
+@dataclass(frozen=True)
 class RecordingRow:
     """An uploaded log."""
 

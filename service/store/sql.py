@@ -10,13 +10,14 @@ from mavcal.service.store.database import Database, Session
 from mavcal.service.store.fleet import FleetTables
 from mavcal.service.store.plumbing import AUDIT, RECORDING, audit_row, dump, marks, recording_row
 from mavcal.service.store.rows import AuditRow, Json, LinkRow, RecordingRow
+from mavcal.service.store.sqlitems import SqlItems
 from mavcal.service.store.sqljobs import SqlJobs
 
 ENDED = ("succeeded", "reverted", "failed", "cancelled", "interrupted")
 """States of jobs in which nothing goes on by itself; as in :mod:`service.jobs.states`, which a test compares."""
 
 
-class SqlStore(SqlJobs, FleetTables):
+class SqlStore(SqlJobs, SqlItems, FleetTables):
     """See :class:`service.store.protocol.Store`."""
 
     # --- uploads and what is forgotten in time

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sqlite3
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -20,10 +20,14 @@ from mavcal.service.store.datadir import DataDirLock, require_database
 from mavcal.service.store.fleet import read_fleet
 from mavcal.service.store.migrate import migrate, migrations
 from mavcal.service.store.plumbing import JOB, job_row
-from mavcal.service.store.rows import FleetRows, JobRow
+from mavcal.service.store.rows import FleetRows, ItemRow, JobRow
 from mavcal.service.store.sql import SqlStore, checked
+from mavcal.service.store.sqlitems import item_row, select_items
 
 DATABASE = "mavcal.sqlite3"
+
+MOST_ITEMS = 1_000_000
+"""Items that are read of a campaign at a time; it has fewer."""
 
 _DISK_TROUBLE = {sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN}
 
@@ -168,6 +172,19 @@ def fleet_of(data_dir: Path) -> FleetRows:
     """Every unit of a data directory, also while another process owns it. Raises StoreError: there is no database."""
     with _read_only(data_dir) as db:
         return read_fleet(db.execute)
+
+
+def items_of(data_dir: Path, job_id: str, outcomes: Collection[str] | None = None) -> tuple[ItemRow, ...]:
+    """The items of a campaign, also while another process owns the data directory.
+
+    Raises
+    ------
+    StoreError
+        If there is no database.
+    """
+    with _read_only(data_dir) as db:
+        sql, values = select_items(job_id, limit=MOST_ITEMS, outcomes=outcomes)
+        return tuple(map(item_row, db.execute(sql, values)))
 
 
 @contextmanager

@@ -182,6 +182,7 @@ class SqlJobs(SqlRows):
         with self._write(durable=False) as db:
             db.execute("DELETE FROM documents WHERE job_id = ?", (job_id,))
             db.execute("DELETE FROM job_events WHERE job_id = ?", (job_id,))
+            db.execute("DELETE FROM campaign_items WHERE job_id = ?", (job_id,))
             db.execute("DELETE FROM jobs WHERE id = ?", (job_id,))
 
     def _insert_event(self, db: Session, job_id: str, at: float, kind: str, data: Json) -> EventRow:

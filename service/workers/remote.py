@@ -40,6 +40,9 @@ class RemoteChildren:
         Workers stop computing for an instance that was silent for so long.
     """
 
+    most = 16
+    """Of a campaign; nobody knows how many workers there are, and who has none to do waits in the queue."""
+
     def __init__(self, url: str, uploads: Path, wanted_s: float) -> None:
         self._orders = Orders(url, wanted_s)
         self._app = app_of(url)

@@ -12,6 +12,7 @@ from mavcal.service.api.models.jobs import OutcomeModel, VehicleReadinessModel, 
 from mavcal.service.api.models.links import LinkModel
 from mavcal.service.api.models.steps import ProgressModel, PromptModel
 from mavcal.service.api.models.vehicles import VehicleModel
+from mavcal.service.jobs.items import ItemOutcome
 from mavcal.service.jobs.proof import ProofLevel
 from mavcal.service.jobs.states import JobState
 
@@ -156,6 +157,24 @@ class ReadinessEvent(_Event):
     data: VehicleReadinessModel
 
 
+class ItemData(BaseModel):
+    """What became of an item."""
+
+    number: int = Field(description="its place in the campaign, from 1")
+    subject: str = Field(description="id of the vehicle or upload, or the file")
+    outcome: ItemOutcome
+    code: str
+    text: str
+    job_id: str | None = Field(description="the job that was begun for it")
+
+
+class ItemEvent(_Event):
+    """An item of the campaign has ended."""
+
+    kind: Literal["item"]
+    data: ItemData
+
+
 JobEvent = TypeAliasType(
     "JobEvent",
     Annotated[
@@ -170,7 +189,8 @@ JobEvent = TypeAliasType(
         | WriteEvent
         | VerificationEvent
         | StandingEvent
-        | ReadinessEvent,
+        | ReadinessEvent
+        | ItemEvent,
         Field(discriminator="kind"),
     ],
 )
