@@ -24,6 +24,7 @@ from mavcal.client.models import (
     ReadinessModel,
     RecordingModel,
     RegistrationModel,
+    SigningKeyModel,
     TicketModel,
     VehicleModel,
 )
@@ -44,6 +45,7 @@ PREFLIGHT_MODEL: TypeAdapter[PreflightModel] = TypeAdapter(PreflightModel)
 READINESS_MODEL: TypeAdapter[ReadinessModel] = TypeAdapter(ReadinessModel)
 RECORDING_MODEL: TypeAdapter[RecordingModel] = TypeAdapter(RecordingModel)
 REGISTRATION_MODEL: TypeAdapter[RegistrationModel] = TypeAdapter(RegistrationModel)
+SIGNING_KEY_MODEL: TypeAdapter[SigningKeyModel] = TypeAdapter(SigningKeyModel)
 TICKET_MODEL: TypeAdapter[TicketModel] = TypeAdapter(TicketModel)
 VEHICLE_MESSAGE: TypeAdapter[VehicleMessage] = TypeAdapter(VehicleMessage)
 VEHICLE_MODEL: TypeAdapter[VehicleModel] = TypeAdapter(VehicleModel)
@@ -53,4 +55,5 @@ LINK_MODEL_LIST: TypeAdapter[list[LinkModel]] = TypeAdapter(list[LinkModel])
 PARAMETER_MODEL_LIST: TypeAdapter[list[ParameterModel]] = TypeAdapter(list[ParameterModel])
 PROCEDURE_MODEL_LIST: TypeAdapter[list[ProcedureModel]] = TypeAdapter(list[ProcedureModel])
 RECORDING_MODEL_LIST: TypeAdapter[list[RecordingModel]] = TypeAdapter(list[RecordingModel])
+SIGNING_KEY_MODEL_LIST: TypeAdapter[list[SigningKeyModel]] = TypeAdapter(list[SigningKeyModel])
 VEHICLE_MODEL_LIST: TypeAdapter[list[VehicleModel]] = TypeAdapter(list[VehicleModel])

@@ -141,6 +141,10 @@ class LinkError(ApiProblem):
     """Link error (503). The link does not work; see its state for the reason."""
 
 
+class LinkOpen(ApiProblem):
+    """Link open with another key (409). The link is open and signed with another key. Close it first."""
+
+
 class LinkUnknown(ApiProblem):
     """Link unknown (404). No such link. GET /api/v1/links lists them."""
 
@@ -215,6 +219,18 @@ class PreflightRunning(ApiProblem):
 
 class RecordingUnknown(ApiProblem):
     """Recording unknown (404). No such recording. GET /api/v1/recordings lists them."""
+
+
+class SigningKeyError(ApiProblem):
+    """Signing key refused (409). The signing key cannot be used like that."""
+
+
+class SigningKeyUnknown(ApiProblem):
+    """Signing key unknown (404). No such signing key. GET /api/v1/signing-keys lists them."""
+
+
+class SigningNotConfirmed(ApiProblem):
+    """Signing not confirmed (503). The vehicle did not confirm the signing key: the link stays unsigned."""
 
 
 class StoreError(ApiProblem):
@@ -312,6 +328,7 @@ PROBLEMS: Mapping[str, type[ApiProblem]] = {
     "job-unknown": JobUnknown,
     "link-down": LinkDown,
     "link-error": LinkError,
+    "link-open": LinkOpen,
     "link-unknown": LinkUnknown,
     "no-vehicle": NoVehicle,
     "not-allowed": NotAllowed,
@@ -330,6 +347,9 @@ PROBLEMS: Mapping[str, type[ApiProblem]] = {
     "port-busy": PortBusy,
     "preflight-running": PreflightRunning,
     "recording-unknown": RecordingUnknown,
+    "signing-key-error": SigningKeyError,
+    "signing-key-unknown": SigningKeyUnknown,
+    "signing-not-confirmed": SigningNotConfirmed,
     "store-error": StoreError,
     "too-many-attempts": TooManyAttempts,
     "too-many-streams": TooManyStreams,

@@ -29,6 +29,8 @@ from mavcal.service.link_registry import LinkRegistry
 from mavcal.service.recordings import Recordings
 from mavcal.service.retention import Retention
 from mavcal.service.settings import Settings
+from mavcal.service.signing import SigningAdmin
+from mavcal.service.signing_keys import SigningKeys
 from mavcal.service.store import SqliteStore, Store
 from mavcal.service.vehicle import VehicleRegistry
 
@@ -48,6 +50,7 @@ class Service:
     jobs: JobEngine
     recordings: Recordings
     children: Children
+    signing: SigningAdmin
 
     def obstacle(self) -> str | None:
         """Why no job could be run now; None: nothing stands in the way."""
@@ -79,9 +82,11 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
     vehicles = VehicleRegistry(yield_s=settings.mavlink.yield_s)
     tlogs = settings.data_dir / "tlogs"
     allowed = Allowed(settings.links.allowed, (tlogs, *settings.links.folders))
+    keys = SigningKeys(settings.data_dir, settings.mavlink)
     links = LinkRegistry(
-        store, tlogs, settings.mavlink, allowed=allowed, attach=vehicles.attach, detach=vehicles.detach
+        store, tlogs, settings.mavlink, keys=keys, allowed=allowed, attach=vehicles.attach, detach=vehicles.detach
     )
+    signing = SigningAdmin(keys, links, vehicles, store, read_only=settings.read_only)
     folder, limits = settings.data_dir, settings.limits
     children = Children(folder / "children", most=limits.file_processes)
     of_files = Limits(limits.file_memory_bytes, limits.file_cpu_s, limits.file_wall_s)
@@ -105,7 +110,7 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
         await jobs.start()
         await _open_links(links, settings, store)
         started.push_async_callback(_cancelled, asyncio.create_task(_retention(store, settings, jobs, links).run()))
-        yield Service(settings, store, links, vehicles, jobs, recordings, children)
+        yield Service(settings, store, links, vehicles, jobs, recordings, children, signing)
 
 
 def _retention(store: Store, settings: Settings, jobs: JobEngine, links: LinkRegistry) -> Retention:

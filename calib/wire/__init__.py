@@ -20,7 +20,7 @@ from mavcal.calib.wire.codec import (
 )
 from mavcal.calib.wire.frames import CRC_EXTRA, Frame, FrameParser
 from mavcal.calib.wire.parameters import HASH_CHECK, ParameterEncoding, ParamType, value_from_bits
-from mavcal.calib.wire.signing import SignatureState, Signing, check_signature, sign
+from mavcal.calib.wire.signing import SignatureState, Signing, check_signature, sign, signing_time
 from mavcal.calib.wire.tlog import TlogReader, iter_tlog, tlog_record
 
 __all__ = [
@@ -46,6 +46,7 @@ __all__ = [
     "param_set",
     "raw_message",
     "sign",
+    "signing_time",
     "tlog_record",
     "value_from_bits",
 ]

@@ -8,6 +8,10 @@
     |   +-- EndpointError         422
     |   |   +-- EndpointRefused   403
     |   +-- LinkUnknown           404
+    |   +-- LinkOpen              409
+    |   +-- SigningKeyError       409
+    |   |   +-- SigningKeyUnknown 404
+    |   |   +-- SigningNotConfirmed 503
     |   +-- PortBusy              409
     +-- VehicleError              503
     |   +-- VehicleSilent         503
@@ -120,12 +124,16 @@ from mavcal.service.errors.vehicles import (
     ForbiddenCommand,
     LinkDown,
     LinkError,
+    LinkOpen,
     LinkUnknown,
     ParameterError,
     ParameterMissing,
     ParameterRejected,
     ParameterTimeout,
     PortBusy,
+    SigningKeyError,
+    SigningKeyUnknown,
+    SigningNotConfirmed,
     VehicleArmed,
     VehicleBusy,
     VehicleConflict,
@@ -163,6 +171,7 @@ __all__ = [
     "JobUnknown",
     "LinkDown",
     "LinkError",
+    "LinkOpen",
     "LinkUnknown",
     "NoVehicle",
     "NotCancellable",
@@ -180,6 +189,9 @@ __all__ = [
     "PreflightRunning",
     "RecordingUnknown",
     "ServiceError",
+    "SigningKeyError",
+    "SigningKeyUnknown",
+    "SigningNotConfirmed",
     "StoreError",
     "TooManyAttempts",
     "TooManyStreams",

@@ -80,6 +80,7 @@ from mavcal.service.api.models.plans import (
 )
 from mavcal.service.api.models.preflight import CheckModel, FixModel, PreflightModel, PreflightRequest
 from mavcal.service.api.models.recordings import ReadingOptions, RecordingJobRequest, RecordingModel
+from mavcal.service.api.models.signing import SigningKeyModel, SigningKeyRequest, SigningRequest
 from mavcal.service.api.models.steps import (
     HoldsModel,
     NumberModel,
@@ -160,6 +161,9 @@ __all__ = [
     "SensorModel",
     "SetAsideData",
     "SetAsideEvent",
+    "SigningKeyModel",
+    "SigningKeyRequest",
+    "SigningRequest",
     "StandingData",
     "StandingEvent",
     "StandingModel",
