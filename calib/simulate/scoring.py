@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtrc
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import FitResult, parameter_names
@@ -61,7 +61,7 @@ def joint_p_value(scores: tuple[RecoveryScore, ...]) -> tuple[float, int, float]
     """Sum of chi-squares over independent fits, its degrees of freedom, and the probability of a larger one."""
     total = sum(s.chi2 for s in scores)
     freedom = sum(len(s.names) for s in scores)
-    return total, freedom, float(chi2_distribution.sf(total, freedom))
+    return total, freedom, float(chdtrc(freedom, total))
 
 
 def _values(model: TriadModel, fit: FitResult) -> Array:

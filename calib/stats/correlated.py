@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 Array = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ def long_run_variance(series: Array) -> float:
         length = n // _BLOCKS
         means = x[: length * _BLOCKS].reshape(_BLOCKS, length).mean(axis=1)
         scatter = length * float(means.var(ddof=1))
-        if chi2.sf((_BLOCKS - 1) * scatter / value, _BLOCKS - 1) < _SIGNIFICANT:
+        if chdtrc(_BLOCKS - 1, (_BLOCKS - 1) * scatter / value) < _SIGNIFICANT:
             value = scatter
     return float(np.clip(value, variance, n * variance))
 
