@@ -26,6 +26,7 @@ from mavcal.client.models import (
     ReadinessModel,
     RecordingModel,
     RegistrationModel,
+    SigningKeyModel,
     TicketModel,
     UnitHistoryModel,
     VehicleModel,
@@ -48,6 +49,7 @@ PREFLIGHT_MODEL: TypeAdapter[PreflightModel] = TypeAdapter(PreflightModel)
 READINESS_MODEL: TypeAdapter[ReadinessModel] = TypeAdapter(ReadinessModel)
 RECORDING_MODEL: TypeAdapter[RecordingModel] = TypeAdapter(RecordingModel)
 REGISTRATION_MODEL: TypeAdapter[RegistrationModel] = TypeAdapter(RegistrationModel)
+SIGNING_KEY_MODEL: TypeAdapter[SigningKeyModel] = TypeAdapter(SigningKeyModel)
 TICKET_MODEL: TypeAdapter[TicketModel] = TypeAdapter(TicketModel)
 UNIT_HISTORY_MODEL: TypeAdapter[UnitHistoryModel] = TypeAdapter(UnitHistoryModel)
 VEHICLE_MESSAGE: TypeAdapter[VehicleMessage] = TypeAdapter(VehicleMessage)
@@ -60,4 +62,5 @@ LINK_MODEL_LIST: TypeAdapter[list[LinkModel]] = TypeAdapter(list[LinkModel])
 PARAMETER_MODEL_LIST: TypeAdapter[list[ParameterModel]] = TypeAdapter(list[ParameterModel])
 PROCEDURE_MODEL_LIST: TypeAdapter[list[ProcedureModel]] = TypeAdapter(list[ProcedureModel])
 RECORDING_MODEL_LIST: TypeAdapter[list[RecordingModel]] = TypeAdapter(list[RecordingModel])
+SIGNING_KEY_MODEL_LIST: TypeAdapter[list[SigningKeyModel]] = TypeAdapter(list[SigningKeyModel])
 VEHICLE_MODEL_LIST: TypeAdapter[list[VehicleModel]] = TypeAdapter(list[VehicleModel])

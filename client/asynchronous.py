@@ -30,6 +30,7 @@ from mavcal.client.models import (
     ReadinessModel,
     RecordingModel,
     RegistrationModel,
+    SigningKeyModel,
     TicketModel,
     UnitHistoryModel,
     VehicleModel,
@@ -56,6 +57,26 @@ class AsyncClient(AsyncTransport):
     async def close_link(self, link_id: str) -> None:
         """Close a link; its recording stays."""
         await self._text("DELETE", f"/api/v1/links/{segment(link_id)}")
+
+    async def list_signing_keys(self) -> list[SigningKeyModel]:
+        """Every signing key by name, without the key."""
+        return await self._ask("GET", "/api/v1/signing-keys", answers.SIGNING_KEY_MODEL_LIST)
+
+    async def add_signing_key(self, *, name: str, key: str | None = None) -> SigningKeyModel:
+        """Keep a signing key, or make one."""
+        return await self._ask(
+            "POST", "/api/v1/signing-keys", answers.SIGNING_KEY_MODEL, body={"name": name, "key": key}
+        )
+
+    async def remove_signing_key(self, name: str) -> None:
+        """Forget a signing key that no open link uses."""
+        await self._text("DELETE", f"/api/v1/signing-keys/{segment(name)}")
+
+    async def set_up_signing(self, link_id: str, *, key: str) -> LinkModel:
+        """Give the one vehicle of a link a key (SETUP_SIGNING); the link is signed once the vehicle signs with it."""
+        return await self._ask(
+            "POST", f"/api/v1/links/{segment(link_id)}/signing", answers.LINK_MODEL, body={"key": key}
+        )
 
     async def list_vehicles(self) -> list[VehicleModel]:
         """Every vehicle that was heard."""

@@ -381,6 +381,8 @@ class LinkModel(Answer):
     state: LinkState
     reason: str
     """Why it is in that state."""
+    signing_key: str | None
+    """Name of the key that signs it; null: it is not signed."""
     vehicles: list[str]
     """Ids of the vehicles heard on it."""
     crc_errors: int
@@ -491,6 +493,16 @@ class SensorRecordModel(Answer):
     """Of a preflight: rate or specific force as the vehicle used it, in `unit`."""
     temperature: Number | None
     covered: CoveredModel | None
+
+
+class SigningKeyModel(Answer):
+    """A signing key without the key."""
+
+    name: str
+    fingerprint: str
+    """The first 12 digits of the SHA-256 of the key's 32 bytes."""
+    source: Literal["settings", "file"]
+    """Where it is kept."""
 
 
 class TicketModel(Answer):

@@ -157,6 +157,10 @@ class LinkError(ApiProblem):
     """Link error (503). The link does not work; see its state for the reason."""
 
 
+class LinkOpen(ApiProblem):
+    """Link open with another key (409). The link is open and signed with another key. Close it first."""
+
+
 class LinkUnknown(ApiProblem):
     """Link unknown (404). No such link. GET /api/v1/links lists them."""
 
@@ -237,6 +241,18 @@ class PreflightRunning(ApiProblem):
 
 class RecordingUnknown(ApiProblem):
     """Recording unknown (404). No such recording. GET /api/v1/recordings lists them."""
+
+
+class SigningKeyError(ApiProblem):
+    """Signing key refused (409). The signing key cannot be used like that."""
+
+
+class SigningKeyUnknown(ApiProblem):
+    """Signing key unknown (404). No such signing key. GET /api/v1/signing-keys lists them."""
+
+
+class SigningNotConfirmed(ApiProblem):
+    """Signing not confirmed (503). The vehicle did not confirm the signing key: the link stays unsigned."""
 
 
 class StoreError(ApiProblem):
@@ -342,6 +358,7 @@ PROBLEMS: Mapping[str, type[ApiProblem]] = {
     "link-down": LinkDown,
     "link-elsewhere": LinkElsewhere,
     "link-error": LinkError,
+    "link-open": LinkOpen,
     "link-unknown": LinkUnknown,
     "no-vehicle": NoVehicle,
     "not-allowed": NotAllowed,
@@ -361,6 +378,9 @@ PROBLEMS: Mapping[str, type[ApiProblem]] = {
     "port-busy": PortBusy,
     "preflight-running": PreflightRunning,
     "recording-unknown": RecordingUnknown,
+    "signing-key-error": SigningKeyError,
+    "signing-key-unknown": SigningKeyUnknown,
+    "signing-not-confirmed": SigningNotConfirmed,
     "store-error": StoreError,
     "too-many-attempts": TooManyAttempts,
     "too-many-streams": TooManyStreams,

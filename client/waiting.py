@@ -30,6 +30,7 @@ from mavcal.client.models import (
     ReadinessModel,
     RecordingModel,
     RegistrationModel,
+    SigningKeyModel,
     TicketModel,
     UnitHistoryModel,
     VehicleModel,
@@ -56,6 +57,22 @@ class Client(Transport):
     def close_link(self, link_id: str) -> None:
         """Close a link; its recording stays."""
         self._text("DELETE", f"/api/v1/links/{segment(link_id)}")
+
+    def list_signing_keys(self) -> list[SigningKeyModel]:
+        """Every signing key by name, without the key."""
+        return self._ask("GET", "/api/v1/signing-keys", answers.SIGNING_KEY_MODEL_LIST)
+
+    def add_signing_key(self, *, name: str, key: str | None = None) -> SigningKeyModel:
+        """Keep a signing key, or make one."""
+        return self._ask("POST", "/api/v1/signing-keys", answers.SIGNING_KEY_MODEL, body={"name": name, "key": key})
+
+    def remove_signing_key(self, name: str) -> None:
+        """Forget a signing key that no open link uses."""
+        self._text("DELETE", f"/api/v1/signing-keys/{segment(name)}")
+
+    def set_up_signing(self, link_id: str, *, key: str) -> LinkModel:
+        """Give the one vehicle of a link a key (SETUP_SIGNING); the link is signed once the vehicle signs with it."""
+        return self._ask("POST", f"/api/v1/links/{segment(link_id)}/signing", answers.LINK_MODEL, body={"key": key})
 
     def list_vehicles(self) -> list[VehicleModel]:
         """Every vehicle that was heard."""

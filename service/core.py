@@ -34,6 +34,8 @@ from mavcal.service.link_registry import LinkRegistry
 from mavcal.service.recordings import Recordings
 from mavcal.service.retention import Retention
 from mavcal.service.settings import Settings
+from mavcal.service.signing import SigningAdmin
+from mavcal.service.signing_keys import SigningKeys
 from mavcal.service.store import Store
 from mavcal.service.storing import open_store
 from mavcal.service.vehicle import VehicleRegistry
@@ -63,6 +65,7 @@ class Service:
     children: Children
     fleet: FleetBook
     campaigns: CampaignDesk
+    signing: SigningAdmin
 
     def obstacle(self) -> str | None:
         """Why no job could be run now; None: nothing stands in the way."""
@@ -95,15 +98,18 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
     tlogs = settings.data_dir / "tlogs"
     allowed = Allowed(settings.links.allowed, (tlogs, *settings.links.folders))
     instance = _instance(settings, store)
+    keys = SigningKeys(settings.data_dir, settings.mavlink)
     links = LinkRegistry(
         store,
         tlogs,
         settings.mavlink,
+        keys=keys,
         allowed=allowed,
         attach=vehicles.attach,
         detach=vehicles.detach,
         ownership=None if instance is None else instance.links,
     )
+    signing = SigningAdmin(keys, links, vehicles, store, read_only=settings.read_only)
     folder, limits = settings.data_dir, settings.limits
     children = Children(folder / "children", most=limits.file_processes)
     of_files = Limits(limits.file_memory_bytes, limits.file_cpu_s, limits.file_wall_s)
@@ -150,7 +156,7 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
         else:
             await started.enter_async_context(instance.taking_part(jobs, links, vehicles))
         started.push_async_callback(_cancelled, asyncio.create_task(_retention(store, settings, jobs, links).run()))
-        yield Service(settings, store, links, vehicles, jobs, recordings, children, fleet, campaigns)
+        yield Service(settings, store, links, vehicles, jobs, recordings, children, fleet, campaigns, signing)
 
 
 def _instance(settings: Settings, store: Store) -> Instance | None:

@@ -23,6 +23,8 @@ TAG = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,39}$"
 """A tag of a vehicle."""
 ORIGIN = r"^https?://(\[[0-9a-f:]+\]|[a-z0-9.-]+)(:[0-9]{1,5})?$"
 """One exact origin, as browsers send it; no pattern, no path."""
+SIGNING_KEY = "[0-9a-fA-F]{64}"
+"""A signing key as digits."""
 
 
 def default_data_dir() -> Path:
@@ -72,9 +74,12 @@ def _absolute(path: Path) -> Path:
 
 
 def _signing_key(key: SecretStr) -> SecretStr:
-    if not re.fullmatch("[0-9a-fA-F]{64}", key.get_secret_value()):
+    if not re.fullmatch(SIGNING_KEY, key.get_secret_value()):
         raise ValueError("a signing key has 64 hexadecimal digits")
     return key
+
+
+SigningKey = Annotated[SecretStr, AfterValidator(_signing_key)]
 
 
 class MavlinkSettings(_Part):
@@ -84,8 +89,12 @@ class MavlinkSettings(_Part):
     component: int = Field(
         default=190, ge=1, le=255, description="our MAVLink component id; 0 is not valid as a source"
     )
-    signing_key: Annotated[SecretStr, AfterValidator(_signing_key)] | None = Field(
-        default=None, description="32 bytes as 64 hexadecimal digits; none: frames are not signed"
+    signing_key: SigningKey | None = Field(
+        default=None,
+        description="signs links that name no key; 64 hexadecimal digits; none: such links are not signed",
+    )
+    signing_keys: dict[Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")], SigningKey] = Field(
+        default_factory=dict, description="keys by name, for links that name one: `udpin:0.0.0.0:14550?signing=NAME`"
     )
     yield_s: float = Field(
         default=30.0,

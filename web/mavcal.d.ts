@@ -615,6 +615,8 @@ export interface LinkModel {
   state: LinkState;
   /** Why it is in that state. */
   reason: string;
+  /** Name of the key that signs it; null: it is not signed. */
+  signing_key: string | null;
   /** Ids of the vehicles heard on it. */
   vehicles: string[];
   /** Damaged frames, which cannot be attributed to a sender. */
@@ -856,7 +858,7 @@ export interface Problem {
 }
 
 /** What kind of problem it is. */
-export type ProblemCode = "answer-refused" | "authentication-required" | "campaigns-busy" | "capture-disturbed" | "capture-ended" | "capture-interrupted" | "command-forbidden" | "command-refused" | "command-timeout" | "data-dir-locked" | "disk-full" | "document-unknown" | "endpoint-refused" | "endpoint-unknown" | "export-unknown" | "file-not-processed" | "files-busy" | "gap-error" | "gap-unfinished" | "gap-unknown" | "gaps-busy" | "http" | "idempotency-key-reused" | "illegal-transition" | "internal-error" | "invalid-input" | "job-cancelled" | "job-elsewhere" | "job-error" | "job-unknown" | "lease-lost" | "link-down" | "link-elsewhere" | "link-error" | "link-unknown" | "no-vehicle" | "not-allowed" | "not-cancellable" | "not-found" | "not-revertible" | "nothing-verified" | "other-vehicle" | "parameter-error" | "parameter-missing" | "parameter-rejected" | "parameter-timeout" | "physical-job-running" | "plan-blocked" | "plan-changed" | "plan-missing" | "port-busy" | "preflight-running" | "recording-unknown" | "store-error" | "too-many-attempts" | "too-many-streams" | "unit-unknown" | "upload-too-large" | "upload-unreadable" | "validation" | "vehicle-armed" | "vehicle-busy" | "vehicle-conflict" | "vehicle-error" | "vehicle-silent" | "vehicle-unknown" | "write-failed" | "write-stopped";
+export type ProblemCode = "answer-refused" | "authentication-required" | "campaigns-busy" | "capture-disturbed" | "capture-ended" | "capture-interrupted" | "command-forbidden" | "command-refused" | "command-timeout" | "data-dir-locked" | "disk-full" | "document-unknown" | "endpoint-refused" | "endpoint-unknown" | "export-unknown" | "file-not-processed" | "files-busy" | "gap-error" | "gap-unfinished" | "gap-unknown" | "gaps-busy" | "http" | "idempotency-key-reused" | "illegal-transition" | "internal-error" | "invalid-input" | "job-cancelled" | "job-elsewhere" | "job-error" | "job-unknown" | "lease-lost" | "link-down" | "link-elsewhere" | "link-error" | "link-open" | "link-unknown" | "no-vehicle" | "not-allowed" | "not-cancellable" | "not-found" | "not-revertible" | "nothing-verified" | "other-vehicle" | "parameter-error" | "parameter-missing" | "parameter-rejected" | "parameter-timeout" | "physical-job-running" | "plan-blocked" | "plan-changed" | "plan-missing" | "port-busy" | "preflight-running" | "recording-unknown" | "signing-key-error" | "signing-key-unknown" | "signing-not-confirmed" | "store-error" | "too-many-attempts" | "too-many-streams" | "unit-unknown" | "upload-too-large" | "upload-unreadable" | "validation" | "vehicle-armed" | "vehicle-busy" | "vehicle-conflict" | "vehicle-error" | "vehicle-silent" | "vehicle-unknown" | "write-failed" | "write-stopped";
 
 /** A procedure: what it needs, ends on, writes and cannot represent. */
 export interface ProcedureModel {
@@ -1158,6 +1160,29 @@ export interface SetAsideEvent {
   data: SetAsideData;
 }
 
+/** A signing key without the key. */
+export interface SigningKeyModel {
+  name: string;
+  /** The first 12 digits of the SHA-256 of the key's 32 bytes. */
+  fingerprint: string;
+  /** Where it is kept. */
+  source: "settings" | "file";
+}
+
+/** Keep a signing key. */
+export interface SigningKeyRequest {
+  /** What links call it: letters, digits, `.`, `_`, `-`. */
+  name: string;
+  /** 64 hexadecimal digits; null: a new random key. */
+  key?: string | null;
+}
+
+/** Give the vehicle of a link a key. */
+export interface SigningRequest {
+  /** Name of the key. */
+  key: string;
+}
+
 /** A slope along one axis, with the interval that holds it with 90 %. */
 export interface SlopeModel {
   value: number;
@@ -1424,6 +1449,34 @@ export interface Operations {
     path: "/api/v1/links/{link_id}";
     parameters: { link_id: string };
     answer: null;
+  };
+  /** Every signing key by name, without the key. */
+  list_signing_keys: {
+    method: "GET";
+    path: "/api/v1/signing-keys";
+    answer: SigningKeyModel[];
+  };
+  /** Keep a signing key, or make one. */
+  add_signing_key: {
+    method: "POST";
+    path: "/api/v1/signing-keys";
+    body: SigningKeyRequest;
+    answer: SigningKeyModel;
+  };
+  /** Forget a signing key that no open link uses. */
+  remove_signing_key: {
+    method: "DELETE";
+    path: "/api/v1/signing-keys/{name}";
+    parameters: { name: string };
+    answer: null;
+  };
+  /** Give the one vehicle of a link a key (SETUP_SIGNING); the link is signed once the vehicle signs with it. */
+  set_up_signing: {
+    method: "POST";
+    path: "/api/v1/links/{link_id}/signing";
+    parameters: { link_id: string };
+    body: SigningRequest;
+    answer: LinkModel;
   };
   /** Every vehicle that was heard. */
   list_vehicles: {

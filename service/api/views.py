@@ -89,6 +89,7 @@ def link_model(link: Link, vehicles: VehicleRegistry) -> LinkModel:
         url=str(link.endpoint),
         state=link.state,
         reason=link.reason,
+        signing_key=link.signing_key,
         vehicles=[v.id for v in vehicles.all() if v.link is link],
         crc_errors=link.crc_errors,
     )

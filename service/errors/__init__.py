@@ -9,6 +9,10 @@
     |   |   +-- EndpointRefused   403
     |   +-- LinkUnknown           404
     |   +-- LinkElsewhere         409
+    |   +-- LinkOpen              409
+    |   +-- SigningKeyError       409
+    |   |   +-- SigningKeyUnknown 404
+    |   |   +-- SigningNotConfirmed 503
     |   +-- PortBusy              409
     +-- VehicleError              503
     |   +-- VehicleSilent         503
@@ -131,12 +135,16 @@ from mavcal.service.errors.vehicles import (
     LinkDown,
     LinkElsewhere,
     LinkError,
+    LinkOpen,
     LinkUnknown,
     ParameterError,
     ParameterMissing,
     ParameterRejected,
     ParameterTimeout,
     PortBusy,
+    SigningKeyError,
+    SigningKeyUnknown,
+    SigningNotConfirmed,
     UnitUnknown,
     VehicleArmed,
     VehicleBusy,
@@ -179,6 +187,7 @@ __all__ = [
     "LinkDown",
     "LinkElsewhere",
     "LinkError",
+    "LinkOpen",
     "LinkUnknown",
     "NoVehicle",
     "NotCancellable",
@@ -197,6 +206,9 @@ __all__ = [
     "PreflightRunning",
     "RecordingUnknown",
     "ServiceError",
+    "SigningKeyError",
+    "SigningKeyUnknown",
+    "SigningNotConfirmed",
     "StoreError",
     "TooManyAttempts",
     "TooManyStreams",

@@ -54,6 +54,38 @@ class LinkElsewhere(LinkError):
     code = "link-elsewhere"
 
 
+class LinkOpen(LinkError):
+    """The link is open and signed with another key. Close it first."""
+
+    status_code = 409
+    title = "Link open with another key"
+    code = "link-open"
+
+
+class SigningKeyError(LinkError):
+    """The signing key cannot be used like that."""
+
+    status_code = 409
+    title = "Signing key refused"
+    code = "signing-key-error"
+
+
+class SigningKeyUnknown(SigningKeyError):
+    """No such signing key. GET /api/v1/signing-keys lists them."""
+
+    status_code = 404
+    title = "Signing key unknown"
+    code = "signing-key-unknown"
+
+
+class SigningNotConfirmed(SigningKeyError):
+    """The vehicle did not confirm the signing key: the link stays unsigned."""
+
+    status_code = 503
+    title = "Signing not confirmed"
+    code = "signing-not-confirmed"
+
+
 class PortBusy(LinkError):
     """Another program uses this port. Stop it, or let it forward to another port and connect to that one."""
 

@@ -107,6 +107,7 @@ from mavcal.service.api.models.plans import (
 )
 from mavcal.service.api.models.preflight import CheckModel, FixModel, PreflightModel, PreflightRequest, RestoreRequest
 from mavcal.service.api.models.recordings import ReadingOptions, RecordingJobRequest, RecordingModel
+from mavcal.service.api.models.signing import SigningKeyModel, SigningKeyRequest, SigningRequest
 from mavcal.service.api.models.steps import (
     HoldsModel,
     NumberModel,
@@ -206,6 +207,9 @@ __all__ = [
     "SensorRecordModel",
     "SetAsideData",
     "SetAsideEvent",
+    "SigningKeyModel",
+    "SigningKeyRequest",
+    "SigningRequest",
     "SlopeModel",
     "StandingData",
     "StandingEvent",

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import pytest
@@ -12,6 +13,7 @@ from mavcal.service.vehicle.state import (
     Landed,
     Refusal,
     VehicleState,
+    changed,
     expire,
     note_boot_time,
     reduce,
@@ -37,6 +39,15 @@ def text(words: str, severity: int = 6, number: int = 0, chunk: int = 0) -> Any:
 
 
 READY = told(*[heartbeat()] * 4, landed(), step=1.0)  # the last heartbeat came at 103
+
+
+def test_a_changed_state_is_what_replace_makes_and_the_one_before_stays() -> None:
+    before = dataclasses.replace(READY)
+    after = changed(READY, throttle=0.5, _backwards=2)
+    assert after == dataclasses.replace(READY, throttle=0.5, _backwards=2)
+    assert before == READY != after
+    with pytest.raises(TypeError, match="throtle"):
+        changed(READY, throtle=0.5)
 
 
 def test_a_vehicle_that_is_disarmed_landed_and_alive_is_writable() -> None:
