@@ -12,10 +12,12 @@ from mavcal.client.models import (
     AuditCheck,
     AuditPage,
     FitsModel,
+    FleetUnitModel,
     GapModel,
     GapSummary,
     HealthModel,
     InfoModel,
+    ItemModel,
     JobSummary,
     LinkModel,
     MethodModel,
@@ -27,7 +29,9 @@ from mavcal.client.models import (
     RegistrationModel,
     ReviewModel,
     SeriesModel,
+    SigningKeyModel,
     TicketModel,
+    UnitHistoryModel,
     VehicleModel,
     VehicleSensorsModel,
 )
@@ -35,6 +39,7 @@ from mavcal.client.models import (
 AUDIT_CHECK: TypeAdapter[AuditCheck] = TypeAdapter(AuditCheck)
 AUDIT_PAGE: TypeAdapter[AuditPage] = TypeAdapter(AuditPage)
 FITS_MODEL: TypeAdapter[FitsModel] = TypeAdapter(FitsModel)
+FLEET_UNIT_MODEL: TypeAdapter[FleetUnitModel] = TypeAdapter(FleetUnitModel)
 GAP_MODEL: TypeAdapter[GapModel] = TypeAdapter(GapModel)
 GAP_SUMMARY: TypeAdapter[GapSummary] = TypeAdapter(GapSummary)
 HEALTH_MODEL: TypeAdapter[HealthModel] = TypeAdapter(HealthModel)
@@ -50,11 +55,15 @@ READINESS_MODEL: TypeAdapter[ReadinessModel] = TypeAdapter(ReadinessModel)
 RECORDING_MODEL: TypeAdapter[RecordingModel] = TypeAdapter(RecordingModel)
 REGISTRATION_MODEL: TypeAdapter[RegistrationModel] = TypeAdapter(RegistrationModel)
 REVIEW_MODEL: TypeAdapter[ReviewModel] = TypeAdapter(ReviewModel)
+SIGNING_KEY_MODEL: TypeAdapter[SigningKeyModel] = TypeAdapter(SigningKeyModel)
 TICKET_MODEL: TypeAdapter[TicketModel] = TypeAdapter(TicketModel)
+UNIT_HISTORY_MODEL: TypeAdapter[UnitHistoryModel] = TypeAdapter(UnitHistoryModel)
 VEHICLE_MESSAGE: TypeAdapter[VehicleMessage] = TypeAdapter(VehicleMessage)
 VEHICLE_MODEL: TypeAdapter[VehicleModel] = TypeAdapter(VehicleModel)
 VEHICLE_SENSORS_MODEL: TypeAdapter[VehicleSensorsModel] = TypeAdapter(VehicleSensorsModel)
+FLEET_UNIT_MODEL_LIST: TypeAdapter[list[FleetUnitModel]] = TypeAdapter(list[FleetUnitModel])
 GAP_SUMMARY_LIST: TypeAdapter[list[GapSummary]] = TypeAdapter(list[GapSummary])
+ITEM_MODEL_LIST: TypeAdapter[list[ItemModel]] = TypeAdapter(list[ItemModel])
 JOB_SUMMARY_LIST: TypeAdapter[list[JobSummary]] = TypeAdapter(list[JobSummary])
 LINK_MODEL_LIST: TypeAdapter[list[LinkModel]] = TypeAdapter(list[LinkModel])
 METHOD_MODEL_LIST: TypeAdapter[list[MethodModel]] = TypeAdapter(list[MethodModel])
@@ -62,4 +71,5 @@ PARAMETER_MODEL_LIST: TypeAdapter[list[ParameterModel]] = TypeAdapter(list[Param
 PROCEDURE_MODEL_LIST: TypeAdapter[list[ProcedureModel]] = TypeAdapter(list[ProcedureModel])
 RECORDING_MODEL_LIST: TypeAdapter[list[RecordingModel]] = TypeAdapter(list[RecordingModel])
 SERIES_MODEL_LIST: TypeAdapter[list[SeriesModel]] = TypeAdapter(list[SeriesModel])
+SIGNING_KEY_MODEL_LIST: TypeAdapter[list[SigningKeyModel]] = TypeAdapter(list[SigningKeyModel])
 VEHICLE_MODEL_LIST: TypeAdapter[list[VehicleModel]] = TypeAdapter(list[VehicleModel])

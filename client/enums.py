@@ -66,6 +66,21 @@ class Holds(StrEnum):
     UNKNOWN = "unknown"
 
 
+class ItemOutcome(StrEnum):
+    """What became of an item."""
+
+    WAITING = "waiting"
+    RUNNING = "running"
+    DONE = "done"
+    WARNED = "warned"
+    REVIEW = "review"
+    REFUSED = "refused"
+    SKIPPED = "skipped"
+    FAILED = "failed"
+    IN_DOUBT = "in_doubt"
+    CANCELLED = "cancelled"
+
+
 class JobState(StrEnum):
     """Where a job is."""
 
@@ -103,6 +118,13 @@ class LinkState(StrEnum):
     UP = "up"
     DOWN = "down"
     CLOSED = "closed"
+
+
+class ObservationSource(StrEnum):
+    """Where a measurement comes from."""
+
+    JOB = "job"
+    PREFLIGHT = "preflight"
 
 
 class ParameterKind(StrEnum):
@@ -161,6 +183,23 @@ class ProofVerdict(StrEnum):
     CONSISTENT = "consistent"
     NOT_OBSERVABLE = "not_observable"
     CONTRADICTED = "contradicted"
+
+
+class Quantity(StrEnum):
+    """What a trend may leave undetermined."""
+
+    TIME = "time"
+    TEMPERATURE = "temperature"
+    LEAVING = "leaving"
+
+
+class ReasonCode(StrEnum):
+    """Why a unit should be calibrated again."""
+
+    NEVER = "never"
+    AGE = "age"
+    DRIFT = "drift"
+    PREFLIGHT = "preflight"
 
 
 class Sensor(StrEnum):

@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from mavcal.client.base import Answer, Number
-from mavcal.client.enums import JobState, ProofLevel, Sensor
-from mavcal.client.jobs import OutcomeModel, ProgressModel, PromptModel, WriteModel
+from mavcal.client.enums import ItemOutcome, JobState, ProofLevel, Sensor
+from mavcal.client.jobs import OutcomeModel, ProgressModel, PromptModel, VehicleReadinessModel, WriteModel
 from mavcal.client.models import LinkModel, VehicleModel
 
 
@@ -30,6 +30,32 @@ class AnswerEvent(Answer):
     """Wall-clock time, s since 1970."""
     kind: Literal["answer"]
     data: AnswerData
+
+
+class ItemData(Answer):
+    """What became of an item."""
+
+    number: int
+    """Its place in the campaign, from 1."""
+    subject: str
+    """Id of the vehicle or upload, or the file."""
+    outcome: ItemOutcome
+    code: str
+    text: str
+    job_id: str | None
+    """The job that was begun for it."""
+
+
+class ItemEvent(Answer):
+    """An item of the campaign has ended."""
+
+    job_id: str
+    sequence: int
+    """Number among the events of this job, from 1."""
+    at: Number
+    """Wall-clock time, s since 1970."""
+    kind: Literal["item"]
+    data: ItemData
 
 
 class StateData(Answer):
@@ -196,6 +222,18 @@ class StandingEvent(Answer):
     data: StandingData
 
 
+class ReadinessEvent(Answer):
+    """The vehicle was looked at after a write."""
+
+    job_id: str
+    sequence: int
+    """Number among the events of this job, from 1."""
+    at: Number
+    """Wall-clock time, s since 1970."""
+    kind: Literal["readiness"]
+    data: VehicleReadinessModel
+
+
 JobEvent = Annotated[
     StateEvent
     | PromptEvent
@@ -207,7 +245,9 @@ JobEvent = Annotated[
     | PlanEvent
     | WriteEvent
     | VerificationEvent
-    | StandingEvent,
+    | StandingEvent
+    | ReadinessEvent
+    | ItemEvent,
     Field(discriminator="kind"),
 ]
 """One of JobEvent."""

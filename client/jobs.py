@@ -21,6 +21,7 @@ from mavcal.client.enums import (
     Sensor,
     SensorCheckId,
     SensorVerdict,
+    Verdict,
     WriteResult,
 )
 
@@ -377,6 +378,17 @@ class VerificationModel(Answer):
     """Sensors that read wrong although their parameters act."""
 
 
+class VehicleReadinessModel(Answer):
+    """What a preflight after the write says; the event `readiness` carries the same."""
+
+    verdict: Verdict
+    """That of the preflight; unknown: the vehicle could not be looked at."""
+    text: str
+    """This vehicle would arm now, or what stands against it in its own words."""
+    against: list[str]
+    """Every check that does not pass, failures first."""
+
+
 class StandingModel(Answer):
     """What is known of one parameter that a job has written, or may have."""
 
@@ -436,6 +448,8 @@ class JobModel(Answer):
     """One fit a sensor instance, as in `mavcal fit --json`."""
     plan: PlanModel | None
     verification: VerificationModel | None
+    readiness: VehicleReadinessModel | None
+    """Would the vehicle arm now; null until it was looked at after a write that succeeded."""
     standing: list[StandingModel]
     """Parameters in doubt (all that were sent, or may have been), or left to a third party."""
     documents: list[DocumentModel]

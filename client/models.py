@@ -12,14 +12,18 @@ from mavcal.client.enums import (
     Autopilot,
     CheckId,
     Fixable,
+    ItemOutcome,
     JobState,
     Landed,
     LinkState,
+    ObservationSource,
     ParameterKind,
+    Quantity,
+    ReasonCode,
     Sensor,
     Verdict,
 )
-from mavcal.client.jobs import FitModel, OutcomeModel, ProgressModel, PromptModel, WriteModel
+from mavcal.client.jobs import DocumentModel, FitModel, OutcomeModel, ProgressModel, PromptModel, WriteModel
 
 
 class AuditCheck(Answer):
@@ -77,6 +81,14 @@ class CheckModel(Answer):
     """Every number and fact that the check rests on."""
 
 
+class CoveredModel(Answer):
+    """The temperatures that a calibration covers, degC."""
+
+    low: Number
+    high: Number
+    how: str
+
+
 class CriterionModel(Answer):
     """What speaks for or against a plan."""
 
@@ -90,6 +102,53 @@ class CriterionModel(Answer):
     text: str
     remedy: str
     """What helps; empty: nothing has to be done."""
+
+
+class SlopeModel(Answer):
+    """A slope along one axis, with the interval that holds it with 90 %."""
+
+    value: Number
+    low: Number
+    high: Number
+
+
+class LeavingModel(Answer):
+    """When a bias leaves its limit; null: not within ten years from the last measurement."""
+
+    earliest: Number | None
+    """With 90 % it leaves between here and `latest`, s since 1970."""
+    middle: Number | None
+    """As likely before as after, s since 1970."""
+    latest: Number | None
+
+
+class OpenModel(Answer):
+    """What the measurements do not determine."""
+
+    quantity: Quantity
+    why: str
+
+
+class DriftModel(Answer):
+    """How a bias drifts. Slopes are along the sensor's axes; null: not determined, `open` says why."""
+
+    n: int
+    """Measurements that it rests on."""
+    unit: str
+    limit: Number
+    """How far the bias may be from what corrects it, in `unit`."""
+    per_year: list[SlopeModel] | None
+    per_degc: list[SlopeModel] | None
+    leaving: LeavingModel | None
+    open: list[OpenModel]
+
+
+class FailedCheckModel(Answer):
+    """A check of the last preflight that did not pass."""
+
+    id: CheckId
+    verdict: Verdict
+    reason: str
 
 
 class FitsModel(Answer):
@@ -108,6 +167,95 @@ class FixModel(Answer):
     state: JobState
     text: str
     """What came of it."""
+
+
+class OddnessModel(Answer):
+    """How far a sensor is from the middle of its type, in robust standard deviations of its worst axis."""
+
+    distance: Number
+    limit: Number
+    """A healthy group has one sensor beyond it in 1 of 100 groups."""
+    axis: int
+    """0, 1 or 2."""
+    group: int
+    """Sensors of this type that are known."""
+    odd: bool
+
+
+class FleetSensorModel(Answer):
+    """One sensor of a unit as it is known now."""
+
+    sensor: Sensor
+    instance: int
+    device_id: int
+    """0: not known."""
+    type: str
+    """Name of the part; empty: not known."""
+    bus: str
+    """Bus and address of the part; empty: not known."""
+    calibrated_at: Number | None
+    """Of the last verified calibration, s since 1970; null: none known."""
+    age_days: Number | None
+    job_id: str | None
+    """The job that calibrated it last."""
+    covered: CoveredModel | None
+    bias: list[Number] | None
+    """As it was measured last, in the unit of `drift`; null: never absolutely."""
+    temperature: Number | None
+    """At which that was, degC."""
+    drift: DriftModel
+    oddness: OddnessModel | None
+    """Null: fewer than six sensors of its type are known."""
+
+
+class UnitPreflightModel(Answer):
+    """The last preflight of a unit."""
+
+    at: Number
+    """Wall-clock time, s since 1970."""
+    age_s: Number
+    verdict: Verdict
+    summary: str
+    failed: list[FailedCheckModel]
+
+
+class ReasonModel(Answer):
+    """Why a unit should be calibrated again."""
+
+    code: ReasonCode
+    sensor: Sensor | None
+    """Null: the unit as a whole."""
+    instance: int | None
+    text: str
+
+
+class FleetUnitModel(Answer):
+    """A unit in one row."""
+
+    unit: str
+    """`uid-` and its hardware id, or where it was heard."""
+    href: str
+    name: str
+    """What people call it; empty: nothing."""
+    tags: list[str]
+    autopilot: str
+    firmware: str
+    connected: bool
+    """On a link of this service now."""
+    silent: bool | None
+    """No heartbeat for 3 s; null: not connected."""
+    seen_at: Number | None
+    """When it was identified last, s since 1970; null: not known."""
+    preflight: UnitPreflightModel | None
+    age_days: Number | None
+    """Of its oldest calibration; null: a sensor has none."""
+    ages: dict[str, Number | None]
+    """The same by kind of sensor."""
+    leaving: LeavingModel | None
+    """Of the sensor that leaves its limit first."""
+    needs_recalibration: bool
+    reasons: list[ReasonModel]
+    sensors: list[FleetSensorModel]
 
 
 class GapModel(Answer):
@@ -170,6 +318,52 @@ class InfoModel(Answer):
     python: str
 
 
+class PreflightModel(Answer):
+    """Whether a vehicle is fit to fly, as far as its sensors and their calibration go."""
+
+    vehicle_id: str
+    at: Number
+    """Wall-clock time, s since 1970."""
+    seconds: Number
+    """How long it took, s."""
+    verdict: Verdict
+    """Any failure fails the whole; then warnings count, then what is unknown."""
+    summary: str
+    checks: list[CheckModel]
+    notes: list[str]
+    """What stood in the way of looking."""
+    fixed: list[FixModel]
+
+
+class ItemModel(Answer):
+    """One vehicle or upload of a campaign."""
+
+    number: int
+    """Its place in the campaign, from 1."""
+    subject: str
+    """Id of the vehicle or upload; for a campaign of a command, the file."""
+    name: str
+    """File name of an upload; empty otherwise."""
+    outcome: ItemOutcome
+    code: str
+    """The outcome in one word: a problem code, the verdict of a preflight or a diagnosis, or the state of the job
+    when the item ended.
+    """
+    text: str
+    job_id: str | None
+    """The job that was begun for it; null: it needed none."""
+    job_state: JobState | None
+    """The present state of that job; null: there is none, or not any more."""
+    began_at: Number | None
+    ended_at: Number | None
+    preflight: PreflightModel | None
+    """Of a campaign of preflights."""
+    fits: list[FitModel]
+    """Of a campaign of fits: one fit a sensor instance."""
+    documents: list[DocumentModel]
+    """Of a campaign of diagnoses: each report."""
+
+
 class JobSummary(Answer):
     """A job in a list."""
 
@@ -203,6 +397,8 @@ class LinkModel(Answer):
     state: LinkState
     reason: str
     """Why it is in that state."""
+    signing_key: str | None
+    """Name of the key that signs it; null: it is not signed."""
     vehicles: list[str]
     """Ids of the vehicles heard on it."""
     crc_errors: int
@@ -239,23 +435,6 @@ class ParameterModel(Answer):
     value: Number | None
     """In the unit that the firmware documents; null: not a finite number."""
     kind: ParameterKind
-
-
-class PreflightModel(Answer):
-    """Whether a vehicle is fit to fly, as far as its sensors and their calibration go."""
-
-    vehicle_id: str
-    at: Number
-    """Wall-clock time, s since 1970."""
-    seconds: Number
-    """How long it took, s."""
-    verdict: Verdict
-    """Any failure fails the whole; then warnings count, then what is unknown."""
-    summary: str
-    checks: list[CheckModel]
-    notes: list[str]
-    """What stood in the way of looking."""
-    fixed: list[FixModel]
 
 
 class ProcedureModel(Answer):
@@ -339,6 +518,33 @@ class ReviewModel(Answer):
     """Address of the picture of before and after, relative to the root of the service; null: none."""
 
 
+class SensorRecordModel(Answer):
+    """One sensor as a job or a preflight measured it once."""
+
+    sensor: Sensor
+    instance: int
+    device_id: int
+    type: str
+    at: Number
+    """Wall-clock time, s since 1970."""
+    source: ObservationSource
+    source_id: str
+    """The job, whose calibration can be compared and restored."""
+    what: str
+    """Kind of the job; `rest`: a preflight."""
+    applied: bool
+    """The sensor was corrected by this from then on."""
+    proved: bool
+    unit: str
+    bias: list[Number] | None
+    """Raw, in `unit`."""
+    sd: list[Number] | None
+    norm: Number | None
+    """Of a preflight: rate or specific force as the vehicle used it, in `unit`."""
+    temperature: Number | None
+    covered: CoveredModel | None
+
+
 class SensorStateModel(Answer):
     """How one kind of calibration stands."""
 
@@ -374,6 +580,16 @@ class SeriesModel(Answer):
     """A row an axis, in `unit`; null: not a finite number."""
 
 
+class SigningKeyModel(Answer):
+    """A signing key without the key."""
+
+    name: str
+    fingerprint: str
+    """The first 12 digits of the SHA-256 of the key's 32 bytes."""
+    source: Literal["settings", "file"]
+    """Where it is kept."""
+
+
 class TicketModel(Answer):
     """A ticket for one event stream."""
 
@@ -381,6 +597,13 @@ class TicketModel(Answer):
     """Empty: the service runs without keys, and asks for none."""
     valid_s: Number
     """How long it is good, s."""
+
+
+class UnitHistoryModel(Answer):
+    """Everything that was measured of a unit's sensors, oldest first, with their drifts."""
+
+    unit: FleetUnitModel
+    records: list[SensorRecordModel]
 
 
 class VehicleModel(Answer):

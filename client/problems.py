@@ -17,6 +17,10 @@ class AuthenticationRequired(ApiProblem):
     """Authentication required (401). Give a valid API key."""
 
 
+class CampaignsBusy(ApiProblem):
+    """Too many campaigns (429). Too many campaigns are running; try again when one has ended."""
+
+
 class CaptureDisturbed(ApiProblem):
     """Capture disturbed (409). The vehicle changed its own calibration while the capture ran."""
 
@@ -125,6 +129,10 @@ class JobCancelled(ApiProblem):
     """Cancelled (409). The job was cancelled while its result was waited for."""
 
 
+class JobElsewhere(ApiProblem):
+    """Job elsewhere (409). The job belongs to another instance of the service. Ask that one."""
+
+
 class JobError(ApiProblem):
     """Job error (409). The job cannot do that."""
 
@@ -133,12 +141,24 @@ class JobUnknown(ApiProblem):
     """Job unknown (404). No such job. GET /api/v1/jobs lists them."""
 
 
+class LeaseLost(ApiProblem):
+    """Owned elsewhere (409). Another instance of the service owns that now: nothing more is written for it here."""
+
+
 class LinkDown(ApiProblem):
     """Link down (503). The link is down; it reconnects by itself once the other side is there again."""
 
 
+class LinkElsewhere(ApiProblem):
+    """Link elsewhere (409). Another instance of the service has this link open. Ask that one."""
+
+
 class LinkError(ApiProblem):
     """Link error (503). The link does not work; see its state for the reason."""
+
+
+class LinkOpen(ApiProblem):
+    """Link open with another key (409). The link is open and signed with another key. Close it first."""
 
 
 class LinkUnknown(ApiProblem):
@@ -163,6 +183,12 @@ class NotFound(ApiProblem):
 
 class NotRevertible(ApiProblem):
     """Nothing to revert (409). The job has written nothing that could be taken back."""
+
+
+class NothingVerified(ApiProblem):
+    """Nothing verified (409). No verified calibration of this very unit is known here, so there is nothing to
+    restore.
+    """
 
 
 class OtherVehicle(ApiProblem):
@@ -217,6 +243,18 @@ class RecordingUnknown(ApiProblem):
     """Recording unknown (404). No such recording. GET /api/v1/recordings lists them."""
 
 
+class SigningKeyError(ApiProblem):
+    """Signing key refused (409). The signing key cannot be used like that."""
+
+
+class SigningKeyUnknown(ApiProblem):
+    """Signing key unknown (404). No such signing key. GET /api/v1/signing-keys lists them."""
+
+
+class SigningNotConfirmed(ApiProblem):
+    """Signing not confirmed (503). The vehicle did not confirm the signing key: the link stays unsigned."""
+
+
 class StoreError(ApiProblem):
     """Storage error (500). The data directory cannot be used."""
 
@@ -231,6 +269,10 @@ class TooManyStreams(ApiProblem):
     """Too many event streams (503). As many event streams are open as the service allows. Close one, or raise
     `limits.streams` in the settings.
     """
+
+
+class UnitUnknown(ApiProblem):
+    """Unit unknown (404). No such unit. GET /api/v1/fleet lists those of which something is known."""
 
 
 class UploadTooLarge(ApiProblem):
@@ -284,6 +326,7 @@ class WriteStopped(ApiProblem):
 PROBLEMS: Mapping[str, type[ApiProblem]] = {
     "answer-refused": AnswerRefused,
     "authentication-required": AuthenticationRequired,
+    "campaigns-busy": CampaignsBusy,
     "capture-disturbed": CaptureDisturbed,
     "capture-ended": CaptureEnded,
     "capture-interrupted": CaptureInterrupted,
@@ -308,16 +351,21 @@ PROBLEMS: Mapping[str, type[ApiProblem]] = {
     "internal-error": InternalError,
     "invalid-input": InvalidInput,
     "job-cancelled": JobCancelled,
+    "job-elsewhere": JobElsewhere,
     "job-error": JobError,
     "job-unknown": JobUnknown,
+    "lease-lost": LeaseLost,
     "link-down": LinkDown,
+    "link-elsewhere": LinkElsewhere,
     "link-error": LinkError,
+    "link-open": LinkOpen,
     "link-unknown": LinkUnknown,
     "no-vehicle": NoVehicle,
     "not-allowed": NotAllowed,
     "not-cancellable": NotCancellable,
     "not-found": NotFound,
     "not-revertible": NotRevertible,
+    "nothing-verified": NothingVerified,
     "other-vehicle": OtherVehicle,
     "parameter-error": ParameterError,
     "parameter-missing": ParameterMissing,
@@ -330,9 +378,13 @@ PROBLEMS: Mapping[str, type[ApiProblem]] = {
     "port-busy": PortBusy,
     "preflight-running": PreflightRunning,
     "recording-unknown": RecordingUnknown,
+    "signing-key-error": SigningKeyError,
+    "signing-key-unknown": SigningKeyUnknown,
+    "signing-not-confirmed": SigningNotConfirmed,
     "store-error": StoreError,
     "too-many-attempts": TooManyAttempts,
     "too-many-streams": TooManyStreams,
+    "unit-unknown": UnitUnknown,
     "upload-too-large": UploadTooLarge,
     "upload-unreadable": UploadUnreadable,
     "validation": Validation,

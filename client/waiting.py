@@ -9,17 +9,19 @@ from typing import Any, Literal
 
 from mavcal.client import answers
 from mavcal.client.base import Number
-from mavcal.client.enums import JobState
+from mavcal.client.enums import ItemOutcome, JobState
 from mavcal.client.events import JobMessage, LiveMessage, Message, VehicleMessage
 from mavcal.client.jobs import JobModel, PlanModel
 from mavcal.client.models import (
     AuditCheck,
     AuditPage,
     FitsModel,
+    FleetUnitModel,
     GapModel,
     GapSummary,
     HealthModel,
     InfoModel,
+    ItemModel,
     JobSummary,
     LinkModel,
     MethodModel,
@@ -31,7 +33,9 @@ from mavcal.client.models import (
     RegistrationModel,
     ReviewModel,
     SeriesModel,
+    SigningKeyModel,
     TicketModel,
+    UnitHistoryModel,
     VehicleModel,
     VehicleSensorsModel,
 )
@@ -57,6 +61,22 @@ class Client(Transport):
     def close_link(self, link_id: str) -> None:
         """Close a link; its recording stays."""
         self._text("DELETE", f"/api/v1/links/{segment(link_id)}")
+
+    def list_signing_keys(self) -> list[SigningKeyModel]:
+        """Every signing key by name, without the key."""
+        return self._ask("GET", "/api/v1/signing-keys", answers.SIGNING_KEY_MODEL_LIST)
+
+    def add_signing_key(self, *, name: str, key: str | None = None) -> SigningKeyModel:
+        """Keep a signing key, or make one."""
+        return self._ask("POST", "/api/v1/signing-keys", answers.SIGNING_KEY_MODEL, body={"name": name, "key": key})
+
+    def remove_signing_key(self, name: str) -> None:
+        """Forget a signing key that no open link uses."""
+        self._text("DELETE", f"/api/v1/signing-keys/{segment(name)}")
+
+    def set_up_signing(self, link_id: str, *, key: str) -> LinkModel:
+        """Give the one vehicle of a link a key (SETUP_SIGNING); the link is signed once the vehicle signs with it."""
+        return self._ask("POST", f"/api/v1/links/{segment(link_id)}/signing", answers.LINK_MODEL, body={"key": key})
 
     def list_vehicles(self) -> list[VehicleModel]:
         """Every vehicle that was heard."""
@@ -98,6 +118,21 @@ class Client(Transport):
             f"/api/v1/vehicles/{segment(vehicle_id)}/preflight",
             answers.PREFLIGHT_MODEL,
             body={"heading": heading, "fix": fix},
+        )
+
+    def restore_calibration(
+        self, vehicle_id: str, *, only: list[str] | None = None, mark_calibrated: bool | None = None
+    ) -> JobModel:
+        """Plan to put the last verified calibration of this unit back, mapped by device id; `apply` writes the
+        plan.
+
+        409 if no calibration of this very unit was verified here.
+        """
+        return self._ask(
+            "POST",
+            f"/api/v1/vehicles/{segment(vehicle_id)}/restore",
+            answers.JOB_MODEL,
+            body={"only": only, "mark_calibrated": mark_calibrated},
         )
 
     def list_procedures(self) -> list[ProcedureModel]:
@@ -182,6 +217,7 @@ class Client(Transport):
         idempotency_key: str | None = None,
         reboot: bool | None = None,
         prove_s: Number | None = None,
+        preflight: bool | None = None,
     ) -> JobModel:
         """Accept the plan with this digest and write it; 409 if it is no longer the plan to be written."""
         return self._ask(
@@ -189,7 +225,7 @@ class Client(Transport):
             f"/api/v1/jobs/{segment(job_id)}/apply",
             answers.JOB_MODEL,
             header={"idempotency-key": idempotency_key},
-            body={"plan_sha256": plan_sha256, "reboot": reboot, "prove_s": prove_s},
+            body={"plan_sha256": plan_sha256, "reboot": reboot, "prove_s": prove_s, "preflight": preflight},
         )
 
     def revert_job(self, job_id: str) -> JobModel:
@@ -313,6 +349,180 @@ class Client(Transport):
     def get_gap_report(self, gap_id: str) -> str:
         """The report as a page; 409 while there is none."""
         return self._text("GET", f"/api/v1/gaps/{segment(gap_id)}/report.html")
+
+    def list_fleet(
+        self,
+        *,
+        order: Literal["name", "verdict", "age", "leaving", "seen"] | None = None,
+        descending: bool | None = None,
+        limit: int | None = None,
+        after: str | None = None,
+        verdict: list[Literal["pass", "warn", "fail", "unknown", "none"]] | None = None,
+        tag: str | None = None,
+        min_age_days: Number | None = None,
+        sensor: str | None = None,
+        needs_recalibration: bool | None = None,
+        odd: bool | None = None,
+    ) -> list[FleetUnitModel]:
+        """Every unit of which something is known, a page at a time.
+
+        A header `Link` with `rel="next"` leads to the next page, if any.
+        """
+        return self._ask(
+            "GET",
+            "/api/v1/fleet",
+            answers.FLEET_UNIT_MODEL_LIST,
+            query={
+                "order": order,
+                "descending": descending,
+                "limit": limit,
+                "after": after,
+                "verdict": verdict,
+                "tag": tag,
+                "min_age_days": min_age_days,
+                "sensor": sensor,
+                "needs_recalibration": needs_recalibration,
+                "odd": odd,
+            },
+        )
+
+    def export_fleet(
+        self,
+        *,
+        order: Literal["name", "verdict", "age", "leaving", "seen"] | None = None,
+        descending: bool | None = None,
+        verdict: list[Literal["pass", "warn", "fail", "unknown", "none"]] | None = None,
+        tag: str | None = None,
+        min_age_days: Number | None = None,
+        sensor: str | None = None,
+        needs_recalibration: bool | None = None,
+        odd: bool | None = None,
+    ) -> str:
+        """The same as a table, one row a unit, all of them."""
+        return self._text(
+            "GET",
+            "/api/v1/fleet.csv",
+            query={
+                "order": order,
+                "descending": descending,
+                "verdict": verdict,
+                "tag": tag,
+                "min_age_days": min_age_days,
+                "sensor": sensor,
+                "needs_recalibration": needs_recalibration,
+                "odd": odd,
+            },
+        )
+
+    def get_unit(self, unit_id: str) -> FleetUnitModel:
+        """One unit."""
+        return self._ask("GET", f"/api/v1/fleet/{segment(unit_id)}", answers.FLEET_UNIT_MODEL)
+
+    def change_unit(self, unit_id: str, *, name: str | None = None, tags: list[str] | None = None) -> FleetUnitModel:
+        """Give a unit a name, tags, or both; they stay with its hardware id."""
+        return self._ask(
+            "PATCH", f"/api/v1/fleet/{segment(unit_id)}", answers.FLEET_UNIT_MODEL, body={"name": name, "tags": tags}
+        )
+
+    def get_unit_history(self, unit_id: str) -> UnitHistoryModel:
+        """Every calibration of each sensor with its numbers, and what preflights read, oldest first."""
+        return self._ask("GET", f"/api/v1/fleet/{segment(unit_id)}/history", answers.UNIT_HISTORY_MODEL)
+
+    def start_preflight_campaign(
+        self, *, vehicles: list[str] | Literal["all"], at_once: int | None = None, tag: str | None = None
+    ) -> JobModel:
+        """Check many vehicles as one job. A vehicle that is armed, silent or busy is skipped, and its item says so."""
+        return self._ask(
+            "POST",
+            "/api/v1/campaigns/preflight",
+            answers.JOB_MODEL,
+            body={"at_once": at_once, "vehicles": vehicles, "tag": tag},
+        )
+
+    def start_calibration_campaign(
+        self,
+        *,
+        vehicles: list[str] | Literal["all"],
+        kind: str,
+        at_once: int | None = None,
+        tag: str | None = None,
+        options: dict[str, Number | bool] | None = None,
+        plan_options: PlanOptions | None = None,
+        apply: bool | None = None,
+        reboot: bool | None = None,
+    ) -> JobModel:
+        """Calibrate many vehicles as one job, which begins a job for each. Without `apply` their plans wait in
+        review.
+        """
+        return self._ask(
+            "POST",
+            "/api/v1/campaigns/calibrate",
+            answers.JOB_MODEL,
+            body={
+                "at_once": at_once,
+                "vehicles": vehicles,
+                "tag": tag,
+                "kind": kind,
+                "options": options,
+                "plan_options": plan_options,
+                "apply": apply,
+                "reboot": reboot,
+            },
+        )
+
+    def start_fit_campaign(
+        self,
+        *,
+        recordings: list[str] | Literal["all"],
+        method: str,
+        at_once: int | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> JobModel:
+        """Run one method on many uploads as one job; the fits are in its items."""
+        return self._ask(
+            "POST",
+            "/api/v1/campaigns/fit",
+            answers.JOB_MODEL,
+            body={"at_once": at_once, "recordings": recordings, "method": method, "options": options},
+        )
+
+    def start_gap_campaign(
+        self,
+        *,
+        recordings: list[str] | Literal["all"],
+        at_once: int | None = None,
+        sim: str | None = None,
+        nominal: list[str] | None = None,
+    ) -> JobModel:
+        """Diagnose the sim-to-real gap of many uploads as one job; the reports are documents of its items."""
+        return self._ask(
+            "POST",
+            "/api/v1/campaigns/gap",
+            answers.JOB_MODEL,
+            body={"at_once": at_once, "recordings": recordings, "sim": sim, "nominal": nominal},
+        )
+
+    def list_items(
+        self,
+        job_id: str,
+        *,
+        outcome: list[ItemOutcome] | None = None,
+        after: int | None = None,
+        limit: int | None = None,
+    ) -> list[ItemModel]:
+        """Items of a campaign, a page at a time; other jobs have none. A header `Link` leads to the next page, if
+        any.
+        """
+        return self._ask(
+            "GET",
+            f"/api/v1/jobs/{segment(job_id)}/items",
+            answers.ITEM_MODEL_LIST,
+            query={"outcome": outcome, "after": after, "limit": limit},
+        )
+
+    def export_items(self, job_id: str, form: Literal["csv"], *, outcome: list[ItemOutcome] | None = None) -> str:
+        """The outcome of a campaign as a table: one line an item."""
+        return self._text("GET", f"/api/v1/jobs/{segment(job_id)}/items.{segment(form)}", query={"outcome": outcome})
 
     def get_health(self) -> HealthModel:
         """Whether the process answers."""

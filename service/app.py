@@ -13,7 +13,20 @@ from fastapi.staticfiles import StaticFiles
 from starlette.middleware.cors import CORSMiddleware
 
 from mavcal import calib
-from mavcal.service.api import gaps, host, jobs, links, live, preflight, recordings, reviews, vehicles
+from mavcal.service.api import (
+    campaigns,
+    fleet,
+    gaps,
+    host,
+    jobs,
+    links,
+    live,
+    preflight,
+    recordings,
+    reviews,
+    signing,
+    vehicles,
+)
 from mavcal.service.api.document import document
 from mavcal.service.api.middleware import Envelope
 from mavcal.service.api.problems import install_problem_handlers
@@ -56,11 +69,14 @@ def create_app(settings: Settings) -> FastAPI:
         app.add_middleware(
             CORSMiddleware,
             allow_origins=settings.cors_origins,
-            allow_methods=["GET", "POST", "DELETE"],
+            allow_methods=["GET", "POST", "PATCH", "DELETE"],
             allow_headers=["Authorization", "Content-Type", "Idempotency-Key", "Last-Event-ID"],
             expose_headers=["Location", "Link", "X-Request-ID"],
         )
-    for module in (links, vehicles, live, preflight, jobs, reviews, recordings, gaps):
+    for module in (
+        *(links, signing, vehicles, live, preflight, jobs, reviews),
+        *(recordings, gaps, fleet, campaigns),
+    ):
         app.include_router(module.router, prefix="/api/v1")
     app.include_router(host.router)
     _add_panel(app)

@@ -11,7 +11,7 @@ from mavcal.calib.firmware.in_force.origin import Origin
 from mavcal.calib.fit import FitResult
 from mavcal.calib.methods import METHODS
 from mavcal.calib.report import from_json
-from mavcal.service.children import DIAGNOSE, FIT, Children, Limits
+from mavcal.service.children import DIAGNOSE, FIT, Limits, Runs
 from mavcal.service.errors import UploadError
 from mavcal.service.jobs.port import Diagnosis, Told
 from mavcal.service.recordings import Recordings, without_path
@@ -36,10 +36,15 @@ class UploadComputations:
         What a fit and a diagnosis may take.
     """
 
-    def __init__(self, recordings: Recordings, children: Children, of_fits: Limits, of_gaps: Limits) -> None:
+    def __init__(self, recordings: Recordings, children: Runs, of_fits: Limits, of_gaps: Limits) -> None:
         self._recordings = recordings
         self._children = children
         self._of_fits, self._of_gaps = of_fits, of_gaps
+
+    @property
+    def at_once(self) -> int:
+        """How many are computed at a time."""
+        return self._children.most
 
     def check(self, recording: str, method: str | None = None) -> None:
         """Raise RecordingUnknown or InvalidInputError if there is no such upload or method."""
@@ -73,6 +78,7 @@ class UploadComputations:
             "sim": None if sim is None else parts[1],
             "nominal": parts[1 if sim is None else 2 :],
             "title": f"Sim-to-real gap of {uploads[0].name}",
+            "vehicle": _vehicle(uploads[0]),
         }
         try:
             done = await self._children.run(DIAGNOSE, order, self._of_gaps, told=told)
@@ -90,7 +96,13 @@ class UploadComputations:
     ) -> tuple[tuple[FitResult, ...], Origin | None]:
         self.check(recording, method)
         row = self._recordings.get(recording)
-        order: Json = {**_part(row), "method": method, "options": dict(options), "origin": origin}
+        order: Json = {
+            **_part(row),
+            "method": method,
+            "options": dict(options),
+            "origin": origin,
+            "vehicle": _vehicle(row),
+        }
         try:
             done = await self._children.run(FIT, order, self._of_fits, told=told)
         except CalibError as error:
@@ -106,6 +118,14 @@ def _part(row: RecordingRow) -> Json:
     if not isinstance(reading, dict):
         raise UploadError(f"the record of {row.name} on the disk is damaged: upload the file again")
     return {"path": str(row.path), "reading": reading, "sha256": row.sha256}
+
+
+def _vehicle(row: RecordingRow) -> str | None:
+    """The unique id of the vehicle whose recording it is; None: the recording does not say."""
+    inspection = row.body.get("inspection")
+    identity = inspection.get("identity") if isinstance(inspection, dict) else None
+    uid = identity.get("uid") if isinstance(identity, dict) else None
+    return str(uid) if uid else None
 
 
 def _with_names(text: str, uploads: Sequence[RecordingRow]) -> str:

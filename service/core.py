@@ -10,30 +10,45 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import structlog
 from prometheus_client import CollectorRegistry
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from mavcal.service.campaigns.begin import CampaignDesk, works
 from mavcal.service.children import Children, Limits
 from mavcal.service.computations import UploadComputations
+from mavcal.service.fleet.book import FleetBook
 from mavcal.service.hand import AutoHand
+from mavcal.service.jobs.campaigns import CAMPAIGN, uploads_of_campaign
 from mavcal.service.jobs.computing import uploads_of
 from mavcal.service.jobs.crashpoints import CrashPoint, nowhere
 from mavcal.service.jobs.engine import JobEngine
 from mavcal.service.jobs.model import Failure
 from mavcal.service.jobs.salvage import CODE as UNREADABLE
+from mavcal.service.jobs.settings import JobSettings
 from mavcal.service.jobs.vehicle_adapter import RegistryAdapter
 from mavcal.service.link.allowed import Allowed
 from mavcal.service.link_registry import LinkRegistry
 from mavcal.service.recordings import Recordings
 from mavcal.service.retention import Retention
 from mavcal.service.settings import Settings
-from mavcal.service.store import SqliteStore, Store
+from mavcal.service.signing import SigningAdmin
+from mavcal.service.signing_keys import SigningKeys
+from mavcal.service.store import Store
+from mavcal.service.storing import open_store
 from mavcal.service.vehicle import VehicleRegistry
 
+if TYPE_CHECKING:
+    from mavcal.service.instances.instance import Instance
+    from mavcal.service.workers.remote import RemoteChildren
+
 log = structlog.get_logger(__name__)
+
+SPREAD = JobSettings(fits_at_once=64, diagnoses_at_once=16)
+"""Where workers compute, only they say how much is done at a time."""
 
 LEAST_FREE_BYTES = 64 * 2**20
 
@@ -49,6 +64,9 @@ class Service:
     jobs: JobEngine
     recordings: Recordings
     children: Children
+    fleet: FleetBook
+    campaigns: CampaignDesk
+    signing: SigningAdmin
 
     def obstacle(self) -> str | None:
         """Why no job could be run now; None: nothing stands in the way."""
@@ -75,39 +93,94 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
     EndpointError, PortBusy
         If an endpoint of the settings can never work as it is.
     """
-    store = SqliteStore(settings.data_dir)
+    store = open_store(settings)
     executor = ThreadPoolExecutor(max_workers=2, thread_name_prefix="fit")  # of live jobs alone
     vehicles = VehicleRegistry(yield_s=settings.mavlink.yield_s)
     tlogs = settings.data_dir / "tlogs"
     allowed = Allowed(settings.links.allowed, (tlogs, *settings.links.folders))
+    instance = _instance(settings, store)
+    keys = SigningKeys(settings.data_dir, settings.mavlink)
     links = LinkRegistry(
-        store, tlogs, settings.mavlink, allowed=allowed, attach=vehicles.attach, detach=vehicles.detach
+        store,
+        tlogs,
+        settings.mavlink,
+        keys=keys,
+        allowed=allowed,
+        attach=vehicles.attach,
+        detach=vehicles.detach,
+        ownership=None if instance is None else instance.links,
     )
+    signing = SigningAdmin(keys, links, vehicles, store, read_only=settings.read_only)
     folder, limits = settings.data_dir, settings.limits
     children = Children(folder / "children", most=limits.file_processes)
     of_files = Limits(limits.file_memory_bytes, limits.file_cpu_s, limits.file_wall_s)
     of_gaps = Limits(limits.file_memory_bytes, limits.gap_s, limits.gap_s)
     recordings = Recordings(
-        store, folder / "recordings", limit_bytes=limits.upload_bytes, children=children, limits=of_files
+        store, settings.uploads, limit_bytes=limits.upload_bytes, children=children, limits=of_files
     )
-    computations = UploadComputations(recordings, children, of_files, of_gaps)
+    workers = None if settings.database_url is None else _workers(settings)
+    computations = UploadComputations(recordings, workers or children, of_files, of_gaps)
+    fleet = FleetBook(store, vehicles)
+    source = RegistryAdapter(vehicles) if instance is None else RegistryAdapter(vehicles, instance.jobs.doubted)
     jobs = JobEngine(
-        store, RegistryAdapter(vehicles), computations, executor=executor, read_only=settings.read_only, reach=reach
+        store,
+        source,
+        computations,
+        ownership=None if instance is None else instance.jobs,
+        settings=JobSettings() if workers is None else SPREAD,
+        executor=executor,
+        read_only=settings.read_only,
+        reach=reach,
+        record=fleet,
     )
+    jobs.campaigns.works |= works(jobs, source, computations)
+    campaigns = CampaignDesk(jobs, computations, settings.read_only)
     async with AsyncExitStack() as started:
         # Interrupted writes first: nothing that comes later can keep them from being finished or taken back.
         started.callback(store.close)
+        if instance is not None:
+            started.callback(instance.close)
         started.callback(executor.shutdown, wait=False, cancel_futures=True)
         started.callback(vehicles.close)
         started.push_async_callback(links.close_all)
         started.callback(recordings.close)
         started.push_async_callback(children.stop)
+        if workers is not None:
+            await workers.start()
+            started.push_async_callback(workers.stop)
         started.push_async_callback(jobs.stop)
         await jobs.start()
-        await _open_links(links, settings, store)
+        await fleet.take_up(jobs.list())
+        started.callback(fleet.close)
+        if instance is None:
+            await _open_links(links, settings, store)
+        else:
+            await started.enter_async_context(instance.taking_part(jobs, links, vehicles))
         started.push_async_callback(_cancelled, asyncio.create_task(_retention(store, settings, jobs, links).run()))
         started.push_async_callback(_cancelled, asyncio.create_task(AutoHand(vehicles.all, jobs.list).run()))
-        yield Service(settings, store, links, vehicles, jobs, recordings, children)
+        yield Service(settings, store, links, vehicles, jobs, recordings, children, fleet, campaigns, signing)
+
+
+def _instance(settings: Settings, store: Store) -> Instance | None:
+    """Our part among other instances, if the settings name a database that they share."""
+    if settings.database_url is None:
+        return None
+    from mavcal.service.instances.instance import Instance
+    from mavcal.service.store.sql import SqlStore
+
+    assert isinstance(store, SqlStore)
+    try:
+        return Instance(settings, store)
+    except BaseException:
+        store.close()
+        raise
+
+
+def _workers(settings: Settings) -> RemoteChildren:
+    from mavcal.service.workers.remote import RemoteChildren
+
+    assert settings.database_url is not None
+    return RemoteChildren(settings.database_url.get_secret_value(), settings.uploads, settings.fleet.lease_s)
 
 
 def _retention(store: Store, settings: Settings, jobs: JobEngine, links: LinkRegistry) -> Retention:
@@ -115,7 +188,8 @@ def _retention(store: Store, settings: Settings, jobs: JobEngine, links: LinkReg
         """Uploads that a plan or a diagnosis rests on, or that a fit still needs."""
         if any(isinstance(job.outcome, Failure) and job.outcome.code == UNREADABLE for job in jobs.list()):
             return {row.id for row in store.recordings()}  # nobody knows what a damaged job rests on
-        return {upload for job in jobs.list() for upload in uploads_of(job)}
+        of_campaigns = (uploads_of_campaign(job, store) for job in jobs.list() if job.kind == CAMPAIGN)
+        return {upload for job in jobs.list() for upload in uploads_of(job)}.union(*of_campaigns)
 
     def open_files() -> set[Path]:
         return {link.tlog.path for link in links.all()}

@@ -10,6 +10,7 @@ import secrets
 import time
 from collections.abc import AsyncIterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from pathlib import Path, PurePath
 from typing import Any
@@ -55,7 +56,7 @@ class Recordings:
         row = self._store.recording(recording_id)
         if row is None:
             raise RecordingUnknown(f"there is no recording {recording_id}; GET /api/v1/recordings lists them")
-        return row
+        return replace(row, path=self._folder / row.path.name)  # the folder may lie elsewhere than when it was uploaded
 
     async def add(self, name: str, chunks: AsyncIterator[bytes], reading: Mapping[str, Any]) -> RecordingRow:
         """Keep an upload that can be read as a recording; of anything else no byte stays.

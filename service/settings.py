@@ -9,7 +9,7 @@ from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, SecretStr
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, SecretStr, model_validator
 from pydantic_settings import (
     BaseSettings,
     PydanticBaseSettingsSource,
@@ -19,8 +19,12 @@ from pydantic_settings import (
 
 from mavcal.service.reach import DEFAULT, checked_entry
 
+TAG = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,39}$"
+"""A tag of a vehicle."""
 ORIGIN = r"^https?://(\[[0-9a-f:]+\]|[a-z0-9.-]+)(:[0-9]{1,5})?$"
 """One exact origin, as browsers send it; no pattern, no path."""
+SIGNING_KEY = "[0-9a-fA-F]{64}"
+"""A signing key as digits."""
 
 
 def default_data_dir() -> Path:
@@ -54,6 +58,15 @@ class ApiKey(_Part):
     scopes: frozenset[Literal["read", "operate", "write-params", "admin"]] = Field(
         default=frozenset({"read"}), description="any of `read`, `operate`, `write-params`, `admin`"
     )
+    tags: frozenset[Annotated[str, Field(pattern=TAG)]] = Field(
+        default=frozenset(), description="only vehicles with one of these tags are seen and touched; none: all"
+    )
+
+    @model_validator(mode="after")
+    def _admin_sees_all(self) -> ApiKey:
+        if self.tags and "admin" in self.scopes:
+            raise ValueError("a key with the scope admin sees every vehicle: give it no tags, or other scopes")
+        return self
 
 
 def _absolute(path: Path) -> Path:
@@ -61,9 +74,12 @@ def _absolute(path: Path) -> Path:
 
 
 def _signing_key(key: SecretStr) -> SecretStr:
-    if not re.fullmatch("[0-9a-fA-F]{64}", key.get_secret_value()):
+    if not re.fullmatch(SIGNING_KEY, key.get_secret_value()):
         raise ValueError("a signing key has 64 hexadecimal digits")
     return key
+
+
+SigningKey = Annotated[SecretStr, AfterValidator(_signing_key)]
 
 
 class MavlinkSettings(_Part):
@@ -73,8 +89,12 @@ class MavlinkSettings(_Part):
     component: int = Field(
         default=190, ge=1, le=255, description="our MAVLink component id; 0 is not valid as a source"
     )
-    signing_key: Annotated[SecretStr, AfterValidator(_signing_key)] | None = Field(
-        default=None, description="32 bytes as 64 hexadecimal digits; none: frames are not signed"
+    signing_key: SigningKey | None = Field(
+        default=None,
+        description="signs links that name no key; 64 hexadecimal digits; none: such links are not signed",
+    )
+    signing_keys: dict[Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")], SigningKey] = Field(
+        default_factory=dict, description="keys by name, for links that name one: `udpin:0.0.0.0:14550?signing=NAME`"
     )
     yield_s: float = Field(
         default=30.0,
@@ -136,6 +156,20 @@ class RetentionSettings(_Part):
     keys: int = Field(default=100_000, gt=0, description="most Idempotency-Keys")
 
 
+class FleetSettings(_Part):
+    """What several instances and workers on one PostgreSQL database agree on."""
+
+    name: str = Field(default="", description="how this instance is named in the fleet; none: its host and port")
+    url: str | None = Field(
+        default=None,
+        pattern=r"^https?://[^/\s]+.*$",
+        description="address under which clients reach this instance, as `http://a:8765/`; told to who asks another",
+    )
+    lease_s: float = Field(
+        default=15.0, ge=2.0, le=300.0, description="silence of an instance after which others take its links over, s"
+    )
+
+
 class Settings(BaseSettings):
     """Everything that can be set."""
 
@@ -147,6 +181,14 @@ class Settings(BaseSettings):
     port: int = Field(default=8765, ge=0, le=65535, description="port to listen on; 0 takes a free one")
     data_dir: Annotated[Path, AfterValidator(_absolute)] = Field(
         default_factory=default_data_dir, description="where everything is kept; one process owns it"
+    )
+    database_url: SecretStr | None = Field(
+        default=None,
+        description="PostgreSQL database of a fleet, as `postgresql://user:key@host/name`; none: SQLite in `data_dir`",
+    )
+    uploads_dir: Annotated[Path, AfterValidator(_absolute)] | None = Field(
+        default=None,
+        description="folder of uploaded recordings, shared by all instances and workers; none: in `data_dir`",
     )
     connect: tuple[str, ...] = Field(default=(), description="endpoints opened at the start, as `udpin:0.0.0.0:14550`")
     read_only: bool = Field(default=False, description="never write to a vehicle, whatever is asked")
@@ -170,6 +212,7 @@ class Settings(BaseSettings):
     mavlink: MavlinkSettings = Field(default_factory=MavlinkSettings, description="who we are on the wire")
     links: LinkSettings = Field(default_factory=LinkSettings, description="which endpoints may be opened over HTTP")
     limits: LimitSettings = Field(default_factory=LimitSettings, description="what one client may cost")
+    fleet: FleetSettings = Field(default_factory=FleetSettings, description="several instances on one database")
     retention: RetentionSettings = Field(
         default_factory=RetentionSettings, description="what is forgotten in time; never the evidence of a job"
     )
@@ -185,6 +228,11 @@ class Settings(BaseSettings):
     ) -> tuple[PydanticBaseSettingsSource, ...]:
         """Keyword before environment before file."""
         return init_settings, env_settings, TomlConfigSettingsSource(settings_cls)
+
+    @property
+    def uploads(self) -> Path:
+        """Folder of uploaded recordings."""
+        return self.uploads_dir or self.data_dir / "recordings"
 
     @property
     def beyond_loopback(self) -> bool:

@@ -9,6 +9,7 @@ from hypothesis import settings
 import mavcal.service  # noqa: F401  before numpy is loaded: it keeps numpy to one thread
 from tests import processes
 from tests.patience import scaled
+from tests.postgres import NoServer, Server
 
 # Wall-clock deadlines judge the machine, not the code; failures print the seed that repeats them.
 settings.register_profile("mavcal", deadline=None, print_blob=True)
@@ -43,3 +44,20 @@ def no_process_stays() -> Iterator[None]:
     yield
     left = processes.ended()
     assert not left, "left running, and killed now: " + "; ".join(map(str, left))
+
+
+@pytest.fixture(scope="session")
+def postgres() -> Iterator[Server]:
+    """A PostgreSQL server of this session."""
+    try:
+        server = Server()
+    except NoServer as reason:
+        pytest.skip(f"no PostgreSQL: {reason}")
+    yield server
+    server.stop()
+
+
+@pytest.fixture
+def database_url(postgres: Server) -> str:
+    """An empty database."""
+    return postgres.database()

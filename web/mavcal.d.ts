@@ -54,6 +54,8 @@ export interface ApplyRequest {
   reboot?: boolean;
   /** How long to wait for movements that prove the rest, s. */
   prove_s?: number;
+  /** Look at the vehicle for some seconds afterwards and say whether it would arm now. */
+  preflight?: boolean;
 }
 
 /** Whether the audit trail is as it was written. */
@@ -90,6 +92,26 @@ export interface AuditPage {
 
 /** The firmware family. */
 export type Autopilot = "ardupilot" | "px4" | "other";
+
+/** Calibrate many vehicles. */
+export interface CalibrationCampaignRequest {
+  /** Most items of this campaign at a time; null: its queue alone bounds it. */
+  at_once?: number | null;
+  /** Ids of `/vehicles`, or `all` that are heard now. */
+  vehicles: string[] | "all";
+  /** Only those that carry this tag; null: whatever they carry. */
+  tag?: string | null;
+  /** A kind of `/procedures`, such as gyro or level. */
+  kind: string;
+  /** Options of that procedure. */
+  options?: Record<string, number | boolean>;
+  /** Options of every plan; confirmations are said of one plan and refused. */
+  plan_options?: PlanOptions;
+  /** Accept and write every plan that nothing stands against; needs the scope write-params. */
+  apply?: boolean;
+  /** With `apply`: restart a vehicle whose plan needs it; else that plan stays in review. */
+  reboot?: boolean;
+}
 
 /** One parameter to be set. */
 export interface ChangeModel {
@@ -134,6 +156,13 @@ export interface CheckModel {
   evidence: string[];
 }
 
+/** The temperatures that a calibration covers, degC. */
+export interface CoveredModel {
+  low: number;
+  high: number;
+  how: string;
+}
+
 /** What speaks for or against a plan. */
 export interface CriterionModel {
   id: string;
@@ -153,6 +182,26 @@ export interface DocumentModel {
   name: string;
   /** Its address, relative to the root of the service. */
   href: string;
+}
+
+/** How a bias drifts. Slopes are along the sensor's axes; null: not determined, `open` says why. */
+export interface DriftModel {
+  /** Measurements that it rests on. */
+  n: number;
+  unit: string;
+  /** How far the bias may be from what corrects it, in `unit`. */
+  limit: number;
+  per_year: SlopeModel[] | null;
+  per_degc: SlopeModel[] | null;
+  leaving: LeavingModel | null;
+  open: OpenModel[];
+}
+
+/** A check of the last preflight that did not pass. */
+export interface FailedCheckModel {
+  id: CheckId;
+  verdict: Verdict;
+  reason: string;
 }
 
 /** The job did not reach its goal. */
@@ -181,6 +230,18 @@ export interface FingerprintModel {
   firmware: string;
   /** Device ids of the sensors, by parameter. */
   device_ids: [string, number][];
+}
+
+/** Fit many uploads. */
+export interface FitCampaignRequest {
+  /** Most items of this campaign at a time; null: its queue alone bounds it. */
+  at_once?: number | null;
+  /** Ids of `/recordings`, or `all` that are there now. */
+  recordings: string[] | "all";
+  /** A method of `mavcal fit --help`. */
+  method: string;
+  /** Options of that method. */
+  options?: Record<string, unknown>;
 }
 
 /** Fit an uploaded recording as a job. */
@@ -275,6 +336,71 @@ export interface FixModel {
 /** Kinds of jobs that want nothing but a vehicle at rest. */
 export type Fixable = "gyro" | "level";
 
+/** One sensor of a unit as it is known now. */
+export interface FleetSensorModel {
+  sensor: Sensor;
+  instance: number;
+  /** 0: not known. */
+  device_id: number;
+  /** Name of the part; empty: not known. */
+  type: string;
+  /** Bus and address of the part; empty: not known. */
+  bus: string;
+  /** Of the last verified calibration, s since 1970; null: none known. */
+  calibrated_at: number | null;
+  age_days: number | null;
+  /** The job that calibrated it last. */
+  job_id: string | null;
+  covered: CoveredModel | null;
+  /** As it was measured last, in the unit of `drift`; null: never absolutely. */
+  bias: [number, number, number] | null;
+  /** At which that was, degC. */
+  temperature: number | null;
+  drift: DriftModel;
+  /** Null: fewer than six sensors of its type are known. */
+  oddness: OddnessModel | null;
+}
+
+/** A unit in one row. */
+export interface FleetUnitModel {
+  /** `uid-` and its hardware id, or where it was heard. */
+  unit: string;
+  href: string;
+  /** What people call it; empty: nothing. */
+  name: string;
+  tags: string[];
+  autopilot: string;
+  firmware: string;
+  /** On a link of this service now. */
+  connected: boolean;
+  /** No heartbeat for 3 s; null: not connected. */
+  silent: boolean | null;
+  /** When it was identified last, s since 1970; null: not known. */
+  seen_at: number | null;
+  preflight: UnitPreflightModel | null;
+  /** Of its oldest calibration; null: a sensor has none. */
+  age_days: number | null;
+  /** The same by kind of sensor. */
+  ages: Record<string, number | null>;
+  /** Of the sensor that leaves its limit first. */
+  leaving: LeavingModel | null;
+  needs_recalibration: boolean;
+  reasons: ReasonModel[];
+  sensors: FleetSensorModel[];
+}
+
+/** Diagnose the sim-to-real gap of many uploads. */
+export interface GapCampaignRequest {
+  /** Most items of this campaign at a time; null: its queue alone bounds it. */
+  at_once?: number | null;
+  /** Ids of `/recordings`, or `all` that are there now, without `sim` and `nominal`. */
+  recordings: string[] | "all";
+  /** Id of a simulator's recording, for all of them. */
+  sim?: string | null;
+  /** Ids of recordings without an effect. */
+  nominal?: string[];
+}
+
 /** A diagnosis with its report. */
 export interface GapModel {
   id: string;
@@ -343,7 +469,60 @@ export interface InfoModel {
   python: string;
 }
 
-export type JobEvent = StateEvent | PromptEvent | ProgressEvent | AnswerEvent | WarningEvent | SegmentsEvent | SetAsideEvent | PlanEvent | WriteEvent | VerificationEvent | StandingEvent;
+/** What became of an item. */
+export interface ItemData {
+  /** Its place in the campaign, from 1. */
+  number: number;
+  /** Id of the vehicle or upload, or the file. */
+  subject: string;
+  outcome: ItemOutcome;
+  code: string;
+  text: string;
+  /** The job that was begun for it. */
+  job_id: string | null;
+}
+
+/** An item of the campaign has ended. */
+export interface ItemEvent {
+  job_id: string;
+  /** Number among the events of this job, from 1. */
+  sequence: number;
+  /** Wall-clock time, s since 1970. */
+  at: number;
+  kind: "item";
+  data: ItemData;
+}
+
+/** One vehicle or upload of a campaign. */
+export interface ItemModel {
+  /** Its place in the campaign, from 1. */
+  number: number;
+  /** Id of the vehicle or upload; for a campaign of a command, the file. */
+  subject: string;
+  /** File name of an upload; empty otherwise. */
+  name: string;
+  outcome: ItemOutcome;
+  /** The outcome in one word: a problem code, the verdict of a preflight or a diagnosis, or the state of the job when the item ended. */
+  code: string;
+  text: string;
+  /** The job that was begun for it; null: it needed none. */
+  job_id: string | null;
+  /** The present state of that job; null: there is none, or not any more. */
+  job_state: JobState | null;
+  began_at: number | null;
+  ended_at: number | null;
+  /** Of a campaign of preflights. */
+  preflight: PreflightModel | null;
+  /** Of a campaign of fits: one fit a sensor instance. */
+  fits: FitModel[];
+  /** Of a campaign of diagnoses: each report. */
+  documents: DocumentModel[];
+}
+
+/** What became of an item. */
+export type ItemOutcome = "waiting" | "running" | "done" | "warned" | "review" | "refused" | "skipped" | "failed" | "in_doubt" | "cancelled";
+
+export type JobEvent = StateEvent | PromptEvent | ProgressEvent | AnswerEvent | WarningEvent | SegmentsEvent | SetAsideEvent | PlanEvent | WriteEvent | VerificationEvent | StandingEvent | ReadinessEvent | ItemEvent;
 
 /** Something happened to a job. `id` continues the stream: it is sent again as `Last-Event-ID`. */
 export interface JobMessage {
@@ -381,6 +560,8 @@ export interface JobModel {
   results: FitModel[];
   plan: PlanModel | null;
   verification: VerificationModel | null;
+  /** Would the vehicle arm now; null until it was looked at after a write that succeeded. */
+  readiness: VehicleReadinessModel | null;
   /** Parameters in doubt (all that were sent, or may have been), or left to a third party. */
   standing: StandingModel[];
   /** What the job has made beside its results. */
@@ -429,6 +610,15 @@ export interface JobSummary {
 /** EXTENDED_SYS_STATE.landed_state. */
 export type Landed = "undefined" | "on_ground" | "in_air" | "takeoff" | "landing";
 
+/** When a bias leaves its limit; null: not within ten years from the last measurement. */
+export interface LeavingModel {
+  /** With 90 % it leaves between here and `latest`, s since 1970. */
+  earliest: number | null;
+  /** As likely before as after, s since 1970. */
+  middle: number | null;
+  latest: number | null;
+}
+
 /** The present state of a link. */
 export interface LinkMessage {
   event: "link";
@@ -442,6 +632,8 @@ export interface LinkModel {
   state: LinkState;
   /** Why it is in that state. */
   reason: string;
+  /** Name of the key that signs it; null: it is not signed. */
+  signing_key: string | null;
   /** Ids of the vehicles heard on it. */
   vehicles: string[];
   /** Damaged frames, which cannot be attributed to a sender. */
@@ -519,6 +711,27 @@ export interface NumberModel {
   low: number;
   /** Greatest value, in `unit`. */
   high: number;
+}
+
+/** Where a measurement comes from. */
+export type ObservationSource = "job" | "preflight";
+
+/** How far a sensor is from the middle of its type, in robust standard deviations of its worst axis. */
+export interface OddnessModel {
+  distance: number;
+  /** A healthy group has one sensor beyond it in 1 of 100 groups. */
+  limit: number;
+  /** 0, 1 or 2. */
+  axis: number;
+  /** Sensors of this type that are known. */
+  group: number;
+  odd: boolean;
+}
+
+/** What the measurements do not determine. */
+export interface OpenModel {
+  quantity: Quantity;
+  why: string;
 }
 
 /** A number or a switch that may be set when a job is started. */
@@ -636,6 +849,16 @@ export interface PolynomialModel {
 /** The six faces, in the order and meaning of MAVLink's ``ACCELCAL_VEHICLE_POS`` (1..6), and oblique poses. */
 export type Pose = "level" | "left" | "right" | "nose_down" | "nose_up" | "back" | "oblique";
 
+/** Check many vehicles. */
+export interface PreflightCampaignRequest {
+  /** Most items of this campaign at a time; null: its queue alone bounds it. */
+  at_once?: number | null;
+  /** Ids of `/vehicles`, or `all` that are heard now. */
+  vehicles: string[] | "all";
+  /** Only those that carry this tag; null: whatever they carry. */
+  tag?: string | null;
+}
+
 /** Whether a vehicle is fit to fly, as far as its sensors and their calibration go. */
 export interface PreflightModel {
   vehicle_id: string;
@@ -677,7 +900,7 @@ export interface Problem {
 }
 
 /** What kind of problem it is. */
-export type ProblemCode = "answer-refused" | "authentication-required" | "capture-disturbed" | "capture-ended" | "capture-interrupted" | "command-forbidden" | "command-refused" | "command-timeout" | "data-dir-locked" | "disk-full" | "document-unknown" | "endpoint-refused" | "endpoint-unknown" | "export-unknown" | "file-not-processed" | "files-busy" | "gap-error" | "gap-unfinished" | "gap-unknown" | "gaps-busy" | "http" | "idempotency-key-reused" | "illegal-transition" | "internal-error" | "invalid-input" | "job-cancelled" | "job-error" | "job-unknown" | "link-down" | "link-error" | "link-unknown" | "no-vehicle" | "not-allowed" | "not-cancellable" | "not-found" | "not-revertible" | "other-vehicle" | "parameter-error" | "parameter-missing" | "parameter-rejected" | "parameter-timeout" | "physical-job-running" | "plan-blocked" | "plan-changed" | "plan-missing" | "port-busy" | "preflight-running" | "recording-unknown" | "store-error" | "too-many-attempts" | "too-many-streams" | "upload-too-large" | "upload-unreadable" | "validation" | "vehicle-armed" | "vehicle-busy" | "vehicle-conflict" | "vehicle-error" | "vehicle-silent" | "vehicle-unknown" | "write-failed" | "write-stopped";
+export type ProblemCode = "answer-refused" | "authentication-required" | "campaigns-busy" | "capture-disturbed" | "capture-ended" | "capture-interrupted" | "command-forbidden" | "command-refused" | "command-timeout" | "data-dir-locked" | "disk-full" | "document-unknown" | "endpoint-refused" | "endpoint-unknown" | "export-unknown" | "file-not-processed" | "files-busy" | "gap-error" | "gap-unfinished" | "gap-unknown" | "gaps-busy" | "http" | "idempotency-key-reused" | "illegal-transition" | "internal-error" | "invalid-input" | "job-cancelled" | "job-elsewhere" | "job-error" | "job-unknown" | "lease-lost" | "link-down" | "link-elsewhere" | "link-error" | "link-open" | "link-unknown" | "no-vehicle" | "not-allowed" | "not-cancellable" | "not-found" | "not-revertible" | "nothing-verified" | "other-vehicle" | "parameter-error" | "parameter-missing" | "parameter-rejected" | "parameter-timeout" | "physical-job-running" | "plan-blocked" | "plan-changed" | "plan-missing" | "port-busy" | "preflight-running" | "recording-unknown" | "signing-key-error" | "signing-key-unknown" | "signing-not-confirmed" | "store-error" | "too-many-attempts" | "too-many-streams" | "unit-unknown" | "upload-too-large" | "upload-unreadable" | "validation" | "vehicle-armed" | "vehicle-busy" | "vehicle-conflict" | "vehicle-error" | "vehicle-silent" | "vehicle-unknown" | "write-failed" | "write-stopped";
 
 /** A procedure: what it needs, ends on, writes and cannot represent. */
 export interface ProcedureModel {
@@ -772,6 +995,20 @@ export type ProofLevel = "full" | "partial" | "none";
 /** What the stream says of one written parameter. */
 export type ProofVerdict = "proved" | "consistent" | "not_observable" | "contradicted";
 
+/** What a trend may leave undetermined. */
+export type Quantity = "time" | "temperature" | "leaving";
+
+/** The vehicle was looked at after a write. */
+export interface ReadinessEvent {
+  job_id: string;
+  /** Number among the events of this job, from 1. */
+  sequence: number;
+  /** Wall-clock time, s since 1970. */
+  at: number;
+  kind: "readiness";
+  data: VehicleReadinessModel;
+}
+
 /** Whether jobs can be run. */
 export interface ReadinessModel {
   status: "ready" | "not ready";
@@ -792,6 +1029,18 @@ export interface ReadingOptions {
   unit_mag?: string;
   /** Which vehicle of a telemetry log. */
   system?: number | null;
+}
+
+/** Why a unit should be calibrated again. */
+export type ReasonCode = "never" | "age" | "drift" | "preflight";
+
+/** Why a unit should be calibrated again. */
+export interface ReasonModel {
+  code: ReasonCode;
+  /** Null: the unit as a whole. */
+  sensor: Sensor | null;
+  instance: number | null;
+  text: string;
 }
 
 /** Plan the fits of an uploaded recording for a connected vehicle. */
@@ -832,6 +1081,14 @@ export interface RegistrationModel {
   api: string;
   works_in_relative_paths: boolean;
   new_page: boolean;
+}
+
+/** Put the last verified calibration back. */
+export interface RestoreRequest {
+  /** These sensors alone, as gyro0 or accel1; empty: all, and what belongs to the board. */
+  only?: string[];
+  /** ArduPilot: mark the sensors as calibrated. */
+  mark_calibrated?: boolean;
 }
 
 /** The job reached its goal. */
@@ -937,6 +1194,32 @@ export interface SensorModel {
   polynomial: PolynomialModel | null;
 }
 
+/** One sensor as a job or a preflight measured it once. */
+export interface SensorRecordModel {
+  sensor: Sensor;
+  instance: number;
+  device_id: number;
+  type: string;
+  /** Wall-clock time, s since 1970. */
+  at: number;
+  source: ObservationSource;
+  /** The job, whose calibration can be compared and restored. */
+  source_id: string;
+  /** Kind of the job; `rest`: a preflight. */
+  what: string;
+  /** The sensor was corrected by this from then on. */
+  applied: boolean;
+  proved: boolean;
+  unit: string;
+  /** Raw, in `unit`. */
+  bias: [number, number, number] | null;
+  sd: [number, number, number] | null;
+  /** Of a preflight: rate or specific force as the vehicle used it, in `unit`. */
+  norm: number | null;
+  temperature: number | null;
+  covered: CoveredModel | null;
+}
+
 /** How one kind of calibration stands. */
 export interface SensorStateModel {
   /** The procedure that would calibrate it. */
@@ -988,6 +1271,36 @@ export interface SetAsideEvent {
   at: number;
   kind: "set_aside";
   data: SetAsideData;
+}
+
+/** A signing key without the key. */
+export interface SigningKeyModel {
+  name: string;
+  /** The first 12 digits of the SHA-256 of the key's 32 bytes. */
+  fingerprint: string;
+  /** Where it is kept. */
+  source: "settings" | "file";
+}
+
+/** Keep a signing key. */
+export interface SigningKeyRequest {
+  /** What links call it: letters, digits, `.`, `_`, `-`. */
+  name: string;
+  /** 64 hexadecimal digits; null: a new random key. */
+  key?: string | null;
+}
+
+/** Give the vehicle of a link a key. */
+export interface SigningRequest {
+  /** Name of the key. */
+  key: string;
+}
+
+/** A slope along one axis, with the interval that holds it with 90 %. */
+export interface SlopeModel {
+  value: number;
+  low: number;
+  high: number;
 }
 
 /** Why it is not certain. */
@@ -1046,6 +1359,30 @@ export interface TicketModel {
   valid_s: number;
 }
 
+/** Everything that was measured of a unit's sensors, oldest first, with their drifts. */
+export interface UnitHistoryModel {
+  unit: FleetUnitModel;
+  records: SensorRecordModel[];
+}
+
+/** The last preflight of a unit. */
+export interface UnitPreflightModel {
+  /** Wall-clock time, s since 1970. */
+  at: number;
+  age_s: number;
+  verdict: Verdict;
+  summary: string;
+  failed: FailedCheckModel[];
+}
+
+/** A name, tags, or both; what is left out stays as it is. */
+export interface UnitRequest {
+  /** What people call it; empty: nothing any more. */
+  name?: string | null;
+  /** All of its tags; a key that is bound to tags may not change them. */
+  tags?: string[] | null;
+}
+
 /** A parameter that no stream has proved, or a sensor that could not be seen to read right with the new values. */
 export interface UnprovedModel {
   name: string;
@@ -1097,6 +1434,16 @@ export interface VehicleModel {
   bytes_per_s: number;
   /** How many parameters were heard. */
   parameters_known: number;
+}
+
+/** What a preflight after the write says; the event `readiness` carries the same. */
+export interface VehicleReadinessModel {
+  /** That of the preflight; unknown: the vehicle could not be looked at. */
+  verdict: Verdict;
+  /** This vehicle would arm now, or what stands against it in its own words. */
+  text: string;
+  /** Every check that does not pass, failures first. */
+  against: string[];
 }
 
 /** The four kinds of calibration of a vehicle, and what it needs now. */
@@ -1225,6 +1572,34 @@ export interface Operations {
     parameters: { link_id: string };
     answer: null;
   };
+  /** Every signing key by name, without the key. */
+  list_signing_keys: {
+    method: "GET";
+    path: "/api/v1/signing-keys";
+    answer: SigningKeyModel[];
+  };
+  /** Keep a signing key, or make one. */
+  add_signing_key: {
+    method: "POST";
+    path: "/api/v1/signing-keys";
+    body: SigningKeyRequest;
+    answer: SigningKeyModel;
+  };
+  /** Forget a signing key that no open link uses. */
+  remove_signing_key: {
+    method: "DELETE";
+    path: "/api/v1/signing-keys/{name}";
+    parameters: { name: string };
+    answer: null;
+  };
+  /** Give the one vehicle of a link a key (SETUP_SIGNING); the link is signed once the vehicle signs with it. */
+  set_up_signing: {
+    method: "POST";
+    path: "/api/v1/links/{link_id}/signing";
+    parameters: { link_id: string };
+    body: SigningRequest;
+    answer: LinkModel;
+  };
   /** Every vehicle that was heard. */
   list_vehicles: {
     method: "GET";
@@ -1274,6 +1649,14 @@ export interface Operations {
     parameters: { vehicle_id: string };
     body: PreflightRequest;
     answer: PreflightModel;
+  };
+  /** Plan to put the last verified calibration of this unit back, mapped by device id; `apply` writes the plan. */
+  restore_calibration: {
+    method: "POST";
+    path: "/api/v1/vehicles/{vehicle_id}/restore";
+    parameters: { vehicle_id: string };
+    body: RestoreRequest;
+    answer: JobModel;
   };
   /** What can be calibrated, what each procedure needs, ends on, writes and cannot represent. */
   list_procedures: {
@@ -1482,6 +1865,86 @@ export interface Operations {
     method: "GET";
     path: "/api/v1/gaps/{gap_id}/report.html";
     parameters: { gap_id: string };
+    answer: string;
+  };
+  /** Every unit of which something is known, a page at a time. */
+  list_fleet: {
+    method: "GET";
+    path: "/api/v1/fleet";
+    query: { order?: "name" | "verdict" | "age" | "leaving" | "seen"; descending?: boolean; limit?: number; after?: string | null; verdict?: ("pass" | "warn" | "fail" | "unknown" | "none")[] | null; tag?: string | null; min_age_days?: number | null; sensor?: string | null; needs_recalibration?: boolean | null; odd?: boolean | null };
+    answer: FleetUnitModel[];
+  };
+  /** The same as a table, one row a unit, all of them. */
+  export_fleet: {
+    method: "GET";
+    path: "/api/v1/fleet.csv";
+    query: { order?: "name" | "verdict" | "age" | "leaving" | "seen"; descending?: boolean; verdict?: ("pass" | "warn" | "fail" | "unknown" | "none")[] | null; tag?: string | null; min_age_days?: number | null; sensor?: string | null; needs_recalibration?: boolean | null; odd?: boolean | null };
+    answer: string;
+  };
+  /** One unit. */
+  get_unit: {
+    method: "GET";
+    path: "/api/v1/fleet/{unit_id}";
+    parameters: { unit_id: string };
+    answer: FleetUnitModel;
+  };
+  /** Give a unit a name, tags, or both; they stay with its hardware id. */
+  change_unit: {
+    method: "PATCH";
+    path: "/api/v1/fleet/{unit_id}";
+    parameters: { unit_id: string };
+    body: UnitRequest;
+    answer: FleetUnitModel;
+  };
+  /** Every calibration of each sensor with its numbers, and what preflights read, oldest first. */
+  get_unit_history: {
+    method: "GET";
+    path: "/api/v1/fleet/{unit_id}/history";
+    parameters: { unit_id: string };
+    answer: UnitHistoryModel;
+  };
+  /** Check many vehicles as one job. A vehicle that is armed, silent or busy is skipped, and its item says so. */
+  start_preflight_campaign: {
+    method: "POST";
+    path: "/api/v1/campaigns/preflight";
+    body: PreflightCampaignRequest;
+    answer: JobModel;
+  };
+  /** Calibrate many vehicles as one job, which begins a job for each. Without `apply` their plans wait in review. */
+  start_calibration_campaign: {
+    method: "POST";
+    path: "/api/v1/campaigns/calibrate";
+    body: CalibrationCampaignRequest;
+    answer: JobModel;
+  };
+  /** Run one method on many uploads as one job; the fits are in its items. */
+  start_fit_campaign: {
+    method: "POST";
+    path: "/api/v1/campaigns/fit";
+    body: FitCampaignRequest;
+    answer: JobModel;
+  };
+  /** Diagnose the sim-to-real gap of many uploads as one job; the reports are documents of its items. */
+  start_gap_campaign: {
+    method: "POST";
+    path: "/api/v1/campaigns/gap";
+    body: GapCampaignRequest;
+    answer: JobModel;
+  };
+  /** Items of a campaign, a page at a time; other jobs have none. A header `Link` leads to the next page, if any. */
+  list_items: {
+    method: "GET";
+    path: "/api/v1/jobs/{job_id}/items";
+    parameters: { job_id: string };
+    query: { outcome?: ItemOutcome[] | null; after?: number; limit?: number };
+    answer: ItemModel[];
+  };
+  /** The outcome of a campaign as a table: one line an item. */
+  export_items: {
+    method: "GET";
+    path: "/api/v1/jobs/{job_id}/items.{form}";
+    parameters: { job_id: string; form: "csv" };
+    query: { outcome?: ItemOutcome[] | null };
     answer: string;
   };
   /** Whether the process answers. */

@@ -170,7 +170,8 @@ def _client(document: Document, *, asynchronous: bool) -> str:
     imports.append("from mavcal.client import answers")
     if "Number" in used:
         imports.append("from mavcal.client.base import Number")
-    for module, known in {"enums": set(document.enums()), **_modules(document), "transport": {base, "segment"}}.items():
+    enums = {"enums": set(document.enums())}
+    for module, known in (enums | _modules(document) | {"transport": {base, "segment"}}).items():
         if not (used | {base}) & known:
             continue
         imports.append(f"from mavcal.client.{module} import {', '.join(sorted((used | {base}) & known))}")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 Json = Mapping[str, Any]
-METHODS = ("get", "post", "delete")
+METHODS = ("get", "post", "patch", "delete")
 
 
 @dataclass(frozen=True)

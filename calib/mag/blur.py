@@ -13,14 +13,17 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicHermiteSpline
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.mag.samples import CHUNK
 from mavcal.calib.triad import TriadModel
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicHermiteSpline
 
 Array = NDArray[np.float64]
 
@@ -140,6 +143,8 @@ def rates_during(t: ArrayLike, gyro_t: ArrayLike, gyro: ArrayLike, window: float
         raise InvalidInputError("the gyro must be finite and its time stamps increasing")
     if not window >= 0.0:
         raise InvalidInputError(f"a compass cannot average over {window} s")
+    from scipy.interpolate import CubicHermiteSpline  # loads scipy.optimize: 14 MB that an idle service does without
+
     interval = float(np.median(np.diff(times)))
     known = _known(ends, times, window, interval)
     if window == 0.0:

@@ -24,7 +24,6 @@ from typing import Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import minimize_scalar
 
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
 from mavcal.calib.fit import FitResult
@@ -224,6 +223,8 @@ def _precision(distances: Array, doubt: Array, worth: Array) -> tuple[Array, flo
         return np.sqrt(worth), 0.0
     # Far off is only what neither the noise of all nor the doubt of its own explains.
     clipped = np.maximum(_clipped(distances), np.minimum(distances**2, _CLIP**2 * squares))
+
+    from scipy.optimize import minimize_scalar  # 11 MB that an idle service does without
 
     def deviance(log_noise: float, log_doubt: float) -> float:
         variances = math.exp(log_noise) * typical / worth + math.exp(log_doubt) * squares

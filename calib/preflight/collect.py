@@ -9,7 +9,8 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.errors import CalibError
-from mavcal.calib.firmware import Assembler, calibration_in_force, requested_streams
+from mavcal.calib.firmware import Assembler, calibration_in_force, calibration_names, requested_streams
+from mavcal.calib.firmware.names import BOARD_ROTATION, PX4_LEVEL, PX4_SLOTS, Role, px4_names
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.preflight.snapshot import OwnView, Shaking
 from mavcal.calib.recording import Channel, Identity, Recording, Sensor, Stage
@@ -48,8 +49,14 @@ class Collected:
     current_known: bool | None
 
 
-def collect(frames: Sequence[Frame], identity: Identity, parameters: Mapping[str, Value], *, asked: bool) -> Collected:
-    """Read `frames` of one vehicle, in their order; `asked`: it took the request to run its checks before."""
+def collect(
+    frames: Sequence[Frame], identity: Identity, parameters: Mapping[str, Value], *, asked: bool, complete: bool = True
+) -> Collected:
+    """Read `frames` of one vehicle, in their order.
+
+    `asked`: it took the request to run its checks. `complete`: every parameter was read, so that one that is not there
+    is one that the vehicle does not have. A compass whose correction is not known for certain is left out.
+    """
     assembler = Assembler(identity, parameters)
     recording = assembler.feed([(None, frame) for frame in frames])
     shaking = _shaking(_last(frames, VIBRATION), identity.autopilot or "")
@@ -63,18 +70,28 @@ def collect(frames: Sequence[Frame], identity: Identity, parameters: Mapping[str
         if not view.present:
             view = dataclasses.replace(view, ready=None)
     current = None if status is None else int(status.current_battery) >= 0
-    corrected = recording.with_channels(_corrected(c, identity, parameters) for c in recording.channels)
-    return Collected(corrected, shaking, view, current)
+    made = [_corrected(c, identity, parameters, complete=complete) for c in recording.channels]
+    return Collected(recording.with_channels(c for c in made if c is not None), shaking, view, current)
 
 
-def _corrected(channel: Channel, identity: Identity, parameters: Mapping[str, Value]) -> Channel:
-    """PX4 streams its compasses as they are: the calibration in force makes of them what the vehicle uses."""
+def _corrected(
+    channel: Channel, identity: Identity, parameters: Mapping[str, Value], *, complete: bool
+) -> Channel | None:
+    """PX4 streams its compasses as they are: the calibration in force makes of them what the vehicle uses.
+
+    None: what is in force is not known.
+    """
     if channel.stage != Stage.RAW or channel.sensor != Sensor.MAG:
         return channel
     try:
         model = calibration_in_force(identity.autopilot, parameters, Sensor.MAG, channel.instance)
+        row = calibration_names(identity.autopilot, parameters, Sensor.MAG, channel.instance)
     except CalibError:
-        return channel
+        return None
+    ids = {px4_names(Sensor.MAG, slot)[Role.ID] for slot in range(PX4_SLOTS)}  # which row is whose
+    board = {BOARD_ROTATION["px4"], *PX4_LEVEL}
+    if not complete and not (ids | board | set(row.values())) <= set(parameters):
+        return None
     # still at rest: a rotated bin has no zero of its own, and the motors are off
     return dataclasses.replace(channel, values=model.apply(channel.values), stage=Stage.CORRECTED, zero_bin=None)
 

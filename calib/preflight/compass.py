@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from mavcal.calib.earth import EarthField
 from mavcal.calib.preflight import limits
 from mavcal.calib.preflight.check import Check, CheckId, Measure, Verdict, judged, unknown
-from mavcal.calib.preflight.rest import Mean
+from mavcal.calib.preflight.rest import Mean, looked
 
 Array = NDArray[np.float64]
 
@@ -45,15 +45,16 @@ def compass_field(compasses: Mapping[int, Mean], silent: tuple[str, ...], field:
         why = f"No compass could be seen: {'; '.join(silent)}." if silent else "No compass was heard."
         return unknown(CheckId.COMPASS_FIELD, why, "Look at the compass, or fly without one on purpose.")
     measures = [_strength(i, mean, field) for i, mean in sorted(compasses.items())]
+    notes = (*looked(compasses, "compass"), *silent)
     if field is None:
-        worst = judged(CheckId.COMPASS_FIELD, measures, good="", remedy=_MAGNET, notes=silent)
+        worst = judged(CheckId.COMPASS_FIELD, measures, good="", remedy=_MAGNET, notes=notes)
         if worst.verdict == Verdict.FAIL:
             return worst
         why = "The strength is possible on Earth, but where the vehicle is was not heard, so it cannot be compared."
         remedy = "Wait until the vehicle knows its position, then check again."
         return unknown(CheckId.COMPASS_FIELD, why, remedy, worst.evidence)
     good = f"The field has the strength of the model, {field.norm:.1f} uT ({field.model})."
-    return judged(CheckId.COMPASS_FIELD, measures, good=good, remedy=_MAGNET, notes=silent)
+    return judged(CheckId.COMPASS_FIELD, measures, good=good, remedy=_MAGNET, notes=notes)
 
 
 def disturbed(compasses: Mapping[int, Mean], field: EarthField | None) -> frozenset[int]:
@@ -85,7 +86,8 @@ def compass_direction(
         return unknown(of, f"Dip and heading cannot be seen: {why}.", "Put the vehicle down and check again.")
     left_out = disturbed(compasses, field)
     judgeable = {i: mean for i, mean in compasses.items() if i not in left_out}
-    notes = [f"compass {i + 1} is left out: its strength is wrong already" for i in sorted(left_out)]
+    notes = [*looked(compasses, "compass")]
+    notes += [f"compass {i + 1} is left out: its strength is wrong already" for i in sorted(left_out)]
     measures: list[Measure] = []
     if field is not None:
         measures += [_dip(i, mean, upright, field) for i, mean in sorted(judgeable.items())]
@@ -106,9 +108,10 @@ def compass_direction(
         notes.append("the true heading is not known: give --heading to check what all compasses may share")
     if not measures:
         why = "Nothing is left to compare with." if judgeable else "Every compass is left out."
-        return unknown(of, f"{why} {'; '.join(notes)}.", _MAGNET)
-    said = "dip and heading" if field is not None else "heading"
-    return judged(of, measures, good=f"All compasses agree in {said}.", remedy=_MOUNT, notes=notes)
+        said = notes[len(compasses) :]
+        return unknown(of, f"{why} {'; '.join(said)}.", _MAGNET, notes)
+    in_what = "dip and heading" if field is not None else "heading"
+    return judged(of, measures, good=f"All compasses agree in {in_what}.", remedy=_MOUNT, notes=notes)
 
 
 def _dip(i: int, mean: Mean, upright: Upright, field: EarthField) -> Measure:

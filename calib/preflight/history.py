@@ -5,18 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 
 import numpy as np
 
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware import calibration_names, sensor_ids
-from mavcal.calib.firmware.in_force.fingerprint import REWRITTEN
 from mavcal.calib.firmware.names import Role
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.values import shown
 from mavcal.calib.preflight import limits
 from mavcal.calib.preflight.check import Check, CheckId, Measure, Verdict, judged, unknown
-from mavcal.calib.preflight.snapshot import Snapshot, VerifiedCalibration
+from mavcal.calib.preflight.expected import GYRO_SWITCH, SHARED, ExpectedCalibration, expected, last_of_each
+from mavcal.calib.preflight.snapshot import Snapshot
 from mavcal.calib.recording import Sensor
 
 _CALIBRATE = "Calibrate with --apply: a calibration counts from its verification on."
@@ -55,7 +56,8 @@ def calibration_age(snapshot: Snapshot) -> Check:
         for sensor, at in newest.items()
     ]
     good = f"The oldest verified calibration is {max(m.value for m in measures):.0f} d old."
-    check = judged(CheckId.CALIBRATION_AGE, measures, good=good, remedy="Calibrate again.")
+    notes = _compared(snapshot)
+    check = judged(CheckId.CALIBRATION_AGE, measures, good=good, remedy="Calibrate again.", notes=notes)
     if check.verdict != Verdict.FAIL:
         return check
     return Check(**{**vars(check), "verdict": Verdict.WARN})  # age alone makes no sensor wrong
@@ -71,12 +73,13 @@ def ids_changed(snapshot: Snapshot) -> dict[Sensor, tuple[str, ...]]:
     for (sensor, _), device in sensor_ids(snapshot.identity.autopilot, snapshot.parameters).items():
         now.setdefault(sensor, set()).add(device)
     found: dict[Sensor, tuple[str, ...]] = {}
-    for sensor, entry in _last(snapshot.history).items():
+    for sensor, entry in last_of_each(snapshot.history).items():
         then = {device for key, device in entry.device_ids.items() if key.rstrip("0123456789") == sensor}
         there = now.get(sensor, set())
         if not then:
             there = then  # ArduPilot keeps an id only once the calibration is stored: none was known yet
-        said = [f"{sensor} {device} was verified and is gone" for device in sorted(then - there) if there]
+        gone = sorted(then - there) if there and snapshot.complete else []  # an id that was not read is not gone
+        said = [f"{sensor} {device} was verified and is gone" for device in gone]
         said += [f"{sensor} {device} was never verified" for device in sorted(there - then)]
         if None not in (entry.uid, snapshot.identity.uid) and entry.uid != snapshot.identity.uid:
             said.append(f"{sensor} was verified on the autopilot {entry.uid}, and this is {snapshot.identity.uid}")
@@ -87,56 +90,73 @@ def ids_changed(snapshot: Snapshot) -> dict[Sensor, tuple[str, ...]]:
 
 def sensor_check(snapshot: Snapshot) -> Check:
     """Device ids against those of the last verified calibration."""
-    if not snapshot.history:
+    if not last_of_each(snapshot.history):
         return unknown(CheckId.SENSOR_IDS, _NONE_KNOWN, _CALIBRATE)
     said = [line for lines in ids_changed(snapshot).values() for line in lines]
     good = "Every sensor is the one that was calibrated."
     remedy = "Calibrate the sensors that are new: the calibration of another part does not fit them."
-    return _counted(CheckId.SENSOR_IDS, said, "sensors", good, remedy)
+    ids = sensor_ids(snapshot.identity.autopilot, snapshot.parameters)
+    notes = [f"{sensor} {i + 1} has the device id {device}" for (sensor, i), device in sorted(ids.items())]
+    notes.append(f"unique id of the autopilot: {snapshot.identity.uid or 'not said'}")
+    notes += _compared(snapshot)
+    if not said and not snapshot.complete:
+        reason = "The device ids could not all be read in time, and those that were are as verified."
+        return unknown(CheckId.SENSOR_IDS, reason, "Check again on a faster link.", notes)
+    return _counted(CheckId.SENSOR_IDS, said, "sensors", good, remedy, notes)
 
 
 def changes(snapshot: Snapshot) -> tuple[Changed, ...]:
-    """Calibration parameters of unchanged sensors that are not what was verified."""
+    """Calibration parameters of unchanged sensors, and of the board, that are not what was verified."""
     found, swapped = [], ids_changed(snapshot)
-    for sensor, entry in _last(snapshot.history).items():
+    for wanted in _expected(snapshot).values:
+        sensor = None if wanted.about is None else wanted.about.sensor
+        now = snapshot.parameters.get(wanted.name)
         if sensor in swapped:
             continue  # a new part's own calibration is no change of the old one's
-        for name in sorted(entry.parameters):
-            if sensor_of(name) != sensor or _rewritten(name, snapshot.parameters):
-                continue
-            then, now = entry.parameters[name], snapshot.parameters.get(name)
-            if _is_id(name) and now:
-                continue  # another part is a matter of the sensor's id
-            if now is None and not snapshot.complete:
-                continue
-            if now is None or not math.isclose(float(then), float(now), rel_tol=_SAME, abs_tol=1e-12):
-                found.append(Changed(name, sensor, then, now))
+        if wanted.role in (Role.ID, Role.PRIORITY) and now:
+            continue  # another part is a matter of the sensor's id
+        if now is None and not snapshot.complete:
+            continue
+        if now is None or not math.isclose(float(wanted.value), float(now), rel_tol=_SAME, abs_tol=1e-12):
+            found.append(Changed(wanted.name, sensor, wanted.value, now))
     return tuple(found)
+
+
+def _expected(snapshot: Snapshot) -> ExpectedCalibration:
+    if not snapshot.history or snapshot.identity.autopilot not in SHARED:
+        return ExpectedCalibration()
+    return expected(snapshot.history, snapshot.identity.autopilot, snapshot.parameters)
 
 
 def parameters_changed(snapshot: Snapshot) -> Check:
     """Parameters changed since the last verified calibration."""
-    if not snapshot.history:
+    if not last_of_each(snapshot.history):
         return unknown(CheckId.PARAMETERS_CHANGED, _NONE_KNOWN, _CALIBRATE)
     said = [change.text for change in changes(snapshot)]
+    wanted = _expected(snapshot)
+    notes = (f"{len(wanted.values)} parameters compared", *wanted.moved, *wanted.missing, *_compared(snapshot))
     if not said and not snapshot.complete:
         reason = "The parameters could not all be read in time, and those that were are as verified."
-        return unknown(CheckId.PARAMETERS_CHANGED, reason, "Check again on a faster link.")
+        return unknown(CheckId.PARAMETERS_CHANGED, reason, "Check again on a faster link.", notes)
     good = "Every calibration parameter is as it was verified."
-    remedy = "Put the verified values back, which are listed as evidence, or calibrate again."
-    return _counted(CheckId.PARAMETERS_CHANGED, said, "parameters", good, remedy)
+    remedy = "Put the verified values back with `mavcal restore --apply`, or calibrate again."
+    return _counted(CheckId.PARAMETERS_CHANGED, said, "parameters", good, remedy, notes)
 
 
-def _counted(of: CheckId, said: Sequence[str], what: str, good: str, remedy: str) -> Check:
+def _counted(of: CheckId, said: Sequence[str], what: str, good: str, remedy: str, notes: Sequence[str]) -> Check:
     if not said:
-        return Check(of, Verdict.PASS, 0.0, 0.0, 0.0, "", good)
+        return Check(of, Verdict.PASS, 0.0, 0.0, 0.0, "", good, evidence=tuple(notes))
     reason = f"{len(said)} {what} are not as verified: {'; '.join(said[:3])}{' …' if len(said) > 3 else ''}."
-    return Check(of, Verdict.FAIL, float(len(said)), 0.0, 0.0, "", reason, remedy, tuple(said))
+    return Check(of, Verdict.FAIL, float(len(said)), 0.0, 0.0, "", reason, remedy, (*said, *notes))
 
 
-def _last(history: Sequence[VerifiedCalibration]) -> dict[Sensor, VerifiedCalibration]:
-    """The newest calibration of each sensor."""
-    return {sensor: entry for entry in history for sensor in sorted(entry.sensors)}
+def _compared(snapshot: Snapshot) -> tuple[str, ...]:
+    """What was compared with, as lines of evidence."""
+    last = last_of_each(snapshot.history)
+    return tuple(
+        f"{sensor}: compared with job {entry.job} of {datetime.fromtimestamp(entry.at, UTC):%Y-%m-%d %H:%M} UTC"
+        for sensor, entry in last.items()
+    )
 
 
 def sensor_of(name: str) -> Sensor | None:
@@ -155,16 +175,9 @@ _PREFIXES = {
 _AP: Mapping[Sensor, tuple[str, ...]] = {Sensor.ACCEL: ("ACC",), Sensor.GYRO: ("GYR",), Sensor.MAG: ()}
 
 
-def _is_id(name: str) -> bool:
-    return name.endswith("_ID") or "DEV_ID" in name or "PRIO" in name
-
-
-def _rewritten(name: str, parameters: Mapping[str, Value]) -> bool:
-    """Whether the vehicle writes it by itself, at every start or at rest."""
-    by_itself = (
-        bool(parameters.get("INS_GYR_CAL", 1)) if name.startswith("INS") else bool(parameters.get("IMU_GYRO_CAL_EN", 1))
-    )
-    return name in REWRITTEN and by_itself
+def calibrates_gyros(autopilot: str, parameters: Mapping[str, Value]) -> bool:
+    """Whether the vehicle calibrates its gyroscopes by itself, ArduPilot at every start, PX4 at rest."""
+    return bool(parameters.get(GYRO_SWITCH.get(autopilot, ""), 1))
 
 
 # --- temperature
@@ -181,9 +194,17 @@ class Covered:
 
 def covered(snapshot: Snapshot, instance: int) -> Covered | None:
     """The temperatures that the calibration in force of an accelerometer covers; None: nothing says."""
-    parameters = snapshot.parameters
+    last = last_of_each(snapshot.history).get(Sensor.ACCEL)
+    measured = None if last is None else last.temperatures.get(instance)
+    return covered_by(snapshot.identity.autopilot, snapshot.parameters, Sensor.ACCEL, instance, measured)
+
+
+def covered_by(
+    autopilot: str | None, parameters: Mapping[str, Value], sensor: Sensor, instance: int, measured: float | None
+) -> Covered | None:
+    """The temperatures that these parameters cover; `measured`: of the verified job, degC. None: nothing says."""
     try:
-        names = calibration_names(snapshot.identity.autopilot, parameters, Sensor.ACCEL, instance)
+        names = calibration_names(autopilot, parameters, sensor, instance)
     except FirmwareError:
         return None
 
@@ -197,8 +218,7 @@ def covered(snapshot: Snapshot, instance: int) -> Covered | None:
     at = of(Role.TEMPERATURE)
     how = "the temperature of its calibration"
     if at is None or at <= _UNKNOWN_TEMPERATURE:
-        last = _last(snapshot.history).get(Sensor.ACCEL)
-        at, how = None if last is None else last.temperatures.get(instance), "the temperature of the verified job"
+        at, how = measured, "the temperature of the verified job"
     if at is None:
         return None
     span = limits.TEMPERATURE_SPAN.value
@@ -209,7 +229,9 @@ def temperature(snapshot: Snapshot) -> Check:
     """Temperature of every inertial unit against what its calibration covers."""
     measures, notes = [], []
     for instance in snapshot.recording.instances(Sensor.TEMPERATURE):
-        now = float(np.median(snapshot.recording.channel(Sensor.TEMPERATURE, instance).values[:, 0]))
+        channel = snapshot.recording.channel(Sensor.TEMPERATURE, instance)
+        now = float(np.median(channel.values[:, 0]))
+        notes.append(f"unit {instance + 1}: {len(channel)} readings over {channel.t[-1] - channel.t[0]:.1f} s")
         span = covered(snapshot, instance)
         if span is None:
             notes.append(f"unit {instance + 1} is at {now:.1f} degC; nothing says what its calibration covers")
@@ -221,8 +243,11 @@ def temperature(snapshot: Snapshot) -> Check:
         measures.append(Measure(name, abs(now - middle), limits.TEMPERATURE_SD, half, "degC"))
         notes.append(f"unit {instance + 1}: {span.how}")
     if not measures:
-        why = f"{'; '.join(notes)}." if notes else "No temperature of an inertial unit was heard."
-        return unknown(CheckId.TEMPERATURE, why[:1].upper() + why[1:], _CALIBRATE)
+        why = (
+            "; ".join(note for note in notes if "nothing says" in note)
+            or "no temperature of an inertial unit was heard"
+        )
+        return unknown(CheckId.TEMPERATURE, f"{why[:1].upper()}{why[1:]}.", _CALIBRATE, notes)
     remedy = "Let the vehicle come to these temperatures, or calibrate over temperature."
     good = "Every inertial unit is inside the temperatures that its calibration covers."
     return judged(CheckId.TEMPERATURE, measures, good=good, remedy=remedy, notes=notes)

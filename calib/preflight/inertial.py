@@ -11,7 +11,7 @@ from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.earth import local_gravity
 from mavcal.calib.preflight import limits
 from mavcal.calib.preflight.check import Check, CheckId, Measure, judged, unknown
-from mavcal.calib.preflight.rest import Mean
+from mavcal.calib.preflight.rest import Mean, looked
 
 _STILL = "Put the vehicle down, let nobody touch it, and check again."
 _GYRO = "Calibrate the gyroscopes at rest: `mavcal preflight --fix gyro --apply`."
@@ -24,9 +24,16 @@ def gyro_rest(gyros: Mapping[int, Mean], silent: tuple[str, ...], motion: str | 
         return unknown(CheckId.GYRO_REST, _nothing("gyroscope", silent), "Look at the link and at the sensor.")
     if motion is not None:
         return unknown(CheckId.GYRO_REST, f"The rest rate cannot be seen: {motion}.", _STILL)
+    measures = list(rest_measures(gyros).values())
+    good = f"All {len(measures)} gyroscopes read zero at rest, as far as that matters."
+    return judged(CheckId.GYRO_REST, measures, good=good, remedy=_GYRO, notes=(*looked(gyros, "gyroscope"), *silent))
+
+
+def rest_measures(gyros: Mapping[int, Mean]) -> dict[int, Measure]:
+    """The rate of every gyroscope at rest, by instance."""
     limit = limits.GYRO_REST
-    measures = [
-        Measure(
+    return {
+        i: Measure(
             f"rate of gyroscope {i + 1} at rest",
             math.degrees(mean.norm),
             math.hypot(math.degrees(mean.norm_sd), limits.EARTH_RATE_DEG_S),
@@ -34,9 +41,7 @@ def gyro_rest(gyros: Mapping[int, Mean], silent: tuple[str, ...], motion: str | 
             limit.unit,
         )
         for i, mean in sorted(gyros.items())
-    ]
-    good = f"All {len(measures)} gyroscopes read zero at rest, as far as that matters."
-    return judged(CheckId.GYRO_REST, measures, good=good, remedy=_GYRO, notes=silent)
+    }
 
 
 def gyro_noise(gyros: Mapping[int, Mean], silent: tuple[str, ...], motion: str | None) -> Check:
@@ -53,7 +58,8 @@ def gyro_noise(gyros: Mapping[int, Mean], silent: tuple[str, ...], motion: str |
         measures.append(Measure(f"noise of gyroscope {i + 1}", worst, 0.05 * worst, limit.value, limit.unit))
     good = f"All {len(measures)} gyroscopes are quiet."
     remedy = "Stop motors and fans; if the noise stays, the gyroscope is failing."
-    return judged(CheckId.GYRO_NOISE, measures, good=good, remedy=remedy, notes=silent)
+    notes = (*looked(gyros, "gyroscope"), *silent)
+    return judged(CheckId.GYRO_NOISE, measures, good=good, remedy=remedy, notes=notes)
 
 
 def accel_force(
@@ -64,24 +70,28 @@ def accel_force(
         return unknown(CheckId.ACCEL_FORCE, _nothing("accelerometer", silent), "Look at the link and at the sensor.")
     if motion is not None:
         return unknown(CheckId.ACCEL_FORCE, f"Gravity alone cannot be seen: {motion}.", _STILL)
-    local = STANDARD_GRAVITY if place is None else local_gravity(*place)
-    low, high = sorted((STANDARD_GRAVITY, local))
-    limit = limits.ACCEL_FORCE
-    measures = []
-    for i, mean in sorted(accels.items()):
-        off = max(low - mean.norm, mean.norm - high, 0.0)  # either g may be what it was calibrated to
-        sd = math.hypot(mean.norm_sd, limits.ACCEL_SD)
-        measures.append(Measure(f"|f| of accelerometer {i + 1} from g", off, sd, limit.value, limit.unit))
-    measures += _differences(accels)
-    notes = silent
+    measures = [*force_measures(accels, place).values(), *_differences(accels)]
+    notes = (*looked(accels, "accelerometer"), *silent)
     if len(accels) == 1:
-        notes = (*silent, "its direction cannot be checked: there is no second accelerometer")
+        notes = (*notes, "its direction cannot be checked: there is no second accelerometer")
     good = (
         f"All {len(accels)} accelerometers read g."
         if len(accels) == 1
         else (f"All {len(accels)} accelerometers read g in the same direction.")
     )
     return judged(CheckId.ACCEL_FORCE, measures, good=good, remedy=_ACCEL, notes=notes)
+
+
+def force_measures(accels: Mapping[int, Mean], place: tuple[float, float] | None) -> dict[int, Measure]:
+    """How far the specific force of every accelerometer is from g, by instance; `place`: latitude and altitude."""
+    local = STANDARD_GRAVITY if place is None else local_gravity(*place)
+    low, high = sorted((STANDARD_GRAVITY, local))
+    limit, found = limits.ACCEL_FORCE, {}
+    for i, mean in sorted(accels.items()):
+        off = max(low - mean.norm, mean.norm - high, 0.0)  # either g may be what it was calibrated to
+        sd = math.hypot(mean.norm_sd, limits.ACCEL_SD)
+        found[i] = Measure(f"|f| of accelerometer {i + 1} from g", off, sd, limit.value, limit.unit)
+    return found
 
 
 def _differences(accels: Mapping[int, Mean]) -> list[Measure]:

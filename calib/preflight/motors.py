@@ -11,7 +11,7 @@ from mavcal.calib.firmware import calibration_names
 from mavcal.calib.firmware.names import MOTOR, Role
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.preflight import limits
-from mavcal.calib.preflight.check import Check, CheckId, Measure, Verdict, judged
+from mavcal.calib.preflight.check import Check, CheckId, Measure, Verdict, judged, unknown
 from mavcal.calib.preflight.snapshot import Snapshot
 from mavcal.calib.recording import Sensor
 
@@ -27,15 +27,21 @@ def motor_compensation(snapshot: Snapshot, strength: float) -> Check:
     """What the compensation in force takes away at full power, as a share of the field of `strength` (uT)."""
     of = CheckId.MOTOR_COMPENSATION
     autopilot, parameters = snapshot.identity.autopilot or "", snapshot.parameters
-    kind = int(parameters.get(_TYPES.get(autopilot, ""), 0))
+    name = _TYPES.get(autopilot, "")
+    kind = int(parameters.get(name, 0))
+    read = (f"{name} = {kind}" if name in parameters else f"the vehicle has no {name or 'such parameter'}",)
+    if name not in parameters and not snapshot.complete:
+        return unknown(of, f"{name} could not be read in time.", "Check again on a faster link.")
     if kind == 0:
-        return Check(of, Verdict.PASS, None, None, None, "", "No motor compensation is in force.")
+        return Check(of, Verdict.PASS, None, None, None, "", "No motor compensation is in force.", evidence=read)
     if autopilot == "ardupilot" and kind == _PER_MOTOR:
-        return Check(of, Verdict.UNKNOWN, None, None, None, "", "Compensation by single motors is not judged.")
+        return unknown(of, "Compensation by single motors is not judged.", evidence=read)
     by_current = kind in _BY_CURRENT[autopilot]
     if by_current and snapshot.current_known is False:
         reason = "The compensation goes by battery current, and the vehicle measures none."
-        return Check(of, Verdict.FAIL, None, None, None, "", reason, "Set up the current sensor, or switch it off.")
+        return Check(
+            of, Verdict.FAIL, None, None, None, "", reason, "Set up the current sensor, or switch it off.", read
+        )
     limit = limits.MOTOR_SHARE
     measures = []
     for instance in snapshot.recording.instances(Sensor.MAG):
@@ -45,9 +51,10 @@ def motor_compensation(snapshot: Snapshot, strength: float) -> Check:
             measures.append(Measure(name, taken / strength, 0.0, limit.value, limit.unit))
     if not measures:
         reason = "Motor compensation is switched on, and its vectors are all zero."
-        return Check(of, Verdict.WARN, 0.0, 0.0, limit.value, "", reason, _REMEDY)
+        return Check(of, Verdict.WARN, 0.0, 0.0, limit.value, "", reason, _REMEDY, read)
     full = f"{limits.FULL_CURRENT_A:.0f} A" if by_current else "full throttle"
-    return judged(of, measures, good=f"The compensation is small beside the field at {full}.", remedy=_REMEDY)
+    good = f"The compensation is small beside the field at {full}."
+    return judged(of, measures, good=good, remedy=_REMEDY, notes=read)
 
 
 def _taken(autopilot: str, parameters: Mapping[str, Value], instance: int, *, by_current: bool) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from mavcal.calib.firmware.plan import Value
+from mavcal.calib.firmware.values import shown
 from mavcal.calib.preflight import limits
 from mavcal.calib.preflight.check import Check, CheckId, Measure, Verdict, judged, unknown
 from mavcal.calib.preflight.snapshot import OwnView, Shaking
@@ -17,6 +18,7 @@ PARAMETERS = {
     "px4": ("COM_ARM_MAG_STR", "COM_ARM_MAG_ANG", "SYS_HAS_MAG"),
 }
 """What :func:`arming_checks` looks at, by autopilot."""
+_LISTENED = ("MAG_CAL_PROGRESS, MAG_CAL_REPORT and the vehicle's texts on calibrations, listened to all the time",)
 _WORDS = {
     CheckId.ACCEL_FORCE: ("accel", "imu"),
     CheckId.GYRO_REST: ("gyro",),
@@ -36,7 +38,8 @@ def vibration(shaking: Shaking | None) -> Check:
         measures.append(Measure(f"clips of accelerometer {i + 1} since the start", count, 0.0, clips.value, clips.unit))
     good = "The vehicle is quiet, and its accelerometers have hardly clipped since the start."
     remedy = "Balance propellers and fasten or damp the autopilot; restart it to clear the counters."
-    return judged(CheckId.VIBRATION, measures, good=good, remedy=remedy)
+    heard = ("the newest VIBRATION message; its clips count since the start of the vehicle",)
+    return judged(CheckId.VIBRATION, measures, good=good, remedy=remedy, notes=heard)
 
 
 def onboard_calibration(view: OwnView) -> Check:
@@ -46,21 +49,27 @@ def onboard_calibration(view: OwnView) -> Check:
         return unknown(of, "The vehicle did not say whether it calibrates by itself.")
     if view.calibrating:
         reason = "The vehicle runs a calibration of its own."
-        return Check(of, Verdict.FAIL, None, None, None, "", reason, "Let it finish, or cancel it there.")
-    return Check(of, Verdict.PASS, None, None, None, "", "The vehicle runs no calibration of its own.")
+        return Check(of, Verdict.FAIL, None, None, None, "", reason, "Let it finish, or cancel it there.", _LISTENED)
+    good = "The vehicle runs no calibration of its own."
+    return Check(of, Verdict.PASS, None, None, None, "", good, evidence=_LISTENED)
 
 
-def arming_checks(autopilot: str, parameters: Mapping[str, Value]) -> Check:
-    """Whether a parameter switches the vehicle's checks off: disabled is not pass."""
+def arming_checks(autopilot: str, parameters: Mapping[str, Value], *, complete: bool = True) -> Check:
+    """Whether a parameter switches the vehicle's checks off: disabled is not pass.
+
+    `complete`: every parameter was read, so that one that is not there is one that the vehicle does not have.
+    """
     of = CheckId.ARMING_CHECKS
     known = [name for name in PARAMETERS.get(autopilot, ()) if name in parameters]
     if not known:
         return unknown(of, "No parameter tells whether the vehicle checks itself before arming.")
-    said = switched_off(autopilot, parameters)
+    said, read = switched_off(autopilot, parameters), [f"{name} = {shown(parameters[name], 6)}" for name in known]
     if said:
         reason = f"The vehicle does not check all of itself before arming: {'; '.join(said)}. Disabled is not pass."
-        return Check(of, Verdict.WARN, None, None, None, "", reason, "Switch the checks on again.", tuple(said))
-    return Check(of, Verdict.PASS, None, None, None, "", "No arming check is switched off.")
+        return Check(of, Verdict.WARN, None, None, None, "", reason, "Switch the checks on again.", (*said, *read))
+    if not complete and len(known) < len(PARAMETERS[autopilot]):
+        return unknown(of, "Not every arming parameter could be read in time.", "Check again on a faster link.", read)
+    return Check(of, Verdict.PASS, None, None, None, "", "No arming check is switched off.", evidence=tuple(read))
 
 
 def switched_off(autopilot: str, parameters: Mapping[str, Value]) -> list[str]:
@@ -86,21 +95,32 @@ def switched_off(autopilot: str, parameters: Mapping[str, Value]) -> list[str]:
 
 def vehicle_prearm(view: OwnView, autopilot: str, parameters: Mapping[str, Value], failed: Sequence[CheckId]) -> Check:
     """Its own verdict, in its own words. `failed` are our checks that failed: what follows from them is not counted."""
-    of = CheckId.VEHICLE_PREARM
+    of, heard = CheckId.VEHICLE_PREARM, (*view.texts, *_bits(view))
     if view.texts or view.ready is False:
         own = "; ".join(f"'{text}'" for text in view.texts) or "it says that it is not ready, and not why"
         reason, remedy = f"The vehicle would not arm now: {own}.", "Do what the vehicle asks for, then check again."
         if view.texts and all(_explained(text, failed) for text in view.texts):
             reason += f" This follows from {', '.join(failed)}."
-            return Check(of, Verdict.WARN, None, None, None, "", reason, "Mend that first.", view.texts)
-        return Check(of, Verdict.FAIL, None, None, None, "", reason, remedy, view.texts)
+            return Check(of, Verdict.WARN, None, None, None, "", reason, "Mend that first.", heard)
+        return Check(of, Verdict.FAIL, None, None, None, "", reason, remedy, heard)
     if view.ready is None or not view.present:
         why = "SYS_STATUS was not heard" if view.ready is None else "SYS_STATUS does not carry the prearm check"
-        return unknown(of, f"The vehicle does not say whether it would arm: {why}.")
+        return unknown(of, f"The vehicle does not say whether it would arm: {why}.", evidence=heard)
     if autopilot == "ardupilot" and _nothing_checked(parameters):
-        return unknown(of, "Its arming checks are switched off, so its yes says nothing.", "Switch them on again.")
+        why = "Its arming checks are switched off, so its yes says nothing."
+        return unknown(of, why, "Switch them on again.", heard)
     asked = "its own checks, run now, pass" if view.asked else "its own checks pass"
-    return Check(of, Verdict.PASS, None, None, None, "", f"This vehicle would arm now: {asked}.")
+    return Check(of, Verdict.PASS, None, None, None, "", f"This vehicle would arm now: {asked}.", evidence=heard)
+
+
+def _bits(view: OwnView) -> tuple[str, ...]:
+    """What SYS_STATUS and the request said, as lines of evidence."""
+    asked = "its checks were run on request" if view.asked else "its checks were not run on request"
+    if view.ready is None and view.present is None:
+        return (asked, "SYS_STATUS was not heard")
+    there = "present and switched on" if view.present else "absent or switched off"
+    state = "" if view.ready is None else f", {'healthy' if view.ready else 'not healthy'}"
+    return asked, f"SYS_STATUS: the prearm check is {there}{state}"
 
 
 def _nothing_checked(parameters: Mapping[str, Value]) -> bool:

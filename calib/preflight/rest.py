@@ -30,6 +30,9 @@ class Mean:
     noise: Array
     change: float
     """Largest change of a mean over half a second from the whole one."""
+    samples: int = 0
+    seconds: float = 0.0
+    """How much was looked at, by the vehicle's clock."""
 
     @property
     def norm(self) -> float:
@@ -64,7 +67,13 @@ def mean_at_rest(recording: Recording, sensor: Sensor, instance: int) -> Mean | 
         return Silent(f"only {len(channel)} samples of {sensor} {instance + 1} came")
     fitted = mean_of(channel)
     sd = np.sqrt(np.diag(fitted.covariance))
-    return Mean(fitted.mean, sd, fitted.sd, _change(channel))
+    span = float(channel.t[-1] - channel.t[0])
+    return Mean(fitted.mean, sd, fitted.sd, _change(channel), len(channel), span)
+
+
+def looked(means: Mapping[int, Mean], what: str) -> tuple[str, ...]:
+    """What was looked at of each sensor, as lines of evidence."""
+    return tuple(f"{what} {i + 1}: {m.samples} samples over {m.seconds:.1f} s" for i, m in sorted(means.items()))
 
 
 def moved(gyros: Mapping[int, Mean], accels: Mapping[int, Mean]) -> str | None:

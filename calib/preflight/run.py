@@ -54,7 +54,7 @@ def preflight(snapshot: Snapshot) -> Report:
         motor_compensation(snapshot, strength),
         own.vibration(snapshot.shaking),
         own.onboard_calibration(snapshot.view),
-        own.arming_checks(autopilot, snapshot.parameters),
+        own.arming_checks(autopilot, snapshot.parameters, complete=snapshot.complete),
     ]
     found = _attributed(snapshot, _undisturbed(snapshot, found))
     failed = [check.id for check in found if check.verdict == Verdict.FAIL]

@@ -29,7 +29,7 @@ from mavcal.calib.wire.parameters import (
     usual_encoding,
     value_from_bits,
 )
-from mavcal.calib.wire.signing import SignatureState, Signing, check_signature, sign
+from mavcal.calib.wire.signing import SignatureState, Signing, check_signature, sign, signing_time
 from mavcal.calib.wire.tlog import TlogReader, iter_tlog, tlog_record
 
 __all__ = [
@@ -58,6 +58,7 @@ __all__ = [
     "param_set",
     "raw_message",
     "sign",
+    "signing_time",
     "tlog_record",
     "usual_encoding",
     "value_from_bits",

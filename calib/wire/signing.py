@@ -18,6 +18,15 @@ class Signing(NamedTuple):
     timestamp: int
 
 
+EPOCH_2015 = 1_420_070_400
+"""2015-01-01 GMT as Unix time, s: signatures count from there."""
+
+
+def signing_time(unix_s: float) -> int:
+    """The time stamp of a signature made at that time, in 10 us since 2015."""
+    return int((unix_s - EPOCH_2015) * 1e5)
+
+
 def sign(frame: bytes, key: bytes, link_id: int, timestamp: int) -> bytes:
     """Append the signature block: link id, 48-bit time stamp, first 48 bits of SHA-256(key + all before).
 

@@ -15,8 +15,8 @@ log = structlog.get_logger(__name__)
 
 LONGEST = 2000
 """Characters of a request that are kept."""
-UPLOADS = "/recordings"
-"""Requests to an address that ends so carry a file, which is not read here."""
+NOT_KEPT = ("/recordings", "/signing-keys")
+"""Requests to addresses that end so carry a file, which is not read here, or a secret."""
 
 
 async def note(request: Request, actor: str) -> None:
@@ -35,7 +35,7 @@ async def note(request: Request, actor: str) -> None:
         "request_id": request.scope.get("request_id", ""),
         "query": {_text(k): _text(v) for k, v in request.query_params.items()},
     }
-    if not request.scope["path"].endswith(UPLOADS):
+    if not request.scope["path"].endswith(NOT_KEPT):
         detail["body"] = _text((await request.body()).decode("utf-8", "replace"))
     try:
         row = await service.store.do(

@@ -26,7 +26,9 @@ TAGS = {
     "vehicles": "Vehicles that were heard, their state and their parameters.",
     "jobs": "Calibrations: start, follow, answer, read the plan, apply it, take it back.",
     "recordings": "Logs that were uploaded, to be fitted, or to be planned for a vehicle.",
+    "campaigns": "One preflight, calibration, fit or diagnosis for many vehicles or uploads: a job of many items.",
     "gaps": "Diagnoses of where a real sensor differs from a simulated one.",
+    "fleet": "Every unit that was calibrated or heard: ages, drifts, odd sensors, and who should be calibrated again.",
     "host": "Health, metrics, audit trail, and how host systems find the service.",
 }
 BEARER = {
@@ -55,8 +57,9 @@ HEADERS = {
     "Location": (
         *("open_link", "start_job", "upload_recording", "plan_recording"),
         *("fit_recording", "start_fit", "diagnose_gap"),
+        *("start_preflight_campaign", "start_calibration_campaign", "start_fit_campaign", "start_gap_campaign"),
     ),
-    "Link": ("list_jobs",),
+    "Link": ("list_jobs", "list_fleet", "list_items"),
 }
 """Operations whose answer carries a header that a client needs: where what was made is, or the next page."""
 
@@ -121,9 +124,9 @@ def statuses(path: str, method: str, operation: Json) -> list[int]:
         found |= {400, 408, 413}
     if method != "get":
         found |= {409, 413, 503, 507}
-    if path.endswith(("/plan", "/report.html", "/parameters", "/jobs", "/gaps", "/fits")) or path.startswith(
-        f"{KEYED}/jobs/"
-    ):
+    if path.endswith(
+        ("/plan", "/report.html", "/parameters", "/jobs", "/gaps", "/fits", "/fleet", "/fleet.csv")
+    ) or path.startswith((f"{KEYED}/jobs/", f"{KEYED}/campaigns/")):
         found |= {404, 409}
     if path.endswith(("/parameters", "/events", "/stream", "/samples")):
         found |= {503}

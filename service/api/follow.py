@@ -12,6 +12,7 @@ from fastapi import Depends, Request
 from fastapi.sse import ServerSentEvent
 
 from mavcal.service.api.models import LinkModel, VehicleModel
+from mavcal.service.api.sight import Sight
 from mavcal.service.api.views import event_model, link_model, vehicle_model
 from mavcal.service.core import Service
 
@@ -99,10 +100,13 @@ def _watch(request: Request) -> ChangeWatch:
 WatchDep = Annotated[ChangeWatch, Depends(_watch)]
 
 
-async def everything(service: Service, watch: ChangeWatch, after: int) -> AsyncIterator[ServerSentEvent]:
+async def everything(service: Service, watch: ChangeWatch, sight: Sight, after: int) -> AsyncIterator[ServerSentEvent]:
     """Events of jobs after the id `after`; vehicles and links whenever their state has changed."""
     queue: asyncio.Queue[ServerSentEvent | None] = asyncio.Queue(maxsize=1)
-    reading = [asyncio.create_task(_states(watch, queue)), asyncio.create_task(_events(service, after, queue))]
+    reading = [
+        asyncio.create_task(_states(watch, sight, queue)),
+        asyncio.create_task(_events(service, sight, after, queue)),
+    ]
     try:
         while (event := await queue.get()) is not None:
             yield event
@@ -112,14 +116,17 @@ async def everything(service: Service, watch: ChangeWatch, after: int) -> AsyncI
         await asyncio.gather(*reading, return_exceptions=True)
 
 
-async def _states(watch: ChangeWatch, queue: asyncio.Queue[ServerSentEvent | None]) -> None:
+async def _states(watch: ChangeWatch, sight: Sight, queue: asyncio.Queue[ServerSentEvent | None]) -> None:
     async with aclosing(watch.changes()) as states:  # type: ignore[type-var]
         async for name, state in states:
-            await queue.put(ServerSentEvent(data=state, event=name))
+            seen = sight.link(state) if isinstance(state, LinkModel) else state if sight.vehicle(state.id) else None
+            if seen is not None:
+                await queue.put(ServerSentEvent(data=seen, event=name))
 
 
-async def _events(service: Service, after: int, queue: asyncio.Queue[ServerSentEvent | None]) -> None:
+async def _events(service: Service, sight: Sight, after: int, queue: asyncio.Queue[ServerSentEvent | None]) -> None:
     async with aclosing(service.jobs.subscribe(None, after)) as events:  # type: ignore[type-var]
         async for event in events:
-            await queue.put(ServerSentEvent(data=event_model(event), event="job", id=str(event.id)))
+            if sight.job_of(event.job_id):
+                await queue.put(ServerSentEvent(data=event_model(event), event="job", id=str(event.id)))
     await queue.put(None)

@@ -7,7 +7,7 @@ from fastapi import APIRouter, Depends, Request, Response
 from mavcal.service.api.addresses import relative
 from mavcal.service.api.dependencies import ServiceDep
 from mavcal.service.api.models import GapModel, GapRequest, GapSummary
-from mavcal.service.api.security import Scope, require
+from mavcal.service.api.security import Scope, SightDep, require
 from mavcal.service.api.views import document_response, gap_model, gap_summary
 from mavcal.service.computations import PAGE, REPORT
 from mavcal.service.core import Service
@@ -30,9 +30,9 @@ async def diagnose(body: GapRequest, request: Request, response: Response, servi
 
 
 @router.get("/gaps", operation_id="list_gaps", dependencies=[READ])
-async def gaps(service: ServiceDep) -> list[GapSummary]:
+async def gaps(service: ServiceDep, sight: SightDep) -> list[GapSummary]:
     """Every diagnosis, oldest first, without its report."""
-    return [gap_summary(job) for job in service.jobs.list() if job.kind == GAP]
+    return [gap_summary(job) for job in service.jobs.list() if job.kind == GAP and sight.job(job)]
 
 
 @router.get("/gaps/{gap_id}", operation_id="get_gap", dependencies=[READ])

@@ -24,7 +24,7 @@ from mavcal.service.api.models import (
     ProcedureModel,
 )
 from mavcal.service.api.paging import page_of
-from mavcal.service.api.security import ActorDep, Scope, require
+from mavcal.service.api.security import ActorDep, Scope, SightDep, require
 from mavcal.service.api.views import (
     document_response,
     event_model,
@@ -83,6 +83,7 @@ async def start(
 async def jobs(
     response: Response,
     service: ServiceDep,
+    sight: SightDep,
     *,
     vehicle_id: str | None = None,
     kind: Annotated[str | None, Query(max_length=100, description="such as gyro, fit or gap")] = None,
@@ -94,7 +95,8 @@ async def jobs(
     """Jobs of every kind, a page at a time. A header `Link` with `rel="next"` leads to the next page, if any."""
     wanted = {"vehicle_id": vehicle_id, "kind": kind, "state": state}
     given = {name: value for name, value in wanted.items() if value is not None}
-    found = [job for job in service.jobs.list() if all(getattr(job, name) == value for name, value in given.items())]
+    asked_for = [j for j in service.jobs.list() if all(getattr(j, name) == value for name, value in given.items())]
+    found = [job for job in asked_for if sight.job(job)]
     page, more = page_of(found if order == "oldest" else found[::-1], after, limit)
     if more:
         query = urlencode({**given, "order": order, "limit": limit, "after": page[-1].id}, errors="replace")
@@ -152,7 +154,7 @@ async def apply(
 ) -> JobModel:
     """Accept the plan with this digest and write it; 409 if it is no longer the plan to be written."""
     accept = Accept(body.plan_sha256, reboot=body.reboot, prove_s=body.prove_s, actor=actor)
-    return job_model(await service.jobs.apply(job_id, accept, idempotency_key))
+    return job_model(await service.jobs.apply(job_id, accept, idempotency_key, look=body.preflight))
 
 
 @router.post("/jobs/{job_id}/revert", operation_id="revert_job", status_code=202, dependencies=[WRITE])
@@ -193,21 +195,23 @@ async def job_document(found: JobDep, name: str, service: ServiceDep) -> Respons
 
 @router.get("/jobs/{job_id}/events", operation_id="follow_job", response_class=EventSourceResponse, dependencies=[READ])
 async def job_events(
-    found: JobDep, service: ServiceDep, last_event_id: LastEventId = None
+    found: JobDep, service: ServiceDep, sight: SightDep, last_event_id: LastEventId = None
 ) -> AsyncIterator[ServerSentEvent]:
     """Everything that happens to a job, from its beginning or from Last-Event-ID on."""
     async for event in service.jobs.subscribe(found.id, last_event_id or 0):
+        if not sight.job(found):  # its vehicle has lost the tag since
+            return
         yield ServerSentEvent(data=event_model(event), event="job", id=str(event.sequence))
 
 
 @router.get("/events", operation_id="follow_events", response_class=EventSourceResponse, dependencies=[READ])
 async def events(
-    service: ServiceDep, watch: WatchDep, last_event_id: LastEventId = None
+    service: ServiceDep, watch: WatchDep, sight: SightDep, last_event_id: LastEventId = None
 ) -> AsyncIterator[ServerSentEvent]:
     """Everything that happens: to any job, from now or from Last-Event-ID on, and to vehicles and links.
 
     Events named `job` have ids and are replayed; `vehicle` and `link` carry the present state as soon as it changes.
     """
     after = await service.store.do(service.store.last_event_id) if last_event_id is None else last_event_id
-    async for event in everything(service, watch, after):
+    async for event in everything(service, watch, sight, after):
         yield event

@@ -7,8 +7,9 @@ from fastapi import APIRouter, Depends, Request, Response
 from mavcal.service.api.addresses import relative
 from mavcal.service.api.dependencies import ServiceDep
 from mavcal.service.api.models import LinkModel, LinkRequest
-from mavcal.service.api.security import Scope, require
+from mavcal.service.api.security import Scope, SightDep, require
 from mavcal.service.api.views import link_model
+from mavcal.service.errors import LinkUnknown
 
 router = APIRouter(tags=["links"])
 READ = Depends(require(Scope.READ))
@@ -16,9 +17,10 @@ OPERATE = Depends(require(Scope.OPERATE))
 
 
 @router.get("/links", operation_id="list_links", dependencies=[READ])
-async def links(service: ServiceDep) -> list[LinkModel]:
+async def links(service: ServiceDep, sight: SightDep) -> list[LinkModel]:
     """Every open link."""
-    return [link_model(link, service.vehicles) for link in service.links.all()]
+    models = [sight.link(link_model(link, service.vehicles)) for link in service.links.all()]
+    return [model for model in models if model is not None]
 
 
 @router.post("/links", operation_id="open_link", status_code=201, dependencies=[OPERATE])
@@ -30,9 +32,12 @@ async def open_link(body: LinkRequest, request: Request, response: Response, ser
 
 
 @router.get("/links/{link_id}", operation_id="get_link", dependencies=[READ])
-async def link(link_id: str, service: ServiceDep) -> LinkModel:
+async def link(link_id: str, service: ServiceDep, sight: SightDep) -> LinkModel:
     """One link."""
-    return link_model(service.links.get(link_id), service.vehicles)
+    model = sight.link(link_model(service.links.get(link_id), service.vehicles))
+    if model is None:
+        raise LinkUnknown(f"there is no link {link_id}")
+    return model
 
 
 @router.delete("/links/{link_id}", operation_id="close_link", status_code=204, dependencies=[OPERATE])

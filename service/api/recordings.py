@@ -24,7 +24,7 @@ from mavcal.service.api.models import (
     RecordingModel,
     SeriesModel,
 )
-from mavcal.service.api.security import Scope, require
+from mavcal.service.api.security import Scope, SightDep, require
 from mavcal.service.api.views import job_model, job_summary, recording_model
 
 router = APIRouter(tags=["recordings"])
@@ -62,9 +62,9 @@ async def methods() -> list[MethodModel]:
 
 
 @router.get("/recordings", operation_id="list_recordings", dependencies=[READ])
-async def recordings(service: ServiceDep) -> list[RecordingModel]:
+async def recordings(service: ServiceDep, sight: SightDep) -> list[RecordingModel]:
     """Every uploaded recording."""
-    return [recording_model(row) for row in service.recordings.all()]
+    return [recording_model(row) for row in service.recordings.all()] if sight.everything else []
 
 
 @router.get("/recordings/{recording_id}", operation_id="get_recording", dependencies=[READ])

@@ -21,6 +21,7 @@ from fastapi import Depends, Request
 from starlette.datastructures import Headers
 
 from mavcal.service.api.audit import note
+from mavcal.service.api.sight import Sight
 from mavcal.service.api.throttle import Throttle
 from mavcal.service.errors import AuthError, Forbidden, TooManyAttempts
 from mavcal.service.settings import ApiKey, Settings, is_loopback
@@ -176,6 +177,9 @@ def require(scope: Scope) -> Callable[[Request], Awaitable[None]]:
         key = guard.authenticate(request)
         if key is not None and scope not in key.scopes and Scope.ADMIN not in key.scopes:
             raise Forbidden(f"the key of {key.name!r} lacks the scope {scope.value!r}")
+        if key is not None and key.tags:
+            operation = getattr(request.scope["route"], "operation_id", None) or ""
+            _sight(request).require(operation, request.method, request.path_params)
         if scope in _NOTED and request.method not in SAFE_METHODS:
             await note(request, _actor(request))
 
@@ -187,6 +191,15 @@ def _actor(request: Request) -> str:
     key = guard.authenticate(request)
     return "operator" if key is None else key.name
 
+
+def _sight(request: Request) -> Sight:
+    guard: RequestGuard = request.app.state.guard
+    key = guard.authenticate(request)
+    return Sight(request.app.state.service, () if key is None else key.tags)
+
+
+SightDep = Annotated[Sight, Depends(_sight)]
+"""What who asks may see."""
 
 ActorDep = Annotated[str, Depends(_actor)]
 """Who asks, for the audit record; not for addresses that take tickets, which are good once."""

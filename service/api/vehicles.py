@@ -11,7 +11,7 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from mavcal.service.api.dependencies import ServiceDep
 from mavcal.service.api.models import ParameterModel, VehicleModel, VehicleSensorsModel
-from mavcal.service.api.security import Scope, require
+from mavcal.service.api.security import Scope, SightDep, require
 from mavcal.service.api.views import parameter_model, sensors_model, vehicle_model
 from mavcal.service.standing import states_of
 from mavcal.service.vehicle import Vehicle
@@ -31,9 +31,9 @@ VehicleDep = Annotated[Vehicle, Depends(_vehicle)]
 
 
 @router.get("/vehicles", operation_id="list_vehicles", dependencies=[READ])
-async def vehicles(service: ServiceDep) -> list[VehicleModel]:
+async def vehicles(service: ServiceDep, sight: SightDep) -> list[VehicleModel]:
     """Every vehicle that was heard."""
-    return [vehicle_model(v) for v in service.vehicles.all()]
+    return [vehicle_model(v) for v in service.vehicles.all() if sight.vehicle(v.id)]
 
 
 @router.get("/vehicles/{vehicle_id}", operation_id="get_vehicle", dependencies=[READ])
@@ -62,8 +62,8 @@ async def sensors(vehicle_id: str, service: ServiceDep) -> VehicleSensorsModel:
     response_class=EventSourceResponse,
     dependencies=[READ],
 )
-async def stream(found: VehicleDep, service: ServiceDep) -> AsyncIterator[ServerSentEvent]:
+async def stream(found: VehicleDep, service: ServiceDep, sight: SightDep) -> AsyncIterator[ServerSentEvent]:
     """The vehicle's state, once a second, as long as its link is open."""
-    while found in service.vehicles.all():
+    while found in service.vehicles.all() and sight.vehicle(found.id):
         yield ServerSentEvent(data=vehicle_model(found), event="vehicle")
         await asyncio.sleep(STATE_PERIOD_S)

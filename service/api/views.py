@@ -16,6 +16,7 @@ from mavcal.service.api.models import (
     CriterionModel,
     GapModel,
     GapSummary,
+    ItemModel,
     JobModel,
     JobSummary,
     LinkModel,
@@ -31,10 +32,12 @@ from mavcal.service.api.models import (
     VehicleModel,
     VehicleSensorsModel,
 )
-from mavcal.service.jobs.codec import to_json
+from mavcal.service.jobs.codec import from_json, to_json
 from mavcal.service.jobs.fixing import Fix
+from mavcal.service.jobs.items import Item
 from mavcal.service.jobs.model import Failure, Job
 from mavcal.service.jobs.preflight import Preflight
+from mavcal.service.jobs.ready import readiness_of
 from mavcal.service.link import Link
 from mavcal.service.reviews import Review
 from mavcal.service.store.rows import EventRow, JobDocument, RecordingRow
@@ -60,6 +63,7 @@ def job_model(job: Job) -> JobModel:
             "results": to_json(job.results),
             "plan": to_json(job.plan),
             "verification": to_json(job.verification),
+            "readiness": to_json(readiness_of(job)),
             "standing": to_json(job.standing),
             "documents": [
                 {"name": name, "href": f"api/v1/jobs/{job.id}/documents/{name}"}
@@ -121,6 +125,7 @@ def link_model(link: Link, vehicles: VehicleRegistry) -> LinkModel:
         url=str(link.endpoint),
         state=link.state,
         reason=link.reason,
+        signing_key=link.signing_key,
         vehicles=[v.id for v in vehicles.all() if v.link is link],
         crc_errors=link.crc_errors,
     )
@@ -196,6 +201,24 @@ def recording_model(row: RecordingRow) -> RecordingModel:
         sha256=row.sha256,
         uploaded_at=row.at,
         inspection=to_json(inspection) if isinstance(inspection, dict) else {},
+    )
+
+
+def item_model(item: Item, campaign_id: str, job: Job | None) -> ItemModel:
+    """An item of a campaign, and where the job stands that was begun for it; None: there is none (any more)."""
+    result = item.result or {}
+    found = result.get("preflight")
+    href = f"api/v1/jobs/{campaign_id}/documents"
+    return ItemModel.model_validate(
+        {name: getattr(item, name) for name in ("number", "subject", "name", "outcome", "code", "text", "job_id")}
+        | {
+            "job_state": None if job is None else job.state,
+            "began_at": item.began_at,
+            "ended_at": item.ended_at,
+            "preflight": None if found is None else preflight_model(from_json(found, Preflight), ()),
+            "fits": result.get("fits", []),
+            "documents": [{"name": name, "href": f"{href}/{name}"} for name in result.get("documents", ())],
+        }
     )
 
 

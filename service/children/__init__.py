@@ -9,7 +9,7 @@ input close and kills what it started; a child dies with the nursery.
 from __future__ import annotations
 
 from mavcal.service.children.limits import Limits
-from mavcal.service.children.pool import Children
+from mavcal.service.children.pool import Children, Runs
 from mavcal.service.children.tasks import DIAGNOSE, FIT, INSPECT, SERIES
 
-__all__ = ["DIAGNOSE", "FIT", "INSPECT", "SERIES", "Children", "Limits"]
+__all__ = ["DIAGNOSE", "FIT", "INSPECT", "SERIES", "Children", "Limits", "Runs"]

@@ -13,7 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import structlog
 
@@ -35,6 +35,19 @@ LARGEST_RESULT = 1 << 26
 STOP_S = 5.0
 """How long the nursery may take to end."""
 _STDERR_TOLD = 4000
+
+
+class Runs(Protocol):
+    """Whoever runs tasks of :mod:`service.children.tasks` within limits."""
+
+    @property
+    def most(self) -> int:
+        """How many of a campaign are asked for at a time."""
+        ...
+
+    async def run(self, task: str, order: Mapping[str, Any], limits: Limits, *, told: Told | None = None) -> Json:
+        """See :meth:`Children.run`."""
+        ...
 
 
 @dataclass
@@ -59,6 +72,8 @@ class Children:
     def __init__(self, folder: Path, *, most: int, first: Sequence[str] = FIRST, later: Sequence[str] = LATER) -> None:
         self._folder = folder
         self._modules = ",".join(first), ",".join(later)
+        self.most = most
+        """Children at a time."""
         self._slots = asyncio.Semaphore(most)
         self._asked = 0
         self._running: dict[str, _Running] = {}
@@ -212,7 +227,7 @@ def _result_of(folder: Path, ended: Json, limits: Limits) -> Json:
             raise ChildEnded(f"its result is larger than {LARGEST_RESULT >> 20} MiB")
         result = json.loads(path.read_bytes())
         if "refused" in result:
-            raise _refusal(str(result["refused"]["kind"]), str(result["refused"]["text"]))
+            raise refusal(str(result["refused"]["kind"]), str(result["refused"]["text"]))
         done: Json = result["done"]
         return done
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
@@ -221,7 +236,7 @@ def _result_of(folder: Path, ended: Json, limits: Limits) -> Json:
         raise ChildEnded("it left no result that can be read") from error
 
 
-def _refusal(kind: str, text: str) -> CalibError:
+def refusal(kind: str, text: str) -> CalibError:
     """The error that the task raised; whatever is not one of the domain's own is invalid input."""
     made = getattr(mavcal.calib.errors, kind, None)
     known = isinstance(made, type) and issubclass(made, CalibError)

@@ -19,9 +19,9 @@ def command(data_dir: Path | None, as_json: bool) -> int:
 
     The service may go on meanwhile. Keep the digest elsewhere: it vouches for every row up to now.
     """
-    from mavcal.service.store.sqlite import check_audit_of
+    from mavcal.service.storing import check_audit_of
 
-    found = check_audit_of(load_settings(data_dir=data_dir).data_dir)
+    found = check_audit_of(load_settings(data_dir=data_dir))
     if as_json:
         write_json({"intact": found.intact, **asdict(found)})
     elif found.intact:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from mavcal.service.commands.config import load_settings
+from mavcal.service.commands.every import Acted, Whom, all_option, connect_option, one_of, run_every
 from mavcal.service.commands.output import json_option
 from mavcal.service.commands.plan_options import given, plan_options
 from mavcal.service.commands.review import JobWish, run_job
@@ -23,11 +25,14 @@ KINDS = (
     *("accel-one-axis", "accel-six-face", "mag-rings", "gyro-turntable", "gyro-thread", "imu-multi"),
 )
 """Those of ``calib.procedures.registry``, stated here so that help does without numpy (a test compares them)."""
+HANDS_FREE = ("gyro", "level")
+"""Those of ``service.jobs.fixing``, which want nothing but a vehicle at rest (a test compares them)."""
 
 
 @click.command()
 @click.argument("kind", type=click.Choice(KINDS))
-@click.option("--connect", required=True, metavar="URL", help="Endpoint of the vehicle, as udpin:0.0.0.0:14550.")
+@connect_option
+@all_option
 @click.option("--apply", "write", is_flag=True, help="Write the result to the vehicle and prove it.")
 @click.option("--require-proof", is_flag=True, help="With --apply: exit code 1 unless the streams prove all of it.")
 @click.option("--reboot", is_flag=True, help="With --apply: restart the vehicle if the plan needs it.")
@@ -39,7 +44,8 @@ KINDS = (
 def command(
     *,
     kind: str,
-    connect: str,
+    urls: tuple[str, ...],
+    every: bool,
     write: bool,
     require_proof: bool,
     reboot: bool,
@@ -55,16 +61,38 @@ def command(
     the present prompt (`finish`, or the number that it asks for). With --apply on a terminal the run asks before it
     changes how a compass is said to be mounted; a script gives --confirm-mounting. Exit code 1 if the calibration did
     not succeed; with --require-proof also if the streams do not prove everything that shows there.
+
+    With --all, gyro and level, which need no hands, are done of every vehicle side by side, with --apply only: a sensor
+    whose change would act after a restart alone is left out and named.
     """
     if require_proof and not write:
         raise click.UsageError("--require-proof asks for a proof of what was written: give --apply too")
-    settings = load_settings(data_dir=data_dir, connect=(connect,))
     chosen, decided = parsed(options), given(more)
+    if every:
+        if kind not in HANDS_FREE or not write or require_proof or reboot or chosen or decided:
+            raise click.UsageError(f"--all is for {' and '.join(HANDS_FREE)} with --apply, and without other options")
+        whom = Whom(urls, every, wait)
+        return run_every(whom.settings(data_dir), whom, partial(_hands_free, kind), as_json=as_json)
+    settings = load_settings(data_dir=data_dir, connect=(one_of(urls),))
 
     async def begin(service: Service, vehicle: Vehicle) -> Job:
         return await service.jobs.submit(vehicle.id, kind, chosen, decided)
 
     return run_job(settings, begin, JobWish(write, require_proof, reboot, wait, as_json))
+
+
+async def _hands_free(kind: str, service: Service, vehicle: Vehicle) -> Acted:
+    """Calibrate and write; whether it would arm afterwards is told too."""
+    from mavcal.service.jobs.fixing import Fixable, fixed
+    from mavcal.service.jobs.ready import readiness_of
+    from mavcal.service.jobs.states import JobState
+
+    [fix] = await fixed(service.jobs, vehicle.id, [Fixable(kind)], actor="command line", look=True)
+    found = readiness_of(service.jobs.get(fix.job_id))
+    told = {"job": fix.job_id, "kind": kind, "state": fix.state.value, "text": fix.text}
+    ready = None if found is None else {"verdict": found.verdict.value, "text": found.text, "against": found.against}
+    text = f"{kind}: {fix.state.value}: {fix.text}" + ("" if found is None else f" {found.text}")
+    return Acted(fix.state is JobState.SUCCEEDED, text, {**told, "readiness": ready})
 
 
 def parsed(options: tuple[str, ...], *, words: bool = False) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from mavcal.service.commands.output import json_option, write_json
 from mavcal.service.commands.remote import may_be_remote, service_at
 
 if TYPE_CHECKING:
+    from mavcal.service.settings import Settings
     from mavcal.service.store.rows import JobRow
 
 HEAD = ("job", "kind", "state", "of", "begun (UTC)", "outcome")
@@ -59,7 +60,7 @@ def command(
     """
     wish = _Wish(kind, _state(state), limit, after)
     if url is None:
-        shown, more = _of_folder(load_settings(data_dir=data_dir).data_dir, wish)
+        shown, more = _of_store(load_settings(data_dir=data_dir), wish)
     else:
         shown, more = _of_service(url, key_file, wish)
     following = shown[-1]["id"] if more else None
@@ -100,12 +101,12 @@ def _of_service(url: str, key_file: Path | None, wish: _Wish) -> tuple[list[dict
     return [job.model_dump(mode="json") for job in found], more
 
 
-def _of_folder(data_dir: Path, wish: _Wish) -> tuple[list[dict[str, Any]], bool]:
-    """The same of a data directory."""
+def _of_store(settings: Settings, wish: _Wish) -> tuple[list[dict[str, Any]], bool]:
+    """The same of what the settings name: a data directory, or a shared database."""
     from mavcal.service.api.paging import page_of
-    from mavcal.service.store.sqlite import jobs_of
+    from mavcal.service.storing import jobs_of
 
-    rows = [r for r in jobs_of(data_dir)[::-1] if wish.kind in {None, r.kind} and wish.state in {None, r.state}]
+    rows = [r for r in jobs_of(settings)[::-1] if wish.kind in {None, r.kind} and wish.state in {None, r.state}]
     page, more = page_of(rows, wish.after, wish.limit)
     return [_told(row) for row in page], more
 
@@ -133,6 +134,8 @@ def _cells(job: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _about(job: Mapping[str, Any]) -> str:
-    """The vehicle, or the recording instead of one."""
+    """The vehicle, or what the job is about instead of one."""
+    if "task" in job["options"]:
+        return str(job["options"]["task"])
     upload = job["options"].get("recording") or job["options"].get("real") or ""
     return job["vehicle_id"] or f"recording {str(upload)[:_SHOWN_RECORDING]}"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from mavcal.service.commands.config import load_settings
+from mavcal.service.commands.every import Found, Whom, all_option, connect_option, vehicles_of
 from mavcal.service.commands.output import EXIT_NO, json_option, write_json
 from mavcal.service.errors import ServiceError
 
@@ -27,14 +27,8 @@ FIXABLE = ("gyro", "level")
 
 
 @click.command()
-@click.option(
-    "--connect",
-    "urls",
-    required=True,
-    multiple=True,
-    metavar="URL",
-    help="Endpoint of a vehicle, as udpin:0.0.0.0:14550; several are checked side by side.",
-)
+@connect_option
+@all_option
 @click.option("--heading", type=click.FloatRange(0.0, 360.0), default=None, help="True heading of the nose, deg.")
 @click.option("--fix", default=None, metavar="KIND[,KIND]", help="Calibrate this first: gyro, level. Needs --apply.")
 @click.option("--apply", "write", is_flag=True, help="With --fix: write the result to the vehicle.")
@@ -44,6 +38,7 @@ FIXABLE = ("gyro", "level")
 def command(
     *,
     urls: tuple[str, ...],
+    every: bool,
     heading: float | None,
     fix: str | None,
     write: bool,
@@ -65,30 +60,34 @@ def command(
         raise click.UsageError(f"--fix cannot do {', '.join(unknown)}: only {', '.join(FIXABLE)} need no hands")
     if bool(kinds) != write:
         raise click.UsageError("--fix writes to the vehicle: give --apply too, or neither of them")
-    settings = load_settings(data_dir=data_dir, connect=())
+    whom = Whom(urls, every, wait)
+    settings = whom.settings(data_dir)
     configure_logging(as_json=settings.log_json)
-    found = asyncio.run(_preflights(settings, _Wish(tuple(dict.fromkeys(urls)), kinds, heading, wait), Screen()))
-    if isinstance(found, int):
-        return found
-    if len(found) == 1 and isinstance(found[0], ServiceError):
+    done = asyncio.run(_preflights(settings, whom, _Wish(kinds, heading), Screen()))
+    if isinstance(done, int):
+        return done
+    found = [one for _, one in done]
+    alone = len(found) == 1 and not every
+    if alone and isinstance(found[0], ServiceError):
         raise found[0]
     if as_json:
-        write_json(_document(found, urls))
+        write_json(_document(done, alone=alone))
     else:
-        for one, url in zip(found, dict.fromkeys(urls), strict=True):
-            show(one, url if len(found) > 1 else "")
+        for where, one in done:
+            show(one, "" if alone else where.connect)
     return _exit_code(found)
 
 
 @dataclass(frozen=True)
 class _Wish:
-    urls: tuple[str, ...]
     kinds: tuple[str, ...]
     heading: float | None
-    wait_s: float
 
 
-async def _preflights(settings: Settings, wish: _Wish, screen: Screen) -> list[PreflightModel | ServiceError] | int:
+Answer = tuple["Found", "PreflightModel | ServiceError"]
+
+
+async def _preflights(settings: Settings, whom: Whom, wish: _Wish, screen: Screen) -> list[Answer] | int:
     """The report of every vehicle or why there is none; or the exit code of a run that was told to stop."""
     from mavcal.service.commands.headless import earlier, stoppable
     from mavcal.service.core import running_service
@@ -97,22 +96,28 @@ async def _preflights(settings: Settings, wish: _Wish, screen: Screen) -> list[P
         try:
             async with running_service(settings) as service:
                 left = earlier(service)
+                found = await vehicles_of(service, whom, screen)
                 async with asyncio.TaskGroup() as group:
-                    tasks = [group.create_task(_one(service, left, url, wish, screen)) for url in wish.urls]
-                return [task.result() for task in tasks]
+                    tasks = [group.create_task(_one(service, left, one, wish, screen)) for one in found]
+                return list(zip(found, [task.result() for task in tasks], strict=True))
         except asyncio.CancelledError:
             if not caught:
                 raise
             return 128 + caught[0]
 
 
-async def _one(service: Service, left: Earlier, url: str, wish: _Wish, screen: Screen) -> PreflightModel | ServiceError:
+async def _one(
+    service: Service, left: Earlier, found: Found, wish: _Wish, screen: Screen
+) -> PreflightModel | ServiceError:
     from mavcal.service.api.views import preflight_model
-    from mavcal.service.commands.headless import heard, recovered
+    from mavcal.service.commands.headless import recovered
     from mavcal.service.jobs.fixing import Fixable, fixed
 
+    vehicle = found.vehicle
+    if vehicle is None:
+        assert found.error is not None
+        return found.error
     try:
-        vehicle = await heard(service, url, wish.wait_s, screen)
         screen.line(f"{vehicle.identity.autopilot} {vehicle.identity.version_text} as {vehicle.id}")
         await recovered(service, vehicle, left, screen)
         kinds = [Fixable(kind) for kind in wish.kinds]
@@ -130,15 +135,17 @@ def _exit_code(found: list[PreflightModel | ServiceError]) -> int:
     return EXIT_NO if "fail" in verdicts else EXIT_UNSURE if verdicts - {"pass"} else 0
 
 
-def _document(found: list[PreflightModel | ServiceError], urls: tuple[str, ...]) -> dict[str, Any]:
+def _document(done: list[Answer], *, alone: bool) -> dict[str, Any]:
     """One report; of several vehicles, all of them by endpoint."""
-    if len(found) == 1 and not isinstance(found[0], ServiceError):
-        return found[0].model_dump()
-    told = [
-        {"error": {"code": one.code, "detail": str(one)}} if isinstance(one, ServiceError) else one.model_dump()
-        for one in found
-    ]
-    return {"vehicles": [{"connect": url, **one} for url, one in zip(dict.fromkeys(urls), told, strict=True)]}
+    told = []
+    for where, one in done:
+        if not isinstance(one, ServiceError):
+            told.append({"connect": where.connect, **one.model_dump()})
+        else:
+            told.append({**where.document, "error": {"code": one.code, "detail": str(one)}})
+    if not alone:
+        return {"vehicles": told}
+    return {name: value for name, value in told[0].items() if name != "connect"}
 
 
 def show(found: PreflightModel | ServiceError, title: str = "") -> None:

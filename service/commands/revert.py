@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from mavcal.service.commands.config import load_settings
+from mavcal.service.commands.every import Acted, Whom, all_option, connect_option, run_every
+from mavcal.service.commands.every import one_of as one_endpoint
 from mavcal.service.commands.output import EXIT_NO, json_option, write_json
 from mavcal.service.commands.remote import async_service_at, followed, may_be_remote, one_of, show_came_of
 from mavcal.service.commands.review import JobWish, run_job
@@ -20,16 +22,18 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("job_id", metavar="JOB")
-@click.option("--connect", default=None, metavar="URL", help="Endpoint of the vehicle, as udpin:0.0.0.0:14550.")
+@click.argument("job_id", metavar="[JOB]", required=False)
+@connect_option
+@all_option
 @may_be_remote
 @click.option("--data-dir", type=click.Path(path_type=Path), default=None, help="Where everything is kept.")
 @click.option("--wait", type=float, default=30.0, show_default=True, help="How long to wait for a vehicle, s.")
 @json_option
 def command(
     *,
-    job_id: str,
-    connect: str | None,
+    job_id: str | None,
+    urls: tuple[str, ...],
+    every: bool,
     url: str | None,
     key_file: Path | None,
     data_dir: Path | None,
@@ -38,12 +42,27 @@ def command(
 ) -> int:
     """Put back the values that job JOB of this data directory, or of a running service, has replaced.
 
-    A parameter that somebody else has set since is left alone and named. Exit code 1 if the job was not taken back.
+    With --all it takes back the last write of each vehicle.
+
+    A parameter that somebody else has set since is left alone and named. Exit code 1 if a job was not taken back; a
+    vehicle to which nothing was written is no failure.
     """
-    one_of(connect, url)
+    if (job_id is None) != every:
+        raise click.UsageError("name the JOB, or give --all to take back the last write of every vehicle")
+    if every:
+        if url is not None:
+            raise click.UsageError("--all takes the vehicles of --connect or of the data directory, not of a --url")
+        whom = Whom(urls, every, wait)
+
+        async def act(service: Service, vehicle: Vehicle) -> Acted:
+            return await _last_write(service, vehicle, wait)
+
+        return run_every(whom.settings(data_dir), whom, act, as_json=as_json)
+    name = str(job_id)
+    one_of(urls[0] if urls else None, url)
     if url is not None:
-        return asyncio.run(_at_service(url, key_file, job_id, as_json=as_json))
-    assert connect is not None
+        return asyncio.run(_at_service(url, key_file, name, as_json=as_json))
+    connect = one_endpoint(urls)
     settings = load_settings(data_dir=data_dir, connect=(connect,))
 
     async def begin(service: Service, vehicle: Vehicle) -> Job:
@@ -51,11 +70,11 @@ def command(
         from mavcal.service.commands.review import writable
         from mavcal.service.errors import OtherVehicle
 
-        job = service.jobs.get(job_id)
+        job = service.jobs.get(name)
         if not is_of(service, job, vehicle):
-            raise OtherVehicle(f"job {job_id} is of {job.vehicle_id}, but {connect} leads to {vehicle.id}")
+            raise OtherVehicle(f"job {name} is of {job.vehicle_id}, but {connect} leads to {vehicle.id}")
         await writable(vehicle, wait)
-        return await service.jobs.revert(job_id)
+        return await service.jobs.revert(name)
 
     return run_job(settings, begin, JobWish(write=True, wait_s=wait, as_json=as_json, revert=True))
 
@@ -74,3 +93,25 @@ async def _at_service(url: str, key_file: Path | None, job_id: str, *, as_json: 
     if as_json:
         write_json(job.model_dump(mode="json"))
     return 0 if job.state == JobState.REVERTED else EXIT_NO
+
+
+async def _last_write(service: Service, vehicle: Vehicle, wait: float) -> Acted:
+    """Take back the newest job that has written to this vehicle."""
+    from mavcal.service.commands.headless import is_of
+    from mavcal.service.commands.review import taken_back, writable
+    from mavcal.service.jobs.fixing import settled
+    from mavcal.service.jobs.states import JobState
+
+    written = [job for job in service.jobs.list() if job.state is JobState.SUCCEEDED and job.accept is not None]
+    ours = [job for job in written if is_of(service, job, vehicle)]
+    if not ours:
+        return Acted(
+            good=True, text="nothing was written to it by a job of this data directory", document={"job": None}
+        )
+    newest = max(ours, key=lambda job: job.updated_at)
+    await writable(vehicle, wait)
+    await service.jobs.revert(newest.id)
+    job = await settled(service.jobs, newest.id)
+    said = "" if job.outcome is None else getattr(job.outcome, "text", "") or getattr(job.outcome, "cause", "")
+    told = {"job": job.id, "kind": job.kind, "state": job.state.value, "text": said}
+    return Acted(taken_back(job), f"job {job.id} ({job.kind}) is {job.state.value}: {said}", told)

@@ -12,6 +12,7 @@ from mavcal.service.commands.output import EXIT_NO, write_json
 
 if TYPE_CHECKING:
     from mavcal.calib.firmware.plan import WritePlan
+    from mavcal.calib.preflight.readiness import Readiness
     from mavcal.client.jobs import PlanModel
     from mavcal.service.commands.keyboard import Keyboard
     from mavcal.service.commands.screen import Screen
@@ -109,6 +110,7 @@ class _Run:
             await put_down(self.service, job.id, connect, self.screen)
             raise
         await tidied(self.service)
+        job = self.service.jobs.get(job.id)  # what the vehicle says after a write is known only now
         if self.wish.as_json:
             write_json({**job_model(job).model_dump(), "recovered": [told_of(found) for found in resolved]})
         show_end(job, self.screen, connect, written=self.wish.write)
@@ -143,7 +145,7 @@ class _Run:
             return job
         await writable(self.vehicle, self.wish.wait_s)
         after = self.service.store.last_event_id()
-        await jobs.apply(job.id, Accept(job.plan.sha256, reboot=self.wish.reboot), None)
+        await jobs.apply(job.id, Accept(job.plan.sha256, reboot=self.wish.reboot), look=True)
         return await follow(self.service, job.id, self.screen, after)
 
     async def _confirmed(self, job: Job, typed: Keyboard) -> Job:
@@ -213,6 +215,7 @@ def show_plan(plan: WritePlan | PlanModel, screen: Screen) -> None:
 def show_end(job: Job, screen: Screen, connect: str, *, written: bool) -> None:
     """How the job ended; for one in review, how it is written later."""
     from mavcal.service.jobs.model import Failure
+    from mavcal.service.jobs.ready import readiness_of
 
     if isinstance(job.outcome, Failure):
         screen.line(f"{job.state.value}: {job.outcome.cause} {job.outcome.remedy}", bold=True)
@@ -222,8 +225,18 @@ def show_end(job: Job, screen: Screen, connect: str, *, written: bool) -> None:
             screen.line(f"proof: {job.outcome.proof.value}")
         for open_still in job.outcome.unproved:
             screen.line(f"    {open_still.name} is not proved: {open_still.why}")
+        found = readiness_of(job)
+        if found is not None:
+            show_readiness(found, screen)
     elif job.plan is not None:
         screen.line(_waiting(job, job.plan, connect), bold=True)
+
+
+def show_readiness(found: Readiness, screen: Screen) -> None:
+    """Whether the vehicle would arm now, and what stands against it."""
+    screen.line(found.text, bold=True)
+    for text in found.against:
+        screen.line(f"    {text}")
 
 
 def _waiting(job: Job, plan: WritePlan, connect: str) -> str:

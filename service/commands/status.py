@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from mavcal.service.commands.config import load_settings
+from mavcal.service.commands.every import Found, Whom, all_option, connect_option, vehicles_of
 from mavcal.service.commands.output import EXIT_NO, json_option, write_json
-from mavcal.service.errors import ServiceError
 
 if TYPE_CHECKING:
     from mavcal.service.api.models import JobSummary, VehicleModel
@@ -21,11 +20,12 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.option("--connect", "urls", required=True, multiple=True, metavar="URL", help="Endpoint of a vehicle; several.")
+@connect_option
+@all_option
 @click.option("--data-dir", type=click.Path(path_type=Path), default=None, help="Where everything is kept.")
 @click.option("--wait", type=float, default=30.0, show_default=True, help="How long to wait for a vehicle, s.")
 @json_option
-def command(*, urls: tuple[str, ...], data_dir: Path | None, wait: float, as_json: bool) -> int:
+def command(*, urls: tuple[str, ...], every: bool, data_dir: Path | None, wait: float, as_json: bool) -> int:
     """Say of each vehicle who it is, whether it may be written to, and what was calibrated last.
 
     Nothing is asked of it but who it is. Exit code 1 if a vehicle was not heard.
@@ -33,9 +33,10 @@ def command(*, urls: tuple[str, ...], data_dir: Path | None, wait: float, as_jso
     from mavcal.service.commands.screen import Screen
     from mavcal.service.logs import configure_logging
 
-    settings = load_settings(data_dir=data_dir, connect=())
+    whom = Whom(urls, every, wait)
+    settings = whom.settings(data_dir)
     configure_logging(as_json=settings.log_json)
-    found = asyncio.run(_status(settings, tuple(dict.fromkeys(urls)), wait, Screen()))
+    found = asyncio.run(_status(settings, whom, Screen()))
     if as_json:
         write_json({"vehicles": found})
     else:
@@ -44,27 +45,24 @@ def command(*, urls: tuple[str, ...], data_dir: Path | None, wait: float, as_jso
     return EXIT_NO if any("error" in one for one in found) else 0
 
 
-async def _status(settings: Settings, urls: tuple[str, ...], wait: float, screen: Screen) -> list[dict[str, Any]]:
+async def _status(settings: Settings, whom: Whom, screen: Screen) -> list[dict[str, Any]]:
     from mavcal.service.core import running_service
 
-    async with running_service(settings) as service, asyncio.TaskGroup() as group:
-        tasks = [group.create_task(_one(service, url, wait, screen)) for url in urls]
-    return [task.result() for task in tasks]
+    async with running_service(settings) as service:
+        return [_one(service, found) for found in await vehicles_of(service, whom, screen)]
 
 
-async def _one(service: Service, url: str, wait: float, screen: Screen) -> dict[str, Any]:
+def _one(service: Service, found: Found) -> dict[str, Any]:
     from mavcal.service.api.views import job_summary, vehicle_model
-    from mavcal.service.commands.headless import heard
     from mavcal.service.jobs.states import JobState
 
-    try:
-        vehicle = await heard(service, url, wait, screen)
-    except ServiceError as error:
-        return {"connect": url, "error": {"code": error.code, "detail": str(error)}}
+    vehicle = found.vehicle
+    if vehicle is None:
+        return found.document
     ours = [job for job in service.jobs.list() if job.vehicle_id == vehicle.id]
     done = {job.kind: job_summary(job) for job in ours if job.state == JobState.SUCCEEDED}
     told = {kind: _last(job) for kind, job in done.items()}
-    return {"connect": url, **_plain(vehicle_model(vehicle)), "calibrated": told}
+    return {"connect": found.connect, **_plain(vehicle_model(vehicle)), "calibrated": told}
 
 
 def _plain(model: VehicleModel) -> dict[str, Any]:

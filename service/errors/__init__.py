@@ -8,10 +8,16 @@
     |   +-- EndpointError         422
     |   |   +-- EndpointRefused   403
     |   +-- LinkUnknown           404
+    |   +-- LinkElsewhere         409
+    |   +-- LinkOpen              409
+    |   +-- SigningKeyError       409
+    |   |   +-- SigningKeyUnknown 404
+    |   |   +-- SigningNotConfirmed 503
     |   +-- PortBusy              409
     +-- VehicleError              503
     |   +-- VehicleSilent         503
     |   +-- VehicleUnknown        404
+    |   +-- UnitUnknown           404
     |   +-- VehicleArmed          409
     |   +-- VehicleBusy           409
     |   +-- VehicleConflict       409
@@ -24,6 +30,7 @@
     |       +-- ParameterRejected 409
     +-- JobError                  409
     |   +-- JobUnknown            404
+    |   +-- JobElsewhere          409
     |   +-- IllegalTransition     409
     |   +-- PlanChanged           409
     |   +-- NoVehicle             409
@@ -36,6 +43,7 @@
     |   +-- PlanBlocked           409
     |   +-- PlanMissing           404
     |   +-- OtherVehicle          409
+    |   +-- NothingVerified       409
     |   +-- ExportUnknown         404
     |   +-- IdempotencyConflict   409
     |   +-- AnswerRefused         409
@@ -47,6 +55,7 @@
     +-- StoreError                500
     |   +-- DiskFull              507
     |   +-- DataDirLocked         409
+    |   +-- LeaseLost             409
     +-- AuthError                 401
     |   +-- Forbidden             403
     |   +-- TooManyAttempts       429   carries how long to wait
@@ -55,6 +64,7 @@
     |   +-- UploadTooLarge        413
     +-- ChildEnded                422
     +-- ChildrenBusy              429
+    +-- CampaignsBusy             429
     +-- RecordingUnknown          404
     +-- GapError                  409
         +-- GapUnknown            404
@@ -72,6 +82,7 @@ from mavcal.service.errors.base import (
 )
 from mavcal.service.errors.host import (
     AuthError,
+    CampaignsBusy,
     ChildEnded,
     ChildrenBusy,
     DataDirLocked,
@@ -81,6 +92,7 @@ from mavcal.service.errors.host import (
     GapsBusy,
     GapUnfinished,
     GapUnknown,
+    LeaseLost,
     RecordingUnknown,
     StoreError,
     TooManyAttempts,
@@ -98,9 +110,11 @@ from mavcal.service.errors.jobs import (
     IdempotencyConflict,
     IllegalTransition,
     JobCancelled,
+    JobElsewhere,
     JobError,
     JobUnknown,
     NotCancellable,
+    NothingVerified,
     NotRevertible,
     NoVehicle,
     OtherVehicle,
@@ -119,13 +133,19 @@ from mavcal.service.errors.vehicles import (
     EndpointRefused,
     ForbiddenCommand,
     LinkDown,
+    LinkElsewhere,
     LinkError,
+    LinkOpen,
     LinkUnknown,
     ParameterError,
     ParameterMissing,
     ParameterRejected,
     ParameterTimeout,
     PortBusy,
+    SigningKeyError,
+    SigningKeyUnknown,
+    SigningNotConfirmed,
+    UnitUnknown,
     VehicleArmed,
     VehicleBusy,
     VehicleConflict,
@@ -137,6 +157,7 @@ from mavcal.service.errors.vehicles import (
 __all__ = [
     "AnswerRefused",
     "AuthError",
+    "CampaignsBusy",
     "CaptureDisturbed",
     "CaptureEnded",
     "CaptureLost",
@@ -159,14 +180,19 @@ __all__ = [
     "IdempotencyConflict",
     "IllegalTransition",
     "JobCancelled",
+    "JobElsewhere",
     "JobError",
     "JobUnknown",
+    "LeaseLost",
     "LinkDown",
+    "LinkElsewhere",
     "LinkError",
+    "LinkOpen",
     "LinkUnknown",
     "NoVehicle",
     "NotCancellable",
     "NotRevertible",
+    "NothingVerified",
     "OtherVehicle",
     "ParameterError",
     "ParameterMissing",
@@ -180,9 +206,13 @@ __all__ = [
     "PreflightRunning",
     "RecordingUnknown",
     "ServiceError",
+    "SigningKeyError",
+    "SigningKeyUnknown",
+    "SigningNotConfirmed",
     "StoreError",
     "TooManyAttempts",
     "TooManyStreams",
+    "UnitUnknown",
     "UploadError",
     "UploadTooLarge",
     "VehicleArmed",

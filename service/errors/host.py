@@ -30,6 +30,14 @@ class DataDirLocked(StoreError):
     code = "data-dir-locked"
 
 
+class LeaseLost(StoreError):
+    """Another instance of the service owns that now: nothing more is written for it here."""
+
+    status_code = 409
+    title = "Owned elsewhere"
+    code = "lease-lost"
+
+
 class AuthError(ServiceError):
     """Give a valid API key."""
 
@@ -141,3 +149,11 @@ class GapsBusy(GapError):
     status_code = 429
     title = "Too many diagnoses"
     code = "gaps-busy"
+
+
+class CampaignsBusy(ServiceError):
+    """Too many campaigns are running; try again when one has ended."""
+
+    status_code = 429
+    title = "Too many campaigns"
+    code = "campaigns-busy"

@@ -23,6 +23,13 @@ class JobUnknown(JobError):
     code = "job-unknown"
 
 
+class JobElsewhere(JobError):
+    """The job belongs to another instance of the service. Ask that one."""
+
+    title = "Job elsewhere"
+    code = "job-elsewhere"
+
+
 class IllegalTransition(JobError):
     """The job's state does not allow this step."""
 
@@ -99,6 +106,13 @@ class OtherVehicle(JobError):
 
     title = "Not of this vehicle"
     code = "other-vehicle"
+
+
+class NothingVerified(JobError):
+    """No verified calibration of this very unit is known here, so there is nothing to restore."""
+
+    title = "Nothing verified"
+    code = "nothing-verified"
 
 
 class PlanMissing(JobError):

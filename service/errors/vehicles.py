@@ -46,6 +46,46 @@ class LinkUnknown(LinkError):
     code = "link-unknown"
 
 
+class LinkElsewhere(LinkError):
+    """Another instance of the service has this link open. Ask that one."""
+
+    status_code = 409
+    title = "Link elsewhere"
+    code = "link-elsewhere"
+
+
+class LinkOpen(LinkError):
+    """The link is open and signed with another key. Close it first."""
+
+    status_code = 409
+    title = "Link open with another key"
+    code = "link-open"
+
+
+class SigningKeyError(LinkError):
+    """The signing key cannot be used like that."""
+
+    status_code = 409
+    title = "Signing key refused"
+    code = "signing-key-error"
+
+
+class SigningKeyUnknown(SigningKeyError):
+    """No such signing key. GET /api/v1/signing-keys lists them."""
+
+    status_code = 404
+    title = "Signing key unknown"
+    code = "signing-key-unknown"
+
+
+class SigningNotConfirmed(SigningKeyError):
+    """The vehicle did not confirm the signing key: the link stays unsigned."""
+
+    status_code = 503
+    title = "Signing not confirmed"
+    code = "signing-not-confirmed"
+
+
 class PortBusy(LinkError):
     """Another program uses this port. Stop it, or let it forward to another port and connect to that one."""
 
@@ -78,6 +118,14 @@ class VehicleUnknown(VehicleError):
     status_code = 404
     title = "Vehicle unknown"
     code = "vehicle-unknown"
+
+
+class UnitUnknown(VehicleError):
+    """No such unit. GET /api/v1/fleet lists those of which something is known."""
+
+    status_code = 404
+    title = "Unit unknown"
+    code = "unit-unknown"
 
 
 class VehicleArmed(VehicleError):

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable
+import dataclasses
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from functools import partial
+from typing import Any
 
-from mavcal.service.errors import DocumentUnknown, JobUnknown
+from mavcal.calib.procedures.protocol import Progress, Prompt
+from mavcal.service.errors import DocumentUnknown, JobElsewhere, JobUnknown
+from mavcal.service.jobs.codec import from_json
 from mavcal.service.jobs.feed import EventFeed
 from mavcal.service.jobs.handle import JobHandle
 from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.ownership import Ownership
 from mavcal.service.jobs.salvage import job_of
 from mavcal.service.store.protocol import Store
-from mavcal.service.store.rows import EventRow, JobDocument
+from mavcal.service.store.rows import EventRow, JobDocument, JobRow
+
+TOLD: Mapping[str, tuple[Any, str]] = {"progress": (Progress | None, "progress"), "prompt": (Prompt | None, "prompt")}
+"""Events that alone say what they say, with the field of the job."""
 
 
 class JobBook:
@@ -21,21 +29,61 @@ class JobBook:
     ----------
     store
         Holds every job.
+    ownership
+        Which of them are ours. The others are known as the store last told of them.
     progress_s
         Progress is announced at most so often.
     clock, wall
         Monotonic time for pauses; wall time for stamps.
     """
 
-    def __init__(self, store: Store, progress_s: float, clock: Callable[[], float], wall: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        store: Store,
+        ownership: Ownership,
+        progress_s: float,
+        clock: Callable[[], float],
+        wall: Callable[[], float],
+    ) -> None:
         self._store = store
+        self._ownership = ownership
         self._progress_s, self._clock, self._wall = progress_s, clock, wall
         self._feed = EventFeed(store)
         self._handles: dict[str, JobHandle] = {}
+        self._others: dict[str, Job] = {}
 
     def load(self) -> list[JobHandle]:
         """Take every job out of the store."""
-        return [self._hold(job_of(row, self._store)) for row in self._store.jobs()]
+        return self.take(self._store.jobs())
+
+    def take(self, rows: Iterable[JobRow]) -> list[JobHandle]:
+        """Hold these jobs, which are ours."""
+        return [self._hold(job_of(row, self._store)) for row in rows]
+
+    def drop(self, of: Callable[[Job], bool]) -> list[JobHandle]:
+        """Hold these jobs no longer, which were ours; their last state is known still."""
+        dropped = [handle for handle in self._handles.values() if of(handle.job)]
+        for handle in dropped:
+            del self._handles[handle.id]
+            self._others[handle.id] = handle.job
+        return dropped
+
+    def watch(self) -> None:
+        """Know every job of the store, none of which is ours yet."""
+        self._others = {row.id: job_of(row, self._store) for row in self._store.jobs()}
+
+    def asks_for(self, event: EventRow) -> bool:
+        """Whether the row of the event's job is wanted: it is not ours, and the event does not say all."""
+        return event.job_id not in self._handles and not (event.kind in TOLD and event.job_id in self._others)
+
+    def seen(self, event: EventRow, row: JobRow | None) -> None:
+        """Tell of an event; what it, or its job's `row`, says of a job that is not ours is known from now on."""
+        if event.job_id not in self._handles:
+            if row is not None:
+                self._others[row.id] = job_of(row, self._store)
+            elif event.kind in TOLD and event.job_id in self._others:
+                self._others[event.job_id] = told(self._others[event.job_id], event)
+        self._feed.publish(event)
 
     def close(self) -> None:
         """End every subscription."""
@@ -43,24 +91,38 @@ class JobBook:
 
     def list(self) -> tuple[Job, ...]:
         """Every job, oldest first."""
-        return tuple(handle.job for handle in self._handles.values())
+        ours = tuple(handle.job for handle in self._handles.values())
+        if not self._others:
+            return ours
+        return tuple(sorted((*ours, *self._others.values()), key=lambda job: job.created_at))
+
+    def job(self, job_id: str) -> Job:
+        """The job of that id, whosever it is. Raises JobUnknown."""
+        other = self._others.get(job_id)
+        return self.handle(job_id).job if other is None else other
+
+    def holds(self, handle: JobHandle) -> bool:
+        """Whether that job is ours still."""
+        return self._handles.get(handle.id) is handle
 
     def handle(self, job_id: str) -> JobHandle:
-        """Holds the job of that id. Raises JobUnknown."""
+        """Holds the job of that id. Raises JobUnknown, or JobElsewhere if it is not ours."""
         handle = self._handles.get(job_id)
-        if handle is None:
-            raise JobUnknown(f"there is no job {job_id}")
-        return handle
+        if handle is not None:
+            return handle
+        if job_id in self._others:
+            raise JobElsewhere(f"job {job_id} belongs to another instance of the service, or to none yet: ask that one")
+        raise JobUnknown(f"there is no job {job_id}")
 
     def subscribe(self, job_id: str | None, after: int) -> AsyncIterator[EventRow]:
         """Events after `after` (a sequence of that job, or an id over all jobs), for ever. Raises JobUnknown."""
         if job_id is not None:
-            self.handle(job_id)
+            self.job(job_id)
         return self._feed.subscribe(job_id, after)
 
     async def document(self, job_id: str, name: str) -> JobDocument:
         """A document that the job has made. Raises JobUnknown, DocumentUnknown."""
-        job = self.handle(job_id).job
+        job = self.job(job_id)
         found = await self._store.do(partial(self._store.document, job_id, name))
         if found is None:
             raise DocumentUnknown(f"job {job_id} is {job.state} and has no document {name}")
@@ -68,6 +130,7 @@ class JobBook:
 
     async def new(self, job: Job) -> JobHandle:
         """A job that is in the store, or not there at all. Raises DiskFull."""
+        await self._ownership.begin(job)
         handle = self._hold(job)
         try:
             handle.change("state", {"state": job.state.value, "outcome": None})
@@ -79,17 +142,26 @@ class JobBook:
 
     def forget(self, job_id: str) -> None:
         """Remove a job that has ended and never wrote."""
-        del self._handles[job_id]
+        self._handles.pop(job_id, None)
+        self._others.pop(job_id, None)
         self._store.soon(partial(self._store.delete_job, job_id))
 
     def _hold(self, job: Job) -> JobHandle:
         handle = JobHandle(
             job,
-            self._store,
-            self._feed.publish,
+            self._ownership.store_of(job),
+            (lambda _: self._ownership.changed()) if self._ownership.shared else self._feed.publish,
             progress_s=self._progress_s,
             wall=self._wall,
             clock=self._clock,
         )
         self._handles[job.id] = handle
+        self._others.pop(job.id, None)
         return handle
+
+
+def told(job: Job, event: EventRow) -> Job:
+    """What an event of these kinds, which is in no row of a job, says of it."""
+    kind, field = TOLD[event.kind]
+    changed: dict[str, Any] = {field: from_json(dict(event.data), kind) if event.data else None}
+    return dataclasses.replace(job, **changed)

@@ -36,8 +36,6 @@ MOST_DIAGNOSES = 8
 """Diagnoses that may be queued or running at a time."""
 MOST_FITS = 500
 """Fits that may be queued or running at a time."""
-FITS_AT_ONCE = 8
-"""Fits that ask for a child at a time: uploads that are read need some as well."""
 MOST_FITS_KEPT = 1000
 """Fits that have ended and are remembered; the oldest are forgotten first."""
 MOST_STARTS = 3
@@ -65,6 +63,8 @@ class Computing:
         Cancels a job.
     wall
         Wall-clock time, for stamps.
+    lanes
+        How many jobs of each kind are computed at a time.
     """
 
     def __init__(
@@ -74,11 +74,13 @@ class Computing:
         tasks: JobTasks,
         cancel: Callable[[str], Awaitable[Job]],
         wall: Callable[[], float],
+        *,
+        lanes: Mapping[str, int],
     ) -> None:
         self._computations = computations
         self._book, self._tasks, self._cancel = book, tasks, cancel
         self._wall = wall
-        self._lanes = {FIT: asyncio.Semaphore(FITS_AT_ONCE), GAP: asyncio.Semaphore(1)}
+        self._lanes = {kind: asyncio.Semaphore(most) for kind, most in lanes.items()}
         self._waited_for: dict[str, asyncio.Future[Job]] = {}
 
     async def fit(self, recording: str, method: str, options: Mapping[str, Any]) -> Job:

@@ -6,15 +6,14 @@ import asyncio
 import dataclasses
 import time
 import uuid
-from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Any
 
-import structlog
-
 from mavcal.calib.firmware.stream.rates import requested_streams
+from mavcal.calib.preflight.snapshot import VerifiedCalibration
 from mavcal.calib.procedures.registry import specification, validate_options
 from mavcal.calib.report import to_json
 from mavcal.service.errors import (
@@ -24,6 +23,7 @@ from mavcal.service.errors import (
     IllegalTransition,
     NotCancellable,
     NotRevertible,
+    VehicleUnknown,
 )
 from mavcal.service.jobs.admission import (
     request_digest,
@@ -35,24 +35,31 @@ from mavcal.service.jobs.admission import (
 )
 from mavcal.service.jobs.adoption import adopted, composed
 from mavcal.service.jobs.book import JobBook
-from mavcal.service.jobs.computing import COMPUTED, Computing
+from mavcal.service.jobs.campaigns import CAMPAIGN, Campaigns
+from mavcal.service.jobs.computing import COMPUTED, FIT, GAP, Computing
 from mavcal.service.jobs.crashpoints import At, CrashPoint, nowhere
 from mavcal.service.jobs.ending import INTERRUPTED, doubt
 from mavcal.service.jobs.handle import JobHandle
 from mavcal.service.jobs.journal import BY_OPERATOR, JournalStep
 from mavcal.service.jobs.model import Accept, Attempt, Failure, Job, WriteResult
+from mavcal.service.jobs.ownership import Alone, Ownership
 from mavcal.service.jobs.planning import (
     FROM_RECORDING,
+    RESTORE,
     checked_plan_options,
     confirmed,
     keep_plan,
     require_sensors_of,
 )
-from mavcal.service.jobs.port import Computations, NoUploads, VehicleSource
+from mavcal.service.jobs.port import Computations, JobVehicle, NoUploads, VehicleSource
 from mavcal.service.jobs.preflight import Preflight, Preflights
+from mavcal.service.jobs.ready import look_after
+from mavcal.service.jobs.record import JobRecord, NoRecord
+from mavcal.service.jobs.restoring import planned_restore, require_restorable, restored
+from mavcal.service.jobs.resumption import Resumption
 from mavcal.service.jobs.runner import Runner
 from mavcal.service.jobs.settings import JobSettings
-from mavcal.service.jobs.states import CANCELLABLE, CAPTURING, ENDED, WRITING, JobState
+from mavcal.service.jobs.states import CANCELLABLE, CAPTURING, ENDED, JobState
 from mavcal.service.jobs.tasks import JobTasks, Work
 from mavcal.service.jobs.tidying import Tidying
 from mavcal.service.jobs.transaction import Transaction
@@ -60,9 +67,7 @@ from mavcal.service.jobs.verified import history_of, verified_jobs
 from mavcal.service.jobs.verify import StreamProof
 from mavcal.service.jobs.write import Writing, check_plan
 from mavcal.service.store.protocol import Store
-from mavcal.service.store.rows import EventRow, JobDocument
-
-log = structlog.get_logger(__name__)
+from mavcal.service.store.rows import EventRow, JobDocument, JobRow
 
 
 class JobEngine:
@@ -80,14 +85,16 @@ class JobEngine:
         What is done with uploaded recordings. None: there are none.
     settings
         How patient the engine is.
+    ownership
+        Which jobs are ours. None: all of them.
     executor
         Where closed segments are fitted; any ``concurrent.futures.Executor``. None: two threads of its own.
     read_only
         Nothing is ever written to a vehicle.
     clock, wall
         Monotonic time for time-outs; wall time for stamps.
-    reach
-        Called at every instant at which a crash would leave another state behind (tests).
+    reach, record
+        Called where a crash would leave another state behind (tests); told of what jobs and preflights came to.
     """
 
     def __init__(
@@ -97,62 +104,65 @@ class JobEngine:
         computations: Computations | None = None,
         *,
         settings: JobSettings | None = None,
+        ownership: Ownership | None = None,
         executor: Executor | None = None,
         read_only: bool = False,
         clock: Callable[[], float] = time.monotonic,
         wall: Callable[[], float] = time.time,
         reach: CrashPoint = nowhere,
+        record: JobRecord | None = None,
     ) -> None:
         self.settings = settings or JobSettings()
         self._store = store
         self._vehicles = vehicles
         self._read_only = read_only
-        self._wall, self._clock, self._reach = wall, clock, reach
+        self._wall, self._clock, self._reach, self._record = wall, clock, reach, record or NoRecord()
         self._own_executor = ThreadPoolExecutor(2, thread_name_prefix="fit") if executor is None else None
         pool = executor or self._own_executor
         assert pool is not None
-        self._book = JobBook(store, self.settings.progress_s, clock, wall)
+        self._ownership = ownership or Alone(store)
+        self._book = JobBook(store, self._ownership, self.settings.progress_s, clock, wall)
         self._runner = Runner(vehicles, self.settings, pool, self.list, reach, clock, wall)
         self._tidying = Tidying(self._runner.vehicle, self.settings.review_s)
         self._tasks = JobTasks(self.settings.retry_s, self._recovered, self._ended)
         self._computations = computations or NoUploads()
-        self.computing = Computing(self._computations, self._book, self._tasks, self.cancel, wall)
+        lanes = {FIT: self.settings.fits_at_once, GAP: self.settings.diagnoses_at_once}
+        self.computing = Computing(self._computations, self._book, self._tasks, self.cancel, wall, lanes=lanes)
         """Fits and diagnoses of uploads."""
+        self.campaigns = Campaigns(self._book, self._tasks, clock, wall)
+        """Jobs for many vehicles or logs; what they do is put in before :meth:`start`."""
         self._preflights = Preflights(self.settings, wall, clock)
         self._claims: set[str] = set()
-        self._following: asyncio.Task[None] | None = None
+        self._resumption = Resumption(
+            self._tasks, self.settings.recovery_alone_s, recover=self._recover, resume=self._resume
+        )
 
     # --- life
 
     async def start(self) -> None:
         """Take up every job of the store where it was left, however the service ended.
 
-        Interrupted writes come first and alone; the other jobs follow when these have ended, or after a while.
+        Interrupted writes come first and alone; the other jobs follow when these have ended, or after a while. One of
+        several instances takes up nothing yet: :meth:`take_over` follows for what it comes to own.
         """
-        handles = self._book.load()
-        writes = [handle for handle in handles if handle.job.state in WRITING]
-        for handle in writes:
-            self._taken_up(handle, self._recover)
-        others = [handle for handle in handles if handle not in writes]
-        if self._tasks.running:
-            self._following = asyncio.create_task(self._follow(tuple(self._tasks.running.values()), others))
+        if self._ownership.shared:
+            self._book.watch()
         else:
-            self._take_up(others)
+            self._resumption.begin(self._book.load())
 
-    async def _follow(self, writes: Sequence[asyncio.Task[None]], others: Sequence[JobHandle]) -> None:
-        await asyncio.wait(writes, timeout=self.settings.recovery_alone_s)
-        self._take_up(others)
+    def take_over(self, rows: Iterable[JobRow]) -> None:
+        """Take up jobs that this instance owns from now on."""
+        self._resumption.begin(self._book.take(rows))
 
-    def _take_up(self, handles: Iterable[JobHandle]) -> None:
-        for handle in handles:
-            self._taken_up(handle, self._resume)
+    def give_up(self, of: Callable[[Job], bool]) -> None:
+        """Stop what is done for these jobs, which are not ours any more; nothing more is sent or kept for them."""
+        for handle in self._book.drop(of):
+            self._tasks.cancel(handle.id)
 
-    def _taken_up(self, handle: JobHandle, how: Callable[[JobHandle], None]) -> None:
-        """Take one job up; what is wrong with it must not keep the others waiting."""
-        try:
-            how(handle)
-        except Exception:  # of any kind: one job must not strand the writes after it; logged with its trace
-            log.exception("job not taken up", job=handle.id, state=handle.job.state)
+    @property
+    def book(self) -> JobBook:
+        """Every job; one of several instances tells it what the others have done."""
+        return self._book
 
     def _recover(self, handle: JobHandle) -> None:
         """Finish or take back an interrupted write: the journal and the vehicle decide."""
@@ -167,9 +177,11 @@ class JobEngine:
         state, kind = handle.job.state, handle.job.kind
         if kind in COMPUTED and state not in ENDED:
             self.computing.take_up(handle)
+        elif kind == CAMPAIGN:
+            self.campaigns.take_up(handle)
         elif state in CAPTURING:  # replay what was recorded and go on, if the vehicle is the same boot still
             self._tasks.spawn(handle, partial(self._captured, handle))
-        elif state == JobState.FITTING and kind == FROM_RECORDING:
+        elif state == JobState.FITTING and kind in (FROM_RECORDING, RESTORE):
             self._tasks.spawn(handle, self._adoption(handle))
         elif state == JobState.FITTING:
             self._tasks.spawn(handle, partial(self._runner.fit, handle))
@@ -180,12 +192,11 @@ class JobEngine:
         """Stop every task; jobs stay in their states and are taken up at the next start."""
         self._tasks.stopping = True
         self._book.close()
-        following = [] if self._following is None else [self._following]
-        await self._preflights.stop()
-        tasks = [*self._tasks.running.values(), *self._tidying.tasks, *following]
+        tasks = [*self._tasks.running.values(), *self._tidying.tasks, *self._resumption.waiting]
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
+        await self._preflights.stop()
         if self._own_executor is not None:
             self._own_executor.shutdown(wait=False, cancel_futures=True)
 
@@ -207,7 +218,7 @@ class JobEngine:
 
     def get(self, job_id: str) -> Job:
         """The job of that id. Raises JobUnknown."""
-        return self._book.handle(job_id).job
+        return self._book.job(job_id)
 
     async def document(self, job_id: str, name: str) -> JobDocument:
         """A document that the job has made. Raises JobUnknown, DocumentUnknown."""
@@ -233,9 +244,30 @@ class JobEngine:
         require_ready(vehicle, busy=True)  # which is one of the checks
         with self._preflights.claimed(vehicle.id):
             await self._tidying.before_capture(vehicle.id)
-            jobs = verified_jobs(self.list(), vehicle.id, vehicle.identity)
-            history = partial(self._store.do, partial(history_of, jobs, self._store))
-            return await self._preflights.run(vehicle, history, heading=heading)
+            return await self._record.keep_preflight(
+                await self._preflights.run(vehicle, self._history, heading=heading)
+            )
+
+    async def restore(self, vehicle_id: str, plan_options: Mapping[str, Any] | None = None) -> Job:
+        """A job that plans to put the last verified calibration back, mapped by device id; then in review or failed.
+
+        Raises
+        ------
+        NothingVerified
+            If no calibration was verified, or it is not surely of this very unit.
+        InvalidInputError, VehicleUnknown, VehicleSilent, VehicleArmed, VehicleBusy, PhysicalJobRunning
+            As for :meth:`adopt`.
+        """
+        context = {"plan_options": checked_plan_options(plan_options or {})}
+        vehicle = self._vehicles.vehicle(vehicle_id)
+        require_ready(vehicle)
+        await require_restorable(vehicle, self._history)
+        self._require_free(vehicle.id)
+        now = self._wall()
+        job = Job(uuid.uuid4().hex[:12], vehicle.id, RESTORE, {}, JobState.FITTING, now, now, context=context)
+        handle = await self._book.new(job)
+        self._tasks.spawn(handle, self._adoption(handle))
+        return handle.job
 
     async def submit(
         self,
@@ -243,8 +275,12 @@ class JobEngine:
         kind: str,
         options: Mapping[str, Any] | None = None,
         plan_options: Mapping[str, Any] | None = None,
+        *,
+        begun_by: Mapping[str, Any] | None = None,
     ) -> Job:
         """Start a calibration; `options` are the procedure's, `plan_options` those of composing its plan.
+
+        `begun_by` goes to its context: the campaign that began it.
 
         Raises
         ------
@@ -258,7 +294,7 @@ class JobEngine:
         """
         spec = specification(kind)
         chosen = validate_options(kind, options or {})
-        context = {"plan_options": checked_plan_options(plan_options or {})}
+        context = {**(begun_by or {}), "plan_options": checked_plan_options(plan_options or {})}
         require_sensors_of(spec, plan_options or {})
         vehicle = self._vehicles.vehicle(vehicle_id)
         self._require_free(vehicle.id)
@@ -300,8 +336,9 @@ class JobEngine:
         require_ready(vehicle)
         now = self._wall()
         chosen = {"recording": recording, "method": method, "options": dict(options)}
-        state = JobState.FITTING
-        job = Job(uuid.uuid4().hex[:12], vehicle.id, FROM_RECORDING, chosen, state, now, now, context=context)
+        job = Job(
+            uuid.uuid4().hex[:12], vehicle.id, FROM_RECORDING, chosen, JobState.FITTING, now, now, context=context
+        )
         handle = await self._book.new(job)
         self._tasks.spawn(handle, self._adoption(handle))
         return handle.job
@@ -341,19 +378,20 @@ class JobEngine:
         """Compose the plan of a job in review again, on the vehicle's present parameters.
 
         `options` are those of :data:`calib.firmware.options.PLAN_OPTIONS`; None: as before.
-
-        Raises
-        ------
-        IllegalTransition, InvalidInputError, FirmwareError, VehicleError
+        Raises IllegalTransition, InvalidInputError, FirmwareError, VehicleError.
         """
         handle = self._book.handle(job_id)
         job = handle.job
         if job.state != JobState.REVIEW:
             raise IllegalTransition(f"job {job_id} is {job.state}: only a job in review can be planned again")
-        chosen = checked_plan_options(job.context.get("plan_options", {}) if options is None else options, job.results)
+        results = None if job.kind == RESTORE else job.results
+        chosen = checked_plan_options(job.context.get("plan_options", {}) if options is None else options, results)
         vehicle = self._vehicles.vehicle(require_vehicle(job))
         require_ready(vehicle)
-        identity, planned = await composed(vehicle, job.results, chosen, job.context.get("origin"), self.list())
+        if job.kind == RESTORE:
+            identity, planned = await planned_restore(vehicle, await self._history(vehicle), chosen)
+        else:
+            identity, planned = await composed(vehicle, job.results, chosen, job.context.get("origin"), self.list())
         await keep_plan(handle, planned)
         if handle.job.state != JobState.REVIEW:
             raise IllegalTransition(f"job {job_id} is {handle.job.state}: only a job in review can be planned again")
@@ -363,8 +401,12 @@ class JobEngine:
         handle.change("plan", data, plan=planned.plan, fingerprint=fingerprint, context=context, outcome=None)
         return handle.job
 
-    async def apply(self, job_id: str, accept: Accept, idempotency_key: str | None = None) -> Job:
+    async def apply(
+        self, job_id: str, accept: Accept, idempotency_key: str | None = None, *, look: bool = False
+    ) -> Job:
         """Write the job's plan; returns as soon as the plan is found to fit the vehicle still.
+
+        `look`: look at the vehicle afterwards, and keep in the job whether it would arm now.
 
         Raises
         ------
@@ -406,18 +448,14 @@ class JobEngine:
             self._require_free(require_vehicle(handle.job), besides=job_id)
         attempt = Attempt(WriteResult.RUNNING, self._wall())
         handle.move(JobState.APPLYING, accept=accept, outcome=None, verification=None, standing=(), last_write=attempt)
-        self._tasks.spawn(handle, partial(self._applied, handle))
+        self._tasks.spawn(handle, partial(self._applied, handle, look=look))
         self._reach(At.ACCEPTED)
         return handle.job
 
     async def revert(self, job_id: str, actor: str = "operator") -> Job:
         """Take back what a job has written, where it still stands.
 
-        Raises
-        ------
-        NotRevertible
-            If the job is not ``succeeded``.
-        PhysicalJobRunning, VehicleError, Forbidden
+        Raises NotRevertible if the job is not ``succeeded``; PhysicalJobRunning, VehicleError, Forbidden.
         """
         handle = self._book.handle(job_id)
         if handle.job.state != JobState.SUCCEEDED:
@@ -472,12 +510,23 @@ class JobEngine:
         check = StreamProof(handle, vehicle, job.plan, accept.prove_s, self.settings, self._clock)
         return Writing(handle, vehicle, job.plan, accept, check, self.settings, self._reach)
 
-    async def _applied(self, handle: JobHandle) -> None:
+    async def _applied(self, handle: JobHandle, *, look: bool) -> None:
         """The write, once nobody puts message rates back any more: it needs the same ones as the capture."""
+        await self._preflights.restored(require_vehicle(handle.job))
         await self._tidying.before_write(handle)
         await self._transaction(handle).apply()
+        if look:
+            with suppress(VehicleUnknown):
+                vehicle = self._vehicles.vehicle(require_vehicle(handle.job))
+                await look_after(handle, vehicle, self._preflights, self._history)
+
+    async def _history(self, vehicle: JobVehicle) -> tuple[VerifiedCalibration, ...]:
+        jobs = verified_jobs(self.list(), vehicle.id, vehicle.identity)
+        return await self._store.do(partial(history_of, jobs, self._store))
 
     def _adoption(self, handle: JobHandle) -> Work:
+        if handle.job.kind == RESTORE:
+            return partial(restored, handle, self._runner.vehicle, self._history)
         return partial(adopted, handle, self._runner.vehicle, self._computations, self.list)
 
     async def _captured(self, handle: JobHandle) -> None:
@@ -487,7 +536,11 @@ class JobEngine:
         await self._runner.calibrate(handle)
 
     def _ended(self, handle: JobHandle) -> None:
-        """A job's task is over."""
+        """A job's task is over; one that was given up is another's to tidy."""
+        if not self._book.holds(handle):
+            return
+        self._ownership.ended(handle.job)
+        self._record.job_ended(handle.job)
         if handle.job.state in ENDED | {JobState.REVIEW}:
             self._tidy(handle)
             self._store.soon(partial(self._store.drop_events, handle.id, "progress", keep=1))

@@ -37,8 +37,12 @@ class Fix:
     text: str
 
 
-async def fixed(engine: JobEngine, vehicle_id: str, kinds: Sequence[Fixable], *, actor: str) -> tuple[Fix, ...]:
+async def fixed(
+    engine: JobEngine, vehicle_id: str, kinds: Sequence[Fixable], *, actor: str, look: bool = False
+) -> tuple[Fix, ...]:
     """Run and write each kind once; the first one that does not succeed is the last.
+
+    `look`: look at the vehicle after each write (:func:`service.jobs.ready.readiness_of`).
 
     Raises
     ------
@@ -48,11 +52,11 @@ async def fixed(engine: JobEngine, vehicle_id: str, kinds: Sequence[Fixable], *,
     done: list[Fix] = []
     for kind in dict.fromkeys(kinds):
         job = await engine.submit(vehicle_id, kind.value)
-        job, left = await _without_restart(engine, await _settled(engine, job.id))
+        job, left = await _without_restart(engine, await settled(engine, job.id))
         if job.state == JobState.REVIEW and job.plan is not None and not job.plan.blockers and not left.all:
             accept = Accept(job.plan.sha256, prove_s=0.0, actor=actor)
-            await engine.apply(job.id, accept)
-            job = await _settled(engine, job.id)
+            await engine.apply(job.id, accept, look=look)
+            job = await settled(engine, job.id)
         done.append(Fix(kind, job.id, job.state, " ".join(filter(None, (_told(job, left), left.text)))))
         if job.state != JobState.SUCCEEDED:
             break
@@ -88,7 +92,8 @@ async def _without_restart(engine: JobEngine, job: Job) -> tuple[Job, _LeftOut]:
     return job, left
 
 
-async def _settled(engine: JobEngine, job_id: str) -> Job:
+async def settled(engine: JobEngine, job_id: str) -> Job:
+    """The job, once nothing goes on with it by itself. Raises TimeoutError after :data:`WAIT_S`."""
     async with asyncio.timeout(WAIT_S):
         while engine.get(job_id).state not in _LEFT:  # noqa: ASYNC110 - the engine wakes nobody for a state
             await asyncio.sleep(_LOOK_S)

@@ -8,6 +8,7 @@ from contextlib import suppress
 from typing import TypeVar
 
 from mavcal.service.errors import (
+    LeaseLost,
     LinkDown,
     ServiceError,
     VehicleArmed,
@@ -24,7 +25,7 @@ HEARTBEAT, EXTENDED_SYS_STATE, MAG_CAL_PROGRESS = 0, 245, 191
 _TELLING = frozenset({HEARTBEAT, EXTENDED_SYS_STATE, MAG_CAL_PROGRESS})
 """Messages that can say at once that a write has to stop."""
 
-STOPPING = (WriteStopped, VehicleArmed, VehicleBusy, VehicleConflict, VehicleSilent, LinkDown)
+STOPPING = (WriteStopped, VehicleArmed, VehicleBusy, VehicleConflict, VehicleSilent, LinkDown, LeaseLost)
 """Errors after which nothing more may be sent, be it to take something back."""
 
 

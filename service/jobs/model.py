@@ -154,7 +154,7 @@ class Job:
     last_write: Attempt | None = None
     warnings: tuple[str, ...] = ()
     context: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
-    """What a re-fit needs besides the segment: instances, answers with their times (JSON-able)."""
+    """What a re-fit needs besides the segment: instances, answers with their times; what else was found (JSON-able)."""
 
 
 def advance(job: Job, to: JobState, at: float, **changes: Any) -> Job:

@@ -29,6 +29,8 @@ ACCEL_KINDS = frozenset({"accel", "accel-one-axis", "accel-six-face", "imu-multi
 """Jobs that write an accelerometer's calibration."""
 FROM_RECORDING = "recording"
 """Kind of a job whose fits are of an uploaded recording: it begins in review."""
+RESTORE = "restore"
+"""Kind of a job that puts the last verified calibration back: it has no fits."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -104,6 +104,13 @@ class JobVehicle(Protocol):
         """
         ...
 
+    def demand_streams(self, rates: Mapping[int, float]) -> float:
+        """Ask for messages at rates in Hz, or what the link carries of them, without waiting for any answer.
+
+        Returns how many times longer it takes to collect as many samples; 1: the link carries everything.
+        """
+        ...
+
     async def set_intervals(self, intervals: Mapping[int, int]) -> None:
         """Put message intervals back, us. Raises CommandTimeout naming those that were not confirmed, LinkDown."""
         ...
@@ -150,6 +157,11 @@ class Computations(Protocol):
     refused, ChildEnded if it used more than it may, ChildrenBusy if too many are waiting.
     """
 
+    @property
+    def at_once(self) -> int:
+        """How many are computed at a time; further ones wait."""
+        ...
+
     def check(self, recording: str, method: str | None = None) -> None:
         """Raise RecordingUnknown or InvalidInputError if there is no such upload or method."""
         ...
@@ -175,6 +187,8 @@ class Computations(Protocol):
 
 class NoUploads:
     """The computations of an engine that has no uploads."""
+
+    at_once = 1
 
     def check(self, recording: str, method: str | None = None) -> None:
         """Raise RecordingUnknown."""

@@ -12,26 +12,43 @@ import time
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from typing import Any
 
 from mavcal.calib.firmware.in_force.needed import needed
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.preflight.check import Report
 from mavcal.calib.preflight.collect import SENSORS, collect, preflight_streams, wanted_messages
 from mavcal.calib.preflight.own import PARAMETERS
+from mavcal.calib.preflight.readings import RestReading, rest_readings
 from mavcal.calib.preflight.run import preflight
 from mavcal.calib.preflight.snapshot import Snapshot, VerifiedCalibration
 from mavcal.calib.recording import Identity
 from mavcal.calib.wire import Frame
-from mavcal.service.errors import CommandRefused, DiskFull, PreflightRunning, ServiceError
+from mavcal.service.errors import (
+    CommandRefused,
+    CommandTimeout,
+    DiskFull,
+    PreflightRunning,
+    ServiceError,
+    VehicleError,
+)
 from mavcal.service.jobs.port import JobVehicle, ParameterReading
 from mavcal.service.jobs.settings import JobSettings
+from mavcal.service.jobs.vehicle_adapter import SLOW
 from mavcal.service.jobs.write import read_values
 from mavcal.service.vehicle.commands import RUN_PREARM_CHECKS
 
+History = Callable[[JobVehicle], Awaitable[tuple[VerifiedCalibration, ...]]]
+"""The verified calibrations of a vehicle, oldest first."""
+
 DEADLINE_S = 8.5
 """From the start to the last sample: what is left of ten seconds puts the streams back and computes."""
-LEAST_S = 2.0
-"""But at least so much of it is captured, however long the vehicle took to grant its streams."""
+FIRST_S = 3.5
+"""So long parameters and present rates are read before the streams begin; a rate not heard counts as the default."""
+DEMANDS, DEMAND_S = 3, 0.3
+"""How often the streams are asked for, s apart: a link that loses every third message carries one of the three."""
+IDENTIFY_S = 2.0
+"""So long a vehicle is asked who it is, if that is not known yet."""
 RESTORE_S = 1.0
 """So long the putting back may take before the verdict is given; it goes on by itself."""
 
@@ -46,6 +63,8 @@ class Preflight:
     seconds: float
     report: Report
     notes: tuple[str, ...] = ()
+    readings: tuple[RestReading, ...] = ()
+    """What the inertial units read, for the fleet."""
 
 
 @dataclass
@@ -80,17 +99,25 @@ class Preflights:
         self._capture_s = settings.preflight_s
         self._wall, self._clock = wall, clock
         self._running: set[str] = set()
-        self._restoring: dict[str, asyncio.Task[None]] = {}
+        self._looks: dict[str, asyncio.Task[Preflight]] = {}
+        """Those that give way."""
+        self._restoring: dict[str, asyncio.Task[Any]] = {}
+        self._owed: dict[str, dict[int, int]] = {}
+        """Message rates that are being put back."""
 
     def require_idle(self, vehicle_id: str) -> None:
-        """Raise PreflightRunning while this vehicle is looked at."""
+        """Raise PreflightRunning while somebody has this vehicle looked at; a look that nobody asked for gives way."""
+        look = self._looks.pop(vehicle_id, None)
+        if look is not None:
+            look.cancel()
+            self._restoring[vehicle_id] = look
         if vehicle_id in self._running:
             raise PreflightRunning
 
     async def run(
         self,
         vehicle: JobVehicle,
-        history: Callable[[], Awaitable[tuple[VerifiedCalibration, ...]]],
+        history: History,
         *,
         heading: float | None = None,
     ) -> Preflight:
@@ -103,26 +130,33 @@ class Preflights:
             If the autopilot is neither ArduPilot nor PX4.
         """
         rates = preflight_streams(vehicle.identity.autopilot or "")
-        await self.restored(vehicle.id)
         began, at, heard = self._clock(), self._wall(), _Heard()
+        before = self._taken_over(vehicle.id)
         if vehicle.identity.firmware is None:
-            await vehicle.identify()
-        known = await history()
+            await _identified(vehicle, heard)
+        known = await history(vehicle)
         forget = vehicle.subscribe(wanted_messages(vehicle.identity), heard.take)
         listening = vehicle.on_parameter(heard.hear)
         reading = asyncio.create_task(self._read(vehicle, known))
-        before: dict[int, int] = {}
+        asking = asyncio.create_task(vehicle.command(RUN_PREARM_CHECKS, ()))
         try:
-            before = await vehicle.intervals(rates)
-            heard.notes += await vehicle.request_streams(rates, measure_s=0.0, before=before)
-            heard.frames.clear()
-            asked = await self._asked(vehicle, heard)
-            left = DEADLINE_S - (self._clock() - began)
-            await asyncio.sleep(max(min(self._capture_s, left), min(self._capture_s, LEAST_S)))
+            await _present_rates(vehicle, rates, before, heard)
+            # the parameters first: on a slow link the streams leave no room for them
+            await asyncio.wait({reading}, timeout=max(FIRST_S - (self._clock() - began), 0.0))
+            slower = vehicle.demand_streams(rates)
+            if slower > SLOW:
+                heard.notes.append(f"the link is slow: {slower:.1f} times fewer samples come")
+            for _ in range(1, DEMANDS):
+                await asyncio.sleep(DEMAND_S)
+                vehicle.demand_streams(rates)
+            left = max(DEADLINE_S - (self._clock() - began), 0.0)
+            await asyncio.sleep(min(self._capture_s, left))
             complete = await self._finished(reading, began, heard)
+            asked = _asked(asking, heard)
         finally:
-            reading.cancel()
-            await asyncio.gather(reading, return_exceptions=True)
+            for task in (reading, asking):
+                task.cancel()
+            await asyncio.gather(reading, asking, return_exceptions=True)
             listening()
             forget()
             await self._restored(vehicle, before)
@@ -132,8 +166,23 @@ class Preflights:
         )
         view = dataclasses.replace(snapshot.view, calibrating=calibrating)
         report = await asyncio.to_thread(preflight, dataclasses.replace(snapshot, view=view))
+        readings = await asyncio.to_thread(rest_readings, snapshot)
         seconds = self._clock() - began
-        return Preflight(vehicle.id, vehicle.identity, at, seconds, report, tuple(heard.notes))
+        return Preflight(vehicle.id, vehicle.identity, at, seconds, report, tuple(heard.notes), readings=readings)
+
+    async def look(self, vehicle: JobVehicle, history: History) -> Preflight | None:
+        """As :meth:`run`, of a vehicle that nobody claims; None: somebody did meanwhile, and goes first."""
+        look = asyncio.create_task(self.run(vehicle, history), name=f"look at {vehicle.id}")
+        self._looks[vehicle.id] = look
+        try:
+            await asyncio.wait({look})
+        finally:
+            if self._looks.get(vehicle.id) is look:
+                del self._looks[vehicle.id]
+            if not look.done():
+                look.cancel()
+                self._restoring[vehicle.id] = look
+        return None if look.cancelled() else look.result()
 
     @contextmanager
     def claimed(self, vehicle_id: str) -> Iterator[None]:
@@ -171,33 +220,67 @@ class Preflights:
             raise error
         return True
 
-    async def _asked(self, vehicle: JobVehicle, heard: _Heard) -> bool:
-        """Have the vehicle run its own checks; what it says comes as texts and in SYS_STATUS."""
-        try:
-            await vehicle.command(RUN_PREARM_CHECKS, ())
-        except CommandRefused as error:
-            heard.notes.append(f"the vehicle did not run its checks when asked: {error}")
-            return False
-        return True
-
     async def _restored(self, vehicle: JobVehicle, before: dict[int, int]) -> None:
         """Put the message rates back; on a slow link that goes on after the verdict."""
         if not before:
             return
         task = asyncio.create_task(_put_back(vehicle, before), name=f"rates of the preflight of {vehicle.id}")
-        self._restoring[vehicle.id] = task
+        self._restoring[vehicle.id], self._owed[vehicle.id] = task, before
         await asyncio.wait({task}, timeout=RESTORE_S)
+
+    def _taken_over(self, vehicle_id: str) -> dict[int, int]:
+        """The rates that an earlier preflight is still putting back: this one does so when it ends."""
+        task, owed = self._restoring.pop(vehicle_id, None), self._owed.pop(vehicle_id, {})
+        if task is None or task.done():
+            return {}
+        task.cancel()
+        return owed
 
     async def restored(self, vehicle_id: str) -> None:
         """Wait until the rates of an earlier preflight are back."""
-        task = self._restoring.pop(vehicle_id, None)
-        if task is not None:
+        while (task := self._restoring.pop(vehicle_id, None)) is not None:
             await asyncio.wait({task})
+        self._owed.pop(vehicle_id, None)
 
     async def stop(self) -> None:
         """Wait until every vehicle has its rates back."""
         for vehicle_id in list(self._restoring):
             await self.restored(vehicle_id)
+
+
+async def _identified(vehicle: JobVehicle, heard: _Heard) -> None:
+    try:
+        async with asyncio.timeout(IDENTIFY_S):
+            await vehicle.identify()
+    except (TimeoutError, VehicleError):
+        heard.notes.append("the vehicle did not say in time which unit and which version it is")
+
+
+async def _present_rates(vehicle: JobVehicle, rates: Iterable[int], before: dict[int, int], heard: _Heard) -> None:
+    """Add to `before` how often the vehicle sends these messages by itself, us."""
+    missing = [message_id for message_id in rates if message_id not in before]
+    with suppress(TimeoutError):
+        async with asyncio.timeout(FIRST_S):
+            for message_id in missing:
+                before |= await vehicle.intervals([message_id])
+    silent = [message_id for message_id in missing if message_id not in before]
+    if silent:
+        heard.notes.append(f"the rates of {len(silent)} messages were not heard in time; their defaults are put back")
+        before |= dict.fromkeys(silent, 0)
+
+
+def _asked(asking: asyncio.Task[None], heard: _Heard) -> bool:
+    """Whether the vehicle ran its own checks; what it says comes as texts and in SYS_STATUS."""
+    if not asking.done():
+        heard.notes.append("the vehicle did not confirm in time that it ran its checks")
+        return False
+    error = asking.exception()
+    if error is None:
+        return True
+    if not isinstance(error, CommandRefused | CommandTimeout):
+        raise error
+    heard.notes.append(f"the vehicle did not run its checks when asked: {error}")
+    return False
 
 
 async def _put_back(vehicle: JobVehicle, before: dict[int, int]) -> None:
@@ -215,7 +298,7 @@ def _snapshot(
     complete: bool,
     asked: bool,
 ) -> Snapshot:
-    found = collect(heard.frames, identity, heard.parameters, asked=asked)
+    found = collect(heard.frames, identity, heard.parameters, asked=asked, complete=complete)
     return Snapshot(
         found.recording,
         identity,

@@ -56,5 +56,9 @@ class JobSettings:
     """How often preconditions are looked at while something is under way."""
     retry_s: float = 2.0
     """Between two attempts to resolve a job in doubt."""
+    fits_at_once: int = 8
+    """Fits of uploads that ask for a process at a time: uploads that are read need some as well."""
+    diagnoses_at_once: int = 1
+    """The same of gap diagnoses, so that fits find a free process."""
     progress_s: float = 0.5
     """Between two progress events of a job."""

@@ -34,7 +34,7 @@ _ENDS = {S.FAILED, S.CANCELLED, S.INTERRUPTED}
 TRANSITIONS: Mapping[JobState, frozenset[JobState]] = MappingProxyType(
     {
         S.QUEUED: frozenset({S.RUNNING, S.FITTING} | _ENDS),  # fitting: a computation on uploads
-        S.RUNNING: frozenset({S.WAITING_FOR_OPERATOR, S.FITTING} | _ENDS),
+        S.RUNNING: frozenset({S.WAITING_FOR_OPERATOR, S.FITTING, S.SUCCEEDED} | _ENDS),  # succeeded: a campaign
         S.WAITING_FOR_OPERATOR: frozenset({S.RUNNING, S.FITTING} | _ENDS),
         # Succeeded: the vehicle holds the result already, or there is none. Queued: the service was stopped meanwhile.
         S.FITTING: frozenset({S.REVIEW, S.SUCCEEDED, S.QUEUED} | _ENDS),
@@ -49,7 +49,7 @@ TRANSITIONS: Mapping[JobState, frozenset[JobState]] = MappingProxyType(
         S.REVERTED: frozenset(),
         S.FAILED: frozenset(),
         S.CANCELLED: frozenset(),
-        S.INTERRUPTED: frozenset({S.FITTING}),  # its data are kept: it can be fitted later
+        S.INTERRUPTED: frozenset({S.FITTING, S.RUNNING}),  # its data are kept: fitted later; a campaign goes on
     }
 )
 

@@ -10,19 +10,24 @@ from mavcal.calib.wire import Frame, ParamType
 from mavcal.service.errors import CommandTimeout, DiskFull
 from mavcal.service.jobs.port import Condition, FramesCallback, ParameterReading, TlogPosition
 from mavcal.service.link import Batch
+from mavcal.service.link.capacity import slowdown
 from mavcal.service.vehicle import Vehicle, VehicleRegistry
 from mavcal.service.vehicle.encoding import Parameter
-from mavcal.service.vehicle.streams import DEFAULT_INTERVAL, StreamReport, get_interval, request_streams
+from mavcal.service.vehicle.streams import DEFAULT_INTERVAL, StreamReport, demand_streams, get_interval, request_streams
 
 SLOW = 1.2
 """From here on a job takes so much longer that it is said."""
 
 
+Doubted = Callable[[str], str | None]
+
+
 class VehicleAdapter:
     """One vehicle; see :class:`service.jobs.port.JobVehicle`."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
+    def __init__(self, vehicle: Vehicle, doubted: Doubted = lambda _: None) -> None:
         self._vehicle = vehicle
+        self._doubted = doubted
 
     @property
     def id(self) -> str:
@@ -55,7 +60,7 @@ class VehicleAdapter:
             reboots=state.rebooted,
             calibrating=running is not None and not running.over(now),
             obstacles=vehicle.writable().reasons,
-            conflict=next(iter(vehicle.conflicts), None),
+            conflict=self._doubted(vehicle.id) or next(iter(vehicle.conflicts), None),
             peer="" if address is None else f"{address[0]}:{address[1]}",
             boot_time=state.boot_time,
         )
@@ -90,6 +95,10 @@ class VehicleAdapter:
         if report.slowdown <= SLOW:
             return ()
         return (f"the link is slow: collecting the samples takes {report.slowdown:.1f} times as long",)
+
+    def demand_streams(self, rates: Mapping[int, float]) -> float:
+        """See JobVehicle."""
+        return slowdown(rates, demand_streams(self._vehicle, rates))
 
     async def set_intervals(self, intervals: Mapping[int, int]) -> None:
         """See JobVehicle."""
@@ -134,14 +143,18 @@ class VehicleAdapter:
 
 
 class RegistryAdapter:
-    """Every vehicle of a registry; see :class:`service.jobs.port.VehicleSource`."""
+    """Every vehicle of a registry; see :class:`service.jobs.port.VehicleSource`.
 
-    def __init__(self, registry: VehicleRegistry) -> None:
+    `doubted` says why a vehicle may not be ours to write to, if there are other instances of the service.
+    """
+
+    def __init__(self, registry: VehicleRegistry, doubted: Doubted = lambda _: None) -> None:
         self._registry = registry
+        self._doubted = doubted
 
     def vehicle(self, vehicle_id: str) -> VehicleAdapter:
         """See VehicleSource."""
-        return VehicleAdapter(self._registry.get(vehicle_id))
+        return VehicleAdapter(self._registry.get(vehicle_id), self._doubted)
 
 
 def _reading(parameter: Parameter) -> ParameterReading:

@@ -12,6 +12,7 @@ from mavcal.calib.preflight.snapshot import VerifiedCalibration
 from mavcal.calib.recording import Identity, Sensor
 from mavcal.calib.report import from_json
 from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.planning import RESTORE
 from mavcal.service.jobs.states import JobState
 from mavcal.service.store.protocol import JobStore
 from mavcal.service.store.rows import SnapshotPurpose
@@ -24,6 +25,7 @@ def verified_jobs(jobs: Iterable[Job], vehicle_id: str, identity: Identity) -> t
     is exactly one such unit. Their unique id tells that they are of another board.
     """
     good = [job for job in jobs if job.state == JobState.SUCCEEDED and job.plan is not None and job.vehicle_id]
+    good = [job for job in good if job.kind != RESTORE]  # which puts back what another job has verified
     good.sort(key=lambda job: job.updated_at)
     own = tuple(job for job in good if job.vehicle_id == vehicle_id)
     if own:
@@ -43,7 +45,7 @@ def _same_address(job: Job, identity: Identity) -> bool:
 
 def history_of(jobs: Iterable[Job], store: JobStore) -> tuple[VerifiedCalibration, ...]:
     """What these jobs left on their vehicle. Reads the store: not for the event loop."""
-    return tuple(entry for job in jobs if (entry := _verified(job, store)).sensors)
+    return tuple(_verified(job, store) for job in jobs)
 
 
 def _verified(job: Job, store: JobStore) -> VerifiedCalibration:

@@ -16,6 +16,7 @@ from mavcal.calib.firmware.proof.verify import verify
 from mavcal.calib.firmware.slots import CALIBRATED
 from mavcal.calib.firmware.stream.auxiliary import ATTITUDE
 from mavcal.calib.firmware.stream.rates import Assembler, requested_streams
+from mavcal.calib.preflight.restore import sensors_at_rest
 from mavcal.calib.procedures.protocol import Pose, Progress, Prompt, PromptStep
 from mavcal.calib.recording import Recording, Sensor, join
 from mavcal.calib.wire import Frame, iter_tlog
@@ -23,6 +24,7 @@ from mavcal.service.errors import CaptureEnded, WriteFailed
 from mavcal.service.jobs.digest import content_of
 from mavcal.service.jobs.guard import WriteGuard
 from mavcal.service.jobs.handle import JobHandle, waiting
+from mavcal.service.jobs.planning import RESTORE
 from mavcal.service.jobs.port import JobVehicle
 from mavcal.service.jobs.settings import JobSettings
 from mavcal.service.jobs.spans import close_span, open_span, span_of
@@ -185,8 +187,12 @@ class StreamProof:
         kept = self.handle.store.snapshot(self.handle.id, SnapshotPurpose.COMPOSED_ON)
         known = {**({} if kept is None else kept.body), **values}
         then = None if before is None else self._of_plan(before)
-        fits = self.handle.job.results
-        return await asyncio.to_thread(verify, self.plan, fits, then, self._of_plan(after), parameters=known)
+        fits, now = self.handle.job.results, self._of_plan(after)
+        found = await asyncio.to_thread(verify, self.plan, fits, then, now, parameters=known)
+        if self.handle.job.kind != RESTORE:
+            return found
+        # without fits nothing says what the sensors should read, but that they are at rest
+        return dataclasses.replace(found, sensors=(*found.sensors, *sensors_at_rest(self.plan, now)))
 
     @property
     def _sensors(self) -> set[Sensor]:

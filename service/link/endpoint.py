@@ -7,7 +7,7 @@ BlueOS, mavutil, MAVSDK and QGroundControl write the same thing in slightly diff
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from urllib.parse import parse_qsl, urlencode
 
@@ -43,10 +43,16 @@ class EndpointKind(StrEnum):
 
 _ALIASES = {"udp": EndpointKind.UDPIN, "tcpout": EndpointKind.TCP}
 _NETWORK = {EndpointKind.UDPIN, EndpointKind.UDPOUT, EndpointKind.TCP, EndpointKind.TCPIN}
+SIGNING = "signing"
+"""Option that names the key of a link."""
 _OPTIONS = {
-    EndpointKind.UDPOUT: {"local_port"},
+    EndpointKind.UDPIN: {SIGNING},
+    EndpointKind.UDPOUT: {"local_port", SIGNING},
+    EndpointKind.TCP: {SIGNING},
+    EndpointKind.TCPIN: {SIGNING},
+    EndpointKind.SERIAL: {SIGNING},
     EndpointKind.FILE: {"speed"},
-    EndpointKind.SIM: {"seed", "speed", "system_id", "script", "config", "params", "hand"},
+    EndpointKind.SIM: {"seed", "speed", "system_id", "script", "config", "params", "hand", SIGNING},
 }
 """What may follow a ``?``. A PX4 answers one client port for ever: ``local_port`` keeps ours the same."""
 
@@ -75,6 +81,16 @@ class Endpoint:
         else:
             where = self.path or self.autopilot
         return f"{self.kind}:{where}{'?' + urlencode(self.options) if self.options else ''}"
+
+    @property
+    def place(self) -> Endpoint:
+        """The endpoint without its key: what is opened there, however it is signed."""
+        return self.signed_with(None)
+
+    def signed_with(self, name: str | None) -> Endpoint:
+        """The same endpoint with the key of another name; None: it names none."""
+        others = tuple(option for option in self.options if option[0] != SIGNING)
+        return replace(self, options=others if name is None else (*others, (SIGNING, name)))
 
     def option(self, name: str) -> str | None:
         """The value of one option behind the ``?``, or None."""

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.wire import Message, RawMessage, raw_message
+from mavcal.calib.wire import Message, RawMessage, raw_message, signing_time
 from mavcal.service.errors import EndpointError, LinkDown
 from mavcal.service.link.endpoint import Endpoint, EndpointKind, parse_endpoint
 from mavcal.service.link.local import FileTransport, SerialTransport, SimTransport
@@ -34,6 +34,8 @@ from mavcal.service.link.types import (
 from mavcal.service.link.udp import UdpTransport
 
 HEARTBEAT_S = 1.0
+OFFERS, OFFER_S = 5, 1.0
+"""How often a vehicle is given its key, and how long each time a frame that it signs is waited for."""
 _JOIN_S = 10.0
 
 
@@ -98,6 +100,7 @@ class Link:
         self._signing = signing
         self._store_timestamp = store_timestamp
         self._stored_timestamp = signing.timestamp if signing else 0
+        self._confirmation: asyncio.Future[None] | None = None
         self._transport = _transport(self.endpoint)
         self._recorder: TlogRecorder | None = None
         self._reader: Reader | None = None
@@ -194,6 +197,42 @@ class Link:
             raise LinkDown(f"Link {self.id}: nobody with system id {target[0]} was heard yet.")
         reader.send(Outgoing(raw, target))
 
+    @property
+    def signing_key(self) -> str | None:
+        """Name of the key in force; None: frames are not signed."""
+        signing = self._reader.signing if self._reader else self._signing
+        return None if signing is None else signing.name
+
+    async def offer_key(self, signing: SigningConfig, target: tuple[int, int]) -> bool:
+        """Give a vehicle a key, and sign from the first frame on that it signs with it; whether one came in time.
+
+        Until then the link stays as it is: a vehicle that does not take the key goes on being heard.
+
+        Raises
+        ------
+        LinkDown
+            If the vehicle cannot be reached.
+        """
+        reader = self._reader
+        if reader is None:
+            raise LinkDown(f"Link {self.id} is not open.")
+        self._confirmation = asyncio.get_running_loop().create_future()
+        reader.offer(signing, target)
+        try:
+            for _ in range(OFFERS):
+                now = signing_time(time.time())
+                self.send(dialect.MAVLink_setup_signing_message(*target, signing.key, now), target)
+                await asyncio.wait({self._confirmation}, timeout=OFFER_S)
+                if self._confirmation.done():
+                    break
+        finally:
+            reader.withdraw()
+            self._confirmation = None
+        if reader.signing is not signing:
+            return False
+        self._signing, self._stored_timestamp = signing, signing.timestamp
+        return True
+
     def mark(self, reached: Callable[[int], None]) -> None:
         """Call `reached` between two batches, with the byte of the recording where the second begins.
 
@@ -275,6 +314,9 @@ class Link:
             callback(event)
 
     def _announce(self, event: LinkEvent) -> None:
+        confirmation = self._confirmation
+        if event.kind is LinkEventKind.SIGNING_CONFIRMED and confirmation is not None and not confirmation.done():
+            confirmation.set_result(None)
         loop = asyncio.get_running_loop()
         for key in list(self._event_subscribers):
             loop.call_soon(self._hand_event, key, event)

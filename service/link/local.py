@@ -197,7 +197,7 @@ class SimTransport(UdpTransport):
     def _command(self) -> list[str]:
         command = [sys.executable, "-m", "mavcal.service.simvehicle", "--autopilot", self._endpoint.autopilot]
         command += ["--udpout", f"127.0.0.1:{self.local_port}", "--control", "0", "--follow-stdin"]
-        for name, value in self._endpoint.options:
+        for name, value in self._endpoint.place.options:
             if name == "hand":  # who moves it is a matter of the service
                 continue
             command += [f"--{name.replace('_', '-')}", value]

@@ -16,7 +16,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
-from mavcal.calib.wire import Frame, FrameParser, RawMessage, SignatureState, encode
+from mavcal.calib.wire import Frame, FrameParser, RawMessage, SignatureState, encode, signing_time
 from mavcal.service.errors import EndpointError, LinkDown, LinkError, PortBusy
 from mavcal.service.link.loss import SequenceCounter
 from mavcal.service.link.peers import PeerTable
@@ -31,7 +31,7 @@ _PACE_S = 0.002
 _BACKOFF_S = (0.25, 0.5, 1.0, 2.0, 5.0)
 _MAX_UNDELIVERED = 200_000
 _WARN_EVERY_S = 5.0
-_EPOCH_2015 = 1_420_070_400
+_SETUP_SIGNING = 256
 _MAX_SENDERS = 512
 
 
@@ -57,6 +57,12 @@ class Mark(NamedTuple):
     position: int
 
 
+class _Offer(NamedTuple):
+    signing: SigningConfig
+    state: SignatureState
+    target: tuple[int, int]
+
+
 Report = Batch | LinkEvent | StateChange | Mark
 
 
@@ -78,7 +84,9 @@ class Reader(threading.Thread):
         self._transport = transport
         self._recorder = recorder
         self._own = own
-        self._signing = signing
+        self.signing = signing
+        """What is in force: frames are signed, and only signed ones are believed. None: neither."""
+        self._offered: _Offer | None = None
         self._loop = loop
         self._deliver = deliver
         self.signature_state = SignatureState(signing.key, signing.timestamp) if signing else None
@@ -116,6 +124,14 @@ class Reader(threading.Thread):
         """Ask for a :class:`Mark`; `wanted` as it is now holds for every frame behind it."""
         self._marks.append(reached)
         self._wake()
+
+    def offer(self, signing: SigningConfig, target: tuple[int, int]) -> None:
+        """Have this key in force from the first frame on that the target signs with it."""
+        self._offered = _Offer(signing, SignatureState(signing.key, signing.timestamp), target)
+
+    def withdraw(self) -> None:
+        """Offer no key any more."""
+        self._offered = None
 
     def stop(self) -> None:
         """Ask the thread to end; join it afterwards, then :meth:`release`."""
@@ -296,14 +312,19 @@ class Reader(threading.Thread):
             self._post(Batch(tuple(kept), now, start, self._recorder.position, self._recorder.error))
 
     def _suspicious(self, frame: Frame) -> bool:
-        return self.signature_state is not None or (
-            frame.system == self._own.system and frame.component == self._own.component
+        return (
+            self.signature_state is not None
+            or self._offered is not None
+            or (frame.system == self._own.system and frame.component == self._own.component)
         )
 
     def _refused(self, frame: Frame, chunk: Chunk, now: float) -> bool:
         """True for frames that must not be believed: wrongly signed, or in our own name."""
-        if self.signature_state is not None and self._signing is not None:
-            exempt = frame.signature is None and frame.message_id in self._signing.accept_unsigned
+        offered = self._offered
+        if offered is not None and frame[2:4] == offered.target and self._confirmed(frame, offered):
+            return False
+        if self.signature_state is not None and self.signing is not None:
+            exempt = frame.signature is None and frame.message_id in self.signing.accept_unsigned
             if not exempt and not self.signature_state.accept(frame):
                 who = f"{frame.system}/{frame.component}"
                 self._warn(
@@ -318,6 +339,16 @@ class Reader(threading.Thread):
             event = self.peers.own_ids(chunk.peer, now)
             if event is not None:
                 self._post(event)
+        return True
+
+    def _confirmed(self, frame: Frame, offered: _Offer) -> bool:
+        """Whether a frame proves that its sender has taken the key that was offered; then it is in force."""
+        if frame.signature is None or not offered.state.accept(frame):
+            return False
+        self._offered, self.signing, self.signature_state = None, offered.signing, offered.state
+        who = f"{frame.system}/{frame.component}"
+        text = f"{who} signs with the key {offered.signing.name!r}: this link is signed from now on."
+        self._post(LinkEvent(LinkEventKind.SIGNING_CONFIRMED, text, frame.system, frame.component))
         return True
 
     def _sender(self, system: int, component: int, peer: Address, now: float) -> SequenceCounter | None:
@@ -343,7 +374,8 @@ class Reader(threading.Thread):
             self._sent.append(frame)
             for peer in peers:
                 self._transport.send(frame, peer)
-            records += [self._recorder.stamp(), frame]
+            if message.message_id != _SETUP_SIGNING:  # it carries the key itself
+                records += [self._recorder.stamp(), frame]
         if records:
             self._write(records)
 
@@ -357,9 +389,8 @@ class Reader(threading.Thread):
 
     def _encode(self, message: RawMessage) -> bytes:
         signing = None
-        if self.signature_state is not None and self._signing is not None:
-            now = int((time.time() - _EPOCH_2015) * 1e5)
-            signing = self.signature_state.next_signing(self._signing.link_id, now)
+        if self.signature_state is not None and self.signing is not None:
+            signing = self.signature_state.next_signing(self.signing.link_id, signing_time(time.time()))
         self._sequence = (self._sequence + 1) & 0xFF
         return encode(message, self._own.system, self._own.component, self._sequence, signing)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 from mavcal.calib.wire import Frame
@@ -45,10 +45,12 @@ class SigningConfig:
         Message ids that may come unsigned; radios cannot sign their RADIO_STATUS (109).
     """
 
-    key: bytes
+    key: bytes = field(repr=False)
     link_id: int = 0
     timestamp: int = 0
     accept_unsigned: frozenset[int] = frozenset({109})
+    name: str = ""
+    """What the key is called; never the key itself."""
 
 
 class LinkState(StrEnum):
@@ -68,6 +70,7 @@ class LinkEventKind(StrEnum):
     DUPLICATE_SYSTEM = "duplicate_system"  # two addresses take turns with one system id
     OWN_IDS_HEARD = "own_ids_heard"  # somebody else speaks with our ids
     TLOG = "tlog"  # recording stopped, or goes on
+    SIGNING_CONFIRMED = "signing_confirmed"  # a frame came that is signed with the key that was offered
     OVERRUN = "overrun"  # frames were recorded but not delivered
     SIGNATURE_REFUSED = "signature_refused"
 

@@ -100,6 +100,9 @@ class ArduPilotVehicle(FlightController):
             self.messages.request_data_stream(channel, message)
         elif name in ("COMMAND_LONG", "COMMAND_INT"):
             self.commands.handle(channel, received)
+        elif name == "SETUP_SIGNING" and not self.armed:  # nothing acknowledges it: from now on frames are signed
+            key = bytes(message.secret_key)
+            self.signer.key = key if any(key) else b""
         elif name == "TIMESYNC" and message.tc1 == 0:
             now = int(self.time * 1e9)
             self.send(channel, dialect.MAVLink_timesync_message(now, int(message.ts1)))

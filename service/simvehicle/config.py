@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
@@ -63,6 +64,7 @@ class VehicleConfig:
     sitl: bool = False  # PX4: the simulator build refuses to reboot and knows no TC_* module
     calibration: Calibration = Calibration.EARLIER
     gps: bool = True
+    signing_key: str = ""  # 64 hexadecimal digits: what the vehicle signs with, and all that it listens to
     boot_s: float = 3.0
     unix_time_s: float = 0.0  # 0: the wall clock's
     truth: Mapping[str, Any] = field(default_factory=dict)  # overrides of the drawn truth, merged deeply
@@ -132,6 +134,8 @@ def _checked(config: VehicleConfig) -> VehicleConfig:
     for name, least in (("imu_temperature_offsets", config.imu_count), ("mag_orientations", config.mag_count)):
         if len(getattr(config, name)) < least:
             raise ConfigurationError(f"{name} needs {least} entries")
+    if config.signing_key and not re.fullmatch("[0-9a-fA-F]{64}", config.signing_key):
+        raise ConfigurationError("signing_key needs 64 hexadecimal digits")
     if len(config.field_ned_ut) != 3:
         raise ConfigurationError("field_ned_ut needs three numbers: north, east, down in µT")
     return config

@@ -72,7 +72,9 @@ class SimServer:
 
     def _joined(self, link: SimEndpoint) -> FaultyLink:
         faulty = FaultyLink(link, self.vehicle.config.seed)
-        channel = MavlinkChannel(Packer(self.vehicle.config.system_id), faulty.send, faulty.room)
+        channel = MavlinkChannel(
+            Packer(self.vehicle.config.system_id, signer=self.vehicle.signer), faulty.send, faulty.room
+        )
         self.vehicle.channels.append(channel)
         faulty.channel = channel
         return faulty
@@ -81,7 +83,7 @@ class SimServer:
         """A second vehicle of the same system id speaks on every link."""
         config = self.vehicle.config
         twin = make_vehicle(replace(config, seed=config.seed + TWIN_SEED))
-        twin.channels = [MavlinkChannel(Packer(config.system_id), link.send) for link in self.links]
+        twin.channels = [MavlinkChannel(Packer(config.system_id, signer=twin.signer), link.send) for link in self.links]
         twin.start()
         self._twins.append((twin, twin.channels))
 

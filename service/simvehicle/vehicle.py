@@ -20,7 +20,7 @@ from mavcal.service.simvehicle.parameters import ParameterTable, SimParameter
 from mavcal.service.simvehicle.rotation import Array, euler_from_quaternions
 from mavcal.service.simvehicle.sensor_faults import SensorFaults
 from mavcal.service.simvehicle.streams import PeriodicMessage
-from mavcal.service.simvehicle.wire import Packer, Received
+from mavcal.service.simvehicle.wire import Packer, Received, Signer
 from mavcal.service.simvehicle.world import SimWorld
 
 MAX_SETS_KEPT = 10_000
@@ -52,6 +52,7 @@ class FlightController(ABC):
         self.config = config
         self.world = SimWorld(config)
         self.faults = SensorFaults()
+        self.signer = Signer(bytes.fromhex(config.signing_key))
         self.channels: list[MavlinkChannel] = []
         self.table = self.make_table()
         self.time = 0.0
@@ -221,7 +222,7 @@ class FlightController(ABC):
 
     def receive(self, channel: MavlinkChannel, received: Received) -> None:
         """Take one message; what is addressed to somebody else is ignored."""
-        if not self.alive:
+        if not self.alive or not self.signer.believes(received.frame):
             return
         message = received.message
         if getattr(message, "target_system", 0) not in (0, self.config.system_id):

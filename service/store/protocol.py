@@ -1,13 +1,13 @@
 """What the service asks of durable state.
 
-Every method that changes something returns only when the change would survive a loss of power, except
-:meth:`Store.add_event`, whose rows are lost first. Methods may be called from any thread;
+Every method that changes something returns only when the change would survive a loss of power, except those that say
+otherwise: events, and what has become of a campaign's items. Methods may be called from any thread;
 from an event loop those that write go through :meth:`JobStore.do` or :meth:`JobStore.soon`, which keep their order.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Protocol, TypeVar
@@ -16,16 +16,21 @@ from mavcal.service.store.chain import ChainCheck
 from mavcal.service.store.rows import (
     AuditRow,
     EventRow,
+    FleetRows,
+    ItemRow,
     JobDocument,
     JobRow,
     JournalRow,
     Json,
     LinkRow,
+    PreflightRow,
     RecordingRow,
     SegmentPurpose,
     SegmentRow,
+    SensorRow,
     SnapshotPurpose,
     SnapshotRow,
+    UnitRow,
 )
 
 T = TypeVar("T")
@@ -114,12 +119,73 @@ class JobStore(Protocol):
         """A document of a job; None: it has none of that name."""
         ...
 
+    def add_items(self, rows: Sequence[ItemRow]) -> None:
+        """Keep the items of a campaign, all or none."""
+        ...
+
+    def save_item(self, row: ItemRow) -> None:
+        """Keep what has become of an item. Not forced to the disk: a loss of power may take the last ones back."""
+        ...
+
+    def items(
+        self, job_id: str, *, after: int = 0, limit: int = 1000, outcomes: Collection[str] | None = None
+    ) -> tuple[ItemRow, ...]:
+        """Items of a campaign behind a number, in their order; `outcomes` None: of every outcome."""
+        ...
+
+    def item_counts(self, job_id: str) -> dict[str, int]:
+        """How many items of a campaign have each outcome; outcomes that none has are left out."""
+        ...
+
+    def change_outcomes(self, job_id: str, outcomes: Collection[str], to: str) -> None:
+        """Give all items of these outcomes another one. Not forced to the disk."""
+        ...
+
     def delete_job(self, job_id: str) -> None:
         """Forget a job that never wrote, with its events and documents; one that is not there is no error."""
         ...
 
 
-class Store(JobStore, Protocol):
+class FleetStore(Protocol):
+    """Units, what was measured of their sensors, and their last preflights."""
+
+    def fleet(self, unit_id: str | None = None) -> FleetRows:
+        """Everything about every unit, or about one."""
+        ...
+
+    def unit(self, unit_id: str) -> UnitRow | None:
+        """A unit, or None."""
+        ...
+
+    def save_unit(self, row: UnitRow) -> None:
+        """Insert or replace a unit."""
+        ...
+
+    def see_unit(self, unit_id: str, autopilot: str, firmware: str, at: float) -> None:
+        """Keep what a unit said of itself; its name and tags stay."""
+        ...
+
+    def add_sensor_records(self, source_id: str, rows: Collection[SensorRow], *, keep: int = 0) -> None:
+        """Keep what one job or preflight measured; the same one twice is one.
+
+        `keep` not 0: of the preflights of that unit only so many are kept, the newest.
+        """
+        ...
+
+    def drop_sensor_records(self, source_id: str) -> None:
+        """Forget what a job measured; one that is not there is no error."""
+        ...
+
+    def fleet_sources(self) -> frozenset[str]:
+        """Jobs and preflights whose measurements were taken."""
+        ...
+
+    def save_preflight(self, row: PreflightRow) -> None:
+        """Keep the last preflight of a unit, instead of the one before."""
+        ...
+
+
+class Store(JobStore, FleetStore, Protocol):
     """Everything durable."""
 
     def add_recording(self, row: RecordingRow) -> None:

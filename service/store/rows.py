@@ -98,6 +98,17 @@ class JobDocument:
 
 
 @dataclass(frozen=True)
+class ItemRow:
+    """One vehicle or log of a campaign; `number` counts from 1 in the order in which they are begun."""
+
+    job_id: str
+    number: int
+    subject: str
+    outcome: str
+    body: Json
+
+
+@dataclass(frozen=True)
 class RecordingRow:
     """An uploaded log."""
 
@@ -131,3 +142,50 @@ class AuditRow:
     detail: Json
     sha256: str | None = None
     """Covers this row and all before it (:mod:`service.store.chain`); None: from before there was a chain."""
+
+
+@dataclass(frozen=True)
+class UnitRow:
+    """A unit of the fleet: what people call it, and what it said of itself last."""
+
+    id: str
+    name: str
+    """Empty: nobody has named it."""
+    tags: tuple[str, ...]
+    autopilot: str
+    firmware: str
+    seen_at: float
+
+
+@dataclass(frozen=True)
+class SensorRow:
+    """What one job or preflight measured of one sensor; `body` is a :class:`calib.fleet.record.SensorRecord`."""
+
+    source_id: str
+    sensor: str
+    instance: int
+    source: str
+    """``job`` or ``preflight``."""
+    unit_id: str
+    at: float
+    body: Json
+
+
+@dataclass(frozen=True)
+class PreflightRow:
+    """The last preflight of a unit."""
+
+    unit_id: str
+    at: float
+    verdict: str
+    body: Json
+
+
+@dataclass(frozen=True)
+class FleetRows:
+    """Everything about every unit."""
+
+    units: tuple[UnitRow, ...]
+    sensors: tuple[SensorRow, ...]
+    """Oldest first."""
+    preflights: tuple[PreflightRow, ...]

@@ -5,8 +5,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
@@ -100,25 +101,37 @@ class VehicleState:
         return tuple(lines)
 
 
+def changed(state: VehicleState, **changes: Any) -> VehicleState:
+    """The state with some of its fields changed, as ``dataclasses.replace`` makes it.
+
+    That costs 40 us, five times a second and vehicle: two fifths of what 1000 vehicles cost a service.
+    """
+    after = object.__new__(VehicleState)
+    after.__dict__.update(state.__dict__, **changes)
+    if len(after.__dict__) != len(state.__dict__):
+        raise TypeError(f"no fields of a vehicle's state: {', '.join(sorted(changes.keys() - state.__dict__.keys()))}")
+    return after
+
+
 def reduce(state: VehicleState, message: Message, now: float) -> VehicleState:
     """Take a message of this vehicle into account."""
     kind = message.get_type()
-    state = replace(state, last_heard=now)
+    state = changed(state, last_heard=now)
     if kind == "HEARTBEAT":
         state = _heartbeat(state, message, now)
     elif kind == "EXTENDED_SYS_STATE":
-        state = replace(state, landed=_LANDED.get(message.landed_state, Landed.UNDEFINED), landed_at=now)
+        state = changed(state, landed=_LANDED.get(message.landed_state, Landed.UNDEFINED), landed_at=now)
     elif kind == "VFR_HUD":
-        state = replace(state, throttle=message.throttle / 100.0, throttle_at=now)
+        state = changed(state, throttle=message.throttle / 100.0, throttle_at=now)
     texts: tuple[StatusText, ...] = ()
     if kind == "STATUSTEXT":
         chunks, texts = add_chunk(state._chunks, message, now)
-        state = replace(state, _chunks=chunks)
+        state = changed(state, _chunks=chunks)
     if texts:
-        state = replace(state, texts=(*state.texts, *texts)[-KEPT_TEXTS:])
+        state = changed(state, texts=(*state.texts, *texts)[-KEPT_TEXTS:])
     calibration = watch_calibration(state.onboard_calibration, message, texts, now)
     if calibration is not state.onboard_calibration:
-        state = replace(state, onboard_calibration=calibration)
+        state = changed(state, onboard_calibration=calibration)
     return state
 
 
@@ -126,7 +139,7 @@ def _heartbeat(state: VehicleState, message: Message, now: float) -> VehicleStat
     armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
     gap = state.last_heartbeat is None or now - state.last_heartbeat > SILENT_S
     since = None if armed else now if state.disarmed_since is None or gap else state.disarmed_since
-    return replace(
+    return changed(
         state,
         armed=armed,
         disarmed_since=since,
@@ -145,9 +158,9 @@ def note_boot_time(state: VehicleState, boot_time: float) -> VehicleState:
     if latest is None or boot_time >= latest - _BACK_S:
         if state._backwards == 0 and latest is not None and boot_time <= latest:
             return state
-        return replace(state, boot_time=max(boot_time, latest or 0.0), _backwards=0)
+        return changed(state, boot_time=max(boot_time, latest or 0.0), _backwards=0)
     if state._backwards + 1 < _BACK_COUNT:
-        return replace(state, _backwards=state._backwards + 1)
+        return changed(state, _backwards=state._backwards + 1)
     return restarted(state, boot_time)
 
 
@@ -170,7 +183,7 @@ def expire(state: VehicleState, now: float) -> VehicleState:
     """Forget an onboard calibration that has not been heard of for long; the same state if there is none."""
     calibration = state.onboard_calibration
     if calibration is not None and calibration.over(now):
-        return replace(state, onboard_calibration=None)
+        return changed(state, onboard_calibration=None)
     return state
 
 

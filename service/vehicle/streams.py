@@ -195,6 +195,17 @@ async def request_streams(
     return request.report(seen.own, seen.wall, capacity if planned != dict(requested_hz) else None)
 
 
+def demand_streams(vehicle: Vehicle, requested_hz: Mapping[int, float]) -> Mapping[int, float]:
+    """Ask for streams without waiting for answers; returns the rates, lower ones where the link carries less.
+
+    On a link that loses messages it is asked several times: an acknowledgement would take longer.
+    """
+    planned = plan_rates(requested_hz, _smaller(nominal_capacity(vehicle.link.endpoint), _remembered(vehicle)))
+    for message_id, rate in sorted(planned.items(), key=lambda item: item[1]):
+        vehicle.demand(commands.SET_MESSAGE_INTERVAL, message_id, _interval_us(rate))
+    return planned
+
+
 def _loses_anyway(before: _Seen, relieved: _Seen) -> bool:
     """True if asking for less did not help: such a link is bad, not slow, and the samples are needed."""
     return before.loss > LOSSY and relieved.loss > before.loss / 2

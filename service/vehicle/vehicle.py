@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from typing import NoReturn
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
@@ -29,7 +28,16 @@ from mavcal.service.vehicle.identity import VehicleIdentity, identity_from_heart
 from mavcal.service.vehicle.listing import ParameterSet, Progress, list_all
 from mavcal.service.vehicle.pace import Pace
 from mavcal.service.vehicle.parameters import Parameters
-from mavcal.service.vehicle.state import Refusal, VehicleState, Writable, expire, note_boot_time, reduce, writable
+from mavcal.service.vehicle.state import (
+    Refusal,
+    VehicleState,
+    Writable,
+    changed,
+    expire,
+    note_boot_time,
+    reduce,
+    writable,
+)
 from mavcal.service.vehicle.waits import Waits
 
 VERSION_ID = dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION
@@ -250,7 +258,7 @@ class Vehicle:
             self._clock_heard = True
             self._change(note_boot_time(self.state, clock))
         if self.state.last_heard != now:
-            self.state = replace(self.state, last_heard=now)
+            self.state = changed(self.state, last_heard=now)
         self._hand_on(frames, batch)
 
     def _hand_on(self, frames: Sequence[Frame], batch: Batch) -> None:

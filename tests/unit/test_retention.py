@@ -11,7 +11,7 @@ import pytest
 from mavcal.service.jobs import states
 from mavcal.service.retention import DAY_S, Retention
 from mavcal.service.settings import RetentionSettings
-from mavcal.service.store import SqliteStore, sqlite
+from mavcal.service.store import SqliteStore, sql
 from mavcal.service.store.rows import JobRow, RecordingRow, SegmentPurpose, SnapshotPurpose
 
 NOW = 1000 * DAY_S
@@ -103,4 +103,4 @@ async def test_events_and_keys_are_bounded_in_number(store: SqliteStore, tmp_pat
 
 
 def test_the_store_knows_the_ended_states() -> None:
-    assert set(sqlite.ENDED) == {state.value for state in states.ENDED}
+    assert set(sql.ENDED) == {state.value for state in states.ENDED}

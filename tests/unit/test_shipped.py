@@ -10,8 +10,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 RECORDING = re.compile(r"[\w-]+\.(bin|csv|log|mat|npz|tlog|ulg)", re.IGNORECASE)
-OWN = {"service.log", "flight.tlog", "fake.tlog"}
-"""The service's own files, and the example of an endpoint."""
+OWN = {"service.log", "flight.tlog", "fake.tlog", "fleet.csv", "mavcal-fleet.csv"}
+"""The service's own files and addresses, and the example of an endpoint."""
 
 
 def shipped() -> dict[str, str]:

@@ -38,7 +38,7 @@ function asking(store) {
 function earlier(store) {
   const gaps = store.answer("gaps", () => ask("list_gaps"), 10000) ?? [];
   return gaps.length ? h("section", {}, h("h2", {}, "Earlier diagnoses"), h("ul", { class: "plain jobs" }, [...gaps].reverse().map((gap) =>
-    h("li", { key: gap.id }, h("a", { href: to("gap", gap.id) }, ago(gap.created_at)), badge(gap.state === "done" ? "good" : gap.state === "failed" ? "bad" : "busy", gap.state))))) : null;
+    h("li", { key: gap.id }, h("a", { href: to("gap", gap.id) }, ago(gap.created_at)), badge(tone(gap.state), STATES[gap.state]))))) : null;
 }
 
 /** @param {Store} store @param {string} id */
@@ -46,14 +46,14 @@ function diagnosis(store, id) {
   const gap = store.answer(`gap ${id}`, () => ask("get_gap", { parameters: { gap_id: id } }), 2000);
   if (!gap) return quiet("Reading this diagnosis …");
   const job = store.jobs.get(id);
-  if (gap.state === "queued" || gap.state === "running") {
+  if (gap.state === "queued" || gap.state === "fitting") {
     const progress = job?.progress;
     return h("section", { class: "card" }, h("h1", {}, gap.state === "queued" ? "Waits for its turn" : "Diagnosing"),
       h("p", { role: "status" }, progress?.text ?? "Reads both logs, then asks which effects the difference shows."),
       progress ? bar(progress.current, progress.target, progress.text) : h("div", { class: "working" }, h("span", { class: "spinner", "aria-hidden": "true" })),
       h("button", { class: "danger", onclick: () => store.act(async () => { await ask("cancel_job", { parameters: { job_id: id } }); store.forget(`gap ${id}`); }) }, "Cancel"));
   }
-  if (gap.state === "failed") return h("section", { class: "outcome bad" }, h("h2", {}, "No diagnosis"), h("p", {}, sentence(gap.error ?? "")), h("a", { class: "button", href: to("gap") }, "Back"));
+  if (gap.state !== "succeeded") return h("section", { class: "outcome bad" }, h("h2", {}, "No diagnosis"), h("p", {}, sentence(gap.error ?? "")), h("a", { class: "button", href: to("gap") }, "Back"));
   return report(store, id);
 }
 

@@ -3,6 +3,7 @@
 import { h } from "../core/dom.js";
 import { to } from "../core/route.js";
 import { ask } from "../core/service.js";
+import { store } from "../core/store.js";
 import { AUTOPILOTS, kindName, LANDED, STATES } from "../core/words.js";
 import { badge, table } from "./parts.js";
 import { sensorStates, tiles, worst } from "./tiles.js";
@@ -22,7 +23,7 @@ export function home(store) {
 }
 
 /** What a vehicle is called. @param {VehicleModel} vehicle */
-export const vehicleName = (vehicle) => vehicle.name || `${AUTOPILOTS[vehicle.autopilot]} ${vehicle.system}`;
+export const vehicleName = (vehicle) => store.names.get(vehicle.id) || `${AUTOPILOTS[vehicle.autopilot]} ${vehicle.system}`;
 
 /** @param {VehicleModel} vehicle @returns {["good" | "warn" | "bad", string]} */
 export function condition(vehicle) {

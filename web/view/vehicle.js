@@ -23,7 +23,7 @@ export function vehicleRoom(store) {
     firstLine(store, vehicle),
     tabs([[to("vehicle", id), "Calibration", tab === ""], [to("vehicle", id, "live"), "Live", tab === "live"],
       [to("vehicle", id, "preflight"), "Preflight", tab === "preflight"],
-      [to("history", vehicle.uid ?? vehicle.id), "History", false], [to("vehicle", id, "about"), "About", tab === "about"]]),
+      [to("history", vehicle.id), "History", false], [to("vehicle", id, "about"), "About", tab === "about"]]),
     tab === "live" ? live(store, vehicle) : tab === "preflight" ? preflight(store, vehicle)
       : tab === "about" ? about(store, vehicle) : calibration(store, vehicle));
 }
@@ -93,10 +93,10 @@ function nameForm(store, vehicle) {
     event.preventDefault();
     const field = /** @type {HTMLInputElement} */ (/** @type {HTMLFormElement} */ (event.target).elements.namedItem("name"));
     store.act(async () => {
-      await ask("update_unit", { parameters: { unit_id: vehicle.uid ?? "" }, body: { name: field.value.trim() } });
+      await ask("change_unit", { parameters: { unit_id: vehicle.id }, body: { name: field.value.trim() } });
       await store.refresh();
     });
   } },
-  h("label", { for: "name" }, "Name"), h("input", { id: "name", name: "name", value: vehicle.name, maxlength: "60", autocomplete: "off" }),
+  h("label", { for: "name" }, "Name"), h("input", { id: "name", name: "name", value: store.names.get(vehicle.id) ?? "", maxlength: "60", autocomplete: "off" }),
   h("button", { type: "submit" }, "Keep this name"));
 }

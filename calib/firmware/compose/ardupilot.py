@@ -10,7 +10,7 @@ for a restart, and the physical check would tell if a firmware did.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
 from typing import Final
 
@@ -176,8 +176,12 @@ def boot_calibration(draft: Draft, *, planned: bool) -> None:
 def _check_other_instances(draft: Draft, pairs: Sequence[Pair]) -> None:
     """Code 76 marks every accelerometer, so it is sent only if every used one deserves it (1.1, DESIGN 6)."""
     fitted = {p.about.instance for p in pairs if p.about.sensor == Sensor.ACCEL and p.at_rest is not None}
-    if not fitted:
-        return
+    if fitted:
+        mark_calibrated(draft, fitted)
+
+
+def mark_calibrated(draft: Draft, fitted: Collection[int]) -> None:
+    """Plan code 76 if every accelerometer in use is among `fitted`, or was calibrated before; else say why not."""
     doubtful = [i for i in _used_accels(draft) if i not in fitted and not _accel_was_valid(draft, i)]
     if doubtful:
         numbers = ", ".join(str(i + 1) for i in doubtful)

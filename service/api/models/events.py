@@ -8,10 +8,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from typing_extensions import TypeAliasType
 
 from mavcal.service.api.models.base import Stamp
-from mavcal.service.api.models.jobs import OutcomeModel, WriteModel
+from mavcal.service.api.models.jobs import OutcomeModel, VehicleReadinessModel, WriteModel
 from mavcal.service.api.models.links import LinkModel
 from mavcal.service.api.models.steps import ProgressModel, PromptModel
 from mavcal.service.api.models.vehicles import VehicleModel
+from mavcal.service.jobs.items import ItemOutcome
 from mavcal.service.jobs.proof import ProofLevel
 from mavcal.service.jobs.states import JobState
 
@@ -149,6 +150,31 @@ class StandingEvent(_Event):
     data: StandingData
 
 
+class ReadinessEvent(_Event):
+    """The vehicle was looked at after a write."""
+
+    kind: Literal["readiness"]
+    data: VehicleReadinessModel
+
+
+class ItemData(BaseModel):
+    """What became of an item."""
+
+    number: int = Field(description="its place in the campaign, from 1")
+    subject: str = Field(description="id of the vehicle or upload, or the file")
+    outcome: ItemOutcome
+    code: str
+    text: str
+    job_id: str | None = Field(description="the job that was begun for it")
+
+
+class ItemEvent(_Event):
+    """An item of the campaign has ended."""
+
+    kind: Literal["item"]
+    data: ItemData
+
+
 JobEvent = TypeAliasType(
     "JobEvent",
     Annotated[
@@ -162,7 +188,9 @@ JobEvent = TypeAliasType(
         | PlanEvent
         | WriteEvent
         | VerificationEvent
-        | StandingEvent,
+        | StandingEvent
+        | ReadinessEvent
+        | ItemEvent,
         Field(discriminator="kind"),
     ],
 )

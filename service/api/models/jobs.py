@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, Field
 from typing_extensions import TypeAliasType
 
+from mavcal.calib.preflight.check import Verdict
 from mavcal.service.api.models.base import Json, Number, Request, Stamp
 from mavcal.service.api.models.fits import FitModel
 from mavcal.service.api.models.plans import PlanModel, PlanOptions, VerificationModel
@@ -98,6 +99,14 @@ class WriteModel(BaseModel):
     sent: int = Field(description="parameters for which a PARAM_SET may have left")
 
 
+class VehicleReadinessModel(BaseModel):
+    """What a preflight after the write says; the event `readiness` carries the same."""
+
+    verdict: Verdict = Field(description="that of the preflight; unknown: the vehicle could not be looked at")
+    text: str = Field(description="this vehicle would arm now, or what stands against it in its own words")
+    against: list[str] = Field(description="every check that does not pass, failures first")
+
+
 class SegmentModel(BaseModel):
     """A span of a telemetry log."""
 
@@ -141,6 +150,9 @@ class JobModel(JobSummary):
     results: list[FitModel] = Field(description="one fit a sensor instance, as in `mavcal fit --json`")
     plan: PlanModel | None
     verification: VerificationModel | None
+    readiness: VehicleReadinessModel | None = Field(
+        description="would the vehicle arm now; null until it was looked at after a write that succeeded"
+    )
     standing: list[StandingModel] = Field(
         description="parameters in doubt (all that were sent, or may have been), or left to a third party"
     )

@@ -21,5 +21,6 @@ class LinkModel(BaseModel):
     url: str
     state: LinkState
     reason: str = Field(description="why it is in that state")
+    signing_key: str | None = Field(description="name of the key that signs it; null: it is not signed")
     vehicles: list[str] = Field(description="ids of the vehicles heard on it")
     crc_errors: int = Field(description="damaged frames, which cannot be attributed to a sender")

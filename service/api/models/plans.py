@@ -44,6 +44,9 @@ class ApplyRequest(Request):
     prove_s: float = Field(
         default=120.0, ge=0.0, le=3600.0, description="how long to wait for movements that prove the rest, s"
     )
+    preflight: bool = Field(
+        default=True, description="look at the vehicle for some seconds afterwards and say whether it would arm now"
+    )
 
 
 class FingerprintModel(BaseModel):

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, Field
 
 from mavcal.calib.preflight.check import CheckId, Verdict
-from mavcal.service.api.models.base import Request, Stamp
+from mavcal.service.api.models.base import Json, Request, Stamp
 from mavcal.service.jobs.fixing import Fixable
 from mavcal.service.jobs.states import JobState
 
@@ -23,6 +23,19 @@ class PreflightRequest(Request):
         description="calibrations that need no hands, to be run and written before it is checked; needs the scope "
         "write-params, and takes up to a minute each",
     )
+
+
+class RestoreRequest(Request):
+    """Put the last verified calibration back."""
+
+    only: list[str] = Field(
+        default=[], description="these sensors alone, as gyro0 or accel1; empty: all, and what belongs to the board"
+    )
+    mark_calibrated: bool = Field(default=True, description="ArduPilot: mark the sensors as calibrated")
+
+    def given(self) -> Json:
+        """What was said, and nothing else."""
+        return self.model_dump(exclude_unset=True)
 
 
 class CheckModel(BaseModel):

@@ -15,7 +15,8 @@ from mavcal.client.problems import PROBLEMS, JobUnknown, VehicleArmed
 from mavcal.client.requests import PlanOptions, ReadingOptions
 
 Answering = Callable[[httpx.Request], httpx.Response]
-LINK = {"id": "l1", "url": "udpin:0.0.0.0:14550", "state": "up", "reason": "", "vehicles": [], "crc_errors": 0}
+LINK = {"id": "l1", "url": "udpin:0.0.0.0:14550", "state": "up", "reason": "", "signing_key": None, "vehicles": []}
+LINK = {**LINK, "crc_errors": 0}
 HEALTHY = httpx.Response(200, json={"status": "ok"})
 
 

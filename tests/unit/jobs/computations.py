@@ -30,6 +30,7 @@ class FakeComputations:
     """Whether a child takes the work up before it may end."""
     begun: int = 0
     ended: int = 0
+    at_once: int = 2
 
     def __post_init__(self) -> None:
         self.go.set()

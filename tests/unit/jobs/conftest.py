@@ -30,10 +30,49 @@ from mavcal.service.jobs.settings import JobSettings
 from mavcal.service.jobs.states import JobState
 from mavcal.service.jobs.transaction import Transaction
 from mavcal.service.jobs.write import Writing
-from mavcal.service.store import SqliteStore
+from mavcal.service.store.postgres import PostgresStore
 from mavcal.service.store.rows import SnapshotPurpose
+from mavcal.service.store.sql import SqlStore
 from tests.patience import scaled
+from tests.postgres import Server
+from tests.stores import made_by, new_store
 from tests.unit.jobs.fakes import FakeVehicle
+
+ON_EACH_STORE = {"test_engine", "test_engine_life", "test_computing", "test_transaction", "test_handle"}
+"""Modules whose tests run on SQLite and on PostgreSQL."""
+
+
+ON_SQLITE = {
+    "test_a_change_counts_as_kept_only_when_it_is_on_the_disk",  # fills the disk of SQLite
+    "test_a_full_disk_before_a_send_takes_back_what_was_sent",
+    "test_killed_anywhere_twice_it_ends_verified_or_as_before",  # makes a store hundreds of times
+}
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    both = metafunc.module.__name__.rpartition(".")[2] in ON_EACH_STORE
+    if both and metafunc.function.__name__ not in ON_SQLITE:
+        metafunc.parametrize("kind_of_store", ["sqlite", "postgres"], indirect=True)
+
+
+@pytest.fixture(scope="session")
+def empty_store(postgres: Server) -> str:
+    """Name of a database with the tables of a store, and nothing in them."""
+    url = postgres.database()
+    PostgresStore(url, None).close()
+    return url.rpartition("/")[2]
+
+
+@pytest.fixture(autouse=True)
+def kind_of_store(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Stores of this test are of this kind."""
+    if getattr(request, "param", "sqlite") == "sqlite":
+        yield
+        return
+    server, template = request.getfixturevalue("postgres"), request.getfixturevalue("empty_store")
+    with made_by(lambda: PostgresStore(server.database(template=template), None)):
+        yield
+
 
 QUICK = JobSettings(
     settle_s={"ardupilot": 0.0, "px4": 0.0},
@@ -98,7 +137,7 @@ class Bench:
     """A job that was accepted, its vehicle, and a way to run or to resume its write."""
 
     vehicle: FakeVehicle
-    store: SqliteStore
+    store: SqlStore
     plan: WritePlan
     handle: JobHandle
     accept: Accept
@@ -149,7 +188,7 @@ MakeBench = Callable[..., Bench]
 
 @pytest.fixture
 def make_bench() -> Iterator[MakeBench]:
-    stores: list[SqliteStore] = []
+    stores: list[SqlStore] = []
 
     def make(
         *,
@@ -157,10 +196,10 @@ def make_bench() -> Iterator[MakeBench]:
         reboot: bool = False,
         command: bool = True,
         accept_reboot: bool = True,
-        store: SqliteStore | None = None,
+        store: SqlStore | None = None,
     ) -> Bench:
         vehicle = FakeVehicle.with_floats(OLD)
-        store = store or SqliteStore(None)
+        store = store or new_store()
         stores.append(store)
         plan = make_plan(vehicle, session=session, reboot=reboot, command=command)
         job = Job("j1", vehicle.id, "gyro", {}, JobState.APPLYING, 0.0, 0.0, fingerprint=plan.fingerprint, plan=plan)

@@ -123,6 +123,11 @@ class FakeVehicle:
         self.message_intervals |= {message: round(1e6 / rate) for message, rate in rates.items()}
         return ()
 
+    def demand_streams(self, rates: Mapping[int, float]) -> float:
+        """See JobVehicle."""
+        self.message_intervals |= {message_id: int(1e6 / rate) for message_id, rate in rates.items()}
+        return 1.0
+
     async def set_intervals(self, intervals: Mapping[int, int]) -> None:
         """See JobVehicle."""
         await asyncio.sleep(0)

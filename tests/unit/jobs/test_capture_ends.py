@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Iterator
 
 import pytest
@@ -75,6 +76,30 @@ async def test_a_vehicle_that_was_armed_comes_before_what_the_procedure_makes_of
     vehicle.change_state(armed=True)
     with pytest.raises(CaptureEnded, match="the vehicle was armed"):
         await ended(capture, GaveUp("it was moved", "Hold it still."))
+
+
+async def test_nothing_of_a_capture_goes_on_after_its_end(capture: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The watch of the link would prompt the operator of a job that is over."""
+    steps: list[str] = []
+
+    class Watch:
+        def __init__(self, *_: object) -> None: ...
+
+        async def run(self) -> None:
+            try:
+                await asyncio.Event().wait()
+            finally:
+                await asyncio.sleep(0)
+                steps.append("the watch has ended")
+
+    async def recorded(_: Capture) -> Done:
+        await asyncio.sleep(0.001)
+        return Done((), "enough")
+
+    monkeypatch.setattr("mavcal.service.jobs.capture.LinkWatch", Watch)
+    monkeypatch.setattr(Capture, "_recorded", recorded)
+    await capture.run()
+    assert steps == ["the watch has ended"]
 
 
 async def test_prompts_and_progress_are_shown_and_the_job_waits_where_something_is_asked(capture: Capture) -> None:

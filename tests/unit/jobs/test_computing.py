@@ -24,10 +24,11 @@ from mavcal.service.errors import (
 from mavcal.service.jobs import computing
 from mavcal.service.jobs.admission import require_vehicle
 from mavcal.service.jobs.codec import job_from_row
-from mavcal.service.jobs.computing import FIT, FITS_AT_ONCE, GAP, MOST_DIAGNOSES, MOST_STARTS, uploads_of
+from mavcal.service.jobs.computing import FIT, GAP, MOST_DIAGNOSES, MOST_STARTS, uploads_of
 from mavcal.service.jobs.engine import JobEngine
 from mavcal.service.jobs.model import Failure, Job, Result
 from mavcal.service.jobs.proof import ProofLevel
+from mavcal.service.jobs.settings import JobSettings
 from mavcal.service.jobs.states import JobState
 from tests.unit.jobs.fakes import FakeVehicle
 
@@ -36,6 +37,8 @@ from .conftest import OLD, until
 from .test_engine import running
 from .test_engine_asks import gyro_fit
 from .test_engine_life import kept, started
+
+FITS_AT_ONCE = JobSettings().fits_at_once
 
 OF_A = {"recording": "a", "method": "gyro-rest", "options": {}}
 GAP_OF_A = {"real": "a", "sim": None, "nominal": []}

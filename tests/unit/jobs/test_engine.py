@@ -34,8 +34,9 @@ from mavcal.service.jobs.engine import JobEngine
 from mavcal.service.jobs.journal import BY_OPERATOR, JournalStep
 from mavcal.service.jobs.model import Accept, Failure, Job
 from mavcal.service.jobs.states import JobState
-from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import SnapshotPurpose
+from mavcal.service.store.sql import SqlStore
+from tests.stores import new_store
 from tests.unit.jobs.fakes import FakeRegistry, FakeVehicle
 
 from .computations import FakeComputations
@@ -49,10 +50,10 @@ async def running(
     vehicle: FakeVehicle,
     *jobs: Job,
     read_only: bool = False,
-    store: SqliteStore | None = None,
+    store: SqlStore | None = None,
     computations: FakeComputations | None = None,
 ) -> AsyncIterator[JobEngine]:
-    store = store or SqliteStore(None)
+    store = store or new_store()
     for job in jobs:
         store.save_job(row_from_job(job))
         if job.plan is not None:
@@ -73,7 +74,7 @@ def reviewed(vehicle: FakeVehicle, **changes: Any) -> Job:
     return replace(job, **changes)
 
 
-def sent_one(store: SqliteStore, vehicle: FakeVehicle, job: Job) -> None:
+def sent_one(store: SqlStore, vehicle: FakeVehicle, job: Job) -> None:
     """The journal of a service that ended behind the first parameter."""
     assert job.plan is not None
     first = job.plan.changes[0]
@@ -137,7 +138,7 @@ async def test_a_foreign_autopilot_is_refused_at_once(vehicle: FakeVehicle) -> N
 
 async def test_one_physical_job_a_vehicle_and_any_number_of_vehicles(vehicle: FakeVehicle) -> None:
     other = FakeVehicle.with_floats(OLD, id="vehicle-2")
-    store = SqliteStore(None)
+    store = new_store()
     engine = JobEngine(store, FakeRegistry({vehicle.id: vehicle, other.id: other}), settings=QUICK)
     await engine.start()
     first = await engine.submit(vehicle.id, "gyro")
@@ -152,7 +153,7 @@ async def test_one_physical_job_a_vehicle_and_any_number_of_vehicles(vehicle: Fa
 
 async def test_a_vehicle_in_doubt_is_closed(vehicle: FakeVehicle) -> None:
     vehicle.change_state(armed=True)  # nothing can be resolved while it is
-    store = SqliteStore(None)
+    store = new_store()
     job = reviewed(vehicle, state=JobState.APPLYING)
     sent_one(store, vehicle, job)
     async with running(vehicle, job, store=store) as engine:
@@ -230,7 +231,7 @@ async def test_a_read_only_service_never_writes(vehicle: FakeVehicle) -> None:
 async def test_an_idempotency_key_writes_once(vehicle: FakeVehicle) -> None:
     job = reviewed(vehicle)
     assert job.plan is not None
-    store = SqliteStore(None)
+    store = new_store()
     async with running(vehicle, job, store=store) as engine:
         accept = Accept(job.plan.sha256)
         assert (await engine.apply("j1", accept, "key")).state == JobState.APPLYING
@@ -300,7 +301,7 @@ async def test_an_answer_that_the_prompt_takes_reaches_the_job_and_another_does_
 
 async def test_who_takes_a_write_back_is_on_the_disk_before_it_begins(vehicle: FakeVehicle) -> None:
     done = reviewed(vehicle, state=JobState.SUCCEEDED, accept=Accept(make_plan(vehicle).sha256))
-    store = SqliteStore(None)
+    store = new_store()
     async with running(vehicle, done, store=store) as engine:
         sent_one(store, vehicle, done)
         assert (await engine.revert("j1", "a person")).state == JobState.ROLLING_BACK

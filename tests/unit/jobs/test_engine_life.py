@@ -19,8 +19,9 @@ from mavcal.service.jobs.model import Accept, Failure, Job
 from mavcal.service.jobs.planning import FROM_RECORDING
 from mavcal.service.jobs.settings import JobSettings
 from mavcal.service.jobs.states import JobState
-from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import SnapshotPurpose
+from mavcal.service.store.sql import SqlStore
+from tests.stores import new_store
 from tests.unit.jobs.fakes import FakeRegistry, FakeVehicle
 
 from .computations import FakeComputations
@@ -44,8 +45,8 @@ def vehicle() -> FakeVehicle:
     return FakeVehicle.with_floats(OLD)
 
 
-def kept(vehicle: FakeVehicle, *jobs: Job) -> SqliteStore:
-    store = SqliteStore(None)
+def kept(vehicle: FakeVehicle, *jobs: Job) -> SqlStore:
+    store = new_store()
     for job in jobs:
         store.save_job(row_from_job(job))
         if job.plan is not None:
@@ -59,7 +60,7 @@ Prepare = Callable[[JobEngine], None]
 
 @asynccontextmanager
 async def started(
-    store: SqliteStore,
+    store: SqlStore,
     vehicle: FakeVehicle,
     prepare: Prepare = lambda _: None,
     settings: JobSettings = QUICK,
@@ -162,7 +163,7 @@ async def test_a_write_that_stays_in_doubt_does_not_keep_the_others_for_ever(veh
 
     async with started(store, vehicle, prepare, replace(QUICK, recovery_alone_s=0.02)) as engine:
         await until(lambda: capturing.begun == ["j2"])
-        assert engine.get("j1").state == JobState.IN_DOUBT
+        await until(lambda: engine.get("j1").state == JobState.IN_DOUBT)
 
 
 async def test_a_job_that_cannot_be_taken_up_does_not_strand_the_next_one(vehicle: FakeVehicle) -> None:
@@ -171,14 +172,14 @@ async def test_a_job_that_cannot_be_taken_up_does_not_strand_the_next_one(vehicl
 
     def prepare(engine: JobEngine) -> None:
         engine._runner.calibrate = capturing  # type: ignore[method-assign]
-        resume = engine._resume
+        resume = engine._resumption._resume
 
         def broken(handle: JobHandle) -> None:
             if handle.id == "j1":
                 raise RuntimeError("of any kind")
             resume(handle)
 
-        engine._resume = broken  # type: ignore[method-assign]
+        engine._resumption._resume = broken  # type: ignore[method-assign]
 
     async with started(kept(vehicle, first, second), vehicle, prepare) as engine:
         await until(lambda: capturing.begun == ["j2"])
@@ -220,8 +221,7 @@ async def test_a_service_that_stops_while_writes_are_alone_takes_nothing_else_up
     capturing = Idle()
     engine._runner.calibrate = capturing  # type: ignore[method-assign]
     await engine.start()
-    following = engine._following
-    assert following is not None
+    (following,) = engine._resumption.waiting
     await until(lambda: engine.get("j1").state == JobState.IN_DOUBT)
     await engine.stop()
     assert following.cancelled()

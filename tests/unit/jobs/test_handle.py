@@ -15,11 +15,12 @@ from mavcal.service.jobs.handle import JobHandle, counting
 from mavcal.service.jobs.model import Job
 from mavcal.service.jobs.states import JobState
 from mavcal.service.store import SqliteStore
+from tests.stores import new_store
 
 
 @pytest.fixture
 def handle() -> Iterator[JobHandle]:
-    store = SqliteStore(None)
+    store = new_store()
     found = JobHandle(Job("j1", "v", "gyro", {}, JobState.RUNNING, 0.0, 0.0), store, lambda _: None)
     found.change("state", {})
     yield found
@@ -43,7 +44,7 @@ def test_what_is_counted_estimates_the_rest_from_the_pace_so_far(
 
 
 async def test_progress_is_announced_as_soon_as_it_may_be_and_not_before() -> None:
-    store = SqliteStore(None)
+    store = new_store()
     now = [10.0]
     job = Job("j1", "v", "gyro", {}, JobState.RUNNING, 0.0, 0.0)
     handle = JobHandle(job, store, lambda _: None, progress_s=0.5, clock=lambda: now[0])

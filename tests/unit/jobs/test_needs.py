@@ -67,6 +67,11 @@ async def test_coefficients_are_asked_for_again_only_where_they_are_written(
 
     vehicle.read_parameter = noted  # type: ignore[method-assign]
     job = Job("one", vehicle.id, kind, {}, JobState.REVIEW, 0.0, 0.0, results=(fit(drifts=drifts),))
-    await require_absent(vehicle, job, there)
+    told: list[tuple[int, int]] = []
+    await require_absent(vehicle, job, there, lambda done, total: told.append((done, total)))
+    counts, (total,) = [done for done, _ in told], {total for _, total in told}
+    assert counts == list(range(total + 1))  # none yet, then one after the other: a slow link shows that it goes on
+    assert total == len(names)
+    await require_absent(vehicle, job, there)  # nobody needs to be told
     assert any(name.startswith("INS_TCAL1_GYR") for name in names) is asked
     assert "INS_GYROFFS_X" in names

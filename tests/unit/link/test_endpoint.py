@@ -54,7 +54,7 @@ def test_reads_every_form_and_writes_one(text: str, canonical: str) -> None:
         ("file:", ".tlog"),
         ("sim:betaflight", "ardupilot or px4"),
         ("sim:px4?sed=3", "'sed' is not an option"),
-        ("tcp:1.2.3.4:5?x=1", "takes none"),
+        ("tcp:1.2.3.4:5?x=1", "it takes signing"),
     ],
 )
 def test_refuses_with_the_reason_and_the_list(text: str, why: str) -> None:

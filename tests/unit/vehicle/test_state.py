@@ -1,17 +1,19 @@
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.service.vehicle.calibration import CalibrationSign
+from mavcal.service.vehicle.calibration import CalibrationSign, OnboardCalibration
 from mavcal.service.vehicle.state import (
     KEPT_TEXTS,
     SILENT_S,
     Landed,
     Refusal,
     VehicleState,
+    changed,
     expire,
     note_boot_time,
     reduce,
@@ -37,6 +39,15 @@ def text(words: str, severity: int = 6, number: int = 0, chunk: int = 0) -> Any:
 
 
 READY = told(*[heartbeat()] * 4, landed(), step=1.0)  # the last heartbeat came at 103
+
+
+def test_a_changed_state_is_what_replace_makes_and_the_one_before_stays() -> None:
+    before = dataclasses.replace(READY)
+    after = changed(READY, throttle=0.5, _backwards=2)
+    assert after == dataclasses.replace(READY, throttle=0.5, _backwards=2)
+    assert before == READY != after
+    with pytest.raises(TypeError, match="throtle"):
+        changed(READY, throtle=0.5)
 
 
 def test_a_vehicle_that_is_disarmed_landed_and_alive_is_writable() -> None:
@@ -137,6 +148,23 @@ def test_a_calibration_whose_end_was_lost_does_not_last_for_ever() -> None:
     state = told(text("[cal] calibration started: 2 gyro"), state=READY, at=104)
     assert told(heartbeat(), state=state, at=105).onboard_calibration is not None
     assert told(heartbeat(), state=state, at=108).onboard_calibration is None
+
+
+@pytest.mark.parametrize(
+    ("sign", "stale_s"),
+    [
+        (CalibrationSign.HEARTBEAT, 3.0),
+        (CalibrationSign.TEXT, 120.0),
+        (CalibrationSign.POSE, 10.0),
+        (CalibrationSign.MAG, 10.0),
+        (CalibrationSign.REPORT, 3.0),
+    ],
+)
+def test_how_long_after_its_last_sign_a_calibration_counts_as_running(sign: CalibrationSign, stale_s: float) -> None:
+    """Three seconds for what is said again every second: longer would keep a write waiting for nothing."""
+    running = OnboardCalibration(sign, "", since=1.0, last=5.0)
+    assert not running.over(5.0 + stale_s)
+    assert running.over(5.0 + stale_s + 0.1)
 
 
 def test_px4s_report_after_a_parameter_change_is_no_calibration() -> None:

@@ -128,6 +128,17 @@ async def test_a_link_that_is_just_full_is_relieved_so_that_answers_come(
     assert all(interval > 20_000 for _, interval in requests(ardupilot))
 
 
+async def test_what_a_full_link_carries_counts_in_the_vehicles_time(ardupilot: FakeVehicle) -> None:
+    """Rates are asked for in it: a simulated vehicle twice as fast sends twice the bytes a second of ours."""
+    streamer = Streamer(ardupilot)
+    streamer.vehicle_speed = 2.0
+    ardupilot.link.bytes_per_s = 4000.0
+    busy = lambda: any(0 < interval <= 20_000 for interval in streamer.intervals.values())  # noqa: E731
+    delay_answers(ardupilot, lambda: 1.2 if busy() else 0.0)
+    report = await ardupilot.run(request_streams(ardupilot.vehicle, {IMU: 50.0, IMU2: 50.0}))
+    assert report.capacity_bytes_per_s == pytest.approx(2000.0, rel=0.05)
+
+
 async def test_a_port_that_fills_slowly_is_relieved_before_it_is_full(ardupilot: FakeVehicle) -> None:
     """An eighth more than it carries: a buffer of 8 kB then delays every answer by 1.4 s, half a minute later."""
     streamer = Streamer(ardupilot)

@@ -249,6 +249,14 @@ async def test_a_recording_that_does_not_begin_is_refused_and_forgotten(
     assert heard == [1]
 
 
+async def test_a_demand_is_sent_as_a_first_transmission(ardupilot: FakeVehicle) -> None:
+    """`confirmation` counts repetitions: a vehicle may take a command of a higher count for one that it knows."""
+    ardupilot.link.sent.clear()
+    ardupilot.vehicle.demand(REQUEST_MESSAGE, 27)
+    (sent,) = ardupilot.link.sent_of("COMMAND_LONG")
+    assert (sent.command, sent.confirmation, sent.param1, sent.param2) == (REQUEST_MESSAGE, 0, 27.0, 0.0)
+
+
 async def test_a_demand_on_a_link_that_is_down_is_lost(ardupilot: FakeVehicle) -> None:
     def down(_message: Any, _target: object = None) -> None:
         raise LinkDown("gone")

@@ -73,7 +73,7 @@ def test_a_repeated_calibration_writes_nothing_and_says_by_how_much_it_differs(v
 def test_the_whole_change_is_judged_against_the_95_percent_region(
     ardupilot_parameters, ardupilot_fingerprint, make_fit, deviations, agrees
 ):
-    """7.815 is the 95 % quantile of chi-squared with three degrees of freedom; twice that is 3 x 2.283^2, or 3.953^2."""
+    """7.815 is the 95 % quantile of chi-squared with three degrees of freedom: twice that is 3 x 2.283^2, 3.953^2."""
     fit = fit_of(make_fit, Sensor.GYRO)
     now = written(compose([fit], ardupilot_parameters, ardupilot_fingerprint), ardupilot_parameters)
     plan = compose([moved(fit, deviations)], now, ardupilot_fingerprint)

@@ -279,7 +279,9 @@ def test_ardupilot_has_no_number_for_an_odd_angle(ardupilot_parameters, ardupilo
     options = ComposeOptions(confirm_mounting=True)
     plan = compose([askew], ardupilot_parameters, ardupilot_fingerprint, options=options)
     assert "ArduPilot has no number for the resulting mounting" in plan.blockers[0]
+    assert len(plan.blockers) == 1
     assert plan.changes == ()
+    assert plan.losses == ()  # what is not written costs nothing
 
 
 def test_a_mounting_that_could_not_be_told_is_a_warning_and_changes_nothing(

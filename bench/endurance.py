@@ -1,0 +1,191 @@
+"""``python -m bench.endurance [HOURS]``: a day of a service in some minutes; exit 1 if anything grows.
+
+Every *hour* is what a busy hour brings: a vehicle that was never seen comes on a link of its own, its clock 30 times as
+fast as the wall's, a calibration captures and is cancelled in review, a file is uploaded and fitted, event streams are
+opened and closed, two links come and go, addresses that speak once speak once, and the vehicle leaves.
+"""
+
+from __future__ import annotations
+
+import socket
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import numpy as np
+
+from bench.page import machine, shown
+from bench.rows import Row, Section
+from bench.running import RunningService, service
+from bench.scale import beat, sphere
+from mavcal.calib.wire import encode
+from mavcal.service.simvehicle import SimulatedVehicle, free_udp_port
+
+HOURS = 24
+SPEED = 30.0
+SEED = 100
+SETTLED_SHARE = 1 / 3
+MOST_GROWTH = 0.05
+WITHIN_S = 60.0
+STREAMS = 8
+STRANGERS = 40
+MB = 1e6
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What the process holds: resident bytes, descriptors, threads, children, and files and bytes on the disk."""
+
+    resident: int
+    descriptors: int
+    threads: int
+    children: int
+    files: int
+    stored: int
+
+
+def standing(running: RunningService) -> Standing:
+    proc = Path(f"/proc/{running.pid}")
+    tasks = list((proc / "task").iterdir())
+    children = sum(len((task / "children").read_text().split()) for task in tasks)
+    kept = [path for path in running.data_dir.rglob("*") if path.is_file()]
+    return Standing(
+        running.resident_bytes(),
+        len(list((proc / "fd").iterdir())),
+        len(tasks),
+        children,
+        len(kept),
+        sum(path.stat().st_size for path in kept),
+    )
+
+
+def _settled(running: RunningService) -> Standing:
+    """What is held once connections that were just closed are gone: the least within two seconds."""
+    seen = []
+    for _ in range(8):
+        time.sleep(0.25)
+        seen.append(standing(running))
+    return min(seen, key=lambda one: (one.descriptors, one.threads, one.children))
+
+
+def run(hours: int = HOURS, seed: int = SEED) -> Section:
+    """The hours, one after the other, on one service."""
+    print(f"seed {seed}", file=sys.stderr)
+    began = time.monotonic()
+    with (
+        tempfile.TemporaryDirectory(prefix="mavcal-bench-") as folder,
+        service("udpin:127.0.0.1:0", Path(folder) / "data") as running,
+    ):
+        held, reviews = [], 0
+        for hour in range(hours):
+            reviews += _hour(running, seed + hour)
+            held.append(_settled(running))
+        links, vehicles = len(running.client.list_links()), len(running.client.list_vehicles())
+        jobs = len(running.client.list_jobs(limit=1000))
+    return Section(
+        f"{hours} busy hours in {time.monotonic() - began:.0f} s",
+        tuple(_judged(held, links, vehicles)),
+        (
+            f"Seed {seed}. {reviews} calibrations came to a review. {jobs} jobs and {hours} uploads are kept: they are "
+            "evidence until retention says else.",
+        ),
+    )
+
+
+def _hour(running: RunningService, seed: int) -> bool:
+    """One hour; whether its calibration came to a review."""
+    client = running.client
+    with SimulatedVehicle("ardupilot", speed=SPEED, seed=seed, config={"parameters": {"INS_GYR_CAL": 0}}) as sim:
+        sim.call("still")
+        link = client.open_link(url=sim.url).id
+        vehicle = _until(lambda: next((v.id for v in client.list_vehicles() if v.link == link and v.uid), None))
+        job = client.start_job(vehicle, kind="gyro").id
+        _streams(running)
+        fit = client.start_fit(
+            method="mag-ellipsoid", recording=client.upload_recording(sphere(), name=f"{seed}.csv").id
+        ).id
+        _strangers(running)
+        _until(lambda: client.get_job(fit).state == "succeeded" or None)
+        _until(lambda: client.get_job(job).state not in {"queued", "running"} or None)
+        reviewed = client.get_job(job).state == "review"
+        if reviewed:
+            client.cancel_job(job)
+        client.close_link(link)
+    return reviewed
+
+
+def _streams(running: RunningService) -> None:
+    at = urlsplit(running.url)
+    clients = [socket.create_connection((at.hostname or "", at.port or 0), timeout=WITHIN_S) for _ in range(STREAMS)]
+    for one in clients:
+        one.sendall(f"GET /api/v1/events HTTP/1.1\r\nHost: {at.netloc}\r\n\r\n".encode())
+    for one in clients:
+        one.recv(4096)
+        one.close()
+
+
+def _strangers(running: RunningService) -> None:
+    """A link on which vehicles are heard once, each from an address of its own, and which is closed."""
+    port = free_udp_port()
+    link = running.client.open_link(url=f"udpin:127.0.0.1:{port}").id
+    for k in range(STRANGERS):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+            for sequence, message in enumerate(beat(k)):
+                out.sendto(encode(message, k + 1, 1, sequence), ("127.0.0.1", port))
+    _until(lambda: sum(v.link == link for v in running.client.list_vehicles()) == STRANGERS or None)
+    running.client.close_link(link)
+
+
+def _until(found: Callable[[], str | bool | None]) -> str:
+    until = time.monotonic() + WITHIN_S
+    while (answer := found()) is None:
+        if time.monotonic() > until:
+            raise RuntimeError(f"it did not come about within {WITHIN_S:g} s")
+        time.sleep(0.05)
+    return str(answer)
+
+
+def growth(values: Sequence[float]) -> float:
+    """Growth over the whole run as the hours after the first third say it; least squares."""
+    late = np.arange(int(len(values) * SETTLED_SHARE), len(values))
+    return float(np.polyfit(late, np.asarray(values, dtype=float)[late], 1)[0] * (len(values) - 1))
+
+
+def _judged(held: Sequence[Standing], links: int, vehicles: int) -> list[Row]:
+    first, last, hours = held[int(len(held) * SETTLED_SHARE)], held[-1], len(held)
+    grown = growth([one.resident for one in held])
+    stored = growth([one.stored for one in held])
+    rows = [
+        Row(
+            "resident memory",
+            f"<= {MOST_GROWTH:.0%}",
+            f"{first.resident / MB:.0f} to {last.resident / MB:.0f} MB, {grown / first.resident:+.1%} in {hours} hours",
+            grown <= MOST_GROWTH * first.resident,
+        )
+    ]
+    for name in ("descriptors", "threads", "children"):
+        most = max(getattr(one, name) for one in held[: max(1, len(held) // 3)])  # pools have filled by then
+        end = getattr(last, name)
+        rows.append(Row(f"open {name}" if name == "descriptors" else name, f"<= {most}", f"{end}", end <= most))
+    rows.append(
+        Row("links and vehicles known at the end", "1 and 0", f"{links} and {vehicles}", (links, vehicles) == (1, 0))
+    )
+    rows.append(
+        Row("on the disk", "", f"{last.files} files, {last.stored / MB:.1f} MB, {stored / MB:+.1f} MB in {hours} hours")
+    )
+    return rows
+
+
+def main() -> int:
+    section = run(int(sys.argv[1]) if len(sys.argv) > 1 else HOURS)
+    print(shown(section))
+    print(machine())
+    return 0 if section.met else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

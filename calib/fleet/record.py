@@ -1,0 +1,97 @@
+"""What one job or preflight left of one sensor, and how all of them become the histories of parts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from mavcal.calib.firmware.device_ids import decode_device_id
+from mavcal.calib.fit import OFFSETS, FitResult
+from mavcal.calib.fleet.observation import BiasObservation, ObservationSource, Triple
+from mavcal.calib.preflight.history import Covered
+from mavcal.calib.recording import Sensor
+
+
+@dataclass(frozen=True)
+class SensorRecord:
+    """One sensor as it was measured once.
+
+    Parameters
+    ----------
+    unit
+        Whose sensor it is.
+    device_id
+        0: not known.
+    source, source_id
+        A job or a preflight.
+    what
+        Kind of the job; for a preflight ``rest``.
+    applied
+        Whether the sensor is corrected by this from then on: written, or found in agreement.
+    proved
+        Whether the stream showed it after the write, or agreed with it before.
+    bias, sd
+        Raw, in m/s2, rad/s or uT; None: it was not measured absolutely.
+    norm
+        Of a preflight: rate or specific force under the calibration in force, in the same units.
+    covered
+        The temperatures that the calibration covers; None: not known.
+    by_itself
+        Whether the vehicle calibrates this sensor by itself, say at every start.
+    """
+
+    unit: str
+    autopilot: str
+    sensor: Sensor
+    instance: int
+    device_id: int
+    at: float
+    source: ObservationSource
+    source_id: str
+    what: str
+    applied: bool = False
+    proved: bool = False
+    bias: Triple | None = None
+    sd: Triple | None = None
+    norm: float | None = None
+    temperature: float | None = None
+    covered: Covered | None = None
+    by_itself: bool = False
+
+    @property
+    def type(self) -> str:
+        """Name of the part; empty: its device id is not known."""
+        if not self.device_id:
+            return ""
+        return decode_device_id(self.autopilot, self.sensor, self.device_id).type
+
+    @property
+    def observation(self) -> BiasObservation | None:
+        """For a trend; None: it says nothing of the bias, or was not proved."""
+        if self.bias is None or self.sd is None or not self.proved:
+            return None
+        return BiasObservation(self.at, self.bias, self.sd, self.temperature, self.applied)
+
+
+def bias_of(fit: FitResult) -> tuple[Triple, Triple] | None:
+    """Bias and standard deviation that a fit found; None: not absolutely, or not every axis of it."""
+    if fit.relative or not fit.determined(*OFFSETS):
+        return None
+    (x, y, z), (sx, sy, sz) = fit.model.offset.tolist(), fit.sd[:3].tolist()
+    return ((x, y, z), (sx, sy, sz)) if min(sx, sy, sz) > 0.0 else None  # 0: held fixed
+
+
+Place = tuple[Sensor, int]
+
+
+def newest_by_place(records: Iterable[SensorRecord]) -> Mapping[Place, SensorRecord]:
+    """The newest record of every sensor of one unit: what is there now."""
+    return {(r.sensor, r.instance): r for r in sorted(records, key=lambda r: r.at)}
+
+
+def history_of_part(records: Iterable[SensorRecord], of: SensorRecord) -> tuple[SensorRecord, ...]:
+    """Every record of the part that `of` is about, oldest first: a swapped board begins a history of its own."""
+    same = [r for r in records if (r.unit, r.sensor, r.device_id) == (of.unit, of.sensor, of.device_id)]
+    if not of.device_id:
+        same = [r for r in same if r.instance == of.instance]
+    return tuple(sorted(same, key=lambda r: r.at))

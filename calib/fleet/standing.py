@@ -1,0 +1,234 @@
+"""How a unit stands: its sensors, their trends and ages, and why it should be calibrated again."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from enum import StrEnum
+from types import MappingProxyType
+from typing import Final
+
+from mavcal.calib.fleet.observation import BIAS_LIMITS, BiasObservation
+from mavcal.calib.fleet.odd import Oddness, oddness
+from mavcal.calib.fleet.record import SensorRecord, history_of_part, newest_by_place
+from mavcal.calib.fleet.trend import DAY_S, Leaving, Open, Quantity, Trend, bias_trend
+from mavcal.calib.preflight import limits
+from mavcal.calib.preflight.check import CheckId, Verdict
+from mavcal.calib.preflight.history import Covered
+from mavcal.calib.recording import Sensor
+
+NAMES: Final = MappingProxyType({Sensor.ACCEL: "accelerometer", Sensor.GYRO: "gyroscope", Sensor.MAG: "compass"})
+TREATED: Final[Mapping[CheckId, tuple[Sensor, ...]]] = MappingProxyType(
+    {
+        CheckId.GYRO_REST: (Sensor.GYRO,),
+        CheckId.ACCEL_FORCE: (Sensor.ACCEL,),
+        CheckId.COMPASS_FIELD: (Sensor.MAG,),
+        CheckId.COMPASS_DIRECTION: (Sensor.MAG,),
+        CheckId.TEMPERATURE: (Sensor.ACCEL, Sensor.GYRO),
+        CheckId.SENSOR_IDS: (),
+        CheckId.PARAMETERS_CHANGED: (),
+    }
+)
+"""Checks of the preflight that a calibration mends, with the sensors whose calibration makes an older one moot."""
+ALIKE: Final = frozenset({"", "DroneCAN"})
+"""What is no type of a part: nothing is compared under it."""
+
+TrendOf = Callable[[tuple[BiasObservation, ...], float], Trend]
+
+
+class ReasonCode(StrEnum):
+    """Why a unit should be calibrated again."""
+
+    NEVER = "never"  # no verified calibration is known
+    AGE = "age"  # the calibration is older than its limit
+    DRIFT = "drift"  # the bias may have left its limit, by its trend
+    PREFLIGHT = "preflight"  # the last preflight failed a check that a calibration mends
+
+
+@dataclass(frozen=True)
+class Reason:
+    """One reason, in words. `sensor` None: the unit as a whole."""
+
+    code: ReasonCode
+    text: str
+    sensor: Sensor | None = None
+    instance: int | None = None
+
+
+@dataclass(frozen=True)
+class FailedCheck:
+    """A check of a preflight that did not pass."""
+
+    id: CheckId
+    verdict: Verdict
+    reason: str
+
+
+@dataclass(frozen=True)
+class LastPreflight:
+    """The last preflight of a unit."""
+
+    at: float
+    verdict: Verdict
+    failed: tuple[FailedCheck, ...] = ()
+
+
+@dataclass(frozen=True)
+class SensorStanding:
+    """One sensor now. Slopes and limit are in the unit of the bias: m/s2, rad/s or uT."""
+
+    newest: SensorRecord
+    measured: SensorRecord | None
+    """The newest record that has a bias; None: there is none."""
+    calibrated_at: float | None
+    """When it was calibrated last and verified; None: never, as far as is known."""
+    job: str | None
+    covered: Covered | None
+    trend: Trend
+    oddness: Oddness | None = None
+    """None: too few sensors of its type are known."""
+
+    @property
+    def name(self) -> str:
+        """As people call it, with its type."""
+        kind = f" ({self.newest.type})" if self.newest.type else ""
+        return f"{NAMES[self.newest.sensor]} {self.newest.instance + 1}{kind}"
+
+
+@dataclass(frozen=True)
+class UnitStanding:
+    """One unit now."""
+
+    unit: str
+    sensors: tuple[SensorStanding, ...]
+    preflight: LastPreflight | None
+    reasons: tuple[Reason, ...]
+    """Why it should be calibrated again; empty: it need not be."""
+
+    @property
+    def leaving(self) -> Leaving | None:
+        """That of the sensor that leaves its limit first; None: no trend says."""
+        found = [s.trend.leaving for s in self.sensors if s.trend.leaving is not None]
+        return min(found, key=lambda one: (_or_never(one.earliest), _or_never(one.middle)), default=None)
+
+
+def _or_never(at: float | None) -> float:
+    return float("inf") if at is None else at
+
+
+def fleet_standing(
+    records: Mapping[str, Sequence[SensorRecord]],
+    preflights: Mapping[str, LastPreflight],
+    now: float,
+    trend_of: TrendOf = bias_trend,
+) -> dict[str, UnitStanding]:
+    """Every unit, compared with all others; `records` have an entry for each. `now`: wall clock, s since 1970."""
+    sensors = {unit: _sensors(known, trend_of) for unit, known in records.items()}
+    odd = _compared([s for found in sensors.values() for s in found])
+    told = {}
+    for unit, found in sensors.items():
+        compared = tuple(dataclasses.replace(s, oddness=odd.get(id(s))) for s in found)
+        preflight = preflights.get(unit)
+        told[unit] = UnitStanding(unit, compared, preflight, reasons(compared, preflight, now))
+    return told
+
+
+def reasons(sensors: Sequence[SensorStanding], preflight: LastPreflight | None, now: float) -> tuple[Reason, ...]:
+    """Why a unit with these sensors should be calibrated again, by the limits of the preflight."""
+    if not any(s.calibrated_at is not None for s in sensors):
+        found = [Reason(ReasonCode.NEVER, "No verified calibration of this vehicle is known here.")]
+    else:
+        found = [reason for s in sensors for reason in _of_sensor(s, now)]
+    return (*found, *(_of_preflight(sensors, preflight) if preflight is not None else ()))
+
+
+def _of_sensor(sensor: SensorStanding, now: float) -> list[Reason]:
+    place = (sensor.newest.sensor, sensor.newest.instance)
+    if sensor.calibrated_at is None:
+        text = f"No verified calibration of {sensor.name} is known here."
+        return [Reason(ReasonCode.NEVER, text, *place)]
+    found = []
+    age, limit = (now - sensor.calibrated_at) / DAY_S, limits.CALIBRATION_AGE
+    if age > limit.value:
+        text = f"The calibration of {sensor.name} is {age:.0f} d old, limit {limit.value:g} d."
+        found.append(Reason(ReasonCode.AGE, text, *place))
+    leaving = sensor.trend.leaving
+    if leaving is not None and leaving.earliest is not None and leaving.earliest <= now:
+        found.append(Reason(ReasonCode.DRIFT, _left(sensor, leaving), *place))
+    return found
+
+
+def _left(sensor: SensorStanding, leaving: Leaving) -> str:
+    limit = BIAS_LIMITS[sensor.newest.sensor].limit
+    first = day(leaving.earliest)
+    last = "later than ten years" if leaving.latest is None else day(leaving.latest)
+    return (
+        f"The bias of {sensor.name} may have left its limit of {limit.value:g} {limit.unit}: by its trend it does so "
+        f"between {first} and {last} (90 %)."
+    )
+
+
+def day(at: float | None) -> str:
+    """A date in UTC; None: beyond ten years."""
+    return "beyond ten years" if at is None else datetime.fromtimestamp(at, UTC).strftime("%Y-%m-%d")
+
+
+def _of_preflight(sensors: Sequence[SensorStanding], preflight: LastPreflight) -> list[Reason]:
+    """Failed checks that a calibration mends, unless there was one since."""
+    found = []
+    for check in preflight.failed:
+        if check.verdict != Verdict.FAIL or check.id not in TREATED:
+            continue
+        about = [s for s in sensors if not TREATED[check.id] or s.newest.sensor in TREATED[check.id]]
+        since = [s for s in about if s.calibrated_at is not None and s.calibrated_at > preflight.at]
+        if about and len(since) == len(about):
+            continue
+        kinds = TREATED[check.id]
+        text = f"The preflight of {day(preflight.at)} failed {check.id}: {check.reason}"
+        found.append(Reason(ReasonCode.PREFLIGHT, text, kinds[0] if len(kinds) == 1 else None))
+    return found
+
+
+def _sensors(records: Sequence[SensorRecord], trend_of: TrendOf) -> tuple[SensorStanding, ...]:
+    return tuple(_standing(records, newest, trend_of) for _, newest in sorted(newest_by_place(records).items()))
+
+
+def _standing(records: Sequence[SensorRecord], newest: SensorRecord, trend_of: TrendOf) -> SensorStanding:
+    history = history_of_part(records, newest)
+    applied = [r for r in history if r.applied]
+    seen = tuple(o for r in history if (o := r.observation) is not None)
+    trend = trend_of(seen, BIAS_LIMITS[newest.sensor].value)
+    if newest.by_itself and trend.leaving is not None:
+        why = "The vehicle calibrates this sensor by itself, so that its bias leaves no limit."
+        trend = dataclasses.replace(trend, leaving=None, open=(*trend.open, Open(Quantity.LEAVING, why)))
+    last = applied[-1] if applied else None
+    measured = [r for r in history if r.bias is not None]
+    return SensorStanding(
+        newest,
+        measured[-1] if measured else None,
+        None if last is None else last.at,
+        None if last is None else last.source_id,
+        None if last is None else last.covered,
+        trend,
+    )
+
+
+def _compared(sensors: Sequence[SensorStanding]) -> dict[int, Oddness]:
+    """How odd each sensor is among those of its type, by the identity of the object."""
+    groups: dict[tuple[Sensor, str], list[SensorStanding]] = {}
+    for sensor in sensors:
+        kind = sensor.newest.type
+        if kind not in ALIKE and sensor.measured is not None:
+            family = sensor.newest.autopilot if kind.startswith("type ") else ""
+            groups.setdefault((sensor.newest.sensor, f"{family} {kind}"), []).append(sensor)
+    found: dict[int, Oddness] = {}
+    for group in groups.values():
+        measured = [s.measured for s in group if s.measured is not None]
+        biases = [r.bias for r in measured if r.bias is not None]
+        spread = [max(r.sd) for r in measured if r.sd is not None]
+        for sensor, one in zip(group, oddness(biases, spread), strict=True):
+            if one is not None:
+                found[id(sensor)] = one
+    return found

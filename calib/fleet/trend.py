@@ -1,0 +1,203 @@
+"""Drift of one sensor with time and temperature, and when its calibration will have left its limit.
+
+The bias has left when its lasting part (the line and the walk, without the scatter from start to start) is farther from
+the bias that corrects the sensor than the limit, at the temperature of that calibration. Three axes count together.
+Intervals are of 90 %; docs/fleet.md has how often they held the truth in simulations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.fleet.observation import BiasObservation
+from mavcal.calib.fleet.process import Belief, Draws, Measured, draw
+
+Array = NDArray[np.float64]
+
+DAY_S = 86400.0
+YEAR_D = 365.25
+HORIZON_D = 10.0 * YEAR_D
+"""Nothing is foretold beyond that."""
+COVERAGE = 0.90
+LEAST_SPREAD_DEGC = 5.0
+"""Temperatures that lie closer together say nothing of a slope."""
+LEAST_SPAN_D = 1.0
+MOST = 64
+"""Measurements that one trend takes; calibrations first, then the newest of the others."""
+_DRAWS, _SEED = 4000, 21
+_PATHS = 400
+"""Draws whose future is followed; the quantiles of slopes rest on all of them."""
+_AHEAD_D = np.concatenate([[0.0], np.geomspace(0.5, HORIZON_D, 96)])
+
+
+class Quantity(StrEnum):
+    """What a trend may leave undetermined."""
+
+    TIME = "time"
+    TEMPERATURE = "temperature"
+    LEAVING = "leaving"
+
+
+@dataclass(frozen=True)
+class Open:
+    """Something that the measurements do not determine, and why."""
+
+    quantity: Quantity
+    why: str
+
+
+@dataclass(frozen=True)
+class Slope:
+    """A slope along one axis: its middle, and the interval of 90 %."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Leaving:
+    """When the bias leaves its limit, s since 1970. None: not within ten years from the last measurement.
+
+    It leaves between `earliest` and `latest` with a probability of 90 %, and before or after `middle` alike.
+    """
+
+    earliest: float | None
+    middle: float | None
+    latest: float | None
+
+
+@dataclass(frozen=True)
+class Trend:
+    """Drift along the sensor's axes, in the unit of the bias. None: not determined, `open` says why."""
+
+    n: int
+    """Measurements that it rests on."""
+    per_year: tuple[Slope, Slope, Slope] | None
+    per_degc: tuple[Slope, Slope, Slope] | None
+    leaving: Leaving | None
+    open: tuple[Open, ...] = ()
+
+
+def bias_trend(observations: Sequence[BiasObservation], limit: float) -> Trend:
+    """The trend of one sensor; `limit` is the farthest that its bias may be from what corrects it, in its unit."""
+    seen = _chosen(observations)
+    n = len(seen)
+    warm, left_open = _temperature(seen)
+    unknowns = 3 if warm else 2
+    short = _too_few(seen, unknowns)
+    if short:
+        quantities = dict.fromkeys((Quantity.TIME, *(o.quantity for o in left_open), Quantity.LEAVING))
+        if warm:
+            quantities[Quantity.TEMPERATURE] = None
+        told = {o.quantity: o.why for o in left_open}
+        return Trend(n, None, None, None, tuple(Open(q, told.get(q, short)) for q in quantities))
+    applied = [o for o in seen if o.applied]
+    reference = applied[-1] if applied else seen[-1]
+    days = np.array([o.at for o in seen]) / DAY_S
+    warmth = np.array([o.temperature for o in seen], float) - (reference.temperature or 0.0) if warm else None
+    sd = np.array([float(np.sqrt(np.mean(np.square(o.sd)))) for o in seen])
+    bias = np.array([o.bias for o in seen])
+    rng = np.random.default_rng(_SEED)  # the same measurements give the same digits
+    measured = Measured(days, bias, sd, warmth)
+    drawn = {belief: draw(measured, belief, rng, _DRAWS) for belief in Belief}
+    wide = drawn[Belief.ANY]
+    per_degc = None if wide.per_degc is None else _slopes(wide.per_degc)
+    leaving = None
+    if applied:
+        away = [_days_ahead(found, np.array(reference.bias), limit) for found in drawn.values()]
+        leaving = _leaving(away, seen[-1].at)
+    else:
+        left_open = (*left_open, Open(Quantity.LEAVING, "No calibration is in force whose limit it could leave."))
+    return Trend(n, _slopes(wide.per_day * YEAR_D), per_degc, leaving, left_open)
+
+
+def _chosen(observations: Sequence[BiasObservation]) -> list[BiasObservation]:
+    """At most :data:`MOST`, in the order of time."""
+    ordered = sorted(observations, key=lambda o: o.at)
+    kept = [o for o in ordered if o.applied][-MOST:]
+    others = [o for o in ordered if not o.applied]
+    room = MOST - len(kept)
+    return sorted([*kept, *others[len(others) - min(room, len(others)) :]], key=lambda o: o.at)
+
+
+def _temperature(seen: Sequence[BiasObservation]) -> tuple[bool, tuple[Open, ...]]:
+    """Whether a slope with temperature is among the unknowns; else why not."""
+    known = [o.temperature for o in seen if o.temperature is not None]
+    if len(known) < len(seen):
+        missing = len(seen) - len(known)
+        why = f"The temperature of {missing} of {len(seen)} measurements is not known."
+        return False, (Open(Quantity.TEMPERATURE, why),)
+    if not known or max(known) - min(known) < LEAST_SPREAD_DEGC:
+        spread = max(known) - min(known) if known else 0.0
+        why = (
+            f"{len(seen)} measurements within {spread:.1f} degC determine no slope with temperature: measure at one "
+            f"that is {LEAST_SPREAD_DEGC:.0f} degC away."
+        )
+        return False, (Open(Quantity.TEMPERATURE, why),)
+    return True, ()
+
+
+def _too_few(seen: Sequence[BiasObservation], unknowns: int) -> str:
+    """Why the measurements determine no drift with an uncertainty; empty: they do."""
+    if len(seen) <= unknowns:
+        lacking = unknowns + 1 - len(seen)
+        what = "drift and slope with temperature" if unknowns == 3 else "drift"
+        have = f"{len(seen)} measurement{'' if len(seen) == 1 else 's'}"
+        return f"{have} determine{'s' if len(seen) == 1 else ''} no {what} with an uncertainty: {lacking} more needed."
+    span = (seen[-1].at - seen[0].at) / DAY_S
+    if span < LEAST_SPAN_D:
+        return f"The measurements lie within {24.0 * span:.1f} h, which determines no drift."
+    return ""
+
+
+def _slopes(drawn: Array) -> tuple[Slope, Slope, Slope]:
+    tail = 0.5 * (1.0 - COVERAGE)
+    low, middle, high = np.quantile(drawn, [tail, 0.5, 1.0 - tail], axis=0)
+    x, y, z = (Slope(float(m), float(a), float(b)) for m, a, b in zip(middle, low, high, strict=True))
+    return x, y, z
+
+
+@cache
+def _paths() -> Array:
+    """A random walk of variance one a day for each followed draw, shape (400, days, 3): the same for every sensor."""
+    steps = np.random.default_rng(_SEED + 1).standard_normal((_PATHS, len(_AHEAD_D) - 1, 3))
+    walked = np.cumsum(np.sqrt(np.diff(_AHEAD_D))[:, None] * steps, axis=1)
+    return np.concatenate([np.zeros((_PATHS, 1, 3)), walked], axis=1)
+
+
+def _days_ahead(drawn: Draws, corrected: Array, limit: float) -> Array:
+    """First day after the last measurement on which a path of each draw is beyond the limit, ascending; inf: none."""
+    off = np.sqrt(drawn.walk[:_PATHS])[:, None, None] * _paths()
+    off += _AHEAD_D[None, :, None] * drawn.per_day[:_PATHS, None, :]
+    off += (drawn.now[:_PATHS] - corrected)[:, None, :]
+    distance = np.sqrt(np.einsum("dta,dta->dt", off, off))
+    beyond = distance > limit
+    after = beyond.argmax(axis=1)
+    before = np.maximum(after - 1, 0)
+    each = np.arange(len(after))
+    near, far = distance[each, before], distance[each, after]
+    part = np.divide(limit - near, far - near, out=np.zeros_like(near), where=(after > 0) & (far > near))
+    left = _AHEAD_D[before] + part * (_AHEAD_D[after] - _AHEAD_D[before])
+    return np.sort(np.where(beyond.any(axis=1), left, np.inf))
+
+
+def _leaving(away: Sequence[Array], last: float) -> Leaving:
+    """The earlier beginning and the later end of the intervals of either belief, and the middle of both together."""
+    tail = 0.5 * (1.0 - COVERAGE)
+    earliest = min(_at(days, tail) for days in away)
+    latest = max(_at(days, 1.0 - tail) for days in away)
+    middle = _at(np.sort(np.concatenate(away)), 0.5)
+    first, between, end = (float(last + d * DAY_S) if np.isfinite(d) else None for d in (earliest, middle, latest))
+    return Leaving(first, between, end)
+
+
+def _at(ordered: Array, share: float) -> float:
+    """The quantile that is one of the values: some are infinite."""
+    return float(ordered[round(share * (len(ordered) - 1))])

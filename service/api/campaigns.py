@@ -1,0 +1,162 @@
+"""Routes of campaigns: jobs of kind `campaign`, which go through many vehicles or uploads."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Sequence
+from contextlib import suppress
+from functools import partial
+from typing import Annotated, Literal
+from urllib.parse import urlencode
+
+from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi.responses import StreamingResponse
+
+from mavcal.service.api.addresses import relative
+from mavcal.service.api.dependencies import ServiceDep
+from mavcal.service.api.models import (
+    CalibrationCampaignRequest,
+    FitCampaignRequest,
+    GapCampaignRequest,
+    ItemModel,
+    JobModel,
+    PreflightCampaignRequest,
+)
+from mavcal.service.api.security import ActorDep, Scope, require
+from mavcal.service.api.views import item_model, job_model
+from mavcal.service.campaigns import outcome as table
+from mavcal.service.campaigns.begin import CalibrationOrder
+from mavcal.service.campaigns.selection import Selection
+from mavcal.service.core import Service
+from mavcal.service.errors import JobUnknown
+from mavcal.service.jobs.items import Item, ItemOutcome, item_from_row
+from mavcal.service.jobs.model import Job
+from mavcal.service.vehicle import Vehicle
+
+router = APIRouter(tags=["campaigns"])
+READ = Depends(require(Scope.READ))
+OPERATE = Depends(require(Scope.OPERATE))
+_PAGE = 500
+
+Outcomes = Annotated[list[ItemOutcome] | None, Query(description="only items of these outcomes")]
+
+
+@router.post("/campaigns/preflight", operation_id="start_preflight_campaign", status_code=202, dependencies=[OPERATE])
+async def preflight(
+    body: PreflightCampaignRequest, request: Request, response: Response, service: ServiceDep
+) -> JobModel:
+    """Check many vehicles as one job. A vehicle that is armed, silent or busy is skipped, and its item says so."""
+    vehicles, chosen = await _vehicles(service, body.vehicles, body.tag)
+    begun = service.campaigns.preflight(vehicles, chosen, at_once=body.at_once)
+    return _begun(await begun, request, response)
+
+
+@router.post("/campaigns/calibrate", operation_id="start_calibration_campaign", status_code=202, dependencies=[OPERATE])
+async def calibrate(
+    body: CalibrationCampaignRequest, request: Request, response: Response, service: ServiceDep, actor: ActorDep
+) -> JobModel:
+    """Calibrate many vehicles as one job, which begins a job for each. Without `apply` their plans wait in review."""
+    if body.apply:
+        await require(Scope.WRITE_PARAMS)(request)
+    given = body.plan_options.given()
+    order = CalibrationOrder(body.kind, body.options, given, body.apply, body.reboot, actor)
+    vehicles, chosen = await _vehicles(service, body.vehicles, body.tag)
+    return _begun(await service.campaigns.calibrate(vehicles, chosen, order, at_once=body.at_once), request, response)
+
+
+@router.post("/campaigns/fit", operation_id="start_fit_campaign", status_code=202, dependencies=[OPERATE])
+async def fit(body: FitCampaignRequest, request: Request, response: Response, service: ServiceDep) -> JobModel:
+    """Run one method on many uploads as one job; the fits are in its items."""
+    uploads, chosen = service.recordings.all(), _selection(body.recordings)
+    begun = service.campaigns.fit(uploads, chosen, body.method, body.options, at_once=body.at_once)
+    return _begun(await begun, request, response)
+
+
+@router.post("/campaigns/gap", operation_id="start_gap_campaign", status_code=202, dependencies=[OPERATE])
+async def gap(body: GapCampaignRequest, request: Request, response: Response, service: ServiceDep) -> JobModel:
+    """Diagnose the sim-to-real gap of many uploads as one job; the reports are documents of its items."""
+    uploads, chosen = service.recordings.all(), _selection(body.recordings)
+    begun = service.campaigns.gap(uploads, chosen, body.sim, body.nominal, at_once=body.at_once)
+    return _begun(await begun, request, response)
+
+
+def _job(job_id: str, service: ServiceDep) -> Job:
+    return service.jobs.get(job_id)
+
+
+JobDep = Annotated[Job, Depends(_job)]
+
+
+@router.get("/jobs/{job_id}/items", operation_id="list_items", dependencies=[READ])
+async def items(
+    response: Response,
+    service: ServiceDep,
+    found: JobDep,
+    outcome: Outcomes = None,
+    after: Annotated[int, Query(ge=0, le=2**31, description="number of the last item of the page before")] = 0,
+    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+) -> list[ItemModel]:
+    """Items of a campaign, a page at a time; other jobs have none. A header `Link` leads to the next page, if any."""
+    page = await _page(service, found.id, outcome, after, limit + 1)
+    if len(page) > limit:
+        page = page[:limit]
+        asked = [*(("outcome", o.value) for o in outcome or ()), ("after", page[-1].number), ("limit", limit)]
+        response.headers["Link"] = f'<items?{urlencode(asked)}>; rel="next"'
+    return [item_model(item, found.id, _job_of(item, service)) for item in page]
+
+
+@router.get(
+    "/jobs/{job_id}/items.{form}",
+    operation_id="export_items",
+    dependencies=[READ],
+    response_class=Response,
+    responses={200: {"content": {"text/csv": {"schema": {"type": "string"}}}}},
+)
+async def export_items(
+    service: ServiceDep, found: JobDep, form: Literal["csv"], outcome: Outcomes = None
+) -> StreamingResponse:
+    """The outcome of a campaign as a table: one line an item."""
+    headers = {"Content-Disposition": f'inline; filename="mavcal-{found.id}.{form}"'}
+    return StreamingResponse(_lines(service, found.id, outcome), media_type="text/csv", headers=headers)
+
+
+async def _lines(service: Service, job_id: str, outcome: Sequence[ItemOutcome] | None) -> AsyncIterator[str]:
+    yield table.head()
+    after = 0
+    while page := await _page(service, job_id, outcome, after, _PAGE):
+        yield table.lines(page)
+        after = page[-1].number
+
+
+async def _page(
+    service: Service, job_id: str, outcome: Sequence[ItemOutcome] | None, after: int, limit: int
+) -> list[Item]:
+    wanted = None if outcome is None else [o.value for o in outcome]
+    ask = partial(service.store.items, job_id, after=after, limit=limit, outcomes=wanted)
+    return [item_from_row(row) for row in await service.store.do(ask)]
+
+
+def _job_of(item: Item, service: Service) -> Job | None:
+    """The job of an item; None: it has none, or it was forgotten."""
+    with suppress(JobUnknown):
+        return None if item.job_id is None else service.jobs.get(item.job_id)
+    return None
+
+
+async def _vehicles(service: Service, asked: Sequence[str], tag: str | None) -> tuple[Sequence[Vehicle], Selection]:
+    """The vehicles that are heard, and which of them are meant."""
+    vehicles, chosen = service.vehicles.all(), _selection(asked)
+    if tag is None:
+        return vehicles, chosen
+    carrying = await service.fleet.tagged(tag)
+    ids = None if chosen.ids is None else tuple(i for i in chosen.ids if i in carrying)
+    return [vehicle for vehicle in vehicles if vehicle.id in carrying], Selection(ids)
+
+
+def _selection(asked: Sequence[str]) -> Selection:
+    return Selection(None if asked == "all" else tuple(asked))
+
+
+def _begun(job: Job, request: Request, response: Response) -> JobModel:
+    model = job_model(job)
+    response.headers["Location"] = relative(request, model.href)
+    return model

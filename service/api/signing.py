@@ -1,0 +1,43 @@
+"""Routes of signing keys; none of them gives a key back."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter, Depends, Request, Response
+
+from mavcal.service.api.addresses import relative
+from mavcal.service.api.dependencies import ServiceDep
+from mavcal.service.api.models import LinkModel, SigningKeyModel, SigningKeyRequest, SigningRequest
+from mavcal.service.api.security import ActorDep, Scope, require
+from mavcal.service.api.views import link_model
+
+router = APIRouter(tags=["links"])
+ADMIN = Depends(require(Scope.ADMIN))
+
+
+@router.get("/signing-keys", operation_id="list_signing_keys", dependencies=[ADMIN])
+async def signing_keys(service: ServiceDep) -> list[SigningKeyModel]:
+    """Every signing key by name, without the key."""
+    return [SigningKeyModel(**vars(key)) for key in await service.signing.all()]
+
+
+@router.post("/signing-keys", operation_id="add_signing_key", status_code=201, dependencies=[ADMIN])
+async def add_signing_key(
+    body: SigningKeyRequest, request: Request, response: Response, service: ServiceDep, actor: ActorDep
+) -> SigningKeyModel:
+    """Keep a signing key, or make one."""
+    given = None if body.key is None else body.key.get_secret_value()
+    known = await service.signing.add(body.name, given, actor)
+    response.headers["Location"] = relative(request, "api/v1/signing-keys")
+    return SigningKeyModel(**vars(known))
+
+
+@router.delete("/signing-keys/{name}", operation_id="remove_signing_key", status_code=204, dependencies=[ADMIN])
+async def remove_signing_key(name: str, service: ServiceDep, actor: ActorDep) -> None:
+    """Forget a signing key that no open link uses."""
+    await service.signing.remove(name, actor)
+
+
+@router.post("/links/{link_id}/signing", operation_id="set_up_signing", dependencies=[ADMIN])
+async def set_up_signing(link_id: str, body: SigningRequest, service: ServiceDep, actor: ActorDep) -> LinkModel:
+    """Give the one vehicle of a link a key (SETUP_SIGNING); the link is signed once the vehicle signs with it."""
+    return link_model(await service.signing.set_up(link_id, body.key, actor), service.vehicles)

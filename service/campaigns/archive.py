@@ -1,0 +1,208 @@
+"""Campaigns through a folder of logs, on any executor: no vehicle, no link and no upload is needed."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections.abc import AsyncIterator, Mapping, Sequence
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import Any
+
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.methods import METHODS
+from mavcal.service.campaigns.executors import Workers
+from mavcal.service.campaigns.worker import computed
+from mavcal.service.children import DIAGNOSE, FIT, Limits
+from mavcal.service.computations import PAGE, REPORT
+from mavcal.service.errors import JobUnknown
+from mavcal.service.jobs.admission import require_finite
+from mavcal.service.jobs.book import JobBook
+from mavcal.service.jobs.campaigns import CAMPAIGN, Campaigns, CampaignTask, Errand, ItemWork
+from mavcal.service.jobs.codec import job_from_row
+from mavcal.service.jobs.computing import MOST_STARTS
+from mavcal.service.jobs.handle import JobHandle
+from mavcal.service.jobs.items import ItemEnd, ItemOutcome, of_diagnosis, of_fits
+from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.ownership import Alone
+from mavcal.service.jobs.settings import JobSettings
+from mavcal.service.jobs.tasks import JobTasks
+from mavcal.service.store import SqliteStore, Store
+from mavcal.service.store.rows import JobDocument
+
+Json = dict[str, Any]
+FOLDER = "folder"
+"""Option of a campaign through files: where they are. Such a campaign is never run by a service."""
+
+
+def files_of(folder: Path, pattern: str) -> list[str]:
+    """Files below a folder whose name is like `pattern`, by their paths below it; hidden ones are left out.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is no such folder, or no such file in it.
+    """
+    if not folder.is_dir():
+        raise InvalidInputError(f"there is no folder {folder}")
+    below = (path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
+    shown = (path for path in below if not any(part.startswith(".") for part in path.parts))
+    found = sorted(path.as_posix() for path in shown if fnmatch(path.name, pattern))
+    if not found:
+        raise InvalidInputError(f"there is no file like {pattern} in {folder}")
+    return found
+
+
+@dataclass(frozen=True)
+class FolderFits:
+    """A method on each file. Options: `folder`, `reading`, `method`, `options`."""
+
+    workers: Workers
+    limits: Limits
+    lane: asyncio.Semaphore
+    most_starts: int | None = MOST_STARTS
+
+    async def run(self, errand: Errand) -> ItemEnd:
+        """See ItemWork."""
+        method = errand.options["method"]
+        order = {**_part(errand), "method": method, "options": errand.options["options"], "origin": False}
+        answer = await _on(self.workers, FIT, order, self.limits)
+        if "error" in answer:
+            return _failed(answer["error"], errand)
+        return of_fits(answer["done"]["fits"], method, sha256=answer["sha256"], seconds=answer["seconds"])
+
+    async def cancelled(self, errand: Errand) -> str:
+        """See ItemWork."""
+        return "The campaign was cancelled."
+
+
+@dataclass(frozen=True)
+class FolderGaps:
+    """A diagnosis of each file. Options: `folder`, `reading`, `sim`, `nominal`."""
+
+    workers: Workers
+    limits: Limits
+    lane: asyncio.Semaphore
+    most_starts: int | None = MOST_STARTS
+
+    async def run(self, errand: Errand) -> ItemEnd:
+        """See ItemWork."""
+        options, part = errand.options, _part(errand)
+        order: Json = {
+            "path": part["path"],
+            "real": part,
+            "sim": None if options["sim"] is None else {**part, "path": options["sim"]},
+            "nominal": [{**part, "path": path} for path in options["nominal"]],
+            "title": f"Sim-to-real gap of {Path(errand.item.subject).name}",
+        }
+        answer = await _on(self.workers, DIAGNOSE, order, self.limits)
+        if "error" in answer:
+            return _failed(answer["error"], errand)
+        done = answer["done"]
+        report, page = json.dumps(done["report"], allow_nan=False), str(done["page"])
+        documents = (
+            JobDocument(REPORT, "application/json", report.encode()),
+            JobDocument(PAGE, "text/html", page.encode()),
+        )
+        verdict = done["report"]["verdict"]
+        more = {"sha256": answer["sha256"], "seconds": answer["seconds"]}
+        return of_diagnosis(errand.item, done["summary"], verdict, documents, **more)
+
+    async def cancelled(self, errand: Errand) -> str:
+        """See ItemWork."""
+        return "The campaign was cancelled."
+
+
+@dataclass(frozen=True)
+class Archive:
+    """The campaigns of a data directory that no service runs now."""
+
+    store: Store
+    campaigns: Campaigns
+    book: JobBook
+
+    async def fit(self, folder: Path, pattern: str, method: str, options: Mapping[str, Any], **more: Any) -> Job:
+        """A method on each file; `more`: `reading` and `at_once`. Raises InvalidInputError."""
+        if method not in METHODS:
+            raise InvalidInputError(f"there is no method {method!r}; there are {', '.join(METHODS)}")
+        require_finite(options)
+        return await self._begin(CampaignTask.FIT, folder, pattern, {"method": method, "options": options, **more})
+
+    async def gap(self, folder: Path, pattern: str, sim: Path | None, nominal: Sequence[Path], **more: Any) -> Job:
+        """A diagnosis of each file; `more`: `reading` and `at_once`. Raises InvalidInputError."""
+        beside = {"sim": None if sim is None else _whole(sim), "nominal": [_whole(path) for path in nominal]}
+        return await self._begin(CampaignTask.GAP, folder, pattern, {**beside, **more})
+
+    async def resume(self, job_id: str) -> Job:
+        """Go on with a campaign, whatever stopped it. Raises JobUnknown, IllegalTransition."""
+        self.campaigns.take_up(self.book.handle(job_id))
+        return await self.campaigns.resume(job_id)
+
+    async def _begin(self, task: CampaignTask, folder: Path, pattern: str, options: Mapping[str, Any]) -> Job:
+        found = await asyncio.to_thread(files_of, folder, pattern)
+        chosen = {**options, FOLDER: _whole(folder)}
+        return await self.campaigns.begin(task, chosen, [(path, "") for path in found], attended=True)
+
+
+@asynccontextmanager
+async def archive(data_dir: Path, given: Workers, of_fits: Limits, of_gaps: Limits) -> AsyncIterator[Archive]:
+    """The campaigns of a data directory, with `given` to do their work; what runs at the end is left interrupted.
+
+    Raises
+    ------
+    DataDirLocked
+        If another process owns the data directory.
+    """
+    store = SqliteStore(data_dir)
+    settings = JobSettings()
+    book = JobBook(store, Alone(store), settings.progress_s, time.monotonic, time.time)
+    tasks = JobTasks(settings.retry_s, _never_written, lambda _: None)
+    campaigns = Campaigns(book, tasks, time.monotonic, time.time)
+    lane = asyncio.Semaphore(given.at_once)
+    works: dict[CampaignTask, ItemWork] = {
+        CampaignTask.FIT: FolderFits(given, of_fits, lane),
+        CampaignTask.GAP: FolderGaps(given, of_gaps, lane),
+    }
+    campaigns.works |= works
+    try:
+        book.load()
+        yield Archive(store, campaigns, book)
+    finally:
+        for job_id in tuple(tasks.running):
+            await campaigns.interrupt(job_id)
+        book.close()
+        store.close()
+
+
+def campaign_of(store: Store, job_id: str) -> Job:
+    """The campaign of that id in a store that nothing runs. Raises JobUnknown."""
+    row = store.job(job_id)
+    if row is None or row.kind != CAMPAIGN:
+        raise JobUnknown(f"there is no campaign {job_id} in this data directory")
+    return job_from_row(row)
+
+
+def _whole(path: Path) -> str:
+    return str(path.absolute())
+
+
+async def _never_written(_handle: JobHandle, _reason: str) -> None:
+    """A campaign writes to no vehicle: there is nothing to recover."""
+
+
+async def _on(given: Workers, task: str, order: Json, limits: Limits) -> Json:
+    return await asyncio.get_running_loop().run_in_executor(given.executor, computed, task, order, limits)
+
+
+def _part(errand: Errand) -> Json:
+    path = Path(errand.options[FOLDER]) / errand.item.subject
+    return {"path": str(path), "reading": dict(errand.options.get("reading") or {})}
+
+
+def _failed(error: Mapping[str, str], errand: Errand) -> ItemEnd:
+    """How an item ends whose file could not be fitted; the folder is no part of the reason."""
+    text = error["text"].replace(f"{errand.options[FOLDER]}/", "")
+    return ItemEnd(ItemOutcome.FAILED, text[:1].upper() + text[1:], error["code"])

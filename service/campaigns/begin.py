@@ -1,0 +1,161 @@
+"""Begins a campaign once what it is to do is found to make sense; and what each task does in a running service."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.procedures.registry import specification, validate_options
+from mavcal.service.campaigns.selection import Selectable, Selection, selected
+from mavcal.service.campaigns.uploads import UploadFits, UploadGaps
+from mavcal.service.campaigns.vehicles import VEHICLES_AT_ONCE, CalibrationWork, Patience, PreflightWork
+from mavcal.service.errors import Forbidden
+from mavcal.service.jobs.admission import require_finite
+from mavcal.service.jobs.campaigns import CampaignTask, ItemWork
+from mavcal.service.jobs.engine import JobEngine
+from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.planning import checked_plan_options, confirmed, require_sensors_of
+from mavcal.service.jobs.port import Computations, VehicleSource
+from mavcal.service.store.rows import RecordingRow
+
+
+def works(engine: JobEngine, source: VehicleSource, computations: Computations) -> dict[CampaignTask, ItemWork]:
+    """What a running service does for each task; diagnoses go one after the other, so that fits find a free child."""
+    vehicles, patience = asyncio.Semaphore(VEHICLES_AT_ONCE), Patience(source, engine.settings.return_limit_s)
+    return {
+        CampaignTask.PREFLIGHT: PreflightWork(engine, patience, vehicles),
+        CampaignTask.CALIBRATE: CalibrationWork(engine, patience, vehicles),
+        CampaignTask.FIT: UploadFits(computations, asyncio.Semaphore(computations.at_once)),
+        CampaignTask.GAP: UploadGaps(computations, asyncio.Semaphore(1)),
+    }
+
+
+@dataclass(frozen=True)
+class CalibrationOrder:
+    """What a campaign of calibrations is to do."""
+
+    kind: str
+    options: Mapping[str, Any]
+    plan_options: Mapping[str, Any]
+    apply: bool = False
+    """Accept every plan that nothing stands against."""
+    reboot: bool = False
+    """Restart a vehicle whose plan needs it; otherwise such a plan stays in review."""
+    actor: str = "operator"
+
+
+@dataclass(frozen=True)
+class CampaignDesk:
+    """Where campaigns are asked for. `at_once` bounds the items of one campaign; None: its queue alone does."""
+
+    engine: JobEngine
+    computations: Computations
+    read_only: bool = False
+
+    async def preflight(
+        self,
+        vehicles: Iterable[Selectable],
+        selection: Selection,
+        *,
+        at_once: int | None = None,
+        attended: bool = False,
+    ) -> Job:
+        """A preflight of each vehicle. Raises InvalidInputError, CampaignsBusy."""
+        return await self._begin(CampaignTask.PREFLIGHT, {}, selected(vehicles, selection), at_once, attended)
+
+    async def calibrate(
+        self,
+        vehicles: Iterable[Selectable],
+        selection: Selection,
+        order: CalibrationOrder,
+        *,
+        at_once: int | None = None,
+        attended: bool = False,
+    ) -> Job:
+        """A calibration of each vehicle.
+
+        Raises
+        ------
+        InvalidInputError
+            If the kind or an option is unknown, or a confirmation is given, which is said of one plan.
+        Forbidden
+            If plans are to be written and this service never writes.
+        CampaignsBusy
+        """
+        spec = specification(order.kind)
+        if order.apply and self.read_only:
+            raise Forbidden("this service runs with --read-only and never writes: begin the campaign without apply")
+        given = confirmed(order.plan_options)
+        if given:
+            raise InvalidInputError(f"{given[0]} is said of one plan that was looked at: accept that plan by itself")
+        require_sensors_of(spec, order.plan_options)
+        options = {
+            "kind": spec.kind,
+            "options": dict(validate_options(order.kind, order.options)),
+            "plan_options": checked_plan_options(order.plan_options),
+            "apply": order.apply,
+            "reboot": order.reboot,
+            "actor": order.actor,
+        }
+        return await self._begin(CampaignTask.CALIBRATE, options, selected(vehicles, selection), at_once, attended)
+
+    async def fit(
+        self,
+        uploads: Iterable[RecordingRow],
+        selection: Selection,
+        method: str,
+        options: Mapping[str, Any],
+        *,
+        at_once: int | None = None,
+    ) -> Job:
+        """A method on each upload. Raises RecordingUnknown, InvalidInputError, CampaignsBusy."""
+        require_finite(options)
+        order = {"method": method, "options": dict(options)}
+        return await self._of_uploads(CampaignTask.FIT, order, uploads, selection, at_once)
+
+    async def gap(
+        self,
+        uploads: Iterable[RecordingRow],
+        selection: Selection,
+        sim: str | None,
+        nominal: Sequence[str],
+        *,
+        at_once: int | None = None,
+    ) -> Job:
+        """A diagnosis of each upload. Raises RecordingUnknown, InvalidInputError, CampaignsBusy."""
+        beside = (*(() if sim is None else (sim,)), *nominal)
+        for upload in beside:
+            self.computations.check(upload)
+        order = {"sim": sim, "nominal": list(nominal)}
+        others = [row for row in uploads if selection.ids is not None or row.id not in beside]
+        return await self._of_uploads(CampaignTask.GAP, order, others, selection, at_once)
+
+    async def _of_uploads(
+        self,
+        task: CampaignTask,
+        order: Mapping[str, Any],
+        uploads: Iterable[RecordingRow],
+        selection: Selection,
+        at_once: int | None,
+    ) -> Job:
+        names = {row.id: row.name for row in uploads}
+        chosen = tuple(names) if selection.ids is None else selection.ids
+        for upload in chosen[:1] if selection.ids is None else chosen:
+            self.computations.check(upload, order.get("method"))
+        return await self._begin(task, order, chosen, at_once, attended=False, names=names)
+
+    async def _begin(
+        self,
+        task: CampaignTask,
+        options: Mapping[str, Any],
+        subjects: Sequence[str],
+        at_once: int | None,
+        attended: bool,
+        names: Mapping[str, str] | None = None,
+    ) -> Job:
+        named = [(subject, (names or {}).get(subject, "")) for subject in subjects]
+        chosen = {**options, "at_once": at_once}
+        return await self.engine.campaigns.begin(task, chosen, named, attended=attended)

@@ -1,0 +1,52 @@
+"""The outcome of a campaign as a table."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable
+from datetime import UTC, datetime
+
+from mavcal.service.jobs.items import Item
+
+COLUMNS = ("item", "subject", "name", "outcome", "code", "text", "job", "begun_utc", "ended_utc", "seconds")
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+"""How a cell begins that a spreadsheet would compute."""
+
+
+def head() -> str:
+    """The first line of the CSV."""
+    return _lines([COLUMNS])
+
+
+def lines(items: Iterable[Item]) -> str:
+    """One line an item."""
+    return _lines(map(_cells, items))
+
+
+def _cells(item: Item) -> tuple[str, ...]:
+    texts = (item.subject, item.name, item.outcome.value, item.code, item.text, item.job_id or "")
+    return (str(item.number), *map(_inert, texts), _utc(item.began_at), _utc(item.ended_at), _seconds(item))
+
+
+def _seconds(item: Item) -> str:
+    """How long its work took; where a worker measured that, without the wait for the worker."""
+    measured = (item.result or {}).get("seconds")
+    if measured is None and item.began_at is not None and item.ended_at is not None:
+        measured = item.ended_at - item.began_at
+    return "" if measured is None else f"{measured:.3f}"
+
+
+def _inert(text: str) -> str:
+    """Names come from whoever uploads: none is a formula in somebody's spreadsheet."""
+    return f"'{text}" if text.startswith(_FORMULA) else text
+
+
+def _utc(at: float | None) -> str:
+    return "" if at is None else datetime.fromtimestamp(at, UTC).isoformat(timespec="milliseconds")
+
+
+def _lines(rows: Iterable[Iterable[str]]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\r\n").writerows(rows)
+    return text.getvalue()

@@ -1,0 +1,70 @@
+"""Campaigns through uploads: a fit or a diagnosis of each, in a child process with limits."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+from mavcal.calib.report import to_json
+from mavcal.service.computations import REPORT
+from mavcal.service.errors import ChildrenBusy
+from mavcal.service.jobs.campaigns import Errand
+from mavcal.service.jobs.computing import MOST_STARTS
+from mavcal.service.jobs.items import ItemEnd, of_diagnosis, of_fits
+from mavcal.service.jobs.port import Computations
+
+T = TypeVar("T")
+
+_PAUSE_S = 0.5
+_CANCELLED = "The campaign was cancelled; the computation was ended."
+
+
+@dataclass
+class UploadFits:
+    """A method on each upload. Options: `method`, `options`."""
+
+    computations: Computations
+    lane: asyncio.Semaphore
+    most_starts: int | None = MOST_STARTS
+
+    async def run(self, errand: Errand) -> ItemEnd:
+        """See ItemWork."""
+        method, options = errand.options["method"], errand.options["options"]
+        fits = await _patiently(lambda: self.computations.fit(errand.item.subject, method, options))
+        return of_fits(to_json(fits), method)
+
+    async def cancelled(self, errand: Errand) -> str:
+        """See ItemWork."""
+        return _CANCELLED
+
+
+@dataclass
+class UploadGaps:
+    """A diagnosis of each upload against the same simulation. Options: `sim`, `nominal`."""
+
+    computations: Computations
+    lane: asyncio.Semaphore
+    most_starts: int | None = MOST_STARTS
+
+    async def run(self, errand: Errand) -> ItemEnd:
+        """See ItemWork."""
+        sim, nominal = errand.options["sim"], errand.options["nominal"]
+        found = await _patiently(lambda: self.computations.diagnose(errand.item.subject, sim, nominal))
+        verdict = next((json.loads(d.body)["verdict"] for d in found.documents if d.name == REPORT), "")
+        return of_diagnosis(errand.item, found.summary, verdict, found.documents)
+
+    async def cancelled(self, errand: Errand) -> str:
+        """See ItemWork."""
+        return _CANCELLED
+
+
+async def _patiently(compute: Callable[[], Awaitable[T]]) -> T:
+    """Nobody waits for an item: where the children are busy it waits too."""
+    while True:
+        try:
+            return await compute()
+        except ChildrenBusy:
+            await asyncio.sleep(_PAUSE_S)

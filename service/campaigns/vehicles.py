@@ -1,0 +1,204 @@
+"""Campaigns through vehicles: a preflight of each, or a calibration of each as a job of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+from mavcal.calib.preflight.check import Verdict
+from mavcal.service.errors import ServiceError, VehicleUnknown
+from mavcal.service.jobs.campaigns import Errand
+from mavcal.service.jobs.codec import to_json
+from mavcal.service.jobs.engine import JobEngine
+from mavcal.service.jobs.items import ItemEnd, ItemOutcome
+from mavcal.service.jobs.model import Accept, Failure, Job
+from mavcal.service.jobs.port import VehicleSource
+from mavcal.service.jobs.preflight import Preflight
+from mavcal.service.jobs.states import CANCELLABLE, ENDED, WRITING, JobState
+
+VEHICLES_AT_ONCE = 32
+"""Vehicles that all campaigns together work with at a time."""
+DOUBT_S = 120.0
+"""How long an item waits for a write in doubt; the job itself goes on until it is resolved."""
+_LOOK_S = 0.1
+_FOR_A_PERSON = frozenset({JobState.WAITING_FOR_OPERATOR, JobState.WAITING_FOR_REBOOT})
+_LOST = frozenset({JobState.CANCELLED, JobState.INTERRUPTED})
+"""Of a job that a stopped service had begun: it came to nothing, and is begun again."""
+BEGUN_BY = "campaign"
+"""Key of a job's context: the campaign that began it, and the number of its item."""
+
+_OUTCOMES = {Verdict.PASS: ItemOutcome.DONE, Verdict.FAIL: ItemOutcome.REFUSED}
+"""Of a preflight; it warns otherwise."""
+
+
+@dataclass(frozen=True)
+class Patience:
+    """Gives vehicles time to be heard again after a restart of the service."""
+
+    source: VehicleSource
+    return_s: float
+    clock: Callable[[], float] = time.monotonic
+
+    async def back(self, vehicle_id: str) -> None:
+        """Return as soon as the vehicle is heard, or has been waited for in vain."""
+        deadline = self.clock() + self.return_s
+        while self.clock() < deadline:
+            with suppress(VehicleUnknown):
+                if not self.source.vehicle(vehicle_id).condition().silent:
+                    return
+            await asyncio.sleep(_LOOK_S)
+
+
+@dataclass
+class PreflightWork:
+    """A preflight of each vehicle; nothing is written."""
+
+    engine: JobEngine
+    patience: Patience
+    lane: asyncio.Semaphore
+    most_starts: int | None = None
+
+    async def run(self, errand: Errand) -> ItemEnd:
+        """See ItemWork."""
+        vehicle_id = errand.item.subject
+        if errand.again:
+            await self.patience.back(vehicle_id)
+        return of_preflight(await self.engine.preflight(vehicle_id))
+
+    async def cancelled(self, errand: Errand) -> str:
+        """See ItemWork."""
+        return "The campaign was cancelled. Nothing was written."
+
+
+def of_preflight(found: Preflight) -> ItemEnd:
+    """How an item ends with this report."""
+    verdict = found.report.verdict
+    outcome = _OUTCOMES.get(verdict, ItemOutcome.WARNED)
+    return ItemEnd(outcome, found.report.summary, verdict.value, result={"preflight": to_json(found)})
+
+
+@dataclass
+class CalibrationWork:
+    """A calibration of each vehicle; its plan is accepted if the campaign was begun with `apply`.
+
+    Options: `kind`, `options`, `plan_options`, `apply`, `reboot`, `actor`.
+    """
+
+    engine: JobEngine
+    patience: Patience
+    lane: asyncio.Semaphore
+    most_starts: int | None = None
+    doubt_s: float = DOUBT_S
+
+    async def run(self, errand: Errand) -> ItemEnd:
+        """See ItemWork."""
+        job = self._begun(errand) if errand.again else None
+        if job is None or job.state in _LOST:
+            job = await self._begin(errand)
+        job = await self._settled(job.id, errand)
+        return await self._written(job, errand) if errand.options.get("apply") else of_job(job)
+
+    async def cancelled(self, errand: Errand) -> str:
+        """See ItemWork."""
+        job = self._begun(errand)
+        if job is None:
+            return "The campaign was cancelled. Nothing was begun."
+        if job.state in CANCELLABLE - {JobState.REVIEW}:
+            await self.engine.cancel(job.id)
+            return f"The campaign was cancelled, and job {job.id} with it. Nothing was written."
+        goes_on = ": it goes on by itself" if job.state in WRITING else ""
+        return f"The campaign was cancelled. Job {job.id} is {_worded(job.state)}{goes_on}."
+
+    async def _begin(self, errand: Errand) -> Job:
+        order = errand.options
+        if errand.again:
+            await self.patience.back(errand.item.subject)
+        options, plan_options = order.get("options", {}), order.get("plan_options", {})
+        kind, begun_by = order["kind"], _begun_by(errand)
+        return await self.engine.submit(errand.item.subject, kind, options, plan_options, begun_by=begun_by)
+
+    def _begun(self, errand: Errand) -> Job | None:
+        """The newest job that was begun for an item; None: there is none."""
+        ours = _begun_by(errand)[BEGUN_BY]
+        return next((job for job in reversed(self.engine.list()) if job.context.get(BEGUN_BY) == ours), None)
+
+    async def _settled(self, job_id: str, errand: Errand) -> Job:
+        """The job, once it has ended, or waits in review, or has been in doubt for long."""
+        doubtful: float | None = None
+        while (job := self.engine.get(job_id)).state not in ENDED | {JobState.REVIEW}:
+            if job.state in _FOR_A_PERSON:
+                await errand.place.wait_for_person()
+            if job.state != JobState.IN_DOUBT:
+                doubtful = None
+            elif doubtful is None:
+                doubtful = self.patience.clock()
+            elif self.patience.clock() - doubtful > self.doubt_s:
+                return job
+            await asyncio.sleep(_LOOK_S)
+        return job
+
+    async def _written(self, job: Job, errand: Errand) -> ItemEnd:
+        """Accept the plan of a job in review, once; how the item ends."""
+        reason = _unwritten(job, reboot=bool(errand.options.get("reboot")))
+        if job.state != JobState.REVIEW or job.last_write is not None or reason:
+            return of_job(job, reason)
+        assert job.plan is not None
+        reboot, actor = bool(errand.options.get("reboot")), str(errand.options.get("actor", "operator"))
+        accept = Accept(job.plan.sha256, reboot=reboot, prove_s=0.0, actor=actor)
+        try:
+            await self.engine.apply(job.id, accept)
+        except ServiceError as error:
+            return of_job(self.engine.get(job.id), f"Not written: {error}")
+        return of_job(await self._settled(job.id, errand))
+
+
+def _begun_by(errand: Errand) -> dict[str, Any]:
+    return {BEGUN_BY: {"id": errand.campaign.id, "item": errand.item.number}}
+
+
+def of_job(job: Job, reason: str = "") -> ItemEnd:
+    """How an item ends whose job stands so; `reason` says why its plan was not written."""
+    outcome = _of_state(job.state)
+    code = job.outcome.code if isinstance(job.outcome, Failure) else job.state.value
+    return ItemEnd(outcome, _told(job, reason), code, job.id)
+
+
+def _of_state(state: JobState) -> ItemOutcome:
+    if state == JobState.SUCCEEDED:
+        return ItemOutcome.DONE
+    if state == JobState.REVIEW:
+        return ItemOutcome.REVIEW
+    if state == JobState.CANCELLED:
+        return ItemOutcome.CANCELLED
+    return ItemOutcome.IN_DOUBT if state in WRITING else ItemOutcome.REFUSED
+
+
+def _told(job: Job, reason: str) -> str:
+    if isinstance(job.outcome, Failure):
+        return f"{job.outcome.cause} {job.outcome.remedy}".strip()
+    if job.outcome is not None:
+        return job.outcome.text
+    if job.state == JobState.REVIEW:
+        count = 0 if job.plan is None else len(job.plan.changes)
+        waits = f"A plan of {count} parameter{'' if count == 1 else 's'} waits in review. Nothing was written."
+        return f"{reason} {waits}".strip()
+    return f"Job {job.id} is {_worded(job.state)}."
+
+
+def _worded(state: JobState) -> str:
+    return state.value.replace("_", " ")
+
+
+def _unwritten(job: Job, *, reboot: bool) -> str:
+    """Why the plan of a job in review is left for a person; empty: it is not."""
+    if job.state != JobState.REVIEW or job.plan is None:
+        return ""
+    if job.plan.blockers:
+        return f"It is not to be written as it is: {'; '.join(job.plan.blockers)}."
+    if job.plan.needs_reboot and not reboot:
+        return "It acts only after a restart of the vehicle, which this campaign may not command."
+    return ""

@@ -1,0 +1,250 @@
+"""``mavcal campaign``: the same preflight, calibration, fit or diagnosis for many vehicles or a folder of logs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from mavcal.service.commands.calibrate import KINDS, parsed
+from mavcal.service.commands.config import load_settings
+from mavcal.service.commands.output import json_option
+from mavcal.service.commands.plan_options import given, plan_options
+from mavcal.service.commands.reading import reading_options, split_reading
+
+if TYPE_CHECKING:
+    from mavcal.service.campaigns.archive import Archive
+    from mavcal.service.commands.campaign_run import VehicleWish
+    from mavcal.service.core import Service
+    from mavcal.service.jobs.model import Job
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+OUTCOMES = (
+    *("waiting", "running", "done", "warned", "review"),
+    *("refused", "skipped", "failed", "in_doubt", "cancelled"),
+)
+"""Those of ``service.jobs.items``, stated here so that help does without them (a test compares them)."""
+
+at_once_option = click.option("--at-once", type=click.IntRange(1, 1000), default=None, help="Most items at a time.")
+data_dir_option = click.option(
+    "--data-dir", type=click.Path(path_type=Path), default=None, help="Where everything is kept."
+)
+csv_option = click.option(
+    "--csv", "table", type=click.Path(path_type=Path, dir_okay=False), default=None, help="Write the outcome as CSV."
+)
+executor_option = click.option(
+    "--executor",
+    default="threads",
+    show_default=True,
+    metavar="NAME",
+    help="threads[:N], processes[:N], dask:ADDRESS, or MODULE:FACTORY of any concurrent.futures.Executor.",
+)
+glob_option = click.option("--glob", "pattern", default="*", show_default=True, help="Only files with such a name.")
+
+
+def connect_options(command: Command) -> Command:
+    """Add the options by which vehicles are found."""
+    for option in (
+        click.option("--wait", type=float, default=30.0, show_default=True, help="How long to wait for vehicles, s."),
+        click.option("--vehicle", "ids", multiple=True, metavar="ID", help="Only this one of those; repeated."),
+        click.option("--connect", "urls", required=True, multiple=True, metavar="URL", help="Endpoint; repeated."),
+    ):
+        command = option(command)
+    return command
+
+
+@click.group()
+def command() -> None:
+    """One preflight, calibration, fit or diagnosis for many vehicles, or for every log in a folder, as one job.
+
+    No item ends a campaign: each gets an outcome in words. A campaign that was stopped goes on with `resume`. Exit
+    code 0: every item is done. 1: an item is not. 3: nothing else but a preflight warns.
+    """
+
+
+@command.command()
+@connect_options
+@at_once_option
+@csv_option
+@data_dir_option
+@json_option
+def preflight(
+    urls: tuple[str, ...], ids: tuple[str, ...], wait: float, *, at_once: int | None, data_dir: Path | None, **told: Any
+) -> int:
+    """Check every vehicle that is heard on these endpoints; nothing is written."""
+    from mavcal.service.campaigns.selection import Selection
+    from mavcal.service.commands.campaign_run import VehicleWish, run_vehicles
+
+    async def begin(service: Service, chosen: tuple[str, ...]) -> Job:
+        vehicles = service.vehicles.all()
+        return await service.campaigns.preflight(vehicles, Selection(chosen), at_once=at_once, attended=True)
+
+    return run_vehicles(load_settings(data_dir=data_dir, connect=()), begin, VehicleWish(urls, ids, wait, **told))
+
+
+@command.command()
+@click.argument("kind", type=click.Choice(KINDS))
+@connect_options
+@click.option("--apply", "write", is_flag=True, help="Write every plan that nothing stands against.")
+@click.option("--reboot", is_flag=True, help="With --apply: restart a vehicle whose plan needs it.")
+@click.option("--option", "options", multiple=True, metavar="NAME=VALUE", help="Option of the procedure.")
+@plan_options
+@at_once_option
+@csv_option
+@data_dir_option
+@json_option
+def calibrate(
+    kind: str,
+    urls: tuple[str, ...],
+    ids: tuple[str, ...],
+    wait: float,
+    *,
+    write: bool,
+    reboot: bool,
+    options: tuple[str, ...],
+    at_once: int | None,
+    data_dir: Path | None,
+    table: Path | None,
+    as_json: bool,
+    **more: Any,
+) -> int:
+    """Calibrate every vehicle that is heard on these endpoints; without --apply their plans wait in review."""
+    if reboot and not write:
+        raise click.UsageError("--reboot is a part of writing: give --apply too")
+    from mavcal.service.campaigns.begin import CalibrationOrder
+    from mavcal.service.campaigns.selection import Selection
+    from mavcal.service.commands.campaign_run import VehicleWish, run_vehicles
+
+    order = CalibrationOrder(kind, parsed(options), given(more), write, reboot, "command line")
+
+    async def begin(service: Service, chosen: tuple[str, ...]) -> Job:
+        vehicles, selection = service.vehicles.all(), Selection(chosen)
+        return await service.campaigns.calibrate(vehicles, selection, order, at_once=at_once, attended=True)
+
+    wish = VehicleWish(urls, ids, wait, table, as_json)
+    return run_vehicles(load_settings(data_dir=data_dir, connect=()), begin, wish)
+
+
+@command.command()
+@click.argument("method")
+@click.argument("folder", type=click.Path(path_type=Path))
+@glob_option
+@click.option("--option", "options", multiple=True, metavar="NAME=VALUE", help="Option of the method.")
+@reading_options
+@executor_option
+@at_once_option
+@csv_option
+@data_dir_option
+@json_option
+def fit(
+    method: str,
+    folder: Path,
+    pattern: str,
+    *,
+    options: tuple[str, ...],
+    executor: str,
+    at_once: int | None,
+    data_dir: Path | None,
+    table: Path | None,
+    as_json: bool,
+    **more: Any,
+) -> int:
+    """Run one METHOD of `mavcal fit` on every log below FOLDER. Each is read in a child process with limits."""
+    from mavcal.service.commands.campaign_archive import run_archive
+    from mavcal.service.commands.campaign_told import Telling
+
+    chosen, reading = parsed(options, words=True), split_reading(more)[0]
+
+    async def begin(found: Archive) -> Job:
+        return await found.fit(folder, pattern, method, chosen, reading=reading, at_once=at_once)
+
+    return run_archive(load_settings(data_dir=data_dir, connect=()), executor, begin, Telling(table, as_json))
+
+
+@command.command()
+@click.argument("folder", type=click.Path(path_type=Path))
+@glob_option
+@click.option("--sim", type=click.Path(path_type=Path), default=None, help="A simulator's recording, for all of them.")
+@click.option("--nominal", type=click.Path(path_type=Path), multiple=True, help="Without an effect; repeated.")
+@reading_options
+@executor_option
+@at_once_option
+@csv_option
+@data_dir_option
+@json_option
+def gap(
+    folder: Path,
+    pattern: str,
+    sim: Path | None,
+    nominal: tuple[Path, ...],
+    *,
+    executor: str,
+    at_once: int | None,
+    data_dir: Path | None,
+    table: Path | None,
+    as_json: bool,
+    **more: Any,
+) -> int:
+    """Diagnose the sim-to-real gap of every log below FOLDER. Exit code 1 also if one could not be tested."""
+    from mavcal.service.commands.campaign_archive import run_archive
+    from mavcal.service.commands.campaign_told import Telling
+    from mavcal.service.commands.reading import readable_file
+
+    for path in (*(() if sim is None else (sim,)), *nominal):
+        readable_file(str(path))
+    reading = split_reading(more)[0]
+
+    async def begin(found: Archive) -> Job:
+        return await found.gap(folder, pattern, sim, nominal, reading=reading, at_once=at_once)
+
+    return run_archive(load_settings(data_dir=data_dir, connect=()), executor, begin, Telling(table, as_json))
+
+
+@command.command()
+@click.argument("job")
+@click.option("--connect", "urls", multiple=True, metavar="URL", help="Endpoint of its vehicles; repeated.")
+@click.option("--wait", type=float, default=30.0, show_default=True, help="How long to wait for vehicles, s.")
+@executor_option
+@csv_option
+@data_dir_option
+@json_option
+def resume(
+    job: str,
+    urls: tuple[str, ...],
+    wait: float,
+    *,
+    executor: str,
+    data_dir: Path | None,
+    table: Path | None,
+    as_json: bool,
+) -> int:
+    """Go on with a campaign that was stopped; what has ended is not done again."""
+    from mavcal.service.commands.campaign_archive import is_of_folder, run_archive
+    from mavcal.service.commands.campaign_run import VehicleWish, resumed, run_vehicles
+    from mavcal.service.commands.campaign_told import Telling
+
+    settings = load_settings(data_dir=data_dir, connect=())
+    if is_of_folder(settings.data_dir, job):
+
+        async def begin(found: Archive) -> Job:
+            return await found.resume(job)
+
+        return run_archive(settings, executor, begin, Telling(table, as_json))
+    wish: VehicleWish = VehicleWish(urls, (), wait, table, as_json)
+    return run_vehicles(settings, resumed(job), wish)
+
+
+@command.command()
+@click.argument("job")
+@click.option("--outcome", "outcomes", type=click.Choice(OUTCOMES), multiple=True, help="Only such; repeated.")
+@csv_option
+@data_dir_option
+@json_option
+def items(job: str, outcomes: tuple[str, ...], *, table: Path | None, data_dir: Path | None, as_json: bool) -> int:
+    """List the items of a campaign. The service may go on meanwhile."""
+    from mavcal.service.commands.campaign_told import show_items
+
+    return show_items(load_settings(data_dir=data_dir).data_dir, job, outcomes, table, as_json=as_json)

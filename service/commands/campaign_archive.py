@@ -1,0 +1,74 @@
+"""A campaign through a folder of logs on the command line."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mavcal.service.commands.campaign_told import Telling, followed, tell
+
+if TYPE_CHECKING:
+    from mavcal.service.campaigns.archive import Archive
+    from mavcal.service.campaigns.executors import Workers
+    from mavcal.service.commands.screen import Screen
+    from mavcal.service.jobs.model import Job
+    from mavcal.service.settings import Settings
+
+    Begin = Callable[[Archive], Awaitable[Job]]
+    """Makes the campaign, or goes on with one. Raises ServiceError, CalibError."""
+
+_ALL = 1_000_000
+
+
+def run_archive(settings: Settings, executor: str, begin: Begin, telling: Telling) -> int:
+    """One campaign from `begin` to its end; the exit code."""
+    from mavcal.service.campaigns.executors import workers
+    from mavcal.service.commands.screen import Screen
+    from mavcal.service.logs import configure_logging
+
+    configure_logging(as_json=settings.log_json)
+    with workers(executor) as given:
+        return asyncio.run(_run(settings, given, begin, telling, Screen()))
+
+
+def is_of_folder(data_dir: Path, job_id: str) -> bool:
+    """Whether a job is a campaign through files. Raises JobUnknown, StoreError."""
+    from mavcal.service.campaigns.archive import FOLDER
+    from mavcal.service.errors import JobUnknown
+    from mavcal.service.jobs.campaigns import CAMPAIGN
+    from mavcal.service.store.sqlite import jobs_of
+
+    for row in jobs_of(data_dir):
+        if row.id == job_id and row.kind == CAMPAIGN:
+            return FOLDER in (row.body.get("options") or {})
+    raise JobUnknown(f"there is no campaign {job_id} in this data directory")
+
+
+async def _run(settings: Settings, given: Workers, begin: Begin, telling: Telling, screen: Screen) -> int:
+    from mavcal.service.campaigns.archive import archive
+    from mavcal.service.campaigns.executors import abandon
+    from mavcal.service.children import Limits
+    from mavcal.service.commands.headless import stoppable
+
+    limits = settings.limits
+    of_fits = Limits(limits.file_memory_bytes, limits.file_cpu_s, limits.file_wall_s)
+    of_gaps = Limits(limits.file_memory_bytes, limits.gap_s, limits.gap_s)
+    with stoppable() as caught:
+        try:
+            async with archive(settings.data_dir, given, of_fits, of_gaps) as found:
+                job = await begin(found)
+                screen.line(f"campaign {job.id}")
+                try:
+                    job = await followed(lambda: found.book.handle(job.id).job, screen)
+                except asyncio.CancelledError:
+                    screen.line(f"stopped: `mavcal campaign resume {job.id}` goes on with it", bold=True)
+                    raise
+                rows = await found.store.do(lambda: found.store.items(job.id, limit=_ALL))
+                return tell(job, rows, telling, screen)
+        except asyncio.CancelledError:
+            if not caught:
+                raise
+            abandon()
+            return 128 + caught[0]

@@ -1,0 +1,165 @@
+"""Several vehicles in one run: those of the endpoints that were given, or every one that is heard on the links."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from mavcal.service.commands.config import load_settings
+from mavcal.service.commands.output import EXIT_NO, write_json
+from mavcal.service.errors import ServiceError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from mavcal.service.commands.headless import Earlier
+    from mavcal.service.commands.screen import Screen
+    from mavcal.service.core import Service
+    from mavcal.service.settings import Settings
+    from mavcal.service.vehicle import Vehicle
+
+LISTEN_S = 4.0
+"""How long a link is listened to for further vehicles once the first one is known: heartbeats come every second."""
+
+connect_option = click.option(
+    "--connect", "urls", multiple=True, metavar="URL", help="Endpoint of a vehicle, as udpin:0.0.0.0:14550; several."
+)
+all_option = click.option(
+    "--all",
+    "every",
+    is_flag=True,
+    help="Every vehicle that is heard on each --connect; without --connect, on the links of the settings and of the "
+    "data directory.",
+)
+
+
+@dataclass(frozen=True)
+class Found:
+    """A vehicle at the end of a link, or why there is none."""
+
+    connect: str
+    vehicle: Vehicle | None = None
+    error: ServiceError | None = None
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """Who it is, as JSON."""
+        if self.error is not None:
+            return {"connect": self.connect, "error": {"code": self.error.code, "detail": str(self.error)}}
+        assert self.vehicle is not None
+        return {"connect": self.connect, "vehicle_id": self.vehicle.id}
+
+
+@dataclass(frozen=True)
+class Acted:
+    """What came of one vehicle: whether it is what was asked for, a line for a person, and the same as JSON."""
+
+    good: bool
+    text: str
+    document: dict[str, Any] = field(default_factory=dict)
+
+
+Act = Callable[["Service", "Vehicle"], Awaitable[Acted]]
+
+
+@dataclass(frozen=True)
+class Whom:
+    """The vehicles that a command is about."""
+
+    urls: tuple[str, ...]
+    every: bool
+    wait_s: float
+
+    def settings(self, data_dir: Path | None) -> Settings:
+        """The settings; their own endpoints count only where no other one is given."""
+        if not self.urls and not self.every:
+            raise click.UsageError("give --connect URL, or --all for every vehicle of the data directory")
+        return load_settings(data_dir=data_dir, connect=() if self.urls else None)
+
+
+async def vehicles_of(service: Service, whom: Whom, screen: Screen) -> list[Found]:
+    """One vehicle an endpoint, or with `every` all of them, each unit once. A link without one tells why."""
+    urls = list(dict.fromkeys(whom.urls)) or [str(link.endpoint) for link in service.links.all()]
+    if not urls:
+        raise click.UsageError("the settings and the data directory remember no link: give --connect URL")
+    async with asyncio.TaskGroup() as group:
+        tasks = [group.create_task(_of_link(service, url, whom, screen)) for url in urls]
+    found = [one for task in tasks for one in task.result()]
+    once: dict[str, Found] = {}
+    for one in found:
+        once.setdefault(one.connect if one.vehicle is None else one.vehicle.id, one)
+    return list(once.values())
+
+
+async def _of_link(service: Service, url: str, whom: Whom, screen: Screen) -> list[Found]:
+    from mavcal.service.commands.headless import heard
+
+    try:
+        vehicle = await heard(service, url, whom.wait_s, screen)
+    except ServiceError as error:
+        return [Found(url, error=error)]
+    if not whom.every:
+        return [Found(url, vehicle)]
+    await asyncio.sleep(LISTEN_S)
+    there = [v for v in service.vehicles.all() if v.link is vehicle.link and v.identity.known]
+    return [Found(url, v) for v in there]
+
+
+def run_every(settings: Settings, whom: Whom, act: Act, *, as_json: bool) -> int:
+    """Do the same with every vehicle, side by side; the exit code is 1 if one of them said no."""
+    from mavcal.service.commands.screen import Screen
+    from mavcal.service.logs import configure_logging
+
+    configure_logging(as_json=settings.log_json)
+    done = asyncio.run(_acted(settings, whom, act, Screen()))
+    if isinstance(done, int):
+        return done
+    if as_json:
+        write_json({"vehicles": [{**found.document, **acted.document} for found, acted in done]})
+    else:
+        for found, acted in done:
+            name = "" if found.vehicle is None else f" {found.vehicle.id}"
+            click.echo(f"{found.connect}{name}: {acted.text}")
+    return 0 if all(acted.good for _, acted in done) else EXIT_NO
+
+
+async def _acted(settings: Settings, whom: Whom, act: Act, screen: Screen) -> list[tuple[Found, Acted]] | int:
+    """What came of every vehicle, or the exit code of a run that was told to stop."""
+    from mavcal.service.commands.headless import earlier, stoppable
+    from mavcal.service.core import running_service
+
+    with stoppable() as caught:
+        try:
+            async with running_service(settings) as service:
+                left = earlier(service)
+                found = await vehicles_of(service, whom, screen)
+                async with asyncio.TaskGroup() as group:
+                    tasks = [group.create_task(_one(service, one, left, act, screen)) for one in found]
+                return list(zip(found, [task.result() for task in tasks], strict=True))
+        except asyncio.CancelledError:
+            if not caught:
+                raise
+            return 128 + caught[0]
+
+
+async def _one(service: Service, found: Found, left: Earlier, act: Act, screen: Screen) -> Acted:
+    from mavcal.service.commands.headless import recovered
+
+    if found.vehicle is None:
+        return Acted(good=False, text=str(found.error))
+    try:
+        await recovered(service, found.vehicle, left, screen)
+        return await act(service, found.vehicle)
+    except ServiceError as error:
+        return Acted(good=False, text=str(error), document={"error": {"code": error.code, "detail": str(error)}})
+
+
+def one_of(urls: Sequence[str]) -> str:
+    """The only endpoint. Raises click.UsageError if there is another number of them."""
+    if len(urls) != 1:
+        raise click.UsageError("give one --connect URL, or --all for several vehicles")
+    return urls[0]

@@ -1,0 +1,57 @@
+"""What happens to jobs anywhere, told here: the events of the database, in their order, as they come."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import suppress
+
+import structlog
+
+from mavcal.service.errors import StoreError
+from mavcal.service.jobs.book import JobBook
+from mavcal.service.store.protocol import Store
+from mavcal.service.store.rows import EventRow, JobRow
+
+log = structlog.get_logger(__name__)
+
+PERIOD_S = 0.5
+"""How late an event of another instance is told; one of ours is told at once."""
+PAGE = 500
+
+
+class Follower:
+    """Reads on after the newest event that was known at the start."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+        self._after = store.last_event_id()
+        self._loop = asyncio.get_running_loop()
+        self._news = asyncio.Event()
+
+    def news(self) -> None:
+        """There is an event to be read; from any thread."""
+        with suppress(RuntimeError):  # the loop has ended
+            self._loop.call_soon_threadsafe(self._news.set)
+
+    async def run(self, book: JobBook) -> None:
+        """Tell the book of every event, for ever."""
+        while True:
+            self._news.clear()
+            try:
+                while await self._page(book):
+                    pass
+            except StoreError as error:
+                log.warning("events were not read", reason=str(error))
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._news.wait(), PERIOD_S)
+
+    async def _page(self, book: JobBook) -> bool:
+        def read() -> tuple[tuple[EventRow, ...], dict[str, JobRow | None]]:
+            events = self._store.events(after=self._after, limit=PAGE)
+            return events, {event.job_id: self._store.job(event.job_id) for event in events if book.asks_for(event)}
+
+        events, rows = await self._store.do(read)
+        for event in events:
+            self._after = event.id
+            book.seen(event, rows.get(event.job_id))
+        return len(events) == PAGE

@@ -1,0 +1,66 @@
+"""What the store asks of a database: one writer, one reader, transactions, and errors of ours.
+
+Statements are the same for every database. They hold to what SQLite and PostgreSQL share: ``?`` for a value, columns by
+name, ``ON CONFLICT``, ``RETURNING``; ``rowid`` is the order in which rows were put in. What differs is here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from typing import Any, Protocol
+
+Row = tuple[Any, ...]
+
+
+class Session(Protocol):
+    """A connection inside a transaction."""
+
+    def execute(self, sql: str, values: Sequence[Any] = ()) -> list[Row]:
+        """Run one statement; the rows that it returns, if any."""
+        ...
+
+
+class Database(Session, Protocol):
+    """One database; its own :meth:`execute` belongs to the transaction that is being written."""
+
+    version: int
+    """Number of the last migration."""
+    audit_end: str
+    """Statement that tells the id of the newest row that the audit trail was ever given; 0: none."""
+
+    def alone(self) -> AbstractContextManager[Any]:
+        """Holds the writing connection for one thread."""
+        ...
+
+    def begin(self, *, durable: bool) -> None:
+        """Begin a transaction; what is not `durable` may be lost with the power, later transactions with it."""
+        ...
+
+    def commit(self) -> None:
+        """End the transaction; if it is durable it would now survive a loss of power."""
+        ...
+
+    def rollback(self) -> None:
+        """Take back what was not committed; without a transaction nothing happens."""
+        ...
+
+    def in_order(self) -> None:
+        """Until the end of this transaction nobody else takes a number of an order that all writers share."""
+        ...
+
+    def read(self, sql: str, values: Sequence[Any] = ()) -> list[Row]:
+        """Rows as they were committed last, without waiting for the writer."""
+        ...
+
+    def snapshot(self) -> AbstractContextManager[Session]:
+        """Several statements that see one state of the database."""
+        ...
+
+    def errors(self) -> AbstractContextManager[Any]:
+        """Turns errors of the database into StoreError, or DiskFull."""
+        ...
+
+    def close(self) -> None:
+        """Close every connection."""
+        ...
