@@ -48,7 +48,9 @@ def test_a_gyro_is_off_by_the_change_of_its_offset(ardupilot_parameters, ardupil
     assert effect.after == pytest.approx(math.degrees(1e-3), rel=1e-3)
     assert text_of(effect) == "rate at rest off by up to 1.1 deg/s now, good to 0.057 deg/s afterwards"
     assert headline_of([effect]) == "Rate at rest is wrong by up to 1.1 deg/s, and will be good to 0.057 deg/s."
-    assert headline_of([effect], done=True) == "Rate at rest was wrong by up to 1.1 deg/s, and is good to 0.057 deg/s now."
+    assert (
+        headline_of([effect], done=True) == "Rate at rest was wrong by up to 1.1 deg/s, and is good to 0.057 deg/s now."
+    )
 
 
 def test_an_accelerometer_is_off_by_what_its_old_calibration_makes_of_gravity(
