@@ -479,17 +479,26 @@ class RecordingModel(Answer):
 
 
 class RegistrationModel(Answer):
-    """How BlueOS lists a service."""
+    """How BlueOS lists a service; it drops the whole if one of the first seven is missing."""
 
     name: str
     description: str
     icon: str
+    """Name of an icon of Material Design Icons."""
     company: str
     version: str
     webpage: str
     api: str
-    works_in_relative_paths: bool
+    """Address of the API's page, relative to the root of the service."""
+    route: str
+    """Address of the panel below the root; empty: the root itself."""
     new_page: bool
+    """Whether it opens in a page of its own."""
+    extra_query: str
+    avoid_iframes: bool
+    works_in_relative_paths: bool
+    extras: dict[str, str]
+    """Addresses of manifests for other hosts, by host."""
 
 
 class SensorEffectModel(Answer):

@@ -32,6 +32,7 @@ from mavcal.service.api.middleware import Envelope
 from mavcal.service.api.problems import install_problem_handlers
 from mavcal.service.api.security import RequestGuard, check_exposure
 from mavcal.service.core import running_service
+from mavcal.service.hosts import DESCRIPTION
 from mavcal.service.settings import Settings
 
 
@@ -54,7 +55,7 @@ def create_app(settings: Settings) -> FastAPI:
     app = FastAPI(
         title="mavcal",
         version=calib.__version__,
-        description=host.DESCRIPTION,
+        description=DESCRIPTION,
         lifespan=lifespan,
         servers=[{"url": "."}],  # relative: the service may live behind any path prefix
         docs_url=None,  # the built-in pages and redirects name absolute addresses

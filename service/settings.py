@@ -21,6 +21,8 @@ from mavcal.service.reach import DEFAULT, checked_entry
 
 TAG = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,39}$"
 """A tag of a vehicle."""
+BLUEOS_HOSTS = ("blueos.local", "blueos-hotspot.local", "blueos-wifi.local", "192.168.2.2")
+"""Under which a browser addresses BlueOS, which hands requests on to the service by a path."""
 ORIGIN = r"^https?://(\[[0-9a-f:]+\]|[a-z0-9.-]+)(:[0-9]{1,5})?$"
 """One exact origin, as browsers send it; no pattern, no path."""
 SIGNING_KEY = "[0-9a-fA-F]{64}"
@@ -201,6 +203,10 @@ class Settings(BaseSettings):
     allowed_hosts: tuple[str, ...] = Field(
         default=(), description="further host names under which the service may be addressed"
     )
+    blueos: bool = Field(
+        default=False,
+        description="inside BlueOS: answer as `blueos.local` too, and let its pages show the panel in a frame",
+    )
     allowed_origins: tuple[Annotated[str, Field(pattern=r"^https?://[^/\s]+$")], ...] = Field(
         default=(),
         description="further origins, as `https://boat.local`, whose pages may change something: of a proxy in front",
@@ -233,6 +239,21 @@ class Settings(BaseSettings):
     def uploads(self) -> Path:
         """Folder of uploaded recordings."""
         return self.uploads_dir or self.data_dir / "recordings"
+
+    @property
+    def hosts(self) -> tuple[str, ...]:
+        """Host names under which the service may be addressed, besides loopback."""
+        return (*self.allowed_hosts, *(BLUEOS_HOSTS if self.blueos else ()))
+
+    @property
+    def blueos_origins(self) -> tuple[str, ...]:
+        """Origins of the pages of BlueOS."""
+        return tuple(f"http://{host}" for host in BLUEOS_HOSTS) if self.blueos else ()
+
+    @property
+    def ancestors(self) -> tuple[str, ...]:
+        """Origins that may show the panel in a frame."""
+        return (*self.frame_ancestors, *self.blueos_origins)
 
     @property
     def beyond_loopback(self) -> bool:

@@ -1070,17 +1070,26 @@ export interface RecordingModel {
   inspection: Record<string, unknown>;
 }
 
-/** How BlueOS lists a service. */
+/** How BlueOS lists a service; it drops the whole if one of the first seven is missing. */
 export interface RegistrationModel {
   name: string;
   description: string;
+  /** Name of an icon of Material Design Icons. */
   icon: string;
   company: string;
   version: string;
   webpage: string;
+  /** Address of the API's page, relative to the root of the service. */
   api: string;
-  works_in_relative_paths: boolean;
+  /** Address of the panel below the root; empty: the root itself. */
+  route: string;
+  /** Whether it opens in a page of its own. */
   new_page: boolean;
+  extra_query: string;
+  avoid_iframes: boolean;
+  works_in_relative_paths: boolean;
+  /** Addresses of manifests for other hosts, by host. */
+  extras: Record<string, string>;
 }
 
 /** Put the last verified calibration back. */

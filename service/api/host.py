@@ -22,14 +22,14 @@ from mavcal.service.api.models import (
     RegistrationModel,
     TicketModel,
 )
+from mavcal.service.api.models.base import Json
 from mavcal.service.api.problems import explanations
 from mavcal.service.api.security import TICKET_S, RequestGuard, Scope, require
+from mavcal.service.hosts import cockpit_manifest, registration
 
 router = APIRouter(tags=["host"])
 READ = Depends(require(Scope.READ))
 ADMIN = Depends(require(Scope.ADMIN))
-
-DESCRIPTION = "Calibrates the sensors of MAVLink vehicles from the ground, and proves that the result took effect."
 
 
 @router.get("/healthz", operation_id="get_health")
@@ -69,17 +69,13 @@ async def info() -> InfoModel:
 @router.get("/register_service", operation_id="get_registration")
 async def register_service() -> RegistrationModel:
     """How BlueOS lists the service."""
-    return RegistrationModel(
-        name="mavcal",
-        description=DESCRIPTION,
-        icon="mdi-compass-outline",
-        company="mavcal",
-        version=calib.__version__,
-        webpage=".",
-        api="docs",
-        works_in_relative_paths=True,
-        new_page=False,
-    )
+    return RegistrationModel.model_validate(registration())
+
+
+@router.get("/cockpit_extras.json", include_in_schema=False)
+async def cockpit_extras() -> Json:
+    """What Cockpit shows of the service: a widget with the state of the calibrations."""
+    return cockpit_manifest()
 
 
 @router.get(

@@ -35,7 +35,7 @@ class Envelope:
         self._window_s = settings.limits.body_window_s
         self._streams = 0
         self._most_streams = settings.limits.streams
-        shown_by = " ".join(settings.frame_ancestors) or "'none'"
+        shown_by = " ".join(settings.ancestors) or "'none'"
         ancestors = f"frame-ancestors {shown_by}"
         self._policy = (
             "default-src 'self'; img-src 'self' data:; object-src 'none'; base-uri 'none'; form-action 'self'; "

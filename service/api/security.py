@@ -74,8 +74,8 @@ class RequestGuard:
 
     def __init__(self, settings: Settings, clock: Callable[[], float] = time.monotonic) -> None:
         self._keys: Mapping[str, ApiKey] = {key.sha256: key for key in settings.api_keys}
-        self._hosts = {h.lower() for h in settings.allowed_hosts}
-        self._origins = {_origin(o) for o in settings.allowed_origins}
+        self._hosts = {h.lower() for h in settings.hosts}
+        self._origins = {_origin(o) for o in (*settings.allowed_origins, *settings.blueos_origins)}
         self._guests = {_origin(o) for o in settings.cors_origins}
         self._loopback_only = not settings.beyond_loopback
         self._clock = clock

@@ -11,13 +11,14 @@ import { logRoom } from "./log.js";
 import { gapRoom } from "./gap.js";
 import { historyRoom } from "./history.js";
 import { setupRoom } from "./setup.js";
+import { widgetRoom } from "./widget.js";
 
 /** @import { View } from "../core/dom.js" */
 /** @typedef {typeof import("../core/store.js").store} Store */
 
 /** @type {Record<string, (store: Store) => View>} */
 const ROOMS = {
-  home, vehicle: vehicleRoom, job: jobRoom, logs: logsRoom, log: logRoom, gap: gapRoom, history: historyRoom, setup: setupRoom,
+  home, vehicle: vehicleRoom, job: jobRoom, logs: logsRoom, log: logRoom, gap: gapRoom, history: historyRoom, setup: setupRoom, widget: widgetRoom,
 };
 
 /** @param {Store} store @returns {View[]} */

@@ -36,14 +36,18 @@ class InfoModel(BaseModel):
 
 
 class RegistrationModel(BaseModel):
-    """How BlueOS lists a service."""
+    """How BlueOS lists a service; it drops the whole if one of the first seven is missing."""
 
     name: str
     description: str
-    icon: str
+    icon: str = Field(description="name of an icon of Material Design Icons")
     company: str
     version: str
     webpage: str
-    api: str
+    api: str = Field(description="address of the API's page, relative to the root of the service")
+    route: str = Field(description="address of the panel below the root; empty: the root itself")
+    new_page: bool = Field(description="whether it opens in a page of its own")
+    extra_query: str
+    avoid_iframes: bool
     works_in_relative_paths: bool
-    new_page: bool
+    extras: dict[str, str] = Field(description="addresses of manifests for other hosts, by host")
