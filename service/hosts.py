@@ -48,7 +48,7 @@ def cockpit_manifest() -> dict[str, Any]:
         "startCollapsed": True,
         "useExtensionPathAsBaseUrl": True,
     }
-    return both_spellings(
+    found: dict[str, Any] = both_spellings(
         {
             "targetSystem": "Cockpit",
             "targetCockpitApiVersion": "1.0.0",
@@ -57,6 +57,7 @@ def cockpit_manifest() -> dict[str, Any]:
             "joystickSuggestions": [],
         }
     )
+    return found
 
 
 def both_spellings(value: Any) -> Any:

@@ -6,9 +6,8 @@ import asyncio
 import dataclasses
 import time
 import uuid
-from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Any
 
@@ -19,12 +18,11 @@ from mavcal.calib.report import to_json
 from mavcal.service.errors import (
     AnswerRefused,
     Forbidden,
-    IdempotencyConflict,
     IllegalTransition,
     NotCancellable,
     NotRevertible,
-    VehicleUnknown,
 )
+from mavcal.service.jobs.acceptance import Acceptance
 from mavcal.service.jobs.admission import (
     request_digest,
     require_acceptable,
@@ -53,7 +51,6 @@ from mavcal.service.jobs.planning import (
 )
 from mavcal.service.jobs.port import Computations, JobVehicle, NoUploads, VehicleSource
 from mavcal.service.jobs.preflight import Preflight, Preflights
-from mavcal.service.jobs.ready import look_after
 from mavcal.service.jobs.record import JobRecord, NoRecord
 from mavcal.service.jobs.restoring import planned_restore, require_restorable, restored
 from mavcal.service.jobs.resumption import Resumption
@@ -62,10 +59,9 @@ from mavcal.service.jobs.settings import JobSettings
 from mavcal.service.jobs.states import CANCELLABLE, CAPTURING, ENDED, JobState
 from mavcal.service.jobs.tasks import JobTasks, Work
 from mavcal.service.jobs.tidying import Tidying
-from mavcal.service.jobs.transaction import Transaction
 from mavcal.service.jobs.verified import history_of, verified_jobs
-from mavcal.service.jobs.verify import StreamProof
-from mavcal.service.jobs.write import Writing, check_plan
+from mavcal.service.jobs.write import check_plan
+from mavcal.service.jobs.writes import Writes
 from mavcal.service.store.protocol import Store
 from mavcal.service.store.rows import EventRow, JobDocument, JobRow
 
@@ -132,7 +128,8 @@ class JobEngine:
         self.campaigns = Campaigns(self._book, self._tasks, clock, wall)
         """Jobs for many vehicles or logs; what they do is put in before :meth:`start`."""
         self._preflights = Preflights(self.settings, wall, clock)
-        self._claims: set[str] = set()
+        self._writes = Writes(vehicles, self.settings, clock=clock, reach=reach)
+        self._acceptance = Acceptance(store, wall)
         self._resumption = Resumption(
             self._tasks, self.settings.recovery_alone_s, recover=self._recover, resume=self._resume
         )
@@ -171,7 +168,7 @@ class JobEngine:
 
     async def _recovered(self, handle: JobHandle, reason: str) -> None:
         await doubt(handle, reason)
-        await self._transaction(handle).resolve()
+        await self._writes.transaction(handle).resolve()
 
     def _resume(self, handle: JobHandle) -> None:
         state, kind = handle.job.state, handle.job.kind
@@ -244,9 +241,8 @@ class JobEngine:
         require_ready(vehicle, busy=True)  # which is one of the checks
         with self._preflights.claimed(vehicle.id):
             await self._tidying.before_capture(vehicle.id)
-            return await self._record.keep_preflight(
-                await self._preflights.run(vehicle, self._history, heading=heading)
-            )
+            found = await self._preflights.run(vehicle, self._history, heading=heading)
+            return await self._record.keep_preflight(found)
 
     async def restore(self, vehicle_id: str, plan_options: Mapping[str, Any] | None = None) -> Job:
         """A job that plans to put the last verified calibration back, mapped by device id; then in review or failed.
@@ -263,11 +259,7 @@ class JobEngine:
         require_ready(vehicle)
         await require_restorable(vehicle, self._history)
         self._require_free(vehicle.id)
-        now = self._wall()
-        job = Job(uuid.uuid4().hex[:12], vehicle.id, RESTORE, {}, JobState.FITTING, now, now, context=context)
-        handle = await self._book.new(job)
-        self._tasks.spawn(handle, self._adoption(handle))
-        return handle.job
+        return await self._begun(self._made(vehicle, RESTORE, {}, context), self._adoption)
 
     async def submit(
         self,
@@ -303,13 +295,8 @@ class JobEngine:
         if vehicle.identity.firmware is None:
             await vehicle.identify()
             self._require_free(vehicle.id)
-        now = self._wall()
-        job = Job(
-            uuid.uuid4().hex[:12], vehicle.id, spec.kind, dict(chosen), JobState.QUEUED, now, now, context=context
-        )
-        handle = await self._book.new(job)
-        self._tasks.spawn(handle, partial(self._captured, handle))
-        return handle.job
+        job = dataclasses.replace(self._made(vehicle, spec.kind, chosen, context), state=JobState.QUEUED)
+        return await self._begun(job, lambda handle: partial(self._captured, handle))
 
     async def adopt(
         self,
@@ -334,14 +321,8 @@ class JobEngine:
         vehicle = self._vehicles.vehicle(vehicle_id)
         self._require_free(vehicle.id)
         require_ready(vehicle)
-        now = self._wall()
         chosen = {"recording": recording, "method": method, "options": dict(options)}
-        job = Job(
-            uuid.uuid4().hex[:12], vehicle.id, FROM_RECORDING, chosen, JobState.FITTING, now, now, context=context
-        )
-        handle = await self._book.new(job)
-        self._tasks.spawn(handle, self._adoption(handle))
-        return handle.job
+        return await self._begun(self._made(vehicle, FROM_RECORDING, chosen, context), self._adoption)
 
     async def cancel(self, job_id: str) -> Job:
         """Cancel a job that has written nothing; what it recorded is kept. Raises NotCancellable."""
@@ -420,35 +401,29 @@ class JobEngine:
         """
         handle = self._book.handle(job_id)
         digest = request_digest(job_id, accept)
-        used = None
-        if idempotency_key is not None:
-            used = await self._store.do(partial(self._store.idempotency_key, idempotency_key))
-        if used is not None:
-            if used != (digest, job_id):
-                raise IdempotencyConflict
+        if await self._acceptance.known(idempotency_key, digest, job_id):
             return handle.job
         self._require_writing()
         require_acceptable(handle.job, accept)
         self._require_free(require_vehicle(handle.job), besides=job_id)
         require_ready(self._vehicles.vehicle(require_vehicle(handle.job)), busy=True)
-        await check_plan(self._attempt(dataclasses.replace(handle.job, accept=accept), handle))
+        await check_plan(self._writes.attempt(dataclasses.replace(handle.job, accept=accept), handle))
         require_acceptable(handle.job, accept)  # it may have been accepted, or planned again, meanwhile
         self._require_free(require_vehicle(handle.job), besides=job_id)
         said = {"plan_sha256": accept.plan_sha256, "confirmed": confirmed(handle.job.context.get("plan_options", {}))}
-        with self._claimed(job_id):
-            await self._audit(accept.actor, "apply", job_id, said)
+        with self._acceptance.claimed(job_id):
+            await self._acceptance.note(accept.actor, "apply", job_id, said)
             # First the journal: from the new state on the job has a task, whatever the store does.
             await handle.record(
                 JournalStep.ACCEPTED, plan_sha256=accept.plan_sha256, actor=accept.actor, reboot=accept.reboot
             )
-            if idempotency_key is not None:
-                claim = partial(self._store.claim_idempotency_key, idempotency_key, digest, job_id, self._wall())
-                await self._store.do(claim)
+            await self._acceptance.use(idempotency_key, digest, job_id)
             require_acceptable(handle.job, accept)
             self._require_free(require_vehicle(handle.job), besides=job_id)
         attempt = Attempt(WriteResult.RUNNING, self._wall())
         handle.move(JobState.APPLYING, accept=accept, outcome=None, verification=None, standing=(), last_write=attempt)
-        self._tasks.spawn(handle, partial(self._applied, handle, look=look))
+        known = self._history if look else None
+        self._tasks.spawn(handle, partial(self._writes.applied, handle, self._preflights, self._tidying, known))
         self._reach(At.ACCEPTED)
         return handle.job
 
@@ -465,60 +440,34 @@ class JobEngine:
             raise NotRevertible(f"job {job_id} found nothing to write: there is nothing to take back")
         self._require_free(require_vehicle(handle.job), besides=job_id)
         require_ready(self._vehicles.vehicle(require_vehicle(handle.job)))
-        with self._claimed(job_id):
-            await self._audit(actor, "revert", job_id, {})
+        with self._acceptance.claimed(job_id):
+            await self._acceptance.note(actor, "revert", job_id, {})
             await handle.record(JournalStep.ROLL_BACK, because=BY_OPERATOR)
             self._require_free(require_vehicle(handle.job), besides=job_id)
         handle.move(JobState.ROLLING_BACK, prompt=None)
-        self._tasks.spawn(handle, self._transaction(handle).revert)
+        self._tasks.spawn(handle, self._writes.transaction(handle).revert)
         return handle.job
 
     # --- inside
+
+    def _made(self, vehicle: JobVehicle, kind: str, options: Mapping[str, Any], context: Mapping[str, Any]) -> Job:
+        """A new job of a vehicle, whose fits are to come."""
+        now, new_id = self._wall(), uuid.uuid4().hex[:12]
+        return Job(new_id, vehicle.id, kind, dict(options), JobState.FITTING, now, now, context=dict(context))
+
+    async def _begun(self, job: Job, work: Callable[[JobHandle], Work]) -> Job:
+        handle = await self._book.new(job)
+        self._tasks.spawn(handle, work(handle))
+        return handle.job
 
     def _require_free(self, vehicle_id: str, *, besides: str = "") -> None:
         """Raise PhysicalJobRunning or PreflightRunning if something else claims this vehicle."""
         require_free(vehicle_id, self.list(), besides=besides)
         self._preflights.require_idle(vehicle_id)
 
-    @contextmanager
-    def _claimed(self, job_id: str) -> Iterator[None]:
-        """Nobody else may begin a write of the same job while its accept is on the way to the disk."""
-        if job_id in self._claims:
-            raise IllegalTransition(f"job {job_id} is being accepted or taken back already")
-        self._claims.add(job_id)
-        try:
-            yield
-        finally:
-            self._claims.discard(job_id)
-
-    async def _audit(self, actor: str, action: str, job_id: str, detail: Mapping[str, Any]) -> None:
-        """Keep who asked for a write before it is done. Raises DiskFull."""
-        await self._store.do(partial(self._store.add_audit, self._wall(), actor, action, job_id, detail))
-
     def _require_writing(self) -> None:
         if self._read_only:
             raise Forbidden("this service runs with --read-only and never writes: export the plan instead")
-
-    def _transaction(self, handle: JobHandle) -> Transaction:
-        return Transaction(handle, lambda: self._attempt(handle.job, handle), self.settings.retry_s)
-
-    def _attempt(self, job: Job, handle: JobHandle) -> Writing:
-        """A context for writing, with the vehicle as it is known now."""
-        assert job.plan is not None
-        accept = job.accept or Accept(job.plan.sha256)
-        vehicle = self._vehicles.vehicle(require_vehicle(job))
-        check = StreamProof(handle, vehicle, job.plan, accept.prove_s, self.settings, self._clock)
-        return Writing(handle, vehicle, job.plan, accept, check, self.settings, self._reach)
-
-    async def _applied(self, handle: JobHandle, *, look: bool) -> None:
-        """The write, once nobody puts message rates back any more: it needs the same ones as the capture."""
-        await self._preflights.restored(require_vehicle(handle.job))
-        await self._tidying.before_write(handle)
-        await self._transaction(handle).apply()
-        if look:
-            with suppress(VehicleUnknown):
-                vehicle = self._vehicles.vehicle(require_vehicle(handle.job))
-                await look_after(handle, vehicle, self._preflights, self._history)
 
     async def _history(self, vehicle: JobVehicle) -> tuple[VerifiedCalibration, ...]:
         jobs = verified_jobs(self.list(), vehicle.id, vehicle.identity)

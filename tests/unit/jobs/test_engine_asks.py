@@ -175,7 +175,7 @@ async def test_two_accepts_at_once_are_one_write(vehicle: FakeVehicle) -> None:
     assert job.plan is not None
     accept = Accept(job.plan.sha256)
     async with started(kept(vehicle, job), vehicle) as engine:
-        engine._applied = Idle()  # type: ignore[method-assign]
+        engine._writes.applied = Idle()  # type: ignore[method-assign]
         both = await asyncio.gather(engine.apply("j1", accept), engine.apply("j1", accept), return_exceptions=True)
         assert sorted(type(one).__name__ for one in both) == ["IllegalTransition", "Job"]
         assert [row.step for row in engine._store.journal("j1")].count(JournalStep.ACCEPTED) == 1
@@ -233,7 +233,7 @@ async def test_another_job_that_begins_meanwhile_has_the_vehicle(
         state = JobState.SUCCEEDED
         job = replace(job, state=state, accept=accept)
     async with running(vehicle, job) as engine:
-        audit = engine._audit
+        audit = engine._acceptance.note
 
         async def checked(*_: Any) -> None:
             if moment == "checked":
@@ -245,7 +245,7 @@ async def test_another_job_that_begins_meanwhile_has_the_vehicle(
                 engine._book._hold(bare(JobState.RUNNING, id="j3"))
 
         monkeypatch.setattr(engine_module, "check_plan", checked)
-        engine._audit = audited  # type: ignore[method-assign]
+        engine._acceptance.note = audited  # type: ignore[method-assign]
         with pytest.raises(PhysicalJobRunning, match="j3"):
             await (engine.apply("j1", accept) if request_ == "apply" else engine.revert("j1"))
         assert engine.get("j1").state == state

@@ -254,8 +254,8 @@ async def test_an_accepted_write_begins_with_an_attempt_that_runs(vehicle: FakeV
     applying = Idle()
 
     def prepare(engine: JobEngine) -> None:
-        engine._applied = applying  # type: ignore[method-assign]
-        engine._wall = lambda: 77.0
+        engine._writes.applied = applying  # type: ignore[method-assign]
+        engine._wall = engine._acceptance._wall = lambda: 77.0
 
     async with started(store, vehicle, prepare) as engine:
         accept = Accept(job.plan.sha256, reboot=True, actor="a person")
@@ -270,7 +270,7 @@ async def test_an_accepted_write_begins_with_an_attempt_that_runs(vehicle: FakeV
         assert (said.at, said.actor, said.action, said.subject) == (77.0, "a person", "apply", "j1")
         assert said.detail == {"plan_sha256": job.plan.sha256, "confirmed": []}
         await until(lambda: applying.begun == ["j1"])
-        assert engine._claims == set()
+        assert engine._acceptance._claims == set()
 
 
 async def test_what_was_confirmed_for_a_plan_is_in_the_audit(vehicle: FakeVehicle) -> None:

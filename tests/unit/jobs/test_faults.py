@@ -96,11 +96,14 @@ class Engine(JobEngine):
     def __init__(self, store: SqliteStore, vehicle: FakeVehicle, reach: Callable[[At], None], check: FakeCheck) -> None:
         super().__init__(store, FakeRegistry({vehicle.id: vehicle}), settings=QUICK, reach=reach)
         self.check = check
+        attempt = self._writes.attempt
 
-    def _attempt(self, job: Job, handle: JobHandle) -> Writing:
-        made = super()._attempt(job, handle)
-        made.check = self.check
-        return made
+        def checked(job: Job, handle: JobHandle) -> Writing:
+            made = attempt(job, handle)
+            made.check = self.check
+            return made
+
+        self._writes.attempt = checked  # type: ignore[method-assign]
 
     def stranded(self) -> list[str]:
         """Jobs that are not at an end and have no task."""

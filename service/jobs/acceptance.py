@@ -1,0 +1,49 @@
+"""An accept, or the wish to take back, on its way to the disk: who asked, under which key, one at a time a job."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+
+from mavcal.service.errors import IdempotencyConflict, IllegalTransition
+from mavcal.service.store.protocol import Store
+
+
+class Acceptance:
+    """Keeps accepts before they are acted on."""
+
+    def __init__(self, store: Store, wall: Callable[[], float]) -> None:
+        self._store = store
+        self._wall = wall
+        self._claims: set[str] = set()
+
+    @contextmanager
+    def claimed(self, job_id: str) -> Iterator[None]:
+        """Nobody else may begin a write of the same job while its accept is on the way to the disk."""
+        if job_id in self._claims:
+            raise IllegalTransition(f"job {job_id} is being accepted or taken back already")
+        self._claims.add(job_id)
+        try:
+            yield
+        finally:
+            self._claims.discard(job_id)
+
+    async def known(self, key: str | None, digest: str, job_id: str) -> bool:
+        """Whether this very request was taken before. Raises IdempotencyConflict if its key was used for another."""
+        if key is None:
+            return False
+        used = await self._store.do(partial(self._store.idempotency_key, key))
+        if used is not None and used != (digest, job_id):
+            raise IdempotencyConflict
+        return used is not None
+
+    async def use(self, key: str | None, digest: str, job_id: str) -> None:
+        """Keep that the key was used for this request."""
+        if key is not None:
+            await self._store.do(partial(self._store.claim_idempotency_key, key, digest, job_id, self._wall()))
+
+    async def note(self, actor: str, action: str, job_id: str, detail: Mapping[str, Any]) -> None:
+        """Keep who asked for a write before it is done. Raises DiskFull."""
+        await self._store.do(partial(self._store.add_audit, self._wall(), actor, action, job_id, detail))

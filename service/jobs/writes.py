@@ -1,0 +1,56 @@
+"""The writes of an engine: a context for each, and what comes before and after it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+
+from mavcal.service.errors import VehicleUnknown
+from mavcal.service.jobs.admission import require_vehicle
+from mavcal.service.jobs.crashpoints import CrashPoint
+from mavcal.service.jobs.handle import JobHandle
+from mavcal.service.jobs.model import Accept, Job
+from mavcal.service.jobs.port import VehicleSource
+from mavcal.service.jobs.preflight import History, Preflights
+from mavcal.service.jobs.ready import look_after
+from mavcal.service.jobs.settings import JobSettings
+from mavcal.service.jobs.tidying import Tidying
+from mavcal.service.jobs.transaction import Transaction
+from mavcal.service.jobs.verify import StreamProof
+from mavcal.service.jobs.write import Writing
+
+
+class Writes:
+    """Makes transactions, each with the vehicle as it is known then."""
+
+    def __init__(
+        self, vehicles: VehicleSource, settings: JobSettings, *, clock: Callable[[], float], reach: CrashPoint
+    ) -> None:
+        self._vehicles = vehicles
+        self._settings = settings
+        self._clock, self._reach = clock, reach
+
+    def transaction(self, handle: JobHandle) -> Transaction:
+        """The write of a job."""
+        return Transaction(handle, lambda: self.attempt(handle.job, handle), self._settings.retry_s)
+
+    def attempt(self, job: Job, handle: JobHandle) -> Writing:
+        """A context for writing, with the vehicle as it is known now."""
+        assert job.plan is not None
+        accept = job.accept or Accept(job.plan.sha256)
+        vehicle = self._vehicles.vehicle(require_vehicle(job))
+        check = StreamProof(handle, vehicle, job.plan, accept.prove_s, self._settings, self._clock)
+        return Writing(handle, vehicle, job.plan, accept, check, self._settings, self._reach)
+
+    async def applied(self, handle: JobHandle, preflights: Preflights, tidying: Tidying, look: History | None) -> None:
+        """The write, once nobody puts message rates back any more: it needs the same ones as the capture.
+
+        `look`: what is known of the vehicle, with which it is looked at afterwards; None: it is not.
+        """
+        await preflights.restored(require_vehicle(handle.job))
+        await tidying.before_write(handle)
+        await self.transaction(handle).apply()
+        if look is not None:
+            with suppress(VehicleUnknown):
+                vehicle = self._vehicles.vehicle(require_vehicle(handle.job))
+                await look_after(handle, vehicle, preflights, look)
