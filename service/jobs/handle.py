@@ -53,6 +53,8 @@ class JobHandle:
         self._progress_due = 0.0
         self._owed: list[tuple[Job, str, Json]] = []
         """Changes that are not on the disk yet; belongs to the store's thread."""
+        self._owed_steps: list[tuple[float, JournalStep, Json]] = []
+        """Steps of the journal that are not, likewise."""
 
     @property
     def id(self) -> str:
@@ -111,12 +113,16 @@ class JobHandle:
         await self.store.do(append)
 
     async def record_anyway(self, step: JournalStep, **data: Any) -> None:
-        """Append to the journal if the store works: for steps that recovery would find out by reading the vehicle."""
+        """Append to the journal, later if the store does not work: for steps that recovery finds out by reading the
+        vehicle.
+        """
         try:
             await self.record(step, **data)
         except Exception as error:  # noqa: BLE001 - the vehicle comes first
+            at = self._wall()
+            self.store.soon(lambda: self._owed_steps.append((at, step, data)))
             why = "the disk is full" if isinstance(error, DiskFull) else "the store does not work"
-            self.warn(f"{why}: the last steps of this job are not recorded")
+            self.warn(f"{why}: the last steps of this job are recorded late, or not at all if the service ends now")
 
     def announce(self, kind: str, data: Json) -> None:
         """An event that says again what the job's state says already; lost if the store fails."""
@@ -152,6 +158,10 @@ class JobHandle:
 
     def _save_owed(self) -> None:
         """In the store's thread: what could not be saved is tried again with every later change and step."""
+        while self._owed_steps:
+            at, step, data = self._owed_steps[0]
+            self.store.add_journal(self.id, at, step.value, data)
+            del self._owed_steps[0]
         while self._owed:
             job, kind, data = self._owed[0]
             event = self.store.save_job(row_from_job(job), event=(kind, data))
