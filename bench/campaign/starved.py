@@ -30,6 +30,8 @@ from mavcal.service.store import SqliteStore
 
 BUSY = 12
 """Busy processes beside the service on its one processor: a load of 13, as 25 is on two."""
+NICE = 7
+"""The service gives way to the others, so that its event loop is late by seconds, as on a slower processor."""
 SPEED = 4.0
 LOOK_S = 0.05
 LIMIT_S = 400.0
@@ -42,8 +44,8 @@ class StarvedReport:
     autopilot: str
     ending: Ending
     state: str
-    stopped: int
-    """How often the write stopped on the way."""
+    stopped: tuple[str, ...]
+    """Why the write stopped on the way, each time."""
     late_s: float
     """The longest time by which the event loop came too late."""
     seconds: float
@@ -69,6 +71,7 @@ def run_starved(index: int, seed: int, busy: int = BUSY) -> StarvedReport:
             stack.callback(spinning.kill)
             stack.callback(spinning.stdout.close)
             stack.callback(spinning.stdin.close)
+        os.nice(NICE)  # after the others: this process is to be the last that gets the processor
         before = holding(sim)
         job, stopped, late = asyncio.run(_job(folder, sim))
         ending = _judged(sim, job, before)
@@ -81,7 +84,7 @@ def _spin() -> int:
     return 0
 
 
-async def _job(folder: Path, sim: SimulatedVehicle) -> tuple[Job, int, float]:
+async def _job(folder: Path, sim: SimulatedVehicle) -> tuple[Job, tuple[str, ...], float]:
     late = [0.0]
     settings = replace(SETTINGS, stall_s=60.0)
     store = SqliteStore(folder)
@@ -94,7 +97,7 @@ async def _job(folder: Path, sim: SimulatedVehicle) -> tuple[Job, int, float]:
                 await bench.obeyed(job)
                 await asyncio.sleep(LOOK_S)
         watching.cancel()
-        stopped = sum(row.step == "stopped" for row in store.journal(job.id))
+        stopped = tuple(str(row.data.get("reason")) for row in store.journal(job.id) if row.step == "stopped")
     return job, stopped, late[0]
 
 
@@ -114,12 +117,12 @@ def _judged(sim: SimulatedVehicle, job: Job, before: Holding) -> Ending:
 
 def starved_table(reports: Sequence[StarvedReport]) -> str:
     """Every run."""
-    rows = [(r.autopilot, r.ending, r.stopped, f"{r.late_s:.2f}", f"{r.seconds:.0f}") for r in reports]
-    return table(("autopilot", "ending", "writes stopped", "event loop late by at most (s)", "took (s)"), rows)
+    rows = [(r.autopilot, r.ending, "; ".join(r.stopped) or "never", f"{r.late_s:.2f}", f"{r.seconds:.0f}") for r in reports]
+    return table(("autopilot", "ending", "the write stopped", "event loop late by at most (s)", "took (s)"), rows)
 
 
 def of_starved(reports: Sequence[StarvedReport]) -> list[Criterion]:
     """The criterion that starved runs must meet."""
-    wrong = sum(report.ending != Ending.VERIFIED or report.stopped > 0 for report in reports)
+    wrong = sum(report.ending != Ending.VERIFIED or bool(report.stopped) for report in reports)
     text = f"every write of a service beside {BUSY} busy processes on one processor ends verified, without a stop"
     return [Criterion(text, f"{wrong} of {len(reports)} do not", bool(reports) and not wrong)]

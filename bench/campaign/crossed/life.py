@@ -28,6 +28,9 @@ ARMED_S = 0.7
 """Wall time after which the operator disarms."""
 FAULTY_S = 20.0
 """Wall time after which every fault of the wire and of the vehicle is over: each job has to end."""
+SAVED_S = 5.0
+"""Wall time within which the service has saved what the disk refused, once it takes it again."""
+DISK_TROUBLE = frozenset({Process.FULL, Process.DATABASE})
 BEGUN = frozenset({JobState.REVIEW}) | frozenset(ENDED)
 
 
@@ -81,7 +84,8 @@ class Life:
                 if job.state == JobState.REVIEW and not self.accepted:
                     await self._accept(job)
                 elif job.state in BEGUN:
-                    return job
+                    await asyncio.sleep(SAVED_S if self.cross.process in DISK_TROUBLE else 0.0)
+                    return self.bench.engine.get(job.id)
                 elif job.state in (JobState.VERIFYING, JobState.ROLLING_BACK):
                     await self._let_loose(When.CHECK, job)
                 elif job.state == JobState.IN_DOUBT and job.standing is not self._doubted:

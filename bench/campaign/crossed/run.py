@@ -219,7 +219,10 @@ class _Run:
             self.complaints += checks.lost(self._ledger, store)
             self.complaints += checks.damaged(store)
             self.complaints += checks.overwritten(getattr(self, "_logs", {}))
-            told = job or _kept(store)
+            kept = _kept(store)
+            if job is not None and kept is not None and kept.state != job.state:
+                self.complaints.append(f"the job was {job.state} and is lost as that: the store says {kept.state}")
+            told = job or kept
             if told is None:
                 self.complaints.append("no job is left")
                 return Ending.FAILURE

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Iterator
 from typing import cast
 
@@ -113,3 +114,20 @@ async def test_steps_that_the_disk_refused_are_in_the_journal_once_it_takes_them
     store.close()
     assert steps == ["echo", "undo", "undone"]
     assert "recorded late" in handle.job.warnings[0]
+
+
+async def test_what_the_disk_refused_last_is_saved_without_another_change(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(handle_module, "RETRY_S", 0.01)
+    store = Refusing(None)
+    handle = JobHandle(Job("j1", "v", "gyro", {}, JobState.RUNNING, 0.0, 0.0), store, lambda _: None)
+    handle.change("state", {})
+    await handle.kept()
+    store.refuses = True
+    await handle.record_anyway(JournalStep.CLOSED)
+    handle.move(JobState.FAILED)
+    store.refuses = False
+    async with asyncio.timeout(20):
+        while (row := store.job("j1")) is None or row.state != "failed":  # noqa: ASYNC110 - the store is polled
+            await asyncio.sleep(0.01)
+    assert [step.step for step in store.journal("j1")] == ["closed"]
+    store.close()
