@@ -1,4 +1,7 @@
-"""``python -m bench.campaign [faults|kills|cli|all]``: run, print the tables, exit 1 if a criterion is not met."""
+"""``python -m bench.campaign [faults|kills|cli|crossed|starved|all]``: run, print the tables.
+
+Exit code 1: a criterion is not met.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,7 @@ from bench.campaign.crossed.report import CrossReport
 from bench.campaign.crossed.run import run_cross
 from bench.campaign.crossed.stores import SQLITE, StoreKind
 from bench.campaign.crossed.tables import LEAST_RUNS, cross_tables, of_crosses
-from bench.campaign.document import write_document
+from bench.campaign.document import write_crossed, write_document
 from bench.campaign.fault_run import run_fault
 from bench.campaign.judge import Ending
 from bench.campaign.kill_run import run_kill
@@ -94,6 +97,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     if args.part == "all":
         write_document(DOCUMENT, args.seed, faults, killed, commands, crossed, starved, found)
+    if args.part == "crossed" and len(crossed) >= LEAST_RUNS:
+        name = f"crossed-campaign-{args.store.partition(':')[0].rpartition('.')[2]}.md"
+        write_crossed(DOCUMENT.with_name(name), args.seed, args.store, crossed, found)
     return 0 if all(criterion.met for criterion in found) else 1
 
 

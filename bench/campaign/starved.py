@@ -30,8 +30,6 @@ from mavcal.service.store import SqliteStore
 
 BUSY = 12
 """Busy processes beside the service on its one processor: a load of 13, as 25 is on two."""
-NICE = 7
-"""The service gives way to the others, so that its event loop is late by seconds, as on a slower processor."""
 SPEED = 4.0
 LOOK_S = 0.05
 LIMIT_S = 400.0
@@ -71,7 +69,6 @@ def run_starved(index: int, seed: int, busy: int = BUSY) -> StarvedReport:
             stack.callback(spinning.kill)
             stack.callback(spinning.stdout.close)
             stack.callback(spinning.stdin.close)
-        os.nice(NICE)  # after the others: this process is to be the last that gets the processor
         before = holding(sim)
         job, stopped, late = asyncio.run(_job(folder, sim))
         ending = _judged(sim, job, before)
@@ -117,7 +114,9 @@ def _judged(sim: SimulatedVehicle, job: Job, before: Holding) -> Ending:
 
 def starved_table(reports: Sequence[StarvedReport]) -> str:
     """Every run."""
-    rows = [(r.autopilot, r.ending, "; ".join(r.stopped) or "never", f"{r.late_s:.2f}", f"{r.seconds:.0f}") for r in reports]
+    rows = [
+        (r.autopilot, r.ending, "; ".join(r.stopped) or "never", f"{r.late_s:.2f}", f"{r.seconds:.0f}") for r in reports
+    ]
     return table(("autopilot", "ending", "the write stopped", "event loop late by at most (s)", "took (s)"), rows)
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
+import runpy
 import signal
 import socket
 import subprocess
@@ -15,10 +17,12 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NoReturn
 
 from mavcal.service.simvehicle import SimulatedVehicle
-from mavcal.service.simvehicle.__main__ import main
-from mavcal.service.simvehicle.client import CALL_TIMEOUT_S, free_udp_port
 
 POLL_S = 0.005
+CALL_TIMEOUT_S = 10.0
+PACKAGE = SimulatedVehicle.__module__.rpartition(".")[0]
+for _name in ("server", "ardupilot", "px4"):
+    importlib.import_module(f"{PACKAGE}.{_name}")  # only so that no fork has to; the child is the package's program
 
 
 class Forked:
@@ -83,7 +87,7 @@ class ForkedVehicle(SimulatedVehicle):
     """A simulated vehicle on one link, ``udpout`` or ``tcp``."""
 
     def __init__(self, autopilot: str, *, link: str, seed: int, speed: float, config: Mapping[str, Any]) -> None:
-        port = free_udp_port() if link == "udpout" else 0
+        port = _free_port() if link == "udpout" else 0
         arguments = ["--follow-stdin", "--autopilot", autopilot, f"--{link}", f"127.0.0.1:{port}", "--seed", str(seed)]
         arguments += ["--speed", str(speed), "--config", json.dumps(dict(config))]
         self._said = tempfile.TemporaryFile()  # noqa: SIM115 - closed by stop()
@@ -107,4 +111,16 @@ class ForkedVehicle(SimulatedVehicle):
 
 
 def _vehicle(arguments: Sequence[str]) -> int:
-    return main(arguments)
+    """The program of a simulated vehicle, as ``python -m`` would run it."""
+    sys.argv = [PACKAGE, *arguments]
+    try:
+        runpy.run_module(PACKAGE, run_name="__main__", alter_sys=True)
+    except SystemExit as ended:
+        return int(ended.code or 0)
+    return 0
+
+
+def _free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
