@@ -1,4 +1,7 @@
-"""``python -m bench.campaign [faults|kills|cli|all]``: run, print the tables, exit 1 if a criterion is not met."""
+"""``python -m bench.campaign [faults|kills|cli|crossed|starved|all]``: run, print the tables.
+
+Exit code 1: a criterion is not met.
+"""
 
 from __future__ import annotations
 
@@ -8,35 +11,49 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
 from bench.campaign import criteria, tables
 from bench.campaign.cli_run import cli_kills, run_cli_kill
 from bench.campaign.criteria import Criterion
-from bench.campaign.document import write_document
+from bench.campaign.crossed.plan import cross, crosses
+from bench.campaign.crossed.report import CrossReport
+from bench.campaign.crossed.run import run_cross
+from bench.campaign.crossed.stores import SQLITE, StoreKind
+from bench.campaign.crossed.tables import LEAST_RUNS, cross_tables, of_crosses
+from bench.campaign.document import write_crossed, write_document
 from bench.campaign.fault_run import run_fault
 from bench.campaign.judge import Ending
 from bench.campaign.kill_run import run_kill
 from bench.campaign.kill_scene import REPEATS, kill_of, kills, repetition
 from bench.campaign.report import FaultReport, KillReport
 from bench.campaign.scenario import scenarios
+from bench.campaign.starved import StarvedReport, of_starved, run_starved, starved_table
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "fault-campaign.md"
 RUNS = 224
+STARVED_RUNS = 4
+PARTS = ("faults", "kills", "cli", "crossed", "starved", "all")
 MOST_REPETITIONS = 8
 """A kill that comes a step too late is tried again, so often at most."""
 
 Job = TypeVar("Job")
-Report = TypeVar("Report", FaultReport, KillReport)
+AnyReport = FaultReport | KillReport | CrossReport
+Report = TypeVar("Report", FaultReport, KillReport, CrossReport)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run what is asked for. Exit code 1: a criterion is not met, or the single run asked for has failed."""
     parser = argparse.ArgumentParser(prog="scripts/campaign", description=__doc__)
-    parser.add_argument("part", nargs="?", choices=("faults", "kills", "cli", "all"), default="all")
+    parser.add_argument("part", nargs="?", choices=PARTS, default="all")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--runs", type=int, default=RUNS, help="number of fault runs")
+    parser.add_argument("--crosses", type=int, default=LEAST_RUNS, help="number of crossed runs")
+    parser.add_argument("--first", type=int, default=0, help="the first of them; a campaign can be made in parts")
+    parser.add_argument("--store", default=SQLITE, help="of crossed runs: sqlite, or MODULE:CLASS made of --store-url")
+    parser.add_argument("--store-url", default="", help="where that store is; {run} in it names the run")
     parser.add_argument("--run", type=int, default=None, help="only this run, with all it has to say")
     parser.add_argument("--workers", type=int, default=4, help="runs at the same time")
     args = parser.parse_args(argv)
@@ -46,6 +63,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     faults: list[FaultReport] = []
     killed: list[KillReport] = []
     commands: list[KillReport] = []
+    crossed: list[CrossReport] = []
+    starved: list[StarvedReport] = []
     found: list[Criterion] = []
     texts: list[str] = []
     with ProcessPoolExecutor(args.workers, mp_context=multiprocessing.get_context("spawn")) as pool:
@@ -61,23 +80,38 @@ def main(argv: Sequence[str] | None = None) -> int:
             commands = _all(pool, run_cli_kill, cli_kills(args.seed))
             texts.append(tables.cli_table(commands))
             found += criteria.of_cli_kills(commands)
+        if args.part in ("crossed", "all"):
+            kind = StoreKind(args.store, args.store_url)
+            crossed = _all(pool, partial(run_cross, kind=kind), crosses(args.crosses, args.seed, args.first))
+            texts.append(cross_tables(crossed))
+            found += of_crosses(crossed)
+    if args.part in ("starved", "all"):  # one after the other, once nothing else wants the processor
+        starved = [run_starved(index, args.seed) for index in range(STARVED_RUNS)]
+        texts.append(starved_table(starved))
+        found += of_starved(starved)
     print("\n\n".join(["", *texts, tables.criteria_table(found)]))
-    _show_failures([*faults, *killed, *commands])
+    _show_failures([*faults, *killed, *commands, *crossed])
     print(
-        f"\nseed {args.seed}, {len(faults)} fault runs, {len(killed)} SIGKILL runs of the service and {len(commands)} "
-        f"of the command line, {_minutes(began)}"
+        f"\nseed {args.seed}, {len(faults)} fault runs, {len(killed)} SIGKILL runs of the service, {len(commands)} "
+        f"of the command line and {len(crossed)} crossed runs on {args.store}, {_minutes(began)}"
     )
     if args.part == "all":
-        write_document(DOCUMENT, args.seed, faults, killed, commands, found)
+        write_document(DOCUMENT, args.seed, faults, killed, commands, crossed, starved, found)
+    if args.part == "crossed" and len(crossed) >= LEAST_RUNS:
+        name = f"crossed-campaign-{args.store.partition(':')[0].rpartition('.')[2]}.md"
+        write_crossed(DOCUMENT.with_name(name), args.seed, args.store, crossed, found)
     return 0 if all(criterion.met for criterion in found) else 1
 
 
 def _single(args: argparse.Namespace) -> int:
-    report: FaultReport | KillReport
+    report: AnyReport
     if args.part == "cli":
         report = run_cli_kill(cli_kills(args.seed)[args.run])
     elif args.part == "kills":
         report = run_kill(kill_of(args.seed, args.run))
+    elif args.part == "crossed":
+        print(cross(args.run, args.seed))
+        report = run_cross(cross(args.run, args.seed), StoreKind(args.store, args.store_url))
     else:
         scenario = scenarios(max(args.runs, args.run + 1), args.seed)[args.run]
         print(scenario)
@@ -111,8 +145,11 @@ def _kills(pool: ProcessPoolExecutor, seed: int) -> list[KillReport]:
     return reports
 
 
-def _progress(report: FaultReport | KillReport) -> None:
-    if isinstance(report, KillReport):
+def _progress(report: AnyReport) -> None:
+    if isinstance(report, CrossReport):
+        cell = f"{report.network}, {report.process}, {report.vehicle}"
+        what = f"cross {report.index:4} {report.autopilot} {report.job}: {cell}"
+    elif isinstance(report, KillReport):
         what = (
             f"kill {report.index:3} {report.scene}: aimed at {report.aimed}, struck {', '.join(report.struck) or '-'}"
         )
@@ -124,7 +161,7 @@ def _progress(report: FaultReport | KillReport) -> None:
         print(f"    {complaint}\n    {report.reproduce}", file=sys.stderr, flush=True)
 
 
-def _show_failures(reports: Iterable[FaultReport | KillReport]) -> None:
+def _show_failures(reports: Iterable[AnyReport]) -> None:
     for report in reports:
         if report.ending == Ending.FAILURE:
             print(f"\nFAILURE: {report.reproduce}")

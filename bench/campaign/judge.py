@@ -93,10 +93,12 @@ def stop_complaints(stops: Iterable[Stop], sets: Sequence[tuple[float, str, floa
     return tuple(complaints)
 
 
-def judge(evidence: Evidence, residuals: Iterable[Residual]) -> tuple[Ending, tuple[str, ...]]:
-    """The ending that the vehicle bears out, with what is wrong if none is."""
+def judge(
+    evidence: Evidence, residuals: Iterable[Residual], endings: Mapping[str, Ending] = ENDINGS
+) -> tuple[Ending, tuple[str, ...]]:
+    """The ending that the vehicle bears out, with what is wrong if none is; `endings` are what states claim."""
     state = evidence.job["state"]
-    claimed = ENDINGS.get(state)
+    claimed = endings.get(state)
     if claimed is None:
         return Ending.FAILURE, (f"the job is {state}: {evidence.job['outcome']}",)
     complaints = _verified(evidence, residuals) if claimed == Ending.VERIFIED else _as_before(evidence)
@@ -126,7 +128,7 @@ def _as_before(e: Evidence) -> list[str]:
     untouched = e.job["state"] == "review" and not (e.job["last_write"] or {}).get("sent")
     for change in e.changes:
         name, held = change["name"], e.now.stored[change["name"]]
-        if equal(held, e.before.stored[name]) or (untouched and _by_itself(e, name)):
+        if equal(held, e.before.stored[name]) or (untouched and by_itself(e, name)):
             continue
         if name not in e.foreign or not equal(held, e.foreign[name]):
             complaints.append(f"{e.job['state']}, but {name} holds {held:.9g} instead of {e.before.stored[name]:.9g}")
@@ -141,11 +143,11 @@ def _beside(e: Evidence, planned: Iterable[str]) -> list[str]:
     return [
         f"{name} changed from {old:.9g} to {new:.9g}, which was not in the plan"
         for name, (old, new) in e.before.differing(e.now).items()
-        if name not in excused and not _by_itself(e, name)
+        if name not in excused and not by_itself(e, name)
     ]
 
 
-def _by_itself(e: Evidence, name: str) -> bool:
+def by_itself(e: Evidence, name: str) -> bool:
     """Whether the vehicle may have rewritten this gyro offset: PX4 at rest, ArduPilot when it starts."""
     stored = e.now.stored
     px4 = stored.get("IMU_GYRO_CAL_EN") == 1 and name.startswith("CAL_GYRO") and name.endswith("OFF")
@@ -167,6 +169,6 @@ def doubt_complaints(e: Evidence) -> tuple[str, ...]:
         if s["certain"] and not equal(held, s["value"]):
             complaints.append(f"in doubt, but {name} is certainly {s['value']:.9g}, and the vehicle holds {held:.9g}")
         heard = s["value"] is not None and equal(held, s["value"])
-        if not (s["certain"] or _by_itself(e, name) or heard or equal(held, s["old"]) or equal(held, s["new"])):
+        if not (s["certain"] or by_itself(e, name) or heard or equal(held, s["old"]) or equal(held, s["new"])):
             complaints.append(f"in doubt: {name} is neither old nor new, the vehicle holds {held:.9g}")
     return (*complaints, *_beside(e, listed))

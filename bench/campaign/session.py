@@ -20,6 +20,7 @@ from mavcal.service.jobs.vehicle_adapter import RegistryAdapter
 from mavcal.service.link import Link
 from mavcal.service.simvehicle import Operator, SimulatedVehicle
 from mavcal.service.store import SqliteStore
+from mavcal.service.store.protocol import Store
 from mavcal.service.vehicle import Vehicle, VehicleRegistry
 
 POLL_S = 0.01
@@ -44,7 +45,7 @@ class Session:
         self, sim: SimulatedVehicle, kind: str, options: dict[str, Any], plan_options: dict[str, Any] | None = None
     ) -> Job:
         """Run a job up to its plan, with an operator who does what it asks for."""
-        await self._ready()
+        await self.ready()
         job = await self.engine.submit(self.vehicle.id, kind, options, plan_options)
         ended = (JobState.REVIEW, JobState.SUCCEEDED, JobState.FAILED, JobState.INTERRUPTED)
         while (job := self.engine.get(job.id)).state not in ended:
@@ -65,26 +66,32 @@ class Session:
         assert job.plan is not None
         accept = Accept(job.plan.sha256, reboot=True, prove_s=PROVE_S)
         while True:
-            await self._ready()
+            await self.ready()
             try:
                 return await self.engine.apply(job.id, accept)
             except ServiceError:
                 if self.vehicle.writable().ok:
                     raise
 
-    async def _ready(self) -> None:
+    async def ready(self) -> None:
+        """Wait until the vehicle may be written to."""
         while not self.vehicle.writable().ok:  # noqa: ASYNC110 - the condition is about another process
             await asyncio.sleep(POLL_S)
 
 
 @asynccontextmanager
-async def session(folder: Path, sim: SimulatedVehicle) -> AsyncIterator[Session]:
-    """A service that is stopped in an orderly way at the end. Raises TimeoutError if no vehicle is heard."""
-    store = SqliteStore(folder)
+async def session(
+    folder: Path, sim: SimulatedVehicle, store: Store | None = None, **engine_options: Any
+) -> AsyncIterator[Session]:
+    """A service that is stopped in an orderly way at the end. Raises TimeoutError if no vehicle is heard.
+
+    `store` (None: SQLite in `folder`) is closed at the end; `engine_options` are those of JobEngine.
+    """
+    store = store or SqliteStore(folder)
     registry = VehicleRegistry()
     link = Link("campaign", sim.url, tlog_dir=folder / "tlogs")
     registry.attach(link)
-    engine = JobEngine(store, RegistryAdapter(registry), settings=SETTINGS)
+    engine = JobEngine(store, RegistryAdapter(registry), **{"settings": SETTINGS, **engine_options})
     try:
         await link.open()
         await engine.start()

@@ -46,7 +46,7 @@ def _by_fault(reports: Sequence[FaultReport]) -> str:
         hit = [report for report in reports if report.strikes.get(kind)]
         rows.append((WORDS[kind], total[kind], len(hit), *_endings(hit)))
     rows.append(("**all runs**", sum(total.values()), len(reports), *_endings(reports)))
-    return _table(("fault", "strikes", "runs struck", *Ending), rows)
+    return table(("fault", "strikes", "runs struck", *Ending), rows)
 
 
 def _by_setting(reports: Sequence[FaultReport]) -> str:
@@ -55,7 +55,7 @@ def _by_setting(reports: Sequence[FaultReport]) -> str:
         for job in sorted({report.job for report in reports}):
             some = [report for report in reports if (report.autopilot, report.job) == (autopilot, job)]
             rows.append((autopilot, job, len(some), *_endings(some), sum(report.resolved for report in some)))
-    return _table(("autopilot", "job", "runs", *Ending, "in doubt, then resolved by itself"), rows)
+    return table(("autopilot", "job", "runs", *Ending, "in doubt, then resolved by itself"), rows)
 
 
 def _not_applied(reports: Sequence[FaultReport]) -> str:
@@ -63,7 +63,7 @@ def _not_applied(reports: Sequence[FaultReport]) -> str:
     for text, low, high in (("up to 3 sd", 0.0, 3.0), ("3 to 5 sd", 3.0, CLEAR_SD), ("above 5 sd", CLEAR_SD, 1e9)):
         pins = [pin for report in reports for pin in report.pinned if low < pin.effect <= high]
         rows.append((text, len(pins), sum(pin.named for pin in pins), sum(pin.missed for pin in pins)))
-    return _table(("accepted but not applied, effect", "changes", "named by the job", "taken for proved"), rows)
+    return table(("accepted but not applied, effect", "changes", "named by the job", "taken for proved"), rows)
 
 
 def _endings(reports: Iterable[FaultReport | KillReport]) -> list[int]:
@@ -81,23 +81,24 @@ def kill_table(reports: Sequence[KillReport]) -> str:
         rows.append((f"`{step.value}`", steps[step.value], *(hit[ending] for ending in shown)))
     ends = Counter(report.ending for report in reports)
     rows.append(("**all runs**", sum(steps.values()), *(ends[ending] for ending in shown)))
-    return _table(("last step before SIGKILL", "kills", *shown), rows)
+    return table(("last step before SIGKILL", "kills", *shown), rows)
 
 
 def cli_table(reports: Sequence[KillReport]) -> str:
     """By the instant at which the command line died, and what came next."""
     shown = (Ending.VERIFIED, Ending.AS_BEFORE, Ending.FAILURE)
     rows = [(r.scene, r.aimed, *("x" if r.ending == ending else "" for ending in shown)) for r in reports]
-    return _table(("scene", "killed at (which time), then", *shown), rows)
+    return table(("scene", "killed at (which time), then", *shown), rows)
 
 
 def criteria_table(criteria: Sequence[Criterion]) -> str:
     """Every criterion with what was measured."""
     rows = [(c.text, c.measured, "yes" if c.met else "**no**") for c in criteria]
-    return _table(("to be shown", "measured", "met"), rows)
+    return table(("to be shown", "measured", "met"), rows)
 
 
-def _table(head: Sequence[object], rows: Sequence[Sequence[object]]) -> str:
+def table(head: Sequence[object], rows: Sequence[Sequence[object]]) -> str:
+    """One table."""
     cells = [[str(cell) for cell in row] for row in (head, *rows)]
     widths = [max(len(row[i]) for row in cells) for i in range(len(head))]
     lines = ["| " + " | ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)) + " |" for row in cells]

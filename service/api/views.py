@@ -147,7 +147,7 @@ def vehicle_model(vehicle: Vehicle) -> VehicleModel:
         uid=identity.uid2,
         armed=bool(state.armed),
         landed=state.landed,
-        silent=state.silent(now),
+        silent=vehicle.silent,
         writable=writable.ok,
         obstacles=list(writable.reasons),
         evidence=list(state.evidence(now)),

@@ -17,7 +17,7 @@ from mavcal.service.errors import (
     VehicleSilent,
     WriteStopped,
 )
-from mavcal.service.jobs.port import JobVehicle
+from mavcal.service.jobs.port import Condition, JobVehicle
 
 T = TypeVar("T")
 
@@ -35,41 +35,51 @@ RESTARTED = "the vehicle restarted by itself"
 class WriteGuard:
     """Stops whatever runs under it as soon as the vehicle may not be written to.
 
-    It remembers who the vehicle was and how often it had restarted when the guard was set up.
+    It remembers who the vehicle was and how often it had restarted, armed, fallen silent and calibrated when the guard
+    was set up: what came and went while the event loop was busy stops a write too.
     """
 
     def __init__(self, vehicle: JobVehicle, watch_s: float) -> None:
         self._vehicle = vehicle
         self._watch_s = watch_s
         self._uid = vehicle.identity.uid
-        now = vehicle.condition()
-        self._reboots, self._peer = now.reboots, now.peer
+        self._before = vehicle.condition()
 
     def reason(self) -> str | None:
         """Why nothing may be written now; None: it may."""
         now = self._vehicle.condition()
         # The cause comes before its consequences: a vehicle that restarted is silent for a while, calibrates, is not
         # known to be on the ground, and may speak from another port.
+        before = self._before
         if now.conflict is not None:
             return now.conflict
         if self._vehicle.identity.uid != self._uid:
             return "another vehicle answers under this one's address"
-        if now.reboots != self._reboots:
+        if now.reboots != before.reboots:
             return RESTARTED
         if now.silent:
             return "the vehicle fell silent"
         if now.armed:
             return "the vehicle is armed"
-        if now.peer != self._peer:
-            return f"the vehicle speaks from another address ({self._peer}, now {now.peer})"
+        if now.peer != before.peer:
+            return f"the vehicle speaks from another address ({before.peer}, now {now.peer})"
         if now.calibrating:
             return "the vehicle runs a calibration of its own"
-        return "; ".join(now.obstacles) or None
+        return self._meanwhile(now) or "; ".join(now.obstacles) or None
+
+    def _meanwhile(self, now: Condition) -> str | None:
+        """What came and went since the guard was set up."""
+        before = self._before
+        if now.armings != before.armings:
+            return "the vehicle was armed meanwhile"
+        if now.silences != before.silences:
+            return "the vehicle was silent meanwhile"
+        return "the vehicle ran a calibration of its own meanwhile" if now.calibrations != before.calibrations else None
 
     @property
     def restarted(self) -> bool:
         """Whether the vehicle has restarted, not by us."""
-        return self._vehicle.condition().reboots != self._reboots
+        return self._vehicle.condition().reboots != self._before.reboots
 
     @property
     def silent(self) -> bool:
@@ -79,11 +89,13 @@ class WriteGuard:
     def doubt(self) -> str | None:
         """Why even confirmed values may be others by now; None: nothing speaks for that."""
         now = self._vehicle.condition()
-        if now.reboots != self._reboots:
+        before = self._before
+        if now.reboots != before.reboots:
             return "before the vehicle restarted"
-        if now.conflict is not None or now.peer != self._peer or self._vehicle.identity.uid != self._uid:
+        if now.conflict is not None or now.peer != before.peer or self._vehicle.identity.uid != self._uid:
             return "possibly said by another vehicle"
-        return "before the vehicle fell silent" if now.silent else None
+        silent = now.silent or now.silences != before.silences
+        return "before the vehicle fell silent" if silent else None
 
     def check(self) -> None:
         """Raise WriteStopped if nothing may be written now."""
@@ -92,9 +104,8 @@ class WriteGuard:
             raise WriteStopped(reason)
 
     def expect_restart(self) -> None:
-        """From now on the present number of restarts, and the present address, are the right ones."""
-        now = self._vehicle.condition()
-        self._reboots, self._peer = now.reboots, now.peer
+        """From now on the vehicle is to stay as it is after its restart."""
+        self._before = self._vehicle.condition()
 
     async def run(self, act: Callable[[], Awaitable[T]]) -> T:
         """Await ``act()`` and abandon it as soon as the preconditions fail.
@@ -104,6 +115,7 @@ class WriteGuard:
         WriteStopped
             Before the start or in the middle. What was sent may still have an effect.
         """
+        await self._vehicle.caught_up()
         self.check()
         news = asyncio.Event()
         unsubscribe = self._vehicle.subscribe(_TELLING, lambda _frames, _error: news.set())

@@ -7,6 +7,7 @@ import dataclasses
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
+from functools import partial
 from typing import Any
 
 import structlog
@@ -21,6 +22,9 @@ from mavcal.service.store.protocol import JobStore
 from mavcal.service.store.rows import EventRow, Json
 
 log = structlog.get_logger(__name__)
+
+RETRY_S = 1.0
+"""Between two attempts to bring onto the disk what it has refused."""
 
 Publish = Callable[[EventRow], None]
 
@@ -53,6 +57,9 @@ class JobHandle:
         self._progress_due = 0.0
         self._owed: list[tuple[Job, str, Json]] = []
         """Changes that are not on the disk yet; belongs to the store's thread."""
+        self._owed_steps: list[tuple[float, JournalStep, Json]] = []
+        """Steps of the journal that are not, likewise."""
+        self._retrying = False
 
     @property
     def id(self) -> str:
@@ -111,12 +118,17 @@ class JobHandle:
         await self.store.do(append)
 
     async def record_anyway(self, step: JournalStep, **data: Any) -> None:
-        """Append to the journal if the store works: for steps that recovery would find out by reading the vehicle."""
+        """Append to the journal, later if the store does not work: for steps that recovery finds out by reading the
+        vehicle.
+        """
         try:
             await self.record(step, **data)
         except Exception as error:  # noqa: BLE001 - the vehicle comes first
+            at = self._wall()
+            self.store.soon(lambda: self._owed_steps.append((at, step, data)))
+            self._retry_later(asyncio.get_running_loop())
             why = "the disk is full" if isinstance(error, DiskFull) else "the store does not work"
-            self.warn(f"{why}: the last steps of this job are not recorded")
+            self.warn(f"{why}: the last steps of this job are recorded late, or not at all if the service ends now")
 
     def announce(self, kind: str, data: Json) -> None:
         """An event that says again what the job's state says already; lost if the store fails."""
@@ -140,18 +152,43 @@ class JobHandle:
 
     def _keep(self, job: Job, kind: str, data: Json) -> None:
         self.job = job
+        try:
+            loop = asyncio.get_running_loop()
+        except RuntimeError:  # nobody waits for a later attempt
+            loop = None
 
         def save() -> None:
             self._owed.append((job, kind, data))
-            try:
-                self._save_owed()
-            except Exception as error:  # noqa: BLE001 - tried again with the next one
-                log.error("a change of a job is not on the disk yet", job=self.id, kind=kind, reason=str(error))
+            self._try_owed(loop)
 
         self.store.soon(save)
 
+    def _try_owed(self, loop: asyncio.AbstractEventLoop | None) -> None:
+        """In the store's thread: save what is owed; what is refused is tried again in a while."""
+        try:
+            self._save_owed()
+        except Exception as error:  # noqa: BLE001 - tried again with the next change, and after a while
+            log.error("a change of a job is not on the disk yet", job=self.id, reason=str(error))
+            if loop is not None:
+                with suppress(RuntimeError):  # the loop has ended: the next start reads the vehicle
+                    loop.call_soon_threadsafe(self._retry_later, loop)
+
+    def _retry_later(self, loop: asyncio.AbstractEventLoop) -> None:
+        if not self._retrying:
+            self._retrying = True
+            loop.call_later(RETRY_S, self._retry, loop)
+
+    def _retry(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._retrying = False
+        with suppress(RuntimeError):  # the store is closed
+            self.store.soon(partial(self._try_owed, loop))
+
     def _save_owed(self) -> None:
         """In the store's thread: what could not be saved is tried again with every later change and step."""
+        while self._owed_steps:
+            at, step, data = self._owed_steps[0]
+            self.store.add_journal(self.id, at, step.value, data)
+            del self._owed_steps[0]
         while self._owed:
             job, kind, data = self._owed[0]
             event = self.store.save_job(row_from_job(job), event=(kind, data))

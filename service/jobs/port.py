@@ -31,7 +31,7 @@ class Condition:
 
     armed: bool
     silent: bool
-    """No heartbeat for 3 s."""
+    """No heartbeat for 3 s, by what the reader of the link has read: a late event loop is no silence."""
     reboots: int
     """How often it was seen to restart since it was first heard."""
     calibrating: bool
@@ -44,6 +44,10 @@ class Condition:
     """The address that it speaks from."""
     boot_time: float | None = None
     """Its own clock, s since its start; None: it has not said."""
+    armings: int = 0
+    """How often it armed since it was first heard; the next two likewise."""
+    silences: int = 0
+    calibrations: int = 0
 
 
 @dataclass(frozen=True)
@@ -72,6 +76,10 @@ class JobVehicle(Protocol):
 
     def condition(self) -> Condition:
         """The state now."""
+        ...
+
+    async def caught_up(self) -> None:
+        """Return once everything that has arrived of it by now shows in `condition`. Raises LinkDown."""
         ...
 
     async def identify(self) -> Identity:

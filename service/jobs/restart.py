@@ -68,11 +68,13 @@ async def _back_again(w: Writing, before: int, limit: float) -> None:
     """Wait until the vehicle has restarted, is heard, disarmed and on the ground."""
     loop = asyncio.get_running_loop()
     deadline = loop.time() + limit
-    while loop.time() < deadline:
+    while True:
+        late = loop.time() >= deadline  # looked at before the vehicle: a late event loop looks once more
         now = w.vehicle.condition()
         if now.armed and not now.silent:
             raise WriteStopped("the vehicle was armed while it should restart")
         if now.reboots != before and not now.silent and not now.obstacles:
             return
+        if late:
+            raise WriteStopped(f"the vehicle did not restart within {limit:.0f} s")
         await asyncio.sleep(w.settings.watch_s)
-    raise WriteStopped(f"the vehicle did not restart within {limit:.0f} s")

@@ -5,9 +5,11 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import Executor
+from concurrent.futures import BrokenExecutor, Executor
 from dataclasses import dataclass
 from functools import partial
+
+import structlog
 
 from mavcal.calib.errors import CalibError
 from mavcal.calib.firmware.plan import Value
@@ -34,6 +36,8 @@ from mavcal.service.jobs.port import JobVehicle, VehicleSource
 from mavcal.service.jobs.settings import JobSettings
 from mavcal.service.jobs.spans import SET_ASIDE, captured, span_of
 from mavcal.service.jobs.states import JobState
+
+log = structlog.get_logger(__name__)
 
 REPEATED = frozenset({"gyro", "level", "accel-one-axis"})
 """Kinds that need one rest and no poses: they begin again by themselves."""
@@ -106,7 +110,7 @@ class Runner:
         request = JobFitRequest(job.kind, dict(job.options), job.segments, identity.system, job.created_at, answers)
         plan_options = job.context.get("plan_options", {})
         try:
-            fitted: Fitted = await asyncio.get_running_loop().run_in_executor(self.executor, fit_segments, request)
+            fitted = await self._fitted(request)
             self.reach(At.FITTED)
             if isinstance(fitted.outcome, GaveUp):
                 raise CaptureEnded(fitted.outcome.cause, remedy=fitted.outcome.remedy)
@@ -133,6 +137,14 @@ class Runner:
             warnings=warnings,
             prompt=None,
         )
+
+    async def _fitted(self, request: JobFitRequest) -> Fitted:
+        """The fit; in a thread of this process if the worker that had it was killed."""
+        try:
+            return await asyncio.get_running_loop().run_in_executor(self.executor, fit_segments, request)
+        except BrokenExecutor as broken:
+            log.warning("the worker of a fit has ended: it is made once more", reason=str(broken))
+            return await asyncio.to_thread(fit_segments, request)
 
     async def vehicle(self, handle: JobHandle) -> JobVehicle:
         """The job's vehicle; after a restart of the service it is waited for."""

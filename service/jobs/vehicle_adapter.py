@@ -50,7 +50,7 @@ class VehicleAdapter:
     def condition(self) -> Condition:
         """See JobVehicle."""
         vehicle = self._vehicle
-        state, now = vehicle.state, vehicle.clock()
+        state, now = vehicle.state, vehicle.heard_until
         running = state.onboard_calibration
         place = (vehicle.system, vehicle.component)
         address = vehicle.link.peers.get(place)
@@ -58,12 +58,19 @@ class VehicleAdapter:
             armed=bool(state.armed),
             silent=state.silent(now),
             reboots=state.rebooted,
+            armings=state.armings,
+            silences=state.silences,
+            calibrations=state.calibrations,
             calibrating=running is not None and not running.over(now),
             obstacles=vehicle.writable().reasons,
             conflict=self._doubted(vehicle.id) or next(iter(vehicle.conflicts), None),
             peer="" if address is None else f"{address[0]}:{address[1]}",
             boot_time=state.boot_time,
         )
+
+    async def caught_up(self) -> None:
+        """See JobVehicle."""
+        await self._vehicle.caught_up()
 
     async def identify(self) -> Identity:
         """See JobVehicle."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from collections.abc import Callable, Iterable
 from datetime import UTC, datetime
@@ -15,7 +16,7 @@ from mavcal.service.errors import EndpointError, LinkDown
 from mavcal.service.link.endpoint import Endpoint, EndpointKind, parse_endpoint
 from mavcal.service.link.local import FileTransport, SerialTransport, SimTransport
 from mavcal.service.link.loss import SequenceCounter
-from mavcal.service.link.reader import Mark, Outgoing, Reader, Report, StateChange
+from mavcal.service.link.reader import Looked, Mark, Outgoing, Reader, Report, StateChange
 from mavcal.service.link.recorder import TlogRecorder
 from mavcal.service.link.tcp import TcpServerTransport, TcpTransport
 from mavcal.service.link.transports import Transport
@@ -37,6 +38,10 @@ HEARTBEAT_S = 1.0
 OFFERS, OFFER_S = 5, 1.0
 """How often a vehicle is given its key, and how long each time a frame that it signs is waited for."""
 _JOIN_S = 10.0
+_LOOK_S = 10.0
+"""A reader that has not looked for so long does not read: its thread is held up, say by the disk."""
+_MERGED_S = 0.2
+"""Batches are joined over so much time at most: what is in a batch counts as received with the last of it."""
 
 
 def _transport(endpoint: Endpoint) -> Transport:
@@ -108,6 +113,8 @@ class Link:
         self._heartbeat: asyncio.TimerHandle | None = None
         self._batch_subscribers: dict[object, tuple[BatchCallback, frozenset[int] | None]] = {}
         self._event_subscribers: dict[object, EventCallback] = {}
+        self._handing = 0
+        self._handed_until = 0.0
 
     async def open(self) -> None:
         """Start reading and recording.
@@ -248,6 +255,42 @@ class Link:
             raise LinkDown(f"Link {self.id} ({self.endpoint}) is {self.state}: {self.reason}")
         self._reader.mark(reached)
 
+    async def caught_up(self) -> None:
+        """Return once everything that had arrived before this call was handed to the subscribers.
+
+        Raises
+        ------
+        LinkDown
+            If the link is not connected, or its reader does not come to look.
+        """
+        reader = self._reader
+        if reader is None or self.state in (LinkState.DOWN, LinkState.CLOSED):
+            raise LinkDown(f"Link {self.id} ({self.endpoint}) is {self.state}: {self.reason}")
+        done = asyncio.Event()
+        reader.look(done.set)
+        waiting = asyncio.ensure_future(done.wait())
+        try:
+            await asyncio.wait({waiting}, timeout=_LOOK_S)
+        finally:
+            waiting.cancel()
+        if not done.is_set():
+            raise LinkDown(f"Link {self.id} ({self.endpoint}) was not read for {_LOOK_S:g} s: {self.reason}")
+
+    @property
+    def heard_until(self) -> float:
+        """What arrived before this time (monotonic clock, s) has been handed to the subscribers.
+
+        A late event loop, or a reader that waits for its processor, makes it stand still: nothing that it does not
+        cover is silence. Infinite while the link is down, since nothing can arrive then.
+        """
+        reader = self._reader
+        if reader is None or self.state in (LinkState.DOWN, LinkState.CLOSED):
+            return math.inf
+        looked = reader.looked_at  # before `pending`: what was read by then is posted
+        if not self._handing and not reader.pending:
+            self._handed_until = max(self._handed_until, looked)
+        return self._handed_until
+
     @property
     def tlog(self) -> TlogRecorder:
         """The recording: its ``path``, ``position`` (bytes written), ``error`` and ``await sync()``."""
@@ -299,8 +342,17 @@ class Link:
                 self._change_state(batch)
             elif isinstance(batch, Mark):
                 loop.call_soon(batch.reached, batch.position)
+            elif isinstance(batch, Looked):
+                loop.call_soon(batch.told)
             else:
                 self._announce(batch)
+        self._handing += 1
+        loop.call_soon(self._handed, 0.0 if self._reader is None else self._reader.taken_until)
+
+    def _handed(self, until: float) -> None:
+        """Behind the last batch of a delivery."""
+        self._handing -= 1
+        self._handed_until = max(self._handed_until, until)
 
     def _hand_batch(self, key: object, batch: Batch) -> None:
         """In a call of its own for each subscriber: one that fails takes nothing from the others."""
@@ -350,7 +402,7 @@ class Link:
 
 
 def _merged(reports: Iterable[Report]) -> list[Report]:
-    """Join neighbouring batches: what gathered while the loop was busy is handed on at once."""
+    """Join neighbouring batches: what gathered while the loop was busy is handed on in few pieces."""
     merged: list[Report] = []
     run: list[Batch] = []
 
@@ -358,11 +410,14 @@ def _merged(reports: Iterable[Report]) -> list[Report]:
         if run:
             frames = tuple(frame for batch in run for frame in batch.frames)
             error = next((batch.tlog_error for batch in run if batch.tlog_error), None)
-            merged.append(Batch(frames, run[-1].received_at, run[0].tlog_start, run[-1].tlog_end, error))
+            first, last = run[0], run[-1]
+            merged.append(Batch(frames, last.received_at, first.tlog_start, last.tlog_end, error, first.since))
             run.clear()
 
     for report in reports:
         if isinstance(report, Batch):
+            if run and report.received_at - run[0].received_at > _MERGED_S:
+                flush()
             run.append(report)
         else:
             flush()

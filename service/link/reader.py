@@ -21,7 +21,7 @@ from mavcal.service.errors import EndpointError, LinkDown, LinkError, PortBusy
 from mavcal.service.link.loss import SequenceCounter
 from mavcal.service.link.peers import PeerTable
 from mavcal.service.link.recorder import TlogRecorder
-from mavcal.service.link.transports import Chunk, Disconnected, Transport
+from mavcal.service.link.transports import DRAIN, Chunk, Disconnected, Transport
 from mavcal.service.link.types import Address, Batch, LinkEvent, LinkEventKind, LinkState, OwnIdentity, SigningConfig
 
 _IDLE_S = 0.25
@@ -33,6 +33,10 @@ _MAX_UNDELIVERED = 200_000
 _WARN_EVERY_S = 5.0
 _SETUP_SIGNING = 256
 _MAX_SENDERS = 512
+_FULL_BYTES = 4096
+"""A chunk of so many bytes may be cut: more may be waiting behind it."""
+_VITAL = frozenset({0})
+"""HEARTBEAT: handed on also where the event loop is too late for anything else, since it says who has armed."""
 
 
 class Outgoing(NamedTuple):
@@ -63,7 +67,13 @@ class _Offer(NamedTuple):
     target: tuple[int, int]
 
 
-Report = Batch | LinkEvent | StateChange | Mark
+class Looked(NamedTuple):
+    """What had arrived when this was asked for lies before it in the order of the batches."""
+
+    told: Callable[[], None]
+
+
+Report = Batch | LinkEvent | StateChange | Mark | Looked
 
 
 class Reader(threading.Thread):
@@ -100,6 +110,11 @@ class Reader(threading.Thread):
         self._frames = 0
         self._outgoing: deque[Outgoing] = deque()
         self._marks: deque[Callable[[int], None]] = deque()
+        self._asked: deque[Callable[[], None]] = deque()
+        self.looked_at = 0.0
+        """What arrived before this time (monotonic clock, s) has been read and posted."""
+        self.taken_until = 0.0
+        """The same of the reports that were taken."""
         self._sent: deque[bytes] = deque(maxlen=64)
         self._sequence = 0
         self._reports: deque[Report] = deque()
@@ -133,6 +148,11 @@ class Reader(threading.Thread):
         """Offer no key any more."""
         self._offered = None
 
+    def look(self, told: Callable[[], None]) -> None:
+        """Ask for a :class:`Looked` behind everything that has arrived by now."""
+        self._asked.append(told)
+        self._wake()
+
     def stop(self) -> None:
         """Ask the thread to end; join it afterwards, then :meth:`release`."""
         self._stopping = True
@@ -146,6 +166,7 @@ class Reader(threading.Thread):
     def take_reports(self) -> list[Report]:
         """Everything posted so far."""
         self._scheduled = False
+        self.taken_until = self.looked_at  # before anything is taken: what was read by then is posted
         reports = []
         while self._reports:
             report = self._reports.popleft()
@@ -153,6 +174,11 @@ class Reader(threading.Thread):
                 self._delivered_frames += len(report.frames)
             reports.append(report)
         return reports
+
+    @property
+    def pending(self) -> bool:
+        """Whether something is posted that was not taken yet."""
+        return bool(self._reports)
 
     @property
     def crc_errors(self) -> int:
@@ -199,6 +225,7 @@ class Reader(threading.Thread):
             self._set_state(LinkState.UP, "connected")
         else:
             self._set_state(LinkState.CONNECTING, "waiting for a vehicle to speak")
+        self.looked_at = time.monotonic()  # nothing of this connection arrived before it was open
         try:
             self._serve(selector)
         except Disconnected as exc:
@@ -219,10 +246,15 @@ class Reader(threading.Thread):
             if self._congested() and self._transport.lossless:
                 time.sleep(_PACE_S)
                 continue
+            asked, began = len(self._asked), time.monotonic()
             chunks = self._transport.receive()
             now = time.monotonic()
             if chunks:
                 self._take(chunks, now)
+            if not _cut(chunks):
+                self._post_looked(asked)
+                self.looked_at = began
+            if chunks:
                 if now - last_drain < _PACE_S / 2 and len(chunks) < 64:
                     time.sleep(_PACE_S)
                 last_drain = last_data = now
@@ -244,6 +276,11 @@ class Reader(threading.Thread):
     def _post_marks(self) -> None:
         while self._marks:
             self._post(Mark(self._marks.popleft(), self._recorder.position))
+
+    def _post_looked(self, count: int) -> None:
+        """Answer those who had asked before the last input was read."""
+        for _ in range(count):
+            self._post(Looked(self._asked.popleft()))
 
     # --- receiving --------------------------------------------------------------------------------------------------
 
@@ -306,10 +343,11 @@ class Reader(threading.Thread):
         self._write(records)
         if self._congested() and not self._transport.lossless:
             self._warn(LinkEventKind.OVERRUN, "frames are recorded but not delivered: this machine is too slow", now)
-            kept = []
+            kept = [frame for frame in kept if frame.message_id in _VITAL]
         self._posted_frames += len(kept)
         if kept or self._recorder.error:
-            self._post(Batch(tuple(kept), now, start, self._recorder.position, self._recorder.error))
+            batch = Batch(tuple(kept), now, start, self._recorder.position, self._recorder.error, self.looked_at)
+            self._post(batch)
 
     def _suspicious(self, frame: Frame) -> bool:
         return (
@@ -424,3 +462,8 @@ class Reader(threading.Thread):
 
     def _drain(self) -> None:
         self._deliver(self.take_reports())
+
+
+def _cut(chunks: list[Chunk]) -> bool:
+    """Whether more may have arrived than was read at once."""
+    return len(chunks) >= DRAIN or any(len(chunk.data) >= _FULL_BYTES for chunk in chunks)

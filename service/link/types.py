@@ -96,11 +96,13 @@ class Batch:
 
     frames: tuple[Frame, ...]
     received_at: float
-    """Monotonic clock of the last of them, s."""
+    """When the reader thread had the last of them, monotonic clock, s; the event loop may be late."""
     tlog_start: int
     tlog_end: int
     tlog_error: DiskFull | None = None
     """Not None while frames cannot be recorded: whoever needs the recording has to stop."""
+    since: float | None = None
+    """None of them arrived before this time, s: the reader had looked then; None: they arrived at `received_at`."""
 
 
 @dataclass(frozen=True)

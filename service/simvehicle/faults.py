@@ -16,6 +16,7 @@ delays of the wire, which are the wall's):
     stuck, nan, absent   sensor (accel, gyro, mag), instance
     twin                 a second vehicle of the same system id
     move                 the vehicle goes on from another address
+    disconnect           the TCP connection is cut; the ground station may connect again
 
 Triggers: "now", {"time": t}, {"after_s": s}, {"nth_set": n} (the n-th PARAM_SET from now, before it acts).
 """
@@ -101,6 +102,7 @@ class Injector:
             "absent": self._sensor,
             "twin": lambda _f, _n: self._site.add_twin(),
             "move": lambda _f, _n: self._move(),
+            "disconnect": lambda _f, _n: self._disconnect(),
         }
         site.vehicle.echo_filter = self._filter_echo
 
@@ -251,6 +253,10 @@ class Injector:
     def _move(self) -> None:
         for link in self._site.links:
             link.move()
+
+    def _disconnect(self) -> None:
+        for link in self._site.links:
+            link.disconnect()
 
 
 def _direction(fault: Fault) -> str:

@@ -155,6 +155,10 @@ class FaultyLink:
         """See Link."""
         self._link.move()
 
+    def disconnect(self) -> None:
+        """See Link."""
+        self._link.disconnect()
+
     def close(self) -> None:
         """Release the sockets."""
         self._link.close()

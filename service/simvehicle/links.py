@@ -72,6 +72,9 @@ class SimEndpoint(ABC):
     def vehicle_rebooted(self) -> None:  # noqa: B027 - most links do not notice
         """The vehicle restarts: TCP drops its client."""
 
+    def disconnect(self) -> None:  # noqa: B027 - only a stream can be cut
+        """End the connection of whoever is connected; it may connect again."""
+
     def move(self) -> None:  # noqa: B027 - only a sender has an address of its own
         """Go on from another local address, as a peer behind a new network does."""
 
@@ -207,6 +210,10 @@ class TcpServer(SimEndpoint):
             self._drop()
             return
         del self._unsent[:sent]
+
+    def disconnect(self) -> None:
+        """See Link."""
+        self._drop()
 
     def _drop(self) -> None:
         if self._client is not None:

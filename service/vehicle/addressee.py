@@ -38,6 +38,11 @@ class Addressee(Protocol):
         """The latest state."""
         ...
 
+    @property
+    def silent(self) -> bool:
+        """Whether its last heartbeat is more than 3 s older than what was read of the link."""
+        ...
+
     def clock(self) -> float:
         """Monotonic time, s."""
         ...

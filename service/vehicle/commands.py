@@ -169,6 +169,6 @@ def _judge(command_id: int, result: int) -> None:
 
 
 def _unanswered(vehicle: Addressee, command_id: int, why: str) -> CommandTimeout | VehicleSilent:
-    if vehicle.state.silent(vehicle.clock()):
+    if vehicle.silent:
         return VehicleSilent(f"Command {command_id}: {why}; the vehicle has fallen silent.")
     return CommandTimeout(f"Command {command_id}: {why}, although the vehicle is there.")

@@ -125,7 +125,7 @@ async def _fill(vehicle: Addressee, listing: _Listing, within: Callable[[float],
 
 
 def _incomplete(vehicle: Addressee, listing: _Listing) -> ParameterTimeout | VehicleSilent:
-    if vehicle.state.silent(vehicle.clock()):
+    if vehicle.silent:
         return VehicleSilent("The parameter list stopped: no heartbeat any more. Check power and link.")
     if not listing.count:
         return ParameterTimeout("The vehicle does not send its parameter list. Does another program block it?")

@@ -91,6 +91,10 @@ class Holder(Addressee, Protocol):
         """How fast it answers."""
         ...
 
+    async def caught_up(self) -> None:
+        """Return once everything that it has said by now is known. Raises LinkDown."""
+        ...
+
     def require_writable(self, *, name: str = "", sent: int = 0) -> None:
         """Raise VehicleSilent, VehicleArmed, VehicleConflict or VehicleBusy if it may not be written to."""
         ...
@@ -237,7 +241,7 @@ class Parameters(Mapping[str, Parameter]):
 
     def _silence(self, name: str, *, proved: bool) -> VehicleError:
         vehicle = self._vehicle
-        if vehicle.state.silent(vehicle.clock()):
+        if vehicle.silent:
             return VehicleSilent(f"{name} was not answered: no heartbeat any more. Check power and link.")
         if proved and name not in self._known:
             return ParameterMissing(f"This vehicle has no parameter {name}.", name=name)
@@ -283,8 +287,7 @@ class Parameters(Mapping[str, Parameter]):
         expected: Expectation[Parameter | ParameterError] = vehicle.waits.expect({_VALUE, _ERROR}, match)
         with expected as answer:
             while sent < TRIES:
-                vehicle.require_writable(sent=sent, name=name)
-                self._transmit(message, name, sent)
+                await self._transmit(message, name, sent)
                 sent += 1
                 got = await answer.within(self._patience())
                 if isinstance(got, ParameterError):
@@ -294,9 +297,13 @@ class Parameters(Mapping[str, Parameter]):
                     return Echo(got, sent, "echo")
         return await self._settle(name, value, bits, kind, sent)
 
-    def _transmit(self, message: RawMessage, name: str, sent: int) -> None:
+    async def _transmit(self, message: RawMessage, name: str, sent: int) -> None:
+        """Send if the vehicle may be written to by everything that it has said until now, however late the loop is."""
+        vehicle = self._vehicle
         try:
-            self._vehicle.send(message)
+            await vehicle.caught_up()
+            vehicle.require_writable(sent=sent, name=name)
+            vehicle.send(message)
         except LinkDown as exc:
             error = VehicleSilent(f"{name} was sent {sent} times and not confirmed: {exc}")
             error.sent = sent

@@ -53,6 +53,9 @@ class VehicleState:
         Any frame at all; a HEARTBEAT. Only the second proves that the vehicle is well: a frozen one may still answer.
     rebooted
         How many restarts were noticed by its clock going back.
+    armings, silences, calibrations
+        How often it armed, was silent for more than 3 s between two heartbeats, and began a calibration of its own:
+        what came and went between two looks shows here.
     boot_time
         Latest time since boot that it stamped on a message, s.
     onboard_calibration
@@ -70,6 +73,9 @@ class VehicleState:
     last_heard: float | None = None
     last_heartbeat: float | None = None
     rebooted: int = 0
+    armings: int = 0
+    silences: int = 0
+    calibrations: int = 0
     boot_time: float | None = None
     onboard_calibration: OnboardCalibration | None = None
     texts: tuple[StatusText, ...] = ()
@@ -77,7 +83,7 @@ class VehicleState:
     _chunks: tuple[ChunkedText, ...] = ()
 
     def silent(self, now: float) -> bool:
-        """True if the last heartbeat is too old, or never came."""
+        """True if the last heartbeat is too old, or never came; `now` is the time until which it was listened to."""
         return self.last_heartbeat is None or now - self.last_heartbeat > SILENT_S
 
     def evidence(self, now: float) -> tuple[str, ...]:
@@ -113,12 +119,12 @@ def changed(state: VehicleState, **changes: Any) -> VehicleState:
     return after
 
 
-def reduce(state: VehicleState, message: Message, now: float) -> VehicleState:
-    """Take a message of this vehicle into account."""
+def reduce(state: VehicleState, message: Message, now: float, since: float | None = None) -> VehicleState:
+    """Take a message of this vehicle into account, which arrived between `since` (None: `now`) and `now`."""
     kind = message.get_type()
     state = changed(state, last_heard=now)
     if kind == "HEARTBEAT":
-        state = _heartbeat(state, message, now)
+        state = _heartbeat(state, message, now, now if since is None else since)
     elif kind == "EXTENDED_SYS_STATE":
         state = changed(state, landed=_LANDED.get(message.landed_state, Landed.UNDEFINED), landed_at=now)
     elif kind == "VFR_HUD":
@@ -131,18 +137,21 @@ def reduce(state: VehicleState, message: Message, now: float) -> VehicleState:
         state = changed(state, texts=(*state.texts, *texts)[-KEPT_TEXTS:])
     calibration = watch_calibration(state.onboard_calibration, message, texts, now)
     if calibration is not state.onboard_calibration:
-        state = changed(state, onboard_calibration=calibration)
+        begun = calibration is not None and state.onboard_calibration is None
+        state = changed(state, onboard_calibration=calibration, calibrations=state.calibrations + begun)
     return state
 
 
-def _heartbeat(state: VehicleState, message: Message, now: float) -> VehicleState:
+def _heartbeat(state: VehicleState, message: Message, now: float, since: float) -> VehicleState:
     armed = bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)
-    gap = state.last_heartbeat is None or now - state.last_heartbeat > SILENT_S
-    since = None if armed else now if state.disarmed_since is None or gap else state.disarmed_since
+    gap = state.silent(since)
+    disarmed_since = None if armed else now if state.disarmed_since is None or gap else state.disarmed_since
     return changed(
         state,
         armed=armed,
-        disarmed_since=since,
+        armings=state.armings + (armed and not state.armed),
+        silences=state.silences + (gap and state.last_heartbeat is not None),
+        disarmed_since=disarmed_since,
         system_status=message.system_status,
         custom_mode=message.custom_mode,
         last_heartbeat=now,
@@ -174,6 +183,9 @@ def restarted(state: VehicleState, boot_time: float | None) -> VehicleState:
         system_status=state.system_status,
         custom_mode=state.custom_mode,
         rebooted=state.rebooted + 1,
+        armings=state.armings,
+        silences=state.silences,
+        calibrations=state.calibrations,
         boot_time=boot_time,
         texts=state.texts,
     )

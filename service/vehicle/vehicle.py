@@ -239,7 +239,7 @@ class Vehicle:
 
     def feed(self, frames: Sequence[Frame], batch: Batch) -> None:
         """Take the frames of this vehicle out of a batch, in order."""
-        now = batch.received_at
+        now, since = batch.received_at, batch.since
         clock: float | None = None
         for frame in frames:
             message_id = frame.message_id
@@ -248,7 +248,7 @@ class Vehicle:
                 self._ask_clock()
                 self.heartbeat = decode(frame)
             if message_id in STATE_IDS:
-                self._change(reduce(self.state, decode(frame), now))
+                self._change(reduce(self.state, decode(frame), now, since))
             elif message_id == dialect.MAVLINK_MSG_ID_PARAM_VALUE:
                 self.parameters.hear(frame, now)
             elif message_id == VERSION_ID:
@@ -313,9 +313,23 @@ class Vehicle:
         doubts = [text for text, at in self._conflicts.values() if now - at < CONFLICT_S]
         return tuple([self._replaced, *doubts] if self._replaced else doubts)
 
+    @property
+    def heard_until(self) -> float:
+        """The time until which it was listened to, s: now, or earlier where this program is late."""
+        return min(self.clock(), self.link.heard_until)
+
+    @property
+    def silent(self) -> bool:
+        """Whether its last heartbeat is more than 3 s older than what was read of the link."""
+        return self.state.silent(self.heard_until)
+
+    async def caught_up(self) -> None:
+        """Return once everything that has arrived of it by now is in its state. Raises LinkDown."""
+        await self.link.caught_up()
+
     def writable(self) -> Writable:
-        """Whether a parameter may be written at this moment, and why not."""
-        found = writable(self.state, self.clock())
+        """Whether a parameter may be written by what was heard so far, and why not; see :meth:`caught_up`."""
+        found = writable(self.state, self.heard_until)
         doubts = self.conflicts
         if not doubts:
             return found
@@ -330,8 +344,8 @@ class Vehicle:
 
     def tick(self) -> None:
         """Let time pass: deadlines, silence, and asking again for a state that has grown old."""
-        self.waits.tick()
-        now = self.clock()
+        now = self.heard_until
+        self.waits.tick(now)
         self._change(expire(self.state, now))
         silent = self.state.last_heartbeat is not None and self.state.silent(now)
         if silent != self._silent:

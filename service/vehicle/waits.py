@@ -99,9 +99,8 @@ class Waits:
             if frame.message_id in expectation.message_ids:
                 expectation.feed(frame)
 
-    def tick(self) -> None:
-        """End what has waited long enough."""
-        now = self.clock()
+    def tick(self, now: float) -> None:
+        """End what has waited long enough; `now` is the time until which every frame was fed."""
         for expectation in list(self._expectations):
             expectation.tick(now)
 

@@ -70,6 +70,9 @@ class FakeVehicle:
         """See JobVehicle."""
         return self.state
 
+    async def caught_up(self) -> None:
+        """See JobVehicle."""
+
     async def identify(self) -> Identity:
         """See JobVehicle."""
         await asyncio.sleep(0)

@@ -28,6 +28,9 @@ def vehicle() -> FakeVehicle:
         ({"armed": True}, "is armed", None),
         ({"conflict": "two vehicles answer"}, "two vehicles answer", "by another vehicle"),
         ({"calibrating": True}, "calibration of its own", None),
+        ({"armings": 1}, "was armed meanwhile", None),
+        ({"silences": 1}, "was silent meanwhile", "before the vehicle fell silent"),
+        ({"calibrations": 1}, "calibration of its own meanwhile", None),
         ({"obstacles": ("it flies", "it is hot")}, "it flies; it is hot", None),
     ],
 )

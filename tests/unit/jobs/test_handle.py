@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Iterator
 from typing import cast
 
@@ -12,9 +13,11 @@ from mavcal.service.errors import DiskFull
 from mavcal.service.jobs import handle as handle_module
 from mavcal.service.jobs.codec import job_from_row
 from mavcal.service.jobs.handle import JobHandle, counting
+from mavcal.service.jobs.journal import JournalStep
 from mavcal.service.jobs.model import Job
 from mavcal.service.jobs.states import JobState
 from mavcal.service.store import SqliteStore
+from mavcal.service.store.rows import JournalRow, Json
 from tests.stores import new_store
 
 
@@ -83,3 +86,49 @@ async def test_a_change_counts_as_kept_only_when_it_is_on_the_disk(handle: JobHa
     assert row is not None
     assert job_from_row(row).context == handle.job.context
     assert [event.kind for event in store.events("j1")] == ["state", "note"]
+
+
+class Refusing(SqliteStore):
+    """Its journal takes nothing while `refuses` is set."""
+
+    refuses = False
+
+    def add_journal(self, job_id: str, at: float, step: str, data: Json) -> JournalRow:
+        """See Store."""
+        if self.refuses:
+            raise DiskFull
+        return super().add_journal(job_id, at, step, data)
+
+
+async def test_steps_that_the_disk_refused_are_in_the_journal_once_it_takes_them_again() -> None:
+    store = Refusing(None)
+    handle = JobHandle(Job("j1", "v", "gyro", {}, JobState.RUNNING, 0.0, 0.0), store, lambda _: None)
+    handle.change("state", {})
+    await handle.record(JournalStep.ECHO, name="A", value=2.0)
+    store.refuses = True
+    await handle.record_anyway(JournalStep.UNDO, name="A")
+    await handle.record_anyway(JournalStep.UNDONE, name="A", value=1.0)
+    store.refuses = False
+    handle.change("state", {})
+    await handle.kept()
+    steps = [row.step for row in store.journal("j1")]
+    store.close()
+    assert steps == ["echo", "undo", "undone"]
+    assert "recorded late" in handle.job.warnings[0]
+
+
+async def test_what_the_disk_refused_last_is_saved_without_another_change(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(handle_module, "RETRY_S", 0.01)
+    store = Refusing(None)
+    handle = JobHandle(Job("j1", "v", "gyro", {}, JobState.RUNNING, 0.0, 0.0), store, lambda _: None)
+    handle.change("state", {})
+    await handle.kept()
+    store.refuses = True
+    await handle.record_anyway(JournalStep.CLOSED)
+    handle.move(JobState.FAILED)
+    store.refuses = False
+    async with asyncio.timeout(20):
+        while (row := store.job("j1")) is None or row.state != "failed":  # noqa: ASYNC110 - the store is polled
+            await asyncio.sleep(0.01)
+    assert [step.step for step in store.journal("j1")] == ["closed"]
+    store.close()

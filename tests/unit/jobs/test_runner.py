@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Iterator
 from concurrent.futures import Executor, Future
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
@@ -81,6 +82,16 @@ async def test_a_fit_that_fails_says_why_and_what_to_do(
     assert isinstance(handle.job.outcome, Failure)
     assert handle.job.outcome.cause.lower() == cause.lower()
     assert handle.job.outcome.remedy == remedy
+
+
+async def test_a_fit_whose_worker_was_killed_is_made_once_more(
+    store: SqliteStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(runner_module, "fit_segments", lambda _request: Fitted(GaveUp("it was made", "Look."), {}))
+    handle = job(store, JobState.FITTING)
+    await runner(BrokenProcessPool("a worker was killed")).fit(handle)
+    assert isinstance(handle.job.outcome, Failure)
+    assert handle.job.outcome.cause == "it was made."
 
 
 @pytest.mark.parametrize(

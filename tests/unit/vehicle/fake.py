@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import struct
 from collections.abc import Callable, Coroutine, Iterable
 from typing import Any, TypeVar, cast
@@ -26,6 +27,8 @@ class FakeLink:
 
     id = "fake"
     ids = OwnIdentity()
+    heard_until = math.inf
+    """Never late, unless a test sets this."""
 
     def __init__(self) -> None:
         self.endpoint = parse_endpoint("udpin:127.0.0.1:14550")
@@ -37,6 +40,9 @@ class FakeLink:
 
     def subscribe(self, _callback: object, _ids: object = None) -> Callable[[], None]:
         return lambda: None
+
+    async def caught_up(self) -> None:
+        await asyncio.sleep(0)
 
     def send(self, message: Any, _target: object = None) -> None:
         raw = wire.raw_message(message)

@@ -102,6 +102,22 @@ def test_a_gap_between_heartbeats_is_silence_only_beyond_its_limit() -> None:
     assert told(heartbeat(), state=READY, at=beyond).disarmed_since == beyond
 
 
+def test_what_came_and_went_between_two_looks_is_counted() -> None:
+    assert (READY.armings, READY.silences, READY.calibrations) == (0, 0, 0)
+    later = told(heartbeat(armed=True), heartbeat(), heartbeat(status=2), heartbeat(), state=READY, at=104.0, step=0.5)
+    later = told(heartbeat(), state=later, at=109.0)
+    assert (later.armings, later.silences, later.calibrations) == (1, 1, 1)
+    again = restarted(later, 0.5)
+    assert (again.armings, again.silences, again.calibrations) == (1, 1, 1)
+
+
+def test_heartbeats_that_a_late_reader_took_together_are_no_silence() -> None:
+    late = reduce(READY, heartbeat(), now=108.0, since=103.5)  # it came between the two
+    assert late.silences == 0
+    assert late.disarmed_since == READY.disarmed_since
+    assert reduce(READY, heartbeat(), now=108.0, since=106.5).silences == 1
+
+
 def test_a_frozen_vehicle_that_still_answers_is_silent() -> None:
     state = told(throttle(0), state=READY, at=109.0)
     found = writable(state, 109.5)
