@@ -15,7 +15,7 @@ STREAMS = 40
 
 
 def link(state: str) -> LinkModel:
-    return LinkModel(id="l", url="tcp:v:1", state=state, reason="", vehicles=[], crc_errors=0)
+    return LinkModel(id="l", url="tcp:v:1", state=state, reason="", vehicles=[], crc_errors=0, signing_key=None)
 
 
 async def test_one_look_serves_every_stream_and_the_last_one_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:

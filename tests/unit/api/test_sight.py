@@ -71,7 +71,15 @@ def boats(service: Service) -> Sight:
 
 
 def link(*vehicles: str) -> LinkModel:
-    return LinkModel(id="l", url="udp", state=next(iter(LinkState)), reason="", vehicles=list(vehicles), crc_errors=0)
+    return LinkModel(
+        id="l",
+        url="udp",
+        state=next(iter(LinkState)),
+        reason="",
+        vehicles=list(vehicles),
+        crc_errors=0,
+        signing_key=None,
+    )
 
 
 def test_a_key_without_tags_sees_everything(service: Service) -> None:
