@@ -1,0 +1,146 @@
+"""Whole calibrations as a person makes them, with a simulated vehicle that does what the prompts ask for."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.service.gap_tables import write_table
+
+from .panel import DESK, PHONE, Panel, service, sim, until
+
+KEPT = {"parameters": {"INS_GYR_CAL": 0}, "thermal": False}
+"""A vehicle that keeps what is written to its gyros."""
+
+pytestmark = pytest.mark.timeout(600)
+
+
+def prompt_and_button_in_sight(panel: Panel) -> None:
+    assert panel.inside_viewport(".prompt"), panel.text(".prompt")
+    assert panel.inside_viewport(".dock button")
+
+
+def test_a_gyro_by_keyboard_alone(desk, tmp_path):
+    with service(tmp_path, "--connect", sim(config=KEPT)) as url:
+        desk.open(url)
+        desk.page.get_by_role("button", name="Calibrate: Gyro").focus()
+        desk.page.keyboard.press("Enter")
+        desk.wait_for_state("Ready for your review", 60)
+        desk.sees("Rate at rest is wrong by up to", inside=".headline")
+        desk.page.locator(".dock button.primary").focus()
+        desk.page.keyboard.press("Enter")
+        desk.wait_for_state("Done", 120)
+        desk.sees("was wrong by up to", inside=".headline")
+        desk.page.get_by_role("button", name="Take back").focus()
+        desk.page.keyboard.press("Enter")
+        desk.page.get_by_role("button", name="Yes, write the old values").focus()
+        desk.page.keyboard.press("Enter")
+        desk.wait_for_state("Taken back", 90)
+        assert desk.complaints == []
+
+
+@pytest.mark.long
+def test_an_accelerometer_on_a_phone_with_the_prompt_always_in_sight(phone, tmp_path):
+    with service(tmp_path, "--connect", sim(speed=6, config=KEPT)) as url:
+        phone.open(url)
+        phone.page.get_by_role("button", name="Calibrate: Accelerometer").click()
+        phone.page.wait_for_selector(".faces li")
+        seen: set[int] = set()
+
+        def captured() -> bool:
+            if phone.page.locator(".faces").count() == 0:
+                return True
+            prompt_and_button_in_sight(phone)
+            phone.page.mouse.wheel(0, 200)  # whoever scrolls still sees both
+            phone.page.wait_for_timeout(100)
+            if phone.page.locator(".faces").count():
+                prompt_and_button_in_sight(phone)
+            phone.page.mouse.wheel(0, -200)
+            seen.add(phone.page.locator(".faces .done").count())
+            return False
+
+        until(captured, 180, "the capture ends")
+        assert len(seen) >= 3  # the faces turned green one after the other
+        phone.wait_for_state("Ready for your review", 60)
+        phone.sees("Specific force is wrong by up to", inside=".headline")
+        assert phone.page.locator(".before-after img").is_visible()
+        assert phone.page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
+        assert phone.inside_viewport(".dock button.primary")
+        phone.page.locator(".dock button.primary").click()
+        phone.wait_for_state("Done", 180)
+        phone.sees("Proved", inside=".outcome")
+        phone.press("Take back")
+        phone.press("Yes, write the old values")
+        phone.wait_for_state("Taken back", 120)
+        assert phone.complaints == []
+
+
+@pytest.mark.long
+def test_a_compass_beside_a_magnet_ends_early_with_cause_and_remedy(desk, tmp_path):
+    magnet = {"truth": {"mags": [{"offset": [420.0, 60.0, -30.0]}, {"offset": [400.0, 0.0, 0.0]}]}}
+    with service(tmp_path, "--connect", sim(config=magnet)) as url:
+        desk.open(url)
+        desk.page.get_by_role("button", name="Calibrate: Compass").click()
+        desk.wait_for_state("Failed", 180)
+        desk.sees("magnet", inside=".outcome")
+        desk.sees("What helps:", inside=".outcome")
+        assert desk.page.get_by_role("button", name="Try again").is_visible()
+
+
+@pytest.mark.long
+def test_a_reload_and_a_second_browser_find_the_job_where_it_was(browser, desk, tmp_path):
+    with service(tmp_path, "--connect", sim(speed=3, hand="off", config=KEPT)) as url:
+        desk.open(url)
+        desk.page.get_by_role("button", name="Calibrate: Accelerometer").click()
+        desk.sees("1 of 10 poses", 90, ".prompt")
+        place = desk.place
+        desk.page.reload()
+        desk.sees("1 of 10 poses", 30, ".prompt")
+        assert desk.place == place
+        other = Panel(browser, PHONE)
+        other.open(url, place)
+        other.sees("1 of 10 poses", 30, ".prompt")
+        prompt_and_button_in_sight(other)
+        other.press("Cancel")
+        desk.wait_for_state("Cancelled", 30)
+        other.close()
+
+
+@pytest.mark.long
+def test_the_service_restarts_in_mid_job_and_the_page_goes_on(desk, tmp_path):
+    endpoint = sim(speed=3, hand="off")
+    with service(tmp_path, "--connect", endpoint) as url:
+        desk.open(url)
+        desk.page.get_by_role("button", name="Calibrate: Accelerometer").click()
+        desk.sees("1 of 10 poses", 90, ".prompt")
+    until(lambda: "Live" not in desk.text(".connection"), 30, "the page says that the service has gone")
+    assert desk.page.locator(".prompt").is_visible()  # nothing covers what the person was told
+    with service(tmp_path, "--connect", endpoint, port=int(url.rsplit(":", 1)[1].strip("/"))):
+        desk.sees("Live", 60, ".connection")
+        # The simulated vehicle ended with the service; the job says what has become of it.
+        known = ("Failed", "Interrupted", "Waiting", "Measuring")
+        until(lambda: any(word in desk.text(".job-head .badge") for word in known), 60, "the job is shown")
+
+
+@pytest.mark.long
+def test_a_gap_is_diagnosed_and_its_report_shown(desk, tmp_path):
+    real = write_table(tmp_path / "real.csv")
+    with service(tmp_path) as url:
+        desk.open(url, "#/gap")
+        desk.page.locator("input[type=file]").first.set_input_files(str(real))
+        desk.sees("real.csv", inside=".drop.done")
+        desk.press("Diagnose")
+        desk.sees("differ", 240, ".first-line")
+        assert desk.page.locator("iframe.report").is_visible()
+
+
+@pytest.mark.long
+def test_five_vehicles_fit_one_screen(browser, tmp_path):
+    panel = Panel(browser, DESK)
+    connects = [word for i in range(1, 6) for word in ("--connect", sim(seed=i, system_id=i, speed=1))]
+    with service(tmp_path, *connects) as url:
+        panel.open(url)
+        cards, tiles = panel.page.locator(".vehicle-card"), panel.page.locator(".tile")
+        until(lambda: cards.count() == 5, 120, "every vehicle is heard")
+        until(lambda: tiles.count() == 20, 60, "every tile is there")
+        assert panel.page.evaluate("document.documentElement.scrollHeight") <= DESK["height"] + 4
+    panel.close()
