@@ -140,3 +140,9 @@ async def test_a_full_disk_is_no_kept_recording(fake: FakeVehicle, seen: Vehicle
 def test_a_vehicle_is_found_by_its_id() -> None:
     registry = SimpleNamespace(get=lambda vehicle_id: SimpleNamespace(id=vehicle_id))
     assert RegistryAdapter(registry).vehicle("v7").id == "v7"  # type: ignore[arg-type]
+
+
+async def test_a_vehicle_that_is_not_ours_stands_in_conflict(fake: FakeVehicle) -> None:
+    registry = SimpleNamespace(get=lambda _: fake.vehicle)
+    ours = RegistryAdapter(registry, lambda vehicle_id: f"{vehicle_id} is another's")  # type: ignore[arg-type]
+    assert ours.vehicle("v7").condition().conflict == f"{fake.vehicle.id} is another's"
