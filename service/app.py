@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from functools import cache, partial
@@ -64,8 +65,9 @@ def create_app(settings: Settings) -> FastAPI:
     )
     app.state.settings = settings
     app.state.guard = RequestGuard(settings)
+    app.state.ending = asyncio.Event()
     install_problem_handlers(app)
-    app.add_middleware(Envelope, settings=settings, guard=app.state.guard)
+    app.add_middleware(Envelope, settings=settings, guard=app.state.guard, ending=app.state.ending)
     if settings.cors_origins:  # outermost: a page of such an origin can read what it is refused with, too
         app.add_middleware(
             CORSMiddleware,

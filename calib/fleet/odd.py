@@ -32,7 +32,7 @@ _LIMITS: Final = (
     *(14.46, 15.67, 10.76, 11.36, 8.93, 9.03, 7.95, 8.01, 7.28, 7.28, 6.73, 6.77, 6.40, 6.48, 6.23, 6.20),
     *(5.77, 5.47, 5.17, 5.00, 4.77, 4.63, 4.62, 4.57, 4.66, 4.72),
 )
-"""By size of the group, from ``python -m bench.fleet --limits --seed 1``; a test draws some of them again."""
+"""By size of the group, as ``bench.fleet`` draws them; a test draws some of them again."""
 
 
 @dataclass(frozen=True)

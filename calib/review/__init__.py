@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from mavcal.calib.review.criteria import Criterion, criteria_of
-from mavcal.calib.review.effect import Curve, SensorEffect, effects_of
+from mavcal.calib.review.effect import ErrorCurve, SensorEffect, effects_of
 from mavcal.calib.review.headline import headline_of
 from mavcal.calib.review.picture import picture_of
 
-__all__ = ["Criterion", "Curve", "SensorEffect", "criteria_of", "effects_of", "headline_of", "picture_of"]
+__all__ = ["Criterion", "ErrorCurve", "SensorEffect", "criteria_of", "effects_of", "headline_of", "picture_of"]

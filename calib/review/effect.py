@@ -33,7 +33,7 @@ UNITS: Final = {Sensor.GYRO: "deg/s", Sensor.ACCEL: "m/s²", Sensor.MAG: "deg"}
 
 
 @dataclass(frozen=True, eq=False)
-class Curve:
+class ErrorCurve:
     """What is drawn: errors before over something, and the standard deviation that is left; both (N,) or (N, 3)."""
 
     x: Array
@@ -56,7 +56,7 @@ class SensorEffect:
     """Largest error with the calibration in force; None: what is in force is not known."""
     after: float
     """What is left: one standard deviation of the fit and what the firmware cannot hold, together."""
-    curve: Curve | None
+    curve: ErrorCurve | None
 
 
 def effects_of(fits: Sequence[FitResult], plan: WritePlan, parameters: Mapping[str, Value]) -> tuple[SensorEffect, ...]:
@@ -112,7 +112,7 @@ def _heading(fit: FitResult, plan: WritePlan, old: TriadModel | None, new: Triad
         errors = heading_errors(old, new, strength, dip, headings)
         before = float(np.abs(errors).max())
         level = np.full(len(headings), sd)
-        curve = Curve(np.degrees(headings), "heading, deg", errors[0], level, "heading error, deg")
+        curve = ErrorCurve(np.degrees(headings), "heading, deg", errors[0], level, "heading error, deg")
     return SensorEffect(fit.sensor, fit.instance, "heading", "deg", before, _left(fit, plan, sd, "deg"), curve)
 
 
@@ -150,11 +150,11 @@ def _vector(fit: FitResult, plan: WritePlan, old: TriadModel | None, new: TriadM
         faces = np.zeros((1, 3)) if gyro else STANDARD_GRAVITY * np.vstack([np.eye(3), -np.eye(3)])
         shown = factor * (old.apply(new.invert(faces, at), at) - faces)
         if gyro:
-            curve = Curve(np.arange(3.0), "axis", shown[0], sds[0], f"rate at rest, {unit}")
+            curve = ErrorCurve(np.arange(3.0), "axis", shown[0], sds[0], f"rate at rest, {unit}")
         else:
             lengths = factor * (np.linalg.norm(old.apply(new.invert(faces, at), at), axis=1) - STANDARD_GRAVITY)
             left = np.linalg.norm(factor * _corrected_sd(fit, faces), axis=1)
-            curve = Curve(np.arange(6.0), "face", lengths, left, f"|f| - g, {unit}")
+            curve = ErrorCurve(np.arange(6.0), "face", lengths, left, f"|f| - g, {unit}")
     return SensorEffect(fit.sensor, fit.instance, quantity, unit, before, _left(fit, plan, sd, unit), curve)
 
 
@@ -172,7 +172,7 @@ def _drift(fit: FitResult, plan: WritePlan, old: TriadModel | None, new: TriadMo
         errors = factor * (measured(at) - (corrected - corrected.mean(axis=0)))
         errors -= errors[int(np.argmin(np.abs(at - measured.t_ref)))]
         before = float(np.abs(errors).max())
-        curve = Curve(at, "temperature, °C", errors, sd, f"change with temperature, {unit}")
+        curve = ErrorCurve(at, "temperature, °C", errors, sd, f"change with temperature, {unit}")
     return SensorEffect(fit.sensor, fit.instance, "drift", unit, before, _left(fit, plan, float(sd.max()), unit), curve)
 
 

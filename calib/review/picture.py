@@ -11,7 +11,7 @@ from markupsafe import Markup
 from mavcal.calib.drawing import Chart, side_by_side
 from mavcal.calib.drawing.scale import limits_of
 from mavcal.calib.recording import Sensor
-from mavcal.calib.review.effect import Curve, SensorEffect
+from mavcal.calib.review.effect import ErrorCurve, SensorEffect
 from mavcal.calib.review.headline import NAMES, amount
 
 BEFORE, AFTER = "#b3261e", "#14713a"
@@ -27,7 +27,7 @@ def picture_of(effects: Sequence[SensorEffect], told: str, columns: int | None =
     return side_by_side(charts, told, columns=columns) if charts else None
 
 
-def _chart(effect: SensorEffect, curve: Curve) -> Chart:
+def _chart(effect: SensorEffect, curve: ErrorCurve) -> Chart:
     assert effect.before is not None
     name = f"{NAMES.get(effect.sensor, str(effect.sensor)).capitalize()} {effect.instance + 1}"
     title = f"{name}: {amount(effect.before, effect.unit)} before, {amount(effect.after, effect.unit)} after"
@@ -50,7 +50,7 @@ def _chart(effect: SensorEffect, curve: Curve) -> Chart:
     return chart
 
 
-def _x_label(effect: SensorEffect, curve: Curve) -> str:
+def _x_label(effect: SensorEffect, curve: ErrorCurve) -> str:
     if curve.x_label == "axis":
         return "axis: 0 x, 1 y, 2 z"
     if curve.x_label == "face":

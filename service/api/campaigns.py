@@ -93,7 +93,7 @@ async def items(
     found: JobDep,
     outcome: Outcomes = None,
     after: Annotated[int, Query(ge=0, le=2**31, description="number of the last item of the page before")] = 0,
-    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+    limit: Annotated[int, Query(ge=1, le=1000, description="most rows of a page")] = 100,
 ) -> list[ItemModel]:
     """Items of a campaign, a page at a time; other jobs have none. A header `Link` leads to the next page, if any."""
     page = await _page(service, found.id, outcome, after, limit + 1)

@@ -60,7 +60,7 @@ async def fleet(
     *,
     order: Order = "name",
     descending: Descending = False,
-    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+    limit: Annotated[int, Query(ge=1, le=1000, description="most rows of a page")] = 100,
     after: Annotated[str | None, Query(max_length=200, description="the last unit of the page before")] = None,
 ) -> list[FleetUnitModel]:
     """Every unit of which something is known, a page at a time.

@@ -29,9 +29,10 @@ STREAMS = ("/events", "/stream", "/samples")
 class Envelope:
     """Plain ASGI middleware, so that event streams pass through unbuffered."""
 
-    def __init__(self, app: ASGIApp, settings: Settings, guard: RequestGuard) -> None:
+    def __init__(self, app: ASGIApp, settings: Settings, guard: RequestGuard, ending: asyncio.Event) -> None:
         self._app = app
         self._guard = guard
+        self._ending = ending
         self._window_s = settings.limits.body_window_s
         self._streams = 0
         self._most_streams = settings.limits.streams
@@ -69,8 +70,9 @@ class Envelope:
             await refusal(Request(scope), TooManyStreams())(scope, receive, dressed)
             return
         self._streams += stream
+        receiving = _limited(scope, _steady(receive, self._window_s))
         try:
-            await self._app(scope, _limited(scope, _steady(receive, self._window_s)), dressed)
+            await self._app(scope, _until(self._ending, receiving) if stream else receiving, dressed)
         except Exception as error:
             if started:
                 raise
@@ -92,6 +94,21 @@ class Envelope:
             await send(message)
 
         return dressed
+
+
+def _until(ending: asyncio.Event, receive: Receive) -> Receive:
+    """An event stream sees its reader go when the service ends: it would last for ever otherwise."""
+
+    async def waited() -> Message:
+        message, end = asyncio.ensure_future(receive()), asyncio.ensure_future(ending.wait())
+        try:
+            await asyncio.wait({message, end}, return_when=asyncio.FIRST_COMPLETED)
+            return message.result() if message.done() else {"type": "http.disconnect"}
+        finally:
+            message.cancel()
+            end.cancel()
+
+    return waited
 
 
 def _steady(receive: Receive, window_s: float) -> Receive:

@@ -83,6 +83,10 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
             if self.started:
                 announce(url)
 
+        async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+            app.state.ending.set()
+            await super().shutdown(sockets)
+
     config = server_config(app, settings.limits, lifespan="off")
     signal.signal(signal.SIGTERM, _ended)  # uvicorn raises SIGTERM once more when everything is closed
     with listener:

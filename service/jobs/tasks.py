@@ -50,7 +50,11 @@ class JobTasks:
             task.cancel()
 
     async def _supervised(self, handle: JobHandle, work: Work) -> None:
-        """Run a job's work; whatever breaks, a job that is not at an end is never left without a task."""
+        """Run a job's work; whatever breaks, a job that is not at an end is never left without a task.
+
+        A job has a second task while the first still looks at the vehicle after a write and an operator takes the
+        write back: the first then leaves the job alone.
+        """
         pause = 0.0
         while True:
             try:
@@ -62,7 +66,7 @@ class JobTasks:
                 broke(handle, error)
             except Exception as error:  # noqa: BLE001 - every kind of defect; `broke` logs it with its trace
                 broke(handle, error)
-            if handle.job.state not in WRITING:
+            if handle.job.state not in WRITING or self.running.get(handle.id) is not asyncio.current_task():
                 return
             await asyncio.sleep(pause)
             pause = self._retry_s
@@ -71,4 +75,4 @@ class JobTasks:
     def _over(self, handle: JobHandle, task: asyncio.Task[None]) -> None:
         if self.running.get(handle.id) is task:
             del self.running[handle.id]
-        self._ended(handle)
+            self._ended(handle)

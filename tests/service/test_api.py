@@ -69,7 +69,7 @@ async def test_a_full_disk_is_not_ready(tmp_path, monkeypatch):
 async def test_the_page_and_its_files_are_there(tmp_path):
     async with api(tmp_path) as a:
         page = await a.call("GET", "/", 200)
-        for name in ("style.css", "main.js"):
+        for name in ("style/base.css", "main.js"):
             assert f'"panel/{name}"' in page
             await a.call("GET", f"/panel/{name}", 200)
         for path in ("/panel/../pyproject.toml", "/panel/%2e%2e/pyproject.toml", "/panel/..%2fpyproject.toml"):

@@ -103,7 +103,7 @@ async def test_two_slow_uploads_do_not_starve_a_live_calibration(hanging):
             await reading(hanging, 2)
             vehicle = await a.vehicle()
             job = await a.post(f"/vehicles/{vehicle['id']}/jobs", GYRO, 202)
-            await a.until(job["id"], "review", seconds=90)
+            await a.until(job["id"], "review", "succeeded", seconds=90)
             assert not any(task.done() for task in slow)
             for task in slow:
                 task.cancel()

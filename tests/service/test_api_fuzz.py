@@ -77,4 +77,4 @@ def test_no_request_makes_the_service_fail(requests):
 
 def test_everything_that_is_documented_is_asked():
     assert len(CALLS) > 20
-    assert {"GET", "POST", "DELETE"} == {method for method, _ in CALLS}
+    assert {"GET", "POST", "PATCH", "DELETE"} == {method for method, _ in CALLS}

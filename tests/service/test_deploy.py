@@ -126,6 +126,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
         if path.is_dir():
             shutil.copytree(path, folder / source, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
         else:
+            (folder / source).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(path, folder / source)
     words = ("wheel", "--quiet", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder / "made"), str(folder))
     subprocess.run([sys.executable, "-m", "pip", *words], check=True, capture_output=True)

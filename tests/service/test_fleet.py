@@ -308,6 +308,8 @@ async def addresses(a: Api, seen: Json, hidden: Json) -> None:
             what = {"json": body} if method in ("post", "patch") else {}
             bad = path.format(**{**ABSENT, **hidden})
             none = path.format(**ABSENT)
+            if "signing" in path:  # keys for links belong to whoever runs the service
+                continue
             answer = await a.call(method.upper(), bad, 404, **what, **key("boats"))
             absent = await a.call(method.upper(), none, 404, **what, **key("boats"))
             assert (answer["code"], answer["title"]) == (absent["code"], absent["title"]), path

@@ -131,16 +131,3 @@ def test_a_gap_is_diagnosed_and_its_report_shown(desk, tmp_path):
         desk.press("Diagnose")
         desk.sees("differ", 240, ".first-line")
         assert desk.page.locator("iframe.report").is_visible()
-
-
-@pytest.mark.long
-def test_five_vehicles_fit_one_screen(browser, tmp_path):
-    panel = Panel(browser, DESK)
-    connects = [word for i in range(1, 6) for word in ("--connect", sim(seed=i, system_id=i, speed=1))]
-    with service(tmp_path, *connects) as url:
-        panel.open(url)
-        cards, tiles = panel.page.locator(".vehicle-card"), panel.page.locator(".tile")
-        until(lambda: cards.count() == 5, 120, "every vehicle is heard")
-        until(lambda: tiles.count() == 20, 60, "every tile is there")
-        assert panel.page.evaluate("document.documentElement.scrollHeight") <= DESK["height"] + 4
-    panel.close()

@@ -88,8 +88,8 @@ class ItemModel(BaseModel):
     job_state: JobState | None = Field(
         description="the present state of that job; null: there is none, or not any more"
     )
-    began_at: Stamp | None
-    ended_at: Stamp | None
+    began_at: Stamp | None = Field(description="s since 1970; null: not yet")
+    ended_at: Stamp | None = Field(description="s since 1970; null: not yet")
     preflight: PreflightModel | None = Field(description="of a campaign of preflights")
     fits: list[FitModel] = Field(description="of a campaign of fits: one fit a sensor instance")
     documents: list[DocumentModel] = Field(description="of a campaign of diagnoses: each report")

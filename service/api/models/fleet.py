@@ -36,9 +36,9 @@ class UnitRequest(Request):
 class SlopeModel(BaseModel):
     """A slope along one axis, with the interval that holds it with 90 %."""
 
-    value: float
-    low: float
-    high: float
+    value: float = Field(description="per year or per degC, in the unit of the drift")
+    low: float = Field(description="end of the interval, same unit")
+    high: float = Field(description="end of the interval, same unit")
 
 
 class LeavingModel(BaseModel):
@@ -46,7 +46,7 @@ class LeavingModel(BaseModel):
 
     earliest: float | None = Field(description="with 90 % it leaves between here and `latest`, s since 1970")
     middle: float | None = Field(description="as likely before as after, s since 1970")
-    latest: float | None
+    latest: float | None = Field(description="end of that interval, s since 1970")
 
 
 class OpenModel(BaseModel):
@@ -71,7 +71,7 @@ class DriftModel(BaseModel):
 class OddnessModel(BaseModel):
     """How far a sensor is from the middle of its type, in robust standard deviations of its worst axis."""
 
-    distance: float
+    distance: float = Field(description="robust standard deviations")
     limit: float = Field(description="a healthy group has one sensor beyond it in 1 of 100 groups")
     axis: int = Field(description="0, 1 or 2")
     group: int = Field(description="sensors of this type that are known")
@@ -81,8 +81,8 @@ class OddnessModel(BaseModel):
 class CoveredModel(BaseModel):
     """The temperatures that a calibration covers, degC."""
 
-    low: float
-    high: float
+    low: float = Field(description="degC")
+    high: float = Field(description="degC")
     how: str
 
 
@@ -90,12 +90,12 @@ class FleetSensorModel(BaseModel):
     """One sensor of a unit as it is known now."""
 
     sensor: Sensor
-    instance: int
+    instance: int = Field(description="0 for the first of its kind")
     device_id: int = Field(description="0: not known")
     type: str = Field(description="name of the part; empty: not known")
     bus: str = Field(description="bus and address of the part; empty: not known")
     calibrated_at: float | None = Field(description="of the last verified calibration, s since 1970; null: none known")
-    age_days: float | None
+    age_days: float | None = Field(description="days since then; null: none known")
     job_id: str | None = Field(description="the job that calibrated it last")
     covered: CoveredModel | None
     bias: Vector | None = Field(description="as it was measured last, in the unit of `drift`; null: never absolutely")
@@ -116,7 +116,7 @@ class UnitPreflightModel(BaseModel):
     """The last preflight of a unit."""
 
     at: Stamp
-    age_s: float
+    age_s: float = Field(description="s since then")
     verdict: Verdict
     summary: str
     failed: list[FailedCheckModel]
@@ -127,7 +127,7 @@ class ReasonModel(BaseModel):
 
     code: ReasonCode
     sensor: Sensor | None = Field(description="null: the unit as a whole")
-    instance: int | None
+    instance: int | None = Field(description="0 for the first of its kind; null: all of them")
     text: str
 
 
@@ -156,8 +156,8 @@ class SensorRecordModel(BaseModel):
     """One sensor as a job or a preflight measured it once."""
 
     sensor: Sensor
-    instance: int
-    device_id: int
+    instance: int = Field(description="0 for the first of its kind")
+    device_id: int = Field(description="as the firmware numbers it; 0: not known")
     type: str
     at: Stamp
     source: ObservationSource
@@ -169,7 +169,7 @@ class SensorRecordModel(BaseModel):
     bias: Vector | None = Field(description="raw, in `unit`")
     sd: Vector | None
     norm: float | None = Field(description="of a preflight: rate or specific force as the vehicle used it, in `unit`")
-    temperature: float | None
+    temperature: float | None = Field(description="degC")
     covered: CoveredModel | None
 
 

@@ -89,3 +89,29 @@ async def test_a_stop_of_the_service_is_no_reason_to_take_a_write_up(handle: Job
     tasks.cancel("j1")
     await until(lambda: bool(over))
     assert (handle.job.state, recovery.reasons) == (JobState.APPLYING, [])
+
+
+async def test_a_task_that_ends_late_leaves_the_job_to_the_next_one(handle: JobHandle) -> None:
+    recovery, over = Recovery(0), list[JobHandle]()
+    tasks = JobTasks(0.001, recovery, over.append)
+    late, taken_back = asyncio.Event(), asyncio.Event()
+
+    async def looks_on() -> None:
+        handle.job = replace(handle.job, state=JobState.SUCCEEDED)
+        await late.wait()
+
+    async def takes_back() -> None:
+        await taken_back.wait()
+        handle.job = replace(handle.job, state=JobState.REVERTED)
+
+    tasks.spawn(handle, looks_on)
+    first = tasks.running[handle.id]
+    await asyncio.sleep(0)
+    handle.job = replace(handle.job, state=JobState.ROLLING_BACK)
+    tasks.spawn(handle, takes_back)
+    late.set()
+    await asyncio.wait({first})
+    assert (recovery.reasons, over) == ([], [])
+    taken_back.set()
+    await until(lambda: bool(over))
+    assert (recovery.reasons, handle.job.state) == ([], JobState.REVERTED)
