@@ -99,7 +99,9 @@ def run(hours: int = HOURS, seed: int = SEED) -> Section:
 def _hour(running: RunningService, seed: int) -> bool:
     """One hour; whether its calibration came to a review."""
     client = running.client
-    with SimulatedVehicle("ardupilot", speed=SPEED, seed=seed, config={"parameters": {"INS_GYR_CAL": 0, "INS_GYROFFS_X": 0.05}}) as sim:
+    with SimulatedVehicle(
+        "ardupilot", speed=SPEED, seed=seed, config={"parameters": {"INS_GYR_CAL": 0, "INS_GYROFFS_X": 0.05}}
+    ) as sim:
         sim.call("still")
         link = client.open_link(url=sim.url).id
         vehicle = _until(lambda: next((v.id for v in client.list_vehicles() if v.link == link and v.uid), None))

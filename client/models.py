@@ -85,7 +85,9 @@ class CoveredModel(Answer):
     """The temperatures that a calibration covers, degC."""
 
     low: Number
+    """degC."""
     high: Number
+    """degC."""
     how: str
 
 
@@ -108,8 +110,11 @@ class SlopeModel(Answer):
     """A slope along one axis, with the interval that holds it with 90 %."""
 
     value: Number
+    """Per year or per degC, in the unit of the drift."""
     low: Number
+    """End of the interval, same unit."""
     high: Number
+    """End of the interval, same unit."""
 
 
 class LeavingModel(Answer):
@@ -120,6 +125,7 @@ class LeavingModel(Answer):
     middle: Number | None
     """As likely before as after, s since 1970."""
     latest: Number | None
+    """End of that interval, s since 1970."""
 
 
 class OpenModel(Answer):
@@ -173,6 +179,7 @@ class OddnessModel(Answer):
     """How far a sensor is from the middle of its type, in robust standard deviations of its worst axis."""
 
     distance: Number
+    """Robust standard deviations."""
     limit: Number
     """A healthy group has one sensor beyond it in 1 of 100 groups."""
     axis: int
@@ -187,6 +194,7 @@ class FleetSensorModel(Answer):
 
     sensor: Sensor
     instance: int
+    """0 for the first of its kind."""
     device_id: int
     """0: not known."""
     type: str
@@ -196,6 +204,7 @@ class FleetSensorModel(Answer):
     calibrated_at: Number | None
     """Of the last verified calibration, s since 1970; null: none known."""
     age_days: Number | None
+    """Days since then; null: none known."""
     job_id: str | None
     """The job that calibrated it last."""
     covered: CoveredModel | None
@@ -214,6 +223,7 @@ class UnitPreflightModel(Answer):
     at: Number
     """Wall-clock time, s since 1970."""
     age_s: Number
+    """s since then."""
     verdict: Verdict
     summary: str
     failed: list[FailedCheckModel]
@@ -226,6 +236,7 @@ class ReasonModel(Answer):
     sensor: Sensor | None
     """Null: the unit as a whole."""
     instance: int | None
+    """0 for the first of its kind; null: all of them."""
     text: str
 
 
@@ -355,7 +366,9 @@ class ItemModel(Answer):
     job_state: JobState | None
     """The present state of that job; null: there is none, or not any more."""
     began_at: Number | None
+    """s since 1970; null: not yet."""
     ended_at: Number | None
+    """s since 1970; null: not yet."""
     preflight: PreflightModel | None
     """Of a campaign of preflights."""
     fits: list[FitModel]
@@ -532,7 +545,9 @@ class SensorRecordModel(Answer):
 
     sensor: Sensor
     instance: int
+    """0 for the first of its kind."""
     device_id: int
+    """As the firmware numbers it; 0: not known."""
     type: str
     at: Number
     """Wall-clock time, s since 1970."""
@@ -551,6 +566,7 @@ class SensorRecordModel(Answer):
     norm: Number | None
     """Of a preflight: rate or specific force as the vehicle used it, in `unit`."""
     temperature: Number | None
+    """degC."""
     covered: CoveredModel | None
 
 

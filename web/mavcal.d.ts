@@ -158,7 +158,9 @@ export interface CheckModel {
 
 /** The temperatures that a calibration covers, degC. */
 export interface CoveredModel {
+  /** degC. */
   low: number;
+  /** degC. */
   high: number;
   how: string;
 }
@@ -339,6 +341,7 @@ export type Fixable = "gyro" | "level";
 /** One sensor of a unit as it is known now. */
 export interface FleetSensorModel {
   sensor: Sensor;
+  /** 0 for the first of its kind. */
   instance: number;
   /** 0: not known. */
   device_id: number;
@@ -348,6 +351,7 @@ export interface FleetSensorModel {
   bus: string;
   /** Of the last verified calibration, s since 1970; null: none known. */
   calibrated_at: number | null;
+  /** Days since then; null: none known. */
   age_days: number | null;
   /** The job that calibrated it last. */
   job_id: string | null;
@@ -509,7 +513,9 @@ export interface ItemModel {
   job_id: string | null;
   /** The present state of that job; null: there is none, or not any more. */
   job_state: JobState | null;
+  /** s since 1970; null: not yet. */
   began_at: number | null;
+  /** s since 1970; null: not yet. */
   ended_at: number | null;
   /** Of a campaign of preflights. */
   preflight: PreflightModel | null;
@@ -616,6 +622,7 @@ export interface LeavingModel {
   earliest: number | null;
   /** As likely before as after, s since 1970. */
   middle: number | null;
+  /** End of that interval, s since 1970. */
   latest: number | null;
 }
 
@@ -718,6 +725,7 @@ export type ObservationSource = "job" | "preflight";
 
 /** How far a sensor is from the middle of its type, in robust standard deviations of its worst axis. */
 export interface OddnessModel {
+  /** Robust standard deviations. */
   distance: number;
   /** A healthy group has one sensor beyond it in 1 of 100 groups. */
   limit: number;
@@ -1039,6 +1047,7 @@ export interface ReasonModel {
   code: ReasonCode;
   /** Null: the unit as a whole. */
   sensor: Sensor | null;
+  /** 0 for the first of its kind; null: all of them. */
   instance: number | null;
   text: string;
 }
@@ -1206,7 +1215,9 @@ export interface SensorModel {
 /** One sensor as a job or a preflight measured it once. */
 export interface SensorRecordModel {
   sensor: Sensor;
+  /** 0 for the first of its kind. */
   instance: number;
+  /** As the firmware numbers it; 0: not known. */
   device_id: number;
   type: string;
   /** Wall-clock time, s since 1970. */
@@ -1225,6 +1236,7 @@ export interface SensorRecordModel {
   sd: [number, number, number] | null;
   /** Of a preflight: rate or specific force as the vehicle used it, in `unit`. */
   norm: number | null;
+  /** degC. */
   temperature: number | null;
   covered: CoveredModel | null;
 }
@@ -1307,8 +1319,11 @@ export interface SigningRequest {
 
 /** A slope along one axis, with the interval that holds it with 90 %. */
 export interface SlopeModel {
+  /** Per year or per degC, in the unit of the drift. */
   value: number;
+  /** End of the interval, same unit. */
   low: number;
+  /** End of the interval, same unit. */
   high: number;
 }
 
@@ -1378,6 +1393,7 @@ export interface UnitHistoryModel {
 export interface UnitPreflightModel {
   /** Wall-clock time, s since 1970. */
   at: number;
+  /** s since then. */
   age_s: number;
   verdict: Verdict;
   summary: string;

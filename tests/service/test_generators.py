@@ -26,7 +26,7 @@ MODERN = [
     "--lib",
     "dom,dom.iterable,es2022",
 ]
-PAGE = [*MODERN, "--allowJs", "--checkJs"]
+PAGE = ["--strict", *MODERN, "--allowJs", "--checkJs", "--allowImportingTsExtensions"]
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
 
@@ -90,8 +90,9 @@ def test_a_program_is_checked_against_the_types(npm: Npm) -> None:
 def test_the_panel_names_only_fields_that_there_are(npm: Npm) -> None:
     checked = npm.run("tsc", "--noEmit", *PAGE, str(ROOT / "web" / "main.js"))
     assert checked.returncode == 0, checked.stdout
-    shutil.copytree(ROOT / "web", npm.folder / "web")
-    page = npm.folder / "web" / "render.js"
+    for name in ("web", "client"):
+        shutil.copytree(ROOT / name, npm.folder / name)
+    page = npm.folder / "web" / "view" / "job" / "room.js"
     page.write_text(page.read_text().replace("plan.needs_reboot", "plan.needs_restart"))
     assert "needs_restart" in npm.run("tsc", "--noEmit", *PAGE, "web/main.js").stdout
 

@@ -6,7 +6,7 @@ import pytest
 
 from tests.service.gap_tables import write_table
 
-from .panel import DESK, PHONE, Panel, service, sim, until
+from .panel import PHONE, Panel, service, sim, until
 
 KEPT = {"parameters": {"INS_GYR_CAL": 0}, "thermal": False}
 """A vehicle that keeps what is written to its gyros."""
