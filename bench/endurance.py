@@ -112,7 +112,7 @@ def _hour(running: RunningService, seed: int) -> bool:
         ).id
         _strangers(running)
         _until(lambda: client.get_job(fit).state == "succeeded" or None)
-        _until(lambda: client.get_job(job).state not in {"queued", "running"} or None)
+        _until(lambda: client.get_job(job).state in {"review", "succeeded", "failed", "interrupted"} or None)
         reviewed = client.get_job(job).state == "review"
         if reviewed:
             client.cancel_job(job)
