@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from contextlib import ExitStack
@@ -94,7 +95,8 @@ RECIPE = Path(__file__).resolve().parents[2] / "docs" / "preflight.md"
 @pytest.mark.long
 def test_the_recipe_for_ten_vehicles(tmp_path: Path) -> None:
     """As the page has it: nine healthy vehicles, and one whose accelerometer is off."""
-    script = RECIPE.read_text(encoding="utf-8").partition("```sh\n")[2].partition("```")[0]
+    blocks = re.findall(r"^```sh\n(.*?)^```", RECIPE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    (script,) = [block for block in blocks if "vehicles.txt" in block]
     config = {"calibration": "fresh", "imu_count": 2}
     with ExitStack() as stack:
         kinds = [("ardupilot", "px4")[number % 2] for number in range(10)]
