@@ -2,6 +2,7 @@
 
 import { SECTIONS } from "./sections.js";
 import { colorsOf } from "./colors.js";
+import { Drawing } from "./drawing.js";
 import { seen } from "./eye.js";
 import { rotate, IDENTITY } from "./rotation.js";
 
@@ -15,49 +16,17 @@ import { rotate, IDENTITY } from "./rotation.js";
  * should point down next.
  */
 
-export class FieldSphere extends HTMLElement {
+export class FieldSphere extends Drawing {
   constructor() {
     super();
     /** @type {Field} */
     this._field = { mask: [], points: [], next: null, now: null, attitude: null };
-    this._frame = 0;
-  }
-
-  connectedCallback() {
-    this._canvas = this.appendChild(document.createElement("canvas"));
-    this._sizes = new ResizeObserver(() => this._soon());
-    this._sizes.observe(this);
-  }
-
-  disconnectedCallback() {
-    this._sizes?.disconnect();
-    cancelAnimationFrame(this._frame);
-    this._frame = 0;
-    this._canvas?.remove();
   }
 
   /** @param {Field} field */
   set field(field) {
     this._field = field;
     this._soon();
-  }
-
-  _soon() {
-    if (!this._frame && this.isConnected) this._frame = requestAnimationFrame(() => this._draw());
-  }
-
-  _draw() {
-    this._frame = 0;
-    const canvas = this._canvas;
-    const { clientWidth: width, clientHeight: height } = this;
-    if (!canvas || !width || !height) return;
-    const ratio = window.devicePixelRatio || 1;
-    canvas.width = Math.round(width * ratio);
-    canvas.height = Math.round(height * ratio);
-    const pen = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d"));
-    const radius = 0.42 * Math.min(width, height) * ratio;
-    pen.setTransform(radius, 0, 0, -radius, canvas.width / 2, canvas.height / 2);
-    this._paint(pen);
   }
 
   /** @param {CanvasRenderingContext2D} pen */
