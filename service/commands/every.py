@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -16,7 +16,6 @@ from mavcal.service.errors import ServiceError
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from mavcal.service.commands.headless import Earlier
     from mavcal.service.commands.screen import Screen
     from mavcal.service.core import Service
     from mavcal.service.settings import Settings
@@ -63,6 +62,7 @@ class Acted:
     document: dict[str, Any] = field(default_factory=dict)
 
 
+T = TypeVar("T")
 Act = Callable[["Service", "Vehicle"], Awaitable[Acted]]
 
 
@@ -115,9 +115,10 @@ def run_every(settings: Settings, whom: Whom, act: Act, *, as_json: bool) -> int
     from mavcal.service.logs import configure_logging
 
     configure_logging(as_json=settings.log_json)
-    done = asyncio.run(_acted(settings, whom, act, Screen()))
-    if isinstance(done, int):
-        return done
+    came = asyncio.run(with_each(settings, whom, act, Screen()))
+    if isinstance(came, int):
+        return came
+    done = [(found, _told(one)) for found, one in came]
     if as_json:
         write_json({"vehicles": [{**found.document, **acted.document} for found, acted in done]})
     else:
@@ -127,10 +128,25 @@ def run_every(settings: Settings, whom: Whom, act: Act, *, as_json: bool) -> int
     return 0 if all(acted.good for _, acted in done) else EXIT_NO
 
 
-async def _acted(settings: Settings, whom: Whom, act: Act, screen: Screen) -> list[tuple[Found, Acted]] | int:
-    """What came of every vehicle, or the exit code of a run that was told to stop."""
-    from mavcal.service.commands.headless import earlier, stoppable
+async def with_each(
+    settings: Settings, whom: Whom, act: Callable[[Service, Vehicle], Awaitable[T]], screen: Screen
+) -> list[tuple[Found, T | ServiceError]] | int:
+    """What came of every vehicle, side by side, or why nothing did; the exit code of a run that was told to stop.
+
+    What an earlier run has left on a vehicle is finished first.
+    """
+    from mavcal.service.commands.headless import earlier, recovered, stoppable
     from mavcal.service.core import running_service
+
+    async def one(found: Found) -> T | ServiceError:
+        if found.vehicle is None:
+            assert found.error is not None
+            return found.error
+        try:
+            await recovered(service, found.vehicle, left, screen)
+            return await act(service, found.vehicle)
+        except ServiceError as error:
+            return error
 
     with stoppable() as caught:
         try:
@@ -138,7 +154,7 @@ async def _acted(settings: Settings, whom: Whom, act: Act, screen: Screen) -> li
                 left = earlier(service)
                 found = await vehicles_of(service, whom, screen)
                 async with asyncio.TaskGroup() as group:
-                    tasks = [group.create_task(_one(service, one, left, act, screen)) for one in found]
+                    tasks = [group.create_task(one(vehicle)) for vehicle in found]
                 return list(zip(found, [task.result() for task in tasks], strict=True))
         except asyncio.CancelledError:
             if not caught:
@@ -146,16 +162,10 @@ async def _acted(settings: Settings, whom: Whom, act: Act, screen: Screen) -> li
             return 128 + caught[0]
 
 
-async def _one(service: Service, found: Found, left: Earlier, act: Act, screen: Screen) -> Acted:
-    from mavcal.service.commands.headless import recovered
-
-    if found.vehicle is None:
-        return Acted(good=False, text=str(found.error))
-    try:
-        await recovered(service, found.vehicle, left, screen)
-        return await act(service, found.vehicle)
-    except ServiceError as error:
-        return Acted(good=False, text=str(error), document={"error": {"code": error.code, "detail": str(error)}})
+def _told(came: Acted | ServiceError) -> Acted:
+    if isinstance(came, Acted):
+        return came
+    return Acted(good=False, text=str(came), document={"error": {"code": came.code, "detail": str(came)}})
 
 
 def one_of(urls: Sequence[str]) -> str:

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from mavcal.service.commands.every import Found, Whom, all_option, connect_option, vehicles_of
+from mavcal.service.commands.every import Found, Whom, all_option, connect_option, with_each
 from mavcal.service.commands.output import EXIT_NO, json_option, write_json
 from mavcal.service.errors import ServiceError
 
 if TYPE_CHECKING:
     from mavcal.service.api.models import CheckModel, PreflightModel
-    from mavcal.service.commands.headless import Earlier
     from mavcal.service.commands.screen import Screen
     from mavcal.service.core import Service
-    from mavcal.service.settings import Settings
+    from mavcal.service.vehicle import Vehicle
 
 EXIT_UNSURE = 3
 """Nothing failed, but a check warns or could not be made."""
@@ -63,7 +63,9 @@ def command(
     whom = Whom(urls, every, wait)
     settings = whom.settings(data_dir)
     configure_logging(as_json=settings.log_json)
-    done = asyncio.run(_preflights(settings, whom, _Wish(kinds, heading), Screen()))
+    screen = Screen()
+    check = partial(_checked, wish=_Wish(kinds, heading), screen=screen)
+    done = asyncio.run(with_each(settings, whom, check, screen))
     if isinstance(done, int):
         return done
     found = [one for _, one in done]
@@ -87,46 +89,15 @@ class _Wish:
 Answer = tuple["Found", "PreflightModel | ServiceError"]
 
 
-async def _preflights(settings: Settings, whom: Whom, wish: _Wish, screen: Screen) -> list[Answer] | int:
-    """The report of every vehicle or why there is none; or the exit code of a run that was told to stop."""
-    from mavcal.service.commands.headless import earlier, stoppable
-    from mavcal.service.core import running_service
-
-    with stoppable() as caught:
-        try:
-            async with running_service(settings) as service:
-                left = earlier(service)
-                found = await vehicles_of(service, whom, screen)
-                async with asyncio.TaskGroup() as group:
-                    tasks = [group.create_task(_one(service, left, one, wish, screen)) for one in found]
-                return list(zip(found, [task.result() for task in tasks], strict=True))
-        except asyncio.CancelledError:
-            if not caught:
-                raise
-            return 128 + caught[0]
-
-
-async def _one(
-    service: Service, left: Earlier, found: Found, wish: _Wish, screen: Screen
-) -> PreflightModel | ServiceError:
+async def _checked(service: Service, vehicle: Vehicle, *, wish: _Wish, screen: Screen) -> PreflightModel:
     from mavcal.service.api.views import preflight_model
-    from mavcal.service.commands.headless import recovered
     from mavcal.service.jobs.fixing import Fixable, fixed
 
-    vehicle = found.vehicle
-    if vehicle is None:
-        assert found.error is not None
-        return found.error
-    try:
-        screen.line(f"{vehicle.identity.autopilot} {vehicle.identity.version_text} as {vehicle.id}")
-        await recovered(service, vehicle, left, screen)
-        kinds = [Fixable(kind) for kind in wish.kinds]
-        mended = await fixed(service.jobs, vehicle.id, kinds, actor="command line")
-        for fix in mended:
-            screen.line(f"    {fix.kind.value}: {fix.state.value}: {fix.text}")
-        return preflight_model(await service.jobs.preflight(vehicle.id, heading=wish.heading), mended)
-    except ServiceError as error:
-        return error
+    screen.line(f"{vehicle.identity.autopilot} {vehicle.identity.version_text} as {vehicle.id}")
+    mended = await fixed(service.jobs, vehicle.id, [Fixable(kind) for kind in wish.kinds], actor="command line")
+    for fix in mended:
+        screen.line(f"    {fix.kind.value}: {fix.state.value}: {fix.text}")
+    return preflight_model(await service.jobs.preflight(vehicle.id, heading=wish.heading), mended)
 
 
 def _exit_code(found: list[PreflightModel | ServiceError]) -> int:
