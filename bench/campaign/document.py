@@ -12,6 +12,21 @@ from bench.campaign.report import FaultReport, KillReport
 from bench.campaign.starved import StarvedReport, starved_table
 from bench.campaign.tables import cli_table, criteria_table, fault_tables, kill_table
 
+CROSSED_METHOD = """\
+`scripts/campaign crossed` draws one fault of the network, one of the service and its machine, and one of the vehicle,
+and lets each loose while the job captures, writes or checks. All 512 cells come once in each block of 512 runs. Jobs
+are gyro, level, accel and mag; the vehicle's clock runs 20 times faster than the wall's, 10 times where frames are out
+of order.
+
+A service that dies is a forked process that gets SIGKILL at a named instant of the job engine. A loss of power leaves
+what had been brought onto the disk, and of the rest a piece of random length. A full disk refuses one kind of write, a
+database that is gone every write, for a while; a slow disk takes 50 ms for each forced write. The wall clock jumps by
+two hours, forward and back. The next life of the service has to bring the job to its end.
+
+After the last life the store is opened again and compared with the vehicle and with a ledger of everything that it had
+taken. Jobs, journal, plans and segments must be there, and the samples of each segment must have their digest. No
+telemetry log may have lost what it held, and each parameter must hold what the journal confirms last."""
+
 TEXT = """# Fault campaign
 
 `scripts/campaign` lets real jobs (capture, plan, accept, write, check) run against simulated vehicles of both
@@ -63,19 +78,7 @@ same command again, has to put the vehicle right and to end with exit code 0.
 
 ## Network × process × vehicle
 
-`scripts/campaign crossed` draws one fault of the network, one of the service and its machine, and one of the vehicle,
-and lets each loose while the job captures, writes or checks. All 512 cells come once in each block of 512 runs. Jobs
-are gyro, level, accel and mag; the vehicle's clock runs 20 times faster than the wall's, 10 times where frames are out
-of order.
-
-A service that dies is a forked process that gets SIGKILL at a named instant of the job engine. A loss of power leaves
-what had been brought onto the disk, and of the rest a piece of random length. A full disk refuses one kind of write, a
-database that is gone every write, for a while; a slow disk takes 50 ms for each forced write. The wall clock jumps by
-two hours, forward and back. The next life of the service has to bring the job to its end.
-
-After the last life the store is opened again and compared with the vehicle and with a ledger of everything that it had
-taken. Jobs, journal, plans and segments must be there, and the samples of each segment must have their digest. No
-telemetry log may have lost what it held, and each parameter must hold what the journal confirms last.
+{method}
 
 {crossed}
 
@@ -105,6 +108,7 @@ def write_document(
         faults=fault_tables(faults),
         kills=kill_table(killed),
         commands=cli_table(commands),
+        method=CROSSED_METHOD,
         crossed=cross_tables(crossed),
         starved=starved_table(starved),
     )
@@ -113,19 +117,7 @@ def write_document(
 
 CROSSED = """# Crossed faults
 
-`scripts/campaign crossed` draws one fault of the network, one of the service and its machine, and one of the vehicle,
-and lets each loose while the job captures, writes or checks. All 512 cells come once in each block of 512 runs. Jobs
-are gyro, level, accel and mag; the vehicle's clock runs 20 times faster than the wall's, 10 times where frames are out
-of order.
-
-A service that dies is a forked process that gets SIGKILL at a named instant of the job engine. A loss of power leaves
-what had been brought onto the disk, and of the rest a piece of random length. A full disk refuses one kind of write, a
-database that is gone every write, for a while; a slow disk takes 50 ms for each forced write. The wall clock jumps by
-two hours, forward and back. The next life of the service has to bring the job to its end.
-
-After the last life the store is opened again and compared with the vehicle and with a ledger of everything that it had
-taken. Jobs, journal, plans and segments must be there, and the samples of each segment must have their digest. No
-telemetry log may have lost what it held, and each parameter must hold what the journal confirms last.
+{method}
 
 ## What was measured (seed {seed}, store {store})
 
@@ -139,5 +131,11 @@ def write_crossed(
     path: Path, seed: int, store: str, crossed: Sequence[CrossReport], criteria: Sequence[Criterion]
 ) -> None:
     """Write the page of a crossed campaign alone."""
-    text = CROSSED.format(seed=seed, store=store, criteria=criteria_table(criteria), crossed=cross_tables(crossed))
+    text = CROSSED.format(
+        seed=seed,
+        store=store,
+        criteria=criteria_table(criteria),
+        method=CROSSED_METHOD,
+        crossed=cross_tables(crossed),
+    )
     path.write_text(text, encoding="utf-8")

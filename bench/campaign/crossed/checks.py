@@ -1,4 +1,4 @@
-"""What must not be lost, compared with what the store and the disk hold after the last life of the service."""
+"""Compares what must not be lost with what store and disk hold after the last life of the service."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _ANNOUNCED = {JournalStep.SEND, JournalStep.UNDO, JournalStep.RESTORE}
 
 
 def lost(ledger: Path, store: Store) -> list[str]:
-    """What the store had taken by the ledger and no longer has, in sentences."""
+    """Sentences on what the ledger says the store had taken and the store no longer has."""
     complaints = []
     jobs = {row.id for row in store.jobs()}
     rows: dict[str, list[str]] = {}

@@ -23,7 +23,7 @@ GONE_WRITES = 3
 
 @dataclass
 class Disk:
-    """What is the matter with the disk of a run, and until where each file is safe from a loss of power."""
+    """The fault of a run's disk, and how much of each file survives a loss of power."""
 
     cross: Cross
     strikes: int = 0
@@ -134,7 +134,7 @@ def installed(disk: Disk, wall: WallClock) -> None:
 def power_cut(data_dir: Path, image: Path, disk: Disk, draw: random.Random) -> None:
     """Make `image` what a loss of power at this instant may leave of a data directory.
 
-    What was not brought onto the disk is cut off at a random byte.
+    Bytes that were not synced are cut off at a random place.
     """
     image.mkdir()
     for path in sorted(data_dir.rglob("*")):
