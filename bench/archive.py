@@ -1,6 +1,6 @@
 """``python -m bench.archive [--logs N]``: an archive of small logs fitted again, with one worker and with two.
 
-What it costs per log, how that grows with the archive, and what a second worker gains. Every log is read in a child
+Measures the cost per log, how it grows with the archive, and what a second worker gains. Every log is read in a child
 process with limits, as in the service; the campaign and every item are kept in a data directory.
 """
 
@@ -25,7 +25,7 @@ from mavcal.service.lifetime import ending_with_us
 LOGS = 10_000
 SEED = 20261124
 SECONDS, RATE = 20.0, 50.0
-"""Of a log: a gyroscope at rest."""
+"""Length of a log, a gyroscope at rest."""
 METHOD = "gyro-rest"
 GROWS = 1.2
 """Cost per log of the whole archive, of that of a tenth; more than that is no linear growth."""
@@ -84,7 +84,7 @@ def fitted(folder: Path, pattern: str, workers: int, count: int) -> Run:
 
 
 def run(logs: int = LOGS, folder: Path | None = None) -> Section:
-    """Measure; the archive is made anew, from a seed."""
+    """Measure; the archive is made from a seed."""
     with TemporaryDirectory(prefix="mavcal-bench-", dir=folder) as made:
         place = Path(made)
         write_logs(place, logs, SEED)
@@ -104,8 +104,8 @@ def run(logs: int = LOGS, folder: Path | None = None) -> Section:
     )
     notes = (
         f"Each log is {SECONDS:g} s of a gyroscope at rest at {RATE:g} Hz (seed {SEED}), fitted by {METHOD} in a child "
-        "process of its own. A worker is a thread that waits for children. What a campaign of one log takes is left "
-        "out of the cost of each. Processor time is that of the command and all that it starts. A log that is lost or "
+        "process of its own. A worker is a thread that waits for children. The cost of one log leaves out what a "
+        "campaign costs by itself. Processor time is that of the command and all that it starts. A log that is lost or "
         "fails is an error of the measurement.",
     )
     return Section("An archive fitted again", rows, notes)

@@ -372,7 +372,7 @@ class AsyncClient(AsyncTransport):
         needs_recalibration: bool | None = None,
         odd: bool | None = None,
     ) -> list[FleetUnitModel]:
-        """Every unit of which something is known, a page at a time.
+        """Every known unit, a page at a time.
 
         A header `Link` with `rel="next"` leads to the next page, if any.
         """

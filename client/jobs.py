@@ -170,7 +170,7 @@ class FitModel(Answer):
     unit: str
     """Unit of the offset."""
     condition_number: Number | None
-    """Of the problem in scaled unknowns; a pure number."""
+    """Condition number of the problem in scaled unknowns; a pure number."""
     undetermined: list[str]
     """Names of parameters that the data do not determine."""
     movements: dict[str, str]
@@ -411,7 +411,7 @@ class SegmentModel(Answer):
     path: str
     """Name of the log."""
     start_byte: int
-    """Of the log, from 0."""
+    """First byte in the log, from 0."""
     end_byte: int
     """The byte behind the last one."""
     sha256: str
@@ -440,7 +440,7 @@ class JobModel(Answer):
     last_write: WriteModel | None
     """Null: nothing was accepted yet."""
     options: dict[str, Any]
-    """Of the procedure or method, and of what uploads."""
+    """Options of the procedure or method, and what an upload adds."""
     plan_options: dict[str, Any]
     """What the operator decided about the plan: given fields of PlanOptions."""
     warnings: list[str]

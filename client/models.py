@@ -202,7 +202,7 @@ class FleetSensorModel(Answer):
     bus: str
     """Bus and address of the part; empty: not known."""
     calibrated_at: Number | None
-    """Of the last verified calibration, s since 1970; null: none known."""
+    """Time of the last verified calibration, s since 1970; null: none known."""
     age_days: Number | None
     """Days since then; null: none known."""
     job_id: str | None
@@ -259,11 +259,11 @@ class FleetUnitModel(Answer):
     """When it was identified last, s since 1970; null: not known."""
     preflight: UnitPreflightModel | None
     age_days: Number | None
-    """Of its oldest calibration; null: a sensor has none."""
+    """Age of its oldest calibration, days; null: a sensor has none."""
     ages: dict[str, Number | None]
     """The same by kind of sensor."""
     leaving: LeavingModel | None
-    """Of the sensor that leaves its limit first."""
+    """For the sensor that leaves its limit first."""
     needs_recalibration: bool
     reasons: list[ReasonModel]
     sensors: list[FleetSensorModel]
@@ -370,11 +370,11 @@ class ItemModel(Answer):
     ended_at: Number | None
     """s since 1970; null: not yet."""
     preflight: PreflightModel | None
-    """Of a campaign of preflights."""
+    """Report, if the campaign runs preflights."""
     fits: list[FitModel]
-    """Of a campaign of fits: one fit a sensor instance."""
+    """One fit for each sensor instance, if the campaign fits."""
     documents: list[DocumentModel]
-    """Of a campaign of diagnoses: each report."""
+    """Each report, if the campaign diagnoses."""
 
 
 class JobSummary(Answer):
@@ -399,7 +399,7 @@ class JobSummary(Answer):
     last_write: WriteModel | None
     """Null: nothing was accepted yet."""
     options: dict[str, Any]
-    """Of the procedure or method, and of what uploads."""
+    """Options of the procedure or method, and what an upload adds."""
 
 
 class LinkModel(Answer):
@@ -564,7 +564,7 @@ class SensorRecordModel(Answer):
     """Raw, in `unit`."""
     sd: list[Number] | None
     norm: Number | None
-    """Of a preflight: rate or specific force as the vehicle used it, in `unit`."""
+    """From a preflight: rate or specific force as the vehicle used it, in `unit`."""
     temperature: Number | None
     """degC."""
     covered: CoveredModel | None
@@ -587,7 +587,7 @@ class SensorStateModel(Answer):
     job: str | None
     """The job that did; null: never here."""
     temperature: Number | None
-    """Of the calibration, degC; null: not known."""
+    """Temperature of the calibration, degC; null: not known."""
 
 
 class SeriesModel(Answer):

@@ -272,7 +272,7 @@ class TooManyStreams(ApiProblem):
 
 
 class UnitUnknown(ApiProblem):
-    """Unit unknown (404). No such unit. GET /api/v1/fleet lists those of which something is known."""
+    """Unit unknown (404). No such unit. GET /api/v1/fleet lists the known ones."""
 
 
 class UploadTooLarge(ApiProblem):

@@ -76,7 +76,7 @@ async def live_batches(vehicle: Vehicle) -> AsyncIterator[LiveBatch]:
 
 
 def _one_a_sensor(chunk: Recording) -> tuple[Channel, ...]:
-    """Of several messages that carry one sensor, the one with the most samples."""
+    """The message with the most samples, where several carry one sensor."""
     best: dict[tuple[Sensor, int], Channel] = {}
     for channel in chunk.channels:
         key = channel.sensor, channel.instance

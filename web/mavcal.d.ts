@@ -279,7 +279,7 @@ export interface FitModel {
   residual_rms: number | null;
   /** Unit of the offset. */
   unit: string;
-  /** Of the problem in scaled unknowns; a pure number. */
+  /** Condition number of the problem in scaled unknowns; a pure number. */
   condition_number: number | null;
   /** Names of parameters that the data do not determine. */
   undetermined: string[];
@@ -349,7 +349,7 @@ export interface FleetSensorModel {
   type: string;
   /** Bus and address of the part; empty: not known. */
   bus: string;
-  /** Of the last verified calibration, s since 1970; null: none known. */
+  /** Time of the last verified calibration, s since 1970; null: none known. */
   calibrated_at: number | null;
   /** Days since then; null: none known. */
   age_days: number | null;
@@ -382,11 +382,11 @@ export interface FleetUnitModel {
   /** When it was identified last, s since 1970; null: not known. */
   seen_at: number | null;
   preflight: UnitPreflightModel | null;
-  /** Of its oldest calibration; null: a sensor has none. */
+  /** Age of its oldest calibration, days; null: a sensor has none. */
   age_days: number | null;
   /** The same by kind of sensor. */
   ages: Record<string, number | null>;
-  /** Of the sensor that leaves its limit first. */
+  /** For the sensor that leaves its limit first. */
   leaving: LeavingModel | null;
   needs_recalibration: boolean;
   reasons: ReasonModel[];
@@ -517,11 +517,11 @@ export interface ItemModel {
   began_at: number | null;
   /** s since 1970; null: not yet. */
   ended_at: number | null;
-  /** Of a campaign of preflights. */
+  /** Report, if the campaign runs preflights. */
   preflight: PreflightModel | null;
-  /** Of a campaign of fits: one fit a sensor instance. */
+  /** One fit for each sensor instance, if the campaign fits. */
   fits: FitModel[];
-  /** Of a campaign of diagnoses: each report. */
+  /** Each report, if the campaign diagnoses. */
   documents: DocumentModel[];
 }
 
@@ -557,7 +557,7 @@ export interface JobModel {
   outcome: OutcomeModel | null;
   /** Null: nothing was accepted yet. */
   last_write: WriteModel | null;
-  /** Of the procedure or method, and of what uploads. */
+  /** Options of the procedure or method, and what an upload adds. */
   options: Record<string, unknown>;
   /** What the operator decided about the plan: given fields of PlanOptions. */
   plan_options: Record<string, unknown>;
@@ -609,7 +609,7 @@ export interface JobSummary {
   outcome: OutcomeModel | null;
   /** Null: nothing was accepted yet. */
   last_write: WriteModel | null;
-  /** Of the procedure or method, and of what uploads. */
+  /** Options of the procedure or method, and what an upload adds. */
   options: Record<string, unknown>;
 }
 
@@ -1146,7 +1146,7 @@ export interface SamplesModel {
 export interface SegmentModel {
   /** Name of the log. */
   path: string;
-  /** Of the log, from 0. */
+  /** First byte in the log, from 0. */
   start_byte: number;
   /** The byte behind the last one. */
   end_byte: number;
@@ -1234,7 +1234,7 @@ export interface SensorRecordModel {
   /** Raw, in `unit`. */
   bias: [number, number, number] | null;
   sd: [number, number, number] | null;
-  /** Of a preflight: rate or specific force as the vehicle used it, in `unit`. */
+  /** From a preflight: rate or specific force as the vehicle used it, in `unit`. */
   norm: number | null;
   /** degC. */
   temperature: number | null;
@@ -1256,7 +1256,7 @@ export interface SensorStateModel {
   at: number | null;
   /** The job that did; null: never here. */
   job: string | null;
-  /** Of the calibration, degC; null: not known. */
+  /** Temperature of the calibration, degC; null: not known. */
   temperature: number | null;
 }
 
@@ -1892,7 +1892,7 @@ export interface Operations {
     parameters: { gap_id: string };
     answer: string;
   };
-  /** Every unit of which something is known, a page at a time. */
+  /** Every known unit, a page at a time. */
   list_fleet: {
     method: "GET";
     path: "/api/v1/fleet";

@@ -35,7 +35,7 @@ class Belief(StrEnum):
     """What is believed of a drift before anything is measured."""
 
     ANY = "any"  # every drift is as likely as every other one
-    SOME = "some"  # it has a typical size, of which nothing is known
+    SOME = "some"  # it has a typical size, and nothing is known about it
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ class Measured:
     bias: Array
     """Shape (n, 3)."""
     sd: Array
-    """Of one axis, shape (n,)."""
+    """One axis, shape (n,)."""
     warmth: Array | None
     """Temperature above the reference one, degC, shape (n,); None: it is left out."""
 

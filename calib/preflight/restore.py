@@ -85,7 +85,7 @@ def compose_restore(
     Raises
     ------
     FirmwareError
-        If there is no verified calibration, or one is of another unit, or nothing says of which unit it is.
+        If there is no verified calibration, or one belongs to another unit, or its unit is not known.
     """
     require_same_unit(history, fingerprint.uid)
     wanted = expected(history, fingerprint.autopilot, parameters, only=options.only)
@@ -146,7 +146,7 @@ class _Restoration:
         return self._draft.plan(self._fingerprint)
 
     def _usable(self) -> Iterator[ExpectedValue]:
-        """Everything that has a place, without the sensors of which a part has none."""
+        """Everything that has a place, without any sensor that has only part of its places."""
         out = set(self._untold())
         lost: dict[Subject | None, list[str]] = {}
         for wanted in self._wanted.values:

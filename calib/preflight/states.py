@@ -57,7 +57,7 @@ class SensorState:
     at: float | None
     job: str | None
     temperature: float | None
-    """Of the calibration, degC; None: not known."""
+    """Temperature of the calibration, degC; None: not known."""
 
 
 def sensor_states(finished: Sequence[FinishedCalibration], snapshot: Snapshot) -> tuple[SensorState, ...]:

@@ -31,7 +31,7 @@ def _choice(
     *,
     verdict: Annotated[
         list[Literal["pass", "warn", "fail", "unknown", "none"]] | None,
-        Query(description="of the last preflight; none: there was none; several: any of them"),
+        Query(description="verdict of the last preflight; none: there was none; several: any of them"),
     ] = None,
     tag: Annotated[str | None, Query(max_length=40)] = None,
     min_age_days: Annotated[float | None, Query(ge=0.0, le=1e6, description="calibrated so long ago, or never")] = None,
@@ -63,7 +63,7 @@ async def fleet(
     limit: Annotated[int, Query(ge=1, le=1000, description="most rows of a page")] = 100,
     after: Annotated[str | None, Query(max_length=200, description="the last unit of the page before")] = None,
 ) -> list[FleetUnitModel]:
-    """Every unit of which something is known, a page at a time.
+    """Every known unit, a page at a time.
 
     A header `Link` with `rel="next"` leads to the next page, if any.
     """
@@ -137,7 +137,7 @@ async def _unit(unit_id: str, service: Service, sight: Sight) -> FleetUnit:
 
 
 async def _units(service: Service, sight: Sight) -> tuple[FleetUnit, ...]:
-    """Every unit that may be seen; also compared with those that may not, of which nothing but numbers is told."""
+    """Every unit that may be seen. Those that may not be seen count in comparisons, as numbers alone."""
     rows = await service.store.do(service.store.fleet)
     now = time.time()
     present = {

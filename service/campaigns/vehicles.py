@@ -27,12 +27,12 @@ DOUBT_S = 120.0
 _LOOK_S = 0.1
 _FOR_A_PERSON = frozenset({JobState.WAITING_FOR_OPERATOR, JobState.WAITING_FOR_REBOOT})
 _LOST = frozenset({JobState.CANCELLED, JobState.INTERRUPTED})
-"""Of a job that a stopped service had begun: it came to nothing, and is begun again."""
+"""A job that a stopped service left in one of these states came to nothing: the item begins again."""
 BEGUN_BY = "campaign"
 """Key of a job's context: the campaign that began it, and the number of its item."""
 
 _OUTCOMES = {Verdict.PASS: ItemOutcome.DONE, Verdict.FAIL: ItemOutcome.REFUSED}
-"""Of a preflight; it warns otherwise."""
+"""Outcome by the verdict of a preflight; any other verdict warns."""
 
 
 @dataclass(frozen=True)

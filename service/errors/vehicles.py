@@ -121,7 +121,7 @@ class VehicleUnknown(VehicleError):
 
 
 class UnitUnknown(VehicleError):
-    """No such unit. GET /api/v1/fleet lists those of which something is known."""
+    """No such unit. GET /api/v1/fleet lists the known ones."""
 
     status_code = 404
     title = "Unit unknown"

@@ -77,7 +77,7 @@ class FleetUnit:
 
     @property
     def verdict(self) -> Verdict | None:
-        """Of the last preflight; None: there was none."""
+        """Verdict of the last preflight; None: there was none."""
         return None if self.standing.preflight is None else self.standing.preflight.verdict
 
 

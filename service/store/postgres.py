@@ -45,7 +45,7 @@ _DISK_TROUBLE = {"53100", "58030"}
 
 
 class _Executes:
-    """A connection of which every statement returns its rows."""
+    """A connection whose every statement returns its rows."""
 
     def __init__(self, connection: psycopg.Connection[Row]) -> None:
         self.connection = connection
@@ -99,7 +99,7 @@ class PostgresDatabase:
             start = "BEGIN"
         try:
             self._writer.connection.execute(start)
-        except psycopg.OperationalError:  # it broke since the last transaction, of which nothing is open
+        except psycopg.OperationalError:  # it broke after the last transaction, and nothing is open
             self._writer.connection.close()
             self._writer = _Executes(self._connected())
             self._writer.connection.execute(start)

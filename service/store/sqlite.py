@@ -33,7 +33,7 @@ _DISK_TROUBLE = {sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_READO
 
 
 class _Executes:
-    """A connection of which every statement returns its rows."""
+    """A connection whose every statement returns its rows."""
 
     def __init__(self, connection: sqlite3.Connection) -> None:
         self.connection = connection

@@ -41,7 +41,7 @@ class RemoteChildren:
     """
 
     most = 16
-    """Of a campaign; nobody knows how many workers there are, and who has none to do waits in the queue."""
+    """Items of a campaign at a time. Nobody knows how many workers there are; the rest waits in the queue."""
 
     def __init__(self, url: str, uploads: Path, wanted_s: float) -> None:
         self._orders = Orders(url, wanted_s)

@@ -66,7 +66,9 @@ class FitModel(BaseModel):
     native: Json = Field(description="the method's own form")
     residual_rms: Number | None = Field(description="in `unit`")
     unit: str = Field(description="unit of the offset")
-    condition_number: Number | None = Field(description="of the problem in scaled unknowns; a pure number")
+    condition_number: Number | None = Field(
+        description="condition number of the problem in scaled unknowns; a pure number"
+    )
     undetermined: list[str] = Field(description="names of parameters that the data do not determine")
     movements: dict[str, str] = Field(description="for each of these: the movement that would determine it")
     warnings: list[str]

@@ -94,7 +94,9 @@ class FleetSensorModel(BaseModel):
     device_id: int = Field(description="0: not known")
     type: str = Field(description="name of the part; empty: not known")
     bus: str = Field(description="bus and address of the part; empty: not known")
-    calibrated_at: float | None = Field(description="of the last verified calibration, s since 1970; null: none known")
+    calibrated_at: float | None = Field(
+        description="time of the last verified calibration, s since 1970; null: none known"
+    )
     age_days: float | None = Field(description="days since then; null: none known")
     job_id: str | None = Field(description="the job that calibrated it last")
     covered: CoveredModel | None
@@ -144,9 +146,9 @@ class FleetUnitModel(BaseModel):
     silent: bool | None = Field(description="no heartbeat for 3 s; null: not connected")
     seen_at: float | None = Field(description="when it was identified last, s since 1970; null: not known")
     preflight: UnitPreflightModel | None
-    age_days: float | None = Field(description="of its oldest calibration; null: a sensor has none")
+    age_days: float | None = Field(description="age of its oldest calibration, days; null: a sensor has none")
     ages: dict[str, float | None] = Field(description="the same by kind of sensor")
-    leaving: LeavingModel | None = Field(description="of the sensor that leaves its limit first")
+    leaving: LeavingModel | None = Field(description="for the sensor that leaves its limit first")
     needs_recalibration: bool
     reasons: list[ReasonModel]
     sensors: list[FleetSensorModel]
@@ -168,7 +170,7 @@ class SensorRecordModel(BaseModel):
     unit: str
     bias: Vector | None = Field(description="raw, in `unit`")
     sd: Vector | None
-    norm: float | None = Field(description="of a preflight: rate or specific force as the vehicle used it, in `unit`")
+    norm: float | None = Field(description="from a preflight: rate or specific force as the vehicle used it, in `unit`")
     temperature: float | None = Field(description="degC")
     covered: CoveredModel | None
 

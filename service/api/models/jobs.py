@@ -111,7 +111,7 @@ class SegmentModel(BaseModel):
     """A span of a telemetry log."""
 
     path: str = Field(description="name of the log")
-    start_byte: int = Field(description="of the log, from 0")
+    start_byte: int = Field(description="first byte in the log, from 0")
     end_byte: int = Field(description="the byte behind the last one")
     sha256: str = Field(description="digest of these bytes")
 
@@ -139,7 +139,7 @@ class JobSummary(BaseModel):
         description="null while the job goes on, and while a plan waits that was not tried yet"
     )
     last_write: WriteModel | None = Field(description="null: nothing was accepted yet")
-    options: Json = Field(description="of the procedure or method, and of what uploads")
+    options: Json = Field(description="options of the procedure or method, and what an upload adds")
 
 
 class JobModel(JobSummary):

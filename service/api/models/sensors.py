@@ -18,7 +18,7 @@ class SensorStateModel(BaseModel):
     advice: str = Field(description="what it needs; empty: nothing")
     at: Stamp | None = Field(description="when it was calibrated, wall-clock time, s since 1970; null: never here")
     job: str | None = Field(description="the job that did; null: never here")
-    temperature: Number | None = Field(description="of the calibration, degC; null: not known")
+    temperature: Number | None = Field(description="temperature of the calibration, degC; null: not known")
 
 
 class VehicleSensorsModel(BaseModel):
