@@ -6,7 +6,7 @@ import pytest
 
 from tests.service.gap_tables import write_table
 
-from .panel import PHONE, Panel, service, sim, until
+from .panel import DESK, PHONE, Panel, service, sim, until
 
 KEPT = {"parameters": {"INS_GYR_CAL": 0}, "thermal": False}
 """A vehicle that keeps what is written to its gyros."""
@@ -131,3 +131,17 @@ def test_a_gap_is_diagnosed_and_its_report_shown(desk, tmp_path):
         desk.press("Diagnose")
         desk.sees("differ", 240, ".first-line")
         assert desk.page.locator("iframe.report").is_visible()
+
+
+@pytest.mark.long
+def test_five_vehicles_fit_one_screen(browser, tmp_path):
+    panel = Panel(browser, DESK)
+    connects = [word for i in range(1, 6) for word in ("--connect", sim(seed=i, system_id=i, speed=1))]
+    with service(tmp_path, *connects) as url:
+        panel.open(url)
+        cards, tiles = panel.page.locator(".vehicle-card"), panel.page.locator(".tile")
+        until(lambda: cards.count() == 5, 120, "every vehicle is heard")
+        until(lambda: tiles.count() == 20, 60, "every tile is there")
+        assert panel.page.locator(".tile button").first.is_visible()
+        assert panel.page.evaluate("document.documentElement.scrollHeight") <= DESK["height"] + 4
+    panel.close()
