@@ -15,7 +15,7 @@ from mavcal.service.jobs.campaigns import Errand
 from mavcal.service.jobs.codec import to_json
 from mavcal.service.jobs.engine import JobEngine
 from mavcal.service.jobs.items import ItemEnd, ItemOutcome
-from mavcal.service.jobs.model import Accept, Failure, Job
+from mavcal.service.jobs.model import Accept, Failure, Job, Unwritten
 from mavcal.service.jobs.port import VehicleSource
 from mavcal.service.jobs.preflight import Preflight
 from mavcal.service.jobs.states import CANCELLABLE, ENDED, WRITING, JobState
@@ -43,12 +43,13 @@ class Patience:
     return_s: float
     clock: Callable[[], float] = time.monotonic
 
-    async def back(self, vehicle_id: str) -> None:
-        """Return as soon as the vehicle is heard, or has been waited for in vain."""
+    async def back(self, vehicle_id: str, *, writable: bool = False) -> None:
+        """Return as soon as the vehicle is heard, or may be written to, or has been waited for in vain."""
         deadline = self.clock() + self.return_s
         while self.clock() < deadline:
             with suppress(VehicleUnknown):
-                if not self.source.vehicle(vehicle_id).condition().silent:
+                condition = self.source.vehicle(vehicle_id).condition()
+                if not condition.silent and not (writable and condition.obstacles):
                     return
             await asyncio.sleep(_LOOK_S)
 
@@ -142,13 +143,16 @@ class CalibrationWork:
         return job
 
     async def _written(self, job: Job, errand: Errand) -> ItemEnd:
-        """Accept the plan of a job in review, once; how the item ends."""
+        """Accept the plan of a job in review, once, and once more after a kill before anything was sent; its end."""
         reason = _unwritten(job, reboot=bool(errand.options.get("reboot")))
-        if job.state != JobState.REVIEW or job.last_write is not None or reason:
+        tried = job.last_write is not None and not (errand.again and _was_cut_short(job))
+        if job.state != JobState.REVIEW or tried or reason:
             return of_job(job, reason)
         assert job.plan is not None
         reboot, actor = bool(errand.options.get("reboot")), str(errand.options.get("actor", "operator"))
         accept = Accept(job.plan.sha256, reboot=reboot, prove_s=0.0, actor=actor)
+        if errand.again:
+            await self.patience.back(errand.item.subject, writable=True)
         try:
             await self.engine.apply(job.id, accept)
         except ServiceError as error:
@@ -179,7 +183,8 @@ def _of_state(state: JobState) -> ItemOutcome:
 
 def _told(job: Job, reason: str) -> str:
     if isinstance(job.outcome, Failure):
-        return f"{job.outcome.cause} {job.outcome.remedy}".strip()
+        cause = job.outcome.cause[:1].upper() + job.outcome.cause[1:]
+        return " ".join(filter(None, (reason, cause, job.outcome.remedy)))
     if job.outcome is not None:
         return job.outcome.text
     if job.state == JobState.REVIEW:
@@ -187,6 +192,11 @@ def _told(job: Job, reason: str) -> str:
         waits = f"A plan of {count} parameter{'' if count == 1 else 's'} waits in review. Nothing was written."
         return f"{reason} {waits}".strip()
     return f"Job {job.id} is {_worded(job.state)}."
+
+
+def _was_cut_short(job: Job) -> bool:
+    """Whether the write ended with the service, before its first PARAM_SET."""
+    return isinstance(job.outcome, Unwritten) and job.outcome.code == "interrupted"
 
 
 def _worded(state: JobState) -> str:

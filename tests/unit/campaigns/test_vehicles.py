@@ -21,7 +21,7 @@ from mavcal.service.jobs.codec import from_json, row_from_job
 from mavcal.service.jobs.engine import JobEngine
 from mavcal.service.jobs.handle import JobHandle
 from mavcal.service.jobs.items import Item, ItemOutcome, item_from_row, row_from_item
-from mavcal.service.jobs.model import Accept, Attempt, Failure, Job, Result, WriteResult
+from mavcal.service.jobs.model import Accept, Attempt, Failure, Job, Result, Unwritten, WriteResult
 from mavcal.service.jobs.preflight import Preflight
 from mavcal.service.jobs.states import JobState
 from mavcal.service.store import SqliteStore
@@ -216,19 +216,26 @@ async def test_cancelling_ends_captures_and_leaves_reviews() -> None:
 
 
 @pytest.mark.parametrize(
-    ("state", "last_write", "accepted", "outcome"),
+    ("state", "last_write", "code", "accepted", "outcome"),
     [
-        (JobState.REVIEW, None, 1, "done"),  # killed between review and accept
-        (JobState.REVIEW, WriteResult.FAILED, 0, "review"),  # it was accepted, and could not be written
-        (JobState.SUCCEEDED, WriteResult.SUCCEEDED, 0, "done"),
-        (JobState.REVERTED, WriteResult.REVERTED, 0, "refused"),
-        (JobState.CANCELLED, None, 1, "done"),  # a command that stopped it has left nothing: it is begun again
-        (JobState.INTERRUPTED, None, 1, "done"),
-        (None, None, 1, "done"),  # killed before its job was begun
+        (JobState.REVIEW, None, None, 1, "done"),  # killed between review and accept
+        (
+            JobState.REVIEW,
+            WriteResult.FAILED,
+            "vehicle-armed",
+            0,
+            "review",
+        ),  # it was accepted, and could not be written
+        (JobState.REVIEW, WriteResult.FAILED, "interrupted", 1, "done"),  # killed between accept and first PARAM_SET
+        (JobState.SUCCEEDED, WriteResult.SUCCEEDED, None, 0, "done"),
+        (JobState.REVERTED, WriteResult.REVERTED, None, 0, "refused"),
+        (JobState.CANCELLED, None, None, 1, "done"),  # a command that stopped it has left nothing: it is begun again
+        (JobState.INTERRUPTED, None, None, 1, "done"),
+        (None, None, None, 1, "done"),  # killed before its job was begun
     ],
 )
 async def test_after_a_kill_an_item_goes_on_with_the_job_that_it_had_begun(
-    state: JobState | None, last_write: WriteResult | None, accepted: int, outcome: str
+    state: JobState | None, last_write: WriteResult | None, code: str | None, accepted: int, outcome: str
 ) -> None:
     store = SqliteStore(None)
     plan = make_plan(FakeVehicle.with_floats(OLD))
@@ -238,7 +245,8 @@ async def test_after_a_kill_an_item_goes_on_with_the_job_that_it_had_begun(
     if state is not None:
         context = {BEGUN_BY: {"id": "c1", "item": 1}}
         write = None if last_write is None else Attempt(last_write, 2.0)
-        job = Job("j1", "a", "gyro", {}, state, 2.0, 2.0, plan=plan, last_write=write, context=context)
+        said = None if code is None else Unwritten(code, "It could not be written.", "")
+        job = Job("j1", "a", "gyro", {}, state, 2.0, 2.0, plan=plan, last_write=write, context=context, outcome=said)
         store.save_job(row_from_job(job))
     async with life("a", store=store) as at:
         (item,) = await at.ended(at.engine.get("c1"))
