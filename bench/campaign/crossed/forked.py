@@ -7,19 +7,16 @@ import json
 import os
 import runpy
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NoReturn
 
-from mavcal.service.simvehicle import SimulatedVehicle
+from mavcal.service.simvehicle import ControlChannel, SimulatedVehicle, free_udp_port
 
 POLL_S = 0.005
-CALL_TIMEOUT_S = 10.0
 PACKAGE = SimulatedVehicle.__module__.rpartition(".")[0]
 for _name in ("server", "ardupilot", "px4"):
     importlib.import_module(f"{PACKAGE}.{_name}")  # only so that no fork has to; the child is the package's program
@@ -87,17 +84,15 @@ class ForkedVehicle(SimulatedVehicle):
     """A simulated vehicle on one link, ``udpout`` or ``tcp``."""
 
     def __init__(self, autopilot: str, *, link: str, seed: int, speed: float, config: Mapping[str, Any]) -> None:
-        port = _free_port() if link == "udpout" else 0
+        port = free_udp_port() if link == "udpout" else 0
         arguments = ["--follow-stdin", "--autopilot", autopilot, f"--{link}", f"127.0.0.1:{port}", "--seed", str(seed)]
         arguments += ["--speed", str(speed), "--config", json.dumps(dict(config))]
         self._said = tempfile.TemporaryFile()  # noqa: SIM115 - closed by stop()
         self.process = Forked(lambda: _vehicle(arguments))  # type: ignore[assignment]
-        self._lock = threading.Lock()
         self._control = None
         try:
             ready = self._await_ready()
-            host, _, control = ready["control"].rpartition(":")
-            self._address = host, int(control)
+            self._address = ready["control"]
             self.connect()
         except BaseException:
             self.stop()
@@ -106,8 +101,7 @@ class ForkedVehicle(SimulatedVehicle):
 
     def connect(self) -> None:
         """A control channel of this process's own: a forked one must not share it."""
-        self._control = socket.create_connection(self._address, timeout=CALL_TIMEOUT_S)
-        self._buffer, self._next_id = b"", 0
+        self._control = ControlChannel(self._address)
 
 
 def _vehicle(arguments: Sequence[str]) -> int:
@@ -118,9 +112,3 @@ def _vehicle(arguments: Sequence[str]) -> int:
     except SystemExit as ended:
         return int(ended.code or 0)
     return 0
-
-
-def _free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
