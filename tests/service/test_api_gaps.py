@@ -129,7 +129,8 @@ async def test_too_many_are_refused_and_a_stopped_service_begins_them_again(tmp_
         assert (await ended(a, first["id"]))["state"] == "succeeded"
 
 
-async def test_a_diagnosis_that_takes_too_long_is_ended(tmp_path):
+async def test_a_diagnosis_that_takes_too_long_is_ended(tmp_path, monkeypatch):
+    monkeypatch.setattr("mavcal.service.computations.DIAGNOSE", "tests.service.child_tasks:spin")
     table = write_table(tmp_path / "real.csv")
     async with api(tmp_path / "data", limits=LimitSettings(gap_s=1.05)) as a:
         real = await upload(a, table)

@@ -7,6 +7,8 @@ import io
 import json
 from pathlib import Path
 
+import pytest
+
 from mavcal.service.settings import ApiKey
 from mavcal.service.simvehicle import SimulatedVehicle
 
@@ -37,6 +39,7 @@ def rest(n: int, rows: int = 400) -> bytes:
     return f"t,gyro_x,gyro_y,gyro_z\n{lines}".encode()
 
 
+@pytest.mark.long
 async def test_vehicles_are_checked_and_calibrated_as_one_job_each(tmp_path: Path) -> None:
     with at_rest(41) as one, at_rest(42) as two, at_rest(43) as armed:
         async with served(tmp_path, connect=(one.url, two.url, armed.url)) as a:

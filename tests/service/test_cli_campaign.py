@@ -112,6 +112,7 @@ def test_what_makes_no_sense_is_refused_in_words(
         run(*words, "--data-dir", tmp_path / "data")
 
 
+@pytest.mark.long
 def test_vehicles_on_several_endpoints(tmp_path: Path) -> None:
     data = tmp_path / "data"
     one = SimulatedVehicle("ardupilot", speed=SPEED, seed=61, config={"thermal": False})

@@ -42,6 +42,7 @@ def test_fix_and_apply_go_together(tmp_path: Path) -> None:
         assert preflight("udpin:127.0.0.1:1", tmp_path, *options).returncode == 2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
 def test_a_gyroscope_that_is_off_fails_and_is_mended(autopilot: str, tmp_path: Path) -> None:
     config: dict[str, Any] = {"calibration": "fresh", "imu_count": 2}
@@ -63,6 +64,7 @@ def test_a_gyroscope_that_is_off_fails_and_is_mended(autopilot: str, tmp_path: P
         assert second.returncode in (0, EXIT_UNSURE), second.stdout
 
 
+@pytest.mark.long
 def test_a_change_that_needs_a_restart_is_left_out(tmp_path: Path) -> None:
     """PX4's memory takes no gyroscope offset that differs by less than 0.01 rad/s before it restarts."""
     config = {"calibration": "fresh", "imu_count": 2, "parameters": {"IMU_GYRO_CAL_EN": 0.0}}

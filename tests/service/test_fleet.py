@@ -75,6 +75,7 @@ async def asked(*arguments: str) -> subprocess.CompletedProcess[str]:
     return await asyncio.to_thread(fleet, *arguments)
 
 
+@pytest.mark.long
 async def test_two_vehicles_with_a_calibration_each(
     tmp_path: Path, sims: tuple[SimulatedVehicle, SimulatedVehicle]
 ) -> None:
@@ -209,6 +210,7 @@ async def taken_back(a: Api, vehicle: Json, job: Json) -> None:
     assert "never" in {reason["code"] for reason in row["reasons"]}
 
 
+@pytest.mark.long
 async def test_a_start_takes_up_what_was_left_out(
     tmp_path: Path, sims: tuple[SimulatedVehicle, SimulatedVehicle]
 ) -> None:

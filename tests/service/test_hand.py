@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import asyncio
 
+import pytest
+
 from tests.patience import scaled
 from tests.service.api_bench import served
 
 
+@pytest.mark.long
 async def test_a_simulated_vehicle_follows_the_prompts_and_the_stream_shows_it(tmp_path):
     async with served(tmp_path) as api:
         await api.post("/links", {"url": "sim:ardupilot?seed=3&speed=10"}, 201)

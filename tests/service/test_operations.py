@@ -32,6 +32,7 @@ def test_every_command_stands_in_a_block_that_is_run() -> None:
     assert PAGE.count("```") == 2 * len(blocks())
 
 
+@pytest.mark.long
 @pytest.mark.timeout(300)
 def test_every_command_of_the_page_works(tmp_path: Path) -> None:
     missing = [name for name in NEEDED if shutil.which(name) is None]

@@ -107,6 +107,7 @@ FAULTS: tuple[tuple[CheckId, dict[str, Any], dict[str, Any]], ...] = (
 )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
 async def test_healthy_and_with_each_fault(autopilot: str, tmp_path: Path) -> None:
     with vehicle(autopilot) as sim:

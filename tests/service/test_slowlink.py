@@ -12,7 +12,8 @@ pytestmark = pytest.mark.timeout(240)
 SILENCE_S = 5.0
 
 
-@pytest.mark.parametrize("autopilot", [pytest.param("ardupilot", marks=pytest.mark.long), "px4"])
+@pytest.mark.long
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
 async def test_a_gyro_job_on_a_slow_wire_is_done_in_time_and_says_what_it_does(autopilot: str) -> None:
     run = await timed(WIRES[0], autopilot, speed=4.0)
     assert run.state == JobState.SUCCEEDED, run.outcome

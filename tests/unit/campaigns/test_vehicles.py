@@ -139,7 +139,7 @@ async def test_plans_wait_in_review_unless_the_campaign_may_write() -> None:
         assert at.engine.get(a.job_id).state == JobState.REVIEW
         assert at.engine.get(a.job_id).context[BEGUN_BY] == {"id": job.id, "item": 1}
         assert (b.code, c.code) == ("vehicle-armed", "vehicle-silent")
-        assert d.text == "it was moved. Leave it at rest."
+        assert d.text == "It was moved. Leave it at rest."
         assert at.applies.accepts == []
         outcome = at.engine.get(job.id).outcome
         assert isinstance(outcome, Result)
