@@ -181,7 +181,7 @@ class Event:
 
     t: float
     kind: str
-    """``text reboot gap drop armed disarmed utc onboard_calibration clipping damage left_out undo no_time``"""
+    """``text reboot gap drop armed disarmed utc onboard_calibration clipping damage dead left_out undo no_time``"""
     text: str
 
 

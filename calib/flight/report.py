@@ -13,7 +13,6 @@ from mavcal.calib.flight.item import FlightVerdict, JudgedItem
 from mavcal.calib.flight.plan import PlannedMethod, next_steps
 from mavcal.calib.flight.rest import Ground, Rest, ground, rests
 from mavcal.calib.flight.resting import resting_items
-from mavcal.calib.logs.inspection import inspect
 from mavcal.calib.recording import Recording, Sensor
 
 _ORDER = (FlightVerdict.PASS, FlightVerdict.NOT_TESTABLE, FlightVerdict.WARN, FlightVerdict.FAIL)
@@ -45,20 +44,6 @@ class FlightReport:
             "items": [item.document for item in self.items],
             "spans": list(self.spans),
         }
-
-
-def overview(recording: Recording) -> dict[str, Any]:
-    """What is in a recording (:func:`calib.logs.inspection.inspect`); of a vehicle's also ``flight`` and ``next``.
-
-    ``flight`` is the sanity of its inertial sensors, ``next`` the fits that are worthwhile on it and those that are
-    not; both are None for a recording that is not of a vehicle.
-    """
-    report = flight_report(recording)
-    return {
-        **inspect(recording),
-        "flight": None if report is None else report.document,
-        "next": None if report is None else [step.document for step in report.steps],
-    }
 
 
 def flight_report(recording: Recording) -> FlightReport | None:

@@ -14,6 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from mavcal.calib.logs.inspection import pauses
 from mavcal.calib.recording import Channel, Recording, Sensor
 from mavcal.calib.stats.stillness import RESTING, Still, find_still
 
@@ -78,16 +79,17 @@ class Ground:
 
 
 def ground(recording: Recording) -> Ground:
-    """The spans in which the motors were off."""
+    """The spans in which the motors were off; pauses of the recording are in neither kind."""
     begin, end = recording.span
     if not np.isfinite(begin):
         return Ground((), (), Known.STILLNESS)
+    paused = tuple(TimeSpan(p.start, p.start + p.length) for p in pauses(recording))
     armed = _armed(recording, begin, end)
     if armed is not None:
-        return Ground(_between(armed, begin, end, _SETTLED), armed, Known.ARMING)
+        return Ground(_between(armed, begin, end, _SETTLED), _without(armed, paused), Known.ARMING)
     spun = _spun(recording)
     if spun is not None:
-        return Ground(_between(spun, begin, end, _SETTLED), spun, Known.MOTORS)
+        return Ground(_between(spun, begin, end, _SETTLED), _without(spun, paused), Known.MOTORS)
     return Ground((TimeSpan(begin, end),), (), Known.STILLNESS)
 
 
@@ -166,6 +168,18 @@ def _merged(spans: list[TimeSpan]) -> tuple[TimeSpan, ...]:
         elif span.duration > 0.0:
             merged.append(span)
     return tuple(merged)
+
+
+def _without(spans: tuple[TimeSpan, ...], holes: tuple[TimeSpan, ...]) -> tuple[TimeSpan, ...]:
+    """What is left of `spans` outside `holes`."""
+    for hole in holes:
+        cut = [
+            TimeSpan(a, b)
+            for s in spans
+            for a, b in ((s.start, min(s.end, hole.start)), (max(s.start, hole.end), s.end))
+        ]
+        spans = tuple(span for span in cut if span.duration > 0.0)
+    return spans
 
 
 def _between(spans: tuple[TimeSpan, ...], begin: float, end: float, settle: float) -> tuple[TimeSpan, ...]:

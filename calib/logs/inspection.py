@@ -17,11 +17,14 @@ GAP_PERIODS = 5.0
 STUCK_S = 1.0
 STUCK_PERIODS = 10.0
 """A value that stays the same this long, s and median periods, in a channel that otherwise changes, is stuck."""
+PAUSE_S = 1.0
+PAUSE_PERIODS = 20.0
+"""The log pauses where nothing at all was recorded for so long, s and median periods of its densest channel."""
 MOST_GAPS_LISTED = 20
 TRIADS = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
 COUNTED = ("reboot", "gap", "drop", "clipping", "damage", "left_out")
 """Kinds of events that are counted."""
-TOLD = ("damage", "clipping", "left_out")
+TOLD = ("dead", "damage", "clipping", "left_out")
 """Kinds of events whose texts are warnings."""
 MISSING = {
     Sensor.ACCEL: "no accelerometer was recorded: only a gyroscope or a compass can be calibrated from it",
@@ -88,7 +91,7 @@ def summarise(channel: Channel) -> ChannelSummary:
         n_gaps=len(wide),
         backward_steps=backward,
         not_finite=int((~finite.all(axis=1)).sum()),
-        longest_constant=_longest_constant(t, same),
+        longest_constant=_longest_constant(t, same, period),
         repeated=int(same.sum()),
         norm=_norm(channel),
         least=_columns(values, finite, np.min),
@@ -97,9 +100,29 @@ def summarise(channel: Channel) -> ChannelSummary:
     )
 
 
+def pauses(recording: Recording) -> tuple[Gap, ...]:
+    """Where the recording itself stood still: no channel has a sample there. Many vehicles log while armed only."""
+    densest = max(recording.channels, key=len, default=None)
+    period = _period(densest.t)[0] if densest is not None and len(densest) > 1 else None
+    if densest is None or period is None:
+        return ()
+    least = max(PAUSE_S, PAUSE_PERIODS * period)
+    found = []
+    for i in np.flatnonzero(np.diff(densest.t) > least).tolist():
+        start, end = float(densest.t[i]), float(densest.t[i + 1])
+        for channel in recording.channels:  # what the others still have of it is no pause
+            first, last = np.searchsorted(channel.t, (start + 0.5 * (end - start),) * 2)
+            start = max(start, float(channel.t[first - 1])) if first > 0 else start
+            end = min(end, float(channel.t[last])) if last < len(channel) else end
+        if end - start > least:
+            found.append(Gap(start, end - start))
+    return tuple(found)
+
+
 def inspect(recording: Recording) -> dict[str, Any]:
     """Everything about a recording as one JSON-able document."""
     channels = [summarise(c) for c in recording.channels if len(c)]
+    stood = pauses(recording)
     changes = recording.parameters.changes()
     identity = recording.identity
     start, end = recording.span
@@ -118,6 +141,7 @@ def inspect(recording: Recording) -> dict[str, Any]:
             "end_observed": recording.parameters.end_observed,
             "changes": [{"t": _or_none(e.t), "name": e.name, "value": _or_none(e.value)} for e in changes],
         },
+        "pauses": [vars(p) for p in stood],
         "segments": [{"label": s.label, "start": s.start, "end": s.end} for s in recording.segments],
         "events": [{"t": _or_none(e.t), "kind": e.kind, "text": e.text} for e in recording.events],
         "reference": [_document(summarise(c)) for c in recording.reference if len(c)],
@@ -127,7 +151,8 @@ def inspect(recording: Recording) -> dict[str, Any]:
         "warnings": [
             *_missing(recording),
             *(e.text for e in recording.events if e.kind in TOLD),
-            *(w for c in channels for w in _warnings(c)),
+            *_of_pauses(stood),
+            *(w for c in channels for w in _warnings(c, stood)),
         ],
     }
 
@@ -155,7 +180,8 @@ def _missing(recording: Recording) -> list[str]:
         return ["no accelerometer, gyroscope or compass was recorded: there is nothing to calibrate"]
     if recording.identity.autopilot is None:  # a table holds what its maker wanted
         return []
-    found = [text for sensor, text in MISSING.items() if sensor not in have]
+    dead = " ".join(e.text for e in recording.events if e.kind == "dead")
+    found = [text for sensor, text in MISSING.items() if sensor not in have and f"{sensor} 1" not in dead]
     if not recording.parameters:
         found.append("no parameters were recorded: fits are relative to the calibration in force, and are not exported")
     return found
@@ -193,15 +219,12 @@ def _same(values: Array) -> NDArray[np.bool_]:
     return same
 
 
-def _longest_constant(t: Array, same: NDArray[np.bool_]) -> float:
-    if len(t) < 2:
+def _longest_constant(t: Array, same: NDArray[np.bool_], period: float | None) -> float:
+    """Longest time over which consecutive samples are equal, s; a gap ends a run, since nobody saw what was in it."""
+    if len(t) < 2 or period is None:
         return 0.0
-    held = np.flatnonzero(np.diff(same, prepend=False, append=False))  # begins and ends of runs, in turn
-    longest = float(np.max(np.diff(t)))
-    if not len(held):
-        return longest
-    following = np.minimum(held[1::2] + 1, len(t) - 1)
-    return max(longest, float(np.max(t[following] - t[held[::2]])))
+    held = np.flatnonzero(np.diff(same & (np.diff(t) <= GAP_PERIODS * period), prepend=False, append=False))
+    return float(np.max(t[held[1::2]] - t[held[::2]])) if len(held) else 0.0  # begins and ends of runs, in turn
 
 
 def _columns(values: Any, finite: Any, reduce: Any) -> tuple[float | None, ...]:
@@ -214,21 +237,39 @@ def _columns(values: Any, finite: Any, reduce: Any) -> tuple[float | None, ...]:
     return tuple(found)
 
 
-def _warnings(channel: ChannelSummary) -> list[str]:
+def _of_pauses(stood: tuple[Gap, ...]) -> list[str]:
+    if not stood:
+        return []
+    longest = max(stood, key=lambda p: p.length)
+    often = "once" if len(stood) == 1 else f"{len(stood)} times"
+    return [
+        f"the log pauses {often}, for {longest.length:.1f} s at {longest.start:.1f} s: it may record while armed only"
+    ]
+
+
+def _warnings(channel: ChannelSummary, stood: tuple[Gap, ...]) -> list[str]:
     name = f"{channel.sensor}[{channel.instance}] of {channel.source}"
     found = []
     if channel.not_finite:
         found.append(f"{name}: {channel.not_finite} of {channel.samples} samples are not finite")
     if channel.backward_steps:
         found.append(f"{name}: time goes back {channel.backward_steps} times")
-    if channel.n_gaps:
-        longest = max(channel.gaps, key=lambda g: g.length)
-        found.append(f"{name}: {channel.n_gaps} gaps, one of {longest.length:.2f} s at {longest.start:.2f} s")
+    own = channel.n_gaps - sum(any(_overlap(gap, pause) for pause in stood) for gap in channel.gaps)
+    if own > 0:
+        longest = max(
+            (g for g in channel.gaps if not any(_overlap(g, p) for p in stood)), key=lambda g: g.length, default=None
+        )
+        where = "" if longest is None else f", one of {longest.length:.2f} s at {longest.start:.2f} s"
+        found.append(f"{name}: {own} gaps{where}")
     inertial = channel.sensor in {"accel", "gyro", "mag"} and not channel.quantum
     limit = max(STUCK_S, STUCK_PERIODS / channel.rate) if channel.rate else np.inf
     if inertial and channel.samples > 2 and channel.longest_constant > limit:
-        found.append(f"{name}: the value stood still for {channel.longest_constant:.1f} s: a stuck sensor")
+        found.append(f"{name}: the value did not change for {channel.longest_constant:.1f} s: a stuck sensor")
     return found
+
+
+def _overlap(one: Gap, other: Gap) -> bool:
+    return one.start < other.start + other.length and other.start < one.start + one.length
 
 
 def _document(channel: ChannelSummary) -> dict[str, Any]:

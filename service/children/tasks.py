@@ -28,7 +28,7 @@ LATER = (*MODULES, "mavcal.calib.gap", "mavcal.calib.gap.schema", "mavcal.calib.
 def inspect(order: Mapping[str, Any], tell: Tell) -> Json:
     """What is in the recording ``{path, reading}``."""
     from mavcal.calib import logs
-    from mavcal.calib.flight.report import overview
+    from mavcal.calib.health.overview import overview
     from mavcal.calib.report import to_json
 
     tell("reading")

@@ -35,7 +35,7 @@ LAYERS = (
     {"noise", "accel", "gyro", "thermal", "imu", "mag"},
     {"simulate", "firmware", "converted"},
     {"logs"},
-    {"procedures", "gap", "flight", "preflight", "fleet", "blind", "withheld_check"},
+    {"procedures", "gap", "flight", "health", "preflight", "fleet", "blind", "withheld_check"},
     {"report", "methods", "gap_report", "review"},
 )
 """Rooms of ``calib``, lowest first; a room imports its own layer and the ones below, never in a circle."""

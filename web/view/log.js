@@ -19,10 +19,27 @@ export function logRoom(store) {
   return h("div", {},
     title(recording.name, h("a", { class: "button", href: to("gap") }, "Compare with a simulator")),
     h("p", { class: "quiet small" }, [size(recording.size), found.duration ? `${number(found.duration, 4)} s` : "", found.identity?.autopilot ?? ""].filter(Boolean).join(" · ")),
+    health(found.health ?? null),
     sanity(found.flight ?? null),
     plots(store, id),
     fits(store, recording, found),
     channels(found));
+}
+
+/** Is something wrong with a sensor, which one, and what to do. @param {Record<string, any> | null} found */
+function health(found) {
+  if (!found) return null;
+  const tones = { ok: "good", suspicious: "warn", faulty: "bad" };
+  const sensors = /** @type {any[]} */ (found.sensors);
+  const bad = (/** @type {any} */ sensor) => sensor.findings.filter((/** @type {any} */ f) => f.verdict === "faulty" || f.verdict === "suspicious");
+  return h("section", { class: "card" }, h("h2", {}, "Is something wrong with a sensor?"),
+    h("p", {}, h("strong", {}, found.summary), found.action ? ` ${found.action}` : ""),
+    h("ul", { class: "plain checks" }, sensors.map((sensor) =>
+      h("li", { key: sensor.name }, badge(/** @type {any} */ (tones)[sensor.verdict] ?? "unknown", words(sensor.verdict)),
+        h("div", {}, h("strong", {}, sentence(sensor.name)),
+          (bad(sensor).length ? bad(sensor) : sensor.findings.slice(0, 1)).map((/** @type {any} */ f, /** @type {number} */ i) => h("p", { key: `${i}` }, sentence(f.text))))))),
+    found.lacks.length ? h("details", {}, h("summary", {}, "What the log lacks to say more"),
+      h("ul", { class: "small" }, found.lacks.map((/** @type {string} */ line) => h("li", { key: line }, sentence(line))))) : null);
 }
 
 /** The sanity of the inertial sensors. @param {Record<string, any> | null} flight */
@@ -30,7 +47,7 @@ function sanity(flight) {
   if (!flight) return null;
   const tones = { pass: "good", warn: "warn", fail: "bad" };
   const items = /** @type {any[]} */ (flight.items);
-  return h("section", { class: "card" }, h("h2", {}, "What stands out"), items.length ? h("ul", { class: "plain checks" }, items.map((item, i) =>
+  return h("section", { class: "card" }, h("h2", {}, "At rest and in flight"), items.length ? h("ul", { class: "plain checks" }, items.map((item, i) =>
     h("li", { key: `${i}` }, badge(/** @type {any} */ (tones)[item.verdict] ?? "unknown", words(item.verdict)),
       h("div", {}, h("strong", {}, `${sentence(words(item.name))}, ${item.subject}`), h("p", {}, sentence(item.text)))))) : quiet("Nothing does."));
 }

@@ -54,8 +54,7 @@ class SensorChannels:
             data = rows.arrays(*(columns for _, columns in present))
             for reading, _ in present:
                 values = data.pop(0)  # what becomes of it is the only copy
-                good = self._good(rows, reading, instance, t, values, healthy.get(reading.healthy))
-                good &= keep
+                good = keep & self._good(rows, reading, instance, t, values, healthy.get(reading.healthy))
                 channel = _channel(rows, reading, instance, t, values, good)
                 if channel is not None:
                     yield channel
@@ -71,7 +70,10 @@ class SensorChannels:
             good &= healthy
         if reading.sensor == Sensor.MAG:
             zero: Mask = ~np.asarray(values.any(axis=1))
-            if zero.any() and not zero.all():
+            if zero.all() and len(zero):
+                text = f"{reading.sensor} {instance + 1}: all {len(zero)} samples of {table.name} are exactly 0, 0, 0"
+                self.events.append(Event(float(t[0]) if np.isfinite(t[0]) else 0.0, "dead", text))
+            elif zero.any():
                 self._say(reading, instance, t, zero, "are exactly 0, 0, 0, which no field is", table)
             good &= ~zero & _read_anew(t, values)
         return good

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from mavcal.calib.flight.item import FlightLimit, FlightVerdict, judged
-from mavcal.calib.flight.report import flight_report, overview
+from mavcal.calib.flight.report import flight_report
+from mavcal.calib.health.overview import overview
 from mavcal.calib.recording import Channel, Event, Identity, ParameterTimeline, Recording, Sensor, Stage
 from tests.unit.flight.made import GRAVITY, Unit, log
 

@@ -39,6 +39,33 @@ def test_a_stuck_sensor_is_named():
     assert any("stuck" in w and "accel[0]" in w for w in warnings)
 
 
+def test_a_pause_of_the_log_is_said_once_and_is_no_stuck_sensor():
+    t = np.concatenate([np.arange(0, 10, 0.02), np.arange(60, 70, 0.02)])
+    rng = np.random.default_rng(2)
+    both = [
+        channel(t, rng.normal(size=(len(t), 3))),
+        channel(t[::5], rng.normal(size=(len(t[::5]), 3)), sensor=Sensor.GYRO),
+    ]
+    document = inspect(Recording(tuple(both)))
+    assert document["warnings"] == ["the log pauses once, for 50.0 s at 10.0 s: it may record while armed only"]
+    (pause,) = document["pauses"]
+    assert 9.9 < pause["start"] < 10.0
+    assert 49.9 < pause["length"] < 50.1
+
+
+def test_a_channel_that_stops_alone_is_no_pause_of_the_log():
+    t = np.arange(0, 70, 0.02)
+    rng = np.random.default_rng(3)
+    part = (t < 10) | (t > 60)
+    both = [
+        channel(t, rng.normal(size=(len(t), 3))),
+        channel(t[part], rng.normal(size=(part.sum(), 3)), sensor=Sensor.GYRO),
+    ]
+    document = inspect(Recording(tuple(both)))
+    assert document["pauses"] == []
+    assert any(w.startswith("gyro[0]") and "1 gaps" in w for w in document["warnings"])
+
+
 def test_a_truncated_stream_that_repeats_is_not_called_stuck():
     t = np.arange(0, 10, 0.02)
     assert inspect(Recording((channel(t, np.zeros((len(t), 3)), quantum=0.01),)))["warnings"] == []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcal.calib.flight.report import overview
+from mavcal.calib.health.overview import overview
 from mavcal.calib.logs.tlog import read_tlog
 from mavcal.calib.wire import tlog_record
 

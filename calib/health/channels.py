@@ -1,0 +1,43 @@
+"""The samples of a sensor as the autopilot took them: with the calibration in force."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from mavcal.calib.errors import CalibError
+from mavcal.calib.firmware.names import Role
+from mavcal.calib.firmware.px4.parameters import calibration_in_force
+from mavcal.calib.firmware.slots import px4_calibration_names
+from mavcal.calib.recording import Channel, Recording, Sensor, Stage
+
+_UNITS = {Sensor.ACCEL: "m/s2", Sensor.GYRO: "rad/s", Sensor.MAG: "uT"}
+NOT_PHYSICAL = "no samples in physical units with the calibration in force: nothing can be said"
+
+
+def judged_channel(recording: Recording, sensor: Sensor, instance: int) -> Channel | None:
+    """The best channel in physical units with the calibration applied; None: the recording has none.
+
+    A table's numbers are taken as they are. PX4 logs some sensors before their calibration only: theirs is applied
+    here, as after a boot with the last parameters of the log.
+    """
+    found = [c for c in recording.find(sensor, instance) if c.stage != Stage.DEBIASED and c.unit == _UNITS[sensor]]
+    corrected = [c for c in found if c.stage != Stage.RAW]
+    if corrected or recording.identity.autopilot is None:
+        return min(corrected or found, key=lambda c: (c.quantum, -len(c) * c.window, -len(c)), default=None)
+    raw = max(found, key=len, default=None)
+    if raw is None or recording.identity.autopilot != "px4":
+        return None
+    parameters = recording.parameters.final()
+    try:
+        if not parameters.get(px4_calibration_names(parameters, sensor, instance)[Role.ID]):
+            return None  # a sensor without a row: its mounting is not known either
+        model = calibration_in_force(parameters, sensor, instance)
+    except CalibError:  # the log has no parameters, or none for so many sensors
+        return None
+    warm = next(iter(recording.find(Sensor.TEMPERATURE, instance)), None)
+    if model.polynomial is not None and warm is None:
+        return None
+    temperature = None if model.polynomial is None or warm is None else np.interp(raw.t, warm.t, warm.values[:, 0])
+    return dataclasses.replace(raw, values=model.apply(raw.values, temperature), stage=Stage.CORRECTED)

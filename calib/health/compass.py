@@ -1,0 +1,256 @@
+"""Compasses: dead, unsteady, driven by the motors, against the World Magnetic Model, unit against unit."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from datetime import datetime
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from mavcal.calib.earth import EarthField, earth_field
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.health import limits, motion
+from mavcal.calib.health.channels import NOT_PHYSICAL, judged_channel
+from mavcal.calib.health.finding import HealthFinding, HealthVerdict, Measured, judged_value
+from mavcal.calib.health.parameters import in_use, never_calibrated
+from mavcal.calib.recording import Channel, Recording, Sensor
+from mavcal.calib.stats.windows import finite_rows
+
+Array = NDArray[np.float64]
+
+_CALIBRATE: Final = "Calibrate the compass outdoors, away from metal."
+_MOTORS: Final = "Move the compass away from the power leads, or compensate: mavcal fit mag-motor."
+_DEAD: Final = re.compile(r"mag (\d+): all \d+ samples")
+_OFTEN_ZERO: Final = re.compile(r"mag (\d+): (\d+) of (\d+) samples of \w+ are exactly 0")
+_ZEROS: Final = 0.1
+"""Share of samples at 0, 0, 0 that is no start-up."""
+_OWN: Final = ("COMPASS_OFS", "COMPASS_DIA", "COMPASS_ODI", "COMPASS_MOT", "COMPASS_SCALE", "CAL_MAG")
+_LEAST: Final = 50
+"""Samples that a steadiness is told from."""
+_MOVED: Final = {Sensor.CURRENT: 1.0, Sensor.THROTTLE: 0.05}
+"""A that a current, and 1 that a throttle must range over to tell of their field."""
+_RELATED: Final = 0.5
+"""Correlation from which the field follows the motors."""
+_YEAR: Final = 2025.5
+"""Where the log says no date: the field's strength changes by a thousandth a year."""
+
+
+def compass_findings(recording: Recording) -> Iterator[HealthFinding]:
+    """Every check of every compass."""
+    yield from _dead(recording)
+    yield from _corrupt(recording)
+    field = _field(recording)
+    attitude = next(iter(recording.find(Sensor.ATTITUDE)), None)
+    found: dict[int, Channel] = {}
+    for instance in recording.instances(Sensor.MAG):
+        streamed = judged_channel(recording, Sensor.MAG, instance)
+        if streamed is None:
+            yield HealthFinding("field", Sensor.MAG, instance, HealthVerdict.CANNOT_SAY, NOT_PHYSICAL)
+            continue
+        channel = motion.usable(streamed)
+        if not np.ptp(channel.values, axis=0).any():
+            yield _bad(
+                "dead", channel, HealthVerdict.FAULTY, "reads the same throughout", "Check its wiring; replace it."
+            )
+            continue
+        found[instance] = channel
+        yield _steady(recording, channel)
+        driven = _driven(recording, channel, attitude)
+        if driven is not None:
+            yield driven
+        if len(channel) >= _LEAST:
+            yield from _against_earth(recording, channel, attitude, field)
+    yield from _apart(found)
+
+
+def _dead(recording: Recording) -> Iterator[HealthFinding]:
+    for event in recording.events:
+        said = _DEAD.match(event.text) if event.kind == "dead" else None
+        if said is None:
+            continue
+        instance = int(said[1]) - 1
+        if in_use(recording, Sensor.MAG, instance):
+            action = "Check its wiring and its driver; the vehicle flies without this compass."
+            text = "reads 0, 0, 0 throughout"
+            yield HealthFinding("dead", Sensor.MAG, instance, HealthVerdict.FAULTY, text, action)
+        else:
+            text = "reads 0, 0, 0 throughout; the vehicle does not use it"
+            yield HealthFinding("dead", Sensor.MAG, instance, HealthVerdict.CANNOT_SAY, text)
+
+
+def _corrupt(recording: Recording) -> Iterator[HealthFinding]:
+    """Compasses that collapse to zero for a part of the log, and parameters that are no numbers."""
+    bad = {n for n, value in recording.parameters.final().items() if n.startswith(_OWN) and not math.isfinite(value)}
+    for event in recording.events:
+        said = _OFTEN_ZERO.match(event.text) if event.kind == "damage" else None
+        if said is None or int(said[2]) < _ZEROS * int(said[3]):
+            continue
+        share = 100.0 * int(said[2]) / int(said[3])
+        text, action = f"reads 0, 0, 0 in {share:.0f} % of its samples", "Check its wiring and its parameters."
+        yield HealthFinding("dead", Sensor.MAG, int(said[1]) - 1, HealthVerdict.FAULTY, text, action, start=event.t)
+    for name in sorted(bad):
+        instance = next((int(c) - 1 for c in name if c.isdigit()), 0)
+        text, action = f"its parameter {name} is not a number", f"Set {name} to 0 and calibrate the compass."
+        yield HealthFinding("parameters", Sensor.MAG, instance, HealthVerdict.FAULTY, text, action)
+
+
+def _length(channel: Channel) -> Array:
+    return np.asarray(np.linalg.norm(channel.values, axis=1), dtype=np.float64)
+
+
+def _steady(recording: Recording, channel: Channel) -> HealthFinding:
+    length = _length(channel)
+    if len(length) < _LEAST:
+        text = f"{len(length)} samples: {_LEAST} are needed"
+        return HealthFinding("steady", Sensor.MAG, channel.instance, HealthVerdict.CANNOT_SAY, text)
+    second = np.unique(np.floor(channel.t - channel.t[0]), return_inverse=True)[1]
+    means = np.bincount(second, length) / np.bincount(second)  # noise of single samples costs no heading
+    low, middle, high = np.percentile(means, (2.5, 50.0, 97.5)).tolist()
+    spread = 0.5 * (high - low) / max(middle, 1e-9)
+    verdict = judged_value(spread, 0.0, limits.FIELD_STEADY)
+    text = f"reads {middle:.1f} uT, 95 % of the time within {low:.1f} and {high:.1f} uT (+-{100 * spread:.0f} %)"
+    if verdict != HealthVerdict.OK and never_calibrated(recording, Sensor.MAG, channel.instance):
+        text += ". It was never calibrated: its offsets are 0"
+    return _bad("steady", channel, verdict, text, _CALIBRATE, Measured(spread, 0.0, limits.FIELD_STEADY))
+
+
+def _driven(recording: Recording, channel: Channel, attitude: Channel | None) -> HealthFinding | None:
+    """How far strength or vertical part of the field follow current or throttle; None: neither of these moved.
+
+    Both are looked at because neither depends on the heading, which a bad compass spoils in the attitude as well.
+    """
+    parts = [("strength", _length(channel))]
+    down = None if attitude is None else _down(channel, attitude)
+    if down is not None:
+        parts.append(("vertical part", np.einsum("ij,ij->i", channel.values, down)))
+    strength, worst = max(float(np.median(_length(channel))), 1e-9), None
+    for sensor, name in ((Sensor.CURRENT, "current"), (Sensor.THROTTLE, "throttle")):
+        x = _drive(recording, sensor, channel) if len(channel) >= _LEAST else None
+        for part, y in parts if x is not None else ():
+            assert x is not None
+            r = float(np.corrcoef(x, y)[0, 1]) if np.ptp(y) > 0.0 else 0.0
+            low, high = np.percentile(x, (5.0, 95.0)).tolist()
+            change = abs(float(np.polyfit(x - x.mean(), y, 1)[0])) * (high - low) / strength
+            if worst is None or abs(r) > abs(worst[0]):
+                worst = r, change, f"its {part} moves by {100 * change:.0f} % with the {name} (correlation {r:+.2f})"
+    if worst is None:
+        return None
+    r, change, text = worst
+    verdict = judged_value(change, 0.0, limits.FIELD_DRIVEN) if abs(r) >= _RELATED else HealthVerdict.OK
+    return _bad("motors", channel, verdict, text, _MOTORS, Measured(change, 0.0, limits.FIELD_DRIVEN))
+
+
+def _drive(recording: Recording, sensor: Sensor, channel: Channel) -> Array | None:
+    """Current or throttle at the compass's samples; None where it was not recorded or did not move."""
+    drive = next(iter(recording.find(sensor)), None)
+    if drive is None or len(drive) < _LEAST:
+        return None
+    x = np.interp(channel.t, drive.t, np.nan_to_num(drive.values[:, 0]))
+    low, high = np.percentile(x, (5.0, 95.0)).tolist()
+    return x if high - low >= _MOVED[sensor] else None
+
+
+def _field(recording: Recording) -> EarthField | None:
+    position = next(iter(recording.find(Sensor.POSITION)), None)
+    if position is None:
+        return None
+    values = position.values[finite_rows(position.values)]
+    fixed = values[np.abs(values[:, :2]).max(axis=1) > 1e-6] if len(values) else values
+    if not len(fixed):
+        return None
+    year = _YEAR
+    for event in recording.events:
+        if event.kind == "utc":
+            date = datetime.fromisoformat(event.text)
+            year = date.year + (date.timetuple().tm_yday - 1) / 365.25
+    try:
+        latitude, longitude, altitude = np.median(fixed, axis=0)
+        return earth_field(float(latitude), float(longitude), float(altitude), year)
+    except InvalidInputError:
+        return None
+
+
+def _against_earth(
+    recording: Recording, channel: Channel, attitude: Channel | None, field: EarthField | None
+) -> Iterator[HealthFinding]:
+    if field is None:
+        text = "the log has no position: the Earth's field there is not known"
+        yield HealthFinding("earth", Sensor.MAG, channel.instance, HealthVerdict.CANNOT_SAY, text, "Log the GPS.")
+        return
+    north, _, down = field.north_east_down.tolist()
+    expected = float(np.linalg.norm(field.north_east_down))
+    measured = float(np.median(_length(channel)))
+    off = abs(measured - expected) / expected
+    verdict = judged_value(off, field.norm_sd / expected, limits.FIELD)
+    text = f"reads {measured:.1f} uT; the World Magnetic Model has {expected:.1f} uT there"
+    if verdict != HealthVerdict.OK and never_calibrated(recording, Sensor.MAG, channel.instance):
+        text += ". It was never calibrated: its offsets are 0"
+    yield _bad("earth", channel, verdict, text, _CALIBRATE, Measured(off, field.norm_sd / expected, limits.FIELD))
+    dip = None if attitude is None else _dip(channel, attitude)
+    if dip is None:
+        return
+    across = float(np.linalg.norm(field.north_east_down[:2]))
+    should = float(np.degrees(np.arctan2(down, max(across, abs(north), 1e-9))))
+    apart = abs(dip - should)
+    verdict = judged_value(apart, 1.0, limits.DIP)
+    text = f"its field dips by {dip:.1f} deg; the World Magnetic Model has {should:.1f} deg there"
+    yield _bad("dip", channel, verdict, text, _CALIBRATE, Measured(apart, 1.0, limits.DIP))
+
+
+def _dip(channel: Channel, attitude: Channel) -> float | None:
+    """Median angle of the field below the horizon, deg."""
+    down = _down(channel, attitude)
+    if down is None or len(channel) < _LEAST:
+        return None
+    sine = np.einsum("ij,ij->i", channel.values, down) / np.maximum(_length(channel), 1e-9)
+    return float(np.degrees(np.median(np.arcsin(np.clip(sine, -1.0, 1.0)))))
+
+
+def _down(channel: Channel, attitude: Channel) -> Array | None:
+    """Down in the body's axes at the samples of `channel`, (N, 3); None: the attitude covers too little of them."""
+    q = motion.usable(attitude)
+    if len(q) < 2 or q.t[0] > channel.t[len(channel) // 4] or q.t[-1] < channel.t[-len(channel) // 4]:
+        return None
+    down = Rotation.from_quat(q.values, scalar_first=True).as_matrix()[:, 2, :]
+    return np.column_stack([np.interp(channel.t, q.t, column) for column in down.T])
+
+
+def _apart(found: dict[int, Channel]) -> Iterator[HealthFinding]:
+    """Angle between the fields of two compasses; of three the one that is off both is named."""
+    angles: dict[tuple[int, int], float] = {}
+    for a, b in combinations(found, 2):
+        first, second = found[a], found[b]
+        if min(len(first), len(second)) < _LEAST:
+            continue
+        beside = np.column_stack([np.interp(first.t, second.t, column) for column in second.values.T])
+        cosine = np.einsum("ij,ij->i", first.values, beside)
+        cosine /= np.maximum(_length(first) * np.linalg.norm(beside, axis=1), 1e-9)
+        angles[a, b] = float(np.degrees(np.median(np.arccos(np.clip(cosine, -1.0, 1.0)))))
+    for instance, channel in found.items():
+        own = {pair: angle for pair, angle in angles.items() if instance in pair}
+        if not own:
+            continue
+        pair, angle = max(own.items(), key=lambda two: two[1])
+        agrees = sum(a <= limits.FIELDS_APART.suspicious for a in own.values())
+        verdict = judged_value(angle, 0.0, limits.FIELDS_APART)
+        other = pair[0] + pair[1] - instance + 1
+        text = f"its field is {angle:.0f} deg away from that of compass {other}"
+        if verdict != HealthVerdict.OK and agrees:
+            verdict, text = HealthVerdict.OK, f"agrees with {agrees} other compass{'es' if agrees > 1 else ''}"
+        elif verdict != HealthVerdict.OK and len(found) == 2:
+            verdict, text = HealthVerdict.SUSPICIOUS, f"{text}; which is off, this comparison cannot say"
+        yield _bad("compasses", channel, verdict, text, _CALIBRATE, Measured(angle, 0.0, limits.FIELDS_APART))
+
+
+def _bad(
+    check: str, channel: Channel, verdict: HealthVerdict, text: str, action: str, measured: Measured | None = None
+) -> HealthFinding:
+    shown = "" if verdict == HealthVerdict.OK else action
+    value, sd, limit = (None, None, None) if measured is None else (measured.value, measured.sd, measured.limit)
+    return HealthFinding(check, Sensor.MAG, channel.instance, verdict, text, shown, value, sd, limit)

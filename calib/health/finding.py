@@ -1,0 +1,133 @@
+"""What a health check found: one number of one sensor against its limit, and what to do about it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+from mavcal.calib.health.limits import HealthLimit
+from mavcal.calib.recording import Sensor
+
+NAMES = {Sensor.ACCEL: "accelerometer", Sensor.GYRO: "gyroscope", Sensor.MAG: "compass"}
+
+
+class HealthVerdict(StrEnum):
+    """How a sensor is."""
+
+    OK = "ok"
+    CANNOT_SAY = "cannot_say"
+    SUSPICIOUS = "suspicious"
+    FAULTY = "faulty"
+
+
+BAD = (HealthVerdict.FAULTY, HealthVerdict.SUSPICIOUS)
+SUPPORTING = frozenset({"vibration", "clipping", "motors", "stuck", "drift"})
+"""Checks that can show a fault but cannot show that a sensor reads right."""
+_WORSE = (HealthVerdict.CANNOT_SAY, HealthVerdict.OK, HealthVerdict.SUSPICIOUS, HealthVerdict.FAULTY)
+"""A sensor is as bad as its worst finding; checks that could not be made count only where no other was."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A number with its standard error, and the limit that it was compared with."""
+
+    value: float | None
+    sd: float | None
+    limit: HealthLimit
+
+
+@dataclass(frozen=True)
+class HealthFinding:
+    """One check of one sensor.
+
+    `value` and `sd` are None where nothing was measured; `start` and `end` are the evidence's time span, s, None where
+    it is the whole log.
+    """
+
+    check: str
+    sensor: Sensor
+    instance: int
+    verdict: HealthVerdict
+    text: str
+    action: str = ""
+    value: float | None = None
+    sd: float | None = None
+    limit: HealthLimit | None = None
+    start: float | None = None
+    end: float | None = None
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """As JSON."""
+        limit = None if self.limit is None else vars(self.limit)
+        plain = {"sensor": self.sensor.value, "verdict": self.verdict.value, "limit": limit}
+        return {**vars(self), **plain}
+
+
+@dataclass(frozen=True)
+class SensorHealth:
+    """One sensor of one unit, with everything that was found of it, the worst first."""
+
+    sensor: Sensor
+    instance: int
+    findings: tuple[HealthFinding, ...]
+
+    @property
+    def name(self) -> str:
+        """As a person counts: ``compass 1``."""
+        return f"{NAMES[self.sensor]} {self.instance + 1}"
+
+    @property
+    def verdict(self) -> HealthVerdict:
+        """Of the worst finding; a sensor is ok only where a check of its readings says so."""
+        found = worst(f.verdict for f in self.findings)
+        if found == HealthVerdict.OK and all(f.check in SUPPORTING for f in self.findings if f.verdict == found):
+            return HealthVerdict.CANNOT_SAY
+        return found
+
+    @property
+    def bad(self) -> tuple[HealthFinding, ...]:
+        """What speaks against it."""
+        return tuple(f for f in self.findings if f.verdict in BAD)
+
+    @property
+    def good(self) -> tuple[HealthFinding, ...]:
+        """Every other check, those that could not be made included."""
+        return tuple(f for f in self.findings if f.verdict not in BAD)
+
+    @property
+    def actions(self) -> tuple[str, ...]:
+        """What to do about it, each once, the most urgent first."""
+        return tuple(dict.fromkeys(f.action for f in self.bad if f.action))
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "sensor": self.sensor.value,
+            "instance": self.instance,
+            "name": self.name,
+            "verdict": self.verdict.value,
+            "findings": [f.document for f in self.findings],
+        }
+
+
+def worst(verdicts: Iterable[HealthVerdict]) -> HealthVerdict:
+    """The worst of `verdicts`; ``cannot_say`` of none."""
+    return max(verdicts, key=_WORSE.index, default=HealthVerdict.CANNOT_SAY)
+
+
+def sensor_health(sensor: Sensor, instance: int, findings: Iterable[HealthFinding]) -> SensorHealth:
+    """The findings of that sensor among `findings`, the worst first."""
+    own = [f for f in findings if (f.sensor, f.instance) == (sensor, instance)]
+    return SensorHealth(sensor, instance, tuple(sorted(own, key=lambda f: -_WORSE.index(f.verdict))))
+
+
+def judged_value(value: float, sd: float, limit: HealthLimit) -> HealthVerdict:
+    """A larger `value` is worse; what two of its standard errors explain is no finding."""
+    sure = value - 2.0 * sd
+    if sure > limit.faulty:
+        return HealthVerdict.FAULTY
+    return HealthVerdict.SUSPICIOUS if sure > limit.suspicious else HealthVerdict.OK

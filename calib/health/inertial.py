@@ -1,0 +1,231 @@
+"""Accelerometers and gyroscopes: gravity, drift while motionless, offset against the attitude, unit against unit."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.flight.flying import flying_items
+from mavcal.calib.flight.item import FlightVerdict, JudgedItem
+from mavcal.calib.flight.rest import TimeSpan, ground
+from mavcal.calib.flight.resting import gravity_of_place
+from mavcal.calib.health import limits, motion
+from mavcal.calib.health.channels import NOT_PHYSICAL, judged_channel
+from mavcal.calib.health.finding import HealthFinding, HealthVerdict, Measured, judged_value
+from mavcal.calib.health.parameters import never_calibrated
+from mavcal.calib.recording import Channel, Recording, Sensor
+from mavcal.calib.stats.stillness import RESTING, Still, find_still
+
+Array = NDArray[np.float64]
+
+_LAID: Final = dataclasses.replace(RESTING, rate=3.0, accel_drift=0.04, gyro_drift=0.05)
+"""Motionless, whatever the gyroscope's offset is: a sensor 100 deg/s off must not hide that nothing moved."""
+_MOSTLY: Final = 0.5
+"""Of the samples: a vehicle motionless for so much of a log lay on the ground, and an attitude is not needed."""
+_SPAN_S: Final = 5.0
+"""Shortest span whose mean is compared."""
+_DRIFT_S: Final = 60.0
+"""Motionless seconds that tell of a drift."""
+_FLOOR_FORCE: Final = 0.02
+"""m/s2 that an attitude wrong by 4 deg costs along the vertical."""
+_APART: Final = {Sensor.ACCEL: limits.FORCES_APART, Sensor.GYRO: limits.RATES_APART}
+_CALIBRATE: Final = {
+    Sensor.ACCEL: "Calibrate the accelerometer: six faces and four oblique poses.",
+    Sensor.GYRO: "Calibrate the gyroscope: ten seconds at rest.",
+}
+
+
+def motionless(recording: Recording, instance: int) -> tuple[Still, ...]:
+    """Spans in which that unit did not move, motors on or off."""
+    try:
+        return find_still(recording, instance=instance, limits=_LAID)
+    except InvalidInputError:
+        return ()
+
+
+def inertial_findings(recording: Recording, flown: Sequence[TimeSpan]) -> Iterator[HealthFinding]:
+    """Every check of every accelerometer and gyroscope; `flown` are the spans with the motors on."""
+    attitude = next(iter(recording.find(Sensor.ATTITUDE)), None)
+    off = ground(recording).off
+    for sensor in (Sensor.ACCEL, Sensor.GYRO):
+        found: dict[int, Channel] = {}
+        own: dict[int, HealthFinding] = {}
+        for instance in recording.instances(sensor):
+            channel = judged_channel(recording, sensor, instance)
+            if channel is None:
+                yield HealthFinding("offset", sensor, instance, HealthVerdict.CANNOT_SAY, NOT_PHYSICAL)
+                continue
+            found[instance] = channel
+            laid = motionless(recording, instance)
+            if sensor == Sensor.ACCEL:
+                own[instance] = _gravity(recording, channel, attitude, laid)
+                yield _drift(channel, laid if _lay(channel, laid) else _within(laid, off))
+            else:
+                own[instance] = _rate(channel, attitude, laid)
+        yield from own.values()
+        yield from _apart(found, {i: f.verdict for i, f in own.items()})
+    for item in flying_items(recording, flown):
+        if item.name in _FROM_FLIGHT:
+            yield _of_item(item)
+
+
+def _within(laid: Sequence[Still], spans: Sequence[TimeSpan]) -> tuple[Still, ...]:
+    """What lies wholly in one of `spans`."""
+    return tuple(s for s in laid if any(span.start <= s.start and s.end <= span.end for span in spans))
+
+
+def _still_means(channel: Channel, laid: Sequence[Still]) -> motion.WindowMeans:
+    """One mean a motionless span."""
+    parts = [motion.usable(channel.between(span.start, span.end)) for span in laid]
+    kept = [part for part in parts if len(part) > 3]
+    if not kept:
+        return motion.WindowMeans(np.zeros(0), np.zeros((0, 3)))
+    return motion.WindowMeans(
+        np.array([0.5 * (p.t[0] + p.t[-1]) for p in kept]), np.array([p.values.mean(axis=0) for p in kept])
+    )
+
+
+def _lay(channel: Channel, laid: Sequence[Still]) -> bool:
+    """Whether the unit was motionless for most of its samples."""
+    still = sum(len(channel.between(span.start, span.end)) for span in laid)
+    return still > _MOSTLY * len(channel)
+
+
+def _gravity(recording: Recording, channel: Channel, attitude: Channel | None, laid: Sequence[Still]) -> HealthFinding:
+    """The vertical force in flight, else the length of the force while motionless, against gravity."""
+    gravity, known = gravity_of_place(recording)
+    low, high = sorted((gravity, STANDARD_GRAVITY)) if known else (9.78, 9.83)
+    windows = motion.WindowMeans(np.zeros(0), np.zeros((0, 1)))
+    how = "along the vertical in flight"
+    if attitude is not None and not _lay(channel, laid):
+        windows = motion.vertical_force(channel, attitude)
+    if not windows.enough:
+        still = _still_means(channel, laid)
+        windows, how = (
+            dataclasses.replace(still, values=np.linalg.norm(still.values, axis=1)[:, None]),
+            "while motionless",
+        )
+        if not len(windows.t):
+            text = "no attitude beside it and no motionless second: gravity cannot be told from motion"
+            return _unknown("gravity", Sensor.ACCEL, channel.instance, text, "Log the attitude (ATT), or a rest.")
+    force = float(windows.median[0])
+    sd = float(np.hypot(windows.sd[0], _FLOOR_FORCE))
+    off = max(force - high, low - force, 0.0)
+    verdict = judged_value(off, sd, limits.FORCE)
+    text = f"reads {force:.2f} +- {sd:.2f} m/s2 {how}; gravity is {gravity:.2f}"
+    if verdict != HealthVerdict.OK and never_calibrated(recording, Sensor.ACCEL, channel.instance):
+        text += ". It was never calibrated: its offsets are 0 and its scales 1"
+    return _finding("gravity", channel, verdict, text, Measured(off, sd, limits.FORCE))
+
+
+def _drift(channel: Channel, laid: Sequence[Still]) -> HealthFinding:
+    """How far the length of the force wandered while nothing moved."""
+    long = [span for span in laid if span.duration >= _SPAN_S]  # in a shorter one a climb begins or ends
+    means = _still_means(channel, long)
+    total = sum(span.duration for span in long)
+    if total < _DRIFT_S or len(means.t) < motion.LEAST_WINDOWS:
+        text = f"motionless for {total:.0f} s in all: {_DRIFT_S:.0f} s in {motion.LEAST_WINDOWS} spans tell of a drift"
+        return _unknown("drift", Sensor.ACCEL, channel.instance, text, "")
+    length = np.linalg.norm(means.values, axis=1)
+    third = max(len(length) // 3, 1)
+    first, last = float(np.median(length[:third])), float(np.median(length[-third:]))
+    least, most = np.percentile(length, (5.0, 95.0)).tolist()
+    noise = float(np.median(np.abs(np.diff(length)))) if len(length) > 1 else 0.0
+    moved = max(most - least, abs(last - first))
+    verdict = judged_value(moved, noise, limits.FORCE_DRIFT)
+    minutes = (float(means.t[-1]) - float(means.t[0])) / 60.0
+    text = f"its reading of gravity went from {first:.2f} to {last:.2f} m/s2 in {minutes:.0f} min while motionless"
+    if verdict == HealthVerdict.OK:
+        text = f"its reading of gravity kept within {moved:.2f} m/s2 over {minutes:.0f} min while motionless"
+    return _finding("drift", channel, verdict, text, Measured(moved, noise, limits.FORCE_DRIFT))
+
+
+def _rate(channel: Channel, attitude: Channel | None, laid: Sequence[Still]) -> HealthFinding:
+    windows, how = motion.WindowMeans(np.zeros(0), np.zeros((0, 3))), "beyond the turn of the attitude"
+    if attitude is not None and not _lay(channel, laid):
+        windows = motion.rate_error(channel, attitude)
+    if not windows.enough:
+        windows, how = _still_means(channel, laid), "while motionless"
+        if not len(windows.t):
+            text = "no attitude beside it and no motionless second: an offset cannot be told from a turn"
+            return _unknown("offset", Sensor.GYRO, channel.instance, text, "Log the attitude (ATT), or a rest.")
+    rate, sd = float(np.linalg.norm(windows.median)), float(np.linalg.norm(windows.sd))
+    verdict = judged_value(rate, sd, limits.RATE)
+    axes = ", ".join(f"{np.degrees(v):+.2f}" for v in windows.median)
+    text = f"reads {np.degrees(rate):.2f} +- {np.degrees(sd):.2f} deg/s {how}: ({axes}) deg/s"
+    return _finding("offset", channel, verdict, text, Measured(rate, sd, limits.RATE))
+
+
+def _apart(found: Mapping[int, Channel], own: Mapping[int, HealthVerdict]) -> Iterator[HealthFinding]:
+    """Every unit against the others; which of two is off is told by what each shows alone, or by a third."""
+    apart: dict[tuple[int, int], tuple[float, float, HealthVerdict]] = {}
+    for a, b in combinations(found, 2):
+        windows = motion.difference(found[a], found[b])
+        if windows.enough:
+            value, sd = float(np.linalg.norm(windows.median)), float(np.linalg.norm(windows.sd))
+            apart[a, b] = value, sd, judged_value(value, sd, _APART[found[a].sensor])
+    for instance, channel in found.items():
+        pairs = {sum(pair) - instance: judged for pair, judged in apart.items() if instance in pair}
+        if pairs:
+            yield _of_pairs(channel, pairs, own)
+
+
+def _of_pairs(
+    channel: Channel, pairs: Mapping[int, tuple[float, float, HealthVerdict]], own: Mapping[int, HealthVerdict]
+) -> HealthFinding:
+    """One unit against the others, `pairs` by the other's instance."""
+    limit, instance = _APART[channel.sensor], channel.instance
+    agreeing = [other for other, (_, _, verdict) in pairs.items() if verdict == HealthVerdict.OK]
+    if agreeing:
+        text = f"agrees with unit {', '.join(str(other + 1) for other in agreeing)}"
+        return _finding("units", channel, HealthVerdict.OK, text, Measured(None, None, limit))
+    other, (value, sd, verdict) = max(pairs.items(), key=lambda pair: pair[1][0])
+    factor, unit = (1.0, "m/s2") if channel.sensor == Sensor.ACCEL else (float(np.degrees(1.0)), "deg/s")
+    text = f"differs from unit {other + 1} by {factor * value:.2f} +- {factor * sd:.2f} {unit}"
+    if own[instance] == HealthVerdict.OK and own[other] in (HealthVerdict.SUSPICIOUS, HealthVerdict.FAULTY):
+        return _finding(
+            "units", channel, HealthVerdict.OK, f"{text}, which is off by itself", Measured(value, sd, limit)
+        )
+    if len(pairs) == 1 and own[instance] in (HealthVerdict.OK, HealthVerdict.CANNOT_SAY):
+        text, verdict = f"{text}; which of them is off, this comparison cannot say", HealthVerdict.SUSPICIOUS
+    return _finding("units", channel, verdict, text, Measured(value, sd, limit))
+
+
+_FROM_FLIGHT: Final = {"vibration": limits.VIBRATION, "clipping": limits.CLIPS}
+_SEEN: Final = {
+    FlightVerdict.PASS: HealthVerdict.OK,
+    FlightVerdict.NOT_TESTABLE: HealthVerdict.CANNOT_SAY,
+    FlightVerdict.WARN: HealthVerdict.SUSPICIOUS,
+    FlightVerdict.FAIL: HealthVerdict.FAULTY,
+}
+
+
+def _of_item(item: JudgedItem) -> HealthFinding:
+    """A check that the sanity of a flight makes already."""
+    instance = int(item.subject.rpartition(" ")[2]) - 1
+    verdict = _SEEN[item.verdict]
+    action = (
+        "" if verdict in (HealthVerdict.OK, HealthVerdict.CANNOT_SAY) else "Damp the mount, and balance the propellers."
+    )
+    return HealthFinding(
+        item.name, Sensor.ACCEL, instance, verdict, item.text, action, item.value, item.sd, _FROM_FLIGHT[item.name]
+    )
+
+
+def _finding(check: str, channel: Channel, verdict: HealthVerdict, text: str, measured: Measured) -> HealthFinding:
+    action = "" if verdict == HealthVerdict.OK else _CALIBRATE[channel.sensor]
+    if verdict == HealthVerdict.FAULTY:
+        action += " Do not fly with it. If it comes back, replace the sensor."
+    value, sd, limit = measured.value, measured.sd, measured.limit
+    return HealthFinding(check, channel.sensor, channel.instance, verdict, text, action, value, sd, limit)
+
+
+def _unknown(check: str, sensor: Sensor, instance: int, text: str, action: str) -> HealthFinding:
+    return HealthFinding(check, sensor, instance, HealthVerdict.CANNOT_SAY, text, action)

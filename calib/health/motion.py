@@ -1,0 +1,121 @@
+"""What a flight tells of inertial sensors without a rest: force along the vertical, rates against the attitude.
+
+Over ten seconds the mean vertical force is gravity but for the change of the climb rate, and the integral of a
+gyroscope is the turn of the attitude. Medians over such windows forget take-off, impacts and lost attitudes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from mavcal.calib.recording import Channel
+from mavcal.calib.stats.windows import finite_rows
+
+Array = NDArray[np.float64]
+
+WINDOW_S: Final = 10.0
+LEAST_WINDOWS: Final = 3
+LONGEST_STEP_S: Final = 0.5
+"""Longer between two attitudes is a gap."""
+_FULL: Final = 0.8  # of a window that must be covered
+_MEDIAN: Final = 1.2533 * 1.4826  # standard error of a median from the median deviation
+
+
+@dataclass(frozen=True, eq=False)
+class WindowMeans:
+    """Means over windows of ten seconds, (M,) times of their middle and (M, k) values."""
+
+    t: Array
+    values: Array
+
+    @property
+    def enough(self) -> bool:
+        """Whether a median says something."""
+        return len(self.t) >= LEAST_WINDOWS
+
+    @property
+    def median(self) -> Array:
+        """Over the windows, (k,)."""
+        return np.asarray(np.median(self.values, axis=0), dtype=np.float64)
+
+    @property
+    def sd(self) -> Array:
+        """Standard error of :attr:`median`, (k,)."""
+        spread = np.median(np.abs(self.values - self.median), axis=0)
+        return np.asarray(_MEDIAN * spread / np.sqrt(len(self.values)), dtype=np.float64)
+
+
+def usable(channel: Channel) -> Channel:
+    """The finite samples whose time goes on."""
+    good = finite_rows(channel.values)
+    good[1:] &= channel.t[1:] > channel.t[:-1]
+    return channel if good.all() else channel.take(good)
+
+
+def vertical_force(accel: Channel, attitude: Channel) -> WindowMeans:
+    """Specific force along the vertical, m/s2: 9.8 of a good sensor, up to the change of the climb rate."""
+    f, q = usable(accel), usable(attitude)
+    if len(f) < 2 or len(q) < 2:
+        return _none(1)
+    up = -Rotation.from_quat(q.values, scalar_first=True).as_matrix()[:, 2, :]  # down in the body is the third row
+    at = np.column_stack([np.interp(f.t, q.t, column) for column in up.T])
+    known = _steps_around(q.t, f.t) <= LONGEST_STEP_S
+    return _windows(f.t[known], np.einsum("ij,ij->i", f.values, at)[known][:, None])
+
+
+def rate_error(gyro: Channel, attitude: Channel) -> WindowMeans:
+    """Rate of the gyroscope beyond the turn of the attitude, rad/s."""
+    w, q = usable(gyro), usable(attitude)
+    if len(w) < 2 or len(q) < 2:
+        return _none(3)
+    step = np.diff(q.t)
+    turned = Rotation.from_quat(q.values, scalar_first=True)
+    by_attitude = (turned[:-1].inv() * turned[1:]).as_rotvec()
+    angle = np.vstack([np.zeros(3), np.cumsum(0.5 * (w.values[1:] + w.values[:-1]) * np.diff(w.t)[:, None], axis=0)])
+    by_gyro = np.diff(np.column_stack([np.interp(q.t, w.t, column) for column in angle.T]), axis=0)
+    covered = (q.t[:-1] >= w.t[0]) & (q.t[1:] <= w.t[-1]) & (_steps_around(w.t, q.t[1:]) <= LONGEST_STEP_S)
+    good = covered & (step <= LONGEST_STEP_S)
+    return _windows(0.5 * (q.t[1:] + q.t[:-1])[good], ((by_gyro - by_attitude) / step[:, None])[good], step[good])
+
+
+def difference(first: Channel, second: Channel) -> WindowMeans:
+    """First minus second of two units of a kind."""
+    a, b = usable(first), usable(second)
+    if len(a) < 2 or len(b) < 2:
+        return _none(a.values.shape[1])
+    beside = np.column_stack([np.interp(a.t, b.t, column) for column in b.values.T])
+    known = (_steps_around(b.t, a.t) <= LONGEST_STEP_S) & (a.t >= b.t[0]) & (a.t <= b.t[-1])
+    return _windows(a.t[known], (a.values - beside)[known])
+
+
+def _none(columns: int) -> WindowMeans:
+    return WindowMeans(np.zeros(0), np.zeros((0, columns)))
+
+
+def _steps_around(t: Array, at: Array) -> Array:
+    """Length of the step of `t` (N,) in which each of `at` lies; infinite outside."""
+    row = np.searchsorted(t, at)
+    inside = (row > 0) & (row < len(t))
+    row = np.clip(row, 1, len(t) - 1)
+    return np.where(inside | (at == t[0]), t[row] - t[row - 1], np.inf)
+
+
+def _windows(t: Array, values: Array, weight: Array | None = None) -> WindowMeans:
+    """Means over the windows that are covered; a sample stands for the time since the one before."""
+    if len(t) < 2:
+        return _none(values.shape[1])
+    step = np.diff(t, prepend=t[0]) if weight is None else weight
+    step = np.minimum(step, LONGEST_STEP_S)
+    cell = np.floor((t - t[0]) / WINDOW_S).astype(np.intp)
+    named, row = np.unique(cell, return_inverse=True)
+    covered = np.bincount(row, step)
+    used = covered >= _FULL * WINDOW_S
+    total = np.maximum(covered, 1e-12)
+    sums = np.column_stack([np.bincount(row, step * column) for column in values.T])
+    means = (sums / total[:, None])[used]
+    return WindowMeans(t[0] + (named[used] + 0.5) * WINDOW_S, means)
