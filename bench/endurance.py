@@ -51,13 +51,12 @@ class Standing:
 def standing(running: RunningService) -> Standing:
     proc = Path(f"/proc/{running.pid}")
     tasks = list((proc / "task").iterdir())
-    children = sum(len((task / "children").read_text().split()) for task in tasks)
     kept = [path for path in running.data_dir.rglob("*") if path.is_file()]
     return Standing(
         running.resident_bytes(),
         len(list((proc / "fd").iterdir())),
         len(tasks),
-        children,
+        len(running.children()),
         len(kept),
         sum(path.stat().st_size for path in kept),
     )

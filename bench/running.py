@@ -19,6 +19,8 @@ from mavcal.service.lifetime import ending_with_us
 _START_S = 60.0
 _FOUND_S = 60.0
 _STOP_S = 15.0
+_JOB_S = 120.0
+_AT_REST = frozenset({"review", "succeeded", "failed", "cancelled", "interrupted"})
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,27 @@ class RunningService:
         """Processor time used so far (Linux: utime and stime in ticks of 10 ms, proc(5))."""
         fields = Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / 100.0
+
+    def children(self) -> list[int]:
+        """Processes that it has started and that have not ended."""
+        tasks = Path(f"/proc/{self.pid}/task").iterdir()
+        return [int(pid) for task in tasks for pid in (task / "children").read_text().split()]
+
+    def rested(self, job: str) -> str:
+        """The state of a job once it has ended or waits for an accept.
+
+        Raises
+        ------
+        RuntimeError
+            If it goes on for more than two minutes.
+        """
+        until = time.monotonic() + _JOB_S
+        while time.monotonic() < until:
+            state = str(self.client.get_job(job).state)
+            if state in _AT_REST:
+                return state
+            time.sleep(0.1)
+        raise RuntimeError(f"the job did not come to an end within {_JOB_S:g} s")
 
     def tlog_bytes(self) -> int:
         """Size of all telemetry logs."""

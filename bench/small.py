@@ -1,6 +1,7 @@
 """``python -m bench.small``: what mavcal asks of a small computer; exit 1 if a target is missed.
 
-Size of what is installed, memory of an idle service with one vehicle, and processor time of a start and of the help.
+Size of what is installed, memory of an idle service with one vehicle and after its first jobs, and processor time of a
+start and of the help. Memory of the process from which fits are forked is its share (PSS) once it has loaded all.
 It measures the environment that it runs in: packages of the extra `dev` that others load if they are there count too.
 """
 
@@ -19,7 +20,8 @@ from pathlib import Path
 from bench import startup
 from bench.page import machine, shown
 from bench.rows import Row, Section
-from bench.running import service
+from bench.running import RunningService, service
+from bench.scale import sphere
 from mavcal.service.simvehicle import SimulatedVehicle
 
 RESIDENT_MB = 120.0
@@ -90,12 +92,16 @@ def _resident() -> list[Row]:
         SimulatedVehicle("ardupilot") as vehicle,
         service(vehicle.url, Path(folder) / "data") as running,
     ):
-        running.found()
+        found = running.found()
         time.sleep(IDLE_S)
         used = running.processor_s()
         time.sleep(IDLE_S)
         share = (running.processor_s() - used) / IDLE_S
-        held = {name: kib * 1024 / MB for name, kib in _memory(running.pid).items()}
+        held = _memory(running.pid)
+        calibrated = _after(running, running.client.start_job(found, kind="gyro").id)
+        recording = running.client.upload_recording(sphere(), name="sphere.csv").id
+        fitted = _after(running, running.client.start_fit(method="mag-ellipsoid", recording=recording).id)
+        nursery = sum(_memory(pid)["Pss"] for pid in running.children())
     return [
         Row(
             "resident memory, idle, one vehicle",
@@ -103,14 +109,29 @@ def _resident() -> list[Row]:
             f"{held['Rss']:.0f} MB, {held['Anonymous']:.0f} MB of it its own",
             held["Rss"] <= RESIDENT_MB,
         ),
+        Row("- after the calibration of its gyroscope", "", calibrated),
+        Row(
+            "- after the fit of an upload",
+            "",
+            f"{fitted}, and {nursery:.0f} MB of the process from which fits are forked",
+        ),
         Row("processor, idle, one vehicle", "", f"{share:.1%} of a core"),
     ]
 
 
-def _memory(pid: int) -> dict[str, int]:
-    """KiB by kind, of a process (Linux: smaps_rollup)."""
+def _after(running: RunningService, job: str) -> str:
+    """Resident memory some time after a job."""
+    state = running.rested(job)
+    if state not in {"review", "succeeded"}:
+        raise RuntimeError(f"the job {job} ended as {state}")
+    time.sleep(IDLE_S / 2)
+    return f"{_memory(running.pid)['Rss']:.0f} MB"
+
+
+def _memory(pid: int) -> dict[str, float]:
+    """MB by kind, of a process (Linux: smaps_rollup)."""
     lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()[1:]
-    return {name: int(rest.split()[0]) for name, _, rest in (line.partition(":") for line in lines)}
+    return {name: int(rest.split()[0]) * 1024 / MB for name, _, rest in (line.partition(":") for line in lines)}
 
 
 def run() -> Section:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from mavcal.calib import STANDARD_GRAVITY
 
@@ -28,7 +28,7 @@ class TiltFilter:
     """
 
     def __init__(self) -> None:
-        self._body: Rotation | None = None  # to north-east-down
+        self._body: scipy.spatial.transform.Rotation | None = None  # to north-east-down
         self._t = math.nan
 
     @property
@@ -49,17 +49,21 @@ class TiltFilter:
             if steady:
                 self._body = _held_with(-force / length)
             return
-        self._body = self._body * Rotation.from_rotvec(rate * step)
+        self._body = self._body * _turn(rate * step)
         if steady:
             held = self._body.inv().apply(_DOWN)
             share = 1.0 - math.exp(-step / CORRECTION_S)
-            self._body = self._body * Rotation.from_rotvec(-share * np.cross(held, -force / length))
+            self._body = self._body * _turn(-share * np.cross(held, -force / length))
 
 
-def _held_with(down: Array) -> Rotation:
+def _held_with(down: Array) -> scipy.spatial.transform.Rotation:
     """The attitude nearest to level, heading north, in which the body direction `down` points down."""
     axis = np.cross(down, _DOWN)
     sine = float(np.linalg.norm(axis))
     angle = math.atan2(sine, float(down @ _DOWN))
     unit = axis / sine if sine > 1e-9 else np.array([1.0, 0.0, 0.0])
-    return Rotation.from_rotvec(angle * unit)
+    return _turn(angle * unit)
+
+
+def _turn(vector: Array) -> scipy.spatial.transform.Rotation:
+    return scipy.spatial.transform.Rotation.from_rotvec(vector)

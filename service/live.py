@@ -63,9 +63,7 @@ async def live_batches(vehicle: Vehicle) -> AsyncIterator[LiveBatch]:
         while True:
             await asyncio.sleep(BATCH_S)
             heard, frames[:] = frames[:], []
-            chunk = await asyncio.to_thread(assembler.feed, [(None, frame) for frame in heard])
-            streamed = _one_a_sensor(chunk)
-            _incline(tilt, streamed)
+            chunk, streamed = await asyncio.to_thread(_digested, heard, assembler, tilt)
             own = _newest_attitude(chunk) or own
             if field is None and (model := field_of(chunk, time.time())) is not None:
                 field = model.norm
@@ -73,6 +71,14 @@ async def live_batches(vehicle: Vehicle) -> AsyncIterator[LiveBatch]:
             yield LiveBatch(streamed, compasses, own or tilt.attitude, field)
     finally:
         forget()
+
+
+def _digested(heard: Sequence[Frame], assembler: Assembler, tilt: TiltFilter) -> tuple[Recording, tuple[Channel, ...]]:
+    """What the frames carry, and of it one channel a sensor, which the filter has seen."""
+    chunk = assembler.feed([(None, frame) for frame in heard])
+    streamed = _one_a_sensor(chunk)
+    _incline(tilt, streamed)
+    return chunk, streamed
 
 
 def _one_a_sensor(chunk: Recording) -> tuple[Channel, ...]:

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.attitude import tilt_sd_deg
@@ -221,7 +221,7 @@ def _result(
     prior_terms = int((problem.prior > 0).sum())
     chi2 = float(solution.residuals @ solution.residuals + problem.prior @ (solution.parameters - NEUTRAL) ** 2)
     dof = len(poses) + prior_terms - 9
-    p_value = float(chdtrc(dof, chi2)) if dof > 0 else None
+    p_value = float(scipy.special.chdtrc(dof, chi2)) if dof > 0 else None
     x, covariance = without_crosses(problem, solution, left.crosses)
     warnings = []
     if p_value is not None and p_value < _MISFIT:

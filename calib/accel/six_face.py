@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 from mavcal.calib.accel.faces import CONVENTIONS, Convention, Face, directions_of, recognised_gravity
 from mavcal.calib.attitude import tilt_sd_deg
@@ -139,7 +139,7 @@ def _fitted(made: FitBuilder, rows: _Rows, convention: Convention, form: Form) -
     jacobian, model = _forward_jacobian(solution) if forward else _model_jacobian(solution[:3], solution[3])
     covariance = jacobian @ errors.spread(H) @ jacobian.T
     chi2 = errors.chi2(residual, rows.T / rows.g) if errors.predicted else None
-    p_value = None if chi2 is None else float(chdtrc(dof, chi2))
+    p_value = None if chi2 is None else float(scipy.special.chdtrc(dof, chi2))
     warnings = []
     if p_value is not None and p_value < _MISFIT and chi2 is not None:
         covariance = covariance * (chi2 / dof)

@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 from mavcal.calib.firmware.plan import Agreement
 from mavcal.calib.recording import Sensor
@@ -53,7 +53,7 @@ def within(judged: Sequence[Judged | None]) -> float | None:
         if found is None:
             return None
         squares, parts = squares + found[0] / ESTIMATES, parts + found[1]
-    if parts == 0 or squares > float(chdtri(parts, 1.0 - CONFIDENCE)):
+    if parts == 0 or squares > float(scipy.special.chdtri(parts, 1.0 - CONFIDENCE)):
         return None
     return math.sqrt(squares / parts)
 

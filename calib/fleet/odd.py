@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from mavcal.calib.errors import InvalidInputError
 
@@ -65,7 +65,7 @@ def limit_of(n: int) -> float:
     larger.
     """
     known = _LIMITS[int(np.searchsorted(_SIZES, n, side="right")) - 1]
-    return max(known, float(-ndtri(FALSE_ALARMS / (6.0 * n)))) if n > _SIZES[-1] else known
+    return max(known, float(-scipy.special.ndtri(FALSE_ALARMS / (6.0 * n)))) if n > _SIZES[-1] else known
 
 
 def oddness(biases: Sequence[Sequence[float]], sd: Sequence[float]) -> tuple[Oddness | None, ...]:

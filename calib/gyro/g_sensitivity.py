@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.attitude import drift_sd_deg_per_min
@@ -142,7 +142,7 @@ def _fit(made: FitBuilder, poses: Poses, a: Array, latitude: float | None, *, dr
     solved = _Solved.of(design, rates, variances)
     coefficients, covariance, dof = solved.coefficients, solved.covariance, 3 * (len(a) - design.shape[1])
     chi2 = float((solved.whitened**2).sum())
-    p_value = float(chdtrc(dof, chi2)) if dof > 0 else None
+    p_value = float(scipy.special.chdtrc(dof, chi2)) if dof > 0 else None
     if p_value is not None and p_value < _MISFIT:
         covariance = covariance * (chi2 / dof)
     earth_open = in_si and latitude is None

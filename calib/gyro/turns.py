@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 from mavcal.calib.attitude import drift_sd_deg_per_min
 from mavcal.calib.errors import InvalidInputError
@@ -176,7 +176,7 @@ def _result(
     matrix = np.asarray(np.linalg.inv(found.sensitivity), dtype=np.float64)
     dof = solved.residuals.size - 3 * (len(axes) + 1)
     covariance = _covariance(solved, axes, matrix, found.fastest)
-    p_value = float(chdtrc(dof, (solved.whitened**2).sum())) if dof > 0 else None
+    p_value = float(scipy.special.chdtrc(dof, (solved.whitened**2).sum())) if dof > 0 else None
     if p_value is not None and p_value < _MISFIT:
         covariance = covariance * float((solved.whitened**2).sum()) / dof
         warnings = (*warnings, f"the turns contradict each other (p = {p_value:.1e}): the sd are widened")

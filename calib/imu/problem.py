@@ -15,8 +15,8 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from mavcal.calib.imu.integrate import Moves, Turns, integrate
 from mavcal.calib.imu.unknowns import ACCEL, FREE, GYRO, NO_PRIOR, UNKNOWNS, Coordinates, ImuPrior, cross, symmetric
@@ -190,15 +190,15 @@ def reduced(at: Linearised, damping: float = 0.0) -> tuple[Array, Array, Array]:
     """Information (21, 21) and gradient (21,) with the directions eliminated, and ``A^-1 [border, gradient]``."""
     band = at.band.copy()
     band[-1] *= 1.0 + damping
-    factor = cholesky_banded(band)
-    solved = np.asarray(cho_solve_banded((factor, False), np.column_stack([at.border, at.directions])))
+    factor = scipy.linalg.cholesky_banded(band)
+    solved = np.asarray(scipy.linalg.cho_solve_banded((factor, False), np.column_stack([at.border, at.directions])))
     information = at.corner - at.border.T @ solved[:, :UNKNOWNS]
     return 0.5 * (information + information.T), at.gradient - at.border.T @ solved[:, UNKNOWNS], solved
 
 
 def log_determinant(at: Linearised) -> float:
     """Logarithm of the determinant of the whole normal matrix."""
-    factor = cholesky_banded(at.band)
+    factor = scipy.linalg.cholesky_banded(at.band)
     value = 2.0 * float(np.log(factor[-1]).sum())
     return value + float(np.linalg.slogdet(reduced(at)[0])[1])
 

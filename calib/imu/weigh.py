@@ -12,8 +12,8 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 from mavcal.calib.imu.problem import ImuProblem, ImuSolution, linearise, log_determinant, solve
 from mavcal.calib.imu.unknowns import Coordinates, ImuPrior
@@ -42,7 +42,7 @@ class GroupFit:
     @property
     def p_value(self) -> float | None:
         """Chance of so large a sum; None where nothing is redundant."""
-        return float(chdtrc(self.dof, self.chi2)) if self.dof >= 0.5 else None
+        return float(scipy.special.chdtrc(self.dof, self.chi2)) if self.dof >= 0.5 else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,8 +16,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.mag.distance import Distances, gauss_newton, shape_prior
@@ -144,7 +144,7 @@ def _native(
     tests, criteria = {}, {str(MagModel.SYMMETRIC): 0.0}
     for model in (MagModel.OFFSET, MagModel.DIAGONAL):
         loss, dropped = likelihood.loss(model), MagModel.SYMMETRIC.size - model.size
-        tests[str(model)] = float(chdtrc(dropped, max(loss, 0.0)))
+        tests[str(model)] = float(scipy.special.chdtrc(dropped, max(loss, 0.0)))
         criteria[str(model)] = loss - dropped * math.log(len(fit.residuals))
     likely = np.exp(weights @ np.log(np.array(scales)))
     return {

@@ -11,8 +11,8 @@ from __future__ import annotations
 from typing import Unpack
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import solve_triangular
 
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import FitResult
@@ -45,8 +45,8 @@ def solve_coefficients(normal: Array, right: Array) -> Array:
         lower = np.linalg.cholesky(normal)
     except np.linalg.LinAlgError as error:
         raise _undetermined() from error
-    forward = solve_triangular(lower, right, lower=True)
-    return np.asarray(solve_triangular(lower.T, forward, lower=False))
+    forward = scipy.linalg.solve_triangular(lower, right, lower=True)
+    return np.asarray(scipy.linalg.solve_triangular(lower.T, forward, lower=False))
 
 
 def offset_and_radii(coefficients: Array) -> tuple[Array, Array]:

@@ -23,7 +23,7 @@ from mavcal.calib.mag.flight_fit import FlightEstimate, Knowledge, estimate
 from mavcal.calib.mag.flight_input import FlightInput, given, unusable
 from mavcal.calib.mag.flight_path import Turning, attitudes
 from mavcal.calib.mag.flight_problem import OFFSET
-from mavcal.calib.mag.motor_drives import UNIT, Drive, DriveKind
+from mavcal.calib.mag.motor_drives import METHOD, UNIT, Drive, DriveKind
 from mavcal.calib.mag.result import MagContext, MagFacts
 from mavcal.calib.recording import Channel
 from mavcal.calib.stats.residuals import residual_statistics
@@ -31,7 +31,6 @@ from mavcal.calib.triad import TriadModel
 
 Array = NDArray[np.float64]
 
-METHOD = "mag-motor"
 MOVEMENT = "record from before the motors start, then hover, climb and descend, so that the current changes"
 _BLOCK = 15.0  # s of a hidden stretch
 _FEWEST_BLOCKS, _MOST_BLOCKS = 5, 10

@@ -6,14 +6,16 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from mavcal.calib.recording import Channel
 from mavcal.calib.stats.windows import finite_rows
 
 Array = NDArray[np.float64]
 
+METHOD = "mag-motor"
+"""The fit of :mod:`calib.mag.motor`; named here, so that composing its result loads no fit."""
 SMOOTHING = 2.0
 """s: faster changes are seen by the compass' averaging and by the log at other instants, and would shrink the slope."""
 _GAP = 3.0  # s over which a drive is not known
@@ -67,7 +69,7 @@ class Drive:
     def _slow(self) -> Array:
         step = float(np.median(np.diff(self.t)))
         width = int(np.clip(round(SMOOTHING / step), 1, len(self.t)))
-        return np.asarray(uniform_filter1d(self.values, width, axis=0, mode="nearest"))
+        return np.asarray(scipy.ndimage.uniform_filter1d(self.values, width, axis=0, mode="nearest"))
 
     @property
     def range(self) -> Array:

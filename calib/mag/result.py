@@ -10,8 +10,8 @@ from types import MappingProxyType
 from typing import Any, TypedDict
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 from mavcal.calib.earth import EarthField
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
@@ -192,7 +192,7 @@ def residual_quality(fit: ShapeFit, context: MagContext) -> dict[str, Any]:
     return {
         "residual_rms": math.sqrt(squares / len(fit.residuals)),
         "chi2": chi2,
-        "p_value": float(chdtrc(fit.dof, chi2)) if chi2 is not None and noise is not None else None,
+        "p_value": float(scipy.special.chdtrc(fit.dof, chi2)) if chi2 is not None and noise is not None else None,
         "noise_sd": math.sqrt(floor),
         "noise_from": "successive residuals" if noise is None else "given",
         "first_correlation": statistics["first_correlation"],

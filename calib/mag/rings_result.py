@@ -9,8 +9,8 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 from mavcal.calib.c_array import c_array, homogeneous
 from mavcal.calib.fit import FitResult, parameter_names
@@ -180,7 +180,7 @@ def rings_result(method: str, fit: RingsFit, context: MagContext, diameter: floa
         model = TriadModel(values[:3], values[3:].reshape(3, 3))
         covariance = scale.covariance(fit.centres)
     chi2, closing = fit.chi2()
-    p_value = float(chdtrc(closing, chi2)) if fit.noise_sd is not None else None
+    p_value = float(scipy.special.chdtrc(closing, chi2)) if fit.noise_sd is not None else None
     if p_value is not None and p_value < _MISFIT:
         covariance = covariance * (chi2 / closing)
     if strength is not None and context.field is not None and diameter is None and whole:

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from typing import Any, Unpack
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import chdtrc, ndtr
 
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
 from mavcal.calib.fit import FitResult
@@ -195,7 +195,7 @@ class RunningEllipsoid:
         ellipsoid, noise_sd = scaled.ellipsoid(model)
         variance = max(noise_sd**2 * self.n_effective / dof, LEAST_VARIANCE)
         rho = self._first_correlation(quadric(ellipsoid))
-        white = 2.0 * float(ndtr(-abs(rho) * math.sqrt(self.n_effective))) >= WHITE
+        white = 2.0 * float(scipy.special.ndtr(-abs(rho) * math.sqrt(self.n_effective))) >= WHITE
         inflation = 1.0 if white or rho <= 0.0 else (1.0 + rho) / max(1.0 - rho, 1e-3)
         covariance, condition = self._covariance(ellipsoid, model, variance)
         fit = ShapeFit(
@@ -269,7 +269,7 @@ def _about(rms: float, dof: float, rho: float, *, white: bool, context: MagConte
     return {
         "residual_rms": rms,
         "chi2": chi2,
-        "p_value": None if chi2 is None else float(chdtrc(dof, chi2)),
+        "p_value": None if chi2 is None else float(scipy.special.chdtrc(dof, chi2)),
         "noise_sd": rms if noise is None else math.sqrt(noise),
         "noise_from": "residuals" if noise is None else "given",
         "first_correlation": rho,

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import fft
 
 from mavcal.calib.stats.residuals import first_correlation
 
@@ -27,9 +27,9 @@ def variance_inflation(series: Array) -> float:
     if n < 4 or first_correlation(series) < _SIGNIFICANT / np.sqrt(n):
         return 1.0
     power = float(series @ series)
-    width = fft.next_fast_len(2 * n, real=True)
-    spectrum = fft.rfft(series, width)
-    rho = fft.irfft(spectrum.real**2 + spectrum.imag**2, width)[: n // 2] / power
+    width = scipy.fft.next_fast_len(2 * n, real=True)
+    spectrum = scipy.fft.rfft(series, width)
+    rho = scipy.fft.irfft(spectrum.real**2 + spectrum.imag**2, width)[: n // 2] / power
     pairs = rho[: len(rho) // 2 * 2].reshape(-1, 2).sum(axis=1)
     stop = int(np.argmax(pairs <= 0.0)) if (pairs <= 0.0).any() else len(pairs)
     return max(1.0, float(2.0 * pairs[:stop].sum() - 1.0))

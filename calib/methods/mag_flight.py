@@ -18,8 +18,8 @@ from mavcal.calib.mag.flight import METHOD as FLIGHT
 from mavcal.calib.mag.flight import SOFT_IRON, fit_flight
 from mavcal.calib.mag.flight_input import between, flown
 from mavcal.calib.mag.flight_path import Turning
-from mavcal.calib.mag.motor import METHOD as MOTOR
 from mavcal.calib.mag.motor import fit_motor
+from mavcal.calib.mag.motor_drives import METHOD as MOTOR
 from mavcal.calib.mag.motor_drives import Drive, DriveKind
 from mavcal.calib.methods.method import INSTANCE, FindingKind, Method, Options
 from mavcal.calib.methods.source import Source

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 Array = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ def long_run_variance(series: Array) -> float:
         length = n // _BLOCKS
         means = x[: length * _BLOCKS].reshape(_BLOCKS, length).mean(axis=1)
         scatter = length * float(means.var(ddof=1))
-        if chdtrc(_BLOCKS - 1, (_BLOCKS - 1) * scatter / value) < _SIGNIFICANT:
+        if scipy.special.chdtrc(_BLOCKS - 1, (_BLOCKS - 1) * scatter / value) < _SIGNIFICANT:
             value = scatter
     return float(np.clip(value, variance, n * variance))
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import log_ndtr, ndtr, ndtri
 
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.recording import Channel, Rounding
@@ -229,9 +229,10 @@ def _two_bins(values: Array, bins: NDArray[np.complex128], quantum: float) -> _A
     share = (float(in_upper.sum()) + 0.5) / (n + 1.0)
     worth = n * share * (1.0 - share) / long_run_variance(in_upper.astype(np.float64))
     sigma = quantum * np.linspace(_SMALLEST_NOISE, 1.0, 50)
-    z = ndtri(share)
+    z = scipy.special.ndtri(share)
     mu = edge + sigma * z
-    beyond = ndtr((lower_value - lower_half - mu) / sigma) + ndtr((mu - upper_value - upper_half) / sigma)
+    below = scipy.special.ndtr((lower_value - lower_half - mu) / sigma)
+    beyond = below + scipy.special.ndtr((mu - upper_value - upper_half) / sigma)
     weight = np.exp(worth * np.log1p(-np.minimum(beyond, 1.0 - 1e-12)))
     weight /= weight.sum()
     density = np.exp(_log_density(np.array(z)))
@@ -313,5 +314,5 @@ def _log_mass(a: Array, b: Array) -> Array:
     """``log(Phi(b) - Phi(a))`` for ``a < b``, exact far in either tail."""
     flip = a > 0.0
     low, high = np.where(flip, -b, a), np.where(flip, -a, b)
-    top = log_ndtr(high)
-    return np.asarray(top + np.log1p(-np.exp(np.minimum(log_ndtr(low) - top, -1e-300))))
+    top = scipy.special.log_ndtr(high)
+    return np.asarray(top + np.log1p(-np.exp(np.minimum(scipy.special.log_ndtr(low) - top, -1e-300))))

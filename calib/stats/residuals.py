@@ -6,8 +6,8 @@ import math
 from typing import TypedDict
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import chdtrc, ndtr, stdtrit
 
 Array = NDArray[np.float64]
 
@@ -56,9 +56,9 @@ def residual_statistics(residuals: Array, dof: int, noise_sd: float | None) -> R
     correlation = float(lagged.sum() / power.sum()) if power.sum() > 0.0 else 0.0
     count = columns[1:].size
     # sd of the first correlation of white noise is 1/sqrt(n) (Bartlett 1946); two-sided
-    white = 2.0 * float(ndtr(-abs(correlation) * math.sqrt(count))) >= WHITE if count >= 8 else None
+    white = 2.0 * float(scipy.special.ndtr(-abs(correlation) * math.sqrt(count))) >= WHITE if count >= 8 else None
     chi2 = None if noise_sd is None or noise_sd <= 0.0 else float(power.sum()) / noise_sd**2
-    p_value = float(chdtrc(dof, chi2)) if chi2 is not None and dof > 0 else None
+    p_value = float(scipy.special.chdtrc(dof, chi2)) if chi2 is not None and dof > 0 else None
     return ResidualStatistics(chi2=chi2, dof=dof, p_value=p_value, first_correlation=correlation, white=white)
 
 
@@ -68,4 +68,4 @@ def student_variance(dof: float) -> float:
     >>> round(student_variance(91.0), 3), round(student_variance(3.0), 2)
     (1.027, 2.64)
     """
-    return float(stdtrit(dof, 0.975) / stdtrit(math.inf, 0.975)) ** 2
+    return float(scipy.special.stdtrit(dof, 0.975) / scipy.special.stdtrit(math.inf, 0.975)) ** 2

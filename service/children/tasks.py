@@ -21,7 +21,16 @@ DIAGNOSE = "mavcal.service.children.tasks:diagnose"
 SERIES = "mavcal.service.children.tasks:series"
 
 FIRST = ("mavcal.calib.logs", "mavcal.calib.flight.report", "mavcal.calib.report")
-LATER = (*MODULES, "mavcal.calib.gap", "mavcal.calib.gap.schema", "mavcal.calib.gap_report")
+LATER = (
+    *(
+        "scipy.special",
+        "scipy.linalg",
+        "scipy.spatial",
+        "scipy.fft",
+        "scipy.ndimage",
+    ),  # what `calib` computes with
+    *(*MODULES, "mavcal.calib.gap", "mavcal.calib.gap.schema", "mavcal.calib.gap_report"),
+)
 """What the nursery imports for its children, before it serves and while it is idle."""
 
 

@@ -29,7 +29,7 @@ from mavcal.calib.firmware.plan import ParameterKind, Value
 from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.firmware.px4.parameters import UT_PER_GAUSS
 from mavcal.calib.fit import AXES, FitResult
-from mavcal.calib.mag.motor import METHOD
+from mavcal.calib.mag.motor_drives import METHOD
 from mavcal.calib.recording import ParameterTimeline, Sensor
 
 Array = NDArray[np.float64]

@@ -14,8 +14,8 @@ from itertools import combinations
 from typing import Final
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 from mavcal.calib.firmware.plan import ProofVerdict
 
@@ -70,7 +70,7 @@ def judge(names: Sequence[str], whitened: Callable[[Hypothesis], Array]) -> Stre
     place = {h: k for k, h in enumerate(hypotheses)}
     applied = points[place[frozenset()]]
     distance = {n: float(np.linalg.norm(points[place[frozenset({n})]] - applied)) for n in names}
-    explained = bool((points**2).sum(axis=1).min() <= chdtri(max(points.shape[1], 1), UNEXPLAINED))
+    explained = bool((points**2).sum(axis=1).min() <= scipy.special.chdtri(max(points.shape[1], 1), UNEXPLAINED))
     allowed = [h for h, kept in zip(hypotheses, _allowed(points, THRESHOLD), strict=True) if kept]
     verdicts = {n: _verdict(n, distance[n], allowed, explained=explained) for n in names}
     if ProofVerdict.CONTRADICTED not in verdicts.values():

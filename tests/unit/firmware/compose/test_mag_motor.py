@@ -14,7 +14,7 @@ from mavcal.calib.firmware.compose.mag_motor import compose_motors, corrupt_comp
 from mavcal.calib.firmware.options import ComposeOptions
 from mavcal.calib.firmware.px4 import parameters as px4
 from mavcal.calib.fit import FitResult, FitStatus, parameter_names
-from mavcal.calib.mag.motor import METHOD
+from mavcal.calib.mag.motor_drives import METHOD
 from mavcal.calib.recording import ParameterEntry, ParameterTimeline, Sensor
 from mavcal.calib.triad import TriadModel
 
