@@ -21,6 +21,7 @@ from mavcal.service.campaigns.begin import CampaignDesk, works
 from mavcal.service.children import Children, Limits
 from mavcal.service.computations import UploadComputations
 from mavcal.service.fleet.book import FleetBook
+from mavcal.service.freed import give_back_for_ever
 from mavcal.service.hand import AutoHand
 from mavcal.service.jobs.campaigns import CAMPAIGN, uploads_of_campaign
 from mavcal.service.jobs.computing import uploads_of
@@ -34,6 +35,7 @@ from mavcal.service.link.allowed import Allowed
 from mavcal.service.link_registry import LinkRegistry
 from mavcal.service.recordings import Recordings
 from mavcal.service.retention import Retention
+from mavcal.service.rotation import Rotation
 from mavcal.service.settings import Settings
 from mavcal.service.signing import SigningAdmin
 from mavcal.service.signing_keys import SigningKeys
@@ -156,7 +158,11 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
             await _open_links(links, settings, store)
         else:
             await started.enter_async_context(instance.taking_part(jobs, links, vehicles))
-        started.push_async_callback(_cancelled, asyncio.create_task(_retention(store, settings, jobs, links).run()))
+        retention = _retention(store, settings, jobs, links)
+        rotation = Rotation(links.all, settings.retention, retention.grown.set)
+        started.push_async_callback(_cancelled, asyncio.create_task(retention.run()))
+        started.push_async_callback(_cancelled, asyncio.create_task(rotation.run()))
+        started.push_async_callback(_cancelled, asyncio.create_task(give_back_for_ever()))
         started.push_async_callback(_cancelled, asyncio.create_task(AutoHand(vehicles.all, jobs.list).run()))
         yield Service(settings, store, links, vehicles, jobs, recordings, children, fleet, campaigns, signing)
 

@@ -1,11 +1,12 @@
-"""What is forgotten in time: recordings, events and request keys, by age and size; never what a job rests on."""
+"""What is forgotten in time: uploads, telemetry logs, events and request keys; never what a job rests on."""
 
 from __future__ import annotations
 
 import asyncio
 import time
 from collections.abc import Callable, Collection, Iterable
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import structlog
@@ -22,7 +23,7 @@ DAY_S = 86400.0
 
 @dataclass(frozen=True)
 class Removable:
-    """A recording that may go: an upload, or the telemetry log of a link that was closed."""
+    """A recording that may go: an upload, or a telemetry log that no link writes any more."""
 
     path: Path
     at: float
@@ -40,6 +41,8 @@ class Retention:
     needed: Callable[[], Collection[str]]
     open_files: Callable[[], Collection[Path]]
     wall: Callable[[], float] = time.time
+    grown: asyncio.Event = field(default_factory=asyncio.Event)
+    """Set when there is more to forget than usual: the next sweep comes at once."""
 
     async def run(self) -> None:
         """Sweep now and then, for ever."""
@@ -48,7 +51,9 @@ class Retention:
                 await self.sweep()
             except Exception:  # of any kind: one bad row must not end all sweeps until a restart; logged with its trace
                 log.exception("nothing was forgotten this time")
-            await asyncio.sleep(PERIOD_S)
+            self.grown.clear()
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self.grown.wait(), PERIOD_S)
 
     async def sweep(self) -> None:
         """Forget what is due."""
@@ -81,13 +86,19 @@ class Retention:
 
 
 def due(items: Iterable[Removable], now: float, settings: RetentionSettings) -> list[Removable]:
-    """What is too old, and the oldest of the rest as long as all together is too large."""
+    """What is too old, and the oldest of the rest as long as all together is too large; telemetry logs first."""
     oldest_first = sorted(items, key=lambda item: item.at)
+    logs = [item for item in oldest_first if item.upload is None]
+    going = _beyond(logs, now, settings.tlogs_days, settings.tlogs_bytes)
+    left = [item for item in oldest_first if item not in going]
+    return going + _beyond(left, now, settings.recordings_days, settings.recordings_bytes)
+
+
+def _beyond(oldest_first: list[Removable], now: float, days: float | None, size: int | None) -> list[Removable]:
     total, going = sum(item.size for item in oldest_first), []
     for item in oldest_first:
-        old = settings.recordings_days is not None and item.at < now - settings.recordings_days * DAY_S
-        large = settings.recordings_bytes is not None and total > settings.recordings_bytes
-        if old or large:
+        old = days is not None and item.at < now - days * DAY_S
+        if old or (size is not None and total > size):
             going.append(item)
             total -= item.size
     return going

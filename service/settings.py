@@ -152,6 +152,20 @@ class RetentionSettings(_Part):
     recordings_bytes: int | None = Field(
         default=None, ge=0, description="such recordings together, bytes; the oldest go first; none: no limit"
     )
+    tlogs_days: float | None = Field(
+        default=None, gt=0.0, description="oldest telemetry log on which no job rests, days; none: kept"
+    )
+    tlogs_bytes: int | None = Field(
+        default=None, ge=0, description="such telemetry logs together, bytes; the oldest go first; none: no limit"
+    )
+    tlog_bytes: int = Field(
+        default=64 * 2**20,
+        ge=2**12,
+        description="size from which a link goes on in another telemetry log, bytes; never during a capture",
+    )
+    tlog_hours: float = Field(
+        default=24.0, gt=0.0, description="age from which a link goes on in another telemetry log, hours"
+    )
     events_days: float = Field(default=90.0, gt=0.0, description="oldest events of jobs that have ended, days")
     events: int = Field(default=200_000, gt=0, description="most events of jobs that have ended")
     keys_days: float = Field(default=30.0, gt=0.0, description="oldest Idempotency-Key, days")

@@ -54,7 +54,7 @@ class JobBook:
 
     def load(self) -> list[JobHandle]:
         """Take every job out of the store."""
-        return self.take(self._store.jobs())
+        return self.take(self._store.each_job())
 
     def take(self, rows: Iterable[JobRow]) -> list[JobHandle]:
         """Hold these jobs, which are ours."""
@@ -70,7 +70,7 @@ class JobBook:
 
     def watch(self) -> None:
         """Know every job of the store, none of which is ours yet."""
-        self._others = {row.id: job_of(row, self._store) for row in self._store.jobs()}
+        self._others = {row.id: job_of(row, self._store) for row in self._store.each_job()}
 
     def asks_for(self, event: EventRow) -> bool:
         """Whether the row of the event's job is wanted: it is not ours, and the event does not say all."""

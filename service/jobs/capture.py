@@ -68,7 +68,8 @@ class Capture:
         """
         link = asyncio.create_task(LinkWatch(self.handle, self.vehicle, self.settings, self.clock).run())
         try:
-            return await self._recorded()
+            with self.vehicle.unbroken_tlog():
+                return await self._recorded()
         finally:
             link.cancel()
             await asyncio.gather(link, return_exceptions=True)

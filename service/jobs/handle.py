@@ -8,6 +8,7 @@ import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from functools import partial
+from queue import SimpleQueue
 from typing import Any
 
 import structlog
@@ -48,7 +49,7 @@ class JobHandle:
     ) -> None:
         self.job = job
         self.store = store
-        self.answers: asyncio.Queue[str] = asyncio.Queue()
+        self.answers: SimpleQueue[str] = SimpleQueue()
         self._publish = publish
         self._wall = wall
         self._clock = clock

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -139,6 +140,10 @@ class JobVehicle(Protocol):
 
     def tlog_position(self) -> TlogPosition:
         """Where the telemetry log stands: everything delivered so far lies before it."""
+        ...
+
+    def unbroken_tlog(self) -> AbstractContextManager[None]:
+        """Meanwhile the telemetry log goes on in one file, so that a segment of it can be begun and ended."""
         ...
 
     async def sync_tlog(self) -> None:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 
 from mavcal.service.jobs.digest import read_range
+from mavcal.service.jobs.handle import JobHandle
 from mavcal.service.jobs.model import Job, LogSpan
 from mavcal.service.jobs.port import JobVehicle, TlogPosition
 from mavcal.service.store.protocol import JobStore
@@ -24,6 +27,17 @@ def captured(job: Job, store: JobStore) -> tuple[SegmentRow, ...]:
 async def open_span(store: JobStore, job_id: str, purpose: SegmentPurpose, position: TlogPosition) -> SegmentRow:
     """Begin a segment at a place of the vehicle's log."""
     return await store.do(lambda: store.open_segment(job_id, purpose, position.path, position.byte))
+
+
+@asynccontextmanager
+async def spanned(handle: JobHandle, vehicle: JobVehicle, purpose: SegmentPurpose) -> AsyncIterator[None]:
+    """A segment of the vehicle's log from here to the end of the block, however that ends; all of it in one file."""
+    with vehicle.unbroken_tlog():
+        row = await open_span(handle.store, handle.id, purpose, vehicle.tlog_position())
+        try:
+            yield
+        finally:
+            await asyncio.shield(close_span(handle.store, row, vehicle))
 
 
 async def close_span(store: JobStore, row: SegmentRow, vehicle: JobVehicle | None) -> LogSpan:

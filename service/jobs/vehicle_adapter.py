@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 
 from mavcal.calib.firmware.plan import ParameterKind, Value
 from mavcal.calib.recording import Identity
@@ -140,6 +141,10 @@ class VehicleAdapter:
         """See JobVehicle."""
         tlog = self._vehicle.link.tlog
         return TlogPosition(tlog.path, tlog.position)
+
+    def unbroken_tlog(self) -> AbstractContextManager[None]:
+        """See JobVehicle."""
+        return self._vehicle.link.unbroken()
 
     async def sync_tlog(self) -> None:
         """See JobVehicle."""

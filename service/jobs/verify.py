@@ -27,7 +27,7 @@ from mavcal.service.jobs.handle import JobHandle, waiting
 from mavcal.service.jobs.planning import RESTORE
 from mavcal.service.jobs.port import JobVehicle
 from mavcal.service.jobs.settings import JobSettings
-from mavcal.service.jobs.spans import close_span, open_span, span_of
+from mavcal.service.jobs.spans import span_of, spanned
 from mavcal.service.jobs.streams import ask_for_streams
 from mavcal.service.store.rows import SegmentPurpose, SnapshotPurpose
 
@@ -109,13 +109,10 @@ class StreamProof:
     async def before(self, guard: WriteGuard) -> None:
         """Keep a window of the stream under the old parameters, in memory and as a segment."""
         await guard.run(self._streams)
-        row = await open_span(self.handle.store, self.handle.id, SegmentPurpose.BEFORE, self.vehicle.tlog_position())
-        try:
+        async with spanned(self.handle, self.vehicle, SegmentPurpose.BEFORE):
             with Window(self.vehicle, self.settings, self.clock) as window:
                 async with waiting(self.handle, "reading the sensors before the write", self.settings.check_s):
                     self._before = await guard.run(partial(window.extend, self.settings.check_s))
-        finally:
-            await asyncio.shield(close_span(self.handle.store, row, self.vehicle))
 
     async def after(self, guard: WriteGuard, values: Mapping[str, Value]) -> Verification:
         """Judge the stream under the new parameters; wait for the movements that prove the rest, if there are any.
@@ -128,13 +125,11 @@ class StreamProof:
         """
         await guard.run(self._streams)
         before = self._before or await asyncio.to_thread(self._recorded)
-        row = await open_span(self.handle.store, self.handle.id, SegmentPurpose.AFTER, self.vehicle.tlog_position())
-        try:
-            return await self._judged(guard, before, values)
-        except CaptureEnded as error:
-            raise WriteFailed(f"the write cannot be checked: {error}") from error
-        finally:
-            await asyncio.shield(close_span(self.handle.store, row, self.vehicle))
+        async with spanned(self.handle, self.vehicle, SegmentPurpose.AFTER):
+            try:
+                return await self._judged(guard, before, values)
+            except CaptureEnded as error:
+                raise WriteFailed(f"the write cannot be checked: {error}") from error
 
     async def _judged(self, guard: WriteGuard, before: Recording | None, values: Mapping[str, Value]) -> Verification:
         with Window(self.vehicle, self.settings, self.clock) as window:

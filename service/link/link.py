@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -76,7 +77,7 @@ class Link:
     endpoint
         Where to; a string is parsed.
     tlog_dir
-        Directory of the recording; each opening begins a new file there.
+        Directory of the recording; each opening begins a new file there, and so does :meth:`rotate`.
     ids
         What we call ourselves on the wire.
     signing
@@ -113,6 +114,7 @@ class Link:
         self._heartbeat: asyncio.TimerHandle | None = None
         self._batch_subscribers: dict[object, tuple[BatchCallback, frozenset[int] | None]] = {}
         self._event_subscribers: dict[object, EventCallback] = {}
+        self._unbroken = 0
         self._handing = 0
         self._handed_until = 0.0
 
@@ -128,8 +130,7 @@ class Link:
         """
         loop = asyncio.get_running_loop()
         self._first_state = loop.create_future()
-        stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S%fZ")
-        self._recorder = TlogRecorder(self._tlog_dir / f"{self.id}-{stamp}.tlog")
+        self._recorder = self._new_recorder()
         self._reader = Reader(
             self.id,
             self._transport,
@@ -298,6 +299,33 @@ class Link:
             raise LinkDown(f"Link {self.id} was not opened yet.")
         return self._recorder
 
+    @contextmanager
+    def unbroken(self) -> Iterator[None]:
+        """Meanwhile the recording goes on in the file in which it is now."""
+        self._unbroken += 1
+        try:
+            yield
+        finally:
+            self._unbroken -= 1
+
+    def rotate(self) -> bool:
+        """Go on recording in a new file; False: not now, because somebody needs it unbroken, or nothing is recorded.
+
+        Raises
+        ------
+        StoreError
+            If no file can be made; the recording then goes on in the old one.
+        """
+        if self._unbroken or self._reader is None or self.tlog.error is not None:
+            return False
+        self._recorder = self._new_recorder()
+        self._reader.go_on_in(self._recorder)
+        return True
+
+    def _new_recorder(self) -> TlogRecorder:
+        stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%S%fZ")
+        return TlogRecorder(self._tlog_dir / f"{self.id}-{stamp}.tlog")
+
     @property
     def peers(self) -> dict[tuple[int, int], Address]:
         """Which address each (system, component) was last heard from."""
@@ -416,7 +444,8 @@ def _merged(reports: Iterable[Report]) -> list[Report]:
 
     for report in reports:
         if isinstance(report, Batch):
-            if run and report.received_at - run[0].received_at > _MERGED_S:
+            late = run and report.received_at - run[0].received_at > _MERGED_S
+            if late or (run and report.tlog_start < run[-1].tlog_end):  # the latter: another file has begun
                 flush()
             run.append(report)
         else:

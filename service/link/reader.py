@@ -93,6 +93,7 @@ class Reader(threading.Thread):
         super().__init__(name=f"link-{name}", daemon=True)
         self._transport = transport
         self._recorder = recorder
+        self._next_recorder: TlogRecorder | None = None
         self._own = own
         self.signing = signing
         """What is in force: frames are signed, and only signed ones are believed. None: neither."""
@@ -147,6 +148,11 @@ class Reader(threading.Thread):
     def withdraw(self) -> None:
         """Offer no key any more."""
         self._offered = None
+
+    def go_on_in(self, recorder: TlogRecorder) -> None:
+        """Record into another file from the next batch on, and close the one so far."""
+        self._next_recorder = recorder
+        self._wake()
 
     def look(self, told: Callable[[], None]) -> None:
         """Ask for a :class:`Looked` behind everything that has arrived by now."""
@@ -206,6 +212,7 @@ class Reader(threading.Thread):
                         self._rest(selector, _BACKOFF_S[min(attempt, len(_BACKOFF_S) - 1)])
             ended = True
         finally:
+            self._renew_recorder()
             self._transport.close()
             if not ended:
                 self._set_state(LinkState.DOWN, "the reader of this link failed; the log of the service says why")
@@ -241,6 +248,7 @@ class Reader(threading.Thread):
             wait = self._transport.wait()
             selector.select(_IDLE_S if wait is None else min(wait, _IDLE_S))
             self._empty_wake()
+            self._renew_recorder()  # before any mark: whoever asked for a place since then finds it in the new file
             self._post_marks()
             self._send_queued()
             if self._congested() and self._transport.lossless:
@@ -272,6 +280,13 @@ class Reader(threading.Thread):
     def _empty_wake(self) -> None:
         with contextlib.suppress(BlockingIOError):
             self._wake_receive.recv(4096)
+
+    def _renew_recorder(self) -> None:
+        fresh, self._next_recorder = self._next_recorder, None
+        if fresh is not None:
+            fresh.follow(self._recorder)
+            self._recorder.close()
+            self._recorder = fresh
 
     def _post_marks(self) -> None:
         while self._marks:

@@ -1,5 +1,6 @@
 """The append-only .tlog of a link: everything received and sent, as any ground station can replay it.
 
+A link that stays open goes on in another file now and then (:mod:`service.rotation`); each file replays by itself.
 Written without a buffer of our own, one system call a batch: what was written survives the death of this process.
 """
 
@@ -21,6 +22,7 @@ class TlogRecorder:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self.begun_at = time.monotonic()
         self.error: DiskFull | None = None
         """Not None while nothing can be written."""
         self._retry_at = 0.0
@@ -36,6 +38,10 @@ class TlogRecorder:
         """The head of a record made now; times never decrease, even if the wall clock does."""
         self._last_us = max(self._last_us, time.time_ns() // 1000)
         return tlog_record(self._last_us, b"")
+
+    def follow(self, before: TlogRecorder) -> None:
+        """Go on where another file ended: times do not decrease from file to file either."""
+        self._last_us = max(self._last_us, before._last_us)
 
     def write(self, records: list[bytes]) -> None:
         """Append records, each a stamp and a frame. A full disk is remembered in :attr:`error` and tried again."""

@@ -7,7 +7,7 @@ from an event loop those that write go through :meth:`JobStore.do` or :meth:`Job
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Protocol, TypeVar
@@ -57,6 +57,10 @@ class JobStore(Protocol):
 
     def jobs(self, *, vehicle_id: str | None = None, states: Collection[str] | None = None) -> tuple[JobRow, ...]:
         """Jobs in the order of their creation; None: of every vehicle, in every state."""
+        ...
+
+    def each_job(self) -> Iterator[JobRow]:
+        """Every job in the order of creation, read in small parts: those of years need not be held at once."""
         ...
 
     def add_event(self, job_id: str, at: float, kind: str, data: Json) -> EventRow:

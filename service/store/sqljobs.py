@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,8 @@ from mavcal.service.store.rows import (
     SnapshotPurpose,
     SnapshotRow,
 )
+
+_JOBS_AT_ONCE = 100
 
 
 class SqlJobs(SqlRows):
@@ -68,6 +70,15 @@ class SqlJobs(SqlRows):
         where = f"WHERE {' AND '.join(asked)}" if asked else ""
         rows = self._read(f"SELECT {JOB} FROM jobs {where} ORDER BY created_at, rowid", values)
         return tuple(map(job_row, rows))
+
+    def each_job(self) -> Iterator[JobRow]:
+        """See :class:`service.store.protocol.JobStore`."""
+        self._line.caught_up()
+        ids = [row[0] for row in self._read("SELECT id FROM jobs ORDER BY created_at, rowid")]
+        for first in range(0, len(ids), _JOBS_AT_ONCE):
+            some = ids[first : first + _JOBS_AT_ONCE]
+            asked = f"SELECT {JOB} FROM jobs WHERE id IN ({marks(len(some))}) ORDER BY created_at, rowid"
+            yield from map(job_row, self._read(asked, some))
 
     def add_event(self, job_id: str, at: float, kind: str, data: Json) -> EventRow:
         """Append an event. Not forced to the disk: a loss of power may lose the last ones."""

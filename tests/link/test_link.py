@@ -4,6 +4,7 @@ import asyncio
 import os
 import socket
 import threading
+import time
 import tty
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import suppress
@@ -129,6 +130,15 @@ async def test_a_heartbeat_comes_in_and_ours_goes_back_to_who_spoke(opened: Open
     assert (frame.system, frame.component, ours.type, ours.autopilot) == (253, 190, 6, 8)
 
 
+def open_logs() -> list[str]:
+    """Telemetry logs that this process has open."""
+    found = []
+    for descriptor in os.listdir("/proc/self/fd"):
+        with suppress(OSError):  # the listing's own
+            found.append(os.readlink(f"/proc/self/fd/{descriptor}"))
+    return [path for path in found if path.endswith(".tlog")]
+
+
 async def test_everything_received_and_sent_is_in_the_tlog_where_the_batch_says(
     opened: Opener, peer: socket.socket
 ) -> None:
@@ -153,6 +163,58 @@ async def test_everything_received_and_sent_is_in_the_tlog_where_the_batch_says(
     for batch in collector.batches:
         inside = [f for _, f in wire.iter_tlog(data[batch.tlog_start : batch.tlog_end])]
         assert [f for f in inside if f.message_id == 27] == list(batch.frames)
+
+
+async def test_a_link_goes_on_in_another_file_and_nothing_is_lost_between_them(
+    opened: Opener, peer: socket.socket, tmp_path: Path
+) -> None:
+    link = await opened("udpin:127.0.0.1:0")
+    collector = Collector(link, frozenset({27}))
+    first, marks = link.tlog, []
+    for k in range(240):
+        peer.sendto(wire.encode(imu(k), 1, 1, k), ("127.0.0.1", link.local_port))
+        if k % 60 == 59:
+            assert link.rotate()
+            path = link.tlog.path
+            link.mark(lambda byte, path=path: marks.append((path, byte)))
+            await asyncio.sleep(0.02)
+    await collector.until(lambda: len(collector.frames) == 240 and len(marks) == 4)
+    files = sorted(tmp_path.glob("*.tlog"))  # noqa: ASYNC240 - small
+    recorded = [record for path in files for record in wire.iter_tlog(path.read_bytes())]
+    assert [f.sequence for _, f in recorded if f.message_id == 27] == list(range(240))
+    assert [t for t, _ in recorded] == sorted(t for t, _ in recorded)
+    assert (files[0], files[-1], len(files)) == (first.path, link.tlog.path, 5)
+    assert link.tlog.position == link.tlog.path.stat().st_size
+    assert [path for path, _ in marks] == files[1:]
+    assert all(wire.TlogReader(path.read_bytes()[byte:]).skipped_bytes == 0 for path, byte in marks)
+    assert open_logs() == [str(link.tlog.path)]
+
+
+async def test_batches_of_two_files_are_not_joined(opened: Opener, peer: socket.socket) -> None:
+    link = await opened("udpin:127.0.0.1:0")
+    collector = Collector(link, frozenset({27}))
+    for k in range(100):
+        peer.sendto(wire.encode(imu(k), 1, 1, k), ("127.0.0.1", link.local_port))
+        if k == 50:
+            time.sleep(0.1)  # noqa: ASYNC251 - the loop is late: what has come meanwhile is joined
+            link.rotate()
+            time.sleep(0.1)  # noqa: ASYNC251 - likewise
+    await collector.until(lambda: len(collector.frames) == 100)
+    assert all(batch.tlog_start < batch.tlog_end for batch in collector.batches)
+
+
+async def test_a_file_that_somebody_needs_unbroken_is_gone_on_with(opened: Opener) -> None:
+    link = await opened("udpin:127.0.0.1:0")
+    path = link.tlog.path
+    with link.unbroken():
+        with link.unbroken():
+            assert not link.rotate()
+        assert not link.rotate()
+    assert link.tlog.path == path
+    assert link.rotate()
+    assert link.tlog.path != path
+    await link.close()
+    assert not link.rotate()
 
 
 async def test_a_second_vehicles_torn_datagrams_cost_the_first_nothing(opened: Opener, peer: socket.socket) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,6 +14,7 @@ from mavcal.service.retention import DAY_S, Retention
 from mavcal.service.settings import RetentionSettings
 from mavcal.service.store import SqliteStore, sql
 from mavcal.service.store.rows import JobRow, RecordingRow, SegmentPurpose, SnapshotPurpose
+from tests.patience import scaled
 
 NOW = 1000 * DAY_S
 DIGEST = "a" * 64
@@ -72,6 +74,35 @@ async def test_the_oldest_go_first_when_there_is_too_much(store: SqliteStore, tm
     assert [p.exists() for p in (oldest, older, newest)] == [False, True, True]
     await retention(store, tmp_path, {"needed"}, set(), recordings_bytes=0).sweep()
     assert [r.id for r in store.recordings()] == ["needed"]
+
+
+async def test_telemetry_logs_have_a_budget_of_their_own(store: SqliteStore, tmp_path: Path) -> None:
+    tlogs = tmp_path / "tlogs"
+    logs = [tlog(tlogs, f"l{days}", days, 60) for days in (40, 20, 10, 1)]
+    store.save_job(JobRow("j1", "v", "gyro", "succeeded", 0.0, 0.0, {}))
+    store.open_segment("j1", SegmentPurpose.CAPTURE, logs[1], 0)
+    uploaded = upload(store, tmp_path, "a", 400, 10_000)
+    await retention(store, tmp_path, set(), set(), tlogs_bytes=130).sweep()
+    assert [path.exists() for path in logs] == [False, True, True, True]
+    await retention(store, tmp_path, set(), {logs[3]}, tlogs_days=5).sweep()
+    assert [path.exists() for path in logs] == [False, True, False, True]
+    await retention(store, tmp_path, set(), {logs[3]}, tlogs_bytes=0).sweep()
+    assert [path.exists() for path in logs] == [False, True, False, True]
+    assert uploaded.exists()
+
+
+async def test_a_sweep_that_is_asked_for_comes_at_once(store: SqliteStore, tmp_path: Path) -> None:
+    old = tlog(tmp_path / "tlogs", "old", 40)
+    swept = retention(store, tmp_path, set(), {old}, tlogs_days=5)
+    running = asyncio.create_task(swept.run())
+    await asyncio.sleep(0.05)
+    swept.open_files = lambda: ()
+    swept.grown.set()
+    async with asyncio.timeout(scaled(5)):
+        while old.exists():  # noqa: ASYNC110 - another thread removes it
+            await asyncio.sleep(0.01)
+    running.cancel()
+    await asyncio.gather(running, return_exceptions=True)
 
 
 async def test_without_limits_every_recording_stays(store: SqliteStore, tmp_path: Path) -> None:

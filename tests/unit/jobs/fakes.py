@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -169,6 +169,10 @@ class FakeVehicle:
     def tlog_position(self) -> TlogPosition:
         """See JobVehicle."""
         return TlogPosition(self.tlog, self.tlog.stat().st_size if self.tlog.exists() else 0)
+
+    def unbroken_tlog(self) -> AbstractContextManager[None]:
+        """See JobVehicle."""
+        return nullcontext()
 
     async def sync_tlog(self) -> None:
         """See JobVehicle."""
