@@ -113,6 +113,8 @@ CALIBRATION_PREFIXES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
 
 BOARD_ROTATION: Final[Mapping[str, str]] = MappingProxyType({"ardupilot": "AHRS_ORIENTATION", "px4": "SENS_BOARD_ROT"})
 PX4_LEVEL: Final = ("SENS_BOARD_X_OFF", "SENS_BOARD_Y_OFF", "SENS_BOARD_Z_OFF")
+LEVEL: Final = ("AHRS_TRIM_", *PX4_LEVEL)
+"""Beginnings of the parameters that a ground station saves when a vehicle is levelled."""
 """PX4's fine board rotation, degrees roll, pitch, yaw; applied to every sensor."""
 
 

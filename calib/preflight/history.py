@@ -11,7 +11,7 @@ import numpy as np
 
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware import calibration_names, sensor_ids
-from mavcal.calib.firmware.names import Role
+from mavcal.calib.firmware.names import LEVEL, Role
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.values import shown
 from mavcal.calib.preflight import limits
@@ -132,15 +132,28 @@ def parameters_changed(snapshot: Snapshot) -> Check:
     """Parameters changed since the last verified calibration."""
     if not last_of_each(snapshot.history):
         return unknown(CheckId.PARAMETERS_CHANGED, _NONE_KNOWN, _CALIBRATE)
-    said = [change.text for change in changes(snapshot)]
+    found = changes(snapshot)
+    said = [change.text for change in found]
     wanted = _expected(snapshot)
     notes = (f"{len(wanted.values)} parameters compared", *wanted.moved, *wanted.missing, *_compared(snapshot))
     if not said and not snapshot.complete:
         reason = "The parameters could not all be read in time, and those that were are as verified."
         return unknown(CheckId.PARAMETERS_CHANGED, reason, "Check again on a faster link.", notes)
+    if found and _levelled(found):
+        reason = f"The level was saved on the vehicle since it was verified: {'; '.join(said)}."
+        return Check(
+            *(CheckId.PARAMETERS_CHANGED, Verdict.WARN, float(len(said)), 0.0, 0.0, "", reason),
+            "Calibrate the level here to have it verified, or put the verified one back with `mavcal restore --apply`.",
+            (*said, *notes),
+        )
     good = "Every calibration parameter is as it was verified."
     remedy = "Put the verified values back with `mavcal restore --apply`, or calibrate again."
     return _counted(CheckId.PARAMETERS_CHANGED, said, "parameters", good, remedy, notes)
+
+
+def _levelled(found: Sequence[Changed]) -> bool:
+    """Whether somebody levelled the vehicle in the field and nothing else: all zero is a reset, and no level."""
+    return all(change.name.startswith(LEVEL) for change in found) and any(change.now for change in found)
 
 
 def _counted(of: CheckId, said: Sequence[str], what: str, good: str, remedy: str, notes: Sequence[str]) -> Check:

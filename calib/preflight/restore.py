@@ -16,7 +16,7 @@ from mavcal.calib.firmware import calibration_names
 from mavcal.calib.firmware.compose.ardupilot import mark_calibrated
 from mavcal.calib.firmware.compose.draft import Draft, Rank, Subject
 from mavcal.calib.firmware.compose.px4_memory import Vector, set_vector
-from mavcal.calib.firmware.names import CROSS, MOTOR, OFFSET, ROTATION_EULER, SCALE, THERMAL, Role, Triple
+from mavcal.calib.firmware.names import CROSS, LEVEL, MOTOR, OFFSET, ROTATION_EULER, SCALE, THERMAL, Role, Triple
 from mavcal.calib.firmware.options import ComposeOptions
 from mavcal.calib.firmware.plan import (
     Fingerprint,
@@ -48,7 +48,6 @@ _RANKS: Mapping[Role, Rank] = {
     Role.ID: Rank.ID,
 }
 """Order of writing by role; what is not here is a setting."""
-_LEVEL = ("AHRS_TRIM_", "SENS_BOARD_X_OFF", "SENS_BOARD_Y_OFF", "SENS_BOARD_Z_OFF")
 _AT_START = ("AHRS_ORIENTATION", "CUST_ROT", "SENS_BOARD_ROT", "TC_A_ENABLE", "TC_G_ENABLE")
 """Names that act with the next start of the vehicle (FLIGHT_CONTROLLERS 1.1, 1.4)."""
 _HARMLESS = frozenset({Role.USE, Role.PRIORITY, Role.EXTERNAL, Role.MOTOR_TYPE, *MOTOR})
@@ -211,7 +210,7 @@ class _Restoration:
 
 
 def _shared_rank(name: str) -> Rank:
-    if name.startswith(_LEVEL):
+    if name.startswith(LEVEL):
         return Rank.LEVEL
     return Rank.ROTATION if name.startswith(_AT_START) else Rank.SETTING
 

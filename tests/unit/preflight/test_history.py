@@ -22,6 +22,13 @@ def snapshot(seed: int = ARDUPILOT, **parameters: Value) -> Snapshot:
     return vehicle.snapshot()
 
 
+def with_level(seed: int, name: str, now: float) -> Snapshot:
+    """Healthy, but for a level that was verified as 0.01 and is `now`."""
+    found = snapshot(seed)
+    verified = dataclasses.replace(found.history[-1], parameters={**found.history[-1].parameters, name: 0.01})
+    return dataclasses.replace(found, history=(verified,), parameters={**found.parameters, name: now})
+
+
 def test_without_a_verified_calibration_nothing_is_known() -> None:
     bare = dataclasses.replace(snapshot(), history=())
     for check in (history.calibration_age(bare), history.sensor_check(bare), history.parameters_changed(bare)):
@@ -52,6 +59,26 @@ def test_a_changed_parameter_is_named_with_both_values() -> None:
     assert check.verdict == Verdict.FAIL
     assert "INS_ACCOFFS_X" in check.reason
     assert "-> 0.5" in check.evidence[0]
+
+
+@pytest.mark.parametrize(("seed", "name"), [(ARDUPILOT, "AHRS_TRIM_X"), (PX4, "SENS_BOARD_Y_OFF")])
+def test_a_level_that_was_saved_in_the_field_is_a_warning(seed: int, name: str) -> None:
+    found = with_level(seed, name, 0.02)
+    check = history.parameters_changed(found)
+    assert (check.verdict, check.value) == (Verdict.WARN, 1.0)
+    assert name in check.reason
+    assert "level" in check.remedy
+    assert history.changes(found)[0].sensor is None  # no sensor is the worse for it
+
+
+@pytest.mark.parametrize(("seed", "name"), [(ARDUPILOT, "AHRS_TRIM_X"), (PX4, "SENS_BOARD_Y_OFF")])
+def test_a_level_that_was_reset_or_changed_with_others_fails(seed: int, name: str) -> None:
+    assert history.parameters_changed(with_level(seed, name, 0.0)).verdict == Verdict.FAIL
+    other = "INS_ACCOFFS_X" if seed == ARDUPILOT else "CAL_ACC0_XOFF"
+    found = with_level(seed, name, 0.02)
+    both = dataclasses.replace(found, parameters={**found.parameters, other: 0.5})
+    check = history.parameters_changed(both)
+    assert (check.verdict, check.value) == (Verdict.FAIL, 2.0)
 
 
 def test_gyro_offsets_that_the_vehicle_rewrites_are_no_change() -> None:
