@@ -83,6 +83,7 @@ def run(hours: int = HOURS, seed: int = SEED) -> Section:
         for hour in range(hours):
             reviews += _hour(running, seed + hour)
             held.append(_settled(running))
+            print(f"hour {hour + 1}: {held[-1].resident / MB:.1f} MB", file=sys.stderr)
         links, vehicles = len(running.client.list_links()), len(running.client.list_vehicles())
         jobs = len(running.client.list_jobs(limit=1000))
     return Section(

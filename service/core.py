@@ -20,6 +20,7 @@ from prometheus_client.registry import Collector
 from mavcal.service.campaigns.begin import CampaignDesk, works
 from mavcal.service.children import Children, Limits
 from mavcal.service.computations import UploadComputations
+from mavcal.service.fleet.ahead import TrendsAhead
 from mavcal.service.fleet.book import FleetBook
 from mavcal.service.freed import give_back_for_ever
 from mavcal.service.hand import AutoHand
@@ -163,6 +164,8 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
         started.push_async_callback(_cancelled, asyncio.create_task(retention.run()))
         started.push_async_callback(_cancelled, asyncio.create_task(rotation.run()))
         started.push_async_callback(_cancelled, asyncio.create_task(give_back_for_ever()))
+        ahead = TrendsAhead(store, lambda: fleet.measured)
+        started.push_async_callback(_cancelled, asyncio.create_task(ahead.run()))
         started.push_async_callback(_cancelled, asyncio.create_task(AutoHand(vehicles.all, jobs.list).run()))
         yield Service(settings, store, links, vehicles, jobs, recordings, children, fleet, campaigns, signing)
 

@@ -95,7 +95,7 @@ def draw(seen: Measured, belief: Belief, rng: np.random.Generator, count: int) -
     towards = power[:, None] * walks[:, -1]
     gain = np.einsum("ci,cij->cj", towards, solved)
     rest = np.sqrt(np.clip(power * walks[-1, -1] - np.einsum("ci,ci->c", gain, towards), 0.0, None))
-    walked = np.einsum("di,dia->da", gain[cell], bias - design @ unknown)
+    walked = (gain @ bias)[cell] - np.einsum("dk,dka->da", (gain @ design)[cell], unknown)
     walked += rest[cell, None] * rng.standard_normal((count, 3))
     per_degc = None if warmth is None else unknown[:, 2] / 10.0
     return Draws(unknown[:, 0] + walked, unknown[:, 1] / span, per_degc, power[cell])

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import StrEnum
+from functools import cached_property
 from types import MappingProxyType
 from typing import Final
 
@@ -86,9 +87,15 @@ class SensorStanding:
     """When it was calibrated last and verified; None: never, as far as is known."""
     job: str | None
     covered: Covered | None
-    trend: Trend
+    trending: Callable[[], Trend] = field(repr=False, compare=False)
+    """Makes the trend, which costs more than all the rest together: of a fleet only a page is looked at."""
     oddness: Oddness | None = None
     """None: too few sensors of its type are known."""
+
+    @cached_property
+    def trend(self) -> Trend:
+        """Its drift; computed where it is asked for."""
+        return self.trending()
 
     @property
     def name(self) -> str:
@@ -104,8 +111,12 @@ class UnitStanding:
     unit: str
     sensors: tuple[SensorStanding, ...]
     preflight: LastPreflight | None
-    reasons: tuple[Reason, ...]
-    """Why it should be calibrated again; empty: it need not be."""
+    now: float
+
+    @cached_property
+    def reasons(self) -> tuple[Reason, ...]:
+        """Why it should be calibrated again; empty: it need not be. Rests on the trends."""
+        return reasons(self.sensors, self.preflight, self.now)
 
     @property
     def leaving(self) -> Leaving | None:
@@ -131,7 +142,7 @@ def fleet_standing(
     for unit, found in sensors.items():
         compared = tuple(dataclasses.replace(s, oddness=odd.get(id(s))) for s in found)
         preflight = preflights.get(unit)
-        told[unit] = UnitStanding(unit, compared, preflight, reasons(compared, preflight, now))
+        told[unit] = UnitStanding(unit, compared, preflight, now)
     return told
 
 
@@ -199,10 +210,14 @@ def _standing(records: Sequence[SensorRecord], newest: SensorRecord, trend_of: T
     history = history_of_part(records, newest)
     applied = [r for r in history if r.applied]
     seen = tuple(o for r in history if (o := r.observation) is not None)
-    trend = trend_of(seen, BIAS_LIMITS[newest.sensor].value)
-    if newest.by_itself and trend.leaving is not None:
-        why = "The vehicle calibrates this sensor by itself, so that its bias leaves no limit."
-        trend = dataclasses.replace(trend, leaving=None, open=(*trend.open, Open(Quantity.LEAVING, why)))
+
+    def trending() -> Trend:
+        trend = trend_of(seen, BIAS_LIMITS[newest.sensor].value)
+        if newest.by_itself and trend.leaving is not None:
+            why = "The vehicle calibrates this sensor by itself, so that its bias leaves no limit."
+            return dataclasses.replace(trend, leaving=None, open=(*trend.open, Open(Quantity.LEAVING, why)))
+        return trend
+
     last = applied[-1] if applied else None
     measured = [r for r in history if r.bias is not None]
     return SensorStanding(
@@ -211,7 +226,7 @@ def _standing(records: Sequence[SensorRecord], newest: SensorRecord, trend_of: T
         None if last is None else last.at,
         None if last is None else last.source_id,
         None if last is None else last.covered,
-        trend,
+        trending,
     )
 
 

@@ -166,23 +166,25 @@ def _slopes(drawn: Array) -> tuple[Slope, Slope, Slope]:
 
 @cache
 def _paths() -> Array:
-    """A random walk of variance one a day for each followed draw, shape (400, days, 3): the same for every sensor."""
+    """A random walk of variance one a day for each followed draw, shape (3, 400, days): the same for every sensor."""
     steps = np.random.default_rng(_SEED + 1).standard_normal((_PATHS, len(_AHEAD_D) - 1, 3))
     walked = np.cumsum(np.sqrt(np.diff(_AHEAD_D))[:, None] * steps, axis=1)
-    return np.concatenate([np.zeros((_PATHS, 1, 3)), walked], axis=1)
+    whole = np.concatenate([np.zeros((_PATHS, 1, 3)), walked], axis=1)
+    return np.ascontiguousarray(np.moveaxis(whole, 2, 0))
 
 
 def _days_ahead(drawn: Draws, corrected: Array, limit: float) -> Array:
     """First day after the last measurement on which a path of each draw is beyond the limit, ascending; inf: none."""
-    off = np.sqrt(drawn.walk[:_PATHS])[:, None, None] * _paths()
-    off += _AHEAD_D[None, :, None] * drawn.per_day[:_PATHS, None, :]
-    off += (drawn.now[:_PATHS] - corrected)[:, None, :]
-    distance = np.sqrt(np.einsum("dta,dta->dt", off, off))
-    beyond = distance > limit
+    walk, drift = np.sqrt(drawn.walk[:_PATHS])[:, None], drawn.per_day[:_PATHS]
+    off = drawn.now[:_PATHS] - corrected
+    squared = np.zeros((len(off), len(_AHEAD_D)))
+    for axis, walked in enumerate(_paths()):
+        squared += (walk * walked + _AHEAD_D * drift[:, axis, None] + off[:, axis, None]) ** 2
+    beyond = squared > limit**2
     after = beyond.argmax(axis=1)
     before = np.maximum(after - 1, 0)
     each = np.arange(len(after))
-    near, far = distance[each, before], distance[each, after]
+    near, far = np.sqrt(squared[each, before]), np.sqrt(squared[each, after])
     part = np.divide(limit - near, far - near, out=np.zeros_like(near), where=(after > 0) & (far > near))
     left = _AHEAD_D[before] + part * (_AHEAD_D[after] - _AHEAD_D[before])
     return np.sort(np.where(beyond.any(axis=1), left, np.inf))

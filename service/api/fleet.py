@@ -67,8 +67,14 @@ async def fleet(
 
     A header `Link` with `rel="next"` leads to the next page, if any.
     """
-    taken = chosen(await _units(service, sight), choice, FleetOrder(order), descending=descending)
-    page, more = page_of_units(taken, after, limit)
+    units = await _units(service, sight)
+
+    def made() -> tuple[list[FleetUnitModel], str | None]:
+        taken = chosen(units, choice, FleetOrder(order), descending=descending)
+        page, more = page_of_units(taken, after, limit)
+        return [fleet_unit_model(row) for row in page], more
+
+    models, more = await asyncio.to_thread(made)
     if more is not None:
         asked: dict[str, object] = {"order": order, "descending": str(descending).lower(), "limit": limit}
         asked |= {"verdict": sorted(choice.verdict), "tag": choice.tag, "min_age_days": choice.min_age_d}
@@ -77,7 +83,7 @@ async def fleet(
         asked |= {name: None if flag is None else str(flag).lower() for name, flag in flags.items()}
         query = urlencode({k: v for k, v in asked.items() if v is not None}, doseq=True, errors="replace")
         response.headers["Link"] = f'<fleet?{query}>; rel="next"'
-    return [fleet_unit_model(row) for row in page]
+    return models
 
 
 @router.get(
@@ -96,15 +102,19 @@ async def table(
     descending: Descending = False,
 ) -> Response:
     """The same as a table, one row a unit, all of them."""
-    taken = chosen(await _units(service, sight), choice, FleetOrder(order), descending=descending)
+    units = await _units(service, sight)
+
+    def made() -> str:
+        return fleet_csv(chosen(units, choice, FleetOrder(order), descending=descending))
+
     headers = {"Content-Disposition": 'inline; filename="mavcal-fleet.csv"'}
-    return Response(await asyncio.to_thread(fleet_csv, taken), media_type=CSV, headers=headers)
+    return Response(await asyncio.to_thread(made), media_type=CSV, headers=headers)
 
 
 @router.get("/fleet/{unit_id}", operation_id="get_unit", dependencies=[READ])
 async def unit(unit_id: str, service: ServiceDep, sight: SightDep) -> FleetUnitModel:
     """One unit."""
-    return fleet_unit_model(await _unit(unit_id, service, sight))
+    return await asyncio.to_thread(fleet_unit_model, await _unit(unit_id, service, sight))
 
 
 @router.patch("/fleet/{unit_id}", operation_id="change_unit", dependencies=[OPERATE])
@@ -118,7 +128,7 @@ async def change(unit_id: str, body: UnitRequest, service: ServiceDep, sight: Si
         seen = service.store.see_unit
         await service.store.do(lambda: seen(unit_id, presence.autopilot, presence.firmware, found.now))
     await service.fleet.rename(unit_id, name=body.name, tags=body.tags)
-    return fleet_unit_model(await _unit(unit_id, service, sight))
+    return await asyncio.to_thread(fleet_unit_model, await _unit(unit_id, service, sight))
 
 
 @router.get("/fleet/{unit_id}/history", operation_id="get_unit_history", dependencies=[READ])
@@ -126,7 +136,7 @@ async def history(unit_id: str, service: ServiceDep, sight: SightDep) -> UnitHis
     """Every calibration of each sensor with its numbers, and what preflights read, oldest first."""
     found = await _unit(unit_id, service, sight)
     rows = await service.store.do(lambda: service.store.fleet(unit_id))
-    return unit_history_model(found, records_of_rows(rows.sensors))
+    return await asyncio.to_thread(lambda: unit_history_model(found, records_of_rows(rows.sensors)))
 
 
 async def _unit(unit_id: str, service: Service, sight: Sight) -> FleetUnit:

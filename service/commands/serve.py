@@ -59,9 +59,11 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
 
     from mavcal.service.app import create_app
     from mavcal.service.core import running_service
+    from mavcal.service.freed import share_heaps
     from mavcal.service.http import server_config
     from mavcal.service.logs import configure_logging
 
+    share_heaps()
     configure_logging(as_json=settings.log_json)
     app = create_app(settings)
     listener = _listen(settings.host, settings.port)

@@ -35,6 +35,8 @@ class FleetBook:
         self._store = store
         self._vehicles = vehicles
         self._wall = wall
+        self.measured = 1
+        """Grows whenever a sensor was measured here; not 0: what the store has was not looked at yet."""
         self._forget = vehicles.subscribe(self._heard)
 
     def close(self) -> None:
@@ -65,6 +67,7 @@ class FleetBook:
             self._store.soon(partial(self._kept, partial(self._take, job)))
 
     def _take(self, job: Job) -> None:
+        self.measured += 1
         if job.state != JobState.SUCCEEDED:
             self._store.drop_sensor_records(job.id)
             return
@@ -84,6 +87,7 @@ class FleetBook:
 
         def keep() -> None:
             self._store.save_preflight(preflight_row(found))
+            self.measured += 1
             if rows:
                 self._store.add_sensor_records(rows[0].source_id, rows, keep=PREFLIGHTS_KEPT)
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from mavcal.service.freed import give_back
+from mavcal.service.freed import HEAPS, give_back
 
 MB = 2**20
 
@@ -26,3 +27,32 @@ def test_memory_between_two_things_that_stay_goes_back() -> None:
     assert give_back()
     assert before - resident() > 20 * MB
     assert len(held) == 1
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="glibc alone has a heap for each thread")
+def test_threads_share_a_few_heaps() -> None:
+    """Heaps beside the main one are mapped at multiples of 64 MiB (glibc's HEAP_MAX_SIZE)."""
+    asked = """
+import re, sys, threading, time
+from pathlib import Path
+from mavcal.service.freed import share_heaps
+if sys.argv[1] == "shared":
+    assert share_heaps()
+held, go = [], threading.Event()
+def work():
+    held.append(bytearray(1000))
+    go.wait()
+threads = [threading.Thread(target=work) for _ in range(8)]
+for thread in threads:
+    thread.start()
+while len(held) < 8:
+    time.sleep(0.01)
+starts = [int(line.partition("-")[0], 16) for line in Path("/proc/self/maps").read_text().splitlines()]
+print(sum(start % 2**26 == 0 for start in starts))
+go.set()
+"""
+    heaps = [
+        int(subprocess.run([sys.executable, "-c", asked, how], capture_output=True, text=True, check=True).stdout)
+        for how in ("shared", "each")
+    ]
+    assert heaps[0] <= HEAPS < heaps[1]
