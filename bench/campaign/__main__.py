@@ -54,6 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--first", type=int, default=0, help="the first of them; a campaign can be made in parts")
     parser.add_argument("--store", default=SQLITE, help="of crossed runs: sqlite, or MODULE:CLASS made of --store-url")
     parser.add_argument("--store-url", default="", help="where that store is; {run} in it names the run")
+    parser.add_argument("--starved", type=int, default=STARVED_RUNS, help="number of starved runs")
     parser.add_argument("--run", type=int, default=None, help="only this run, with all it has to say")
     parser.add_argument("--workers", type=int, default=4, help="runs at the same time")
     args = parser.parse_args(argv)
@@ -86,14 +87,15 @@ def main(argv: Sequence[str] | None = None) -> int:
             texts.append(cross_tables(crossed))
             found += of_crosses(crossed)
     if args.part in ("starved", "all"):  # one after the other, once nothing else wants the processor
-        starved = [run_starved(index, args.seed) for index in range(STARVED_RUNS)]
+        starved = _starved(args.seed, args.starved)
         texts.append(starved_table(starved))
         found += of_starved(starved)
     print("\n\n".join(["", *texts, tables.criteria_table(found)]))
     _show_failures([*faults, *killed, *commands, *crossed])
     print(
         f"\nseed {args.seed}, {len(faults)} fault runs, {len(killed)} SIGKILL runs of the service, {len(commands)} "
-        f"of the command line and {len(crossed)} crossed runs on {args.store}, {_minutes(began)}"
+        f"of the command line, {len(crossed)} crossed runs on {args.store} and {len(starved)} starved ones, "
+        f"{_minutes(began)}"
     )
     if args.part == "all":
         write_document(DOCUMENT, args.seed, faults, killed, commands, crossed, starved, found)
@@ -128,6 +130,15 @@ def _all(pool: ProcessPoolExecutor, run: Callable[[Job], Report], jobs: Iterable
     return reports
 
 
+def _starved(seed: int, count: int) -> list[StarvedReport]:
+    reports = []
+    for index in range(count):
+        report = run_starved(index, seed, told=_say)
+        _say(f"starved {index} {report.autopilot} -> {report.ending} ({report.seconds:.0f} s)")
+        reports.append(report)
+    return reports
+
+
 def _kills(pool: ProcessPoolExecutor, seed: int) -> list[KillReport]:
     """Every planned kill; those whose step was left behind before the signal came are repeated."""
     planned = list(kills(seed))
@@ -159,6 +170,10 @@ def _progress(report: AnyReport) -> None:
     print(f"{what} -> {report.ending} ({report.seconds:.0f} s)", file=sys.stderr, flush=True)
     for complaint in report.complaints:
         print(f"    {complaint}\n    {report.reproduce}", file=sys.stderr, flush=True)
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
 
 
 def _show_failures(reports: Iterable[AnyReport]) -> None:

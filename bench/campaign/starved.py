@@ -10,7 +10,7 @@ import asyncio
 import os
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,7 +19,7 @@ from bench.campaign.criteria import Criterion
 from bench.campaign.crossed.forked import Forked, ForkedVehicle
 from bench.campaign.crossed.plan import OPTIONS
 from bench.campaign.judge import Ending, Evidence, judge
-from bench.campaign.session import SETTINGS, session
+from bench.campaign.session import SETTINGS, Session, session
 from bench.campaign.tables import table
 from bench.campaign.truth import Holding, holding, residuals
 from mavcal.service.api.views import job_model
@@ -27,6 +27,8 @@ from mavcal.service.jobs.model import Job
 from mavcal.service.jobs.states import ENDED, JobState
 from mavcal.service.simvehicle import SimulatedVehicle
 from mavcal.service.store import SqliteStore
+
+Told = Callable[[str], None]
 
 BUSY = 12
 """Busy processes beside the service on its one processor: a load of 13, as 25 is on two."""
@@ -49,8 +51,8 @@ class StarvedReport:
     seconds: float
 
 
-def run_starved(index: int, seed: int, busy: int = BUSY) -> StarvedReport:
-    """One gyro job on a starved processor. Raises TimeoutError if it does not end."""
+def run_starved(index: int, seed: int, busy: int = BUSY, told: Told = lambda _: None) -> StarvedReport:
+    """One gyro job on a starved processor; `told` hears how far it is. Raises TimeoutError if it does not end."""
     cores = sorted(os.sched_getaffinity(0))
     autopilot = ("ardupilot", "px4")[index % 2]
     parameters = {"INS_GYR_CAL": 0} if autopilot == "ardupilot" else {"IMU_GYRO_CAL_EN": 0}
@@ -70,7 +72,8 @@ def run_starved(index: int, seed: int, busy: int = BUSY) -> StarvedReport:
             stack.callback(spinning.stdout.close)
             stack.callback(spinning.stdin.close)
         before = holding(sim)
-        job, stopped, late = asyncio.run(_job(folder, sim))
+        told(f"starved {index} {autopilot}: beside {busy} busy processes")
+        job, stopped, late = asyncio.run(_job(folder, sim, lambda text: told(f"starved {index} {autopilot}: {text}")))
         ending = _judged(sim, job, before)
     return StarvedReport(autopilot, ending, job.state.value, stopped, late, time.monotonic() - began)
 
@@ -81,12 +84,13 @@ def _spin() -> int:
     return 0
 
 
-async def _job(folder: Path, sim: SimulatedVehicle) -> tuple[Job, tuple[str, ...], float]:
+async def _job(folder: Path, sim: SimulatedVehicle, told: Told) -> tuple[Job, tuple[str, ...], float]:
     late = [0.0]
     settings = replace(SETTINGS, stall_s=60.0)
     store = SqliteStore(folder)
     async with asyncio.timeout(LIMIT_S), session(folder, sim, store, settings=settings) as bench:
         watching = asyncio.create_task(_lateness(late))
+        telling = asyncio.create_task(_told_states(bench, told))
         job = await bench.reviewed(sim, "gyro", OPTIONS["gyro"])
         if job.state == JobState.REVIEW:
             await bench.applied(job)
@@ -94,8 +98,20 @@ async def _job(folder: Path, sim: SimulatedVehicle) -> tuple[Job, tuple[str, ...
                 await bench.obeyed(job)
                 await asyncio.sleep(LOOK_S)
         watching.cancel()
+        telling.cancel()
         stopped = tuple(str(row.data.get("reason")) for row in store.journal(job.id) if row.step == "stopped")
     return job, stopped, late[0]
+
+
+async def _told_states(bench: Session, told: Told) -> None:
+    """Tell every state that the job goes through."""
+    began, last = time.monotonic(), ""
+    while True:
+        for job in bench.engine.list():
+            if job.state != last:
+                last = job.state
+                told(f"{last} after {time.monotonic() - began:.0f} s")
+        await asyncio.sleep(LOOK_S)
 
 
 async def _lateness(late: list[float]) -> None:

@@ -104,7 +104,7 @@ class Choice:
             and (self.tag is None or self.tag in row.tags)
             and (self.min_age_d is None or row.age is None or row.age >= self.min_age_d)
             and (self.sensor is None or any(_is(s, self.sensor.lower()) for s in row.standing.sensors))
-            and self.needs_recalibration in (None, bool(row.standing.reasons))
+            and (self.needs_recalibration is None or self.needs_recalibration == bool(row.standing.reasons))
             and self.odd in (None, any(_odd(s) for s in row.standing.sensors))
         )
 
