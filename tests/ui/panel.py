@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -13,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import quote
 
-from playwright.sync_api import Browser, Page, Playwright, expect
+from playwright.sync_api import Browser, Locator, Page, Playwright, expect
 
 from tests.patience import scaled
 
@@ -86,6 +87,10 @@ class Panel:
     def press(self, name: str) -> None:
         """Press the button of that name, where it is and when it can be pressed."""
         self.page.get_by_role("button", name=name, exact=True).first.click()
+
+    def calibrate(self, name: str) -> Locator:
+        """The button of a sensor's tile; the first one, where there are several vehicles."""
+        return self.page.get_by_role("button", name=re.compile(f"^Calibrate, about .*: {name}$")).first
 
     def text(self, selector: str) -> str:
         return self.page.locator(selector).first.inner_text()

@@ -22,7 +22,7 @@ def prompt_and_button_in_sight(panel: Panel) -> None:
 def test_a_gyro_by_keyboard_alone(desk, tmp_path):
     with service(tmp_path, "--connect", sim(config=KEPT)) as url:
         desk.open(url)
-        desk.page.get_by_role("button", name="Calibrate: Gyro").focus()
+        desk.calibrate("Gyro").focus()
         desk.page.keyboard.press("Enter")
         desk.wait_for_state("Ready for your review", 60)
         desk.sees("Rate at rest is wrong by up to", inside=".headline")
@@ -42,7 +42,7 @@ def test_a_gyro_by_keyboard_alone(desk, tmp_path):
 def test_an_accelerometer_on_a_phone_with_the_prompt_always_in_sight(phone, tmp_path):
     with service(tmp_path, "--connect", sim(speed=6, config=KEPT)) as url:
         phone.open(url)
-        phone.page.get_by_role("button", name="Calibrate: Accelerometer").click()
+        phone.calibrate("Accelerometer").click()
         phone.page.wait_for_selector(".faces li")
         seen: set[int] = set()
 
@@ -79,7 +79,7 @@ def test_a_compass_beside_a_magnet_ends_early_with_cause_and_remedy(desk, tmp_pa
     magnet = {"truth": {"mags": [{"offset": [420.0, 60.0, -30.0]}, {"offset": [400.0, 0.0, 0.0]}]}}
     with service(tmp_path, "--connect", sim(config=magnet)) as url:
         desk.open(url)
-        desk.page.get_by_role("button", name="Calibrate: Compass").click()
+        desk.calibrate("Compass").click()
         desk.wait_for_state("Failed", 180)
         desk.sees("magnet", inside=".outcome")
         desk.sees("What helps:", inside=".outcome")
@@ -90,7 +90,7 @@ def test_a_compass_beside_a_magnet_ends_early_with_cause_and_remedy(desk, tmp_pa
 def test_a_reload_and_a_second_browser_find_the_job_where_it_was(browser, desk, tmp_path):
     with service(tmp_path, "--connect", sim(speed=3, hand="off", config=KEPT)) as url:
         desk.open(url)
-        desk.page.get_by_role("button", name="Calibrate: Accelerometer").click()
+        desk.calibrate("Accelerometer").click()
         desk.sees("1 of 10 poses", 90, ".prompt")
         place = desk.place
         desk.page.reload()
@@ -110,7 +110,7 @@ def test_the_service_restarts_in_mid_job_and_the_page_goes_on(desk, tmp_path):
     endpoint = sim(speed=3, hand="off")
     with service(tmp_path, "--connect", endpoint) as url:
         desk.open(url)
-        desk.page.get_by_role("button", name="Calibrate: Accelerometer").click()
+        desk.calibrate("Accelerometer").click()
         desk.sees("1 of 10 poses", 90, ".prompt")
     until(lambda: "Live" not in desk.text(".connection"), 30, "the page says that the service has gone")
     assert desk.page.locator(".prompt").is_visible()  # nothing covers what the person was told

@@ -22,7 +22,7 @@ def test_home_says_what_each_sensor_needs_and_asks_nobody_else(desk, tmp_path):
         tiles = desk.page.locator(".tile")
         until(lambda: tiles.count() == 4, 20, "four tiles")
         for name in ("Gyro", "Accelerometer", "Compass", "Temperature"):
-            assert desk.page.get_by_role("button", name=f"Calibrate: {name}").is_enabled()
+            assert desk.calibrate(name).is_enabled()
         assert "not calibrated here" in desk.text(".tile")  # a color never says it alone
         desk.sees("A simulated vehicle is connected", inside=".banner")
         assert all(asked.startswith((url, "data:", "blob:")) for asked in desk.asked), desk.asked
@@ -125,7 +125,7 @@ def test_without_the_libraries_the_panel_draws_by_itself(browser, tmp_path):
     panel.page.route("**/vendor/**", lambda route: route.abort())
     with service(tmp_path, "--connect", sim(config={"parameters": {"INS_GYR_CAL": 0}})) as url:
         panel.open(url)
-        panel.page.get_by_role("button", name="Calibrate: Accelerometer").click()
+        panel.calibrate("Accelerometer").click()
         panel.page.wait_for_selector("attitude-scene canvas", state="attached")
         painted = """() => { const c = document.querySelector('.stage attitude-scene canvas');
             const pen = c && c.getContext('2d');

@@ -29,7 +29,7 @@ export function table(head, rows, label) {
 /** A bar that fills. @param {number} current @param {number} target @param {string} text */
 export function bar(current, target, text) {
   const share = target > 0 ? Math.min(1, Math.max(0, current / target)) : 0;
-  return h("div", { class: "bar", role: "progressbar", "aria-valuemin": "0", "aria-valuemax": "100",
+  return h("div", { class: "bar", role: "progressbar", "aria-label": "Progress", "aria-valuemin": "0", "aria-valuemax": "100",
     "aria-valuenow": `${Math.round(100 * share)}`, "aria-valuetext": text },
   h("div", { class: "fill", style: { width: `${100 * share}%` } }));
 }

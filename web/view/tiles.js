@@ -43,6 +43,7 @@ function tile(store, vehicle, state) {
   const procedure = store.procedures.find((known) => known.kind === state.kind);
   const busy = store.running(vehicle.id) !== undefined;
   const name = kindName(state.kind);
+  const invitation = `Calibrate, about ${span(procedure?.duration_s)}`;
   return h("section", { class: `tile ${VERDICT_TONES[state.verdict]}`, key: state.kind, "aria-label": name },
     h("div", { class: "title" },
       h("svg", { viewBox: "0 0 24 24", width: "24", height: "24", "aria-hidden": "true" },
@@ -54,9 +55,9 @@ function tile(store, vehicle, state) {
     h("button", {
       class: state.verdict === "fail" || state.verdict === "warn" ? "primary" : "",
       disabled: busy || vehicle.silent,
-      "aria-label": `Calibrate: ${name}`,
+      "aria-label": `${invitation}: ${name}`, // begins with what is read on it, for whoever speaks to the page
       onclick: () => start(store, vehicle.id, state.kind),
-    }, `Calibrate, about ${span(procedure?.duration_s)}`),
+    }, invitation),
     procedure ? h("p", { class: "quiet small" }, `Needs ${procedure.needs}.`) : null);
 }
 
