@@ -1,4 +1,4 @@
-"""A service whose rooms all have something to show: vehicles, a job in capture, a review, a history, a log, a diagnosis."""
+"""A service whose rooms all have something to show: vehicles, jobs, a review, a history, a log, a diagnosis."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def endpoint(system: int, *, speed: float, hand: str = "auto", seed: int = 3) ->
 def furnish(client: Client) -> Mapping[str, str]:
     """Fill the rooms; each room by its name with its place in the page's address.
 
-    A gyro is calibrated, written and proved; a compass waits in its review, and an accelerometer of another vehicle for a
-    pose; a log is uploaded, another one diagnosed.
+    A gyro is calibrated, written and proved; a compass waits in its review, and an accelerometer of another vehicle
+    for a pose; a log is uploaded, another one diagnosed.
     """
     done = connected(client, endpoint(1, speed=8))
     waits = connected(client, endpoint(2, speed=1, hand="off", seed=4))

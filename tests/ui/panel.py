@@ -22,6 +22,8 @@ CHROMIUM = next((p for n in ("chromium", "chromium-browser", "google-chrome") if
 FLAGS = ["--no-sandbox", "--disable-dev-shm-usage", "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"]
 PHONE = {"width": 360, "height": 740}
 DESK = {"width": 1280, "height": 860}
+KEPT = {"parameters": {"INS_GYR_CAL": 0}, "thermal": False}
+"""A vehicle that keeps what is written to its gyros."""
 NOISE = ("GPU stall", "navigator.vibrate", "AudioContext")
 """What Chromium says of its own drawing, and of a phone that nobody has touched yet."""
 

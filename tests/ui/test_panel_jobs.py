@@ -6,10 +6,7 @@ import pytest
 
 from tests.service.gap_tables import write_table
 
-from .panel import DESK, PHONE, Panel, service, sim, until
-
-KEPT = {"parameters": {"INS_GYR_CAL": 0}, "thermal": False}
-"""A vehicle that keeps what is written to its gyros."""
+from .panel import DESK, KEPT, PHONE, Panel, service, sim, until
 
 pytestmark = pytest.mark.timeout(600)
 

@@ -18,8 +18,10 @@ AXE = Path(__file__).parent / "vendor" / "axe.min.js"
 GRAVE = ("serious", "critical")
 THEMES = ("light", "dark", "sunlight")
 JUDGED = """async () => (await axe.run(document, {resultTypes: ['violations']})).violations.map(v =>
-    ({rule: v.id, impact: v.impact, where: v.nodes.map(n => n.target.join(' ') + ': ' + n.failureSummary).slice(0, 4)}))"""
-REPORTED = "addEventListener('securitypolicyviolation', e => (window.refused ??= []).push(`${e.violatedDirective} ${e.blockedURI}`))"
+    ({rule: v.id, impact: v.impact,
+      where: v.nodes.map(n => n.target.join(' ') + ': ' + n.failureSummary).slice(0, 4)}))"""
+REPORTED = """addEventListener('securitypolicyviolation', e =>
+    (window.refused ??= []).push(`${e.violatedDirective} ${e.blockedURI}`))"""
 PAGES = ("", "docs", "openapi.json", "panel/main.js", "api/v1/jobs", "no-such-page")
 
 pytestmark = [pytest.mark.timeout(600), pytest.mark.long]
