@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import pytest
 
+from mavcal.service.simvehicle import free_udp_port
 from tests.service.gap_tables import write_table
 
 from .panel import DESK, KEPT, PHONE, Panel, service, sim, until
@@ -141,4 +148,40 @@ def test_five_vehicles_fit_one_screen(browser, tmp_path):
         until(lambda: tiles.count() == 20, 60, "every tile is there")
         assert panel.page.locator(".tile button").first.is_visible()
         assert panel.page.evaluate("document.documentElement.scrollHeight") <= DESK["height"] + 4
+    panel.close()
+
+
+@contextmanager
+def many(port: int, count: int) -> Iterator[None]:
+    """So many vehicles on one UDP port, for which one process sends."""
+    order = json.dumps({"ports": [port], "vehicles": count, "streaming": 0, "seconds": 3600})
+    process = subprocess.Popen([sys.executable, "-m", "bench.scale", "send", order], stdout=subprocess.DEVNULL)
+    try:
+        yield
+    finally:
+        process.terminate()
+        process.wait()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("size", [DESK, PHONE], ids=["desk", "phone"])
+def test_twenty_vehicles_are_a_table(browser, tmp_path, size):
+    panel, port = Panel(browser, size), free_udp_port()
+    connects = ["--connect", f"udpin:127.0.0.1:{port}"]
+    connects += [word for i in (19, 20) for word in ("--connect", sim(seed=i, system_id=i, speed=1))]
+    with service(tmp_path, *connects) as url:
+        panel.open(url)
+        rows = panel.page.locator(".fleet tbody tr")
+        with many(port, 18):
+            until(lambda: rows.count() == 20, 120, "every vehicle is heard")
+            until(lambda: panel.page.locator(".fleet .sensor .badge").count() == 80, 60, "each has four sensors")
+            names = [name.split()[-1] for name in panel.page.locator(".fleet tbody th").all_inner_texts()]
+            assert names == [str(i) for i in range(1, 21)]
+            assert rows.first.get_by_text("disarmed").is_visible()
+            assert "Begin with the gyro" in rows.first.locator(".needs").inner_text()
+            assert panel.page.evaluate("document.documentElement.scrollWidth") <= size["width"]
+        until(lambda: panel.page.locator(".fleet .badge.bad").count() == 18, 60, "eighteen have gone silent")
+        panel.sees("No message for 3 s", inside=".fleet tbody tr")
+        rows.last.get_by_role("link").first.click()
+        panel.sees("system 20")
     panel.close()

@@ -5,7 +5,7 @@ import { to } from "../core/route.js";
 import { ask } from "../core/service.js";
 import { store } from "../core/store.js";
 import { AUTOPILOTS, kindName, LANDED, STATES } from "../core/words.js";
-import { badge, table } from "./parts.js";
+import { badge, VERDICT_TONES } from "./parts.js";
 import { sensorStates, tiles, worst } from "./tiles.js";
 
 /** @import { VehicleModel } from "../mavcal.d.ts" */
@@ -15,7 +15,7 @@ const CARDS = 6; // more than so many vehicles are a table
 
 /** @param {Store} store */
 export function home(store) {
-  const vehicles = [...store.vehicles.values()].sort((a, b) => vehicleName(a).localeCompare(vehicleName(b)));
+  const vehicles = [...store.vehicles.values()].sort((a, b) => vehicleName(a).localeCompare(vehicleName(b), undefined, { numeric: true }));
   if (!vehicles.length) return nobody(store);
   return h("div", {},
     h("h1", { class: "hidden" }, "Vehicles"),
@@ -64,15 +64,25 @@ function card(store, vehicle) {
     tiles(store, vehicle));
 }
 
-/** @param {Store} store @param {VehicleModel[]} vehicles */
+/** Many vehicles: a row each; on a phone a row is a small card. @param {Store} store @param {VehicleModel[]} vehicles */
 function list(store, vehicles) {
-  const rows = vehicles.map((vehicle) => [
-    h("a", { href: to("vehicle", vehicle.id) }, vehicleName(vehicle)),
-    badge(...condition(vehicle)),
-    badge(...linkQuality(vehicle)),
-    firstLine(store, vehicle),
-  ]);
-  return table(["vehicle", "state", "link", "needs now"], rows, "Vehicles");
+  const known = vehicles.map((vehicle) => sensorStates(store, vehicle)?.sensors).find((sensors) => sensors) ?? [];
+  const head = ["Vehicle", "State", ...known.map((state) => kindName(state.kind)), "Needs now"];
+  return h("div", { class: "scroll fleet", tabindex: "0", role: "region", "aria-label": "Vehicles" },
+    h("table", {},
+      h("thead", {}, h("tr", {}, head.map((text) => h("th", { scope: "col" }, text)))),
+      h("tbody", {}, vehicles.map((vehicle) => row(store, vehicle, known.length)))));
+}
+
+/** @param {Store} store @param {VehicleModel} vehicle @param {number} columns of sensors */
+function row(store, vehicle, columns) {
+  const sensors = sensorStates(store, vehicle)?.sensors ?? [];
+  return h("tr", { key: vehicle.id },
+    h("th", { scope: "row" }, h("a", { href: to("vehicle", vehicle.id) }, vehicleName(vehicle))),
+    h("td", { class: "state" }, badge(...condition(vehicle)), badge(...linkQuality(vehicle))),
+    sensors.length ? sensors.map((state) => h("td", { class: "sensor" }, h("span", { class: "name quiet" }, kindName(state.kind)),
+      badge(VERDICT_TONES[state.verdict], state.label))) : Array.from({ length: columns }, () => h("td", { class: "sensor" }, "…")),
+    h("td", { class: "needs" }, firstLine(store, vehicle)));
 }
 
 /** @param {Store} store */
