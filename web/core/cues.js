@@ -10,36 +10,41 @@ const TONES = {
 const SHAKES = { next: [60], hold: [25], done: [60, 60, 160], fail: [300] };
 
 /** @typedef {keyof typeof TONES} Cue */
-/** @typedef {{ sound: boolean, speech: boolean }} Chosen */
+/** @typedef {{ sound: boolean, speech: boolean, vibration: boolean }} Chosen */
+
+/** Nothing sounds or moves unasked. @type {Chosen} */
+const QUIET = { sound: false, speech: false, vibration: false };
 
 /** @type {AudioContext | undefined} */
 let audio;
-/** @type {any} */
+/** @type {Promise<WakeLockSentinel | null> | undefined} */
 let lock;
 
 /** What the person has chosen. @returns {Chosen} */
 export function chosen() {
   try {
-    return { sound: true, speech: false, ...JSON.parse(localStorage.getItem(CHOSEN) ?? "{}") };
+    return { ...QUIET, ...JSON.parse(localStorage.getItem(CHOSEN) ?? "{}") };
   } catch {
-    return { sound: true, speech: false };
+    return QUIET;
   }
 }
 
 /** @param {Partial<Chosen>} change */
 export function choose(change) {
   localStorage.setItem(CHOSEN, JSON.stringify({ ...chosen(), ...change }));
+  wakeUp();
 }
 
-/** Make sound possible; browsers ask for a touch first. */
+/** Make sound possible, if it is wanted; browsers ask for a touch first. */
 export function wakeUp() {
+  if (!chosen().sound) return;
   if (!audio && "AudioContext" in window) audio = new AudioContext();
   audio?.resume().catch(() => {});
 }
 
 /** Give a sign. @param {Cue} cue */
 export function cue(cue) {
-  navigator.vibrate?.(SHAKES[cue]);
+  if (chosen().vibration) navigator.vibrate?.(SHAKES[cue]);
   if (!chosen().sound || audio?.state !== "running") return;
   let at = audio.currentTime;
   for (const [hertz, seconds] of TONES[cue]) {
@@ -65,13 +70,14 @@ export function say(text) {
 
 /** Keep the screen on while a job runs. @param {boolean} on */
 export async function keepAwake(on) {
-  try {
-    if (on && !lock && "wakeLock" in navigator) {
-      lock = await navigator.wakeLock.request("screen");
-      lock.addEventListener("release", () => { lock = undefined; });
-    }
-    if (!on && lock) await lock.release();
-  } catch {
-    lock = undefined; // a screen that goes dark is no reason to stop a calibration
+  if (on === (lock !== undefined)) return; // it is asked for once, also while the answer is on its way
+  if (!on) {
+    const held = lock;
+    lock = undefined;
+    await (await held)?.release();
+  } else if ("wakeLock" in navigator) {
+    const asked = navigator.wakeLock.request("screen").catch(() => null); // a dark screen stops no calibration
+    lock = asked;
+    (await asked)?.addEventListener("release", () => { if (lock === asked) lock = undefined; });
   }
 }

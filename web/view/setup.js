@@ -23,10 +23,10 @@ export function setupRoom(store) {
       h("div", { class: "segmented", role: "group", "aria-label": "Theme" }, THEMES.map((name) =>
         h("button", { key: name, "aria-pressed": `${theme() === name}`, onclick: () => { useTheme(name); store.changed(); } }, sentence(name))))),
     h("section", { class: "card" }, h("h2", {}, "Signs while you hold the vehicle"),
-      switchFor(store, "sound", "Tones"), switchFor(store, "speech", "Spoken prompts")));
+      switchFor(store, "sound", "Tones"), switchFor(store, "speech", "Spoken prompts"), switchFor(store, "vibration", "Vibration, on a phone")));
 }
 
-/** @param {Store} store @param {"sound" | "speech"} name @param {string} text */
+/** @param {Store} store @param {"sound" | "speech" | "vibration"} name @param {string} text */
 const switchFor = (store, name, text) => h("label", { class: "choice" },
   h("input", { type: "checkbox", checked: chosen()[name], onchange: () => { choose({ [name]: !chosen()[name] }); store.changed(); } }), text);
 

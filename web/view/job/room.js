@@ -32,6 +32,7 @@ export function jobRoom(store) {
     over ? null : h("div", { class: "now", key: "now" }, promptPart(store, job), store.connection.good ? null : lost(store), notice(store)),
     h("div", { class: "body", key: "body" },
       over ? h("div", { key: "over" }, notice(store), outcome(job)) : guide(store, job),
+      over ? null : cues(store),
       standing(job),
       job.state === "review" ? review(store, job) : written(store, job),
       warnings(job)),
@@ -42,20 +43,22 @@ export function jobRoom(store) {
 function head(store, job) {
   const vehicle = store.vehicles.get(job.vehicle_id ?? "");
   const back = job.vehicle_id ? to("vehicle", job.vehicle_id) : to("logs");
-  const sound = chosen();
   return h("div", { class: "job-head" },
     h("a", { class: "back", href: back, "aria-label": "Back" }, "‹"),
     h("div", {}, h("h1", {}, kindName(job.kind)),
       h("p", { class: "quiet small" }, [vehicle ? vehicleName(vehicle) : "uploaded log", moment(job.created_at)].join(" · "))),
     h("div", { class: "badges" }, badge(tone(job.state), STATES[job.state])),
-    ENDED.has(job.state) ? null : h("div", { class: "cues" },
-      toggle("Sound", sound.sound, () => { choose({ sound: !sound.sound }); store.changed(); }),
-      toggle("Voice", sound.speech, () => { choose({ speech: !sound.speech }); store.changed(); })));
+    ENDED.has(job.state) ? null : cues(store));
 }
 
-/** @param {string} text @param {boolean} on @param {() => void} act */
-const toggle = (text, on, act) =>
-  h("button", { class: "plain small", "aria-pressed": `${on}`, onclick: act }, `${text} ${on ? "on" : "off"}`);
+/** Signs for somebody who does not look. @param {Store} store */
+function cues(store) {
+  const now = chosen();
+  /** @type {(name: keyof typeof now, text: string) => any} */
+  const toggle = (name, text) => h("button", { class: "plain small", "aria-pressed": `${now[name]}`, key: name,
+    onclick: () => { choose({ [name]: !now[name] }); store.changed(); } }, `${text} ${now[name] ? "on" : "off"}`);
+  return h("div", { class: "cues" }, toggle("sound", "Tones"), toggle("speech", "Voice"), toggle("vibration", "Vibration"));
+}
 
 /** @param {Store} store */
 const lost = (store) => h("p", { class: "notice", role: "alert" }, `${store.connection.text} The job goes on in the service.`);

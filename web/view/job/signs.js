@@ -38,9 +38,10 @@ function tell(was, is) {
     if (is.state === "failed" || is.state === "in_doubt") return sign("fail", "It did not work. Look at the screen.");
     if (is.state === "review" || is.state === "succeeded") return sign("done", is.state === "review" ? "Ready for your review." : "Done.");
   }
+  if (!is.text) return undefined; // nothing is asked for: it computes, or somebody has cancelled
   if (is.missing < was.missing) return sign("done", is.text);
   if (is.stable && !was.stable) return sign("hold", "");
-  if (is.text && is.text !== was.text) return sign("next", is.text);
+  if (is.text !== was.text) return sign("next", is.text);
   return undefined;
 }
 
