@@ -1,8 +1,12 @@
 """MAVProxy: starts calibrations of a mavcal service and speaks their prompts.
 
-Copy this file into a folder on MAVProxy's path (`~/.mavproxy`), and install mavcal into the same Python:
+Install mavcal into MAVProxy's Python, and name the folder of this file when you start MAVProxy:
 
-    module load mavcal
+    PYTHONPATH=deploy/mavproxy mavproxy.py --master=udpin:127.0.0.1:14550
+
+Then at its prompt (the module has the name of the file: `mavcal` alone is the package that it uses):
+
+    module load mavproxy_mavcal
     mavcal url http://127.0.0.1:8765   # the service; set MAVCAL_API_KEY where it asks for a key
     mavcal start mag                   # gyro, accel, mag, thermal, level ...
     mavcal answer finish
@@ -77,6 +81,9 @@ class MavcalModule(mp_module.MPModule):
     def _start(self, kind: str) -> None:
         with self._client() as service:
             system = self.target_system
+            if not system:
+                self._say("MAVProxy has heard no vehicle yet: repeat this once it says 'online system'")
+                return
             vehicles = [vehicle for vehicle in service.list_vehicles() if vehicle.system == system]
             if not vehicles:
                 self._say(f"mavcal hears no vehicle with system id {system}")
@@ -118,9 +125,10 @@ class MavcalModule(mp_module.MPModule):
             self._told.put(f"mavcal: {error}")
 
     def _say(self, text: str, *, aloud: bool = False) -> None:
-        self.console.writeln(text)
         if aloud:
-            self.say(text)
+            self.say(text)  # writes it to the console too
+        else:
+            self.console.writeln(text)
 
 
 def init(mpstate: Any) -> MavcalModule:

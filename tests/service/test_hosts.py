@@ -13,6 +13,8 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -154,36 +156,77 @@ def test_the_module_of_mavproxy_starts_and_follows_a_job():
     assert set(module.VERBS) == {"url", "start", "answer", "accept", "cancel", "status"}
 
 
-@pytest.mark.long
-async def test_mavproxy_starts_a_calibration_and_says_its_prompts(tmp_path):
-    """A real MAVProxy on a simulated vehicle that it shares with the service."""
+@pytest.fixture
+def mavproxy(tmp_path):
+    """Starts a real MAVProxy on an endpoint: what it says, and a way to type at its prompt."""
     program = shutil.which("mavproxy.py", path=str(Path(sys.executable).parent))
     if program is None:
-        pytest.skip("MAVProxy is not installed")
-    module = tmp_path / "modules" / "mavproxy_mavcal.py"
-    module.parent.mkdir()
-    module.write_bytes((DEPLOY / "mavproxy" / "mavproxy_mavcal.py").read_bytes())
+        pytest.skip("MAVProxy is not installed: pip install --no-deps MAVProxy")
+    said, running = tmp_path / "said", []
+    paths = os.pathsep.join([str(DEPLOY / "mavproxy"), str(ROOT)])
+    environment = {**os.environ, "HOME": str(tmp_path), "PYTHONPATH": paths, "PYTHONUNBUFFERED": "1"}
+
+    def start(master: str) -> tuple[Callable[[], str], Callable[[str], None]]:
+        command = [sys.executable, program, f"--master={master}", "--cmd=module load mavproxy_mavcal"]
+        with said.open("w") as out:
+            process = subprocess.Popen(
+                command, cwd=tmp_path, env=environment, stdin=subprocess.PIPE, stdout=out, stderr=out, text=True
+            )
+        running.append(process)
+
+        def type_in(line: str) -> None:
+            assert process.poll() is None, said.read_text()
+            assert process.stdin is not None
+            process.stdin.write(line + "\n")
+            process.stdin.flush()
+
+        return said.read_text, type_in
+
+    yield start
+    for process in running:
+        process.terminate()
+        try:
+            process.wait(scaled(20))
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        assert process.stdin is not None
+        process.stdin.close()
+
+
+async def said_in(heard: Callable[[], str], words: str) -> None:
+    async with asyncio.timeout(scaled(60)):
+        while words not in heard():  # noqa: ASYNC110 - another process says it
+            await asyncio.sleep(0.1)
+
+
+@pytest.mark.long
+async def test_a_calibration_is_started_followed_and_accepted_at_the_prompt_of_mavproxy(tmp_path, mavproxy):
+    """A real MAVProxy on a simulated vehicle that it shares with the service."""
     with SimulatedVehicle("ardupilot", link=["udpout", "udpout"], seed=3, speed=5, config={"thermal": False}) as v:
         ours, theirs = v.urls
         async with served(tmp_path / "data", connect=(ours,)) as a:
             vehicle = await a.vehicle()
-            command = [sys.executable, program, f"--master={theirs}", "--daemon", "--non-interactive",
-                       f"--cmd=module load mavcal;mavcal url {a.client.base_url};mavcal start gyro"]  # fmt: skip
-            environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(module.parent), str(ROOT)])}
-            with (tmp_path / "said").open("w") as said:
-                process = subprocess.Popen(  # noqa: ASYNC220 - it is told to end below
-                    command, cwd=tmp_path, env=environment, stdout=said, stderr=said
-                )
-            try:
-                async with asyncio.timeout(scaled(60)):
-                    while not (jobs := await a.get("/jobs")):
-                        assert process.poll() is None, (tmp_path / "said").read_text()
-                        await asyncio.sleep(0.2)
-                    await a.until(jobs[0]["id"], "review", "succeeded", seconds=60)
-                    while "calibration: " not in (text := (tmp_path / "said").read_text()):  # noqa: ASYNC110
-                        await asyncio.sleep(0.2)
-            finally:
-                process.terminate()
-                process.wait(scaled(20))
-            assert jobs[0]["vehicle_id"] == vehicle["id"]
-            assert "firm surface" in text
+            heard, type_in = mavproxy(theirs)
+
+            hears = partial(said_in, heard)
+            await hears("Loaded module mavproxy_mavcal")
+            await hears("online system 1")
+            type_in(f"mavcal url {a.client.base_url}")
+            type_in("mavcal start gyro")
+            await hears("firm surface")
+            await hears("calibration: review")
+            (job,) = await a.get("/jobs")
+            assert (job["kind"], job["vehicle_id"]) == ("gyro", vehicle["id"])
+            type_in("mavcal accept")
+            await hears("calibration: succeeded")
+            type_in("mavcal status")
+            await hears("gyro: succeeded")
+            assert heard().count("firm surface") == 1, "a prompt is said once"
+
+
+async def test_mavproxy_is_told_that_it_hears_no_vehicle_yet(mavproxy):
+    heard, type_in = mavproxy("udpin:127.0.0.1:0")
+    await said_in(heard, "Loaded module mavproxy_mavcal")
+    type_in("mavcal start gyro")
+    await said_in(heard, "MAVProxy has heard no vehicle yet")
