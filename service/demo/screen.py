@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -56,7 +57,7 @@ class DemoScreen:
         if self._quiet:
             return
         if self._terminal and not self._verbose:
-            click.echo("\r" + " " * 118 + "\r", nl=False, err=True)
+            click.echo("\r" + " " * _columns() + "\r", nl=False, err=True)
             self._open = False
         self._close()
         sign = click.style("ok" if good else "!!", fg="green" if good else "red", bold=True)
@@ -88,10 +89,16 @@ class DemoScreen:
             return
         bar = "#" * round(share * WIDTH)
         shown = f"  {self._name:<{NAME}} [{bar:<{WIDTH}}] {text}"
-        click.echo(f"\r{shown[:118]:<118}", nl=False, err=True)
+        columns = _columns()
+        click.echo(f"\r{shown[:columns]:<{columns}}", nl=False, err=True)
         self._open = True
 
     def _close(self) -> None:
         if self._open:
             click.echo(err=True)
             self._open = False
+
+
+def _columns() -> int:
+    """Letters that fit a line: one less than the terminal has, which would begin the next line after its last."""
+    return shutil.get_terminal_size().columns - 1
