@@ -24,6 +24,7 @@ from mavcal.client.events import ProgressEvent, PromptEvent, StateEvent
 from mavcal.client.jobs import JobModel, PlanModel, PromptModel, ResultModel, SegmentModel
 from mavcal.client.problems import VehicleArmed
 from mavcal.service.demo.judge import DemoJudgement, SensorReport, judge
+from mavcal.service.demo.screen import called
 from mavcal.service.lifetime import ending_with_us
 from mavcal.service.simvehicle import Operator, SimulatedVehicle
 
@@ -125,9 +126,7 @@ def run(autopilot: str, *, seed: int, screen: Narrator, keep_open: bool = False,
         Client(url) as client,
     ):
         name = {"ardupilot": "ArduPilot", "px4": "PX4"}[autopilot]
-        screen.line(
-            f"A simulated {name} with sensors of its own errors (seed {seed}, {speed:g} times real time)", bold=True
-        )
+        screen.line(f"A simulated {name}, its errors drawn from seed {seed}, {speed:g} times real time", bold=True)
         screen.line(f"Live in the panel: {url}")
         screen.line()
         demo = _Demo(vehicle, client, screen, speed, Path(folder) / "tlogs")
@@ -190,7 +189,7 @@ class _Demo:
             f"largest error is {whole.largest_z:.1f} of its standard deviations (P {p:.2g}). {seconds:.0f} s."
         )
         self._screen.line(
-            f"Now you: mavcal serve --connect sim:{self._truth['autopilot']}, then open http://127.0.0.1:8765/"
+            f"Now you: {called()} serve --connect sim:{self._truth['autopilot']}, then open http://127.0.0.1:8765/"
         )
         document = {
             "ok": not reasons,
@@ -310,9 +309,11 @@ def _ended(job: JobModel) -> str:
     """A calibration in a few words."""
     if job.verification is None or job.plan is None:
         return "nothing to write: what is in force is right"
+    written = f"{len(job.plan.changes)} parameters written"
     acting = [v for v in job.verification.parameters if v.acts_on_stream]
-    proved = sum(v.verdict == ProofVerdict.PROVED for v in acting)
-    return f"{len(job.plan.changes)} parameters written, {proved} of {len(acting)} that show on the stream are proved"
+    if not acting:
+        return f"{written}, read back; the stream shows none"
+    return f"{written}, {sum(v.verdict == ProofVerdict.PROVED for v in acting)} of {len(acting)} proved on the stream"
 
 
 def _rows(reports: Sequence[SensorReport]) -> list[tuple[str, str, str, str]]:
@@ -350,13 +351,11 @@ def sampled(tlogs: Path, segments: Iterable[SegmentModel], qualities: Sequence[J
 
 def _verdict(reasons: Sequence[str], small: Sequence[str]) -> str:
     if reasons:
-        return "; ".join(reasons)
+        return f"Not good: {'; '.join(reasons)}"
+    proved = "Calibrated. Every parameter that shows on the vehicle's stream is proved there"
     if not small:
-        return "Every parameter is proved on the vehicle's stream."
-    return (
-        f"Every parameter is proved on the vehicle's stream, except {', '.join(small)}: "
-        f"{'it' if len(small) == 1 else 'they'} changed by too little to show there."
-    )
+        return f"{proved}."
+    return f"{proved}, except {', '.join(small)}: {'it' if len(small) == 1 else 'they'} changed by too little to show."
 
 
 def _report_document(report: SensorReport) -> Json:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import sys
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import click
@@ -36,7 +37,8 @@ class DemoScreen:
         """A line that stays."""
         if not self._quiet:
             self._close()
-            click.secho(text, err=True, bold=bold)
+            fitting = click.wrap_text(text, _columns()) if self._terminal and len(text) > _columns() else text
+            click.secho(fitting, err=True, bold=bold)
 
     def detail(self, text: str) -> None:
         """A line for those who want to see every step."""
@@ -102,3 +104,11 @@ class DemoScreen:
 def _columns() -> int:
     """Letters that fit a line: one less than the terminal has, which would begin the next line after its last."""
     return shutil.get_terminal_size().columns - 1
+
+
+def called(program: str = sys.argv[0]) -> str:
+    """How the next command begins in the shell that has started `program`, this one."""
+    if Path(program).stem != "mavcal":
+        return f"{sys.executable} -m mavcal"
+    found = shutil.which("mavcal")
+    return "mavcal" if found is not None and Path(found).absolute() == Path(program).absolute() else program
