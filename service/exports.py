@@ -6,6 +6,7 @@ import csv
 import io
 import json
 from collections.abc import Callable, Mapping
+from functools import partial
 
 from mavcal.calib.firmware.export import to_param, to_params, to_parm
 from mavcal.calib.firmware.plan import WritePlan
@@ -14,7 +15,11 @@ from mavcal.calib.pages import page
 from mavcal.calib.report import to_json
 from mavcal.service.errors import ExportUnknown, PlanMissing
 from mavcal.service.jobs.model import Job
+from mavcal.service.reviews import reviewed
+from mavcal.service.store.protocol import JobStore
 
+PICTURES_A_ROW = 2
+"""As many as a sheet of paper is wide."""
 MEDIA_TYPES: Mapping[str, str] = {
     "param": "text/plain",
     "parm": "text/plain",
@@ -25,8 +30,8 @@ MEDIA_TYPES: Mapping[str, str] = {
 }
 
 
-def export(job: Job, form: str) -> str:
-    """The text of the file.
+def export(job: Job, form: str, store: JobStore) -> str:
+    """The text of the file; a page reads the store, so not for the event loop.
 
     Raises
     ------
@@ -41,7 +46,7 @@ def export(job: Job, form: str) -> str:
         "params": lambda _job, plan: to_params(plan),
         "json": _json,
         "csv": _csv,
-        "html": _html,
+        "html": partial(_html, store=store),
     }
     if form not in makers:
         raise ExportUnknown(f"there is no export .{form}; there are {', '.join(makers)}")
@@ -74,10 +79,11 @@ def _csv(_job: Job, plan: WritePlan) -> str:
     return text.getvalue()
 
 
-def _html(job: Job, plan: WritePlan) -> str:
+def _html(job: Job, plan: WritePlan, store: JobStore) -> str:
     """One self-contained page that prints well."""
     verdicts = {} if job.verification is None else {v.name: v.verdict.value for v in job.verification.parameters}
-    return page("mavcal.service", "export.html", job=job, plan=plan, verdicts=verdicts, number=_number)
+    review = reviewed(job, plan, store, PICTURES_A_ROW)
+    return page("mavcal.service", "export.html", job=job, plan=plan, review=review, verdicts=verdicts, number=_number)
 
 
 def _number(value: float | None) -> str:

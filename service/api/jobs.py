@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator
 from typing import Annotated, Literal
 from urllib.parse import urlencode
@@ -171,10 +172,10 @@ async def revert(job_id: str, service: ServiceDep, actor: ActorDep) -> JobModel:
     responses={200: {"content": {kind: {"schema": {"type": "string"}} for kind in sorted(set(MEDIA_TYPES.values()))}}},
 )
 async def export_job(
-    found: JobDep, form: Annotated[str, Path(json_schema_extra={"enum": list(MEDIA_TYPES)})]
+    found: JobDep, service: ServiceDep, form: Annotated[str, Path(json_schema_extra={"enum": list(MEDIA_TYPES)})]
 ) -> Response:
     """The result as a file: param, parm, params, json, csv or html."""
-    content = export(found, form)
+    content = await asyncio.to_thread(export, found, form, service.store)
     name = f"mavcal-{found.id}.{form}"
     return Response(
         content, media_type=MEDIA_TYPES[form], headers={"Content-Disposition": f'inline; filename="{name}"'}

@@ -168,6 +168,11 @@ async def exports_say_the_same(a: Api, job: Json) -> None:
     page = await a.get(f"/jobs/{job['id']}/export.html")
     assert all(name in page for name in expected)
     assert "proved" in page
+    picture = await a.get(f"/jobs/{job['id']}/picture.svg?columns=2")
+    assert picture.strip() in page, "the export shows the picture of the review"
+    review = await a.get(f"/jobs/{job['id']}/review")
+    assert review["headline"] in page
+    assert all(c["text"] in page for c in review["criteria"] if not c["id"].startswith("loss-"))
     for form in ("xml", "PARAM", "", "json.csv"):
         problem = await a.get(f"/jobs/{job['id']}/export.{form}", 404)
         assert problem["status"] == 404
