@@ -8,6 +8,7 @@
     +-- UndeterminedError          the data do not determine what was asked; names the movement that would
     +-- FirmwareError              an autopilot cannot take, hold or undo what was asked
     +-- ProcedureError             a procedure was driven in a way that it does not allow
+    +-- MissingExtraError          a package of an optional extra is not installed; names the extra
 
 The docstring of a class is its default message.
 """
@@ -47,3 +48,7 @@ class FirmwareError(CalibError):
 
 class ProcedureError(CalibError):
     """The procedure does not accept this answer at this step."""
+
+
+class MissingExtraError(CalibError, ImportError):
+    """A package of an optional extra is not installed."""

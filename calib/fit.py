@@ -6,14 +6,18 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mavcal.calib.errors import InvalidInputError
+from mavcal.calib.fit_plot import plotted
 from mavcal.calib.recording import Channel, Sensor
 from mavcal.calib.triad import TriadModel
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -116,6 +120,55 @@ class FitResult:
     def determined(self, *names: str) -> bool:
         """Whether all of `names` may be used."""
         return self.status != FitStatus.REFUSED and not set(names) & set(self.undetermined)
+
+    def corrected_sd(self, truths: Array) -> Array:
+        """Standard deviation (N, 3) of the corrected reading at `truths` (N, 3): ``dc = dC C^-1 c - C db``."""
+        inner = truths @ np.linalg.inv(self.model.matrix).T
+        rows = np.zeros((len(truths), 3, 12))
+        rows[:, :, :3] = -self.model.matrix
+        for axis in range(3):
+            rows[:, axis, 3 + 3 * axis : 6 + 3 * axis] = inner
+        variance = np.einsum("nij,jk,nik->ni", rows, self.covariance[:12, :12], rows)
+        return np.asarray(np.sqrt(np.clip(variance, 0.0, None)))
+
+    def drift_sd(self, temperatures: Array) -> Array:
+        """Standard deviation (N, 3) of the drift about its reference at `temperatures` (N,), degC.
+
+        Raises
+        ------
+        InvalidInputError
+            If the model has no drift.
+        """
+        curve = self.model.polynomial
+        if curve is None:
+            raise InvalidInputError(f"{self.method} fits no drift with temperature")
+        at, terms = np.asarray(temperatures, dtype=np.float64) - curve.t_ref, self.degree
+        powers = np.stack([at ** (k + 1) for k in range(terms)], axis=1)
+        blocks = [slice(12 + axis * terms, 12 + (axis + 1) * terms) for axis in range(3)]
+        variances = [np.einsum("ij,jk,ik->i", powers, self.covariance[b, b], powers) for b in blocks]
+        return np.asarray(np.sqrt(np.clip(np.stack(variances, axis=1), 0.0, None)))
+
+    def plot(self, channel: Channel | None = None, temperature: ArrayLike | None = None) -> Figure:
+        """Before and after this fit, as a matplotlib figure; needs the extra ``mavcal[plot]``.
+
+        Parameters
+        ----------
+        channel
+            Raw samples of the sensor, usually those of the fit: residuals, and for a compass the sphere. None: what
+            the parameters say alone.
+        temperature : shape (N,) or None
+            Of every sample, degC; only a fit of the drift needs it.
+
+        Raises
+        ------
+        InvalidInputError
+            If the fit is refused, or the samples are not of its sensor.
+        MissingExtraError
+            If matplotlib is not installed.
+        """
+        if self.status == FitStatus.REFUSED:
+            raise InvalidInputError(f"a refused fit has nothing to plot: {self.message}")
+        return plotted(self, channel, temperature)
 
 
 @dataclass(frozen=True)

@@ -140,7 +140,7 @@ def _vector(fit: FitResult, plan: WritePlan, old: TriadModel | None, new: TriadM
     factor = math.degrees(1.0) if gyro else 1.0
     truths = np.zeros((1, 3)) if gyro else STANDARD_GRAVITY * _sphere(DIRECTIONS)
     quantity, unit = ("rate at rest", "deg/s") if gyro else ("specific force", "m/s²")
-    sds = factor * _corrected_sd(fit, truths)
+    sds = factor * fit.corrected_sd(truths)
     sd = float(np.linalg.norm(sds, axis=1).max()) if not gyro else float(sds.max())
     before, curve = None, None
     if old is not None and new is not None:
@@ -153,7 +153,7 @@ def _vector(fit: FitResult, plan: WritePlan, old: TriadModel | None, new: TriadM
             curve = ErrorCurve(np.arange(3.0), "axis", shown[0], sds[0], f"rate at rest, {unit}")
         else:
             lengths = factor * (np.linalg.norm(old.apply(new.invert(faces, at), at), axis=1) - STANDARD_GRAVITY)
-            left = np.linalg.norm(factor * _corrected_sd(fit, faces), axis=1)
+            left = np.linalg.norm(factor * fit.corrected_sd(faces), axis=1)
             curve = ErrorCurve(np.arange(6.0), "face", lengths, left, f"|f| - g, {unit}")
     return SensorEffect(fit.sensor, fit.instance, quantity, unit, before, _left(fit, plan, sd, unit), curve)
 
@@ -165,7 +165,7 @@ def _drift(fit: FitResult, plan: WritePlan, old: TriadModel | None, new: TriadMo
     gyro = fit.sensor == Sensor.GYRO
     factor, unit = (math.degrees(1.0), "deg/s") if gyro else (1.0, "m/s²")
     at = np.linspace(measured.t_min, measured.t_max, 60)
-    sd = factor * _curve_sd(fit, at)
+    sd = factor * fit.drift_sd(at).max(axis=1)
     before, curve = None, None
     if new is not None:
         corrected = np.zeros((len(at), 3)) if old is None or old.polynomial is None else old.bias(at)
@@ -191,32 +191,6 @@ def _temperature(fit: FitResult, old: TriadModel, new: TriadModel) -> float | No
     if old.polynomial is None and new.polynomial is None:
         return None
     return 25.0 if fit.temperature is None else fit.temperature
-
-
-def _corrected_sd(fit: FitResult, truths: Array) -> Array:
-    """Standard deviation (N, 3) of the corrected reading at each truth: ``dc = dC C^-1 c - C db``."""
-    model, covariance = fit.model, fit.covariance[:12, :12]
-    inner = truths @ np.linalg.inv(model.matrix).T
-    rows = np.zeros((len(truths), 3, 12))
-    rows[:, :, :3] = -model.matrix
-    for axis in range(3):
-        rows[:, axis, 3 + 3 * axis : 6 + 3 * axis] = inner
-    variance = np.einsum("nij,jk,nik->ni", rows, covariance, rows)
-    return np.asarray(np.sqrt(np.clip(variance, 0.0, None)))
-
-
-def _curve_sd(fit: FitResult, at: Array) -> Array:
-    """Standard deviation (N,) of the drift about the reference, of the worst axis."""
-    curve = fit.model.polynomial
-    assert curve is not None
-    terms = curve.coefficients.shape[1]
-    powers = np.stack([(at - curve.t_ref) ** (k + 1) for k in range(terms)], axis=1)
-    sds = []
-    for axis in range(3):
-        first = 12 + axis * terms
-        block = fit.covariance[first : first + terms, first : first + terms]
-        sds.append(np.sqrt(np.clip(np.einsum("ij,jk,ik->i", powers, block, powers), 0.0, None)))
-    return np.asarray(np.max(sds, axis=0))
 
 
 def _sphere(count: int) -> Array:

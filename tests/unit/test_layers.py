@@ -21,6 +21,7 @@ LAYERS = (
         "recording",
         "triad",
         "fit",
+        "fit_plot",
         "geometry",
         "attitude",
         "tilt",
@@ -42,7 +43,7 @@ LAYERS = (
 
 ROOMS = set().union(*LAYERS)
 
-PURE = {"numpy", "scipy", "pygeomag", "pyulog", "pymavlink", "fastcrc", "jinja2", "markupsafe", "cattrs"}
+PURE = {"numpy", "scipy", "pygeomag", "pyulog", "pymavlink", "fastcrc", "jinja2", "markupsafe", "cattrs", "matplotlib"}
 """Packages that ``calib`` may import besides the standard library's harmless part."""
 
 FORBIDDEN = {
