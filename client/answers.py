@@ -34,6 +34,7 @@ from mavcal.client.models import (
     UnitHistoryModel,
     VehicleModel,
     VehicleSensorsModel,
+    WatchModel,
 )
 
 AUDIT_CHECK: TypeAdapter[AuditCheck] = TypeAdapter(AuditCheck)
@@ -61,6 +62,7 @@ UNIT_HISTORY_MODEL: TypeAdapter[UnitHistoryModel] = TypeAdapter(UnitHistoryModel
 VEHICLE_MESSAGE: TypeAdapter[VehicleMessage] = TypeAdapter(VehicleMessage)
 VEHICLE_MODEL: TypeAdapter[VehicleModel] = TypeAdapter(VehicleModel)
 VEHICLE_SENSORS_MODEL: TypeAdapter[VehicleSensorsModel] = TypeAdapter(VehicleSensorsModel)
+WATCH_MODEL: TypeAdapter[WatchModel] = TypeAdapter(WatchModel)
 FLEET_UNIT_MODEL_LIST: TypeAdapter[list[FleetUnitModel]] = TypeAdapter(list[FleetUnitModel])
 GAP_SUMMARY_LIST: TypeAdapter[list[GapSummary]] = TypeAdapter(list[GapSummary])
 ITEM_MODEL_LIST: TypeAdapter[list[ItemModel]] = TypeAdapter(list[ItemModel])

@@ -38,6 +38,7 @@ from mavcal.client.models import (
     UnitHistoryModel,
     VehicleModel,
     VehicleSensorsModel,
+    WatchModel,
 )
 from mavcal.client.requests import PlanOptions, ReadingOptions
 from mavcal.client.transport import AsyncTransport, segment
@@ -107,9 +108,21 @@ class AsyncClient(AsyncTransport):
         """The vehicle's state, once a second, as long as its link is open."""
         return self._follow(f"/api/v1/vehicles/{segment(vehicle_id)}/stream", answers.VEHICLE_MESSAGE)
 
-    def follow_samples(self, vehicle_id: str) -> AsyncIterator[LiveMessage]:
-        """What the sensors read, ten times a second, as the vehicle streams it; asks the vehicle for nothing."""
-        return self._follow(f"/api/v1/vehicles/{segment(vehicle_id)}/samples", answers.LIVE_MESSAGE)
+    async def watch_vehicle(self, vehicle_id: str, *, rate_hz: Number | None = None) -> WatchModel:
+        """Have the vehicle send its samples for as long as `follow_samples` is read with this watch.
+
+        Its message rates are put back as they were when the last watch is over, at once when it arms, and before a
+        job chooses its own. It is asked for nothing while it is armed or silent, or while a job runs.
+        """
+        return await self._ask(
+            "POST", f"/api/v1/vehicles/{segment(vehicle_id)}/watches", answers.WATCH_MODEL, body={"rate_hz": rate_hz}
+        )
+
+    def follow_samples(self, vehicle_id: str, *, watch: str | None = None) -> AsyncIterator[LiveMessage]:
+        """What the sensors read, ten times a second, as the vehicle streams it."""
+        return self._follow(
+            f"/api/v1/vehicles/{segment(vehicle_id)}/samples", answers.LIVE_MESSAGE, query={"watch": watch}
+        )
 
     async def run_preflight(
         self, vehicle_id: str, *, heading: Number | None = None, fix: list[Literal["gyro", "level"]] | None = None

@@ -120,6 +120,14 @@ class LinkState(StrEnum):
     CLOSED = "closed"
 
 
+class LiveState(StrEnum):
+    """What has become of the wish to watch."""
+
+    ASKING = "asking"
+    GRANTED = "granted"
+    WAITING = "waiting"
+
+
 class ObservationSource(StrEnum):
     """Where a measurement comes from."""
 

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from mavcal.client.base import Answer, Number
-from mavcal.client.enums import ItemOutcome, JobState, ProofLevel, Sensor
+from mavcal.client.enums import ItemOutcome, JobState, LiveState, ProofLevel, Sensor
 from mavcal.client.jobs import OutcomeModel, ProgressModel, PromptModel, VehicleReadinessModel, WriteModel
 from mavcal.client.models import LinkModel, VehicleModel
 
@@ -283,6 +283,16 @@ class SamplesModel(Answer):
     """A column an axis, in `unit`; null: not a finite number."""
 
 
+class WatchStatusModel(Answer):
+    """How it stands with the rates that a watch wishes for."""
+
+    state: LiveState
+    text: str
+    """Why it waits, or comes slower than wished; empty: nothing is to be said."""
+    rate_hz: Number
+    """The fastest rate that anybody who watches this vehicle has wished for, Hz."""
+
+
 class LiveModel(Answer):
     """Samples since the last message."""
 
@@ -294,6 +304,10 @@ class LiveModel(Answer):
     """Quaternion w x y z, body (front right down) to north-east-down; null: none has come."""
     model_field_ut: Number | None
     """Strength of the Earth's field by the World Magnetic Model, uT; null: the position is not known."""
+    loss: Number | None
+    """Share of the vehicle's messages that were lost in the last 10 s, 0..1; null: none has come."""
+    watch: WatchStatusModel | None
+    """Null: the stream is of no watch."""
 
 
 class LiveMessage(Answer):

@@ -678,3 +678,11 @@ class VehicleSensorsModel(Answer):
     verdict: Verdict
     summary: str
     sensors: list[SensorStateModel]
+
+
+class WatchModel(Answer):
+    """A watch. It is over 3 s after its stream has ended, or 10 s after nothing was taken from it."""
+
+    id: str
+    """For `follow_samples`."""
+    rate_hz: Number

@@ -315,6 +315,12 @@ class VehicleUnknown(ApiProblem):
     """Vehicle unknown (404). No such vehicle. GET /api/v1/vehicles lists those that were heard."""
 
 
+class WatchUnknown(ApiProblem):
+    """Watch unknown (404). The watch is over, or of another vehicle. POST /api/v1/vehicles/{vehicle_id}/watches
+    begins one.
+    """
+
+
 class WriteFailed(ApiProblem):
     """Write failed (409). The write did not take effect as planned; what was written is taken back."""
 
@@ -394,6 +400,7 @@ PROBLEMS: Mapping[str, type[ApiProblem]] = {
     "vehicle-error": VehicleError,
     "vehicle-silent": VehicleSilent,
     "vehicle-unknown": VehicleUnknown,
+    "watch-unknown": WatchUnknown,
     "write-failed": WriteFailed,
     "write-stopped": WriteStopped,
 }

@@ -28,7 +28,9 @@ from mavcal.service.jobs.campaigns import CAMPAIGN, uploads_of_campaign
 from mavcal.service.jobs.computing import uploads_of
 from mavcal.service.jobs.crashpoints import CrashPoint, nowhere
 from mavcal.service.jobs.engine import JobEngine
+from mavcal.service.jobs.live_rates import LiveRates
 from mavcal.service.jobs.model import Failure
+from mavcal.service.jobs.owed_rates import OwedRates
 from mavcal.service.jobs.salvage import CODE as UNREADABLE
 from mavcal.service.jobs.settings import JobSettings
 from mavcal.service.jobs.vehicle_adapter import RegistryAdapter
@@ -70,6 +72,7 @@ class Service:
     fleet: FleetBook
     campaigns: CampaignDesk
     signing: SigningAdmin
+    live: LiveRates
 
     def obstacle(self) -> str | None:
         """Why no job could be run now; None: nothing stands in the way."""
@@ -124,7 +127,10 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
     workers = None if settings.database_url is None else _workers(settings)
     computations = UploadComputations(recordings, workers or children, of_files, of_gaps)
     fleet = FleetBook(store, vehicles)
-    source = RegistryAdapter(vehicles) if instance is None else RegistryAdapter(vehicles, instance.jobs.doubted)
+    doubted = (lambda _: None) if instance is None else instance.jobs.doubted
+    owed = OwedRates(settings.data_dir / "live-rates.json")
+    live = LiveRates(RegistryAdapter(vehicles, doubted), owed, read_only=settings.read_only)
+    source = RegistryAdapter(vehicles, doubted, live.give_way)
     jobs = JobEngine(
         store,
         source,
@@ -153,6 +159,8 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
             started.push_async_callback(workers.stop)
         started.push_async_callback(jobs.stop)
         await jobs.start()
+        live.start(jobs.claim)
+        started.push_async_callback(live.stop)
         await fleet.take_up(jobs.list())
         started.callback(fleet.close)
         if instance is None:
@@ -167,7 +175,7 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
         ahead = TrendsAhead(store, lambda: fleet.measured)
         started.push_async_callback(_cancelled, asyncio.create_task(ahead.run()))
         started.push_async_callback(_cancelled, asyncio.create_task(AutoHand(vehicles.all, jobs.list).run()))
-        yield Service(settings, store, links, vehicles, jobs, recordings, children, fleet, campaigns, signing)
+        yield Service(settings, store, links, vehicles, jobs, recordings, children, fleet, campaigns, signing, live)
 
 
 def _instance(settings: Settings, store: Store) -> Instance | None:

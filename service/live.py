@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections import deque
 from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass
 
@@ -19,6 +20,8 @@ from mavcal.service.vehicle import Vehicle
 
 BATCH_S = 0.1
 """How often a batch is made, s of the wall's clock."""
+LOSS_S = 10.0
+"""Over so long the loss is counted."""
 SHOWN = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG, Sensor.TEMPERATURE)
 
 Quaternion = tuple[float, float, float, float]
@@ -37,6 +40,8 @@ class LiveBatch:
     heading; None: neither has come."""
     field: float | None
     """Strength of the Earth's field by the World Magnetic Model, uT; None: the position is not known."""
+    loss: float | None
+    """Share of the vehicle's messages that were lost in the last 10 s; None: none has come."""
 
 
 async def live_batches(vehicle: Vehicle) -> AsyncIterator[LiveBatch]:
@@ -57,7 +62,7 @@ async def live_batches(vehicle: Vehicle) -> AsyncIterator[LiveBatch]:
 
     field: float | None = None
     own: Quaternion | None = None
-    tilt = TiltFilter()
+    tilt, losses = TiltFilter(), _Losses(vehicle)
     forget = adapter.subscribe(assembler.message_ids, take)
     try:
         while True:
@@ -68,7 +73,7 @@ async def live_batches(vehicle: Vehicle) -> AsyncIterator[LiveBatch]:
             if field is None and (model := field_of(chunk, time.time())) is not None:
                 field = model.norm
             compasses = tuple(c for c in undo.feed(chunk).channels if c.sensor == Sensor.MAG and c.stage == Stage.RAW)
-            yield LiveBatch(streamed, compasses, own or tilt.attitude, field)
+            yield LiveBatch(streamed, compasses, own or tilt.attitude, field, losses.share())
     finally:
         forget()
 
@@ -79,6 +84,21 @@ def _digested(heard: Sequence[Frame], assembler: Assembler, tilt: TiltFilter) ->
     streamed = _one_a_sensor(chunk)
     _incline(tilt, streamed)
     return chunk, streamed
+
+
+class _Losses:
+    """What was lost of a vehicle's messages lately, by their sequence numbers."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._vehicle = vehicle
+        self._counted: deque[tuple[int, int]] = deque(maxlen=round(LOSS_S / BATCH_S))
+
+    def share(self) -> float | None:
+        """Called once a batch."""
+        now = self._vehicle.link.statistics(self._vehicle.system, self._vehicle.component)
+        self._counted.append((now.received, now.lost))
+        received, lost = (now.received - self._counted[0][0], now.lost - self._counted[0][1])
+        return max(lost, 0) / (received + max(lost, 0)) if received > 0 else None
 
 
 def _one_a_sensor(chunk: Recording) -> tuple[Channel, ...]:

@@ -672,7 +672,14 @@ export interface LiveModel {
   attitude: [number, number, number, number] | null;
   /** Strength of the Earth's field by the World Magnetic Model, uT; null: the position is not known. */
   model_field_ut: number | null;
+  /** Share of the vehicle's messages that were lost in the last 10 s, 0..1; null: none has come. */
+  loss: number | null;
+  /** Null: the stream is of no watch. */
+  watch: WatchStatusModel | null;
 }
+
+/** What has become of the wish to watch. */
+export type LiveState = "asking" | "granted" | "waiting";
 
 /** A part of the fit that this firmware cannot hold. */
 export interface LossModel {
@@ -908,7 +915,7 @@ export interface Problem {
 }
 
 /** What kind of problem it is. */
-export type ProblemCode = "answer-refused" | "authentication-required" | "campaigns-busy" | "capture-disturbed" | "capture-ended" | "capture-interrupted" | "command-forbidden" | "command-refused" | "command-timeout" | "data-dir-locked" | "disk-full" | "document-unknown" | "endpoint-refused" | "endpoint-unknown" | "export-unknown" | "file-not-processed" | "files-busy" | "gap-error" | "gap-unfinished" | "gap-unknown" | "gaps-busy" | "http" | "idempotency-key-reused" | "illegal-transition" | "internal-error" | "invalid-input" | "job-cancelled" | "job-elsewhere" | "job-error" | "job-unknown" | "lease-lost" | "link-down" | "link-elsewhere" | "link-error" | "link-open" | "link-unknown" | "no-vehicle" | "not-allowed" | "not-cancellable" | "not-found" | "not-revertible" | "nothing-verified" | "other-vehicle" | "parameter-error" | "parameter-missing" | "parameter-rejected" | "parameter-timeout" | "physical-job-running" | "plan-blocked" | "plan-changed" | "plan-missing" | "port-busy" | "preflight-running" | "recording-unknown" | "signing-key-error" | "signing-key-unknown" | "signing-not-confirmed" | "store-error" | "too-many-attempts" | "too-many-streams" | "unit-unknown" | "upload-too-large" | "upload-unreadable" | "validation" | "vehicle-armed" | "vehicle-busy" | "vehicle-conflict" | "vehicle-error" | "vehicle-silent" | "vehicle-unknown" | "write-failed" | "write-stopped";
+export type ProblemCode = "answer-refused" | "authentication-required" | "campaigns-busy" | "capture-disturbed" | "capture-ended" | "capture-interrupted" | "command-forbidden" | "command-refused" | "command-timeout" | "data-dir-locked" | "disk-full" | "document-unknown" | "endpoint-refused" | "endpoint-unknown" | "export-unknown" | "file-not-processed" | "files-busy" | "gap-error" | "gap-unfinished" | "gap-unknown" | "gaps-busy" | "http" | "idempotency-key-reused" | "illegal-transition" | "internal-error" | "invalid-input" | "job-cancelled" | "job-elsewhere" | "job-error" | "job-unknown" | "lease-lost" | "link-down" | "link-elsewhere" | "link-error" | "link-open" | "link-unknown" | "no-vehicle" | "not-allowed" | "not-cancellable" | "not-found" | "not-revertible" | "nothing-verified" | "other-vehicle" | "parameter-error" | "parameter-missing" | "parameter-rejected" | "parameter-timeout" | "physical-job-running" | "plan-blocked" | "plan-changed" | "plan-missing" | "port-busy" | "preflight-running" | "recording-unknown" | "signing-key-error" | "signing-key-unknown" | "signing-not-confirmed" | "store-error" | "too-many-attempts" | "too-many-streams" | "unit-unknown" | "upload-too-large" | "upload-unreadable" | "validation" | "vehicle-armed" | "vehicle-busy" | "vehicle-conflict" | "vehicle-error" | "vehicle-silent" | "vehicle-unknown" | "watch-unknown" | "write-failed" | "write-stopped";
 
 /** A procedure: what it needs, ends on, writes and cannot represent. */
 export interface ProcedureModel {
@@ -1530,6 +1537,28 @@ export interface WarningEvent {
   data: WarningData;
 }
 
+/** A watch. It is over 3 s after its stream has ended, or 10 s after nothing was taken from it. */
+export interface WatchModel {
+  /** For `follow_samples`. */
+  id: string;
+  rate_hz: number;
+}
+
+/** A wish to watch a vehicle. */
+export interface WatchRequest {
+  /** How often each inertial unit is to be sent, Hz. */
+  rate_hz?: number;
+}
+
+/** How it stands with the rates that a watch wishes for. */
+export interface WatchStatusModel {
+  state: LiveState;
+  /** Why it waits, or comes slower than wished; empty: nothing is to be said. */
+  text: string;
+  /** The fastest rate that anybody who watches this vehicle has wished for, Hz. */
+  rate_hz: number;
+}
+
 /** A write has ended. */
 export interface WriteEvent {
   job_id: string;
@@ -1660,11 +1689,20 @@ export interface Operations {
     parameters: { vehicle_id: string };
     message: VehicleMessage;
   };
-  /** What the sensors read, ten times a second, as the vehicle streams it; asks the vehicle for nothing. */
+  /** Have the vehicle send its samples for as long as `follow_samples` is read with this watch. */
+  watch_vehicle: {
+    method: "POST";
+    path: "/api/v1/vehicles/{vehicle_id}/watches";
+    parameters: { vehicle_id: string };
+    body: WatchRequest;
+    answer: WatchModel;
+  };
+  /** What the sensors read, ten times a second, as the vehicle streams it. */
   follow_samples: {
     method: "GET";
     path: "/api/v1/vehicles/{vehicle_id}/samples";
     parameters: { vehicle_id: string };
+    query: { watch?: string | null };
     message: LiveMessage;
   };
   /** Check a vehicle that stands still, within ten seconds; 409 while it is armed, silent, or has a job running. */

@@ -17,6 +17,7 @@ export const OPERATIONS = {
   list_parameters: ["GET", "/api/v1/vehicles/{vehicle_id}/parameters"],
   list_sensors: ["GET", "/api/v1/vehicles/{vehicle_id}/sensors"],
   follow_vehicle: ["GET", "/api/v1/vehicles/{vehicle_id}/stream"],
+  watch_vehicle: ["POST", "/api/v1/vehicles/{vehicle_id}/watches"],
   follow_samples: ["GET", "/api/v1/vehicles/{vehicle_id}/samples"],
   run_preflight: ["POST", "/api/v1/vehicles/{vehicle_id}/preflight"],
   restore_calibration: ["POST", "/api/v1/vehicles/{vehicle_id}/restore"],

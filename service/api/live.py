@@ -1,21 +1,51 @@
-"""The stream of samples of a vehicle."""
+"""The samples of a vehicle, and the wish to have it send them."""
 
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Sequence
 from contextlib import aclosing
+from typing import Annotated
 
 import numpy as np
-from fastapi import APIRouter, Depends
+from fastapi import APIRouter, Depends, Query
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from mavcal.calib.recording import Channel
-from mavcal.service.api.models import LiveModel, SamplesModel
+from mavcal.service.api.dependencies import ServiceDep
+from mavcal.service.api.models import LiveModel, SamplesModel, WatchModel, WatchRequest, WatchStatusModel
 from mavcal.service.api.security import Scope, require
 from mavcal.service.api.vehicles import VehicleDep
+from mavcal.service.jobs.live_rates import LiveStatus, LiveWatch
 from mavcal.service.live import LiveBatch, live_batches
 
 router = APIRouter(tags=["vehicles"])
+
+
+@router.post(
+    "/vehicles/{vehicle_id}/watches",
+    operation_id="watch_vehicle",
+    status_code=201,
+    dependencies=[Depends(require(Scope.OPERATE))],
+)
+async def watch_vehicle(found: VehicleDep, body: WatchRequest, service: ServiceDep) -> WatchModel:
+    """Have the vehicle send its samples for as long as `follow_samples` is read with this watch.
+
+    Its message rates are put back as they were when the last watch is over, at once when it arms, and before a job
+    chooses its own. It is asked for nothing while it is armed or silent, or while a job runs.
+    """
+    begun = service.live.begin(found.id, body.rate_hz)
+    return WatchModel(id=begun.id, rate_hz=begun.rate_hz)
+
+
+def _watch(
+    found: VehicleDep,
+    service: ServiceDep,
+    watch: Annotated[
+        str | None, Query(description="a watch of this vehicle; without one it is asked for nothing")
+    ] = None,
+) -> LiveWatch | None:
+    """The watch of the request; this is the place where 404 can still be said."""
+    return None if watch is None else service.live.watch(watch, found.id)
 
 
 @router.get(
@@ -24,19 +54,28 @@ router = APIRouter(tags=["vehicles"])
     response_class=EventSourceResponse,
     dependencies=[Depends(require(Scope.READ))],
 )
-async def samples(found: VehicleDep) -> AsyncIterator[ServerSentEvent]:
-    """What the sensors read, ten times a second, as the vehicle streams it; asks the vehicle for nothing."""
-    async with aclosing(live_batches(found)) as batches:  # type: ignore[type-var]
-        async for batch in batches:
-            yield ServerSentEvent(data=_model(batch), event="samples")
+async def samples(
+    found: VehicleDep, service: ServiceDep, watch: Annotated[LiveWatch | None, Depends(_watch)]
+) -> AsyncIterator[ServerSentEvent]:
+    """What the sensors read, ten times a second, as the vehicle streams it."""
+    try:
+        async with aclosing(live_batches(found)) as batches:  # type: ignore[type-var]
+            async for batch in batches:
+                status = None if watch is None else service.live.taken(watch)
+                yield ServerSentEvent(data=_model(batch, status), event="samples")
+    finally:
+        if watch is not None:
+            service.live.left(watch)
 
 
-def _model(batch: LiveBatch) -> LiveModel:
+def _model(batch: LiveBatch, status: LiveStatus | None) -> LiveModel:
     return LiveModel(
         channels=_samples(batch.channels),
         bare=_samples(batch.bare),
         attitude=batch.attitude,
         model_field_ut=batch.field,
+        loss=batch.loss,
+        watch=None if status is None else WatchStatusModel(**vars(status)),
     )
 
 

@@ -18,6 +18,7 @@
     |   +-- VehicleSilent         503
     |   +-- VehicleUnknown        404
     |   +-- UnitUnknown           404
+    |   +-- WatchUnknown          404
     |   +-- VehicleArmed          409
     |   +-- VehicleBusy           409
     |   +-- VehicleConflict       409
@@ -152,6 +153,7 @@ from mavcal.service.errors.vehicles import (
     VehicleError,
     VehicleSilent,
     VehicleUnknown,
+    WatchUnknown,
 )
 
 __all__ = [
@@ -221,6 +223,7 @@ __all__ = [
     "VehicleError",
     "VehicleSilent",
     "VehicleUnknown",
+    "WatchUnknown",
     "WriteFailed",
     "WriteStopped",
 ]

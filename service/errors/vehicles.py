@@ -120,6 +120,14 @@ class VehicleUnknown(VehicleError):
     code = "vehicle-unknown"
 
 
+class WatchUnknown(VehicleError):
+    """The watch is over, or of another vehicle. POST /api/v1/vehicles/{vehicle_id}/watches begins one."""
+
+    status_code = 404
+    title = "Watch unknown"
+    code = "watch-unknown"
+
+
 class UnitUnknown(VehicleError):
     """No such unit. GET /api/v1/fleet lists the known ones."""
 

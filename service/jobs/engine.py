@@ -34,6 +34,7 @@ from mavcal.service.jobs.admission import (
 from mavcal.service.jobs.adoption import adopted, composed
 from mavcal.service.jobs.book import JobBook
 from mavcal.service.jobs.campaigns import CAMPAIGN, Campaigns
+from mavcal.service.jobs.claims import TAKING_UP, claim_of
 from mavcal.service.jobs.computing import COMPUTED, FIT, GAP, Computing
 from mavcal.service.jobs.crashpoints import At, CrashPoint, nowhere
 from mavcal.service.jobs.ending import INTERRUPTED, doubt
@@ -77,12 +78,10 @@ class JobEngine:
         Holds every job.
     vehicles
         Where jobs find theirs.
-    computations
-        What is done with uploaded recordings. None: there are none.
+    computations, ownership
+        What is done with uploaded recordings (None: there are none), and which jobs are ours (None: all of them).
     settings
         How patient the engine is.
-    ownership
-        Which jobs are ours. None: all of them.
     executor
         Where closed segments are fitted; any ``concurrent.futures.Executor``. None: two threads of its own.
     read_only
@@ -199,13 +198,8 @@ class JobEngine:
 
     async def tidied(self) -> None:
         """Wait until jobs that are over have put the vehicle's message rates back."""
-        over = ENDED | {JobState.REVIEW}
-        with self._tidying.hurrying():
-            while waited := {
-                *(task for job_id, task in self._tasks.running.items() if self.get(job_id).state in over),
-                *self._tidying.tasks,
-            }:
-                await asyncio.wait(waited)
+        over, running = ENDED | {JobState.REVIEW}, self._tasks.running
+        await self._tidying.finished(lambda: {task for key, task in running.items() if self.get(key).state in over})
 
     # --- asking
 
@@ -216,6 +210,12 @@ class JobEngine:
     def get(self, job_id: str) -> Job:
         """The job of that id. Raises JobUnknown."""
         return self._book.job(job_id)
+
+    def claim(self, vehicle_id: str) -> str | None:
+        """See :func:`service.jobs.claims.claim_of`."""
+        if self._resumption.waiting:
+            return TAKING_UP
+        return claim_of(vehicle_id, self.list(), self._tasks.running, self._tidying, self._preflights)
 
     async def document(self, job_id: str, name: str) -> JobDocument:
         """A document that the job has made. Raises JobUnknown, DocumentUnknown."""

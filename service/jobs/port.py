@@ -100,7 +100,11 @@ class JobVehicle(Protocol):
         ...
 
     async def intervals(self, message_ids: Iterable[int]) -> dict[int, int]:
-        """Message intervals as they are, us: -1 off, 0 the vehicle's default (also where it does not say)."""
+        """Message intervals, us: -1 off, 0 the vehicle's default (also where it does not say).
+
+        Asked by who has claimed the vehicle and is about to change them: what was set for somebody who watches is put
+        back before.
+        """
         ...
 
     async def request_streams(

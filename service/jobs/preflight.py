@@ -114,6 +114,12 @@ class Preflights:
         if vehicle_id in self._running:
             raise PreflightRunning
 
+    def holds(self, vehicle_id: str) -> bool:
+        """Whether this vehicle is looked at, or its rates are still being put back after that."""
+        restoring = self._restoring.get(vehicle_id)
+        busy = vehicle_id in self._running or vehicle_id in self._looks
+        return busy or (restoring is not None and not restoring.done())
+
     async def run(
         self,
         vehicle: JobVehicle,

@@ -51,6 +51,16 @@ class Tidying:
 
         task.add_done_callback(done)
 
+    def holds(self, vehicle_id: str) -> bool:
+        """Whether rates of this vehicle are being put back, or kept for an accept."""
+        return vehicle_id in self._of
+
+    async def finished(self, running: Callable[[], set[asyncio.Task[None]]]) -> None:
+        """Wait for everything that is to be put back by now, and by the tasks that `running` names."""
+        with self.hurrying():
+            while waited := running() | self.tasks:
+                await asyncio.wait(waited)
+
     async def before_capture(self, vehicle_id: str) -> None:
         """Wait until an earlier job of this vehicle has its rates put back, and do not let that wait for an accept."""
         _, task = self._of.get(vehicle_id, ("", None))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 
 from mavcal.calib.firmware.plan import ParameterKind, Value
@@ -21,14 +21,23 @@ SLOW = 1.2
 
 
 Doubted = Callable[[str], str | None]
+GiveWay = Callable[[str, Collection[int]], Awaitable[Mapping[int, int]]]
+"""See :meth:`service.jobs.live_rates.LiveRates.give_way`."""
+
+
+async def _nobody_watches(_vehicle_id: str, _message_ids: Collection[int]) -> Mapping[int, int]:
+    return {}
 
 
 class VehicleAdapter:
-    """One vehicle; see :class:`service.jobs.port.JobVehicle`."""
+    """One vehicle; see :class:`service.jobs.port.JobVehicle`. `give_way` puts back the rates of whoever watches it."""
 
-    def __init__(self, vehicle: Vehicle, doubted: Doubted = lambda _: None) -> None:
+    def __init__(
+        self, vehicle: Vehicle, doubted: Doubted = lambda _: None, give_way: GiveWay = _nobody_watches
+    ) -> None:
         self._vehicle = vehicle
         self._doubted = doubted
+        self._give_way = give_way
 
     @property
     def id(self) -> str:
@@ -93,7 +102,10 @@ class VehicleAdapter:
 
     async def intervals(self, message_ids: Iterable[int]) -> dict[int, int]:
         """See JobVehicle."""
-        return {i: await get_interval(self._vehicle, i) or DEFAULT_INTERVAL for i in message_ids}
+        wanted = tuple(message_ids)
+        known = await self._give_way(self.id, wanted)
+        asked = [message_id for message_id in wanted if message_id not in known]
+        return {**known, **{i: await get_interval(self._vehicle, i) or DEFAULT_INTERVAL for i in asked}}
 
     async def request_streams(
         self, rates: Mapping[int, float], *, measure_s: float, before: Mapping[int, int]
@@ -157,16 +169,20 @@ class VehicleAdapter:
 class RegistryAdapter:
     """Every vehicle of a registry; see :class:`service.jobs.port.VehicleSource`.
 
-    `doubted` says why a vehicle may not be ours to write to, if there are other instances of the service.
+    `doubted` says why a vehicle may not be ours to write to, if there are other instances of the service; `give_way`
+    puts back the rates of whoever watches one.
     """
 
-    def __init__(self, registry: VehicleRegistry, doubted: Doubted = lambda _: None) -> None:
+    def __init__(
+        self, registry: VehicleRegistry, doubted: Doubted = lambda _: None, give_way: GiveWay = _nobody_watches
+    ) -> None:
         self._registry = registry
         self._doubted = doubted
+        self._give_way = give_way
 
     def vehicle(self, vehicle_id: str) -> VehicleAdapter:
         """See VehicleSource."""
-        return VehicleAdapter(self._registry.get(vehicle_id), self._doubted)
+        return VehicleAdapter(self._registry.get(vehicle_id), self._doubted, self._give_way)
 
 
 def _reading(parameter: Parameter) -> ParameterReading:

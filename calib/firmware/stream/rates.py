@@ -19,13 +19,16 @@ from mavcal.calib.recording import Sensor
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-__all__ = ["Assembler", "requested_streams"]
+__all__ = ["Assembler", "live_streams", "requested_streams"]
 
 INERTIAL_HZ: Final = 50.0
 COMPASS_HZ: Final = 25.0
 STATE_HZ: Final = 2.0
 DRIVE_HZ: Final = 5.0
 POSITION_HZ: Final = 1.0
+ATTITUDE_HZ: Final = 25.0
+LIVE_MOST_HZ: Final = 200.0
+"""More is granted unevenly, or refused: PX4 rounds up to its 4 ms, ArduPilot denies 400 Hz (FLIGHT_CONTROLLERS 9)."""
 
 BY_INSTANCE: Final = {
     "ardupilot": (RAW_IMU, SCALED_IMU2, SCALED_IMU3),
@@ -72,3 +75,20 @@ def requested_streams(
         wanted[auxiliary.BATTERY_STATUS] = DRIVE_HZ
         wanted[auxiliary.VFR_HUD] = DRIVE_HZ
     return wanted
+
+
+def live_streams(autopilot: str, rate_hz: float) -> dict[int, float]:
+    """Rates in Hz by message id for who watches: every inertial unit and compass at `rate_hz`, the attitude too.
+
+    The messages of a job over the same sensors, so that both put the same ones back; no slower than a job's are those
+    of the vehicle's state.
+
+    Raises
+    ------
+    FirmwareError
+        If the autopilot is neither ArduPilot nor PX4.
+    """
+    wanted = requested_streams(autopilot, (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG))
+    samples = {HIGHRES_IMU, *BY_INSTANCE[autopilot]}
+    rates = {message_id: rate_hz if message_id in samples else rate for message_id, rate in wanted.items()}
+    return rates | {auxiliary.ATTITUDE_QUATERNION: min(rate_hz, ATTITUDE_HZ)}

@@ -90,7 +90,14 @@ from mavcal.service.api.models.jobs import (
     WriteModel,
 )
 from mavcal.service.api.models.links import LinkModel, LinkRequest
-from mavcal.service.api.models.live import LiveMessage, LiveModel, SamplesModel
+from mavcal.service.api.models.live import (
+    LiveMessage,
+    LiveModel,
+    SamplesModel,
+    WatchModel,
+    WatchRequest,
+    WatchStatusModel,
+)
 from mavcal.service.api.models.plans import (
     AfterWriteModel,
     AgreementModel,
@@ -248,6 +255,9 @@ __all__ = [
     "VerificationModel",
     "WarningData",
     "WarningEvent",
+    "WatchModel",
+    "WatchRequest",
+    "WatchStatusModel",
     "WriteEvent",
     "WriteFailedModel",
     "WriteModel",

@@ -6,13 +6,38 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, Field, WithJsonSchema
 
+from mavcal.calib.firmware.stream.rates import INERTIAL_HZ, LIVE_MOST_HZ
 from mavcal.calib.recording import Sensor
-from mavcal.service.api.models.base import Number
+from mavcal.service.api.models.base import Number, Request
+from mavcal.service.jobs.live_rates import LiveState
 
 Attitude = Annotated[
     tuple[float, float, float, float],
     WithJsonSchema({"type": "array", "items": {"type": "number"}, "minItems": 4, "maxItems": 4}),
 ]
+
+
+class WatchRequest(Request):
+    """A wish to watch a vehicle."""
+
+    rate_hz: float = Field(
+        default=INERTIAL_HZ, gt=0, le=LIVE_MOST_HZ, description="how often each inertial unit is to be sent, Hz"
+    )
+
+
+class WatchModel(BaseModel):
+    """A watch. It is over 3 s after its stream has ended, or 10 s after nothing was taken from it."""
+
+    id: str = Field(description="for `follow_samples`")
+    rate_hz: float
+
+
+class WatchStatusModel(BaseModel):
+    """How it stands with the rates that a watch wishes for."""
+
+    state: LiveState
+    text: str = Field(description="why it waits, or comes slower than wished; empty: nothing is to be said")
+    rate_hz: float = Field(description="the fastest rate that anybody who watches this vehicle has wished for, Hz")
 
 
 class SamplesModel(BaseModel):
@@ -37,6 +62,10 @@ class LiveModel(BaseModel):
     model_field_ut: Number | None = Field(
         description="strength of the Earth's field by the World Magnetic Model, uT; null: the position is not known"
     )
+    loss: Number | None = Field(
+        description="share of the vehicle's messages that were lost in the last 10 s, 0..1; null: none has come"
+    )
+    watch: WatchStatusModel | None = Field(description="null: the stream is of no watch")
 
 
 class LiveMessage(BaseModel):

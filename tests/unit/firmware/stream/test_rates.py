@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware.stream.clock import WRAP_S, VehicleClock
-from mavcal.calib.firmware.stream.rates import Assembler, requested_streams
+from mavcal.calib.firmware.stream.rates import Assembler, live_streams, requested_streams
 from mavcal.calib.recording import Channel, Event, Identity, Recording, Rounding, Sensor, Stage, join
 from mavcal.calib.wire import Frame, FrameParser, RawMessage, encode
 
@@ -373,3 +373,19 @@ class TestRequests:
     def test_what_nobody_streams_is_refused(self, autopilot: str, instance: int) -> None:
         with pytest.raises(FirmwareError):
             requested_streams(autopilot, {Sensor.ACCEL}, (instance,))
+
+
+@pytest.mark.parametrize(("autopilot", "samples"), [("ardupilot", {27, 116, 129, 105}), ("px4", {26, 116, 129})])
+def test_who_watches_asks_for_the_messages_of_a_job_at_a_rate_of_their_own(autopilot: str, samples: set[int]) -> None:
+    job = requested_streams(autopilot, (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG))
+    live = live_streams(autopilot, 200.0)
+    attitude = dialect.MAVLINK_MSG_ID_ATTITUDE_QUATERNION
+    assert set(live) == {*job, attitude}
+    assert {key for key, rate in live.items() if rate == 200.0} == samples
+    assert {key: rate for key, rate in live.items() if key not in {*samples, attitude}} == {
+        key: rate for key, rate in job.items() if key not in samples
+    }
+    assert live[attitude] == 25.0
+    assert live_streams(autopilot, 10.0)[attitude] == 10.0
+    with pytest.raises(FirmwareError):
+        live_streams("slugs", 50.0)

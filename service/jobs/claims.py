@@ -1,0 +1,29 @@
+"""What has the message rates of a vehicle, so that nobody else may change them now."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+
+from mavcal.service.jobs.model import Job
+from mavcal.service.jobs.preflight import Preflights
+from mavcal.service.jobs.states import PHYSICAL
+from mavcal.service.jobs.tidying import Tidying
+
+TAKING_UP = "The service is finishing what was interrupted at its last stop; the vehicle is asked for samples then."
+
+
+def claim_of(
+    vehicle_id: str, jobs: Iterable[Job], running: Collection[str], tidying: Tidying, preflights: Preflights
+) -> str | None:
+    """In a sentence, for who would like to watch; None: nothing has them.
+
+    `running`: the ids of jobs whose task is not over, whatever their state says.
+    """
+    for job in jobs:
+        if job.vehicle_id == vehicle_id and (job.state in PHYSICAL or job.id in running):
+            return f"A job ({job.kind}) has chosen what the vehicle sends; that is what is shown."
+    if preflights.holds(vehicle_id):
+        return "A preflight has chosen what the vehicle sends; that is what is shown."
+    if tidying.holds(vehicle_id):
+        return "What the vehicle sends is still as the last job has chosen; that is put back first."
+    return None
