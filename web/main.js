@@ -11,6 +11,7 @@ import "./scene/attitude-scene.js";
 import "./scene/field-sphere.js";
 import "./scene/point-cloud.js";
 import "./chart/line-chart.js";
+import "./chart/strip-chart.js";
 
 const panel = /** @type {HTMLElement} */ (document.getElementById("panel"));
 

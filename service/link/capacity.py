@@ -46,6 +46,14 @@ def nominal_capacity(endpoint: Endpoint) -> float | None:
     return endpoint.baud / _BITS_PER_BYTE
 
 
+def unlimited(endpoint: Endpoint) -> bool:
+    """Whether the link carries whatever is asked for: our own simulated vehicle is on this machine.
+
+    What comes late of it, or not at all, wants for processor time, and fewer streams would be no remedy.
+    """
+    return endpoint.kind is EndpointKind.SIM
+
+
 def bytes_needed(rates_hz: Mapping[int, float], sizes: Mapping[int, int]) -> float:
     """Bytes per second of these streams."""
     return sum(rate * sizes[message_id] for message_id, rate in rates_hz.items())

@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from mavcal.calib.wire import Frame, decode
 from mavcal.service.errors import CommandRefused, CommandTimeout, LinkError, VehicleError
 from mavcal.service.link import Batch
-from mavcal.service.link.capacity import LOSSY, nominal_capacity, plan_rates, seen_capacity, slowdown
+from mavcal.service.link.capacity import LOSSY, nominal_capacity, plan_rates, seen_capacity, slowdown, unlimited
 from mavcal.service.vehicle import commands
 from mavcal.service.vehicle.boot_time import boot_time
 from mavcal.service.vehicle.identity import Autopilot
@@ -170,6 +170,8 @@ async def request_streams(
         await request.ask(planned)
         asked_at = vehicle.clock()
         seen = await _watch(vehicle, ids, measure_s)
+        if unlimited(vehicle.link.endpoint):
+            return request.report(seen.own, seen.wall, None)
         # A port that buffers a second of data sends old samples at their own rate, and fewer of them than are made.
         coming = {key: min(rate, seen.wall[key]) for key, rate in seen.own.items()}
         carried = seen_capacity(planned, coming, seen.loss, seen.bytes_per_s / seen.speed)

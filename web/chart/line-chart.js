@@ -6,7 +6,7 @@ import { drawPlain } from "./plain.js";
 
 /**
  * @typedef {{ name: string, color: string, y: (number | null)[] }} Line
- * @typedef {{ x: number[], lines: Line[], unit: string, xUnit: string, log?: boolean }} Chart
+ * @typedef {{ x: number[], lines: Line[], unit: string, xUnit: string, log?: boolean, xRange?: [number, number] }} Chart
  */
 
 export class LineChart extends HTMLElement {
@@ -63,7 +63,7 @@ export class LineChart extends HTMLElement {
       return;
     }
     const data = [chart.x, ...chart.lines.map((line) => (chart.log ? line.y.map((v) => (v !== null && v > 0 ? v : null)) : line.y))];
-    const form = JSON.stringify([chart.lines.map(({ name, color }) => [name, color]), chart.unit, chart.xUnit, chart.log, document.documentElement.dataset.theme]);
+    const form = JSON.stringify([chart.lines.map(({ name, color }) => [name, color]), chart.unit, chart.xUnit, chart.log, chart.xRange, document.documentElement.dataset.theme]);
     if (form !== this._form) {
       this._forget();
       this._plot = new this._maker(this._options(chart), data, this);
@@ -80,7 +80,7 @@ export class LineChart extends HTMLElement {
     const { width, height } = this.getBoundingClientRect();
     return {
       width, height: height - 28, cursor: { drag: { x: false, y: false } }, legend: { live: false },
-      scales: { x: { time: false, ...(chart.log ? { distr: 3 } : {}) }, y: chart.log ? { distr: 3 } : {} },
+      scales: { x: { time: false, ...(chart.log ? { distr: 3 } : {}), ...(chart.xRange ? { range: chart.xRange } : {}) }, y: chart.log ? { distr: 3 } : {} },
       axes: [{ ...axis, label: chart.xUnit, labelSize: 16, size: 34 }, { ...axis, label: chart.unit, labelSize: 16, size: 58 }],
       series: [{}, ...chart.lines.map((line) => ({ label: line.name || "value", stroke: colors[line.color] ?? line.color, width: 1.5, points: { show: false } }))],
     };

@@ -20,7 +20,7 @@ export function drawPlain(host, canvas, chart) {
   pen.fillStyle = colors.quiet;
   const bend = chart.log ? Math.log10 : (/** @type {number} */ v) => v;
   const usable = (/** @type {number | null} */ v) => v !== null && Number.isFinite(v) && (!chart.log || v > 0);
-  const [x0, x1] = limits(chart.x.filter(usable).map(bend));
+  const [x0, x1] = chart.xRange ?? limits(chart.x.filter(usable).map(bend));
   const [y0, y1] = limits(chart.lines.flatMap((line) => line.y.filter(usable)).map((v) => bend(/** @type {number} */ (v))));
   const px = (/** @type {number} */ v) => MARGIN.left + ((v - x0) / (x1 - x0)) * (width - MARGIN.left - MARGIN.right);
   const py = (/** @type {number} */ v) => height - MARGIN.bottom - ((v - y0) / (y1 - y0)) * (height - MARGIN.top - MARGIN.bottom);

@@ -131,7 +131,7 @@ export function upload(file, told, stop) {
  * Follow a stream until `stop` is called; begins again by itself. `told(event, data)` gets each message,
  * `opened()` is called whenever it begins, `lost(error)` whenever it ends.
  * @param {keyof Operations} name
- * @param {AnyAsked} asked
+ * @param {AnyAsked | (() => Promise<AnyAsked>)} asked what it takes; a function is called whenever the stream begins
  * @param {string[]} events
  * @param {{ told: (name: string, data: any) => void, opened?: () => void, lost?: (error: Error) => void }} to
  * @returns {() => void} stop
@@ -143,8 +143,10 @@ export function follow(name, asked, events, to) {
   let timer = 0;
   const again = () => { if (!stopped) timer = window.setTimeout(begin, AGAIN_MS); };
   async function begin() {
-    let ticket;
+    let ticket, given;
     try {
+      given = typeof asked === "function" ? await asked() : asked;
+      if (stopped) return;
       ({ ticket } = await ask("make_ticket")); // an EventSource cannot send headers
     } catch (error) {
       to.lost?.(/** @type {Error} */ (error));
@@ -152,7 +154,7 @@ export function follow(name, asked, events, to) {
       return;
     }
     if (stopped) return;
-    source = new EventSource(address(name, { ...asked, query: { ...asked.query, ...(ticket ? { ticket } : {}) } }));
+    source = new EventSource(address(name, { ...given, query: { ...given.query, ...(ticket ? { ticket } : {}) } }));
     source.onopen = () => to.opened?.();
     source.onerror = () => {
       source?.close(); // not by itself: a ticket opens one stream

@@ -110,6 +110,18 @@ async def test_a_link_that_holds_everything_up_is_asked_for_less(ardupilot: Fake
     assert streamer.intervals == {IMU: -1, IMU2: 40_000}
 
 
+async def test_our_own_simulated_vehicle_that_wants_for_processor_time_is_asked_for_no_less(
+    ardupilot: FakeVehicle,
+) -> None:
+    streamer = Streamer(ardupilot)
+    streamer.share = 0.4
+    ardupilot.link.endpoint = parse_endpoint("sim:ardupilot")
+    report = await ardupilot.run(request_streams(ardupilot.vehicle, {IMU: 50.0, IMU2: 50.0}, measure_s=2.0))
+    assert report.capacity_bytes_per_s is None
+    assert report.rates[IMU].wall_hz == pytest.approx(20.0, rel=0.1)
+    assert requests(ardupilot) == [(IMU, 20_000), (IMU2, 20_000)]
+
+
 @pytest.mark.parametrize("measure_s", [2.0, 0.9])
 async def test_a_link_that_is_just_full_is_relieved_so_that_answers_come(
     ardupilot: FakeVehicle, measure_s: float

@@ -1,0 +1,72 @@
+"""The live room: a vehicle is asked for its samples while somebody looks; a simulated one is turned by hand."""
+
+from __future__ import annotations
+
+import httpx
+import pytest
+
+from .panel import PHONE, Panel, service, sim, until
+
+pytestmark = pytest.mark.timeout(300)
+
+
+def live(url: str) -> str:
+    """The address of the live room of the first vehicle."""
+    found: list[dict[str, object]] = []
+    until(lambda: bool(found := httpx.get(f"{url}api/v1/vehicles").json()) and bool(found[0]["uid"]), 30, "a vehicle")
+    found = httpx.get(f"{url}api/v1/vehicles").json()
+    return f"#/vehicle/{found[0]['id']}/live"
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_the_live_room_has_the_vehicle_send_its_samples_and_says_so(browser, desk, tmp_path, autopilot):
+    with service(tmp_path, "--connect", sim(autopilot, speed=1, hand="off")) as url:
+        desk.open(url, live(url))
+        desk.sees("Asked for 50 samples a second", 30, ".asked")
+        until(lambda: desk.page.locator("strip-chart").count() >= 2, 30, "a chart for each accelerometer")
+        until(
+            lambda: any(f"{n} Hz" in desk.text("figcaption") for n in ("49", "50", "51", "49.9", "50.1")), 30, "50 Hz"
+        )
+        assert "% lost" in desk.text("figcaption")
+        other = Panel(browser, PHONE)
+        other.open(url, live(url))
+        other.press("200 Hz")
+        other.sees("Asked for 200 samples a second", 30, ".asked")
+        desk.sees("Somebody else who watches asked for more", 30, ".asked")
+        assert other.page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
+        assert other.complaints == []
+        other.close()
+        desk.sees("Asked for 50 samples a second; put back when you leave", 30, ".asked")
+        desk.page.evaluate("location.hash = '#/'")
+        owed = tmp_path / "data" / "live-rates.json"
+        until(lambda: owed.read_text() == "{}", 30, "the vehicle has its own rates again")
+        assert desk.complaints == []
+
+
+def test_the_live_room_says_why_a_vehicle_is_not_asked(desk, tmp_path):
+    with service(tmp_path, "--read-only", "--connect", sim("px4", speed=1, hand="off")) as url:
+        desk.open(url, live(url))
+        desk.sees("The vehicle is not asked for samples: This service runs with --read-only", 30, ".asked")
+
+
+def test_a_chart_keeps_every_peak_and_forgets_what_is_older_than_its_span(desk, tmp_path):
+    with service(tmp_path) as url:
+        desk.open(url)
+        drawn = desk.page.evaluate("""async () => {
+          const { Strip } = await import("./panel/chart/strip.js");
+          const strip = new Strip(2, 60);
+          for (let i = 0; i < 200 * 90; i += 1) strip.push([i / 200], [[i === 200 * 70 + 7 ? 9 : Math.sin(i)], [i % 2 ? null : 1]]);
+          const chart = strip.chart(strip.end, ["x", "y"], "u");
+          const slow = new Strip(1, 60);
+          slow.push([1, 2, 3, 0.5, 1.5], [[1, 2, 3, 4, 5]]);
+          return { points: chart.x.length, first: chart.x[0], peak: Math.max(...chart.lines[0].y),
+            low: Math.min(...chart.lines[0].y), sorted: chart.x.every((v, i) => !i || v >= chart.x[i - 1]),
+            other: [...new Set(chart.lines[1].y)], slow: slow.chart(1.5, ["x"], "u").lines[0].y };
+        }""")
+        assert 1190 <= drawn["points"] <= 1230
+        assert drawn["peak"] == 9
+        assert drawn["low"] < -0.99
+        assert -61.2 <= drawn["first"] <= -59.8
+        assert drawn["sorted"]
+        assert drawn["other"] == [1]
+        assert drawn["slow"] == [4]  # the clock has jumped back: what came before is of another start

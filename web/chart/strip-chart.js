@@ -1,0 +1,50 @@
+// <strip-chart>: a stream that runs from right to left, smoothly between its samples.
+
+import { LineChart } from "./line-chart.js";
+
+/** @import { Strip } from "./strip.js" */
+
+const FRAME_MS = 30; // thirty pictures a second: a screen with sixty shows every second one, and a phone stays cool
+const FOLLOW_MS = 150; // samples come ten times a second
+const THERE_S = 0.02;
+
+export class StripChart extends LineChart {
+  constructor() {
+    super();
+    /** @type {{ strip: Strip, names: string[], unit: string } | undefined} */
+    this._stream = undefined;
+    this._now = -Infinity;
+    this._last = 0;
+    /** How many pictures were drawn, for who measures. */
+    this.pictures = 0;
+  }
+
+  /** Set whenever samples have come. @param {{ strip: Strip, names: string[], unit: string }} stream */
+  set stream(stream) {
+    if (stream.strip !== this._stream?.strip) this._now = -Infinity;
+    this._stream = stream;
+    this._soon();
+  }
+
+  _draw() {
+    this._frame = 0;
+    const stream = this._stream;
+    if (!stream) return;
+    const time = performance.now();
+    const passed = time - this._last;
+    if (passed < FRAME_MS) {
+      this._soon();
+      return;
+    }
+    const { end } = stream.strip;
+    const near = end - this._now < 2 && end >= this._now;
+    this._now = near ? end + (this._now - end) * Math.exp(-passed / FOLLOW_MS) : end;
+    this._last = time;
+    this._chart = stream.strip.chart(this._now, stream.names, stream.unit);
+    super._draw();
+    this.pictures += 1;
+    if (end - this._now > THERE_S) this._soon();
+  }
+}
+
+customElements.define("strip-chart", StripChart);
