@@ -57,6 +57,14 @@ class Fixable(StrEnum):
     LEVEL = "level"
 
 
+class Hand(StrEnum):
+    """Who moves a simulated vehicle."""
+
+    AUTO = "auto"
+    MOUSE = "mouse"
+    OFF = "off"
+
+
 class Holds(StrEnum):
     """Which value a parameter holds."""
 

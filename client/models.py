@@ -12,6 +12,7 @@ from mavcal.client.enums import (
     Autopilot,
     CheckId,
     Fixable,
+    Hand,
     ItemOutcome,
     JobState,
     Landed,
@@ -668,6 +669,8 @@ class VehicleModel(Answer):
     """Lost share of everything sent, 0..1."""
     bytes_per_s: Number
     """Received, over the last seconds."""
+    hand: Hand | None
+    """Who moves it, if it is a simulated vehicle; null: it is none."""
     parameters_known: int
     """How many parameters were heard."""
 

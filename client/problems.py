@@ -103,6 +103,10 @@ class GapsBusy(ApiProblem):
     """Too many diagnoses (429). Too many gap diagnoses are waiting; try again when one has ended."""
 
 
+class HandBusy(ApiProblem):
+    """Not in your hand (409). The simulated vehicle is not in your hand. Choose `mouse` as its hand first."""
+
+
 class Http(ApiProblem):
     """The request cannot be handled: its method, form or size is not what this address takes."""
 
@@ -183,6 +187,10 @@ class NotFound(ApiProblem):
 
 class NotRevertible(ApiProblem):
     """Nothing to revert (409). The job has written nothing that could be taken back."""
+
+
+class NotSimulated(ApiProblem):
+    """Not simulated (409). Only a simulated vehicle is turned from here. Turn this one with your hands."""
 
 
 class NothingVerified(ApiProblem):
@@ -351,6 +359,7 @@ PROBLEMS: Mapping[str, type[ApiProblem]] = {
     "gap-unfinished": GapUnfinished,
     "gap-unknown": GapUnknown,
     "gaps-busy": GapsBusy,
+    "hand-busy": HandBusy,
     "http": Http,
     "idempotency-key-reused": IdempotencyKeyReused,
     "illegal-transition": IllegalTransition,
@@ -371,6 +380,7 @@ PROBLEMS: Mapping[str, type[ApiProblem]] = {
     "not-cancellable": NotCancellable,
     "not-found": NotFound,
     "not-revertible": NotRevertible,
+    "not-simulated": NotSimulated,
     "nothing-verified": NothingVerified,
     "other-vehicle": OtherVehicle,
     "parameter-error": ParameterError,

@@ -59,9 +59,10 @@ def _flat(value: Any) -> Any:
     return value.model_dump_json(exclude_unset=True) if isinstance(value, BaseModel) else value
 
 
-def _stream_headers(last_event_id: int | str | None) -> dict[str, str]:
+def _stream(query: Query | None, last_event_id: int | str | None) -> dict[str, Any]:
     headers = {"Accept": "text/event-stream"}
-    return headers if last_event_id is None else headers | {"Last-Event-ID": str(last_event_id)}
+    resumed = {} if last_event_id is None else {"Last-Event-ID": str(last_event_id)}
+    return {**_request(query, None, None, None), "headers": headers | resumed, "timeout": SILENCE_S}
 
 
 def problem_of(status: int, content: bytes) -> ApiProblem:
@@ -183,14 +184,20 @@ class Transport:
         return response
 
     def _follow(
-        self, path: str, message: TypeAdapter[T], *, last_event_id: int | None = None, resume: bool = False
+        self,
+        path: str,
+        message: TypeAdapter[T],
+        *,
+        query: Query | None = None,
+        last_event_id: int | None = None,
+        resume: bool = False,
     ) -> Iterator[T]:
         """Messages, for ever if the stream can be resumed; after what was heard last, if it broke."""
         last: int | str | None = last_event_id
         heard = time.monotonic()
         while True:
             try:
-                for found in self._stream(path, last):
+                for found in self._stream(path, query, last):
                     last, heard = found.get("id", last), time.monotonic()
                     if (told := _message(message, found)) is not None:
                         yield told
@@ -203,9 +210,9 @@ class Transport:
                     return
             time.sleep(AGAIN_S)
 
-    def _stream(self, path: str, last: int | str | None) -> Iterator[dict[str, Any]]:
+    def _stream(self, path: str, query: Query | None, last: int | str | None) -> Iterator[dict[str, Any]]:
         parser = EventParser()
-        with self._http.stream("GET", path, headers=_stream_headers(last), timeout=SILENCE_S) as response:
+        with self._http.stream("GET", path, **_stream(query, last)) as response:
             if response.is_error:
                 raise problem_of(response.status_code, response.read())
             for piece in response.iter_bytes():
@@ -285,14 +292,20 @@ class AsyncTransport:
         return response
 
     async def _follow(
-        self, path: str, message: TypeAdapter[T], *, last_event_id: int | None = None, resume: bool = False
+        self,
+        path: str,
+        message: TypeAdapter[T],
+        *,
+        query: Query | None = None,
+        last_event_id: int | None = None,
+        resume: bool = False,
     ) -> AsyncIterator[T]:
         """As that of :class:`Transport`."""
         last: int | str | None = last_event_id
         heard = time.monotonic()
         while True:
             try:
-                async for found in self._stream(path, last):
+                async for found in self._stream(path, query, last):
                     last, heard = found.get("id", last), time.monotonic()
                     if (told := _message(message, found)) is not None:
                         yield told
@@ -305,9 +318,9 @@ class AsyncTransport:
                     return
             await asyncio.sleep(AGAIN_S)
 
-    async def _stream(self, path: str, last: int | str | None) -> AsyncIterator[dict[str, Any]]:
+    async def _stream(self, path: str, query: Query | None, last: int | str | None) -> AsyncIterator[dict[str, Any]]:
         parser = EventParser()
-        async with self._http.stream("GET", path, headers=_stream_headers(last), timeout=SILENCE_S) as response:
+        async with self._http.stream("GET", path, **_stream(query, last)) as response:
             if response.is_error:
                 raise problem_of(response.status_code, await response.aread())
             async for piece in response.aiter_bytes():

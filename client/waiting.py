@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from mavcal.client import answers
 from mavcal.client.base import Number
-from mavcal.client.enums import ItemOutcome, JobState
+from mavcal.client.enums import Hand, ItemOutcome, JobState
 from mavcal.client.events import JobMessage, LiveMessage, Message, VehicleMessage
 from mavcal.client.jobs import JobModel, PlanModel
 from mavcal.client.models import (
@@ -99,6 +99,18 @@ class Client(Transport):
     def list_sensors(self, vehicle_id: str) -> VehicleSensorsModel:
         """How the calibrations of a vehicle stand, and what it needs now; asks the vehicle for nothing."""
         return self._ask("GET", f"/api/v1/vehicles/{segment(vehicle_id)}/sensors", answers.VEHICLE_SENSORS_MODEL)
+
+    def choose_hand(self, vehicle_id: str, *, hand: Hand) -> VehicleModel:
+        """Say who moves a simulated vehicle: it follows prompts by itself, a person turns it, or it stays as it is."""
+        return self._ask(
+            "POST", f"/api/v1/vehicles/{segment(vehicle_id)}/hand", answers.VEHICLE_MODEL, body={"hand": hand}
+        )
+
+    def turn_vehicle(self, vehicle_id: str, *, attitude: list[Number]) -> VehicleModel:
+        """Turn a simulated vehicle whose hand is `mouse`; it gets there within a second or two."""
+        return self._ask(
+            "POST", f"/api/v1/vehicles/{segment(vehicle_id)}/turns", answers.VEHICLE_MODEL, body={"attitude": attitude}
+        )
 
     def follow_vehicle(self, vehicle_id: str) -> Iterator[VehicleMessage]:
         """The vehicle's state, once a second, as long as its link is open."""

@@ -23,7 +23,7 @@ from mavcal.service.computations import UploadComputations
 from mavcal.service.fleet.ahead import TrendsAhead
 from mavcal.service.fleet.book import FleetBook
 from mavcal.service.freed import give_back_for_ever
-from mavcal.service.hand import AutoHand
+from mavcal.service.hand import SimulatedHands
 from mavcal.service.jobs.campaigns import CAMPAIGN, uploads_of_campaign
 from mavcal.service.jobs.computing import uploads_of
 from mavcal.service.jobs.crashpoints import CrashPoint, nowhere
@@ -73,6 +73,7 @@ class Service:
     campaigns: CampaignDesk
     signing: SigningAdmin
     live: LiveRates
+    hands: SimulatedHands
 
     def obstacle(self) -> str | None:
         """Why no job could be run now; None: nothing stands in the way."""
@@ -130,6 +131,7 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
     doubted = (lambda _: None) if instance is None else instance.jobs.doubted
     owed = OwedRates(settings.data_dir / "live-rates.json")
     live = LiveRates(RegistryAdapter(vehicles, doubted), owed, read_only=settings.read_only)
+    hands = SimulatedHands(vehicles.all, lambda: jobs.list())
     source = RegistryAdapter(vehicles, doubted, live.give_way)
     jobs = JobEngine(
         store,
@@ -169,13 +171,11 @@ async def running_service(settings: Settings, *, reach: CrashPoint = nowhere) ->
             await started.enter_async_context(instance.taking_part(jobs, links, vehicles))
         retention = _retention(store, settings, jobs, links)
         rotation = Rotation(links.all, settings.retention, retention.grown.set)
-        started.push_async_callback(_cancelled, asyncio.create_task(retention.run()))
-        started.push_async_callback(_cancelled, asyncio.create_task(rotation.run()))
-        started.push_async_callback(_cancelled, asyncio.create_task(give_back_for_ever()))
         ahead = TrendsAhead(store, lambda: fleet.measured)
-        started.push_async_callback(_cancelled, asyncio.create_task(ahead.run()))
-        started.push_async_callback(_cancelled, asyncio.create_task(AutoHand(vehicles.all, jobs.list).run()))
-        yield Service(settings, store, links, vehicles, jobs, recordings, children, fleet, campaigns, signing, live)
+        for work in (retention.run(), rotation.run(), give_back_for_ever(), ahead.run(), hands.run()):
+            started.push_async_callback(_cancelled, asyncio.create_task(work))
+        parts = (store, links, vehicles, jobs, recordings, children, fleet, campaigns, signing, live, hands)
+        yield Service(settings, *parts)
 
 
 def _instance(settings: Settings, store: Store) -> Instance | None:

@@ -1,18 +1,22 @@
-"""The hand that moves simulated vehicles: it does what the prompts of their jobs ask for, as a person would."""
+"""The hands that move simulated vehicles: they follow the prompts of jobs, or a person who turns one in the panel."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterable
+import math
+import threading
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from typing import Any
 
 import structlog
 
+from mavcal.calib.errors import InvalidInputError
+from mavcal.service.errors import HandBusy, LinkDown, NotSimulated
 from mavcal.service.jobs.codec import to_json
 from mavcal.service.jobs.model import Job
 from mavcal.service.jobs.states import CAPTURING, ENDED
-from mavcal.service.link import Link
+from mavcal.service.link import Hand, Link
 from mavcal.service.simvehicle import ControlChannel, ControlError, Operator
 from mavcal.service.vehicle import Vehicle
 
@@ -22,18 +26,19 @@ LOOK_S = 0.5
 """How often prompts are looked at."""
 MOMENT_S = 1.5
 """How long a person reads a new prompt before the hands move."""
-OFF = "off"
-"""`sim:ardupilot?hand=off`: the vehicle stays where it is put."""
+UNIT_WITHIN = 0.01
+"""So far from 1 the length of an attitude may be: its digits were rounded on the way."""
 
 
-class AutoHand:
-    """Moves every simulated vehicle of this service, unless its endpoint says ``hand=off``."""
+class SimulatedHands:
+    """Moves the simulated vehicles of this service, each as its link says."""
 
     def __init__(self, vehicles: Callable[[], Iterable[Vehicle]], jobs: Callable[[], Iterable[Job]]) -> None:
         self._vehicles = vehicles
         self._jobs = jobs
         self._operators: dict[str, tuple[str, ControlChannel, Operator]] = {}
         self._read: dict[str, tuple[str, float]] = {}
+        self._making = threading.Lock()
 
     async def run(self) -> None:
         """Follow prompts until cancelled."""
@@ -45,8 +50,41 @@ class AutoHand:
             for _, channel, _ in self._operators.values():
                 channel.close()
 
+    def choose(self, vehicle: Vehicle, hand: Hand) -> None:
+        """Say who moves a vehicle from now on. Raises NotSimulated if it is a real one."""
+        _require_simulated(vehicle)
+        vehicle.link.hand = hand
+
+    async def turn(self, vehicle: Vehicle, attitude: Sequence[float]) -> None:
+        """Turn a vehicle by hand to an attitude, w x y z, body to north-east-down; returns before it is reached.
+
+        Raises
+        ------
+        NotSimulated
+            If it is a real one.
+        HandBusy
+            If nobody has chosen to turn it with the mouse.
+        InvalidInputError
+            If the four numbers are no attitude.
+        LinkDown
+            If it has gone.
+        """
+        _require_simulated(vehicle)
+        if vehicle.link.hand is not Hand.MOUSE:
+            raise HandBusy
+        length = math.hypot(*attitude)
+        if not abs(length - 1.0) < UNIT_WITHIN:
+            raise InvalidInputError(f"the attitude has the length {length:g}: give a quaternion of length 1")
+        try:
+            await asyncio.to_thread(self._turned, vehicle.link, [part / length for part in attitude])
+        except ControlError as error:
+            raise LinkDown(f"The simulated vehicle does not answer: {error}") from error
+
+    def _turned(self, link: Link, attitude: Sequence[float]) -> None:
+        self._operator(link).turn_to(attitude)
+
     async def _look(self) -> None:
-        moved = {vehicle.id: vehicle.link for vehicle in self._vehicles() if _obeys(vehicle.link)}
+        moved = {vehicle.id: vehicle.link for vehicle in self._vehicles() if vehicle.link.hand is Hand.AUTO}
         if not moved:
             return
         newest: dict[str, Job] = {}
@@ -69,18 +107,23 @@ class AutoHand:
             return
         if now - since < MOMENT_S:
             return
-        await asyncio.to_thread(self._operator(link).follow, prompt)
+        await asyncio.to_thread(self._followed, link, prompt)
+
+    def _followed(self, link: Link, prompt: dict[str, Any]) -> None:
+        self._operator(link).follow(prompt)
 
     def _operator(self, link: Link) -> Operator:
         address = link.sim_control or ""
-        known = self._operators.get(link.id)
-        if known is not None and known[0] == address:
-            return known[2]
-        channel = ControlChannel(address)
-        operator = Operator(channel)
-        self._operators[link.id] = (address, channel, operator)
-        return operator
+        with self._making:
+            known = self._operators.get(link.id)
+            if known is not None and known[0] == address:
+                return known[2]
+            channel = ControlChannel(address)
+            operator = Operator(channel)
+            self._operators[link.id] = (address, channel, operator)
+            return operator
 
 
-def _obeys(link: Link) -> bool:
-    return link.sim_control is not None and link.endpoint.option("hand") != OFF
+def _require_simulated(vehicle: Vehicle) -> None:
+    if vehicle.link.hand is None or vehicle.link.sim_control is None:
+        raise NotSimulated

@@ -451,6 +451,14 @@ export interface GapSummary {
   nominal: string[];
 }
 
+/** Who moves a simulated vehicle. */
+export type Hand = "auto" | "mouse" | "off";
+
+/** Who moves a simulated vehicle from now on. */
+export interface HandRequest {
+  hand: Hand;
+}
+
 /** The process answers. */
 export interface HealthModel {
   status: "ok";
@@ -915,7 +923,7 @@ export interface Problem {
 }
 
 /** What kind of problem it is. */
-export type ProblemCode = "answer-refused" | "authentication-required" | "campaigns-busy" | "capture-disturbed" | "capture-ended" | "capture-interrupted" | "command-forbidden" | "command-refused" | "command-timeout" | "data-dir-locked" | "disk-full" | "document-unknown" | "endpoint-refused" | "endpoint-unknown" | "export-unknown" | "file-not-processed" | "files-busy" | "gap-error" | "gap-unfinished" | "gap-unknown" | "gaps-busy" | "http" | "idempotency-key-reused" | "illegal-transition" | "internal-error" | "invalid-input" | "job-cancelled" | "job-elsewhere" | "job-error" | "job-unknown" | "lease-lost" | "link-down" | "link-elsewhere" | "link-error" | "link-open" | "link-unknown" | "no-vehicle" | "not-allowed" | "not-cancellable" | "not-found" | "not-revertible" | "nothing-verified" | "other-vehicle" | "parameter-error" | "parameter-missing" | "parameter-rejected" | "parameter-timeout" | "physical-job-running" | "plan-blocked" | "plan-changed" | "plan-missing" | "port-busy" | "preflight-running" | "recording-unknown" | "signing-key-error" | "signing-key-unknown" | "signing-not-confirmed" | "store-error" | "too-many-attempts" | "too-many-streams" | "unit-unknown" | "upload-too-large" | "upload-unreadable" | "validation" | "vehicle-armed" | "vehicle-busy" | "vehicle-conflict" | "vehicle-error" | "vehicle-silent" | "vehicle-unknown" | "watch-unknown" | "write-failed" | "write-stopped";
+export type ProblemCode = "answer-refused" | "authentication-required" | "campaigns-busy" | "capture-disturbed" | "capture-ended" | "capture-interrupted" | "command-forbidden" | "command-refused" | "command-timeout" | "data-dir-locked" | "disk-full" | "document-unknown" | "endpoint-refused" | "endpoint-unknown" | "export-unknown" | "file-not-processed" | "files-busy" | "gap-error" | "gap-unfinished" | "gap-unknown" | "gaps-busy" | "hand-busy" | "http" | "idempotency-key-reused" | "illegal-transition" | "internal-error" | "invalid-input" | "job-cancelled" | "job-elsewhere" | "job-error" | "job-unknown" | "lease-lost" | "link-down" | "link-elsewhere" | "link-error" | "link-open" | "link-unknown" | "no-vehicle" | "not-allowed" | "not-cancellable" | "not-found" | "not-revertible" | "not-simulated" | "nothing-verified" | "other-vehicle" | "parameter-error" | "parameter-missing" | "parameter-rejected" | "parameter-timeout" | "physical-job-running" | "plan-blocked" | "plan-changed" | "plan-missing" | "port-busy" | "preflight-running" | "recording-unknown" | "signing-key-error" | "signing-key-unknown" | "signing-not-confirmed" | "store-error" | "too-many-attempts" | "too-many-streams" | "unit-unknown" | "upload-too-large" | "upload-unreadable" | "validation" | "vehicle-armed" | "vehicle-busy" | "vehicle-conflict" | "vehicle-error" | "vehicle-silent" | "vehicle-unknown" | "watch-unknown" | "write-failed" | "write-stopped";
 
 /** A procedure: what it needs, ends on, writes and cannot represent. */
 export interface ProcedureModel {
@@ -1390,6 +1398,12 @@ export interface TicketModel {
   valid_s: number;
 }
 
+/** How a simulated vehicle is to be held. */
+export interface TurnRequest {
+  /** Quaternion w x y z, body (front right down) to north-east-down. */
+  attitude: [number, number, number, number];
+}
+
 /** Everything that was measured of a unit's sensors, oldest first, with their drifts. */
 export interface UnitHistoryModel {
   unit: FleetUnitModel;
@@ -1464,6 +1478,8 @@ export interface VehicleModel {
   loss: number;
   /** Received, over the last seconds. */
   bytes_per_s: number;
+  /** Who moves it, if it is a simulated vehicle; null: it is none. */
+  hand: Hand | null;
   /** How many parameters were heard. */
   parameters_known: number;
 }
@@ -1681,6 +1697,22 @@ export interface Operations {
     path: "/api/v1/vehicles/{vehicle_id}/sensors";
     parameters: { vehicle_id: string };
     answer: VehicleSensorsModel;
+  };
+  /** Say who moves a simulated vehicle: it follows prompts by itself, a person turns it, or it stays as it is. */
+  choose_hand: {
+    method: "POST";
+    path: "/api/v1/vehicles/{vehicle_id}/hand";
+    parameters: { vehicle_id: string };
+    body: HandRequest;
+    answer: VehicleModel;
+  };
+  /** Turn a simulated vehicle whose hand is `mouse`; it gets there within a second or two. */
+  turn_vehicle: {
+    method: "POST";
+    path: "/api/v1/vehicles/{vehicle_id}/turns";
+    parameters: { vehicle_id: string };
+    body: TurnRequest;
+    answer: VehicleModel;
   };
   /** The vehicle's state, once a second, as long as its link is open. */
   follow_vehicle: {

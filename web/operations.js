@@ -16,6 +16,8 @@ export const OPERATIONS = {
   get_vehicle: ["GET", "/api/v1/vehicles/{vehicle_id}"],
   list_parameters: ["GET", "/api/v1/vehicles/{vehicle_id}/parameters"],
   list_sensors: ["GET", "/api/v1/vehicles/{vehicle_id}/sensors"],
+  choose_hand: ["POST", "/api/v1/vehicles/{vehicle_id}/hand"],
+  turn_vehicle: ["POST", "/api/v1/vehicles/{vehicle_id}/turns"],
   follow_vehicle: ["GET", "/api/v1/vehicles/{vehicle_id}/stream"],
   watch_vehicle: ["POST", "/api/v1/vehicles/{vehicle_id}/watches"],
   follow_samples: ["GET", "/api/v1/vehicles/{vehicle_id}/samples"],

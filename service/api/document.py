@@ -55,7 +55,7 @@ STREAMS = {
 
 HEADERS = {
     "Location": (
-        *("open_link", "start_job", "upload_recording", "plan_recording"),
+        *("open_link", "watch_vehicle", "start_job", "upload_recording", "plan_recording"),
         *("fit_recording", "start_fit", "diagnose_gap", "restore_calibration", "add_signing_key"),
         *("start_preflight_campaign", "start_calibration_campaign", "start_fit_campaign", "start_gap_campaign"),
     ),

@@ -7,10 +7,11 @@ from contextlib import aclosing
 from typing import Annotated
 
 import numpy as np
-from fastapi import APIRouter, Depends, Query
+from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from mavcal.calib.recording import Channel
+from mavcal.service.api.addresses import relative
 from mavcal.service.api.dependencies import ServiceDep
 from mavcal.service.api.models import LiveModel, SamplesModel, WatchModel, WatchRequest, WatchStatusModel
 from mavcal.service.api.security import Scope, require
@@ -27,13 +28,16 @@ router = APIRouter(tags=["vehicles"])
     status_code=201,
     dependencies=[Depends(require(Scope.OPERATE))],
 )
-async def watch_vehicle(found: VehicleDep, body: WatchRequest, service: ServiceDep) -> WatchModel:
+async def watch_vehicle(
+    found: VehicleDep, body: WatchRequest, request: Request, response: Response, service: ServiceDep
+) -> WatchModel:
     """Have the vehicle send its samples for as long as `follow_samples` is read with this watch.
 
     Its message rates are put back as they were when the last watch is over, at once when it arms, and before a job
     chooses its own. It is asked for nothing while it is armed or silent, or while a job runs.
     """
     begun = service.live.begin(found.id, body.rate_hz)
+    response.headers["Location"] = relative(request, f"api/v1/vehicles/{found.id}/samples?watch={begun.id}")
     return WatchModel(id=begun.id, rate_hz=begun.rate_hz)
 
 

@@ -169,8 +169,11 @@ class RequestGuard:
         return key
 
 
-def require(scope: Scope) -> Callable[[Request], Awaitable[None]]:
-    """A dependency that lets a request pass only with `scope`; what asks for a change goes to the audit trail first."""
+def require(scope: Scope, *, noted: bool = True) -> Callable[[Request], Awaitable[None]]:
+    """A dependency that lets a request pass only with `scope`; what asks for a change goes to the audit trail first.
+
+    `noted`: False for what changes nothing but a simulation.
+    """
 
     async def check(request: Request) -> None:
         guard: RequestGuard = request.app.state.guard
@@ -180,7 +183,7 @@ def require(scope: Scope) -> Callable[[Request], Awaitable[None]]:
         if key is not None and key.tags:
             operation = getattr(request.scope["route"], "operation_id", None) or ""
             _sight(request).require(operation, request.method, request.path_params)
-        if scope in _NOTED and request.method not in SAFE_METHODS:
+        if noted and scope in _NOTED and request.method not in SAFE_METHODS:
             await note(request, _actor(request))
 
     return check

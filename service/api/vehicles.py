@@ -10,7 +10,7 @@ from fastapi import APIRouter, Depends
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from mavcal.service.api.dependencies import ServiceDep
-from mavcal.service.api.models import ParameterModel, VehicleModel, VehicleSensorsModel
+from mavcal.service.api.models import HandRequest, ParameterModel, TurnRequest, VehicleModel, VehicleSensorsModel
 from mavcal.service.api.security import Scope, SightDep, require
 from mavcal.service.api.views import parameter_model, sensors_model, vehicle_model
 from mavcal.service.standing import states_of
@@ -54,6 +54,24 @@ async def parameters(found: VehicleDep, refresh: bool = False) -> list[Parameter
 async def sensors(vehicle_id: str, service: ServiceDep) -> VehicleSensorsModel:
     """How the calibrations of a vehicle stand, and what it needs now; asks the vehicle for nothing."""
     return sensors_model(await states_of(service, vehicle_id))
+
+
+@router.post("/vehicles/{vehicle_id}/hand", operation_id="choose_hand", dependencies=[Depends(require(Scope.OPERATE))])
+async def choose_hand(found: VehicleDep, body: HandRequest, service: ServiceDep) -> VehicleModel:
+    """Say who moves a simulated vehicle: it follows prompts by itself, a person turns it, or it stays as it is."""
+    service.hands.choose(found, body.hand)
+    return vehicle_model(found)
+
+
+@router.post(
+    "/vehicles/{vehicle_id}/turns",
+    operation_id="turn_vehicle",
+    dependencies=[Depends(require(Scope.OPERATE, noted=False))],  # many a second, and nothing real changes
+)
+async def turn_vehicle(found: VehicleDep, body: TurnRequest, service: ServiceDep) -> VehicleModel:
+    """Turn a simulated vehicle whose hand is `mouse`; it gets there within a second or two."""
+    await service.hands.turn(found, body.attitude)
+    return vehicle_model(found)
 
 
 @router.get(

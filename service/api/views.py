@@ -156,6 +156,7 @@ def vehicle_model(vehicle: Vehicle) -> VehicleModel:
         lost=counted.lost,
         loss=counted.loss,
         bytes_per_s=counted.bytes_per_s,
+        hand=vehicle.link.hand,
         parameters_known=len(vehicle.parameters),
     )
 

@@ -19,6 +19,8 @@
     |   +-- VehicleUnknown        404
     |   +-- UnitUnknown           404
     |   +-- WatchUnknown          404
+    |   +-- NotSimulated          409
+    |   +-- HandBusy              409
     |   +-- VehicleArmed          409
     |   +-- VehicleBusy           409
     |   +-- VehicleConflict       409
@@ -133,11 +135,13 @@ from mavcal.service.errors.vehicles import (
     EndpointError,
     EndpointRefused,
     ForbiddenCommand,
+    HandBusy,
     LinkDown,
     LinkElsewhere,
     LinkError,
     LinkOpen,
     LinkUnknown,
+    NotSimulated,
     ParameterError,
     ParameterMissing,
     ParameterRejected,
@@ -179,6 +183,7 @@ __all__ = [
     "GapUnfinished",
     "GapUnknown",
     "GapsBusy",
+    "HandBusy",
     "IdempotencyConflict",
     "IllegalTransition",
     "JobCancelled",
@@ -194,6 +199,7 @@ __all__ = [
     "NoVehicle",
     "NotCancellable",
     "NotRevertible",
+    "NotSimulated",
     "NothingVerified",
     "OtherVehicle",
     "ParameterError",

@@ -128,6 +128,22 @@ class WatchUnknown(VehicleError):
     code = "watch-unknown"
 
 
+class NotSimulated(VehicleError):
+    """Only a simulated vehicle is turned from here. Turn this one with your hands."""
+
+    status_code = 409
+    title = "Not simulated"
+    code = "not-simulated"
+
+
+class HandBusy(VehicleError):
+    """The simulated vehicle is not in your hand. Choose `mouse` as its hand first."""
+
+    status_code = 409
+    title = "Not in your hand"
+    code = "hand-busy"
+
+
 class UnitUnknown(VehicleError):
     """No such unit. GET /api/v1/fleet lists the known ones."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mavcal.service.link.endpoint import Endpoint, EndpointKind, parse_endpoint
+from mavcal.service.link.endpoint import Endpoint, EndpointKind, Hand, parse_endpoint
 from mavcal.service.link.link import Link
 from mavcal.service.link.types import (
     Address,
@@ -20,6 +20,7 @@ __all__ = [
     "Batch",
     "Endpoint",
     "EndpointKind",
+    "Hand",
     "Link",
     "LinkEvent",
     "LinkEventKind",

@@ -41,6 +41,17 @@ class EndpointKind(StrEnum):
     SIM = "sim"  # start a simulated vehicle
 
 
+class Hand(StrEnum):
+    """Who moves a simulated vehicle."""
+
+    AUTO = "auto"
+    """It does by itself what the prompts of its jobs ask for."""
+    MOUSE = "mouse"
+    """A person, in the panel."""
+    OFF = "off"
+    """Nobody: it stays where it is put."""
+
+
 _ALIASES = {"udp": EndpointKind.UDPIN, "tcpout": EndpointKind.TCP}
 _NETWORK = {EndpointKind.UDPIN, EndpointKind.UDPOUT, EndpointKind.TCP, EndpointKind.TCPIN}
 SIGNING = "signing"
@@ -96,6 +107,11 @@ class Endpoint:
         """The value of one option behind the ``?``, or None."""
         return dict(self.options).get(name)
 
+    @property
+    def hand(self) -> Hand | None:
+        """Who moves the simulated vehicle at first; None: the endpoint is none of a simulated vehicle."""
+        return Hand(self.option("hand") or Hand.AUTO) if self.kind is EndpointKind.SIM else None
+
     def number(self, name: str, default: float) -> float:
         """The value of a numeric option. Raises EndpointError if it is not a number."""
         text = self.option(name)
@@ -138,6 +154,9 @@ def parse_endpoint(text: str) -> Endpoint:
         return Endpoint(kind, path=_named(where, "a .tlog file", text), options=options)
     if where not in SIMULATED:
         raise _refused(text, f"sim: takes {' or '.join(SIMULATED)}")
+    hand = dict(options).get("hand", Hand.AUTO)
+    if hand not in set(Hand):
+        raise _refused(text, f"hand is {hand!r} and not one of {', '.join(Hand)}")
     return Endpoint(kind, autopilot=where, options=options)
 
 

@@ -99,6 +99,8 @@ class Link:
         self.id = link_id
         self.endpoint = parse_endpoint(endpoint) if isinstance(endpoint, str) else endpoint
         self.ids = ids or OwnIdentity()
+        self.hand = self.endpoint.hand
+        """Who moves the simulated vehicle; None: it is no simulated one."""
         self.state = LinkState.CLOSED
         self.reason = "not opened yet"
         """Why the link is in its state."""

@@ -229,16 +229,15 @@ class CurrentMotion:
 
         Args:
             t: vehicle time of the command.
-            pose: a face of FACES, or roll, pitch, yaw in degrees.
+            pose: a face of FACES; roll, pitch, yaw in degrees; or a quaternion w x y z.
             tilt_deg: size of the person's error of attitude (rms per horizontal axis, cut at twice that).
             tremor_deg: rms of the tremor per axis.
             transition_s: duration of the turn.
 
         Returns: the vehicle time at which the pose is reached.
         """
-        euler_deg = _pose_euler(pose)
         error = np.clip(self._rng.normal(size=3), -MAX_TILT_FACTOR, MAX_TILT_FACTOR) * math.radians(tilt_deg)
-        target = multiply(quaternion_from_euler(*np.radians(euler_deg)), quaternion_from_vector(error))
+        target = multiply(_pose(pose), quaternion_from_vector(error))
         reached = t + max(transition_s, 0.0)
         held: MotionSegment = (
             Tremor(target, reached, math.radians(tremor_deg), self._rng) if tremor_deg > 0 else AtRest(target)
@@ -289,13 +288,18 @@ class ClockShifted:
         return self._segment.evaluate(t + self._elapsed)
 
 
-def _pose_euler(pose: str | Sequence[float]) -> tuple[float, float, float]:
+def _pose(pose: str | Sequence[float]) -> Array:
+    """The attitude that is meant."""
     if isinstance(pose, str):
         if pose not in FACES:
             raise ControlError(
                 f"hold: unknown pose {pose!r}; known: {', '.join(FACES)}, or [roll, pitch, yaw] in degrees"
             )
-        return FACES[pose]
-    if len(pose) != 3:
-        raise ControlError(f"hold: a pose has three angles in degrees, got {len(pose)}")
-    return float(pose[0]), float(pose[1]), float(pose[2])
+        return quaternion_from_euler(*np.radians(FACES[pose]))
+    numbers = np.array(pose, dtype=np.float64)
+    length = float(np.linalg.norm(numbers))
+    if numbers.shape == (3,):
+        return quaternion_from_euler(*np.radians(numbers))
+    if numbers.shape != (4,) or not 0.5 < length < 2.0:
+        raise ControlError(f"hold: a pose has three angles in degrees or is a unit quaternion, got {pose}")
+    return np.asarray(numbers / length)

@@ -11,6 +11,10 @@ from typing import Any, Protocol
 
 FACES = ("level", "left", "right", "nose_down", "nose_up", "back")
 
+HAND_DPS = 180.0
+"""How fast a hand turns a vehicle to an attitude."""
+LEAST_TURN_S = 0.2
+
 
 class Movable(Protocol):
     """A simulated vehicle that takes requests."""
@@ -76,6 +80,18 @@ class Operator:
             self._hold(prompt)
         elif prompt["step"] in {"hold_still", "confirm"} and self._turning:
             self._once("still", "still")
+
+    def turn_to(self, attitude: Sequence[float]) -> None:
+        """Bring the vehicle to an attitude (quaternion w x y z, body to NED) as fast as a hand does, and hold it there.
+
+        Raises:
+            ControlError: the vehicle has gone.
+        """
+        now = self._vehicle.call("state")["quaternion"]
+        cosine = min(1.0, abs(sum(a * b for a, b in zip(now, attitude, strict=True))))
+        turn_s = max(LEAST_TURN_S, math.degrees(2.0 * math.acos(cosine)) / HAND_DPS)
+        self._vehicle.call("hold", pose=list(attitude), tilt_deg=0.0, transition_s=turn_s)
+        self._doing = None
 
     def answer(self, prompt: Mapping[str, Any] | None) -> str | None:
         """What to answer to `prompt`; None: it asks for no number."""

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import math
 
 import pytest
 
+from mavcal.service.simvehicle import ControlChannel, SimulatedVehicle
 from tests.patience import scaled
 from tests.service.api_bench import served
 
@@ -43,3 +45,42 @@ async def test_a_hand_that_is_off_leaves_the_vehicle_where_it_is(tmp_path):
         progress = (await api.get(f"/jobs/{job['id']}"))["progress"]
         assert progress is None or progress["current"] <= 1
         await api.delete(f"/jobs/{job['id']}", 200)
+
+
+async def test_a_person_turns_a_simulated_vehicle_and_gives_it_back(tmp_path):
+    async with served(tmp_path) as api:
+        await api.post("/links", {"url": "sim:ardupilot?seed=3&hand=mouse"}, 201)
+        vehicle = await api.vehicle()
+        assert vehicle["hand"] == "mouse"
+        turned = f"/vehicles/{vehicle['id']}/turns"
+        link = api.service.vehicles.get(vehicle["id"]).link
+        control = ControlChannel(link.sim_control or "")
+        nose_down = [math.sqrt(0.5), 0.0, -math.sqrt(0.5), 0.0]
+        await api.post(turned, {"attitude": nose_down}, 200)
+        async with asyncio.timeout(scaled(30)):
+            while (await asyncio.to_thread(control.call, "state"))["euler_deg"][1] > -88.0:  # noqa: ASYNC110
+                await asyncio.sleep(0.1)
+        for wrong in ([0.0, 0.0, 0.0, 0.0], [2.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0], "level"):
+            await api.post(turned, {"attitude": wrong}, 422)
+        changed = await api.post(f"/vehicles/{vehicle['id']}/hand", {"hand": "auto"}, 200)
+        assert changed["hand"] == "auto"
+        refused = await api.post(turned, {"attitude": nose_down}, 409)
+        assert refused["type"].endswith("hand-busy")
+        control.close()
+
+
+async def test_a_real_vehicle_is_turned_by_nobody(tmp_path):
+    with SimulatedVehicle("px4", seed=3) as real:
+        async with served(tmp_path) as api:
+            await api.post("/links", {"url": real.url}, 201)  # for the service it is one like any other
+            vehicle = await api.vehicle()
+            assert vehicle["hand"] is None
+            refused = await api.post(f"/vehicles/{vehicle['id']}/turns", {"attitude": [1, 0, 0, 0]}, 409)
+            assert refused["type"].endswith("not-simulated")
+            await api.post(f"/vehicles/{vehicle['id']}/hand", {"hand": "mouse"}, 409)
+
+
+async def test_a_hand_that_nobody_knows_is_no_endpoint(tmp_path):
+    async with served(tmp_path) as api:
+        refused = await api.post("/links", {"url": "sim:px4?hand=foot"}, 422)
+        assert "auto, mouse, off" in refused["detail"]

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import json
+
 import httpx
 import pytest
+from playwright.sync_api import expect
+
+from mavcal.service.simvehicle import SimulatedVehicle
 
 from .panel import PHONE, Panel, service, sim, until
 
@@ -55,7 +60,9 @@ def test_a_chart_keeps_every_peak_and_forgets_what_is_older_than_its_span(desk, 
         drawn = desk.page.evaluate("""async () => {
           const { Strip } = await import("./panel/chart/strip.js");
           const strip = new Strip(2, 60);
-          for (let i = 0; i < 200 * 90; i += 1) strip.push([i / 200], [[i === 200 * 70 + 7 ? 9 : Math.sin(i)], [i % 2 ? null : 1]]);
+          for (let i = 0; i < 200 * 90; i += 1) {
+            strip.push([i / 200], [[i === 200 * 70 + 7 ? 9 : Math.sin(i)], [i % 2 ? null : 1]]);
+          }
           const chart = strip.chart(strip.end, ["x", "y"], "u");
           const slow = new Strip(1, 60);
           slow.push([1, 2, 3, 0.5, 1.5], [[1, 2, 3, 4, 5]]);
@@ -70,3 +77,67 @@ def test_a_chart_keeps_every_peak_and_forgets_what_is_older_than_its_span(desk, 
         assert drawn["sorted"]
         assert drawn["other"] == [1]
         assert drawn["slow"] == [4]  # the clock has jumped back: what came before is of another start
+
+
+def true_down(url: str) -> list[float]:
+    """The world's down in the body of the simulated vehicle, as its stream has it."""
+    vehicle = httpx.get(f"{url}api/v1/vehicles").json()[0]
+    with httpx.stream("GET", f"{url}api/v1/vehicles/{vehicle['id']}/samples") as response:
+        for line in response.iter_lines():
+            data = json.loads(line.removeprefix("data: ")) if line.startswith("data: ") else {}
+            if data.get("attitude"):
+                w, x, y, z = data["attitude"]
+                return [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
+    raise AssertionError("no attitude came")
+
+
+def test_the_mouse_and_the_arrow_keys_turn_a_simulated_vehicle(desk, tmp_path):
+    with service(tmp_path, "--connect", sim("px4", speed=1)) as url:
+        desk.open(url, live(url))
+        scene = desk.page.locator("attitude-scene").first
+        desk.sees("It follows the prompts by itself", inside=".banner")
+        desk.press("I turn it")
+        desk.sees("You turn it in its picture", inside=".banner")
+        expect(scene).to_have_attribute("turnable", "")
+        box = scene.bounding_box()
+        assert box is not None
+        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        desk.page.mouse.move(x, y)
+        desk.page.mouse.down()
+        for step in range(1, 21):
+            desk.page.mouse.move(x, y + 4 * step)
+            desk.page.wait_for_timeout(30)
+        desk.page.mouse.up()
+        until(lambda: true_down(url)[2] < 0.8, 30, "0.8 rad of drag turn it by more than 36 deg")
+        desk.page.wait_for_timeout(1500)
+        before = true_down(url)
+        scene.focus()
+        for _ in range(3):
+            desk.page.keyboard.press("ArrowLeft")
+        until(lambda: sum(a * b for a, b in zip(true_down(url), before, strict=True)) < 0.8, 30, "45 deg of roll")
+        desk.press("It obeys by itself")
+        expect(scene).not_to_have_attribute("turnable", "")
+        assert desk.complaints == []
+
+
+def test_the_poses_of_an_accelerometer_are_reached_by_hand(desk, tmp_path):
+    with service(tmp_path, "--connect", sim("ardupilot", speed=2, hand="mouse")) as url:
+        desk.open(url)
+        desk.page.get_by_role("button", name="Calibrate: Accelerometer").click()
+        desk.page.wait_for_selector(".faces li")
+        done = desk.page.locator(".faces li.done")
+        until(lambda: done.count() >= 1, 60, "level is held already")
+        desk.page.locator("attitude-scene[turnable]").focus()
+        for presses, count in ((6, 2), (6, 3)):  # a quarter of a roll each: right, then on its back
+            for _ in range(presses):
+                desk.page.keyboard.press("ArrowRight")
+            until(lambda count=count: done.count() >= count, 90, f"{count} poses")
+        assert desk.complaints == []
+
+
+def test_a_real_vehicle_offers_no_hand(desk, tmp_path):
+    with SimulatedVehicle("px4", seed=3) as real, service(tmp_path, "--connect", real.url) as url:
+        desk.open(url, live(url))
+        desk.sees("Asked for 50 samples a second", 30, ".asked")
+        assert desk.page.locator(".hand").count() == 0
+        assert desk.page.locator("attitude-scene[turnable]").count() == 0

@@ -1,10 +1,12 @@
 // <attitude-scene>: the vehicle as it is held now, beside a ghost of the pose that is asked for.
-// With the attribute `flat` it is drawn without WebGL: browsers allow few such pictures at a time.
+// With the attribute `flat` it is drawn without WebGL: browsers allow few such pictures at a time. With `turnable` it is
+// turned by dragging it or with the arrow keys: it then sends the event "turn" with the attitude wished for.
 
 import { three } from "../core/vendor.js";
 import { angle, blend, IDENTITY } from "./rotation.js";
 import { CanvasRenderer } from "./canvas.js";
 import { colorsOf } from "./colors.js";
+import { Hand } from "./hand.js";
 
 /** @import { Quaternion } from "./rotation.js" */
 
@@ -12,6 +14,8 @@ const FOLLOW = 0.25; // share of the way to the newest attitude, a frame
 const NEAR = 0.002; // rad
 
 export class AttitudeScene extends HTMLElement {
+  static observedAttributes = ["turnable"];
+
   constructor() {
     super();
     this._airframe = "multirotor";
@@ -25,6 +29,23 @@ export class AttitudeScene extends HTMLElement {
     this._renderer = undefined;
     this._frame = 0;
     this._seen = false;
+    /** @type {Hand | undefined} */
+    this._hand = undefined;
+    /** @type {Quaternion | null} As the hand holds it. */
+    this._held = null;
+  }
+
+  attributeChangedCallback() {
+    this._hand?.dispose();
+    this._held = null;
+    this._hand = this.hasAttribute("turnable") ? new Hand(this, () => this._wanted ?? this._attitude, (held) => this._turned(held)) : undefined;
+  }
+
+  /** @param {Quaternion | null} held */
+  _turned(held) {
+    this._held = held;
+    if (held) this.dispatchEvent(new CustomEvent("turn", { detail: held }));
+    this._soon();
   }
 
   connectedCallback() {
@@ -71,9 +92,10 @@ export class AttitudeScene extends HTMLElement {
 
   _draw() {
     this._frame = 0;
-    if (this._wanted) this._attitude = blend(this._attitude, this._wanted, FOLLOW);
+    const wanted = this._held ?? this._wanted;
+    if (wanted) this._attitude = this._held ?? blend(this._attitude, wanted, FOLLOW);
     this._renderer?.draw({ airframe: this._airframe, attitude: this._attitude, ghost: this._ghost }, colorsOf(this));
-    if (this._wanted && angle(this._attitude, this._wanted) > NEAR) this._soon();
+    if (wanted && angle(this._attitude, wanted) > NEAR) this._soon();
   }
 }
 

@@ -13,5 +13,10 @@ export function seen([north, east, down]) {
   return [CA * east - SA * north, SE * away - CE * down, -CE * away - SE * down];
 }
 
+/** What is to the right in the picture, and what is up, as directions in the world. @type {Vector} */
+export const RIGHT = [-SA, CA, 0];
+/** @type {Vector} */
+export const UP = [SE * CA, SE * SA, -CE];
+
 /** Where the eye is, as a direction in the world. @type {Vector} */
 export const EYE = [-CE * CA, -CE * SA, -SE];

@@ -5,6 +5,7 @@ import { h } from "../core/dom.js";
 import { number, unitName } from "../core/words.js";
 import { badge, quiet, table } from "./parts.js";
 import { current, wish } from "./samples.js";
+import { handSwitch, picture } from "./stage.js";
 import { spectrum } from "../chart/spectrum.js";
 
 /** @import { VehicleModel } from "../mavcal.d.ts" */
@@ -31,7 +32,9 @@ export function live(store, vehicle) {
   return h("section", { key: "live" },
     asked(store, samples),
     silent ? h("p", { class: "notice", role: "status" }, "No sample for 3 s. The charts stand still.") : null,
-    lengths(traces, samples.field),
+    h("div", { class: "now-held" },
+      h("div", { class: "stage" }, picture(store, vehicle, samples.attitude, null, "The vehicle as it is held now"), handSwitch(store, vehicle)),
+      lengths(traces, samples.field)),
     h("div", { class: "segmented", role: "group", "aria-label": "Sensor" }, kinds.map((kind) =>
       h("button", { "aria-pressed": `${held.sensor === kind}`, onclick: set({ sensor: kind }) }, { accel: "Accelerometer", gyro: "Gyro", mag: "Compass", temperature: "Temperature" }[kind]))),
     held.sensor === "temperature" ? null : h("div", { class: "segmented", role: "group", "aria-label": "View" },

@@ -56,7 +56,9 @@ function needle() {
 /** Simulated vehicles are said to be so. @param {Store} store */
 function banner(store) {
   const simulated = [...store.links.values()].some((link) => link.url.startsWith("sim:"));
-  return simulated ? h("p", { class: "banner", key: "banner" }, "A simulated vehicle is connected. It follows the prompts by itself; nothing here moves a real one.") : null;
+  const hands = new Set([...store.vehicles.values()].map((vehicle) => vehicle.hand));
+  const who = hands.has("mouse") ? "You turn it in its picture" : hands.has("off") ? "It stays as it is" : "It follows the prompts by itself";
+  return simulated ? h("p", { class: "banner", key: "banner" }, `A simulated vehicle is connected. ${who}; nothing here moves a real one.`) : null;
 }
 
 /** @param {Store} store */

@@ -132,7 +132,7 @@ from mavcal.service.api.models.steps import (
     ProgressModel,
     PromptModel,
 )
-from mavcal.service.api.models.vehicles import ParameterModel, VehicleModel
+from mavcal.service.api.models.vehicles import HandRequest, ParameterModel, TurnRequest, VehicleModel
 
 __all__ = [
     "AfterWriteModel",
@@ -167,6 +167,7 @@ __all__ = [
     "GapModel",
     "GapRequest",
     "GapSummary",
+    "HandRequest",
     "HealthModel",
     "HoldsModel",
     "InfoModel",
@@ -242,6 +243,7 @@ __all__ = [
     "StateData",
     "StateEvent",
     "TicketModel",
+    "TurnRequest",
     "UnitHistoryModel",
     "UnitPreflightModel",
     "UnitRequest",

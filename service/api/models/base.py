@@ -16,6 +16,12 @@ Vector = Annotated[tuple[float, float, float], WithJsonSchema(
 )]  # fmt: skip
 """Three numbers, along x, y and z."""
 
+Attitude = Annotated[
+    tuple[float, float, float, float],
+    WithJsonSchema({"type": "array", "items": {"type": "number"}, "minItems": 4, "maxItems": 4}),
+]
+"""A quaternion w x y z."""
+
 Stamp = Annotated[float, Field(description="wall-clock time, s since 1970")]
 
 

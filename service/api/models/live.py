@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
-from pydantic import BaseModel, Field, WithJsonSchema
+from pydantic import BaseModel, Field
 
 from mavcal.calib.firmware.stream.rates import INERTIAL_HZ, LIVE_MOST_HZ
 from mavcal.calib.recording import Sensor
-from mavcal.service.api.models.base import Number, Request
+from mavcal.service.api.models.base import Attitude, Number, Request
 from mavcal.service.jobs.live_rates import LiveState
-
-Attitude = Annotated[
-    tuple[float, float, float, float],
-    WithJsonSchema({"type": "array", "items": {"type": "number"}, "minItems": 4, "maxItems": 4}),
-]
 
 
 class WatchRequest(Request):

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pydantic import BaseModel, Field
 
 from mavcal.calib.firmware.plan import ParameterKind
-from mavcal.service.api.models.base import Number
+from mavcal.service.api.models.base import Attitude, Number, Request
+from mavcal.service.link import Hand
 from mavcal.service.vehicle.identity import Airframe, Autopilot
 from mavcal.service.vehicle.state import Landed
 
@@ -32,7 +33,20 @@ class VehicleModel(BaseModel):
     lost: int = Field(description="messages lost")
     loss: float = Field(description="lost share of everything sent, 0..1")
     bytes_per_s: float = Field(description="received, over the last seconds")
+    hand: Hand | None = Field(description="who moves it, if it is a simulated vehicle; null: it is none")
     parameters_known: int = Field(description="how many parameters were heard")
+
+
+class HandRequest(Request):
+    """Who moves a simulated vehicle from now on."""
+
+    hand: Hand
+
+
+class TurnRequest(Request):
+    """How a simulated vehicle is to be held."""
+
+    attitude: Attitude = Field(description="quaternion w x y z, body (front right down) to north-east-down")
 
 
 class ParameterModel(BaseModel):

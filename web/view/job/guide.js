@@ -5,6 +5,7 @@ import { number, POSES, rough } from "../../core/words.js";
 import { DOWN, euler, pointing, rotate, conjugate, unit, IDENTITY } from "../../scene/rotation.js";
 import { current } from "../samples.js";
 import { quiet } from "../parts.js";
+import { handSwitch, picture } from "../stage.js";
 import { driftChart } from "./drift.js";
 
 /** @import { JobModel, Pose, PromptModel } from "../../mavcal.d.ts" */
@@ -30,9 +31,9 @@ function scene(store, job, prompt) {
   const attitude = samples?.attitude ?? null;
   const vehicle = store.vehicles.get(job.vehicle_id ?? "");
   return h("div", { class: "stage" },
-    h("attitude-scene", { role: "img", "aria-label": sceneWords(prompt),
-      scene: { airframe: vehicle?.airframe ?? "multirotor", attitude, ghost: ghost(prompt, attitude ?? IDENTITY) } }),
+    picture(store, vehicle, attitude, ghost(prompt, attitude ?? IDENTITY), sceneWords(prompt)),
     prompt?.hold_s ? ring(prompt) : null,
+    handSwitch(store, vehicle),
     attitude ? null : quiet("The vehicle sends no attitude: the picture stands still."));
 }
 
