@@ -22,6 +22,8 @@ BATCH_S = 0.1
 """How often a batch is made, s of the wall's clock."""
 LOSS_S = 10.0
 """Over so long the loss is counted."""
+STALE_BATCHES = 10
+"""After so many batches without it another message is taken for a sensor."""
 SHOWN = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG, Sensor.TEMPERATURE)
 
 Quaternion = tuple[float, float, float, float]
@@ -62,13 +64,13 @@ async def live_batches(vehicle: Vehicle) -> AsyncIterator[LiveBatch]:
 
     field: float | None = None
     own: Quaternion | None = None
-    tilt, losses = TiltFilter(), _Losses(vehicle)
+    tilt, losses, sources = TiltFilter(), _Losses(vehicle), OneSource()
     forget = adapter.subscribe(assembler.message_ids, take)
     try:
         while True:
             await asyncio.sleep(BATCH_S)
             heard, frames[:] = frames[:], []
-            chunk, streamed = await asyncio.to_thread(_digested, heard, assembler, tilt)
+            chunk, streamed = await asyncio.to_thread(_digested, heard, assembler, sources, tilt)
             own = _newest_attitude(chunk) or own
             if field is None and (model := field_of(chunk, time.time())) is not None:
                 field = model.norm
@@ -78,10 +80,12 @@ async def live_batches(vehicle: Vehicle) -> AsyncIterator[LiveBatch]:
         forget()
 
 
-def _digested(heard: Sequence[Frame], assembler: Assembler, tilt: TiltFilter) -> tuple[Recording, tuple[Channel, ...]]:
+def _digested(
+    heard: Sequence[Frame], assembler: Assembler, sources: OneSource, tilt: TiltFilter
+) -> tuple[Recording, tuple[Channel, ...]]:
     """What the frames carry, and of it one channel a sensor, which the filter has seen."""
     chunk = assembler.feed([(None, frame) for frame in heard])
-    streamed = _one_a_sensor(chunk)
+    streamed = sources.take(chunk.channels)
     _incline(tilt, streamed)
     return chunk, streamed
 
@@ -101,14 +105,36 @@ class _Losses:
         return max(lost, 0) / (received + max(lost, 0)) if received > 0 else None
 
 
-def _one_a_sensor(chunk: Recording) -> tuple[Channel, ...]:
-    """The message with the most samples, where several carry one sensor."""
-    best: dict[tuple[Sensor, int], Channel] = {}
-    for channel in chunk.channels:
-        key = channel.sensor, channel.instance
-        if channel.sensor in SHOWN and len(channel) and (key not in best or len(channel) > len(best[key])):
-            best[key] = channel
-    return tuple(best[key] for key in sorted(best))
+class OneSource:
+    """One message for each sensor, where several carry it: they tell of the same moments, each in its own digits.
+
+    The finest one of those that come often, rather one from which no bias was taken; another one only when it has not
+    come for a while.
+    """
+
+    def __init__(self) -> None:
+        self._chosen: dict[tuple[Sensor, int], tuple[str, int]] = {}
+        """Message and batches since it has come."""
+
+    def take(self, channels: Sequence[Channel]) -> tuple[Channel, ...]:
+        """Those channels of a batch that are shown."""
+        found: dict[tuple[Sensor, int], list[Channel]] = {}
+        for channel in channels:
+            if channel.sensor in SHOWN and len(channel):
+                found.setdefault((channel.sensor, channel.instance), []).append(channel)
+        return tuple(c for key in sorted(found) if (c := self._one(key, found[key])) is not None)
+
+    def _one(self, key: tuple[Sensor, int], candidates: Sequence[Channel]) -> Channel | None:
+        chosen, absent = self._chosen.get(key, ("", STALE_BATCHES))
+        same = next((channel for channel in candidates if channel.source == chosen), None)
+        if same is None and absent < STALE_BATCHES:
+            self._chosen[key] = (chosen, absent + 1)
+            return None
+        most = max(len(channel) for channel in candidates)
+        often = [channel for channel in candidates if 2 * len(channel) >= most]
+        best = same or min(often, key=lambda c: (c.stage is Stage.DEBIASED, c.quantum, -len(c)))
+        self._chosen[key] = (best.source, 0)
+        return best
 
 
 def _incline(tilt: TiltFilter, streamed: Sequence[Channel]) -> None:

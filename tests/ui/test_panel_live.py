@@ -124,14 +124,14 @@ def test_the_poses_of_an_accelerometer_are_reached_by_hand(desk, tmp_path):
     with service(tmp_path, "--connect", sim("ardupilot", speed=2, hand="mouse")) as url:
         desk.open(url)
         desk.page.get_by_role("button", name="Calibrate: Accelerometer").click()
-        desk.page.wait_for_selector(".faces li")
+        desk.sees("Level", 60, ".faces li.here")
         done = desk.page.locator(".faces li.done")
-        until(lambda: done.count() >= 1, 60, "level is held already")
         desk.page.locator("attitude-scene[turnable]").focus()
-        for presses, count in ((6, 2), (6, 3)):  # a quarter of a roll each: right, then on its back
-            for _ in range(presses):
+        for pose, count in (("Right side down", 1), ("On its back", 2)):  # a quarter of a roll each
+            for _ in range(6):
                 desk.page.keyboard.press("ArrowRight")
-            until(lambda count=count: done.count() >= count, 90, f"{count} poses")
+            desk.sees(pose, 60, ".faces li.here")
+            until(lambda count=count: done.count() == count, 30, f"{count} poses are done")
         assert desk.complaints == []
 
 

@@ -4,7 +4,7 @@ import { LineChart } from "./line-chart.js";
 
 /** @import { Strip } from "./strip.js" */
 
-const FRAME_MS = 30; // thirty pictures a second: a screen with sixty shows every second one, and a phone stays cool
+const PICTURE_MS = 1000 / 31; // no more pictures than a person sees run smoothly: a phone stays cool
 const FOLLOW_MS = 150; // samples come ten times a second
 const THERE_S = 0.02;
 
@@ -14,7 +14,7 @@ export class StripChart extends LineChart {
     /** @type {{ strip: Strip, names: string[], unit: string } | undefined} */
     this._stream = undefined;
     this._now = -Infinity;
-    this._last = 0;
+    this._last = this._due = 0;
     /** How many pictures were drawn, for who measures. */
     this.pictures = 0;
   }
@@ -31,11 +31,12 @@ export class StripChart extends LineChart {
     const stream = this._stream;
     if (!stream) return;
     const time = performance.now();
-    const passed = time - this._last;
-    if (passed < FRAME_MS) {
+    if (time < this._due) {
       this._soon();
       return;
     }
+    this._due = Math.max(this._due, time - PICTURE_MS) + PICTURE_MS; // one that came late does not delay the next
+    const passed = time - this._last;
     const { end } = stream.strip;
     const near = end - this._now < 2 && end >= this._now;
     this._now = near ? end + (this._now - end) * Math.exp(-passed / FOLLOW_MS) : end;

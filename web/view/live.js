@@ -33,7 +33,7 @@ export function live(store, vehicle) {
     asked(store, samples),
     silent ? h("p", { class: "notice", role: "status" }, "No sample for 3 s. The charts stand still.") : null,
     h("div", { class: "now-held" },
-      h("div", { class: "stage" }, picture(store, vehicle, samples.attitude, null, "The vehicle as it is held now"), handSwitch(store, vehicle)),
+      h("div", { class: "stage" }, picture(store, vehicle, { attitude: samples.attitude, ghost: null, words: "The vehicle as it is held now", flat: true }), handSwitch(store, vehicle)),
       lengths(traces, samples.field)),
     h("div", { class: "segmented", role: "group", "aria-label": "Sensor" }, kinds.map((kind) =>
       h("button", { "aria-pressed": `${held.sensor === kind}`, onclick: set({ sensor: kind }) }, { accel: "Accelerometer", gyro: "Gyro", mag: "Compass", temperature: "Temperature" }[kind]))),

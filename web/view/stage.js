@@ -13,12 +13,16 @@ const PAUSE_MS = 150; // a hand is told where it goes no more often
 let next = null;
 let sending = false;
 
-/** The picture. @param {Store} store @param {VehicleModel | undefined} vehicle @param {Quaternion | null} attitude @param {Quaternion | null} ghost @param {string} words */
-export function picture(store, vehicle, attitude, ghost, words) {
+/**
+ * The picture; `flat`: without WebGL.
+ * @param {Store} store @param {VehicleModel | undefined} vehicle
+ * @param {{ attitude: Quaternion | null, ghost: Quaternion | null, words: string, flat?: boolean }} shown
+ */
+export function picture(store, vehicle, { attitude, ghost, words, flat }) {
   const scene = { airframe: vehicle?.airframe ?? "multirotor", attitude, ghost };
-  if (vehicle?.hand !== "mouse") return h("attitude-scene", { role: "img", "aria-label": words, scene });
+  if (vehicle?.hand !== "mouse") return h("attitude-scene", { role: "img", "aria-label": words, scene, flat });
   return h("attitude-scene", {
-    turnable: true, tabindex: "0", role: "application", scene,
+    turnable: true, tabindex: "0", role: "application", scene, flat,
     "aria-label": `${words}. Turn it with the arrow keys; page up and page down turn its nose.`,
     onturn: (/** @type {Event} */ event) => to(store, vehicle.id, /** @type {CustomEvent<Quaternion>} */ (event).detail),
   });

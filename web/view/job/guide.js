@@ -31,7 +31,7 @@ function scene(store, job, prompt) {
   const attitude = samples?.attitude ?? null;
   const vehicle = store.vehicles.get(job.vehicle_id ?? "");
   return h("div", { class: "stage" },
-    picture(store, vehicle, attitude, ghost(prompt, attitude ?? IDENTITY), sceneWords(prompt)),
+    picture(store, vehicle, { attitude, ghost: ghost(prompt, attitude ?? IDENTITY), words: sceneWords(prompt) }),
     prompt?.hold_s ? ring(prompt) : null,
     handSwitch(store, vehicle),
     attitude ? null : quiet("The vehicle sends no attitude: the picture stands still."));
