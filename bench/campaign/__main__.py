@@ -55,11 +55,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--store", default=SQLITE, help="of crossed runs: sqlite, or MODULE:CLASS made of --store-url")
     parser.add_argument("--store-url", default="", help="where that store is; {run} in it names the run")
     parser.add_argument("--starved", type=int, default=STARVED_RUNS, help="number of starved runs")
+    parser.add_argument(
+        "--postgresql", action="store_true", help="crossed runs on a PostgreSQL of their own"
+    )
     parser.add_argument("--run", type=int, default=None, help="only this run, with all it has to say")
     parser.add_argument("--workers", type=int, default=4, help="runs at the same time")
     args = parser.parse_args(argv)
+    if not args.postgresql:
+        return _campaign(args, StoreKind(args.store, args.store_url))
+    from bench.campaign.crossed.postgresql import served
+
+    with served() as kind:
+        return _campaign(args, kind)
+
+
+def _campaign(args: argparse.Namespace, kind: StoreKind) -> int:
     if args.run is not None:
-        return _single(args)
+        return _single(args, kind)
     began = time.monotonic()
     faults: list[FaultReport] = []
     killed: list[KillReport] = []
@@ -82,7 +94,6 @@ def main(argv: Sequence[str] | None = None) -> int:
             texts.append(tables.cli_table(commands))
             found += criteria.of_cli_kills(commands)
         if args.part in ("crossed", "all"):
-            kind = StoreKind(args.store, args.store_url)
             crossed = _all(pool, partial(run_cross, kind=kind), crosses(args.crosses, args.seed, args.first))
             texts.append(cross_tables(crossed))
             found += of_crosses(crossed)
@@ -94,18 +105,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     _show_failures([*faults, *killed, *commands, *crossed])
     print(
         f"\nseed {args.seed}, {len(faults)} fault runs, {len(killed)} SIGKILL runs of the service, {len(commands)} "
-        f"of the command line, {len(crossed)} crossed runs on {args.store} and {len(starved)} starved ones, "
+        f"of the command line, {len(crossed)} crossed runs on {_named(kind)} and {len(starved)} starved ones, "
         f"{_minutes(began)}"
     )
     if args.part == "all":
         write_document(DOCUMENT, args.seed, faults, killed, commands, crossed, starved, found)
     if args.part == "crossed" and len(crossed) >= LEAST_RUNS:
-        name = f"crossed-campaign-{args.store.partition(':')[0].rpartition('.')[2]}.md"
-        write_crossed(DOCUMENT.with_name(name), args.seed, args.store, crossed, found)
+        write_crossed(
+            DOCUMENT.with_name(f"crossed-campaign-{_named(kind)}.md"), args.seed, _named(kind), crossed, found
+        )
     return 0 if all(criterion.met for criterion in found) else 1
 
 
-def _single(args: argparse.Namespace) -> int:
+def _named(kind: StoreKind) -> str:
+    return kind.name.partition(":")[0].rpartition(".")[2]
+
+
+def _single(args: argparse.Namespace, kind: StoreKind) -> int:
     report: AnyReport
     if args.part == "cli":
         report = run_cli_kill(cli_kills(args.seed)[args.run])
@@ -113,7 +129,7 @@ def _single(args: argparse.Namespace) -> int:
         report = run_kill(kill_of(args.seed, args.run))
     elif args.part == "crossed":
         print(cross(args.run, args.seed))
-        report = run_cross(cross(args.run, args.seed), StoreKind(args.store, args.store_url))
+        report = run_cross(cross(args.run, args.seed), kind)
     else:
         scenario = scenarios(max(args.runs, args.run + 1), args.seed)[args.run]
         print(scenario)

@@ -28,6 +28,8 @@ from mavcal.service.jobs.states import ENDED, JobState
 from mavcal.service.simvehicle import SimulatedVehicle
 from mavcal.service.store import SqliteStore
 
+OVER = ENDED | {JobState.REVIEW}
+"""Back in review is a write that could not begin."""
 Told = Callable[[str], None]
 
 BUSY = 12
@@ -94,12 +96,14 @@ async def _job(folder: Path, sim: SimulatedVehicle, told: Told) -> tuple[Job, tu
         job = await bench.reviewed(sim, "gyro", OPTIONS["gyro"])
         if job.state == JobState.REVIEW:
             await bench.applied(job)
-            while (job := bench.engine.get(job.id)).state not in ENDED:
+            while (job := bench.engine.get(job.id)).state not in OVER:
                 await bench.obeyed(job)
                 await asyncio.sleep(LOOK_S)
         watching.cancel()
         telling.cancel()
         stopped = tuple(str(row.data.get("reason")) for row in store.journal(job.id) if row.step == "stopped")
+        if job.state == JobState.REVIEW:
+            stopped = (*stopped, str(getattr(job.outcome, "cause", "the write did not begin")))
     return job, stopped, late[0]
 
 
@@ -110,7 +114,8 @@ async def _told_states(bench: Session, told: Told) -> None:
         for job in bench.engine.list():
             if job.state != last:
                 last = job.state
-                told(f"{last} after {time.monotonic() - began:.0f} s")
+                why = getattr(job.outcome, "cause", "")
+                told(f"{last} after {time.monotonic() - began:.0f} s" + (f": {why}" if why else ""))
         await asyncio.sleep(LOOK_S)
 
 

@@ -64,5 +64,5 @@ def test_a_list_by_name_computes_no_trend_until_a_row_is_looked_at(store: Sqlite
     taken = view.chosen(view.fleet_units(store.fleet(), {}, 40.0 * DAY_S), view.Choice())
     (first, *_), _ = view.page_of_units(taken, None, 1)
     assert view._trend.cache_info().misses == 0
-    assert first.standing.reasons == ()
+    assert [reason.code for reason in first.standing.reasons] == ["drift"]
     assert view._trend.cache_info().misses == 1
