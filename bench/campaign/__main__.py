@@ -55,9 +55,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--store", default=SQLITE, help="of crossed runs: sqlite, or MODULE:CLASS made of --store-url")
     parser.add_argument("--store-url", default="", help="where that store is; {run} in it names the run")
     parser.add_argument("--starved", type=int, default=STARVED_RUNS, help="number of starved runs")
-    parser.add_argument(
-        "--postgresql", action="store_true", help="crossed runs on a PostgreSQL of their own"
-    )
+    parser.add_argument("--postgresql", action="store_true", help="crossed runs on a PostgreSQL of their own")
     parser.add_argument("--run", type=int, default=None, help="only this run, with all it has to say")
     parser.add_argument("--workers", type=int, default=4, help="runs at the same time")
     args = parser.parse_args(argv)

@@ -6,6 +6,7 @@ import json
 import multiprocessing
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -13,10 +14,13 @@ import pytest
 
 from bench.campaign.crossed.checks import contradicted, damaged, lost, overwritten, recorded
 from bench.campaign.crossed.plan import Network, Process, VehicleFault, cross, crosses
+from bench.campaign.crossed.postgresql import STORE
 from bench.campaign.crossed.run import run_cross
+from bench.campaign.crossed.stores import StoreKind
 from bench.campaign.judge import Ending
 from mavcal.service.store import SqliteStore
 from mavcal.service.store.rows import JobRow, JournalRow, SegmentPurpose
+from tests.postgres import Server
 
 SEED = 1
 RUNS = (3, 8, 21, 26, 42, 51)
@@ -105,3 +109,12 @@ def test_a_parameter_that_is_not_what_the_journal_says_is_noticed(kept: Kept) ->
     assert wrong(1.0, foreign={"A": 1.0}) == []
     assert wrong(1.0, ("undo", {"name": "A"})) == []  # announced: it may be either
     assert wrong(2.0, ("undo", {"name": "A"}), ("undone", {"name": "A", "value": 1.0}))
+
+
+def test_a_run_on_postgresql_has_a_database_of_its_own_and_finds_it_again(postgres: Server) -> None:
+    kind = StoreKind(STORE, postgres.url("{run}"))
+    for run, jobs in (("crossed_1", 0), ("crossed_1", 1), ("crossed_2", 0)):
+        with closing(kind.opened(Path("unused"), run)) as store:
+            assert len(store.jobs()) == jobs
+            store.save_job(JobRow("j1", "v", "gyro", "succeeded", 0.0, 0.0, {}))
+    assert not kind.in_data_dir
