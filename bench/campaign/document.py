@@ -23,7 +23,7 @@ what had been brought onto the disk, and of the rest a piece of random length. A
 database that is gone every write, for a while; a slow disk takes 50 ms for each forced write. The wall clock jumps by
 two hours, forward and back. The next life of the service has to bring the job to its end.
 
-`scripts/campaign crossed --postgresql --crosses N` starts a PostgreSQL on loopback and has a database in it for each run.
+`scripts/campaign crossed --postgresql --crosses N` starts a PostgreSQL on loopback, with a database for each run.
 
 After the last life the store is opened again and compared with the vehicle and with a ledger of everything that it had
 taken. Jobs, journal, plans and segments must be there, and the samples of each segment must have their digest. No

@@ -16,6 +16,11 @@ from mavcal.service.vehicle.events import VehicleEvent, VehicleEventKind
 from mavcal.service.vehicle.vehicle import CORE_IDS, YIELD_S, Vehicle
 
 TICK_S = 0.05
+"""How often time passes for a vehicle that an answer is waited for from."""
+IDLE_TURNS = 5
+"""For any other one so many times as seldom: only silence and old states are noticed then."""
+TOGETHER = 50
+"""Vehicles that have their turn in one go; what else the event loop has to do comes in between."""
 _AUTOPILOT_COMPONENT = 1
 _IDENTIFY_AGAIN_S = 10.0
 
@@ -44,6 +49,9 @@ class VehicleRegistry:
         self._identifying: dict[Vehicle, asyncio.Task[None]] = {}
         self._changed: set[asyncio.Future[None]] = set()
         self._ticker: asyncio.TimerHandle | None = None
+        self._round = 0
+        self._turns: list[tuple[int, tuple[str, int, int]]] = []
+        """Whose turn is still to come in this round, numbered."""
 
     # --- links ------------------------------------------------------------------------------------------------------
 
@@ -172,9 +180,17 @@ class VehicleRegistry:
                 vehicle.link_event(event)
 
     def _tick(self) -> None:
-        self._ticker = asyncio.get_running_loop().call_later(TICK_S, self._tick)
-        for vehicle in list(self._vehicles.values()):
-            vehicle.tick()
+        """Let time pass for some vehicles; all of them have had their turn after :data:`TICK_S`."""
+        parts = max(1, -(-len(self._vehicles) // TOGETHER))
+        self._ticker = asyncio.get_running_loop().call_later(TICK_S / parts, self._tick)
+        if not self._turns:
+            self._turns = list(enumerate(self._vehicles, self._round))
+            self._round += 1
+        some, self._turns = self._turns[:TOGETHER], self._turns[TOGETHER:]
+        for number, place in some:
+            vehicle = self._vehicles.get(place)
+            if vehicle is not None and (vehicle.waits.any or number % IDLE_TURNS == 0):
+                vehicle.tick()
 
     def _announce(self, vehicle: Vehicle, kind: VehicleEventKind, text: str) -> None:
         if kind is VehicleEventKind.IDENTIFIED:

@@ -99,6 +99,11 @@ class Waits:
             if frame.message_id in expectation.message_ids:
                 expectation.feed(frame)
 
+    @property
+    def any(self) -> bool:
+        """Whether anything is waited for."""
+        return bool(self._expectations)
+
     def tick(self, now: float) -> None:
         """End what has waited long enough; `now` is the time until which every frame was fed."""
         for expectation in list(self._expectations):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 from typing import cast
 
 import pytest
@@ -11,6 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from mavcal.service.errors import LinkDown
 from mavcal.service.link import Link
 from mavcal.service.vehicle import VehicleEvent, VehicleEventKind, VehicleRegistry
+from mavcal.service.vehicle.registry import IDLE_TURNS, TOGETHER
 from tests.clock import ManualClock
 from tests.unit.vehicle.fake import heartbeat, version
 from tests.unit.vehicle.test_registry import Air, attached, registry
@@ -190,3 +192,34 @@ async def test_a_detached_link_takes_only_its_own_vehicles(registry: VehicleRegi
     one.say(heartbeat())
     registry.detach(cast(Link, one))
     assert [vehicle.id for vehicle in registry.all()] == ["other-1-1"]
+
+
+async def test_a_fleet_has_its_turns_in_parts_and_none_is_left_out(registry: VehicleRegistry) -> None:
+    air, clock = attached(registry), cast(ManualClock, registry._clock)
+    silent: list[str] = []
+    registry.subscribe(lambda event: silent.append(event.vehicle_id) if event.kind is VehicleEventKind.SILENT else None)
+    count = 2 * TOGETHER + 20
+    for system in range(1, count + 1):
+        air.say(heartbeat(), system, at=clock())
+    clock.advance(10.0)
+    told = []
+    for _ in range(3 * IDLE_TURNS):
+        registry._tick()
+        await turns(3)
+        told.append(len(silent))
+    assert told[-1] == len(set(silent)) == count
+    assert all(after - before <= TOGETHER for before, after in itertools.pairwise([0, *told]))
+    assert told[0] < count
+
+
+async def test_whoever_is_waited_for_has_every_turn(registry: VehicleRegistry) -> None:
+    air, clock = attached(registry), cast(ManualClock, registry._clock)
+    air.say(heartbeat(), at=clock())
+    (vehicle,) = registry.all()
+    for _ in range(2 * IDLE_TURNS):
+        waiting = asyncio.ensure_future(vehicle.waits.sleep(0.01))
+        await turns(2)
+        clock.advance(1.0)
+        registry._tick()
+        await turns(2)
+        assert waiting.done()
