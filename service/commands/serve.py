@@ -16,6 +16,9 @@ from mavcal.service.commands.output import json_option, write_json
 from mavcal.service.errors import PortBusy
 from mavcal.service.settings import Settings
 
+SWITCH_S = 0.001
+"""After so long a thread that reads a link lets the event loop go on; Python's 5 ms add up where links are many."""
+
 
 @click.command()
 @click.option("--connect", multiple=True, metavar="URL", help="Endpoint to open at the start; may be given repeatedly.")
@@ -64,6 +67,7 @@ def serve(settings: Settings, announce: Callable[[str], None]) -> None:
     from mavcal.service.logs import configure_logging
 
     share_heaps()
+    sys.setswitchinterval(SWITCH_S)
     configure_logging(as_json=settings.log_json)
     app = create_app(settings)
     listener = _listen(settings.host, settings.port)
