@@ -27,6 +27,8 @@ HORIZON_D = 10.0 * YEAR_D
 COVERAGE = 0.90
 LEAST_SPREAD_DEGC = 5.0
 """Temperatures that lie closer together say nothing of a slope."""
+_APART = 1e-3
+"""Of the spread: less than that is left of no thermometer's readings but of made ones."""
 LEAST_SPAN_D = 1.0
 MOST = 64
 """Measurements that one trend takes; calibrations first, then the newest of the others."""
@@ -141,7 +143,19 @@ def _temperature(seen: Sequence[BiasObservation]) -> tuple[bool, tuple[Open, ...
             f"that is {LEAST_SPREAD_DEGC:.0f} degC away."
         )
         return False, (Open(Quantity.TEMPERATURE, why),)
+    if len(seen) > 3 and _goes_with_time(seen, known):  # fewer determine no slope whatever they are
+        why = f"In {len(seen)} measurements temperature went evenly with time, so that nothing tells the two apart."
+        return False, (Open(Quantity.TEMPERATURE, why),)
     return True, ()
+
+
+def _goes_with_time(seen: Sequence[BiasObservation], warmth: Sequence[float]) -> bool:
+    """Whether a straight line in time leaves nothing of the temperatures."""
+    days = np.array([o.at for o in seen]) / DAY_S
+    line = np.stack([np.ones(len(days)), days - days.mean()], axis=1)
+    known = np.array(warmth)
+    left = known - line @ np.linalg.lstsq(line, known, rcond=None)[0]
+    return bool(np.ptp(left) < _APART * np.ptp(known))
 
 
 def _too_few(seen: Sequence[BiasObservation], unknowns: int) -> str:

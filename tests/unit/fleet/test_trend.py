@@ -87,6 +87,15 @@ def test_three_at_different_temperatures_cannot_tell_time_from_temperature() -> 
     assert "drift and slope with temperature" in open_of(trend)[Quantity.TEMPERATURE]
 
 
+def test_temperatures_that_went_evenly_with_time_are_left_out() -> None:
+    rng = np.random.default_rng(1)
+    found = [seen(20.0 * i, float(x), t=20.0 + 2.0 * i) for i, x in enumerate(0.01 * rng.standard_normal(8))]
+    trend = bias_trend(found, 0.5)
+    assert trend.per_degc is None
+    assert "nothing tells the two apart" in open_of(trend)[Quantity.TEMPERATURE]
+    assert trend.per_year is not None
+
+
 def test_a_slope_with_temperature_is_found_beside_the_drift() -> None:
     trend = bias_trend(drifting(0.001, 9, warm=20.0), 0.5)
     assert trend.per_degc is not None
