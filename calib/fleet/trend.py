@@ -138,10 +138,9 @@ def _temperature(seen: Sequence[BiasObservation]) -> tuple[bool, tuple[Open, ...
         return False, (Open(Quantity.TEMPERATURE, why),)
     if not known or max(known) - min(known) < LEAST_SPREAD_DEGC:
         spread = max(known) - min(known) if known else 0.0
-        why = (
-            f"{len(seen)} measurements within {spread:.1f} degC determine no slope with temperature: measure at one "
-            f"that is {LEAST_SPREAD_DEGC:.0f} degC away."
-        )
+        measured = f"{len(seen)} measurements within {spread:.1f} degC determine"
+        measured = "1 measurement determines" if len(seen) == 1 else measured
+        why = f"{measured} no slope with temperature: measure at one that is {LEAST_SPREAD_DEGC:.0f} degC away."
         return False, (Open(Quantity.TEMPERATURE, why),)
     if len(seen) > 3 and _goes_with_time(seen, known):  # fewer determine no slope whatever they are
         why = f"In {len(seen)} measurements temperature went evenly with time, so that nothing tells the two apart."

@@ -106,6 +106,8 @@ class Capture:
             self.handle.warn(text)
         digest, watch = await self._begin(identity, earlier)
         done = await self._until_done(digest, watch)
+        self.handle.prompt(None)  # nothing is asked of anybody any more
+        self._show(JobState.RUNNING)
         await self._read_again(identity, watch)
         return done
 

@@ -95,7 +95,12 @@ def test_a_reload_and_a_second_browser_find_the_job_where_it_was(browser, desk, 
     with service(tmp_path, "--connect", sim(speed=3, hand="off", config=KEPT)) as url:
         desk.open(url)
         desk.calibrate("Accelerometer").click()
+        desk.page.wait_for_selector(".faces li")
+        assert desk.page.locator(".faces .done").count() == 0  # nothing is done before the first prompt
         desk.sees("1 of 10 poses", 90, ".prompt")
+        desk.sees("Level is done. Turn it to the next one.", inside=".prompt")
+        assert desk.page.locator(".faces .done").all_inner_texts() == ["Level\n✓ done"]
+        assert desk.page.locator(".hold-ring.held").count() == 0
         place = desk.place
         desk.page.reload()
         desk.sees("1 of 10 poses", 30, ".prompt")

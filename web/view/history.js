@@ -69,7 +69,8 @@ function drift({ drift: found }) {
     leaving ? `It leaves its limit of ${number(found.limit, 2)} ${found.unit} about ${new Date(1000 * leaving).toLocaleDateString()}.` : "",
     ...found.open.map((open) => open.why),
   ].filter(Boolean);
-  return said.length ? h("ul", { class: "small quiet" }, said.map((text, i) => h("li", { key: `${i}` }, text))) : null;
+  const once = [...new Set(said)];
+  return once.length ? h("ul", { class: "small quiet" }, once.map((text, i) => h("li", { key: `${i}` }, text))) : null;
 }
 
 /** The offset over the days, and against temperature. @param {SensorRecordModel[]} records */

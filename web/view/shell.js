@@ -58,7 +58,7 @@ function banner(store) {
   const simulated = [...store.links.values()].some((link) => link.url.startsWith("sim:"));
   const hands = new Set([...store.vehicles.values()].map((vehicle) => vehicle.hand));
   const who = hands.has("mouse") ? "You turn it in its picture" : hands.has("off") ? "It stays as it is" : "It follows the prompts by itself";
-  return simulated ? h("p", { class: "banner", key: "banner" }, `A simulated vehicle is connected. ${who}; nothing here moves a real one.`) : null;
+  return simulated ? h("p", { class: "banner", key: "banner" }, "A simulated vehicle is connected.", h("span", { class: "more" }, ` ${who}; nothing here moves a real one.`)) : null;
 }
 
 /** @param {Store} store */

@@ -75,6 +75,11 @@ def test_two_calibrations_at_one_temperature_determine_no_slope_with_it() -> Non
     )
 
 
+def test_one_calibration_is_not_told_of_as_several() -> None:
+    told = open_of(bias_trend([seen(0.0)], 0.5))[Quantity.TEMPERATURE]
+    assert told == "1 measurement determines no slope with temperature: measure at one that is 5 degC away."
+
+
 def test_many_calibrations_at_one_temperature_determine_none_either() -> None:
     trend = bias_trend(drifting(0.001, 8), 0.5)
     assert trend.per_degc is None

@@ -7,6 +7,7 @@ import { current } from "../samples.js";
 import { quiet } from "../parts.js";
 import { handSwitch, picture } from "../stage.js";
 import { driftChart } from "./drift.js";
+import { held, taken } from "./pose.js";
 
 /** @import { JobModel, Pose, PromptModel } from "../../mavcal.d.ts" */
 /** @import { Quaternion, Vector } from "../../scene/rotation.js" */
@@ -48,7 +49,7 @@ const wantedPose = (prompt) => prompt.pose ?? prompt.remaining[0] ?? null;
 
 /** The attitude to be reached; null: nothing is asked, or it is held already. @param {PromptModel | null} prompt @param {Quaternion} now @returns {Quaternion | null} */
 function ghost(prompt, now) {
-  if (!prompt || prompt.stable) return null;
+  if (!prompt || held(prompt)) return null;
   if (prompt.direction) return pointing(now, prompt.direction);
   const pose = wantedPose(prompt);
   return pose && DOWN[pose] ? pointing(now, DOWN[pose]) : null;
@@ -57,25 +58,27 @@ function ghost(prompt, now) {
 /** Fills while the pose is held. @param {PromptModel} prompt */
 function ring(prompt) {
   const length = 2 * Math.PI * 44;
-  const held = prompt.stable;
-  return h("svg", { class: `hold-ring ${held ? "held" : ""}`, viewBox: "0 0 100 100", "aria-hidden": "true" },
+  const on = held(prompt);
+  return h("svg", { class: `hold-ring ${on ? "held" : ""}`, viewBox: "0 0 100 100", "aria-hidden": "true" },
     h("circle", { cx: "50", cy: "50", r: "44", class: "track" }),
     h("circle", { cx: "50", cy: "50", r: "44", class: "fill", "stroke-dasharray": `${length}`,
-      style: { "stroke-dashoffset": `${held ? 0 : length}`, "transition-duration": held ? `${prompt.hold_s}s` : "0.2s" } }));
+      style: { "stroke-dashoffset": `${on ? 0 : length}`, "transition-duration": on ? `${prompt.hold_s}s` : "0.2s" } }));
 }
 
 /** The six faces and the oblique poses. @param {Store} store @param {JobModel} job */
 function faces(store, job) {
   const { prompt } = job;
-  const missing = new Set(prompt?.remaining ?? []);
-  const whole = job.progress?.target ?? 6;
-  const done = Math.floor(job.progress?.current ?? 0);
+  const known = store.keep(`poses ${job.id}`, () => ({ remaining: /** @type {Pose[]} */ (FACES), whole: 10, done: 0 }));
+  if (prompt) known.remaining = prompt.remaining; // while it reads or computes, the tiles stay as they were
+  if (job.progress?.unit === "poses") Object.assign(known, { whole: job.progress.target, done: Math.floor(job.progress.current) });
+  const { whole, done } = known;
+  const missing = new Set(known.remaining);
   const vehicle = store.vehicles.get(job.vehicle_id ?? "");
   const oblique = job.kind === "accel" || job.kind === "imu-multi" ? whole - 6 : 0;
   const obliqueDone = Math.max(0, done - (6 - FACES.filter((pose) => missing.has(pose)).length));
   return h("ol", { class: "faces", "aria-label": "Poses" },
     FACES.map((pose) => {
-      const state = prompt?.detected === pose ? "here" : missing.has(pose) ? "open" : "done";
+      const state = prompt?.detected === pose && !taken(prompt) ? "here" : missing.has(pose) ? "open" : "done";
       return h("li", { class: state, key: pose },
         h("attitude-scene", { flat: true, "aria-hidden": "true", scene: { airframe: vehicle?.airframe ?? "multirotor", attitude: faceAttitude(pose), ghost: null } }),
         h("span", {}, POSES[pose]), h("span", { class: "mark" }, state === "done" ? "✓ done" : state === "here" ? "now" : "open"));
@@ -95,8 +98,9 @@ const faceAttitude = (pose) => euler(...EULER[pose]);
 function compass(store, job) {
   const samples = current();
   const detail = /** @type {Record<string, any>} */ (job.progress?.detail ?? {});
-  const masks = Object.entries(/** @type {Record<string, number[]>} */ (detail.coverage_mask ?? {}));
-  const chosen = store.keep(`compass ${job.id}`, () => ({ instance: "0" }));
+  const chosen = store.keep(`compass ${job.id}`, () => ({ instance: "0", masks: /** @type {Record<string, number[]>} */ ({}) }));
+  chosen.masks = detail.coverage_mask ?? chosen.masks; // while it reads or computes, the sphere stays as it was
+  const masks = Object.entries(chosen.masks);
   const mask = masks.find(([instance]) => instance === chosen.instance)?.[1] ?? masks[0]?.[1] ?? [];
   const now = /** @type {Vector | undefined} */ (samples?.now.get(`mag ${chosen.instance}`));
   return h("div", { class: "guide compass" },

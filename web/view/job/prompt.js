@@ -4,6 +4,7 @@ import { h } from "../../core/dom.js";
 import { ask } from "../../core/service.js";
 import { POSES, sentence, span, STATES, words } from "../../core/words.js";
 import { bar } from "../parts.js";
+import { held, taken } from "./pose.js";
 
 /** @import { JobModel, NumberModel } from "../../mavcal.d.ts" */
 /** @typedef {typeof import("../../core/store.js").store} Store */
@@ -11,7 +12,7 @@ import { bar } from "../parts.js";
 /** @type {Partial<Record<JobModel["state"], string>>} */
 const WITHOUT_PROMPT = {
   queued: "Waits for its turn.",
-  running: "Hold still: the first samples come in.",
+  running: "Hold still: its calibration is read.",
   fitting: "Computes the result from what was recorded.",
   applying: "Writes to the vehicle. Leave it as it is.",
   waiting_for_reboot: "Waits for the vehicle to come back after its restart.",
@@ -25,7 +26,7 @@ export function promptPart(store, job) {
   const prompt = job.prompt;
   const text = prompt?.text || WITHOUT_PROMPT[job.state] || STATES[job.state];
   const progress = job.progress;
-  return h("section", { class: `prompt ${prompt?.stable ? "stable" : ""}`, "aria-live": "assertive", "aria-label": "What to do now" },
+  return h("section", { class: `prompt ${prompt && held(prompt) ? "stable" : ""}`, "aria-live": "assertive", "aria-label": "What to do now" },
     h("p", { class: "say" }, sentence(text)),
     seen(job),
     prompt?.number ? numberForm(store, job, prompt.number) : null,
@@ -38,6 +39,7 @@ export function promptPart(store, job) {
 function seen({ prompt }) {
   if (!prompt?.detected) return null;
   const pose = POSES[prompt.detected];
+  if (taken(prompt)) return h("p", { class: "seen quiet" }, `✓ ${pose} is done. Turn it to the next one.`);
   return h("p", { class: `seen ${prompt.stable ? "good" : "quiet"}` },
     prompt.stable ? `✓ ${pose}: hold it` : `Seen: ${pose.toLowerCase()}, still moving`);
 }

@@ -132,7 +132,7 @@ export function written(store, job) {
       h("li", { key: check.id + check.instance }, badge(check.verdict === "right" ? "good" : check.verdict === "wrong" ? "bad" : "warn", words(check.verdict)), h("span", {}, check.text)))) : null,
     verification?.movement ? h("p", { class: "quiet" }, `To prove the rest: ${verification.movement.text}`) : null,
     h("details", { class: "card", open: running }, h("summary", {}, `${plan.changes.length} parameters`),
-      table(["parameter", ">before", ">new", "state"], plan.changes.map((change, i) =>
-        [change.name, number(change.old, 6), number(change.new, 6), state(change, i)]), "Parameters")),
+      table(["parameter", "state", ">before", ">new"], plan.changes.map((change, i) =>
+        [change.name, state(change, i), number(change.old, 6), number(change.new, 6)]), "Parameters")),
     exports(store, job));
 }

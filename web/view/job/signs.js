@@ -3,6 +3,7 @@
 import { cue, keepAwake, say } from "../../core/cues.js";
 import { BUSY } from "../../core/store.js";
 import { forgetCloud } from "../samples.js";
+import { held } from "./pose.js";
 
 /** @import { JobModel } from "../../mavcal.d.ts" */
 /** @typedef {typeof import("../../core/store.js").store} Store */
@@ -29,7 +30,7 @@ export function watchJobs(store) {
 /** @param {JobModel} job @returns {Seen} */
 function seen(job) {
   const { prompt } = job;
-  return { id: job.id, state: job.state, text: prompt?.text ?? "", stable: prompt?.stable ?? false, missing: prompt?.remaining.length ?? 0 };
+  return { id: job.id, state: job.state, text: prompt?.text ?? "", stable: prompt !== null && held(prompt), missing: prompt?.remaining.length ?? 0 };
 }
 
 /** @param {Seen} was @param {Seen} is */
