@@ -91,6 +91,23 @@ def test_a_compass_beside_a_magnet_ends_early_with_cause_and_remedy(desk, tmp_pa
 
 
 @pytest.mark.long
+def test_a_compass_shows_what_is_covered_and_where_to_turn_next(desk, tmp_path):
+    covered = "Number(document.querySelector('field-sphere').ariaLabel.match(/\\d+/)[0])"
+    with service(tmp_path, "--connect", sim(speed=4, config=KEPT)) as url:
+        desk.open(url)
+        desk.calibrate("Compass").click()
+        desk.page.wait_for_selector("field-sphere")
+        assert desk.page.evaluate(covered) == 0
+        desk.sees("turn a full circle", 90, ".prompt")
+        until(
+            lambda: desk.page.evaluate("document.querySelector('field-sphere')?.field.next") is not None, 60, "an arrow"
+        )
+        until(lambda: desk.page.evaluate(covered) > 20, 90, "the covered directions grow")
+        desk.press("Cancel")
+        desk.wait_for_state("Cancelled", 30)
+
+
+@pytest.mark.long
 def test_a_reload_and_a_second_browser_find_the_job_where_it_was(browser, desk, tmp_path):
     with service(tmp_path, "--connect", sim(speed=3, hand="off", config=KEPT)) as url:
         desk.open(url)

@@ -29,7 +29,7 @@ export function jobRoom(store) {
   const over = ENDED.has(job.state) || job.state === "review";
   return h("div", { class: `job-room ${over ? "over" : "running"} ${job.kind}` },
     head(store, job),
-    over ? null : h("div", { class: "now", key: "now" }, promptPart(store, job), store.connection.good ? null : lost(store), notice(store)),
+    over ? null : h("div", { class: "now", key: "now" }, promptPart(store, job), store.connection.good ? silent(store, job) : lost(store), notice(store)),
     h("div", { class: "body", key: "body" },
       over ? h("div", { key: "over" }, notice(store), outcome(job)) : guide(store, job),
       over ? null : cues(store),
@@ -62,6 +62,13 @@ function cues(store) {
 
 /** @param {Store} store */
 const lost = (store) => h("p", { class: "notice", role: "alert" }, `${store.connection.text} The job goes on in the service.`);
+
+/** @param {Store} store @param {JobModel} job */
+function silent(store, job) {
+  const vehicle = store.vehicles.get(job.vehicle_id ?? "");
+  return vehicle?.silent && job.state !== "waiting_for_reboot"
+    ? h("p", { class: "notice", role: "alert" }, "The vehicle is silent. Check its power and the link; the job goes on when it is heard again.") : null;
+}
 
 /** @param {JobModel} job */
 function warnings(job) {
