@@ -14,7 +14,7 @@ from pathlib import Path
 from PIL import Image
 
 from bench.film import rooms
-from bench.film.sheet import chosen, contact_sheet, save
+from bench.film.sheet import chosen, contact_sheet, save, thinned
 from bench.film.shots import DESK, PHONE, Camera, camera
 from bench.running import service
 from mavcal.client import Client
@@ -22,6 +22,7 @@ from mavcal.client import Client
 PICTURES = Path(__file__).resolve().parents[2] / "docs" / "pictures"
 SHEET_BYTES, ROOM_BYTES = 600_000, 150_000
 FRAMES, COLUMNS, WIDTH = 12, 6, 250
+MOST_ALIKE = 2
 SPEED = 3.0
 """How much faster than the clock the vehicle lives; the times below the frames are those of the clock."""
 READY = {
@@ -62,7 +63,7 @@ def film(looking: Camera) -> None:
                 taken(looking, "review", place, ".before-after img")
 
         frames = looking.calibration(sensor, review)
-        sheet = contact_sheet(chosen(frames, FRAMES), COLUMNS, WIDTH)
+        sheet = contact_sheet(chosen(thinned(frames, MOST_ALIKE), FRAMES), COLUMNS, WIDTH)
         save(sheet, PICTURES / f"panel-film-{name}.png", SHEET_BYTES)
         print(f"{name}: {len(frames)} changes in {frames[-1].at:.0f} s")
 

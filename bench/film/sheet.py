@@ -24,6 +24,14 @@ class Frame:
     about: tuple[object, ...] = ()
 
 
+def thinned(frames: Sequence[Frame], most: int) -> list[Frame]:
+    """At most so many frames of one state with one prompt: the first, the last, and others between them."""
+    groups: dict[tuple[object, ...], list[Frame]] = {}
+    for frame in frames:
+        groups.setdefault(frame.about[:2], []).append(frame)
+    return sorted((frame for group in groups.values() for frame in chosen(group, most)), key=lambda frame: frame.at)
+
+
 def chosen(frames: Sequence[Frame], count: int) -> list[Frame]:
     """The first, the last, and others spread evenly over the changes between them."""
     if len(frames) <= count:

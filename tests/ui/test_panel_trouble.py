@@ -12,7 +12,7 @@ from mavcal.client import Client
 from mavcal.service.api.security import digest
 from mavcal.service.simvehicle import SimulatedVehicle
 
-from .panel import PHONE, Panel, service, sim, until
+from .panel import KEPT, PHONE, Panel, service, sim, until
 from .test_panel_jobs import prompt_and_button_in_sight
 
 HUGE_MB = 40
@@ -22,7 +22,7 @@ pytestmark = [pytest.mark.timeout(300), pytest.mark.long]
 
 
 def test_two_browsers_on_one_review_write_it_once_and_both_see_it(browser, desk, tmp_path):
-    with service(tmp_path, "--connect", sim(config={"parameters": {"INS_GYR_CAL": 0}, "thermal": False})) as url:
+    with service(tmp_path, "--connect", sim(config=KEPT)) as url:
         desk.open(url)
         desk.calibrate("Gyro").click()
         desk.wait_for_state("Ready for your review", 60)
@@ -36,23 +36,6 @@ def test_two_browsers_on_one_review_write_it_once_and_both_see_it(browser, desk,
         other.press("Yes, write the old values")
         desk.wait_for_state("Taken back", 90)
         assert other.complaints == desk.complaints == []
-        other.close()
-
-
-def test_the_second_of_two_who_cancel_reads_why_and_keeps_the_page(browser, desk, tmp_path):
-    with service(tmp_path, "--connect", sim(speed=3, hand="off")) as url:
-        desk.open(url)
-        desk.calibrate("Accelerometer").click()
-        desk.sees("1 of 10 poses", 90, ".prompt")
-        other = Panel(browser, PHONE)
-        other.page.route(re.compile("/api/v1/(events|tickets)"), lambda route: route.abort())  # it hears nothing new
-        other.open(url, desk.place)
-        other.page.evaluate("() => {}")
-        with Client(url) as client:
-            job = desk.place.split("/")[-1]
-            desk.press("Cancel")
-            desk.wait_for_state("Cancelled", 30)
-            assert client.get_job(job).state == "cancelled"
         other.close()
 
 
@@ -119,7 +102,7 @@ def test_a_log_beyond_the_limit_is_refused_with_the_limit(desk, tmp_path):
 
 
 def test_over_a_slow_link_the_panel_opens_and_a_job_is_followed(desk, tmp_path):
-    with service(tmp_path, "--connect", sim(speed=2, config={"parameters": {"INS_GYR_CAL": 0}})) as url:
+    with service(tmp_path, "--connect", sim(speed=2, config=KEPT)) as url:
         session = desk.context.new_cdp_session(desk.page)
         session.send(
             "Network.emulateNetworkConditions",
