@@ -100,7 +100,9 @@ def test_a_compass_shows_what_is_covered_and_where_to_turn_next(desk, tmp_path):
         assert desk.page.evaluate(covered) == 0
         desk.sees("turn a full circle", 90, ".prompt")
         until(
-            lambda: desk.page.evaluate("document.querySelector('field-sphere')?.field.next") is not None, 60, "an arrow"
+            lambda: desk.page.evaluate("document.querySelector('field-sphere')?._field.next") is not None,
+            60,
+            "an arrow",
         )
         until(lambda: desk.page.evaluate(covered) > 20, 90, "the covered directions grow")
         desk.press("Cancel")

@@ -8,7 +8,8 @@
  */
 export function taken(prompt) {
   const { detected, pose, remaining } = prompt;
-  return pose === null && detected !== null && detected !== "oblique" && remaining.length > 0 && !remaining.includes(detected);
+  const free = pose === null || pose === "oblique"; // else it is this one pose, or none
+  return free && detected !== null && detected !== "oblique" && remaining.length > 0 && !remaining.includes(detected);
 }
 
 /** Whether it is held as it should be. @param {PromptModel} prompt */
