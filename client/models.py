@@ -522,7 +522,7 @@ class SensorEffectModel(Answer):
     instance: int
     """Which sensor of its kind, from 0."""
     quantity: str
-    """What is off: heading, rate at rest, specific force, level or drift."""
+    """What is off: heading, rate at rest, acceleration, level or drift."""
     unit: str
     before: Number | None
     """Largest error with the calibration in force, in `unit`; null: what is in force is not known."""

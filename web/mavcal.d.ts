@@ -1208,7 +1208,7 @@ export interface SensorEffectModel {
   sensor: Sensor;
   /** Which sensor of its kind, from 0. */
   instance: number;
-  /** What is off: heading, rate at rest, specific force, level or drift. */
+  /** What is off: heading, rate at rest, acceleration, level or drift. */
   quantity: string;
   unit: string;
   /** Largest error with the calibration in force, in `unit`; null: what is in force is not known. */

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -33,6 +34,8 @@ class Chart:
     log_y: bool = False
     legend_inside: bool = False
     """The legend stands in the upper right corner of the axes: for names that are long; else in a row above them."""
+    x_names: Sequence[str] = ()
+    """Words at 0, 1, 2 ... of x instead of numbers."""
     parts: list[Markup] = field(default_factory=list)
     legend: list[tuple[str, str]] = field(default_factory=list)
     """Colours and what they mean."""
@@ -87,7 +90,8 @@ class Chart:
         """Everything within the frame of the picture."""
         right, bottom = self.width - _RIGHT, self.height - _BOTTOM
         out = [text(_LEFT, 16, self.title, kind="title")]
-        for value, label in ticks(self.x, log=self.log_x):
+        named = [(float(place), name) for place, name in enumerate(self.x_names)]
+        for value, label in named or ticks(self.x, log=self.log_x):
             (a,), _ = self._at(*self._shares([value], [self.y[0]]))
             rule = Markup('<path class="grid" d="M{:.1f} {}V{}"/>').format(a, _TOP, bottom)
             out += [rule, text(a, bottom + 14, label, anchor="middle")]

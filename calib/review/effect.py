@@ -50,7 +50,7 @@ class SensorEffect:
     sensor: Sensor
     instance: int
     quantity: str
-    """What is off: heading, rate at rest, specific force, level, drift."""
+    """What is off: heading, rate at rest, acceleration, level, drift."""
     unit: str
     before: float | None
     """Largest error with the calibration in force; None: what is in force is not known."""
@@ -139,7 +139,7 @@ def _vector(fit: FitResult, plan: WritePlan, old: TriadModel | None, new: TriadM
     gyro = fit.sensor == Sensor.GYRO
     factor = math.degrees(1.0) if gyro else 1.0
     truths = np.zeros((1, 3)) if gyro else STANDARD_GRAVITY * _sphere(DIRECTIONS)
-    quantity, unit = ("rate at rest", "deg/s") if gyro else ("specific force", "m/s²")
+    quantity, unit = ("rate at rest", "deg/s") if gyro else ("acceleration", "m/s²")
     sds = factor * fit.corrected_sd(truths)
     sd = float(np.linalg.norm(sds, axis=1).max()) if not gyro else float(sds.max())
     before, curve = None, None

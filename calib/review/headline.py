@@ -12,7 +12,7 @@ NAMES: Final = {Sensor.GYRO: "gyro", Sensor.ACCEL: "accelerometer", Sensor.MAG: 
 _SUBJECT: Final = {
     "heading": "Heading",
     "rate at rest": "Rate at rest",
-    "specific force": "Specific force",
+    "acceleration": "Acceleration",
     "level": "Level",
     "drift": "Drift with temperature",
 }
@@ -37,11 +37,13 @@ def headline_of(effects: Sequence[SensorEffect], *, done: bool = False) -> str:
     return f"{subject} is wrong by up to {now}, and will be good to {then}."
 
 
-def text_of(effect: SensorEffect) -> str:
-    """What the plan does for one sensor."""
+def text_of(effect: SensorEffect, *, done: bool = False) -> str:
+    """What the plan does for one sensor. `done`: it has been written."""
     then = amount(effect.after, effect.unit)
     if effect.before is None:
-        return f"{effect.quantity} will be known to {then}"
+        return f"{effect.quantity} {'is' if done else 'will be'} known to {then}"
+    if done:
+        return f"{effect.quantity} was off by up to {amount(effect.before, effect.unit)}, good to {then} now"
     return f"{effect.quantity} off by up to {amount(effect.before, effect.unit)} now, good to {then} afterwards"
 
 

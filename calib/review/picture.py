@@ -30,11 +30,12 @@ def picture_of(effects: Sequence[SensorEffect], told: str, columns: int | None =
 def _chart(effect: SensorEffect, curve: ErrorCurve) -> Chart:
     assert effect.before is not None
     name = f"{NAMES.get(effect.sensor, str(effect.sensor)).capitalize()} {effect.instance + 1}"
-    title = f"{name}: {amount(effect.before, effect.unit)} before, {amount(effect.after, effect.unit)} after"
+    title = f"{name}: {amount(effect.before, effect.unit)} → {amount(effect.after, effect.unit)}"
     reach = max(float(np.abs(curve.before).max()), 3.0 * float(curve.after_sd.max()))
     margin = 0.5 if len(curve.x) <= len(FACES) else 0.0
     x = (float(curve.x[0]) - margin, float(curve.x[-1]) + margin)
     chart = Chart(title, _x_label(effect, curve), curve.label, x, limits_of(np.array([-reach, reach])))
+    chart.x_names = {"axis": AXES, "face": FACES}.get(curve.x_label, ())
     if curve.before.ndim == 2:
         for axis, shade in enumerate(SHADES):
             chart.line(curve.x, curve.before[:, axis], shade, f"before, {AXES[axis]}")
@@ -51,8 +52,6 @@ def _chart(effect: SensorEffect, curve: ErrorCurve) -> Chart:
 
 
 def _x_label(effect: SensorEffect, curve: ErrorCurve) -> str:
-    if curve.x_label == "axis":
-        return "axis: 0 x, 1 y, 2 z"
     if curve.x_label == "face":
-        return f"vertical axis: {', '.join(f'{i} {face}' for i, face in enumerate(FACES))}"
+        return "axis that points up"  # at rest a specific force does
     return curve.x_label if effect.sensor != Sensor.MAG else f"true {curve.x_label}"

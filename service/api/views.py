@@ -38,6 +38,7 @@ from mavcal.service.jobs.items import Item
 from mavcal.service.jobs.model import Failure, Job
 from mavcal.service.jobs.preflight import Preflight
 from mavcal.service.jobs.ready import readiness_of
+from mavcal.service.jobs.states import JobState
 from mavcal.service.link import Link
 from mavcal.service.reviews import Review
 from mavcal.service.store.rows import EventRow, JobDocument, RecordingRow
@@ -98,7 +99,7 @@ def review_model(job: Job, review: Review) -> ReviewModel:
                 unit=effect.unit,
                 before=effect.before,
                 after=effect.after,
-                text=text_of(effect),
+                text=text_of(effect, done=job.state == JobState.SUCCEEDED),
             )
             for effect in review.effects
         ],

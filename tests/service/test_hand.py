@@ -30,7 +30,7 @@ async def test_a_simulated_vehicle_follows_the_prompts_and_the_stream_shows_it(t
         assert {"accel", "gyro"} <= {channel["sensor"] for channel in data["channels"]}
         done = await api.until(job["id"], "review", seconds=90.0)
         review = await api.get(f"/jobs/{job['id']}/review")
-        assert review["headline"].startswith("Specific force is wrong by up to")
+        assert review["headline"].startswith("Acceleration is wrong by up to")
         assert len(review["sensors"]) == len({fit["instance"] for fit in done["results"]})
         picture = await api.call("GET", f"/{review['picture']}?columns=1", 200)
         assert picture.startswith("<svg")

@@ -65,7 +65,7 @@ def test_an_accelerometer_on_a_phone_with_the_prompt_always_in_sight(phone, tmp_
         until(captured, 180, "the capture ends")
         assert len(seen) >= 3  # the faces turned green one after the other
         phone.wait_for_state("Ready for your review", 60)
-        phone.sees("Specific force is wrong by up to", inside=".headline")
+        phone.sees("Acceleration is wrong by up to", inside=".headline")
         assert phone.page.locator(".before-after img").is_visible()
         assert phone.page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
         assert phone.inside_viewport(".dock button.primary")

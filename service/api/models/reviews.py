@@ -14,7 +14,7 @@ class SensorEffectModel(BaseModel):
 
     sensor: Sensor
     instance: int = Field(description="which sensor of its kind, from 0")
-    quantity: str = Field(description="what is off: heading, rate at rest, specific force, level or drift")
+    quantity: str = Field(description="what is off: heading, rate at rest, acceleration, level or drift")
     unit: str
     before: Number | None = Field(
         description="largest error with the calibration in force, in `unit`; null: what is in force is not known"

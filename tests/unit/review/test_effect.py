@@ -48,6 +48,7 @@ def test_a_gyro_is_off_by_the_change_of_its_offset(ardupilot_parameters, ardupil
     assert effect.after == pytest.approx(math.degrees(1e-3), rel=1e-3)
     assert text_of(effect) == "rate at rest off by up to 1.1 deg/s now, good to 0.057 deg/s afterwards"
     assert headline_of([effect]) == "Rate at rest is wrong by up to 1.1 deg/s, and will be good to 0.057 deg/s."
+    assert text_of(effect, done=True) == "rate at rest was off by up to 1.1 deg/s, good to 0.057 deg/s now"
     assert (
         headline_of([effect], done=True) == "Rate at rest was wrong by up to 1.1 deg/s, and is good to 0.057 deg/s now."
     )
@@ -63,6 +64,7 @@ def test_an_accelerometer_is_off_by_what_its_old_calibration_makes_of_gravity(
     assert all(effect.before is not None and effect.before > 5 * effect.after > 0.0 for effect in effects)
     drawn = str(picture_of(effects, "told <b>"))
     assert drawn.count("before") >= 2
+    assert all(f">{face}</text>" in drawn for face in ("+x", "-z")), "a face is called by its name, not its number"
     assert "told &lt;b&gt;" in drawn
 
 

@@ -6,7 +6,7 @@ import { table } from "../parts.js";
 
 /** @import { JobModel } from "../../mavcal.d.ts" */
 
-const PROOF = { full: ["good", "Proved on the vehicle"], partial: ["warn", "Proved in part"], none: ["warn", "Not proved"] };
+const PROOF = { full: ["good", "Proved on the vehicle"], partial: ["warn", "Proved in part"], none: ["warn", "Written and read back, not proved"] };
 
 /** @param {JobModel} job */
 export function outcome(job) {
@@ -18,7 +18,7 @@ export function outcome(job) {
     return h("section", { class: `outcome ${checked ? tone : "good"}`, role: "status" },
       h("h2", {}, checked ? words : job.state === "reverted" ? "The old values are back" : "Done"),
       h("p", {}, sentence(told.text)),
-      checked && told.proof !== "full" && told.proof_reason ? h("p", {}, sentence(told.proof_reason)) : null);
+      checked && told.proof !== "full" && told.proof_reason && !told.text.includes(told.proof_reason) ? h("p", {}, sentence(told.proof_reason)) : null);
   }
   return h("section", { class: `outcome ${told.kind === "write_failed" ? "warn" : "bad"}`, role: "status" },
     h("h2", {}, told.kind === "write_failed" ? "Nothing was written" : job.state === "cancelled" ? "Cancelled" : "It did not work"),

@@ -11,13 +11,13 @@ import { held, taken } from "./pose.js";
 
 /** @type {Partial<Record<JobModel["state"], string>>} */
 const WITHOUT_PROMPT = {
-  queued: "Waits for its turn.",
+  queued: "Waiting for its turn.",
   running: "Hold still: its calibration is read.",
-  fitting: "Computes the result from what was recorded.",
-  applying: "Writes to the vehicle. Leave it as it is.",
-  waiting_for_reboot: "Waits for the vehicle to come back after its restart.",
-  verifying: "Checks on the vehicle that the new values are right. Keep it still.",
-  rolling_back: "Takes the new values back.",
+  fitting: "Computing the result from what was recorded.",
+  applying: "Writing to the vehicle. Do not move it.",
+  waiting_for_reboot: "Waiting for the vehicle to come back after its restart.",
+  verifying: "Checking on the vehicle that the new values are right. Keep it still.",
+  rolling_back: "Taking the new values back.",
   in_doubt: "The write was interrupted. Keep the vehicle disarmed and connected: mavcal finishes by itself.",
 };
 

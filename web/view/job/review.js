@@ -23,7 +23,7 @@ export function review(store, job) {
     plan.blockers.map((text, i) => h("p", { class: "notice", role: "alert", key: `b${i}` }, `Nothing will be written: ${text}`)),
     found ? criteria(found) : null,
     found?.picture ? picture(store, job) : null,
-    plan.warnings.length ? h("ul", { class: "plan-warnings" }, plan.warnings.map((text) => h("li", { class: "warn" }, sentence(text)))) : null,
+    notes(plan),
     plan.agreements.length ? h("ul", {}, plan.agreements.map((agreement) => h("li", { class: "quiet" }, sentence(agreement.text)))) : null,
     losses(plan),
     choices(store, job, plan),
@@ -60,6 +60,15 @@ function picture(store, job) {
   if (!svg) return null;
   return h("figure", { class: "before-after" },
     h("img", { src: `data:image/svg+xml;charset=utf-8,${encodeURIComponent(svg)}`, alt: "The sensor before and after this calibration" }));
+}
+
+/** What a person should know before writing: open where it is short. @param {PlanModel} plan */
+function notes(plan) {
+  const { warnings } = plan;
+  if (!warnings.length) return null;
+  return h("details", { class: "card", open: warnings.length <= 2 },
+    h("summary", {}, badge("warn", warnings.length === 1 ? "1 thing to know" : `${warnings.length} things to know`)),
+    h("ul", { class: "plan-warnings" }, warnings.map((text) => h("li", { class: "warn" }, sentence(text)))));
 }
 
 /** @param {PlanModel} plan */
