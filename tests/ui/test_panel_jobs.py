@@ -48,6 +48,7 @@ def test_an_accelerometer_on_a_phone_with_the_prompt_always_in_sight(phone, tmp_
         phone.open(url)
         phone.calibrate("Accelerometer").click()
         phone.page.wait_for_selector(".faces li")
+        assert phone.page.locator(".faces .done").count() == 0, "nothing was measured yet"
         seen: set[int] = set()
 
         def captured() -> bool:
