@@ -24,9 +24,12 @@ from mavcal.service.hosts import both_spellings
 from mavcal.service.simvehicle import SimulatedVehicle
 from tests.patience import scaled
 from tests.service.api_bench import api, served
+from tests.service.test_api import keys
 
 ROOT = Path(__file__).resolve().parents[2]
 DEPLOY = ROOT / "deploy"
+BLUEOS_UDP = {14000, 14001, 14550, 14660}
+"""UDP ports that BlueOS has endpoints of its own on: 14660 is "Ping360 Heading", on every address."""
 REQUIRED = ("name", "description", "icon", "company", "version", "webpage", "api")
 
 
@@ -41,6 +44,15 @@ async def test_blueos_finds_every_field_that_it_needs(tmp_path):
         page = await a.call("GET", "/", 200)
         assert "<title>mavcal</title>" in page
         assert not re.findall(r'(?:src|href)="(?:/|https?:)', page)  # nothing but relative addresses
+
+
+async def test_blueos_has_no_key_and_finds_us_all_the_same(tmp_path):
+    async with api(tmp_path, api_keys=keys()) as a:
+        assert (await a.call("GET", "/register_service", 200))["name"] == "mavcal"
+        assert "widgets" in await a.call("GET", "/cockpit_extras.json", 200)
+        assert "<title>mavcal</title>" in await a.call("GET", "/", 200)
+        await a.call("GET", "/docs", 200)  # the first place where BlueOS looks for an interface
+        await a.call("GET", "/api/v1/jobs", 401)
 
 
 async def test_cockpit_reads_the_manifest_in_both_spellings(tmp_path):
@@ -115,6 +127,11 @@ def test_the_labels_of_the_image_are_what_blueos_reads():
     assert "{tag}" in found["readme"]
     host = parsed["permissions"]["HostConfig"]
     assert host["PortBindings"]["8765/tcp"] == [{"HostPort": ""}]  # a port that BlueOS chooses: many are taken
+    (mavlink,) = (name for name in host["PortBindings"] if name.endswith("/udp"))
+    (bound,) = host["PortBindings"][mavlink]
+    assert int(bound["HostPort"]) not in BLUEOS_UDP
+    assert f"udpin:0.0.0.0:{mavlink.removesuffix('/udp')}" in (DEPLOY / "blueos" / "mavcal.env").read_text()
+    assert f"port {bound['HostPort']}" in " ".join((ROOT / "docs" / "hosts.md").read_text().split())
     assert host["Binds"] == ["/usr/blueos/extensions/mavcal:/data"]
     assert "host.docker.internal:host-gateway" in host["ExtraHosts"]
     from mavcal.calib import __version__
