@@ -83,8 +83,22 @@ def _html(job: Job, plan: WritePlan, store: JobStore) -> str:
     """One self-contained page that prints well."""
     verdicts = {} if job.verification is None else {v.name: v.verdict.value for v in job.verification.parameters}
     review = reviewed(job, plan, store, PICTURES_A_ROW)
-    return page("mavcal.service", "export.html", job=job, plan=plan, review=review, verdicts=verdicts, number=_number)
+    return page(
+        "mavcal.service",
+        "export.html",
+        job=job,
+        plan=plan,
+        review=review,
+        verdicts=verdicts,
+        number=_number,
+        rough=_rough,
+    )
 
 
 def _number(value: float | None) -> str:
     return "–" if value is None else shown(value, 7)
+
+
+def _rough(value: float | None) -> str:
+    """As many digits as a standard deviation has a meaning for."""
+    return "–" if value is None else shown(value, 2)

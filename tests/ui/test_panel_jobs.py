@@ -15,6 +15,15 @@ from tests.service.gap_tables import write_table
 
 from .panel import DESK, KEPT, PHONE, Panel, service, sim, until
 
+WATCH_STATES = """() => {
+  window.seenStates = [];
+  new MutationObserver(() => document.querySelectorAll("td .badge").forEach((badge) => {
+    const words = badge.textContent.replace(/^\\W+/, "").trim();
+    if (!window.seenStates.includes(words)) window.seenStates.push(words);
+  })).observe(document.body, { subtree: true, childList: true, characterData: true });
+}"""
+"""Every word that stood beside a parameter."""
+
 pytestmark = pytest.mark.timeout(600)
 
 
@@ -30,9 +39,12 @@ def test_a_gyro_by_keyboard_alone(desk, tmp_path):
         desk.page.keyboard.press("Enter")
         desk.wait_for_state("Ready for your review", 60)
         desk.sees("Rate at rest is wrong by up to", inside=".headline")
+        desk.page.evaluate(WATCH_STATES)
         desk.page.locator(".dock button.primary").focus()
         desk.page.keyboard.press("Enter")
         desk.wait_for_state("Done", 120)
+        seen = desk.page.evaluate("window.seenStates")
+        assert {"waits", "written"} <= set(seen), "each parameter is followed while it is written"
         desk.sees("was wrong by up to", inside=".headline")
         desk.page.get_by_role("button", name="Take back").focus()
         desk.page.keyboard.press("Enter")

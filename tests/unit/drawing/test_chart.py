@@ -31,6 +31,13 @@ def test_numbers_are_where_they_belong() -> None:
     assert {"1", "10", "100"} <= {e.text for e in root.iter("text")}
 
 
+def test_categories_stand_below_the_axis_by_name() -> None:
+    chart = Chart("t", "x", "y", (-0.5, 2.5), (0.0, 1.0), 374, 278, x_names=("+x", "+y", "+z"))
+    told = {e.text for e in ElementTree.fromstring(chart.drawn()).iter("text")}
+    assert {"+x", "+y", "+z"} <= told
+    assert "2" not in told
+
+
 def test_a_bar_ends_at_the_edge() -> None:
     chart = Chart("t", "x", "y", (0.0, 10.0), (0.0, 10.0), 374, 278)
     chart.bars([5.0], [9.0], [2.0], "#00f", "measured")

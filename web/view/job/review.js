@@ -116,13 +116,24 @@ function exports(store, job) {
     h("button", { class: "plain", key: form, onclick: () => store.act(() => save("export_job", { parameters: { job_id: job.id, form } }, `mavcal-${job.id}.${form}`)) }, `.${form}`)));
 }
 
+/** How many parameters have been sent, in the order of the plan. What follows the sending tells no number of them. @param {Store} store @param {JobModel} job */
+function sentOf(store, job) {
+  const { state, progress } = job;
+  const kept = store.keep(`sent ${job.id} ${job.plan?.sha256}`, () => ({ sent: 0 }));
+  if (state === "rolling_back") kept.sent = 0;
+  if (state === "applying" && progress?.text.startsWith("writing:")) kept.sent = Math.max(kept.sent, progress.current);
+  if (["waiting_for_reboot", "verifying"].includes(state) || progress?.text.startsWith("reading back:")) kept.sent = Infinity;
+  return kept.sent;
+}
+
 /** While and after it is written: each parameter, and what the stream proves of it. @param {Store} store @param {JobModel} job */
 export function written(store, job) {
   const { plan, verification } = job;
   if (!plan || !plan.changes.length) return null;
   const found = job.state === "succeeded" ? reviewOf(store, job) : undefined;
+  const running = ["applying", "verifying", "waiting_for_reboot", "rolling_back"].includes(job.state);
   const verdicts = new Map((verification?.parameters ?? []).map((p) => [p.name, p]));
-  const sent = job.last_write?.sent ?? 0;
+  const sent = sentOf(store, job);
   /** @type {(change: ChangeModel, i: number) => any} */
   const state = (change, i) => {
     const verdict = verdicts.get(change.name);
@@ -130,10 +141,9 @@ export function written(store, job) {
       const tone = { proved: "good", consistent: "warn", not_observable: "warn", contradicted: "bad" }[verdict.verdict];
       return badge(/** @type {any} */ (tone), words(verdict.verdict));
     }
-    if (job.state === "applying") return i < sent ? badge("good", "written") : badge("busy", "waits");
-    return null;
+    if (job.state === "rolling_back") return badge("busy", "is taken back");
+    return running ? i < sent ? badge("good", "written") : badge("busy", "waits") : null;
   };
-  const running = ["applying", "verifying", "waiting_for_reboot", "rolling_back"].includes(job.state);
   return h("div", { key: "written" },
     found ? headline(found) : null,
     found?.picture ? picture(store, job) : null,
