@@ -296,6 +296,7 @@ async def send_all(w: Writing) -> None:
         w.reach(At.AFTER_ECHO)
         await w.handle.record(JournalStep.ECHO, name=change.name, value=value)
         w.reach(At.ECHO_KEPT)
+    told(len(w.plan.changes), len(w.plan.changes))
 
 
 async def read_back(w: Writing, until: Settling = Settling.KEPT) -> dict[str, Value]:

@@ -401,7 +401,7 @@ async def test_every_parameter_is_announced_sent_and_confirmed_in_the_plans_orde
     reached.clear()
     await send_all(w)
     assert bench.handle.job.progress is not None
-    assert bench.handle.job.progress.text == "writing: 3 of 4"
+    assert bench.handle.job.progress.text == "writing: 4 of 4"
     assert reached == [At.BEFORE_SEND, At.AFTER_ECHO, At.ECHO_KEPT] * 4
     sent = rows(bench, JournalStep.SEND)
     new = {"FLAG": 0.0, **{name: float32(value) for name, value in NEW.items()}}

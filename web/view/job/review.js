@@ -116,13 +116,13 @@ function exports(store, job) {
     h("button", { class: "plain", key: form, onclick: () => store.act(() => save("export_job", { parameters: { job_id: job.id, form } }, `mavcal-${job.id}.${form}`)) }, `.${form}`)));
 }
 
-/** How many parameters have been sent, in the order of the plan. What follows the sending tells no number of them. @param {Store} store @param {JobModel} job */
+/** How many parameters have been sent, in the order of the plan. What follows the sending tells of none. @param {Store} store @param {JobModel} job */
 function sentOf(store, job) {
   const { state, progress } = job;
   const kept = store.keep(`sent ${job.id} ${job.plan?.sha256}`, () => ({ sent: 0 }));
   if (state === "rolling_back") kept.sent = 0;
   if (state === "applying" && progress?.text.startsWith("writing:")) kept.sent = Math.max(kept.sent, progress.current);
-  if (["waiting_for_reboot", "verifying"].includes(state) || progress?.text.startsWith("reading back:")) kept.sent = Infinity;
+  if (["waiting_for_reboot", "verifying"].includes(state)) kept.sent = Infinity; // nothing gets so far that was not sent
   return kept.sent;
 }
 
