@@ -689,3 +689,4 @@ class WatchModel(Answer):
     id: str
     """For `follow_samples`."""
     rate_hz: Number
+    """The rate that was wished for, Hz."""

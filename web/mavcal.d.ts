@@ -1557,6 +1557,7 @@ export interface WarningEvent {
 export interface WatchModel {
   /** For `follow_samples`. */
   id: string;
+  /** The rate that was wished for, Hz. */
   rate_hz: number;
 }
 

@@ -24,7 +24,7 @@ class WatchModel(BaseModel):
     """A watch. It is over 3 s after its stream has ended, or 10 s after nothing was taken from it."""
 
     id: str = Field(description="for `follow_samples`")
-    rate_hz: float
+    rate_hz: float = Field(description="the rate that was wished for, Hz")
 
 
 class WatchStatusModel(BaseModel):
