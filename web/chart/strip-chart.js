@@ -5,8 +5,8 @@ import { LineChart } from "./line-chart.js";
 /** @import { Strip } from "./strip.js" */
 
 const PICTURE_MS = 1000 / 31; // no more pictures than a person sees run smoothly: a phone stays cool
-const FOLLOW_MS = 150; // samples come ten times a second
-const THERE_S = 0.02;
+const FOLLOW_MS = 300; // samples come ten times a second, and not evenly
+const THERE_S = 0.01;
 
 export class StripChart extends LineChart {
   constructor() {
