@@ -5,6 +5,7 @@ import { LineChart } from "./line-chart.js";
 /** @import { Strip } from "./strip.js" */
 
 const PICTURE_MS = 1000 / 31; // no more pictures than a person sees run smoothly: a phone stays cool
+const CATCH_UP = 3; // so many that a busy browser has missed are made up for when it can
 const FOLLOW_MS = 300; // samples come ten times a second, and not evenly
 const THERE_S = 0.01;
 
@@ -35,7 +36,7 @@ export class StripChart extends LineChart {
       this._soon();
       return;
     }
-    this._due = Math.max(this._due, time - PICTURE_MS) + PICTURE_MS; // one that came late does not delay the next
+    this._due = Math.max(this._due, time - CATCH_UP * PICTURE_MS) + PICTURE_MS;
     const passed = time - this._last;
     const { end } = stream.strip;
     const near = end - this._now < 2 && end >= this._now;
