@@ -97,7 +97,7 @@ def test_a_log_beyond_the_limit_is_refused_with_the_limit(desk, tmp_path):
     with service(tmp_path, MAVCAL_LIMITS__UPLOAD_BYTES="1000000") as url:
         desk.open(url, "#/logs")
         desk.page.set_input_files("input[type=file]", str(path))
-        desk.sees("MB", 60, ".notice")
+        desk.sees("larger than 1000000 bytes", 60, ".notice")
         assert desk.page.locator(".drop").count() == 1
 
 
