@@ -29,7 +29,7 @@ import numpy as np
 
 from mavcal.calib import logs
 from mavcal.calib.errors import CalibError
-from mavcal.calib.flight.report import overview
+from mavcal.calib.health.overview import overview
 from mavcal.calib.logs.inspection import inspect
 from mavcal.calib.report import to_json
 

@@ -17,7 +17,7 @@ from mavcal.calib.earth import EarthField, earth_field
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.health import limits, motion
 from mavcal.calib.health.channels import NOT_PHYSICAL, judged_channel
-from mavcal.calib.health.finding import HealthFinding, HealthVerdict, Measured, judged_value
+from mavcal.calib.health.finding import HealthFinding, HealthVerdict, Compared, judged_value
 from mavcal.calib.health.parameters import in_use, never_calibrated
 from mavcal.calib.recording import Channel, Recording, Sensor
 from mavcal.calib.stats.windows import finite_rows
@@ -117,7 +117,7 @@ def _steady(recording: Recording, channel: Channel) -> HealthFinding:
     text = f"reads {middle:.1f} uT, 95 % of the time within {low:.1f} and {high:.1f} uT (+-{100 * spread:.0f} %)"
     if verdict != HealthVerdict.OK and never_calibrated(recording, Sensor.MAG, channel.instance):
         text += ". It was never calibrated: its offsets are 0"
-    return _bad("steady", channel, verdict, text, _CALIBRATE, Measured(spread, 0.0, limits.FIELD_STEADY))
+    return _bad("steady", channel, verdict, text, _CALIBRATE, Compared(spread, 0.0, limits.FIELD_STEADY))
 
 
 def _driven(recording: Recording, channel: Channel, attitude: Channel | None) -> HealthFinding | None:
@@ -143,7 +143,7 @@ def _driven(recording: Recording, channel: Channel, attitude: Channel | None) ->
         return None
     r, change, text = worst
     verdict = judged_value(change, 0.0, limits.FIELD_DRIVEN) if abs(r) >= _RELATED else HealthVerdict.OK
-    return _bad("motors", channel, verdict, text, _MOTORS, Measured(change, 0.0, limits.FIELD_DRIVEN))
+    return _bad("motors", channel, verdict, text, _MOTORS, Compared(change, 0.0, limits.FIELD_DRIVEN))
 
 
 def _drive(recording: Recording, sensor: Sensor, channel: Channel) -> Array | None:
@@ -191,7 +191,7 @@ def _against_earth(
     text = f"reads {measured:.1f} uT; the World Magnetic Model has {expected:.1f} uT there"
     if verdict != HealthVerdict.OK and never_calibrated(recording, Sensor.MAG, channel.instance):
         text += ". It was never calibrated: its offsets are 0"
-    yield _bad("earth", channel, verdict, text, _CALIBRATE, Measured(off, field.norm_sd / expected, limits.FIELD))
+    yield _bad("earth", channel, verdict, text, _CALIBRATE, Compared(off, field.norm_sd / expected, limits.FIELD))
     dip = None if attitude is None else _dip(channel, attitude)
     if dip is None:
         return
@@ -200,7 +200,7 @@ def _against_earth(
     apart = abs(dip - should)
     verdict = judged_value(apart, 1.0, limits.DIP)
     text = f"its field dips by {dip:.1f} deg; the World Magnetic Model has {should:.1f} deg there"
-    yield _bad("dip", channel, verdict, text, _CALIBRATE, Measured(apart, 1.0, limits.DIP))
+    yield _bad("dip", channel, verdict, text, _CALIBRATE, Compared(apart, 1.0, limits.DIP))
 
 
 def _dip(channel: Channel, attitude: Channel) -> float | None:
@@ -245,11 +245,11 @@ def _apart(found: dict[int, Channel]) -> Iterator[HealthFinding]:
             verdict, text = HealthVerdict.OK, f"agrees with {agrees} other compass{'es' if agrees > 1 else ''}"
         elif verdict != HealthVerdict.OK and len(found) == 2:
             verdict, text = HealthVerdict.SUSPICIOUS, f"{text}; which is off, this comparison cannot say"
-        yield _bad("compasses", channel, verdict, text, _CALIBRATE, Measured(angle, 0.0, limits.FIELDS_APART))
+        yield _bad("compasses", channel, verdict, text, _CALIBRATE, Compared(angle, 0.0, limits.FIELDS_APART))
 
 
 def _bad(
-    check: str, channel: Channel, verdict: HealthVerdict, text: str, action: str, measured: Measured | None = None
+    check: str, channel: Channel, verdict: HealthVerdict, text: str, action: str, measured: Compared | None = None
 ) -> HealthFinding:
     shown = "" if verdict == HealthVerdict.OK else action
     value, sd, limit = (None, None, None) if measured is None else (measured.value, measured.sd, measured.limit)

@@ -30,7 +30,7 @@ _WORSE = (HealthVerdict.CANNOT_SAY, HealthVerdict.OK, HealthVerdict.SUSPICIOUS, 
 
 
 @dataclass(frozen=True)
-class Measured:
+class Compared:
     """A number with its standard error, and the limit that it was compared with."""
 
     value: float | None

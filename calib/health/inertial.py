@@ -18,7 +18,7 @@ from mavcal.calib.flight.rest import TimeSpan, ground
 from mavcal.calib.flight.resting import gravity_of_place
 from mavcal.calib.health import limits, motion
 from mavcal.calib.health.channels import NOT_PHYSICAL, judged_channel
-from mavcal.calib.health.finding import HealthFinding, HealthVerdict, Measured, judged_value
+from mavcal.calib.health.finding import HealthFinding, HealthVerdict, Compared, judged_value
 from mavcal.calib.health.parameters import never_calibrated
 from mavcal.calib.recording import Channel, Recording, Sensor
 from mavcal.calib.stats.stillness import RESTING, Still, find_still
@@ -122,7 +122,7 @@ def _gravity(recording: Recording, channel: Channel, attitude: Channel | None, l
     text = f"reads {force:.2f} +- {sd:.2f} m/s2 {how}; gravity is {gravity:.2f}"
     if verdict != HealthVerdict.OK and never_calibrated(recording, Sensor.ACCEL, channel.instance):
         text += ". It was never calibrated: its offsets are 0 and its scales 1"
-    return _finding("gravity", channel, verdict, text, Measured(off, sd, limits.FORCE))
+    return _finding("gravity", channel, verdict, text, Compared(off, sd, limits.FORCE))
 
 
 def _drift(channel: Channel, laid: Sequence[Still]) -> HealthFinding:
@@ -144,7 +144,7 @@ def _drift(channel: Channel, laid: Sequence[Still]) -> HealthFinding:
     text = f"its reading of gravity went from {first:.2f} to {last:.2f} m/s2 in {minutes:.0f} min while motionless"
     if verdict == HealthVerdict.OK:
         text = f"its reading of gravity kept within {moved:.2f} m/s2 over {minutes:.0f} min while motionless"
-    return _finding("drift", channel, verdict, text, Measured(moved, noise, limits.FORCE_DRIFT))
+    return _finding("drift", channel, verdict, text, Compared(moved, noise, limits.FORCE_DRIFT))
 
 
 def _rate(channel: Channel, attitude: Channel | None, laid: Sequence[Still]) -> HealthFinding:
@@ -160,7 +160,7 @@ def _rate(channel: Channel, attitude: Channel | None, laid: Sequence[Still]) -> 
     verdict = judged_value(rate, sd, limits.RATE)
     axes = ", ".join(f"{np.degrees(v):+.2f}" for v in windows.median)
     text = f"reads {np.degrees(rate):.2f} +- {np.degrees(sd):.2f} deg/s {how}: ({axes}) deg/s"
-    return _finding("offset", channel, verdict, text, Measured(rate, sd, limits.RATE))
+    return _finding("offset", channel, verdict, text, Compared(rate, sd, limits.RATE))
 
 
 def _apart(found: Mapping[int, Channel], own: Mapping[int, HealthVerdict]) -> Iterator[HealthFinding]:
@@ -185,17 +185,17 @@ def _of_pairs(
     agreeing = [other for other, (_, _, verdict) in pairs.items() if verdict == HealthVerdict.OK]
     if agreeing:
         text = f"agrees with unit {', '.join(str(other + 1) for other in agreeing)}"
-        return _finding("units", channel, HealthVerdict.OK, text, Measured(None, None, limit))
+        return _finding("units", channel, HealthVerdict.OK, text, Compared(None, None, limit))
     other, (value, sd, verdict) = max(pairs.items(), key=lambda pair: pair[1][0])
     factor, unit = (1.0, "m/s2") if channel.sensor == Sensor.ACCEL else (float(np.degrees(1.0)), "deg/s")
     text = f"differs from unit {other + 1} by {factor * value:.2f} +- {factor * sd:.2f} {unit}"
     if own[instance] == HealthVerdict.OK and own[other] in (HealthVerdict.SUSPICIOUS, HealthVerdict.FAULTY):
         return _finding(
-            "units", channel, HealthVerdict.OK, f"{text}, which is off by itself", Measured(value, sd, limit)
+            "units", channel, HealthVerdict.OK, f"{text}, which is off by itself", Compared(value, sd, limit)
         )
     if len(pairs) == 1 and own[instance] in (HealthVerdict.OK, HealthVerdict.CANNOT_SAY):
         text, verdict = f"{text}; which of them is off, this comparison cannot say", HealthVerdict.SUSPICIOUS
-    return _finding("units", channel, verdict, text, Measured(value, sd, limit))
+    return _finding("units", channel, verdict, text, Compared(value, sd, limit))
 
 
 _FROM_FLIGHT: Final = {"vibration": limits.VIBRATION, "clipping": limits.CLIPS}
@@ -219,7 +219,7 @@ def _of_item(item: JudgedItem) -> HealthFinding:
     )
 
 
-def _finding(check: str, channel: Channel, verdict: HealthVerdict, text: str, measured: Measured) -> HealthFinding:
+def _finding(check: str, channel: Channel, verdict: HealthVerdict, text: str, measured: Compared) -> HealthFinding:
     action = "" if verdict == HealthVerdict.OK else _CALIBRATE[channel.sensor]
     if verdict == HealthVerdict.FAULTY:
         action += " Do not fly with it. If it comes back, replace the sensor."

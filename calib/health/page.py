@@ -15,7 +15,8 @@ from mavcal.calib.health.finding import NAMES, HealthVerdict
 from mavcal.calib.health.report import HealthReport
 from mavcal.calib.recording import Recording
 
-_COLOURS = ("var(--x)", "var(--y)", "var(--z)")
+_COLOURS = ("#c4483d", "#2f9455", "#3d7cc9")
+"""Of x, y and z, on white and on black."""
 _WORDS = {HealthVerdict.CANNOT_SAY: "cannot say"}
 
 
