@@ -17,7 +17,7 @@ from mavcal.calib.earth import EarthField, earth_field
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.health import limits, motion
 from mavcal.calib.health.channels import NOT_PHYSICAL, judged_channel
-from mavcal.calib.health.finding import HealthFinding, HealthVerdict, Compared, judged_value
+from mavcal.calib.health.finding import Compared, HealthFinding, HealthVerdict, judged_value
 from mavcal.calib.health.parameters import in_use, never_calibrated
 from mavcal.calib.recording import Channel, Recording, Sensor
 from mavcal.calib.stats.windows import finite_rows

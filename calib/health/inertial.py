@@ -18,7 +18,7 @@ from mavcal.calib.flight.rest import TimeSpan, ground
 from mavcal.calib.flight.resting import gravity_of_place
 from mavcal.calib.health import limits, motion
 from mavcal.calib.health.channels import NOT_PHYSICAL, judged_channel
-from mavcal.calib.health.finding import HealthFinding, HealthVerdict, Compared, judged_value
+from mavcal.calib.health.finding import Compared, HealthFinding, HealthVerdict, judged_value
 from mavcal.calib.health.parameters import never_calibrated
 from mavcal.calib.recording import Channel, Recording, Sensor
 from mavcal.calib.stats.stillness import RESTING, Still, find_still
