@@ -30,7 +30,7 @@ ITS_OWN_HANDS_OFF = {"parameters": {"IMU_GYRO_CAL_EN": 0.0}}
 """A PX4 that leaves its gyroscopes as they were calibrated."""
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def sims() -> Iterator[tuple[SimulatedVehicle, SimulatedVehicle]]:
     with (
         SimulatedVehicle("ardupilot", speed=SPEED, seed=31, config={"thermal": False}) as one,
@@ -215,7 +215,6 @@ async def test_a_start_takes_up_what_was_left_out(
     tmp_path: Path, sims: tuple[SimulatedVehicle, SimulatedVehicle]
 ) -> None:
     """A store of before there was a fleet, or a crash between the end of a job and its record."""
-    zero_gyro_offsets(sims[0])
     async with served(tmp_path, connect=(sims[0].url,)) as a:
         (vehicle,) = await vehicles(a, 1)
         job = await calibrated(a, vehicle)
