@@ -52,13 +52,13 @@ READ = """() => ({ ...window.counted, at: performance.now(),
 
 @dataclass(frozen=True)
 class Counted:
-    """What happened within the time of a measurement."""
+    """What was counted during one measurement."""
 
     seconds: float
     frames: float
-    """Of the page, a second."""
+    """Frames of the page per second."""
     pictures: tuple[float, ...]
-    """Of each chart, a second."""
+    """Frames of each chart per second."""
     drawing_ms: float
     """JavaScript of one picture of all charts, ms."""
     shares: dict[str, float]

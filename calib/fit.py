@@ -157,7 +157,7 @@ class FitResult:
             Raw samples of the sensor, usually those of the fit: residuals, and for a compass the sphere. None: what
             the parameters say alone.
         temperature : shape (N,) or None
-            Of every sample, degC; only a fit of the drift needs it.
+            Temperature of every sample, degC; only a fit of the drift needs it.
 
         Raises
         ------

@@ -30,13 +30,13 @@ SHADES: Final = ("#1f6fb2", "#c9731f", "#7a4fb5")
 MOST: Final = 4000
 """Samples that are drawn; a recording has many more than a picture has dots."""
 WIDTH, HEIGHT = 5.2, 3.8
-"""Of one panel, inches."""
+"""Size of one panel, inches."""
 NAMES: Final = {Sensor.GYRO: "Gyro", Sensor.ACCEL: "Accelerometer", Sensor.MAG: "Compass"}
 FACES: Final = ("+x", "+y", "+z", "-x", "-y", "-z")
 
 
 class PlottedFit(Protocol):
-    """What is drawn of a :class:`calib.fit.FitResult`."""
+    """Pictures of a :class:`calib.fit.FitResult`."""
 
     @property
     def method(self) -> str: ...  # noqa: D102 - as there

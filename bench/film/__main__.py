@@ -33,7 +33,7 @@ READY = {
     "history": "main table",
     "live": ".charts canvas",
 }
-"""What stands in a room that is complete."""
+"""Text that a room shows once it is complete."""
 
 
 def main() -> int:

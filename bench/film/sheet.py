@@ -17,7 +17,7 @@ PAPER, INK = "#e9edf2", "#14202e"
 
 @dataclass(frozen=True)
 class Frame:
-    """What the page showed, s after the beginning: a PNG, and what it is about."""
+    """A screenshot (PNG), its time after the start in s, and its caption."""
 
     at: float
     png: bytes

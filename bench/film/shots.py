@@ -21,7 +21,7 @@ SEEN = """() => [document.querySelector('.job-head .badge')?.textContent,
     document.querySelector('.prompt .say')?.textContent,
     document.querySelectorAll('.faces .done').length, document.querySelector('.prompt.stable') !== null,
     Math.round((document.querySelector('[role=progressbar]')?.ariaValueNow ?? 0) / 12)]"""
-"""What makes a frame another one than the last."""
+"""What must change before another frame is taken."""
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ BEGIN, END = "<!-- measured -->", "<!-- end of what was measured -->"
 
 @dataclass
 class Tally:
-    """Of one fault: in how many sensors it was put, was found, and where another sensor was called bad besides."""
+    """One fault: sensors that got it, sensors where it was found, and runs in which another kind was called bad."""
 
     put: int = 0
     found: int = 0

@@ -72,7 +72,7 @@ READY = {
     "history": "main table",
     "setup": "#url",
 }
-"""What stands in a room that is complete."""
+"""Text that a room shows once it is complete."""
 
 
 @pytest.mark.skipif(not AXE.is_file(), reason="axe-core is not here: scripts/vendor dev brings it")
