@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -80,11 +80,10 @@ QUICK = JobSettings(
     settle_least_s=0.0,
     watch_s=0.001,
     retry_s=0.001,
-    reboot_timeout_s=0.2,
-    operator_reboot_s=0.2,
     same_boot_s=0.5,
-    busy_s=0.2,
 )
+IMPATIENT = replace(QUICK, reboot_timeout_s=0.2, operator_reboot_s=0.2, busy_s=0.2)
+"""For tests of what happens once a limit has passed; what is to end well must not race against one."""
 
 OLD = {"INS_GYROFFS_X": 0.0, "INS_GYROFFS_Y": 0.001, "INS_GYROFFS_Z": 0.0, "INS_GYR_ID": 1000.0, "FLAG": 1.0}
 NEW = {"INS_GYROFFS_X": 0.01, "INS_GYROFFS_Y": -0.02, "INS_GYROFFS_Z": 0.005}
@@ -143,17 +142,18 @@ class Bench:
     accept: Accept
     check: FakeCheck
     reach: Callable[[At], None] = nowhere
+    settings: JobSettings = QUICK
     before: dict[str, ParameterReading] = field(init=False)
 
     def __post_init__(self) -> None:
         self.before = dict(self.vehicle.parameters)
 
     def attempt(self) -> Writing:
-        return Writing(self.handle, self.vehicle, self.plan, self.accept, self.check, QUICK, self.reach)
+        return Writing(self.handle, self.vehicle, self.plan, self.accept, self.check, self.settings, self.reach)
 
     @property
     def transaction(self) -> Transaction:
-        return Transaction(self.handle, self.attempt, QUICK.retry_s)
+        return Transaction(self.handle, self.attempt, self.settings.retry_s)
 
     @property
     def state(self) -> JobState:

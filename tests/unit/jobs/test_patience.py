@@ -16,7 +16,7 @@ from mavcal.service.jobs.states import JobState
 from mavcal.service.store import SqliteStore
 from tests.unit.jobs.fakes import FakeVehicle
 
-from .conftest import QUICK, MakeBench, until
+from .conftest import IMPATIENT, QUICK, MakeBench, until
 
 
 @pytest.fixture
@@ -48,7 +48,7 @@ async def test_the_wait_is_bounded(handle: JobHandle) -> None:
     vehicle = FakeVehicle({})
     vehicle.change_state(calibrating=True)
     with pytest.raises(VehicleBusy, match="has not ended within 0 s"):
-        await until_idle(handle, vehicle, QUICK)
+        await until_idle(handle, vehicle, IMPATIENT)
 
 
 async def test_a_px4_that_has_just_started_is_left_alone(handle: JobHandle) -> None:

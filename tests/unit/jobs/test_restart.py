@@ -14,7 +14,7 @@ from mavcal.service.jobs.journal import JournalStep
 from mavcal.service.jobs.restart import PREFLIGHT_REBOOT_SHUTDOWN, restart
 from mavcal.service.vehicle.commands import check_allowed
 
-from .conftest import Bench, MakeBench, until
+from .conftest import IMPATIENT, Bench, MakeBench, until
 
 
 def restarted(bench: Bench, **changes: object) -> None:
@@ -112,6 +112,7 @@ async def test_arming_instead_stops_the_write(make_bench: MakeBench) -> None:
 
 async def test_one_that_never_restarts_stops_the_write(make_bench: MakeBench) -> None:
     bench = make_bench(reboot=True)
+    bench.settings = IMPATIENT
     with pytest.raises(WriteStopped, match="did not restart within 0 s"):
         await restart(bench.attempt())
 

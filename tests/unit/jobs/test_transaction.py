@@ -17,7 +17,7 @@ from mavcal.service.jobs.model import Failure, Result, Unwritten
 from mavcal.service.jobs.port import ParameterReading
 from mavcal.service.jobs.states import JobState
 
-from .conftest import NEW, OLD, QUICK, Bench, Killed, MakeBench, float32, until
+from .conftest import IMPATIENT, NEW, OLD, QUICK, Bench, Killed, MakeBench, float32, until
 
 EXPECTED = {name: float32(value) for name, value in NEW.items()}
 BEFORE = {name: float32(OLD[name]) for name in NEW}
@@ -63,6 +63,7 @@ async def test_session_settings_come_back(make_bench: MakeBench) -> None:
 )
 async def test_nothing_is_sent_to_a_vehicle_that_is_not_ready(make_bench: MakeBench, trouble: dict[str, Any]) -> None:
     bench = make_bench()
+    bench.settings = IMPATIENT
     bench.vehicle.change_state(**trouble)
     await bench.apply()
     assert bench.state == JobState.REVIEW
