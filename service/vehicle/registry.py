@@ -18,7 +18,9 @@ from mavcal.service.vehicle.vehicle import CORE_IDS, YIELD_S, Vehicle
 TICK_S = 0.05
 """How often time passes for a vehicle that an answer is waited for from."""
 IDLE_TURNS = 5
-"""For any other one so many times as seldom: only silence and old states are noticed then."""
+IDLE_S = IDLE_TURNS * TICK_S
+"""For any other one: only silence and old states are noticed then. By the clock, not by turns: a late event loop has
+few of them."""
 TOGETHER = 50
 """Vehicles that have their turn in one go; what else the event loop has to do comes in between."""
 _AUTOPILOT_COMPONENT = 1
@@ -49,9 +51,10 @@ class VehicleRegistry:
         self._identifying: dict[Vehicle, asyncio.Task[None]] = {}
         self._changed: set[asyncio.Future[None]] = set()
         self._ticker: asyncio.TimerHandle | None = None
-        self._round = 0
         self._turns: list[tuple[int, tuple[str, int, int]]] = []
         """Whose turn is still to come in this round, numbered."""
+        self._period: dict[tuple[str, int, int], int] = {}
+        """In which of its periods of :data:`IDLE_S` each vehicle had its last turn; they begin at different times."""
 
     # --- links ------------------------------------------------------------------------------------------------------
 
@@ -72,6 +75,7 @@ class VehicleRegistry:
         for key, vehicle in list(self._vehicles.items()):
             if vehicle.link is link:
                 del self._vehicles[key]
+                self._period.pop(key, None)
                 self._stop_identifying(vehicle)
                 vehicle.close(LinkDown(f"Link {link.id} was closed."))
         if not self._detachers and self._ticker is not None:
@@ -184,12 +188,14 @@ class VehicleRegistry:
         parts = max(1, -(-len(self._vehicles) // TOGETHER))
         self._ticker = asyncio.get_running_loop().call_later(TICK_S / parts, self._tick)
         if not self._turns:
-            self._turns = list(enumerate(self._vehicles, self._round))
-            self._round += 1
+            self._turns = list(enumerate(self._vehicles))
         some, self._turns = self._turns[:TOGETHER], self._turns[TOGETHER:]
+        now = self._clock()
         for number, place in some:
             vehicle = self._vehicles.get(place)
-            if vehicle is not None and (vehicle.waits.any or number % IDLE_TURNS == 0):
+            period = int((now + TICK_S * (number % IDLE_TURNS)) / IDLE_S)
+            if vehicle is not None and (vehicle.waits.any or period != self._period.get(place)):
+                self._period[place] = period
                 vehicle.tick()
 
     def _announce(self, vehicle: Vehicle, kind: VehicleEventKind, text: str) -> None:

@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 from mavcal.service.errors import LinkDown
 from mavcal.service.link import Link
 from mavcal.service.vehicle import VehicleEvent, VehicleEventKind, VehicleRegistry
-from mavcal.service.vehicle.registry import IDLE_TURNS, TOGETHER
+from mavcal.service.vehicle.registry import IDLE_S, IDLE_TURNS, TICK_S, TOGETHER
 from tests.clock import ManualClock
 from tests.unit.vehicle.fake import heartbeat, version
 from tests.unit.vehicle.test_registry import Air, attached, registry
@@ -204,12 +204,30 @@ async def test_a_fleet_has_its_turns_in_parts_and_none_is_left_out(registry: Veh
     clock.advance(10.0)
     told = []
     for _ in range(3 * IDLE_TURNS):
+        clock.advance(TICK_S)
         registry._tick()
         await turns(3)
         told.append(len(silent))
     assert told[-1] == len(set(silent)) == count
     assert all(after - before <= TOGETHER for before, after in itertools.pairwise([0, *told]))
     assert told[0] < count
+
+
+async def test_a_late_loop_gives_an_idle_vehicle_its_turn_as_soon_as_it_can(registry: VehicleRegistry) -> None:
+    """Else its landed state, asked for every few turns, grows too old to write by."""
+    air, clock = attached(registry), cast(ManualClock, registry._clock)
+    air.say(heartbeat(), at=clock())
+    (vehicle,) = registry.all()
+    had: list[float] = []
+    vehicle.tick = lambda: had.append(clock())  # type: ignore[method-assign]
+    for late in range(1, 4):
+        clock.advance(2.0 * IDLE_S)
+        registry._tick()
+        assert len(had) == late
+    clock.advance(0.2 * IDLE_S)
+    registry._tick()
+    registry._tick()
+    assert len(had) <= 4
 
 
 async def test_whoever_is_waited_for_has_every_turn(registry: VehicleRegistry) -> None:
