@@ -10,7 +10,7 @@ import multiprocessing
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
@@ -18,6 +18,7 @@ from typing import TypeVar
 from bench.campaign import criteria, tables
 from bench.campaign.cli_run import cli_kills, run_cli_kill
 from bench.campaign.criteria import Criterion
+from bench.campaign.crossed.kept import Kept, commit_of, keep, kept_runs
 from bench.campaign.crossed.plan import cross, crosses
 from bench.campaign.crossed.report import CrossReport
 from bench.campaign.crossed.run import run_cross
@@ -54,6 +55,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--first", type=int, default=0, help="the first of them; a campaign can be made in parts")
     parser.add_argument("--store", default=SQLITE, help="of crossed runs: sqlite, or MODULE:CLASS made of --store-url")
     parser.add_argument("--store-url", default="", help="where that store is; {run} in it names the run")
+    parser.add_argument("--keep", type=Path, help="file of finished crossed runs; those in it are not made again")
     parser.add_argument("--starved", type=int, default=STARVED_RUNS, help="number of starved runs")
     parser.add_argument("--postgresql", action="store_true", help="crossed runs on a PostgreSQL of their own")
     parser.add_argument("--run", type=int, default=None, help="only this run, with all it has to say")
@@ -92,7 +94,7 @@ def _campaign(args: argparse.Namespace, kind: StoreKind) -> int:
             texts.append(tables.cli_table(commands))
             found += criteria.of_cli_kills(commands)
         if args.part in ("crossed", "all"):
-            crossed = _all(pool, partial(run_cross, kind=kind), crosses(args.crosses, args.seed, args.first))
+            crossed = _crossed(pool, args, kind)
             texts.append(cross_tables(crossed))
             found += of_crosses(crossed)
     if args.part in ("starved", "all"):  # one after the other, once nothing else wants the processor
@@ -142,6 +144,23 @@ def _all(pool: ProcessPoolExecutor, run: Callable[[Job], Report], jobs: Iterable
         reports.append(report)
         _progress(report)
     return reports
+
+
+def _crossed(pool: ProcessPoolExecutor, args: argparse.Namespace, kind: StoreKind) -> list[CrossReport]:
+    """The runs asked for, without those that the file of kept ones has; each is kept as soon as it has ended."""
+    wanted = crosses(args.crosses, args.seed, args.first)
+    if args.keep is None:
+        return _all(pool, partial(run_cross, kind=kind), wanted)
+    commit, known = commit_of(DOCUMENT.parent), kept_runs(args.keep, args.seed, kind.name)
+    reports = {kept.report.index: kept.report for kept in known}
+    waiting = [pool.submit(run_cross, one, kind=kind) for one in wanted if one.index not in reports]
+    for done in as_completed(waiting):
+        report = done.result()
+        _progress(report)
+        keep(args.keep, Kept(commit, kind.name, report))
+        reports[report.index] = report
+    print(f"kept runs of commits {', '.join(sorted({kept.commit for kept in known} | {commit}))}")
+    return [reports[index] for index in sorted(reports)]
 
 
 def _starved(seed: int, count: int) -> list[StarvedReport]:
