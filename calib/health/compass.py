@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator
 from datetime import datetime
 from itertools import combinations
@@ -19,15 +18,13 @@ from mavcal.calib.health import limits, motion
 from mavcal.calib.health.channels import NOT_PHYSICAL, judged_channel
 from mavcal.calib.health.finding import Compared, HealthFinding, HealthVerdict, judged_value
 from mavcal.calib.health.parameters import in_use, never_calibrated
-from mavcal.calib.recording import Channel, Recording, Sensor
+from mavcal.calib.recording import Channel, Oddity, Recording, Sensor
 from mavcal.calib.stats.windows import finite_rows
 
 Array = NDArray[np.float64]
 
 _CALIBRATE: Final = "Calibrate the compass outdoors, away from metal."
 _MOTORS: Final = "Move the compass away from the power leads, or compensate: mavcal fit mag-motor."
-_DEAD: Final = re.compile(r"mag (\d+): all \d+ samples")
-_OFTEN_ZERO: Final = re.compile(r"mag (\d+): (\d+) of (\d+) samples of \w+ are exactly 0")
 _ZEROS: Final = 0.1
 """Share of samples at 0, 0, 0 that is no start-up."""
 _OWN: Final = ("COMPASS_OFS", "COMPASS_DIA", "COMPASS_ODI", "COMPASS_MOT", "COMPASS_SCALE", "CAL_MAG")
@@ -71,10 +68,10 @@ def compass_findings(recording: Recording) -> Iterator[HealthFinding]:
 
 def _dead(recording: Recording) -> Iterator[HealthFinding]:
     for event in recording.events:
-        said = _DEAD.match(event.text) if event.kind == "dead" else None
-        if said is None:
+        odd = event.odd if event.kind == "dead" else None
+        if odd is None or odd.sensor != Sensor.MAG:
             continue
-        instance = int(said[1]) - 1
+        instance = odd.instance
         if in_use(recording, Sensor.MAG, instance):
             action = "Check its wiring and its driver; the vehicle flies without this compass."
             text = "reads 0, 0, 0 throughout"
@@ -88,12 +85,17 @@ def _corrupt(recording: Recording) -> Iterator[HealthFinding]:
     """Compasses that collapse to zero for a part of the log, and parameters that are no numbers."""
     bad = {n for n, value in recording.parameters.final().items() if n.startswith(_OWN) and not math.isfinite(value)}
     for event in recording.events:
-        said = _OFTEN_ZERO.match(event.text) if event.kind == "damage" else None
-        if said is None or int(said[2]) < _ZEROS * int(said[3]):
+        odd = event.odd if event.kind != "dead" else None
+        if odd is None or (odd.what, odd.sensor) != (Oddity.ZERO, Sensor.MAG) or not odd.total:
             continue
-        share = 100.0 * int(said[2]) / int(said[3])
-        text, action = f"reads 0, 0, 0 in {share:.0f} % of its samples", "Check its wiring and its parameters."
-        yield HealthFinding("dead", Sensor.MAG, int(said[1]) - 1, HealthVerdict.FAULTY, text, action, start=event.t)
+        if odd.count < _ZEROS * odd.total:
+            continue
+        text = f"reads 0, 0, 0 in {100.0 * odd.count / odd.total:.0f} % of its samples, first at {event.t:.1f} s"
+        yield HealthFinding(
+            *("dead", Sensor.MAG, odd.instance, HealthVerdict.FAULTY, text, "Check its wiring and its parameters."),
+            start=event.t,
+            end=odd.until,
+        )
     for name in sorted(bad):
         instance = next((int(c) - 1 for c in name if c.isdigit()), 0)
         text, action = f"its parameter {name} is not a number", f"Set {name} to 0 and calibrate the compass."

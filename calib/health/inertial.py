@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.flight.flying import flying_items
-from mavcal.calib.flight.item import FlightVerdict, JudgedItem
-from mavcal.calib.flight.rest import TimeSpan, ground
+from mavcal.calib.flight.rest import TimeSpan
 from mavcal.calib.flight.resting import gravity_of_place
 from mavcal.calib.health import limits, motion
 from mavcal.calib.health.channels import NOT_PHYSICAL, judged_channel
@@ -50,10 +48,9 @@ def motionless(recording: Recording, instance: int) -> tuple[Still, ...]:
         return ()
 
 
-def inertial_findings(recording: Recording, flown: Sequence[TimeSpan]) -> Iterator[HealthFinding]:
-    """Every check of every accelerometer and gyroscope; `flown` are the spans with the motors on."""
+def inertial_findings(recording: Recording, off: Sequence[TimeSpan]) -> Iterator[HealthFinding]:
+    """What every accelerometer and gyroscope reads; `off` are the spans with the motors off."""
     attitude = next(iter(recording.find(Sensor.ATTITUDE)), None)
-    off = ground(recording).off
     for sensor in (Sensor.ACCEL, Sensor.GYRO):
         found: dict[int, Channel] = {}
         own: dict[int, HealthFinding] = {}
@@ -71,9 +68,6 @@ def inertial_findings(recording: Recording, flown: Sequence[TimeSpan]) -> Iterat
                 own[instance] = _rate(channel, attitude, laid)
         yield from own.values()
         yield from _apart(found, {i: f.verdict for i, f in own.items()})
-    for item in flying_items(recording, flown):
-        if item.name in _FROM_FLIGHT:
-            yield _of_item(item)
 
 
 def _within(laid: Sequence[Still], spans: Sequence[TimeSpan]) -> tuple[Still, ...]:
@@ -196,27 +190,6 @@ def _of_pairs(
     if len(pairs) == 1 and own[instance] in (HealthVerdict.OK, HealthVerdict.CANNOT_SAY):
         text, verdict = f"{text}; which of them is off, this comparison cannot say", HealthVerdict.SUSPICIOUS
     return _finding("units", channel, verdict, text, Compared(value, sd, limit))
-
-
-_FROM_FLIGHT: Final = {"vibration": limits.VIBRATION, "clipping": limits.CLIPS}
-_SEEN: Final = {
-    FlightVerdict.PASS: HealthVerdict.OK,
-    FlightVerdict.NOT_TESTABLE: HealthVerdict.CANNOT_SAY,
-    FlightVerdict.WARN: HealthVerdict.SUSPICIOUS,
-    FlightVerdict.FAIL: HealthVerdict.FAULTY,
-}
-
-
-def _of_item(item: JudgedItem) -> HealthFinding:
-    """A check that the sanity of a flight makes already."""
-    instance = int(item.subject.rpartition(" ")[2]) - 1
-    verdict = _SEEN[item.verdict]
-    action = (
-        "" if verdict in (HealthVerdict.OK, HealthVerdict.CANNOT_SAY) else "Damp the mount, and balance the propellers."
-    )
-    return HealthFinding(
-        item.name, Sensor.ACCEL, instance, verdict, item.text, action, item.value, item.sd, _FROM_FLIGHT[item.name]
-    )
 
 
 def _finding(check: str, channel: Channel, verdict: HealthVerdict, text: str, measured: Compared) -> HealthFinding:

@@ -13,7 +13,7 @@ from bench.health.faults import FAULTS, injected
 from mavcal.calib.health.finding import HealthVerdict
 from mavcal.calib.health.overview import overview
 from mavcal.calib.health.report import health
-from mavcal.calib.recording import Event, Identity, ParameterTimeline, Recording, Sensor, Stage
+from mavcal.calib.recording import Event, Identity, Oddity, OddSamples, ParameterTimeline, Recording, Sensor, Stage
 from tests.unit.health.made import CALIBRATED, flight
 
 
@@ -77,7 +77,7 @@ def test_a_sensor_that_was_never_calibrated_is_said_to_be():
 
 
 def test_a_compass_of_zeros_alone_is_faulty_if_the_vehicle_uses_it():
-    dead = Event(0.0, "dead", "mag 1: all 500 samples of MAG are exactly 0, 0, 0")
+    dead = Event(0.0, "dead", "so it is said", OddSamples(Oddity.ZERO, Sensor.MAG, 0, 500, 500))
     recording = dataclasses.replace(without(flight(4), Sensor.MAG), events=(dead,))
     assert of(health(recording), Sensor.MAG).verdict == HealthVerdict.FAULTY
     unused = ParameterTimeline.constant({**CALIBRATED, "COMPASS_USE": 0.0})
