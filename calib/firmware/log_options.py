@@ -67,6 +67,7 @@ _ARDUPILOT: Final[Mapping[int, Mapping[Logged, LogBit]]] = MappingProxyType(
     }
 )
 """By kind of vehicle as :func:`calib.logs.dataflash.said.identity_of` tells them; copters of every shape are one."""
+_DISARMED: Final = {"ardupilot": "LOG_DISARMED 1", "px4": "SDLOG_MODE 2"}
 _PX4: Final[Mapping[Logged, LogBit]] = {
     **dict.fromkeys(Logged, LogBit(0, "Default set")),
     Logged.FAST_INERTIAL: LogBit(3, "System identification"),
@@ -93,8 +94,13 @@ def how_to_log(what: Logged, identity: Identity, parameters: Mapping[str, Value]
         return f'Set "{bit.name}" in {name}.'
     text = f"{name} bit {bit.number} ({bit.name})"
     if _is_set(parameters.get(name), bit.number):
-        return f"{text} is set: the vehicle has no such sensor, or it failed."
+        return f"{text} is set already: this firmware does not log it, or the sensor is missing."
     return f"Set {text}."
+
+
+def how_to_log_disarmed(autopilot: str | None) -> str:
+    """The parameter and value by which a vehicle logs while disarmed; of both autopilots where it is not known."""
+    return _DISARMED.get(autopilot or "", ", ".join(_DISARMED.values()))
 
 
 def _is_set(mask: Value | None, bit: int) -> bool:

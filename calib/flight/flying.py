@@ -166,7 +166,7 @@ def _clipping(recording: Recording, instance: int) -> JudgedItem:
     end = 0.999 * FULL_SCALE
     at_end = int(((values >= end) | (values <= -end)).any(axis=1).sum())
     most = max(float(values.max()), -float(values.min()))
-    text = f"{at_end} samples at 16 g, the largest is {most:.1f} m/s2"
+    text = f"{at_end} sample{'' if at_end == 1 else 's'} at 16 g, the largest is {most:.1f} m/s2"
     if not at_end and channel.stage == Stage.FILTERED and most > 0.5 * FULL_SCALE:
         return not_testable("clipping", subject, f"{text}, low-passed: what it was before is not known", largest=most)
     return judged("clipping", subject, float(at_end), limits.CLIPPED, text, largest=most)

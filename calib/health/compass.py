@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Iterator
 from datetime import datetime
@@ -16,14 +17,15 @@ from mavcal.calib.earth import EarthField, earth_field
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.health import limits, motion
 from mavcal.calib.health.channels import NOT_PHYSICAL, judged_channel
-from mavcal.calib.health.finding import Compared, HealthFinding, HealthVerdict, judged_value
+from mavcal.calib.health.finding import BAD, Compared, HealthFinding, HealthVerdict, judged_value
 from mavcal.calib.health.parameters import in_use, never_calibrated
-from mavcal.calib.recording import Channel, Oddity, Recording, Sensor
+from mavcal.calib.recording import Channel, Event, Oddity, Recording, Sensor
 from mavcal.calib.stats.windows import finite_rows
 
 Array = NDArray[np.float64]
 
 _CALIBRATE: Final = "Calibrate the compass outdoors, away from metal."
+_MOUNTING: Final = "Check how the compass is mounted and its rotation parameter, then calibrate it outdoors."
 _MOTORS: Final = "Move the compass away from the power leads, or compensate: mavcal fit mag-motor."
 _ZEROS: Final = 0.1
 """Share of samples at 0, 0, 0 that is no start-up."""
@@ -40,8 +42,8 @@ _YEAR: Final = 2025.5
 
 def compass_findings(recording: Recording) -> Iterator[HealthFinding]:
     """Every check of every compass."""
-    yield from _dead(recording)
     yield from _corrupt(recording)
+    yield from _dead(recording)
     field = _field(recording)
     attitude = next(iter(recording.find(Sensor.ATTITUDE)), None)
     found: dict[int, Channel] = {}
@@ -57,18 +59,25 @@ def compass_findings(recording: Recording) -> Iterator[HealthFinding]:
             )
             continue
         found[instance] = channel
-        yield _steady(recording, channel)
         driven = _driven(recording, channel, attitude)
         if driven is not None:
             yield driven
+        steady = _steady(recording, channel)
+        if driven is not None and driven.verdict in BAD and steady.verdict in BAD:  # the cause is known
+            steady = dataclasses.replace(steady, action=driven.action)
+        yield steady
         if len(channel) >= _LEAST:
             yield from _against_earth(recording, channel, attitude, field)
     yield from _apart(found)
 
 
 def _dead(recording: Recording) -> Iterator[HealthFinding]:
+    """Compasses that read zero, throughout or for a part of the log."""
     for event in recording.events:
-        odd = event.odd if event.kind == "dead" else None
+        if event.kind != "dead":
+            yield from _often_zero(event)
+            continue
+        odd = event.odd
         if odd is None or odd.sensor != Sensor.MAG:
             continue
         instance = odd.instance
@@ -81,24 +90,30 @@ def _dead(recording: Recording) -> Iterator[HealthFinding]:
             yield HealthFinding("dead", Sensor.MAG, instance, HealthVerdict.CANNOT_SAY, text)
 
 
+def _often_zero(event: Event) -> Iterator[HealthFinding]:
+    odd = event.odd
+    if odd is None or (odd.what, odd.sensor) != (Oddity.ZERO, Sensor.MAG) or not odd.total:
+        return
+    if odd.count < _ZEROS * odd.total:
+        return
+    text = f"reads 0, 0, 0 in {100.0 * odd.count / odd.total:.0f} % of its samples, first at {event.t:.1f} s"
+    yield HealthFinding(
+        *("dead", Sensor.MAG, odd.instance, HealthVerdict.FAULTY, text, "Check its wiring and its parameters."),
+        start=event.t,
+        end=odd.until,
+    )
+
+
 def _corrupt(recording: Recording) -> Iterator[HealthFinding]:
-    """Compasses that collapse to zero for a part of the log, and parameters that are no numbers."""
-    bad = {n for n, value in recording.parameters.final().items() if n.startswith(_OWN) and not math.isfinite(value)}
-    for event in recording.events:
-        odd = event.odd if event.kind != "dead" else None
-        if odd is None or (odd.what, odd.sensor) != (Oddity.ZERO, Sensor.MAG) or not odd.total:
-            continue
-        if odd.count < _ZEROS * odd.total:
-            continue
-        text = f"reads 0, 0, 0 in {100.0 * odd.count / odd.total:.0f} % of its samples, first at {event.t:.1f} s"
-        yield HealthFinding(
-            *("dead", Sensor.MAG, odd.instance, HealthVerdict.FAULTY, text, "Check its wiring and its parameters."),
-            start=event.t,
-            end=odd.until,
-        )
-    for name in sorted(bad):
-        instance = next((int(c) - 1 for c in name if c.isdigit()), 0)
-        text, action = f"its parameter {name} is not a number", f"Set {name} to 0 and calibrate the compass."
+    """Compasses whose parameters are no numbers."""
+    corrupt: dict[int, list[str]] = {}
+    for name, value in sorted(recording.parameters.final().items()):
+        if name.startswith(_OWN) and not math.isfinite(value):
+            corrupt.setdefault(next((int(c) - 1 for c in name if c.isdigit()), 0), []).append(name)
+    for instance, named in corrupt.items():
+        listed = ", ".join(named)
+        text = f"its parameter{'s' if len(named) > 1 else ''} {listed} {'are' if len(named) > 1 else 'is'} not a number"
+        action = f"Set {listed} to 0 and calibrate the compass."
         yield HealthFinding("parameters", Sensor.MAG, instance, HealthVerdict.FAULTY, text, action)
 
 
@@ -202,7 +217,7 @@ def _against_earth(
     apart = abs(dip - should)
     verdict = judged_value(apart, 1.0, limits.DIP)
     text = f"its field dips by {dip:.1f} deg; the World Magnetic Model has {should:.1f} deg there"
-    yield _bad("dip", channel, verdict, text, _CALIBRATE, Compared(apart, 1.0, limits.DIP))
+    yield _bad("dip", channel, verdict, text, _MOUNTING, Compared(apart, 1.0, limits.DIP))
 
 
 def _dip(channel: Channel, attitude: Channel) -> float | None:

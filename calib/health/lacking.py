@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from mavcal.calib.firmware.log_options import Logged, how_to_log
-from mavcal.calib.flight.rest import DISARMED, Ground
+from mavcal.calib.firmware.log_options import Logged, how_to_log, how_to_log_disarmed
+from mavcal.calib.flight.rest import Ground
 from mavcal.calib.health.sampling import Sampled, lost
 from mavcal.calib.recording import Recording, Sensor, Stage
 
@@ -25,9 +25,10 @@ def setting(recording: Recording, what: Logged) -> str:
 def every_sample(recording: Recording) -> str:
     """The action that has every sample of an accelerometer logged; empty where it is not known."""
     found = setting(recording, Logged.RAW_INERTIAL)
-    if recording.identity.autopilot == "ardupilot":
-        return f"Log every sample: {_BATCHES} (batch sampling). Or: {found}"
-    return f"Log every sample. {found}" if found else ""
+    if recording.identity.autopilot != "ardupilot":
+        return found
+    raw = f", or {found[0].lower()}{found[1:]}" if found.startswith("Set") else "."
+    return f"Set {_BATCHES} (batch sampling){raw}"
 
 
 def lacking(recording: Recording, stood: Ground, every: Sequence[Sampled]) -> Iterator[str]:
@@ -47,7 +48,7 @@ def lacking(recording: Recording, stood: Ground, every: Sequence[Sampled]) -> It
     if recording.identity.autopilot is not None and not recording.parameters:
         yield "parameters: the calibration in force, and whether there is one"
     if stood.running and not stood.off:
-        yield f"a rest with the motors off: offsets at rest. Set {DISARMED}"
+        yield f"a rest with the motors off: offsets at rest. Set {how_to_log_disarmed(recording.identity.autopilot)}"
     yield from _losses(recording, every)
 
 
@@ -91,6 +92,8 @@ def _losses(recording: Recording, every: Sequence[Sampled]) -> Iterator[str]:
             f"all sensors, {often}, for up to {longest.length:.1f} s at {longest.start:.1f} s: the logger or the link "
             "did not keep up. Use a faster card, or log less"
         )
-    dropped = [event.text for event in recording.events if event.kind == "drop"]
-    if dropped:
-        yield dropped[0] if len(dropped) == 1 else f"{dropped[0]} (and {len(dropped) - 1} more such losses)"
+    dropped = [event for event in recording.events if event.kind == "drop"]
+    if len(dropped) == 1:
+        yield f"a part of the log: {dropped[0].text}"
+    elif dropped:
+        yield f"{len(dropped)} stretches that the logger lost, the first at {dropped[0].t:.1f} s"

@@ -38,10 +38,7 @@ class HealthLimit:
 
 
 FORCE: Final = HealthLimit(
-    0.3,
-    flight.ARMING_FORCE,
-    "m/s2",
-    "3 % of gravity, what a calibrated MEMS sensor keeps over temperature; ARMING_ACCTHRESH",
+    0.25, flight.ARMING_FORCE, "m/s2", "2.5 % of gravity, 1.5 deg of tilt if it lay across; ARMING_ACCTHRESH"
 )
 FORCE_DRIFT: Final = HealthLimit(0.25, 0.5, "m/s2", "as for the mean: what moves so far cannot be calibrated away")
 RATE: Final = HealthLimit(
@@ -51,7 +48,7 @@ RATE: Final = HealthLimit(
     "a gyroscope's drift over temperature; ArduPilot's arming check",
 )
 FORCES_APART: Final = HealthLimit(
-    0.5, flight.ARMING_FORCE, "m/s2", "the sum of what two good units may be off; ARMING_ACCTHRESH"
+    0.35, flight.ARMING_FORCE, "m/s2", "what two units may differ by if each is off by 0.25; ARMING_ACCTHRESH"
 )
 RATES_APART: Final = HealthLimit(
     float(np.radians(1.5)), flight.ARMING_RATE, "rad/s", "the sum of what two good units may be off; arming check"

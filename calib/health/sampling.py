@@ -61,13 +61,13 @@ def sampled(recording: Recording) -> tuple[Sampled, ...]:
 def lost(every: Sequence[Sampled]) -> tuple[Gap, ...]:
     """Gaps of the sensor with most samples that all others share: the logger's."""
     densest = max(every, key=lambda one: len(one.channel), default=None)
-    return () if densest is None else tuple(gap for gap in densest.gaps if not _went_on(gap, every))
+    return () if densest is None else tuple(gap for gap in densest.gaps if not _went_on(gap, densest, every))
 
 
 def sampling_findings(recording: Recording, every: Sequence[Sampled]) -> Iterator[HealthFinding]:
     """Rate and gaps of every sensor in `every`, and values that stood still."""
     for one in every:
-        yield _gaps(one, every)
+        yield _gaps(one, every, _left_out(recording, one.channel))
         if one.channel.sensor != Sensor.MAG and not one.channel.quantum:  # a compass at rest may repeat itself
             yield from _stuck(one)
     yield from _distrusted(recording)
@@ -77,19 +77,26 @@ def _paused(gap: Gap, paused: Sequence[Gap]) -> bool:
     return any(gap.start < p.start + p.length and p.start < gap.start + gap.length for p in paused)
 
 
-def _went_on(gap: Gap, every: Sequence[Sampled]) -> bool:
-    """Whether another sensor was sampled in the middle of the gap."""
+def _went_on(gap: Gap, one: Sampled, every: Sequence[Sampled]) -> bool:
+    """Whether another sensor than `one` was sampled in the middle of the gap."""
     for other in every:
-        margin = _TIMES_SLOWER * other.period
+        margin = _TIMES_SLOWER * max(other.period, one.period)  # they need not stop with the same sample
         first, last = np.searchsorted(other.channel.t, (gap.start + margin, gap.start + gap.length - margin))
         if gap.length > 2.0 * margin and last > first:
             return True
     return False
 
 
-def _gaps(one: Sampled, every: Sequence[Sampled]) -> HealthFinding:
+def _left_out(recording: Recording, channel: Channel) -> tuple[Gap, ...]:
+    """Where samples of the sensor are there and were left out: that is said as such, and is no silence."""
+    of = channel.sensor, channel.instance
+    odd = [(e.t, e.odd) for e in recording.events if e.odd is not None and (e.odd.sensor, e.odd.instance) == of]
+    return tuple(Gap(t - 1.0, max((found.until or t) - t, 0.0) + 2.0) for t, found in odd)
+
+
+def _gaps(one: Sampled, every: Sequence[Sampled], left_out: Sequence[Gap]) -> HealthFinding:
     channel = one.channel
-    own = [gap for gap in one.gaps if _went_on(gap, every)]
+    own = [gap for gap in one.gaps if _went_on(gap, one, every) and not _paused(gap, left_out)]
     longest = max(own, key=lambda gap: gap.length, default=None)
     rate = f"{1.0 / one.period:.3g} Hz"
     key = "sampling", channel.sensor, channel.instance
@@ -101,7 +108,7 @@ def _gaps(one: Sampled, every: Sequence[Sampled]) -> HealthFinding:
     verdict = judged_value(longest.length, 0.0, limits.SILENT)
     often = "once" if len(own) == 1 else f"{len(own)} times"
     text = (
-        f"was silent {often} while other sensors went on, for {longest.length:.1f} s at {longest.start:.1f} s ({rate})"
+        f"was silent {often} while others went on, for up to {longest.length:.1f} s at {longest.start:.1f} s ({rate})"
     )
     return HealthFinding(
         *(*key, verdict, text, _BUS if verdict != HealthVerdict.OK else "", longest.length, None, limits.SILENT),

@@ -39,7 +39,7 @@ def _of_unit(recording: Recording, sensor: Sensor, instance: int) -> HealthFindi
     # autopilots zero their gyroscopes at each start: where they were zeroed once limits nothing
     covered = corrected_by(*vehicle) if sensor == Sensor.GYRO else covered_by(*vehicle, None)
     if covered is None:
-        text = f"{was}; no temperature calibration is in force: what it drifts by is not corrected"
+        text = f"{was}; no temperature calibration is in force: its drift is not corrected"
         return HealthFinding("temperature", sensor, instance, HealthVerdict.CANNOT_SAY, text)
     beyond = max(covered.low - low, high - covered.high, 0.0)
     verdict = judged_value(beyond, _READING_SD, limits.WARMTH)
