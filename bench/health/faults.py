@@ -53,11 +53,11 @@ def _changed(recording: Recording, sensor: Sensor, instance: int, change: Values
 
 
 def _plus(*offset: float) -> Callable[[Channel, Recording], Array]:
-    return lambda channel, _: channel.values + np.array(offset)
+    return lambda channel, _: np.asarray(channel.values + np.array(offset))
 
 
 def _times(factor: float) -> Values:
-    return lambda channel, _: factor * channel.values
+    return lambda channel, _: np.asarray(factor * channel.values)
 
 
 def _drifting(channel: Channel, _: Recording) -> Array:
@@ -150,7 +150,14 @@ FAULTS = (
     HealthFault("compass turned by 90 deg about x", Sensor.MAG, _turned, (Sensor.ATTITUDE, Sensor.POSITION)),
     HealthFault("vibration of 80 m/s2", Sensor.ACCEL, None, (), _shaken),
     HealthFault("accelerometer clips 150 times over the flight", Sensor.ACCEL, None, (), _clipped),
-    HealthFault("10 degC beyond its temperature calibration", Sensor.ACCEL, None, (Sensor.TEMPERATURE,), _too_warm),
+    HealthFault(
+        "10 degC beyond its temperature calibration",
+        Sensor.ACCEL,
+        None,
+        (Sensor.TEMPERATURE,),
+        _too_warm,
+        (Sensor.GYRO,),
+    ),
     HealthFault("accelerometer silent for a sixth of the log", Sensor.ACCEL, None, (), _silent(Sensor.ACCEL)),
     HealthFault("gyroscope silent for a sixth of the log", Sensor.GYRO, None, (), _silent(Sensor.GYRO)),
     HealthFault("compass silent for a sixth of the log", Sensor.MAG, None, (), _silent(Sensor.MAG)),

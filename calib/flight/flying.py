@@ -35,9 +35,11 @@ _CELL = 0.1  # s
 _LEARNT = 0.02  # sd of a scale: more is no comparison
 
 
-def flying_items(recording: Recording, flown: Sequence[TimeSpan]) -> list[JudgedItem]:
-    """Every item that a flight can tell; `flown` are the spans with the motors on."""
-    items = shaking_items(recording, flown)
+def flying_items(
+    recording: Recording, flown: Sequence[TimeSpan], shaking: Sequence[JudgedItem] | None = None
+) -> list[JudgedItem]:
+    """Every item that a flight can tell; `flown` are the spans with the motors on, `shaking` what was told already."""
+    items = [*(shaking_items(recording, flown) if shaking is None else shaking)]
     for sensor in (Sensor.ACCEL, Sensor.GYRO):
         items += [_scale(recording, sensor, pair, flown) for pair in combinations(recording.instances(sensor), 2)]
     return items

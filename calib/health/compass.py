@@ -34,6 +34,8 @@ _LEAST: Final = 50
 """Samples that a steadiness is told from."""
 _MOVED: Final = {Sensor.CURRENT: 1.0, Sensor.THROTTLE: 0.05}
 """A that a current, and 1 that a throttle must range over to tell of their field."""
+_TURNED: Final = 1.0
+"""m/s2 by which an axis of the accelerometer changes where the vehicle was turned by 6 deg."""
 _RELATED: Final = 0.5
 """Correlation from which the field follows the motors."""
 _YEAR: Final = 2025.5
@@ -54,9 +56,7 @@ def compass_findings(recording: Recording) -> Iterator[HealthFinding]:
             continue
         channel = motion.usable(streamed)
         if not np.ptp(channel.values, axis=0).any():
-            yield _bad(
-                "dead", channel, HealthVerdict.FAULTY, "reads the same throughout", "Check its wiring; replace it."
-            )
+            yield _constant(recording, channel)
             continue
         found[instance] = channel
         driven = _driven(recording, channel, attitude)
@@ -88,6 +88,25 @@ def _dead(recording: Recording) -> Iterator[HealthFinding]:
         else:
             text = "reads 0, 0, 0 throughout; the vehicle does not use it"
             yield HealthFinding("dead", Sensor.MAG, instance, HealthVerdict.CANNOT_SAY, text)
+
+
+def _constant(recording: Recording, channel: Channel) -> HealthFinding:
+    """A compass without a change, which one at rest may have where its stream is coarse."""
+    text = "reads the same throughout"
+    if channel.quantum and channel.values.any() and not _moved(recording):
+        text += f", as one at rest may in steps of {channel.quantum:.2g} uT"
+        return _bad("dead", channel, HealthVerdict.CANNOT_SAY, text, "Turn the vehicle while it logs.")
+    return _bad("dead", channel, HealthVerdict.FAULTY, text, "Check its wiring; replace it.")
+
+
+def _moved(recording: Recording) -> bool:
+    """Whether gravity went from one axis of the board towards another by more than noise."""
+    for channel in recording.channels:
+        if channel.sensor == Sensor.ACCEL and channel.unit == "m/s2" and len(channel) >= _LEAST:
+            low, high = np.percentile(channel.values[finite_rows(channel.values)], (5.0, 95.0), axis=0)
+            if float((high - low).max()) > _TURNED:
+                return True
+    return False
 
 
 def _often_zero(event: Event) -> Iterator[HealthFinding]:

@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 
 _LAID: Final = dataclasses.replace(RESTING, rate=3.0, accel_drift=0.04, gyro_drift=0.05)
 """Motionless, whatever the gyroscope's offset is: a sensor 100 deg/s off must not hide that nothing moved."""
+_ENOUGH_HZ: Final = 100.0
 _MOSTLY: Final = 0.5
 """Of the samples: a vehicle motionless for so much of a log lay on the ground, and an attitude is not needed."""
 _SPAN_S: Final = 5.0
@@ -47,14 +48,27 @@ _CALIBRATE: Final = {
 def motionless(recording: Recording, instance: int) -> tuple[Still, ...]:
     """Spans in which that unit did not move, motors on or off."""
     try:
-        return find_still(recording, instance=instance, limits=_LAID)
+        watched = [
+            _thinned(recording.channel(sensor, instance))
+            for sensor in (Sensor.ACCEL, Sensor.GYRO)
+            if instance in recording.instances(sensor)
+        ]
+        return find_still(recording.with_channels(watched), instance=instance, limits=_LAID)
     except InvalidInputError:
         return ()
+
+
+def _thinned(channel: Channel) -> Channel:
+    """At most `_ENOUGH_HZ`: more samples than that make a stillness no surer."""
+    period = float(np.median(np.diff(channel.t))) if len(channel) > 1 else 0.0
+    every = int(1.0 / (_ENOUGH_HZ * period)) if period > 0.0 else 1
+    return channel.take(slice(None, None, every)) if every > 1 else channel
 
 
 def inertial_findings(recording: Recording, off: Sequence[TimeSpan]) -> Iterator[HealthFinding]:
     """What every accelerometer and gyroscope reads; `off` are the spans with the motors off."""
     attitude = next(iter(recording.find(Sensor.ATTITUDE)), None)
+    spans: dict[int, tuple[Still, ...]] = {}
     for sensor in (Sensor.ACCEL, Sensor.GYRO):
         found: dict[int, Channel] = {}
         own: dict[int, HealthFinding] = {}
@@ -64,7 +78,9 @@ def inertial_findings(recording: Recording, off: Sequence[TimeSpan]) -> Iterator
                 yield HealthFinding("offset", sensor, instance, HealthVerdict.CANNOT_SAY, NOT_PHYSICAL)
                 continue
             found[instance] = channel
-            laid = motionless(recording, instance)
+            if instance not in spans:
+                spans[instance] = motionless(recording, instance)
+            laid = spans[instance]
             if sensor == Sensor.ACCEL:
                 own[instance] = _gravity(recording, channel, attitude, laid)
                 yield _drift(channel, laid if _lay(channel, laid) else _within(laid, off))

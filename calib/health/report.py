@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from mavcal.calib.flight.flying import shaking_items
+from mavcal.calib.flight.item import JudgedItem
 from mavcal.calib.flight.rest import ground
 from mavcal.calib.health.compass import compass_findings
 from mavcal.calib.health.finding import BAD, HealthVerdict, SensorHealth, sensor_health, worst
@@ -22,6 +24,8 @@ class HealthReport:
 
     sensors: tuple[SensorHealth, ...]
     lacks: tuple[str, ...]
+    shaking: tuple[JudgedItem, ...] = ()
+    """Vibration and clipping as the sanity of a flight has them as well."""
 
     @property
     def verdict(self) -> HealthVerdict:
@@ -68,14 +72,14 @@ class HealthReport:
 def health(recording: Recording) -> HealthReport:
     """Judge every sensor of `recording`."""
     stood = ground(recording)
-    every = sampled(recording)
+    every, shaking = sampled(recording), tuple(shaking_items(recording, stood.running))
     findings = [
         *inertial_findings(recording, stood.off),
-        *vibration_findings(recording, stood.running, every_sample(recording)),
+        *vibration_findings(recording, stood.running, shaking, every_sample(recording)),
         *temperature_findings(recording),
         *compass_findings(recording),
         *sampling_findings(recording, every),
     ]
     named = sorted({(f.sensor, f.instance) for f in findings}, key=lambda one: (SENSORS.index(one[0]), one[1]))
     sensors = tuple(sensor_health(sensor, instance, findings) for sensor, instance in named)
-    return HealthReport(sensors, tuple(lacking(recording, stood, every)))
+    return HealthReport(sensors, tuple(lacking(recording, stood, every)), shaking)

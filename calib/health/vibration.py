@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.flight.flying import clipped_events, shaking_items
+from mavcal.calib.flight.flying import clipped_events
 from mavcal.calib.flight.item import FlightVerdict, JudgedItem
 from mavcal.calib.flight.rest import TimeSpan
 from mavcal.calib.health import limits, motion
@@ -37,12 +37,15 @@ _SEEN: Final = {
 }
 
 
-def vibration_findings(recording: Recording, flown: Sequence[TimeSpan], how_to_log: str) -> Iterator[HealthFinding]:
+def vibration_findings(
+    recording: Recording, flown: Sequence[TimeSpan], shaking: Sequence[JudgedItem], how_to_log: str
+) -> Iterator[HealthFinding]:
     """Vibration, clipping and aliasing of every accelerometer, and the vibration of gyroscopes.
 
-    `flown` are the spans with the motors on, `how_to_log` is the action that has every sample of the sensor logged.
+    `flown` are the spans with the motors on, `shaking` is what :func:`calib.flight.flying.shaking_items` found of them,
+    `how_to_log` is the action that has every sample of the sensor logged.
     """
-    items = {(item.name, _instance(item)): item for item in shaking_items(recording, flown)}
+    items = {(item.name, _instance(item)): item for item in shaking}
     for instance in recording.instances(Sensor.ACCEL):
         seen = items["vibration", instance]
         level = _level(recording, instance, flown)
