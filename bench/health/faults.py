@@ -53,7 +53,8 @@ def _changed(recording: Recording, sensor: Sensor, instance: int, change: Values
 
 
 def _plus(*offset: float) -> Callable[[Channel, Recording], Array]:
-    return lambda channel, _: np.asarray(channel.values + np.array(offset))
+    added = np.array(offset, dtype=np.float64)
+    return lambda channel, _: channel.values + added
 
 
 def _times(factor: float) -> Values:

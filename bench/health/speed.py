@@ -33,7 +33,9 @@ def repeated(source: Path, target: Path, size: int) -> None:
         table = log[name]
         for column in CLOCKS:
             if column in table and table.format.letter(column) == "Q":
-                offset = HEADER + (table.format.dtype.fields or {})[column][1]
+                fields = table.format.dtype.fields
+                assert fields is not None
+                offset = HEADER + fields[column][1]
                 stamps.append(table.offsets[:, None] + offset + np.arange(8))
                 if column == "TimeUS":
                     last = max(last, int(table[column].max()))
