@@ -101,8 +101,9 @@ class SensorHealth:
 
     @property
     def actions(self) -> tuple[str, ...]:
-        """What to do about it, each once, the most urgent first."""
-        return tuple(dict.fromkeys(f.action for f in self.bad if f.action))
+        """What to do about it, each once, the most urgent first; what another one says already is left out."""
+        every = tuple(dict.fromkeys(f.action for f in self.bad if f.action))
+        return tuple(one for one in every if not any(one != other and one in other for other in every))
 
     @property
     def document(self) -> dict[str, Any]:

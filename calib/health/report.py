@@ -33,10 +33,20 @@ class HealthReport:
         return worst(s.verdict for s in self.sensors)
 
     @property
+    def urgent_first(self) -> tuple[SensorHealth, ...]:
+        """The sensors, the worst first."""
+        return tuple(sorted(self.sensors, key=lambda s: BAD.index(s.verdict) if s.verdict in BAD else len(BAD)))
+
+    @property
     def summary(self) -> str:
         """The whole log in one line."""
+        return " ".join(self.sentences)
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The summary, one for each verdict."""
         if not self.sensors:
-            return "The log has no accelerometer, gyroscope or compass."
+            return ("The log has no accelerometer, gyroscope or compass.",)
         parts = []
         for verdict in BAD:
             bad = [s for s in self.sensors if s.verdict == verdict]
@@ -48,7 +58,7 @@ class HealthReport:
         silent = len(self.sensors) - good - sum(s.verdict in BAD for s in self.sensors)
         parts += [f"{good} of {len(self.sensors)} sensors ok"] if good else []
         parts += [f"{silent} cannot be judged"] if silent else []
-        return ". ".join(f"{part[:1].upper()}{part[1:]}" for part in parts) + "."
+        return tuple(f"{part[:1].upper()}{part[1:]}." for part in parts)
 
     @property
     def action(self) -> str:
