@@ -34,6 +34,8 @@ class Sensor(StrEnum):
     POSITION = "position"  # latitude deg, longitude deg, altitude m
     VELOCITY = "velocity"  # north east down, m/s
     PLACE = "place"  # north east down of a local origin, m
+    VIBRATION = "vibration"  # level that the autopilot measured on an accelerometer: x y z, or one number, m/s2
+    GYRO_VIBRATION = "gyro_vibration"  # the same of a gyroscope, rad/s
 
 
 class Stage(StrEnum):
@@ -175,14 +177,40 @@ class ParameterTimeline:
         return cls(tuple(ParameterEntry(t, n, v) for n, v in values.items()), end_observed=True)
 
 
+class Oddity(StrEnum):
+    """What was wrong with the samples that an event counts."""
+
+    ZERO = "zero"  # exactly 0, 0, 0
+    UNREADABLE = "unreadable"  # no numbers that such a sensor can read
+    UNHEALTHY = "unhealthy"  # the vehicle itself called the sensor so
+    CLIPPED = "clipped"  # at the end of the range
+
+
+@dataclass(frozen=True)
+class OddSamples:
+    """How many samples of one sensor were odd.
+
+    `total` are the samples that there were, None where that is not known; `until` is when it last happened, s, None
+    where only the beginning is known.
+    """
+
+    what: Oddity
+    sensor: Sensor
+    instance: int
+    count: int
+    total: int | None = None
+    until: float | None = None
+
+
 @dataclass(frozen=True)
 class Event:
-    """Something that was said or happened at time `t` (s, vehicle clock)."""
+    """Something that was said or happened at time `t` (s, vehicle clock); `odd` has the numbers of what was counted."""
 
     t: float
     kind: str
     """``text reboot gap drop armed disarmed utc onboard_calibration clipping damage dead left_out undo no_time``"""
     text: str
+    odd: OddSamples | None = None
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ def tally(fault: HealthFault, healthy: dict[str, Recording]) -> Tally:
             bad = named_bad(injected(recording, fault, instance))
             found.put += 1
             found.found += (fault.sensor, instance) in bad
-            found.others += bool({one for one in bad if one[0] != fault.sensor})
+            found.others += bool({kind for kind, _ in bad if kind not in (fault.sensor, *fault.shared)})
             if (fault.sensor, instance) not in bad:
                 found.missed.append(f"{name}, unit {instance + 1}")
     return found

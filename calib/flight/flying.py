@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from itertools import combinations, pairwise
 from typing import Any, Final
@@ -12,21 +11,15 @@ from numpy.typing import NDArray
 from scipy.signal import find_peaks, welch
 
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.flight.item import FlightLimit, FlightVerdict, JudgedItem, judged, not_testable
+from mavcal.calib.flight import limits
+from mavcal.calib.flight.item import FlightVerdict, JudgedItem, judged, not_testable
 from mavcal.calib.flight.rest import TimeSpan
-from mavcal.calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib.recording import Channel, Event, Oddity, Recording, Sensor, Stage
 from mavcal.calib.stats.correlated import long_run_variance
 from mavcal.calib.stats.windows import finite_rows
 
 Array = NDArray[np.float64]
 
-VIBRATION: Final = FlightLimit(
-    30.0, 60.0, "m/s2", "levels of ArduPilot's VIBE message: fine below 30, trouble above 60"
-)
-CLIPPED: Final = FlightLimit(
-    0.0, 100.0, "times", "ArduPilot: a count that rises in flight is trouble, a hundred the cause"
-)
-SCALE: Final = FlightLimit(0.02, 0.10, "1", "twice the sensitivity tolerance of a MEMS sensor (1 %); a broken axis")
 FULL_SCALE: Final = 156.9
 """16 g, m/s2: the range that autopilots set."""
 
@@ -42,15 +35,23 @@ _CELL = 0.1  # s
 _LEARNT = 0.02  # sd of a scale: more is no comparison
 
 
-def flying_items(recording: Recording, flown: Sequence[TimeSpan]) -> list[JudgedItem]:
-    """Every item that a flight can tell; `flown` are the spans with the motors on."""
-    items = []
-    accels = recording.instances(Sensor.ACCEL)
-    for instance in accels:
-        items += [_vibration(recording, instance, flown), _clipping(recording, instance)]
+def flying_items(
+    recording: Recording, flown: Sequence[TimeSpan], shaking: Sequence[JudgedItem] | None = None
+) -> list[JudgedItem]:
+    """Every item that a flight can tell; `flown` are the spans with the motors on, `shaking` what was told already."""
+    items = [*(shaking_items(recording, flown) if shaking is None else shaking)]
     for sensor in (Sensor.ACCEL, Sensor.GYRO):
         items += [_scale(recording, sensor, pair, flown) for pair in combinations(recording.instances(sensor), 2)]
     return items
+
+
+def shaking_items(recording: Recording, flown: Sequence[TimeSpan]) -> list[JudgedItem]:
+    """Vibration and clipping of every accelerometer."""
+    return [
+        item
+        for instance in recording.instances(Sensor.ACCEL)
+        for item in (_vibration(recording, instance, flown), _clipping(recording, instance))
+    ]
 
 
 def _fastest(recording: Recording, sensor: Sensor, instance: int) -> Channel | None:
@@ -76,10 +77,19 @@ def _vibration(recording: Recording, instance: int, flown: Sequence[TimeSpan]) -
     listed = ", ".join(f"{t['hz']:.0f} Hz of {t['amplitude']:.2g} m/s2" for t in tones) or "no tone"
     worst = float(rms.max())
     text = f"{worst:.2f} m/s2 rms above {_HIGH:.0f} Hz up to {frequency[-1]:.0f} Hz ({listed})"
-    item = judged("vibration", subject, worst, VIBRATION, text, rms=rms.tolist(), tones=tones, source=channel.source)
+    numbers = {
+        "rms": rms.tolist(),
+        "tones": tones,
+        "source": channel.source,
+        "nyquist_hz": float(frequency[-1]),
+        "filtered": channel.stage == Stage.FILTERED,
+    }
+    item = judged("vibration", subject, worst, limits.VIBRATION, text, **numbers)
     if channel.stage == Stage.FILTERED and item.verdict == FlightVerdict.PASS:
         why = f"at least {text}: {channel.source} is low-passed; log the unfiltered samples (raw IMU or batch sampling)"
-        return JudgedItem("vibration", subject, FlightVerdict.NOT_TESTABLE, why, worst, None, VIBRATION, item.numbers)
+        return JudgedItem(
+            "vibration", subject, FlightVerdict.NOT_TESTABLE, why, worst, None, limits.VIBRATION, item.numbers
+        )
     return item
 
 
@@ -148,10 +158,9 @@ def _tones(frequency: Array, density: Array) -> list[dict[str, float]]:
 def _clipping(recording: Recording, instance: int) -> JudgedItem:
     """Counted by the autopilot, or seen as samples at the end of the range."""
     subject = f"accel {instance + 1}"
-    said = re.compile(rf"accelerometer {instance + 1} clipped (\d+) times")
-    counts = [int(m[1]) for e in recording.events if e.kind == "clipping" and (m := said.search(e.text))]
+    counts = [e.odd.count for e in clipped_events(recording, instance) if e.odd is not None]
     if counts:
-        return judged("clipping", subject, float(sum(counts)), CLIPPED, f"clipped {sum(counts)} times")
+        return judged("clipping", subject, float(sum(counts)), limits.CLIPPED, f"clipped {sum(counts)} times")
     channel = _fastest(recording, Sensor.ACCEL, instance)
     values = None if channel is None else _usable_rows(channel.values)
     if channel is None or values is None or not len(values):
@@ -159,10 +168,16 @@ def _clipping(recording: Recording, instance: int) -> JudgedItem:
     end = 0.999 * FULL_SCALE
     at_end = int(((values >= end) | (values <= -end)).any(axis=1).sum())
     most = max(float(values.max()), -float(values.min()))
-    text = f"{at_end} samples at 16 g, the largest is {most:.1f} m/s2"
+    text = f"{at_end} sample{'' if at_end == 1 else 's'} at 16 g, the largest is {most:.1f} m/s2"
     if not at_end and channel.stage == Stage.FILTERED and most > 0.5 * FULL_SCALE:
         return not_testable("clipping", subject, f"{text}, low-passed: what it was before is not known", largest=most)
-    return judged("clipping", subject, float(at_end), CLIPPED, text, largest=most)
+    return judged("clipping", subject, float(at_end), limits.CLIPPED, text, largest=most)
+
+
+def clipped_events(recording: Recording, instance: int) -> list[Event]:
+    """What the autopilot counted of that accelerometer at the end of its range."""
+    of = Oddity.CLIPPED, Sensor.ACCEL, instance
+    return [e for e in recording.events if e.odd is not None and (e.odd.what, e.odd.sensor, e.odd.instance) == of]
 
 
 def _usable_rows(values: Array) -> Array:
@@ -194,7 +209,7 @@ def _scale(recording: Recording, sensor: Sensor, pair: tuple[int, int], flown: S
         for axis, s, d, ok in zip("xyz", scale, sd, known, strict=True)
     )
     text = f"scale of the first over the second, %: {shown}"
-    return judged(name, subject, abs(float(scale[worst]) - 1.0), SCALE, text, sd=float(sd[worst]), **numbers)
+    return judged(name, subject, abs(float(scale[worst]) - 1.0), limits.SCALE, text, sd=float(sd[worst]), **numbers)
 
 
 def _cells(recording: Recording, sensor: Sensor, pair: tuple[int, int], flown: Sequence[TimeSpan]) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -46,8 +47,11 @@ class FlightReport:
         }
 
 
-def flight_report(recording: Recording) -> FlightReport | None:
-    """The sanity of a vehicle's inertial sensors, calibration in force; None: not a vehicle's, or labelled by hand."""
+def flight_report(recording: Recording, shaking: Sequence[JudgedItem] | None = None) -> FlightReport | None:
+    """The sanity of a vehicle's inertial sensors, calibration in force; None: not a vehicle's, or labelled by hand.
+
+    `shaking` is what :func:`calib.flight.flying.shaking_items` found already.
+    """
     instances = sorted({*recording.instances(Sensor.ACCEL), *recording.instances(Sensor.GYRO)})
     if recording.identity.autopilot is None or recording.segments:
         return None
@@ -58,7 +62,7 @@ def flight_report(recording: Recording) -> FlightReport | None:
             found = rests(recording, instances[0])
         except InvalidInputError:  # debiased streams alone, or time that goes back: no rest can be told
             found = ()
-    items = (*resting_items(recording, found), *flying_items(recording, stood.running))
+    items = (*resting_items(recording, found), *flying_items(recording, stood.running, shaking))
     return FlightReport(stood, found, items, tuple(_spans(recording, found)), next_steps(recording, found, stood))
 
 

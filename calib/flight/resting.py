@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from mavcal.calib.earth import local_gravity
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.firmware.compose.trim import AHRS_TRIM
 from mavcal.calib.firmware.rotations import euler_matrix
+from mavcal.calib.flight import limits
 from mavcal.calib.flight.item import FlightLimit, JudgedItem, judged, not_testable
 from mavcal.calib.flight.rest import DISARMED, Rest
 from mavcal.calib.recording import Recording, Sensor
@@ -25,21 +26,6 @@ from mavcal.calib.stats.quantisation import mean_of
 from mavcal.calib.stats.windows import finite_rows
 
 Array = NDArray[np.float64]
-
-GRAVITY: Final = FlightLimit(
-    0.1, 0.75, "m/s2", "0.6 deg of tilt if it lay across gravity; ARMING_ACCTHRESH of ArduPilot"
-)
-RATE: Final = FlightLimit(
-    np.radians(0.1), np.radians(5.0), "rad/s", "what the calibration at boot reaches; arming check of ArduPilot"
-)
-WANDER: Final = FlightLimit(np.radians(0.1), np.radians(1.0), "rad/s", "as for the bias: ten times what a job aims at")
-APART: Final = FlightLimit(
-    0.2, 0.75, "m/s2", "the sum of what two good sensors may be off; ARMING_ACCTHRESH of ArduPilot"
-)
-RATES_APART: Final = FlightLimit(
-    np.radians(0.2), np.radians(5.0), "rad/s", "twice that of one; arming check of ArduPilot"
-)
-LEVEL: Final = FlightLimit(1.0, 5.0, "deg", "a multicopter drifts visibly from one degree on")
 
 _LEAST = 32  # samples of a mean
 _SHORTEST = 2.0  # s
@@ -84,10 +70,10 @@ def resting_items(recording: Recording, rests: Sequence[Rest]) -> list[JudgedIte
     gravity, known = gravity_of_place(recording)
     items = [_gravity(i, means, gravity, known) for i, means in accels.items()]
     items += [_level(recording, i, means) for i, means in accels.items()]
-    items += [_apart("accel_consistency", "accel", pair, APART, accels) for pair in combinations(accels, 2)]
+    items += [_apart("accel_consistency", "accel", pair, limits.APART, accels) for pair in combinations(accels, 2)]
     for instance, means in gyros.items():
         items += [_bias(instance, means), _wander(instance, means)]
-    items += [_apart("gyro_consistency", "gyro", pair, RATES_APART, gyros) for pair in combinations(gyros, 2)]
+    items += [_apart("gyro_consistency", "gyro", pair, limits.RATES_APART, gyros) for pair in combinations(gyros, 2)]
     return items
 
 
@@ -121,7 +107,14 @@ def _gravity(instance: int, means: Sequence[RestMean], gravity: float, known: bo
     text = f"reads {lengths[worst]:.4f} m/s2 at rest ({means[worst].rest.phase}), gravity is {place}"
     sd = float(np.linalg.norm(means[worst].sd))
     return judged(
-        "gravity_at_rest", subject, float(off[worst]), GRAVITY, text, sd=sd, lengths=lengths.tolist(), gravity=gravity
+        "gravity_at_rest",
+        subject,
+        float(off[worst]),
+        limits.GRAVITY,
+        text,
+        sd=sd,
+        lengths=lengths.tolist(),
+        gravity=gravity,
     )
 
 
@@ -150,7 +143,7 @@ def _level(recording: Recording, instance: int, means: Sequence[RestMean]) -> Ju
     if not angles:
         return not_testable("level", subject, "the log has no attitude during a rest", **numbers)
     text = f"its vertical and the autopilot's are {max(angles):.2f} deg apart at rest"
-    return judged("level", subject, max(angles), LEVEL, text, angles_deg=angles, **numbers)
+    return judged("level", subject, max(angles), limits.LEVEL, text, angles_deg=angles, **numbers)
 
 
 def _vertical(q: Array) -> Array:
@@ -170,7 +163,14 @@ def _bias(instance: int, means: Sequence[RestMean]) -> JudgedItem:
     text = f"reads {np.degrees(rate):.3f} deg/s at rest ({worst.rest.phase}): {_vector(worst.mean)} rad/s"
     sd = float(np.linalg.norm(worst.sd))
     return judged(
-        "gyro_bias_at_rest", subject, rate, RATE, text, sd=sd, bias=worst.mean.tolist(), bias_sd=worst.sd.tolist()
+        "gyro_bias_at_rest",
+        subject,
+        rate,
+        limits.RATE,
+        text,
+        sd=sd,
+        bias=worst.mean.tolist(),
+        bias_sd=worst.sd.tolist(),
     )
 
 
@@ -194,7 +194,7 @@ def _wander(instance: int, means: Sequence[RestMean]) -> JudgedItem:
         "gyro_bias_drift",
         subject,
         float(np.linalg.norm(change)),
-        WANDER,
+        limits.WANDER,
         text,
         sd=sd,
         change=change.tolist(),

@@ -17,7 +17,8 @@ Array = NDArray[np.float64]
 POINTS: Final = 600
 """Most points of a series: two for each column of pixels of a narrow picture."""
 SHOWN: Final[Mapping[Sensor, int]] = {
-    Sensor.ACCEL: 3, Sensor.GYRO: 3, Sensor.MAG: 3, Sensor.TEMPERATURE: 1, Sensor.CURRENT: 1, Sensor.THROTTLE: 1
+    Sensor.ACCEL: 3, Sensor.GYRO: 3, Sensor.MAG: 3, Sensor.TEMPERATURE: 1, Sensor.CURRENT: 1, Sensor.THROTTLE: 1,
+    Sensor.VIBRATION: 3,
 }  # fmt: skip
 """Sensors that are drawn, and their axes."""
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
-import re
 from collections.abc import Iterator
 from datetime import datetime
 from itertools import combinations
@@ -17,17 +17,16 @@ from mavcal.calib.earth import EarthField, earth_field
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.health import limits, motion
 from mavcal.calib.health.channels import NOT_PHYSICAL, judged_channel
-from mavcal.calib.health.finding import Compared, HealthFinding, HealthVerdict, judged_value
+from mavcal.calib.health.finding import BAD, Compared, HealthFinding, HealthVerdict, judged_value
 from mavcal.calib.health.parameters import in_use, never_calibrated
-from mavcal.calib.recording import Channel, Recording, Sensor
+from mavcal.calib.recording import Channel, Event, Oddity, Recording, Sensor
 from mavcal.calib.stats.windows import finite_rows
 
 Array = NDArray[np.float64]
 
 _CALIBRATE: Final = "Calibrate the compass outdoors, away from metal."
+_MOUNTING: Final = "Check how the compass is mounted and its rotation parameter, then calibrate it outdoors."
 _MOTORS: Final = "Move the compass away from the power leads, or compensate: mavcal fit mag-motor."
-_DEAD: Final = re.compile(r"mag (\d+): all \d+ samples")
-_OFTEN_ZERO: Final = re.compile(r"mag (\d+): (\d+) of (\d+) samples of \w+ are exactly 0")
 _ZEROS: Final = 0.1
 """Share of samples at 0, 0, 0 that is no start-up."""
 _OWN: Final = ("COMPASS_OFS", "COMPASS_DIA", "COMPASS_ODI", "COMPASS_MOT", "COMPASS_SCALE", "CAL_MAG")
@@ -35,6 +34,8 @@ _LEAST: Final = 50
 """Samples that a steadiness is told from."""
 _MOVED: Final = {Sensor.CURRENT: 1.0, Sensor.THROTTLE: 0.05}
 """A that a current, and 1 that a throttle must range over to tell of their field."""
+_TURNED: Final = 1.0
+"""m/s2 by which an axis of the accelerometer changes where the vehicle was turned by 6 deg."""
 _RELATED: Final = 0.5
 """Correlation from which the field follows the motors."""
 _YEAR: Final = 2025.5
@@ -43,8 +44,8 @@ _YEAR: Final = 2025.5
 
 def compass_findings(recording: Recording) -> Iterator[HealthFinding]:
     """Every check of every compass."""
-    yield from _dead(recording)
     yield from _corrupt(recording)
+    yield from _dead(recording)
     field = _field(recording)
     attitude = next(iter(recording.find(Sensor.ATTITUDE)), None)
     found: dict[int, Channel] = {}
@@ -55,26 +56,31 @@ def compass_findings(recording: Recording) -> Iterator[HealthFinding]:
             continue
         channel = motion.usable(streamed)
         if not np.ptp(channel.values, axis=0).any():
-            yield _bad(
-                "dead", channel, HealthVerdict.FAULTY, "reads the same throughout", "Check its wiring; replace it."
-            )
+            yield _constant(recording, channel)
             continue
         found[instance] = channel
-        yield _steady(recording, channel)
         driven = _driven(recording, channel, attitude)
         if driven is not None:
             yield driven
+        steady = _steady(recording, channel)
+        if driven is not None and driven.verdict in BAD and steady.verdict in BAD:  # the cause is known
+            steady = dataclasses.replace(steady, action=driven.action)
+        yield steady
         if len(channel) >= _LEAST:
             yield from _against_earth(recording, channel, attitude, field)
     yield from _apart(found)
 
 
 def _dead(recording: Recording) -> Iterator[HealthFinding]:
+    """Compasses that read zero, throughout or for a part of the log."""
     for event in recording.events:
-        said = _DEAD.match(event.text) if event.kind == "dead" else None
-        if said is None:
+        if event.kind != "dead":
+            yield from _often_zero(event)
             continue
-        instance = int(said[1]) - 1
+        odd = event.odd
+        if odd is None or odd.sensor != Sensor.MAG:
+            continue
+        instance = odd.instance
         if in_use(recording, Sensor.MAG, instance):
             action = "Check its wiring and its driver; the vehicle flies without this compass."
             text = "reads 0, 0, 0 throughout"
@@ -84,19 +90,49 @@ def _dead(recording: Recording) -> Iterator[HealthFinding]:
             yield HealthFinding("dead", Sensor.MAG, instance, HealthVerdict.CANNOT_SAY, text)
 
 
+def _constant(recording: Recording, channel: Channel) -> HealthFinding:
+    """A compass without a change, which one at rest may have where its stream is coarse."""
+    text = "reads the same throughout"
+    if channel.quantum and channel.values.any() and not _moved(recording):
+        text += f", as one at rest may in steps of {channel.quantum:.2g} uT"
+        return _bad("dead", channel, HealthVerdict.CANNOT_SAY, text, "Turn the vehicle while it logs.")
+    return _bad("dead", channel, HealthVerdict.FAULTY, text, "Check its wiring; replace it.")
+
+
+def _moved(recording: Recording) -> bool:
+    """Whether gravity went from one axis of the board towards another by more than noise."""
+    for channel in recording.channels:
+        if channel.sensor == Sensor.ACCEL and channel.unit == "m/s2" and len(channel) >= _LEAST:
+            low, high = np.percentile(channel.values[finite_rows(channel.values)], (5.0, 95.0), axis=0)
+            if float((high - low).max()) > _TURNED:
+                return True
+    return False
+
+
+def _often_zero(event: Event) -> Iterator[HealthFinding]:
+    odd = event.odd
+    if odd is None or (odd.what, odd.sensor) != (Oddity.ZERO, Sensor.MAG) or not odd.total:
+        return
+    if odd.count < _ZEROS * odd.total:
+        return
+    text = f"reads 0, 0, 0 in {100.0 * odd.count / odd.total:.0f} % of its samples, first at {event.t:.1f} s"
+    yield HealthFinding(
+        *("dead", Sensor.MAG, odd.instance, HealthVerdict.FAULTY, text, "Check its wiring and its parameters."),
+        start=event.t,
+        end=odd.until,
+    )
+
+
 def _corrupt(recording: Recording) -> Iterator[HealthFinding]:
-    """Compasses that collapse to zero for a part of the log, and parameters that are no numbers."""
-    bad = {n for n, value in recording.parameters.final().items() if n.startswith(_OWN) and not math.isfinite(value)}
-    for event in recording.events:
-        said = _OFTEN_ZERO.match(event.text) if event.kind == "damage" else None
-        if said is None or int(said[2]) < _ZEROS * int(said[3]):
-            continue
-        share = 100.0 * int(said[2]) / int(said[3])
-        text, action = f"reads 0, 0, 0 in {share:.0f} % of its samples", "Check its wiring and its parameters."
-        yield HealthFinding("dead", Sensor.MAG, int(said[1]) - 1, HealthVerdict.FAULTY, text, action, start=event.t)
-    for name in sorted(bad):
-        instance = next((int(c) - 1 for c in name if c.isdigit()), 0)
-        text, action = f"its parameter {name} is not a number", f"Set {name} to 0 and calibrate the compass."
+    """Compasses whose parameters are no numbers."""
+    corrupt: dict[int, list[str]] = {}
+    for name, value in sorted(recording.parameters.final().items()):
+        if name.startswith(_OWN) and not math.isfinite(value):
+            corrupt.setdefault(next((int(c) - 1 for c in name if c.isdigit()), 0), []).append(name)
+    for instance, named in corrupt.items():
+        listed = ", ".join(named)
+        text = f"its parameter{'s' if len(named) > 1 else ''} {listed} {'are' if len(named) > 1 else 'is'} not a number"
+        action = f"Set {listed} to 0 and calibrate the compass."
         yield HealthFinding("parameters", Sensor.MAG, instance, HealthVerdict.FAULTY, text, action)
 
 
@@ -200,7 +236,7 @@ def _against_earth(
     apart = abs(dip - should)
     verdict = judged_value(apart, 1.0, limits.DIP)
     text = f"its field dips by {dip:.1f} deg; the World Magnetic Model has {should:.1f} deg there"
-    yield _bad("dip", channel, verdict, text, _CALIBRATE, Compared(apart, 1.0, limits.DIP))
+    yield _bad("dip", channel, verdict, text, _MOUNTING, Compared(apart, 1.0, limits.DIP))
 
 
 def _dip(channel: Channel, attitude: Channel) -> float | None:

@@ -23,7 +23,9 @@ class HealthVerdict(StrEnum):
 
 
 BAD = (HealthVerdict.FAULTY, HealthVerdict.SUSPICIOUS)
-SUPPORTING = frozenset({"vibration", "clipping", "motors", "stuck", "drift"})
+SUPPORTING = frozenset(
+    {"vibration", "clipping", "aliasing", "motors", "stuck", "drift", "temperature", "sampling", "unhealthy"}
+)
 """Checks that can show a fault but cannot show that a sensor reads right."""
 _WORSE = (HealthVerdict.CANNOT_SAY, HealthVerdict.OK, HealthVerdict.SUSPICIOUS, HealthVerdict.FAULTY)
 """A sensor is as bad as its worst finding; checks that could not be made count only where no other was."""
@@ -99,8 +101,9 @@ class SensorHealth:
 
     @property
     def actions(self) -> tuple[str, ...]:
-        """What to do about it, each once, the most urgent first."""
-        return tuple(dict.fromkeys(f.action for f in self.bad if f.action))
+        """What to do about it, each once, the most urgent first; what another one says already is left out."""
+        every = tuple(dict.fromkeys(f.action for f in self.bad if f.action))
+        return tuple(one for one in every if not any(one != other and one in other for other in every))
 
     @property
     def document(self) -> dict[str, Any]:
@@ -128,6 +131,6 @@ def sensor_health(sensor: Sensor, instance: int, findings: Iterable[HealthFindin
 def judged_value(value: float, sd: float, limit: HealthLimit) -> HealthVerdict:
     """A larger `value` is worse; what two of its standard errors explain is no finding."""
     sure = value - 2.0 * sd
-    if sure > limit.faulty:
+    if limit.faulty is not None and sure > limit.faulty:
         return HealthVerdict.FAULTY
     return HealthVerdict.SUSPICIOUS if sure > limit.suspicious else HealthVerdict.OK

@@ -12,13 +12,11 @@ from numpy.typing import NDArray
 
 from mavcal.calib import STANDARD_GRAVITY
 from mavcal.calib.errors import InvalidInputError
-from mavcal.calib.flight.flying import flying_items
-from mavcal.calib.flight.item import FlightVerdict, JudgedItem
-from mavcal.calib.flight.rest import TimeSpan, ground
+from mavcal.calib.flight.rest import TimeSpan
 from mavcal.calib.flight.resting import gravity_of_place
 from mavcal.calib.health import limits, motion
 from mavcal.calib.health.channels import NOT_PHYSICAL, judged_channel
-from mavcal.calib.health.finding import Compared, HealthFinding, HealthVerdict, judged_value
+from mavcal.calib.health.finding import BAD, Compared, HealthFinding, HealthVerdict, judged_value
 from mavcal.calib.health.parameters import never_calibrated
 from mavcal.calib.recording import Channel, Recording, Sensor
 from mavcal.calib.stats.stillness import RESTING, Still, find_still
@@ -27,6 +25,7 @@ Array = NDArray[np.float64]
 
 _LAID: Final = dataclasses.replace(RESTING, rate=3.0, accel_drift=0.04, gyro_drift=0.05)
 """Motionless, whatever the gyroscope's offset is: a sensor 100 deg/s off must not hide that nothing moved."""
+_ENOUGH_HZ: Final = 100.0
 _MOSTLY: Final = 0.5
 """Of the samples: a vehicle motionless for so much of a log lay on the ground, and an attitude is not needed."""
 _SPAN_S: Final = 5.0
@@ -35,6 +34,10 @@ _DRIFT_S: Final = 60.0
 """Motionless seconds that tell of a drift."""
 _FLOOR_FORCE: Final = 0.02
 """m/s2 that an attitude wrong by 4 deg costs along the vertical."""
+_CLEARLY: Final = 2.0
+"""Times as far off as the other of two units that differ."""
+_TOO_LITTLE: Final = "too few samples beside an attitude, and no motionless second"
+_LOG_MORE: Final = "Log the attitude and faster samples, or a rest."
 _APART: Final = {Sensor.ACCEL: limits.FORCES_APART, Sensor.GYRO: limits.RATES_APART}
 _CALIBRATE: Final = {
     Sensor.ACCEL: "Calibrate the accelerometer: six faces and four oblique poses.",
@@ -45,15 +48,27 @@ _CALIBRATE: Final = {
 def motionless(recording: Recording, instance: int) -> tuple[Still, ...]:
     """Spans in which that unit did not move, motors on or off."""
     try:
-        return find_still(recording, instance=instance, limits=_LAID)
+        watched = [
+            _thinned(recording.channel(sensor, instance))
+            for sensor in (Sensor.ACCEL, Sensor.GYRO)
+            if instance in recording.instances(sensor)
+        ]
+        return find_still(recording.with_channels(watched), instance=instance, limits=_LAID)
     except InvalidInputError:
         return ()
 
 
-def inertial_findings(recording: Recording, flown: Sequence[TimeSpan]) -> Iterator[HealthFinding]:
-    """Every check of every accelerometer and gyroscope; `flown` are the spans with the motors on."""
+def _thinned(channel: Channel) -> Channel:
+    """At most `_ENOUGH_HZ`: more samples than that make a stillness no surer."""
+    period = float(np.median(np.diff(channel.t))) if len(channel) > 1 else 0.0
+    every = int(1.0 / (_ENOUGH_HZ * period)) if period > 0.0 else 1
+    return channel.take(slice(None, None, every)) if every > 1 else channel
+
+
+def inertial_findings(recording: Recording, off: Sequence[TimeSpan]) -> Iterator[HealthFinding]:
+    """What every accelerometer and gyroscope reads; `off` are the spans with the motors off."""
     attitude = next(iter(recording.find(Sensor.ATTITUDE)), None)
-    off = ground(recording).off
+    spans: dict[int, tuple[Still, ...]] = {}
     for sensor in (Sensor.ACCEL, Sensor.GYRO):
         found: dict[int, Channel] = {}
         own: dict[int, HealthFinding] = {}
@@ -63,17 +78,16 @@ def inertial_findings(recording: Recording, flown: Sequence[TimeSpan]) -> Iterat
                 yield HealthFinding("offset", sensor, instance, HealthVerdict.CANNOT_SAY, NOT_PHYSICAL)
                 continue
             found[instance] = channel
-            laid = motionless(recording, instance)
+            if instance not in spans:
+                spans[instance] = motionless(recording, instance)
+            laid = spans[instance]
             if sensor == Sensor.ACCEL:
                 own[instance] = _gravity(recording, channel, attitude, laid)
                 yield _drift(channel, laid if _lay(channel, laid) else _within(laid, off))
             else:
-                own[instance] = _rate(channel, attitude, laid)
+                own[instance] = _rate(channel, attitude, laid, _within(laid, off))
         yield from own.values()
-        yield from _apart(found, {i: f.verdict for i, f in own.items()})
-    for item in flying_items(recording, flown):
-        if item.name in _FROM_FLIGHT:
-            yield _of_item(item)
+        yield from _apart(found, own)
 
 
 def _within(laid: Sequence[Still], spans: Sequence[TimeSpan]) -> tuple[Still, ...]:
@@ -113,8 +127,8 @@ def _gravity(recording: Recording, channel: Channel, attitude: Channel | None, l
             "while motionless",
         )
         if not len(windows.t):
-            text = "no attitude beside it and no motionless second: gravity cannot be told from motion"
-            return _unknown("gravity", Sensor.ACCEL, channel.instance, text, "Log the attitude (ATT), or a rest.")
+            text = f"{_TOO_LITTLE}: gravity cannot be told from motion"
+            return _unknown("gravity", Sensor.ACCEL, channel.instance, text, _LOG_MORE)
     force = float(windows.median[0])
     sd = float(np.hypot(windows.sd[0], _FLOOR_FORCE))
     off = max(force - high, low - force, 0.0)
@@ -141,21 +155,31 @@ def _drift(channel: Channel, laid: Sequence[Still]) -> HealthFinding:
     moved = max(most - least, abs(last - first))
     verdict = judged_value(moved, noise, limits.FORCE_DRIFT)
     minutes = (float(means.t[-1]) - float(means.t[0])) / 60.0
-    text = f"its reading of gravity went from {first:.2f} to {last:.2f} m/s2 in {minutes:.0f} min while motionless"
-    if verdict == HealthVerdict.OK:
-        text = f"its reading of gravity kept within {moved:.2f} m/s2 over {minutes:.0f} min while motionless"
-    return _finding("drift", channel, verdict, text, Compared(moved, noise, limits.FORCE_DRIFT))
+    text = f"its reading of gravity wandered by {moved:.2f} m/s2 in {minutes:.0f} min while motionless"
+    if verdict != HealthVerdict.OK:
+        text += f", between {min(least, first, last):.2f} and {max(most, first, last):.2f} m/s2"
+    made = _finding("drift", channel, verdict, text, Compared(moved, noise, limits.FORCE_DRIFT))
+    return dataclasses.replace(made, start=long[0].start, end=long[-1].end)
 
 
-def _rate(channel: Channel, attitude: Channel | None, laid: Sequence[Still]) -> HealthFinding:
-    windows, how = motion.WindowMeans(np.zeros(0), np.zeros((0, 3))), "beyond the turn of the attitude"
-    if attitude is not None and not _lay(channel, laid):
-        windows = motion.rate_error(channel, attitude)
-    if not windows.enough:
+def _rate(channel: Channel, attitude: Channel | None, laid: Sequence[Still], rested: Sequence[Still]) -> HealthFinding:
+    """The mean rate where nothing turned, or the rate beyond the turn of the attitude: whichever is known better.
+
+    `laid` are motionless spans, a calm hover that turns slowly among them, `rested` those with the motors off.
+    """
+    still = [s for s in rested if s.duration >= _SPAN_S] or (laid if _lay(channel, laid) else ())
+    windows, how = _still_means(channel, still), "at rest" if still and still is not laid else "while motionless"
+    unsure = len(windows.t) < 1 or 2.0 * float(np.linalg.norm(windows.sd)) > limits.RATE.suspicious
+    if attitude is not None and (unsure or not _lay(channel, laid)):
+        by_attitude = motion.rate_error(channel, attitude)
+        worse = unsure or np.linalg.norm(by_attitude.median) > np.linalg.norm(windows.median)
+        if by_attitude.enough and worse:
+            windows, how = by_attitude, "beyond the turn of the attitude"
+    if not len(windows.t):
         windows, how = _still_means(channel, laid), "while motionless"
         if not len(windows.t):
-            text = "no attitude beside it and no motionless second: an offset cannot be told from a turn"
-            return _unknown("offset", Sensor.GYRO, channel.instance, text, "Log the attitude (ATT), or a rest.")
+            text = f"{_TOO_LITTLE}: an offset cannot be told from a turn"
+            return _unknown("offset", Sensor.GYRO, channel.instance, text, _LOG_MORE)
     rate, sd = float(np.linalg.norm(windows.median)), float(np.linalg.norm(windows.sd))
     verdict = judged_value(rate, sd, limits.RATE)
     axes = ", ".join(f"{np.degrees(v):+.2f}" for v in windows.median)
@@ -163,7 +187,7 @@ def _rate(channel: Channel, attitude: Channel | None, laid: Sequence[Still]) -> 
     return _finding("offset", channel, verdict, text, Compared(rate, sd, limits.RATE))
 
 
-def _apart(found: Mapping[int, Channel], own: Mapping[int, HealthVerdict]) -> Iterator[HealthFinding]:
+def _apart(found: Mapping[int, Channel], own: Mapping[int, HealthFinding]) -> Iterator[HealthFinding]:
     """Every unit against the others; which of two is off is told by what each shows alone, or by a third."""
     apart: dict[tuple[int, int], tuple[float, float, HealthVerdict]] = {}
     for a, b in combinations(found, 2):
@@ -178,7 +202,7 @@ def _apart(found: Mapping[int, Channel], own: Mapping[int, HealthVerdict]) -> It
 
 
 def _of_pairs(
-    channel: Channel, pairs: Mapping[int, tuple[float, float, HealthVerdict]], own: Mapping[int, HealthVerdict]
+    channel: Channel, pairs: Mapping[int, tuple[float, float, HealthVerdict]], own: Mapping[int, HealthFinding]
 ) -> HealthFinding:
     """One unit against the others, `pairs` by the other's instance."""
     limit, instance = _APART[channel.sensor], channel.instance
@@ -189,34 +213,22 @@ def _of_pairs(
     other, (value, sd, verdict) = max(pairs.items(), key=lambda pair: pair[1][0])
     factor, unit = (1.0, "m/s2") if channel.sensor == Sensor.ACCEL else (float(np.degrees(1.0)), "deg/s")
     text = f"differs from unit {other + 1} by {factor * value:.2f} +- {factor * sd:.2f} {unit}"
-    if own[instance] == HealthVerdict.OK and own[other] in (HealthVerdict.SUSPICIOUS, HealthVerdict.FAULTY):
+    if own[instance].verdict == HealthVerdict.OK and (own[other].verdict in BAD or _clearly(own[other], own[instance])):
         return _finding(
             "units", channel, HealthVerdict.OK, f"{text}, which is off by itself", Compared(value, sd, limit)
         )
-    if len(pairs) == 1 and own[instance] in (HealthVerdict.OK, HealthVerdict.CANNOT_SAY):
+    if own[instance].verdict == HealthVerdict.OK and _clearly(own[instance], own[other]):
+        text = f"{text}, which is less off by itself"
+    elif len(pairs) == 1 and own[instance].verdict in (HealthVerdict.OK, HealthVerdict.CANNOT_SAY):
         text, verdict = f"{text}; which of them is off, this comparison cannot say", HealthVerdict.SUSPICIOUS
     return _finding("units", channel, verdict, text, Compared(value, sd, limit))
 
 
-_FROM_FLIGHT: Final = {"vibration": limits.VIBRATION, "clipping": limits.CLIPS}
-_SEEN: Final = {
-    FlightVerdict.PASS: HealthVerdict.OK,
-    FlightVerdict.NOT_TESTABLE: HealthVerdict.CANNOT_SAY,
-    FlightVerdict.WARN: HealthVerdict.SUSPICIOUS,
-    FlightVerdict.FAIL: HealthVerdict.FAULTY,
-}
-
-
-def _of_item(item: JudgedItem) -> HealthFinding:
-    """A check that the sanity of a flight makes already."""
-    instance = int(item.subject.rpartition(" ")[2]) - 1
-    verdict = _SEEN[item.verdict]
-    action = (
-        "" if verdict in (HealthVerdict.OK, HealthVerdict.CANNOT_SAY) else "Damp the mount, and balance the propellers."
-    )
-    return HealthFinding(
-        item.name, Sensor.ACCEL, instance, verdict, item.text, action, item.value, item.sd, _FROM_FLIGHT[item.name]
-    )
+def _clearly(one: HealthFinding, other: HealthFinding) -> bool:
+    """Whether what the first shows alone is clearly more than what the other does."""
+    if one.value is None or other.value is None or other.verdict != HealthVerdict.OK:
+        return False
+    return one.value > _CLEARLY * other.value + 2.0 * float(np.hypot(one.sd or 0.0, other.sd or 0.0))
 
 
 def _finding(check: str, channel: Channel, verdict: HealthVerdict, text: str, measured: Compared) -> HealthFinding:

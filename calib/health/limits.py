@@ -1,4 +1,4 @@
-"""The limits of the health checks, each with where it is from."""
+"""The limits of the health checks, each with where it is from; what a flight's sanity shares is its own."""
 
 from __future__ import annotations
 
@@ -7,36 +7,51 @@ from typing import Final
 
 import numpy as np
 
+from mavcal.calib.flight import limits as flight
+from mavcal.calib.flight.item import FlightLimit
+
 
 @dataclass(frozen=True)
 class HealthLimit:
-    """Where a number becomes suspicious, and where the sensor is faulty; `source` says whose limits."""
+    """Where a number becomes suspicious, and where the sensor is faulty; `source` says whose limits.
+
+    `faulty` is None where such a number alone calls no sensor faulty.
+    """
 
     suspicious: float
-    faulty: float
+    faulty: float | None
     unit: str
     source: str
 
     @property
     def worded(self) -> str:
-        """Both numbers as a person reads them: shares in percent, rates in deg/s."""
+        """The numbers as a person reads them: shares in percent, rates in deg/s."""
         factor, unit = {"1": (100.0, "%"), "rad/s": (float(np.degrees(1.0)), "deg/s")}.get(self.unit, (1.0, self.unit))
+        if self.faulty is None:
+            return f"{factor * self.suspicious:.3g} {unit}"
         return f"{factor * self.suspicious:.3g} and {factor * self.faulty:.3g} {unit}"
+
+    @classmethod
+    def of(cls, limit: FlightLimit) -> HealthLimit:
+        """The limit of a check that the sanity of a flight makes as well."""
+        return cls(limit.warn, limit.fail, limit.unit, limit.source)
 
 
 FORCE: Final = HealthLimit(
-    0.3, 0.75, "m/s2", "3 % of gravity, what a calibrated MEMS sensor keeps over temperature; ARMING_ACCTHRESH"
+    0.25, flight.ARMING_FORCE, "m/s2", "2.5 % of gravity, 1.5 deg of tilt if it lay across; ARMING_ACCTHRESH"
 )
 FORCE_DRIFT: Final = HealthLimit(0.25, 0.5, "m/s2", "as for the mean: what moves so far cannot be calibrated away")
 RATE: Final = HealthLimit(
     float(np.radians(1.0)),
-    float(np.radians(5.0)),
+    flight.ARMING_RATE,
     "rad/s",
     "a gyroscope's drift over temperature; ArduPilot's arming check",
 )
-FORCES_APART: Final = HealthLimit(0.5, 0.75, "m/s2", "the sum of what two good units may be off; ARMING_ACCTHRESH")
+FORCES_APART: Final = HealthLimit(
+    0.35, flight.ARMING_FORCE, "m/s2", "what two units may differ by if each is off by 0.25; ARMING_ACCTHRESH"
+)
 RATES_APART: Final = HealthLimit(
-    float(np.radians(1.5)), float(np.radians(5.0)), "rad/s", "the sum of what two good units may be off; arming check"
+    float(np.radians(1.5)), flight.ARMING_RATE, "rad/s", "the sum of what two good units may be off; arming check"
 )
 FIELD: Final = HealthLimit(0.12, 0.35, "1", "of the Earth's field: crust and a good calibration; ArduPilot's log check")
 FIELD_STEADY: Final = HealthLimit(0.08, 0.2, "1", "of its mean, either way of 95 % of the samples: 5 deg of heading")
@@ -45,8 +60,11 @@ DIP: Final = HealthLimit(8.0, 25.0, "deg", "three times what crust and attitude 
 FIELDS_APART: Final = HealthLimit(
     15.0, 45.0, "deg", "the sum of what two good units may be off; arming check of ArduPilot"
 )
-CLIPS: Final = HealthLimit(
-    0.0, 100.0, "times", "ArduPilot: a count that rises in flight is trouble, a hundred the cause"
-)
-VIBRATION: Final = HealthLimit(30.0, 60.0, "m/s2", "ArduPilot: fine below 30, trouble above 60")
+CLIPS: Final = HealthLimit.of(flight.CLIPPED)
+VIBRATION: Final = HealthLimit.of(flight.VIBRATION)
+PX4_VIBRATION: Final = HealthLimit(4.905, 9.81, "m/s2", "the colours of PX4's Flight Review: 0.5 and 1 g")
+NEAR_NYQUIST: Final = HealthLimit(5.0, None, "m/s2", "half a g that may be a faster vibration folded back; our choice")
+WARMTH: Final = HealthLimit(2.0, None, "degC", "what a thermometer on the chip is good to")
+SILENT: Final = HealthLimit(0.5, 5.0, "s", "ArduPilot calls a compass unhealthy after half a second without a reading")
+UNHEALTHY: Final = HealthLimit(0.01, 0.1, "1", "of the samples: more than a start or one hiccup; our choice")
 STUCK: Final = HealthLimit(1.0, 5.0, "s", "no MEMS sensor repeats itself to the last digit so long")

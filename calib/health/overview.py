@@ -17,9 +17,9 @@ def overview(recording: Recording, found: HealthReport | None = None) -> dict[st
     as faces: that is a bench, not a flight. ``flight`` is the sanity of a vehicle's inertial sensors, ``next`` the fits
     that are worthwhile on it and those that are not; both are None for a recording that is not of a vehicle.
     """
-    report = flight_report(recording)
     if found is None and not recording.segments:
         found = health(recording)
+    report = flight_report(recording, None if found is None else found.shaking)
     return {
         **inspect(recording),
         "health": None if found is None else found.document,

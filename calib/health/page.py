@@ -10,7 +10,7 @@ from markupsafe import Markup
 from mavcal.calib import pages
 from mavcal.calib.drawing.chart import Chart
 from mavcal.calib.drawing.scale import limits_of
-from mavcal.calib.flight.series import Series, series_of
+from mavcal.calib.flight.series import SHOWN, Series, series_of
 from mavcal.calib.health.finding import NAMES, HealthVerdict
 from mavcal.calib.health.report import HealthReport
 from mavcal.calib.recording import Recording
@@ -27,18 +27,30 @@ def health_page(report: HealthReport, recording: Recording, *, title: str) -> st
         "health.html",
         title=title,
         report=report,
+        typeset=_typeset,
         worded={verdict: _WORDS.get(verdict, verdict.value) for verdict in HealthVerdict},
-        pictures=_pictures(series_of(recording)),
+        pictures=_pictures(series_of(recording), _begin(recording)),
     )
 
 
-def _pictures(series: Sequence[Series]) -> list[Markup]:
-    return [_picture(one) for one in series if len(one.t) > 1 and np.isfinite(one.values).any()]
+def _typeset(text: str) -> str:
+    """The signs that a terminal may lack."""
+    return text.replace("+-", "\u00b1").replace("m/s2", "m/s\u00b2").replace("uT", "\u00b5T")
 
 
-def _picture(one: Series) -> Markup:
+def _begin(recording: Recording) -> float:
+    """The vehicle's time at which the series begin, which the findings speak in."""
+    return min((float(c.t[0]) for c in recording.channels if c.sensor in SHOWN and len(c)), default=0.0)
+
+
+def _pictures(series: Sequence[Series], begin: float) -> list[Markup]:
+    return [_picture(one, begin) for one in series if len(one.t) > 1 and np.isfinite(one.values).any()]
+
+
+def _picture(one: Series, begin: float) -> Markup:
     name = f"{NAMES.get(one.sensor, one.sensor.value.replace('_', ' '))} {one.instance + 1}"
-    chart = Chart(name, "s", one.unit, (float(one.t[0]), float(one.t[-1])), limits_of(one.values))
+    t = one.t + begin
+    chart = Chart(name, "s", _typeset(one.unit), (float(t[0]), float(t[-1])), limits_of(one.values))
     for axis, values in enumerate(one.values):
-        chart.line(one.t, values, _COLOURS[axis], "xyz"[axis] if len(one.values) > 1 else "", thin=True)
+        chart.line(t, values, _COLOURS[axis], "xyz"[axis] if len(one.values) > 1 else "", thin=True)
     return chart.drawn()

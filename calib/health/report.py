@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
-import numpy as np
-
-from mavcal.calib.flight.rest import DISARMED, Ground, ground
+from mavcal.calib.flight.flying import shaking_items
+from mavcal.calib.flight.item import JudgedItem
+from mavcal.calib.flight.rest import ground
 from mavcal.calib.health.compass import compass_findings
-from mavcal.calib.health.finding import BAD, HealthFinding, HealthVerdict, SensorHealth, sensor_health, worst
+from mavcal.calib.health.finding import BAD, HealthVerdict, SensorHealth, sensor_health, worst
 from mavcal.calib.health.inertial import inertial_findings
-from mavcal.calib.health.limits import STUCK
-from mavcal.calib.logs.inspection import summarise
-from mavcal.calib.recording import Recording, Sensor
-
-SENSORS: Final = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
-_SLOW_HZ: Final = 20.0
+from mavcal.calib.health.lacking import every_sample, lacking
+from mavcal.calib.health.sampling import SENSORS, sampled, sampling_findings
+from mavcal.calib.health.temperature import temperature_findings
+from mavcal.calib.health.vibration import vibration_findings
+from mavcal.calib.recording import Recording
 
 
 @dataclass(frozen=True)
@@ -26,6 +24,8 @@ class HealthReport:
 
     sensors: tuple[SensorHealth, ...]
     lacks: tuple[str, ...]
+    shaking: tuple[JudgedItem, ...] = ()
+    """Vibration and clipping as the sanity of a flight has them as well."""
 
     @property
     def verdict(self) -> HealthVerdict:
@@ -33,10 +33,20 @@ class HealthReport:
         return worst(s.verdict for s in self.sensors)
 
     @property
+    def urgent_first(self) -> tuple[SensorHealth, ...]:
+        """The sensors, the worst first."""
+        return tuple(sorted(self.sensors, key=lambda s: BAD.index(s.verdict) if s.verdict in BAD else len(BAD)))
+
+    @property
     def summary(self) -> str:
         """The whole log in one line."""
+        return " ".join(self.sentences)
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The summary, one for each verdict."""
         if not self.sensors:
-            return "The log has no accelerometer, gyroscope or compass."
+            return ("The log has no accelerometer, gyroscope or compass.",)
         parts = []
         for verdict in BAD:
             bad = [s for s in self.sensors if s.verdict == verdict]
@@ -48,7 +58,7 @@ class HealthReport:
         silent = len(self.sensors) - good - sum(s.verdict in BAD for s in self.sensors)
         parts += [f"{good} of {len(self.sensors)} sensors ok"] if good else []
         parts += [f"{silent} cannot be judged"] if silent else []
-        return ". ".join(f"{part[:1].upper()}{part[1:]}" for part in parts) + "."
+        return tuple(f"{part[:1].upper()}{part[1:]}." for part in parts)
 
     @property
     def action(self) -> str:
@@ -72,45 +82,14 @@ class HealthReport:
 def health(recording: Recording) -> HealthReport:
     """Judge every sensor of `recording`."""
     stood = ground(recording)
+    every, shaking = sampled(recording), tuple(shaking_items(recording, stood.running))
     findings = [
-        *inertial_findings(recording, stood.running),
+        *inertial_findings(recording, stood.off),
+        *vibration_findings(recording, stood.running, shaking, every_sample(recording)),
+        *temperature_findings(recording),
         *compass_findings(recording),
-        *_stuck(recording),
+        *sampling_findings(recording, every),
     ]
     named = sorted({(f.sensor, f.instance) for f in findings}, key=lambda one: (SENSORS.index(one[0]), one[1]))
     sensors = tuple(sensor_health(sensor, instance, findings) for sensor, instance in named)
-    return HealthReport(sensors, tuple(_lacks(recording, stood)))
-
-
-def _stuck(recording: Recording) -> Iterator[HealthFinding]:
-    """Units that repeat themselves to the last digit while their channel otherwise moves."""
-    for channel in recording.channels:
-        if channel.sensor not in SENSORS or channel.quantum or len(channel) < 3 or channel.sensor == Sensor.MAG:
-            continue
-        found = summarise(channel)
-        if not found.rate or found.longest_constant <= max(STUCK.suspicious, 10.0 / found.rate):
-            continue
-        verdict = HealthVerdict.FAULTY if found.longest_constant > STUCK.faulty else HealthVerdict.SUSPICIOUS
-        text = f"repeats one value for {found.longest_constant:.1f} s"
-        action = "Check its bus and power; replace it if it comes back."
-        yield HealthFinding(
-            "stuck", channel.sensor, channel.instance, verdict, text, action, found.longest_constant, 0.0, STUCK
-        )
-
-
-def _lacks(recording: Recording, stood: Ground) -> Iterator[str]:
-    """What was not recorded, and what it would tell."""
-    if not recording.find(Sensor.ATTITUDE):
-        yield "attitude: offsets of gyroscopes and accelerometers in flight, and the compass's dip"
-    if not recording.find(Sensor.POSITION):
-        yield "position: the Earth's field at the place"
-    if not recording.find(Sensor.TEMPERATURE):
-        yield "temperature of the inertial units: their drift"
-    if not recording.find(Sensor.CURRENT) and not recording.find(Sensor.THROTTLE):
-        yield "battery current or throttle: interference of the motors with the compass"
-    rates = [c for c in recording.channels if c.sensor == Sensor.ACCEL and len(c) > 1]
-    fastest = max((1.0 / float(np.median(np.diff(c.t))) for c in rates if np.median(np.diff(c.t)) > 0.0), default=0.0)
-    if rates and fastest < _SLOW_HZ:
-        yield f"inertial samples at {_SLOW_HZ:.0f} Hz or more (it has {fastest:.0f}): vibration"
-    if stood.running and not stood.off:
-        yield f"a rest with the motors off ({DISARMED}): offsets at rest"
+    return HealthReport(sensors, tuple(lacking(recording, stood, every)), shaking)

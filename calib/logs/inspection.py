@@ -76,6 +76,7 @@ def summarise(channel: Channel) -> ChannelSummary:
     wide = np.flatnonzero(np.diff(t) > GAP_PERIODS * period) if period else np.empty(0, dtype=np.intp)
     finite = np.isfinite(values)
     same = _same(values)
+    run = _longest_run(t, same, period)
     return ChannelSummary(
         sensor=channel.sensor.value,
         instance=channel.instance,
@@ -91,7 +92,7 @@ def summarise(channel: Channel) -> ChannelSummary:
         n_gaps=len(wide),
         backward_steps=backward,
         not_finite=int((~finite.all(axis=1)).sum()),
-        longest_constant=_longest_constant(t, same, period),
+        longest_constant=0.0 if run is None else run.length,
         repeated=int(same.sum()),
         norm=_norm(channel),
         least=_columns(values, finite, np.min),
@@ -180,8 +181,8 @@ def _missing(recording: Recording) -> list[str]:
         return ["no accelerometer, gyroscope or compass was recorded: there is nothing to calibrate"]
     if recording.identity.autopilot is None:  # a table holds what its maker wanted
         return []
-    dead = " ".join(e.text for e in recording.events if e.kind == "dead")
-    found = [text for sensor, text in MISSING.items() if sensor not in have and f"{sensor} 1" not in dead]
+    dead = {e.odd.sensor for e in recording.events if e.kind == "dead" and e.odd is not None}
+    found = [text for sensor, text in MISSING.items() if sensor not in have | dead]
     if not recording.parameters:
         found.append("no parameters were recorded: fits are relative to the calibration in force, and are not exported")
     return found
@@ -219,12 +220,21 @@ def _same(values: Array) -> NDArray[np.bool_]:
     return same
 
 
-def _longest_constant(t: Array, same: NDArray[np.bool_], period: float | None) -> float:
-    """Longest time over which consecutive samples are equal, s; a gap ends a run, since nobody saw what was in it."""
+def constant_run(channel: Channel) -> Gap | None:
+    """The longest time over which consecutive samples are equal; None: no two are."""
+    return _longest_run(channel.t, _same(channel.values), _period(channel.t)[0])
+
+
+def _longest_run(t: Array, same: NDArray[np.bool_], period: float | None) -> Gap | None:
+    """The longest run of equal samples; a gap ends a run, since nobody saw what was in it."""
     if len(t) < 2 or period is None:
-        return 0.0
+        return None
     held = np.flatnonzero(np.diff(same & (np.diff(t) <= GAP_PERIODS * period), prepend=False, append=False))
-    return float(np.max(t[held[1::2]] - t[held[::2]])) if len(held) else 0.0  # begins and ends of runs, in turn
+    if not len(held):
+        return None
+    begins, ends = t[held[::2]], t[held[1::2]]  # begins and ends of runs, in turn
+    longest = int(np.argmax(ends - begins))
+    return Gap(float(begins[longest]), float(ends[longest] - begins[longest]))
 
 
 def _columns(values: Any, finite: Any, reduce: Any) -> tuple[float | None, ...]:

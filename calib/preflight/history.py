@@ -216,19 +216,10 @@ def covered_by(
     autopilot: str | None, parameters: Mapping[str, Value], sensor: Sensor, instance: int, measured: float | None
 ) -> Covered | None:
     """The temperatures that these parameters cover; `measured`: of the verified job, degC. None: nothing says."""
-    try:
-        names = calibration_names(autopilot, parameters, sensor, instance)
-    except FirmwareError:
-        return None
-
-    def of(role: Role) -> float | None:
-        value = parameters.get(names.get(role, ""))
-        return None if value is None else float(value)
-
-    low, high = of(Role.THERMAL_MIN), of(Role.THERMAL_MAX)
-    if of(Role.THERMAL_ENABLE) == 1.0 and low is not None and high is not None and low < high:
-        return Covered(low, high, "the temperature calibration in force")
-    at = of(Role.TEMPERATURE)
+    corrected = corrected_by(autopilot, parameters, sensor, instance)
+    if corrected is not None:
+        return corrected
+    at = _value(autopilot, parameters, sensor, instance, Role.TEMPERATURE)
     how = "the temperature of its calibration"
     if at is None or at <= _UNKNOWN_TEMPERATURE:
         at, how = measured, "the temperature of the verified job"
@@ -236,6 +227,30 @@ def covered_by(
         return None
     span = limits.TEMPERATURE_SPAN.value
     return Covered(at - span, at + span, f"{how}, {at:.0f} degC, give or take {span:.0f}")
+
+
+def corrected_by(
+    autopilot: str | None, parameters: Mapping[str, Value], sensor: Sensor, instance: int
+) -> Covered | None:
+    """The temperatures over which a temperature calibration in force follows the drift; None: there is none."""
+    low, high, enabled = (
+        _value(autopilot, parameters, sensor, instance, role)
+        for role in (Role.THERMAL_MIN, Role.THERMAL_MAX, Role.THERMAL_ENABLE)
+    )
+    if enabled == 1.0 and low is not None and high is not None and low < high:
+        return Covered(low, high, "the temperature calibration in force")
+    return None
+
+
+def _value(
+    autopilot: str | None, parameters: Mapping[str, Value], sensor: Sensor, instance: int, role: Role
+) -> float | None:
+    try:
+        name = calibration_names(autopilot, parameters, sensor, instance).get(role, "")
+    except FirmwareError:
+        return None
+    value = parameters.get(name)
+    return None if value is None else float(value)
 
 
 def temperature(snapshot: Snapshot) -> Check:

@@ -25,7 +25,7 @@ from mavcal.calib.errors import FirmwareError
 from mavcal.calib.firmware.plan import Value
 from mavcal.calib.firmware.px4.parameters import UT_PER_GAUSS, mounting
 from mavcal.calib.firmware.slots import px4_sensor_ids
-from mavcal.calib.recording import Channel, Event, Sensor, Stage
+from mavcal.calib.recording import Channel, Event, Oddity, OddSamples, Sensor, Stage
 
 Array = NDArray[np.float64]
 Topic = Mapping[str, NDArray[Any]]
@@ -72,6 +72,7 @@ def inertial_channels(topics: Topics, parameters: Parameters) -> tuple[list[Chan
         *_drivers(topics, rows),
         *_fields(topics, rows, parameters, events),
         *_temperatures(topics, rows),
+        *_vibration(topics, rows),
     ]
     events += _clipping(topics, rows)
     return channels, events
@@ -387,6 +388,20 @@ def _temperatures(topics: Topics, rows: Rows) -> Iterator[Channel]:
                 yield Channel(Sensor.TEMPERATURE, instance, t, values, "degC", Stage.RAW, name)
 
 
+def _vibration(topics: Topics, rows: Rows) -> Iterator[Channel]:
+    """The levels of vehicle_imu_status: the running mean of the step from one sample to the next."""
+    for multi_id, topic in instances_of(topics, "vehicle_imu_status"):
+        for level, sensor, field, unit, device in (
+            (Sensor.VIBRATION, Sensor.ACCEL, "accel_vibration_metric", "m/s2", "accel_device_id"),
+            (Sensor.GYRO_VIBRATION, Sensor.GYRO, "gyro_vibration_metric", "rad/s", "gyro_device_id"),
+        ):
+            if field in topic:
+                t, values = topic["timestamp"].astype(np.float64) * US, columns(topic, field)
+                good = np.isfinite(values[:, 0])
+                instance = rows.instance(sensor, _device(topic, device), multi_id)
+                yield Channel(level, instance, t[good], values[good], unit, Stage.RAW, "vehicle_imu_status")
+
+
 def _clipping(topics: Topics, rows: Rows) -> list[Event]:
     """How often each accelerometer reached the end of its range; the counters run since boot."""
     events = []
@@ -398,5 +413,10 @@ def _clipping(topics: Topics, rows: Rows) -> list[Event]:
         if any(counts):
             axes = ", ".join(f"{axis} {count}" for axis, count in zip("xyz", counts, strict=True))
             text = f"accel {instance + 1} reached the end of its range {sum(counts)} times since boot ({axes})"
-            events.append(Event(float(sample_time(topic)[-1]), "clipping", text))
+            t, counter = sample_time(topic), columns(topic, *(f"accel_clipping[{k}]" for k in range(3))).sum(axis=1)
+            rose = np.flatnonzero(np.diff(counter) > 0) + 1  # what it counted before is no fault of this flight
+            first, last = (float(t[rose[0]]), float(t[rose[-1]])) if len(rose) else (float(t[-1]), None)
+            count = int(np.maximum(np.diff(counter), 0).sum())
+            odd = OddSamples(Oddity.CLIPPED, Sensor.ACCEL, instance, count, until=last)
+            events.append(Event(first, "clipping", text, odd))
     return events

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.firmware.ardupilot.log_fields import COMPASS, INERTIAL, INSTANCE_COLUMNS, LogReading
 from mavcal.calib.logs.dataflash.clock import ordered
-from mavcal.calib.recording import Channel, Event, Rounding, Sensor
+from mavcal.calib.recording import Channel, Event, Oddity, OddSamples, Rounding, Sensor
 
 if TYPE_CHECKING:
     from mavcal.calib.logs.dataflash.clock import Clock
@@ -21,6 +21,11 @@ Mask = NDArray[np.bool_]
 
 INSTANCES: Final = 8
 """No vehicle has more of a kind; a higher number is damage."""
+WORDS: Final = {
+    Oddity.UNREADABLE: "are no numbers that such a sensor can read",
+    Oddity.UNHEALTHY: "the vehicle itself calls unhealthy",
+    Oddity.ZERO: "are exactly 0, 0, 0, which no field is",
+}
 
 
 class SensorChannels:
@@ -64,24 +69,32 @@ class SensorChannels:
     ) -> Mask:
         good = _readable(values, reading.most)
         if not good.all():
-            self._say(reading, instance, t, ~good, "are no numbers that such a sensor can read", table)
+            self._say(reading, instance, t, ~good, Oddity.UNREADABLE, table)
         if healthy is not None and not healthy.all() and healthy.any():
-            self._say(reading, instance, t, ~healthy, "the vehicle itself calls unhealthy", table)
+            self._say(reading, instance, t, ~healthy, Oddity.UNHEALTHY, table)
             good &= healthy
         if reading.sensor == Sensor.MAG:
             zero: Mask = ~np.asarray(values.any(axis=1))
             if zero.all() and len(zero):
                 text = f"{reading.sensor} {instance + 1}: all {len(zero)} samples of {table.name} are exactly 0, 0, 0"
-                self.events.append(Event(float(t[0]) if np.isfinite(t[0]) else 0.0, "dead", text))
+                first, odd = _odd(Oddity.ZERO, reading, instance, t, zero)
+                self.events.append(Event(first, "dead", text, odd))
             elif zero.any():
-                self._say(reading, instance, t, zero, "are exactly 0, 0, 0, which no field is", table)
+                self._say(reading, instance, t, zero, Oddity.ZERO, table)
             good &= ~zero & _read_anew(t, values)
         return good
 
-    def _say(self, reading: LogReading, instance: int, t: Array, bad: Mask, why: str, table: Table) -> None:
-        first = float(t[np.argmax(bad)])
-        text = f"{reading.sensor} {instance + 1}: {int(bad.sum())} of {len(t)} samples of {table.name} {why}"
-        self.events.append(Event(first if np.isfinite(first) else 0.0, "damage", f"{text}; left out"))
+    def _say(self, reading: LogReading, instance: int, t: Array, bad: Mask, what: Oddity, table: Table) -> None:
+        text = f"{reading.sensor} {instance + 1}: {int(bad.sum())} of {len(t)} samples of {table.name} {WORDS[what]}"
+        first, odd = _odd(what, reading, instance, t, bad)
+        self.events.append(Event(first, "damage", f"{text}; left out", odd))
+
+
+def _odd(what: Oddity, reading: LogReading, instance: int, t: Array, bad: Mask) -> tuple[float, OddSamples]:
+    """When the samples `bad` of `t` began, and how many they are."""
+    when = t[bad][np.isfinite(t[bad])]
+    first, last = (float(when[0]), float(when[-1])) if len(when) else (0.0, None)
+    return first, OddSamples(what, reading.sensor, instance, int(bad.sum()), len(t), last)
 
 
 def instances(table: Table, number: int) -> Iterator[tuple[int, Table]]:

@@ -10,7 +10,7 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from mavcal.calib.firmware.ardupilot.log_fields import ARMED_EVENT, DISARMED_EVENT
-from mavcal.calib.recording import Event, Identity, ParameterEntry
+from mavcal.calib.recording import Event, Identity, Oddity, OddSamples, ParameterEntry, Sensor
 
 if TYPE_CHECKING:
     from mavcal.calib.logs.dataflash.clock import Clock
@@ -94,30 +94,32 @@ def counted_events(log: Log, clock: Clock) -> list[Event]:
         t = clock.times(vibration)
         unit = vibration["IMU"] if "IMU" in vibration else np.zeros(len(t), dtype=np.intp)
         for number in np.unique(unit).tolist() if "Clip" in vibration else ():
-            events += _increase(
-                t[unit == number],
-                vibration["Clip"][unit == number],
-                "clipping",
-                f"accelerometer {number + 1} clipped {{}} times",
-            )
+            events += _clipping(t[unit == number], vibration["Clip"][unit == number], number)
         for number in range(3):
             if f"Clip{number}" in vibration:
-                events += _increase(
-                    t, vibration[f"Clip{number}"], "clipping", f"accelerometer {number + 1} clipped {{}} times"
-                )
+                events += _clipping(t, vibration[f"Clip{number}"], number)
     dropped = log.get("DSF")
     if dropped is not None and "Dp" in dropped:
-        events += _increase(
-            clock.times(dropped), dropped["Dp"], "drop", "the vehicle could not write {} messages of this log"
-        )
+        total, first, _ = _increase(clock.times(dropped), dropped["Dp"])
+        if total:
+            events.append(Event(first, "drop", f"the vehicle could not write {total} messages of this log"))
     return events
 
 
-def _increase(t: Any, counter: Any, kind: str, text: str) -> list[Event]:
-    """How far a counter rose, at the time when it first did."""
+def _clipping(t: Any, counter: Any, instance: int) -> list[Event]:
+    """The samples of an accelerometer at the end of its range; none: an event of 0 is no event."""
+    total, first, last = _increase(t, counter)
+    odd = OddSamples(Oddity.CLIPPED, Sensor.ACCEL, instance, total, until=last)
+    return [Event(first, "clipping", f"accelerometer {instance + 1} clipped {total} times", odd)] if total else []
+
+
+def _increase(t: Any, counter: Any) -> tuple[int, float, float]:
+    """How far a counter rose, and when it first and last did."""
     steps = np.diff(counter.astype(np.int64), prepend=counter[:1].astype(np.int64))
-    total = int(steps[steps > 0].sum())
-    return [Event(float(t[np.argmax(steps > 0)]), kind, text.format(total))] if total else []
+    rose = np.flatnonzero(steps > 0)
+    if not len(rose):
+        return 0, 0.0, 0.0
+    return int(steps[rose].sum()), float(t[rose[0]]), float(t[rose[-1]])
 
 
 def _texts(log: Log) -> list[str]:

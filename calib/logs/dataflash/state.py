@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.firmware.ardupilot.log_fields import MOTOR_FUNCTIONS, PWM_DEFAULT, THROTTLE_FUNCTIONS
 from mavcal.calib.geometry import quaternion_from_euler
-from mavcal.calib.logs.dataflash.channels import instances
+from mavcal.calib.logs.dataflash.channels import INSTANCES, instances
 from mavcal.calib.recording import Channel, Rounding, Sensor, Stage
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ MOST: Final[Mapping[Sensor, Array]] = {
     Sensor.THROTTLE: np.array([1.1]),
     Sensor.MOTOR: np.array([1.0]),
     Sensor.ROTOR_SPEED: np.array([5000.0]),
+    Sensor.VIBRATION: np.full(3, 1000.0),
 }
 """No vehicle does more (unit of the channel): what does is damage."""
 FIX_3D: Final = 3
@@ -50,7 +51,7 @@ def state_channels(log: Log, clock: Clock, parameters: Mapping[str, float]) -> l
         if name in log:
             found += _gps(log[name], clock, number)
     found += _currents(log, clock)
-    found += [_throttle(log, clock), _motors(log, clock, parameters), _rotors(log, clock)]
+    found += [_throttle(log, clock), _motors(log, clock, parameters), _rotors(log, clock), *_vibration(log, clock)]
     return [channel for channel in found if channel is not None and len(channel)]
 
 
@@ -185,6 +186,21 @@ def _pwm(parameters: Mapping[str, float]) -> tuple[float, float]:
         if 500 <= parameters.get(low, 0) < parameters.get(high, 0) <= 2500:
             return float(parameters[low]), float(parameters[high])
     return PWM_DEFAULT
+
+
+def _vibration(log: Log, clock: Clock) -> list[Channel]:
+    """Levels of VIBE of each inertial unit; firmwares before 4.1 have those of the one in use, the first one."""
+    table = log.get("VIBE")
+    columns = ("VibeX", "VibeY", "VibeZ")
+    if table is None or any(name not in table for name in columns):
+        return []
+    t, levels = clock.times(table), table.arrays(columns)[0]
+    unit = table["IMU"] if "IMU" in table else np.zeros(len(t), dtype=np.intp)
+    return [
+        _made(Sensor.VIBRATION, table, t[unit == number], levels[unit == number], "m/s2", instance=number)
+        for number in np.unique(unit).tolist()
+        if 0 <= number < INSTANCES
+    ]
 
 
 def _rotors(log: Log, clock: Clock) -> Channel | None:

@@ -8,7 +8,17 @@ import pytest
 from mavcal.calib.flight.item import FlightLimit, FlightVerdict, judged
 from mavcal.calib.flight.report import flight_report
 from mavcal.calib.health.overview import overview
-from mavcal.calib.recording import Channel, Event, Identity, ParameterTimeline, Recording, Sensor, Stage
+from mavcal.calib.recording import (
+    Channel,
+    Event,
+    Identity,
+    Oddity,
+    OddSamples,
+    ParameterTimeline,
+    Recording,
+    Sensor,
+    Stage,
+)
 from tests.unit.flight.made import GRAVITY, Unit, log
 
 CLEAN = Unit()
@@ -103,7 +113,8 @@ def test_vibration_and_its_tone_though_samples_are_missing():
 def test_clipping_is_counted_by_the_autopilot_or_seen():
     recording = log([CLEAN], (30.0, 31.0), seed=6)
     assert items(recording)["clipping", "accel 1"].verdict == FlightVerdict.PASS
-    counted = Event(70.0, "clipping", "accelerometer 1 clipped 140 times")
+    odd = OddSamples(Oddity.CLIPPED, Sensor.ACCEL, 0, 140)
+    counted = Event(70.0, "clipping", "accelerometer 1 clipped 140 times", odd)
     item = items(dataclasses.replace(recording, events=(*recording.events, counted)))["clipping", "accel 1"]
     assert (item.verdict, item.value) == (FlightVerdict.FAIL, 140.0)
     hit = [

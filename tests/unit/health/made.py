@@ -23,7 +23,7 @@ CALIBRATED = {
 
 def flight(seed: int, *, units: int = 2, parameters: dict[str, float] | None = None, rest: float = 20.0) -> Recording:
     """About three minutes: 50 Hz inertial samples, 10 Hz of everything else."""
-    rng = np.random.default_rng(seed)
+    rng, beside = np.random.default_rng(seed), np.random.default_rng(1000 + seed)
     t = np.arange(0.0, rest + 160.0, 0.02)
     flying = (t > rest) & (t < rest + 140.0)
     phase = rng.uniform(0.0, 6.0, 3)
@@ -42,7 +42,11 @@ def flight(seed: int, *, units: int = 2, parameters: dict[str, float] | None = N
         Channel(Sensor.POSITION, 0, t[slow], np.tile(PLACE, (len(t[slow]), 1)), "deg deg m", Stage.RAW, "GPS"),
         Channel(Sensor.THROTTLE, 0, t[slow], throttle[slow], "1", Stage.RAW, "CTUN"),
     ]
+    level = np.where(flying, 3.0, 0.1)[slow, None] * beside.uniform(0.8, 1.2, (len(t[slow]), 3))
+    channels.append(Channel(Sensor.VIBRATION, 0, t[slow], level, "m/s2", Stage.RAW, "VIBE"))
     for i in range(units):
+        warm = 30.0 + 0.05 * t[slow] + 0.01 * beside.normal(size=len(t[slow]))
+        channels.append(Channel(Sensor.TEMPERATURE, i, t[slow], warm, "degC", Stage.RAW, "IMU"))
         shake = np.where(flying, 1.5, 0.02)[:, None] * rng.normal(size=(len(t), 3))
         own = 0.05 * rng.normal(size=3), np.radians(0.1) * rng.normal(size=3), 0.6 * rng.normal(size=3)
         channels += [

@@ -15,8 +15,8 @@ def test_the_page_says_the_verdict_first_and_asks_nobody_else():
     page = health_page(health(recording), recording, title="<made & bad>")
     assert "&lt;made &amp; bad&gt;" in page
     assert page.index("accelerometer 1 (") < page.index("Every sensor")
-    assert "Limits 0.3 and 0.75 m/s2" in page
-    assert page.count("<svg") == 7  # six sensors and the throttle
+    assert "Limits 0.25 and 0.75 m/s\u00b2" in page
+    assert page.count("<svg") == 10  # six sensors, two thermometers, the throttle and VIBE
     assert "http" not in page.replace('http-equiv="Content-Security-Policy"', "").replace(
         "http://www.w3.org/2000/svg", ""
     )

@@ -12,7 +12,7 @@ from mavcal.calib import logs
 from mavcal.calib.errors import UnreadableError
 from mavcal.calib.firmware import undo
 from mavcal.calib.logs.dataflash import read_dataflash, read_dataflash_text
-from mavcal.calib.recording import Recording, Rounding, Sensor, Stage
+from mavcal.calib.recording import Oddity, OddSamples, Recording, Rounding, Sensor, Stage
 
 FLIGHT = made.flight(2.0, seed=1)
 HEAD = made.head()
@@ -200,6 +200,9 @@ class TestState:
         recording = read_dataflash(data)
         assert [e.t for e in recording.events if e.kind in ("armed", "disarmed")] == [6.0, 7.0]
         assert kinds(recording, "clipping") == ["accelerometer 2 clipped 6 times"]
+        assert [e.odd for e in recording.events if e.kind == "clipping"] == [
+            OddSamples(Oddity.CLIPPED, Sensor.ACCEL, 1, 6, until=7.0)
+        ]
         assert kinds(recording, "drop") == ["the vehicle could not write 12 messages of this log"]
         assert recording.identity.firmware == (4, 6, 1)
         assert recording.identity.uid == "24002e001951343038343936"
@@ -247,6 +250,21 @@ class TestParameters:
         assert kinds(recording, "damage") == [
             "mag 1: 4 of 10 samples of MAG are exactly 0, 0, 0, which no field is; left out"
         ]
+        (odd,) = [event.odd for event in recording.events if event.kind == "damage"]
+        assert odd == OddSamples(Oddity.ZERO, Sensor.MAG, 0, 4, 10, until=17.0)
+
+    def test_a_compass_of_zeros_alone_is_dead_by_its_numbers(self):
+        rows = made.MAG.rows(10, TimeUS=times(*range(8, 18)), S=times(*range(8, 18)), MagX=0, Health=1)
+        moving = made.IMU.rows(10, TimeUS=times(*range(8, 18)), AccZ=-9.8, GyrX=0.1 * np.arange(10))
+        recording = read_dataflash(HEAD + rows.tobytes() + moving.tobytes())
+        (dead,) = [event for event in recording.events if event.kind == "dead"]
+        assert (dead.t, dead.odd) == (8.0, OddSamples(Oddity.ZERO, Sensor.MAG, 0, 10, 10, until=17.0))
+
+    def test_levels_of_vibration_belong_to_their_unit(self):
+        levels = {"TimeUS": times(6, 6, 7, 7), "IMU": [0, 1, 0, 1], "VibeX": [1, 2, 3, 4], "VibeZ": [5, 6, 7, 8]}
+        recording = read_dataflash(with_rows((VIBE, levels)))
+        found = {c.instance: c.values.tolist() for c in recording.channels if c.sensor == Sensor.VIBRATION}
+        assert found == {0: [[1.0, 0.0, 5.0], [3.0, 0.0, 7.0]], 1: [[2.0, 0.0, 6.0], [4.0, 0.0, 8.0]]}
 
     def test_offsets_that_the_vehicle_learnt_are_undone_too(self):
         t = times(*(5 + 0.1 * k for k in range(20)))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mavcal.calib.firmware.px4.topics import Rows, inertial_channels
-from mavcal.calib.recording import Sensor, Stage
+from mavcal.calib.recording import Oddity, OddSamples, Sensor, Stage
 
 ACCEL, GYRO, MAG = 1310988, 2490644, 197388
 
@@ -359,3 +359,17 @@ def test_clipping_is_counted_by_axis_and_silent_without_any():
     assert channels == []
     assert (event.t, event.kind) == (2.0, "clipping")
     assert event.text == "accel 2 reached the end of its range 7 times since boot (x 4, y 0, z 3)"
+    assert event.odd == OddSamples(Oddity.CLIPPED, Sensor.ACCEL, 1, 4, until=2.0)  # what it counted before is not of it
+
+
+def test_levels_of_vibration_are_channels_of_their_own():
+    status = topic(
+        [1_000_000, 2_000_000], accel_device_id=[5, 5], gyro_device_id=[7, 7],
+        accel_vibration_metric=[0.5, np.nan], gyro_vibration_metric=[0.01, 0.02],
+    )  # fmt: skip
+    channels, _ = read({("vehicle_imu_status", 0): status}, {"CAL_ACC0_ID": 4, "CAL_ACC1_ID": 5, "CAL_GYRO0_ID": 7})
+    found = {(c.sensor, c.instance, c.unit): c.values[:, 0].tolist() for c in channels}
+    assert found == {
+        (Sensor.VIBRATION, 1, "m/s2"): [0.5],
+        (Sensor.GYRO_VIBRATION, 0, "rad/s"): [0.01, 0.02],
+    }

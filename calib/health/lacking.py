@@ -1,0 +1,99 @@
+"""What a log lacks to say more: messages and rates, what they would tell, and the parameter that has them logged."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+
+from mavcal.calib.firmware.log_options import Logged, how_to_log, how_to_log_disarmed
+from mavcal.calib.flight.rest import Ground
+from mavcal.calib.health.sampling import Sampled, lost
+from mavcal.calib.recording import Recording, Sensor, Stage
+
+_SLOW_HZ: Final = 20.0
+_BATCHES: Final = "INS_LOG_BAT_MASK 1"
+"""ArduPilot's batch sampling: short stretches of every sample."""
+
+
+def setting(recording: Recording, what: Logged) -> str:
+    """What has to be set so that it is logged; empty where that is not known."""
+    return how_to_log(what, recording.identity, recording.parameters.final())
+
+
+def every_sample(recording: Recording) -> str:
+    """The action that has every sample of an accelerometer logged; empty where it is not known."""
+    found = setting(recording, Logged.RAW_INERTIAL)
+    if recording.identity.autopilot != "ardupilot":
+        return found
+    raw = f", or {found[0].lower()}{found[1:]}" if found.startswith("Set") else "."
+    return f"Set {_BATCHES} (batch sampling){raw}"
+
+
+def lacking(recording: Recording, stood: Ground, every: Sequence[Sampled]) -> Iterator[str]:
+    """What was not recorded, what it would tell, and how it is logged."""
+    for sensor, what, name, tells in (
+        (Sensor.ATTITUDE, Logged.ATTITUDE, "attitude", "offsets in flight, and the dip of the field"),
+        (Sensor.POSITION, Logged.POSITION, "position", "the Earth's field and gravity of the place"),
+        (Sensor.TEMPERATURE, Logged.INERTIAL, "temperature of the inertial units", "whether they left their range"),
+    ):
+        if not recording.find(sensor):
+            yield _line(f"{name}: {tells}", setting(recording, what))
+    yield from _loads(recording)
+    yield from _inertial(recording)
+    dead = {event.odd.sensor for event in recording.events if event.kind == "dead" and event.odd is not None}
+    if not recording.instances(Sensor.MAG) and Sensor.MAG not in dead:
+        yield _line("compass: whether there is one and how it is", setting(recording, Logged.COMPASS))
+    if recording.identity.autopilot is not None and not recording.parameters:
+        yield "parameters: the calibration in force, and whether there is one"
+    if stood.running and not stood.off:
+        yield f"a rest with the motors off: offsets at rest. Set {how_to_log_disarmed(recording.identity.autopilot)}"
+    yield from _losses(recording, every)
+
+
+def _line(text: str, how: str) -> str:
+    return f"{text}. {how}".removesuffix(".") if how else text
+
+
+def _loads(recording: Recording) -> Iterator[str]:
+    """What tells of the motors' field."""
+    currents = recording.find(Sensor.CURRENT)
+    tells = "interference of the motors with the compass"
+    if not currents and not recording.find(Sensor.THROTTLE):
+        yield _line(f"battery current or throttle: {tells}", setting(recording, Logged.CURRENT))
+    elif currents and not any(np.nan_to_num(channel.values).any() for channel in currents):
+        yield f"battery current, which reads 0 throughout: {tells}. Fit a current sensor (BATT_MONITOR)"
+
+
+def _inertial(recording: Recording) -> Iterator[str]:
+    """Rates and levels that tell of vibration."""
+    accels = [c for c in recording.channels if c.sensor == Sensor.ACCEL and len(c) > 1]
+    periods = [float(np.median(np.diff(c.t))) for c in accels]
+    fastest = max((1.0 / period for period in periods if period > 0.0), default=0.0)
+    if accels and fastest < _SLOW_HZ:
+        have = f"inertial samples at {_SLOW_HZ:.0f} Hz or more (it has {fastest:.0f})"
+        yield _line(f"{have}: offsets, vibration", setting(recording, Logged.FAST_INERTIAL))
+    vehicle = recording.identity.autopilot is not None
+    if accels and vehicle and not any(c.sensor == Sensor.VIBRATION for c in recording.channels):
+        message = "vehicle_imu_status" if recording.identity.autopilot == "px4" else "VIBE"
+        yield _line(f"{message}: vibration and clipping", setting(recording, Logged.INERTIAL))
+    if accels and vehicle and all(c.stage in (Stage.FILTERED, Stage.DEBIASED) for c in accels):
+        yield _line("unfiltered inertial samples: the frequencies of a vibration", every_sample(recording))
+
+
+def _losses(recording: Recording, every: Sequence[Sampled]) -> Iterator[str]:
+    """Stretches that the log itself lost."""
+    gaps = lost(every)
+    if gaps:
+        longest = max(gaps, key=lambda gap: gap.length)
+        often = "once" if len(gaps) == 1 else f"{len(gaps)} times"
+        yield (
+            f"all sensors, {often}, for up to {longest.length:.1f} s at {longest.start:.1f} s: the logger or the link "
+            "did not keep up. Use a faster card, or log less"
+        )
+    dropped = [event for event in recording.events if event.kind == "drop"]
+    if len(dropped) == 1:
+        yield f"a part of the log: {dropped[0].text}"
+    elif dropped:
+        yield f"{len(dropped)} stretches that the logger lost, the first at {dropped[0].t:.1f} s"

@@ -1,0 +1,153 @@
+"""How the sensors were sampled: rates, gaps of one sensor while others went on, values that stood still, distrust."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcal.calib.health import limits
+from mavcal.calib.health.finding import HealthFinding, HealthVerdict, judged_value
+from mavcal.calib.health.limits import STUCK
+from mavcal.calib.logs.inspection import GAP_PERIODS, STUCK_PERIODS, Gap, constant_run, pauses
+from mavcal.calib.recording import Channel, Oddity, Recording, Sensor
+
+Array = NDArray[np.float64]
+
+SENSORS: Final = (Sensor.ACCEL, Sensor.GYRO, Sensor.MAG)
+_BUS: Final = "Check its bus and power; replace it if it comes back."
+_BATCHES: Final = "ISBD"
+_SELECTED: Final = "sensor_combined"
+"""Sources that hold a sensor for some of the time by design: batches, and whichever unit is selected."""
+_TIMES_SLOWER: Final = 2.0
+"""Another sensor tells of a gap that is so many times longer than its own period."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sampled:
+    """How one sensor was sampled: its densest channel, the median period, s, and its gaps."""
+
+    channel: Channel
+    period: float
+    gaps: tuple[Gap, ...]
+
+
+def sampled(recording: Recording) -> tuple[Sampled, ...]:
+    """Every accelerometer, gyroscope and compass that has a rate; pauses of the whole recording are no gaps."""
+    paused = pauses(recording)
+    found = []
+    for sensor in SENSORS:
+        selected = sum(c.sensor == sensor and c.source == _SELECTED for c in recording.channels)
+        left_out = (_BATCHES, _SELECTED) if selected > 1 else (_BATCHES,)
+        for instance in recording.instances(sensor):
+            channel = max(
+                (c for c in recording.find(sensor, instance) if c.source not in left_out), key=len, default=None
+            )
+            if channel is None or len(channel) < 3:
+                continue
+            steps = np.diff(channel.t)
+            period = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+            if not period:
+                continue
+            wide = np.flatnonzero(steps > max(limits.SILENT.suspicious, GAP_PERIODS * period)).tolist()
+            gaps = [Gap(float(channel.t[i]), float(steps[i])) for i in wide]
+            found.append(Sampled(channel, period, tuple(g for g in gaps if not _paused(g, paused))))
+    return tuple(found)
+
+
+def lost(every: Sequence[Sampled]) -> tuple[Gap, ...]:
+    """Gaps of the sensor with most samples that all others share: the logger's."""
+    densest = max(every, key=lambda one: len(one.channel), default=None)
+    return () if densest is None else tuple(gap for gap in densest.gaps if not _went_on(gap, densest, every))
+
+
+def sampling_findings(recording: Recording, every: Sequence[Sampled]) -> Iterator[HealthFinding]:
+    """Rate and gaps of every sensor in `every`, and values that stood still."""
+    for one in every:
+        yield _gaps(one, every, _left_out(recording, one.channel))
+        if one.channel.sensor != Sensor.MAG and not one.channel.quantum:  # a compass at rest may repeat itself
+            yield from _stuck(one)
+    yield from _distrusted(recording)
+
+
+def _paused(gap: Gap, paused: Sequence[Gap]) -> bool:
+    return any(gap.start < p.start + p.length and p.start < gap.start + gap.length for p in paused)
+
+
+def _went_on(gap: Gap, one: Sampled, every: Sequence[Sampled]) -> bool:
+    """Whether another sensor than `one` was sampled in the middle of the gap."""
+    for other in every:
+        margin = _TIMES_SLOWER * max(other.period, one.period)  # they need not stop with the same sample
+        first, last = np.searchsorted(other.channel.t, (gap.start + margin, gap.start + gap.length - margin))
+        if gap.length > 2.0 * margin and last > first:
+            return True
+    return False
+
+
+def _left_out(recording: Recording, channel: Channel) -> tuple[Gap, ...]:
+    """Where samples of the sensor are there and were left out: that is said as such, and is no silence."""
+    of = channel.sensor, channel.instance
+    odd = [(e.t, e.odd) for e in recording.events if e.odd is not None and (e.odd.sensor, e.odd.instance) == of]
+    return tuple(Gap(t - 1.0, max((found.until or t) - t, 0.0) + 2.0) for t, found in odd)
+
+
+def _gaps(one: Sampled, every: Sequence[Sampled], left_out: Sequence[Gap]) -> HealthFinding:
+    channel = one.channel
+    own = [gap for gap in one.gaps if _went_on(gap, one, every) and not _paused(gap, left_out)]
+    longest = max(own, key=lambda gap: gap.length, default=None)
+    rate = f"{1.0 / one.period:.3g} Hz"
+    key = "sampling", channel.sensor, channel.instance
+    streamed = channel.source.isupper() and "_" in channel.source  # a message of MAVLink, not of a log on board
+    if longest is None or streamed:
+        lost_too = "; the gaps are those of the link or the logger" if one.gaps else ", no gap"
+        text = f"sampled at {rate}{lost_too}"
+        return HealthFinding(*key, HealthVerdict.OK, text, value=0.0, limit=limits.SILENT)
+    verdict = judged_value(longest.length, 0.0, limits.SILENT)
+    often = "once" if len(own) == 1 else f"{len(own)} times"
+    text = (
+        f"was silent {often} while others went on, for up to {longest.length:.1f} s at {longest.start:.1f} s ({rate})"
+    )
+    return HealthFinding(
+        *(*key, verdict, text, _BUS if verdict != HealthVerdict.OK else "", longest.length, None, limits.SILENT),
+        start=own[0].start,
+        end=own[-1].start + own[-1].length,
+    )
+
+
+def _stuck(one: Sampled) -> Iterator[HealthFinding]:
+    """A unit that repeats itself to the last digit while its channel otherwise moves."""
+    channel, run = one.channel, constant_run(one.channel)
+    if run is None or run.length <= max(STUCK.suspicious, STUCK_PERIODS * one.period):
+        return
+    verdict = judged_value(run.length, 0.0, STUCK)
+    text = f"repeats one value for {run.length:.1f} s from {run.start:.1f} s on"
+    yield HealthFinding(
+        *("stuck", channel.sensor, channel.instance, verdict, text, _BUS, run.length, 0.0, STUCK),
+        start=run.start,
+        end=run.start + run.length,
+    )
+
+
+def _distrusted(recording: Recording) -> Iterator[HealthFinding]:
+    """Samples that the autopilot itself called unhealthy, or that no such sensor can read."""
+    said = {
+        Oddity.UNHEALTHY: "was called unhealthy by the autopilot",
+        Oddity.UNREADABLE: "gave values that no such sensor can read",
+    }
+    for event in recording.events:
+        odd = event.odd
+        if odd is None or odd.what not in said or not odd.total:
+            continue
+        share = odd.count / odd.total
+        verdict = judged_value(share, 0.0, limits.UNHEALTHY)
+        text = f"{said[odd.what]} in {odd.count} of {odd.total} samples, first at {event.t:.1f} s"
+        action = "" if verdict == HealthVerdict.OK else _BUS
+        if odd.sensor in SENSORS:
+            yield HealthFinding(
+                *("unhealthy", odd.sensor, odd.instance, verdict, text, action, share, None, limits.UNHEALTHY),
+                start=event.t,
+                end=odd.until,
+            )

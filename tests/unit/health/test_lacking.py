@@ -1,0 +1,73 @@
+"""What a log lacks, by the names of the parameters that change it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from mavcal.calib.health.report import health
+from mavcal.calib.recording import Event, Identity, ParameterTimeline, Sensor
+from tests.unit.health.made import CALIBRATED, flight
+
+COPTER, PLANE, ROVER = 2, 1, 10
+
+
+def lacks(recording, kind=COPTER, mask=None, autopilot="ardupilot"):
+    parameters = dict(CALIBRATED) if mask is None else {**CALIBRATED, "LOG_BITMASK": mask}
+    made = dataclasses.replace(
+        recording, identity=Identity(autopilot, kind), parameters=ParameterTimeline.constant(parameters)
+    )
+    return " / ".join(health(made).lacks)
+
+
+def without(*sensors):
+    recording = flight(1)
+    return recording.with_channels(c for c in recording.channels if c.sensor not in sensors)
+
+
+def test_the_bit_of_the_vehicle_s_own_kind_is_named():
+    for kind, bit in ((COPTER, 13), (PLANE, 10), (ROVER, 11)):
+        assert f"Set LOG_BITMASK bit {bit} (Compass)" in lacks(without(Sensor.MAG), kind)
+    assert 'Set "Compass" in LOG_BITMASK' in lacks(without(Sensor.MAG), None)
+    assert "Set SDLOG_PROFILE bit 6 (Sensor comparison)" in lacks(without(Sensor.MAG), autopilot="px4")
+
+
+def test_a_bit_that_is_set_is_not_asked_for_again():
+    assert "Set LOG_BITMASK bit 0 (Fast Attitude)" in lacks(without(Sensor.ATTITUDE), mask=0.0)
+    assert "bit 0 (Fast Attitude) is set already" in lacks(without(Sensor.ATTITUDE), mask=65535.0)
+    assert "bit 2 (GPS) is set already" in lacks(without(Sensor.POSITION), mask=-22530.0)  # 16 signed bits
+
+
+def test_everything_that_can_be_missing_is_said_with_what_it_would_tell():
+    bare = without(Sensor.ATTITUDE, Sensor.POSITION, Sensor.TEMPERATURE, Sensor.THROTTLE, Sensor.VIBRATION, Sensor.MAG)
+    said = lacks(bare)
+    for name in ("attitude:", "position:", "temperature of", "battery current or throttle:", "VIBE:", "compass:"):
+        assert name in said
+    slow = bare.with_channels(c.take(slice(None, None, 25)) for c in bare.channels)
+    assert "inertial samples at 20 Hz or more (it has 2)" in lacks(slow)
+    assert "Set LOG_BITMASK bit 18 (Fast IMU)" in lacks(slow)
+
+
+def test_a_log_that_begins_armed_is_asked_for_its_rest_by_the_parameter_of_its_autopilot():
+    armed = dataclasses.replace(flight(1), events=(Event(0.0, "armed", ""),))
+    assert "Set LOG_DISARMED 1" in lacks(armed)
+    assert "SDLOG_MODE" not in lacks(armed)
+    assert "Set SDLOG_MODE 2" in lacks(armed, autopilot="px4")
+
+
+def test_a_current_that_reads_zero_is_no_current():
+    recording = flight(1)
+    current = dataclasses.replace(
+        next(c for c in recording.channels if c.sensor == Sensor.THROTTLE), sensor=Sensor.CURRENT, unit="A"
+    )
+    zero = dataclasses.replace(current, values=0.0 * current.values)
+    assert "battery current, which reads 0 throughout" in lacks(recording.with_channels([*recording.channels, zero]))
+    assert "battery current" not in lacks(recording.with_channels([*recording.channels, current]))
+
+
+def test_losses_of_the_logger_are_said():
+    drops = tuple(Event(40.0 + k, "drop", "the vehicle could not write 12 messages of this log") for k in range(3))
+    recording = flight(1)
+    assert "could not write 12 messages" in lacks(dataclasses.replace(recording, events=(*recording.events, drops[0])))
+    assert "3 stretches that the logger lost, the first at 40.0 s" in lacks(
+        dataclasses.replace(recording, events=(*recording.events, *drops))
+    )
