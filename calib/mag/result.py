@@ -35,6 +35,8 @@ FIELD_TOLERANCE = 0.2
 """Departure of the fitted from the modelled field strength, relative, that is reported."""
 
 _ROUGHEST = 0.15  # residual relative to the radius from which on the samples are no ellipsoid
+_PIECES = 10.0
+"""Pieces of misfit over which an error averages out at most: it follows the movement, not the number of samples."""
 _VISIBLE = 1e-4  # of the field: a residual below that moves no heading by a hundredth of a degree, whatever its cause
 _MISFIT = 1.3  # residuals larger than the noise by this factor are reported as misfit
 _MANY = 20_000  # samples that are enough to draw a coverage mask
@@ -58,6 +60,8 @@ class MagContext:
         Mounting rotation (3, 3), for the heading error only; None: the sensor's axes are the vehicle's.
     compensated
         Whether the vehicle has a compensation of the motors' field in force.
+    sparse
+        Whether it turned so far from one sample to the next that misfit and noise look alike.
     """
 
     instance: int = 0
@@ -69,6 +73,7 @@ class MagContext:
     relative: bool = False
     temperature: float | None = None
     compensated: bool = False
+    sparse: bool = False
 
     def __post_init__(self) -> None:
         if self.noise_sd is not None and not (math.isfinite(self.noise_sd) and self.noise_sd > 0.0):
@@ -110,6 +115,7 @@ class MagFacts(TypedDict, total=False):
     relative: bool
     temperature: float | None
     compensated: bool
+    sparse: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,6 +153,7 @@ def magnetometer_result(fit: ShapeFit, samples: Array, context: MagContext) -> F
     thinned = samples[:: max(1, len(samples) // _MANY)]
     seen = visited((thinned - fit.ellipsoid.offset) @ correction(fit.ellipsoid, context.strength).matrix.T)
     quality = residual_quality(fit, context) | {"coverage_mask": mask_bytes(seen), "coverage": float(seen.mean())}
+    fit = _widened(fit, quality, context)
     return concluded(fit, quality, len(samples), len(fit.residuals), context)
 
 
@@ -198,6 +205,34 @@ def residual_quality(fit: ShapeFit, context: MagContext) -> dict[str, Any]:
         "first_correlation": statistics["first_correlation"],
         "white": statistics["white"],
     }
+
+
+def _widened(fit: ShapeFit, quality: Mapping[str, Any], context: MagContext) -> ShapeFit:
+    """The fit with the uncertainty that its misfit leaves, however many samples there are.
+
+    What residuals are beyond the noise is no noise: it averages over :data:`_PIECES` at most. Where samples are
+    `sparse`, nothing tells it from noise, and all that is left counts.
+    """
+    squares = quality["residual_rms"] ** 2
+    noise = 0.0 if context.sparse and context.noise_variance is None else quality["noise_sd"] ** 2
+    if not context.sparse and not _misfits(fit, quality):
+        return fit
+    misfit = max(squares - noise, 0.0) / squares if squares > 0.0 else 0.0
+    factor = misfit * len(fit.residuals) / (_PIECES * fit.variance_inflation)
+    if factor <= 1.0:
+        return fit
+    return dataclasses.replace(
+        fit, covariance=fit.covariance * factor, variance_inflation=fit.variance_inflation * factor
+    )
+
+
+def _misfits(fit: ShapeFit, quality: Mapping[str, Any]) -> bool:
+    """Whether the residuals are larger than the noise, and large enough to matter."""
+    if quality["chi2"] is None or not fit.dof > 0:
+        return False
+    visible = quality["residual_rms"] > _VISIBLE * fit.ellipsoid.mean_radius
+    excess = math.sqrt(quality["chi2"] / fit.dof)
+    return bool(visible and excess > max(_MISFIT, 1.0 + 3.0 / math.sqrt(2.0 * fit.dof)))
 
 
 def _quality(fit: ShapeFit, context: MagContext, model: TriadModel, full: Array) -> dict[str, Any]:
@@ -263,15 +298,18 @@ def _warnings(fit: ShapeFit, context: MagContext, quality: Mapping[str, Any]) ->
         )
     if context.field is not None and not context.field.valid:
         found.append(f"the date is outside the years of {context.field.model}: its field strength is extrapolated")
-    chi2 = quality["chi2"]
-    if chi2 is not None and fit.dof > 0:
-        excess = math.sqrt(chi2 / fit.dof)
-        visible = quality["residual_rms"] > _VISIBLE * quality["radius"]
-        if visible and excess > max(_MISFIT, 1.0 + 3.0 / math.sqrt(2.0 * fit.dof)):
-            found.append(
-                f"residuals are {excess:.1f} times the noise: the samples are not quite an ellipsoid (blur, currents, "
-                f"steel nearby); the stated uncertainty includes it (variance x {quality['variance_inflation']:.1f})"
-            )
+    if _misfits(fit, quality):
+        found.append(
+            f"residuals are {math.sqrt(quality['chi2'] / fit.dof):.1f} times the noise: the samples are not quite "
+            f"{'an' if fit.form == 'ellipsoid' else 'a'} {fit.form} (blur, currents, steel nearby). The stated "
+            "uncertainty includes that"
+        )
+    if context.sparse:
+        found.append(
+            "the compass was read more slowly than it turned, by 30 deg and more from one sample to the next: errors "
+            f"pass for noise, so more samples make the heading no better than {quality['heading_sd_deg']:.2g} deg. "
+            "Turn more slowly, or record it at 10 Hz"
+        )
     if fit.dof < 10:
         found.append(f"only {fit.dof:.0f} samples more than parameters: the stated uncertainty is itself uncertain")
     if fit.n_outliers:

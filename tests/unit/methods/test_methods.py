@@ -226,7 +226,7 @@ def test_gravity_of_the_place():
 @pytest.mark.parametrize(
     ("name", "options", "says"),
     [
-        ("gyro-rest", {"speed": 1}, "no option speed; it takes instance"),
+        ("gyro-rest", {"speed": 1}, "no option speed; it takes from, instance, until"),
         ("accel-six-face", {"convention": "up"}, "one of specific-force, accelcal"),
         ("thermal-poly", {"degree": "three"}, "degree must be a whole number"),
         ("thermal-poly", {"tref": float("nan")}, "tref must be a finite number"),
