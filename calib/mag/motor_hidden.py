@@ -84,7 +84,7 @@ class LogFit:
 def blocks_of(t: Array) -> NDArray[np.intp]:
     """The block of each of `t` (N,)."""
     count = int(np.clip((t[-1] - t[0]) / BLOCK, _FEWEST_BLOCKS, _MOST_BLOCKS))
-    return np.minimum((count * (t - t[0]) / (t[-1] - t[0])).astype(np.intp), count - 1)
+    return np.asarray(np.minimum((count * (t - t[0]) / (t[-1] - t[0])).astype(np.intp), count - 1), dtype=np.intp)
 
 
 def by_gyroscope(data: FlightInput, fit: FlightEstimate) -> Hidden:
@@ -142,5 +142,5 @@ def _least_squares(design: Array, y: Array) -> tuple[Array, Array]:
     """Unknowns (P,) of rows (N, 3, P) and values (N, 3), and the inverse of the normal equations."""
     rows = design.reshape(-1, design.shape[2])
     normal = rows.T @ rows
-    inverse = np.linalg.inv(normal + _RIDGE**2 * np.diag(np.diag(normal)))
-    return inverse @ (rows.T @ y.ravel()), inverse
+    inverse = np.asarray(np.linalg.inv(normal + _RIDGE**2 * np.diag(np.diag(normal))), dtype=np.float64)
+    return np.asarray(inverse @ (rows.T @ y.ravel())), inverse

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.earth import EarthField
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
-from mavcal.calib.fit import FitBuilder, FitResult, parameter_names
+from mavcal.calib.fit import OFFSETS, FitBuilder, FitResult, parameter_names
 from mavcal.calib.mag.heading import DEFAULT_INCLINATION, heading_sd_deg
 from mavcal.calib.mag.samples import axis_word
 from mavcal.calib.mag.sections import mask_bytes, visited
@@ -37,6 +37,7 @@ FIELD_TOLERANCE = 0.2
 _ROUGHEST = 0.15  # residual relative to the radius from which on the samples are no ellipsoid
 _PIECES = 10.0
 """Pieces of misfit over which an error averages out at most: it follows the movement, not the number of samples."""
+_LEAST_FIELD, _MOST_FIELD = 12.0, 120.0  # uT
 _VISIBLE = 1e-4  # of the field: a residual below that moves no heading by a hundredth of a degree, whatever its cause
 _MISFIT = 1.3  # residuals larger than the noise by this factor are reported as misfit
 _MANY = 20_000  # samples that are enough to draw a coverage mask
@@ -135,6 +136,10 @@ class ShapeFit:
     n_outliers: int = 0
     native: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     warnings: tuple[str, ...] = ()
+    because: str = ""
+    """Why it is not the form that was asked for; empty where it is."""
+    left_open: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    """Parameters that the method leaves as they are, each with what would determine it."""
     variance_inflation: float = 1.0
     """Largest factor by which residuals that are correlated in time widened `covariance`."""
 
@@ -146,6 +151,11 @@ class ShapeFit:
             covariance=self.covariance * scale**2,
             residuals=self.residuals * scale,
         )
+
+
+def plausible_field(radius: float) -> bool:
+    """Whether a field of `radius` uT may be the Earth's (22 to 67), by a sensor whose scale is off and a bent site."""
+    return _LEAST_FIELD < radius < _MOST_FIELD
 
 
 def magnetometer_result(fit: ShapeFit, samples: Array, context: MagContext) -> FitResult:
@@ -169,15 +179,20 @@ def concluded(
     reason = _why_not(fit, quality["residual_rms"], model, full)
     if reason is not None:
         message, names = reason
+        message = f"{fit.because}. {message[0].upper()}{message[1:]}" if fit.because else message
         return made.refused(message, names, message, quality=MappingProxyType(quality))
+    told = full.copy()
+    blind = [parameter_names().index(name) for name in fit.left_open]
+    told[blind, :] = told[:, blind] = 0.0
     return made.fitted(
         model,
-        full,
-        message=_message(quality),
+        told,
+        message=_message(quality) + _what_is_open(fit),
+        undetermined=fit.left_open,
         n_used=n_used,
         residual_rms=quality["residual_rms"],
         condition_number=fit.condition_number,
-        warnings=fit.warnings + _warnings(fit, context, quality),
+        warnings=(*((fit.because,) if fit.because else ()), *fit.warnings, *_warnings(fit, context, quality)),
         quality=MappingProxyType(quality),
         native=MappingProxyType(_native(fit.ellipsoid, model) | dict(fit.native)),
     )
@@ -263,11 +278,13 @@ def _why_not(fit: ShapeFit, rough: float, model: TriadModel, full: Array) -> tup
             f"the magnetometer samples are {rough / radius:.0%} of the field off every {fit.form}: the field changed "
             "while turning (keep away from steel, magnets and currents, and repeat)"
         )
-        if fit.form != "ellipsoid":
+        if fit.form != "ellipsoid" and not fit.left_open:
             message += ", or this form is too simple: fit mag-ellipsoid"
         return message, parameter_names()
     relative = np.concatenate([full.diagonal()[:3] / radius**2, full.diagonal()[3:] / np.cbrt(_volume(model)) ** 2])
-    open_ones = tuple(n for n, v in zip(parameter_names(), relative, strict=True) if v > UNDETERMINED_SD**2)
+    open_ones = tuple(
+        n for n, v in zip(parameter_names(), relative, strict=True) if v > UNDETERMINED_SD**2 and n not in fit.left_open
+    )
     if not open_ones:
         return None
     weakest = np.linalg.eigh(full[:3, :3])[1][:, -1]
@@ -322,6 +339,13 @@ def _message(quality: Mapping[str, Any]) -> str:
         f"heading good to {quality['heading_sd_deg']:.2g} deg at a dip of {quality['heading_dip_deg']:.0f} deg, "
         f"residual {quality['residual_rms']:.3g} at a field of {quality['radius']:.4g}"
     )
+
+
+def _what_is_open(fit: ShapeFit) -> str:
+    if not fit.left_open:
+        return ""
+    names = [*(name for name in fit.left_open if name in OFFSETS), "the matrix"]
+    return f"; {' and '.join(names)} stay open: {next(iter(fit.left_open.values()))}"
 
 
 def _native(ellipsoid: Ellipsoid, model: TriadModel) -> dict[str, Any]:

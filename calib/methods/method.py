@@ -111,9 +111,8 @@ def _cut(recording: Recording, options: Options) -> Recording:
     low, high = first if start is None else float(start), last if end is None else float(end)
     part = recording.between(low, float(np.nextafter(high, np.inf)))
     if not np.isfinite(part.span[0]):
-        raise InvalidInputError(
-            f"no sample lies from {low:g} to {high:g} s: the recording has {first:.1f} to {last:.1f} s on its clock"
-        )
+        asked = " and ".join(f"{name} {options[name]:g} s" for name in ("from", "until") if options[name] is not None)
+        raise InvalidInputError(f"no sample lies {asked}: the recording has {first:.1f} to {last:.1f} s on its clock")
     return part
 
 

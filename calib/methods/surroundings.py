@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcal.calib.fit import FitResult, FitStatus
+from mavcal.calib.mag.result import plausible_field
 from mavcal.calib.methods.source import Source
 from mavcal.calib.recording import Channel, Recording
 
@@ -67,7 +68,7 @@ def of_one_surroundings(source: Source, mag: Channel, fit: Callable[[Channel], F
     if len(parts) < 2:
         return fit(mag)
     alone = [_Part(part, fit(part)) for part in parts]
-    known = [part for part in alone if part.fit.status != FitStatus.REFUSED]
+    known = [part for part in alone if part.fit.status != FitStatus.REFUSED and _plausible(part.fit)]
     if not known:
         return fit(mag)
     measure = min(known, key=lambda part: float(part.fit.quality["heading_sd_deg"]))
@@ -85,6 +86,10 @@ def of_one_surroundings(source: Source, mag: Channel, fit: Callable[[Channel], F
         f"({listed} of the field), as between a bench and a flight. --from and --until choose another stretch"
     )
     return dataclasses.replace(found, n_samples=len(mag), warnings=(note, *found.warnings))
+
+
+def _plausible(fit: FitResult) -> bool:
+    return fit.unit != "uT" or plausible_field(float(fit.quality["radius"]))
 
 
 def _parts(source: Source, mag: Channel) -> list[Channel]:

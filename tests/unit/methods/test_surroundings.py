@@ -67,7 +67,9 @@ def test_flights_of_one_surroundings_are_fitted_together():
 def test_a_span_that_is_asked_for_is_all_that_is_used():
     (fit,) = METHODS["mag-ellipsoid"].run(telemetry(6), {"until": 100.0})
     assert fit.n_samples == 101
-    with pytest.raises(InvalidInputError, match=r"no sample lies from 5000 to 6000 s: the recording has 0\.0 to"):
+    with pytest.raises(
+        InvalidInputError, match=r"no sample lies from 5000 s and until 6000 s: the recording has 0\.0 to"
+    ):
         METHODS["mag-ellipsoid"].run(telemetry(6), {"from": 5000.0, "until": 6000.0})
 
 
