@@ -41,7 +41,7 @@ def _thermal(source: Source, options: Options, fit: Callable[[Channel, Array, bo
         for channel in source.channels(sensor):
             temperature = source.temperature(channel.instance)
             if temperature is None:
-                raise InvalidInputError("the recording has no temperature: name its column, --map temperature=COLUMN")
+                raise InvalidInputError(source.no_temperature())
             good = np.isfinite(temperature.values[:, 0])
             if not good.any():
                 raise InvalidInputError("the temperature column has no finite number")
@@ -52,6 +52,9 @@ def _thermal(source: Source, options: Options, fit: Callable[[Channel, Array, bo
 
 def _from_logs(sources: Sequence[Source], options: Options, wish: ThermalWish) -> list[FitResult]:
     """The same from what vehicles logged: only their rests on the ground."""
+    for source in sources:
+        if not source.recording.instances(Sensor.TEMPERATURE):
+            raise InvalidInputError(source.no_temperature())
     logs = logs_of([source.recording for source in sources])
     sensors = [s for s in (Sensor.ACCEL, Sensor.GYRO) if options["sensor"] in {"all", s.value}]
     fits = []
