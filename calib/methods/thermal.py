@@ -16,6 +16,7 @@ from mavcal.calib.methods.source import Source
 from mavcal.calib.option import Option
 from mavcal.calib.procedures.drift_fit import fit_posed
 from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.thermal.compass import fit_mag_thermal
 from mavcal.calib.thermal.drift import DriftData
 from mavcal.calib.thermal.fit import fit_linear, fit_polynomial
 
@@ -39,14 +40,7 @@ def _thermal(source: Source, options: Options, fit: Callable[[Channel, Array, bo
         source.channels(Sensor.GYRO if options["sensor"] == "gyro" else Sensor.ACCEL)
     for sensor in sensors:
         for channel in source.channels(sensor):
-            temperature = source.temperature(channel.instance)
-            if temperature is None:
-                raise InvalidInputError(source.no_temperature())
-            good = np.isfinite(temperature.values[:, 0])
-            if not good.any():
-                raise InvalidInputError("the temperature column has no finite number")
-            at = np.interp(channel.t, temperature.t[good], temperature.values[good, 0])
-            fits.append(fit(channel, at, source.relative(channel)))
+            fits.append(fit(channel, _temperature_at(source, channel), source.relative(channel)))
     return fits
 
 
@@ -167,6 +161,46 @@ def _poly_of_table(source: Source, options: Options) -> list[FitResult]:
     return _thermal(source, options, fit)
 
 
+def mag_thermal(source: Source, options: Options) -> list[FitResult]:
+    """Every compass against its temperature, in one pose or in the labelled ones."""
+    return mag_thermal_pooled([source], options)
+
+
+def mag_thermal_pooled(sources: Sequence[Source], options: Options) -> list[FitResult]:
+    """The same of several recordings of one device, each in a pose of its own."""
+    fits = []
+    for mag in sources[0].channels(Sensor.MAG):
+        poses, relative = [], False
+        for source in sources:
+            channel = source.maybe(Sensor.MAG, mag.instance)
+            if channel is None:
+                continue
+            relative |= source.relative(channel)
+            at = _temperature_at(source, channel)
+            for start, end in [(s.start, s.end) for s in source.recording.segments] or [(-np.inf, np.inf)]:
+                inside = (channel.t >= start) & (channel.t < end)
+                poses.append((channel.take(inside), at[inside]))
+        fits.append(fit_mag_thermal(poses, t_ref=options["tref"], min_span=options["min_span"], relative=relative))
+    return fits
+
+
+def _temperature_at(source: Source, channel: Channel) -> Array:
+    """Temperature (N,) at every sample of `channel`, degC.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is none.
+    """
+    temperature = source.temperature(channel.instance)
+    if temperature is None:
+        raise InvalidInputError(source.no_temperature())
+    good = np.isfinite(temperature.values[:, 0])
+    if not good.any():
+        raise InvalidInputError("the temperature column has no finite number")
+    return np.asarray(np.interp(channel.t, temperature.t[good], temperature.values[good, 0]))
+
+
 METHODS = (
     Method(
         "thermal-linear",
@@ -198,6 +232,18 @@ METHODS = (
         thermal_poly,
         poly_pooled,
         finds=FindingKind.DRIFT,
+    ),
+    Method(
+        "mag-thermal",
+        "a motionless compass that warms up by five degrees or more; two poses or more, one recording or segment each",
+        (
+            INSTANCE,
+            Option("tref", float, 25.0, "temperature at which nothing is corrected, degC"),
+            Option("min_span", float, 5.0, "least range of temperature of a pose, degC"),
+        ),
+        mag_thermal,
+        mag_thermal_pooled,
+        finds=FindingKind.FIGURES,
     ),
 )
 """In the order of the command line."""

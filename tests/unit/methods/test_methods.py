@@ -47,6 +47,7 @@ def test_the_registry_names_every_method_of_this_issue():
             "rest-reference",
             "thermal-linear",
             "thermal-poly",
+            "mag-thermal",
             "allan",
             "accel-thermal",
         ),
