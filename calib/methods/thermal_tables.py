@@ -101,8 +101,8 @@ def _told(found: Outside, degree: int, taken: int, unit: str) -> str:
     better = "a slope is fitted" if taken == 1 else f"degree {taken} stays"
     cost = found.clamped / max(min(found.slope, found.polynomial), 1e-300)
     return (
-        f"a held-out table is left, outside the temperatures of the others, with {found.slope:.2g} {unit} by a slope and "
-        f"{found.polynomial:.2g} by degree {degree}: {better}. Firmwares clamp instead, which leaves "
+        f"a held-out table is left, outside the temperatures of the others, with {found.slope:.2g} {unit} by a slope "
+        f"and {found.polynomial:.2g} by degree {degree}: {better}. Firmwares clamp instead, which leaves "
         f"{found.clamped:.2g} {unit}, {cost:.1f} times as much. Warm it up through all temperatures that are flown"
     )
 
