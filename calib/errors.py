@@ -6,6 +6,7 @@
     +-- InvalidInputError          what was handed in is not what it claims to be
     |   +-- UnreadableError        a file or a byte stream cannot be read as the stated format
     +-- UndeterminedError          the data do not determine what was asked; names the movement that would
+    |   +-- NotConvergedError      an iteration did not settle on an answer
     +-- FirmwareError              an autopilot cannot take, hold or undo what was asked
     +-- ProcedureError             a procedure was driven in a way that it does not allow
     +-- MissingExtraError          a package of an optional extra is not installed; names the extra
@@ -40,6 +41,10 @@ class UndeterminedError(CalibError):
         """Names of the parameters that stay undetermined."""
         self.remedy = remedy
         """The movement or measurement that would determine them."""
+
+
+class NotConvergedError(UndeterminedError):
+    """The iteration did not settle: the data may hold an answer to a simpler question."""
 
 
 class FirmwareError(CalibError):

@@ -90,6 +90,11 @@ NOTES: Mapping[str, Note] = {
         "temperatures that were not visited (clamped, never extrapolated); the offset itself",
         _THERMAL,
     ),
+    "mag-thermal": Note(
+        "a compass whose heading moves while it warms up",
+        "a field that changes with time; in one pose, offset from sensitivity",
+        f"{_NOTHING}: a finding for the choice and the place of a compass",
+    ),
     "imu-multi": Note(
         "the best for both sensors without any fixture",
         "the rotation of the whole unit in the vehicle; what the movements did not turn about",

@@ -8,6 +8,7 @@ fixture are :mod:`calib.accel.six_face`.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -243,7 +244,7 @@ def _result(
         if left.unknown
         else f"fitted to {len(poses)} poses",
         n_used=made.n_samples,
-        residual_rms=float(problem.gravity * np.sqrt((solution.lengths**2).mean())),
+        residual_rms=residual_in(made.unit, model, solution.lengths, problem.gravity),
         condition_number=float(np.linalg.cond(solution.jacobian / np.linalg.norm(solution.jacobian, axis=0))),
         undetermined=_movements(names, left.movement),
         partial=bool(left.unknown),
@@ -254,6 +255,12 @@ def _result(
         },
         native={"offset": model.offset.tolist(), "matrix": model.matrix.tolist(), "form": left.form},
     )
+
+
+def residual_in(unit: str, model: TriadModel, lengths: Array, gravity: float) -> float:
+    """Rms, in the `unit` of the samples, of `lengths` (N,): what corrected poses miss gravity by, relative to it."""
+    rms = gravity * math.sqrt(float((lengths**2).mean()))
+    return rms if unit == "m/s2" else rms / float(np.cbrt(abs(np.linalg.det(model.matrix))))
 
 
 def _names(indices: Sequence[int], form: str = "symmetric") -> tuple[str, ...]:

@@ -231,13 +231,20 @@ def _ungrouped(columns: TableColumns, mapping: Mapping[str, str]) -> dict[str, s
             continue
         wanted, star, factor = column.rpartition("*")
         array = (wanted if star else column).strip()
-        width = sum(f"{array}_{k}" in columns.names for k in range(len(columns.names)))
-        names = group_names(name, width)
-        if not names or len(names) != width:
+        parts = _parts_of(columns, array)
+        names = group_names(name, len(parts))
+        if not names or len(names) != len(parts):
             need = f"{len(names)} columns {array}_0, {array}_1 ..." if names else f"columns {array}_0, {array}_1 ..."
             raise UnreadableError(f"{name}={column} needs {need}; the table has {columns.listed()}")
-        single |= {one: f"{array}_{k}{star}{factor if star else ''}" for k, one in enumerate(names)}
+        single |= {one: f"{part}{star}{factor if star else ''}" for one, part in zip(names, parts, strict=True)}
     return single
+
+
+def _parts_of(columns: TableColumns, array: str) -> list[str]:
+    """The columns of an array: array_0, array_1 ..., or array_x ... where its name says what it holds."""
+    numbered = [f"{array}_{k}" for k in range(len(columns.names))]
+    lettered = [f"{array}_{axis}" for axis in ("wxyz" if array == "q" else "xyz")]
+    return [part for part in numbered if part in columns.names] or [p for p in lettered if p in columns.names]
 
 
 def _factor(name: str, column: str) -> tuple[str, float]:

@@ -32,11 +32,10 @@ from mavcal.calib.mag.blur import Rates, deblurred
 from mavcal.calib.mag.blur_axes import axes_of_gyro
 from mavcal.calib.mag.distance import Distances, bisquare, score_rows, shape_prior
 from mavcal.calib.mag.ellipsoid import AUTO, ellipsoid_shape, fit_ellipsoid
-from mavcal.calib.mag.result import MagContext, MagFacts, ShapeFit, magnetometer_result, refusal
+from mavcal.calib.mag.result import MagContext, MagFacts, ShapeFit, magnetometer_result
 from mavcal.calib.mag.robust import MAD_TO_SD, OUTLIER, robust_sd
 from mavcal.calib.mag.samples import Cloud, not_repeated
 from mavcal.calib.mag.shape import MagModel, correction
-from mavcal.calib.mag.shape_fit import METHOD
 from mavcal.calib.mag.still import counted_as, still_stretches
 
 Array = NDArray[np.float64]
@@ -116,7 +115,7 @@ def fit_ellipsoid_deblurred(
     alone = None if worth is None else np.sqrt(worth)
     sharp, timing = kept, _Timing(np.zeros(len(_STEPS)), np.zeros((9, 9)), alone)
 
-    def fitted(*, robust: bool | None) -> ShapeFit:
+    def fitted(*, robust: bool | None, fall_back: bool = False) -> ShapeFit:
         return ellipsoid_shape(
             sharp,
             context,
@@ -125,6 +124,7 @@ def fit_ellipsoid_deblurred(
             prior_sd=prior_sd,
             precision=timing.precision,
             least_variance=timing.least_variance,
+            fall_back=fall_back,
         )
 
     def on_the_way() -> ShapeFit:
@@ -136,7 +136,7 @@ def fit_ellipsoid_deblurred(
 
     try:
         if slow.window == 0.0:
-            return magnetometer_result(fitted(robust=robust), sharp, context)
+            return magnetometer_result(fitted(robust=robust, fall_back=True), sharp, context)
         shape = on_the_way()
         slow = slow.turned(axes_of_gyro(correction(shape.ellipsoid, 1.0).apply(kept), slow))
         for _ in range(_ROUNDS):
@@ -145,8 +145,8 @@ def fit_ellipsoid_deblurred(
             timing = _timing(kept, slow, shape, timing, free=free, prior_sd=believed, worth=worth)
         sharp = deblurred(kept, _adjusted(slow, timing.state), correction(shape.ellipsoid, None))
         shape = fitted(robust=robust)
-    except UndeterminedError as error:
-        return refusal(METHOD, error, len(kept), context)
+    except UndeterminedError:  # the sphere, of the samples as they are
+        return fit_ellipsoid(kept, model=model, robust=robust, prior_sd=prior_sd, **facts)
     shape = dataclasses.replace(shape, covariance=shape.covariance + timing.left_open)
     return magnetometer_result(shape, sharp, context)
 

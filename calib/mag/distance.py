@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcal.calib.errors import UndeterminedError
+from mavcal.calib.errors import NotConvergedError, UndeterminedError
 from mavcal.calib.mag.samples import CHUNK, Cloud
 from mavcal.calib.mag.shape import COLUMNS, N_PARAMETERS, ROWS, SYMMETRIC_BASIS, Ellipsoid, MagModel, six_numbers
 
@@ -253,8 +253,8 @@ def gauss_newton(
         ellipsoid = _checked(ellipsoid.stepped(step))
         if in_sd * _contraction(ellipsoid, step, variance) < tolerance:
             return Solution(ellipsoid, found, variance, prior, count + 1)
-    raise UndeterminedError(
-        "the magnetometer samples settle on no ellipsoid: too little of it is covered, or the field changed meanwhile",
+    raise NotConvergedError(
+        f"the magnetometer samples settle on no ellipsoid within {MAX_STEPS} steps",
         remedy=ALL_SIDES,
     )
 

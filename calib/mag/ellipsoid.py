@@ -12,9 +12,10 @@ from typing import Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mavcal.calib.errors import InvalidInputError, UndeterminedError
+from mavcal.calib.errors import InvalidInputError, NotConvergedError, UndeterminedError
 from mavcal.calib.fit import FitResult
 from mavcal.calib.mag.auto import averaged_shape
+from mavcal.calib.mag.fallback import sphere_instead
 from mavcal.calib.mag.result import MagContext, MagFacts, ShapeFit, magnetometer_result, refusal
 from mavcal.calib.mag.samples import real_array
 from mavcal.calib.mag.shape import N_PARAMETERS, MagModel
@@ -85,10 +86,12 @@ def ellipsoid_shape(
     prior_sd: float | None = None,
     precision: NDArray[np.float64] | None = None,
     least_variance: float = 0.0,
+    fall_back: bool = True,
 ) -> ShapeFit:
     """The ellipsoid alone, before the verdict; parameters as for :func:`fit_ellipsoid`.
 
-    `precision` and `least_variance` are those of :class:`calib.mag.shape_fit.Asked`.
+    `precision` and `least_variance` are those of :class:`calib.mag.shape_fit.Asked`. With `fall_back` an ellipsoid that
+    does not converge is answered by the sphere (:mod:`calib.mag.fallback`).
 
     Raises
     ------
@@ -100,9 +103,15 @@ def ellipsoid_shape(
     if prior_sd is not None and not prior_sd > 0.0:
         raise InvalidInputError(f"the prior on soft iron must have a positive standard deviation, not {prior_sd}")
     asked = Asked(context, robust, prior_sd, precision=precision, least_variance=least_variance)
-    if model == AUTO:
-        return averaged_shape(samples, asked)
-    return shape_of(samples, dataclasses.replace(asked, model=_model_named(model)))
+    wanted = None if model == AUTO else _model_named(model)
+    try:
+        if wanted is None:
+            return averaged_shape(samples, asked)
+        return shape_of(samples, dataclasses.replace(asked, model=wanted))
+    except NotConvergedError as error:
+        if wanted is MagModel.OFFSET or not fall_back:
+            raise
+        return sphere_instead(samples, asked, error)
 
 
 def _model_named(name: str) -> MagModel:

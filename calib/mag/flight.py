@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import AXES, OFFSETS, FitBuilder, FitResult, parameter_names
+from mavcal.calib.mag.attitude_check import unusable_attitude
 from mavcal.calib.mag.flight_fit import SOFT_IRON_SD, FlightEstimate, Knowledge, believed_soft_iron, estimate
 from mavcal.calib.mag.flight_input import MOVEMENT, FlightInput, given, unusable
 from mavcal.calib.mag.flight_path import Turning
@@ -95,7 +96,7 @@ def fit_flight(
         found = _fitted(data, context, soft_iron)
     except UndeterminedError as error:
         return made.refused(str(error))
-    return _verdict(made, found, data, context)
+    return _verdict(made, found, data, in_force or TriadModel(), context)
 
 
 def _fitted(data: FlightInput, context: MagContext, soft_iron: SoftIron) -> FlightEstimate:
@@ -126,7 +127,9 @@ def _spread(x: Array, covariance: Array, sensor_from_body: Array) -> Array:
     return np.asarray(J @ covariance[:9, :9] @ J.T)
 
 
-def _verdict(made: FitBuilder, found: FlightEstimate, data: FlightInput, context: MagContext) -> FitResult:
+def _verdict(
+    made: FitBuilder, found: FlightEstimate, data: FlightInput, in_force: TriadModel, context: MagContext
+) -> FitResult:
     x, layout = found.x, found.layout
     strength = float(np.linalg.norm(x[layout.field]))
     model = _model(x, data.sensor_from_body)
@@ -134,6 +137,9 @@ def _verdict(made: FitBuilder, found: FlightEstimate, data: FlightInput, context
     quality = _quality(found, data, context, model, full, strength)
     outliers = 1.0 - found.used / len(data.samples.t)
     rough = quality["residual_rms"] / strength
+    lost = unusable_attitude(data, found, in_force, context)
+    if lost:
+        return made.refused(lost, quality=quality)
     if rough > _ROUGHEST or outliers > _MOST_OUTLIERS:
         return made.refused(
             f"the compass departs from the Earth's field by {rough:.0%} of it, and {outliers:.0%} of its samples by "

@@ -1,9 +1,9 @@
 """The field of the motors at a compass, from an ordinary flight: against current, throttle, or every output.
 
 Each way of driving it is fitted together with everything else that a flight leaves unknown (:mod:`calib.mag.flight`:
-offset, attitude, gyroscope, delay), so that none of these is taken for it. What is proposed must predict parts of the
-flight that the fit did not see: the compass is hidden for a stretch of time, the gyroscope carries the attitude through
-it, and the term must bring the hidden samples nearer.
+offset, attitude, gyroscope, delay), so that none of these is taken for it. Before anything is proposed, the model with
+the term and the one without it are compared on parts of the flight that neither saw (:mod:`calib.mag.motor_hidden`):
+the term must bring every part nearer, by the attitude of the gyroscope and by that of the log.
 """
 
 from __future__ import annotations
@@ -19,11 +19,13 @@ from numpy.typing import NDArray
 
 from mavcal.calib.errors import UndeterminedError
 from mavcal.calib.fit import FitResult, parameter_names
+from mavcal.calib.mag.attitude_check import unusable_attitude
 from mavcal.calib.mag.flight_fit import FlightEstimate, Knowledge, estimate
 from mavcal.calib.mag.flight_input import FlightInput, given, unusable
-from mavcal.calib.mag.flight_path import Turning, attitudes
+from mavcal.calib.mag.flight_path import Turning
 from mavcal.calib.mag.flight_problem import OFFSET
 from mavcal.calib.mag.motor_drives import METHOD, UNIT, Drive, DriveKind
+from mavcal.calib.mag.motor_hidden import STRETCHES, SURE, Hidden, LogFit, by_gyroscope, by_log
 from mavcal.calib.mag.result import MagContext, MagFacts
 from mavcal.calib.recording import Channel
 from mavcal.calib.stats.residuals import residual_statistics
@@ -32,17 +34,16 @@ from mavcal.calib.triad import TriadModel
 Array = NDArray[np.float64]
 
 MOVEMENT = "record from before the motors start, then hover, climb and descend, so that the current changes"
-_BLOCK = 15.0  # s of a hidden stretch
-_FEWEST_BLOCKS, _MOST_BLOCKS = 5, 10
-_CLIPPED = 5.0  # median lengths of a residual: what lies farther counts as this far
-_SURE = 2.0  # standard errors by which hidden stretches must improve
-_LEAST_GAIN = 0.1  # of the residual of hidden stretches: less is not worth a parameter
+_LEAST_GAIN = 0.1  # of the residual of hidden samples: less is not worth a parameter
 _LEAST_TIME = 40.0  # s: hidden stretches of some length, and enough left to fit
 _TINY = 1e-12  # of a squared residual
 _SIGNIFICANT = 4.0  # standard deviations of the term
 _LEAST_HEADING = math.radians(0.3)  # of the horizontal field: a smaller term is not worth a parameter
+BY_GYROSCOPE, BY_LOG = "gyroscope", "log"
+"""Attitudes by which hidden samples are predicted: the gyroscope's, and the log's own."""
 _UNKNOWN = 0.05  # of the field over the range of the drive: a term that is no better known is not determined
 _DISAGREES = 4.0  # sd between what the gyroscope and what the logged attitude make of the motors
+_LOG_ROUGH = 0.3  # of the field, with an attitude that says nothing to a compass
 _NEVER_CALIBRATED = 0.5  # of the field: offset beside a calibration in force that has none
 _SOFT_IRON_SD = 0.05
 """Prior of the matrix beside the one in force: a nuisance here."""
@@ -54,11 +55,10 @@ class Candidate:
 
     drive: Drive | None
     found: FlightEstimate
-    scores: Array
-    """(B,), mean of the clipped squared lengths of the residuals in each hidden stretch."""
-    hidden_rms: float
-    counts: Array
-    """(B,), samples of each stretch."""
+    hidden: Hidden
+    """By the gyroscope, which carries the attitude through."""
+    log: LogFit | None = None
+    """By the log's attitude, taken for the truth; None: there is none."""
 
     @property
     def kind(self) -> str:
@@ -68,7 +68,12 @@ class Candidate:
     @property
     def score(self) -> float:
         """Over all hidden samples."""
-        return float(self.scores @ self.counts / self.counts.sum())
+        return self.hidden.rms**2
+
+    @property
+    def hidden_rms(self) -> float:
+        """The same as a length, in the sensor's unit."""
+        return self.hidden.rms
 
     @property
     def term(self) -> Array:
@@ -164,43 +169,53 @@ def _candidates(
             raise UndeterminedError(reason)
         fit = estimate(data.samples, data.turning, Knowledge(context.field, _SOFT_IRON_SD))
         found.append((tried, data, fit))
-    return [_judged(drive, data, fit) for drive, data, fit in found]
+    return [_judged(drive, data, fit, _gain(data, in_force or TriadModel()), context) for drive, data, fit in found]
 
 
-def _judged(drive: Drive | None, data: FlightInput, fit: FlightEstimate) -> Candidate:
-    """What the fit with `drive` predicts of each hidden stretch."""
-    t = data.samples.t
-    count = int(np.clip((t[-1] - t[0]) / _BLOCK, _FEWEST_BLOCKS, _MOST_BLOCKS))
-    block = np.minimum((count * (t - t[0]) / (t[-1] - t[0])).astype(int), count - 1)
-    scores, counts, lengths = [], [], []
-    for number in range(count):
-        rows = block == number
-        if not rows.any():
-            continue
-        length = np.linalg.norm(fit.outside(rows), axis=1)
-        lengths.append(length)
-        counts.append(len(length))
-    limit = _CLIPPED * float(np.median(np.concatenate(lengths)))
-    scores = [float((np.minimum(length, limit) ** 2).mean()) for length in lengths]
-    whole = math.sqrt(float((np.minimum(np.concatenate(lengths), limit) ** 2).mean()))
-    return Candidate(drive, fit, np.array(scores), whole, np.array(counts, dtype=np.float64))
+def _judged(drive: Drive | None, data: FlightInput, fit: FlightEstimate, gain: Array, context: MagContext) -> Candidate:
+    """The candidate with what it predicts of hidden samples by either attitude."""
+    alone = Candidate(drive, fit, by_gyroscope(data, fit))
+    return dataclasses.replace(alone, log=by_log(data, drive, (gain @ alone.term).T, gain, context))
+
+
+def _gain(data: FlightInput, in_force: TriadModel) -> Array:
+    """The correction in force (3, 3) of body axes: what it makes of a field at the sensor."""
+    return np.asarray(in_force.matrix @ data.sensor_from_body)
 
 
 def _beats(better: Candidate, worse: Candidate, sure: float) -> bool:
-    """Whether hidden stretches prefer `better` by `sure` standard errors; by logarithms, so that each counts alike."""
-    gains = np.log(np.maximum(worse.scores, _TINY)) - np.log(np.maximum(better.scores, _TINY))
+    """Whether hidden blocks prefer `better` by `sure` standard errors; by logarithms, so that each counts alike."""
+    gains = np.log(np.maximum(worse.hidden.scores, _TINY)) - np.log(np.maximum(better.hidden.scores, _TINY))
     return float(gains.mean()) > sure * float(gains.std(ddof=1)) / math.sqrt(len(gains))
 
 
 def _chosen(candidates: Sequence[Candidate]) -> Candidate:
-    """The simplest of those that are as good as the best, of those that hidden stretches want at all."""
+    """The simplest of those that are as good as the best, of those that hidden samples want at all."""
     none = candidates[0]
-    enough = (1.0 - _LEAST_GAIN) * none.hidden_rms
-    wanted = [c for c in candidates[1:] if c.hidden_rms < enough and _beats(c, none, _SURE) and _matters(c)]
+    wanted = [c for c in candidates[1:] if _wanted(c, none)]
     if not wanted:
         return none
     best = min(wanted, key=lambda c: c.score)
     return next(c for c in wanted if c is best or not _beats(best, c, 1.0))
+
+
+def _wanted(candidate: Candidate, none: Candidate) -> bool:
+    """Whether hidden samples want the term: over all blocks, and in every part of the flight by either attitude."""
+    enough = candidate.hidden_rms < (1.0 - _LEAST_GAIN) * none.hidden_rms
+    return enough and _beats(candidate, none, SURE) and _matters(candidate) and not _unhelped(candidate, none)
+
+
+def _unhelped(candidate: Candidate, none: Candidate) -> list[str]:
+    """The attitudes by which the term does not bring every part of the flight nearer, beyond its uncertainty."""
+    return [who for who, gains, sds in _gains(candidate, none) if not (gains > SURE * sds).all()]
+
+
+def _gains(candidate: Candidate, none: Candidate) -> list[tuple[str, Array, Array]]:
+    """By each attitude: how much nearer the parts of the flight come (S,), and the sd of that (S,)."""
+    found = [(BY_GYROSCOPE, *candidate.hidden.gains_over(none.hidden))]
+    if candidate.log is not None and none.log is not None:
+        found.append((BY_LOG, *candidate.log.hidden.gains_over(none.log.hidden)))
+    return found
 
 
 def _matters(candidate: Candidate) -> bool:
@@ -234,6 +249,9 @@ def _verdict(
 ) -> FitResult:
     none, chosen = candidates[0], _chosen(candidates)
     quality = _quality(candidates, chosen, context)
+    lost = unusable_attitude(data, none.found, in_force, context)
+    if lost and chosen is none:
+        return _refusal(context, count, lost, **quality)
     if chosen is none and min(_unknown(c) for c in candidates[1:]) > _UNKNOWN:
         return _refusal(
             context,
@@ -246,11 +264,11 @@ def _verdict(
     return context.made(METHOD, count).fitted(
         in_force,
         np.zeros((len(parameter_names()),) * 2),
-        message=_message(none, chosen, best, native, context),
+        message=_message(none, chosen, best, native, context.unit),
         n_used=chosen.found.used,
         residual_rms=quality["residual_rms"],
         condition_number=quality["condition_number"],
-        warnings=_warnings(native, chosen, context),
+        warnings=_warnings(native, chosen, none, context),
         quality=quality,
         native=native,
     )
@@ -284,7 +302,7 @@ def _quality(candidates: Sequence[Candidate], chosen: Candidate, context: MagCon
         "heading_sd_deg": math.degrees(math.sqrt(max(variance, 0.0)) / horizontal),
         "heading_dip_deg": math.degrees(math.atan2(float(field[2]), horizontal)),
         "held_out_rms": {c.kind: c.hidden_rms for c in candidates},
-        "held_out_blocks": len(chosen.scores),
+        "held_out_blocks": len(chosen.hidden.scores),
     }
 
 
@@ -292,8 +310,7 @@ def _native(
     candidates: Sequence[Candidate], chosen: Candidate, data: FlightInput, in_force: TriadModel, context: MagContext
 ) -> dict[str, Any]:
     none = candidates[0]
-    turn = data.sensor_from_body.T
-    gain = in_force.matrix @ turn.T
+    gain = _gain(data, in_force)
     offset = chosen.found.x[OFFSET] - data.offset_in_force
     strength = float(np.linalg.norm(chosen.found.x[chosen.found.layout.field]))
     drive = chosen.drive
@@ -302,9 +319,9 @@ def _native(
         "drive": None if drive is None else str(drive.kind),
         "held_out_rms_before": none.hidden_rms,
         "held_out_rms_after": chosen.hidden_rms,
-        **(_told(chosen, gain, context) if drive is not None else {}),
-        "candidates": {c.kind: _told(c, gain, context) for c in candidates[1:]},
-        "attitude_trusted": _trusting(candidates, data, gain, context),
+        **(_told(chosen, none, gain, context) if drive is not None else {}),
+        "candidates": {c.kind: _told(c, none, gain, context) for c in candidates[1:]},
+        "attitude_trusted": _trusting(candidates),
         "offset_beside": (gain @ offset).tolist(),
         "offset_beside_sd": np.sqrt(np.diag(gain @ chosen.found.solved.covariance[OFFSET, OFFSET] @ gain.T)).tolist(),
         "never_calibrated": bool(
@@ -314,35 +331,30 @@ def _native(
     }
 
 
-def _trusting(
-    candidates: Sequence[Candidate], data: FlightInput, gain: Array, context: MagContext
-) -> dict[str, Any] | None:
+def _trusting(candidates: Sequence[Candidate]) -> dict[str, Any] | None:
     """What least squares find that take the log's attitude, heading included, for the truth; to compare, not to use.
 
     Its heading came from a compass: where it is corrected at arming or in the air, that step is taken for the motors'.
     """
-    attitude, field, drive = data.turning.attitude, context.field, candidates[1].drive
-    if attitude is None or field is None or drive is None:
+    none, first = candidates[0].log, candidates[1]
+    if none is None or first.log is None or first.drive is None:
         return None
-    t = data.samples.t
-    c = (data.samples.y - data.offset_in_force) @ gain.T
-    misses = c - np.einsum("nji,j->ni", attitudes(attitude, t), field.north_east_down)
-    slow = drive.columns(t)[:, : len(drive.numbers)]
-    known = np.isfinite(slow).all(axis=1)
-    rows = np.column_stack([np.ones(int(known.sum())), slow[known]])
-    found, *_ = np.linalg.lstsq(rows, misses[known], rcond=None)
-    after = misses[known] - rows @ found
-    before = misses[known] - misses[known].mean(axis=0)
     return {
-        "drive": str(drive.kind),
-        "interference": (found[1] if len(found) == 2 else found[1:]).tolist(),
-        "offset": found[0].tolist(),
-        "rms_before": math.sqrt(float((before**2).sum(axis=1).mean())),
-        "rms_after": math.sqrt(float((after**2).sum(axis=1).mean())),
+        "drive": str(first.drive.kind),
+        "interference": _one_or_all(first.log.term),
+        "interference_sd": _one_or_all(first.log.term_sd),
+        "offset": first.log.offset.tolist(),
+        "rms_before": none.rms,
+        "rms_after": first.log.rms,
     }
 
 
-def _told(candidate: Candidate, gain: Array, context: MagContext) -> dict[str, Any]:
+def _one_or_all(rows: Array) -> list[Any]:
+    """The only row, or all of them."""
+    return list((rows[0] if len(rows) == 1 else rows).tolist())
+
+
+def _told(candidate: Candidate, none: Candidate, gain: Array, context: MagContext) -> dict[str, Any]:
     """The term behind the correction in force: what the motors add, and what would take it away."""
     drive = candidate.drive
     if drive is None:
@@ -351,51 +363,90 @@ def _told(candidate: Candidate, gain: Array, context: MagContext) -> dict[str, A
     every = np.kron(np.eye(count), gain)
     sd = np.sqrt(np.diag(every @ candidate.covariance @ every.T)).reshape(-1, 3)
     term = (gain @ candidate.term).T
-    told: Mapping[str, Any] = {
-        "interference": term.tolist() if count > 1 else term[0].tolist(),
-        "interference_sd": sd.tolist() if count > 1 else sd[0].tolist(),
-        "compensation": (-term).tolist() if count > 1 else (-term[0]).tolist(),
+    log = candidate.log
+    return {
+        "proposed": _wanted(candidate, none),
+        "interference": _one_or_all(term),
+        "interference_sd": _one_or_all(sd),
+        "compensation": _one_or_all(-term),
         "unit": f"{context.unit}/{UNIT[drive.kind]}",
         "motors": list(drive.numbers) if drive.kind == DriveKind.MOTORS else None,
         "range": drive.range.tolist() if count > 1 else float(drive.range[0]),
         "held_out_rms": candidate.hidden_rms,
+        "by_log": None
+        if log is None
+        else {"interference": _one_or_all(log.term), "interference_sd": _one_or_all(log.term_sd)},
+        "gains": {who: {"gain": gains.tolist(), "sd": sds.tolist()} for who, gains, sds in _gains(candidate, none)},
     }
-    return dict(told)
 
 
-def _message(
-    none: Candidate, chosen: Candidate, best: Candidate, native: Mapping[str, Any], context: MagContext
-) -> str:
-    unit = context.unit
+def _message(none: Candidate, chosen: Candidate, best: Candidate, native: Mapping[str, Any], unit: str) -> str:
     if chosen.drive is None:
-        text = (
-            f"no compensation proposed: none of {', '.join(native['candidates'])} predicts hidden parts of the flight "
-            f"better by more than chance and 0.3 degrees (residual {none.hidden_rms:.3g} {unit} without, "
-            f"{best.hidden_rms:.3g} with {best.kind})"
-        )
+        text = f"no compensation is proposed: {_why_not(best, none, unit)}"
     else:
         text = (
-            f"compensation against {chosen.kind}: residual of hidden parts of the flight {none.hidden_rms:.3g} -> "
-            f"{chosen.hidden_rms:.3g} {unit}"
+            f"compensation against {chosen.kind} is proposed: residual of hidden parts of the flight "
+            f"{none.hidden_rms:.3g} -> {chosen.hidden_rms:.3g} {unit} by the gyroscope"
         )
-        if len(chosen.drive.numbers) == 1:
-            text += f"; the motors add {_vector(native['interference'], native['interference_sd'])} {native['unit']}"
+        if none.log is not None and chosen.log is not None:
+            text += f", {none.log.hidden.rms:.3g} -> {chosen.log.hidden.rms:.3g} {unit} by the log's attitude"
+    text += f". The motors add {_terms(native['candidates'][best.kind])}"
     if native["never_calibrated"]:
         listed = ", ".join(f"{v:.1f}" for v in native["offset_beside"])
-        text += f"; this compass was never calibrated: its offset is ({listed}) {unit}"
+        text += f". This compass was never calibrated: its offset is ({listed}) {unit}"
     return text
 
 
-def _warnings(native: Mapping[str, Any], chosen: Candidate, context: MagContext) -> tuple[str, ...]:
+def _why_not(best: Candidate, none: Candidate, unit: str) -> str:
+    """Which of the conditions the best drive does not meet."""
+    for who, gains, sds in _gains(best, none):
+        if (gains > SURE * sds).all():
+            continue
+        listed = ", ".join(f"{g:.2g} +- {s:.1g}" for g, s in zip(gains, sds, strict=True))
+        by = "the gyroscope" if who == BY_GYROSCOPE else "the log's attitude"
+        return (
+            f"with {best.kind} the {STRETCHES} hidden parts of the flight come nearer by {listed} {unit} by {by}, and "
+            f"every part must gain {SURE:.0f} times its uncertainty"
+        )
+    return (
+        f"with {best.kind} hidden parts of the flight come from {none.hidden_rms:.3g} to {best.hidden_rms:.3g} {unit}; "
+        f"{100.0 * _LEAST_GAIN:.0f} % and a heading of {math.degrees(_LEAST_HEADING):.1f} deg are worth a parameter"
+    )
+
+
+def _terms(told: Mapping[str, Any]) -> str:
+    """What the motors add with its sd, by the gyroscope and by the log's attitude."""
+    text = _listed(told["interference"], told["interference_sd"], told["motors"], told["unit"])
+    if told["by_log"] is None:
+        return text
+    log = _listed(told["by_log"]["interference"], told["by_log"]["interference_sd"], told["motors"], told["unit"])
+    return f"{text} by the gyroscope, {log} by the log's attitude"
+
+
+def _listed(term: Sequence[Any], sd: Sequence[Any], motors: Sequence[int] | None, unit: str) -> str:
+    if motors is None or len(motors) == 1:
+        return f"{_vector(term, sd)} {unit}"
+    each = (f"motor {n} {_vector(t, s)}" for n, t, s in zip(motors, term, sd, strict=True))
+    return f"{', '.join(each)} {unit}"
+
+
+def _warnings(native: Mapping[str, Any], chosen: Candidate, none: Candidate, context: MagContext) -> tuple[str, ...]:
     warnings = []
+    strength = float(np.linalg.norm(chosen.found.x[chosen.found.layout.field]))
     if native["never_calibrated"]:
         warnings.append("never calibrated: its offset is fitted beside, not written; calibrate it (mag-flight) first")
-    elif float(np.linalg.norm(native["offset_beside"])) > 0.1 * float(
-        np.linalg.norm(chosen.found.x[chosen.found.layout.field])
-    ):
+    elif float(np.linalg.norm(native["offset_beside"])) > 0.1 * strength:
         listed = ", ".join(f"{v:.1f}" for v in native["offset_beside"])
         warnings.append(f"the offset in force is wrong by ({listed}) {context.unit}: fit mag-flight too")
+    if none.log is not None and none.log.rms > _LOG_ROUGH * strength:
+        warnings.append(
+            f"by the log's attitude the field is off by {none.log.rms / strength:.0%} of it: that attitude is unusable "
+            "for a compass. Leave it out with --attitude gyro"
+        )
     warnings += _disagreement(native, context.unit)
+    for kind, told in native["candidates"].items():
+        if kind != native["drive"] and native["proposed"]:
+            warnings.append(f"against {kind} instead, the motors add {_terms(told)}")
     if chosen.drive is not None and chosen.drive.kind == DriveKind.MOTORS:
         warnings.append("motor by motor: what a firmware can store of it is said with the export")
     return tuple(warnings)
@@ -411,20 +462,11 @@ def _disagreement(native: Mapping[str, Any], unit: str) -> list[str]:
     if float((np.abs(np.subtract(theirs, found)) / sd).max()) <= _DISAGREES:
         return []
     return [
-        f"whoever takes the log's attitude for the truth finds {_vector(theirs)} {ours['unit']} "
-        f"({trusted['rms_before']:.2f} -> {trusted['rms_after']:.2f} {unit}), where the gyroscope allows "
-        f"{_vector(found, sd)}: the attitude's heading came from a compass, and what corrects it is taken for the "
-        "motors' field; native.attitude_trusted has it in full"
+        f"the two attitudes disagree on {trusted['drive']}: the log's finds "
+        f"{_vector(theirs, trusted['interference_sd'])}, the gyroscope's {_vector(found, sd)} {ours['unit']}. "
+        "The log's heading came from a compass, and its corrections pass for the motors' field"
     ]
 
 
-def _vector(values: Sequence[float], sd: Sequence[float] | None = None) -> str:
-    if sd is None:
-        return f"({', '.join(f'{v:.3g}' for v in values)})"
+def _vector(values: Sequence[float], sd: Sequence[float]) -> str:
     return f"({', '.join(f'{v:.3g} +- {s:.1g}' for v, s in zip(values, sd, strict=True))})"
-
-
-def with_candidate(fit: FitResult, kind: str) -> FitResult:
-    """The same fit, proposing the candidate `kind` instead: firmwares store one kind for all compasses."""
-    told = fit.native["candidates"][kind]
-    return dataclasses.replace(fit, native={**fit.native, **told, "drive": kind, "proposed": True})

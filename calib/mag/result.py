@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mavcal.calib.earth import EarthField
 from mavcal.calib.errors import InvalidInputError, UndeterminedError
-from mavcal.calib.fit import FitBuilder, FitResult, parameter_names
+from mavcal.calib.fit import OFFSETS, FitBuilder, FitResult, parameter_names
 from mavcal.calib.mag.heading import DEFAULT_INCLINATION, heading_sd_deg
 from mavcal.calib.mag.samples import axis_word
 from mavcal.calib.mag.sections import mask_bytes, visited
@@ -35,6 +35,9 @@ FIELD_TOLERANCE = 0.2
 """Departure of the fitted from the modelled field strength, relative, that is reported."""
 
 _ROUGHEST = 0.15  # residual relative to the radius from which on the samples are no ellipsoid
+_PIECES = 10.0
+"""Pieces of misfit over which an error averages out at most: it follows the movement, not the number of samples."""
+_LEAST_FIELD, _MOST_FIELD = 12.0, 120.0  # uT
 _VISIBLE = 1e-4  # of the field: a residual below that moves no heading by a hundredth of a degree, whatever its cause
 _MISFIT = 1.3  # residuals larger than the noise by this factor are reported as misfit
 _MANY = 20_000  # samples that are enough to draw a coverage mask
@@ -58,6 +61,8 @@ class MagContext:
         Mounting rotation (3, 3), for the heading error only; None: the sensor's axes are the vehicle's.
     compensated
         Whether the vehicle has a compensation of the motors' field in force.
+    sparse
+        Whether it turned so far from one sample to the next that misfit and noise look alike.
     """
 
     instance: int = 0
@@ -69,6 +74,7 @@ class MagContext:
     relative: bool = False
     temperature: float | None = None
     compensated: bool = False
+    sparse: bool = False
 
     def __post_init__(self) -> None:
         if self.noise_sd is not None and not (math.isfinite(self.noise_sd) and self.noise_sd > 0.0):
@@ -110,6 +116,7 @@ class MagFacts(TypedDict, total=False):
     relative: bool
     temperature: float | None
     compensated: bool
+    sparse: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +136,10 @@ class ShapeFit:
     n_outliers: int = 0
     native: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     warnings: tuple[str, ...] = ()
+    because: str = ""
+    """Why it is not the form that was asked for; empty where it is."""
+    left_open: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    """Parameters that the method leaves as they are, each with what would determine it."""
     variance_inflation: float = 1.0
     """Largest factor by which residuals that are correlated in time widened `covariance`."""
 
@@ -142,11 +153,17 @@ class ShapeFit:
         )
 
 
+def plausible_field(radius: float) -> bool:
+    """Whether a field of `radius` uT may be the Earth's (22 to 67), by a sensor whose scale is off and a bent site."""
+    return _LEAST_FIELD < radius < _MOST_FIELD
+
+
 def magnetometer_result(fit: ShapeFit, samples: Array, context: MagContext) -> FitResult:
     """The verdict on `fit` of `samples` (N, 3); refused where the data do not carry it."""
     thinned = samples[:: max(1, len(samples) // _MANY)]
     seen = visited((thinned - fit.ellipsoid.offset) @ correction(fit.ellipsoid, context.strength).matrix.T)
     quality = residual_quality(fit, context) | {"coverage_mask": mask_bytes(seen), "coverage": float(seen.mean())}
+    fit = _widened(fit, quality, context)
     return concluded(fit, quality, len(samples), len(fit.residuals), context)
 
 
@@ -162,15 +179,20 @@ def concluded(
     reason = _why_not(fit, quality["residual_rms"], model, full)
     if reason is not None:
         message, names = reason
+        message = f"{fit.because}. {message[0].upper()}{message[1:]}" if fit.because else message
         return made.refused(message, names, message, quality=MappingProxyType(quality))
+    told = full.copy()
+    blind = [parameter_names().index(name) for name in fit.left_open]
+    told[blind, :] = told[:, blind] = 0.0
     return made.fitted(
         model,
-        full,
-        message=_message(quality),
+        told,
+        message=_message(quality) + _what_is_open(fit),
+        undetermined=fit.left_open,
         n_used=n_used,
         residual_rms=quality["residual_rms"],
         condition_number=fit.condition_number,
-        warnings=fit.warnings + _warnings(fit, context, quality),
+        warnings=(*((fit.because,) if fit.because else ()), *fit.warnings, *_warnings(fit, context, quality)),
         quality=MappingProxyType(quality),
         native=MappingProxyType(_native(fit.ellipsoid, model) | dict(fit.native)),
     )
@@ -198,6 +220,34 @@ def residual_quality(fit: ShapeFit, context: MagContext) -> dict[str, Any]:
         "first_correlation": statistics["first_correlation"],
         "white": statistics["white"],
     }
+
+
+def _widened(fit: ShapeFit, quality: Mapping[str, Any], context: MagContext) -> ShapeFit:
+    """The fit with the uncertainty that its misfit leaves, however many samples there are.
+
+    What residuals are beyond the noise is no noise: it averages over :data:`_PIECES` at most. Where samples are
+    `sparse`, nothing tells it from noise, and all that is left counts.
+    """
+    squares = quality["residual_rms"] ** 2
+    noise = 0.0 if context.sparse and context.noise_variance is None else quality["noise_sd"] ** 2
+    if not context.sparse and not _misfits(fit, quality):
+        return fit
+    misfit = max(squares - noise, 0.0) / squares if squares > 0.0 else 0.0
+    factor = misfit * len(fit.residuals) / (_PIECES * fit.variance_inflation)
+    if factor <= 1.0:
+        return fit
+    return dataclasses.replace(
+        fit, covariance=fit.covariance * factor, variance_inflation=fit.variance_inflation * factor
+    )
+
+
+def _misfits(fit: ShapeFit, quality: Mapping[str, Any]) -> bool:
+    """Whether the residuals are larger than the noise, and large enough to matter."""
+    if quality["chi2"] is None or not fit.dof > 0:
+        return False
+    visible = quality["residual_rms"] > _VISIBLE * fit.ellipsoid.mean_radius
+    excess = math.sqrt(quality["chi2"] / fit.dof)
+    return bool(visible and excess > max(_MISFIT, 1.0 + 3.0 / math.sqrt(2.0 * fit.dof)))
 
 
 def _quality(fit: ShapeFit, context: MagContext, model: TriadModel, full: Array) -> dict[str, Any]:
@@ -228,11 +278,13 @@ def _why_not(fit: ShapeFit, rough: float, model: TriadModel, full: Array) -> tup
             f"the magnetometer samples are {rough / radius:.0%} of the field off every {fit.form}: the field changed "
             "while turning (keep away from steel, magnets and currents, and repeat)"
         )
-        if fit.form != "ellipsoid":
+        if fit.form != "ellipsoid" and not fit.left_open:
             message += ", or this form is too simple: fit mag-ellipsoid"
         return message, parameter_names()
     relative = np.concatenate([full.diagonal()[:3] / radius**2, full.diagonal()[3:] / np.cbrt(_volume(model)) ** 2])
-    open_ones = tuple(n for n, v in zip(parameter_names(), relative, strict=True) if v > UNDETERMINED_SD**2)
+    open_ones = tuple(
+        n for n, v in zip(parameter_names(), relative, strict=True) if v > UNDETERMINED_SD**2 and n not in fit.left_open
+    )
     if not open_ones:
         return None
     weakest = np.linalg.eigh(full[:3, :3])[1][:, -1]
@@ -263,15 +315,18 @@ def _warnings(fit: ShapeFit, context: MagContext, quality: Mapping[str, Any]) ->
         )
     if context.field is not None and not context.field.valid:
         found.append(f"the date is outside the years of {context.field.model}: its field strength is extrapolated")
-    chi2 = quality["chi2"]
-    if chi2 is not None and fit.dof > 0:
-        excess = math.sqrt(chi2 / fit.dof)
-        visible = quality["residual_rms"] > _VISIBLE * quality["radius"]
-        if visible and excess > max(_MISFIT, 1.0 + 3.0 / math.sqrt(2.0 * fit.dof)):
-            found.append(
-                f"residuals are {excess:.1f} times the noise: the samples are not quite an ellipsoid (blur, currents, "
-                f"steel nearby); the stated uncertainty includes it (variance x {quality['variance_inflation']:.1f})"
-            )
+    if _misfits(fit, quality):
+        found.append(
+            f"residuals are {math.sqrt(quality['chi2'] / fit.dof):.1f} times the noise: the samples are not quite "
+            f"{'an' if fit.form == 'ellipsoid' else 'a'} {fit.form} (blur, currents, steel nearby). The stated "
+            "uncertainty includes that"
+        )
+    if context.sparse:
+        found.append(
+            "the compass was read more slowly than it turned, by 30 deg and more from one sample to the next: errors "
+            f"pass for noise, so more samples make the heading no better than {quality['heading_sd_deg']:.2g} deg. "
+            "Turn more slowly, or record it at 10 Hz"
+        )
     if fit.dof < 10:
         found.append(f"only {fit.dof:.0f} samples more than parameters: the stated uncertainty is itself uncertain")
     if fit.n_outliers:
@@ -284,6 +339,13 @@ def _message(quality: Mapping[str, Any]) -> str:
         f"heading good to {quality['heading_sd_deg']:.2g} deg at a dip of {quality['heading_dip_deg']:.0f} deg, "
         f"residual {quality['residual_rms']:.3g} at a field of {quality['radius']:.4g}"
     )
+
+
+def _what_is_open(fit: ShapeFit) -> str:
+    if not fit.left_open:
+        return ""
+    names = [*(name for name in fit.left_open if name in OFFSETS), "the matrix"]
+    return f"; {' and '.join(names)} stay open: {next(iter(fit.left_open.values()))}"
 
 
 def _native(ellipsoid: Ellipsoid, model: TriadModel) -> dict[str, Any]:

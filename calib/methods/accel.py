@@ -136,7 +136,7 @@ def accel_thermal(source: Source, options: Options) -> list[FitResult]:
     for accel in source.channels(Sensor.ACCEL):
         temperature = source.temperature(accel.instance)
         if temperature is None:
-            raise InvalidInputError("the recording has no temperature: name its column, --map temperature=COLUMN")
+            raise InvalidInputError(source.no_temperature())
         if not source.timed and not source.recording.segments:
             raise InvalidInputError("still poses are found by time: the table has none; give --rate, or a column t")
         fits.append(

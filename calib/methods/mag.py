@@ -29,6 +29,7 @@ from mavcal.calib.mag.rings_faces import LABELS
 from mavcal.calib.mag.sphere import fit_sphere
 from mavcal.calib.methods.method import FIXTURE, GRAVITY, INSTANCE, FindingKind, Method, Options, gravity_of
 from mavcal.calib.methods.source import Source
+from mavcal.calib.methods.surroundings import of_one_surroundings, sparse
 from mavcal.calib.option import Option
 from mavcal.calib.recording import Channel, Recording, Sensor
 from mavcal.calib.stats.windows import finite_rows
@@ -54,6 +55,7 @@ def _mag_facts(source: Source, mag: Channel, options: Options) -> dict[str, Any]
         "quantum": mag.quantum,
         "field": _field(source, mag, options),
         "relative": source.relative(mag),
+        "sparse": sparse(source, mag),
     }
 
 
@@ -78,30 +80,32 @@ def mag_of(fit: Callable[..., FitResult]) -> Callable[[Source, Options], list[Fi
     """A method that takes nothing but the samples."""
 
     def run(source: Source, options: Options) -> list[FitResult]:
-        return [
-            fit(mag.values[finite_rows(mag.values)], **_mag_facts(source, mag, options))
-            for mag in source.channels(Sensor.MAG)
-        ]
+        def alone(mag: Channel) -> FitResult:
+            return fit(mag.values, **_mag_facts(source, mag, options))
+
+        channels = [mag.take(finite_rows(mag.values)) for mag in source.channels(Sensor.MAG)]
+        return [of_one_surroundings(source, mag, alone) for mag in channels]
 
     return run
 
 
 def mag_ellipsoid(source: Source, options: Options) -> list[FitResult]:
     """The full ellipsoid; where the firmware averages the compass and a gyroscope is there, its blur is undone."""
-    fits = []
     robust = {"auto": None, "yes": True, "no": False}[options["robust"]]
     window = COMPASS_WINDOW.get(source.recording.identity.autopilot or "", 0.0)
-    for mag in source.channels(Sensor.MAG):
-        mag = mag.take(finite_rows(mag.values))
+    gyro = source.maybe(Sensor.GYRO, 0)
+    if gyro is not None:
+        gyro = gyro.take(finite_rows(gyro.values) & np.append(True, np.diff(gyro.t) > 0))
+
+    def alone(mag: Channel) -> FitResult:
         facts = {**_mag_facts(source, mag, options), "robust": robust, "prior_sd": options["prior_sd"]}
         facts["model"] = options["model"]
-        gyro = source.maybe(Sensor.GYRO, 0)
         if window > 0.0 and gyro is not None:
-            gyro = gyro.take(finite_rows(gyro.values) & np.append(True, np.diff(gyro.t) > 0))
-            fits.append(fit_ellipsoid_deblurred(mag.values, rates_during(mag.t, gyro.t, gyro.values, window), **facts))
-        else:
-            fits.append(fit_ellipsoid(mag.values, **facts))
-    return fits
+            return fit_ellipsoid_deblurred(mag.values, rates_during(mag.t, gyro.t, gyro.values, window), **facts)
+        return fit_ellipsoid(mag.values, **facts)
+
+    channels = [mag.take(finite_rows(mag.values)) for mag in source.channels(Sensor.MAG)]
+    return [of_one_surroundings(source, mag, alone) for mag in channels]
 
 
 def mag_rings(source: Source, options: Options) -> list[FitResult]:

@@ -41,7 +41,6 @@ _FROM = (
     Option("year", float, None, "decimal year of the flight, where the log's clock does not say it"),
     Option("field", float, None, "strength of the field in uT, where it is known and the place is not"),
     Option("gyro", int, None, "instance of the gyroscope, from 0; else the one with the most samples"),
-    Option("until", float, None, "s on the log's clock: nothing after it is used; else up to a crash"),
 )
 
 
@@ -85,7 +84,7 @@ def _fitted(source: Source, mag: Channel, options: Options, method: str, fit: An
     found: FitResult = fit(cut if cut is not None else mag, turning, _facts(source, mag, turning, options))
     last = source.streamed.span[1]
     if end < last:
-        note = f"nothing after {end:.1f} s was used: {'asked for' if options['until'] is not None else 'a crash'}"
+        note = f"nothing after {end:.1f} s was used: a crash. --until uses more"
         found = dataclasses.replace(found, warnings=(*found.warnings, note))
     return found
 

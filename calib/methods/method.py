@@ -33,6 +33,13 @@ class FindingKind(StrEnum):
     FIGURES = "figures that belong to no correction"
 
 
+SPAN = (
+    Option("from", float, None, "s on the recording's clock: nothing before it is used"),
+    Option("until", float, None, "s on the recording's clock: nothing after it is used"),
+)
+"""What every method takes beside its own: the part of the recording that counts."""
+
+
 @dataclass(frozen=True)
 class Method:
     """A way to fit a sensor, with what it needs and the options that it takes."""
@@ -44,6 +51,9 @@ class Method:
     pool: Callable[[Sequence[Source], Options], Sequence[FitResult]] | None = None
     """Several logs of one vehicle together; None: the method takes one recording."""
     finds: FindingKind = FindingKind.CORRECTION
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "options", (*self.options, *SPAN))
 
     @property
     def summary(self) -> str:
@@ -59,7 +69,7 @@ class Method:
             If an option is unknown or of a wrong type, or the recording lacks the sensor.
         """
         chosen = _with_local_gravity(_checked(self, options))
-        source = Source.of(recording, chosen["instance"])
+        source = Source.of(_cut(recording, chosen), chosen["instance"])
         return tuple(source.annotated(fit) for fit in self.fit(source, chosen))
 
     def run_pooled(
@@ -77,11 +87,33 @@ class Method:
         if self.pool is None:
             raise InvalidInputError(f"{self.name} takes one recording, not {len(recordings)}")
         chosen = _with_local_gravity(_checked(self, options))
+        if chosen["from"] is not None or chosen["until"] is not None:
+            raise InvalidInputError("--from and --until cut one recording: fit these by themselves, or leave them out")
         sources = [Source.of(recording, chosen["instance"]) for recording in recordings]
         fits = self.pool(sources, chosen)
         for source in sources:
             fits = [source.annotated(fit) for fit in fits]
         return tuple(fits)
+
+
+def _cut(recording: Recording, options: Options) -> Recording:
+    """The part of `recording` that is asked for.
+
+    Raises
+    ------
+    InvalidInputError
+        If no sample lies within it.
+    """
+    start, end = options["from"], options["until"]
+    if start is None and end is None:
+        return recording
+    first, last = recording.span
+    low, high = first if start is None else float(start), last if end is None else float(end)
+    part = recording.between(low, float(np.nextafter(high, np.inf)))
+    if not np.isfinite(part.span[0]):
+        asked = " and ".join(f"{name} {options[name]:g} s" for name in ("from", "until") if options[name] is not None)
+        raise InvalidInputError(f"no sample lies {asked}: the recording has {first:.1f} to {last:.1f} s on its clock")
+    return part
 
 
 def _checked(method: Method, options: Options) -> dict[str, Any]:

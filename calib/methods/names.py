@@ -37,6 +37,7 @@ ENTRIES: Mapping[str, Entry] = MappingProxyType(
         "mag-motor": Entry("mag_flight", "Compensation of a magnetometer for the motors, from an ordinary flight"),
         "thermal-linear": Entry("thermal", "Slope of accelerometer and gyroscope against temperature"),
         "thermal-poly": Entry("thermal", "Polynomial drift of accelerometer and gyroscope against temperature"),
+        "mag-thermal": Entry("thermal", "Drift of a magnetometer with temperature, and which axes repeat"),
         "imu-multi": Entry(
             "imu", "Accelerometer and gyroscope jointly, from still poses and the movements between them"
         ),

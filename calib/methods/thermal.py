@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -13,11 +14,13 @@ from mavcal.calib.flight.thermal import ThermalWish, fit_rests
 from mavcal.calib.flight.warm import logs_of
 from mavcal.calib.methods.method import INSTANCE, FindingKind, Method, Options
 from mavcal.calib.methods.source import Source
+from mavcal.calib.methods.thermal_tables import fit_tables
 from mavcal.calib.option import Option
 from mavcal.calib.procedures.drift_fit import fit_posed
 from mavcal.calib.recording import Channel, Sensor
+from mavcal.calib.thermal.compass import fit_mag_thermal
 from mavcal.calib.thermal.drift import DriftData
-from mavcal.calib.thermal.fit import fit_linear, fit_polynomial
+from mavcal.calib.thermal.fit import LINEAR_METHOD, fit_linear, fit_polynomial
 
 Array = NDArray[np.float64]
 
@@ -39,19 +42,15 @@ def _thermal(source: Source, options: Options, fit: Callable[[Channel, Array, bo
         source.channels(Sensor.GYRO if options["sensor"] == "gyro" else Sensor.ACCEL)
     for sensor in sensors:
         for channel in source.channels(sensor):
-            temperature = source.temperature(channel.instance)
-            if temperature is None:
-                raise InvalidInputError("the recording has no temperature: name its column, --map temperature=COLUMN")
-            good = np.isfinite(temperature.values[:, 0])
-            if not good.any():
-                raise InvalidInputError("the temperature column has no finite number")
-            at = np.interp(channel.t, temperature.t[good], temperature.values[good, 0])
-            fits.append(fit(channel, at, source.relative(channel)))
+            fits.append(fit(channel, _temperature_at(source, channel), source.relative(channel)))
     return fits
 
 
 def _from_logs(sources: Sequence[Source], options: Options, wish: ThermalWish) -> list[FitResult]:
     """The same from what vehicles logged: only their rests on the ground."""
+    for source in sources:
+        if not source.recording.instances(Sensor.TEMPERATURE):
+            raise InvalidInputError(source.no_temperature())
     logs = logs_of([source.recording for source in sources])
     sensors = [s for s in (Sensor.ACCEL, Sensor.GYRO) if options["sensor"] in {"all", s.value}]
     fits = []
@@ -73,11 +72,13 @@ def _logged(sources: Sequence[Source]) -> bool:
     Raises
     ------
     InvalidInputError
-        If there are several and one of them is a table.
+        If logs and tables are mixed.
     """
     logged = [source.of_vehicle and not source.recording.segments for source in sources]
-    if len(sources) > 1 and not all(logged):
-        raise InvalidInputError("only a vehicle's logs are pooled: a table is fitted by itself")
+    if any(logged) and not all(logged):
+        raise InvalidInputError(
+            "logs and tables do not pool: give the logs of one vehicle, or the tables of one device"
+        )
     return all(logged)
 
 
@@ -94,6 +95,11 @@ def linear_pooled(sources: Sequence[Source], options: Options) -> list[FitResult
     if _logged(sources):
         wish = ThermalWish(0, options["tref"], options["min_span"], through=through, reference=options["reference"])
         return _from_logs(sources, options, wish)
+
+    if len(sources) > 1:
+        if through is not None:
+            raise InvalidInputError("a fixed point belongs to one table: leave --through out, or give one table")
+        return [dataclasses.replace(fit, method=LINEAR_METHOD) for fit in _of_tables(sources, options, 1)]
 
     def fit(channel: Channel, temperature: Array, relative: bool) -> FitResult:
         return fit_linear(
@@ -145,7 +151,29 @@ def poly_pooled(sources: Sequence[Source], options: Options) -> list[FitResult]:
         lag = options["lag"] == "auto"
         wish = ThermalWish(degree, options["tref"], options["min_span"], lag=lag, reference=options["reference"])
         return _from_logs(sources, options, wish)
-    return _poly_of_table(sources[0], options)
+    return _poly_of_table(sources[0], options) if len(sources) == 1 else _of_tables(sources, options, options["degree"])
+
+
+def _of_tables(sources: Sequence[Source], options: Options, degree: int) -> list[FitResult]:
+    """Every sensor over all tables of one device."""
+    wanted = [s for s in (Sensor.ACCEL, Sensor.GYRO) if options["sensor"] in {"all", s.value}]
+    fits = []
+    for sensor in (s for s in wanted if sources[0].recording.instances(s)):
+        for first in sources[0].channels(sensor):
+            having = [(source, c) for source in sources if (c := source.maybe(sensor, first.instance)) is not None]
+            fits.append(
+                fit_tables(
+                    [(channel, _temperature_at(source, channel)) for source, channel in having],
+                    degree=degree,
+                    t_ref=options["tref"],
+                    min_span=options["min_span"],
+                    lag=options.get("lag", "ignore") == "auto",
+                    relative=any(source.relative(channel) for source, channel in having),
+                )
+            )
+    if not fits:
+        sources[0].channels(Sensor.GYRO if options["sensor"] == "gyro" else Sensor.ACCEL)  # says what there is instead
+    return fits
 
 
 def _poly_of_table(source: Source, options: Options) -> list[FitResult]:
@@ -162,6 +190,46 @@ def _poly_of_table(source: Source, options: Options) -> list[FitResult]:
         return fit_posed(channel, data, number[inside].astype(np.intp), **common)
 
     return _thermal(source, options, fit)
+
+
+def mag_thermal(source: Source, options: Options) -> list[FitResult]:
+    """Every compass against its temperature, in one pose or in the labelled ones."""
+    return mag_thermal_pooled([source], options)
+
+
+def mag_thermal_pooled(sources: Sequence[Source], options: Options) -> list[FitResult]:
+    """The same of several recordings of one device, each in a pose of its own."""
+    fits = []
+    for mag in sources[0].channels(Sensor.MAG):
+        poses, relative = [], False
+        for source in sources:
+            channel = source.maybe(Sensor.MAG, mag.instance)
+            if channel is None:
+                continue
+            relative |= source.relative(channel)
+            at = _temperature_at(source, channel)
+            for start, end in [(s.start, s.end) for s in source.recording.segments] or [(-np.inf, np.inf)]:
+                inside = (channel.t >= start) & (channel.t < end)
+                poses.append((channel.take(inside), at[inside]))
+        fits.append(fit_mag_thermal(poses, t_ref=options["tref"], min_span=options["min_span"], relative=relative))
+    return fits
+
+
+def _temperature_at(source: Source, channel: Channel) -> Array:
+    """Temperature (N,) at every sample of `channel`, degC.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is none.
+    """
+    temperature = source.temperature(channel.instance)
+    if temperature is None:
+        raise InvalidInputError(source.no_temperature())
+    good = np.isfinite(temperature.values[:, 0])
+    if not good.any():
+        raise InvalidInputError("the temperature column has no finite number")
+    return np.asarray(np.interp(channel.t, temperature.t[good], temperature.values[good, 0]))
 
 
 METHODS = (
@@ -195,6 +263,18 @@ METHODS = (
         thermal_poly,
         poly_pooled,
         finds=FindingKind.DRIFT,
+    ),
+    Method(
+        "mag-thermal",
+        "a motionless compass that warms up by five degrees or more; two poses or more, one recording or segment each",
+        (
+            INSTANCE,
+            Option("tref", float, 25.0, "temperature at which nothing is corrected, degC"),
+            Option("min_span", float, 5.0, "least range of temperature of a pose, degC"),
+        ),
+        mag_thermal,
+        mag_thermal_pooled,
+        finds=FindingKind.FIGURES,
     ),
 )
 """In the order of the command line."""

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from mavcal.calib import STANDARD_GRAVITY
+from mavcal.calib.accel.poses import residual_in
 from mavcal.calib.attitude import tilt_sd_deg
 from mavcal.calib.errors import InvalidInputError
 from mavcal.calib.fit import AXES, FitBuilder, FitResult, parameter_names
@@ -196,7 +197,7 @@ def _result(
         message=f"{len(solved.warm)} poses over {span[0]:.1f} to {span[1]:.1f} degC, directions free, drift of degree "
         f"{degree}",
         n_used=sum(w.pose.n for w in solved.warm),
-        residual_rms=float(gravity * np.sqrt((solution.lengths**2).mean())),
+        residual_rms=residual_in(made.unit, model, solution.lengths, gravity),
         condition_number=scale_of,
         undetermined=_open(unknown, degree, movement(solved.weak)),
         partial=any(i < 6 or i >= 9 for i in unknown),

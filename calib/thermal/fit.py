@@ -115,7 +115,7 @@ def fit_linear(
         residual_rms=_rms(residual, estimated),
         condition_number=blocks.condition,
         undetermined=_beside_slopes(data, estimated),
-        partial=not estimated.all(),
+        partial=bool((~estimated | _weak(estimated, slopes, variance)).any()),
         warnings=_slope_warnings(data, repeated, slopes, variance),
         quality={
             **noise_quality(data, noise, estimated),
@@ -148,10 +148,15 @@ def _slope_warnings(data: DriftData, repeated: NDArray[np.bool_], slopes: Array,
             f"{int(repeated.sum())} of {data.n} rows repeat earlier rows exactly: they count as weights, and not as "
             "new information for the sd"
         )
-    weak = ", ".join(AXES[i] for i in range(3) if estimated[i] and slopes[i] ** 2 < 4.0 * variance[i])
+    weak = ", ".join(AXES[i] for i in np.flatnonzero(_weak(estimated, slopes, variance)))
     if weak:
         warnings.append(f"the slope of {weak} is not larger than twice its own sd: it may be no drift of temperature")
     return warnings
+
+
+def _weak(estimated: NDArray[np.bool_], slopes: Array, variance: Array) -> NDArray[np.bool_]:
+    """Axes (3,) whose slope is within twice its sd."""
+    return np.asarray(estimated & (slopes**2 < 4.0 * variance), dtype=np.bool_)
 
 
 def _rms(residual: Array, estimated: NDArray[np.bool_]) -> float:

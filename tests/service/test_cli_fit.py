@@ -142,7 +142,7 @@ def test_what_is_not_whole_is_no_array(tmp_path: Path) -> None:
 EXPORTED = {
     "mag-motor": {"param": True, "h": False},
     **{name: {"param": True, "h": False} for name in ("accel-thermal", "thermal-linear", "thermal-poly")},
-    **{name: {"param": False, "h": False} for name in ("allan", "rest-reference", "gyro-g-sensitivity")},
+    **{name: {"param": False, "h": False} for name in ("allan", "rest-reference", "gyro-g-sensitivity", "mag-thermal")},
 }
 """What a file of that kind can hold; both kinds hold what the other methods find."""
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,7 +118,7 @@ def compose_motors(draft: Draft, autopilot: str, fits: Sequence[FitResult]) -> N
     for fit in fits:
         about = Subject(fit.sensor, fit.instance)
         roles = module.calibration_names(draft.parameters, Sensor.MAG, fit.instance)
-        told = fit.native["candidates"].get(kind) if fit.native["proposed"] and kind is not None else None
+        told = _candidate(fit, kind) if fit.native["proposed"] and kind is not None else None
         term = np.zeros(3) if told is None else _parameter(draft, module, fit, np.array(told["interference"]))
         if autopilot == "px4":
             term = term * (AMPERES_PER_KILOAMPERE if kind == "current" else 1.0) / UT_PER_GAUSS
@@ -136,7 +136,7 @@ def _kind(draft: Draft, proposed: Sequence[FitResult], kinds: Mapping[str, int])
     def cost(kind: str) -> float:
         found = 0.0
         for fit in proposed:
-            told, before = fit.native["candidates"].get(kind), fit.native["held_out_rms_before"]
+            told, before = _candidate(fit, kind), fit.native["held_out_rms_before"]
             found += 1.0 if told is None else min((told["held_out_rms"] / before) ** 2, 1.0)
         return found
 
@@ -145,7 +145,7 @@ def _kind(draft: Draft, proposed: Sequence[FitResult], kinds: Mapping[str, int])
         if fit.native["drive"] == best:
             continue
         about = Subject(fit.sensor, fit.instance)
-        told = fit.native["candidates"].get(best)
+        told = _candidate(fit, best)
         left = fit.native["held_out_rms_before"] if told is None else told["held_out_rms"]
         cost_ut = max(left - fit.native["held_out_rms_after"], 0.0)
         draft.lose(
@@ -157,6 +157,12 @@ def _kind(draft: Draft, proposed: Sequence[FitResult], kinds: Mapping[str, int])
             f"{best}: {cost_ut:.2g} uT more stay in hidden parts of the flight",
         )
     return best if cost(best) < len(proposed) else None
+
+
+def _candidate(fit: FitResult, kind: str) -> Mapping[str, Any] | None:
+    """The term of that kind, where hidden parts of the flight want it; None: they do not."""
+    told: Mapping[str, Any] | None = fit.native["candidates"].get(kind)
+    return told if told is not None and told["proposed"] else None
 
 
 def _parameter(draft: Draft, module: object, fit: FitResult, interference: Array) -> Array:

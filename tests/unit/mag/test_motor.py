@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mavcal.calib.fit import FitStatus
+from mavcal.calib.mag.flight import fit_flight
+from mavcal.calib.mag.flight_path import Turning
 from mavcal.calib.mag.motor import fit_motor
 from mavcal.calib.mag.motor_drives import Drive, DriveKind
 from mavcal.calib.recording import Channel, Sensor, Stage
@@ -13,11 +18,13 @@ from mavcal.calib.triad import TriadModel
 from tests.unit.mag.flights import FIELD, Truth, fly
 
 TERM = np.array([0.3, -0.2, 0.4])
+STEADY = 0.03
+"""rad: heading error of a log that is fit to judge a compass."""
 
 
 @pytest.fixture(scope="module")
 def driven():
-    made = fly(Truth(motor=TERM), np.random.default_rng(21))
+    made = fly(Truth(motor=TERM, heading_error=STEADY), np.random.default_rng(21))
     return made, fit_motor(made.mag, made.turning, made.drives, field=FIELD)
 
 
@@ -41,7 +48,8 @@ def test_the_term_is_given_behind_the_correction_in_force(driven):
     half = TriadModel(np.array([1.0, 2.0, 3.0]), 0.5 * np.eye(3))
     fit = fit_motor(made.mag, made.turning, made.drives[:1], field=FIELD, in_force=half)
     # the matrix in force is believed to five percent: what is asked is the factor in front of the term
-    assert np.allclose(fit.native["interference"], 0.5 * np.array(bare.native["interference"]), atol=0.02)
+    found = fit.native["candidates"]["current"]["interference"]
+    assert np.allclose(found, 0.5 * np.array(bare.native["interference"]), atol=0.02)
     assert np.array_equal(fit.model.matrix, half.matrix)
 
 
@@ -54,11 +62,41 @@ def test_nothing_is_proposed_where_there_is_nothing():
 
 
 def test_a_compass_without_calibration_is_said():
-    made = fly(Truth(offset=np.array([45.0, 15.0, 47.0]), motor=TERM), np.random.default_rng(23))
+    made = fly(Truth(offset=np.array([45.0, 15.0, 47.0]), motor=TERM, heading_error=STEADY), np.random.default_rng(23))
     fit = fit_motor(made.mag, made.turning, made.drives[:1], field=FIELD, in_force=TriadModel())
     assert fit.native["never_calibrated"]
     assert "never calibrated" in fit.message
     assert fit.native["proposed"]
+
+
+def test_a_term_that_the_logs_attitude_does_not_want_is_told_and_not_proposed():
+    made = fly(Truth(motor=TERM, heading_error=0.3), np.random.default_rng(25))
+    fit = fit_motor(made.mag, made.turning, made.drives[:1], field=FIELD)
+    gains = fit.native["candidates"]["current"]["gains"]
+    assert (np.array(gains["gyroscope"]["gain"]) > 2.0 * np.array(gains["gyroscope"]["sd"])).all()
+    assert not (np.array(gains["log"]["gain"]) > 2.0 * np.array(gains["log"]["sd"])).all()
+    assert not fit.native["proposed"]
+    assert "by the log's attitude, and every part must gain" in fit.message
+    assert f"({fit.native['candidates']['current']['interference'][0]:.3g} +- " in fit.message
+
+
+def test_coefficients_and_their_sd_are_told_whether_or_not_they_are_proposed(driven):
+    still = fly(Truth(), np.random.default_rng(22))
+    for fit in (driven[1], fit_motor(still.mag, still.turning, still.drives, field=FIELD)):
+        assert "The motors add (" in fit.message
+        assert fit.message.count("+-") >= 6
+
+
+@pytest.mark.parametrize("fit_of", [fit_motor, fit_flight])
+def test_an_attitude_that_spins_over_a_steady_compass_is_unusable(fit_of):
+    made = fly(Truth(offset=np.zeros(3), turns=0.0), np.random.default_rng(24))
+    attitude = made.turning.attitude
+    spun = Rotation.from_rotvec(np.outer(attitude.t, [0.3, 0.1, 0.2])).as_quat()[:, [3, 0, 1, 2]]
+    turning = Turning(None, dataclasses.replace(attitude, values=spun))
+    drives = {"drives": made.drives} if fit_of is fit_motor else {}
+    fit = fit_of(made.mag, turning, field=FIELD, in_force=TriadModel(), **drives)
+    assert fit.status == FitStatus.REFUSED
+    assert "the attitude is unusable: the compass reads a field steady to" in fit.message
 
 
 def test_a_short_log_and_one_without_drives_are_refused(driven):

@@ -11,7 +11,7 @@ from mavcal.calib.fit import FitStatus
 from mavcal.calib.logs import read, read_tlog
 from mavcal.calib.logs.tables import NO_TIME
 from mavcal.calib.methods import METHODS
-from mavcal.calib.recording import Channel, Event, ParameterTimeline, Recording, Segment, Sensor, Stage
+from mavcal.calib.recording import Channel, Event, Identity, ParameterTimeline, Recording, Segment, Sensor, Stage
 from mavcal.calib.report import to_json
 
 G = 9.80665
@@ -47,6 +47,7 @@ def test_the_registry_names_every_method_of_this_issue():
             "rest-reference",
             "thermal-linear",
             "thermal-poly",
+            "mag-thermal",
             "allan",
             "accel-thermal",
         ),
@@ -226,7 +227,7 @@ def test_gravity_of_the_place():
 @pytest.mark.parametrize(
     ("name", "options", "says"),
     [
-        ("gyro-rest", {"speed": 1}, "no option speed; it takes instance"),
+        ("gyro-rest", {"speed": 1}, "no option speed; it takes from, instance, until"),
         ("accel-six-face", {"convention": "up"}, "one of specific-force, accelcal"),
         ("thermal-poly", {"degree": "three"}, "degree must be a whole number"),
         ("thermal-poly", {"tref": float("nan")}, "tref must be a finite number"),
@@ -385,3 +386,36 @@ def test_two_hand_held_boards(shared_data, file, scale, offset):
     assert np.diag(fit.model.matrix) == pytest.approx(scale, abs=5e-4)
     assert fit.model.offset == pytest.approx(offset, abs=2e-3)
     assert fit.quality["p_value"] > 1e-3
+
+
+@pytest.mark.parametrize("method", ["accel-multi", "accel-thermal"])
+def test_residuals_in_counts_are_counts(method):
+    rng = np.random.default_rng(11)
+    rows = rng.normal(size=(24, 3))
+    rows = 4000.0 * rows / np.linalg.norm(rows, axis=1)[:, None]
+    values = np.repeat(rows, 100, axis=0) + [120.0, -80.0, 40.0] + 20.0 * rng.normal(size=(2400, 3))
+    warm = raw(Sensor.TEMPERATURE, np.linspace(20.0, 45.0, 2400)[:, None], "degC")
+    segments = tuple(Segment(f"p{k}", 2.0 * k, 2.0 * k + 2.0) for k in range(24))
+    found = []
+    for unit, scale in (("counts", 1.0), ("m/s2", G / 4000.0)):
+        recording = Recording((raw(Sensor.ACCEL, scale * values, unit), warm), segments=segments)
+        found.append(METHODS[method].run(recording)[0])
+    assert found[0].unit == "counts"
+    assert found[0].residual_rms == pytest.approx(found[1].residual_rms * 4000.0 / G, rel=0.05)
+
+
+def test_the_advice_on_a_missing_temperature_is_one_that_works():
+    recording = Recording((raw(Sensor.ACCEL, np.ones((100, 3)), "m/s2"),))
+    of_vehicle = dataclasses.replace(recording, identity=Identity(autopilot="ardupilot"), source="a.bin")
+    for method in ("thermal-poly", "thermal-linear", "accel-thermal"):
+        with pytest.raises(InvalidInputError, match="--map temperature=COLUMN"):
+            METHODS[method].run(recording)
+        with pytest.raises(InvalidInputError, match=r"a\.bin has no temperature of this sensor: log it"):
+            METHODS[method].run(of_vehicle)
+
+
+def test_an_array_named_as_its_sensor_may_be_mapped(tmp_path):
+    path = tmp_path / "named.npz"
+    np.savez(path, time=np.arange(5.0), mag=np.arange(15.0).reshape(5, 3))
+    mapped = read(path, mapping={"t": "time", "mag": "mag*0.1"})
+    assert mapped.channel(Sensor.MAG).values[1] == pytest.approx([0.3, 0.4, 0.5])

@@ -38,7 +38,7 @@ def ardupilot_parameters(**changed):
 
 def motor_fit(instance=0, drive="current", proposed=True, model=None, current_rms=0.4, throttle_rms=0.9):
     candidates = {
-        kind: {"interference": term, "held_out_rms": rms}
+        kind: {"interference": term, "held_out_rms": rms, "proposed": True}
         for (kind, term), rms in zip(INTERFERENCE.items(), (current_rms, throttle_rms), strict=True)
     }
     native = {
@@ -220,3 +220,11 @@ def test_nothing_to_take_off_changes_no_kind():
     taken = composed([motor_fit(proposed=False)], px4_parameters(CAL_MAG_COMP_TYP=1), "px4")
     assert [(c.name, c.new, c.why) for c in taken.changes] == [("CAL_MAG_COMP_TYP", 0, "no compass needs compensation")]
     assert composed([], px4_parameters(CAL_MAG_COMP_TYP=1), "px4").changes == ()
+
+
+def test_a_kind_that_hidden_data_do_not_want_is_not_written_in_place_of_the_best():
+    fit = motor_fit(drive="current")
+    wanted = {**fit.native["candidates"]}
+    wanted["current"] = {**wanted["current"], "proposed": False}
+    fit = dataclasses.replace(fit, native={**fit.native, "candidates": wanted})
+    assert composed([fit], ardupilot_parameters()).predicted["COMPASS_MOTCT"] == 1

@@ -1,0 +1,73 @@
+"""A compass's drift with temperature: which axes repeat, and what one pose cannot tell."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mavcal.calib.fit import FitStatus
+from mavcal.calib.methods import METHODS
+from mavcal.calib.recording import Channel, Recording, Sensor, Stage
+from mavcal.calib.thermal.compass import fit_mag_thermal
+
+POSES = (np.array([20.0, 5.0, 42.0]), np.array([-38.0, 12.0, -15.0]))
+OFFSET_DRIFT = np.array([0.06, 0.0, -0.09])  # uT/degC
+SENSITIVITY = 0.004  # 1/degC, of the y axis
+TEMPERATURE = 35.0 - 12.0 * np.cos(np.linspace(0.0, 2.0 * np.pi, 3000))
+
+
+def pose(number, rng, *, sensitivity=0.0, drift=OFFSET_DRIFT, field=None):
+    field = POSES[number] if field is None else field
+    d = (TEMPERATURE - 25.0)[:, None]
+    values = field + d * drift + d * sensitivity * field * [0.0, 1.0, 0.0] + 0.3 * rng.normal(size=(3000, 3))
+    return Channel(Sensor.MAG, 0, np.arange(3000.0), values, "uT", Stage.RAW, "test"), TEMPERATURE
+
+
+def test_a_drift_of_the_offset_repeats_in_every_pose():
+    rng = np.random.default_rng(1)
+    fit = fit_mag_thermal([pose(0, rng), pose(1, rng)])
+    assert fit.status == FitStatus.PARTIAL
+    assert "x, z repeat" in fit.message
+    found = fit.model.polynomial.coefficients[:, 0]
+    assert (np.abs(found - OFFSET_DRIFT)[[0, 2]] < 4.0 * fit.sd[[12, 14]]).all()
+    assert "poly1_y" in fit.undetermined
+    assert any("the slope of y is" in text and "too uncertain" in text for text in fit.warnings)
+
+
+def test_a_drift_of_the_sensitivity_goes_with_the_field():
+    rng = np.random.default_rng(2)
+    poses = [pose(k, rng, sensitivity=SENSITIVITY, field=POSES[k] * [1.0, 3.0 * (1 - 2 * k), 1.0]) for k in (0, 1)]
+    fit = fit_mag_thermal(poses)
+    assert "poly1_y" in fit.undetermined
+    assert any("the slope of y is" in text and "its sensitivity drifts" in text for text in fit.warnings)
+
+
+def test_one_pose_cannot_tell_what_drifts():
+    fit = fit_mag_thermal([pose(0, np.random.default_rng(3))])
+    assert fit.status == FitStatus.PARTIAL
+    assert {"poly1_x", "poly1_y", "poly1_z"} <= set(fit.undetermined)
+    assert not fit.model.polynomial.coefficients.any()
+    assert fit.native["slopes"] == pytest.approx(OFFSET_DRIFT, abs=0.01)
+    assert any("repeat it in another pose" in text for text in fit.warnings)
+
+
+def test_an_axis_that_drifts_otherwise_in_another_pose_is_declined():
+    rng = np.random.default_rng(4)
+    fit = fit_mag_thermal([pose(0, rng), pose(1, rng, drift=OFFSET_DRIFT * [-1.0, 1.0, 1.0])])
+    assert "poly1_x" in fit.undetermined
+    assert any("the slope of x is" in text and "does not repeat" in text for text in fit.warnings) or any(
+        "the slope of x is" in text and "its sensitivity drifts" in text for text in fit.warnings
+    )
+
+
+def test_recordings_are_poses_and_a_steady_temperature_is_refused():
+    rng = np.random.default_rng(5)
+    recordings = []
+    for number in (0, 1):
+        mag, t = pose(number, rng)
+        warmth = Channel(Sensor.TEMPERATURE, 0, mag.t, t[:, None], "degC", Stage.RAW, "test")
+        recordings.append(Recording((mag, warmth)))
+    (fit,) = METHODS["mag-thermal"].run_pooled(recordings)
+    assert fit.quality["poses"] == 2
+    mag, t = pose(0, rng)
+    assert fit_mag_thermal([(mag, np.full(len(t), 30.0))]).status == FitStatus.REFUSED
