@@ -284,10 +284,13 @@ class GapReport:
     def _summary(self) -> Summary:
         closed = None if self.shrink is None else self.shrink.closed
         shrunk = "" if closed is None else f"; the effects close {100.0 * closed:.0f} % of the gap on held-out data"
-        title = f"Gap: {self.verdict.replace('_', ' ')}, {len(self.effects)} effects{shrunk}"
+        found = "1 effect" if len(self.effects) == 1 else f"{len(self.effects)} effects"
+        title = f"Gap: {self.verdict.replace('_', ' ')}, {found}{shrunk}"
         rows = tuple(row for effect in self.effects for row in _rows(effect))
         unknown = ("something has no name in the catalogue",) if self.unknown.flag else ()
-        untested = tuple(f"not testable, {one.id}: {one.reason}; needs {one.need}" for one in self.not_testable)
+        missing = ", ".join(one.id for one in self.not_testable)
+        count = len(self.not_testable)
+        untested = (f"{count} effects cannot be tested with these recordings: {missing}",) if missing else ()
         columns = ("effect", "sensor", "probability", "parameter", "value", "95 % interval", "unit")
         return Summary(title, columns, rows, (*unknown, *untested, *self.warnings))
 

@@ -90,5 +90,7 @@ def density(t: Array, values: Array) -> tuple[Array, Array] | None:
     rate = (len(t) - 1) / (t[-1] - t[0])
     even = np.linspace(t[0], t[-1], len(t))
     columns = np.stack([np.interp(even, t, column) for column in values.T])
-    hz, power = welch(columns, rate, nperseg=min(_SEGMENT, len(t)), detrend="linear")
+    hz, power = welch(
+        columns, rate, nperseg=min(len(t), max(_SEGMENT // 4, min(_SEGMENT, len(t) // 4))), detrend="linear"
+    )
     return hz[1:], np.sqrt(power[:, 1:].T)

@@ -103,10 +103,10 @@ def test_a_fit_of_noise_says_its_figures():
 
 def test_a_report_says_its_effects_and_what_has_no_name():
     text = repr(report())
-    assert text.startswith("Gap: partly explained, 1 effects")
+    assert text.startswith("Gap: partly explained, 1 effect\n")
     assert "0.0512  0.049 to 0.053  m/s2" in text
     assert "something has no name in the catalogue" in text
-    assert "not testable, accel_bias: no field; needs a magnetometer" in text
+    assert "1 effects cannot be tested with these recordings: accel_bias" in text
 
 
 @pytest.mark.parametrize("made", [recording(EVIL), report(EVIL), FitBuilder.of(EVIL, channel()).refused(EVIL)],
