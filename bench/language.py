@@ -60,9 +60,9 @@ def sentences(text: str) -> list[str]:
     """Sentences of prose; a colon and a semicolon end one too, code counts as one word.
 
     >>> sentences("It stops: nothing moves. See `a.b c`; then go on.")
-    ['It stops:', 'nothing moves.', 'See x;', 'then go on.']
+    ['It stops:', 'nothing moves.', 'See X;', 'then go on.']
     """
-    plain = _CODE.sub("x", text)
+    plain = _CODE.sub("X", text)
     return [" ".join(part.split()) for part in _END.split(plain) if part.strip()]
 
 
