@@ -31,6 +31,7 @@ _END = re.compile(r"(?<=[.?!:;])\s+(?=[A-Z‹*\"`(\[])|(?<=[;:])\s+|\n\s*\n")
 _WORD = re.compile(r"[A-Za-z‹][\w'’›-]*")
 _DATA = re.compile(r"\||\b(?:INSERT|DELETE|SELECT) |^[0-9a-f]{2} [A-Z]")
 """Texts that no person reads as sentences: tables, statements of a database."""
+_DRAWN = re.compile(r"={4}|\+--|[│├└─]|^\s*>>>|^\s*\* ", re.MULTILINE)
 _PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs")
 
 
@@ -84,6 +85,21 @@ def of_page(text: str) -> Iterator[tuple[int, str]]:
             lines.append(line.lstrip("#-0123456789. "))
 
 
+def of_docstring(text: str) -> Iterator[str]:
+    """Paragraphs of a docstring, broken where the indent changes; tables, trees and examples are left out."""
+    lines, indent = list[str](), -1
+    for line in [*text.splitlines(), ""]:
+        depth = len(line) - len(line.lstrip())
+        if lines and (not line.strip() or (depth != indent and len(lines) > 1) or line.strip().startswith("---")):
+            block = "\n".join(lines)
+            if not _DRAWN.search(block):
+                yield block
+            lines = []
+        if line.strip() and not line.strip().startswith("---"):
+            lines.append(line)
+            indent = depth
+
+
 def findings(root: Path = ROOT) -> Iterator[Finding]:
     """Everything that is found, page by page and module by module."""
     for path in _pages(root):
@@ -99,7 +115,8 @@ def findings(root: Path = ROOT) -> Iterator[Finding]:
                 for one in texts:
                     if origin == "message" and _DATA.search(one.text):
                         continue
-                    yield from (Finding(name, one.line, k, origin, s) for k, s in faults(one.text))
+                    parts = of_docstring(one.text) if origin == "docstring" else (one.text,)
+                    yield from (Finding(name, one.line, k, origin, s) for part in parts for k, s in faults(part))
 
 
 def _pages(root: Path) -> Iterator[Path]:

@@ -236,7 +236,7 @@ def _temperature_of(recording: Recording, sensor: Sensor, instance: int) -> Arra
 
 @dataclass(frozen=True)
 class FitBuilder:
-    """What is known before anything is fitted: the method, and of which samples.
+    """What is known before anything is fitted: the method and the samples.
 
     It makes the result in one step, fitted or refused, so that none is ever half built.
     """
