@@ -146,7 +146,7 @@ class BeforeAfter:
 
     @property
     def zero_rate(self) -> bool:
-        """A gyroscope is compared with zero only if there is no capture before: its bias may have moved since the fit."""
+        """Compare a gyroscope with zero only if there is no capture before: its bias may have moved since the fit."""
         return self.sensor == Sensor.GYRO and self.raw_before is None
 
 
